@@ -1,0 +1,18 @@
+"""Time comes from outside: the runtime hands every tick its time, nothing below reads a clock."""
+
+from typing import Protocol
+
+TICK_US = 10_000
+"""Base tick: 100 Hz, the rate of the AHRS."""
+
+
+class Clock(Protocol):
+    """Where a runtime gets its time from."""
+
+    def now_us(self) -> int:
+        """Microseconds since the clock started, never going back."""
+        ...
+
+    def wait_until(self, t_us: int) -> int:
+        """Return at ``t_us`` (at once when it has passed); the result is now_us()."""
+        ...

@@ -1,0 +1,39 @@
+"""Fence shapes in local metres: what the operator drew, as the planner and the controller use it."""
+
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from autopilot.core.frames import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Circle:
+    """A vertical cylinder seen from above."""
+
+    center_ned_m: FloatArray
+    """(2,) north, east."""
+    radius_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Polygon:
+    """A vertical prism seen from above. Simple (no self-intersection), not closed, any winding, may be non-convex."""
+
+    vertices_ned_m: FloatArray
+    """(n, 2) north, east; n >= 3."""
+
+
+Shape: TypeAlias = Circle | Polygon
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Fence:
+    """The workspace. The vehicle's *centre* keeps a body radius from every boundary; shapes here are not inflated."""
+
+    inclusions: tuple[Shape, ...] = field(default=())
+    """The vehicle stays inside every one of them (none = open water)."""
+    exclusions: tuple[Shape, ...] = field(default=())
+    """The vehicle stays outside all of them."""
+    depth_min_m: float = 0.0
+    depth_max_m: float = 1000.0
+    """Depth band of the vehicle's centre."""

@@ -1,0 +1,346 @@
+"""Everything that crosses a boundary: samples in, estimates, goals, commands out.
+
+Frozen dataclasses, time first (``t_us``: microseconds since the service's clock started), SI, radians, shapes in the
+field comments. A field that may be absent is None.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, TypeAlias
+
+from autopilot.core.frames import FloatArray
+
+MAX_THRUSTERS = 8
+"""Width of the thruster arrays in logs and outputs."""
+
+
+# Samples: what the outside world says.
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AhrsSample:
+    """One AHRS frame. ``t_us`` is the time of validity as the driver knows it (arrival minus declared latency)."""
+
+    t_us: int
+    rpy_rad: FloatArray
+    """(3,) roll, pitch, yaw (yaw magnetic, with an unknown slow offset)."""
+    rate_frd_rad_s: FloatArray
+    """(3,)"""
+    accel_frd_m_s2: FloatArray
+    """(3,) specific force: at rest about (0, 0, -9.81)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraFrame:
+    """One image. ``t_us`` is the time of exposure; pixels are BGR uint8 (rows, columns, 3)."""
+
+    t_us: int
+    image_bgr: Any
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MarkerSighting:
+    """What the vision front end found in one image. ``t_us`` is the time of exposure."""
+
+    t_us: int
+    ids: tuple[int, ...]
+    """Dictionary ids, one per marker (ids may repeat on the floor)."""
+    corners_px: FloatArray
+    """(n, 4, 2) image points in OpenCV's corner order, as seen (distorted)."""
+    laser_px: FloatArray | None
+    """(2,) the laser dot, None if not found."""
+    decode_us: int = 0
+    """Time that detection took, for the log."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PoseSample:
+    """A measured pose of the vehicle (marker-pose sensor, external vision). ``t_us`` is the time of validity."""
+
+    t_us: int
+    pos_ned_m: FloatArray
+    """(3,)"""
+    yaw_rad: float
+    sigma_pos_m: FloatArray
+    """(3,) standard deviations."""
+    sigma_yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LaserSample:
+    """Range along the laser beam to the floor (for sensors that deliver a range and not a picture)."""
+
+    t_us: int
+    range_m: float
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PowerSample:
+    """Battery terminals."""
+
+    t_us: int
+    voltage_v: float
+    current_a: float
+    energy_used_j: float
+    remaining: float
+    """0..1"""
+
+
+Sample: TypeAlias = AhrsSample | MarkerSighting | PoseSample | LaserSample | PowerSample
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MavlinkFrame:
+    """Raw bytes of one datagram or packet on one link."""
+
+    link: int
+    """Index of the link it came from or goes to; -1 = all links."""
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Inputs:
+    """All that the outside world said since the last tick."""
+
+    t_us: int
+    samples: tuple[Sample, ...] = ()
+    mavlink_rx: tuple[MavlinkFrame, ...] = ()
+    overruns: int = 0
+    """Ticks that began late so far (real time only), counted by the runtime."""
+    log_dropped: int = 0
+    """Log messages lost so far, counted by the log writer."""
+
+
+# Estimate.
+
+
+class NavHealth(IntEnum):
+    """How far the estimate can be trusted."""
+
+    INVALID = 0
+    DEAD_RECKONING = 1
+    GOOD = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class NavState:
+    """The estimate at ``t_us``."""
+
+    t_us: int
+    health: NavHealth
+    pos_ned_m: FloatArray
+    """(3,)"""
+    rpy_rad: FloatArray
+    """(3,)"""
+    vel_frd_m_s: FloatArray
+    """(3,) over ground."""
+    vel_water_frd_m_s: FloatArray
+    """(3,) relative to the water."""
+    rate_frd_rad_s: FloatArray
+    """(3,)"""
+    current_ned_m_s: FloatArray
+    """(3,)"""
+    variance: FloatArray
+    """(12,) of pos_ned, rpy, vel_water_frd, current_ned."""
+    reset_count: int = 0
+    """Grows by one when position or yaw jump."""
+
+
+class AidState(IntEnum):
+    """Life cycle of one aiding source."""
+
+    STOPPED = 0
+    STARTING = 1
+    ACTIVE = 2
+    REJECTING = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AidStatus:
+    """What became of one measurement. Unused components are 0."""
+
+    t_us: int
+    sensor: str
+    """Topic-safe name: markers, laser, heading, model, ..."""
+    innovation: FloatArray
+    """(3,)"""
+    innovation_var: FloatArray
+    """(3,)"""
+    test_ratio: float
+    """Mahalanobis distance squared over its gate; > 1 was rejected."""
+    fused: bool
+    state: AidState
+    age_s: float
+    """Now minus time of validity."""
+
+
+# Decide.
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Goal:
+    """Where the vehicle should be: a terminal region, and how fast it may go there."""
+
+    pos_ned_m: FloatArray
+    """(3,)"""
+    yaw_rad: float | None
+    """None = free heading."""
+    speed_m_s: float
+    """Cruise speed over ground that the operator asks for."""
+    accept_radius_m: float
+    accept_yaw_rad: float
+    seq: int
+    """Mission item, -1 when the goal is not of a mission."""
+
+
+class ProgressState(IntEnum):
+    """MISSION_STATE (common.xml)."""
+
+    UNKNOWN = 0
+    NO_MISSION = 1
+    NOT_STARTED = 2
+    ACTIVE = 3
+    PAUSED = 4
+    COMPLETE = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MissionProgress:
+    """How far the mission is."""
+
+    t_us: int
+    current_seq: int
+    reached_seq: int
+    """-1 none."""
+    lap: int
+    """How often the first DO_JUMP (or the first positional item) has been passed, from 0."""
+    state: ProgressState
+
+
+# Control.
+
+
+class SolveStatus(IntEnum):
+    """Outcome of one NMPC step."""
+
+    OK = 0
+    IDLE = 1
+    """Not asked to solve (disarmed)."""
+    NOT_FINITE = 2
+    RESIDUAL = 3
+    """The result does not satisfy the predicted dynamics."""
+    EXCEPTION = 4
+
+
+class Fallback(IntEnum):
+    """Who commands the thrusters."""
+
+    NONE = 0
+    SHIFTED_PLAN = 1
+    STATION_KEEPING = 2
+    NEUTRAL = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class NmpcStatus:
+    """Health of the controller, one per NMPC step."""
+
+    t_us: int
+    status: SolveStatus
+    fallback: Fallback
+    iterations: int
+    solve_s: float
+    """Measured CPU time: differs from run to run."""
+    cost: float
+    slack_max: float
+    margin_m: float
+    """Smallest tightened clearance to fence and obstacles in the prediction."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ControlOutput:
+    """One NMPC step's result."""
+
+    thrust_n: FloatArray
+    """(4,) port, starboard, vertical, lateral."""
+    status: NmpcStatus
+    horizon_ned_m: FloatArray
+    """(n, 3) predicted positions, first row = now."""
+    route_ned_m: FloatArray
+    """(m, 2) the free path that the reference follows, first row = now, last = goal."""
+
+
+# Out.
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ThrusterCommand:
+    """What goes to the thrusters."""
+
+    t_us: int
+    thrust_n: FloatArray
+    """(8,) unused = 0."""
+    pwm_us: tuple[int, ...]
+    """(8,) unused = 0; neutral when disarmed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ModeState:
+    """What the vehicle is doing."""
+
+    t_us: int
+    armed: bool
+    custom_mode: int
+    failsafes: int
+    """Bits of :class:`Failsafe`."""
+
+
+class Failsafe(IntEnum):
+    """Bit positions of ModeState.failsafes."""
+
+    NAV_LOST = 0
+    SOLVER = 1
+    BATTERY = 2
+    AHRS_STALE = 3
+    GCS_LOST = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Event:
+    """A line for the operator and for the log. ``severity`` is MAV_SEVERITY (0 emergency .. 7 debug)."""
+
+    t_us: int
+    severity: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LoopStats:
+    """Health of the loop, once per second."""
+
+    t_us: int
+    tick_s: float
+    """Longest tick of the last second."""
+    cpu_s: float
+    """CPU seconds of the last second."""
+    overruns: int
+    dropped_log: int
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Outputs:
+    """All that should happen, and all that was decided, in one tick."""
+
+    t_us: int
+    command: ThrusterCommand
+    nav: NavState | None
+    """None until the estimator has initialised itself."""
+    mode: ModeState
+    mavlink_tx: tuple[MavlinkFrame, ...] = ()
+    aids: tuple[AidStatus, ...] = ()
+    goal: Goal | None = None
+    control: ControlOutput | None = None
+    """Set on the ticks on which the controller ran."""
+    progress: MissionProgress | None = None
+    events: tuple[Event, ...] = field(default=())

@@ -1,0 +1,71 @@
+"""The 4-DoF vehicle model that controller and estimator share (paper, section III-B, with M^-1 in front of T_A tau).
+
+State (8): x, y, z [m, NED], yaw [rad], u_r, v_r, w_r [m/s, FRD, relative to the water], r [rad/s].
+Input (4): thrust of port, starboard, vertical, lateral [N]. Current (3): NED [m/s].
+
+The equations are written once and run on floats, numpy arrays and CasADi symbols: ``ops`` supplies cos, sin and sqrt
+(:mod:`math`, :mod:`numpy` or :mod:`casadi`). The simulator does not use this module: it has its own 6-DoF equations.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+NX = 8
+NU = 4
+
+X, Y, Z, YAW, U, V, W, R = range(NX)
+"""Indices of the state."""
+
+ABS_SMOOTHING_M2_S2 = 1e-6
+"""|a| is taken as sqrt(a^2 + this) so that quadratic drag is differentiable at rest (1 mm/s)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Model4:
+    """Coefficients of the 4-DoF model. Drag coefficients are positive here; order surge, sway, heave, yaw."""
+
+    mass_kg: tuple[float, float, float, float]
+    """m11, m22, m33 [kg] and m44 [kg m^2], added mass included."""
+    linear_drag: tuple[float, float, float, float]
+    """N s/m; N m s for yaw."""
+    quadratic_drag: tuple[float, float, float, float]
+    """N s^2/m^2; N m s^2 for yaw."""
+    buoyancy_excess_n: float
+    """Buoyancy minus weight [N], positive floats up."""
+    allocation: tuple[tuple[float, float, float, float], ...]
+    """T_A (4, 4): rows X, Y, Z [N], N [N m]; columns port, starboard, vertical, lateral."""
+
+
+def body_acceleration(model: Model4, nu: Sequence[Any], thrust_n: Sequence[Any], ops: Any) -> list[Any]:
+    """Acceleration relative to the water (4): u', v', w' [m/s^2], r' [rad/s^2] from nu = (u_r, v_r, w_r, r)."""
+    u, v, w, r = nu[0], nu[1], nu[2], nu[3]
+    m11, m22, m33, m44 = model.mass_kg
+    forces = [
+        sum(model.allocation[i][j] * thrust_n[j] for j in range(NU) if model.allocation[i][j] != 0.0)
+        for i in range(NU)
+    ]
+    drag = [
+        model.linear_drag[i] * a + model.quadratic_drag[i] * ops.sqrt(a * a + ABS_SMOOTHING_M2_S2) * a
+        for i, a in enumerate((u, v, w, r))
+    ]
+    return [
+        (forces[0] - drag[0] + m22 * v * r) / m11,
+        (forces[1] - drag[1] - m11 * u * r) / m22,
+        (forces[2] - drag[2] - model.buoyancy_excess_n) / m33,
+        (forces[3] - drag[3] + (m11 - m22) * u * v) / m44,
+    ]
+
+
+def state_derivative(
+    model: Model4, x: Sequence[Any], thrust_n: Sequence[Any], current_ned_m_s: Sequence[Any], ops: Any
+) -> list[Any]:
+    """dx/dt (8) (paper, eq. 6)."""
+    c, s = ops.cos(x[YAW]), ops.sin(x[YAW])
+    return [
+        x[U] * c - x[V] * s + current_ned_m_s[0],
+        x[U] * s + x[V] * c + current_ned_m_s[1],
+        x[W] + current_ned_m_s[2],
+        x[R],
+        *body_acceleration(model, (x[U], x[V], x[W], x[R]), thrust_n, ops),
+    ]

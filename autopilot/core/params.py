@@ -1,0 +1,113 @@
+"""Parameters: what an operator may change over MAVLink. One table gives name, default, unit, range and help.
+
+Names have at most 16 characters (MAVLink). Values live in a :class:`ParamSet`; who changes one gets a clear refusal
+instead of a clamped value. Keeping them on disk is the runtime's business (:mod:`autopilot.param_file`).
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from autopilot.core.errors import ConfigError
+
+
+class ParamType(Enum):
+    """Kinds of parameter that the MAVLink server offers."""
+
+    INT32 = "int32"
+    REAL32 = "real32"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParamSpec:
+    """Declaration of one parameter."""
+
+    name: str
+    default: float
+    minimum: float
+    maximum: float
+    unit: str
+    help: str
+    type: ParamType = ParamType.REAL32
+
+
+def _real(name: str, default: float, minimum: float, maximum: float, unit: str, text: str) -> ParamSpec:
+    return ParamSpec(name=name, default=default, minimum=minimum, maximum=maximum, unit=unit, help=text)
+
+
+def _int(name: str, default: int, minimum: int, maximum: int, text: str) -> ParamSpec:
+    return ParamSpec(
+        name=name, default=default, minimum=minimum, maximum=maximum, unit="", help=text, type=ParamType.INT32
+    )
+
+
+PARAMETERS: tuple[ParamSpec, ...] = (
+    _real("DEPTH_MAX", 1.2, 0.1, 6000.0, "m", "Deepest point of the vehicle's centre (depth band, hard constraint)."),
+    _real("DEPTH_MIN", 0.05, 0.0, 100.0, "m", "Shallowest point of the vehicle's centre while under control."),
+    _int("FENCE_GAP_CHK", 1, 0, 1, "1 = refuse a fence with a gap that is narrower than the vehicle, 0 = only warn."),
+    _int("FS_BATT_ACT", 2, 0, 2, "Battery below FS_BATT_LOW: 0 = warn, 1 = hold, 2 = surface."),
+    _real("FS_BATT_LOW", 0.1, 0.0, 1.0, "", "Share of the battery below which the battery failsafe acts."),
+    _int("FS_NAV_ACT", 2, 0, 2, "Estimate invalid for FS_NAV_TIMEOUT: 0 = warn, 1 = disarm, 2 = surface."),
+    _real("FS_NAV_TIMEOUT", 5.0, 0.5, 60.0, "s", "Time without a valid estimate before the navigation failsafe acts."),
+    _int("FS_SOLVER_ACT", 2, 0, 2, "Solver fails FS_SOLVER_N times in a row: 0 = warn, 1 = hold, 2 = surface."),
+    _int("FS_SOLVER_N", 40, 5, 1000, "NMPC steps in a row without a solution before the solver failsafe acts."),
+    _real("MPC_MARGIN", 0.03, 0.0, 1.0, "m", "Distance that the controller keeps beyond the body radius."),
+    _real("MPC_SPEED_MARGIN", 0.04, 0.0, 0.5, "m/s", "Kept free below the planar speed limit for estimation error."),
+    _real("MPC_Q_POS", 20.0, 0.0, 1e4, "", "NMPC weight on planar position error."),
+    _real("MPC_Q_YAW", 3.0, 0.0, 1e4, "", "NMPC weight on heading error."),
+    _real("MPC_Q_Z", 40.0, 0.0, 1e4, "", "NMPC weight on depth error."),
+    _real("MPC_R_THRUST", 0.02, 1e-6, 1e3, "", "NMPC weight on thrust."),
+    _real("ORIGIN_ALT", 0.0, -500.0, 9000.0, "m", "Altitude of the water surface at the local origin (AMSL)."),
+    _real("ORIGIN_LAT", 37.9755, -90.0, 90.0, "deg", "Latitude of the local origin, used until one is set by message."),
+    _real("ORIGIN_LON", 23.7790, -180.0, 180.0, "deg", "Longitude of the local origin."),
+    _real("SPD_CRUISE", 0.35, 0.02, 2.0, "m/s", "Speed over ground that missions ask for (DO_CHANGE_SPEED overrides)."),
+    _real("SPD_HEAVE_MAX", 0.25, 0.02, 2.0, "m/s", "Limit of heave speed relative to the water (hard constraint)."),
+    _real("SPD_PLANAR_MAX", 0.5, 0.05, 3.0, "m/s", "Limit of planar speed relative to the water (hard constraint)."),
+    _real("SPD_YAW_MAX", 1.0, 0.05, 3.0, "rad/s", "Limit of yaw rate (hard constraint)."),
+    _int("SYSID_THISMAV", 1, 1, 250, "MAVLink system id; instance N adds N."),
+    _real("THR_LIMIT", 12.0, 0.5, 200.0, "N", "Limit of every thrust command (hard constraint)."),
+    _real("WP_ACCEPT_RADIUS", 0.3, 0.02, 50.0, "m", "Acceptance ball where an item gives none."),
+    _real("WP_ACCEPT_YAW", 0.15, 0.01, 3.15, "rad", "Acceptance band of the heading where an item gives a heading."),
+)
+
+
+class ParamSet(Mapping[str, float]):
+    """Current values by name, in the fixed order of the table. Changed only through :meth:`set`."""
+
+    def __init__(self, overrides: Mapping[str, float] | None = None) -> None:
+        self._specs = {spec.name: spec for spec in sorted(PARAMETERS, key=lambda s: s.name)}
+        self._values = {name: float(spec.default) for name, spec in self._specs.items()}
+        self.revision = 0
+        for name, value in (overrides or {}).items():
+            self.set(name, value)
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def spec(self, name: str) -> ParamSpec:
+        """Declaration of a parameter; ConfigError if there is none of that name."""
+        if name not in self._specs:
+            raise ConfigError(f"parameter {name!r} does not exist; `autopilot params list` shows all names")
+        return self._specs[name]
+
+    def set(self, name: str, value: float) -> None:
+        """Change a value, or raise ConfigError (unknown name, not finite, out of range, not whole) and change nothing."""
+        spec = self.spec(name)
+        if not math.isfinite(value):
+            raise ConfigError(f"parameter {name} = {value} is not a finite number")
+        if not spec.minimum <= value <= spec.maximum:
+            raise ConfigError(
+                f"parameter {name} = {value:g} is out of range; use {spec.minimum:g} to {spec.maximum:g} {spec.unit}".rstrip()
+            )
+        if spec.type is ParamType.INT32 and value != int(value):
+            raise ConfigError(f"parameter {name} = {value:g} must be a whole number")
+        if self._values[name] != value:
+            self._values[name] = float(value)
+            self.revision += 1

@@ -1,0 +1,85 @@
+"""Plans as they travel on the wire: items, kinds, and the answer to an upload."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+
+class PlanKind(IntEnum):
+    """MAV_MISSION_TYPE."""
+
+    MISSION = 0
+    FENCE = 1
+    RALLY = 2
+
+
+class MissionResult(IntEnum):
+    """MAV_MISSION_RESULT (common.xml)."""
+
+    ACCEPTED = 0
+    ERROR = 1
+    UNSUPPORTED_FRAME = 2
+    UNSUPPORTED = 3
+    NO_SPACE = 4
+    INVALID = 5
+    INVALID_PARAM1 = 6
+    INVALID_PARAM2 = 7
+    INVALID_PARAM3 = 8
+    INVALID_PARAM4 = 9
+    INVALID_PARAM5_X = 10
+    INVALID_PARAM6_Y = 11
+    INVALID_PARAM7 = 12
+    INVALID_SEQUENCE = 13
+    DENIED = 14
+    OPERATION_CANCELLED = 15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanItem:
+    """One MISSION_ITEM_INT, kept exactly as it came so that a download returns what was uploaded."""
+
+    seq: int
+    frame: int
+    """MAV_FRAME."""
+    command: int
+    """MAV_CMD."""
+    param1: float = 0.0
+    param2: float = 0.0
+    param3: float = 0.0
+    param4: float = float("nan")
+    x: int = 0
+    """Latitude 1e-7 deg, or metres * 1e4 in local frames."""
+    y: int = 0
+    """Longitude 1e-7 deg, or metres * 1e4 in local frames."""
+    z: float = 0.0
+    """Altitude [m, up] in global frames, metres down in LOCAL_NED."""
+    autocontinue: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanRejection:
+    """Why a plan is refused. ``reason`` names the item, what is wrong and what to do, in one line."""
+
+    seq: int
+    result: MissionResult
+    reason: str
+
+
+MAX_ITEMS = 1000
+"""Items that one plan may hold."""
+
+
+class PlanStore(Protocol):
+    """What the MAVLink mission protocol needs of the place where plans live (implemented in mission/store.py)."""
+
+    def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
+        """The plan in force."""
+        ...
+
+    def check_item(self, kind: PlanKind, item: PlanItem) -> PlanRejection | None:
+        """The cheap check of one item as it arrives (frame, command, ranges, NaN)."""
+        ...
+
+    def replace(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> PlanRejection | None:
+        """Check the whole plan against the other plans and take it, or refuse it and keep the one in force."""
+        ...

@@ -1,0 +1,197 @@
+"""The vehicle file: geometry, coefficients and sensor mounting of one vehicle, read from TOML and validated.
+
+Vehicles ship in ``autopilot/data/vehicles``; every value there has its origin in ``[sources]``.
+"""
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import msgspec
+
+from autopilot.core.errors import ConfigError
+from autopilot.core.model4 import Model4
+
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Vec2: TypeAlias = tuple[float, float]
+Vec3: TypeAlias = tuple[float, float, float]
+Vec4: TypeAlias = tuple[float, float, float, float]
+Positive3: TypeAlias = tuple[Positive, Positive, Positive]
+Positive4: TypeAlias = tuple[Positive, Positive, Positive, Positive]
+NonNegative3: TypeAlias = tuple[NonNegative, NonNegative, NonNegative]
+NonNegative4: TypeAlias = tuple[NonNegative, NonNegative, NonNegative, NonNegative]
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A TOML table: immutable, unknown keys are errors."""
+
+
+class Body(_Table):
+    """Rigid body and hydrodynamics in 6 DoF, for the simulated plant only. Drag positive."""
+
+    mass_kg: Positive
+    weight_n: Positive
+    buoyancy_excess_n: float
+    inertia_kg_m2: Positive3
+    center_of_buoyancy_frd_m: Vec3
+    added_mass_kg: NonNegative3
+    added_inertia_kg_m2: NonNegative3
+    linear_drag_n_s_m: NonNegative3
+    angular_linear_drag_n_m_s: NonNegative3
+    quadratic_drag_n_s2_m2: NonNegative3
+    angular_quadratic_drag_n_m_s2: NonNegative3
+
+
+class Model4Table(_Table):
+    """The controller's 4-DoF model (order surge, sway, heave, yaw)."""
+
+    mass_kg: Positive4
+    linear_drag: NonNegative4
+    quadratic_drag: NonNegative4
+    buoyancy_excess_n: float
+    allocation: tuple[Vec4, Vec4, Vec4, Vec4]
+
+    def to_model(self) -> Model4:
+        """The same as the plain dataclass that the equations take."""
+        return Model4(
+            mass_kg=self.mass_kg,
+            linear_drag=self.linear_drag,
+            quadratic_drag=self.quadratic_drag,
+            buoyancy_excess_n=self.buoyancy_excess_n,
+            allocation=self.allocation,
+        )
+
+
+class Thruster(_Table):
+    """Where one thruster sits and where it pushes."""
+
+    name: str
+    position_frd_m: Vec3
+    direction_frd: Vec3
+
+
+class Drive(_Table):
+    """Thruster and amplifier: pulse -> duty -> voltage -> thrust F = c V |V|."""
+
+    neutral_us: Annotated[int, msgspec.Meta(gt=0)]
+    span_us: Annotated[int, msgspec.Meta(gt=0)]
+    """Pulse difference between neutral and full duty."""
+    deadband_duty: Annotated[float, msgspec.Meta(ge=0.0, lt=0.5)]
+    forward_n_v2: Positive
+    reverse_n_v2: Positive
+    nominal_supply_v: Positive
+    time_constant_s: Positive
+    power_w_n15: Positive
+    """Electrical power P = this * |F|^1.5."""
+    limit_n: Positive
+    """Bound on every thrust command."""
+    command_timeout_s: Positive
+    """Outputs go to neutral when no command came for so long."""
+
+
+class Battery(_Table):
+    """Supply voltage falls linearly with the energy used and with the current drawn."""
+
+    open_circuit_v: Positive
+    empty_v: Positive
+    capacity_j: Positive
+    internal_resistance_ohm: NonNegative
+
+
+class Tether(_Table):
+    """Quasi-static tether."""
+
+    diameter_m: NonNegative
+    drag_coefficient: NonNegative
+    length_in_flow_m: NonNegative
+    pull_n: NonNegative
+
+
+class Camera(_Table):
+    """Down-looking camera: pinhole with k1 k2 p1 p2 k3, calibrated in water. Image x = starboard, image y = aft."""
+
+    width_px: Annotated[int, msgspec.Meta(gt=0)]
+    height_px: Annotated[int, msgspec.Meta(gt=0)]
+    rate_hz: Positive
+    focal_px: tuple[Positive, Positive]
+    center_px: Vec2
+    distortion: tuple[float, float, float, float, float]
+    position_frd_m: Vec3
+    latency_s: NonNegative
+    """Exposure to the arrival of the detection."""
+
+
+class Laser(_Table):
+    """Laser pointer parallel to the optical axis."""
+
+    position_frd_m: Vec3
+
+
+class Ahrs(_Table):
+    """Attitude and heading reference system."""
+
+    rate_hz: Positive
+    latency_s: NonNegative
+    position_frd_m: Vec3
+
+
+class Vehicle(_Table):
+    """One vehicle file."""
+
+    name: str
+    description: str
+    hotel_power_w: NonNegative
+    radius_m: Positive
+    """Ball round the centre of gravity that covers the hull."""
+    body: Body
+    model4: Model4Table
+    thruster: Annotated[list[Thruster], msgspec.Meta(min_length=1, max_length=8)]
+    drive: Drive
+    battery: Battery
+    tether: Tether
+    camera: Camera
+    laser: Laser
+    ahrs: Ahrs
+    sources: dict[str, str]
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; ConfigError names the file and the line when it is not one."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: is not valid TOML: {error}") from error
+
+
+def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
+    """``tables`` as ``kind``; ConfigError names the path of the key, what is wrong with it, and the file."""
+    try:
+        return msgspec.convert(tables, kind, strict=False)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{origin}: {error}; correct or remove that key") from error
+
+
+def vehicle_names() -> list[str]:
+    """Names of the vehicles that ship with the autopilot."""
+    folder = resources.files("autopilot") / "data" / "vehicles"
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def load_vehicle(name_or_path: str) -> Vehicle:
+    """A shipped vehicle by name, or a vehicle file by path. ConfigError if unknown or wrong."""
+    if name_or_path in vehicle_names():
+        path = Path(str(resources.files("autopilot") / "data" / "vehicles" / f"{name_or_path}.toml"))
+    else:
+        path = Path(name_or_path)
+        if path.suffix != ".toml":
+            raise ConfigError(
+                f"vehicle {name_or_path!r} is not known; use one of {', '.join(vehicle_names())} or a .toml file"
+            )
+    vehicle: Vehicle = convert(read_toml(path), Vehicle, str(path))
+    return vehicle

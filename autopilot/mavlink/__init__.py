@@ -1,0 +1,1 @@
+"""The MAVLink server: one class per microservice, sans-IO."""

@@ -1,0 +1,127 @@
+"""What the MAVLink server needs of the vehicle, and the results it passes on. Implemented by :mod:`autopilot.vehicle`."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import MissionProgress, NavState, PowerSample, ThrusterCommand
+
+
+class CommandResult(IntEnum):
+    """MAV_RESULT (common.xml)."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+    IN_PROGRESS = 5
+    CANCELLED = 6
+    COMMAND_LONG_ONLY = 7
+    COMMAND_INT_ONLY = 8
+    UNSUPPORTED_FRAME = 9
+
+
+class FlightMode(IntEnum):
+    """What the vehicle can be told to do. Numbers are internal; a profile maps them to its custom_mode."""
+
+    HOLD = 0
+    """Station keeping."""
+    MISSION = 1
+    RETURN = 2
+    """Back to home, then hold."""
+    SURFACE = 3
+    """Up at the present position, then disarm."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """Result of a command and, when it is a refusal, the reason for the operator in one line."""
+
+    result: CommandResult
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeoPoint:
+    """Geodetic position: degrees and metres AMSL."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class VehicleView:
+    """What telemetry shows, refreshed once per tick."""
+
+    t_us: int
+    armed: bool
+    mode: FlightMode
+    intended_mode: FlightMode
+    """Differs from ``mode`` while a failsafe overrides the operator."""
+    nav: NavState | None
+    power: PowerSample | None
+    command: ThrusterCommand | None
+    progress: MissionProgress | None
+    target_ned_m: FloatArray | None
+    """(3,) where the vehicle is going."""
+    origin: GeoPoint
+    home: GeoPoint
+    prearm_reasons: tuple[str, ...]
+    """Why arming would be refused now; empty = ready."""
+    failsafes: int
+    cpu_load: float
+    """0..1 of one tick."""
+    submerged: bool
+    dropped_rx: int
+    """Malformed frames so far."""
+
+
+class VehicleCommands(Protocol):
+    """Requests that clients make. Every one answers at once and never waits for a solver."""
+
+    def arm(self, force: bool) -> Answer:
+        """Arm, or say why not (all reasons in one line)."""
+        ...
+
+    def disarm(self, force: bool) -> Answer:
+        """Disarm; ``force`` = emergency stop, always accepted."""
+        ...
+
+    def set_mode(self, mode: FlightMode) -> Answer:
+        """Change the mode."""
+        ...
+
+    def start_mission(self, first_seq: int | None) -> Answer:
+        """Enter MISSION from an item (None = go on where it is). Needs an armed vehicle and a plan."""
+        ...
+
+    def pause(self) -> Answer:
+        """Hold here; the mission stays where it is."""
+        ...
+
+    def resume(self) -> Answer:
+        """Go on with a paused mission."""
+        ...
+
+    def set_current_item(self, seq: int) -> Answer:
+        """Choose the item that runs next."""
+        ...
+
+    def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
+        """Reposition and hold there (None = here). Checked against the fence."""
+        ...
+
+    def change_speed(self, speed_m_s: float) -> Answer:
+        """Cruise speed for what runs now."""
+        ...
+
+    def set_home(self, point: GeoPoint | None) -> Answer:
+        """Home (None = here)."""
+        ...
+
+    def set_origin(self, point: GeoPoint) -> Answer:
+        """Local origin. Refused while armed."""
+        ...

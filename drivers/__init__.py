@@ -1,0 +1,1 @@
+"""Device drivers: protocols, a registry by name, one device per file."""

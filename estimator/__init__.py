@@ -1,0 +1,1 @@
+"""State estimation: filters, measurement models, marker and laser processing."""

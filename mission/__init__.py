@@ -1,0 +1,1 @@
+"""Missions: items, validation, plan files, fence geometry, geodesy, sequencing."""
