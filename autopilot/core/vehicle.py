@@ -28,7 +28,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """A TOML table: immutable, unknown keys are errors."""
 
 
-class Body(_Table):
+class Body(_Table, frozen=True, kw_only=True):
     """Rigid body and hydrodynamics in 6 DoF, for the simulated plant only. Drag positive."""
 
     mass_kg: Positive
@@ -44,7 +44,7 @@ class Body(_Table):
     angular_quadratic_drag_n_m_s2: NonNegative3
 
 
-class Model4Table(_Table):
+class Model4Table(_Table, frozen=True, kw_only=True):
     """The controller's 4-DoF model (order surge, sway, heave, yaw)."""
 
     mass_kg: Positive4
@@ -64,7 +64,7 @@ class Model4Table(_Table):
         )
 
 
-class Thruster(_Table):
+class Thruster(_Table, frozen=True, kw_only=True):
     """Where one thruster sits and where it pushes."""
 
     name: str
@@ -72,7 +72,7 @@ class Thruster(_Table):
     direction_frd: Vec3
 
 
-class Drive(_Table):
+class Drive(_Table, frozen=True, kw_only=True):
     """Thruster and amplifier: pulse -> duty -> voltage -> thrust F = c V |V|."""
 
     neutral_us: Annotated[int, msgspec.Meta(gt=0)]
@@ -91,7 +91,7 @@ class Drive(_Table):
     """Outputs go to neutral when no command came for so long."""
 
 
-class Battery(_Table):
+class Battery(_Table, frozen=True, kw_only=True):
     """Supply voltage falls linearly with the energy used and with the current drawn."""
 
     open_circuit_v: Positive
@@ -100,7 +100,7 @@ class Battery(_Table):
     internal_resistance_ohm: NonNegative
 
 
-class Tether(_Table):
+class Tether(_Table, frozen=True, kw_only=True):
     """Quasi-static tether."""
 
     diameter_m: NonNegative
@@ -109,7 +109,7 @@ class Tether(_Table):
     pull_n: NonNegative
 
 
-class Camera(_Table):
+class Camera(_Table, frozen=True, kw_only=True):
     """Down-looking camera: pinhole with k1 k2 p1 p2 k3, calibrated in water. Image x = starboard, image y = aft."""
 
     width_px: Annotated[int, msgspec.Meta(gt=0)]
@@ -123,13 +123,13 @@ class Camera(_Table):
     """Exposure to the arrival of the detection."""
 
 
-class Laser(_Table):
+class Laser(_Table, frozen=True, kw_only=True):
     """Laser pointer parallel to the optical axis."""
 
     position_frd_m: Vec3
 
 
-class Ahrs(_Table):
+class Ahrs(_Table, frozen=True, kw_only=True):
     """Attitude and heading reference system."""
 
     rate_hz: Positive
@@ -137,7 +137,7 @@ class Ahrs(_Table):
     position_frd_m: Vec3
 
 
-class Vehicle(_Table):
+class Vehicle(_Table, frozen=True, kw_only=True):
     """One vehicle file."""
 
     name: str
@@ -172,7 +172,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
     """``tables`` as ``kind``; ConfigError names the path of the key, what is wrong with it, and the file."""
     try:
-        return msgspec.convert(tables, kind, strict=False)
+        return msgspec.convert(tables, kind, strict=True)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{origin}: {error}; correct or remove that key") from error
 
