@@ -1,0 +1,167 @@
+"""The marker map: which ArUco marker lies where on the floor, how such a floor is laid out, and what is in view.
+
+A floor needs more markers than the largest dictionary has ids, so ids repeat. The layout keeps that harmless: markers
+of one id lie at least :data:`SAME_ID_DISTANCE_M` apart, more than one image shows, and no two places of the floor share
+a pair of neighbours, so that any two adjacent markers tell where on the floor they are.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.core.camera import CameraModel
+from autopilot.core.errors import ConfigError
+from autopilot.core.frames import FloatArray
+
+IntArray: TypeAlias = NDArray[np.int64]
+
+DICTIONARY_SIZES = {"DICT_4X4_50": 50, "DICT_4X4_100": 100, "DICT_4X4_250": 250, "DICT_4X4_1000": 1000}
+"""Predefined OpenCV dictionaries that a floor can be made of, and how many ids each has."""
+
+SAME_ID_DISTANCE_M = 1.0
+"""Least distance of two markers with the same id, where the dictionary is large enough."""
+
+FLATTEST_RAD = math.radians(80.0)
+"""A view that reaches farther from the vertical than this is taken as unlimited."""
+
+_CORNER_SIGNS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
+"""(4, 2) north, east of the corners in OpenCV's order for a marker whose top points north, seen from above."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MarkerMap:
+    """Surveyed markers, all of one dictionary. All lie face up."""
+
+    dictionary: str
+    """Name of OpenCV's predefined dictionary, e.g. DICT_4X4_1000."""
+    size_m: float
+    """Side of the black square."""
+    ids: IntArray
+    """(n,) dictionary ids; may repeat."""
+    corners_ned_m: FloatArray
+    """(n, 4, 3) in OpenCV's corner order."""
+    centers_ned_m: FloatArray = field(init=False)
+    """(n, 3)"""
+    _north_m: FloatArray = field(init=False, repr=False)
+    _east_m: FloatArray = field(init=False, repr=False)
+    _depth_m: float = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        centers = self.corners_ned_m.mean(axis=1)
+        object.__setattr__(self, "centers_ned_m", centers)
+        object.__setattr__(self, "_north_m", centers[:, 0].copy())
+        object.__setattr__(self, "_east_m", centers[:, 1].copy())
+        object.__setattr__(self, "_depth_m", float(centers[:, 2].max()) if len(centers) else 0.0)
+
+    def visible(
+        self, camera: CameraModel, pos_ned_m: FloatArray, r_ned_from_frd: FloatArray, margin_px: float = 0.0
+    ) -> IntArray:
+        """Indices (m,) of the markers with all four corners in the image of a vehicle at that pose.
+
+        ``margin_px`` > 0 asks for that distance from the image border, < 0 adds markers that far outside of it (to allow
+        for an uncertain pose).
+        """
+        north, east, radius = self._footprint(camera, pos_ned_m, r_ned_from_frd, margin_px)
+        dn, de = self._north_m - north, self._east_m - east
+        near = np.flatnonzero(dn * dn + de * de < radius * radius)
+        points = camera.cam_from_ned(self.corners_ned_m[near], pos_ned_m, r_ned_from_frd)
+        full = camera.inside(camera.project(points), margin_px).all(axis=1)
+        result: IntArray = near[full]
+        return result
+
+    def _footprint(
+        self, camera: CameraModel, pos_ned_m: FloatArray, r_ned_from_frd: FloatArray, margin_px: float
+    ) -> tuple[float, float, float]:
+        """North, east and radius [m] of a circle on the floor that holds all that the image can show."""
+        eye_ned_m = pos_ned_m + r_ned_from_frd @ camera.position_frd_m
+        axis_ned = r_ned_from_frd[:, 2]
+        height_m = max(0.0, self._depth_m - float(eye_ned_m[2]))
+        slope = camera.view_slope + 1.5 * max(0.0, -margin_px) / min(camera.focal_px)
+        tilt_rad = math.acos(max(-1.0, min(1.0, float(axis_ned[2]))))
+        far_rad = tilt_rad + math.atan(slope)
+        if far_rad > FLATTEST_RAD:
+            return float(eye_ned_m[0]), float(eye_ned_m[1]), math.inf
+        reach_m = height_m / float(axis_ned[2])
+        radius_m = height_m * (math.tan(far_rad) - math.tan(tilt_rad))
+        return float(eye_ned_m[0] + reach_m * axis_ned[0]), float(eye_ned_m[1] + reach_m * axis_ned[1]), radius_m
+
+
+def grid_floor(
+    *,
+    polygon_m: FloatArray,
+    depth_m: float,
+    pitch_m: float,
+    size_m: float,
+    seed: int,
+    dictionary: str = "DICT_4X4_1000",
+) -> MarkerMap:
+    """A square grid of markers, tops to the north, that fills the polygon (k, 2) north, east at ``depth_m``.
+
+    The grid is centred on the polygon's bounding box. The same arguments give the same floor. ConfigError if the numbers
+    make no sense or no marker fits.
+    """
+    if dictionary not in DICTIONARY_SIZES:
+        raise ConfigError(f"markers.dictionary {dictionary!r} is not known; use one of {', '.join(DICTIONARY_SIZES)}")
+    if not 0.0 < size_m < pitch_m:
+        raise ConfigError(
+            f"markers.size_m = {size_m:g} must lie between 0 and markers.pitch_m = {pitch_m:g}; leave a white edge"
+        )
+    polygon = np.asarray(polygon_m, dtype=float)
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    count = np.floor((high - low) / pitch_m + 1e-9).astype(int)
+    start = 0.5 * (low + high) - 0.5 * pitch_m * (count - 1)
+    cells = np.array([(i, j) for i in range(count[0]) for j in range(count[1])], dtype=np.int64).reshape(-1, 2)
+    centers = start + pitch_m * cells
+    squares = centers[:, None, :] + 0.5 * pitch_m * _CORNER_SIGNS * (1.0 - 1e-9)
+    fits = _inside_polygon(squares.reshape(-1, 2), polygon).reshape(-1, 4).all(axis=1)
+    cells, centers = cells[fits], centers[fits]
+    if len(cells) == 0:
+        raise ConfigError(
+            f"markers.pitch_m = {pitch_m:g} leaves no room for a marker in the polygon; use a finer pitch"
+        )
+    corners = np.empty((len(cells), 4, 3))
+    corners[:, :, :2] = centers[:, None, :] + 0.5 * size_m * _CORNER_SIGNS
+    corners[:, :, 2] = depth_m
+    ids = _assign_ids(cells, pitch_m, DICTIONARY_SIZES[dictionary], np.random.default_rng(seed))
+    return MarkerMap(dictionary=dictionary, size_m=size_m, ids=ids, corners_ned_m=corners)
+
+
+def _assign_ids(cells: IntArray, pitch_m: float, n_ids: int, rng: np.random.Generator) -> IntArray:
+    """One id per cell (n, 2): the least used ids first, at random among those that keep the promises of this module."""
+    reach = int(SAME_ID_DISTANCE_M / pitch_m)
+    steps = [(-1, -1), (-1, 0), (-1, 1), (0, -1)]  # neighbours that come earlier in the order of the cells
+    low = cells.min(axis=0)
+    shape = cells.max(axis=0) - low + 1
+    grid = np.full((shape[0] + reach, shape[1] + 2 * reach), -1, dtype=np.int64)
+    used = np.zeros(n_ids, dtype=np.int64)
+    followers: dict[tuple[int, int], list[int]] = {}
+    ids = np.empty(len(cells), dtype=np.int64)
+    for n, (i, j) in enumerate(cells - low):
+        row, column = i + reach, j + reach
+        cost = used + rng.random(n_ids)
+        around = grid[row - reach : row + 1, column - reach : column + reach + 1].ravel()
+        cost[around[around >= 0]] += 1e6
+        neighbours = [(k, int(grid[row + di, column + dj])) for k, (di, dj) in enumerate(steps)] if reach else []
+        for key in neighbours:
+            cost[followers.get(key, [])] += 1e3
+        chosen = int(cost.argmin())
+        for key in neighbours:
+            followers.setdefault(key, []).append(chosen)
+        grid[row, column] = ids[n] = chosen
+        used[chosen] += 1
+    return ids
+
+
+def _inside_polygon(points: FloatArray, polygon: FloatArray) -> NDArray[np.bool_]:
+    """Whether points (n, 2) lie inside a simple polygon (k, 2), by crossings of a ray."""
+    inside = np.zeros(len(points), dtype=bool)
+    x, y = points[:, 0], points[:, 1]
+    for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if y0 == y1:
+            continue
+        crosses = (y0 > y) != (y1 > y)
+        inside ^= crosses & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return inside
