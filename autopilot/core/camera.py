@@ -1,8 +1,8 @@
 """The down-looking camera: pinhole with Brown's distortion (k1 k2 p1 p2 k3), calibrated in water, and where it sits.
 
-The formulas are OpenCV's (calib3d, "Detailed Description": pinhole model with radial and tangential distortion), written
-in numpy so that projecting a few hundred points costs tens of microseconds and needs no heavy import. Pixel centres lie
-at whole numbers, as everywhere in OpenCV.
+The formulas are OpenCV's (calib3d: pinhole model with radial and tangential distortion), written in numpy so that
+projecting a few hundred points costs tens of microseconds and needs no heavy import. Pixel centres lie at whole numbers,
+as everywhere in OpenCV.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ R_FRD_FROM_CAM.flags.writeable = False
 NEAR_M = 0.02
 """Points closer to the lens than this (along the optical axis), or behind it, have no image."""
 
-_NEWTON_STEPS = 6
+_NEWTON_STEPS = 4
 """Of :meth:`CameraModel.normalized`: the error is at rounding after 4 anywhere in the LBV150's image."""
 
 

@@ -61,8 +61,8 @@ class MarkerMap:
     ) -> IntArray:
         """Indices (m,) of the markers with all four corners in the image of a vehicle at that pose.
 
-        ``margin_px`` > 0 asks for that distance from the image border, < 0 adds markers that far outside of it (to allow
-        for an uncertain pose).
+        ``margin_px`` > 0 asks for that distance from the image border, < 0 adds markers that far outside of it (for
+        an uncertain pose).
         """
         north, east, radius = self._footprint(camera, pos_ned_m, r_ned_from_frd, margin_px)
         dn, de = self._north_m - north, self._east_m - east
@@ -100,8 +100,8 @@ def grid_floor(
 ) -> MarkerMap:
     """A square grid of markers, tops to the north, that fills the polygon (k, 2) north, east at ``depth_m``.
 
-    The grid is centred on the polygon's bounding box. The same arguments give the same floor. ConfigError if the numbers
-    make no sense or no marker fits.
+    The grid is centred on the polygon's bounding box. The same arguments give the same floor. ConfigError if the
+    numbers make no sense or no marker fits.
     """
     if dictionary not in DICTIONARY_SIZES:
         raise ConfigError(f"markers.dictionary {dictionary!r} is not known; use one of {', '.join(DICTIONARY_SIZES)}")
