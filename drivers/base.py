@@ -1,0 +1,26 @@
+"""The ``with`` protocol that all drivers share."""
+
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import Self
+
+
+class Closing(ABC):
+    """Opens on entering a ``with`` block and closes on leaving it."""
+
+    @abstractmethod
+    def open(self) -> None:
+        """Take hold of the device."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the device. Idempotent."""
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

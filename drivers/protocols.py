@@ -1,0 +1,86 @@
+"""What every device looks like to the service: a sensor, a byte port, a thruster output, a link.
+
+Time is handed in by the caller (``t_us``, microseconds since the service's clock started); no driver reads a clock.
+Opening may raise DriverError; bad data from a device never raises, it is counted and dropped. Closing twice is allowed.
+"""
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Protocol, Self, TypeVar
+
+T = TypeVar("T")
+
+
+class Device(Protocol):
+    """Something that is opened, used inside a ``with`` block, and closed."""
+
+    def open(self) -> None:
+        """Take hold of the device; DriverError says why it cannot be had and what to do."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device. Idempotent."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class Sensor(Device, Protocol[T]):
+    """A source of samples (:mod:`autopilot.core.messages`)."""
+
+    def poll(self, t_us: int) -> list[T]:
+        """What has arrived up to ``t_us``, oldest first. Never blocks, never raises because of bad data."""
+        ...
+
+
+class BytePort(Device, Protocol):
+    """A stream of bytes in both directions: a serial line, or what stands for one."""
+
+    def read(self, t_us: int) -> list[tuple[int, bytes]]:
+        """What has arrived up to ``t_us``: (time of arrival [us], bytes), oldest first. Never blocks."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send bytes. DriverError if the port is gone."""
+        ...
+
+
+class ThrusterOutput(Device, Protocol):
+    """Pulses to the thruster amplifiers. Neutral when opened, closed, in error, and when commands stop coming."""
+
+    def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
+        """Command one pulse per thruster [us]; entries beyond the last thruster are ignored."""
+        ...
+
+    def check(self, t_us: int) -> bool:
+        """To be called every tick: goes to neutral when the last command is too old; True while it is."""
+        ...
+
+    def neutral(self) -> None:
+        """Stop all thrusters now."""
+        ...
+
+
+class Link(Protocol):
+    """A MAVLink connection. Whole datagrams or whole frames, never a part of one. Open from construction on."""
+
+    @property
+    def name(self) -> str:
+        """The connection string that opened it."""
+        ...
+
+    def recv(self) -> list[bytes]:
+        """What has come since the last call, oldest first, bounded in number. Never blocks, never raises."""
+        ...
+
+    def send(self, data: bytes) -> None:
+        """Send to everyone at the other end. Never blocks, never raises: what cannot be sent is dropped and counted."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the port. Idempotent."""
+        ...

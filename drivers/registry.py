@@ -1,0 +1,44 @@
+"""Back ends by name. A back end is imported when it is asked for, so that a missing library breaks only its own.
+
+To add one: write it in a file of its own against :mod:`drivers.protocols`, and add a line here.
+"""
+
+from importlib import import_module
+from typing import Any
+
+from autopilot.core.errors import ConfigError, DriverError
+
+BACKENDS: dict[str, dict[str, str]] = {
+    "sensor": {"ig500": "drivers.ig500:Ig500"},
+    "port": {"serial": "drivers.serial_port:SerialPort"},
+    "link": {
+        "udpin": "drivers.udp:UdpIn",
+        "udpout": "drivers.udp:UdpOut",
+        "tcpin": "drivers.tcp:TcpServer",
+        "tcpout": "drivers.tcp:TcpClient",
+        "serial": "drivers.serial_port:SerialLink",
+    },
+    "vehicle": {"sitl": "sitl.backend:SimulatedVehicle"},
+}
+"""Kind -> name -> ``module:class``."""
+
+
+def backend_names(kind: str) -> list[str]:
+    """Names of one kind; ConfigError for an unknown kind."""
+    if kind not in BACKENDS:
+        raise ConfigError(f"no kind of driver is called {kind!r}; use one of {', '.join(BACKENDS)}")
+    return sorted(BACKENDS[kind])
+
+
+def load_backend(kind: str, name: str) -> Any:
+    """The class of a back end. ConfigError for an unknown name, DriverError if a library that it needs is missing."""
+    names = backend_names(kind)
+    if name not in names:
+        raise ConfigError(f"{kind} driver {name!r} is not known; use one of {', '.join(names)}")
+    module_name, _, attribute = BACKENDS[kind][name].partition(":")
+    try:
+        return getattr(import_module(module_name), attribute)
+    except ModuleNotFoundError as error:
+        raise DriverError(
+            f"{kind} driver {name!r} needs the Python module {error.name!r}, which is not installed; install it"
+        ) from error

@@ -1,0 +1,194 @@
+"""MAVLink over TCP: a server for several clients, and a client that reconnects. Both hand out whole frames."""
+
+import socket
+
+from autopilot.core.errors import DriverError
+from drivers.framing import FrameCutter
+from drivers.udp import bind_error, resolve
+
+CHUNK = 65536
+"""Bytes per system call."""
+MAX_CLIENTS = 8
+"""Further clients are turned away."""
+MAX_PENDING = 262_144
+"""Bytes that may wait for a slow client before it is cut off (2 s of dense telemetry would be 100 kB)."""
+CONNECT_TIMEOUT_S = 3.0
+"""For the first connection."""
+RECONNECT_AFTER_CALLS = 100
+"""Receive calls between attempts to reconnect (1 s at the 100 Hz tick)."""
+
+
+class _Stream:
+    """One open connection."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = connection
+        self._cutter = FrameCutter()
+        self._pending = bytearray()
+        self.open = True
+
+    def recv(self) -> list[bytes]:
+        """Frames that have become complete."""
+        self._flush()
+        try:
+            data = self._socket.recv(CHUNK)
+        except BlockingIOError:
+            return []
+        except OSError:
+            data = b""
+        if not data:
+            self.close()
+            return []
+        return self._cutter.feed(data)
+
+    def send(self, data: bytes) -> bool:
+        """Queue and send what the other side takes; False if it is gone or too far behind."""
+        self._pending += data
+        self._flush()
+        if len(self._pending) > MAX_PENDING:
+            self.close()
+        return self.open
+
+    def close(self) -> None:
+        """Close; what is pending is lost."""
+        self.open = False
+        self._socket.close()
+
+    def _flush(self) -> None:
+        if not self._pending:
+            return
+        try:
+            sent = self._socket.send(self._pending)
+        except BlockingIOError:
+            return
+        except OSError:
+            self.close()
+            return
+        del self._pending[:sent]
+
+
+class TcpServer:
+    """Listens; every client gets everything that is sent."""
+
+    def __init__(self, name: str, host: str, port: int) -> None:
+        self._name = name
+        self._clients: list[_Stream] = []
+        self.dropped_tx = 0
+        """Clients lost while sending to them."""
+        address = resolve(name, host, port)
+        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._listener.setblocking(False)
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._listener.bind(address)
+            self._listener.listen(MAX_CLIENTS)
+        except OSError as error:
+            self._listener.close()
+            raise bind_error(name, port, error) from error
+
+    @property
+    def name(self) -> str:
+        """The connection string."""
+        return self._name
+
+    @property
+    def clients(self) -> int:
+        """How many are connected."""
+        return len(self._clients)
+
+    def recv(self) -> list[bytes]:
+        """Frames since the last call, client by client."""
+        self._accept()
+        frames = [frame for client in self._clients for frame in client.recv()]
+        self._clients = [client for client in self._clients if client.open]
+        return frames
+
+    def send(self, data: bytes) -> None:
+        """Send to every client."""
+        for client in self._clients:
+            if not client.send(data):
+                self.dropped_tx += 1
+        self._clients = [client for client in self._clients if client.open]
+
+    def close(self) -> None:
+        """Close all connections and the port."""
+        for client in self._clients:
+            client.close()
+        self._clients = []
+        self._listener.close()
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:  # nobody there, or closed
+            return
+        if len(self._clients) < MAX_CLIENTS:
+            self._clients.append(_Stream(connection))
+        else:
+            connection.close()
+
+
+class TcpClient:
+    """Connects to a server; tries again while the server is away, and what is sent meanwhile is lost."""
+
+    def __init__(self, name: str, host: str, port: int) -> None:
+        self._name = name
+        self._address = resolve(name, host, port)
+        self._calls = 0
+        self._attempt: socket.socket | None = None
+        self._closed = False
+        self.dropped_tx = 0
+        """Sends without a connection."""
+        try:
+            connection = socket.create_connection(self._address, timeout=CONNECT_TIMEOUT_S)
+        except OSError as error:
+            reason = error.strerror or "no answer"
+            raise DriverError(
+                f"link {name}: nobody answers at {host}:{port} ({reason}); start the server or correct the address"
+            ) from error
+        self._stream = _Stream(connection)
+
+    @property
+    def name(self) -> str:
+        """The connection string."""
+        return self._name
+
+    def recv(self) -> list[bytes]:
+        """Frames since the last call."""
+        if self._closed:
+            return []
+        if self._stream.open:
+            return self._stream.recv()
+        self._calls += 1
+        if self._calls % RECONNECT_AFTER_CALLS == 0:
+            self._reconnect()
+        return []
+
+    def send(self, data: bytes) -> None:
+        """Send, or drop when there is no connection."""
+        if self._closed or not self._stream.open or not self._stream.send(data):
+            self.dropped_tx += 1
+
+    def close(self) -> None:
+        """Close the connection for good."""
+        self._closed = True
+        self._stream.close()
+        if self._attempt is not None:
+            self._attempt.close()
+
+    def _reconnect(self) -> None:
+        """Look whether the attempt before this call succeeded; else start another. Does not wait."""
+        if self._attempt is not None:
+            attempt, self._attempt = self._attempt, None
+            try:
+                attempt.getpeername()
+            except OSError:
+                attempt.close()
+            else:
+                self._stream = _Stream(attempt)
+                return
+        self._attempt = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._attempt.setblocking(False)
+        self._attempt.connect_ex(self._address)

@@ -1,0 +1,99 @@
+"""The safety rule of every thruster output, in one place.
+
+Thrusters stand still before the first command, after the last, after an error, and when no command has come for the
+vehicle file's ``drive.command_timeout_s``. A back end only says how to put pulses on the wire.
+"""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+from autopilot.core.errors import DriverError
+from autopilot.core.vehicle import Vehicle
+from drivers.base import Closing
+
+
+class SafeThrusterOutput(Closing):
+    """Template of a thruster output: derive from it and give :meth:`_acquire`, :meth:`_put` and :meth:`_release`."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        drive = vehicle.drive
+        self._neutral_us = (drive.neutral_us,) * len(vehicle.thruster)
+        self._low_us = drive.neutral_us - drive.span_us
+        self._high_us = drive.neutral_us + drive.span_us
+        self._timeout_us = round(drive.command_timeout_s * 1e6)
+        self._last_us: int | None = None
+        self._open = False
+        self.stale_count = 0
+        """How often the outputs went to neutral because commands stopped coming."""
+        self.clamped_count = 0
+        """Pulses that were outside neutral +- span and were cut to it."""
+
+    @abstractmethod
+    def _acquire(self) -> None:
+        """Open the device (DriverError if it cannot be had)."""
+
+    @abstractmethod
+    def _put(self, pwm_us: tuple[int, ...]) -> None:
+        """Put one pulse per thruster [us] on the wire. May raise DriverError or OSError."""
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Close the device; the outputs are neutral already."""
+
+    def open(self) -> None:
+        """Open the device and set it to neutral."""
+        if not self._open:
+            self._acquire()
+            self._open = True
+            self.neutral()
+
+    def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
+        """Command one pulse per thruster [us]. DriverError (and neutral) if too few, closed, or the wire fails."""
+        if not self._open:
+            raise DriverError("thruster output is closed; open it before writing")
+        if len(pwm_us) < len(self._neutral_us):
+            self.neutral()
+            raise DriverError(f"{len(pwm_us)} pulses for {len(self._neutral_us)} thrusters; give one per thruster")
+        wanted = tuple(int(pulse) for pulse in pwm_us[: len(self._neutral_us)])
+        sent = tuple(min(self._high_us, max(self._low_us, pulse)) for pulse in wanted)
+        self.clamped_count += sum(a != b for a, b in zip(wanted, sent, strict=True))
+        try:
+            self._put(sent)
+        except (DriverError, OSError) as error:
+            self._try_neutral()
+            raise DriverError(f"thruster output failed: {error}; check cable and power") from error
+        self._last_us = t_us
+
+    def check(self, t_us: int) -> bool:
+        """To be called every tick: neutral when the last command is too old; True while it is."""
+        if self._last_us is None:
+            return True
+        if t_us - self._last_us <= self._timeout_us:
+            return False
+        self.stale_count += 1
+        self.neutral()
+        return True
+
+    def neutral(self) -> None:
+        """Stop all thrusters now; a fresh command starts them again."""
+        self._last_us = None
+        if self._open:
+            self._put(self._neutral_us)
+
+    def close(self) -> None:
+        """Neutral, then let go of the device. Idempotent; the device is let go of even when neutral fails."""
+        if self._open:
+            self._try_neutral()
+            self._open = False
+            self._release()
+
+    def _try_neutral(self) -> None:
+        """Neutral if the wire still takes it: an error is being handled or the device is being closed."""
+        self._last_us = None
+        try:
+            self._put(self._neutral_us)
+        except (DriverError, OSError):
+            self.failed_neutral_count += 1
+
+    failed_neutral_count = 0
+    """How often not even neutral could be sent; the amplifiers' own timeout is then what stops the thrusters."""
