@@ -150,6 +150,8 @@ class VehicleStart(_Table, frozen=True, kw_only=True):
     """Factors that make the plant differ from the vehicle file (sitl.mismatch.MISMATCH_KEYS)."""
     tether_entry_m: Vec3 | None = None
     """Where the tether enters the water; absent = no tether."""
+    held: bool = False
+    """A hand holds the vehicle where it starts until a thruster is commanded for the first time."""
 
 
 class AhrsSensor(_Table, frozen=True, kw_only=True):

@@ -145,6 +145,9 @@ class Vehicle(_Table, frozen=True, kw_only=True):
     hotel_power_w: NonNegative
     radius_m: Positive
     """Ball round the centre of gravity that covers the hull."""
+    hull_radius_m: Positive = 0.27
+    """What touches things in the simulator: upright cylinder round the centre of gravity."""
+    hull_half_height_m: Positive = 0.13
     body: Body
     model4: Model4Table
     thruster: Annotated[list[Thruster], msgspec.Meta(min_length=1, max_length=8)]

@@ -1,0 +1,199 @@
+"""Contact of the hull with walls, floor and obstacles: a penalty force, and a record of how deep it went.
+
+The hull is an upright cylinder round the centre of gravity (radius and half height in the vehicle file), which covers
+the real box at every heading: what touches here may still have had a few centimetres, what does not touch here did not
+touch. Forces are normal and pass through the centre of gravity: no friction, no moment. The surface is no solid: the
+hull loses buoyancy as it comes out (:mod:`sitl.rigid_body`), and how far it stood out is recorded beside the contacts.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from autopilot.core.vehicle import Vec2, Vec3
+
+STIFFNESS_N_M = 2.0e4
+"""Assumed: a bumper bar; full thrust (29 N) presses it in by 1.5 mm, a run at 0.5 m/s by about 15 mm."""
+
+DAMPING_N_S_M = 350.0
+"""Assumed: about a third of the critical damping of a 16 kg body on that stiffness."""
+
+NEAR_M = 0.05
+"""Contact is looked for inside a step if the hull may be closer than this at its start (ten steps at 1 m/s)."""
+
+MAX_RECORDS = 1000
+"""Contacts that are kept; all are counted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cylinder:
+    """A vertical cylinder through the whole depth."""
+
+    name: str
+    center_ned_m: Vec2
+    radius_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sphere:
+    """A sphere."""
+
+    name: str
+    center_ned_m: Vec3
+    radius_m: float
+
+
+Solid: TypeAlias = Cylinder | Sphere
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Touch:
+    """The hull is inside something."""
+
+    what: str
+    """wall, floor or the obstacle's name."""
+    depth_m: float
+    normal_ned: Vec3
+    """Unit vector out of the thing that is touched."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactRecord:
+    """One contact, from first touch to the last."""
+
+    t_us: int
+    what: str
+    max_depth_m: float
+
+
+def inside_polygon(polygon: Sequence[Vec2], x: float, y: float) -> bool:
+    """Even-odd rule; the vertices are not closed."""
+    inside = False
+    ax, ay = polygon[-1]
+    for bx, by in polygon:
+        if (ay > y) != (by > y) and x < ax + (y - ay) * (bx - ax) / (by - ay):
+            inside = not inside
+        ax, ay = bx, by
+    return inside
+
+
+def _feet(polygon: Sequence[Vec2], x: float, y: float) -> list[tuple[float, float]]:
+    """Nearest point of every wall; a corner shared by two walls appears once."""
+    feet = []
+    ax, ay = polygon[-1]
+    for bx, by in polygon:
+        ex, ey = bx - ax, by - ay
+        s = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
+        if s > 0.0:
+            s = min(s, 1.0)
+            feet.append((ax + s * ex, ay + s * ey))
+        ax, ay = bx, by
+    return feet
+
+
+class Surroundings:
+    """Everything solid round a hull of given size."""
+
+    def __init__(
+        self,
+        *,
+        polygon_ned_m: Sequence[Vec2] | None,
+        floor_m: float | None,
+        solids: Sequence[Solid],
+        hull_radius_m: float,
+        hull_half_height_m: float,
+    ) -> None:
+        self._polygon = tuple(polygon_ned_m) if polygon_ned_m is not None else None
+        self._floor_m = floor_m
+        self._solids = tuple(solids)
+        self._radius = hull_radius_m
+        self._half_height = hull_half_height_m
+
+    def touches(self, pos_ned_m: Sequence[float], margin_m: float = 0.0) -> list[Touch]:
+        """What a hull at a position (3,) touches, or is closer to than ``margin_m`` (depth < 0 then)."""
+        x, y, z = pos_ned_m
+        found = []
+        if self._polygon is not None:
+            for fx, fy in _feet(self._polygon, x, y):
+                gap = math.hypot(x - fx, y - fy)
+                if gap - self._radius < margin_m and gap > 0.0:
+                    normal = ((x - fx) / gap, (y - fy) / gap, 0.0)
+                    found.append(Touch(what="wall", depth_m=self._radius - gap, normal_ned=normal))
+        if self._floor_m is not None and self._floor_m - z - self._half_height < margin_m:
+            depth = z + self._half_height - self._floor_m
+            found.append(Touch(what="floor", depth_m=depth, normal_ned=(0.0, 0.0, -1.0)))
+        for solid in self._solids:
+            gap, normal = self._gap(solid, x, y, z)
+            if gap < margin_m:
+                found.append(Touch(what=solid.name, depth_m=-gap, normal_ned=normal))
+        return found
+
+    def clearance_m(self, pos_ned_m: Sequence[float]) -> float:
+        """Smallest distance of a hull at a position (3,) from anything solid, negative inside; inf if all is open."""
+        gaps = [-touch.depth_m for touch in self.touches(pos_ned_m, math.inf)]
+        return min(gaps, default=math.inf)
+
+    def _gap(self, solid: Solid, x: float, y: float, z: float) -> tuple[float, Vec3]:
+        """Distance of the hull from a solid (negative inside) and the unit vector away from it."""
+        dx, dy = x - solid.center_ned_m[0], y - solid.center_ned_m[1]
+        planar = math.hypot(dx, dy)
+        out = (dx / planar, dy / planar) if planar > 0.0 else (1.0, 0.0)
+        if isinstance(solid, Cylinder):
+            return planar - solid.radius_m - self._radius, (out[0], out[1], 0.0)
+        dz = z - solid.center_ned_m[2]
+        beside, above = max(planar - self._radius, 0.0), max(abs(dz) - self._half_height, 0.0)
+        distance = math.hypot(beside, above)
+        if distance == 0.0:
+            return -solid.radius_m, (out[0], out[1], 0.0)
+        normal = (beside * out[0] / distance, beside * out[1] / distance, math.copysign(above, dz) / distance)
+        return distance - solid.radius_m, normal
+
+    def force_ned_n(self, pos_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]) -> Vec3:
+        """Penalty force (3,) on the hull [N]: stiffness and damping along each normal, never pulling."""
+        fx = fy = fz = 0.0
+        for touch in self.touches(pos_ned_m):
+            nx, ny, nz = touch.normal_ned
+            closing = -(vel_ned_m_s[0] * nx + vel_ned_m_s[1] * ny + vel_ned_m_s[2] * nz)
+            push = max(0.0, STIFFNESS_N_M * touch.depth_m + DAMPING_N_S_M * closing)
+            fx, fy, fz = fx + push * nx, fy + push * ny, fz + push * nz
+        return fx, fy, fz
+
+
+class ContactLog:
+    """Contacts of a run: one record per touch and thing touched, with the greatest depth."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        """Contacts so far."""
+        self.depth_m = 0.0
+        """Deepest penetration now, 0 = free."""
+        self.max_depth_m = 0.0
+        """Deepest penetration so far."""
+        self._open: dict[str, ContactRecord] = {}
+        self._closed: list[ContactRecord] = []
+
+    @property
+    def records(self) -> tuple[ContactRecord, ...]:
+        """The first contacts of the run, in the order in which they ended; contacts that last come at the end."""
+        return (*self._closed, *self._open.values())[:MAX_RECORDS]
+
+    def update(self, t_us: int, touches: Sequence[Touch]) -> None:
+        """Take note of what is touched now."""
+        depths: dict[str, float] = {}
+        for touch in touches:
+            if touch.depth_m > 0.0:
+                depths[touch.what] = max(depths.get(touch.what, 0.0), touch.depth_m)
+        for what in [name for name in self._open if name not in depths]:
+            ended = self._open.pop(what)
+            if len(self._closed) < MAX_RECORDS:
+                self._closed.append(ended)
+        for what, depth in depths.items():
+            before = self._open.get(what)
+            if before is None:
+                self.count += 1
+                self._open[what] = ContactRecord(t_us=t_us, what=what, max_depth_m=depth)
+            elif depth > before.max_depth_m:
+                self._open[what] = ContactRecord(t_us=before.t_us, what=what, max_depth_m=depth)
+        self.depth_m = max(depths.values(), default=0.0)
+        self.max_depth_m = max(self.max_depth_m, self.depth_m)

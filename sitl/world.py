@@ -1,0 +1,48 @@
+"""The world round the vehicle: walls, floor, obstacles, current and tether entry, built from a scenario."""
+
+from dataclasses import dataclass
+
+from autopilot.core.errors import ConfigError
+from autopilot.core.vehicle import Vec2, Vec3
+from sitl.contact import Cylinder, Solid, Sphere, inside_polygon
+from sitl.currents import CurrentField, Uniform, current_field
+from sitl.scenario import CylinderObstacle, Scenario
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class World:
+    """What the plant moves in. The default is endless still water."""
+
+    polygon_ned_m: tuple[Vec2, ...] | None = None
+    """Corners of the walls (north, east), None = no walls."""
+    floor_m: float | None = None
+    """Depth of the flat floor, None = none."""
+    solids: tuple[Solid, ...] = ()
+    current: CurrentField = Uniform()  # noqa: RUF009 - immutable
+    tether_entry_ned_m: Vec3 | None = None
+    """None = no tether."""
+
+
+def build_world(scenario: Scenario) -> World:
+    """The world that a scenario describes. ConfigError if the vehicle would start outside the tank."""
+    solids: list[Solid] = []
+    for number, obstacle in enumerate(scenario.obstacle, start=1):
+        name = f"obstacle {number}"
+        if isinstance(obstacle, CylinderObstacle):
+            solids.append(Cylinder(name=name, center_ned_m=obstacle.center_m, radius_m=obstacle.radius_m))
+        else:
+            solids.append(Sphere(name=name, center_ned_m=obstacle.center_m, radius_m=obstacle.radius_m))
+    tank = scenario.tank
+    x, y, z = scenario.vehicle.start_m
+    if tank is not None and not (inside_polygon(tank.polygon_m, x, y) and z <= tank.depth_m):
+        raise ConfigError(
+            f"scenario {scenario.scenario.name!r}: `$.vehicle.start_m` = [{x:g}, {y:g}, {z:g}] is outside the tank;"
+            " move it inside"
+        )
+    return World(
+        polygon_ned_m=tuple(tank.polygon_m) if tank is not None else None,
+        floor_m=tank.depth_m if tank is not None else None,
+        solids=tuple(solids),
+        current=current_field(scenario.current),
+        tether_entry_ned_m=scenario.vehicle.tether_entry_m,
+    )
