@@ -1,0 +1,136 @@
+"""SBG IG-500A attitude and heading reference on a serial line: 100 Hz attitude, rates and specific force."""
+
+import math
+
+import numpy as np
+
+from autopilot.core.frames import rpy_from_quat
+from autopilot.core.messages import AhrsSample
+from drivers.base import Closing
+from drivers.ig500_protocol import (
+    AHRS_MASK,
+    CONTINUOUS_OUTPUT,
+    Field,
+    FrameParser,
+    OutputCodec,
+    encode_continuous_mode,
+    encode_output_mask,
+)
+from drivers.protocols import BytePort
+
+ASK_AGAIN_POLLS = 100
+"""Polls without a good sample after which the device is configured again (1 s at the 100 Hz tick)."""
+QUATERNION_TOLERANCE = 0.05
+"""Samples whose quaternion's norm is farther from 1 are dropped."""
+
+
+class DeviceClock:
+    """Turns the device's millisecond counter into the service's time: the mean difference is followed slowly.
+
+    Arrival times jitter by the scheduling of both ends; the device's own clock does not. The mean difference holds the
+    mean latency, which the caller subtracts.
+    """
+
+    GAIN = 0.01
+    """Share of a new difference once the start is over (1 s at 100 Hz)."""
+    CLIP_US = 5_000.0
+    """A late arrival moves the mean no further than if it had been late by this."""
+    LOST_US = 50_000.0
+    """A difference that is off by more counts as lost; after :data:`LOST_COUNT` in a row the clock starts anew."""
+    LOST_COUNT = 50
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._lost = 0
+        self._offset_us = 0.0
+        self._last_us = 0
+
+    def stamp(self, arrival_us: int, device_us: int) -> int:
+        """The service's time at which the device read ``device_us``, plus the mean latency."""
+        difference = float(arrival_us - device_us)
+        error = difference - self._offset_us
+        self._lost = self._lost + 1 if abs(error) > self.LOST_US else 0
+        if self._count == 0 or device_us < self._last_us or self._lost >= self.LOST_COUNT:
+            self._count, self._lost, self._offset_us = 1, 0, difference
+        else:
+            self._count += 1
+            gain = max(1.0 / self._count, self.GAIN)
+            if self._count > 1.0 / self.GAIN:
+                error = max(-self.CLIP_US, min(self.CLIP_US, error))
+            self._offset_us += gain * error
+        self._last_us = device_us
+        return round(device_us + self._offset_us)
+
+
+class Ig500(Closing):
+    """The driver. Frames of the body: the device is mounted with its axes forward, right, down."""
+
+    def __init__(self, port: BytePort, latency_s: float, divider: int = 1) -> None:
+        self._port = port
+        self._latency_us = round(latency_s * 1e6)
+        self._divider = divider
+        self._codec = OutputCodec(AHRS_MASK)
+        self._parser = FrameParser()
+        self._clock = DeviceClock()
+        self._silent_polls = 0
+        self._last_us = -(1 << 62)
+        self.bad_samples = 0
+        """Frames with a good checksum and unusable content (other mask, not finite, no rotation, time going back)."""
+        self.configured_count = 0
+        """How often the device was configured: 1 at opening, more when it fell silent."""
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames dropped for their checksum, size or end."""
+        return self._parser.bad_frames
+
+    def open(self) -> None:
+        """Open the port and configure the device."""
+        self._port.open()
+        self._configure()
+
+    def close(self) -> None:
+        """Close the port; the device goes on sending to nobody."""
+        self._port.close()
+
+    def poll(self, t_us: int) -> list[AhrsSample]:
+        """The samples that have arrived, stamped with their time of validity."""
+        samples = []
+        for arrival_us, data in self._port.read(t_us):
+            for frame in self._parser.feed(data):
+                if frame.command == CONTINUOUS_OUTPUT:
+                    sample = self._sample(arrival_us, frame.data)
+                    if sample is None:
+                        self.bad_samples += 1
+                    else:
+                        samples.append(sample)
+        self._silent_polls = 0 if samples else self._silent_polls + 1
+        if self._silent_polls >= ASK_AGAIN_POLLS:
+            self._silent_polls = 0
+            self._configure()
+        return samples
+
+    def _configure(self) -> None:
+        self._port.write(encode_output_mask(AHRS_MASK))
+        self._port.write(encode_continuous_mode(self._divider))
+        self.configured_count += 1
+
+    def _sample(self, arrival_us: int, data: bytes) -> AhrsSample | None:
+        values = self._codec.decode(data)
+        if values is None:
+            return None
+        quaternion = np.array(values[Field.QUATERNION])
+        norm = math.sqrt(float(quaternion @ quaternion))
+        if abs(norm - 1.0) > QUATERNION_TOLERANCE:
+            return None
+        device_us = int(values[Field.TIME_SINCE_RESET][0]) * 1000
+        t_us = self._clock.stamp(arrival_us, device_us) - self._latency_us
+        if t_us <= self._last_us:
+            return None
+        self._last_us = t_us
+        return AhrsSample(
+            t_us=t_us,
+            rpy_rad=rpy_from_quat(quaternion / norm),
+            rate_frd_rad_s=np.array(values[Field.GYRO]),
+            accel_frd_m_s2=np.array(values[Field.ACCEL]),
+        )

@@ -1,0 +1,177 @@
+"""Wire format of the SBG Systems IG-500 attitude references, both directions, after the maker's sbgCom library.
+
+Frame: ``FF 02 | command u8 | size u16 | data (size bytes) | crc u16 | 03``, numbers big-endian. The CRC (reflected
+polynomial 0x8408, start 0, known as CRC-16/KERMIT) covers command, size and data. Measurements come in frames of
+command 0x90 whose data holds the fields chosen by the output mask, in the order of the mask's bits, and no copy of the
+mask: it has to be set before anything can be understood.
+"""
+
+import binascii
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntFlag
+
+from autopilot.core.errors import ConfigError
+
+SYNC = b"\xff\x02"
+END = 0x03
+MAX_DATA = 504
+"""Bytes of data that a frame may carry."""
+OVERHEAD = 8
+"""Bytes of a frame beside its data."""
+
+ACKNOWLEDGE = 0x01
+SET_OUTPUT_MASK = 0x50
+SET_CONTINUOUS_MODE = 0x53
+CONTINUOUS_OUTPUT = 0x90
+
+
+class Field(IntFlag):
+    """Bits of the output mask that this driver knows."""
+
+    QUATERNION = 1 << 0
+    EULER = 1 << 1
+    MATRIX = 1 << 2
+    GYRO = 1 << 3
+    ACCEL = 1 << 4
+    MAG = 1 << 5
+    TEMPERATURE = 1 << 6
+    TIME_SINCE_RESET = 1 << 11
+    STATUS = 1 << 12
+    ATTITUDE_ACCURACY = 1 << 21
+
+
+_LAYOUT: dict[Field, str] = {
+    Field.QUATERNION: "4f",
+    Field.EULER: "3f",
+    Field.MATRIX: "9f",
+    Field.GYRO: "3f",
+    Field.ACCEL: "3f",
+    Field.MAG: "3f",
+    Field.TEMPERATURE: "2f",
+    Field.TIME_SINCE_RESET: "I",
+    Field.STATUS: "I",
+    Field.ATTITUDE_ACCURACY: "f",
+}
+"""Struct codes: quaternion w x y z, Euler roll pitch yaw [rad], rad/s, m/s^2, arbitrary, deg C, ms, bits, rad."""
+
+AHRS_MASK = (
+    Field.QUATERNION | Field.GYRO | Field.ACCEL | Field.TIME_SINCE_RESET | Field.STATUS | Field.ATTITUDE_ACCURACY
+)
+"""What the driver asks the device for."""
+
+_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/KERMIT: the standard library's CRC-CCITT on mirrored bytes, mirrored back."""
+    plain = binascii.crc_hqx(data.translate(_REVERSED), 0)
+    return _REVERSED[plain & 0xFF] << 8 | _REVERSED[plain >> 8]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame whose checksum was right."""
+
+    command: int
+    data: bytes
+
+
+def encode_frame(command: int, data: bytes = b"") -> bytes:
+    """The bytes of one frame."""
+    if len(data) > MAX_DATA:
+        raise ValueError(f"{len(data)} bytes do not fit in a frame, at most {MAX_DATA} do")
+    body = struct.pack(">BH", command, len(data)) + data
+    return SYNC + body + struct.pack(">HB", crc16(body), END)
+
+
+def encode_output_mask(mask: Field) -> bytes:
+    """Command that chooses the fields of the continuous output, until the next power-up."""
+    return encode_frame(SET_OUTPUT_MASK, struct.pack(">BI", 0, mask))
+
+
+def encode_continuous_mode(divider: int) -> bytes:
+    """Command that starts the continuous output at the filter's rate over ``divider``, until the next power-up."""
+    return encode_frame(SET_CONTINUOUS_MODE, struct.pack(">BBB", 0, 1, divider))
+
+
+class FrameParser:
+    """Bytes in, frames out, however the bytes are cut. Never raises; the counters say what was thrown away."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.skipped = 0
+        """Bytes outside of any good frame."""
+        self.bad_frames = 0
+        """Frames with a wrong size, checksum or end."""
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """The frames that are complete now, oldest first."""
+        self._buffer += data
+        buffer, frames, at = self._buffer, [], 0
+        while True:
+            start = buffer.find(SYNC, at)
+            if start < 0:
+                keep = 1 if buffer[-1:] == SYNC[:1] and len(buffer) > at else 0
+                self.skipped += len(buffer) - at - keep
+                at = len(buffer) - keep
+                break
+            self.skipped += start - at
+            at = start
+            if len(buffer) < at + 5:
+                break
+            size = buffer[at + 3] << 8 | buffer[at + 4]
+            end = at + size + OVERHEAD
+            if size <= MAX_DATA and len(buffer) < end:
+                break
+            if size > MAX_DATA or not self._good(buffer, at, end):
+                self.bad_frames += 1
+                self.skipped += len(SYNC)
+                at += len(SYNC)  # not the whole frame: the size itself may be what is damaged
+                continue
+            frames.append(Frame(buffer[at + 2], bytes(buffer[at + 5 : end - 3])))
+            at = end
+        del buffer[:at]
+        return frames
+
+    @staticmethod
+    def _good(buffer: bytearray, at: int, end: int) -> bool:
+        crc = buffer[end - 3] << 8 | buffer[end - 2]
+        return buffer[end - 1] == END and crc == crc16(bytes(buffer[at + 2 : end - 3]))
+
+
+class OutputCodec:
+    """Packs and unpacks the data of 0x90 frames for one output mask. ConfigError for a bit that is not known."""
+
+    def __init__(self, mask: Field) -> None:
+        known = Field(sum(_LAYOUT))
+        if int(mask) & ~int(known):
+            raise ConfigError(f"IG-500 output mask 0x{int(mask):x} has unknown bits; use bits of 0x{int(known):x}")
+        self._fields = [field for field in _LAYOUT if field & mask]
+        self._struct = struct.Struct(">" + "".join(_LAYOUT[field] for field in self._fields))
+        self._slices: list[tuple[Field, slice]] = []
+        at = 0
+        for field in self._fields:
+            count = int(_LAYOUT[field][:-1] or 1)
+            self._slices.append((field, slice(at, at + count)))
+            at += count
+
+    @property
+    def size(self) -> int:
+        """Bytes of data."""
+        return self._struct.size
+
+    def encode(self, values: Mapping[Field, tuple[float, ...]]) -> bytes:
+        """Data of a frame; ``values`` holds one tuple per field of the mask (whole numbers for time and status)."""
+        return self._struct.pack(*(number for field in self._fields for number in values[field]))
+
+    def decode(self, data: bytes) -> dict[Field, tuple[float, ...]] | None:
+        """Values by field; None if the size is not that of the mask or a number is not finite."""
+        if len(data) != self._struct.size:
+            return None
+        numbers = self._struct.unpack(data)
+        if not all(map(math.isfinite, numbers)):
+            return None
+        return {field: numbers[part] for field, part in self._slices}
