@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
 from autopilot.core.vehicle import Vec2, Vec3
-from sitl import scenario as sc
+from sitl import scenario_tables as sc
 
 Gradient: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
 """d c_i / d x_j [1/s], row by row: (c_n,n c_n,e c_n,d c_e,n ... c_d,d)."""

@@ -3,7 +3,9 @@
 Vehicles ship in ``autopilot/data/vehicles``; every value there has its origin in ``[sources]``.
 """
 
+import math
 import tomllib
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -174,10 +176,25 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
     """``tables`` as ``kind``; ConfigError names the path of the key, what is wrong with it, and the file."""
+    for place, value in _leaves(tables, "$"):
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"{origin}: `{place}` = {value} is not a finite number; correct or remove that key")
     try:
         return msgspec.convert(tables, kind, strict=True)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{origin}: {error}; correct or remove that key") from error
+
+
+def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """Every value of nested tables and arrays with the path of its key."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{place}.{key}")
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from _leaves(inner, f"{place}[{index}]")
+    else:
+        yield place, value
 
 
 def vehicle_names() -> list[str]:
