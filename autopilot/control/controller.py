@@ -1,0 +1,370 @@
+"""The motion controller: route, reference, constraints and optimiser behind one ``step``, with its fallbacks."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from autopilot.control import ocp
+from autopilot.control.fallback import station_keeping_thrust
+from autopilot.control.grid import geometric_grid
+from autopilot.control.nmpc import Nmpc, NmpcProblem, NmpcResult
+from autopilot.control.obstacles import FAR_M
+from autopilot.control.planner import Planner
+from autopilot.control.reference import TURN_AHEAD_M, Route, build_reference, turn_target
+from autopilot.core.frames import FloatArray, unwrap_near
+from autopilot.core.geometry import Circle, Fence
+from autopilot.core.messages import ControlOutput, Fallback, Goal, NavHealth, NavState, NmpcStatus, SolveStatus
+from autopilot.core.model4 import NU, NX, YAW, Model4
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle
+
+VELOCITY_WEIGHTS = (8.0, 8.0, 8.0, 0.5)
+"""Weights on u, v, w [1/(m/s)^2] and r [1/(rad/s)^2]: enough to hold the cruise speed against the pull of the position."""
+
+YAW_RATE_SHARE = 0.92
+HEAVE_SHARE = 0.92
+"""Shares of the heave and yaw rate limits that the optimiser may use; the rest is for estimation error."""
+
+BURST_STEPS = 5
+BURST_QPS = 2
+"""After a new goal or fence so many steps solve so many QPs, so that the plan converges without one long step."""
+
+REPLAN_DISTANCE_M = 0.3
+REPLAN_INTERVAL_US = 1_000_000
+"""A vehicle that has been pushed this far off its route gets a new one, at most once a second."""
+
+LONGEST_SHIFT_S = 1.0
+"""A plan older than this is not continued."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Task:
+    """Goal, fence and radius for which the route was made."""
+
+    goal_key: tuple[float, ...]
+    planner_key: tuple[object, ...]
+
+
+class MotionController:
+    """Called every 50 ms (any other interval works). One instance per vehicle; :meth:`step` is deterministic."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        *,
+        n: int = 20,
+        horizon_s: float = 8.0,
+        cpu_clock: Callable[[], float] = time.thread_time,
+        backends: tuple[ocp.QpBackend, ...] = (ocp.HPIPM, ocp.PIQP),
+    ) -> None:
+        self._vehicle = vehicle
+        self._model = vehicle.model4.to_model()
+        self._lag_s = vehicle.drive.time_constant_s
+        self._cpu_clock = cpu_clock
+        self.nmpc = Nmpc(self._model, geometric_grid(n, horizon_s), backends=backends)
+        self._advance = _Advance(self._model, self._lag_s)
+        self._plane_n = np.zeros((n - 1, self.nmpc.planes, 2))
+        self._plane_d = np.zeros((n - 1, self.nmpc.planes))
+        self._planner: Planner | None = None
+        self._planner_key: tuple[object, ...] = ()
+        self._fence: Fence | None = None
+        self.unreachable = False
+        """True while the planner finds no way to the goal; the vehicle holds its place."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the plan (after disarming, before a new start)."""
+        self._last_us: int | None = None
+        self._goal_key: tuple[float, ...] | None = None
+        self._route: Route | None = None
+        self._s = 0.0
+        self._routed_us = 0
+        self._yaw_rad: float | None = None
+        self._yaw_target: float | None = None
+        self._reset_count = -1
+        self._plan_age_s: float | None = None
+        self._burst = 0
+        self._hold: FloatArray | None = None
+        self._hold_goal: FloatArray | None = None
+        self._command = np.zeros(NU)
+        self._acting = np.zeros(NU)
+        self.unreachable = False
+
+    def step(
+        self,
+        t_us: int,
+        nav: NavState,
+        goal: Goal,
+        fence: Fence,
+        params: ParamSet,
+        thruster_limit_n: FloatArray | None = None,
+    ) -> ControlOutput:
+        """Thrust for the next interval. ``thruster_limit_n`` (4,) lowers THR_LIMIT per thruster (derating, failure)."""
+        began = self._cpu_clock()
+        limit_n = np.full(NU, params["THR_LIMIT"])
+        if thruster_limit_n is not None:
+            limit_n = np.minimum(limit_n, thruster_limit_n)
+        elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
+        self._last_us = t_us
+        self._acting += (1.0 - math.exp(-max(elapsed_s, 0.0) / self._lag_s)) * (self._command - self._acting)
+        if nav.health is NavHealth.INVALID or not _finite(nav):
+            return self._neutral(t_us, nav, began)
+
+        x = self._state(nav)
+        current = nav.current_ned_m_s
+        x0 = self._advance(x, self._acting, current)
+        fresh = self._update_task(t_us, x0, goal, fence, params)
+        if nav.reset_count != self._reset_count or elapsed_s > LONGEST_SHIFT_S or elapsed_s < 0.0:
+            fresh = True
+        self._reset_count = nav.reset_count
+        reference = self._reference(x0, goal, current, params)
+        if fresh or self._plan_age_s is None:
+            self._plan_age_s = None
+            self.nmpc.set_plan(reference, np.zeros((self.nmpc.grid.n, NU)))
+            self._burst = BURST_STEPS
+        else:
+            self.nmpc.shift(elapsed_s)
+            turn = 2.0 * math.pi * round((x0[YAW] - self.nmpc.x[0, YAW]) / (2.0 * math.pi))
+            if turn:
+                self.nmpc.x[:, YAW] += turn
+        result, qps, margin_m = self._solve(x0, reference, current, fence, params, limit_n)
+        thrust, fallback = self._choose(result, x, current, limit_n, elapsed_s)
+        self._command = thrust
+        return ControlOutput(
+            thrust_n=thrust,
+            status=NmpcStatus(
+                t_us=t_us,
+                status=result.status,
+                fallback=fallback,
+                iterations=qps,
+                solve_s=self._cpu_clock() - began,
+                cost=result.cost if math.isfinite(result.cost) else 0.0,
+                slack_max=result.slack_max if math.isfinite(result.slack_max) else 0.0,
+                margin_m=margin_m,
+            ),
+            horizon_ned_m=self.nmpc.x[:, :3].copy(),
+            route_ned_m=self._route_ahead(nav),
+        )
+
+    def _state(self, nav: NavState) -> FloatArray:
+        yaw = float(nav.rpy_rad[2])
+        self._yaw_rad = yaw if self._yaw_rad is None else unwrap_near(yaw, self._yaw_rad)
+        x = np.empty(NX)
+        x[:3] = nav.pos_ned_m
+        x[YAW] = self._yaw_rad
+        x[4:7] = nav.vel_water_frd_m_s
+        x[7] = nav.rate_frd_rad_s[2]
+        return x
+
+    def _update_task(self, t_us: int, x0: FloatArray, goal: Goal, fence: Fence, params: ParamSet) -> bool:
+        """Make planner and route anew where something changed; True if the route is another one."""
+        radius = self._vehicle.radius_m + params["MPC_MARGIN"]
+        if fence is not self._fence or self._planner is None or self._planner_key[0] != radius:
+            key = (radius, *_fence_key(fence))
+            if key != self._planner_key:
+                self._planner = Planner(fence, radius)
+                self._planner_key = key
+                self._route = None
+            self._fence = fence
+        assert self._planner is not None
+        yaw = math.nan if goal.yaw_rad is None else goal.yaw_rad
+        goal_key = (
+            *(float(p) for p in goal.pos_ned_m),
+            0.0 if goal.yaw_rad is None else yaw,
+            float(goal.yaw_rad is None),
+        )
+        changed = goal_key != self._goal_key or self._route is None
+        if self._goal_key is None or goal_key[3:] != self._goal_key[3:]:
+            self._yaw_target = None
+        self._goal_key = goal_key
+        if not changed and self._route is not None:
+            self._s, off = self._route.project(x0[:2], self._s)
+            pushed = off > REPLAN_DISTANCE_M or self.unreachable
+            if not pushed or t_us - self._routed_us < REPLAN_INTERVAL_US:
+                return False
+        path = self._planner.path(x0[:2], np.asarray(goal.pos_ned_m, dtype=float))
+        self._routed_us = t_us
+        was_unreachable, self.unreachable = self.unreachable, path is None
+        if path is None:
+            if was_unreachable and not changed:
+                return False
+            self._hold_goal = x0.copy()
+            path = np.stack([x0[:2], x0[:2]])
+        else:
+            self._hold_goal = None
+        self._route, self._s = Route(path), 0.0
+        return True
+
+    def _reference(self, x0: FloatArray, goal: Goal, current: FloatArray, params: ParamSet) -> FloatArray:
+        route = self._route
+        assert route is not None
+        hold = self._hold_goal
+        if hold is not None:
+            self._yaw_target = float(hold[YAW])
+        elif goal.yaw_rad is not None:
+            self._yaw_target = turn_target(float(x0[YAW]), goal.yaw_rad, self._yaw_target)
+        elif route.length_m - self._s > TURN_AHEAD_M or self._yaw_target is None:
+            x, y, tx, ty = route.at(np.array([min(self._s + TURN_AHEAD_M, route.length_m)]))
+            north, east = float(x[0] - x0[0]), float(y[0] - x0[1])
+            if math.hypot(north, east) > 0.5 * TURN_AHEAD_M:
+                self._yaw_target = unwrap_near(math.atan2(east, north), float(x0[YAW]))
+            elif self._yaw_target is None:
+                self._yaw_target = float(x0[YAW])
+        return build_reference(
+            t_s=self.nmpc.grid.t_s,
+            x0=x0,
+            route=route,
+            s0=self._s,
+            depth_m=float(goal.pos_ned_m[2] if hold is None else hold[2]),
+            yaw_target_rad=self._yaw_target,
+            cruise_m_s=goal.speed_m_s,
+            current_ned_m_s=current,
+            speed_limit_m_s=_speed_cap(params),
+            heave_limit_m_s=params["SPD_HEAVE_MAX"],
+            yaw_rate_limit_rad_s=params["SPD_YAW_MAX"],
+        )
+
+    def _solve(
+        self,
+        x0: FloatArray,
+        reference: FloatArray,
+        current: FloatArray,
+        fence: Fence,
+        params: ParamSet,
+        limit_n: FloatArray,
+    ) -> tuple[NmpcResult, int, float]:
+        """The QPs of this step: result of the last, their number, and the smallest clearance of the plan."""
+        planner, n = self._planner, self.nmpc.grid.n
+        assert planner is not None
+        problem = NmpcProblem(
+            x0=x0,
+            x_ref=reference,
+            current_ned_m_s=np.broadcast_to(current, (n, 3)),
+            weights=_weights(params),
+            limits=np.array(
+                [
+                    _speed_cap(params),
+                    HEAVE_SHARE * params["SPD_HEAVE_MAX"],
+                    YAW_RATE_SHARE * params["SPD_YAW_MAX"],
+                    max(fence.depth_min_m, params["DEPTH_MIN"]),
+                    min(fence.depth_max_m, params["DEPTH_MAX"]),
+                ]
+            ),
+            thrust_limit_n=limit_n,
+            plane_n=self._plane_n,
+            plane_d_m=self._plane_d,
+        )
+        radius = self._vehicle.radius_m + params["MPC_MARGIN"]
+        qps = BURST_QPS if self._burst > 0 else 1
+        self._burst = max(0, self._burst - 1)
+        margin = FAR_M
+        for done in range(1, qps + 1):
+            points = self.nmpc.x[1:n, :2]
+            margin = planner.features.half_planes(points, radius, self.nmpc.planes, self._plane_n, self._plane_d)
+            result = self.nmpc.solve(problem)
+            if result.status is not SolveStatus.OK:
+                break
+        return result, done, margin
+
+    def _choose(
+        self, result: NmpcResult, x: FloatArray, current: FloatArray, limit_n: FloatArray, elapsed_s: float
+    ) -> tuple[FloatArray, Fallback]:
+        """The fallback chain: new plan, rest of the last plan, station keeping where that ended."""
+        if result.status is SolveStatus.OK:
+            self._plan_age_s, self._hold = 0.0, None
+            return result.thrust_n[0].copy(), Fallback.NONE
+        if self._plan_age_s is not None and self._hold is None:
+            self._plan_age_s += elapsed_s
+            if self._plan_age_s < self.nmpc.grid.t_s[-1]:
+                return np.clip(self.nmpc.u[0], -limit_n, limit_n), Fallback.SHIFTED_PLAN
+        self._plan_age_s = None
+        if self._hold is None:
+            self._hold = x.copy()
+        return station_keeping_thrust(self._model, x, self._hold, current, limit_n), Fallback.STATION_KEEPING
+
+    def _neutral(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
+        """Without an estimate there is nothing to control: no thrust, and the plan is void."""
+        self._command = np.zeros(NU)
+        self._plan_age_s = self._hold = self._yaw_rad = self._route = None
+        status = NmpcStatus(
+            t_us=t_us,
+            status=SolveStatus.IDLE,
+            fallback=Fallback.NEUTRAL,
+            iterations=0,
+            solve_s=self._cpu_clock() - began,
+            cost=0.0,
+            slack_max=0.0,
+            margin_m=0.0,
+        )
+        here = np.asarray(nav.pos_ned_m, dtype=float)[None]
+        return ControlOutput(
+            thrust_n=np.zeros(NU), status=status, horizon_ned_m=here.copy(), route_ned_m=here[:, :2].copy()
+        )
+
+    def _route_ahead(self, nav: NavState) -> FloatArray:
+        route = self._route
+        here = np.asarray(nav.pos_ned_m[:2], dtype=float)[None]
+        if route is None or self.unreachable:
+            return here.copy()
+        return np.concatenate([here, route.ahead(self._s)[1:]])
+
+
+class _Advance:
+    """The state one actuator lag later.
+
+    A thruster with first-order lag T that acts with thrust F and is commanded G delivers the same momentum as one that
+    keeps F for T and then jumps to G. So the plan starts T ahead, from where the acting thrust takes the vehicle.
+    """
+
+    def __init__(self, model: Model4, lag_s: float) -> None:
+        interval = ocp.discrete_dynamics(model, lag_s, 2)
+        x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", NU), ca.SX.sym("c", 3)
+        function = ca.Function("advance", [x, u, c], [interval(x, u, c)[0]])
+        self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(NU), np.zeros(3), np.zeros(NX)
+        self._function = function
+        self._buffer, self._evaluate = function.buffer()
+        for i, array in enumerate((self._x, self._u, self._c)):
+            self._buffer.set_arg(i, memoryview(array))
+        self._buffer.set_res(0, memoryview(self._out))
+
+    def __call__(self, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> FloatArray:
+        self._x[:], self._u[:], self._c[:] = x, thrust_n, current_ned_m_s
+        self._evaluate()
+        return self._out.copy()
+
+
+def _speed_cap(params: ParamSet) -> float:
+    return max(0.05, params["SPD_PLANAR_MAX"] - params["MPC_SPEED_MARGIN"])
+
+
+def _weights(params: ParamSet) -> FloatArray:
+    q = params["MPC_Q_POS"]
+    return np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS, *[params["MPC_R_THRUST"]] * NU])
+
+
+def _finite(nav: NavState) -> bool:
+    arrays: Sequence[FloatArray] = (
+        nav.pos_ned_m,
+        nav.rpy_rad,
+        nav.vel_water_frd_m_s,
+        nav.rate_frd_rad_s,
+        nav.current_ned_m_s,
+    )
+    return math.isfinite(sum(float(a.sum()) for a in arrays))
+
+
+def _fence_key(fence: Fence) -> tuple[object, ...]:
+    """The horizontal content of a fence, to tell a new one from the same one built again."""
+    parts: list[object] = []
+    for shapes in (fence.inclusions, fence.exclusions):
+        parts.append(len(shapes))
+        for shape in shapes:
+            if isinstance(shape, Circle):
+                parts.append((np.asarray(shape.center_ned_m, dtype=float).tobytes(), float(shape.radius_m)))
+            else:
+                parts.append(np.asarray(shape.vertices_ned_m, dtype=float).tobytes())
+    return tuple(parts)

@@ -1,0 +1,245 @@
+"""Real-time iteration: one Gauss-Newton QP per control step, warm-started by the shifted last plan.
+
+Holds the compiled step of :mod:`autopilot.control.ocp` and the arrays it reads and writes; nothing is allocated or built
+after construction. The first solver that passes a self-test is used.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from autopilot.control import ocp
+from autopilot.control.grid import TimeGrid, shift_matrices
+from autopilot.core.errors import ConfigError
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import SolveStatus
+from autopilot.core.model4 import NU, NX, Model4
+
+PLANES = 6
+"""Half-plane slots per stage: four walls of a tank and two obstacles."""
+
+VIOLATION_LIMIT = 1e-3
+"""Largest violation of a QP row (dynamics in SI units, constraints in metres and m/s) that counts as solved."""
+
+OVERSHOOT_LIMIT_N = 1e-3
+"""Largest thrust beyond its bound that counts as solved (it is clipped)."""
+
+SELF_TEST_TOLERANCE_N = 0.05
+"""How far the first thrust of the self-test may be from what the problem's symmetry demands."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class NmpcProblem:
+    """What changes from step to step."""
+
+    x0: FloatArray
+    """(8,) present state, yaw on the same turn as the references."""
+    x_ref: FloatArray
+    """(N+1, 8)"""
+    current_ned_m_s: FloatArray
+    """(N, 3) per stage."""
+    weights: FloatArray
+    """(12,) state and thrust."""
+    limits: FloatArray
+    """(5,) planar speed, heave, yaw rate, depth minimum, depth maximum."""
+    thrust_limit_n: FloatArray
+    """(4,)"""
+    plane_n: FloatArray
+    """(N-1, PLANES, 2) unit normals of the half-planes n . p >= d at stages 1 .. N-1; zero = unused."""
+    plane_d_m: FloatArray
+    """(N-1, PLANES)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class NmpcResult:
+    """The new plan."""
+
+    status: SolveStatus
+    x: FloatArray
+    """(N+1, 8) predicted states."""
+    thrust_n: FloatArray
+    """(N, 4) planned thrust."""
+    cost: float
+    """Decrease of the cost that the last QP predicted, plus penalties."""
+    slack_max: float
+    gap_max: float
+    """How far the guess was from satisfying the dynamics."""
+
+
+class QpStep:
+    """One built step with its argument and result arrays."""
+
+    def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
+        n = grid.n
+        self.backend = backend
+        self._function = _build(model, _grid_key(grid), planes, backend.plugin)
+        self.x_guess = np.zeros((n + 1, NX))
+        self.u_guess = np.zeros((n, NU))
+        self.x_ref = np.zeros((n + 1, NX))
+        self.current = np.zeros((n, 3))
+        self.weights = np.zeros(NX + NU)
+        self.limits = np.zeros(ocp.N_LIMITS)
+        self.thrust_limit = np.zeros(NU)
+        self.plane_n = np.zeros((n - 1, planes, 2))
+        self.plane_d = np.zeros((n - 1, planes))
+        self.x = np.zeros((n + 1, NX))
+        self.u = np.zeros((n, NU))
+        self.slack = np.zeros(n - 1)
+        self.figures = np.zeros(4)
+        self._multipliers = np.zeros(self._function.nnz_out("multipliers"))
+        self._buffer, self._evaluate = self._function.buffer()
+        arguments = (
+            self.x_guess,
+            self.u_guess,
+            self.x_ref,
+            self.current,
+            self.weights,
+            self.limits,
+            self.thrust_limit,
+            self.plane_n,
+            self.plane_d,
+        )
+        for i, array in enumerate(arguments):
+            self._buffer.set_arg(i, memoryview(array))
+        for i, array in enumerate((self.x, self.u, self.slack, self.figures, self._multipliers)):
+            self._buffer.set_res(i, memoryview(array))
+
+    def evaluate(self) -> None:
+        """Linearise at the guess, solve, write the results."""
+        self._evaluate()
+
+
+def _grid_key(grid: TimeGrid) -> tuple[float, ...]:
+    return tuple(float(dt) for dt in grid.dt_s)
+
+
+@lru_cache(maxsize=8)
+def _build(model: Model4, dt_s: tuple[float, ...], planes: int, plugin: str) -> Any:
+    """The built function is pure; controllers of the same vehicle and grid share it."""
+    dt = np.array(dt_s)
+    grid = TimeGrid(dt_s=dt, t_s=np.concatenate(([0.0], np.cumsum(dt))))
+    backend = {b.plugin: b for b in (ocp.HPIPM, ocp.PIQP)}[plugin]
+    return ocp.build_qp_step(model, grid, planes, backend)
+
+
+def passes_self_test(step: QpStep) -> bool:
+    """Solve one problem with a known answer: at rest 1 m behind a reference straight ahead, all is symmetric.
+
+    Port and starboard thrust must be equal, forward and inside the bound, lateral thrust zero, all figures small.
+    """
+    step.x_guess[:] = 0.0
+    step.x_guess[:, 2] = 0.5
+    step.u_guess[:] = 0.0
+    step.x_ref[:] = step.x_guess
+    step.x_ref[:, 0] = 1.0
+    step.weights[:] = [20.0, 20.0, 40.0, 3.0, 1.0, 1.0, 1.0, 0.5, 0.02, 0.02, 0.02, 0.02]
+    step.limits[:5] = [0.5, 0.25, 1.0, 0.0, 1.2]
+    step.thrust_limit[:] = 12.0
+    step.plane_n[:] = 0.0
+    step.plane_d[:] = -1.0
+    for _ in range(3):
+        step.evaluate()
+        if not (np.isfinite(step.x).all() and np.isfinite(step.u).all()):
+            return False
+        step.x_guess[:], step.u_guess[:] = step.x, step.u
+    port, starboard, _, lateral = step.u[0]
+    return bool(
+        step.figures[1] < VIOLATION_LIMIT
+        and abs(port - starboard) < SELF_TEST_TOLERANCE_N
+        and abs(lateral) < SELF_TEST_TOLERANCE_N
+        and 1.0 < port < 12.0 + OVERSHOOT_LIMIT_N
+        and 0.5 < step.x[-1, 0] < 1.5
+    )
+
+
+def choose_step(model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.QpBackend, ...]) -> QpStep:
+    """The first backend that loads and passes the self-test; ConfigError if none does."""
+    reasons = []
+    for backend in backends:
+        try:
+            step = QpStep(model, grid, planes, backend)
+        except RuntimeError as error:
+            reasons.append(f"{backend.plugin}: {str(error).splitlines()[-1]}")
+            continue
+        if passes_self_test(step):
+            return step
+        reasons.append(f"{backend.plugin}: wrong answer in the self-test")
+    raise ConfigError(f"no QP solver works ({'; '.join(reasons)}); reinstall casadi from its binary wheel")
+
+
+class Nmpc:
+    """The controller's optimiser with its plan."""
+
+    def __init__(
+        self,
+        model: Model4,
+        grid: TimeGrid,
+        *,
+        planes: int = PLANES,
+        backends: tuple[ocp.QpBackend, ...] = (ocp.HPIPM, ocp.PIQP),
+    ) -> None:
+        self.grid = grid
+        self.planes = planes
+        self._step = choose_step(model, grid, planes, backends)
+        self._shifts: dict[float, tuple[FloatArray, FloatArray]] = {}
+        self.x = np.zeros((grid.n + 1, NX))
+        self.u = np.zeros((grid.n, NU))
+
+    @property
+    def solver(self) -> str:
+        """Name of the QP plugin in use."""
+        return self._step.backend.plugin
+
+    def set_plan(self, x: FloatArray, thrust_n: FloatArray) -> None:
+        """Start from this guess: states (N+1, 8) and thrust (N, 4)."""
+        self.x[:], self.u[:] = x, thrust_n
+
+    def shift(self, delta_s: float) -> None:
+        """Move the plan ``delta_s`` into the future."""
+        key = round(delta_s, 6)
+        if key not in self._shifts:
+            if len(self._shifts) > 64:
+                self._shifts.clear()
+            self._shifts[key] = shift_matrices(self.grid, key)
+        states, inputs = self._shifts[key]
+        self.x[:] = states @ self.x
+        self.u[:] = inputs @ self.u
+
+    def solve(self, problem: NmpcProblem) -> NmpcResult:
+        """One QP around the plan. The plan is replaced only when the result passes every check."""
+        step = self._step
+        step.x_guess[:] = self.x
+        step.x_guess[0] = problem.x0
+        step.u_guess[:] = self.u
+        step.x_ref[:] = problem.x_ref
+        step.current[:] = problem.current_ned_m_s
+        step.weights[:] = problem.weights
+        step.limits[:5] = problem.limits
+        step.thrust_limit[:] = problem.thrust_limit_n
+        step.plane_n[:] = problem.plane_n
+        step.plane_d[:] = problem.plane_d_m
+        status = SolveStatus.OK
+        try:
+            step.evaluate()
+        except RuntimeError:
+            status = SolveStatus.EXCEPTION
+        cost, violation, gap, overshoot = step.figures.tolist()
+        if status is SolveStatus.OK:
+            if not (math.isfinite(float(step.x.sum())) and math.isfinite(float(step.u.sum()))):
+                status = SolveStatus.NOT_FINITE
+            elif not (violation < VIOLATION_LIMIT and overshoot < OVERSHOOT_LIMIT_N):
+                status = SolveStatus.RESIDUAL
+        if status is SolveStatus.OK:
+            self.x[:] = step.x
+            np.clip(step.u, -problem.thrust_limit_n, problem.thrust_limit_n, out=self.u)
+        return NmpcResult(
+            status=status,
+            x=self.x,
+            thrust_n=self.u,
+            cost=cost,
+            slack_max=float(step.slack.max()),
+            gap_max=gap,
+        )

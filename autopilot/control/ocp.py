@@ -1,0 +1,244 @@
+"""The paper's optimal control problem (section III, eq. 12) as one CasADi function: linearise, solve one QP, unpack.
+
+Decision variables per stage: state (8), thrust (4) and, from stage 1 on, one slack that all soft constraints of the stage
+share. The first state is known and is not a variable. Everything that changes at run time is an argument, so nothing is
+rebuilt for a new fence, current, weight or limit. The function works in steps around the guess (Gauss-Newton: the
+residuals are linear in state and input, so the Hessian is exact up to the curvature of the dynamics).
+
+* dynamics: RK4 on :mod:`autopilot.core.model4`, intervals split where RK4 would lose its stability
+* hard: thrust, per thruster
+* soft with an exact penalty (L1 + L2 on the slack): planar speed, heave, yaw rate, depth band, half-planes
+* planar speed: the Euclidean norm (u, v), as the tangent of the circle in the direction of the guess
+* terminal cost: 20 stages' worth of the state weights, a tail of 2 s at the rate of the running cost. That is what an
+  LQR tail gives for a loop that settles with a time constant of 4 s; it is independent of heading, which the DARE
+  solution at hover is not (position is in the world frame, velocity in the body frame), and it needs no equilibrium at
+  which to linearise when the horizon ends in the middle of a leg.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from autopilot.control.grid import REFERENCE_DT_S, TimeGrid
+from autopilot.core import model4
+from autopilot.core.model4 import NU, NX, R, U, V, W, Z
+
+N_LIMITS = 6
+"""Planar speed [m/s], heave [m/s], yaw rate [rad/s], depth minimum and maximum [m] relative to the origin, spare."""
+
+N_BOX_ROWS = 7
+"""Soft rows per stage beside the half-planes: speed, heave two-sided, yaw rate two-sided, depth two-sided."""
+
+SLACK_L1 = 1e3
+SLACK_L2 = 1e3
+"""Exact penalty per stage of 0.1 s; above the multipliers that occur, below what makes the QP ill-conditioned."""
+
+TERMINAL_STAGES = 20.0
+SPEED_EPSILON_M_S = 0.02
+"""Below this guess the speed constraint has no direction and is relaxed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QpBackend:
+    """A QP plugin of CasADi with its options."""
+
+    plugin: str
+    options: dict[str, Any]
+    staged: bool
+    """Takes the stage structure (N, nx, nu, ng)."""
+
+
+HPIPM = QpBackend(plugin="hpipm", options={"hpipm": {"mode": "speed_abs", "iter_max": 50}}, staged=True)
+"""Riccati interior point. The default limit of 15 iterations gives wrong single steps, 50 does not."""
+
+PIQP = QpBackend(plugin="piqp", options={"piqp": {"kkt_solver": "sparse_ldlt_ineq_cond"}}, staged=False)
+"""Slower by half, with the shortest tail; the fallback where the first does not work."""
+
+
+def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Function:
+    """RK4 over one interval: (x, thrust_n, current_ned_m_s) -> (x_next, A (8, 8), B (8, 4))."""
+    x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", NU), ca.SX.sym("c", 3)
+    h = dt_s / substeps
+
+    def f(state: Any) -> Any:
+        return ca.vertcat(*model4.state_derivative(model, ca.vertsplit(state), ca.vertsplit(u), ca.vertsplit(c), ca))
+
+    k1 = f(x)
+    k2 = f(x + h / 2 * k1)
+    k3 = f(x + h / 2 * k2)
+    k4 = f(x + h * k3)
+    x_next = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    single = ca.Function("rk4", [x, u, c], [x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, u)])
+    state, a, b = x, ca.SX.eye(NX), ca.SX(NX, NU)
+    for _ in range(substeps):
+        state, a_step, b_step = single(state, u, c)
+        a, b = ca.mtimes(a_step, a), ca.mtimes(a_step, b) + b_step
+    return ca.Function("interval", [x, u, c], [state, a, b])
+
+
+def steady_thrust(model: model4.Model4, nu: Any) -> Any:
+    """Thrust (4,) that holds the velocity ``nu`` = (u, v, w, r): drag, buoyancy and Munk moment against T_A tau."""
+    acceleration = model4.body_acceleration(model, ca.vertsplit(nu), [0.0] * NU, ca)
+    force = -ca.vertcat(*(m * a for m, a in zip(model.mass_kg, acceleration, strict=True)))
+    return ca.mtimes(ca.inv(ca.DM([list(row) for row in model.allocation])), force)
+
+
+def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: QpBackend) -> ca.Function:
+    """The control step as a function.
+
+    Arguments: x_guess (8, N+1) whose first column is the present state, u_guess (4, N), x_ref (8, N+1),
+    current (3, N), weights (8 + 4: state, thrust), limits (6), thrust_limit (4), plane_n (2, planes * (N-1)),
+    plane_d (planes, N-1). Results: x (8, N+1), u (4, N), slack (N-1), figures (4: cost, largest violation of a QP row,
+    largest gap of the guess, largest overshoot of a thrust bound).
+    """
+    n = grid.n
+    xg, ug = ca.SX.sym("xg", NX, n + 1), ca.SX.sym("ug", NU, n)
+    xref, cur = ca.SX.sym("xref", NX, n + 1), ca.SX.sym("cur", 3, n)
+    weights, limits, tlim = ca.SX.sym("w", NX + NU), ca.SX.sym("lim", N_LIMITS), ca.SX.sym("tlim", NU)
+    plane_n, plane_d = ca.SX.sym("pn", 2, planes * (n - 1)), ca.SX.sym("pd", planes, n - 1)
+    arguments = [xg, ug, xref, cur, weights, limits, tlim, plane_n, plane_d]
+    names = ["x_guess", "u_guess", "x_ref", "current", "weights", "limits", "thrust_limit", "plane_n", "plane_d"]
+
+    scale = [dt / REFERENCE_DT_S for dt in grid.dt_s]
+    q, r = weights[:NX], weights[NX:]
+    intervals: dict[tuple[float, int], ca.Function] = {}
+    blocks: list[list[Any]] = []
+    hessian, gradient, lower, upper, row_low, row_high, gaps = [], [], [], [], [], [], []
+    for k, (dt, substeps) in enumerate(zip(grid.dt_s, grid.substeps(), strict=True)):
+        key = (float(dt), substeps)
+        if key not in intervals:
+            intervals[key] = discrete_dynamics(model, dt, substeps)
+        x_next, a, b = intervals[key](xg[:, k], ug[:, k], cur[:, k])
+        gap = x_next - xg[:, k + 1]
+        gaps.append(gap)
+        row_low.append(-gap)
+        row_high.append(-gap)
+        u_ref = ca.fmax(-tlim, ca.fmin(tlim, steady_thrust(model, xref[U:, k])))
+        if k > 0:
+            hessian.append(scale[k] * q)
+            gradient.append(scale[k] * q * (xg[:, k] - xref[:, k]))
+            lower.append(-ca.inf * ca.SX.ones(NX))
+            upper.append(ca.inf * ca.SX.ones(NX))
+        hessian.append(scale[k] * r)
+        gradient.append(scale[k] * r * (ug[:, k] - u_ref))
+        lower.append(-tlim - ug[:, k])
+        upper.append(tlim - ug[:, k])
+        if k > 0:
+            hessian.append(ca.SX(scale[k] * SLACK_L2))
+            gradient.append(ca.SX(scale[k] * SLACK_L1))
+            lower.append(ca.SX(0))
+            upper.append(ca.SX(ca.inf))
+            c_rows, values = _soft_rows(xg[:, k], limits, plane_n[:, (k - 1) * planes : k * planes], plane_d[:, k - 1])
+            row_low.append(-ca.inf * ca.SX.ones(c_rows.shape[0]))
+            row_high.append(-values)
+            blocks.append([a, ca.horzcat(b, ca.SX(NX, 1)), c_rows])
+        else:
+            blocks.append([a, b, None])
+    hessian.append(TERMINAL_STAGES * q)
+    gradient.append(TERMINAL_STAGES * q * (xg[:, n] - xref[:, n]))
+    lower.append(-ca.inf * ca.SX.ones(NX))
+    upper.append(ca.inf * ca.SX.ones(NX))
+
+    constraint = _assemble(blocks, planes + N_BOX_ROWS)
+    linearise = ca.Function(
+        "linearise",
+        arguments,
+        [
+            ca.diag(ca.vertcat(*hessian)),
+            ca.vertcat(*gradient),
+            constraint,
+            ca.vertcat(*row_low),
+            ca.vertcat(*row_high),
+            ca.vertcat(*lower),
+            ca.vertcat(*upper),
+            ca.norm_inf(ca.vertcat(*gaps)),
+        ],
+    )
+    return _embed(linearise, grid, planes, backend, arguments, names)
+
+
+def _soft_rows(x: Any, limits: Any, normals: Any, offsets: Any) -> tuple[Any, Any]:
+    """Rows C (m, 8 + 4 + 1) of the step and their present values: C dz + value <= 0, slack included."""
+    planar = ca.sqrt(x[U] ** 2 + x[V] ** 2 + SPEED_EPSILON_M_S**2)
+    signed = [
+        ((U, x[U] / planar), (V, x[V] / planar)),
+        ((W, 1.0),),
+        ((W, -1.0),),
+        ((R, 1.0),),
+        ((R, -1.0),),
+        ((Z, -1.0),),
+        ((Z, 1.0),),
+    ]
+    bounds = [limits[0], limits[1], limits[1], limits[2], limits[2], -limits[3], limits[4]]
+    for j in range(normals.shape[1]):
+        signed.append(((0, -normals[0, j]), (1, -normals[1, j])))
+        bounds.append(-offsets[j])
+    rows, values = ca.SX(len(signed), NX + NU + 1), []
+    for i, (entries, bound) in enumerate(zip(signed, bounds, strict=True)):
+        for column, coefficient in entries:
+            rows[i, column] = coefficient
+        rows[i, NX + NU] = -1.0
+        values.append(sum(coefficient * x[column] for column, coefficient in entries) - bound)
+    return rows, ca.vertcat(*values)
+
+
+def _assemble(blocks: list[list[Any]], rows_per_stage: int) -> Any:
+    """The staged constraint matrix [A B -I; C D] from the blocks of all stages."""
+    n = len(blocks)
+    height = NX * n + rows_per_stage * (n - 1)
+    columns, row, offset = [], 0, 0
+    width = NU + (n - 1) * (NX + NU + 1) + NX
+    matrix = ca.SX(height, width)
+    for k, (a, b, c) in enumerate(blocks):
+        n_x, n_u = (0 if k == 0 else NX), (NU if k == 0 else NU + 1)
+        if k > 0:
+            matrix[row : row + NX, offset : offset + NX] = a
+        matrix[row : row + NX, offset + n_x : offset + n_x + n_u] = b
+        nxt = offset + n_x + n_u
+        matrix[row : row + NX, nxt : nxt + NX] = -ca.SX.eye(NX)
+        row += NX
+        if c is not None:
+            matrix[row : row + rows_per_stage, offset:nxt] = c
+            row += rows_per_stage
+        columns.append(offset)
+        offset = nxt
+    return ca.sparsify(matrix)
+
+
+def _embed(
+    linearise: ca.Function, grid: TimeGrid, planes: int, backend: QpBackend, arguments: list[Any], names: list[str]
+) -> ca.Function:
+    """Linearisation, QP and unpacking as one MX function."""
+    n = grid.n
+    symbols = [ca.MX.sym(name, *symbol.shape) for name, symbol in zip(names, arguments, strict=True)]
+    h, g, a, lba, uba, lbx, ubx, gap = linearise(*symbols)
+    options = dict(backend.options)
+    if backend.staged:
+        options |= {
+            "N": n,
+            "nx": [0] + [NX] * n,
+            "nu": [NU] + [NU + 1] * (n - 1) + [0],
+            "ng": [0] + [planes + N_BOX_ROWS] * (n - 1) + [0],
+        }
+    options |= {"error_on_fail": False}
+    solver = ca.conic("qp", backend.plugin, {"h": h.sparsity(), "a": a.sparsity()}, options)
+    solution = solver(h=h, g=g, a=a, lba=lba, uba=uba, lbx=lbx, ubx=ubx)
+    z = solution["x"]
+    value = ca.mtimes(a, z)
+    violation = ca.mmax(ca.fmax(ca.fmax(lba - value, value - uba), 0))
+    width = NX + NU + 1
+    body = ca.reshape(z[NU : NU + (n - 1) * width], width, n - 1)
+    dx = ca.horzcat(ca.MX.zeros(NX, 1), body[:NX, :], z[NU + (n - 1) * width :])
+    du = ca.horzcat(z[:NU], body[NX : NX + NU, :])
+    x, u = symbols[0] + dx, symbols[1] + du
+    overshoot = ca.mmax(ca.fabs(u) - ca.repmat(symbols[6], 1, n))
+    figures = ca.vertcat(solution["cost"], violation, gap, overshoot)
+    # The plugin writes all multipliers, asked for or not: they are an output so that it has the memory to write to.
+    return ca.Function(
+        "nmpc_step",
+        symbols,
+        [x, u, body[NX + NU, :].T, figures, solution["lam_a"]],
+        names,
+        ["x", "u", "slack", "figures", "multipliers"],
+    )

@@ -1,0 +1,210 @@
+"""Shortest free path round the inflated fence, so that the NMPC does not end in a pocket.
+
+A grid over the workspace, its geodesic distance from the goal (Dijkstra, 16 neighbours), descent from the vehicle, and
+line-of-sight short cuts. The grid belongs to a fence, the distance field to a goal; both are made only when that changes,
+and not at all while the straight line is free.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from autopilot.control.obstacles import Features
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Circle, Fence
+
+PLANNING_EXTRA_M = 0.04
+"""Kept beyond the controller's own radius, so that the path lies where the controller can follow it with a margin, and a
+passage that is open by centimetres only is not chosen."""
+
+FINEST_CELL_M = 0.05
+MAX_CELLS = 40_000
+OPEN_WATER_BORDER_M = 3.0
+"""Without a workspace the grid covers start, goal and obstacles and this much beyond."""
+
+GOAL_SNAP_M = 0.3
+"""A goal this near to free ground is approached as far as the constraints allow."""
+
+ENDPOINT_RELIEF_M = 0.25
+"""Near its ends a straight line may be as near to a boundary as the end itself."""
+
+_OFFSETS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Grid:
+    """Free cells of the workspace and their connections."""
+
+    origin_m: FloatArray
+    cell_m: float
+    shape: tuple[int, int]
+    node_of_cell: FloatArray
+    """(rows * columns,) node number, -1 where not free."""
+    position_m: FloatArray
+    """(nodes, 2)"""
+    graph: csr_matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Field:
+    """Distance to one goal."""
+
+    goal_m: FloatArray
+    distance_m: FloatArray
+    next_node: FloatArray
+    """(nodes,) the next node towards the goal."""
+
+
+class Planner:
+    """Paths in one fence with one radius."""
+
+    def __init__(self, fence: Fence, radius_m: float) -> None:
+        self.fence = fence
+        self.features = Features(fence)
+        self.radius_m = radius_m + PLANNING_EXTRA_M
+        self._grid: _Grid | None = None
+        self._field: _Field | None = None
+
+    def path(self, start_ned_m: FloatArray, goal_ned_m: FloatArray) -> FloatArray | None:
+        """Corner points (m, 2) of a free path, first row the start, last the goal; None if there is no way."""
+        start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
+        if self.sees(start, goal):
+            return np.stack([start, goal])
+        grid = self._grid_for(start, goal)
+        if len(grid.position_m) == 0:
+            return None
+        field = self._field_for(grid, goal)
+        if field is None:
+            return None
+        node = int(((grid.position_m - start) ** 2).sum(axis=1).argmin())
+        if not math.isfinite(field.distance_m[node]):
+            return None
+        nodes = [node]
+        while field.next_node[nodes[-1]] >= 0:
+            nodes.append(int(field.next_node[nodes[-1]]))
+        points = np.concatenate([start[None], grid.position_m[nodes], goal[None]])
+        return self._shortcut(points)
+
+    def sees(self, a: FloatArray, b: FloatArray) -> bool:
+        """True if the straight line from a to b (2,) keeps the planning radius, apart from what its ends force."""
+        if self.features.count == 0:
+            return True
+        length = math.hypot(*(b - a))
+        steps = max(2, math.ceil(length / min(FINEST_CELL_M / 2.0, self.radius_m / 4.0)))
+        steps = min(steps, 4000)
+        share = np.linspace(0.0, 1.0, steps + 1)
+        clearance = self.features.clearance_m(a + share[:, None] * (b - a))
+        need = np.full(steps + 1, self.radius_m)
+        for end, along in ((0, share), (-1, 1.0 - share)):
+            relief = along * length < ENDPOINT_RELIEF_M
+            need[relief] = np.minimum(need[relief], clearance[end] - 1e-3)
+        if clearance[0] < 0.0 or clearance[-1] < 0.0:
+            return False
+        return bool((clearance >= need).all())
+
+    def _shortcut(self, points: FloatArray) -> FloatArray:
+        kept, i = [0], 0
+        while i < len(points) - 1:
+            low, high = i + 1, len(points) - 1
+            if self.sees(points[i], points[high]):
+                low = high
+            while high - low > 1:
+                middle = (low + high) // 2
+                if self.sees(points[i], points[middle]):
+                    low = middle
+                else:
+                    high = middle
+            i = low
+            kept.append(i)
+        return points[kept]
+
+    def _grid_for(self, start: FloatArray, goal: FloatArray) -> _Grid:
+        grid = self._grid
+        if grid is not None and (self.fence.inclusions or (_covers(grid, start) and _covers(grid, goal))):
+            return grid
+        low, high = self._bounds(start, goal)
+        size = high - low
+        cell = max(FINEST_CELL_M, math.sqrt(float(size[0] * size[1]) / MAX_CELLS))
+        shape = (int(size[0] / cell) + 1, int(size[1] / cell) + 1)
+        x = low[0] + cell * (np.arange(shape[0]) + 0.5)
+        y = low[1] + cell * (np.arange(shape[1]) + 0.5)
+        centers = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        chunks = [self.features.clearance_m(part) for part in np.array_split(centers, len(centers) // 4000 + 1)]
+        free = np.concatenate(chunks) >= self.radius_m
+        node_of_cell = np.full(len(centers), -1)
+        node_of_cell[free] = np.arange(int(free.sum()))
+        graph = _connect(node_of_cell.reshape(shape), cell, int(free.sum()))
+        self._grid = _Grid(
+            origin_m=low,
+            cell_m=cell,
+            shape=shape,
+            node_of_cell=node_of_cell,
+            position_m=centers[free],
+            graph=graph,
+        )
+        self._field = None
+        return self._grid
+
+    def _bounds(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
+        corners = [start[None], goal[None]]
+        border = 0.0
+        shapes = self.fence.inclusions
+        if not shapes:
+            shapes, border = self.fence.exclusions, OPEN_WATER_BORDER_M
+        for shape in shapes:
+            if isinstance(shape, Circle):
+                c = np.asarray(shape.center_ned_m, dtype=float)
+                corners.append(np.stack([c - shape.radius_m, c + shape.radius_m]))
+            else:
+                corners.append(np.asarray(shape.vertices_ned_m, dtype=float))
+        points = np.concatenate(corners)
+        return points.min(axis=0) - border, points.max(axis=0) + border
+
+    def _field_for(self, grid: _Grid, goal: FloatArray) -> _Field | None:
+        if self._field is not None and np.array_equal(self._field.goal_m, goal):
+            return self._field
+        separation = np.sqrt(((grid.position_m - goal) ** 2).sum(axis=1))
+        node = int(separation.argmin())
+        if separation[node] > GOAL_SNAP_M + grid.cell_m:
+            return None
+        distance, previous = dijkstra(grid.graph, directed=True, indices=node, return_predecessors=True)
+        self._field = _Field(goal_m=goal.copy(), distance_m=distance, next_node=previous)
+        return self._field
+
+
+def _covers(grid: _Grid, point: FloatArray) -> bool:
+    high = grid.origin_m + grid.cell_m * np.array(grid.shape)
+    return bool((point >= grid.origin_m).all() and (point <= high).all())
+
+
+def _connect(node: FloatArray, cell_m: float, count: int) -> csr_matrix:
+    """Edges between free cells (king's and knight's moves; a knight's move needs both cells that it passes)."""
+    rows, columns, lengths = [], [], []
+    padded = np.pad(node, 2, constant_values=-1)
+    height, width = node.shape
+
+    def shifted(di: int, dj: int) -> FloatArray:
+        return padded[2 + di : 2 + di + height, 2 + dj : 2 + dj + width]
+
+    for di, dj in _OFFSETS:
+        other = shifted(di, dj)
+        open_ = (node >= 0) & (other >= 0)
+        if abs(di) + abs(dj) > 1:
+            step_i, step_j = (di + 1) // 2, (abs(dj) + 1) // 2 * (1 if dj > 0 else -1)
+            if abs(di) == abs(dj):
+                passed = ((di, 0), (0, dj))
+            elif abs(di) > abs(dj):
+                passed = ((step_i, 0), (step_i, step_j))
+            else:
+                passed = ((0, step_j), (step_i, step_j))
+            for pi, pj in passed:
+                open_ &= shifted(pi, pj) >= 0
+        a, b = node[open_], other[open_]
+        rows += [a, b]
+        columns += [b, a]
+        lengths.append(np.full(2 * len(a), cell_m * math.hypot(di, dj)))
+    matrix = coo_matrix((np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns))), (count, count))
+    return matrix.tocsr()
