@@ -1,0 +1,301 @@
+"""The records of an MCAP file (mcap.dev, format specification), read so that damage anywhere costs only what it hit.
+
+The file is walked record by record; bodies of chunks are only read when asked for. A walk that loses its way (cut off,
+or a damaged length) goes on with the chunk index at the end of the file, if that is still there.
+"""
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+import zstandard
+
+from autopilot.core.errors import LogError
+
+MAGIC = b"\x89MCAP0\r\n"
+_SCHEMA, _CHANNEL, MESSAGE, _CHUNK, _CHUNK_INDEX = 0x03, 0x04, 0x05, 0x06, 0x08
+_FOOTER, _ATTACHMENT, _STATISTICS, _METADATA, _DATA_END = 0x02, 0x09, 0x0B, 0x0C, 0x0F
+_IN_FULL = (_SCHEMA, _CHANNEL, _CHUNK_INDEX, _ATTACHMENT, _STATISTICS, _METADATA, _FOOTER)
+_LOOSE = (_SCHEMA, _CHANNEL, MESSAGE)
+
+_PREFIX = struct.Struct("<BQ")
+PREFIX_BYTES = _PREFIX.size
+"""Opcode and length in front of every record."""
+_CHUNK_HEAD = struct.Struct("<QQQII")
+_FOOTER_BYTES = PREFIX_BYTES + 20 + len(MAGIC)
+LARGEST_CHUNK = 1 << 30
+"""A chunk that claims to unpack to more than this is taken as damaged."""
+
+
+class Damage(Exception):
+    """A part of the file cannot be used; the text says which and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Schema:
+    """A schema record."""
+
+    name: str
+    encoding: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A channel record."""
+
+    topic: str
+    schema_id: int
+    encoding: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkRef:
+    """Where a run of messages lies in the file."""
+
+    offset: int
+    """Of the record's prefix."""
+    length: int
+    """With the prefix."""
+    packed: bool
+    """False: plain records outside of any chunk."""
+
+
+@dataclass(slots=True)
+class Contents:
+    """What a walk through a file has found."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkRef] = field(default_factory=list)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
+    """Messages per channel."""
+    finished: bool = False
+    """The writer closed the file."""
+    problems: list[str] = field(default_factory=list)
+
+
+def read_contents(path: Path) -> Contents:
+    """Walk through a file. LogError if it cannot be opened or is no MCAP file; damage goes to ``problems``."""
+    try:
+        with path.open("rb") as file:
+            return _read_contents(file, path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+
+
+def _read_contents(file: IO[bytes], path: Path) -> Contents:
+    size = file.seek(0, 2)
+    file.seek(0)
+    start = file.read(len(MAGIC))
+    if start != MAGIC:
+        what = "is empty" if not start else f"starts with {start.hex(' ')}"
+        raise LogError(f"{path}: is not an MCAP log ({what}); give a .mcap file that the autopilot has written")
+    contents = Contents()
+    statistics = _walk_file(file, size, contents)
+    if statistics is None:
+        _index_from_chunks(file, contents)
+    else:
+        contents.counts = statistics
+    return contents
+
+
+def _walk_file(file: IO[bytes], size: int, contents: Contents) -> Counter[int] | None:
+    """Fill ``contents``; the messages per channel if the file has its statistics."""
+    offset, in_data = len(MAGIC), True
+    statistics: Counter[int] | None = None
+    seen: set[int] = set()
+    while offset < size:
+        file.seek(offset)
+        prefix = file.read(PREFIX_BYTES)
+        opcode, length = _PREFIX.unpack(prefix) if len(prefix) == PREFIX_BYTES else (0, size)
+        end = offset + PREFIX_BYTES + length
+        if end > size or opcode == 0:
+            where = f"at byte {offset} of {size}"
+            if not _resume_from_index(file, size, contents, seen):
+                contents.problems.append(f"the file is cut off {where}")
+                return None
+            contents.problems.append(f"the file is damaged {where}")
+            return None
+        if opcode == _CHUNK:
+            seen.add(offset)
+            contents.chunks.append(ChunkRef(offset, end - offset, True))
+        elif in_data and opcode in _LOOSE:
+            _add_loose(contents, offset, end)
+        elif opcode in _IN_FULL:
+            try:
+                found = _take(opcode, file.read(length), contents)
+            except Damage as damage:
+                contents.problems.append(f"record at byte {offset}: {damage}")
+                found = None
+            statistics = found if found is not None else statistics
+        in_data = in_data and opcode != _DATA_END
+        offset = end
+        if opcode == _FOOTER:
+            contents.finished = file.read(len(MAGIC)) == MAGIC
+            break
+    if not contents.finished:
+        contents.problems.append("the file was not closed (the service was killed or is still writing)")
+        return None
+    return statistics
+
+
+def _add_loose(contents: Contents, offset: int, end: int) -> None:
+    last = contents.chunks[-1] if contents.chunks else None
+    if last is not None and not last.packed and last.offset + last.length == offset:
+        contents.chunks[-1] = ChunkRef(last.offset, end - last.offset, False)
+    else:
+        contents.chunks.append(ChunkRef(offset, end - offset, False))
+
+
+def _resume_from_index(file: IO[bytes], size: int, contents: Contents, seen: set[int]) -> bool:
+    """Take chunks that a broken walk has not reached from the index at the file's end; False if there is none."""
+    file.seek(max(size - _FOOTER_BYTES, 0))
+    footer = file.read(_FOOTER_BYTES)
+    if len(footer) < _FOOTER_BYTES or footer[-len(MAGIC) :] != MAGIC or footer[0] != _FOOTER:
+        return False
+    (summary,) = struct.unpack_from("<Q", footer, PREFIX_BYTES)
+    if not 0 < summary < size:
+        return False
+    file.seek(summary)
+    data = file.read(size - summary)
+    try:
+        for opcode, start, length in records(data):
+            if opcode == _CHUNK_INDEX:
+                offset, chunk_length = struct.unpack_from("<QQ", data, start + 16)
+                if offset not in seen and offset + chunk_length <= size:
+                    contents.chunks.append(ChunkRef(offset, chunk_length, True))
+            elif opcode in (_SCHEMA, _CHANNEL):
+                _take(opcode, data[start : start + length], contents)
+            elif opcode == _FOOTER:
+                break
+    except (Damage, struct.error):
+        return False
+    contents.chunks.sort(key=lambda chunk: chunk.offset)
+    return True
+
+
+def _index_from_chunks(file: IO[bytes], contents: Contents) -> None:
+    """Schemas, channels and counts of a file without a summary, out of its chunks."""
+    contents.counts.clear()
+    usable = []
+    for chunk in contents.chunks:
+        try:
+            data = unpack(file, chunk)
+            for opcode, start, length in records(data):
+                if opcode == MESSAGE:
+                    contents.counts[int.from_bytes(data[start : start + 2], "little")] += 1
+                elif opcode in (_SCHEMA, _CHANNEL):
+                    _take(opcode, data[start : start + length], contents)
+        except Damage as damage:
+            contents.problems.append(str(damage))
+        else:
+            usable.append(chunk)
+    contents.chunks = usable
+
+
+def unpack(file: IO[bytes], chunk: ChunkRef) -> bytes:
+    """Records of a chunk, checked against its CRC. Damage if that fails."""
+    file.seek(chunk.offset)
+    raw = file.read(chunk.length)
+    if not chunk.packed:
+        return raw
+    where = f"the chunk at byte {chunk.offset}"
+    if len(raw) < PREFIX_BYTES + _CHUNK_HEAD.size or raw[0] != _CHUNK:
+        raise Damage(f"{where} is damaged")
+    _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(raw, PREFIX_BYTES)
+    start = PREFIX_BYTES + _CHUNK_HEAD.size + name_length
+    name, packed = raw[PREFIX_BYTES + _CHUNK_HEAD.size : start], raw[start + 8 :]
+    if start + 8 > len(raw) or size > LARGEST_CHUNK:
+        raise Damage(f"{where} is damaged")
+    if name == b"":
+        data = packed
+    elif name == b"zstd":
+        try:
+            data = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+        except zstandard.ZstdError as error:
+            raise Damage(f"{where} is damaged ({error})") from error
+    else:
+        raise Damage(f"{where} has compression {name!r}, which is not supported; write it with zstd")
+    if len(data) != size or (crc != 0 and zlib.crc32(data) != crc):
+        raise Damage(f"{where} is damaged (checksum)")
+    return data
+
+
+def records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and length of the content of each record. Damage if the last one is cut off."""
+    offset, size = 0, len(data)
+    while offset < size:
+        if offset + PREFIX_BYTES > size:
+            raise Damage("a record is cut off")
+        opcode, length = _PREFIX.unpack_from(data, offset)
+        offset += PREFIX_BYTES
+        if offset + length > size:
+            raise Damage("a record is cut off")
+        yield opcode, offset, length
+        offset += length
+
+
+def _take(opcode: int, body: bytes, contents: Contents) -> Counter[int] | None:
+    """Enter a schema, channel, attachment or metadata record; the counts of a statistics record."""
+    reader = _Body(body)
+    if opcode == _SCHEMA:
+        number = reader.number(2)
+        contents.schemas[number] = Schema(reader.text(), reader.text(), reader.text())
+    elif opcode == _CHANNEL:
+        number, schema_id = reader.number(2), reader.number(2)
+        contents.channels[number] = Channel(reader.text(), schema_id, reader.text())
+    elif opcode == _METADATA:
+        name = reader.text()
+        contents.metadata[name] = reader.string_map()
+    elif opcode == _ATTACHMENT:
+        reader.number(8)
+        reader.number(8)
+        name = reader.text()
+        reader.text()
+        data = reader.take(reader.number(8))
+        crc = reader.number(4)
+        if crc not in (0, zlib.crc32(body[:-4])):
+            raise Damage(f"attachment {name} is damaged (checksum)")
+        contents.attachments[name] = data
+    elif opcode == _STATISTICS:
+        reader.take(8 + 2 + 4 * 4 + 8 + 8)
+        pairs = reader.number(4) // 10
+        return Counter({reader.number(2): reader.number(8) for _ in range(pairs)})
+    return None
+
+
+class _Body:
+    """Reads the content of one record; Damage where it ends too early."""
+
+    def __init__(self, body: bytes) -> None:
+        self._body, self._offset = body, 0
+
+    def take(self, count: int) -> bytes:
+        start, self._offset = self._offset, self._offset + count
+        if self._offset > len(self._body):
+            raise Damage("a record is too short")
+        return self._body[start : self._offset]
+
+    def number(self, size: int) -> int:
+        return int.from_bytes(self.take(size), "little")
+
+    def text(self) -> str:
+        try:
+            return self.take(self.number(4)).decode()
+        except UnicodeDecodeError as error:
+            raise Damage("a text is not UTF-8") from error
+
+    def string_map(self) -> dict[str, str]:
+        end = self.number(4) + self._offset
+        out: dict[str, str] = {}
+        while self._offset < end:
+            key = self.text()
+            out[key] = self.text()
+        return out

@@ -1,0 +1,142 @@
+"""``run.json``: what a log's reader has to know of the run to draw and to judge it.
+
+The composition root fills a :class:`RunDescription` and :mod:`autopilot.log.session` attaches it to the log. Everything
+in local metres (NED, origin at the water surface), radians and SI. A log without this attachment can still be read and
+plotted; only what needs bounds or geometry is left out.
+"""
+
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import msgspec
+
+from autopilot.core.errors import LogError
+from autopilot.core.geometry import Circle, Fence, Polygon, Shape
+
+ATTACHMENT = "run.json"
+RUN_RECORD = "run"
+"""Name of the metadata record with version, revision, scenario, seed, speed and ``epoch_ns``."""
+
+Point2: TypeAlias = tuple[float, float]
+Point3: TypeAlias = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AcceptBounds:
+    """What the run is judged by. None = not judged. Names as in a scenario's ``[accept]``; defaults: paper, IV."""
+
+    laps: int | None = None
+    """Times that the waypoints have to be visited in order (back to the first one if the tour is closed)."""
+    cylinder_clearance_m: float | None = 0.46
+    """Vehicle's centre to the axis of a cylinder of the paper's radius; other radii keep the same ball."""
+    wall_clearance_m: float | None = 0.3
+    """Vehicle's centre to the tank's walls and to the fence."""
+    tolerance_m: float = 0.010
+    """By how much a clearance may be missed."""
+    depth_min_m: float | None = 0.0
+    depth_max_m: float | None = 1.2
+    planar_speed_m_s: float | None = 0.52
+    """Norm of surge and sway relative to the water."""
+    heave_m_s: float | None = 0.26
+    yaw_rate_rad_s: float | None = 1.05
+    thrust_n: float | None = 12.0
+    pos_rms_m: float | None = 0.010
+    yaw_rms_deg: float | None = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Obstacle:
+    """A solid of the world: a vertical cylinder (``center_m`` of 2) or a sphere (``center_m`` of 3)."""
+
+    center_m: tuple[float, ...]
+    radius_m: float
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FenceShape:
+    """One fence item: a circle (center and radius) or a polygon (vertices)."""
+
+    inclusion: bool
+    center_m: Point2 | None = None
+    radius_m: float | None = None
+    vertices_m: tuple[Point2, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Waypoint:
+    """A place that the mission has to reach."""
+
+    name: str
+    pos_ned_m: Point3
+    yaw_rad: float | None = None
+    accept_radius_m: float = 0.3
+    accept_yaw_rad: float = 0.15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunDescription:
+    """Everything about a run that is not a time series."""
+
+    scenario: str
+    """Name of the scenario; on hardware the name of the site or an empty string."""
+    vehicle: str
+    seed: int | None = None
+    speed: float | None = None
+    """Requested speed relative to real time, 0 = as fast as possible; None on hardware."""
+    origin_lat_deg: float | None = None
+    origin_lon_deg: float | None = None
+    origin_alt_m: float | None = None
+    body_radius_m: float = 0.3
+    """Ball round the vehicle's centre."""
+    hotel_power_w: float = 0.0
+    """Electrical power beside the thrusters, part of the energy per lap."""
+    thruster_names: tuple[str, ...] = ("port", "starboard", "vertical", "lateral")
+    tank_polygon_m: tuple[Point2, ...] = ()
+    """Corners of the walls; empty = open water."""
+    tank_depth_m: float | None = None
+    obstacles: tuple[Obstacle, ...] = ()
+    fence: tuple[FenceShape, ...] = ()
+    waypoints: tuple[Waypoint, ...] = ()
+    """In the order of one lap."""
+    closed_tour: bool = True
+    """A lap ends at the first waypoint again (A-B-A); False = at the last one."""
+    accept: AcceptBounds = field(default_factory=AcceptBounds)
+    paper_bounds: dict[str, float] = field(
+        default_factory=lambda: {"planar_speed_m_s": 0.5, "heave_m_s": 0.25, "yaw_rate_rad_s": 1.0, "thrust_n": 12.0}
+    )
+    """What the figures draw as dashed lines: the bounds that the controller was given."""
+    mode_names: dict[str, str] = field(default_factory=dict)
+    """custom_mode (as decimal text) -> name, for the report."""
+    parameters: dict[str, float] = field(default_factory=dict)
+    """All parameters as they were at the start."""
+
+
+def fence_shapes(fence: Fence) -> tuple[FenceShape, ...]:
+    """The fence in force as the description keeps it."""
+    inside = [_shape(shape, True) for shape in fence.inclusions]
+    return tuple(inside + [_shape(shape, False) for shape in fence.exclusions])
+
+
+def _shape(shape: Shape, inclusion: bool) -> FenceShape:
+    if isinstance(shape, Polygon):
+        vertices = tuple((float(x), float(y)) for x, y in shape.vertices_ned_m)
+        return FenceShape(inclusion=inclusion, vertices_m=vertices)
+    circle: Circle = shape
+    north, east = (float(v) for v in circle.center_ned_m)
+    return FenceShape(inclusion=inclusion, center_m=(north, east), radius_m=circle.radius_m)
+
+
+def to_json(description: RunDescription) -> bytes:
+    """The attachment's bytes."""
+    return msgspec.json.format(msgspec.json.encode(description), indent=1)
+
+
+def from_json(data: bytes, origin: str) -> RunDescription:
+    """The description of a log. LogError names what is wrong."""
+    try:
+        return msgspec.json.decode(data, type=RunDescription)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise LogError(
+            f"{origin}: attachment {ATTACHMENT} is damaged ({error}); the log can only be read raw"
+        ) from error

@@ -1,0 +1,242 @@
+"""Reading a log: ``open_log(path)["/nav/state"]`` is a numpy structured array.
+
+Fixed-size topics are gathered chunk by chunk and viewed with the dtype that the schema in the file gives; topics of
+variable size are decoded message by message. Damage is skipped and named in ``Log.problems``.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.core.errors import LogError
+from autopilot.log.cdr import Layout, Types, decode, fixed_layout, parse_definition, short_name
+from autopilot.log.container import MESSAGE, Contents, Damage, read_contents, records, unpack
+from autopilot.log.description import ATTACHMENT, RUN_RECORD, RunDescription, from_json
+
+Table: TypeAlias = NDArray[np.void]
+"""One row per message: ``t_us`` (int64, the service's clock), ``sequence``, then the fields without the header."""
+
+_MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")])
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic of a log."""
+
+    type: str
+    """``package/Name``"""
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A decoded message of any type."""
+
+    t_us: int
+    value: dict[str, Any]
+
+
+@dataclass(slots=True)
+class _Raw:
+    """Messages of one topic as they are in the file: record contents, all of one length or listed one by one."""
+
+    blocks: list[NDArray[np.uint8]]
+    singles: list[bytes]
+
+
+def open_log(path: str | Path) -> "Log":
+    """Open a log. LogError if there is no such file or it is not MCAP; a damaged one opens as far as it can be."""
+    return Log(Path(path))
+
+
+class Log:
+    """A log that is being read."""
+
+    def __init__(self, path: Path) -> None:
+        """See :func:`open_log`."""
+        self.path = path
+        self._contents: Contents = read_contents(path)
+        self._raw: dict[str, _Raw] = {}
+        self._tables: dict[str, Table] = {}
+
+    @property
+    def metadata(self) -> Mapping[str, Mapping[str, str]]:
+        """Metadata records by name; ``run`` is ours."""
+        return self._contents.metadata
+
+    @property
+    def run(self) -> Mapping[str, str]:
+        """The metadata record ``run``, empty if there is none."""
+        return self._contents.metadata.get(RUN_RECORD, {})
+
+    @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """Attached files by name."""
+        return self._contents.attachments
+
+    @cached_property
+    def description(self) -> RunDescription | None:
+        """What the run was (``run.json``), None for a log without it."""
+        data = self._contents.attachments.get(ATTACHMENT)
+        return None if data is None else from_json(data, str(self.path))
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is damaged or missing, empty for a sound log. Chunks are checked as they are read (:meth:`verify`)."""
+        return tuple(self._contents.problems)
+
+    @cached_property
+    def topics(self) -> Mapping[str, TopicInfo]:
+        """Every topic, sorted by name."""
+        found: dict[str, TopicInfo] = {}
+        for number, channel in self._contents.channels.items():
+            schema = self._contents.schemas.get(channel.schema_id)
+            before = found.get(channel.topic)
+            count = self._contents.counts[number] + (before.count if before else 0)
+            found[channel.topic] = TopicInfo(short_name(schema.name) if schema else "", count)
+        return dict(sorted(found.items()))
+
+    @property
+    def message_count(self) -> int:
+        """Messages in all topics."""
+        return sum(self._contents.counts.values())
+
+    @cached_property
+    def epoch_ns(self) -> int:
+        """Unix time [ns] at which the service's clock read zero; without metadata, 0."""
+        text = self.run.get("epoch_ns", "")
+        return int(text) if text.isdigit() else 0
+
+    def __contains__(self, topic: object) -> bool:
+        info = self.topics.get(topic) if isinstance(topic, str) else None
+        return info is not None and info.count > 0
+
+    def __getitem__(self, topic: str) -> Table:
+        """A fixed-size topic as one array. LogError if it is missing or of variable size (use :meth:`messages`)."""
+        if topic not in self._tables:
+            self._tables[topic] = self._table(topic)
+        return self._tables[topic]
+
+    def messages(self, topic: str) -> list[Message]:
+        """Every message of a topic of any type, decoded. LogError if the topic is missing or a message is damaged."""
+        types, name = self._types(topic)
+        self.load([topic])
+        raw = self._raw[topic]
+        rows = [block[i].tobytes() for block in raw.blocks for i in range(len(block))] + raw.singles
+        head = _MESSAGE_HEAD.itemsize
+        out = []
+        for row in rows:
+            log_time = int.from_bytes(row[6:14], "little")
+            out.append(Message((log_time - self.epoch_ns) // 1000, decode(types, name, row[head:])))
+        return out
+
+    def raw_messages(self, topic: str) -> list[tuple[int, bytes]]:
+        """Log time [ns] and CDR bytes of every message of a topic."""
+        self.load([topic])
+        raw = self._raw[topic]
+        rows = [block[i].tobytes() for block in raw.blocks for i in range(len(block))] + raw.singles
+        return [(int.from_bytes(row[6:14], "little"), row[_MESSAGE_HEAD.itemsize :]) for row in rows]
+
+    def load(self, topics: Iterable[str]) -> None:
+        """Read several topics in one pass over the file; unknown ones are left out."""
+        missing = {topic for topic in topics if topic not in self._raw}
+        wanted = {n: c.topic for n, c in self._contents.channels.items() if c.topic in missing}
+        for topic in missing:
+            self._raw[topic] = _Raw([], [])
+        if wanted:
+            self._read_chunks(wanted)
+
+    def verify(self) -> tuple[str, ...]:
+        """Read every chunk once and return all problems."""
+        self._read_chunks({})
+        return self.problems
+
+    def _read_chunks(self, wanted: Mapping[int, str]) -> None:
+        bad = []
+        with self.path.open("rb") as file:
+            for chunk in self._contents.chunks:
+                try:
+                    self._gather(unpack(file, chunk), wanted)
+                except Damage as damage:
+                    self._contents.problems.append(f"{damage}; its messages are left out")
+                    bad.append(chunk)
+        self._contents.chunks = [chunk for chunk in self._contents.chunks if chunk not in bad]
+
+    def _gather(self, data: bytes, wanted: Mapping[int, str]) -> None:
+        """Pick the wanted messages out of the records of one chunk."""
+        places: dict[int, list[tuple[int, int]]] = {number: [] for number in wanted}
+        for opcode, start, length in records(data):
+            if opcode == MESSAGE and length >= _MESSAGE_HEAD.itemsize:
+                number = data[start] | data[start + 1] << 8
+                if number in places:
+                    places[number].append((start, length))
+        for number, found in places.items():
+            if not found:
+                continue
+            raw = self._raw[wanted[number]]
+            size = found[0][1]
+            if all(length == size for _, length in found) and not raw.singles:
+                starts = np.array([start for start, _ in found])
+                whole = np.frombuffer(data, np.uint8)
+                raw.blocks.append(whole[starts[:, None] + np.arange(size)])
+            else:
+                raw.singles += [data[start : start + length] for start, length in found]
+
+    def _types(self, topic: str) -> tuple[Types, str]:
+        channel = next((c for c in self._contents.channels.values() if c.topic == topic), None)
+        if channel is None:
+            raise LogError(f"{self.path}: has no topic {topic}; it has {', '.join(self.topics) or 'none'}")
+        schema = self._contents.schemas.get(channel.schema_id)
+        if schema is None or schema.encoding != "ros2msg" or channel.encoding != "cdr":
+            raise LogError(f"{self.path}: {topic} is not CDR with a ros2msg schema; only such topics can be decoded")
+        return parse_definition(schema.name, schema.text), schema.name
+
+    def _table(self, topic: str) -> Table:
+        types, name = self._types(topic)
+        self.load([topic])
+        raw = self._raw[topic]
+        if not raw.blocks and not raw.singles:
+            return np.zeros(0, _columns(_layout(types, name, 4, self.path, topic)))
+        widths = {block.shape[1] for block in raw.blocks}
+        if raw.singles or len(widths) != 1:
+            raise LogError(f"{self.path}: messages on {topic} differ in size; read them with messages()")
+        rows = np.concatenate(raw.blocks) if len(raw.blocks) > 1 else raw.blocks[0]
+        head = _MESSAGE_HEAD.itemsize
+        frame_id_bytes = _frame_id_bytes(types, name, rows[0, head:].tobytes())
+        layout = _layout(types, name, frame_id_bytes, self.path, topic)
+        if rows.shape[1] != head + layout.dtype.itemsize:
+            raise LogError(f"{self.path}: messages on {topic} do not fit their schema {name}; the log is damaged")
+        body = np.ascontiguousarray(rows[:, head:]).view(layout.dtype)[:, 0]
+        start = np.ascontiguousarray(rows[:, :head]).view(_MESSAGE_HEAD)[:, 0]
+        table = np.empty(len(rows), _columns(layout))
+        table["t_us"] = (start["log_time"].astype(np.int64) - self.epoch_ns) // 1000
+        table["sequence"] = start["sequence"]
+        for column in (table.dtype.names or ())[2:]:
+            table[column] = body[column]
+        return table
+
+
+def _columns(layout: Layout) -> np.dtype[np.void]:
+    fields: Mapping[str, Any] = layout.dtype.fields or {}
+    columns: list[Any] = [("t_us", "<i8"), ("sequence", "<u4")]
+    columns += [(name, fields[name][0]) for name in layout.dtype.names or () if name not in ("header", "stamp")]
+    return np.dtype(columns)
+
+
+def _frame_id_bytes(types: Types, name: str, first: bytes) -> int:
+    """Length of frame_id in the first message: the header, if any, comes first in every type of ours."""
+    fields = types[short_name(name)]
+    has_header = bool(fields) and fields[0].type == "std_msgs/Header"
+    return int.from_bytes(first[12:16], "little") if has_header else 4
+
+
+def _layout(types: Types, name: str, frame_id_bytes: int, path: Path, topic: str) -> Layout:
+    layout = fixed_layout(types, name, frame_id_bytes) if 0 < frame_id_bytes < 256 else None
+    if layout is None:
+        raise LogError(f"{path}: {topic} ({name}) is of variable size; read it with messages()")
+    return layout

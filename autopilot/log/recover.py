@@ -1,0 +1,120 @@
+"""Repair of logs that were never closed: everything readable goes to a new file, which takes the old one's place.
+
+The service calls :func:`recover_unfinished` on its log folder at start. A log that another service is writing is locked
+and left alone; the repaired file is opened and counted again before it replaces the original.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from mcap.writer import CompressionType, Writer
+
+from autopilot.core.errors import LogError
+from autopilot.log.container import MESSAGE, Contents, Damage, read_contents, records, unpack
+from autopilot.log.lock import lock_exclusive
+from autopilot.log.schemas import PROFILE
+from autopilot.log.writer import CHUNK_BYTES, LIBRARY, QOS_PROFILES
+
+RECOVERED_RECORD = "recovered"
+"""Metadata record of a repaired log: what was wrong with it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recovery:
+    """What became of one unfinished log."""
+
+    path: Path
+    messages: int
+    """Messages that were saved."""
+    problem: str
+    """What was wrong, and if ``repaired`` is False why it stays as it is."""
+    repaired: bool
+
+
+def recover_unfinished(folder: Path) -> list[Recovery]:
+    """Repair every unfinished ``*.mcap`` under a folder, by name. Finished and locked ones stay as they are."""
+    found = []
+    for path in sorted(folder.rglob("*.mcap")):
+        try:
+            recovery = _recover(path)
+        except (LogError, OSError) as error:
+            recovery = Recovery(path=path, messages=0, problem=str(error), repaired=False)
+        if recovery is not None:
+            found.append(recovery)
+    return found
+
+
+def _recover(path: Path) -> Recovery | None:
+    """Repair one log; None if it needs no repair or is being written."""
+    with path.open("r+b") as file:
+        if not lock_exclusive(file):
+            return None
+        contents = read_contents(path)
+        if contents.finished:
+            return None
+        problem = "; ".join(contents.problems)
+        copy = path.with_name(f".{path.name}.recovering")
+        try:
+            written = _copy(file, contents, copy, problem)
+            check = read_contents(copy)
+            if not check.finished or sum(check.counts.values()) != written:
+                return Recovery(
+                    path=path, messages=0, problem=f"{problem}; the repaired copy is not sound", repaired=False
+                )
+            os.replace(copy, path)
+        finally:
+            copy.unlink(missing_ok=True)
+    return Recovery(path=path, messages=written, problem=problem, repaired=True)
+
+
+def _copy(source: IO[bytes], contents: Contents, target: Path, problem: str) -> int:
+    """Write everything readable to a new file; the number of messages."""
+    written = 0
+    with target.open("wb") as file:
+        writer: Any = _writer(file)
+        writer.start(profile=PROFILE, library=LIBRARY)
+        for name, values in contents.metadata.items():
+            writer.add_metadata(name, values)
+        writer.add_metadata(RECOVERED_RECORD, {"problem": problem})
+        for name, data in contents.attachments.items():
+            writer.add_attachment(0, 0, name, "application/octet-stream", data)
+        channels: dict[int, int] = {}
+        schemas: dict[int, int] = {}
+        for chunk in contents.chunks:
+            try:
+                data = unpack(source, chunk)
+                for opcode, start, length in records(data):
+                    number = int.from_bytes(data[start : start + 2], "little")
+                    if opcode != MESSAGE or number not in contents.channels:
+                        continue
+                    if number not in channels:
+                        channels[number] = _register(writer, contents, number, schemas)
+                    sequence = int.from_bytes(data[start + 2 : start + 6], "little")
+                    log_time = int.from_bytes(data[start + 6 : start + 14], "little")
+                    body = data[start + 22 : start + length]
+                    writer.add_message(channels[number], log_time, body, log_time, sequence)
+                    written += 1
+            except Damage:
+                continue
+        writer.finish()
+        file.flush()
+        os.fsync(file.fileno())
+    return written
+
+
+def _writer(file: IO[bytes]) -> Any:
+    return Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+
+
+def _register(writer: Any, contents: Contents, number: int, schemas: dict[int, int]) -> int:
+    """Channel number in the new file of a channel of the old one."""
+    channel = contents.channels[number]
+    schema = contents.schemas.get(channel.schema_id)
+    if schema is None:
+        return int(writer.register_channel(channel.topic, channel.encoding, 0))
+    if channel.schema_id not in schemas:
+        schemas[channel.schema_id] = writer.register_schema(schema.name, schema.encoding, schema.text.encode())
+    metadata = {"offered_qos_profiles": QOS_PROFILES}
+    return int(writer.register_channel(channel.topic, channel.encoding, schemas[channel.schema_id], metadata))

@@ -1,0 +1,282 @@
+"""Message definitions (``ros2msg``) of everything in a log: our own fixed-size types and the standard ones.
+
+Standard definitions follow the ROS 2 ``common_interfaces``, ``geometry2`` and ``rcl_interfaces`` packages without their
+comments and constants. Each schema in a file is self-contained: the root definition, then every type that it uses.
+"""
+
+from functools import cache
+
+from autopilot.core.errors import LogError
+from autopilot.log.cdr import PRIMITIVES, Field, Layout, fixed_layout, parse_definition, short_name
+
+ENCODING = "ros2msg"
+MESSAGE_ENCODING = "cdr"
+PROFILE = "ros2"
+FRAME_ID_BYTES = 4
+"""Every frame of ours has three letters (``ned``, ``frd``, ``cam``, ``map``) and a NUL: fixed-size types stay fixed."""
+
+_SEPARATOR = "=" * 80
+
+_DEFINITIONS: dict[str, str] = {
+    # Own types, package autopilot_msgs. SI, NED world, FRD body.
+    "autopilot_msgs/VehicleState": """
+std_msgs/Header header
+float64[3] pos_ned_m
+float64[3] rpy_rad
+float64[3] vel_frd_m_s  # over ground
+float64[3] vel_water_frd_m_s  # relative to the water
+float64[3] rate_frd_rad_s
+float64[3] current_ned_m_s
+""",
+    "autopilot_msgs/ThrusterState": """
+std_msgs/Header header
+float64[8] thrust_n  # acting force, unused = 0
+float64 power_w  # electrical, of all thrusters
+""",
+    "autopilot_msgs/ContactState": """
+std_msgs/Header header
+uint32 count  # contacts begun so far
+float64 penetration_m  # deepest now, 0 = none
+""",
+    "autopilot_msgs/NavCovariance": """
+std_msgs/Header header
+float64[12] variance  # of pos_ned, rpy, vel_water_frd, current_ned
+""",
+    "autopilot_msgs/NavStatus": """
+std_msgs/Header header
+uint8 health  # 0 invalid, 1 dead reckoning, 2 good
+uint32 reset_count
+""",
+    "autopilot_msgs/AidStatus": """
+std_msgs/Header header
+float64[3] innovation
+float64[3] innovation_var
+float64 test_ratio
+uint8 fused
+uint8 state  # 0 stopped, 1 starting, 2 active, 3 rejecting
+float64 age_s
+""",
+    "autopilot_msgs/Goal": """
+std_msgs/Header header
+float64[3] pos_ned_m
+float64 yaw_rad
+uint8 yaw_free
+float64 speed_m_s
+float64 accept_radius_m
+float64 accept_yaw_rad
+int32 seq
+""",
+    "autopilot_msgs/NmpcStatus": """
+std_msgs/Header header
+uint8 status  # 0 ok, 1 idle, 2 not finite, 3 residual, 4 exception
+uint8 fallback  # 0 none, 1 shifted plan, 2 station keeping, 3 neutral
+uint16 iterations
+float64 solve_s
+float64 cost
+float64 slack_max
+float64 margin_m  # smallest tightened clearance in the prediction
+""",
+    "autopilot_msgs/ThrusterCommand": """
+std_msgs/Header header
+float64[8] thrust_n
+uint16[8] pwm_us
+""",
+    "autopilot_msgs/MissionProgress": """
+std_msgs/Header header
+int32 current_seq
+int32 reached_seq  # -1 none
+uint16 lap
+uint8 state  # MISSION_STATE
+""",
+    "autopilot_msgs/ModeState": """
+std_msgs/Header header
+uint8 armed
+uint32 custom_mode
+uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale, 4 GCS lost
+""",
+    "autopilot_msgs/LoopStats": """
+std_msgs/Header header
+float64 tick_s  # longest tick of the last second
+float64 cpu_s  # CPU seconds of the last second
+uint32 overruns
+uint32 dropped_log
+""",
+    "autopilot_msgs/InputTick": """
+std_msgs/Header header
+uint16 samples  # inputs that follow in the file and belong to this tick
+uint16 frames  # MAVLink datagrams of this tick
+uint32 overruns
+float64 cpu_load  # 0..1, 0 = not measured
+""",
+    "autopilot_msgs/AhrsRaw": """
+std_msgs/Header header
+float64[3] rpy_rad
+float64[3] rate_frd_rad_s
+float64[3] accel_frd_m_s2
+""",
+    "autopilot_msgs/MarkerSighting": """
+std_msgs/Header header
+uint16 count
+uint16[64] ids
+uint8 laser_found
+float32[512] corners_px  # 64 markers, 4 corners, x and y
+float64[2] laser_px
+uint32 decode_us
+""",
+    "autopilot_msgs/PoseFix": """
+std_msgs/Header header
+float64[3] pos_ned_m
+float64 yaw_rad
+float64[3] sigma_pos_m
+float64 sigma_yaw_rad
+""",
+    "autopilot_msgs/LaserRaw": """
+std_msgs/Header header
+float64 range_m
+float64 sigma_m
+""",
+    "autopilot_msgs/PowerRaw": """
+std_msgs/Header header
+float64 voltage_v
+float64 current_a
+float64 energy_used_j
+float64 remaining
+""",
+    "autopilot_msgs/MavlinkFrame": """
+std_msgs/Header header
+uint8[280] data
+uint16 length
+uint8 link  # 255 = all links
+""",
+    # Standard types.
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "std_msgs/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
+    "geometry_msgs/TransformStamped": (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
+    ),
+    "nav_msgs/Path": "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses",
+    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "sensor_msgs/Imu": """
+std_msgs/Header header
+geometry_msgs/Quaternion orientation
+float64[9] orientation_covariance
+geometry_msgs/Vector3 angular_velocity
+float64[9] angular_velocity_covariance
+geometry_msgs/Vector3 linear_acceleration
+float64[9] linear_acceleration_covariance
+""",
+    "sensor_msgs/Range": """
+std_msgs/Header header
+uint8 radiation_type
+float32 field_of_view
+float32 min_range
+float32 max_range
+float32 range
+float32 variance
+""",
+    "sensor_msgs/BatteryState": """
+std_msgs/Header header
+float32 voltage
+float32 temperature
+float32 current
+float32 charge
+float32 capacity
+float32 design_capacity
+float32 percentage
+uint8 power_supply_status
+uint8 power_supply_health
+uint8 power_supply_technology
+bool present
+float32[] cell_voltage
+float32[] cell_temperature
+string location
+string serial_number
+""",
+    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
+    "rcl_interfaces/Log": """
+builtin_interfaces/Time stamp
+uint8 level
+string name
+string msg
+string file
+string function
+uint32 line
+""",
+    "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v",
+    "visualization_msgs/MeshFile": "string filename\nuint8[] data",
+    "visualization_msgs/Marker": """
+std_msgs/Header header
+string ns
+int32 id
+int32 type
+int32 action
+geometry_msgs/Pose pose
+geometry_msgs/Vector3 scale
+std_msgs/ColorRGBA color
+builtin_interfaces/Duration lifetime
+bool frame_locked
+geometry_msgs/Point[] points
+std_msgs/ColorRGBA[] colors
+string texture_resource
+sensor_msgs/CompressedImage texture
+visualization_msgs/UVCoordinate[] uv_coordinates
+string text
+string mesh_resource
+visualization_msgs/MeshFile mesh_file
+bool mesh_use_embedded_materials
+""",
+    "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers",
+}
+
+
+def type_names() -> list[str]:
+    """Every type with a definition, as ``package/Name``."""
+    return list(_DEFINITIONS)
+
+
+@cache
+def definition(name: str) -> str:
+    """The self-contained schema text of ``package/Name`` or ``package/msg/Name``. LogError if there is none."""
+    root = short_name(name)
+    if root not in _DEFINITIONS:
+        raise LogError(f"message type {name!r} is not known; add its definition to autopilot/log/schemas.py")
+    order = [root]
+    for kind in order:
+        order += [used for used in _uses(kind) if used not in order]
+    parts = [_DEFINITIONS[root].strip()]
+    parts += [f"{_SEPARATOR}\nMSG: {kind}\n{_DEFINITIONS[kind].strip()}" for kind in order[1:]]
+    return "\n".join(parts) + "\n"
+
+
+def _uses(name: str) -> list[str]:
+    kinds = [line.split()[0].split("[")[0] for line in _DEFINITIONS[name].strip().splitlines()]
+    return [kind for kind in dict.fromkeys(kinds) if kind not in PRIMITIVES and kind != "string"]
+
+
+@cache
+def types_of(name: str) -> dict[str, tuple[Field, ...]]:
+    """Parsed definition of ``name`` and of every type that it uses."""
+    return parse_definition(name, definition(name))
+
+
+@cache
+def layout(name: str) -> Layout:
+    """Layout of one of the fixed-size types, with our frame ids. LogError if the type is not fixed-size."""
+    found = fixed_layout(types_of(name), name, FRAME_ID_BYTES)
+    if found is None:
+        raise LogError(f"message type {name!r} is not fixed-size; write it with CdrBuffer")
+    return found
+
+
+def ros_name(name: str) -> str:
+    """The full ROS 2 name ``package/msg/Name`` of ``package/Name``: what a schema record carries."""
+    package, _, kind = short_name(name).partition("/")
+    return f"{package}/msg/{kind}"

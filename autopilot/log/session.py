@@ -1,0 +1,254 @@
+"""What the runtime calls: takes whole inputs, outputs and truth of a tick and writes every topic at its rate.
+
+Rates follow the service's clock, never the wall clock, so that the same run gives the same messages. Inputs are stamped
+with their time of validity; ``/in/tick`` opens the group of inputs that one call of ``step`` took in, in file order.
+"""
+
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+from autopilot.core.errors import LogError
+from autopilot.core.messages import (
+    AhrsSample,
+    CameraFrame,
+    Event,
+    Inputs,
+    LaserSample,
+    LoopStats,
+    MarkerSighting,
+    MavlinkFrame,
+    NavState,
+    Outputs,
+    PoseSample,
+    PowerSample,
+    Sample,
+)
+from autopilot.log import topics, visuals
+from autopilot.log.description import ATTACHMENT, RunDescription, to_json
+from autopilot.log.mavlink_frames import StreamCutter
+from autopilot.log.scene import scene_markers
+from autopilot.log.writer import LogWriter
+
+TRUTH_US = 10_000
+THRUSTERS_US = 20_000
+COVARIANCE_US = 100_000
+HORIZON_US = 100_000
+SLOW_US = 1_000_000
+"""State that seldom changes is written when it changes, and this often."""
+VIZ_US = 100_000
+TRAIL_US = 500_000
+TRAIL_POINTS = 600
+"""Points of /viz/path: five minutes of trail."""
+CAMERA_US = 500_000
+JPEG_QUALITY = 80
+_BODY = 12
+"""Bytes of a message in front of its content: encapsulation and stamp."""
+
+
+def log_path(folder: Path, start_ns: int) -> Path:
+    """``<folder>/YYYY-MM-DD/HH_MM_SS.mcap`` (UTC) for a log that starts then; a free name if that is taken."""
+    start = datetime.fromtimestamp(start_ns // 1_000_000_000, UTC)
+    base = folder / start.strftime("%Y-%m-%d") / start.strftime("%H_%M_%S")
+    path, number = base.with_suffix(".mcap"), 1
+    while path.exists():
+        number += 1
+        path = base.with_name(f"{base.name}_{number}.mcap")
+    return path
+
+
+def open_run_log(
+    path: Path,
+    *,
+    epoch_ns: int,
+    description: RunDescription,
+    metadata: Mapping[str, str],
+    attachments: Mapping[str, bytes],
+    lossless: bool,
+    camera_period_us: int | None = CAMERA_US,
+) -> "RunLog":
+    """A log of one run with its description attached. LogError if the file cannot be made."""
+    writer = LogWriter(
+        path,
+        epoch_ns=epoch_ns,
+        metadata=metadata,
+        attachments={ATTACHMENT: to_json(description), **attachments},
+        lossless=lossless,
+    )
+    return RunLog(writer, description, camera_period_us=camera_period_us)
+
+
+class RunLog:
+    """One log, fed tick by tick: ``inputs`` before ``step``, ``outputs`` after it, ``truth`` in simulation."""
+
+    def __init__(
+        self, writer: LogWriter, description: RunDescription, *, camera_period_us: int | None = CAMERA_US
+    ) -> None:
+        """``camera_period_us``: time between logged images, None = no images."""
+        self._writer = writer
+        self._scene = scene_markers(description)
+        self._camera_period_us = camera_period_us
+        self._last_us: dict[str, int] = {}
+        self._last_body: dict[str, bytes] = {}
+        self._cutters: dict[tuple[str, int], StreamCutter] = {}
+        self._trail: list[tuple[float, float, float]] = []
+
+    @property
+    def path(self) -> Path:
+        """The MCAP file."""
+        return self._writer.path
+
+    @property
+    def dropped(self) -> int:
+        """Messages lost so far, for ``LoopStats.dropped_log``."""
+        return self._writer.dropped
+
+    @property
+    def failure(self) -> str | None:
+        """Why nothing is written any more, None while all is well."""
+        return self._writer.failure
+
+    def close(self) -> None:
+        """Finish the file. LogError if the disk failed on the way."""
+        self._writer.close()
+
+    def inputs(self, inputs: Inputs) -> None:
+        """Everything that goes into ``step``, in its order."""
+        t_us = inputs.t_us
+        self._write("/in/tick", t_us, topics.input_tick(self._ns(t_us), inputs))
+        for sample in inputs.samples:
+            self._sample(sample)
+        for frame in inputs.mavlink_rx:
+            self._mavlink("/in/mavlink", t_us, frame)
+
+    def camera(self, frame: CameraFrame) -> None:
+        """An image, reduced to the camera's log rate and compressed on the writer's thread. The pixels are copied."""
+        if self._camera_period_us is None or not self._due("/in/camera", frame.t_us, self._camera_period_us):
+            return
+        pixels, stamp_ns = frame.image_bgr.copy(), self._ns(frame.t_us)
+        self._writer.write("/in/camera", frame.t_us, _jpeg_maker(pixels, stamp_ns), size=pixels.nbytes)
+
+    def truth(self, t_us: int, truth: topics.TruthLike) -> None:
+        """The simulated vehicle, once per tick."""
+        if self._due("/sim/truth", t_us, TRUTH_US):
+            self._write("/sim/truth", t_us, topics.vehicle_state(self._ns(t_us), truth))
+        if self._due("/sim/thrusters", t_us, THRUSTERS_US):
+            self._write("/sim/thrusters", t_us, topics.thruster_state(self._ns(t_us), truth))
+
+    def contact(self, t_us: int, count: int, penetration_m: float) -> None:
+        """Contacts of the simulated hull begun so far and the deepest penetration of now, once per tick."""
+        self._on_change("/sim/contact", t_us, topics.contact_state(self._ns(t_us), count, penetration_m))
+
+    def loop(self, stats: LoopStats) -> None:
+        """Health of the loop, once per second."""
+        self._write("/sys/loop", stats.t_us, topics.loop_stats(self._ns(stats.t_us), stats))
+
+    def event(self, event: Event) -> None:
+        """A line that does not come from ``step`` (``Outputs.events`` are written by ``outputs``)."""
+        self._write("/rosout", event.t_us, visuals.event(self._ns(event.t_us), event))
+
+    def outputs(self, outputs: Outputs) -> None:
+        """Everything that ``step`` decided."""
+        t_us = outputs.t_us
+        stamp_ns = self._ns(t_us)
+        if outputs.nav is not None:
+            self._nav(t_us, stamp_ns, outputs.nav)
+        for aid in outputs.aids:
+            self._write(topics.AID_PREFIX + aid.sensor, aid.t_us, topics.aid_status(self._ns(aid.t_us), aid))
+        self._on_change("/sys/mode", t_us, topics.mode_state(stamp_ns, outputs.mode))
+        if outputs.progress is not None:
+            self._on_change("/mission/progress", t_us, topics.mission_progress(stamp_ns, outputs.progress))
+        if outputs.goal is not None:
+            self._on_change("/ctl/goal", t_us, topics.goal(stamp_ns, outputs.goal))
+        if outputs.control is not None:
+            self._control(t_us, stamp_ns, outputs)
+        command = topics.thruster_command(stamp_ns, outputs.command)
+        self._on_change("/out/thrusters", t_us, command, always=outputs.control is not None)
+        for frame in outputs.mavlink_tx:
+            self._mavlink("/out/mavlink", t_us, frame)
+        for event in outputs.events:
+            self.event(event)
+
+    def _ns(self, t_us: int) -> int:
+        return self._writer.epoch_ns + t_us * 1000
+
+    def _write(self, topic: str, t_us: int, payload: bytes) -> None:
+        self._writer.write(topic, t_us, payload)
+
+    def _due(self, topic: str, t_us: int, period_us: int) -> bool:
+        last = self._last_us.get(topic)
+        if last is not None and t_us - last < period_us:
+            return False
+        self._last_us[topic] = t_us
+        return True
+
+    def _on_change(self, topic: str, t_us: int, payload: bytes, always: bool = False) -> None:
+        """Write when the content differs from the last, when ``always``, and every SLOW_US."""
+        changed = self._last_body.get(topic) != payload[_BODY:]
+        if changed or always or t_us - self._last_us[topic] >= SLOW_US:
+            self._last_body[topic] = payload[_BODY:]
+            self._last_us[topic] = t_us
+            self._write(topic, t_us, payload)
+
+    def _sample(self, sample: Sample) -> None:
+        t_us, stamp_ns = sample.t_us, self._ns(sample.t_us)
+        match sample:
+            case AhrsSample():
+                self._write("/in/ahrs_raw", t_us, topics.ahrs_raw(stamp_ns, sample))
+                self._write("/in/ahrs", t_us, topics.imu(stamp_ns, sample))
+            case MarkerSighting():
+                self._write("/in/markers", t_us, topics.marker_sighting(stamp_ns, sample))
+            case PoseSample():
+                self._write("/in/pose", t_us, topics.pose_fix(stamp_ns, sample))
+            case LaserSample():
+                self._write("/in/laser_raw", t_us, topics.laser_raw(stamp_ns, sample))
+                self._write("/in/laser", t_us, topics.laser_range(stamp_ns, sample))
+            case PowerSample():
+                self._write("/in/power_raw", t_us, topics.power_raw(stamp_ns, sample))
+                self._write("/in/power", t_us, visuals.battery_state(stamp_ns, sample))
+
+    def _mavlink(self, topic: str, t_us: int, frame: MavlinkFrame) -> None:
+        cutter = self._cutters.setdefault((topic, frame.link), StreamCutter())
+        stamp_ns = self._ns(t_us)
+        for piece in cutter.cut(frame.data):
+            self._write(topic, t_us, topics.mavlink_frame(stamp_ns, piece.data, frame.link))
+            if piece.is_packet:
+                self._writer.write_packet(t_us, piece.data)
+
+    def _nav(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
+        self._write("/nav/state", t_us, topics.vehicle_state(stamp_ns, nav))
+        self._on_change("/nav/status", t_us, topics.nav_status(stamp_ns, nav))
+        if self._due("/nav/covariance", t_us, COVARIANCE_US):
+            self._write("/nav/covariance", t_us, topics.nav_covariance(stamp_ns, nav))
+        if self._due("/viz/pose", t_us, VIZ_US):
+            self._write("/viz/pose", t_us, visuals.pose_stamped(stamp_ns, nav))
+            self._write("/viz/tf", t_us, visuals.transforms(stamp_ns, nav))
+        if self._due("trail", t_us, TRAIL_US):
+            north, east, down = nav.pos_ned_m.tolist()
+            self._trail = [*self._trail[1 - TRAIL_POINTS :], (north, east, down)]
+        if self._due("/viz/markers", t_us, SLOW_US):
+            self._write("/viz/markers", t_us, visuals.marker_array(stamp_ns, self._scene))
+            self._write("/viz/path", t_us, visuals.path(stamp_ns, self._trail))
+
+    def _control(self, t_us: int, stamp_ns: int, outputs: Outputs) -> None:
+        control = outputs.control
+        assert control is not None
+        self._write("/ctl/nmpc", t_us, topics.nmpc_status(stamp_ns, control.status))
+        if not self._due("/ctl/horizon", t_us, HORIZON_US):
+            return
+        self._write("/ctl/horizon", t_us, visuals.path(stamp_ns, control.horizon_ned_m.tolist()))
+        depth = 0.0 if outputs.nav is None else float(outputs.nav.pos_ned_m[2])
+        route = [(north, east, depth) for north, east in control.route_ned_m.tolist()]
+        self._write("/ctl/route", t_us, visuals.path(stamp_ns, route))
+
+
+def _jpeg_maker(pixels: object, stamp_ns: int) -> Callable[[], bytes]:
+    def make() -> bytes:
+        import cv2
+
+        done, jpeg = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        if not done:
+            raise LogError("image cannot be compressed as JPEG; camera images must be uint8 (rows, columns, 3)")
+        return visuals.compressed_image(stamp_ns, jpeg.tobytes())
+
+    return make

@@ -1,0 +1,271 @@
+"""The MCAP writer: a bounded queue in front of one thread, so that the control loop never sees a disk.
+
+``write`` only appends to the queue. The thread packs chunks, compresses, flushes every second and calls fsync every
+five; it is the one place here that looks at the wall clock. On a real vehicle a full queue drops messages and counts
+them; in lockstep simulation (``lossless``) the caller waits instead and the chunks end at seconds of log time, so that
+the same run gives the same file, byte for byte.
+"""
+
+import os
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import IO, Any, TypeAlias
+
+from mcap.writer import CompressionType, Writer
+
+from autopilot.core.errors import LogError
+from autopilot.log.description import RUN_RECORD
+from autopilot.log.lock import lock_exclusive
+from autopilot.log.schemas import ENCODING, MESSAGE_ENCODING, PROFILE, definition, ros_name
+from autopilot.log.topics import type_of
+
+CHUNK_BYTES = 256 * 1024
+FLUSH_NS = 1_000_000_000
+FSYNC_NS = 5_000_000_000
+QUEUE_MESSAGES = 20_000
+"""About ten seconds of messages."""
+QUEUE_BYTES = 64 * 1024 * 1024
+POLL_S = 0.02
+"""The thread empties the queue this often: one switch of threads for many messages."""
+LIBRARY = "underwater-autopilot"
+
+QOS_PROFILES = (
+    "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n"
+    "  deadline:\n    sec: 9223372036\n    nsec: 854775807\n"
+    "  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n"
+    "  liveliness: 1\n"
+    "  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n"
+    "  avoid_ros_namespace_conventions: false"
+)
+"""Channel metadata ``offered_qos_profiles`` as ros2 bag writes it: reliable, volatile, keep all."""
+
+_MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".txt": "text/plain", ".plan": "text/plain"}
+
+Payload: TypeAlias = bytes | Callable[[], bytes]
+_Item: TypeAlias = tuple[str, int, Payload, int, int]
+"""Topic, time [us], payload, sequence number, bytes in memory."""
+_TLOG = ""
+"""Stands for the topic of a packet that goes to the ``.tlog``."""
+
+
+def _open_locked(path: Path) -> IO[bytes]:
+    """An empty file at ``path``, locked. LogError if a running service is writing there."""
+    file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o644), "wb")
+    if not lock_exclusive(file):
+        file.close()
+        raise LogError(f"log {path}: another service is writing it; choose another name")
+    file.truncate(0)
+    return file
+
+
+def _mcap_writer(file: IO[bytes]) -> Any:
+    """The library's writer (Any: some of its methods carry no types)."""
+    return Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+
+
+class LogWriter:
+    """One MCAP file being written, with a ``.tlog`` beside it once there is MAVLink traffic."""
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        epoch_ns: int,
+        metadata: Mapping[str, str],
+        attachments: Mapping[str, bytes],
+        lossless: bool = False,
+        queue_messages: int = QUEUE_MESSAGES,
+        queue_bytes: int = QUEUE_BYTES,
+    ) -> None:
+        """Open ``path`` (an existing file is replaced) and write metadata and attachments.
+
+        ``epoch_ns`` is the Unix time [ns] at which the service's clock read zero. LogError if the file cannot be made.
+        """
+        self.path = path
+        self.epoch_ns = epoch_ns
+        self._lossless = lossless
+        self._limit_messages, self._limit_bytes = queue_messages, queue_bytes
+        self._queue: deque[_Item] = deque()
+        self._sequence: dict[str, int] = {}
+        self._count_in = self._count_out = self._bytes_in = self._bytes_out = 0
+        self._dropped = self._lost = 0
+        self._failure: str | None = None
+        self._closing = self._stopped = False
+        self._wake, self._room = threading.Event(), threading.Event()
+        self._tlog: IO[bytes] | None = None
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = _open_locked(path)
+            path.with_suffix(".tlog").unlink(missing_ok=True)
+            self._mcap = _mcap_writer(self._file)
+            self._mcap.start(profile=PROFILE, library=LIBRARY)
+            self._mcap.add_metadata(RUN_RECORD, {**metadata, "epoch_ns": str(epoch_ns)})
+            for name, data in attachments.items():
+                media = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+                self._mcap.add_attachment(epoch_ns, epoch_ns, name, media, data)
+            self._mcap.flush()
+        except OSError as error:
+            raise LogError(f"log {path}: cannot be written ({error.strerror}); choose another place") from error
+        self._thread = threading.Thread(target=self._run, name="log-writer", daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Messages lost so far: the queue was full, or the disk failed."""
+        return self._dropped + self._lost
+
+    @property
+    def failure(self) -> str | None:
+        """Why nothing is written any more, None while all is well."""
+        return self._failure
+
+    def write(self, topic: str, t_us: int, payload: Payload, size: int | None = None) -> None:
+        """Queue one CDR message. Never touches the disk.
+
+        ``payload`` may be a function that makes the bytes on the writer's thread (an image to compress); ``size`` is
+        then what it holds in memory meanwhile. LogError for a topic that is not declared.
+        """
+        sequence = self._sequence.get(topic)
+        if sequence is None:
+            sequence = 0
+            if topic != _TLOG:
+                type_of(topic)
+        self._sequence[topic] = sequence + 1
+        if size is None:
+            size = len(payload) if isinstance(payload, bytes) else 0
+        if self._closing or self._stopped or (self._is_full() and not self._wait_for_room()):
+            self._dropped += 1
+            return
+        self._count_in += 1
+        self._bytes_in += size
+        self._queue.append((topic, t_us, payload, sequence, size))
+
+    def write_packet(self, t_us: int, packet: bytes) -> None:
+        """Queue one MAVLink packet for the ``.tlog``."""
+        self.write(_TLOG, t_us, packet)
+
+    def close(self) -> None:
+        """Write what is queued, the index and the footer. LogError if the disk failed. May be called again."""
+        if not self._closing:
+            self._closing = True
+            self._wake.set()
+            self._thread.join()
+        if self._failure is not None:
+            raise LogError(f"log {self.path}: {self._failure}; {self._lost} messages are lost")
+
+    def __enter__(self) -> "LogWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _is_full(self) -> bool:
+        return (
+            self._count_in - self._count_out >= self._limit_messages
+            or self._bytes_in - self._bytes_out >= self._limit_bytes
+        )
+
+    def _wait_for_room(self) -> bool:
+        """False = the message is to be dropped."""
+        self._wake.set()
+        while self._lossless and not self._stopped:
+            self._room.clear()
+            if not self._is_full():
+                return True
+            self._room.wait(POLL_S)
+        return False
+
+    def _run(self) -> None:
+        try:
+            self._write_until_closed()
+        finally:
+            self._stopped = True
+
+    def _write_until_closed(self) -> None:
+        flushed = synced = time.monotonic_ns()
+        second: int = 0
+        while True:
+            self._wake.wait(POLL_S)
+            last = self._closing
+            self._wake.clear()
+            second = self._drain(second)
+            now = time.monotonic_ns()
+            if not self._lossless and now - flushed >= FLUSH_NS:
+                flushed = now
+                self._guard(self._flush)
+            if now - synced >= FSYNC_NS:
+                synced = now
+                self._guard(self._sync)
+            if last:
+                self._guard(self._finish)
+                self._guard(self._file.close)
+                return
+
+    def _drain(self, second: int) -> int:
+        """Write what is queued now; returns the second of log time that was reached."""
+        for _ in range(len(self._queue)):
+            topic, t_us, payload, sequence, size = self._queue.popleft()
+            if self._failure is None:
+                if self._lossless and t_us // 1_000_000 > second:
+                    second = t_us // 1_000_000
+                    self._guard(self._flush)
+                self._guard(self._put, topic, t_us, payload, sequence)
+            if self._failure is not None:
+                self._lost += 1
+            self._count_out += 1
+            self._bytes_out += size
+            self._room.set()
+        return second
+
+    def _guard(self, action: Callable[..., Any], *args: Any) -> None:
+        """Run one step of writing; the first failure of the disk ends writing and is reported by ``close``."""
+        try:
+            action(*args)
+        except OSError as error:
+            self._failure = self._failure or f"cannot be written ({error.strerror}); free or change the disk"
+        except LogError as error:
+            self._failure = self._failure or str(error)
+
+    def _put(self, topic: str, t_us: int, payload: Payload, sequence: int) -> None:
+        data = payload if isinstance(payload, bytes) else payload()
+        time_ns = self.epoch_ns + t_us * 1000
+        if topic == _TLOG:
+            if self._tlog is None:
+                self._tlog = self.path.with_suffix(".tlog").open("wb")
+            self._tlog.write(struct.pack(">Q", time_ns // 1000) + data)
+            return
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._register(topic)
+        self._mcap.add_message(channel, time_ns, data, time_ns, sequence & 0xFFFFFFFF)
+
+    def _register(self, topic: str) -> int:
+        kind = type_of(topic)
+        name = ros_name(kind)
+        schema = self._schemas.get(name)
+        if schema is None:
+            schema = self._schemas[name] = self._mcap.register_schema(name, ENCODING, definition(kind).encode())
+        metadata = {"offered_qos_profiles": QOS_PROFILES}
+        return int(self._mcap.register_channel(topic, MESSAGE_ENCODING, schema, metadata))
+
+    def _flush(self) -> None:
+        self._mcap.flush()
+        if self._tlog is not None:
+            self._tlog.flush()
+
+    def _sync(self) -> None:
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def _finish(self) -> None:
+        if self._failure is None:
+            self._mcap.finish()
+            self._sync()
+        if self._tlog is not None:
+            self._tlog.close()

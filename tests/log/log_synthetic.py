@@ -1,0 +1,274 @@
+"""A synthetic run of the paper's mission: kinematics only, made to order for tests of the log."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.messages import (
+    AhrsSample,
+    AidState,
+    AidStatus,
+    ControlOutput,
+    Event,
+    Fallback,
+    Goal,
+    Inputs,
+    LaserSample,
+    LoopStats,
+    MarkerSighting,
+    MavlinkFrame,
+    MissionProgress,
+    ModeState,
+    NavHealth,
+    NavState,
+    NmpcStatus,
+    Outputs,
+    PoseSample,
+    PowerSample,
+    ProgressState,
+    SolveStatus,
+    ThrusterCommand,
+)
+from autopilot.log.description import AcceptBounds, FenceShape, Obstacle, RunDescription, Waypoint
+from autopilot.log.session import RunLog, open_run_log
+
+EPOCH_NS = 1_700_000_000_000_000_000
+STEP_US = 50_000
+LEG_S = 18.0
+VIA = np.array([[-1.60, -0.35, 0.45], [-0.625, 0.30, 0.42], [0.2, 0.55, 0.38], [0.9375, 0.70, 0.34], [1.75, 0.0, 0.30]])
+"""A path from A to B that keeps 0.46 m from both cylinders and 0.3 m from the walls."""
+TANK = ((-2.5, -1.5), (2.5, -1.5), (2.5, 1.5), (-2.5, 1.5))
+
+DESCRIPTION = RunDescription(
+    scenario="paper-tank",
+    vehicle="lbv150",
+    seed=1,
+    speed=0.0,
+    hotel_power_w=12.0,
+    tank_polygon_m=TANK,
+    tank_depth_m=1.5,
+    obstacles=(
+        Obstacle(center_m=(-0.625, -0.625), radius_m=0.16, name="cylinder 1"),
+        Obstacle(center_m=(0.9375, 0.0), radius_m=0.16, name="cylinder 2"),
+    ),
+    fence=(
+        FenceShape(inclusion=True, vertices_m=TANK),
+        FenceShape(inclusion=False, center_m=(-0.625, -0.625), radius_m=0.16),
+        FenceShape(inclusion=False, center_m=(0.9375, 0.0), radius_m=0.16),
+    ),
+    waypoints=(
+        Waypoint(name="A", pos_ned_m=(-1.60, -0.35, 0.45), yaw_rad=0.0),
+        Waypoint(name="B", pos_ned_m=(1.75, 0.0, 0.30), yaw_rad=math.pi),
+    ),
+    accept=AcceptBounds(laps=3),
+    mode_names={"1": "mission"},
+    parameters={"MPC_MARGIN": 0.05, "MPC_Q_POS": 20.0},
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Truth:
+    """As the simulator gives it."""
+
+    pos_ned_m: FloatArray
+    rpy_rad: FloatArray
+    vel_frd_m_s: FloatArray
+    vel_water_frd_m_s: FloatArray
+    rate_frd_rad_s: FloatArray
+    current_ned_m_s: FloatArray
+    thrust_n: FloatArray
+    power_w: float
+
+
+def smooth(share: float) -> tuple[float, float]:
+    """A blend 0..1 without speed at its ends, and its slope."""
+    return share * share * (3.0 - 2.0 * share), 6.0 * share * (1.0 - share)
+
+
+def pose(t_s: float) -> tuple[FloatArray, float]:
+    """Position (3,) and yaw at a time: to and fro along VIA, one way per LEG_S."""
+    leg, share = divmod(t_s / LEG_S, 1.0)
+    blend = smooth(share)[0]
+    if int(leg) % 2:
+        blend = 1.0 - blend
+    lengths = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(VIA, axis=0), axis=1))]
+    at = blend * lengths[-1]
+    position = np.array([np.interp(at, lengths, VIA[:, i]) for i in range(3)])
+    return position, wrap_pi(math.pi * blend)
+
+
+def truth_at(t_s: float) -> Truth:
+    """The simulated vehicle on its synthetic path."""
+    position, yaw = pose(t_s)
+    before, yaw_before = pose(max(t_s - 0.05, 0.0))
+    after, yaw_after = pose(t_s + 0.05)
+    vel = (after - before) / 0.1
+    c, s = math.cos(yaw), math.sin(yaw)
+    body = np.array([c * vel[0] + s * vel[1], -s * vel[0] + c * vel[1], vel[2]])
+    rate = wrap_pi(yaw_after - yaw_before) / 0.1
+    return Truth(
+        pos_ned_m=position,
+        rpy_rad=np.array([0.0, 0.0, yaw]),
+        vel_frd_m_s=body,
+        vel_water_frd_m_s=body,
+        rate_frd_rad_s=np.array([0.0, 0.0, rate]),
+        current_ned_m_s=np.array([0.05, 0.0, 0.0]),
+        thrust_n=np.array([3.0, 3.0 * math.cos(t_s), -1.0, 0.5]),
+        power_w=20.0,
+    )
+
+
+def nav_of(t_us: int, truth: Truth, error_m: float = 0.004) -> NavState:
+    """An estimate a few millimetres off."""
+    return NavState(
+        t_us=t_us,
+        health=NavHealth.GOOD,
+        pos_ned_m=truth.pos_ned_m + np.array([error_m, 0.0, 0.0]) * math.sin(1e-6 * t_us),
+        rpy_rad=truth.rpy_rad + np.array([0.0, 0.0, 0.002]),
+        vel_frd_m_s=truth.vel_frd_m_s,
+        vel_water_frd_m_s=truth.vel_water_frd_m_s,
+        rate_frd_rad_s=truth.rate_frd_rad_s,
+        current_ned_m_s=truth.current_ned_m_s * 0.9,
+        variance=np.full(12, 2.5e-5),
+        reset_count=0,
+    )
+
+
+def heartbeat(sequence: int) -> bytes:
+    """A MAVLink 2 HEARTBEAT without a valid checksum: the log does not look at it."""
+    return bytes([0xFD, 9, 0, 0, sequence & 0xFF, 1, 1, 0, 0, 0]) + bytes(9) + b"\x12\x34"
+
+
+@dataclass(slots=True, kw_only=True)
+class Run:
+    """How a synthetic run differs from a perfect one."""
+
+    laps: int = 3
+    change_truth: Callable[[float, Truth], Truth] = lambda t_s, truth: truth
+    nav_error_m: float = 0.004
+    thrust_n: float = 3.0
+    fallback: Fallback = Fallback.NONE
+    contacts: int = 0
+    with_truth: bool = True
+    description: RunDescription = DESCRIPTION
+    step_us: int = STEP_US
+    full_inputs: bool = False
+
+
+def write_run(path: Path, run: Run | None = None, epoch_ns: int = EPOCH_NS) -> Path:
+    """Write a whole synthetic run and return its path."""
+    run = run or Run()
+    log = open_run_log(
+        path,
+        epoch_ns=epoch_ns,
+        description=run.description,
+        metadata={"version": "0.1.0", "revision": "abc", "scenario": "paper-tank", "seed": "1", "speed": "0"},
+        attachments={"config.toml": b"[a]\nb = 1\n"},
+        lossless=True,
+    )
+    end_us = int(2 * run.laps * LEG_S * 1e6) + 500_000
+    for t_us in range(0, end_us + 1, run.step_us):
+        _tick(log, run, t_us, end_us)
+    log.close()
+    return path
+
+
+def _tick(log: RunLog, run: Run, t_us: int, end_us: int) -> None:
+    t_s = t_us * 1e-6
+    truth = run.change_truth(t_s, truth_at(t_s))
+    if run.with_truth:
+        log.truth(t_us, truth)
+        log.contact(t_us, run.contacts if t_s > 20.0 else 0, 0.01 if 20.0 < t_s < 20.2 and run.contacts else 0.0)
+    log.inputs(inputs_at(t_us, truth, run.full_inputs))
+    log.outputs(outputs_at(t_us, truth, run, t_us >= end_us - 400_000))
+    if t_us % 1_000_000 == 0:
+        log.loop(LoopStats(t_us=t_us, tick_s=0.004, cpu_s=0.3, overruns=0, dropped_log=log.dropped))
+
+
+def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
+    """One sample of each kind."""
+    ahrs = AhrsSample(
+        t_us=t_us - 15_000,
+        rpy_rad=truth.rpy_rad,
+        rate_frd_rad_s=truth.rate_frd_rad_s,
+        accel_frd_m_s2=np.array([0.0, 0.0, -9.81]),
+    )
+    if not full:
+        return Inputs(t_us=t_us, samples=(ahrs,))
+    sighting = MarkerSighting(
+        t_us=t_us - 60_000,
+        ids=(3, 7, 3),
+        corners_px=np.arange(24.0).reshape(3, 4, 2),
+        laser_px=np.array([320.5, 240.25]),
+        decode_us=3000,
+    )
+    fix = PoseSample(
+        t_us=t_us - 60_000,
+        pos_ned_m=truth.pos_ned_m,
+        yaw_rad=float(truth.rpy_rad[2]),
+        sigma_pos_m=np.array([0.003, 0.003, 0.004]),
+        sigma_yaw_rad=0.0026,
+    )
+    laser = LaserSample(t_us=t_us - 60_000, range_m=1.1, sigma_m=0.005)
+    power = PowerSample(t_us=t_us, voltage_v=18.9, current_a=2.5, energy_used_j=t_us * 3e-5, remaining=0.99)
+    frame = MavlinkFrame(link=0, data=heartbeat(t_us // STEP_US))
+    return Inputs(
+        t_us=t_us, samples=(ahrs, sighting, fix, laser, power), mavlink_rx=(frame,), overruns=2, cpu_load=0.25
+    )
+
+
+def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs:
+    """What the service would have decided."""
+    thrust = np.array([run.thrust_n, run.thrust_n, -1.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+    status = NmpcStatus(
+        t_us=t_us,
+        status=SolveStatus.OK,
+        fallback=run.fallback if 10_000_000 < t_us < 11_000_000 else Fallback.NONE,
+        iterations=1,
+        solve_s=0.001 + 1e-4 * math.sin(t_us),
+        cost=12.5,
+        slack_max=0.0,
+        margin_m=0.05,
+    )
+    horizon = truth.pos_ned_m + np.linspace(0.0, 1.0, 5)[:, None] * truth.vel_frd_m_s
+    control = ControlOutput(thrust_n=thrust[:4], status=status, horizon_ned_m=horizon, route_ned_m=VIA[:, :2])
+    aid = AidStatus(
+        t_us=t_us,
+        sensor="markers",
+        innovation=np.array([0.001, -0.002, 0.0]),
+        innovation_var=np.full(3, 1e-5),
+        test_ratio=0.3,
+        fused=True,
+        state=AidState.ACTIVE,
+        age_s=0.06,
+    )
+    lap = int(t_us * 1e-6 / (2 * LEG_S))
+    goal = Goal(
+        pos_ned_m=VIA[-1], yaw_rad=None, speed_m_s=0.4, accept_radius_m=0.3, accept_yaw_rad=0.15, seq=1 + lap % 2
+    )
+    state = ProgressState.COMPLETE if done else ProgressState.ACTIVE
+    return Outputs(
+        t_us=t_us,
+        command=ThrusterCommand(t_us=t_us, thrust_n=thrust, pwm_us=(1550, 1551, 1490, 1505)),
+        nav=nav_of(t_us, truth, run.nav_error_m),
+        mode=ModeState(t_us=t_us, armed=True, custom_mode=1, failsafes=0),
+        mavlink_tx=(MavlinkFrame(link=-1, data=heartbeat(t_us // STEP_US)),) if t_us % 1_000_000 == 0 else (),
+        aids=(aid,) if t_us % 100_000 == 0 else (),
+        goal=goal,
+        control=control,
+        progress=MissionProgress(t_us=t_us, current_seq=1, reached_seq=-1, lap=lap, state=state),
+        events=(Event(t_us=t_us, severity=6, text=f"lap {lap}"),) if t_us % 5_000_000 == 0 else (),
+    )
+
+
+def shifted(at_s: float, for_s: float, **changes: object) -> Callable[[float, Truth], Truth]:
+    """Replaces fields of the truth during a time."""
+
+    def change(t_s: float, truth: Truth) -> Truth:
+        return replace(truth, **changes) if at_s <= t_s < at_s + for_s else truth  # type: ignore[arg-type]
+
+    return change

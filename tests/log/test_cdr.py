@@ -1,0 +1,376 @@
+"""CDR bytes against rosbags, an implementation of ROS 2 serialisation that is not ours."""
+
+import math
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from log_synthetic import Truth
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from autopilot.core.errors import LogError
+from autopilot.core.messages import (
+    AhrsSample,
+    AidState,
+    AidStatus,
+    Event,
+    Fallback,
+    Goal,
+    Inputs,
+    LaserSample,
+    LoopStats,
+    MarkerSighting,
+    MissionProgress,
+    ModeState,
+    NavHealth,
+    NavState,
+    NmpcStatus,
+    PoseSample,
+    PowerSample,
+    ProgressState,
+    SolveStatus,
+    ThrusterCommand,
+)
+from autopilot.log import topics, visuals
+from autopilot.log.cdr import ENCAPSULATION, CdrBuffer, decode, fixed_layout, parse_definition
+from autopilot.log.schemas import definition, layout, ros_name, type_names, types_of
+
+STORE = get_typestore(Stores.LATEST)
+for _name in type_names():
+    if _name.startswith("autopilot_msgs/"):
+        _own = definition(_name).split("=" * 80)[0]
+        STORE.register(get_types_from_msg(_own, ros_name(_name)))
+
+floats = st.floats(allow_nan=False, width=64)
+finite = st.floats(min_value=-1e6, max_value=1e6)
+stamps = st.integers(min_value=0, max_value=2**31 * 10**9 - 1)
+u8, u16, u32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
+
+
+def vec(n: int) -> st.SearchStrategy[Any]:
+    return st.lists(floats, min_size=n, max_size=n).map(np.array)
+
+
+def read_back(name: str, data: bytes) -> Any:
+    """The message as rosbags reads it; serialising it again must give the same bytes."""
+    message = STORE.deserialize_cdr(data, ros_name(name))
+    assert bytes(STORE.serialize_cdr(message, ros_name(name))) == data
+    return message
+
+
+def stamp_of(header: Any) -> int:
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+
+@pytest.mark.parametrize("name", [n for n in type_names() if not n.startswith("autopilot_msgs/")])
+def test_standard_types_have_the_fields_of_ros(name: str) -> None:
+    reference, _ = STORE.generate_msgdef(ros_name(name), ros_version=2)
+    assert types_of(name) == parse_definition(name, reference)
+
+
+@pytest.mark.parametrize("name", type_names())
+def test_schema_text_is_closed_and_understood_by_rosbags(name: str) -> None:
+    parts = definition(name).split("=" * 80 + "\n")
+    for part in parts[1:]:
+        assert part.startswith("MSG: ")
+    used = {field.type for fields in types_of(name).values() for field in fields}
+    defined = {part.splitlines()[0].removeprefix("MSG: ") for part in parts[1:]}
+    assert {u for u in used if "/" in u} <= defined
+    assert get_types_from_msg(parts[0], ros_name(name))
+
+
+@pytest.mark.parametrize("name", [n for n in type_names() if n.startswith(("autopilot_msgs/", "sensor_msgs/Imu"))])
+def test_layout_agrees_with_decoder(name: str) -> None:
+    """Random bytes in every field: numpy view and generic decoder see the same values."""
+    fixed = layout(name)
+    raw = bytearray(np.random.default_rng(1).integers(0, 64, fixed.packer.size, dtype=np.uint8).tobytes())
+    raw[:4] = ENCAPSULATION
+    raw[12:20] = struct.pack("<I4s", 4, b"ned\0")
+    value = decode(types_of(name), name, bytes(raw))
+    row = np.frombuffer(bytes(raw), fixed.dtype)[0]
+    assert fixed.dtype.names is not None
+    for field in fixed.dtype.names[1:]:
+        seen, expected = row[field], value[field]
+        if isinstance(expected, dict):
+            assert list(seen.tolist()) == list(expected.values())
+        elif isinstance(expected, bytes):
+            assert seen.tobytes() == expected
+        else:
+            np.testing.assert_array_equal(seen, expected)
+
+
+@given(stamps, vec(3), vec(3), vec(3), vec(3), vec(3), vec(3), vec(12), u8, u32)
+@settings(max_examples=25, deadline=None)
+def test_nav(stamp: int, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, var: Any, health: int, resets: int) -> None:
+    nav = NavState(
+        t_us=0,
+        health=NavHealth(health % 3),
+        pos_ned_m=a,
+        rpy_rad=b,
+        vel_frd_m_s=c,
+        vel_water_frd_m_s=d,
+        rate_frd_rad_s=e,
+        current_ned_m_s=f,
+        variance=var,
+        reset_count=resets,
+    )
+    state = read_back("autopilot_msgs/VehicleState", topics.vehicle_state(stamp, nav))
+    assert stamp_of(state.header) == stamp and state.header.frame_id == "ned"
+    for field in ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s"):
+        np.testing.assert_array_equal(getattr(state, field), getattr(nav, field))
+    covariance = read_back("autopilot_msgs/NavCovariance", topics.nav_covariance(stamp, nav))
+    np.testing.assert_array_equal(covariance.variance, var)
+    status = read_back("autopilot_msgs/NavStatus", topics.nav_status(stamp, nav))
+    assert (status.health, status.reset_count) == (health % 3, resets)
+
+
+@given(stamps, st.lists(floats, min_size=1, max_size=8), finite, u32, finite)
+@settings(max_examples=25, deadline=None)
+def test_truth_thrusters_and_contact(stamp: int, thrust: list[float], power: float, count: int, depth: float) -> None:
+    zero = np.zeros(3)
+    truth = Truth(
+        pos_ned_m=zero,
+        rpy_rad=zero,
+        vel_frd_m_s=zero,
+        vel_water_frd_m_s=zero,
+        rate_frd_rad_s=zero,
+        current_ned_m_s=zero,
+        thrust_n=np.array(thrust),
+        power_w=power,
+    )
+    state = read_back("autopilot_msgs/ThrusterState", topics.thruster_state(stamp, truth))
+    np.testing.assert_array_equal(state.thrust_n, thrust + [0.0] * (8 - len(thrust)))
+    assert state.power_w == power
+    contact = read_back("autopilot_msgs/ContactState", topics.contact_state(stamp, count, depth))
+    assert (contact.count, contact.penetration_m) == (count, depth)
+
+
+@given(stamps, vec(3), st.none() | finite, finite, finite, finite, st.integers(-(2**31), 2**31 - 1))
+@settings(max_examples=25, deadline=None)
+def test_goal(stamp: int, pos: Any, yaw: float | None, speed: float, radius: float, band: float, seq: int) -> None:
+    goal = Goal(pos_ned_m=pos, yaw_rad=yaw, speed_m_s=speed, accept_radius_m=radius, accept_yaw_rad=band, seq=seq)
+    read = read_back("autopilot_msgs/Goal", topics.goal(stamp, goal))
+    np.testing.assert_array_equal(read.pos_ned_m, pos)
+    assert (read.yaw_free, read.yaw_rad) == ((1, 0.0) if yaw is None else (0, yaw))
+    assert (read.speed_m_s, read.accept_radius_m, read.accept_yaw_rad, read.seq) == (speed, radius, band, seq)
+
+
+@given(stamps, vec(8), st.lists(u16, min_size=0, max_size=8), u16, finite, finite, st.booleans(), u32, u32)
+@settings(max_examples=25, deadline=None)
+def test_control_and_system(
+    stamp: int,
+    thrust: Any,
+    pwm: list[int],
+    count: int,
+    x: float,
+    y: float,
+    flag: bool,
+    a: int,
+    b: int,
+) -> None:
+    command = topics.thruster_command(stamp, ThrusterCommand(t_us=0, thrust_n=thrust, pwm_us=tuple(pwm)))
+    read = read_back("autopilot_msgs/ThrusterCommand", command)
+    np.testing.assert_array_equal(read.thrust_n, thrust)
+    assert read.pwm_us.tolist() == pwm + [0] * (8 - len(pwm))
+    nmpc = NmpcStatus(
+        t_us=0,
+        status=SolveStatus.RESIDUAL,
+        fallback=Fallback.SHIFTED_PLAN,
+        iterations=count,
+        solve_s=x,
+        cost=y,
+        slack_max=x,
+        margin_m=y,
+    )
+    read = read_back("autopilot_msgs/NmpcStatus", topics.nmpc_status(stamp, nmpc))
+    assert (read.status, read.fallback, read.iterations, read.solve_s, read.cost) == (3, 1, count, x, y)
+    assert (read.slack_max, read.margin_m) == (x, y)
+    progress = MissionProgress(t_us=0, current_seq=-1, reached_seq=3, lap=count, state=ProgressState.ACTIVE)
+    read = read_back("autopilot_msgs/MissionProgress", topics.mission_progress(stamp, progress))
+    assert (read.current_seq, read.reached_seq, read.lap, read.state) == (-1, 3, count, 3)
+    mode = ModeState(t_us=0, armed=flag, custom_mode=a, failsafes=b)
+    read = read_back("autopilot_msgs/ModeState", topics.mode_state(stamp, mode))
+    assert (read.armed, read.custom_mode, read.failsafes) == (flag, a, b)
+    stats = LoopStats(t_us=0, tick_s=x, cpu_s=y, overruns=a, dropped_log=b)
+    read = read_back("autopilot_msgs/LoopStats", topics.loop_stats(stamp, stats))
+    assert (read.tick_s, read.cpu_s, read.overruns, read.dropped_log) == (x, y, a, b)
+    inputs = Inputs(t_us=0, overruns=a, cpu_load=x)
+    read = read_back("autopilot_msgs/InputTick", topics.input_tick(stamp, inputs))
+    assert (read.samples, read.frames, read.overruns, read.cpu_load) == (0, 0, a, x)
+    aid = AidStatus(
+        t_us=0,
+        sensor="markers",
+        innovation=thrust[:3],
+        innovation_var=thrust[3:6],
+        test_ratio=x,
+        fused=flag,
+        state=AidState.REJECTING,
+        age_s=y,
+    )
+    read = read_back("autopilot_msgs/AidStatus", topics.aid_status(stamp, aid))
+    np.testing.assert_array_equal(read.innovation, thrust[:3])
+    np.testing.assert_array_equal(read.innovation_var, thrust[3:6])
+    assert (read.test_ratio, read.fused, read.state, read.age_s) == (x, flag, 3, y)
+
+
+@given(stamps, st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3), vec(3), finite, finite)
+@settings(max_examples=25, deadline=None)
+def test_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> None:
+    ahrs = AhrsSample(t_us=0, rpy_rad=np.array(rpy), rate_frd_rad_s=v, accel_frd_m_s2=-v)
+    raw = read_back("autopilot_msgs/AhrsRaw", topics.ahrs_raw(stamp, ahrs))
+    np.testing.assert_array_equal(raw.rpy_rad, rpy)
+    np.testing.assert_array_equal(raw.rate_frd_rad_s, v)
+    np.testing.assert_array_equal(raw.accel_frd_m_s2, -v)
+    imu = read_back("sensor_msgs/Imu", topics.imu(stamp, ahrs))
+    q = imu.orientation
+    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+    assert yaw == pytest.approx(rpy[2], abs=1e-9)
+    assert (imu.linear_acceleration.x, imu.linear_acceleration.z) == (-v[0], -v[2])
+    fix = PoseSample(t_us=0, pos_ned_m=v, yaw_rad=x, sigma_pos_m=-v, sigma_yaw_rad=y)
+    read = read_back("autopilot_msgs/PoseFix", topics.pose_fix(stamp, fix))
+    np.testing.assert_array_equal(read.pos_ned_m, v)
+    np.testing.assert_array_equal(read.sigma_pos_m, -v)
+    assert (read.yaw_rad, read.sigma_yaw_rad) == (x, y)
+    laser = LaserSample(t_us=0, range_m=x, sigma_m=y)
+    read = read_back("autopilot_msgs/LaserRaw", topics.laser_raw(stamp, laser))
+    assert (read.range_m, read.sigma_m) == (x, y)
+    assert read_back("sensor_msgs/Range", topics.laser_range(stamp, laser)).range == np.float32(x)
+    power = PowerSample(t_us=0, voltage_v=x, current_a=y, energy_used_j=x, remaining=0.5)
+    read = read_back("autopilot_msgs/PowerRaw", topics.power_raw(stamp, power))
+    assert (read.voltage_v, read.current_a, read.energy_used_j, read.remaining) == (x, y, x, 0.5)
+    battery = STORE.deserialize_cdr(visuals.battery_state(stamp, power), "sensor_msgs/msg/BatteryState")
+    assert (battery.voltage, battery.current, battery.percentage) == (np.float32(x), np.float32(-y), 0.5)
+    assert battery.present and math.isnan(battery.temperature)
+
+
+@given(stamps, st.integers(0, 80), st.booleans(), u32)
+@settings(max_examples=25, deadline=None)
+def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) -> None:
+    corners = np.random.default_rng(count).normal(300.0, 50.0, (count, 4, 2)).astype(np.float32)
+    sighting = MarkerSighting(
+        t_us=0,
+        ids=tuple(range(count)),
+        corners_px=corners,
+        laser_px=np.array([1.5, 2.5]) if laser else None,
+        decode_us=decode_us,
+    )
+    read = read_back("autopilot_msgs/MarkerSighting", topics.marker_sighting(stamp, sighting))
+    kept = min(count, topics.MAX_MARKERS)
+    assert (read.count, read.laser_found, read.decode_us) == (kept, int(laser), decode_us)
+    assert read.ids[:kept].tolist() == list(range(kept)) and not read.ids[kept:].any()
+    np.testing.assert_array_equal(read.corners_px[: 8 * kept], corners[:kept].ravel())
+    assert read.laser_px.tolist() == ([1.5, 2.5] if laser else [0.0, 0.0])
+    assert read.header.frame_id == "cam"
+
+
+@given(stamps, st.binary(min_size=0, max_size=280), st.integers(-1, 20))
+@settings(max_examples=25, deadline=None)
+def test_mavlink_frame(stamp: int, data: bytes, link: int) -> None:
+    read = read_back("autopilot_msgs/MavlinkFrame", topics.mavlink_frame(stamp, data, link))
+    assert read.data.tobytes()[: read.length] == data
+    assert read.link == (255 if link < 0 else link)
+
+
+@given(stamps, st.lists(st.tuples(finite, finite, finite), max_size=5), st.text(max_size=40), st.binary(max_size=50))
+@settings(max_examples=25, deadline=None)
+def test_variable_types(stamp: int, points: list[tuple[float, float, float]], text: str, blob: bytes) -> None:
+    path = read_back("nav_msgs/Path", visuals.path(stamp, points))
+    assert [(p.pose.position.x, p.pose.position.y, p.pose.position.z) for p in path.poses] == points
+    log = read_back("rcl_interfaces/Log", visuals.event(stamp, Event(t_us=0, severity=4, text=text)))
+    assert (log.level, log.msg, log.name) == (30, text.replace("\0", " "), "autopilot")
+    image = read_back("sensor_msgs/CompressedImage", visuals.compressed_image(stamp, blob))
+    assert (image.format, image.data.tobytes()) == ("jpeg", blob)
+    marker = visuals.Marker(
+        namespace="tank", number=3, kind=visuals.Marker.LINE_STRIP, points_ned_m=tuple(points), color_rgba=(1, 0, 0, 1)
+    )
+    array = read_back("visualization_msgs/MarkerArray", visuals.marker_array(stamp, [marker, marker]))
+    assert [(p.x, p.y, p.z) for p in array.markers[1].points] == points
+    assert (array.markers[0].ns, array.markers[0].id, array.markers[0].type) == ("tank", 3, 4)
+    assert array.markers[1].pose.orientation.w == 1.0
+    assert (
+        decode(types_of("nav_msgs/Path"), "nav_msgs/Path", visuals.path(stamp, points))["header"]["frame_id"] == "ned"
+    )
+
+
+def test_pose_and_transforms() -> None:
+    zero = np.zeros(3)
+    nav = NavState(
+        t_us=0,
+        health=NavHealth.GOOD,
+        pos_ned_m=np.array([1.0, 2.0, 3.0]),
+        rpy_rad=np.array([0.0, 0.0, math.pi / 2]),
+        vel_frd_m_s=zero,
+        vel_water_frd_m_s=zero,
+        rate_frd_rad_s=zero,
+        current_ned_m_s=zero,
+        variance=np.zeros(12),
+    )
+    pose = read_back("geometry_msgs/PoseStamped", visuals.pose_stamped(5, nav))
+    assert (pose.pose.position.y, pose.pose.orientation.z) == (2.0, pytest.approx(math.sqrt(0.5)))
+    tf = read_back("tf2_msgs/TFMessage", visuals.transforms(5, nav))
+    assert [(t.header.frame_id, t.child_frame_id) for t in tf.transforms] == [("map", "ned"), ("ned", "frd")]
+    assert tf.transforms[1].transform.translation.z == 3.0
+    assert tf.transforms[0].transform.rotation.x == 1.0
+
+
+@given(
+    st.sampled_from(["nav_msgs/Path", "rcl_interfaces/Log", "autopilot_msgs/Goal", "sensor_msgs/BatteryState"]),
+    st.binary(),
+)
+@settings(max_examples=100, deadline=None)
+def test_decoder_survives_anything(name: str, data: bytes) -> None:
+    for raw in (data, ENCAPSULATION + data):
+        try:
+            decode(types_of(name), name, raw)
+        except LogError as error:
+            assert name in str(error)
+
+
+def test_decoder_names_the_type_of_a_short_message() -> None:
+    data = topics.contact_state(0, 1, 0.0)
+    for length in range(len(data)):
+        with pytest.raises(LogError, match="ContactState"):
+            decode(types_of("autopilot_msgs/ContactState"), "autopilot_msgs/ContactState", data[:length])
+
+
+def test_definitions_of_others() -> None:
+    text = (
+        "# c\nHeader header\nint32 LIMIT=5\nint32 x 3\nuint8[<=4] few\nstring<=10 name\nPoint[2] ends\nfloat32[] v\n"
+        "===\nMSG: a/msg/Point\nfloat64 x\n===\nMSG: std_msgs/Header\nstring frame_id"
+    )
+    types = parse_definition("a/msg/B", text)
+    assert [(f.name, f.type, f.count) for f in types["a/B"]] == [
+        ("header", "std_msgs/Header", None),
+        ("x", "int32", None),
+        ("few", "uint8", -1),
+        ("name", "string", None),
+        ("ends", "a/Point", 2),
+        ("v", "float32", -1),
+    ]
+    assert fixed_layout(types, "a/B", 4) is None
+    for bad in ("float64", "Missing x"):
+        with pytest.raises(LogError, match="schema"):
+            parse_definition("a/B", bad)
+
+
+def test_unknown_types_and_topics_are_named() -> None:
+    with pytest.raises(LogError, match="no_msgs/Thing"):
+        definition("no_msgs/Thing")
+    with pytest.raises(LogError, match="nav_msgs/Path"):
+        layout("nav_msgs/Path")
+    with pytest.raises(LogError, match="/no/topic"):
+        topics.type_of("/no/topic")
+    for topic, kind in topics.TOPICS.items():
+        assert topics.type_of(topic) == kind and definition(kind)
+    assert topics.type_of("/nav/aid/laser") == "autopilot_msgs/AidStatus"
+
+
+def test_buffer_aligns_and_replaces_nul() -> None:
+    out = CdrBuffer()
+    out.put("uint8", 1)
+    out.put("float64", 2.0)
+    out.string("a\0b")
+    assert out.getvalue() == ENCAPSULATION + b"\1" + bytes(7) + struct.pack("<dI", 2.0, 4) + b"a b\0"
