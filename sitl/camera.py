@@ -1,0 +1,218 @@
+"""Pictures of the tank floor as the vehicle's camera would take them.
+
+The geometry is exact: every pixel looks along its own ray (the inverse of the lens distortion, computed once), the rays
+are cut with the floor on a grid of every eighth pixel and interpolated in between (error below 0.02 px), and the picture
+of the floor is sampled once. Then come, in the order of the light's way: caustics and vignetting, blur of optics and
+motion, turbidity (contrast exp(-c d), red fades fastest; Jaffe-McGlamery without forward scattering), the laser dot and
+noise. Obstacles are not drawn. A picture is a function of truth, frame number and seed alone.
+"""
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.core.camera import R_FRD_FROM_CAM, CameraModel
+from autopilot.core.frames import FloatArray, r_ned_from_frd
+from sitl.floor import Floor, Image
+from sitl.plant import Truth
+from sitl.scenario import CameraLook
+
+STEP_PX = 8
+"""Distance of the rays that are really cut with the floor."""
+WALL_LEVEL = 60
+"""Grey level of what is beyond the floor."""
+VEIL_BGR = (92.0, 84.0, 52.0)
+"""Colour of light scattered by the water, grey levels at full exposure."""
+FADE_BGR = (1.0, 1.0, 2.2)
+"""Attenuation of the channels relative to the scenario's turbidity."""
+TINT_BGR = (0.94, 1.0, 0.92)
+"""Colour of the boards in the tank's light."""
+MASK_UNIT = 160
+"""Value of the 8-bit brightness mask that stands for 1.0 (leaves room for bright caustics)."""
+NOISE_PAD = 64
+"""Pixels by which the stored noise is larger than a picture; each picture takes another cut-out."""
+MIN_BLUR_PX2 = 0.01
+"""Variance of a blur that is not worth applying."""
+LASER_SPOT_M = 0.0012
+"""Standard deviation of the beam."""
+LASER_GLOW_PX = 1.2
+"""Standard deviation of the dot's image for a point."""
+LASER_BGR = (70.0, 235.0, 60.0)
+"""Grey levels that the dot adds at its centre, at brightness 1 in clear water."""
+CAUSTIC_WAVES_1_M = ((31.0, 9.0), (-14.0, 29.0), (22.0, -27.0), (-37.0, -8.0))
+"""Wave numbers north and east of the light pattern."""
+CAUSTIC_RATES_1_S = (1.9, 2.6, 2.2, 3.1)
+MEAN_EXP_SIN = 1.2661
+"""Mean of exp(sin(x)), the Bessel function I0(1): the pattern moves light about and adds none."""
+HORIZON = 0.05
+"""Rays that go down by less than this per unit of length see the wall."""
+
+
+class SimCamera:
+    """Renders for one camera, one floor and one look."""
+
+    def __init__(self, camera: CameraModel, floor: Floor, look: CameraLook, seed: int, laser: bool = True) -> None:
+        """``camera`` is the true one; ``seed`` chooses the noise. Sets OpenCV to one thread (others only spin)."""
+        cv2.setNumThreads(1)
+        self._camera = camera
+        self._floor = floor
+        self._look = look
+        self._seed = seed
+        self._laser = laser and look.laser_brightness > 0.0
+        columns = np.arange(-1, camera.width_px // STEP_PX + 1) * STEP_PX + (STEP_PX - 1) / 2
+        rows = np.arange(-1, camera.height_px // STEP_PX + 1) * STEP_PX + (STEP_PX - 1) / 2
+        grid_px = np.stack(np.meshgrid(columns, rows), axis=-1)
+        self._rays_cam = np.ones((*grid_px.shape[:2], 3))
+        self._rays_cam[..., :2] = camera.normalized(grid_px)
+        corner_px = math.hypot(camera.width_px, camera.height_px) / 2
+        off_centre = (grid_px - [camera.width_px / 2, camera.height_px / 2]) / corner_px
+        self._vignette = 1.0 - look.vignetting * (off_centre**2).sum(axis=-1)
+        rng = np.random.default_rng((seed, 0))
+        shape = (camera.height_px + NOISE_PAD, camera.width_px + NOISE_PAD, 3)
+        noise = rng.normal(128.0, look.noise_levels, shape).astype(np.float32)
+        self._noise = np.clip(np.rint(noise), 0, 255).astype(np.uint8)
+        self._caustic_phases = rng.uniform(0.0, 2.0 * math.pi, len(CAUSTIC_WAVES_1_M))
+
+    @property
+    def camera(self) -> CameraModel:
+        """The true camera."""
+        return self._camera
+
+    def render(self, truth: Truth, index: int) -> Image:
+        """The picture number ``index``, BGR (rows, columns, 3), exposed around ``truth.t_us``."""
+        r = r_ned_from_frd(truth.rpy_rad)
+        eye_ned_m = truth.pos_ned_m + r @ self._camera.position_frd_m
+        height_m = max(0.01, self._floor.depth_m - float(eye_ned_m[2]))
+        north_m, east_m = self._floor_points(eye_ned_m, r, height_m)
+        grey = self._sampled(north_m, east_m, height_m)
+        mask = self._brightness(north_m, east_m, truth.t_us * 1e-6)
+        grey = cv2.multiply(grey, self._enlarged(mask), scale=1.0 / MASK_UNIT)
+        grey = self._blurred(grey, truth, height_m)
+        picture = self._through_water(grey, height_m)
+        if self._laser:
+            self._add_laser(picture, eye_ned_m, r)
+        return self._noisy(picture, index)
+
+    def _floor_points(self, eye_ned_m: FloatArray, r: FloatArray, height_m: float) -> tuple[FloatArray, FloatArray]:
+        """North and east of the floor points that the grid's rays meet."""
+        rays_ned = self._rays_cam @ (r @ R_FRD_FROM_CAM).T
+        reach = height_m / np.maximum(rays_ned[..., 2], HORIZON)
+        return eye_ned_m[0] + rays_ned[..., 0] * reach, eye_ned_m[1] + rays_ned[..., 1] * reach
+
+    def _sampled(self, north_m: FloatArray, east_m: FloatArray, height_m: float) -> Image:
+        """The floor's picture on every pixel, looked up in a small copy of what is in view (for the cache)."""
+        level = self._floor.level_for(max(self._camera.focal_px) / height_m)
+        picture = self._floor.levels[level]
+        where = self._floor.pixel_map(north_m, east_m, level)
+        left, right = _span(where[..., 0], picture.shape[1])
+        top, bottom = _span(where[..., 1], picture.shape[0])
+        view = picture[top:bottom, left:right].copy()
+        where -= np.array([left, top], dtype=np.float32)
+        sampled: Image = cv2.remap(
+            view,
+            self._enlarged(where),
+            None,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(WALL_LEVEL,),
+        )
+        return sampled
+
+    def _enlarged(self, grid: Any) -> Any:
+        """A value per pixel from a value per grid ray (its nodes lie at the centres of STEP_PX x STEP_PX blocks)."""
+        height, width = grid.shape[0] * STEP_PX, grid.shape[1] * STEP_PX
+        full = cv2.resize(grid, (width, height), interpolation=cv2.INTER_LINEAR)
+        return full[STEP_PX : STEP_PX + self._camera.height_px, STEP_PX : STEP_PX + self._camera.width_px]
+
+    def _brightness(self, north_m: FloatArray, east_m: FloatArray, t_s: float) -> Image:
+        """Light on the grid's rays: lamp, vignetting and caustics, in units of 1 / MASK_UNIT."""
+        mask = self._look.light * self._vignette
+        if self._look.caustics > 0.0:
+            north, east = north_m.astype(np.float32), east_m.astype(np.float32)
+            waves = np.zeros_like(north)
+            for (kn, ke), rate, phase in zip(CAUSTIC_WAVES_1_M, CAUSTIC_RATES_1_S, self._caustic_phases, strict=True):
+                shift = np.float32(math.fmod(rate * t_s + float(phase), 2.0 * math.pi))
+                waves += np.sin(np.float32(kn) * north + np.float32(ke) * east + shift)
+            crest = np.exp(waves) - np.float32(MEAN_EXP_SIN ** len(CAUSTIC_WAVES_1_M))
+            mask = mask * (1.0 + self._look.caustics * np.clip(crest / 3.0, -1.0, 3.0))
+        result: Image = np.clip(np.rint(MASK_UNIT * mask), 0, 255).astype(np.uint8)
+        return result
+
+    def _blurred(self, grey: Image, truth: Truth, height_m: float) -> Image:
+        """Optical blur, and motion during the exposure by its variance along its direction."""
+        vx, vy, _ = R_FRD_FROM_CAM.T @ truth.vel_frd_m_s
+        wx, wy, _ = R_FRD_FROM_CAM.T @ truth.rate_frd_rad_s
+        scale = self._camera.focal_px[0] * self._look.exposure_s
+        mx, my = scale * (vx / height_m + wy), scale * (vy / height_m - wx)
+        xx, yy, xy = self._look.blur_px**2 + mx * mx / 12.0, self._look.blur_px**2 + my * my / 12.0, mx * my / 12.0
+        if max(xx, yy) < MIN_BLUR_PX2:
+            return grey
+        blurred: Image = cv2.filter2D(grey, -1, _blur_kernel(xx, yy, xy))
+        return blurred
+
+    def _through_water(self, grey: Image, height_m: float) -> Image:
+        """Colour: contrast lost to the veil over the distance to the floor."""
+        channels = []
+        for veil, fade, tint in zip(VEIL_BGR, FADE_BGR, TINT_BGR, strict=True):
+            kept = math.exp(-fade * self._look.turbidity_1_m * height_m)
+            scattered = veil * min(1.0, self._look.light) * (1.0 - kept)
+            channels.append(cv2.convertScaleAbs(grey, alpha=tint * kept, beta=scattered))
+        picture: Image = cv2.merge(channels)
+        return picture
+
+    def _add_laser(self, picture: Image, eye_ned_m: FloatArray, r: FloatArray) -> None:
+        """The dot where the beam meets the floor, in place."""
+        origin_ned_m = eye_ned_m + r @ R_FRD_FROM_CAM @ self._camera.laser_offset_cam_m
+        down = float(r[2, 2])
+        if down < HORIZON:
+            return
+        range_m = (self._floor.depth_m - float(origin_ned_m[2])) / down
+        if range_m <= 0.0:
+            return
+        x, y = self._camera.laser_pixel(range_m)
+        sigma = math.hypot(LASER_GLOW_PX, self._camera.focal_px[0] * LASER_SPOT_M / range_m)
+        radius = math.ceil(3.5 * sigma)
+        left, right = max(0, round(x) - radius), min(self._camera.width_px, round(x) + radius + 1)
+        top, bottom = max(0, round(y) - radius), min(self._camera.height_px, round(y) + radius + 1)
+        if left >= right or top >= bottom:
+            return
+        strength = self._look.laser_brightness * math.exp(-2.0 * self._look.turbidity_1_m * range_m)
+        across = np.exp(-0.5 * ((np.arange(left, right) - x) / sigma) ** 2)
+        along = np.exp(-0.5 * ((np.arange(top, bottom) - y) / sigma) ** 2)
+        glow = strength * along[:, None, None] * across[None, :, None] * np.array(LASER_BGR)
+        patch = picture[top:bottom, left:right]
+        patch[:] = np.clip(patch + np.rint(glow), 0, 255).astype(np.uint8)
+
+    def _noisy(self, picture: Image, index: int) -> Image:
+        """Sensor noise: another cut-out of the stored noise for every frame number."""
+        if self._look.noise_levels == 0.0:
+            return picture
+        down, right = np.random.default_rng((self._seed, 1, index)).integers(0, NOISE_PAD, 2)
+        noise = self._noise[down : down + self._camera.height_px, right : right + self._camera.width_px]
+        noisy: Image = cv2.addWeighted(picture, 1.0, noise, 1.0, -128.0)
+        return noisy
+
+
+def _span(where_px: NDArray[np.float32], limit: int) -> tuple[int, int]:
+    """First and one past the last pixel that is needed along one axis of a picture with ``limit`` pixels."""
+    first = min(max(0, math.floor(float(where_px.min())) - 2), limit - 1)
+    last = min(max(first + 1, math.ceil(float(where_px.max())) + 3), limit)
+    return first, last
+
+
+def _blur_kernel(xx: float, yy: float, xy: float) -> NDArray[np.float32]:
+    """Kernel with these second moments [px^2]: 3 x 3 while that is possible, else a Gaussian."""
+    if max(xx, yy) < 0.95:
+        across, along = np.array([xx / 2, 1.0 - xx, xx / 2]), np.array([yy / 2, 1.0 - yy, yy / 2])
+        skew = np.array([[1.0, 0.0, -1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 1.0]])
+        small: NDArray[np.float32] = (np.outer(along, across) + xy / 4.0 * skew).astype(np.float32)
+        return small
+    xx, yy = xx + 0.05, yy + 0.05  # never singular
+    radius = min(8, math.ceil(2.2 * math.sqrt(max(xx, yy))))
+    x, y = np.meshgrid(np.arange(-radius, radius + 1), np.arange(-radius, radius + 1))
+    weight = np.exp(-0.5 * (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy))
+    large: NDArray[np.float32] = (weight / weight.sum()).astype(np.float32)
+    return large

@@ -1,0 +1,146 @@
+"""The tank floor as a picture: white boards with ArUco markers under a veil of sand, at several resolutions.
+
+Grey, seen from above: columns run to the east, rows to the south, so that it is not mirrored.
+"""
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.core.camera import CameraModel
+from autopilot.core.frames import FloatArray
+from autopilot.core.markers import MarkerMap, grid_floor
+from sitl.scenario import Scenario
+
+Image: TypeAlias = NDArray[np.uint8]
+
+PX_PER_M = 1000.0
+"""Resolution of the finest level; the camera of the LBV150 shows 900 px per metre from 1.1 m above the floor."""
+LEVELS = 4
+"""Each has half the resolution of the one before, for views from far away."""
+WHITE, BLACK = 200, 34
+"""Grey levels of the boards' print under even light."""
+MARKER_CELLS = 6
+"""A 4x4 marker with its border of one cell."""
+SAND_OCTAVES = ((256, 7.0), (48, 5.0), (10, 4.0), (3, 3.0))
+"""Grain size [px] and standard deviation [grey levels] of the sand."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Floor:
+    """A flat, level floor with its picture."""
+
+    depth_m: float
+    markers: MarkerMap
+    north_m: float
+    """North edge of the picture."""
+    east_m: float
+    """West edge of the picture (its least east)."""
+    levels: tuple[Image, ...]
+    """Pictures, the finest (:data:`PX_PER_M`) first."""
+
+    def level_for(self, px_per_m: float) -> int:
+        """The level that shows ``px_per_m`` without leaving out pixels (at most by a factor of 1.5)."""
+        level = 0
+        while level + 1 < len(self.levels) and PX_PER_M / 2**level > 1.5 * px_per_m:
+            level += 1
+        return level
+
+    def pixel_map(self, north_m: FloatArray, east_m: FloatArray, level: int) -> NDArray[np.float32]:
+        """Where floor points (rows, columns) lie in the picture of a level: (rows, columns, 2) column, row."""
+        scale = PX_PER_M / 2**level
+        result = np.empty((*north_m.shape, 2), dtype=np.float32)
+        result[..., 0] = (east_m - self.east_m) * scale - 0.5
+        result[..., 1] = (self.north_m - north_m) * scale - 0.5
+        return result
+
+
+def build_markers(scenario: Scenario) -> MarkerMap | None:
+    """The marker map of a scenario's floor; None in open water."""
+    if scenario.tank is None:
+        return None
+    layout = scenario.markers
+    return grid_floor(
+        polygon_m=np.array(scenario.tank.polygon_m),
+        depth_m=scenario.tank.depth_m,
+        pitch_m=layout.pitch_m,
+        size_m=layout.size_m,
+        seed=layout.seed,
+        dictionary=layout.dictionary,
+    )
+
+
+def build_floor(scenario: Scenario) -> Floor | None:
+    """The floor of a scenario's tank; None in open water."""
+    markers = build_markers(scenario)
+    if markers is None or scenario.tank is None:
+        return None
+    polygon = np.array(scenario.tank.polygon_m)
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    columns, rows = (int(np.ceil(extent * PX_PER_M)) for extent in (high[1] - low[1], high[0] - low[0]))
+    ink = np.zeros((rows, columns), dtype=np.uint8)
+    _print_markers(ink, markers, float(high[0]), float(low[1]))
+    shades = np.linspace(WHITE, BLACK, 256).round().astype(np.uint8)
+    picture = cv2.LUT(ink, shades)
+    _scatter_sand(picture, np.random.default_rng((scenario.markers.seed, 1)))
+    levels = [picture]
+    for _ in range(1, LEVELS):
+        size = (max(1, levels[-1].shape[1] // 2), max(1, levels[-1].shape[0] // 2))
+        levels.append(cv2.resize(levels[-1], size, interpolation=cv2.INTER_AREA))
+    return Floor(
+        depth_m=scenario.tank.depth_m,
+        markers=markers,
+        north_m=float(high[0]),
+        east_m=float(low[1]),
+        levels=tuple(levels),
+    )
+
+
+def camera_of(model: CameraModel, focal_factor: float) -> CameraModel:
+    """The true camera: the calibrated one with its focal length off by a factor."""
+    fx, fy = model.focal_px
+    return CameraModel(
+        width_px=model.width_px,
+        height_px=model.height_px,
+        focal_px=(fx * focal_factor, fy * focal_factor),
+        center_px=model.center_px,
+        distortion=model.distortion,
+        position_frd_m=model.position_frd_m,
+        laser_offset_cam_m=model.laser_offset_cam_m,
+    )
+
+
+def _print_markers(ink: Image, markers: MarkerMap, north_m: float, east_m: float) -> None:
+    """Print the markers (tops to the north), every pixel inked by the share of it that is black."""
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, markers.dictionary))
+    cell_px = markers.size_m * PX_PER_M / MARKER_CELLS
+    for marker_id, corner in zip(markers.ids, markers.corners_ned_m[:, 0], strict=True):
+        cells = cv2.aruco.generateImageMarker(dictionary, int(marker_id), MARKER_CELLS)
+        left, across = _coverage((corner[1] - east_m) * PX_PER_M, cell_px, ink.shape[1])
+        top, down = _coverage((north_m - corner[0]) * PX_PER_M, cell_px, ink.shape[0])
+        black = down @ (cells == 0).astype(float) @ across.T
+        ink[top : top + len(down), left : left + len(across)] = np.rint(255.0 * black).astype(np.uint8)
+
+
+def _coverage(start_px: float, cell_px: float, limit: int) -> tuple[int, FloatArray]:
+    """First pixel, and share (pixels, cells) of each pixel that each of a marker's cells covers along one axis."""
+    start_px = round(start_px, 6)
+    first = max(0, int(np.floor(start_px)))
+    last = min(limit, int(np.ceil(round(start_px + MARKER_CELLS * cell_px, 6))))
+    pixels = np.arange(first, last)[:, None]
+    edges = start_px + cell_px * np.arange(MARKER_CELLS + 1)
+    share = np.minimum(pixels + 1, edges[1:]) - np.maximum(pixels, edges[:-1])
+    return first, np.clip(share, 0.0, 1.0)
+
+
+def _scatter_sand(picture: Image, rng: np.random.Generator) -> None:
+    """Vary the brightness at several grain sizes, in place."""
+    rows, columns = picture.shape
+    for grain_px, sigma in SAND_OCTAVES:
+        small = rng.normal(128.0, sigma, (rows // grain_px + 2, columns // grain_px + 2))
+        grains = np.clip(np.rint(small), 0, 255).astype(np.uint8)
+        sand = cv2.resize(grains, (columns, rows), interpolation=cv2.INTER_CUBIC)
+        cv2.addWeighted(picture, 1.0, sand, 1.0, -128.0, dst=picture)
