@@ -54,11 +54,11 @@ def _body(body: Body, factors: Mapping[str, float]) -> Body:
     def factor(key: str) -> float:
         return factors.get(key, 1.0)
 
-    buoyancy_n = (body.weight_n + body.buoyancy_excess_n) * factor("buoyancy")
+    further_buoyancy_n = (body.weight_n + body.buoyancy_excess_n) * (factor("buoyancy") - 1.0)
     return msgspec.structs.replace(
         body,
         mass_kg=body.mass_kg * factor("mass"),
-        buoyancy_excess_n=buoyancy_n - body.weight_n,
+        buoyancy_excess_n=body.buoyancy_excess_n + further_buoyancy_n,
         inertia_kg_m2=_times(factor("inertia"), body.inertia_kg_m2),
         center_of_buoyancy_frd_m=_times(factor("righting"), body.center_of_buoyancy_frd_m),
         added_mass_kg=_times(factor("added_mass"), body.added_mass_kg),

@@ -1,0 +1,185 @@
+"""Scenario files: the shipped ones are good, wrong ones are refused with the name of the key."""
+
+from pathlib import Path
+
+import pytest
+from plant_helpers import VEHICLE
+
+from autopilot.core.errors import ConfigError
+from autopilot.core.vehicle import load_vehicle
+from sitl.mismatch import MISMATCH_KEYS, mismatched
+from sitl.plant import build_plant
+from sitl.scenario import load_scenario, plan_path, scenario_names, scenario_path
+
+GOOD = """
+[scenario]
+name = "test"
+description = "A tank"
+plan = "test.plan"
+
+[tank]
+polygon_m = [[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]]
+depth_m = 1.5
+
+[[obstacle]]
+kind = "cylinder"
+center_m = [1.0, 0.0]
+radius_m = 0.2
+
+[current]
+kind = "jet"
+speed_m_s = 0.2
+
+[vehicle]
+start_m = [-1.0, 0.0, 0.5]
+mismatch = { mass = 1.2, drag = 0.8 }
+
+[sensors.ahrs]
+rate_hz = 50.0
+
+[[fault]]
+kind = "thruster_loss"
+at_s = 10.0
+thruster = "port"
+loss = 0.5
+"""
+
+
+def load(folder: Path, text: str) -> None:
+    path = folder / "test.toml"
+    path.write_text(text, encoding="utf-8")
+    load_scenario(str(path))
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_shipped_scenarios_load_and_the_vehicle_starts_free(name: str) -> None:
+    scenario = load_scenario(name)
+    assert scenario.scenario.name == name
+    plant = build_plant(scenario, load_vehicle(scenario.vehicle.model))
+    plant.advance(1_000_000, (0,) * 8)
+    assert plant.truth.contact_count == 0
+    assert tuple(plant.truth.pos_ned_m) == scenario.vehicle.start_m
+
+
+def test_the_shipped_set() -> None:
+    expected = {"paper-tank", "paper-tank-still", "open-water", "vortex", "harbour", "narrow-gap", "b1"}
+    assert expected <= set(scenario_names())
+
+
+def test_the_paper_tank_is_the_papers() -> None:
+    scenario = load_scenario("paper-tank")
+    assert scenario.tank is not None
+    assert scenario.tank.depth_m == 1.5
+    assert [(o.center_m, o.radius_m) for o in scenario.obstacle] == [((-0.625, -0.625), 0.16), ((0.9375, 0.0), 0.16)]
+    assert scenario.current.speed_m_s == 0.25
+    assert (scenario.origin.lat_deg, scenario.origin.lon_deg) == (37.9755, 23.779)
+    assert scenario.accept.cylinder_clearance_m == 0.46
+
+
+def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "test.toml"
+    path.write_text(GOOD, encoding="utf-8")
+    scenario = load_scenario(str(path))
+    assert scenario.sensors.ahrs.rate_hz == 50.0
+    assert scenario.sensors.camera.rate_hz is None
+    assert scenario.controller.currents == "estimate"
+    assert scenario.fault[0].at_s == 10.0
+    with pytest.raises(ConfigError, match=r"test\.plan: plan file of scenario 'test' not found"):
+        plan_path(str(path), scenario)
+    (tmp_path / "test.plan").write_text("{}", encoding="utf-8")
+    assert plan_path(str(path), scenario) == tmp_path / "test.plan"
+    assert plan_path("vortex", load_scenario("vortex")) is None
+    assert scenario_path("vortex").is_file()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("depth_m = 1.5", "depth_cm = 150", r"`depth_cm` - at `\$\.tank`"),
+        ("depth_m = 1.5", "", r"missing required field `depth_m` - at `\$\.tank`"),
+        ("depth_m = 1.5", 'depth_m = "deep"', r"Expected `float`, got `str` - at `\$\.tank\.depth_m`"),
+        ("depth_m = 1.5", 'depth_m = "1.5"', r"`\$\.tank\.depth_m`"),
+        ("depth_m = 1.5", "depth_m = nan", r"`\$\.tank\.depth_m` = nan is not a finite number"),
+        ("depth_m = 1.5", "depth_m = inf", r"`\$\.tank\.depth_m` = inf is not a finite number"),
+        ("depth_m = 1.5", "depth_m = -1.5", r"> 0\.0 - at `\$\.tank\.depth_m`"),
+        ("radius_m = 0.2", "radius_m = -0.2", r"> 0\.0 - at `\$\.obstacle\[0\]\.radius_m`"),
+        ("radius_m = 0.2", "radius_m = 0.2\ncolor = 1", r"`color` - at `\$\.obstacle\[0\]`"),
+        ('kind = "cylinder"', 'kind = "cube"', r"'cube' - at `\$\.obstacle\[0\]\.kind`"),
+        ('kind = "cylinder"', 'kind = "moving"', r"`\$\.obstacle\[0\]\.kind` = \"moving\": .* not available"),
+        ('kind = "jet"', 'kind = "grid"', r"`\$\.current\.kind` = \"grid\": gridded currents are not available"),
+        ('kind = "thruster_loss"', 'kind = "leak"', r"`\$\.fault\[0\]\.kind` = \"leak\": .* not available"),
+        ("start_m = [-1.0, 0.0, 0.5]", "start_m = [-1.0, 0.0]", r"`\$\.vehicle\.start_m`"),
+        ("mass = 1.2", "mass = -1.2", r">= 0\.0 - at `\$\.vehicle\.mismatch"),
+        ("mass = 1.2", "mass = 0.0", r"`\$\.vehicle\.mismatch`: mass = 0\.0 is not a usable factor"),
+        ("mass = 1.2", "weight = 1.2", r"`\$\.vehicle\.mismatch`: 'weight' is not a mismatch factor; use one of mass"),
+        (
+            'thruster = "port"',
+            'thruster = "bow"',
+            r"`\$\.fault\[0\]\.thruster` = 'bow' does not exist; use one of p",
+        ),
+        ("loss = 0.5", "loss = 1.5", r"`\$\.fault\[0\]\.loss`"),
+        ("rate_hz = 50.0", "rate_hz = 0.0", r"`\$\.sensors\.ahrs\.rate_hz`"),
+        ("[sensors.ahrs]", "[sensors.sonar]", r"`sonar` - at `\$\.sensors`"),
+        ("[2.5, 1.5], [-2.5, 1.5]]", "[-2.5, 1.5], [2.5, 1.5]]", r"cross - at `\$\.tank`"),
+        ("[2.5, 1.5], [-2.5, 1.5]]", "[2.5, 1.5], [2.5, 1.5]]", r"repeats the corner \[2\.5, 1\.5\] - at `\$\.tank`"),
+        ("[scenario]", "[scenarios]", r"scenario"),
+        ("[vehicle]", '[vehicle]\nmodel = "lbv999"', r"vehicle 'lbv999' is not known; use one of lbv150"),
+        ("[tank]", "[tank", r"is not valid TOML"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_the_name_of_the_key(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in GOOD
+    with pytest.raises(ConfigError, match=message) as error:
+        load(tmp_path, GOOD.replace(old, new))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("[markers]\nsize_m = 0.1", r"`size_m` = 0\.1 must be smaller than `pitch_m`"),
+        ("[accept]\ndepth_max_m = -1.0", r"must be greater than `depth_min_m`"),
+        ("[sensors.camera.outages]\nmax_s = 0.01", r"below `min_s` = 0\.1 - at `\$\.sensors\.camera\.outages`"),
+        ('[controller]\ncurrents = "guess"', r"`\$\.controller\.currents`"),
+        ("[origin]\nlat_deg = 91.0", r"`\$\.origin\.lat_deg`"),
+    ],
+)
+def test_values_that_do_not_fit_each_other_are_refused(tmp_path: Path, table: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load(tmp_path, f"{GOOD}\n{table}\n")
+
+
+def test_a_camera_without_a_floor_is_refused(tmp_path: Path) -> None:
+    text = GOOD.replace("[tank]", "").replace("depth_m = 1.5", "")
+    text = "\n".join(line for line in text.splitlines() if not line.startswith("polygon_m"))
+    with pytest.raises(ConfigError, match=r"`\$\.sensors\.position` = \"camera\" needs a floor"):
+        load(tmp_path, text)
+
+
+def test_a_start_outside_the_tank_or_in_an_obstacle_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "test.toml"
+    for start, message in (("[3.0, 0.0, 0.5]", "outside the tank"), ("[1.1, 0.0, 0.5]", "inside obstacle 1")):
+        path.write_text(GOOD.replace("[-1.0, 0.0, 0.5]", start), encoding="utf-8")
+        with pytest.raises(ConfigError, match=message):
+            build_plant(load_scenario(str(path)), VEHICLE)
+
+
+def test_unknown_names_and_missing_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"scenario 'atlantis' is not known; use one of b1, harbour"):
+        load_scenario("atlantis")
+    with pytest.raises(ConfigError, match=r"none\.toml: cannot be read"):
+        load_scenario(str(tmp_path / "none.toml"))
+
+
+@pytest.mark.parametrize("key", MISMATCH_KEYS)
+def test_every_mismatch_factor_changes_the_vehicle_and_one_changes_nothing(key: str) -> None:
+    assert mismatched(VEHICLE, {key: 1.0}) == VEHICLE
+    assert mismatched(VEHICLE, {key: 1.1}) != VEHICLE
+
+
+def test_mismatch_of_the_buoyancy_is_a_factor_on_the_whole_force() -> None:
+    body = mismatched(VEHICLE, {"buoyancy": 1.01}).body
+    assert body.buoyancy_excess_n == pytest.approx(0.6 + 0.01 * 118.3)
+    assert mismatched(VEHICLE, {"mass": 1.2}).body.mass_kg == pytest.approx(14.4)
+    with pytest.raises(ConfigError, match="'colour' is not a mismatch factor"):
+        mismatched(VEHICLE, {"colour": 1.0})
