@@ -17,8 +17,8 @@ from autopilot.core.vehicle import Vec3, Vehicle
 from sitl.battery import Battery
 from sitl.contact import NEAR_M, ContactLog, ContactRecord, Surroundings
 from sitl.mismatch import mismatched
-from sitl.rigid_body import Flow, State, Wrench, make_derivative, rk4_step
-from sitl.scenario import Scenario
+from sitl.rigid_body import Flow, ForceNed, State, Wrench, make_derivative, rk4_step
+from sitl.scenario_tables import Scenario, ThrusterLoss
 from sitl.tether import tether_force_ned_n
 from sitl.thrusters import Thrusters
 from sitl.world import World, build_world
@@ -86,12 +86,14 @@ class Plant:
         start_rate_frd_rad_s: Sequence[float] = ZERO,
         mismatch: Mapping[str, float] | None = None,
         held: bool = False,
+        losses: Sequence[ThrusterLoss] = (),
         froude_krylov: bool = True,
     ) -> None:
         """Place the vehicle at a position (3,) NED, attitude (3,), velocity over ground and rate (3,) FRD.
 
         ``mismatch`` holds factors (:data:`sitl.mismatch.MISMATCH_KEYS`). ``held``: a hand holds the hull where it is
-        until a thruster is commanded for the first time. ConfigError: unknown factor, or the start touches something.
+        until a thruster is commanded for the first time. ``losses`` happen at their times. ConfigError: unknown factor
+        or thruster, or the start touches something.
         """
         self._vehicle = mismatched(vehicle, mismatch or {})
         self._world = world
@@ -123,6 +125,9 @@ class Plant:
             )
         self._contacts = ContactLog()
         self._thrusters = Thrusters(self._vehicle.drive, len(self._vehicle.thruster))
+        self._losses = sorted(losses, key=lambda loss: loss.at_s)
+        for loss in self._losses:
+            self._thruster_index(loss.thruster)
         self._columns = [_wrench_column(t.position_frd_m, t.direction_frd) for t in self._vehicle.thruster]
         self._external: Wrench = (0.0,) * 9
         self._battery = Battery(self._vehicle.battery)
@@ -177,10 +182,7 @@ class Plant:
 
     def set_thruster_loss(self, name: str, loss: float) -> None:
         """From now on the thruster of that name gives ``1 - loss`` of its thrust. ConfigError if there is none."""
-        names = [thruster.name for thruster in self._vehicle.thruster]
-        if name not in names:
-            raise ConfigError(f"thruster {name!r} does not exist; use one of {', '.join(names)}")
-        self._thrusters.set_loss(names.index(name), loss)
+        self._thrusters.set_loss(self._thruster_index(name), loss)
 
     def set_external_wrench(
         self, *, force_ned_n: Vec3 = ZERO, force_frd_n: Vec3 = ZERO, moment_frd_n_m: Vec3 = ZERO
@@ -190,22 +192,30 @@ class Plant:
 
     # Inside.
 
+    def _thruster_index(self, name: str) -> int:
+        names = [thruster.name for thruster in self._vehicle.thruster]
+        if name not in names:
+            raise ConfigError(f"thruster {name!r} does not exist; use one of {', '.join(names)}")
+        return names.index(name)
+
     def _power_w(self) -> float:
         return self._vehicle.hotel_power_w + self._thrusters.power_w
 
     def _step(self, dt_us: int, pwm_us: Sequence[int]) -> None:
         dt_s = dt_us * 1e-6
+        while self._losses and self._losses[0].at_s * 1e6 <= self._t_us:
+            happened = self._losses.pop(0)
+            self.set_thruster_loss(happened.thruster, happened.loss)
         supply_v = 0.0 if self._battery.empty else self._battery.voltage_v
         self._thrusters.step(pwm_us, supply_v, dt_s)
         self._battery.step(self._power_w(), dt_s)
         if self._held and self._thrusters.commanded(pwm_us):
             self._held = False
         if not self._held:
-            near = self._near()
-            force = self._tether_and_contact if near else self._tether
             wrench = self._wrench(self._thrusters.mean_n)
             t_s = self._t_us * 1e-6
-            self._state = rk4_step(self._derivative, self._state, t_s, dt_s, wrench, self._flow(), force)
+            near = self._near()
+            self._state = rk4_step(self._derivative, self._state, t_s, dt_s, wrench, self._flow(), self._force())
             if near:
                 self._contacts.update(self._t_us + dt_us, self._surroundings.touches(self._state[:3]))
         self._t_us += dt_us
@@ -226,6 +236,12 @@ class Plant:
             return None
         place, t_s = self._state[:3], self._t_us * 1e-6
         return field.gradient(place, t_s), field.rate(place, t_s)
+
+    def _force(self) -> ForceNed | None:
+        """What acts on the hull from outside here and now, None in open water without a tether."""
+        if self._near():
+            return self._tether_and_contact
+        return self._tether if self._world.tether_entry_ned_m is not None else None
 
     def _tether(self, pos_ned_m: Vec3, vel_ned_m_s: Vec3, vel_water_ned_m_s: Vec3) -> Vec3:
         """Force of the tether (3,) NED [N]."""
@@ -258,7 +274,7 @@ class Plant:
         if self._held:
             return -gx, -gy, -gz
         wrench = self._wrench(self._thrusters.thrust_n)
-        change = self._derivative(self._state, self._t_us * 1e-6, wrench, self._flow(), self._tether_and_contact)
+        change = self._derivative(self._state, self._t_us * 1e-6, wrench, self._flow(), self._force())
         u, v, w, p, q, r = self._state[7:13]
         return change[7] + q * w - r * v - gx, change[8] + r * u - p * w - gy, change[9] + p * v - q * u - gz
 
@@ -274,7 +290,7 @@ def _wrench_column(position_frd_m: Vec3, direction_frd: Vec3) -> tuple[float, fl
 
 
 def build_plant(scenario: Scenario, vehicle: Vehicle) -> Plant:
-    """The plant of a scenario. ConfigError if the start is outside the tank or touches something."""
+    """The plant of a scenario, with its thruster faults. ConfigError if the start is outside the tank or touches something."""
     start = scenario.vehicle
     return Plant(
         vehicle,
@@ -283,4 +299,5 @@ def build_plant(scenario: Scenario, vehicle: Vehicle) -> Plant:
         start_rpy_rad=(0.0, 0.0, start.start_yaw_rad),
         mismatch=start.mismatch,
         held=start.held,
+        losses=[fault for fault in scenario.fault if isinstance(fault, ThrusterLoss)],
     )
