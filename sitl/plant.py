@@ -290,7 +290,7 @@ def _wrench_column(position_frd_m: Vec3, direction_frd: Vec3) -> tuple[float, fl
 
 
 def build_plant(scenario: Scenario, vehicle: Vehicle) -> Plant:
-    """The plant of a scenario, with its thruster faults. ConfigError if the start is outside the tank or touches something."""
+    """The plant of a scenario, thruster faults included. ConfigError if the start is outside the tank or touches."""
     start = scenario.vehicle
     return Plant(
         vehicle,
