@@ -91,9 +91,10 @@ LATER_KINDS = {
 
 
 def scenario_names() -> list[str]:
-    """Names of the scenarios that ship with the simulator."""
+    """Names of the scenarios that ship with the simulator. (``NAME.mission.toml`` beside them are plans.)"""
     folder = resources.files("sitl") / "scenarios"
-    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    stems = [entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")]
+    return sorted(stem for stem in stems if "." not in stem)
 
 
 def scenario_path(name_or_path: str) -> Path:
