@@ -1,0 +1,153 @@
+"""Fence items -> shapes in local metres -> the workspace that planner and controller keep.
+
+Circle exclusion = vertical cylinder, polygon exclusion = prism, inclusions = workspace, depth band from parameters
+(MAV_CMD_NAV_FENCE_*, common.xml: a polygon is one item per vertex, each with the vertex count in param1).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Circle, Fence, Polygon, Shape
+from autopilot.core.plan import MissionResult, PlanItem, PlanRejection
+from mission.decode import ItemRefusedError, horizontal_ned_m, number, refuse
+from mission.geodesy import Origin
+from mission.items import Command
+from mission.shapes import clearance_m, crossing_edges, signed_area_m2
+
+LABEL = "fence item"
+MIN_VERTICES = 3
+MIN_AREA_M2 = 1e-3
+"""A smaller polygon is a drawing error: 1e-7 degrees already are 11 mm."""
+POLYGONS = frozenset({Command.FENCE_POLYGON_VERTEX_INCLUSION, Command.FENCE_POLYGON_VERTEX_EXCLUSION})
+CIRCLES = frozenset({Command.FENCE_CIRCLE_INCLUSION, Command.FENCE_CIRCLE_EXCLUSION})
+INCLUSIONS = frozenset({Command.FENCE_POLYGON_VERTEX_INCLUSION, Command.FENCE_CIRCLE_INCLUSION})
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FenceShape:
+    """One shape of the fence and where it stands in the plan."""
+
+    seq: int
+    """Its first item."""
+    inclusion: bool
+    shape: Shape
+
+    @property
+    def name(self) -> str:
+        """For the operator: what it is and which item it begins with."""
+        kind = "circle" if isinstance(self.shape, Circle) else "polygon"
+        return f"{'inclusion' if self.inclusion else 'exclusion'} {kind} (fence item {self.seq})"
+
+
+def check_fence_item(item: PlanItem, origin: Origin) -> PlanRejection | None:
+    """The cheap check of one fence item, alone."""
+    try:
+        if item.command == Command.FENCE_RETURN_POINT:
+            horizontal_ned_m(item, origin, LABEL)
+        elif item.command in CIRCLES:
+            _circle(item, origin)
+        elif item.command in POLYGONS:
+            _vertex_count(item)
+            horizontal_ned_m(item, origin, LABEL)
+        else:
+            text = f"command {item.command} is not supported in a fence; use 5001 to 5004 (polygons, circles) or 5000"
+            raise refuse(item, MissionResult.UNSUPPORTED, text, LABEL)
+    except ItemRefusedError as error:
+        return error.rejection
+    return None
+
+
+def _circle(item: PlanItem, origin: Origin) -> Circle:
+    radius = number(item, 1, "radius", LABEL)
+    if radius is None or radius <= 0.0:
+        shown = "not given" if radius is None else f"{radius:g} m"
+        raise refuse(item, MissionResult.INVALID_PARAM1, f"radius (param1) is {shown}; give more than 0 m", LABEL)
+    return Circle(center_ned_m=np.array(horizontal_ned_m(item, origin, LABEL)), radius_m=radius)
+
+
+def _vertex_count(item: PlanItem) -> int:
+    count = number(item, 1, "vertex count", LABEL)
+    if count is None or count != int(count) or count < MIN_VERTICES:
+        shown = "not given" if count is None else f"{count:g}"
+        text = f"vertex count (param1) is {shown}; a polygon has {MIN_VERTICES} or more"
+        raise refuse(item, MissionResult.INVALID_PARAM1, text, LABEL)
+    return int(count)
+
+
+def _polygon(group: Sequence[PlanItem], count: int, origin: Origin) -> Polygon:
+    """The polygon of one group of vertices, or a refusal: incomplete, self-intersecting, without area."""
+    first = group[0]
+    if len(group) < count:
+        text = f"polygon has {len(group)} of {count} vertices; send all of them one after the other, equal in param1"
+        raise refuse(first, MissionResult.INVALID_PARAM1, text, LABEL)
+    vertices = np.array([horizontal_ned_m(item, origin, LABEL) for item in group])
+    crossing = crossing_edges(vertices)
+    if crossing is not None:
+        a, b = (group[i].seq for i in crossing)
+        text = f"polygon intersects itself (edges after items {a} and {b}); put the vertices in order, without repeats"
+        raise refuse(first, MissionResult.INVALID, text, LABEL)
+    area = abs(signed_area_m2(vertices))
+    if area < MIN_AREA_M2:
+        raise refuse(first, MissionResult.INVALID, f"polygon has no area ({area:.1e} m2); move its vertices", LABEL)
+    return Polygon(vertices_ned_m=vertices)
+
+
+def read_fence(items: Sequence[PlanItem], origin: Origin) -> tuple[tuple[FenceShape, ...], tuple[PlanRejection, ...]]:
+    """All shapes that can be read, and all that is wrong with the others."""
+    shapes: list[FenceShape] = []
+    problems: list[PlanRejection] = []
+    index = 0
+    while index < len(items):
+        item = items[index]
+        index += 1
+        try:
+            rejection = check_fence_item(item, origin)
+            if rejection is not None:
+                problems.append(rejection)
+            elif item.command in CIRCLES:
+                shapes.append(
+                    FenceShape(seq=item.seq, inclusion=item.command in INCLUSIONS, shape=_circle(item, origin))
+                )
+            elif item.command in POLYGONS:
+                count = _vertex_count(item)
+                group = _take_group(items, index - 1, count)
+                index += len(group) - 1
+                polygon = _polygon(group, count, origin)
+                shapes.append(FenceShape(seq=item.seq, inclusion=item.command in INCLUSIONS, shape=polygon))
+        except ItemRefusedError as error:
+            problems.append(error.rejection)
+    return tuple(shapes), tuple(problems)
+
+
+def _take_group(items: Sequence[PlanItem], start: int, count: int) -> list[PlanItem]:
+    """Up to ``count`` items from ``start`` that are vertices of the same polygon."""
+    first = items[start]
+    group: list[PlanItem] = []
+    for item in items[start : start + count]:
+        if item.command != first.command or item.param1 != first.param1:
+            break
+        group.append(item)
+    return group
+
+
+def build_fence(shapes: Sequence[FenceShape], params: Mapping[str, float]) -> Fence:
+    """The workspace: shapes and the depth band of the parameters. No shapes = open water."""
+    return Fence(
+        inclusions=tuple(s.shape for s in shapes if s.inclusion),
+        exclusions=tuple(s.shape for s in shapes if not s.inclusion),
+        depth_min_m=params["DEPTH_MIN"],
+        depth_max_m=params["DEPTH_MAX"],
+    )
+
+
+def fence_clearance_m(fence: Fence, points_ned_m: FloatArray) -> FloatArray:
+    """(n,) distance of points (n, 2) to the nearest forbidden place: negative = in it, inf = open water."""
+    clearance = np.full(len(points_ned_m), np.inf)
+    for shape in fence.inclusions:
+        clearance = np.minimum(clearance, -clearance_m(shape, points_ned_m))
+    for shape in fence.exclusions:
+        clearance = np.minimum(clearance, clearance_m(shape, points_ned_m))
+    return clearance

@@ -1,0 +1,133 @@
+"""Mission items as typed steps: what a MISSION_ITEM_INT asks for, in local metres and radians.
+
+:func:`mission.decode.parse_step` makes them from items.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TypeAlias
+
+from autopilot.core.frames import FloatArray
+
+
+class Command(IntEnum):
+    """MAV_CMD numbers that plans may hold (common.xml)."""
+
+    NAV_WAYPOINT = 16
+    NAV_LOITER_UNLIM = 17
+    NAV_LOITER_TIME = 19
+    NAV_RETURN_TO_LAUNCH = 20
+    NAV_LAND = 21
+    NAV_DELAY = 93
+    CONDITION_DELAY = 112
+    CONDITION_YAW = 115
+    DO_JUMP = 177
+    DO_CHANGE_SPEED = 178
+    DO_SET_HOME = 179
+    FENCE_RETURN_POINT = 5000
+    FENCE_POLYGON_VERTEX_INCLUSION = 5001
+    FENCE_POLYGON_VERTEX_EXCLUSION = 5002
+    FENCE_CIRCLE_INCLUSION = 5003
+    FENCE_CIRCLE_EXCLUSION = 5004
+    RALLY_POINT = 5100
+
+
+class Frame(IntEnum):
+    """MAV_FRAME numbers that plans may use (common.xml)."""
+
+    GLOBAL = 0
+    LOCAL_NED = 1
+    MISSION = 2
+    GLOBAL_RELATIVE_ALT = 3
+    GLOBAL_INT = 5
+    GLOBAL_RELATIVE_ALT_INT = 6
+
+
+AMSL_FRAMES = frozenset({Frame.GLOBAL, Frame.GLOBAL_INT})
+RELATIVE_FRAMES = frozenset({Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT})
+GLOBAL_FRAMES = AMSL_FRAMES | RELATIVE_FRAMES
+TERRAIN_FRAMES = frozenset({10, 11})
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class GoTo:
+    """Go to a point and stay for a while (NAV_WAYPOINT, NAV_LOITER_TIME, NAV_LOITER_UNLIM)."""
+
+    seq: int
+    pos_ned_m: FloatArray | None
+    """(3,), None = where the vehicle is then."""
+    yaw_rad: float | None
+    """None = free heading."""
+    hold_s: float | None
+    """Time inside the acceptance region, None = for ever."""
+    accept_radius_m: float | None
+    """None = the parameter's default."""
+    autocontinue: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Surface:
+    """Go up and end the mission there (NAV_LAND)."""
+
+    seq: int
+    pos_ned_m: FloatArray | None
+    """(3,) where to go up (depth unused), None = where the vehicle is then."""
+    yaw_rad: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReturnHome:
+    """Go home and end the mission there (NAV_RETURN_TO_LAUNCH)."""
+
+    seq: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wait:
+    """Stay at the present goal for a time (NAV_DELAY, CONDITION_DELAY)."""
+
+    seq: int
+    duration_s: float
+    reported: bool
+    """Whether its end is a MISSION_ITEM_REACHED (NAV commands only)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jump:
+    """Go on at another item, a number of times (DO_JUMP)."""
+
+    seq: int
+    target_seq: int
+    count: int | None
+    """Times that the jump is taken, None = always."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChangeSpeed:
+    """Cruise speed from here on (DO_CHANGE_SPEED)."""
+
+    seq: int
+    speed_m_s: float | None
+    """None = back to the parameter's default."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetHeading:
+    """Heading of goals that leave it free, from here on (CONDITION_YAW)."""
+
+    seq: int
+    yaw_rad: float
+    relative: bool
+    """True = to be added to the vehicle's heading at that moment."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SetHome:
+    """New home (DO_SET_HOME)."""
+
+    seq: int
+    pos_ned_m: FloatArray | None
+    """(3,), None = where the vehicle is then."""
+
+
+Step: TypeAlias = GoTo | Surface | ReturnHome | Wait | Jump | ChangeSpeed | SetHeading | SetHome

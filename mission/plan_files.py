@@ -1,0 +1,48 @@
+"""Plan files of all formats, chosen by the name's ending: ``.plan``, ``.waypoints``, ``.toml``."""
+
+from pathlib import Path
+
+from autopilot.core.errors import PlanError
+from mission.local_plan import read_local_plan
+from mission.plan_model import PlanFile
+from mission.qgc_plan import read_qgc_plan, write_qgc_plan
+from mission.waypoints_file import read_waypoints
+
+MAX_FILE_BYTES = 8_000_000
+"""A full plan of 3 x 1000 items is about 1.5 MB of JSON."""
+_READERS = {
+    ".plan": read_qgc_plan,
+    ".json": read_qgc_plan,
+    ".waypoints": read_waypoints,
+    ".txt": read_waypoints,
+    ".toml": read_local_plan,
+}
+
+__all__ = ["PlanFile", "read_plan", "write_plan"]
+
+
+def read_plan(path: Path) -> PlanFile:
+    """The plan in a file. PlanError, one line with file, place and remedy, when it cannot be read."""
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise PlanError(f"{path}: unknown kind of plan file; use .plan (QGroundControl), .waypoints or .toml")
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise PlanError(f"{path}: is larger than {MAX_FILE_BYTES} bytes, which no plan is; give a plan file")
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise PlanError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except UnicodeDecodeError as error:
+        raise PlanError(f"{path}: is not UTF-8 text; export the plan again") from error
+    return reader(text, str(path))
+
+
+def write_plan(path: Path, plan: PlanFile) -> None:
+    """Write a ``.plan`` file that QGroundControl opens. PlanError when it cannot be written."""
+    if path.suffix.lower() != ".plan":
+        raise PlanError(f"{path}: plans are written as .plan only; give a name that ends so")
+    text = write_qgc_plan(plan)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise PlanError(f"{path}: cannot be written ({error.strerror}); check folder and rights") from error

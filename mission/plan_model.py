@@ -1,0 +1,78 @@
+"""A plan as a file holds it, whatever the format: mission, fence, rally points and home."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from autopilot.core.errors import PlanError
+from autopilot.core.plan import PlanItem, PlanKind
+from mission.geodesy import Origin, e7_from_deg, local_e4_from_m
+from mission.items import Frame
+
+FLOAT32_MAX = 3.4028234e38
+"""Parameters travel as 32-bit floats."""
+INT32_MAX = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanFile:
+    """All that a plan file says about where to go and where not."""
+
+    mission: tuple[PlanItem, ...] = ()
+    fence: tuple[PlanItem, ...] = ()
+    rally: tuple[PlanItem, ...] = ()
+    home: Origin | None = None
+    """Planned home position; of a tank plan also the local origin that it was drawn with."""
+
+    def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
+        """The items of one kind."""
+        return {PlanKind.MISSION: self.mission, PlanKind.FENCE: self.fence, PlanKind.RALLY: self.rally}[kind]
+
+
+def make_item(
+    where: str,
+    seq: int,
+    frame: int,
+    command: int,
+    params: Sequence[float],
+    autocontinue: bool = True,
+) -> PlanItem:
+    """An item from seven parameters in file units (degrees or metres). PlanError when they do not fit the wire.
+
+    ``where`` names file and item for the message. Latitude and longitude have to be numbers.
+    """
+    for index, value in enumerate(params[:7]):
+        if math.isfinite(value) and abs(value) > FLOAT32_MAX:
+            raise PlanError(f"{where}: param{index + 1} = {value:g} does not fit a 32-bit float; correct it")
+    x, y = (_coordinate(where, name, value, frame) for name, value in (("param5", params[4]), ("param6", params[5])))
+    p1, p2, p3, p4 = params[:4]
+    return PlanItem(
+        seq=seq,
+        frame=int(frame),
+        command=int(command),
+        param1=p1,
+        param2=p2,
+        param3=p3,
+        param4=p4,
+        x=x,
+        y=y,
+        z=params[6],
+        autocontinue=int(autocontinue),
+    )
+
+
+def _coordinate(where: str, name: str, value: float, frame: int) -> int:
+    """One horizontal coordinate in wire units."""
+    if frame == Frame.MISSION and not math.isfinite(value):
+        return 0
+    if not math.isfinite(value):
+        raise PlanError(f"{where}: {name} (a coordinate) is {value}; give a number")
+    if frame == Frame.LOCAL_NED:
+        scaled = local_e4_from_m(value)
+    elif frame == Frame.MISSION:
+        scaled = round(value)
+    else:
+        scaled = e7_from_deg(value)
+    if abs(scaled) > INT32_MAX:
+        raise PlanError(f"{where}: {name} (a coordinate) = {value:g} is out of range; give degrees or metres")
+    return scaled

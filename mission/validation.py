@@ -1,0 +1,269 @@
+"""Is a plan fit to be flown? Items alone, the plan as a whole, and plan and fence against each other.
+
+Every finding is a :class:`PlanRejection`: where, the MAV_MISSION_RESULT, and a line with what to do.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind, PlanRejection
+from mission.decode import ItemRefusedError, depth_m, horizontal_ned_m, parse_step, refuse
+from mission.fence import FenceShape, build_fence, check_fence_item, read_fence
+from mission.gaps import Gap, narrow_gaps
+from mission.geodesy import Origin
+from mission.items import ChangeSpeed, Command, GoTo, Jump, ReturnHome, SetHome, Step, Surface, Wait
+from mission.reach import free_regions
+from mission.shapes import clearance_m
+
+DEPTH_TOLERANCE_M = 1e-3
+"""Altitudes arrive as 32-bit floats."""
+PLACE_TOLERANCE_M = 0.012
+"""Rounding of a waypoint and of a fence point to 1e-7 degrees (11 mm) together."""
+RALLY_LABEL = "rally point"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanContext:
+    """What plans are judged by."""
+
+    origin: Origin
+    params: Mapping[str, float]
+    radius_m: float
+    """Ball round the vehicle's centre that covers it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conflict:
+    """A step of the mission that the fence forbids."""
+
+    step_seq: int
+    fence_seq: int
+    text: str
+    """From the step's point of view."""
+
+
+def check_item(kind: PlanKind, item: PlanItem, origin: Origin) -> PlanRejection | None:
+    """The cheap check of one item as it arrives: command, frame, ranges, finite numbers, under the surface."""
+    if item.seq >= MAX_ITEMS:
+        return _too_many(kind, item.seq + 1)
+    if kind is PlanKind.FENCE:
+        return check_fence_item(item, origin)
+    try:
+        if kind is PlanKind.MISSION:
+            parse_step(item, origin)
+        else:
+            _rally_position(item, origin)
+    except ItemRefusedError as error:
+        return error.rejection
+    return None
+
+
+def _rally_position(item: PlanItem, origin: Origin) -> tuple[float, float]:
+    if item.command != Command.RALLY_POINT:
+        text = f"command {item.command} is not supported among rally points; use 5100"
+        raise refuse(item, MissionResult.UNSUPPORTED, text, RALLY_LABEL)
+    position = horizontal_ned_m(item, origin, RALLY_LABEL)
+    depth_m(item, origin, RALLY_LABEL)
+    return position
+
+
+def _too_many(kind: PlanKind, count: int) -> PlanRejection:
+    text = f"{kind.name.lower()}: {count} items are too many, {MAX_ITEMS} fit; split or thin out the plan"
+    return PlanRejection(seq=MAX_ITEMS, result=MissionResult.NO_SPACE, reason=text)
+
+
+def sequence_problems(kind: PlanKind, items: Sequence[PlanItem]) -> Iterator[PlanRejection]:
+    """Too many items, or numbers that are not 0, 1, 2, ..."""
+    if len(items) > MAX_ITEMS:
+        yield _too_many(kind, len(items))
+    for index, item in enumerate(items):
+        if item.seq != index:
+            text = f"{kind.name.lower()}: item {item.seq} stands at place {index}; number the items from 0 without gaps"
+            yield PlanRejection(seq=item.seq, result=MissionResult.INVALID_SEQUENCE, reason=text)
+            return
+
+
+def mission_problems(items: Sequence[PlanItem], ctx: PlanContext) -> Iterator[PlanRejection]:
+    """What is wrong with a mission by itself."""
+    yield from sequence_problems(PlanKind.MISSION, items)
+    steps: list[Step] = []
+    broken = False
+    for item in items:
+        try:
+            steps.append(parse_step(item, ctx.origin))
+        except ItemRefusedError as error:
+            broken = True
+            yield error.rejection
+    for step in steps:
+        yield from _limit_problems(step, ctx.params)
+    if not broken:
+        yield from _jump_problems(steps)
+
+
+def _limit_problems(step: Step, params: Mapping[str, float]) -> Iterator[PlanRejection]:
+    """Depth band and speed limit of the parameters."""
+    if isinstance(step, GoTo) and step.pos_ned_m is not None:
+        depth, low, high = float(step.pos_ned_m[2]), params["DEPTH_MIN"], params["DEPTH_MAX"]
+        if not low - DEPTH_TOLERANCE_M <= depth <= high + DEPTH_TOLERANCE_M:
+            bound = f"DEPTH_MIN {low:g}" if depth < low else f"DEPTH_MAX {high:g}"
+            text = (
+                f"item {step.seq}: depth {depth:.2f} m (altitude {-depth:.2f}) is outside the depth band, {bound} m; "
+                f"use {low:g} to {high:g} m of depth or change the parameter"
+            )
+            yield PlanRejection(seq=step.seq, result=MissionResult.INVALID_PARAM7, reason=text)
+    if isinstance(step, ChangeSpeed) and step.speed_m_s is not None:
+        limit = params["SPD_PLANAR_MAX"]
+        if step.speed_m_s > limit + 1e-6:
+            text = f"item {step.seq}: speed {step.speed_m_s:g} m/s is above SPD_PLANAR_MAX {limit:g}; ask for less"
+            yield PlanRejection(seq=step.seq, result=MissionResult.INVALID_PARAM2, reason=text)
+
+
+def _jump_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
+    """Jumps out of the plan, and endless loops in which nothing takes time."""
+    for step in steps:
+        if isinstance(step, Jump) and step.target_seq >= len(steps):
+            text = f"item {step.seq}: jump target {step.target_seq} does not exist; use 0 to {len(steps) - 1}"
+            yield PlanRejection(seq=step.seq, result=MissionResult.INVALID_PARAM1, reason=text)
+            return
+    for step in steps:
+        if isinstance(step, Jump) and step.count is None and _spins(steps, step):
+            text = (
+                f"item {step.seq}: jumps to item {step.target_seq} for ever without a waypoint in between; "
+                "put a waypoint into the loop or limit the count (param2)"
+            )
+            yield PlanRejection(seq=step.seq, result=MissionResult.INVALID, reason=text)
+
+
+def _takes_time(step: Step) -> bool:
+    if isinstance(step, Wait):
+        return step.duration_s > 0.0
+    return isinstance(step, GoTo | Surface | ReturnHome)
+
+
+def _spins(steps: Sequence[Step], start: Jump) -> bool:
+    """Whether the walk from an endless jump comes back to it with nothing on the way that takes time."""
+    cursor = start.target_seq
+    for _ in range(len(steps)):
+        if cursor == start.seq:
+            return True
+        if cursor >= len(steps) or _takes_time(steps[cursor]):
+            return False
+        step = steps[cursor]
+        cursor = step.target_seq if isinstance(step, Jump) and step.count is None else cursor + 1
+    return False
+
+
+def fence_problems(items: Sequence[PlanItem], ctx: PlanContext) -> Iterator[PlanRejection]:
+    """What is wrong with a fence by itself."""
+    yield from sequence_problems(PlanKind.FENCE, items)
+    shapes, problems = read_fence(items, ctx.origin)
+    yield from problems
+    if ctx.params["FENCE_GAP_CHK"]:
+        yield from (_gap_rejection(gap, ctx.radius_m) for gap in narrow_gaps(shapes, 2.0 * ctx.radius_m))
+    fence = build_fence(shapes, ctx.params)
+    if fence.inclusions and free_regions(fence, np.zeros((0, 2)), ctx.radius_m - PLACE_TOLERANCE_M) is None:
+        first = next(s for s in shapes if s.inclusion)
+        text = (
+            f"fence item {first.seq}: the workspace has no room for the vehicle, which keeps {ctx.radius_m:g} m from "
+            "every boundary; make it larger or remove exclusions"
+        )
+        yield PlanRejection(seq=first.seq, result=MissionResult.INVALID, reason=text)
+
+
+def gap_text(gap: Gap, radius_m: float) -> str:
+    """One line about a narrow gap."""
+    north, east = gap.middle_ned_m
+    return (
+        f"fence item {gap.second.seq}: the gap of {gap.width_m:.2f} m at north {north:.2f}, east {east:.2f} m to "
+        f"{gap.first.name} is narrower than the vehicle ({2.0 * radius_m:.2f} m); widen or close it"
+    )
+
+
+def _gap_rejection(gap: Gap, radius_m: float) -> PlanRejection:
+    text = gap_text(gap, radius_m) + ", or set FENCE_GAP_CHK to 0"
+    return PlanRejection(seq=gap.second.seq, result=MissionResult.INVALID, reason=text)
+
+
+def rally_problems(
+    items: Sequence[PlanItem], shapes: Sequence[FenceShape], ctx: PlanContext
+) -> Iterator[PlanRejection]:
+    """What is wrong with rally points, by themselves and against the fence."""
+    yield from sequence_problems(PlanKind.RALLY, items)
+    for item in items:
+        try:
+            point = _rally_position(item, ctx.origin)
+        except ItemRefusedError as error:
+            yield error.rejection
+            continue
+        for conflict in _place_conflicts(f"rally point {item.seq}", item.seq, point, shapes, ctx.radius_m):
+            yield PlanRejection(seq=item.seq, result=MissionResult.INVALID_PARAM5_X, reason=conflict.text)
+
+
+def conflicts(steps: Sequence[Step], shapes: Sequence[FenceShape], ctx: PlanContext) -> Iterator[Conflict]:
+    """Steps whose place the fence forbids, and legs without a free path."""
+    placed: list[tuple[int, tuple[float, float]]] = []
+    forbidden = False
+    for step in steps:
+        if not isinstance(step, GoTo | Surface | SetHome) or step.pos_ned_m is None:
+            continue
+        place = (float(step.pos_ned_m[0]), float(step.pos_ned_m[1]))
+        name = "home" if isinstance(step, SetHome) else "waypoint"
+        for conflict in _place_conflicts(f"item {step.seq}: {name}", step.seq, place, shapes, ctx.radius_m):
+            forbidden = True
+            yield conflict
+        if not isinstance(step, SetHome):
+            placed.append((step.seq, place))
+    if not forbidden and placed and shapes:
+        yield from _path_conflicts(placed, shapes, ctx)
+
+
+def _place_conflicts(
+    name: str, seq: int, place: tuple[float, float], shapes: Sequence[FenceShape], radius_m: float
+) -> Iterator[Conflict]:
+    """A place in an inflated obstacle or outside the shrunk workspace."""
+    where = f"{name} at north {place[0]:.2f}, east {place[1]:.2f} m"
+    point = np.array([place])
+    for shape in shapes:
+        distance = float(clearance_m(shape.shape, point)[0])
+        room = -distance if shape.inclusion else distance
+        if room >= radius_m - PLACE_TOLERANCE_M:
+            continue
+        if shape.inclusion:
+            state = f"{distance:.2f} m outside" if distance > 0.0 else f"only {-distance:.2f} m inside"
+        else:
+            state = f"{-distance:.2f} m inside" if distance < 0.0 else f"only {distance:.2f} m from"
+        text = (
+            f"{where} is {state} {shape.name}; the vehicle keeps {radius_m:.2f} m, move it by {radius_m - room:.2f} m"
+        )
+        yield Conflict(step_seq=seq, fence_seq=shape.seq, text=text)
+
+
+def _path_conflicts(
+    placed: Sequence[tuple[int, tuple[float, float]]], shapes: Sequence[FenceShape], ctx: PlanContext
+) -> Iterator[Conflict]:
+    """Neighbours in the order of the plan that stand in different parts of the free space."""
+    fence = build_fence(shapes, ctx.params)
+    points = np.array([place for _, place in placed])
+    regions = free_regions(fence, points, ctx.radius_m - PLACE_TOLERANCE_M)
+    if regions is None:
+        regions = (0,) * len(placed)
+    for before, after, (seq_a, _), (seq_b, _) in zip(regions, regions[1:], placed, placed[1:], strict=False):
+        if before != after:
+            text = (
+                f"item {seq_b}: no free path from item {seq_a} to item {seq_b} for a vehicle of radius "
+                f"{ctx.radius_m:.2f} m; move the waypoint or open the fence"
+            )
+            yield Conflict(step_seq=seq_b, fence_seq=shapes[0].seq, text=text)
+
+
+def mission_conflict(conflict: Conflict) -> PlanRejection:
+    """The answer when the mission comes second."""
+    return PlanRejection(seq=conflict.step_seq, result=MissionResult.INVALID_PARAM5_X, reason=conflict.text)
+
+
+def fence_conflict(conflict: Conflict) -> PlanRejection:
+    """The answer when the fence comes second."""
+    text = f"fence item {conflict.fence_seq} forbids the mission in force, {conflict.text}; or clear the mission first"
+    return PlanRejection(seq=conflict.fence_seq, result=MissionResult.INVALID, reason=text)
