@@ -122,6 +122,10 @@ class Log:
             self._tables[topic] = self._table(topic)
         return self._tables[topic]
 
+    def get(self, topic: str) -> Table | None:
+        """A fixed-size topic, None if it has no messages."""
+        return self[topic] if topic in self else None
+
     def messages(self, topic: str) -> list[Message]:
         """Every message of a topic of any type, decoded. LogError if the topic is missing or a message is damaged."""
         types, name = self._types(topic)

@@ -1,0 +1,332 @@
+"""Figures out of a log: tracks, visits of waypoints, laps, clearances, energy, estimation errors.
+
+Judging them is :mod:`autopilot.log.check`'s business. Times are seconds of the service's clock, everything else SI.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.core.errors import LogError
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import ProgressState
+from autopilot.log.description import FenceShape, Point2, RunDescription, Waypoint
+from autopilot.log.reader import Log, Table
+
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+TOPICS_OF_INTEREST = (
+    "/sim/truth",
+    "/sim/thrusters",
+    "/sim/contact",
+    "/nav/state",
+    "/nav/covariance",
+    "/nav/status",
+    "/ctl/nmpc",
+    "/out/thrusters",
+    "/mission/progress",
+    "/sys/mode",
+    "/sys/loop",
+    "/in/power_raw",
+)
+"""Read in one pass; what a log does not have is left out."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Track:
+    """The vehicle over time, true or estimated; (n,) and (n, 3) arrays."""
+
+    t_s: FloatArray
+    pos_ned_m: FloatArray
+    rpy_rad: FloatArray
+    vel_frd_m_s: FloatArray
+    vel_water_frd_m_s: FloatArray
+    rate_frd_rad_s: FloatArray
+    current_ned_m_s: FloatArray
+
+    def between(self, span: "Span") -> "Track":
+        """The part within a span of time."""
+        keep = span.holds(self.t_s)
+        return Track(**{name: getattr(self, name)[keep] for name in self.__slots__})
+
+    @property
+    def planar_speed_m_s(self) -> FloatArray:
+        """(n,) norm of surge and sway relative to the water."""
+        result: FloatArray = np.hypot(self.vel_water_frd_m_s[:, 0], self.vel_water_frd_m_s[:, 1])
+        return result
+
+    @property
+    def literal_speed_m_s(self) -> FloatArray:
+        """(n,) abs(u + v), the paper's constraint (5a) taken literally."""
+        result: FloatArray = np.abs(self.vel_water_frd_m_s[:, 0] + self.vel_water_frd_m_s[:, 1])
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A time from start to end, both included."""
+
+    start_s: float
+    end_s: float
+
+    def holds(self, t_s: FloatArray) -> BoolArray:
+        """(n,) which times lie within."""
+        result: BoolArray = (t_s >= self.start_s) & (t_s <= self.end_s)
+        return result
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Flight:
+    """A log, loaded and cut into the times that are judged."""
+
+    log: Log
+    run: RunDescription | None
+    truth: Track | None
+    nav: Track | None
+    armed: Span
+    """From arming to disarming or the end of the log; the whole log if it does not say."""
+    mission: Span
+    """From arming to the completion of the mission, or as ``armed``."""
+
+    @property
+    def judged(self) -> Track:
+        """The truth, or the estimate for a log without truth. LogError if there is neither."""
+        track = self.truth if self.truth is not None else self.nav
+        if track is None:
+            raise LogError(f"{self.log.path}: has neither /sim/truth nor /nav/state; there is nothing to judge")
+        return track
+
+    def table(self, topic: str) -> Table | None:
+        """A topic of fixed size, None if the log does not have it."""
+        return self.log.get(topic)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Visit:
+    """How close the vehicle came to one waypoint of the tour."""
+
+    waypoint: Waypoint
+    lap: int
+    """From 1."""
+    t_s: float | None
+    """When it was first inside position and heading band, None = never."""
+    distance_m: float
+    """At the best moment of that stay, or of the time that was left for it."""
+    yaw_error_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class EstimateError:
+    """Estimate minus truth at the times of the estimate."""
+
+    t_s: FloatArray
+    pos_ned_m: FloatArray
+    yaw_rad: FloatArray
+    current_ned_m_s: FloatArray
+
+    @property
+    def pos_rms_m(self) -> float:
+        """Root of the mean squared distance."""
+        return float(np.sqrt(np.mean(np.sum(self.pos_ned_m**2, axis=1))))
+
+    @property
+    def yaw_rms_rad(self) -> float:
+        """Root of the mean squared yaw error."""
+        return float(np.sqrt(np.mean(self.yaw_rad**2)))
+
+
+def load_flight(log: Log) -> Flight:
+    """Read what is judged in one pass."""
+    log.load(TOPICS_OF_INTEREST)
+    truth, nav = _track(log, "/sim/truth"), _track(log, "/nav/state")
+    times = [track.t_s for track in (truth, nav) if track is not None and len(track.t_s)]
+    whole = Span(min(float(t[0]) for t in times), max(float(t[-1]) for t in times)) if times else Span(0.0, 0.0)
+    armed = _armed_span(log, whole)
+    return Flight(log=log, run=log.description, truth=truth, nav=nav, armed=armed, mission=_mission_span(log, armed))
+
+
+def seconds(table: Table) -> FloatArray:
+    """(n,) times of a topic's messages."""
+    result: FloatArray = table["t_us"] * 1e-6
+    return result
+
+
+def wrap(angles_rad: FloatArray) -> FloatArray:
+    """The same angles in [-pi, pi)."""
+    result: FloatArray = (angles_rad + np.pi) % (2.0 * np.pi) - np.pi
+    return result
+
+
+def _track(log: Log, topic: str) -> Track | None:
+    if topic not in log:
+        return None
+    table = log[topic]
+    fields = [name for name in Track.__slots__ if name != "t_s"]
+    return Track(t_s=seconds(table), **{name: table[name] for name in fields})
+
+
+def _armed_span(log: Log, whole: Span) -> Span:
+    if "/sys/mode" not in log:
+        return whole
+    mode = log["/sys/mode"]
+    t_s, armed = seconds(mode), mode["armed"] != 0
+    if not armed.any():
+        return whole
+    first = int(np.argmax(armed))
+    off = np.flatnonzero(~armed[first:])
+    return Span(float(t_s[first]), float(t_s[first + off[0]]) if len(off) else whole.end_s)
+
+
+def _mission_span(log: Log, armed: Span) -> Span:
+    if "/mission/progress" not in log:
+        return armed
+    progress = log["/mission/progress"]
+    t_s = seconds(progress)
+    active = np.flatnonzero((progress["state"] == ProgressState.ACTIVE) & armed.holds(t_s))
+    if not len(active):
+        return armed
+    done = np.flatnonzero(progress["state"][active[0] :] == ProgressState.COMPLETE)
+    end = float(t_s[active[0] + done[0]]) if len(done) else armed.end_s
+    return Span(armed.start_s, min(end, armed.end_s))
+
+
+def distance_to_polygon(points_m: FloatArray, vertices_m: Sequence[Point2]) -> FloatArray:
+    """(n,) distance of points (n, 2) from the outline of a polygon, positive inside."""
+    start = np.array(vertices_m, dtype=float)
+    end = np.roll(start, -1, axis=0)
+    nearest: FloatArray = np.full(len(points_m), np.inf)
+    inside: BoolArray = np.zeros(len(points_m), dtype=bool)
+    x, y = points_m[:, 0], points_m[:, 1]
+    for (ax, ay), (bx, by) in zip(start, end, strict=True):
+        dx, dy = bx - ax, by - ay
+        length2 = dx * dx + dy * dy
+        along = np.clip(((x - ax) * dx + (y - ay) * dy) / length2, 0.0, 1.0) if length2 > 0.0 else np.zeros_like(x)
+        nearest = np.minimum(nearest, np.hypot(x - ax - along * dx, y - ay - along * dy))
+        if ay != by:
+            inside ^= ((ay > y) != (by > y)) & (x < ax + (y - ay) * dx / dy)
+    return np.where(inside, nearest, -nearest)
+
+
+def distance_to_fence(points_m: FloatArray, shapes: Sequence[FenceShape]) -> FloatArray:
+    """(n,) distance of points (n, 2) from the nearest boundary of the fence, positive on the permitted side."""
+    nearest: FloatArray = np.full(len(points_m), np.inf)
+    for shape in shapes:
+        if shape.center_m is not None and shape.radius_m is not None:
+            inside = shape.radius_m - np.hypot(points_m[:, 0] - shape.center_m[0], points_m[:, 1] - shape.center_m[1])
+        else:
+            inside = distance_to_polygon(points_m, shape.vertices_m)
+        nearest = np.minimum(nearest, inside if shape.inclusion else -inside)
+    return nearest
+
+
+def distance_to_center(track: Track, center_m: Sequence[float]) -> FloatArray:
+    """(n,) distance from a vertical axis (center of 2) or a point (center of 3)."""
+    offset = track.pos_ned_m[:, : len(center_m)] - np.array(center_m)
+    result: FloatArray = np.linalg.norm(offset, axis=1)
+    return result
+
+
+def waypoint_errors(track: Track, waypoint: Waypoint) -> tuple[FloatArray, FloatArray]:
+    """(n,) distance and (n,) absolute yaw error (0 for a free heading) to a waypoint."""
+    distance = distance_to_center(track, waypoint.pos_ned_m)
+    if waypoint.yaw_rad is None:
+        return distance, np.zeros_like(distance)
+    return distance, np.abs(wrap(track.rpy_rad[:, 2] - waypoint.yaw_rad))
+
+
+def visits(track: Track, run: RunDescription) -> list[Visit]:
+    """The tour that the run had to make, with what became of each visit: every waypoint in order, lap by lap."""
+    points, laps = run.waypoints, run.accept.laps or 1
+    if not points:
+        return []
+    closed = run.closed_tour and len(points) > 1
+    order = [(waypoint, lap) for lap in range(1, laps + 1) for waypoint in points] + [(points[0], laps)] * closed
+    errors = {id(waypoint): waypoint_errors(track, waypoint) for waypoint in points}
+    found: list[Visit] = []
+    at = 0
+    for waypoint, lap in order:
+        visit, at = _visit(track, waypoint, lap, errors[id(waypoint)], at)
+        found.append(visit)
+    return found
+
+
+def _visit(
+    track: Track, waypoint: Waypoint, lap: int, errors: tuple[FloatArray, FloatArray], at: int
+) -> tuple[Visit, int]:
+    """The first stay at a waypoint from row ``at`` on, and the row where the search for the next one starts."""
+    distance, yaw = errors
+    score = np.maximum(distance / waypoint.accept_radius_m, yaw / waypoint.accept_yaw_rad)[at:]
+    inside = np.flatnonzero(score <= 1.0)
+    if not len(score):
+        return Visit(waypoint=waypoint, lap=lap, t_s=None, distance_m=np.inf, yaw_error_rad=np.inf), at
+    if not len(inside):
+        best, end, t_s = at + int(np.argmin(score)), len(distance), None
+    else:
+        first = int(inside[0])
+        outside = np.flatnonzero(score[first:] > 1.0)
+        stay = int(outside[0]) if len(outside) else len(score) - first
+        best, end = at + first + int(np.argmin(score[first : first + stay])), at + first
+        t_s = float(track.t_s[at + first])
+    visit = Visit(waypoint=waypoint, lap=lap, t_s=t_s, distance_m=float(distance[best]), yaw_error_rad=float(yaw[best]))
+    return visit, end
+
+
+def lap_spans(tour: Sequence[Visit], run: RunDescription) -> list[Span]:
+    """Start and end of every completed lap."""
+    size = len(run.waypoints)
+    closed = run.closed_tour and size > 1
+    spans = []
+    for lap in range(run.accept.laps or 1):
+        steps = tour[lap * size : (lap + 1) * size + closed]
+        times = [visit.t_s for visit in steps if visit.t_s is not None]
+        if steps and len(times) == size + closed:
+            spans.append(Span(times[0], times[-1]))
+    return spans
+
+
+def energy_j(flight: Flight, span: Span) -> float | None:
+    """Energy [J] that thrusters and hotel load took in a span; None if the log holds no power."""
+    thrusters = flight.table("/sim/thrusters")
+    hotel_w = flight.run.hotel_power_w if flight.run is not None else 0.0
+    if thrusters is not None:
+        t_s = seconds(thrusters)
+        keep = span.holds(t_s)
+        return _integral(t_s[keep], thrusters["power_w"][keep] + hotel_w) if keep.any() else None
+    power = flight.table("/in/power_raw")
+    if power is None:
+        return None
+    used = np.interp([span.start_s, span.end_s], seconds(power), power["energy_used_j"])
+    return float(used[1] - used[0])
+
+
+def _integral(t_s: FloatArray, values: FloatArray) -> float:
+    """Trapezoidal rule."""
+    return float(np.sum(0.5 * (values[1:] + values[:-1]) * np.diff(t_s)))
+
+
+def estimate_error(truth: Track, nav: Track) -> EstimateError | None:
+    """Estimate against truth where both exist; truth is interpolated to the times of the estimate."""
+    keep = Span(float(truth.t_s[0]), float(truth.t_s[-1])).holds(nav.t_s) if len(truth.t_s) else None
+    if keep is None or not keep.any():
+        return None
+    t_s = nav.t_s[keep]
+    yaw = np.interp(t_s, truth.t_s, np.unwrap(truth.rpy_rad[:, 2]))
+    return EstimateError(
+        t_s=t_s,
+        pos_ned_m=nav.pos_ned_m[keep] - _interpolate(t_s, truth.t_s, truth.pos_ned_m),
+        yaw_rad=wrap(nav.rpy_rad[keep, 2] - yaw),
+        current_ned_m_s=nav.current_ned_m_s[keep] - _interpolate(t_s, truth.t_s, truth.current_ned_m_s),
+    )
+
+
+def _interpolate(t_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
+    return np.stack([np.interp(t_s, known_s, values[:, i]) for i in range(values.shape[1])], axis=1)
+
+
+def sequence_gaps(log: Log) -> int:
+    """Messages that are missing between the first and the last of each fixed-size topic that was loaded."""
+    tables: list[Any] = [log[topic] for topic in TOPICS_OF_INTEREST if topic in log]
+    return sum(int(table["sequence"][-1]) - int(table["sequence"][0]) + 1 - len(table) for table in tables)

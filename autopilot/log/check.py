@@ -1,0 +1,312 @@
+"""Verdicts: what the bounds of a run say about its log.
+
+Judged is the simulator's truth where the log has it, else the estimate (the rows say so). Clearances, contacts and
+thrust are judged while armed; depth, speeds and estimation errors until the mission is complete, because a mission may
+end by surfacing.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.log.analysis import (
+    Flight,
+    Visit,
+    distance_to_center,
+    distance_to_fence,
+    distance_to_polygon,
+    energy_j,
+    estimate_error,
+    lap_spans,
+    load_flight,
+    seconds,
+    sequence_gaps,
+    visits,
+)
+from autopilot.log.description import AcceptBounds, RunDescription
+from autopilot.log.reader import Log
+
+
+class Verdict(Enum):
+    """What a row says."""
+
+    PASS = "pass"
+    WARN = "warn"
+    """The tolerance was used, or something happened that an operator should look at."""
+    FAIL = "fail"
+    INFO = "info"
+    """A figure without a bound, or one that cannot be judged from this log."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One bound and how the run stands against it."""
+
+    name: str
+    unit: str
+    limit: float | None
+    worst: float | None
+    """The value nearest to, or farthest beyond, the limit."""
+    margin: float | None
+    """Distance from the limit, tolerance included; negative = broken."""
+    verdict: Verdict
+    at_s: float | None = None
+    """When the worst value was reached, on the service's clock."""
+    note: str = ""
+
+
+def acceptance_table(log: Log) -> list[Row]:
+    """All rows of a log. LogError if it holds neither truth nor estimate."""
+    flight = load_flight(log)
+    rows: list[Row] = []
+    if flight.run is not None:
+        rows += _mission_rows(flight, flight.run)
+        rows += _clearance_rows(flight, flight.run)
+        rows += _motion_rows(flight, flight.run.accept)
+    else:
+        rows.append(_info("bounds", "", None, "the log has no run.json: nothing is judged"))
+    rows += _contact_rows(flight)
+    rows += _estimate_rows(flight, flight.run.accept if flight.run is not None else AcceptBounds())
+    rows += _health_rows(flight)
+    if flight.truth is None:
+        rows.append(_info("judged on", "", None, "the estimate: the log has no truth"))
+    return rows
+
+
+def overall(rows: Iterable[Row]) -> Verdict:
+    """FAIL if any row fails, else WARN if any warns, else PASS."""
+    verdicts = {row.verdict for row in rows}
+    for verdict in (Verdict.FAIL, Verdict.WARN):
+        if verdict in verdicts:
+            return verdict
+    return Verdict.PASS
+
+
+def _info(name: str, unit: str, value: float | None, note: str = "") -> Row:
+    return Row(name=name, unit=unit, limit=None, worst=value, margin=None, verdict=Verdict.INFO, note=note)
+
+
+def _at_most(
+    name: str, unit: str, limit: float | None, t_s: FloatArray, values: FloatArray, note: str = ""
+) -> list[Row]:
+    """The largest of the values against an upper limit; nothing if there is no limit."""
+    if limit is None:
+        return []
+    if not len(values):
+        return [_missing(name, unit, limit)]
+    at = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
+    worst = float(values[at])
+    margin = limit - worst
+    verdict = Verdict.PASS if margin >= 0.0 else Verdict.FAIL
+    return [
+        Row(
+            name=name,
+            unit=unit,
+            limit=limit,
+            worst=worst,
+            margin=margin,
+            verdict=verdict,
+            at_s=float(t_s[at]),
+            note=note,
+        )
+    ]
+
+
+def _at_least(
+    name: str, unit: str, limit: float | None, tolerance: float, t_s: FloatArray, values: FloatArray
+) -> list[Row]:
+    """The smallest of the values against a lower limit that may be missed by a tolerance."""
+    if limit is None:
+        return []
+    if not len(values):
+        return [_missing(name, unit, limit)]
+    at = int(np.argmin(np.where(np.isnan(values), -np.inf, values)))
+    worst = float(values[at])
+    margin = worst - (limit - tolerance)
+    if not margin >= 0.0:
+        verdict = Verdict.FAIL
+    else:
+        verdict = Verdict.PASS if worst >= limit else Verdict.WARN
+    note = f"tolerance {tolerance * 1000:.0f} mm" if tolerance else ""
+    return [
+        Row(
+            name=name,
+            unit=unit,
+            limit=limit,
+            worst=worst,
+            margin=margin,
+            verdict=verdict,
+            at_s=float(t_s[at]),
+            note=note,
+        )
+    ]
+
+
+def _missing(name: str, unit: str, limit: float | None) -> Row:
+    note = "the log holds no data for this"
+    return Row(name=name, unit=unit, limit=limit, worst=None, margin=None, verdict=Verdict.FAIL, note=note)
+
+
+def _mission_rows(flight: Flight, run: RunDescription) -> list[Row]:
+    """Laps and waypoints."""
+    if not run.waypoints:
+        return []
+    tour = visits(flight.judged.between(flight.armed), run)
+    spans = lap_spans(tour, run)
+    rows = []
+    if run.accept.laps is not None:
+        done, limit = float(len(spans)), float(run.accept.laps)
+        verdict = Verdict.PASS if done >= limit else Verdict.FAIL
+        rows.append(Row(name="laps", unit="", limit=limit, worst=done, margin=done - limit, verdict=verdict))
+    for waypoint in run.waypoints:
+        rows += _waypoint_rows([visit for visit in tour if visit.waypoint is waypoint])
+    for number, span in enumerate(spans, 1):
+        rows.append(_info(f"time lap {number}", "s", span.end_s - span.start_s))
+        energy = energy_j(flight, span)
+        if energy is not None:
+            rows.append(_info(f"energy lap {number}", "J", energy, f"hotel load {run.hotel_power_w:g} W included"))
+    return rows
+
+
+def _waypoint_rows(stays: Sequence[Visit]) -> list[Row]:
+    """Position and heading of the worst visit of one waypoint."""
+    waypoint = stays[0].waypoint
+    reached = sum(visit.t_s is not None for visit in stays)
+    note = f"reached {reached} of {len(stays)} times"
+    far = max(stays, key=lambda visit: visit.distance_m)
+    rows = [_reached(f"waypoint {waypoint.name} position", "m", waypoint.accept_radius_m, far.distance_m, far, note)]
+    if waypoint.yaw_rad is not None:
+        turned = max(stays, key=lambda visit: visit.yaw_error_rad)
+        name = f"waypoint {waypoint.name} heading"
+        rows.append(_reached(name, "rad", waypoint.accept_yaw_rad, turned.yaw_error_rad, turned, note))
+    if reached < len(stays) and all(row.verdict is Verdict.PASS for row in rows):
+        missed = "never inside position and heading at once"
+        rows[0] = Row(
+            name=rows[0].name,
+            unit="m",
+            limit=rows[0].limit,
+            worst=rows[0].worst,
+            margin=rows[0].margin,
+            verdict=Verdict.FAIL,
+            note=f"{note}; {missed}",
+        )
+    return rows
+
+
+def _reached(name: str, unit: str, limit: float, value: float, visit: Visit, note: str) -> Row:
+    shown = value if math.isfinite(value) else None
+    return Row(
+        name=name,
+        unit=unit,
+        limit=limit,
+        worst=shown,
+        margin=None if shown is None else limit - value,
+        verdict=Verdict.PASS if value <= limit else Verdict.FAIL,
+        at_s=visit.t_s,
+        note=note,
+    )
+
+
+def _clearance_rows(flight: Flight, run: RunDescription) -> list[Row]:
+    """Distances from cylinders, walls and fence while armed."""
+    track, accept = flight.judged.between(flight.armed), run.accept
+    rows: list[Row] = []
+    for number, obstacle in enumerate(run.obstacles, 1):
+        touch = obstacle.radius_m + run.body_radius_m
+        limit = None if accept.cylinder_clearance_m is None else max(accept.cylinder_clearance_m, touch)
+        name = f"distance to {obstacle.name or f'obstacle {number}'}"
+        rows += _at_least(name, "m", limit, accept.tolerance_m, track.t_s, distance_to_center(track, obstacle.center_m))
+    plane = track.pos_ned_m[:, :2]
+    if run.tank_polygon_m:
+        values = distance_to_polygon(plane, run.tank_polygon_m)
+        rows += _at_least("distance to walls", "m", accept.wall_clearance_m, accept.tolerance_m, track.t_s, values)
+    if run.fence and accept.wall_clearance_m is not None:
+        values = distance_to_fence(plane, run.fence)
+        rows += _at_least("distance to fence", "m", run.body_radius_m, accept.tolerance_m, track.t_s, values)
+    return rows
+
+
+def _motion_rows(flight: Flight, accept: AcceptBounds) -> list[Row]:
+    """Depth band, speeds and thrust commands."""
+    track = flight.judged.between(flight.mission)
+    t_s, depth = track.t_s, track.pos_ned_m[:, 2]
+    rows = _at_least("depth, shallowest", "m", accept.depth_min_m, 0.0, t_s, depth)
+    rows += _at_most("depth, deepest", "m", accept.depth_max_m, t_s, depth)
+    rows += _at_most("planar speed", "m/s", accept.planar_speed_m_s, t_s, track.planar_speed_m_s, "norm, in the water")
+    if len(t_s):
+        literal = float(np.max(track.literal_speed_m_s))
+        rows.append(_info("planar speed |u+v|", "m/s", literal, "the paper's (5a) taken literally, for comparison"))
+    rows += _at_most("heave", "m/s", accept.heave_m_s, t_s, np.abs(track.vel_water_frd_m_s[:, 2]))
+    rows += _at_most("yaw rate", "rad/s", accept.yaw_rate_rad_s, t_s, np.abs(track.rate_frd_rad_s[:, 2]))
+    commands = flight.table("/out/thrusters")
+    if commands is None:
+        return rows + ([] if accept.thrust_n is None else [_missing("thrust command", "N", accept.thrust_n)])
+    values = np.max(np.abs(commands["thrust_n"]), axis=1)
+    return rows + _at_most("thrust command", "N", accept.thrust_n, seconds(commands), values)
+
+
+def _contact_rows(flight: Flight) -> list[Row]:
+    """Contacts of the simulated hull while armed."""
+    table = flight.table("/sim/contact")
+    if table is None:
+        return []
+    t_s = seconds(table)
+    keep = flight.armed.holds(t_s)
+    before = table["count"][t_s < flight.armed.start_s]
+    counts = table["count"][keep].astype(float) - (float(before[-1]) if len(before) else 0.0)
+    deepest = float(np.max(table["penetration_m"][keep], initial=0.0))
+    note = f"deepest {deepest * 1000:.1f} mm" if deepest > 0.0 else ""
+    return _at_most("contacts", "", 0.0, t_s[keep], counts, note) if keep.any() else []
+
+
+def _estimate_rows(flight: Flight, accept: AcceptBounds) -> list[Row]:
+    """Estimate against truth until the mission is complete."""
+    if flight.truth is None or flight.nav is None:
+        return []
+    error = estimate_error(flight.truth, flight.nav.between(flight.mission))
+    if error is None:
+        return [_missing("estimate position rms", "m", accept.pos_rms_m)]
+    yaw_limit = None if accept.yaw_rms_deg is None else math.radians(accept.yaw_rms_deg)
+    end = error.t_s[-1:]
+    yaw_note = f"{math.degrees(error.yaw_rms_rad):.2f} deg"
+    rows = _at_most("estimate position rms", "m", accept.pos_rms_m, end, np.array([error.pos_rms_m]))
+    return rows + _at_most("estimate yaw rms", "rad", yaw_limit, end, np.array([error.yaw_rms_rad]), yaw_note)
+
+
+def _health_rows(flight: Flight) -> list[Row]:
+    """Solver, loop, log and failsafes: figures, and warnings where an operator should look."""
+    rows: list[Row] = []
+    nmpc = flight.table("/ctl/nmpc")
+    if nmpc is not None:
+        solved = nmpc["solve_s"][nmpc["solve_s"] > 0.0]
+        for name, share in (("p50", 50.0), ("p99", 99.0), ("max", 100.0)):
+            if len(solved):
+                rows.append(_info(f"solve time {name}", "ms", 1000.0 * float(np.percentile(solved, share))))
+        mine = flight.armed.holds(seconds(nmpc))
+        rows.append(_count("NMPC fallbacks", int(np.sum(nmpc["fallback"][mine] != 0)), f"of {int(mine.sum())} steps"))
+    status = flight.table("/nav/status")
+    if status is not None:
+        rows.append(_info("estimator resets", "", float(status["reset_count"].max())))
+    mode = flight.table("/sys/mode")
+    if mode is not None:
+        bits = int(np.bitwise_or.reduce(mode["failsafes"][flight.armed.holds(seconds(mode))], initial=0))
+        rows.append(_count("failsafes raised", bits.bit_count(), f"bits {bits:#x}" if bits else ""))
+    loop = flight.table("/sys/loop")
+    if loop is not None:
+        rows.append(_count("loop overruns", int(loop["overruns"].max())))
+        rows.append(_info("longest tick", "ms", 1000.0 * float(loop["tick_s"].max())))
+    dropped = int(loop["dropped_log"].max()) if loop is not None else 0
+    rows.append(_count("log messages lost", max(dropped, sequence_gaps(flight.log))))
+    if flight.log.problems:
+        rows.append(_count("log damage", len(flight.log.problems), "; ".join(flight.log.problems)))
+    return rows
+
+
+def _count(name: str, value: int, note: str = "") -> Row:
+    """Something that should not happen but breaks no bound."""
+    verdict = Verdict.WARN if value else Verdict.PASS
+    return Row(name=name, unit="", limit=0.0, worst=float(value), margin=float(-value), verdict=verdict, note=note)
