@@ -1,4 +1,7 @@
-"""What the MAVLink server needs of the vehicle, and the results it passes on. Implemented by :mod:`autopilot.vehicle`."""
+"""What the MAVLink server needs of the vehicle, and the results it passes on.
+
+Implemented by :mod:`autopilot.commander`.
+"""
 
 from dataclasses import dataclass
 from enum import IntEnum

@@ -1,0 +1,173 @@
+"""Command protocol: COMMAND_LONG and COMMAND_INT to the vehicle, an answer to each. https://mavlink.io/en/services/command.html
+
+Every command is answered at once. A retransmission of an action gets the first answer again and is not executed twice;
+requests are simply answered again. Unused parameters may be 0 or NaN.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.mavlink.api import Answer, CommandResult
+from autopilot.mavlink.context import SEVERITY_WARNING, Context, Peer
+from autopilot.mavlink.wire import Message
+
+REPEAT_US = 10_000_000
+"""COMMAND_LONG with confirmation > 0 counts as a retransmission so long after the first."""
+DUPLICATE_US = 250_000
+"""The same datagram again within this time is a duplicate made by the network."""
+MAX_REMEMBERED = 64
+"""Clients whose last command is remembered; the oldest goes."""
+
+ACCEPTED = Answer(result=CommandResult.ACCEPTED)
+UNSUPPORTED = Answer(result=CommandResult.UNSUPPORTED)
+
+_FRAME_NOT_GIVEN = mav.MAV_FRAME_GLOBAL
+_DEG_E7_FRAMES = frozenset(
+    (
+        mav.MAV_FRAME_GLOBAL,
+        mav.MAV_FRAME_GLOBAL_INT,
+        mav.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+        mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+    )
+)
+_INT_UNKNOWN = frozenset((0x7FFF_FFFF, -0x8000_0000))
+"""COMMAND_INT's "no position" (INT32_MAX; MAVSDK casts NaN to INT32_MIN on some platforms)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call:
+    """A command as it came, carrier and scaling removed."""
+
+    peer: Peer
+    command: int
+    params: tuple[float, float, float, float]
+    x: float
+    """Latitude [deg] or local north [m]; NaN = not given."""
+    y: float
+    z: float
+    frame: int
+    """MAV_FRAME; GLOBAL for COMMAND_LONG."""
+    exact: bool
+    """COMMAND_INT: positions are not rounded to float32 degrees."""
+
+    def param(self, number: int) -> float:
+        """param1..param4; NaN reads as 0 (both mean "not used")."""
+        value = self.params[number - 1]
+        return value if value == value else 0.0
+
+    def whole(self, number: int) -> int | None:
+        """param1..param4 as a whole number of 32 bits, None if it is not one."""
+        value = self.param(number)
+        if not -(2.0**31) <= value < 2.0**32 or value != int(value):
+            return None
+        return int(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """An answer, and messages that follow it."""
+
+    answer: Answer
+    messages: tuple[Message, ...] = ()
+
+
+Handler = Callable[[Call], Reply]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One command that is understood."""
+
+    handler: Handler
+    action: bool
+    """Changes something: not to be executed twice."""
+    carrier: CommandResult | None = None
+    """COMMAND_INT_ONLY when COMMAND_LONG will not do."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Remembered:
+    key: tuple[object, ...]
+    datagram: tuple[int, int]
+    at_us: int
+    answer: Answer
+
+
+def denied(reason: str) -> Reply:
+    """DENIED for a reason."""
+    return Reply(Answer(result=CommandResult.DENIED, reason=reason))
+
+
+def call_of(peer: Peer, msg: Message) -> Call:
+    """A COMMAND_LONG or COMMAND_INT as a call."""
+    params = (msg.param1, msg.param2, msg.param3, msg.param4)
+    if msg.get_msgId() == mav.MAVLINK_MSG_ID_COMMAND_LONG:
+        return Call(
+            peer=peer,
+            command=msg.command,
+            params=params,
+            x=msg.param5,
+            y=msg.param6,
+            z=msg.param7,
+            frame=_FRAME_NOT_GIVEN,
+            exact=False,
+        )
+    scale = 1e7 if msg.frame in _DEG_E7_FRAMES else 1e4
+    x, y = (float("nan") if v in _INT_UNKNOWN else v / scale for v in (msg.x, msg.y))
+    return Call(peer=peer, command=msg.command, params=params, x=x, y=y, z=msg.z, frame=msg.frame, exact=True)
+
+
+class Commands:
+    """The command microservice."""
+
+    def __init__(self, ctx: Context, table: Mapping[int, Entry]) -> None:
+        self._ctx = ctx
+        self._table = table
+        self._last: dict[Peer, _Remembered] = {}
+
+    def on_command(self, peer: Peer, msg: Message) -> None:
+        """COMMAND_LONG or COMMAND_INT."""
+        call = call_of(peer, msg)
+        entry = self._table.get(call.command)
+        if entry is None:
+            self._ack(peer, call.command, UNSUPPORTED)
+            return
+        if entry.carrier is not None and not call.exact:
+            self._ack(peer, call.command, Answer(result=entry.carrier))
+            return
+        if not entry.action:
+            self._reply(peer, call.command, entry.handler(call))
+            return
+        key = (call.command, repr((call.params, call.x, call.y, call.z)), call.frame, call.exact)
+        datagram = (msg.get_seq(), msg.get_crc())
+        before = self._last.get(peer)
+        if before is not None and before.key == key and self._is_repeat(before, msg, datagram):
+            self._ack(peer, call.command, before.answer)
+            return
+        reply = entry.handler(call)
+        self._last.pop(peer, None)
+        while len(self._last) >= MAX_REMEMBERED:
+            self._last.pop(next(iter(self._last)))
+        self._last[peer] = _Remembered(key, datagram, self._ctx.t_us, reply.answer)
+        self._reply(peer, call.command, reply)
+
+    def _is_repeat(self, before: _Remembered, msg: Message, datagram: tuple[int, int]) -> bool:
+        age_us = self._ctx.t_us - before.at_us
+        if before.datagram == datagram:
+            return age_us <= DUPLICATE_US
+        return getattr(msg, "confirmation", 0) > 0 and age_us <= REPEAT_US * self._ctx.patience
+
+    def _reply(self, peer: Peer, command: int, reply: Reply) -> None:
+        self._ack(peer, command, reply.answer)
+        for message in reply.messages:
+            self._ctx.send(peer.link, message)
+        if reply.answer.reason and reply.answer.result is not CommandResult.ACCEPTED:
+            self._ctx.say(SEVERITY_WARNING, reply.answer.reason, peer.link)
+
+    def _ack(self, peer: Peer, command: int, answer: Answer) -> None:
+        self._ctx.send(
+            peer.link,
+            mav.MAVLink_command_ack_message(command, answer.result, 0, 0, peer.sysid, peer.compid),
+        )

@@ -1,0 +1,156 @@
+"""What the microservices share: the outgoing queue, who talks to us, and the state of this tick."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.messages import Event, MavlinkFrame
+from autopilot.core.params import ParamSet
+from autopilot.core.plan import PlanStore
+from autopilot.mavlink.api import VehicleCommands, VehicleView
+from autopilot.mavlink.geo import TangentPlane
+from autopilot.mavlink.profiles import Profile
+from autopilot.mavlink.wire import LinkEncoder, LinkParser, Message
+
+COMPID = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
+
+SEVERITY_ERROR, SEVERITY_WARNING, SEVERITY_NOTICE, SEVERITY_INFO = 3, 4, 5, 6
+"""MAV_SEVERITY (common.xml)."""
+
+MAX_TEXT_CHARS = 600
+"""Longest text that is sent (12 chunks)."""
+_CHUNK_CHARS = 50
+"""STATUSTEXT.text."""
+
+
+class Peer(NamedTuple):
+    """A client: the link it speaks on and its MAVLink address there."""
+
+    link: int
+    sysid: int
+    compid: int
+
+
+@dataclass(slots=True)
+class Link:
+    """One link's parser and encoder."""
+
+    parser: LinkParser
+    encoder: LinkEncoder
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identity:
+    """Who we are, for AUTOPILOT_VERSION and the greeting."""
+
+    name: str
+    version: str
+    """Dotted, as in the distribution."""
+    git: str
+    """Revision as hex digits, empty when unknown."""
+    uid: int
+    """64 bits that tell this vehicle from others."""
+
+
+@dataclass(slots=True)
+class Context:
+    """The state of this tick and the queue of what goes out. One per server."""
+
+    sysid: int
+    profile: Profile
+    identity: Identity
+    params: ParamSet
+    plans: PlanStore
+    vehicle: VehicleCommands
+    view: VehicleView
+    patience: float
+    """Factor on the time that protocol partners get (they live in real time, a fast simulation does not)."""
+    t_us: int = 0
+    links: dict[int, Link] = field(default_factory=dict)
+    tx: list[MavlinkFrame] = field(default_factory=list)
+    notices: list[Event] = field(default_factory=list)
+    announce_place: bool = False
+    """Send origin and home on all links once the vehicle's view is fresh."""
+    _text_id: int = 0
+    _plane: TangentPlane | None = None
+
+    @property
+    def boot_ms(self) -> int:
+        """MAVLink's time_boot_ms."""
+        return (self.t_us // 1000) & 0xFFFF_FFFF
+
+    @property
+    def plane(self) -> TangentPlane:
+        """The tangent plane at the present origin."""
+        if self._plane is None or self._plane.origin != self.view.origin:
+            self._plane = TangentPlane(self.view.origin)
+        return self._plane
+
+    def add_link(self, index: int) -> None:
+        """Make sure that a link exists."""
+        if index not in self.links:
+            self.links[index] = Link(parser=LinkParser(), encoder=LinkEncoder(self.sysid, COMPID))
+
+    def send(self, link: int, message: Message) -> None:
+        """Queue a message on one link."""
+        known = self.links.get(link)
+        if known is not None:
+            self.tx.append(MavlinkFrame(link=link, data=known.encoder.pack(message)))
+
+    def broadcast(self, message: Message) -> None:
+        """Queue a message on every link."""
+        for index in self.links:
+            self.send(index, message)
+
+    def say(self, severity: int, text: str, link: int | None = None) -> None:
+        """Tell the operator something of our own (STATUSTEXT on one link or on all, and a line for the log)."""
+        self.log(severity, text)
+        self.text(severity, text, link)
+
+    def log(self, severity: int, text: str) -> None:
+        """A line for the log only."""
+        self.notices.append(Event(t_us=self.t_us, severity=severity, text=text))
+
+    def text(self, severity: int, text: str, link: int | None = None) -> None:
+        """STATUSTEXT, in chunks if it is long."""
+        for message in self._chunks(min(max(severity, 0), 7), text):
+            if link is None:
+                self.broadcast(message)
+            else:
+                self.send(link, message)
+
+    def _chunks(self, severity: int, text: str) -> Iterable[Message]:
+        data = text.replace("\0", " ")[:MAX_TEXT_CHARS].encode("ascii", errors="replace")
+        if len(data) <= _CHUNK_CHARS:
+            return [mav.MAVLink_statustext_message(severity, data)]
+        self._text_id = self._text_id % 0xFFFF + 1
+        # The receiver knows the end by a chunk that is not full, so a text of whole chunks gets an empty one behind it.
+        return [
+            mav.MAVLink_statustext_message(severity, data[start : start + _CHUNK_CHARS], self._text_id, number)
+            for number, start in enumerate(range(0, len(data) + 1, _CHUNK_CHARS))
+        ]
+
+
+def limited(value: float, low: int, high: int) -> int:
+    """``value`` rounded and kept within an integer field's range; what is not a number becomes the value nearest 0."""
+    if value != value:
+        value = 0.0
+    return round(min(max(value, low), high))
+
+
+def u16(value: float) -> int:
+    """For a uint16 field."""
+    return limited(value, 0, 0xFFFF)
+
+
+def i16(value: float) -> int:
+    """For an int16 field."""
+    return limited(value, -0x8000, 0x7FFF)
+
+
+def i32(value: float) -> int:
+    """For an int32 field."""
+    return limited(value, -0x8000_0000, 0x7FFF_FFFF)

@@ -1,0 +1,239 @@
+"""Puts the microservices together and hands every message to the one that it belongs to."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.messages import Event, MavlinkFrame
+from autopilot.core.params import ParamSet
+from autopilot.core.plan import PlanStore
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, VehicleCommands, VehicleView
+from autopilot.mavlink.commands import Commands
+from autopilot.mavlink.context import COMPID, SEVERITY_INFO, SEVERITY_WARNING, Context, Identity, Peer
+from autopilot.mavlink.missions import Missions
+from autopilot.mavlink.parameters import Parameters
+from autopilot.mavlink.profiles import Profile
+from autopilot.mavlink.progress import Progress
+from autopilot.mavlink.requests import Requests
+from autopilot.mavlink.status import Status
+from autopilot.mavlink.streams import Streams
+from autopilot.mavlink.telemetry import Telemetry
+from autopilot.mavlink.utility import Utility
+from autopilot.mavlink.vehicle_commands import VehicleService
+from autopilot.mavlink.wire import Message
+
+HEARTBEAT_US = 1_000_000
+"""HEARTBEAT at 1 Hz (https://mavlink.io/en/services/heartbeat.html)."""
+MAX_PEERS = 64
+"""Clients that are remembered as greeted; the oldest goes."""
+MISSION_COMPONENT = 190
+"""MAV_COMP_ID_MISSIONPLANNER: older clients address plans to it."""
+
+_OPERATORS = frozenset((mav.MAV_TYPE_GCS, mav.MAV_TYPE_ONBOARD_CONTROLLER))
+_OUR_COMPONENTS = frozenset((0, COMPID, MISSION_COMPONENT))
+
+Handler = Callable[[Peer, Message], None]
+
+
+class Dispatcher:
+    """The server's inside: services, links, and the order of a tick."""
+
+    def __init__(
+        self,
+        *,
+        sysid: int,
+        profile: Profile,
+        identity: Identity,
+        params: ParamSet,
+        plans: PlanStore,
+        vehicle: VehicleCommands,
+        view: VehicleView,
+        patience: float,
+    ) -> None:
+        self._ctx = ctx = Context(
+            sysid=sysid,
+            profile=profile,
+            identity=identity,
+            params=params,
+            plans=plans,
+            vehicle=vehicle,
+            view=view,
+            patience=patience,
+        )
+        self.parameters = Parameters(ctx)
+        self.missions = Missions(ctx)
+        self.utility = Utility(ctx)
+        self._status = Status(ctx)
+        self._telemetry = Telemetry(ctx)
+        self._progress = Progress(ctx, self.missions)
+        self._streams = Streams(
+            ctx,
+            {
+                **self._status.builders(),
+                **self._telemetry.builders(),
+                mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
+                mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
+            },
+        )
+        self._vehicle = VehicleService(ctx, self._telemetry, self._progress)
+        requests = Requests(ctx, self._streams, self._status)
+        self._commands = Commands(ctx, {**self._vehicle.table(), **requests.table()})
+        self._handlers = self._table()
+        self._greeted: dict[Peer, None] = {}
+        self._heartbeat_us = 0
+        self._mode_shown: tuple[bool, FlightMode, FlightMode] | None = None
+        self._place_shown: tuple[GeoPoint, GeoPoint] | None = None
+        self.last_gcs_t_us: int | None = None
+        self._dropped_of_closed = 0
+
+    def _table(self) -> Mapping[int, Handler]:
+        missions, parameters, utility = self.missions, self.parameters, self.utility
+        return {
+            mav.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
+            mav.MAVLINK_MSG_ID_COMMAND_LONG: self._commands.on_command,
+            mav.MAVLINK_MSG_ID_COMMAND_INT: self._commands.on_command,
+            mav.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
+            mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN: self._on_set_origin,
+            mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: lambda peer, msg: parameters.on_request_list(peer),
+            mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ: parameters.on_request_read,
+            mav.MAVLINK_MSG_ID_PARAM_SET: parameters.on_set,
+            mav.MAVLINK_MSG_ID_MISSION_COUNT: missions.on_count,
+            mav.MAVLINK_MSG_ID_MISSION_ITEM_INT: missions.on_item,
+            mav.MAVLINK_MSG_ID_MISSION_ITEM: missions.on_float_item,
+            mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: missions.on_clear_all,
+            mav.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: missions.on_request_list,
+            mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT: missions.on_request,
+            mav.MAVLINK_MSG_ID_MISSION_REQUEST: missions.on_request,
+            mav.MAVLINK_MSG_ID_MISSION_ACK: missions.on_ack,
+            mav.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: missions.on_write_partial_list,
+            mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT: self._progress.on_set_current,
+            mav.MAVLINK_MSG_ID_PING: utility.on_ping,
+            mav.MAVLINK_MSG_ID_TIMESYNC: utility.on_timesync,
+            mav.MAVLINK_MSG_ID_SYSTEM_TIME: lambda peer, msg: utility.on_system_time(msg),
+            mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: utility.on_file_transfer,
+            mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST: lambda peer, msg: utility.on_log_request_list(peer),
+            mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._on_request_data_stream,
+        }
+
+    # Links
+
+    def add_link(self, link: int) -> None:
+        """Open a link."""
+        self._ctx.add_link(link)
+
+    def remove_link(self, link: int) -> None:
+        """Close a link."""
+        closed = self._ctx.links.pop(link, None)
+        if closed is not None:
+            self._dropped_of_closed += closed.parser.dropped
+        self._streams.forget(link)
+        for peer in [peer for peer in self._greeted if peer.link == link]:
+            del self._greeted[peer]
+
+    @property
+    def dropped_rx(self) -> int:
+        """Damaged stretches of input so far."""
+        return self._dropped_of_closed + sum(link.parser.dropped for link in self._ctx.links.values())
+
+    def take_notices(self) -> tuple[Event, ...]:
+        """Lines for the log since the last call."""
+        notices, self._ctx.notices = tuple(self._ctx.notices), []
+        return notices
+
+    # One tick
+
+    def step(
+        self, t_us: int, rx: Sequence[MavlinkFrame], view: VehicleView, events: Sequence[Event], reached: Sequence[int]
+    ) -> tuple[MavlinkFrame, ...]:
+        """Receive, then speak."""
+        ctx = self._ctx
+        ctx.t_us, ctx.view, ctx.tx = t_us, view, []
+        if ctx.announce_place:
+            ctx.announce_place, self._place_shown = False, None
+        for frame in rx:
+            self._receive(frame)
+        self._say_heartbeat()
+        for event in events:
+            ctx.text(event.severity, event.text)
+        self._say_place()
+        self._progress.tick(reached)
+        self.parameters.tick()
+        self.missions.tick()
+        self._streams.tick()
+        return tuple(ctx.tx)
+
+    def _receive(self, frame: MavlinkFrame) -> None:
+        if frame.link < 0:
+            return
+        self._ctx.add_link(frame.link)
+        for msg in self._ctx.links[frame.link].parser.feed(frame.data):
+            handler = self._handlers.get(msg.get_msgId())
+            sysid = msg.get_srcSystem()
+            if handler is None or sysid in (0, self._ctx.sysid) or not self._for_us(msg):
+                continue
+            peer = Peer(frame.link, sysid, msg.get_srcComponent())
+            self._greet(peer)
+            handler(peer, msg)
+
+    def _for_us(self, msg: Message) -> bool:
+        """Addressed to us, to all, or to nobody."""
+        return getattr(msg, "target_system", 0) in (0, self._ctx.sysid) and (
+            getattr(msg, "target_component", 0) in _OUR_COMPONENTS
+        )
+
+    def _greet(self, peer: Peer) -> None:
+        """The true name, once to every client."""
+        if peer in self._greeted:
+            return
+        while len(self._greeted) >= MAX_PEERS:
+            del self._greeted[next(iter(self._greeted))]
+        self._greeted[peer] = None
+        identity = self._ctx.identity
+        self._ctx.text(SEVERITY_INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer.link)
+
+    def _say_heartbeat(self) -> None:
+        """1 Hz, and at once when armed state or mode change."""
+        ctx, view = self._ctx, self._ctx.view
+        shown = (view.armed, view.mode, view.intended_mode)
+        if shown == self._mode_shown and ctx.t_us < self._heartbeat_us:
+            return
+        ctx.broadcast(self._status.heartbeat())
+        if shown != self._mode_shown:
+            ctx.broadcast(self._status.current_mode())
+        self._mode_shown = shown
+        self._heartbeat_us = ctx.t_us + HEARTBEAT_US
+
+    def _say_place(self) -> None:
+        """Origin and home when they change."""
+        view = self._ctx.view
+        place = (view.origin, view.home)
+        if place == self._place_shown:
+            return
+        self._place_shown = place
+        self._ctx.broadcast(self._telemetry.gps_global_origin())
+        self._ctx.broadcast(self._telemetry.home_position())
+
+    # Messages that need no service of their own
+
+    def _on_heartbeat(self, peer: Peer, msg: Message) -> None:
+        if msg.type in _OPERATORS:
+            self.last_gcs_t_us = self._ctx.t_us
+
+    def _on_set_mode(self, peer: Peer, msg: Message) -> None:
+        self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))
+
+    def _on_set_origin(self, peer: Peer, msg: Message) -> None:
+        self._explain(peer, self._vehicle.set_origin_message(msg.latitude, msg.longitude, msg.altitude))
+
+    def _on_request_data_stream(self, peer: Peer, msg: Message) -> None:
+        self._streams.on_request_data_stream(
+            peer.link, msg.req_stream_id, msg.req_message_rate, start=msg.start_stop != 0
+        )
+
+    def _explain(self, peer: Peer, answer: Answer) -> None:
+        """Messages without acknowledgement say a refusal as text."""
+        if answer.result is not CommandResult.ACCEPTED and answer.reason:
+            self._ctx.say(SEVERITY_WARNING, answer.reason, peer.link)
+
+
+__all__ = ["Dispatcher", "Identity"]

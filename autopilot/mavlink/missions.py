@@ -1,0 +1,351 @@
+"""Mission protocol for the three plan types: upload, download, clear. https://mavlink.io/en/services/mission.html
+
+An upload is atomic: items are collected aside and the plan in force changes only when the last one has come and the
+whole plan has been accepted. One upload at a time; a second client is DENIED and the first goes on. Downloads read a
+snapshot, so that a plan that changes meanwhile cannot mix.
+"""
+
+from dataclasses import dataclass, field
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
+from autopilot.mavlink import home_item
+from autopilot.mavlink.context import SEVERITY_INFO, SEVERITY_WARNING, Context, Peer
+from autopilot.mavlink.wire import Message
+
+RETRY_US = 300_000
+"""An item that does not come is asked for again (clients wait 250 ms to 1.5 s)."""
+GIVE_UP_US = 8_000_000
+"""An upload without progress ends (ArduPilot's time)."""
+MAX_WRONG_ITEMS = 20
+"""So many items out of turn between two good ones end an upload: the client does not listen."""
+DUPLICATE_US = 250_000
+"""The same MISSION_COUNT datagram again within this time is a duplicate made by the network, later it is a restart."""
+DOWNLOAD_US = 10_000_000
+"""A download's snapshot is kept so long after the client's last request."""
+REPEAT_US = 5_000_000
+"""The final answer to an upload is repeated so long when the client sends its last item again."""
+REPEAT_PAUSE_US = 200_000
+"""But not more often than this: a duplicated datagram is not a repetition."""
+MAX_DOWNLOADS = 16
+"""Snapshots kept at once; the oldest goes."""
+
+MISSION_TYPE_ALL = 255
+"""MAV_MISSION_TYPE_ALL: clear only."""
+
+_KINDS = {int(kind): kind for kind in PlanKind}
+_CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
+
+
+@dataclass(slots=True)
+class Upload:
+    """A transfer in progress."""
+
+    peer: Peer
+    kind: PlanKind
+    count: int
+    count_mark: tuple[int, int]
+    """Header sequence and checksum of the MISSION_COUNT: tells its duplicate from a new start."""
+    begun_us: int
+    asked_us: int
+    progress_us: int
+    wrong: int = 0
+    items: list[PlanItem] = field(default_factory=list)
+    """As the wire numbers them."""
+
+
+@dataclass(slots=True)
+class Finished:
+    """The last upload's outcome."""
+
+    peer: Peer
+    kind: PlanKind
+    count: int
+    result: MissionResult
+    at_us: int
+    said_us: int
+
+
+@dataclass(slots=True)
+class Download:
+    """What one client is reading."""
+
+    items: tuple[PlanItem, ...]
+    used_us: int
+
+
+class Missions:
+    """The mission microservice."""
+
+    def __init__(self, ctx: Context) -> None:
+        self._ctx = ctx
+        self._upload: Upload | None = None
+        self._finished: Finished | None = None
+        self._downloads: dict[tuple[Peer, PlanKind], Download] = {}
+        self.current_wire_seq = 0
+        """What downloads mark as current."""
+        self.revision = 0
+        """Grows with every plan that is taken."""
+
+    @property
+    def uploading(self) -> bool:
+        """Whether a transfer is open."""
+        return self._upload is not None
+
+    # Upload
+
+    def on_count(self, peer: Peer, msg: Message) -> None:
+        """MISSION_COUNT: begin, restart, clear (0), or refuse."""
+        ctx, kind = self._ctx, _KINDS.get(msg.mission_type)
+        if kind is None:
+            self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
+            return
+        if self._denied(peer, kind):
+            return
+        upload, mark = self._upload, (msg.get_seq(), msg.get_crc())
+        if upload is not None and upload.count_mark == mark and ctx.t_us - upload.begun_us <= DUPLICATE_US:
+            return
+        self._upload = self._finished = None
+        if msg.count > MAX_ITEMS + home_item.shift(ctx, kind):
+            self._ack(peer, MissionResult.NO_SPACE, kind)
+            ctx.say(
+                SEVERITY_WARNING,
+                f"{kind.name.lower()} upload refused: {msg.count} items, at most {MAX_ITEMS} fit; send a shorter plan",
+                peer.link,
+            )
+            return
+        self._upload = Upload(peer, kind, msg.count, mark, ctx.t_us, ctx.t_us, ctx.t_us)
+        if msg.count == 0:
+            self._finish(self._upload)
+        else:
+            self._ask(self._upload)
+
+    def on_item(self, peer: Peer, msg: Message) -> None:
+        """MISSION_ITEM_INT."""
+        upload = self._upload
+        if upload is None or upload.peer != peer:
+            self._stray_item(peer, msg)
+            return
+        if msg.mission_type != upload.kind or msg.seq != len(upload.items):
+            self._item_out_of_turn(upload, msg)
+            return
+        ctx, now_us = self._ctx, self._ctx.t_us
+        item = PlanItem(
+            seq=msg.seq,
+            frame=msg.frame,
+            command=msg.command,
+            param1=msg.param1,
+            param2=msg.param2,
+            param3=msg.param3,
+            param4=msg.param4,
+            x=msg.x,
+            y=msg.y,
+            z=msg.z,
+            autocontinue=msg.autocontinue,
+        )
+        by = home_item.shift(ctx, upload.kind)
+        if item.seq >= by:
+            refusal = ctx.plans.check_item(upload.kind, home_item.stored(item, by))
+            if refusal is not None:
+                self._end(upload, refusal.result, refusal.reason)
+                return
+        upload.items.append(item)
+        upload.progress_us, upload.wrong = now_us, 0
+        if len(upload.items) == upload.count:
+            self._finish(upload)
+        else:
+            self._ask(upload)
+
+    def on_float_item(self, peer: Peer, msg: Message) -> None:
+        """MISSION_ITEM: its 32 bit degrees are a metre wide, too coarse for a vehicle among obstacles."""
+        upload = self._upload
+        reason = "MISSION_ITEM has coordinates rounded to about 1 m: send MISSION_ITEM_INT"
+        if upload is not None and upload.peer == peer:
+            self._end(upload, MissionResult.UNSUPPORTED, reason)
+        else:
+            self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
+            self._ctx.say(SEVERITY_WARNING, reason, peer.link)
+
+    def _item_out_of_turn(self, upload: Upload, msg: Message) -> None:
+        """A repeated item is passed over; one from the future makes us ask again for the one that is due."""
+        if msg.mission_type == upload.kind and msg.seq < len(upload.items):
+            return
+        upload.wrong += 1
+        if upload.wrong > MAX_WRONG_ITEMS:
+            self._end(
+                upload,
+                MissionResult.INVALID_SEQUENCE,
+                f"item {msg.seq} sent again and again, item {len(upload.items)} was asked for",
+            )
+        elif upload.wrong == 1:
+            self._ask(upload)
+
+    def _stray_item(self, peer: Peer, msg: Message) -> None:
+        """An item outside an upload: late (repeat the answer), or nobody asked for it."""
+        done, now_us = self._finished, self._ctx.t_us
+        if done is None or done.peer != peer or done.kind != msg.mission_type or now_us - done.at_us > REPEAT_US:
+            self._ack(peer, MissionResult.ERROR, msg.mission_type)
+            return
+        if msg.seq == done.count - 1 and now_us - done.said_us >= REPEAT_PAUSE_US:
+            done.said_us = now_us
+            self._ack(peer, done.result, done.kind)
+
+    def _ask(self, upload: Upload) -> None:
+        upload.asked_us = self._ctx.t_us
+        peer = upload.peer
+        self._ctx.send(
+            peer.link,
+            mav.MAVLink_mission_request_int_message(peer.sysid, peer.compid, len(upload.items), upload.kind),
+        )
+
+    def _finish(self, upload: Upload) -> None:
+        """All items are there: hand the plan over, or say why not."""
+        ctx = self._ctx
+        by = home_item.shift(ctx, upload.kind)
+        items = tuple(home_item.stored(item, by) for item in upload.items[by:])
+        refusal = ctx.plans.replace(upload.kind, items)
+        if refusal is not None:
+            self._end(upload, refusal.result, refusal.reason)
+            return
+        self.revision += 1
+        self._end(upload, MissionResult.ACCEPTED, "")
+        ctx.say(SEVERITY_INFO, f"{upload.kind.name.capitalize()} plan accepted: {len(items)} items")
+
+    def _end(self, upload: Upload, result: MissionResult, reason: str) -> None:
+        """Close the transfer with its answer; a refusal leaves the plan in force."""
+        now_us = self._ctx.t_us
+        self._upload = None
+        self._finished = Finished(upload.peer, upload.kind, upload.count, result, now_us, now_us)
+        self._ack(upload.peer, result, upload.kind)
+        if reason:
+            text = f"{upload.kind.name.capitalize()} upload refused: {reason}"
+            self._ctx.say(SEVERITY_WARNING, text, upload.peer.link)
+
+    def _denied(self, peer: Peer, kind: PlanKind) -> bool:
+        """Whether another client's open upload keeps this one out; it is told so."""
+        upload = self._upload
+        if upload is None or upload.peer == peer:
+            return False
+        self._ack(peer, MissionResult.DENIED, kind)
+        self._ctx.say(
+            SEVERITY_WARNING,
+            f"{kind.name.capitalize()} change denied: client {upload.peer.sysid}/{upload.peer.compid} is uploading, "
+            "try again later",
+            peer.link,
+        )
+        return True
+
+    def _ack(self, peer: Peer, result: MissionResult, mission_type: int) -> None:
+        self._ctx.send(peer.link, mav.MAVLink_mission_ack_message(peer.sysid, peer.compid, result, int(mission_type)))
+
+    # Clear
+
+    def on_clear_all(self, peer: Peer, msg: Message) -> None:
+        """MISSION_CLEAR_ALL of one type or of all."""
+        if msg.mission_type == MISSION_TYPE_ALL:
+            kinds: tuple[PlanKind, ...] = _CLEAR_ORDER
+        elif msg.mission_type in _KINDS:
+            kinds = (_KINDS[msg.mission_type],)
+        else:
+            self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
+            return
+        if self._denied(peer, kinds[0]):
+            return
+        self._upload = None
+        for kind in kinds:
+            refusal = self._ctx.plans.replace(kind, ())
+            if refusal is not None:
+                self._ack(peer, refusal.result, msg.mission_type)
+                self._ctx.say(SEVERITY_WARNING, f"{kind.name.capitalize()} not cleared: {refusal.reason}", peer.link)
+                return
+            self.revision += 1
+        self._ack(peer, MissionResult.ACCEPTED, msg.mission_type)
+        self._ctx.log(SEVERITY_INFO, "cleared: " + ", ".join(kind.name.lower() for kind in kinds))
+
+    # Download
+
+    def on_request_list(self, peer: Peer, msg: Message) -> None:
+        """MISSION_REQUEST_LIST: how many items, and a snapshot for what follows."""
+        kind = _KINDS.get(msg.mission_type)
+        if kind is None:
+            self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
+            return
+        items = home_item.wire_plan(self._ctx, kind)
+        self._downloads.pop((peer, kind), None)
+        while len(self._downloads) >= MAX_DOWNLOADS:
+            self._downloads.pop(next(iter(self._downloads)))
+        self._downloads[peer, kind] = Download(items, self._ctx.t_us)
+        self._ctx.send(peer.link, mav.MAVLink_mission_count_message(peer.sysid, peer.compid, len(items), kind))
+
+    def on_request(self, peer: Peer, msg: Message) -> None:
+        """MISSION_REQUEST_INT, and MISSION_REQUEST answered with MISSION_ITEM_INT too."""
+        kind = _KINDS.get(msg.mission_type)
+        if kind is None:
+            self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
+            return
+        download = self._downloads.get((peer, kind))
+        if download is None:
+            items = home_item.wire_plan(self._ctx, kind)
+        else:
+            items, download.used_us = download.items, self._ctx.t_us
+        if not msg.seq < len(items):
+            self._ack(peer, MissionResult.INVALID_SEQUENCE, kind)
+            return
+        item = items[msg.seq]
+        current = int(kind is PlanKind.MISSION and item.seq == self.current_wire_seq)
+        self._ctx.send(
+            peer.link,
+            mav.MAVLink_mission_item_int_message(
+                peer.sysid,
+                peer.compid,
+                item.seq,
+                item.frame,
+                item.command,
+                current,
+                item.autocontinue,
+                item.param1,
+                item.param2,
+                item.param3,
+                item.param4,
+                item.x,
+                item.y,
+                item.z,
+                kind,
+            ),
+        )
+
+    def on_ack(self, peer: Peer, msg: Message) -> None:
+        """MISSION_ACK: the client has read everything, or gives a transfer up."""
+        kind = _KINDS.get(msg.mission_type)
+        if kind is None:
+            return
+        upload = self._upload
+        if upload is not None and upload.peer == peer and upload.kind is kind:
+            if msg.type != MissionResult.ACCEPTED:
+                self._upload = None
+                self._ctx.log(SEVERITY_INFO, f"{kind.name.lower()} upload cancelled by the client")
+            return
+        self._downloads.pop((peer, kind), None)
+
+    def on_write_partial_list(self, peer: Peer, msg: Message) -> None:
+        """MISSION_WRITE_PARTIAL_LIST was never standardised."""
+        self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
+
+    # Time
+
+    def tick(self) -> None:
+        """Ask again, give up, forget."""
+        ctx = self._ctx
+        now_us = ctx.t_us
+        upload = self._upload
+        if upload is not None:
+            if now_us - upload.progress_us > GIVE_UP_US * ctx.patience:
+                reason = f"item {len(upload.items)} of {upload.count} did not come; the plan in force stays"
+                self._end(upload, MissionResult.OPERATION_CANCELLED, reason)
+            elif now_us - upload.asked_us >= RETRY_US * ctx.patience:
+                self._ask(upload)
+        if self._downloads:
+            key = next(iter(self._downloads))
+            if now_us - self._downloads[key].used_us > DOWNLOAD_US * ctx.patience:
+                del self._downloads[key]

@@ -1,0 +1,149 @@
+"""Identity profiles: what kind of autopilot the vehicle says it is. Everything else is the same under all three.
+
+Ground stations choose buttons, mode numbers and parameter encoding by HEARTBEAT.autopilot. ``generic`` tells the plain
+truth, ``px4`` and ``ardusub`` speak the dialect that QGroundControl, MAVSDK and Cockpit are complete with. The true
+name stands in AUTOPILOT_VERSION and in a STATUSTEXT at first contact.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import MappingProxyType
+
+from autopilot.core.errors import ConfigError
+from autopilot.mavlink.api import FlightMode
+
+STANDARD_MODES: Mapping[int, FlightMode] = MappingProxyType(
+    {1: FlightMode.HOLD, 5: FlightMode.RETURN, 6: FlightMode.MISSION, 7: FlightMode.SURFACE}
+)
+"""MAV_STANDARD_MODE: 1 position hold, 5 safe recovery, 6 mission, 7 land."""
+
+STANDARD_MODE_OF: Mapping[FlightMode, int] = MappingProxyType({mode: n for n, mode in STANDARD_MODES.items()})
+
+CUSTOM_MODE_FLAG = 1
+"""MAV_MODE_FLAG_CUSTOM_MODE_ENABLED."""
+
+
+class ParamEncoding(Enum):
+    """How integer parameters travel in the float field of PARAM_VALUE and PARAM_SET."""
+
+    BYTEWISE = "bytewise"
+    """The four bytes of the integer, seen as a float."""
+    C_CAST = "c_cast"
+    """The integer converted to a float."""
+
+
+def px4_mode(main: int, sub: int) -> int:
+    """PX4's custom_mode (px4_custom_mode.h): main mode in byte 2, sub mode in byte 3."""
+    return (main << 16) | (sub << 24)
+
+
+_AUTO = 4
+_PX4_MODES = {
+    FlightMode.HOLD: px4_mode(_AUTO, 3),  # AUTO.LOITER
+    FlightMode.MISSION: px4_mode(_AUTO, 4),  # AUTO.MISSION
+    FlightMode.RETURN: px4_mode(_AUTO, 5),  # AUTO.RTL
+    FlightMode.SURFACE: px4_mode(_AUTO, 6),  # AUTO.LAND
+}
+_ARDUSUB_MODES = {
+    FlightMode.HOLD: 4,  # GUIDED: holds its place and takes go-to; QGroundControl waits for it before a mission start
+    FlightMode.MISSION: 3,  # AUTO
+    FlightMode.RETURN: 6,  # free in ArduSub's table, RTL in ArduPilot's other vehicles
+    FlightMode.SURFACE: 9,  # SURFACE
+}
+_ARDUSUB_ALIASES = {16: FlightMode.HOLD}  # POSHOLD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Profile:
+    """One identity."""
+
+    name: str
+    autopilot: int
+    """MAV_AUTOPILOT in the heartbeat."""
+    custom_modes: Mapping[FlightMode, int]
+    mode_names: Mapping[FlightMode, str]
+    mode_aliases: Mapping[int, FlightMode]
+    """Further custom_mode numbers that are understood."""
+    split_modes: bool
+    """DO_SET_MODE carries main and sub mode in param2 and param3 (PX4, MAVSDK) and not the whole number in param2."""
+    param_encoding: ParamEncoding
+    home_is_item_0: bool
+    """Missions on the wire begin with the home position (ArduPilot)."""
+    least_version: tuple[int, int, int]
+    """flight_sw_version is never below this: QGroundControl warns of PX4 older than 1.4.1."""
+    note: str
+    """What the operator is told at first contact."""
+
+    def mode_of(self, custom_mode: int) -> FlightMode | None:
+        """The mode of a custom_mode number, None if there is none."""
+        for mode, number in self.custom_modes.items():
+            if number == custom_mode:
+                return mode
+        return self.mode_aliases.get(custom_mode)
+
+    def mode_of_command(self, main: float, sub: float) -> FlightMode | None:
+        """The mode that DO_SET_MODE's param2 and param3 mean, None if there is none."""
+        if not (0.0 <= main < 2.0**32 and main == int(main)):
+            return None
+        if not self.split_modes or main > 255.0:
+            return self.mode_of(int(main))
+        if not (0.0 <= sub <= 255.0 and sub == int(sub)):
+            return None
+        return self.mode_of(px4_mode(int(main), int(sub)))
+
+
+_NAMES = {
+    FlightMode.HOLD: "Hold",
+    FlightMode.MISSION: "Mission",
+    FlightMode.RETURN: "Return",
+    FlightMode.SURFACE: "Surface",
+}
+
+PROFILES: Mapping[str, Profile] = MappingProxyType(
+    {
+        "generic": Profile(
+            name="generic",
+            autopilot=0,  # MAV_AUTOPILOT_GENERIC
+            custom_modes=MappingProxyType(_PX4_MODES),  # MAVSDK sends PX4 numbers to a generic vehicle too
+            mode_names=MappingProxyType(_NAMES),
+            mode_aliases=MappingProxyType({}),
+            split_modes=True,
+            param_encoding=ParamEncoding.BYTEWISE,
+            home_is_item_0=False,
+            least_version=(0, 0, 0),
+            note="generic profile",
+        ),
+        "px4": Profile(
+            name="px4",
+            autopilot=12,  # MAV_AUTOPILOT_PX4
+            custom_modes=MappingProxyType(_PX4_MODES),
+            mode_names=MappingProxyType(_NAMES),
+            mode_aliases=MappingProxyType({}),
+            split_modes=True,
+            param_encoding=ParamEncoding.BYTEWISE,
+            home_is_item_0=False,
+            least_version=(1, 4, 1),
+            note="px4 profile: speaks PX4's modes, is not PX4",
+        ),
+        "ardusub": Profile(
+            name="ardusub",
+            autopilot=3,  # MAV_AUTOPILOT_ARDUPILOTMEGA
+            custom_modes=MappingProxyType(_ARDUSUB_MODES),
+            mode_names=MappingProxyType(_NAMES),
+            mode_aliases=MappingProxyType(_ARDUSUB_ALIASES),
+            split_modes=False,
+            param_encoding=ParamEncoding.C_CAST,
+            home_is_item_0=True,
+            least_version=(0, 0, 0),
+            note="ardusub profile: speaks ArduSub's modes, is not ArduSub",
+        ),
+    }
+)
+
+
+def profile_by_name(name: str) -> Profile:
+    """The profile of that name; ConfigError if there is none."""
+    if name not in PROFILES:
+        raise ConfigError(f"profile {name!r} does not exist; use one of {', '.join(PROFILES)}")
+    return PROFILES[name]

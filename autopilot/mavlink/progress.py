@@ -1,0 +1,89 @@
+"""How far the mission is: MISSION_CURRENT, MISSION_ITEM_REACHED, and the choice of the current item."""
+
+from collections.abc import Sequence
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.messages import ProgressState
+from autopilot.core.plan import PlanKind
+from autopilot.mavlink import home_item
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode
+from autopilot.mavlink.context import SEVERITY_WARNING, Context, Peer
+from autopilot.mavlink.missions import Missions
+from autopilot.mavlink.wire import Message
+
+NO_MISSION_TOTAL = 0xFFFF
+"""MISSION_CURRENT.total without a mission."""
+
+_MODE_ACTIVE, _MODE_SUSPENDED = 1, 2
+"""MISSION_CURRENT.mission_mode."""
+
+
+class Progress:
+    """Mission progress."""
+
+    def __init__(self, ctx: Context, missions: Missions) -> None:
+        self._ctx = ctx
+        self._missions = missions
+        self._shown: tuple[int, ProgressState, bool, int] | None = None
+        self._chosen_us: int | None = None
+
+    def mission_current(self) -> Message:
+        """MISSION_CURRENT."""
+        ctx, progress = self._ctx, self._ctx.view.progress
+        total = len(ctx.plans.items(PlanKind.MISSION))
+        if not total:
+            state = ProgressState.NO_MISSION
+        elif progress is None or progress.state is ProgressState.NO_MISSION:
+            state = ProgressState.NOT_STARTED
+        else:
+            state = progress.state
+        return mav.MAVLink_mission_current_message(
+            self._wire_seq(),
+            total or NO_MISSION_TOTAL,
+            state,
+            _MODE_ACTIVE if ctx.view.mode is FlightMode.MISSION else _MODE_SUSPENDED,
+        )
+
+    def _wire_seq(self) -> int:
+        progress = self._ctx.view.progress
+        seq = 0 if progress is None else max(progress.current_seq, 0)
+        return seq + home_item.shift(self._ctx, PlanKind.MISSION)
+
+    def choose(self, wire_seq: float) -> Answer:
+        """Make an item current, numbered as on the wire."""
+        seq = wire_seq - home_item.shift(self._ctx, PlanKind.MISSION)
+        seq = max(seq, 0.0) if wire_seq == 0.0 else seq
+        if not 0.0 <= seq <= 65_535.0 or seq != int(seq):
+            return Answer(result=CommandResult.DENIED, reason=f"mission item {wire_seq:g} does not exist")
+        return self._ctx.vehicle.set_current_item(int(seq))
+
+    def on_set_current(self, peer: Peer, msg: Message) -> None:
+        """MISSION_SET_CURRENT: the answer is MISSION_CURRENT, a refusal comes as text."""
+        answer = self.choose(float(msg.seq))
+        if answer.result is CommandResult.ACCEPTED:
+            self._chosen_us = self._ctx.t_us
+        else:
+            self._ctx.say(SEVERITY_WARNING, answer.reason or f"mission item {msg.seq} refused", peer.link)
+
+    def tick(self, reached: Sequence[int]) -> None:
+        """Tell every link what has been reached, and what has changed."""
+        ctx = self._ctx
+        by = home_item.shift(ctx, PlanKind.MISSION)
+        for seq in reached:
+            ctx.broadcast(mav.MAVLink_mission_item_reached_message(max(seq, 0) + by))
+        progress = ctx.view.progress
+        shown = (
+            -1 if progress is None else progress.current_seq,
+            ProgressState.UNKNOWN if progress is None else progress.state,
+            ctx.view.mode is FlightMode.MISSION,
+            self._missions.revision,
+        )
+        # The vehicle's view shows a choice one tick later.
+        answer_due = self._chosen_us is not None and ctx.t_us > self._chosen_us
+        if shown != self._shown or answer_due:
+            if answer_due:
+                self._chosen_us = None
+            self._shown = shown
+            self._missions.current_wire_seq = self._wire_seq()
+            ctx.broadcast(self.mission_current())

@@ -1,0 +1,88 @@
+"""Commands that ask for messages: REQUEST_MESSAGE, message intervals, capabilities, home."""
+
+from collections.abc import Callable, Mapping
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.mavlink.api import Answer, CommandResult
+from autopilot.mavlink.commands import ACCEPTED, UNSUPPORTED, Call, Entry, Reply, denied
+from autopilot.mavlink.context import Context
+from autopilot.mavlink.status import MODES, MSG_ID_PROTOCOL_VERSION, Status
+from autopilot.mavlink.streams import Streams
+
+LATER = Reply(Answer(result=CommandResult.TEMPORARILY_REJECTED))
+"""A message that is known but has nothing to say yet."""
+
+
+class Requests:
+    """Answers to requests; asked again, they are answered again."""
+
+    def __init__(self, ctx: Context, streams: Streams, status: Status) -> None:
+        self._ctx = ctx
+        self._streams = streams
+        self._status = status
+
+    def table(self) -> Mapping[int, Entry]:
+        """Commands of this service."""
+
+        def request(handler: Callable[[Call], Reply]) -> Entry:
+            return Entry(handler=handler, action=False)
+
+        def fixed(msg_id: int) -> Entry:
+            return request(lambda call: self._message(msg_id))
+
+        return {
+            mav.MAV_CMD_REQUEST_MESSAGE: request(self.request_message),
+            mav.MAV_CMD_SET_MESSAGE_INTERVAL: request(self.set_message_interval),
+            mav.MAV_CMD_GET_MESSAGE_INTERVAL: request(self.get_message_interval),
+            mav.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: fixed(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION),
+            mav.MAV_CMD_REQUEST_PROTOCOL_VERSION: fixed(MSG_ID_PROTOCOL_VERSION),
+            mav.MAV_CMD_GET_HOME_POSITION: fixed(mav.MAVLINK_MSG_ID_HOME_POSITION),
+        }
+
+    def request_message(self, call: Call) -> Reply:
+        """REQUEST_MESSAGE: the acknowledgement, then the message."""
+        msg_id = call.whole(1)
+        if msg_id is None:
+            return UNSUPPORTED_REPLY
+        if msg_id == mav.MAVLINK_MSG_ID_AVAILABLE_MODES:
+            return self._available_modes(call)
+        if msg_id == mav.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
+            return self._interval_of(call, call.whole(2))
+        return self._message(msg_id)
+
+    def _available_modes(self, call: Call) -> Reply:
+        index = call.whole(2)
+        if index == 0:
+            return Reply(ACCEPTED, tuple(self._status.available_mode(n + 1) for n in range(len(MODES))))
+        if index is None or not 1 <= index <= len(MODES):
+            return denied(f"mode {call.param(2):g} does not exist: there are {len(MODES)}")
+        return Reply(ACCEPTED, (self._status.available_mode(index),))
+
+    def _message(self, msg_id: int) -> Reply:
+        if not self._streams.knows(msg_id):
+            return UNSUPPORTED_REPLY
+        message = self._streams.build(msg_id)
+        return LATER if message is None else Reply(ACCEPTED, (message,))
+
+    def set_message_interval(self, call: Call) -> Reply:
+        """SET_MESSAGE_INTERVAL on the client's link: microseconds, -1 = off, 0 = default."""
+        msg_id = call.whole(1)
+        if msg_id is None or not self._streams.knows(msg_id):
+            return UNSUPPORTED_REPLY
+        if not self._streams.set_interval(call.peer.link, msg_id, call.params[1]):
+            return denied(f"message {msg_id}: interval {call.params[1]:g} us is not possible")
+        return Reply(ACCEPTED)
+
+    def get_message_interval(self, call: Call) -> Reply:
+        """GET_MESSAGE_INTERVAL: MESSAGE_INTERVAL with 0 for a message that does not exist here."""
+        return self._interval_of(call, call.whole(1))
+
+    def _interval_of(self, call: Call, msg_id: int | None) -> Reply:
+        if msg_id is None or not 0 <= msg_id <= 0xFFFF:
+            return denied("message id is no number of a message")
+        interval_us = self._streams.interval_us(call.peer.link, msg_id)
+        return Reply(ACCEPTED, (mav.MAVLink_message_interval_message(msg_id, interval_us),))
+
+
+UNSUPPORTED_REPLY = Reply(UNSUPPORTED)

@@ -1,0 +1,142 @@
+"""The MAVLink server: bytes in, bytes out, no clock, no socket. One call of :meth:`MavlinkServer.step` per tick.
+
+The dialect (a 2 MB module) is imported when a server is made, not when this module is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from autopilot.core.messages import Event, MavlinkFrame
+from autopilot.core.params import ParamSet
+from autopilot.core.plan import PlanStore
+from autopilot.mavlink.api import FlightMode, GeoPoint, VehicleCommands, VehicleView
+from autopilot.mavlink.profiles import profile_by_name
+
+if TYPE_CHECKING:
+    from autopilot.mavlink.dispatch import Dispatcher
+
+NAME = "Underwater Autopilot"
+"""The true name, in the greeting."""
+
+_NOWHERE = GeoPoint(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
+
+
+class MavlinkServer:
+    """All microservices behind one step function.
+
+    ``patience`` multiplies the time that a client gets in transfers: a simulation that runs k times faster than real
+    time passes k, because clients live in real time. ``links`` are the indices of the links that are open from the
+    start; another one is added when something comes from it, or by :meth:`add_link`. ``version`` is the distribution's,
+    ``git`` the revision in hex digits, ``uid`` 64 bits. ConfigError for an unknown profile.
+    """
+
+    def __init__(
+        self,
+        *,
+        sysid: int,
+        profile: str,
+        params: ParamSet,
+        plans: PlanStore,
+        vehicle: VehicleCommands,
+        version: str,
+        git: str = "",
+        uid: int = 0,
+        links: Sequence[int] = (0,),
+        patience: float = 1.0,
+    ) -> None:
+        identity = profile_by_name(profile)
+        from autopilot.mavlink.dispatch import Dispatcher, Identity
+
+        self._profile = identity
+        self._dispatcher: Dispatcher = Dispatcher(
+            sysid=sysid,
+            profile=identity,
+            identity=Identity(name=NAME, version=version, git=git, uid=uid),
+            params=params,
+            plans=plans,
+            vehicle=vehicle,
+            view=_blank_view(),
+            patience=patience,
+        )
+        for link in links:
+            self._dispatcher.add_link(link)
+
+    def step(
+        self,
+        t_us: int,
+        rx: Sequence[MavlinkFrame],
+        view: VehicleView,
+        events: Sequence[Event] = (),
+        reached: Sequence[int] = (),
+    ) -> tuple[MavlinkFrame, ...]:
+        """Handle what was received, then heartbeats, news, retries and telemetry. Never raises on received bytes."""
+        return self._dispatcher.step(t_us, rx, view, events, reached)
+
+    def custom_mode(self, mode: FlightMode) -> int:
+        """The profile's custom_mode number of a mode."""
+        return self._profile.custom_modes[mode]
+
+    def add_link(self, link: int) -> None:
+        """Open a link: heartbeat and telemetry go out on it from now on."""
+        self._dispatcher.add_link(link)
+
+    def remove_link(self, link: int) -> None:
+        """Close a link and forget its rates."""
+        self._dispatcher.remove_link(link)
+
+    def take_notices(self) -> tuple[Event, ...]:
+        """What the server itself told operators since the last call (plans taken or refused, reasons), for the log."""
+        return self._dispatcher.take_notices()
+
+    @property
+    def dropped_rx(self) -> int:
+        """Stretches of damaged input so far, all links."""
+        return self._dispatcher.dropped_rx
+
+    @property
+    def last_gcs_t_us(self) -> int | None:
+        """When a ground station or companion computer last sent a HEARTBEAT; None before the first."""
+        return self._dispatcher.last_gcs_t_us
+
+    @property
+    def params_changed(self) -> bool:
+        """A client has changed a parameter since the flag was last cleared: save the set, then set this to False."""
+        return self._dispatcher.parameters.changed
+
+    @params_changed.setter
+    def params_changed(self, value: bool) -> None:
+        self._dispatcher.parameters.changed = value
+
+    @property
+    def uploading(self) -> bool:
+        """A plan is being transferred to us."""
+        return self._dispatcher.missions.uploading
+
+    @property
+    def utc_offset_us(self) -> int | None:
+        """Unix time minus service time [us] as a ground station told it (SYSTEM_TIME), None before."""
+        return self._dispatcher.utility.utc_offset_us
+
+
+def _blank_view() -> VehicleView:
+    """What there is to show before the first tick."""
+    return VehicleView(
+        t_us=0,
+        armed=False,
+        mode=FlightMode.HOLD,
+        intended_mode=FlightMode.HOLD,
+        nav=None,
+        power=None,
+        command=None,
+        progress=None,
+        target_ned_m=None,
+        origin=_NOWHERE,
+        home=_NOWHERE,
+        prearm_reasons=(),
+        failsafes=0,
+        cpu_load=0.0,
+        submerged=False,
+        dropped_rx=0,
+    )

@@ -1,0 +1,225 @@
+"""Who the vehicle is and how it is doing: HEARTBEAT, SYS_STATUS, battery, version, modes."""
+
+from collections.abc import Mapping
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.messages import NavHealth
+from autopilot.mavlink.api import FlightMode
+from autopilot.mavlink.context import Context, i16, i32, limited, u16
+from autopilot.mavlink.profiles import STANDARD_MODE_OF, ParamEncoding
+from autopilot.mavlink.telemetry import Builder
+from autopilot.mavlink.wire import Message, RawMessage
+
+MSG_ID_PROTOCOL_VERSION = 300
+_PROTOCOL_VERSION_CRC_EXTRA = 217
+"""common.xml; the message is not in the packaged dialect."""
+
+MODES = (FlightMode.HOLD, FlightMode.MISSION, FlightMode.RETURN, FlightMode.SURFACE)
+"""In the order of AVAILABLE_MODES.mode_index."""
+
+VENDOR_ID = 0x4155
+PRODUCT_ID = 0x4155
+"""The letters "UA" (underwater autopilot) in the board ids: not PX4, not ArduPilot, not a registered USB id."""
+
+_MAVLINK_VERSION = 3
+"""HEARTBEAT.mavlink_version (minimal.xml)."""
+
+_OFFICIAL = 255
+"""FIRMWARE_VERSION_TYPE_OFFICIAL."""
+
+_SENSORS = (
+    mav.MAV_SYS_STATUS_AHRS
+    | mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION
+    | mav.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL
+    | mav.MAV_SYS_STATUS_SENSOR_YAW_POSITION
+    | mav.MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL
+    | mav.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL
+    | mav.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
+    | mav.MAV_SYS_STATUS_GEOFENCE
+    | mav.MAV_SYS_STATUS_SENSOR_BATTERY
+    | mav.MAV_SYS_STATUS_PREARM_CHECK
+)
+
+_CAPABILITIES = (
+    mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+    | mav.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mav.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mav.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
+    | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    | mav.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+    | mav.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
+)
+_ENCODING_BIT = {
+    ParamEncoding.BYTEWISE: mav.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE,
+    ParamEncoding.C_CAST: mav.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
+}
+
+
+def version_number(version: str, least: tuple[int, int, int]) -> int:
+    """flight_sw_version: one byte each of major, minor, patch and type, never below ``least``."""
+    digits = [int(part) if part.isdigit() else 0 for part in version.split("+")[0].split(".")[:3]]
+    own = (*digits, 0, 0, 0)
+    major, minor, patch = (min(n, 255) for n in max((own[0], own[1], own[2]), least))
+    return (major << 24) | (minor << 16) | (patch << 8) | _OFFICIAL
+
+
+class Status:
+    """Status messages of the present tick."""
+
+    def __init__(self, ctx: Context) -> None:
+        self._ctx = ctx
+
+    def builders(self) -> Mapping[int, Builder]:
+        """Builder of each message by id."""
+        return {
+            mav.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
+            mav.MAVLINK_MSG_ID_SYS_STATUS: self.sys_status,
+            mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self.extended_sys_state,
+            mav.MAVLINK_MSG_ID_BATTERY_STATUS: self.battery_status,
+            mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self.autopilot_version,
+            mav.MAVLINK_MSG_ID_CURRENT_MODE: self.current_mode,
+            mav.MAVLINK_MSG_ID_AVAILABLE_MODES_MONITOR: self.available_modes_monitor,
+            MSG_ID_PROTOCOL_VERSION: self.protocol_version,
+        }
+
+    def heartbeat(self) -> Message | None:
+        """HEARTBEAT."""
+        ctx, view = self._ctx, self._ctx.view
+        base_mode = (
+            mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            | mav.MAV_MODE_FLAG_STABILIZE_ENABLED
+            | mav.MAV_MODE_FLAG_GUIDED_ENABLED
+        )
+        if view.mode is not FlightMode.HOLD:
+            base_mode |= mav.MAV_MODE_FLAG_AUTO_ENABLED
+        if view.armed:
+            base_mode |= mav.MAV_MODE_FLAG_SAFETY_ARMED
+            state = mav.MAV_STATE_CRITICAL if view.failsafes else mav.MAV_STATE_ACTIVE
+        else:
+            state = mav.MAV_STATE_STANDBY
+        return mav.MAVLink_heartbeat_message(
+            mav.MAV_TYPE_SUBMARINE,
+            ctx.profile.autopilot,
+            base_mode,
+            ctx.profile.custom_modes[view.mode],
+            state,
+            _MAVLINK_VERSION,
+        )
+
+    def sys_status(self) -> Message | None:
+        """SYS_STATUS: PREARM_CHECK is healthy when arming would be accepted now."""
+        ctx, view = self._ctx, self._ctx.view
+        health = _SENSORS
+        nav_health = NavHealth.INVALID if view.nav is None else view.nav.health
+        if view.nav is None:
+            health &= ~mav.MAV_SYS_STATUS_AHRS
+        if nav_health is not NavHealth.GOOD:
+            health &= ~mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION
+        if nav_health is NavHealth.INVALID:
+            health &= ~(mav.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL | mav.MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL)
+        if view.prearm_reasons:
+            health &= ~mav.MAV_SYS_STATUS_PREARM_CHECK
+        power = view.power
+        voltage_mv, current_ca, remaining = 0xFFFF, -1, -1
+        if power is not None:
+            voltage_mv, current_ca = u16(power.voltage_v * 1e3), limited(power.current_a * 100.0, 0, 0x7FFF)
+            remaining = limited(power.remaining * 100.0, 0, 100)
+            if power.remaining < ctx.params["FS_BATT_LOW"]:
+                health &= ~mav.MAV_SYS_STATUS_SENSOR_BATTERY
+        else:
+            health &= ~mav.MAV_SYS_STATUS_SENSOR_BATTERY
+        received = sum(link.parser.received for link in ctx.links.values())
+        lost = 1e4 * view.dropped_rx / max(received + view.dropped_rx, 1)
+        return mav.MAVLink_sys_status_message(
+            _SENSORS,
+            _SENSORS,
+            health,
+            limited(view.cpu_load * 1e3, 0, 1000),
+            voltage_mv,
+            current_ca,
+            remaining,
+            u16(lost),
+            u16(view.dropped_rx),
+            0,
+            0,
+            0,
+            0,
+        )
+
+    def extended_sys_state(self) -> Message | None:
+        """EXTENDED_SYS_STATE: "in air" is what ground stations offer pause, return and go-to for."""
+        view = self._ctx.view
+        under_way = view.armed or view.submerged
+        return mav.MAVLink_extended_sys_state_message(
+            mav.MAV_VTOL_STATE_UNDEFINED, mav.MAV_LANDED_STATE_IN_AIR if under_way else mav.MAV_LANDED_STATE_ON_GROUND
+        )
+
+    def battery_status(self) -> Message | None:
+        """BATTERY_STATUS of the one pack: its voltage in the first cell's place (cells are not measured)."""
+        power = self._ctx.view.power
+        if power is None:
+            return None
+        low = power.remaining < self._ctx.params["FS_BATT_LOW"]
+        return mav.MAVLink_battery_status_message(
+            0,
+            mav.MAV_BATTERY_FUNCTION_ALL,
+            mav.MAV_BATTERY_TYPE_LION,
+            0x7FFF,
+            [limited(power.voltage_v * 1e3, 0, 0xFFFE)] + [0xFFFF] * 9,
+            i16(power.current_a * 100.0),
+            -1,
+            i32(power.energy_used_j / 100.0),
+            limited(power.remaining * 100.0, 0, 100),
+            0,
+            mav.MAV_BATTERY_CHARGE_STATE_LOW if low else mav.MAV_BATTERY_CHARGE_STATE_OK,
+        )
+
+    def autopilot_version(self) -> Message | None:
+        """AUTOPILOT_VERSION: the true version in middleware_sw_version, the git revision in every custom version."""
+        ctx = self._ctx
+        identity = ctx.identity
+        true_version = version_number(identity.version, (0, 0, 0))
+        revision = identity.git[:8].encode("ascii", errors="replace").ljust(8, b"\0")
+        return mav.MAVLink_autopilot_version_message(
+            _CAPABILITIES | _ENCODING_BIT[ctx.profile.param_encoding],
+            version_number(identity.version, ctx.profile.least_version),
+            true_version,
+            0,
+            0,
+            list(revision),
+            list(revision),
+            [0] * 8,
+            VENDOR_ID,
+            PRODUCT_ID,
+            identity.uid & (2**64 - 1),
+            list((identity.uid & (2**64 - 1)).to_bytes(18, "little")),
+        )
+
+    def protocol_version(self) -> Message | None:
+        """PROTOCOL_VERSION: MAVLink 2 out, 1 and 2 in."""
+        versions = b"".join(n.to_bytes(2, "little") for n in (200, 100, 200))
+        return RawMessage(MSG_ID_PROTOCOL_VERSION, _PROTOCOL_VERSION_CRC_EXTRA, versions + bytes(16))
+
+    def current_mode(self) -> Message | None:
+        """CURRENT_MODE: what it does and what the operator asked for."""
+        view, modes = self._ctx.view, self._ctx.profile.custom_modes
+        return mav.MAVLink_current_mode_message(
+            STANDARD_MODE_OF[view.mode], modes[view.mode], modes[view.intended_mode]
+        )
+
+    def available_modes_monitor(self) -> Message | None:
+        """AVAILABLE_MODES_MONITOR: the list never changes."""
+        return mav.MAVLink_available_modes_monitor_message(0)
+
+    def available_mode(self, index: int) -> Message:
+        """AVAILABLE_MODES of one mode, ``index`` from 1."""
+        profile, mode = self._ctx.profile, MODES[index - 1]
+        return mav.MAVLink_available_modes_message(
+            len(MODES),
+            index,
+            STANDARD_MODE_OF[mode],
+            profile.custom_modes[mode],
+            0,
+            profile.mode_names[mode].encode("ascii"),
+        )

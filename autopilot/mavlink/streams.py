@@ -1,0 +1,172 @@
+"""Which message goes out how often on which link: default rates, SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.clock import TICK_US
+from autopilot.mavlink.context import Context
+from autopilot.mavlink.telemetry import Builder
+from autopilot.mavlink.wire import Message
+
+_OFF = -1
+_S = 1_000_000
+
+DEFAULT_INTERVAL_US: Mapping[int, int] = MappingProxyType(
+    {
+        mav.MAVLINK_MSG_ID_ATTITUDE: _S // 10,
+        mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _S // 10,
+        mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _S // 5,
+        mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _S // 4,
+        mav.MAVLINK_MSG_ID_VFR_HUD: _S // 4,
+        mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _S // 4,
+        mav.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _S // 2,
+        mav.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: _S // 2,
+        mav.MAVLINK_MSG_ID_ALTITUDE: _S // 2,
+        mav.MAVLINK_MSG_ID_SYS_STATUS: _S,
+        mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _S,
+        mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _S,
+        mav.MAVLINK_MSG_ID_MISSION_CURRENT: _S,
+        mav.MAVLINK_MSG_ID_WIND_COV: _S,
+        mav.MAVLINK_MSG_ID_BATTERY_STATUS: 2 * _S,
+        mav.MAVLINK_MSG_ID_HOME_POSITION: 2 * _S,
+        mav.MAVLINK_MSG_ID_CURRENT_MODE: 2 * _S,
+        mav.MAVLINK_MSG_ID_AVAILABLE_MODES_MONITOR: 5 * _S,
+        mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 10 * _S,
+    }
+)
+"""Default interval by message id. What is not here is sent on request only."""
+
+STREAM_GROUPS: Mapping[int, tuple[int, ...]] = MappingProxyType(
+    {
+        mav.MAV_DATA_STREAM_EXTENDED_STATUS: (
+            mav.MAVLINK_MSG_ID_SYS_STATUS,
+            mav.MAVLINK_MSG_ID_MISSION_CURRENT,
+            mav.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
+        ),
+        mav.MAV_DATA_STREAM_RC_CHANNELS: (mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,),
+        mav.MAV_DATA_STREAM_RAW_CONTROLLER: (mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,),
+        mav.MAV_DATA_STREAM_POSITION: (
+            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+            mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+            mav.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+        ),
+        mav.MAV_DATA_STREAM_EXTRA1: (mav.MAVLINK_MSG_ID_ATTITUDE, mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION),
+        mav.MAV_DATA_STREAM_EXTRA2: (mav.MAVLINK_MSG_ID_VFR_HUD, mav.MAVLINK_MSG_ID_ALTITUDE),
+        mav.MAV_DATA_STREAM_EXTRA3: (mav.MAVLINK_MSG_ID_BATTERY_STATUS, mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS),
+    }
+)
+"""Messages of each REQUEST_DATA_STREAM group (the grouping ground stations know from ArduPilot)."""
+
+SLOW_US = _S
+"""Messages that come this rarely by default keep their rate when a client asks for ALL streams at a common rate."""
+
+
+class LinkStreams:
+    """Schedule of one link."""
+
+    def __init__(self, t_us: int) -> None:
+        self.interval_us = dict(DEFAULT_INTERVAL_US)
+        # Starts are spread over the ticks of the first 100 ms so that not everything falls due in the same tick.
+        self.due_us = {msg_id: t_us + TICK_US * (n % 10) for n, msg_id in enumerate(self.interval_us)}
+        self.next_us = t_us
+
+    def set(self, msg_id: int, interval_us: int, t_us: int) -> None:
+        """Change one interval; ``_OFF`` stops the stream."""
+        if interval_us == _OFF:
+            self.interval_us.pop(msg_id, None)
+            self.due_us.pop(msg_id, None)
+            return
+        self.interval_us[msg_id] = interval_us
+        self.due_us[msg_id] = t_us
+        self.next_us = t_us
+
+    def take_due(self, t_us: int) -> list[int]:
+        """Messages due now, rescheduled."""
+        due = [msg_id for msg_id, at_us in self.due_us.items() if at_us <= t_us]
+        for msg_id in due:
+            interval_us = self.interval_us[msg_id]
+            at_us = self.due_us[msg_id] + interval_us
+            self.due_us[msg_id] = at_us if at_us > t_us else t_us + interval_us
+        self.next_us = min(self.due_us.values(), default=t_us + _S)
+        return due
+
+
+class Streams:
+    """Telemetry on all links."""
+
+    def __init__(self, ctx: Context, builders: Mapping[int, Builder]) -> None:
+        self._ctx = ctx
+        self._builders = builders
+        self._links: dict[int, LinkStreams] = {}
+
+    def of(self, link: int) -> LinkStreams:
+        """The schedule of a link."""
+        streams = self._links.get(link)
+        if streams is None:
+            streams = self._links[link] = LinkStreams(self._ctx.t_us)
+        return streams
+
+    def knows(self, msg_id: int) -> bool:
+        """Whether a message can be streamed or requested."""
+        return msg_id in self._builders
+
+    def build(self, msg_id: int) -> Message | None:
+        """One message now, None when there is nothing to say."""
+        return self._builders[msg_id]()
+
+    def interval_us(self, link: int, msg_id: int) -> int:
+        """As in MESSAGE_INTERVAL: microseconds, -1 = off, 0 = not available."""
+        if not self.knows(msg_id):
+            return 0
+        return self.of(link).interval_us.get(msg_id, _OFF)
+
+    def set_interval(self, link: int, msg_id: int, interval_us: float) -> bool:
+        """As in SET_MESSAGE_INTERVAL: -1 = off, 0 = default rate. False when the message cannot be streamed so."""
+        if not self.knows(msg_id) or msg_id == mav.MAVLINK_MSG_ID_HEARTBEAT:
+            return False
+        if interval_us == 0.0:
+            interval = DEFAULT_INTERVAL_US.get(msg_id, _OFF)
+        elif interval_us == _OFF:
+            interval = _OFF
+        elif 0.0 < interval_us < 2.0**31:
+            interval = max(int(interval_us), TICK_US)
+        else:
+            return False
+        self.of(link).set(msg_id, interval, self._ctx.t_us)
+        return True
+
+    def on_request_data_stream(self, link: int, stream: int, rate_hz: int, start: bool) -> None:
+        """REQUEST_DATA_STREAM: a group's rate. ALL leaves slow status messages at their own rate."""
+        everything = stream == mav.MAV_DATA_STREAM_ALL
+        group = tuple(DEFAULT_INTERVAL_US) if everything else STREAM_GROUPS.get(stream, ())
+        for msg_id in group:
+            if not start:
+                interval = float(_OFF)
+            elif rate_hz == 0 or (everything and DEFAULT_INTERVAL_US[msg_id] >= SLOW_US):
+                interval = 0.0
+            else:
+                interval = float(_S // min(rate_hz, 100))
+            if interval == 0.0 and self.interval_us(link, msg_id) == DEFAULT_INTERVAL_US[msg_id]:
+                continue
+            self.set_interval(link, msg_id, interval)
+
+    def tick(self) -> None:
+        """Send what is due; a message due on several links is built once."""
+        t_us = self._ctx.t_us
+        built: dict[int, Message | None] = {}
+        for link in self._ctx.links:
+            streams = self.of(link)
+            if streams.next_us > t_us:
+                continue
+            for msg_id in streams.take_due(t_us):
+                if msg_id not in built:
+                    built[msg_id] = self._builders[msg_id]()
+                message = built[msg_id]
+                if message is not None:
+                    self._ctx.send(link, message)
+
+    def forget(self, link: int) -> None:
+        """Drop the schedule of a closed link."""
+        self._links.pop(link, None)

@@ -1,0 +1,253 @@
+"""Commands that make the vehicle do something: arm, modes, mission, go-to, speed, home, origin."""
+
+import math
+from collections.abc import Callable, Mapping
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.plan import PlanKind
+from autopilot.mavlink import home_item
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
+from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
+from autopilot.mavlink.context import SEVERITY_INFO, SEVERITY_WARNING, Context
+from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG, STANDARD_MODES
+from autopilot.mavlink.progress import Progress
+from autopilot.mavlink.telemetry import Telemetry
+
+FORCE_ARM, FORCE_DISARM = 2989.0, 21196.0
+"""COMPONENT_ARM_DISARM.param2: QGroundControl's force arm, and emergency stop (either works both ways)."""
+
+CHANGE_MODE = 1
+"""MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
+
+_GLOBAL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
+_RELATIVE = frozenset((mav.MAV_FRAME_GLOBAL_RELATIVE_ALT, mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
+
+INT_ONLY = Answer(
+    result=CommandResult.COMMAND_INT_ONLY, reason="COMMAND_LONG rounds positions to 0.5 m: send COMMAND_INT"
+)
+
+
+class VehicleService:
+    """Translates commands into requests to the vehicle."""
+
+    def __init__(self, ctx: Context, telemetry: Telemetry, progress: Progress) -> None:
+        self._ctx = ctx
+        self._telemetry = telemetry
+        self._progress = progress
+
+    def table(self) -> Mapping[int, Entry]:
+        """Commands of this service."""
+
+        def here(mode: FlightMode) -> Entry:
+            return Entry(handler=lambda call: self.mode_here(call, mode), action=True)
+
+        def action(handler: Callable[[Call], Reply]) -> Entry:
+            return Entry(handler=handler, action=True)
+
+        return {
+            mav.MAV_CMD_COMPONENT_ARM_DISARM: action(self.arm_disarm),
+            mav.MAV_CMD_DO_SET_MODE: action(self.do_set_mode),
+            mav.MAV_CMD_DO_SET_STANDARD_MODE: action(self.do_set_standard_mode),
+            mav.MAV_CMD_NAV_RETURN_TO_LAUNCH: here(FlightMode.RETURN),
+            mav.MAV_CMD_NAV_LAND: here(FlightMode.SURFACE),
+            mav.MAV_CMD_NAV_LOITER_UNLIM: here(FlightMode.HOLD),
+            mav.MAV_CMD_MISSION_START: action(self.mission_start),
+            mav.MAV_CMD_DO_PAUSE_CONTINUE: action(self.pause_continue),
+            mav.MAV_CMD_DO_SET_MISSION_CURRENT: action(self.set_mission_current),
+            mav.MAV_CMD_DO_REPOSITION: action(self.reposition),
+            mav.MAV_CMD_DO_CHANGE_SPEED: action(self.change_speed),
+            mav.MAV_CMD_DO_SET_HOME: action(self.set_home),
+            mav.MAV_CMD_DO_SET_GLOBAL_ORIGIN: Entry(
+                handler=self.set_origin, action=True, carrier=CommandResult.COMMAND_INT_ONLY
+            ),
+            mav.MAV_CMD_DO_FLIGHTTERMINATION: action(self.terminate),
+            mav.MAV_CMD_RUN_PREARM_CHECKS: Entry(handler=self.run_prearm_checks, action=False),
+        }
+
+    # Arming and modes
+
+    def arm_disarm(self, call: Call) -> Reply:
+        """COMPONENT_ARM_DISARM: param1 1 = arm, 0 = disarm; param2 = force."""
+        force = call.param(2) in (FORCE_ARM, FORCE_DISARM)
+        if call.params[0] == 1.0:
+            return Reply(self._ctx.vehicle.arm(force))
+        if call.params[0] == 0.0:
+            return Reply(self._ctx.vehicle.disarm(force))
+        return denied(f"arm/disarm: param1 = {call.params[0]:g}, use 1 or 0")
+
+    def terminate(self, call: Call) -> Reply:
+        """DO_FLIGHTTERMINATION: stop the thrusters now. There is nothing that could be taken back."""
+        if call.params[0] == 1.0:
+            return Reply(self._ctx.vehicle.disarm(True))
+        return denied("flight termination: param1 must be 1; arm again to go on")
+
+    def do_set_mode(self, call: Call) -> Reply:
+        """DO_SET_MODE: base mode with the custom flag, then the profile's numbers."""
+        base = call.whole(1)
+        if base is None or not base & CUSTOM_MODE_FLAG:
+            return denied("set mode: base mode without the custom-mode flag is not supported")
+        mode = self._ctx.profile.mode_of_command(call.param(2), call.param(3))
+        if mode is None:
+            return denied(f"set mode: there is no mode {call.param(2):g}/{call.param(3):g}")
+        return Reply(self._ctx.vehicle.set_mode(mode))
+
+    def set_mode_message(self, base_mode: int, custom_mode: int) -> Answer:
+        """Legacy SET_MODE."""
+        mode = self._ctx.profile.mode_of(custom_mode) if base_mode & CUSTOM_MODE_FLAG else None
+        if mode is None:
+            return denied(f"set mode: there is no mode {base_mode}/{custom_mode}").answer
+        return self._ctx.vehicle.set_mode(mode)
+
+    def do_set_standard_mode(self, call: Call) -> Reply:
+        """DO_SET_STANDARD_MODE; FAILED for a mode that does not exist here, as the specification says."""
+        mode = STANDARD_MODES.get(call.whole(1) or 0)
+        if mode is None:
+            known = ", ".join(str(n) for n in STANDARD_MODES)
+            reason = f"standard mode {call.param(1):g} is not available: use one of {known}"
+            return Reply(Answer(result=CommandResult.FAILED, reason=reason))
+        return Reply(self._ctx.vehicle.set_mode(mode))
+
+    def mode_here(self, call: Call, mode: FlightMode) -> Reply:
+        """RETURN, SURFACE and HOLD by command: they begin where the vehicle is."""
+        if (call.x or call.y) and call.x == call.x and call.y == call.y and mode is not FlightMode.RETURN:
+            return denied(f"{mode.name.lower()} begins where the vehicle is: go there first (DO_REPOSITION)")
+        return Reply(self._ctx.vehicle.set_mode(mode))
+
+    def run_prearm_checks(self, call: Call) -> Reply:
+        """RUN_PREARM_CHECKS: the result comes as text."""
+        view = self._ctx.view
+        if view.armed:
+            return Reply(
+                Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="arming checks: the vehicle is armed")
+            )
+        if view.prearm_reasons:
+            for reason in view.prearm_reasons:
+                self._ctx.say(SEVERITY_WARNING, f"Arming check: {reason}", call.peer.link)
+        else:
+            self._ctx.say(SEVERITY_INFO, "Arming checks passed", call.peer.link)
+        return Reply(ACCEPTED)
+
+    # Mission
+
+    def mission_start(self, call: Call) -> Reply:
+        """MISSION_START: param1 = first item (0 = where it is), param2 = last item (only "all")."""
+        by = home_item.shift(self._ctx, PlanKind.MISSION)
+        count = len(self._ctx.plans.items(PlanKind.MISSION))
+        first, last = call.whole(1), call.whole(2)
+        if first is None or first < 0:
+            return denied(f"mission start: first item {call.param(1):g} does not exist")
+        if last is None or (last > 0 and last < count - 1 + by):
+            return denied(f"mission start: last item {call.param(2):g} is not supported, use 0 for all")
+        return Reply(self._ctx.vehicle.start_mission(max(first - by, 0) if first else None))
+
+    def pause_continue(self, call: Call) -> Reply:
+        """DO_PAUSE_CONTINUE: 0 = pause, 1 = go on."""
+        if call.params[0] == 0.0:
+            return Reply(self._ctx.vehicle.pause())
+        if call.params[0] == 1.0:
+            return Reply(self._ctx.vehicle.resume())
+        return denied(f"pause/continue: param1 = {call.params[0]:g}, use 0 or 1")
+
+    def set_mission_current(self, call: Call) -> Reply:
+        """DO_SET_MISSION_CURRENT: param1 = item."""
+        if not math.isfinite(call.params[0]):
+            return denied("set current item: param1 is no number")
+        return Reply(self._progress.choose(call.params[0]))
+
+    # Places
+
+    def reposition(self, call: Call) -> Reply:
+        """DO_REPOSITION. No position at all = hold here (QGroundControl's pause); only an altitude = new depth here."""
+        ctx = self._ctx
+        flags = call.whole(2) or 0
+        if not flags & CHANGE_MODE and ctx.view.mode is not FlightMode.HOLD:
+            return denied("go-to: not in hold mode; set the change-mode flag (param2 = 1)")
+        yaw = call.params[3]
+        yaw_rad = yaw if math.isfinite(yaw) else None
+        if not (math.isfinite(call.x) and math.isfinite(call.y)) and not math.isfinite(call.z):
+            answer = ctx.vehicle.pause() if ctx.view.mode is FlightMode.MISSION else ctx.vehicle.go_to(None, yaw_rad)
+            return Reply(answer)
+        point = self._point(call, "go-to")
+        if isinstance(point, Reply):
+            return point
+        answer = ctx.vehicle.go_to(point, yaw_rad)
+        speed_m_s = call.param(1)
+        if answer.result is CommandResult.ACCEPTED and speed_m_s > 0.0:
+            speed = ctx.vehicle.change_speed(speed_m_s)
+            if speed.reason:
+                ctx.say(SEVERITY_WARNING, speed.reason, call.peer.link)
+        return Reply(answer)
+
+    def change_speed(self, call: Call) -> Reply:
+        """DO_CHANGE_SPEED, ground or water speed alike (both set the cruise speed); -1 = as it is, -2 = default."""
+        if call.whole(1) not in (0, 1):
+            return denied(f"change speed: type {call.param(1):g} is not supported, use 0 or 1")
+        speed_m_s = call.params[1]
+        if speed_m_s == -1.0:
+            return Reply(ACCEPTED)
+        if speed_m_s == -2.0:
+            speed_m_s = self._ctx.params["SPD_CRUISE"]
+        if not 0.0 < speed_m_s < math.inf:
+            return denied(f"change speed: {speed_m_s:g} m/s is no speed")
+        return Reply(self._ctx.vehicle.change_speed(speed_m_s))
+
+    def set_home(self, call: Call) -> Reply:
+        """DO_SET_HOME: param1 1 = here, 0 = at the position given."""
+        if call.params[0] == 1.0:
+            answer = self._ctx.vehicle.set_home(None)
+        elif call.param(1) == 0.0:
+            point = self._point(call, "set home")
+            if isinstance(point, Reply):
+                return point
+            answer = self._ctx.vehicle.set_home(point)
+        else:
+            return denied(f"set home: param1 = {call.param(1):g}, use 1 or 0")
+        if answer.result is CommandResult.ACCEPTED:
+            self._ctx.announce_place = True
+        return Reply(answer)
+
+    def set_origin(self, call: Call) -> Reply:
+        """DO_SET_GLOBAL_ORIGIN; GPS_GLOBAL_ORIGIN follows whether or not it was taken (common.xml)."""
+        self._ctx.announce_place = True
+        if call.frame not in _GLOBAL:
+            return Reply(Answer(result=CommandResult.UNSUPPORTED_FRAME, reason="origin: use frame GLOBAL"))
+        if not (math.isfinite(call.x) and math.isfinite(call.y) and math.isfinite(call.z)):
+            return denied("origin: latitude, longitude or altitude is missing")
+        point = self._point(call, "origin")
+        return point if isinstance(point, Reply) else Reply(self._ctx.vehicle.set_origin(point))
+
+    def set_origin_message(self, latitude: int, longitude: int, altitude: int) -> Answer:
+        """SET_GPS_GLOBAL_ORIGIN: 1e-7 degrees and millimetres."""
+        lat_deg, lon_deg = latitude / 1e7, longitude / 1e7
+        if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
+            return denied(f"origin: {lat_deg:.7f}, {lon_deg:.7f} is no position").answer
+        answer = self._ctx.vehicle.set_origin(GeoPoint(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=altitude / 1e3))
+        if answer.result is CommandResult.ACCEPTED:
+            self._ctx.announce_place = True
+        return answer
+
+    def _point(self, call: Call, what: str) -> GeoPoint | Reply:
+        """The position of a command, or the refusal when it has none that can be used. What is not given = here."""
+        ctx = self._ctx
+        given = math.isfinite(call.x) and math.isfinite(call.y)
+        if given and not call.exact:
+            return Reply(INT_ONLY)
+        if call.frame == mav.MAV_FRAME_LOCAL_NED and given and math.isfinite(call.z):
+            return ctx.plane.geo_from_ned(call.x, call.y, call.z)
+        if call.frame not in _GLOBAL and call.frame not in _RELATIVE:
+            reason = f"{what}: frame {call.frame} is not supported, use 0, 3 or (with a whole position) 1"
+            return Reply(Answer(result=CommandResult.UNSUPPORTED_FRAME, reason=reason))
+        lat_deg, lon_deg = call.x, call.y
+        alt_m = call.z + (ctx.view.origin.alt_m if call.frame in _RELATIVE else 0.0)
+        if not given or not math.isfinite(call.z):
+            here = self._telemetry.here()
+            if here is None:
+                return denied(f"{what}: no position yet")
+            if not given:
+                lat_deg, lon_deg = here.lat_deg, here.lon_deg
+            if not math.isfinite(call.z):
+                alt_m = here.alt_m
+        if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0 or (lat_deg == 0.0 and lon_deg == 0.0):
+            return denied(f"{what}: {lat_deg:.7f}, {lon_deg:.7f} is no position")
+        return GeoPoint(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)
