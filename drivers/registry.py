@@ -18,7 +18,7 @@ BACKENDS: dict[str, dict[str, str]] = {
         "tcpout": "drivers.tcp:TcpClient",
         "serial": "drivers.serial_port:SerialLink",
     },
-    "vehicle": {"sitl": "sitl.backend:SimulatedVehicle"},
+    "vehicle": {"sitl": "sitl.backend:simulated_vehicle"},
 }
 """Kind -> name -> ``module:class``."""
 

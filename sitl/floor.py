@@ -19,6 +19,8 @@ Image: TypeAlias = NDArray[np.uint8]
 
 PX_PER_M = 1000.0
 """Resolution of the finest level; the camera of the LBV150 shows 900 px per metre from 1.1 m above the floor."""
+MAX_PX = 40e6
+"""Pixels of the finest level (bytes of memory); larger floors get a coarser picture."""
 LEVELS = 4
 """Each has half the resolution of the one before, for views from far away."""
 WHITE, BLACK = 200, 34
@@ -39,19 +41,21 @@ class Floor:
     """North edge of the picture."""
     east_m: float
     """West edge of the picture (its least east)."""
+    px_per_m: float
+    """Resolution of the finest picture."""
     levels: tuple[Image, ...]
-    """Pictures, the finest (:data:`PX_PER_M`) first."""
+    """Pictures, the finest first."""
 
     def level_for(self, px_per_m: float) -> int:
         """The level that shows ``px_per_m`` without leaving out pixels (at most by a factor of 1.5)."""
         level = 0
-        while level + 1 < len(self.levels) and PX_PER_M / 2**level > 1.5 * px_per_m:
+        while level + 1 < len(self.levels) and self.px_per_m / 2**level > 1.5 * px_per_m:
             level += 1
         return level
 
     def pixel_map(self, north_m: FloatArray, east_m: FloatArray, level: int) -> NDArray[np.float32]:
         """Where floor points (rows, columns) lie in the picture of a level: (rows, columns, 2) column, row."""
-        scale = PX_PER_M / 2**level
+        scale = self.px_per_m / 2**level
         result = np.empty((*north_m.shape, 2), dtype=np.float32)
         result[..., 0] = (east_m - self.east_m) * scale - 0.5
         result[..., 1] = (self.north_m - north_m) * scale - 0.5
@@ -80,9 +84,11 @@ def build_floor(scenario: Scenario) -> Floor | None:
         return None
     polygon = np.array(scenario.tank.polygon_m)
     low, high = polygon.min(axis=0), polygon.max(axis=0)
-    columns, rows = (int(np.ceil(extent * PX_PER_M)) for extent in (high[1] - low[1], high[0] - low[0]))
+    extent_m = high - low
+    px_per_m = min(PX_PER_M, float(np.sqrt(MAX_PX / (extent_m[0] * extent_m[1]))))
+    rows, columns = (int(np.ceil(extent * px_per_m)) for extent in extent_m)
     ink = np.zeros((rows, columns), dtype=np.uint8)
-    _print_markers(ink, markers, float(high[0]), float(low[1]))
+    _print_markers(ink, markers, float(high[0]), float(low[1]), px_per_m)
     shades = np.linspace(WHITE, BLACK, 256).round().astype(np.uint8)
     picture = cv2.LUT(ink, shades)
     _scatter_sand(picture, np.random.default_rng((scenario.markers.seed, 1)))
@@ -95,6 +101,7 @@ def build_floor(scenario: Scenario) -> Floor | None:
         markers=markers,
         north_m=float(high[0]),
         east_m=float(low[1]),
+        px_per_m=px_per_m,
         levels=tuple(levels),
     )
 
@@ -113,14 +120,14 @@ def camera_of(model: CameraModel, focal_factor: float) -> CameraModel:
     )
 
 
-def _print_markers(ink: Image, markers: MarkerMap, north_m: float, east_m: float) -> None:
+def _print_markers(ink: Image, markers: MarkerMap, north_m: float, east_m: float, px_per_m: float) -> None:
     """Print the markers (tops to the north), every pixel inked by the share of it that is black."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, markers.dictionary))
-    cell_px = markers.size_m * PX_PER_M / MARKER_CELLS
+    cell_px = markers.size_m * px_per_m / MARKER_CELLS
     for marker_id, corner in zip(markers.ids, markers.corners_ned_m[:, 0], strict=True):
         cells = cv2.aruco.generateImageMarker(dictionary, int(marker_id), MARKER_CELLS)
-        left, across = _coverage((corner[1] - east_m) * PX_PER_M, cell_px, ink.shape[1])
-        top, down = _coverage((north_m - corner[0]) * PX_PER_M, cell_px, ink.shape[0])
+        left, across = _coverage((corner[1] - east_m) * px_per_m, cell_px, ink.shape[1])
+        top, down = _coverage((north_m - corner[0]) * px_per_m, cell_px, ink.shape[0])
         black = down @ (cells == 0).astype(float) @ across.T
         ink[top : top + len(down), left : left + len(across)] = np.rint(255.0 * black).astype(np.uint8)
 

@@ -1,0 +1,235 @@
+"""The simulated vehicle behind the drivers' protocols: what stands in for serial lines and amplifiers."""
+
+from collections.abc import Sequence
+from typing import Literal, Protocol
+
+from autopilot.core.camera import CameraModel
+from autopilot.core.errors import ConfigError
+from autopilot.core.markers import MarkerMap
+from autopilot.core.messages import CameraFrame, PowerSample, Sample
+from autopilot.core.vehicle import Vehicle
+from drivers.base import Closing
+from drivers.ig500 import Ig500
+from drivers.thruster_output import SafeThrusterOutput
+from sitl.ahrs import Ig500Emulator
+from sitl.camera import SimCamera
+from sitl.camera_feed import CameraFeed
+from sitl.floor import build_floor, camera_of
+from sitl.plant import Truth, build_plant
+from sitl.pose_sensor import SimPoseSensor
+from sitl.scenario import Scenario, ThrusterLoss
+
+POWER_PERIOD_US = 500_000
+"""The battery monitor reports at 2 Hz."""
+
+
+class PlantLike(Protocol):
+    """What the back end needs of a plant (:class:`sitl.plant.Plant`)."""
+
+    @property
+    def truth(self) -> Truth:
+        """The present truth."""
+        ...
+
+    def advance(self, t_us: int, pwm_us: Sequence[int]) -> None:
+        """Move on to a time with these pulses held."""
+        ...
+
+    def set_thruster_loss(self, name: str, loss: float) -> None:
+        """Weaken a thruster."""
+        ...
+
+
+class Observer(Protocol):
+    """A simulated device that looks at the truth at times of its own."""
+
+    @property
+    def next_us(self) -> int:
+        """When it looks next."""
+        ...
+
+    def observe(self, truth: Truth) -> None:
+        """Look."""
+        ...
+
+
+class SimThrusterOutput(SafeThrusterOutput):
+    """Pulses held for the plant."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle)
+        self.pwm_us: tuple[int, ...] = self._neutral_us
+        """What the amplifiers see now."""
+
+    def _acquire(self) -> None:
+        """Nothing to open."""
+
+    def _put(self, pwm_us: tuple[int, ...]) -> None:
+        self.pwm_us = pwm_us
+
+    def _release(self) -> None:
+        """Nothing to close."""
+
+
+class PowerMonitor(Closing):
+    """Voltage, current and energy at the battery's terminals."""
+
+    def __init__(self) -> None:
+        self.next_us = 0
+        """When the next sample is taken."""
+        self._samples: list[PowerSample] = []
+
+    def open(self) -> None:
+        """Nothing to open."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def observe(self, truth: Truth) -> None:
+        """Take a sample."""
+        self.next_us += POWER_PERIOD_US
+        self._samples.append(
+            PowerSample(
+                t_us=truth.t_us,
+                voltage_v=truth.voltage_v,
+                current_a=truth.current_a,
+                energy_used_j=truth.energy_used_j,
+                remaining=truth.energy_remaining,
+            )
+        )
+
+    def poll(self, t_us: int) -> list[PowerSample]:
+        """Samples since the last call."""
+        samples, self._samples = self._samples, []
+        return samples
+
+
+class SimulatedVehicle(Closing):
+    """Plant, sensors and thruster output of one scenario. Time is handed in; the same calls give the same bytes."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        vehicle: Vehicle,
+        plant: PlantLike,
+        *,
+        seed: int,
+        position: Literal["camera", "pose"],
+    ) -> None:
+        """``position``: localised by rendered pictures or by pose samples. ConfigError if the scenario has no floor."""
+        sensors, faults = scenario.sensors, scenario.fault
+        self._plant = plant
+        self._t_us = 0
+        self._truth: Truth | None = None
+        self.output = SimThrusterOutput(vehicle)
+        """A :class:`drivers.protocols.ThrusterOutput`."""
+        emulator = Ig500Emulator(sensors.ahrs, vehicle.ahrs, faults, seed)
+        self._ahrs = Ig500(emulator, vehicle.ahrs.latency_s)
+        self._power = PowerMonitor()
+        self._pose: SimPoseSensor | None = None
+        self._camera: CameraFeed | None = None
+        self.markers: MarkerMap | None = None
+        """The true marker map; None when there are no pictures."""
+        self._observers: list[Observer] = [emulator, self._power]
+        if position == "pose":
+            depth_m = None if scenario.tank is None else scenario.tank.depth_m
+            self._pose = SimPoseSensor(sensors.pose, sensors.laser, vehicle, depth_m, faults, seed)
+            self._observers.append(self._pose)
+        else:
+            floor = build_floor(scenario)
+            if floor is None:
+                raise ConfigError(
+                    f"scenario {scenario.scenario.name!r} has no [tank], so there is no floor for the camera;"
+                    " use --sensors pose"
+                )
+            model = camera_of(CameraModel.of(vehicle.camera, vehicle.laser), scenario.camera.focal_factor)
+            renderer = SimCamera(model, floor, scenario.camera, seed, laser=sensors.laser.enabled)
+            self._camera = CameraFeed(renderer, sensors.camera, vehicle.camera, faults, seed)
+            self._observers.append(self._camera)
+            self.markers = floor.markers
+        losses = [fault for fault in faults if isinstance(fault, ThrusterLoss)]
+        self._losses = sorted(losses, key=lambda fault: fault.at_s)
+
+    def open(self) -> None:
+        """Configure the AHRS, start the renderer, thrusters to neutral."""
+        self._ahrs.open()
+        self.output.open()
+        if self._camera is not None:
+            self._camera.open()
+
+    def close(self) -> None:
+        """Thrusters to neutral, stop the renderer."""
+        self.output.close()
+        self._ahrs.close()
+        if self._camera is not None:
+            self._camera.close()
+
+    @property
+    def truth(self) -> Truth:
+        """The present truth."""
+        if self._truth is None:
+            self._truth = self._plant.truth
+        return self._truth
+
+    @property
+    def ahrs(self) -> Ig500:
+        """The driver, for its counters."""
+        return self._ahrs
+
+    def advance(self, t_us: int) -> None:
+        """Move the plant on to ``t_us`` with the last pulses; every sensor looks at its own times on the way."""
+        self.output.check(t_us)
+        while True:
+            due_us = min(observer.next_us for observer in self._observers)
+            fault_us = round(self._losses[0].at_s * 1e6) if self._losses else None
+            if fault_us is not None and fault_us <= min(due_us, t_us):
+                self._move(max(fault_us, self._t_us))
+                fault = self._losses.pop(0)
+                self._plant.set_thruster_loss(fault.thruster, fault.loss)
+                continue
+            if due_us > t_us:
+                break
+            self._move(due_us)
+            truth = self.truth
+            for observer in self._observers:
+                if observer.next_us == due_us:
+                    observer.observe(truth)
+        self._move(t_us)
+
+    def poll(self, t_us: int) -> tuple[Sample, ...]:
+        """Samples that have arrived up to ``t_us``; the AHRS's have been bytes on the way."""
+        samples: list[Sample] = [*self._ahrs.poll(t_us), *self._power.poll(t_us)]
+        if self._pose is not None:
+            samples.extend(self._pose.poll(t_us))
+        return tuple(samples)
+
+    def frames(self, t_us: int) -> list[CameraFrame]:
+        """Pictures that have arrived up to ``t_us``."""
+        return [] if self._camera is None else self._camera.poll(t_us)
+
+    def write(self, pwm_us: Sequence[int]) -> None:
+        """Command the thrusters now."""
+        self.output.write(self._t_us, pwm_us)
+
+    def _move(self, t_us: int) -> None:
+        if t_us > self._t_us or self._truth is None:
+            self._plant.advance(t_us, self.output.pwm_us)
+            self._t_us = t_us
+            self._truth = None
+
+
+def simulated_vehicle(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    *,
+    seed: int | None = None,
+    position: Literal["camera", "pose"] | None = None,
+) -> SimulatedVehicle:
+    """The vehicle of a scenario with its plant; ``seed`` and ``position`` None = as the scenario says."""
+    return SimulatedVehicle(
+        scenario,
+        vehicle,
+        build_plant(scenario, vehicle),
+        seed=scenario.scenario.seed if seed is None else seed,
+        position=scenario.sensors.position if position is None else position,
+    )

@@ -1,0 +1,33 @@
+"""Gaps in a sensor's output: begun at random, or by a fault of the scenario."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from sitl.scenario import CameraBlackout, Fault, Outages
+
+
+class OutageClock:
+    """Tells whether a sensor is silent. Asked with times that never go back."""
+
+    def __init__(self, outages: Outages, faults: Iterable[Fault], rng: np.random.Generator) -> None:
+        self._outages = outages
+        self._faults = [
+            (fault.at_s, fault.at_s + fault.duration_s) for fault in faults if isinstance(fault, CameraBlackout)
+        ]
+        self._rng = rng
+        self._start_s = self._end_s = 0.0
+        self._draw()
+
+    def silent(self, t_us: int) -> bool:
+        """Whether nothing comes out at that time."""
+        t_s = t_us * 1e-6
+        while t_s >= self._end_s > 0.0:
+            self._draw()
+        return self._start_s <= t_s < self._end_s or any(start <= t_s < end for start, end in self._faults)
+
+    def _draw(self) -> None:
+        """The next random gap, after the one before."""
+        if self._outages.per_minute > 0.0:
+            self._start_s = self._end_s + float(self._rng.exponential(60.0 / self._outages.per_minute))
+            self._end_s = self._start_s + float(self._rng.uniform(self._outages.min_s, self._outages.max_s))

@@ -1,0 +1,118 @@
+"""A marker-pose sensor and a laser range without pictures, for fast studies.
+
+It measures what the camera and its marker processing would: the vehicle's position and heading with errors that grow
+with the height above the floor, wrong fixes, gaps and the camera's latency; and the range along the laser beam.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+
+from autopilot.core.frames import r_ned_from_frd, wrap_pi
+from autopilot.core.messages import LaserSample, PoseSample
+from autopilot.core.vehicle import Vehicle
+from sitl.outages import OutageClock
+from sitl.plant import Truth
+from sitl.scenario import Fault, LaserSensor, PoseSensor
+
+REFERENCE_HEIGHT_M = 1.0
+"""Height of the camera above the floor at which the scenario's standard deviations hold."""
+LEAST_SCALE = 0.3
+"""Close to the floor the errors shrink no further: fewer markers are in view."""
+LASER_LEAST_RANGE_M, LASER_MOST_RANGE_M = 0.15, 2.0
+"""Where the dot is in the picture, and bright enough."""
+
+
+class SimPoseSensor:
+    """Takes samples of the truth and delivers them after their latency."""
+
+    def __init__(
+        self,
+        pose: PoseSensor,
+        laser: LaserSensor,
+        vehicle: Vehicle,
+        floor_depth_m: float | None,
+        faults: Iterable[Fault],
+        seed: int,
+    ) -> None:
+        """``floor_depth_m`` None: open water, the position comes from outside and there is no laser range."""
+        self._pose = pose
+        self._laser = laser
+        self._floor_depth_m = floor_depth_m
+        self._camera_frd_m = np.array(vehicle.camera.position_frd_m)
+        self._laser_frd_m = np.array(vehicle.laser.position_frd_m)
+        self._rate_hz = pose.rate_hz or vehicle.camera.rate_hz
+        self._latency_s = vehicle.camera.latency_s if pose.latency_s is None else pose.latency_s
+        self._rng = np.random.default_rng((seed, 20))
+        self._outages = OutageClock(pose.outages, faults, np.random.default_rng((seed, 21)))
+        self._count = 0
+        self._last_due_us = 0
+        self._queue: deque[tuple[int, PoseSample | LaserSample]] = deque()
+
+    @property
+    def next_us(self) -> int:
+        """When the next sample is taken."""
+        return round(self._count * 1e6 / self._rate_hz)
+
+    def observe(self, truth: Truth) -> None:
+        """Take the sample that is due at ``truth.t_us``."""
+        self._count += 1
+        noise = self._rng.standard_normal(6)
+        chance = self._rng.random(6)
+        if self._outages.silent(truth.t_us) or chance[0] < self._pose.drop_probability:
+            return
+        delay_s = self._latency_s + self._pose.latency_jitter_s * float(noise[5])
+        due_us = max(self._last_due_us, truth.t_us + max(0, round(delay_s * 1e6)))
+        self._last_due_us = due_us
+        self._queue.append((due_us, self._measured(truth, noise, chance)))
+        laser = self._range(truth, float(noise[4]), chance)
+        if laser is not None:
+            self._queue.append((due_us, laser))
+
+    def poll(self, t_us: int) -> list[PoseSample | LaserSample]:
+        """What is due up to ``t_us``."""
+        due = []
+        while self._queue and self._queue[0][0] <= t_us:
+            due.append(self._queue.popleft()[1])
+        return due
+
+    def _measured(self, truth: Truth, noise: np.ndarray, chance: np.ndarray) -> PoseSample:
+        scale = self._scale(truth)
+        sigma_pos = scale * np.array([self._pose.sigma_xy_m, self._pose.sigma_xy_m, self._pose.sigma_z_m])
+        sigma_yaw = scale * self._pose.sigma_yaw_rad
+        position = truth.pos_ned_m + sigma_pos * noise[0:3]
+        if chance[1] < self._pose.outlier_probability:
+            angle = 2.0 * np.pi * chance[2]
+            position = position + self._pose.outlier_m * np.array([np.cos(angle), np.sin(angle), 0.0])
+        return PoseSample(
+            t_us=truth.t_us,
+            pos_ned_m=position,
+            yaw_rad=wrap_pi(float(truth.rpy_rad[2] + sigma_yaw * noise[3])),
+            sigma_pos_m=sigma_pos,
+            sigma_yaw_rad=sigma_yaw,
+        )
+
+    def _scale(self, truth: Truth) -> float:
+        """How much larger the errors are than at the reference height."""
+        if self._floor_depth_m is None:
+            return 1.0
+        camera = truth.pos_ned_m + r_ned_from_frd(truth.rpy_rad) @ self._camera_frd_m
+        return max(LEAST_SCALE, (self._floor_depth_m - float(camera[2])) / REFERENCE_HEIGHT_M)
+
+    def _range(self, truth: Truth, noise: float, chance: np.ndarray) -> LaserSample | None:
+        if self._floor_depth_m is None or not self._laser.enabled:
+            return None
+        r = r_ned_from_frd(truth.rpy_rad)
+        start = truth.pos_ned_m + r @ self._laser_frd_m
+        down = float(r[2, 2])
+        if down <= 0.0:
+            return None
+        range_m = (self._floor_depth_m - float(start[2])) / down
+        if not LASER_LEAST_RANGE_M <= range_m <= LASER_MOST_RANGE_M:
+            return None
+        sigma_m = self._laser.sigma_m * max(LEAST_SCALE, range_m / REFERENCE_HEIGHT_M) ** 2
+        range_m += sigma_m * noise
+        if chance[3] < self._laser.outlier_probability:
+            range_m += self._laser.outlier_m * (2.0 * chance[4] - 1.0)
+        return LaserSample(t_us=truth.t_us, range_m=range_m, sigma_m=sigma_m) if range_m > 0.0 else None
