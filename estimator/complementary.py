@@ -1,0 +1,171 @@
+"""An observer of the complementary type behind the same interface as the Kalman filter.
+
+The form of Marantos et al. (2016): accelerometer and gyro carry the state on, the aiding sensors pull it back with
+
+    p' = v + k1 e      v' = R a - b + k2 e      b' = -k3 R' e      e = p_measured - p
+
+and the same for heading and gyro bias. k2 and k3 are fixed. k1 adapts: every state has a variance of its own (no
+correlations), so that a fix counts for more after a gap, and a sensor's noise counts. The current follows the
+difference between measured and modelled acceleration.
+"""
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.markers import MarkerMap
+from autopilot.core.vehicle import Vehicle
+from estimator.core import Innovation
+from estimator.engine import Engine
+from estimator.inertial import Mode, Step
+from estimator.kalman import RELOCATED_SIGMA_VEL_M_S, VERTICAL_CURRENT_VARIANCE
+from estimator.measure_laser import LaserRange
+from estimator.measure_model import ModelAid
+from estimator.measure_pose import PoseFix
+from estimator.measurement import CHI2_999, Measurement, Moment
+from estimator.motion import moved
+from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from estimator.states import (
+    ACCEL_BIAS,
+    CURRENT,
+    GYRO_BIAS,
+    HEADING_OFFSET,
+    INITIAL_SIGMA,
+    LASER_BIAS,
+    NX,
+    POS,
+    VEL,
+    YAW,
+    FilterState,
+)
+
+FIX_PERIOD_S = 1.0 / 30.0
+"""The gains per fix below are the continuous ones times this."""
+K_VEL = 12.0 * FIX_PERIOD_S
+"""1/s^2"""
+K_BIAS = 6.0 * FIX_PERIOD_S
+"""1/s^3"""
+K_GYRO_BIAS = 1.0 * FIX_PERIOD_S
+"""1/s^2"""
+K_CURRENT_S = 0.06
+"""m/s per m/s^2 of every look at the model (25 Hz): time constant 0.4 s at cruise speed, 3 s at rest."""
+
+FIX_FLOOR = (0.008, 0.004)
+"""m, rad: fixes are never taken as better than this, which sets k1 to about 8 /s in steady state."""
+GATE_FLOOR = (0.03, 0.02)
+"""m, rad: standard deviation of the residual that the gate allows at least; the variances here know no correlations."""
+MODEL_GATE_SIGMA_M_S2 = 0.4
+POS_NOISE = 0.012
+YAW_NOISE = 0.008
+VEL_NOISE = 0.06
+"""Per sqrt(s): what k1 and the growth of the variances in a gap follow from."""
+VEL_SHRINK = 0.85
+"""Share of the velocity's variance that a fix leaves."""
+CURRENT_VARIANCE = 0.06**2
+OFFSET_NOISE, LASER_BIAS_NOISE = 0.0087, 1e-3
+
+
+class ObserverCore:
+    """:class:`estimator.core.FilterCore` with one variance per state."""
+
+    def __init__(self) -> None:
+        self._growth = np.zeros(NX)
+        self._growth[POS] = POS_NOISE**2
+        self._growth[YAW] = YAW_NOISE**2
+        self._growth[VEL] = VEL_NOISE**2
+        self._growth[HEADING_OFFSET] = OFFSET_NOISE**2
+        self._growth[LASER_BIAS] = LASER_BIAS_NOISE**2
+
+    def start(self, x: FloatArray) -> FilterState:
+        """Around ``x``."""
+        return FilterState(x, INITIAL_SIGMA**2)
+
+    def predict(self, state: FilterState, step: Step) -> FilterState:
+        """Variances grow; that of the position also as if the velocity were wrong all along in one direction."""
+        blind = 10.0 if step.mode is Mode.BLIND else 1.0
+        p = state.p + (blind * step.dt_s) * self._growth
+        p[POS] += 2.0 * step.dt_s * np.sqrt(p[POS] * p[VEL]) * (0.0 if step.mode is Mode.NOMINAL else 1.0)
+        return FilterState(np.array(moved(state.x, step)), p)
+
+    def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
+        """Gate on the sum of squares of the normalised residuals."""
+        x, p = state
+        y = measurement.residual(measurement.z, measurement.predicted(x, moment, after_s))
+        noise = measurement.noise.diagonal()
+        if isinstance(measurement, ModelAid):
+            variance = np.full(2, MODEL_GATE_SIGMA_M_S2**2)
+            return self._result(y, variance, _model_gain(x), np.zeros((NX, 2)))
+        h = measurement.jacobian(x, moment, after_s)
+        spread = p[:, None] * h.T
+        seen = (h.T * spread).sum(axis=0)
+        if isinstance(measurement, PoseFix):
+            noise = np.maximum(noise, np.array([FIX_FLOOR[0]] * 3 + [FIX_FLOOR[1]]) ** 2)
+            variance = np.maximum(seen + noise, np.array([GATE_FLOOR[0]] * 3 + [GATE_FLOOR[1]]) ** 2)
+            return self._result(y, variance, _fix_gain(spread / (seen + noise), x), spread)
+        variance = seen + noise
+        gain = spread / variance
+        if isinstance(measurement, LaserRange):
+            variance = np.maximum(variance, GATE_FLOOR[0] ** 2)
+        return self._result(y, variance, gain, spread)
+
+    def _result(self, y: FloatArray, variance: FloatArray, gain: FloatArray, spread: FloatArray) -> Innovation:
+        ratio = float((y * y / variance).sum()) / CHI2_999[len(y)]
+        return Innovation(y, variance, ratio, gain, spread)
+
+    def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
+        """x + K y; variances shrink by what was learned."""
+        p = np.maximum(state.p - (innovation.gain * innovation.spread).sum(axis=1), 1e-10)
+        if len(innovation.y) == 4:
+            p[VEL] *= VEL_SHRINK
+        return FilterState(state.x + innovation.gain @ innovation.y, p)
+
+    def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray) -> FilterState:
+        """See :class:`estimator.core.FilterCore`."""
+        x, p = state.x.copy(), state.p.copy()
+        x[HEADING_OFFSET] -= pose[3] - x[YAW]
+        x[POS], x[YAW] = pose[:3], pose[3]
+        p[:4] = noise.diagonal()
+        p[VEL] = RELOCATED_SIGMA_VEL_M_S**2
+        return FilterState(x, p)
+
+    def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
+        """Of the current a constant is told: the observer does not know it."""
+        p = state.p.tolist()
+        water = max(p[4], p[5]) + CURRENT_VARIANCE
+        down = p[6] + VERTICAL_CURRENT_VARIANCE
+        return [*p[:4], water, water, down, CURRENT_VARIANCE, CURRENT_VARIANCE, VERTICAL_CURRENT_VARIANCE]
+
+    def planar_variance(self, state: FilterState) -> float:
+        """See :class:`estimator.core.FilterCore`."""
+        return max(state.p.item(0), state.p.item(1))
+
+
+def _fix_gain(gain: FloatArray, x: FloatArray) -> FloatArray:
+    """The adaptive gain (17, 4) with the fixed rows for velocity and biases; the position's share sets their size."""
+    c, s = np.cos(x[YAW]), np.sin(x[YAW])
+    gain[VEL] = 0.0
+    gain[4, 0] = gain[5, 1] = gain[6, 2] = K_VEL
+    gain[GYRO_BIAS] = 0.0
+    gain[GYRO_BIAS, 3] = -K_GYRO_BIAS
+    gain[ACCEL_BIAS] = 0.0
+    gain[8, 0], gain[8, 1] = -K_BIAS * c, -K_BIAS * s
+    gain[9, 0], gain[9, 1] = K_BIAS * s, -K_BIAS * c
+    gain[10, 2] = -K_BIAS
+    return gain
+
+
+def _model_gain(x: FloatArray) -> FloatArray:
+    """Gain (17, 2): an acceleration that the model does not explain is water that pushes."""
+    c, s = float(np.cos(x[YAW])), float(np.sin(x[YAW]))
+    gain = np.zeros((NX, 2))
+    gain[CURRENT] = K_CURRENT_S * np.array([[c, -s], [s, c]])
+    return gain
+
+
+def create_complementary(
+    vehicle: Vehicle,
+    markers: MarkerMap | None,
+    floor_depth_m: float | None,
+    options: EstimatorOptions = DEFAULT_OPTIONS,
+) -> Engine:
+    """The observer behind :class:`estimator.protocol.Estimator`."""
+    return Engine(ObserverCore(), vehicle, markers, floor_depth_m, options)

@@ -1,0 +1,55 @@
+"""What differs between the estimators: how the state is predicted and corrected. Everything else is the engine's."""
+
+from typing import NamedTuple, Protocol
+
+from autopilot.core.frames import FloatArray
+from estimator.inertial import Step
+from estimator.measurement import Measurement, Moment
+from estimator.states import FilterState
+
+
+class Innovation(NamedTuple):
+    """What a measurement says before it is used."""
+
+    y: FloatArray
+    """(m,) residual."""
+    variance: FloatArray
+    """(m,) expected variance of each residual."""
+    test_ratio: float
+    """Squared distance over its gate, > 1 = to be rejected."""
+    gain: FloatArray
+    """(17, m) what a unit of residual moves."""
+    spread: FloatArray
+    """(17, m) covariance between state and residual (the observer: unused)."""
+
+
+class FilterCore(Protocol):
+    """Pure functions of a filter state: nothing is remembered between calls, so that history can be replayed."""
+
+    def start(self, x: FloatArray) -> FilterState:
+        """First state around ``x`` (17,)."""
+        ...
+
+    def predict(self, state: FilterState, step: Step) -> FilterState:
+        """State after the step."""
+        ...
+
+    def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
+        """Residual and gate."""
+        ...
+
+    def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
+        """State after the measurement that ``innovation`` was made of."""
+        ...
+
+    def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray) -> FilterState:
+        """State moved to a pose (4,) north, east, down, yaw with covariance (4, 4); the heading offset moves along."""
+        ...
+
+    def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
+        """(10,) variances: position NED, yaw, velocity relative to the water FRD, current NED."""
+        ...
+
+    def planar_variance(self, state: FilterState) -> float:
+        """The larger one of the variances of north and east [m^2]."""
+        ...

@@ -1,0 +1,17 @@
+"""The default estimator: extended Kalman filter (filterpy) with history."""
+
+from autopilot.core.markers import MarkerMap
+from autopilot.core.vehicle import Vehicle
+from estimator.engine import Engine
+from estimator.kalman import KalmanCore
+from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+
+
+def create_ekf(
+    vehicle: Vehicle,
+    markers: MarkerMap | None,
+    floor_depth_m: float | None,
+    options: EstimatorOptions = DEFAULT_OPTIONS,
+) -> Engine:
+    """The extended Kalman filter behind :class:`estimator.protocol.Estimator`."""
+    return Engine(KalmanCore(), vehicle, markers, floor_depth_m, options)

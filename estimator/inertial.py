@@ -1,0 +1,168 @@
+"""The AHRS side: samples checked, brought to the level frame, and made into steps between two moments."""
+
+import math
+from enum import Enum, IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import AhrsSample
+
+GRAVITY_M_S2 = 9.81
+"""At rest the AHRS reads (0, 0, -9.81), see AhrsSample."""
+
+FUTURE_TOLERANCE_US = 2_000
+"""A sample may be this far ahead of the clock (rounding of the driver's time stamps)."""
+
+STUCK_SAMPLES = 20
+"""So many identical samples in a row (0.2 s) mean that the AHRS hangs: real gyros are never that quiet."""
+
+MAX_RATE_RAD_S = 20.0
+MAX_ACCEL_M_S2 = 80.0
+"""Beyond these a sample is a transmission fault: the IG-500 measures up to 5 g and 5 rad/s in its usual version."""
+
+
+TURN = 2.0 * math.pi
+
+
+class Mode(IntEnum):
+    """Which process noise a step has."""
+
+    NOMINAL = 0
+    COASTING = 1
+    """No vision for a while: the current is held."""
+    BLIND = 2
+    """No AHRS: the acceleration is the vehicle model's."""
+
+
+class Inertial(NamedTuple):
+    """One moment of the AHRS, ready for the filter."""
+
+    t_us: int
+    roll_rad: float
+    pitch_rad: float
+    ahrs_yaw_rad: float
+    yaw_rate_rad_s: float
+    """d yaw / dt from the gyros and the tilt (Fossen 2011, eq. 2.26)."""
+    accel_level_m_s2: tuple[float, float, float]
+    """Acceleration without gravity, forward/right/down in the level frame that turns with the heading."""
+    rate_frd_rad_s: FloatArray
+    """(3,)"""
+    real: bool
+    """False = made up because no AHRS data came."""
+
+
+class Step(NamedTuple):
+    """What moves the state from one moment to the next: means over the step."""
+
+    dt_s: float
+    yaw_rate_rad_s: float
+    accel_level_m_s2: tuple[float, float, float]
+    mode: Mode
+
+
+class Verdict(Enum):
+    """What became of a sample at the door."""
+
+    GOOD = "good"
+    MALFORMED = "malformed"
+    FUTURE = "future"
+    OLD = "old"
+    """Duplicate or out of order."""
+    STUCK = "stuck"
+
+
+def level(sample: AhrsSample) -> Inertial:
+    """The sample in the level frame: rotate by pitch and roll, take gravity away."""
+    roll, pitch, yaw = sample.rpy_rad.tolist()
+    _, q, r = sample.rate_frd_rad_s.tolist()
+    fx, fy, fz = sample.accel_frd_m_s2.tolist()
+    cr, sr = math.cos(roll), math.sin(roll)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    down = sr * fy + cr * fz
+    return Inertial(
+        sample.t_us,
+        roll,
+        pitch,
+        yaw,
+        (sr * q + cr * r) / max(cp, 0.1),
+        (cp * fx + sp * down, cr * fy - sr * fz, -sp * fx + cp * down + GRAVITY_M_S2),
+        sample.rate_frd_rad_s,
+        True,
+    )
+
+
+def made_up(
+    t_us: int, last: Inertial, accel_level_m_s2: tuple[float, float, float], decay: float, turn_rad_s: float
+) -> Inertial:
+    """A stand-in for a missing AHRS sample: tilt fades out with ``decay``, the yaw rate grows by ``turn_rad_s``."""
+    yaw_rate = last.yaw_rate_rad_s + turn_rad_s
+    return Inertial(
+        t_us=t_us,
+        roll_rad=decay * last.roll_rad,
+        pitch_rad=decay * last.pitch_rad,
+        ahrs_yaw_rad=last.ahrs_yaw_rad,
+        yaw_rate_rad_s=yaw_rate,
+        accel_level_m_s2=accel_level_m_s2,
+        rate_frd_rad_s=np.array([0.0, 0.0, yaw_rate]),
+        real=False,
+    )
+
+
+def step_between(a: Inertial, b: Inertial, mode: Mode) -> Step:
+    """The step from ``a`` to ``b`` with the means of both ends."""
+    (ax, ay, az), (bx, by, bz) = a.accel_level_m_s2, b.accel_level_m_s2
+    return Step(
+        dt_s=1e-6 * (b.t_us - a.t_us),
+        yaw_rate_rad_s=0.5 * (a.yaw_rate_rad_s + b.yaw_rate_rad_s),
+        accel_level_m_s2=(0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)),
+        mode=mode,
+    )
+
+
+def hold(last: Inertial, t_us: int, mode: Mode) -> Step:
+    """The step from ``last`` to a later moment of which nothing is known yet."""
+    return Step(
+        dt_s=1e-6 * (t_us - last.t_us),
+        yaw_rate_rad_s=last.yaw_rate_rad_s,
+        accel_level_m_s2=last.accel_level_m_s2,
+        mode=mode,
+    )
+
+
+class AhrsDoor:
+    """Lets good AHRS samples in and counts the others."""
+
+    def __init__(self) -> None:
+        self.counts = dict.fromkeys(Verdict, 0)
+        self._last: list[float] = []
+        self._repeats = 0
+
+    def let_in(self, sample: AhrsSample, now_us: int, newest_us: int) -> Inertial | None:
+        """The sample, levelled, if it is good at ``now_us`` when everything up to ``newest_us`` has been used."""
+        verdict = self._check(sample, now_us, newest_us)
+        self.counts[verdict] += 1
+        return level(sample) if verdict is Verdict.GOOD else None
+
+    def _check(self, sample: AhrsSample, now_us: int, newest_us: int) -> Verdict:
+        rpy, rate, accel = sample.rpy_rad, sample.rate_frd_rad_s, sample.accel_frd_m_s2
+        if not rpy.shape == rate.shape == accel.shape == (3,):
+            return Verdict.MALFORMED
+        tilt, speeds, forces = rpy.tolist(), rate.tolist(), accel.tolist()
+        # Comparisons with NaN are false, so a NaN anywhere is malformed as well.
+        if not (
+            all(-TURN <= a <= TURN for a in tilt)
+            and -0.25 * TURN <= tilt[1] <= 0.25 * TURN
+            and all(-MAX_RATE_RAD_S <= a <= MAX_RATE_RAD_S for a in speeds)
+            and all(-MAX_ACCEL_M_S2 <= a <= MAX_ACCEL_M_S2 for a in forces)
+        ):
+            return Verdict.MALFORMED
+        if sample.t_us > now_us + FUTURE_TOLERANCE_US:
+            return Verdict.FUTURE
+        if sample.t_us <= newest_us:
+            return Verdict.OLD
+        values = tilt + speeds + forces
+        self._repeats = self._repeats + 1 if values == self._last else 0
+        self._last = values
+        return Verdict.STUCK if self._repeats >= STUCK_SAMPLES else Verdict.GOOD

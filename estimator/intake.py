@@ -1,0 +1,49 @@
+"""The door for samples that are measured at one moment and arrive later: each is checked and counted here."""
+
+from collections import deque
+from collections.abc import Iterable
+from typing import TypeAlias
+
+from autopilot.core.messages import LaserSample, MarkerSighting, PoseSample
+from estimator.aiding import Aid
+from estimator.inertial import FUTURE_TOLERANCE_US
+
+AidingSample: TypeAlias = PoseSample | MarkerSighting | LaserSample
+
+REMEMBERED = 64
+"""Times of the latest samples of each kind, to recognise duplicates: two seconds of camera."""
+WAITING_MAX = 64
+"""Samples that may wait for the AHRS to catch up."""
+
+
+class Intake:
+    """Admits samples and hands them out in the order of their time of validity."""
+
+    def __init__(self, aids: dict[type, Aid]) -> None:
+        self._aids = aids
+        self._seen: dict[type, deque[int]] = {kind: deque(maxlen=REMEMBERED) for kind in aids}
+        self._waiting: list[AidingSample] = []
+
+    def admit(self, sample: AidingSample, now_us: int) -> None:
+        """Keep a sample for :meth:`due`, or count it as from the future or as a duplicate."""
+        kind = type(sample)
+        aid = self._aids[kind]
+        aid.counts["received"] += 1
+        if sample.t_us > now_us + FUTURE_TOLERANCE_US:
+            aid.counts["future"] += 1
+        elif sample.t_us in self._seen[kind]:
+            aid.counts["duplicate"] += 1
+        elif len(self._waiting) >= WAITING_MAX:
+            aid.counts["late"] += 1
+        else:
+            self._seen[kind].append(sample.t_us)
+            self._waiting.append(sample)
+
+    def due(self, until_us: int) -> Iterable[AidingSample]:
+        """What was valid at or before ``until_us``, oldest first; the rest waits."""
+        if not self._waiting:
+            return ()
+        ready = sorted((s for s in self._waiting if s.t_us <= until_us), key=lambda s: s.t_us)
+        if ready:
+            self._waiting = [s for s in self._waiting if s.t_us > until_us]
+        return ready

@@ -1,0 +1,48 @@
+"""Heading of the AHRS: magnetic, so true heading plus a slowly wandering offset that is a state of its own."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, wrap_pi
+from estimator.inertial import Inertial
+from estimator.measurement import Moment
+from estimator.states import HEADING_OFFSET, NX, YAW
+
+SIGMA_RAD = 0.026
+"""1.5 degrees: the AHRS's short-term heading error, for 10 looks per second that share it."""
+
+_JACOBIAN: FloatArray = np.zeros((1, NX))
+_JACOBIAN[0, YAW] = _JACOBIAN[0, HEADING_OFFSET] = 1.0
+_JACOBIAN.flags.writeable = False
+_NOISE: FloatArray = np.array([[SIGMA_RAD**2]])
+_NOISE.flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Heading:
+    """z = yaw of the AHRS [rad], at the very moment of its sample."""
+
+    sensor: str
+    t_us: int
+    z: FloatArray
+    """(1,)"""
+    noise: FloatArray
+    """(1, 1)"""
+
+    def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """True heading plus offset."""
+        return np.array([x[YAW] + x[HEADING_OFFSET]])
+
+    def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """Constant."""
+        return _JACOBIAN
+
+    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
+        """z - h, wrapped."""
+        return np.array([wrap_pi(float(z[0] - predicted[0]))])
+
+
+def heading_of(inertial: Inertial) -> Heading:
+    """The heading measurement of one AHRS sample."""
+    return Heading(sensor="heading", t_us=inertial.t_us, z=np.array([inertial.ahrs_yaw_rad]), noise=_NOISE)

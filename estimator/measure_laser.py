@@ -1,0 +1,77 @@
+"""Range along the laser beam to the floor, corrected for tilt."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import LaserSample
+from estimator.inertial import Inertial
+from estimator.measurement import Moment
+from estimator.states import LASER_BIAS, NX
+
+MIN_SIGMA_M = 0.005
+"""Floor of the range noise: waves of the floor, calibration."""
+
+MAX_RANGE_M = 50.0
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LaserRange:
+    """z = range from the laser to a level floor [m]; the beam is the body's z axis."""
+
+    sensor: str
+    t_us: int
+    z: FloatArray
+    """(1,)"""
+    noise: FloatArray
+    """(1, 1)"""
+    floor_depth_m: float
+    mount_frd_m: tuple[float, float, float]
+    """Where the beam starts."""
+
+    def _tilt(self, inertial: Inertial) -> tuple[float, float]:
+        """Depth of the laser below the centre of gravity [m], and cosine between the beam and the vertical."""
+        roll, pitch = inertial.roll_rad, inertial.pitch_rad
+        sr, cr = math.sin(roll), math.cos(roll)
+        sp, cp = math.sin(pitch), math.cos(pitch)
+        lx, ly, lz = self.mount_frd_m
+        return -sp * lx + cp * sr * ly + cp * cr * lz, max(cp * cr, 0.2)
+
+    def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """(floor - depth of the laser) / cosine of the tilt, plus bias."""
+        below, cosine = self._tilt(moment.inertial)
+        return np.array([(self.floor_depth_m - x[2] - after_s * x[6] - below) / cosine + x[LASER_BIAS]])
+
+    def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """d/d depth, heave speed and bias."""
+        _, cosine = self._tilt(moment.inertial)
+        jac = np.zeros((1, NX))
+        jac[0, 2] = -1.0 / cosine
+        jac[0, 6] = -after_s / cosine
+        jac[0, LASER_BIAS] = 1.0
+        return jac
+
+    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
+        """z - h"""
+        y: FloatArray = z - predicted
+        return y
+
+
+def range_from_sample(
+    sample: LaserSample, floor_depth_m: float, mount_frd_m: tuple[float, float, float]
+) -> LaserRange | None:
+    """The measurement of a range sensor's sample; None if it is malformed."""
+    if not (math.isfinite(sample.range_m) and math.isfinite(sample.sigma_m)):
+        return None
+    if not 0.0 < sample.range_m < MAX_RANGE_M or sample.sigma_m < 0.0:
+        return None
+    return LaserRange(
+        sensor="laser",
+        t_us=sample.t_us,
+        z=np.array([sample.range_m]),
+        noise=np.array([[max(sample.sigma_m, MIN_SIGMA_M) ** 2]]),
+        floor_depth_m=floor_depth_m,
+        mount_frd_m=mount_frd_m,
+    )

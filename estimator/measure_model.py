@@ -1,0 +1,117 @@
+"""The vehicle model as a sensor: thrust and drag say what the acceleration must be, the accelerometer says what it is.
+
+This is what makes the current observable: drag depends on the velocity relative to the water, and the velocity over
+ground is known from vision. With M = m + M_A (rigid body and added mass) and a current that changes at the rate c'
+along the way of the vehicle, the surge and sway equations read (Fossen 2011, eq. 6.113 and 8.1, neutral body)
+
+    M dnu_r/dt = f(nu_r, thrust) - m R' c'   so that   R' a_ground = a_model(nu_r, thrust) + (M_A / M) R' c' .
+
+Roll, pitch and the vertical are left out: the level frame stands for the body's planar axes.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
+from autopilot.core.vehicle import Vehicle
+from estimator.inertial import Inertial
+from estimator.measurement import Moment
+from estimator.states import GYRO_BIAS, NX, YAW
+
+SIGMA_M_S2 = 0.06
+"""Error of the modelled acceleration: tether, drag and thrust coefficients. For 25 looks per second that share it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ModelAid:
+    """z = planar acceleration of the AHRS in the level frame, forward and right [m/s^2], at its sample's moment."""
+
+    sensor: str
+    t_us: int
+    z: FloatArray
+    """(2,)"""
+    noise: FloatArray
+    """(2, 2)"""
+    model: Model4
+    follow: tuple[float, float]
+    """:func:`added_share` of the vehicle."""
+
+    def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """Acceleration of the model plus the bias of the AHRS."""
+        ax, ay, _, _ = expected_acceleration(self.model, self.follow, x, moment)
+        return np.array([ax + float(x[8]), ay + float(x[9])])
+
+    def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """Rows forward, right."""
+        u, v, r, c, s = _relative(x, moment)
+        m11, m22 = self.model.mass_kg[:2]
+        lin, quad = self.model.linear_drag, self.model.quadratic_drag
+        fu, fv = -(lin[0] + quad[0] * _slope(u)) / m11, -(lin[1] + quad[1] * _slope(v)) / m22
+        cross_v, cross_u = (m22 / m11 - 1.0) * r, (1.0 - m11 / m22) * r
+        jac = np.zeros((2, NX))
+        # Through u_r = c rn + s re and v_r = c re - s rn, with d u_r/d yaw = v_r and d v_r/d yaw = -u_r.
+        jac[0, 4] = fu * c - cross_v * s
+        jac[0, 5] = fu * s + cross_v * c
+        jac[1, 4] = cross_u * c - fv * s
+        jac[1, 5] = cross_u * s + fv * c
+        jac[:, 11] = -jac[:, 4]
+        jac[:, 12] = -jac[:, 5]
+        k0, k1 = self.follow
+        gn, ge = float(x[13]), float(x[14])
+        jac[0, YAW] = fu * v - cross_v * u + k0 * (c * ge - s * gn)
+        jac[1, YAW] = cross_u * v - fv * u - k1 * (c * gn + s * ge)
+        jac[0, GYRO_BIAS] = -(m22 / m11 - 1.0) * v
+        jac[1, GYRO_BIAS] = -(1.0 - m11 / m22) * u
+        jac[0, 8] = jac[1, 9] = 1.0
+        jac[0, 13], jac[0, 14] = k0 * c, k0 * s
+        jac[1, 13], jac[1, 14] = -k1 * s, k1 * c
+        return jac
+
+    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
+        """z - h"""
+        y: FloatArray = z - predicted
+        return y
+
+
+def expected_acceleration(
+    model: Model4, follow: tuple[float, float], x: FloatArray, moment: Moment
+) -> tuple[float, float, float, float]:
+    """Acceleration over ground forward, right, down in the level frame [m/s^2], and of the yaw rate [rad/s^2]."""
+    u, v, r, c, s = _relative(x, moment)
+    du, dv, dw, dr = body_acceleration(model, (u, v, float(x[6]), r), moment.thrust_n, math)
+    gn, ge = float(x[13]), float(x[14])
+    return du - r * v + follow[0] * (c * gn + s * ge), dv + r * u + follow[1] * (c * ge - s * gn), dw, dr
+
+
+_NOISE: FloatArray = np.eye(2) * SIGMA_M_S2**2
+_NOISE.flags.writeable = False
+
+
+def model_aid_of(inertial: Inertial, model: Model4, follow: tuple[float, float]) -> ModelAid:
+    """The measurement that one AHRS sample makes with the model."""
+    z = np.array(inertial.accel_level_m_s2[:2])
+    return ModelAid(sensor="model", t_us=inertial.t_us, z=z, noise=_NOISE, model=model, follow=follow)
+
+
+def added_share(vehicle: Vehicle) -> tuple[float, float]:
+    """Share of a change of current that the vehicle follows at once, surge and sway: added mass over whole mass."""
+    m11, m22 = vehicle.model4.mass_kg[:2]
+    mass = min(vehicle.body.mass_kg, m11, m22)
+    return 1.0 - mass / m11, 1.0 - mass / m22
+
+
+def _relative(x: FloatArray, moment: Moment) -> tuple[float, float, float, float, float]:
+    """u_r, v_r [m/s], yaw rate [rad/s], cos and sin of the heading."""
+    yaw = float(x[YAW])
+    c, s = math.cos(yaw), math.sin(yaw)
+    rn, re = float(x[4] - x[11]), float(x[5] - x[12])
+    return c * rn + s * re, c * re - s * rn, moment.inertial.yaw_rate_rad_s - float(x[GYRO_BIAS]), c, s
+
+
+def _slope(a: float) -> float:
+    """d(|a| a)/da with the model's smoothing."""
+    a2 = a * a
+    return (2.0 * a2 + ABS_SMOOTHING_M2_S2) / math.sqrt(a2 + ABS_SMOOTHING_M2_S2)

@@ -1,0 +1,70 @@
+"""Position and heading of the vehicle from markers or from a pose sensor."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.messages import PoseSample
+from estimator.measurement import Moment
+from estimator.states import GYRO_BIAS, NX, POS, VEL, YAW
+
+MIN_SIGMA_POS_M = 1e-3
+MIN_SIGMA_YAW_RAD = math.radians(0.05)
+"""Floors: what calibration and survey of the map leave, which no residual shows."""
+
+MAX_SIGMA_POS_M = 1.0
+"""A fix that is worse than this says nothing worth having."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PoseFix:
+    """Pose of the centre of gravity: z = (north, east, down [m], yaw [rad])."""
+
+    sensor: str
+    t_us: int
+    z: FloatArray
+    """(4,)"""
+    noise: FloatArray
+    """(4, 4)"""
+
+    def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """Position moved on with the velocity, yaw with the rate."""
+        h = np.empty(4)
+        h[:3] = x[POS] + after_s * x[VEL]
+        h[3] = x[YAW] + after_s * (moment.inertial.yaw_rate_rad_s - x[GYRO_BIAS])
+        return h
+
+    def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """Rows north, east, down, yaw."""
+        jac = np.zeros((4, NX))
+        jac[0, 0] = jac[1, 1] = jac[2, 2] = jac[3, YAW] = 1.0
+        jac[0, 4] = jac[1, 5] = jac[2, 6] = after_s
+        jac[3, GYRO_BIAS] = -after_s
+        return jac
+
+    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
+        """z - h with yaw wrapped."""
+        y: FloatArray = z - predicted
+        y[3] = wrap_pi(float(y[3]))
+        return y
+
+
+def fix_from_sample(sample: PoseSample, sensor: str) -> PoseFix | None:
+    """The measurement of a pose sensor's sample; None if it is malformed (shape, NaN, negative sigma, useless)."""
+    pos = np.asarray(sample.pos_ned_m, dtype=float)
+    sigma = np.asarray(sample.sigma_pos_m, dtype=float)
+    if pos.shape != (3,) or sigma.shape != (3,):
+        return None
+    values = (*pos.tolist(), *sigma.tolist(), sample.yaw_rad, sample.sigma_yaw_rad)
+    if not all(map(math.isfinite, values)) or sigma.min() < 0.0 or sample.sigma_yaw_rad < 0.0:
+        return None
+    if sigma.max() > MAX_SIGMA_POS_M:
+        return None
+    noise = np.zeros((4, 4))
+    for i in range(3):
+        noise[i, i] = max(float(sigma[i]), MIN_SIGMA_POS_M) ** 2
+    noise[3, 3] = max(sample.sigma_yaw_rad, MIN_SIGMA_YAW_RAD) ** 2
+    z = np.append(pos, sample.yaw_rad)
+    return PoseFix(sensor=sensor, t_us=sample.t_us, z=z, noise=noise)

@@ -1,0 +1,53 @@
+"""What every measurement model has in common. One file per kind of measurement: ``measure_*.py``."""
+
+from typing import NamedTuple, Protocol
+
+from autopilot.core.frames import FloatArray
+from estimator.inertial import Inertial
+
+CHI2_999 = {1: 10.83, 2: 13.82, 3: 16.27, 4: 18.47}
+"""99.9 % points of the chi-square distribution by degrees of freedom (Abramowitz & Stegun, table 26.8)."""
+
+
+class Moment(NamedTuple):
+    """The node of the history that a measurement belongs to: the last one at or before its time."""
+
+    inertial: Inertial
+    thrust_n: tuple[float, float, float, float]
+    """Acting force: the command behind the drive's lag."""
+
+
+class Measurement(Protocol):
+    """A vector z = h(x) + noise. ``after_s`` (0 to about 10 ms) is how long after the moment it was taken."""
+
+    @property
+    def sensor(self) -> str:
+        """Topic-safe name."""
+        ...
+
+    @property
+    def t_us(self) -> int:
+        """Time of validity."""
+        ...
+
+    @property
+    def z(self) -> FloatArray:
+        """(m,)"""
+        ...
+
+    @property
+    def noise(self) -> FloatArray:
+        """(m, m) covariance."""
+        ...
+
+    def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """h(x), (m,)"""
+        ...
+
+    def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """dh/dx, (m, 17)"""
+        ...
+
+    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
+        """z - h(x) (m,), angles wrapped."""
+        ...

@@ -1,0 +1,22 @@
+"""What may be set about an estimator beside its name. The defaults are what the vehicle flies with."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimatorOptions:
+    """Switches for studies and tests, and limits of the health flag."""
+
+    compensate_latency: bool = True
+    """False: late measurements are taken as if they were of now (to show what that costs)."""
+    model_aid: bool = True
+    """False: no current, as an estimator without a vehicle model has to do."""
+    dead_reckoning_after_s: float = 1.0
+    """Time without vision after which the estimate is called dead reckoning."""
+    invalid_after_s: float = 5.0
+    """Time without vision after which the estimate is called invalid."""
+    sigma_limit_m: float = 0.25
+    """Standard deviation of the planar position beyond which the estimate is called invalid: nearly a body radius."""
+
+
+DEFAULT_OPTIONS = EstimatorOptions()

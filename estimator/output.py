@@ -1,0 +1,67 @@
+"""From the filter's state to what the vehicle is told."""
+
+import math
+
+import numpy as np
+
+from autopilot.core.frames import wrap_pi
+from autopilot.core.messages import NavHealth, NavState
+from estimator.core import FilterCore
+from estimator.history import Node
+from estimator.inertial import Mode, hold
+from estimator.motion import moved
+from estimator.options import EstimatorOptions
+
+TILT_VARIANCE_RAD2 = math.radians(0.5) ** 2
+"""Roll and pitch are the AHRS's: 0.5 degrees."""
+NO_TILT_VARIANCE_RAD2 = math.radians(5.0) ** 2
+"""Without AHRS the vehicle is taken as level; its righting moment keeps it there within a few degrees."""
+
+
+def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets: int) -> NavState:
+    """The newest node carried on to ``t_us`` with the last rates."""
+    inertial = node.moment.inertial
+    after_s = 1e-6 * (t_us - node.t_us)
+    x = node.state.x.tolist() if after_s <= 0.0 else moved(node.state.x, hold(inertial, t_us, Mode.NOMINAL))
+    n, e, d, yaw, vn, ve, vd, gyro_bias, _, _, _, cn, ce, _, _, _, _ = x
+    p, q, r = inertial.rate_frd_rad_s.tolist()
+    roll, pitch = inertial.roll_rad + p * after_s, inertial.pitch_rad + q * after_s
+    sr, cr, sp, cp, sy, cy = (
+        math.sin(roll),
+        math.cos(roll),
+        math.sin(pitch),
+        math.cos(pitch),
+        math.sin(yaw),
+        math.cos(yaw),
+    )
+
+    def body(north: float, east: float, down: float) -> list[float]:
+        """R' v for the rotation z-y-x."""
+        forward, right = cy * north + sy * east, cy * east - sy * north
+        below = sp * forward + cp * down
+        return [cp * forward - sp * down, cr * right + sr * below, cr * below - sr * right]
+
+    pn, pe, pd, pyaw, pu, pv, pw, pcn, pce, pcd = core.variance(node.state, cy, sy)
+    tilt = TILT_VARIANCE_RAD2 if inertial.real else NO_TILT_VARIANCE_RAD2
+    return NavState(
+        t_us=t_us,
+        health=health,
+        pos_ned_m=np.array([n, e, d]),
+        rpy_rad=np.array([roll, pitch, wrap_pi(yaw)]),
+        vel_frd_m_s=np.array(body(vn, ve, vd)),
+        vel_water_frd_m_s=np.array(body(vn - cn, ve - ce, vd)),
+        rate_frd_rad_s=np.array([p, q, r - gyro_bias]),
+        current_ned_m_s=np.array([cn, ce, 0.0]),
+        variance=np.array([pn, pe, pd, tilt, tilt, pyaw, pu, pv, pw, pcn, pce, pcd]),
+        reset_count=resets,
+    )
+
+
+def judge_health(node: Node, core: FilterCore, t_us: int, last_fix_us: int, options: EstimatorOptions) -> NavHealth:
+    """Good, dead reckoning (no vision or no AHRS for a while), or invalid."""
+    age_s = 1e-6 * (t_us - last_fix_us)
+    if age_s > options.invalid_after_s or core.planar_variance(node.state) > options.sigma_limit_m**2:
+        return NavHealth.INVALID
+    if age_s > options.dead_reckoning_after_s or not node.moment.inertial.real:
+        return NavHealth.DEAD_RECKONING
+    return NavHealth.GOOD

@@ -1,0 +1,36 @@
+"""Start-up: believe a pose once three fixes agree, wherever the vehicle stands."""
+
+import math
+from collections import deque
+
+from autopilot.core.frames import FloatArray, wrap_pi
+from estimator.measure_pose import PoseFix
+
+AGREE_COUNT = 3
+"""Fixes that must agree, the newest among them."""
+WINDOW_US = 1_000_000
+AGREE_M = 0.10
+AGREE_RAD = 0.15
+SPEED_M_S = 0.8
+TURN_RAD_S = 1.2
+"""Fixes agree if they lie within AGREE plus what the vehicle can have moved in between."""
+
+
+class StartUp:
+    """Collects fixes until enough of them agree."""
+
+    def __init__(self) -> None:
+        self._fixes: deque[PoseFix] = deque(maxlen=12)
+
+    def offer(self, fix: PoseFix) -> bool:
+        """True if ``fix`` can be believed: at least two others of the last second agree with it."""
+        others = [f for f in self._fixes if f.t_us != fix.t_us and abs(fix.t_us - f.t_us) <= WINDOW_US]
+        self._fixes.append(fix)
+        return 1 + sum(_agree(fix, other) for other in others) >= AGREE_COUNT
+
+
+def _agree(a: PoseFix, b: PoseFix) -> bool:
+    dt = 1e-6 * abs(a.t_us - b.t_us)
+    step: FloatArray = a.z[:3] - b.z[:3]
+    near = math.sqrt(float(step @ step)) <= AGREE_M + SPEED_M_S * dt
+    return near and abs(wrap_pi(float(a.z[3] - b.z[3]))) <= AGREE_RAD + TURN_RAD_S * dt

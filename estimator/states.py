@@ -1,0 +1,56 @@
+"""Layout of the state vector that both estimators use, and how sure they are of it at the start."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+
+NX = 17
+"""Number of states."""
+
+POS = slice(0, 3)
+"""Position of the centre of gravity, NED [m]."""
+YAW = 3
+"""Heading [rad], not wrapped: it counts turns."""
+VEL = slice(4, 7)
+"""Velocity over ground, NED [m/s]."""
+GYRO_BIAS = 7
+"""Offset of the heading rate [rad/s]."""
+ACCEL_BIAS = slice(8, 11)
+"""Offset of the acceleration in the level frame that turns with the heading [m/s^2].
+
+The accelerometer's own offset and, mostly, gravity that leaks in through the AHRS's error of roll and pitch."""
+CURRENT = slice(11, 13)
+"""Velocity of the water, north and east [m/s]."""
+CURRENT_RATE = slice(13, 15)
+"""How fast the current changes at the moving vehicle, north and east [m/s^2]."""
+HEADING_OFFSET = 15
+"""Heading that the AHRS shows minus true heading [rad]."""
+LASER_BIAS = 16
+"""Range that the laser shows minus true range [m]."""
+
+
+class FilterState(NamedTuple):
+    """Estimate at one moment. The arrays are never changed in place, only replaced."""
+
+    x: FloatArray
+    """(17,)"""
+    p: FloatArray
+    """Covariance (17, 17) in the Kalman filter, variances (17,) in the observer."""
+
+
+INITIAL_SIGMA: FloatArray = np.array(
+    [0.03, 0.03, 0.03, 0.03, 0.3, 0.3, 0.1, 0.02, 0.15, 0.15, 0.1, 0.2, 0.2, 0.05, 0.05, 0.05, 0.02]
+)
+"""(17,) standard deviations at start-up: position from one fix, moderate speed, current and biases not known."""
+INITIAL_SIGMA.flags.writeable = False
+
+
+def initial_state(pos_ned_m: FloatArray, yaw_rad: float, heading_offset_rad: float) -> FloatArray:
+    """State (17,) of a vehicle at rest at that pose."""
+    x = np.zeros(NX)
+    x[POS] = pos_ned_m
+    x[YAW] = yaw_rad
+    x[HEADING_OFFSET] = heading_offset_rad
+    return x

@@ -1,0 +1,53 @@
+"""Process noise of the filter: how fast each state may wander. Tuned on simulated runs through the tank jet."""
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from estimator.inertial import Mode
+from estimator.states import ACCEL_BIAS, CURRENT, CURRENT_RATE, GYRO_BIAS, HEADING_OFFSET, LASER_BIAS, NX, POS, VEL, YAW
+
+POS_NOISE = 1e-4
+"""m/sqrt(s): keeps the position gain alive at rest."""
+GYRO_NOISE = 2e-3
+"""rad/s/sqrt(Hz): 0.05 deg/s/sqrt(Hz) of the IG-500 class doubled for scale error and misalignment."""
+ACCEL_NOISE = 0.03
+"""m/s^2/sqrt(Hz): sensor noise is a tenth of this, the rest is what tilt errors do within a second."""
+GYRO_BIAS_WALK = 1e-4
+"""rad/s/sqrt(s)"""
+ACCEL_BIAS_WALK = 0.02
+"""m/s^2/sqrt(s): gravity leaking in through slow tilt errors, 0.07 m/s^2 for 0.4 degrees."""
+CURRENT_WALK = 0.02
+"""m/s/sqrt(s): eddies that CURRENT_RATE does not describe."""
+CURRENT_RATE_WALK = 0.12
+"""m/s^2/sqrt(s): with CURRENT_RATE_TIME_S a stationary 0.12 m/s^2, the jet crossed at cruise speed."""
+CURRENT_RATE_TIME_S = 2.0
+"""Correlation time of the current's rate of change: the jet's width at cruise speed."""
+HEADING_OFFSET_WALK = 0.0087
+"""rad/sqrt(s), 0.5 degrees: steel of a tank."""
+LASER_BIAS_WALK = 1e-3
+"""m/sqrt(s)"""
+
+BLIND_GYRO_NOISE = 0.2
+"""rad/s/sqrt(Hz) when there is no gyro."""
+BLIND_ACCEL_NOISE = 0.15
+"""m/s^2/sqrt(Hz) when the vehicle model stands in for the accelerometer."""
+
+COAST_CURRENT_SHARE = 0.2
+"""Without vision the current cannot be told from the accelerometer's bias: its states wander by this share only."""
+
+
+def process_noise(mode: Mode) -> FloatArray:
+    """Covariance per second (17, 17), diagonal."""
+    coast = 1.0 if mode is Mode.NOMINAL else COAST_CURRENT_SHARE
+    blind = mode is Mode.BLIND
+    sigma = np.zeros(NX)
+    sigma[POS] = POS_NOISE
+    sigma[YAW] = BLIND_GYRO_NOISE if blind else GYRO_NOISE
+    sigma[VEL] = BLIND_ACCEL_NOISE if blind else ACCEL_NOISE
+    sigma[GYRO_BIAS] = GYRO_BIAS_WALK
+    sigma[ACCEL_BIAS] = ACCEL_BIAS_WALK
+    sigma[CURRENT] = coast * CURRENT_WALK
+    sigma[CURRENT_RATE] = coast * CURRENT_RATE_WALK
+    sigma[HEADING_OFFSET] = HEADING_OFFSET_WALK
+    sigma[LASER_BIAS] = LASER_BIAS_WALK
+    return np.diag(sigma**2)
