@@ -1,8 +1,8 @@
 """Thrust to servo pulses and back, by the calibrated curve of the drive (Vehicle.drive).
 
 Thruster and amplifier: pulse -> duty -> voltage = duty * supply -> F = c V |V|, with different c forward and reverse
-and a band of duty in which the motor does not turn. The inverse jumps that band: a request of at least half the smallest
-thrust gets the smallest thrust, a smaller one gets none.
+and a band of duty in which the motor does not turn. The inverse jumps that band: a request of at least half the
+smallest thrust gets the smallest thrust, a smaller one gets none.
 """
 
 import math

@@ -1,9 +1,11 @@
 """The motion controller: route, reference, constraints and optimiser behind one ``step``, with its fallbacks."""
 
+import cmath
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,7 +16,7 @@ from autopilot.control.grid import geometric_grid
 from autopilot.control.nmpc import Nmpc, NmpcProblem, NmpcResult
 from autopilot.control.obstacles import FAR_M
 from autopilot.control.planner import Planner
-from autopilot.control.reference import TURN_AHEAD_M, Route, build_reference, turn_target
+from autopilot.control.reference import TURN_AHEAD_M, Route, Target, build_reference, turn_target
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import ControlOutput, Fallback, Goal, NavHealth, NavState, NmpcStatus, SolveStatus
@@ -23,13 +25,13 @@ from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 
 VELOCITY_WEIGHTS = (8.0, 8.0, 8.0, 0.5)
-"""Weights on u, v, w [1/(m/s)^2] and r [1/(rad/s)^2]: enough to hold the cruise speed against the pull of the position."""
+"""Weights on u, v, w [1/(m/s)^2] and r [1/(rad/s)^2]: enough to hold the cruise speed."""
 
 YAW_RATE_SHARE = 0.92
 HEAVE_SHARE = 0.92
 """Shares of the heave and yaw rate limits that the optimiser may use; the rest is for estimation error."""
 
-BURST_STEPS = 5
+BURST_STEPS = 2
 BURST_QPS = 2
 """After a new goal or fence so many steps solve so many QPs, so that the plan converges without one long step."""
 
@@ -171,10 +173,9 @@ class MotionController:
                 self._route = None
             self._fence = fence
         assert self._planner is not None
-        yaw = math.nan if goal.yaw_rad is None else goal.yaw_rad
         goal_key = (
             *(float(p) for p in goal.pos_ned_m),
-            0.0 if goal.yaw_rad is None else yaw,
+            0.0 if goal.yaw_rad is None else goal.yaw_rad,
             float(goal.yaw_rad is None),
         )
         changed = goal_key != self._goal_key or self._route is None
@@ -208,25 +209,22 @@ class MotionController:
         elif goal.yaw_rad is not None:
             self._yaw_target = turn_target(float(x0[YAW]), goal.yaw_rad, self._yaw_target)
         elif route.length_m - self._s > TURN_AHEAD_M or self._yaw_target is None:
-            x, y, tx, ty = route.at(np.array([min(self._s + TURN_AHEAD_M, route.length_m)]))
-            north, east = float(x[0] - x0[0]), float(y[0] - x0[1])
-            if math.hypot(north, east) > 0.5 * TURN_AHEAD_M:
-                self._yaw_target = unwrap_near(math.atan2(east, north), float(x0[YAW]))
+            look = route.point(min(self._s + TURN_AHEAD_M, route.length_m)) - complex(x0[0], x0[1])
+            if abs(look) > 0.5 * TURN_AHEAD_M:
+                self._yaw_target = unwrap_near(cmath.phase(look), float(x0[YAW]))
             elif self._yaw_target is None:
                 self._yaw_target = float(x0[YAW])
-        return build_reference(
-            t_s=self.nmpc.grid.t_s,
-            x0=x0,
+        target = Target(
             route=route,
-            s0=self._s,
+            s0_m=self._s,
             depth_m=float(goal.pos_ned_m[2] if hold is None else hold[2]),
-            yaw_target_rad=self._yaw_target,
+            yaw_rad=self._yaw_target,
             cruise_m_s=goal.speed_m_s,
-            current_ned_m_s=current,
             speed_limit_m_s=_speed_cap(params),
             heave_limit_m_s=params["SPD_HEAVE_MAX"],
             yaw_rate_limit_rad_s=params["SPD_YAW_MAX"],
         )
+        return build_reference(self.nmpc.grid.t_s, x0, target, current)
 
     def _solve(
         self,
@@ -262,13 +260,13 @@ class MotionController:
         qps = BURST_QPS if self._burst > 0 else 1
         self._burst = max(0, self._burst - 1)
         margin = FAR_M
-        for done in range(1, qps + 1):
+        for _ in range(qps):
             points = self.nmpc.x[1:n, :2]
             margin = planner.features.half_planes(points, radius, self.nmpc.planes, self._plane_n, self._plane_d)
             result = self.nmpc.solve(problem)
             if result.status is not SolveStatus.OK:
                 break
-        return result, done, margin
+        return result, qps, margin
 
     def _choose(
         self, result: NmpcResult, x: FloatArray, current: FloatArray, limit_n: FloatArray, elapsed_s: float
@@ -307,10 +305,8 @@ class MotionController:
 
     def _route_ahead(self, nav: NavState) -> FloatArray:
         route = self._route
-        here = np.asarray(nav.pos_ned_m[:2], dtype=float)[None]
-        if route is None or self.unreachable:
-            return here.copy()
-        return np.concatenate([here, route.ahead(self._s)[1:]])
+        here = np.array(nav.pos_ned_m[:2], dtype=float)
+        return here[None] if route is None or self.unreachable else route.ahead(here, self._s)
 
 
 class _Advance:
@@ -323,13 +319,13 @@ class _Advance:
     def __init__(self, model: Model4, lag_s: float) -> None:
         interval = ocp.discrete_dynamics(model, lag_s, 2)
         x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", NU), ca.SX.sym("c", 3)
-        function = ca.Function("advance", [x, u, c], [interval(x, u, c)[0]])
+        function: Any = ca.Function("advance", [x, u, c], [interval(x, u, c)[0]])
         self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(NU), np.zeros(3), np.zeros(NX)
         self._function = function
         self._buffer, self._evaluate = function.buffer()
         for i, array in enumerate((self._x, self._u, self._c)):
-            self._buffer.set_arg(i, memoryview(array))
-        self._buffer.set_res(0, memoryview(self._out))
+            self._buffer.set_arg(i, array.data)
+        self._buffer.set_res(0, self._out.data)
 
     def __call__(self, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> FloatArray:
         self._x[:], self._u[:], self._c[:] = x, thrust_n, current_ned_m_s

@@ -1,7 +1,7 @@
 """Real-time iteration: one Gauss-Newton QP per control step, warm-started by the shifted last plan.
 
-Holds the compiled step of :mod:`autopilot.control.ocp` and the arrays it reads and writes; nothing is allocated or built
-after construction. The first solver that passes a self-test is used.
+Holds the compiled step of :mod:`autopilot.control.ocp` and the arrays it reads and writes; nothing is allocated or
+built after construction. The first solver that passes a self-test is used.
 """
 
 import math
@@ -18,8 +18,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus
 from autopilot.core.model4 import NU, NX, Model4
 
-PLANES = 6
-"""Half-plane slots per stage: four walls of a tank and two obstacles."""
+PLANES = 8
+"""Half-plane slots per stage: four walls of a tank and four obstacles."""
 
 VIOLATION_LIMIT = 1e-3
 """Largest violation of a QP row (dynamics in SI units, constraints in metres and m/s) that counts as solved."""
@@ -88,7 +88,7 @@ class QpStep:
         self.x = np.zeros((n + 1, NX))
         self.u = np.zeros((n, NU))
         self.slack = np.zeros(n - 1)
-        self.figures = np.zeros(4)
+        self.figures = np.zeros(5)
         self._multipliers = np.zeros(self._function.nnz_out("multipliers"))
         self._buffer, self._evaluate = self._function.buffer()
         arguments = (
@@ -103,9 +103,9 @@ class QpStep:
             self.plane_d,
         )
         for i, array in enumerate(arguments):
-            self._buffer.set_arg(i, memoryview(array))
+            self._buffer.set_arg(i, array.data)
         for i, array in enumerate((self.x, self.u, self.slack, self.figures, self._multipliers)):
-            self._buffer.set_res(i, memoryview(array))
+            self._buffer.set_res(i, array.data)
 
     def evaluate(self) -> None:
         """Linearise at the guess, solve, write the results."""
@@ -136,13 +136,13 @@ def passes_self_test(step: QpStep) -> bool:
     step.x_ref[:] = step.x_guess
     step.x_ref[:, 0] = 1.0
     step.weights[:] = [20.0, 20.0, 40.0, 3.0, 1.0, 1.0, 1.0, 0.5, 0.02, 0.02, 0.02, 0.02]
-    step.limits[:5] = [0.5, 0.25, 1.0, 0.0, 1.2]
+    step.limits[:] = [0.5, 0.25, 1.0, 0.0, 1.2]
     step.thrust_limit[:] = 12.0
     step.plane_n[:] = 0.0
     step.plane_d[:] = -1.0
     for _ in range(3):
         step.evaluate()
-        if not (np.isfinite(step.x).all() and np.isfinite(step.u).all()):
+        if not np.isfinite(step.figures).all():
             return False
         step.x_guess[:], step.u_guess[:] = step.x, step.u
     port, starboard, _, lateral = step.u[0]
@@ -217,7 +217,7 @@ class Nmpc:
         step.x_ref[:] = problem.x_ref
         step.current[:] = problem.current_ned_m_s
         step.weights[:] = problem.weights
-        step.limits[:5] = problem.limits
+        step.limits[:] = problem.limits
         step.thrust_limit[:] = problem.thrust_limit_n
         step.plane_n[:] = problem.plane_n
         step.plane_d[:] = problem.plane_d_m
@@ -226,15 +226,15 @@ class Nmpc:
             step.evaluate()
         except RuntimeError:
             status = SolveStatus.EXCEPTION
-        cost, violation, gap, overshoot = step.figures.tolist()
+        cost, violation, gap, overshoot, total = step.figures.tolist()
         if status is SolveStatus.OK:
-            if not (math.isfinite(float(step.x.sum())) and math.isfinite(float(step.u.sum()))):
+            if not math.isfinite(total + gap):
                 status = SolveStatus.NOT_FINITE
             elif not (violation < VIOLATION_LIMIT and overshoot < OVERSHOOT_LIMIT_N):
                 status = SolveStatus.RESIDUAL
         if status is SolveStatus.OK:
             self.x[:] = step.x
-            np.clip(step.u, -problem.thrust_limit_n, problem.thrust_limit_n, out=self.u)
+            self.u[:] = step.u
         return NmpcResult(
             status=status,
             x=self.x,

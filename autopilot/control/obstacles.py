@@ -1,16 +1,20 @@
 """The fence as the controller needs it: clearances, nearest features, half-planes per stage.
 
 Every boundary is broken into circles and segments. A feature constrains the vehicle's centre by the half-plane that
-touches it at the point nearest to a predicted position. From the free side the half-plane keeps the centre a radius away;
-from the wrong side (inside an obstacle, outside the workspace) its sign turns, so that it pushes back the shortest way.
+touches it at the point nearest to a predicted position. From the free side the half-plane keeps the centre a radius
+away; from the wrong side (inside an obstacle, outside the workspace) its sign turns, so that it pushes back the shortest way.
 """
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
+
+ComplexArray: TypeAlias = NDArray[np.complex128]
 
 FAR_M = 1e6
 """Stands for "no boundary anywhere near"."""
@@ -19,128 +23,117 @@ TINY_M = 1e-9
 
 
 class Features:
-    """Circles and segments of a fence, as arrays. Segments of polygon j are contiguous."""
+    """Circles and segments of a fence, as arrays of complex numbers north + i east. Segments of a polygon are contiguous."""
 
     def __init__(self, fence: Fence) -> None:
-        circles: list[tuple[float, float, float, float]] = []
-        polygons: list[tuple[FloatArray, bool]] = []
+        circles: list[tuple[complex, float, float]] = []
+        polygons: list[tuple[ComplexArray, bool]] = []
         for shapes, inside in ((fence.inclusions, True), (fence.exclusions, False)):
             for shape in shapes:
                 if isinstance(shape, Circle):
-                    c = shape.center_ned_m
-                    circles.append((float(c[0]), float(c[1]), float(shape.radius_m), -1.0 if inside else 1.0))
+                    center = complex(float(shape.center_ned_m[0]), float(shape.center_ned_m[1]))
+                    circles.append((center, float(shape.radius_m), -1.0 if inside else 1.0))
                 else:
                     polygons.append((_counter_clockwise(shape), inside))
-        table = np.array(circles, dtype=float).reshape(-1, 4)
-        self.center = table[:, :2].copy()
-        self.radius = table[:, 2].copy()
-        self.sign = table[:, 3].copy()
+        self._center = np.array([c for c, _, _ in circles], dtype=complex)
+        self._sign = np.array([sign for _, _, sign in circles])
         """+1 keep outside, -1 keep inside."""
-        starts = [v for v, _ in polygons]
-        self.a = np.concatenate(starts) if starts else np.zeros((0, 2))
-        ends = [np.roll(v, -1, axis=0) for v in starts]
-        self.ab = (np.concatenate(ends) if ends else np.zeros((0, 2))) - self.a
-        self.length2 = np.maximum((self.ab**2).sum(axis=1), TINY_M**2)
-        self.slices: list[slice] = []
-        first = 0
-        for v in starts:
-            self.slices.append(slice(first, first + len(v)))
-            first += len(v)
-        self.inside = [inside for _, inside in polygons]
-        free_side = [1.0 if inside else -1.0 for v, inside in polygons for _ in range(len(v))]
-        length = np.sqrt(self.length2)
-        left = np.stack([-self.ab[:, 1], self.ab[:, 0]], axis=1) / length[:, None]
-        self.normal = left * np.array(free_side).reshape(-1, 1)
+        self._signed_radius = np.array([sign * radius for _, radius, sign in circles])
+        corners = [v for v, _ in polygons]
+        self._a = np.concatenate(corners) if corners else np.zeros(0, dtype=complex)
+        ends = np.concatenate([np.roll(v, -1) for v in corners]) if corners else self._a
+        self._ab = ends - self._a
+        length = np.maximum(np.abs(self._ab), TINY_M)
+        self._along = np.conj(self._ab) / length**2
+        """Re(this * (p - a)) is the share of the segment at which p projects."""
+        free_side = np.array([1.0 if inside else -1.0 for v, inside in polygons for _ in range(len(v))])
+        self._normal = 1j * self._ab / length * free_side
         """Unit normals of the segments towards the free side."""
-        self.ax, self.ay = self.a[:, 0].copy(), self.a[:, 1].copy()
-        self.abx, self.aby = self.ab[:, 0].copy(), self.ab[:, 1].copy()
-        self.bx, self.by = self.ax + self.abx, self.ay + self.aby
-
-    @property
-    def count(self) -> int:
+        self._polygons: list[tuple[slice, bool, bool]] = []
+        first = 0
+        for v, inside in polygons:
+            self._polygons.append((slice(first, first + len(v)), inside, _is_convex(v)))
+            first += len(v)
+        self.count = len(self._center) + len(self._a)
         """Number of features."""
-        return len(self.radius) + len(self.ax)
 
-    def _contains(self, part: slice, px: FloatArray, py: FloatArray) -> FloatArray:
-        """Even-odd rule: which points (m,) lie inside the polygon."""
-        ay, by = self.ay[part], self.by[part]
-        crosses = (ay > py[:, None]) != (by > py[:, None])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x_at = self.ax[part] + (py[:, None] - ay) / (by - ay) * self.abx[part]
-        result: FloatArray = (crosses & (px[:, None] < x_at)).sum(axis=1) % 2 == 1
-        return result
-
-    def nearest(self, points_ned_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Per point (m, 2) and feature: signed distance (m, F), unit normal (m, F, 2), offset of the boundary (m, F).
+    def nearest(self, points: ComplexArray) -> tuple[FloatArray, ComplexArray, FloatArray]:
+        """Per point (m,) and feature: signed distance (m, F), unit normal (m, F), offset of the boundary (m, F).
 
         The constraint of a feature is ``normal . p >= offset + radius``. Distance is positive on the free side. Features
         that say nothing at that point (ends shared with a neighbour, far walls seen from outside) have distance FAR_M.
         """
-        px, py = points_ned_m[:, 0].copy(), points_ned_m[:, 1].copy()
-        m, n_circles = len(px), len(self.radius)
-        distance = np.empty((m, self.count))
-        normal = np.empty((m, self.count, 2))
-        offset = np.empty((m, self.count))
-        if n_circles:
-            dx = px[:, None] - self.center[:, 0]
-            dy = py[:, None] - self.center[:, 1]
-            rho = np.sqrt(dx * dx + dy * dy)
-            scale = self.sign / np.maximum(rho, TINY_M)
-            nx, ny = dx * scale, dy * scale
-            if rho.min() <= TINY_M:
-                nx[rho <= TINY_M], ny[rho <= TINY_M] = 1.0, 0.0
-            distance[:, :n_circles] = self.sign * (rho - self.radius)
-            normal[:, :n_circles, 0], normal[:, :n_circles, 1] = nx, ny
-            offset[:, :n_circles] = nx * self.center[:, 0] + ny * self.center[:, 1] + self.sign * self.radius
-        if len(self.ax):
-            self._segments(px, py, distance[:, n_circles:], normal[:, n_circles:], offset[:, n_circles:])
+        column = points[:, None]
+        if not len(self._a):
+            return self._circles(column)
+        if not len(self._center):
+            return self._segments(column)
+        parts = zip(self._circles(column), self._segments(column), strict=True)
+        distance, normal, offset = (np.concatenate(pair, axis=1) for pair in parts)
         return distance, normal, offset
 
-    def _segments(
-        self, px: FloatArray, py: FloatArray, distance: FloatArray, normal: FloatArray, offset: FloatArray
-    ) -> None:
-        rx, ry = px[:, None] - self.ax, py[:, None] - self.ay
-        share = (rx * self.abx + ry * self.aby) / self.length2
-        along = np.minimum(np.maximum(share, 0.0), 1.0)
-        dx, dy = rx - along * self.abx, ry - along * self.aby
-        rho = np.sqrt(dx * dx + dy * dy)
-        inverse = 1.0 / np.maximum(rho, TINY_M)
-        nx, ny = dx * inverse, dy * inverse
-        on_line = rho < TINY_M
-        if on_line.any():
-            nx, ny = np.where(on_line, self.normal[:, 0], nx), np.where(on_line, self.normal[:, 1], ny)
-        signed = np.where(share >= 1.0, FAR_M, rho)
-        for part, inside in zip(self.slices, self.inside, strict=True):
-            bad = self._contains(part, px, py) != inside
-            if bad.any():
-                self._turn_round(part, np.flatnonzero(bad), rho, signed, nx, ny, on_line)
-        distance[:], normal[..., 0], normal[..., 1] = signed, nx, ny
-        offset[:] = nx * (px[:, None] - dx) + ny * (py[:, None] - dy)
+    def _circles(self, points: ComplexArray) -> tuple[FloatArray, ComplexArray, FloatArray]:
+        ray = points - self._center
+        rho = np.abs(ray)
+        if rho.min() < TINY_M:
+            ray = np.where(rho < TINY_M, TINY_M, ray)
+            rho = np.abs(ray)
+        normal = ray * (self._sign / rho)
+        distance = self._sign * rho - self._signed_radius
+        offset = (np.conj(normal) * self._center).real + self._signed_radius
+        return distance, normal, offset
 
-    def _turn_round(
-        self,
-        part: slice,
-        rows: FloatArray,
-        rho: FloatArray,
-        signed: FloatArray,
-        nx: FloatArray,
-        ny: FloatArray,
-        on_line: FloatArray,
-    ) -> None:
-        """On the wrong side of a polygon only its nearest edge counts, and it pushes the other way."""
-        columns = part.start + rho[rows, part].argmin(axis=1)
-        signed[rows, part] = FAR_M
-        signed[rows, columns] = -rho[rows, columns]
-        flip = np.where(on_line[rows, columns], 1.0, -1.0)
-        nx[rows, columns] *= flip
-        ny[rows, columns] *= flip
+    def _segments(self, points: ComplexArray) -> tuple[FloatArray, ComplexArray, FloatArray]:
+        ray = points - self._a
+        share = (ray * self._along).real
+        gap = ray - np.minimum(np.maximum(share, 0.0), 1.0) * self._ab
+        rho = np.abs(gap)
+        if rho.min() < TINY_M:
+            gap = np.where(rho < TINY_M, self._normal * TINY_M, gap)
+            rho = np.abs(gap)
+        normal = gap / rho
+        offset = (np.conj(normal) * (points - gap)).real
+        distance = np.where(share >= 1.0, FAR_M, rho)
+        for part, inside, convex in self._polygons:
+            bad = self._forbidden(part, inside, convex, ray)
+            if bad is not None:
+                # On the wrong side only the nearest edge counts, and it pushes the other way.
+                rows = np.flatnonzero(bad)
+                columns = part.start + rho[rows, part].argmin(axis=1)
+                distance[rows, part] = FAR_M
+                distance[rows, columns] = -rho[rows, columns]
+                turned = np.where(rho[rows, columns] <= 2.0 * TINY_M, 1.0, -1.0)
+                normal[rows, columns] *= turned
+                offset[rows, columns] *= turned
+        return distance, normal, offset
+
+    def _forbidden(self, part: slice, inside: bool, convex: bool, ray: ComplexArray) -> NDArray[np.bool_] | None:
+        """Which points (m,) are on the wrong side of one polygon; None if none is."""
+        ray = ray[:, part]
+        if convex:
+            side = (ray * np.conj(self._normal[part])).real
+            if inside:
+                worst = side.min(axis=1)
+                return worst < 0.0 if worst.min() < 0.0 else None
+            best = side.max(axis=1)
+            return best < 0.0 if best.min() < 0.0 else None
+        # Even-odd rule on the ray towards north.
+        ab = self._ab[part]
+        crosses = (ray.imag < 0.0) != (ray.imag < ab.imag)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            north_of_point = ray.imag / ab.imag * ab.real > ray.real
+        contains = (crosses & north_of_point).sum(axis=1) % 2 == 1
+        bad: NDArray[np.bool_] = contains != inside
+        return bad if bad.any() else None
 
     def clearance_m(self, points_ned_m: FloatArray) -> FloatArray:
-        """Distance (m,) of points (m, 2) to the nearest boundary, negative in forbidden places; FAR_M without a fence."""
+        """Distance (m,) of points (m, 2) to the nearest boundary, negative where forbidden; FAR_M without a fence.
+
+        A point in forbidden ground of one shape may be in free ground of others: the worst of all decides.
+        """
         if self.count == 0:
             return np.full(len(points_ned_m), FAR_M)
-        distance, _, _ = self.nearest(points_ned_m)
-        # A point in forbidden ground of one shape may be in free ground of others: the worst of all decides.
+        distance, _, _ = self.nearest(_complex(points_ned_m))
         result: FloatArray = distance.min(axis=1)
         return result
 
@@ -152,26 +145,24 @@ class Features:
         Unused slots get a zero normal and offset -1, which is always satisfied. Returns the smallest clearance beyond
         ``radius_m`` over all points.
         """
-        count = self.count
-        if count == 0:
+        if self.count == 0:
             normals[:], offsets[:] = 0.0, -1.0
             return FAR_M
-        distance, normal, offset = self.nearest(points_ned_m)
-        if count > slots:
+        distance, normal, offset = self.nearest(_complex(points_ned_m))
+        used = min(self.count, slots)
+        if self.count > slots:
             pick = np.argpartition(distance, slots - 1, axis=1)[:, :slots]
-            rows = np.arange(len(points_ned_m))[:, None]
-            normal, offset, near = normal[rows, pick], offset[rows, pick], distance[rows, pick]
-            used = slots
+            distance, normal, offset = (np.take_along_axis(v, pick, axis=1) for v in (distance, normal, offset))
         else:
-            near, used = distance, count
             normals[:, used:], offsets[:, used:] = 0.0, -1.0
-        normals[:, :used] = normal
+        slots_of_normals = normals.view(complex)[..., 0]
+        slots_of_normals[:, :used] = normal
         offsets[:, :used] = offset + radius_m
-        far = near >= FAR_M
-        if far.any():
-            normals[:, :used][far] = 0.0
-            offsets[:, :used][far] = -1.0
-        return float(near.min()) - radius_m
+        if distance.max() >= FAR_M:
+            silent = distance >= FAR_M
+            slots_of_normals[:, :used][silent] = 0.0
+            offsets[:, :used][silent] = -1.0
+        return float(distance.min()) - radius_m
 
 
 def clearance_m(fence: Fence, points_ned_m: Sequence[Sequence[float]] | FloatArray) -> FloatArray:
@@ -179,12 +170,18 @@ def clearance_m(fence: Fence, points_ned_m: Sequence[Sequence[float]] | FloatArr
     return Features(fence).clearance_m(np.asarray(points_ned_m, dtype=float).reshape(-1, 2))
 
 
-def _area2(v: FloatArray) -> float:
-    w = np.roll(v, -1, axis=0)
-    return float((v[:, 0] * w[:, 1] - w[:, 0] * v[:, 1]).sum())
+def _complex(points_ned_m: FloatArray) -> ComplexArray:
+    """(m, 2) as north + i east."""
+    result: ComplexArray = np.ascontiguousarray(points_ned_m).view(complex)[:, 0]
+    return result
 
 
-def _counter_clockwise(polygon: Polygon) -> FloatArray:
-    """Vertices such that the inside is to the left in the (north, east) plane's own orientation."""
-    v = np.array(polygon.vertices_ned_m, dtype=float).reshape(-1, 2)
-    return v if _area2(v) > 0.0 else v[::-1].copy()
+def _counter_clockwise(polygon: Polygon) -> ComplexArray:
+    """Corners in the order that has the inside at +90 degrees from every edge."""
+    v = _complex(np.array(polygon.vertices_ned_m, dtype=float).reshape(-1, 2))
+    return v if float((np.conj(v) * np.roll(v, -1)).imag.sum()) > 0.0 else v[::-1].copy()
+
+
+def _is_convex(v: ComplexArray) -> bool:
+    edge = np.roll(v, -1) - v
+    return bool(((np.conj(edge) * np.roll(edge, -1)).imag >= -TINY_M).all())

@@ -1,8 +1,8 @@
 """The paper's optimal control problem (section III, eq. 12) as one CasADi function: linearise, solve one QP, unpack.
 
-Decision variables per stage: state (8), thrust (4) and, from stage 1 on, one slack that all soft constraints of the stage
-share. The first state is known and is not a variable. Everything that changes at run time is an argument, so nothing is
-rebuilt for a new fence, current, weight or limit. The function works in steps around the guess (Gauss-Newton: the
+Decision variables per stage: state (8), thrust (4) and, from stage 1 on, one slack that all soft constraints of the
+stage share. The first state is known and is not a variable. Everything that changes at run time is an argument, so nothing
+is rebuilt for a new fence, current, weight or limit. The function works in steps around the guess (Gauss-Newton: the
 residuals are linear in state and input, so the Hessian is exact up to the curvature of the dynamics).
 
 * dynamics: RK4 on :mod:`autopilot.core.model4`, intervals split where RK4 would lose its stability
@@ -24,11 +24,13 @@ from autopilot.control.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.core import model4
 from autopilot.core.model4 import NU, NX, R, U, V, W, Z
 
-N_LIMITS = 6
-"""Planar speed [m/s], heave [m/s], yaw rate [rad/s], depth minimum and maximum [m] relative to the origin, spare."""
+N_LIMITS = 5
+"""Planar speed [m/s], heave [m/s], yaw rate [rad/s], depth minimum and maximum [m]."""
 
-N_BOX_ROWS = 7
-"""Soft rows per stage beside the half-planes: speed, heave two-sided, yaw rate two-sided, depth two-sided."""
+N_BOX_ROWS = 4
+"""Soft rows per stage beside the half-planes: speed, heave, yaw rate, depth. Two-sided limits enter with the side that is
+nearer to the guess: a step never crosses from one limit to the other, and HPIPM pays for every row (8 half-planes and
+these 4 fill three of its 4-row panels)."""
 
 SLACK_L1 = 1e3
 SLACK_L2 = 1e3
@@ -49,7 +51,11 @@ class QpBackend:
     """Takes the stage structure (N, nx, nu, ng)."""
 
 
-HPIPM = QpBackend(plugin="hpipm", options={"hpipm": {"mode": "speed_abs", "iter_max": 50}}, staged=True)
+HPIPM = QpBackend(
+    plugin="hpipm",
+    options={"hpipm": {"mode": "speed_abs", "iter_max": 50, "mu0": 100.0, "res_m_max": 1e-5}},
+    staged=True,
+)
 """Riccati interior point. The default limit of 15 iterations gives wrong single steps, 50 does not."""
 
 PIQP = QpBackend(plugin="piqp", options={"piqp": {"kkt_solver": "sparse_ldlt_ineq_cond"}}, staged=False)
@@ -88,9 +94,10 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
     """The control step as a function.
 
     Arguments: x_guess (8, N+1) whose first column is the present state, u_guess (4, N), x_ref (8, N+1),
-    current (3, N), weights (8 + 4: state, thrust), limits (6), thrust_limit (4), plane_n (2, planes * (N-1)),
-    plane_d (planes, N-1). Results: x (8, N+1), u (4, N), slack (N-1), figures (4: cost, largest violation of a QP row,
-    largest gap of the guess, largest overshoot of a thrust bound).
+    current (3, N), weights (8 + 4: state, thrust), limits (5), thrust_limit (4), plane_n (2, planes * (N-1)),
+    plane_d (planes, N-1). Results: x (8, N+1), u (4, N), slack (N-1), figures (5: cost, largest violation of a QP row,
+    largest gap of the guess, largest overshoot of a thrust bound before it was clipped, sum of the step: not finite when
+    any of it is not), multipliers.
     """
     n = grid.n
     xg, ug = ca.SX.sym("xg", NX, n + 1), ca.SX.sym("ug", NU, n)
@@ -161,16 +168,10 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
 def _soft_rows(x: Any, limits: Any, normals: Any, offsets: Any) -> tuple[Any, Any]:
     """Rows C (m, 8 + 4 + 1) of the step and their present values: C dz + value <= 0, slack included."""
     planar = ca.sqrt(x[U] ** 2 + x[V] ** 2 + SPEED_EPSILON_M_S**2)
-    signed = [
-        ((U, x[U] / planar), (V, x[V] / planar)),
-        ((W, 1.0),),
-        ((W, -1.0),),
-        ((R, 1.0),),
-        ((R, -1.0),),
-        ((Z, -1.0),),
-        ((Z, 1.0),),
-    ]
-    bounds = [limits[0], limits[1], limits[1], limits[2], limits[2], -limits[3], limits[4]]
+    heave, turn = ca.if_else(x[W] < 0, -1, 1), ca.if_else(x[R] < 0, -1, 1)
+    shallow = x[Z] - limits[3] < limits[4] - x[Z]
+    signed = [((U, x[U] / planar), (V, x[V] / planar)), ((W, heave),), ((R, turn),), ((Z, ca.if_else(shallow, -1, 1)),)]
+    bounds = [limits[0], limits[1], limits[2], ca.if_else(shallow, -limits[3], limits[4])]
     for j in range(normals.shape[1]):
         signed.append(((0, -normals[0, j]), (1, -normals[1, j])))
         bounds.append(-offsets[j])
@@ -232,8 +233,10 @@ def _embed(
     dx = ca.horzcat(ca.MX.zeros(NX, 1), body[:NX, :], z[NU + (n - 1) * width :])
     du = ca.horzcat(z[:NU], body[NX : NX + NU, :])
     x, u = symbols[0] + dx, symbols[1] + du
-    overshoot = ca.mmax(ca.fabs(u) - ca.repmat(symbols[6], 1, n))
-    figures = ca.vertcat(solution["cost"], violation, gap, overshoot)
+    bound = ca.repmat(symbols[6], 1, n)
+    overshoot = ca.mmax(ca.fabs(u) - bound)
+    figures = ca.vertcat(solution["cost"], violation, gap, overshoot, ca.sum1(z))
+    u = ca.fmax(ca.fmin(u, bound), -bound)
     # The plugin writes all multipliers, asked for or not: they are an output so that it has the memory to write to.
     return ca.Function(
         "nmpc_step",

@@ -1,8 +1,8 @@
 """Shortest free path round the inflated fence, so that the NMPC does not end in a pocket.
 
 A grid over the workspace, its geodesic distance from the goal (Dijkstra, 16 neighbours), descent from the vehicle, and
-line-of-sight short cuts. The grid belongs to a fence, the distance field to a goal; both are made only when that changes,
-and not at all while the straight line is free.
+line-of-sight short cuts. The grid belongs to a fence, the distance field to a goal; both are made only when that
+changes, and not at all while the straight line is free.
 """
 
 import math
@@ -17,8 +17,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 
 PLANNING_EXTRA_M = 0.04
-"""Kept beyond the controller's own radius, so that the path lies where the controller can follow it with a margin, and a
-passage that is open by centimetres only is not chosen."""
+"""Kept beyond the controller's own radius, so that the path lies where the controller can follow it with a margin, and
+a passage that is open by centimetres only is not chosen."""
 
 FINEST_CELL_M = 0.05
 MAX_CELLS = 40_000
@@ -170,8 +170,8 @@ class Planner:
         node = int(separation.argmin())
         if separation[node] > GOAL_SNAP_M + grid.cell_m:
             return None
-        distance, previous = dijkstra(grid.graph, directed=True, indices=node, return_predecessors=True)
-        self._field = _Field(goal_m=goal.copy(), distance_m=distance, next_node=previous)
+        distance, previous = dijkstra(grid.graph, directed=True, indices=[node], return_predecessors=True)
+        self._field = _Field(goal_m=goal.copy(), distance_m=distance[0], next_node=previous[0])
         return self._field
 
 

@@ -1,25 +1,32 @@
 """What the prediction is compared with: the goal as it is approached along the route, stage by stage."""
 
 import math
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray, unwrap_near, wrap_pi
 from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z
 
-DECELERATION_M_S2 = 0.12
-"""Approach to the goal: v = sqrt(2 a d)."""
+ComplexArray: TypeAlias = NDArray[np.complex128]
+
+DECELERATIONS = np.array([[0.12], [0.10], [0.4]])
+"""Of the approach in the plane [m/s^2], in depth [m/s^2] and in heading [rad/s^2]: v = sqrt(2 a d)."""
 
 YAW_RATE_SHARE = 0.55
 """Share of the yaw rate limit that a planned turn uses."""
 
-YAW_DECELERATION_RAD_S2 = 0.4
 HEAVE_SHARE = 0.6
 """Share of the heave limit that a planned change of depth uses."""
 
 MIN_DEPTH_TIME_S = 1.0
 TURN_AHEAD_M = 0.6
 """Free heading looks along the route this far ahead."""
+
+CORNER_AHEAD_M = 0.2
+"""The speed is chosen for the direction of the route this far ahead."""
 
 WATER_SPEED_SHARE = 0.95
 """Share of the planar speed limit that the reference asks for."""
@@ -31,73 +38,84 @@ TURN_HYSTERESIS_RAD = 0.5
 
 
 class Route:
-    """A polyline with arc length."""
+    """A polyline with arc length, as complex numbers north + i east."""
 
     def __init__(self, points_ned_m: FloatArray) -> None:
-        steps = np.diff(points_ned_m, axis=0)
-        lengths = np.hypot(steps[:, 0], steps[:, 1])
-        keep = np.concatenate(([True], lengths > 1e-6))
-        self.points = points_ned_m[keep]
-        self._steps = np.diff(self.points, axis=0)
-        self._lengths = np.hypot(self._steps[:, 0], self._steps[:, 1])
-        self.s = np.concatenate(([0.0], np.cumsum(self._lengths)))
-        self._tangents = self._steps / self._lengths[:, None] if len(self._lengths) else np.zeros((0, 2))
-        self._px, self._py = self.points[:, 0].copy(), self.points[:, 1].copy()
-
-    @property
-    def length_m(self) -> float:
-        """Total length."""
-        return float(self.s[-1])
+        z = np.ascontiguousarray(points_ned_m, dtype=float).view(complex)[:, 0]
+        z = z[np.concatenate(([True], np.abs(np.diff(z)) > 1e-6))]
+        if len(z) == 1:
+            z = np.concatenate([z, z])
+        length = np.abs(np.diff(z))
+        self._start, self._s = z[0], np.concatenate(([0.0], np.cumsum(length)))
+        self._length = length
+        self._tangent = np.diff(z) / np.maximum(length, 1e-9)
+        self.length_m = float(self._s[-1])
+        self.points = z.view(float).reshape(-1, 2).copy()
+        """(m, 2)"""
+        self._legs = list(
+            zip(z[:-1].tolist(), self._tangent.tolist(), self._s[:-1].tolist(), length.tolist(), strict=True)
+        )
 
     def project(self, point: FloatArray, s_hint: float, window_m: float = 1.0) -> tuple[float, float]:
         """Arc length of the nearest point within a window round ``s_hint``, and the distance to it."""
-        if len(self._lengths) == 0:
-            return 0.0, math.hypot(point[0] - self._px[0], point[1] - self._py[0])
-        low, high = max(0.0, s_hint - window_m), min(self.length_m, s_hint + window_m)
-        along = ((point - self.points[:-1]) * self._tangents).sum(axis=1)
-        s = np.clip(self.s[:-1] + np.clip(along, 0.0, self._lengths), low, high)
-        x, y = np.interp(s, self.s, self._px), np.interp(s, self.s, self._py)
-        d2 = (x - point[0]) ** 2 + (y - point[1]) ** 2
-        k = int(d2.argmin())
-        return float(s[k]), math.sqrt(d2[k])
+        p = complex(point[0], point[1])
+        best_s, best = 0.0, math.inf
+        for corner, tangent, s, length in self._legs:
+            low, high = max(0.0, s_hint - window_m - s), min(length, s_hint + window_m - s)
+            if low > high:
+                continue
+            along = min(max(((p - corner) * tangent.conjugate()).real, low), high)
+            distance = abs(p - corner - along * tangent)
+            if distance < best:
+                best_s, best = s + along, distance
+        return best_s, best
 
-    def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """x, y, tangent north, tangent east at arc lengths (m,)."""
-        if len(self._lengths) == 0:
-            one = np.ones_like(s)
-            return one * self._px[0], one * self._py[0], 0.0 * one, 0.0 * one
-        k = np.minimum(np.searchsorted(self.s, s, side="right"), len(self._lengths)) - 1
-        k = np.maximum(k, 0)
-        tangents = self._tangents[k]
-        rest = s - self.s[k]
-        tx, ty = tangents[:, 0], tangents[:, 1]
-        return self._px[k] + rest * tx, self._py[k] + rest * ty, tx, ty
+    def at(self, s: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Position and unit tangent (m,) at arc lengths (m,)."""
+        position = self._start + np.minimum(np.maximum(s[:, None] - self._s[:-1], 0.0), self._length) @ self._tangent
+        leg = np.minimum(self._s[1:].searchsorted(s, side="right"), len(self._length) - 1)
+        return position, self._tangent[leg]
 
-    def ahead(self, s: float) -> FloatArray:
-        """The rest of the route (m, 2) from arc length ``s``."""
-        x, y, _, _ = self.at(np.array([s]))
-        later = self.points[self.s > s + 1e-6]
-        first = np.array([[x[0], y[0]]])
-        return np.concatenate([first, later]) if len(later) else np.concatenate([first, self.points[-1:]])
+    def tangent(self, s: float) -> complex:
+        """Unit tangent at one arc length; 0 for a route without length."""
+        for _, tangent, start, length in self._legs:
+            if s < start + length:
+                return complex(tangent)
+        return complex(self._legs[-1][1])
 
+    def point(self, s: float) -> complex:
+        """Position at one arc length."""
+        for corner, tangent, start, length in self._legs:
+            if s <= start + length:
+                return complex(corner + (s - start) * tangent)
+        return complex(self.points[-1, 0], self.points[-1, 1])
 
-def approach(distance: float, speed: float, deceleration: float, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Travel (m,) and speed (m,) at times ``t_s`` of a point that moves at ``speed`` and stops after ``distance``."""
-    if distance <= 0.0:
-        return np.zeros_like(t_s), np.zeros_like(t_s)
-    speed = min(speed, math.sqrt(2.0 * deceleration * distance))
-    braking = 0.5 * speed * speed / deceleration
-    t_brake = (distance - braking) / speed
-    rest = np.maximum(t_brake + speed / deceleration - t_s, 0.0)
-    cruising = t_s < t_brake
-    travel = np.where(cruising, speed * t_s, distance - 0.5 * deceleration * rest * rest)
-    return travel, np.where(cruising, speed, deceleration * rest)
+    def ahead(self, here: FloatArray, s: float) -> FloatArray:
+        """``here`` (2,) and the corners that are still to come (m, 2)."""
+        first = min(int(self._s.searchsorted(s + 1e-6, side="right")), len(self._s) - 1)
+        result: FloatArray = np.vstack((here, self.points[first:]))
+        return result
 
 
-def ground_speed(cruise_m_s: float, tangent: tuple[float, float], current: FloatArray, water_limit_m_s: float) -> float:
+def approach(
+    distance: FloatArray, speed: FloatArray, deceleration: FloatArray, t_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Travel and speed (k, m) at times ``t_s`` (m,) of points that move at ``speed`` (k, 1) and stop after ``distance``.
+
+    All arguments but the time are (k, 1) and not negative, deceleration is positive.
+    """
+    start = np.minimum(speed, np.sqrt(2.0 * deceleration * distance))
+    braking = start * start / (2.0 * deceleration)
+    t_brake = (distance - braking) / np.maximum(start, 1e-9)
+    until_brake = np.maximum(t_brake - t_s, 0.0)
+    now = np.minimum(np.maximum(t_brake * deceleration + start - deceleration * t_s, 0.0), start)
+    return distance - now * now / (2.0 * deceleration) - until_brake * start, now
+
+
+def ground_speed(cruise_m_s: float, tangent: complex, current: complex, water_limit_m_s: float) -> float:
     """Speed along ``tangent`` that is asked for and that the limit on speed through the water allows."""
-    along = tangent[0] * current[0] + tangent[1] * current[1]
-    room = along * along - current[0] ** 2 - current[1] ** 2 + (WATER_SPEED_SHARE * water_limit_m_s) ** 2
+    along = (tangent.conjugate() * current).real
+    room = along * along - abs(current) ** 2 + (WATER_SPEED_SHARE * water_limit_m_s) ** 2
     reachable = along + math.sqrt(room) if room > 0.0 else 0.0
     return max(SLOWEST_M_S, min(cruise_m_s, reachable))
 
@@ -110,50 +128,45 @@ def turn_target(yaw_rad: float, goal_yaw_rad: float, previous_rad: float | None)
     return previous_rad if abs(previous_rad - yaw_rad) < math.pi + TURN_HYSTERESIS_RAD else nearest
 
 
-def build_reference(
-    *,
-    t_s: FloatArray,
-    x0: FloatArray,
-    route: Route,
-    s0: float,
-    depth_m: float,
-    yaw_target_rad: float,
-    cruise_m_s: float,
-    current_ned_m_s: FloatArray,
-    speed_limit_m_s: float,
-    heave_limit_m_s: float,
-    yaw_rate_limit_rad_s: float,
-) -> FloatArray:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Target:
+    """Where the reference goes and how fast."""
+
+    route: Route
+    s0_m: float
+    """Arc length at which the vehicle is."""
+    depth_m: float
+    yaw_rad: float
+    """On the turn by which it is to be reached."""
+    cruise_m_s: float
+    speed_limit_m_s: float
+    heave_limit_m_s: float
+    yaw_rate_limit_rad_s: float
+
+
+def build_reference(t_s: FloatArray, x0: FloatArray, target: Target, current_ned_m_s: FloatArray) -> FloatArray:
     """References (N+1, 8) at the times of the nodes.
 
-    Position marches along the route at cruise speed over ground and stops at its end, depth arrives with it or as fast as
-    heave allows, heading turns by the way given. Velocities are those through the water that this motion needs in the
+    Position marches along the route at cruise speed over ground and stops at its end, depth arrives with it or as fast
+    as heave allows, heading turns by the way given. Velocities are those through the water that this motion needs in the
     current, so that a goal in a current is a steady state of the reference and is held without offset.
     """
-    rest = route.length_m - s0
-    _, _, tx, ty = route.at(np.array([s0 + min(0.2, 0.5 * rest)]))
-    speed = ground_speed(cruise_m_s, (float(tx[0]), float(ty[0])), current_ned_m_s, speed_limit_m_s)
-    travel, along = approach(rest, speed, DECELERATION_M_S2, t_s)
+    route, rest = target.route, max(0.0, target.route.length_m - target.s0_m)
+    current = complex(current_ned_m_s[0], current_ned_m_s[1])
+    tangent = route.tangent(target.s0_m + min(CORNER_AHEAD_M, 0.5 * rest))
+    speed = ground_speed(target.cruise_m_s, tangent, current, target.speed_limit_m_s)
+    dz, turn = float(target.depth_m - x0[Z]), float(target.yaw_rad - x0[YAW])
+    climb = min(HEAVE_SHARE * target.heave_limit_m_s, max(abs(dz) / max(rest / speed, MIN_DEPTH_TIME_S), SLOWEST_M_S))
+    distance = np.array([[rest], [abs(dz)], [abs(turn)]])
+    speeds = np.array([[speed], [climb], [YAW_RATE_SHARE * target.yaw_rate_limit_rad_s]])
+    travel, rate = approach(distance, speeds, DECELERATIONS, t_s)
+
     ref = np.empty((len(t_s), NX))
-    ref[:, X], ref[:, Y], tangent_n, tangent_e = route.at(s0 + travel)
-
-    dz = depth_m - x0[Z]
-    climb = min(HEAVE_SHARE * heave_limit_m_s, abs(dz) / max(MIN_DEPTH_TIME_S, rest / speed))
-    climb = max(climb, min(HEAVE_SHARE * heave_limit_m_s, abs(dz) / MIN_DEPTH_TIME_S) if rest < 0.1 else 0.0)
-    done = np.minimum(climb * t_s, abs(dz))
-    sign = 1.0 if dz >= 0.0 else -1.0
-    ref[:, Z] = x0[Z] + sign * done
-    heave = np.where(done < abs(dz), sign * climb, 0.0)
-
-    turn = yaw_target_rad - x0[YAW]
-    turned, rate = approach(abs(turn), YAW_RATE_SHARE * yaw_rate_limit_rad_s, YAW_DECELERATION_RAD_S2, t_s)
-    sign = 1.0 if turn >= 0.0 else -1.0
-    yaw = x0[YAW] + sign * turned
-    ref[:, YAW], ref[:, R] = yaw, sign * rate
-
-    water_n = tangent_n * along - current_ned_m_s[0]
-    water_e = tangent_e * along - current_ned_m_s[1]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    ref[:, U], ref[:, V] = cos * water_n + sin * water_e, cos * water_e - sin * water_n
-    ref[:, W] = heave - current_ned_m_s[2]
+    position, tangents = route.at(target.s0_m + travel[0])
+    dz_sign, turn_sign = math.copysign(1.0, dz), math.copysign(1.0, turn)
+    yaw = x0[YAW] + turn_sign * travel[2]
+    water = (tangents * rate[0] - current) * np.exp(-1j * yaw)
+    ref[:, X], ref[:, Y], ref[:, Z], ref[:, YAW] = position.real, position.imag, x0[Z] + dz_sign * travel[1], yaw
+    ref[:, U], ref[:, V], ref[:, W] = water.real, water.imag, dz_sign * rate[1] - current_ned_m_s[2]
+    ref[:, R] = turn_sign * rate[2]
     return ref
