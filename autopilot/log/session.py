@@ -112,6 +112,11 @@ class RunLog:
         """Finish the file. LogError if the disk failed on the way."""
         self._writer.close()
 
+    def describe(self, t_us: int, description: RunDescription) -> None:
+        """A newer description (plan and fence have come since the log began); readers take the last one."""
+        self._scene = scene_markers(description)
+        self._writer.attach(ATTACHMENT, t_us, to_json(description))
+
     def inputs(self, inputs: Inputs) -> None:
         """Everything that goes into ``step``, in its order."""
         t_us = inputs.t_us

@@ -50,6 +50,8 @@ _Item: TypeAlias = tuple[str, int, Payload, int, int]
 """Topic, time [us], payload, sequence number, bytes in memory."""
 _TLOG = ""
 """Stands for the topic of a packet that goes to the ``.tlog``."""
+_ATTACHMENT = "attachment:"
+"""Stands, with a name behind it, for the topic of an attachment that comes while the log is running."""
 
 
 def _open_locked(path: Path) -> IO[bytes]:
@@ -107,8 +109,7 @@ class LogWriter:
             self._mcap.start(profile=PROFILE, library=LIBRARY)
             self._mcap.add_metadata(RUN_RECORD, {**metadata, "epoch_ns": str(epoch_ns)})
             for name, data in attachments.items():
-                media = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-                self._mcap.add_attachment(epoch_ns, epoch_ns, name, media, data)
+                self._add_attachment(name, epoch_ns, data)
             self._mcap.flush()
         except OSError as error:
             raise LogError(f"log {path}: cannot be written ({error.strerror}); choose another place") from error
@@ -134,7 +135,7 @@ class LogWriter:
         sequence = self._sequence.get(topic)
         if sequence is None:
             sequence = 0
-            if topic != _TLOG:
+            if topic != _TLOG and not topic.startswith(_ATTACHMENT):
                 type_of(topic)
         self._sequence[topic] = sequence + 1
         if size is None:
@@ -149,6 +150,10 @@ class LogWriter:
     def write_packet(self, t_us: int, packet: bytes) -> None:
         """Queue one MAVLink packet for the ``.tlog``."""
         self.write(_TLOG, t_us, packet)
+
+    def attach(self, name: str, t_us: int, data: bytes) -> None:
+        """Queue an attachment; one of the same name later takes the place of an earlier one for readers."""
+        self.write(_ATTACHMENT + name, t_us, data)
 
     def close(self) -> None:
         """Write what is queued, the index and the footer. LogError if the disk failed. May be called again."""
@@ -240,10 +245,17 @@ class LogWriter:
                 self._tlog = self.path.with_suffix(".tlog").open("wb")
             self._tlog.write(struct.pack(">Q", time_ns // 1000) + data)
             return
+        if topic.startswith(_ATTACHMENT):
+            self._add_attachment(topic.removeprefix(_ATTACHMENT), time_ns, data)
+            return
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._register(topic)
         self._mcap.add_message(channel, time_ns, data, time_ns, sequence & 0xFFFFFFFF)
+
+    def _add_attachment(self, name: str, time_ns: int, data: bytes) -> None:
+        media = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+        self._mcap.add_attachment(time_ns, time_ns, name, media, data)
 
     def _register(self, topic: str) -> int:
         kind = type_of(topic)

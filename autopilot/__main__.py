@@ -1,0 +1,5 @@
+"""``python -m autopilot`` is the console script."""
+
+from autopilot.cli.main import main
+
+main()

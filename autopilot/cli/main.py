@@ -1,0 +1,81 @@
+"""``autopilot``: the command line. Sub-commands are imported only when they are called, so that --help is quick."""
+
+import importlib
+import sys
+from collections.abc import Callable
+
+import click
+
+from autopilot import __version__
+from autopilot.core.errors import AutopilotError
+
+_COMMANDS: dict[str, tuple[str, str]] = {
+    "bench": ("autopilot.cli.bench:bench", "Benchmarks, side by side with their baselines."),
+    "config": ("autopilot.cli.config:config", "Show the effective configuration and where it comes from."),
+    "demo": ("autopilot.cli.demo:demo", "Fly the paper's mission in the simulated tank and judge it."),
+    "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot."),
+    "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
+    "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),
+    "sitl": ("autopilot.cli.sitl:sitl", "Run the service on a simulated vehicle."),
+}
+"""Name -> (module:attribute, one line of help)."""
+
+EXIT_FAILED = 1
+EXIT_INTERRUPTED = 130
+
+
+class LazyGroup(click.Group):
+    """Lists commands from the table and imports one only when it is used."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in alphabetical order."""
+        return sorted(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import the module of a command."""
+        if cmd_name not in _COMMANDS:
+            return None
+        module, attribute = _COMMANDS[cmd_name][0].split(":")
+        command: click.Command = getattr(importlib.import_module(module), attribute)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Help from the table, nothing imported."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in sorted(_COMMANDS.items())])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="autopilot")
+def cli() -> None:
+    """Autopilot for small underwater vehicles.
+
+    Exit codes: 0 ok, 1 failed, 2 usage, 3 done with warnings or loss, 130 interrupted.
+    """
+
+
+def run(command: Callable[[], object]) -> int:
+    """Run a click command and turn what it raises into one line on stderr and an exit code."""
+    try:
+        result = command()
+        return result if isinstance(result, int) else 0
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted", err=True)
+        return EXIT_INTERRUPTED
+    except AutopilotError as error:
+        click.echo(f"error: {error}", err=True)
+        return EXIT_FAILED
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    sys.exit(run(lambda: cli(standalone_mode=False)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""``autopilot params``: the parameter table without a vehicle."""
+
+from pathlib import Path
+
+import click
+
+from autopilot.cli.output import emit_json, print_table
+
+
+@click.group()
+def params() -> None:
+    """List, explain and compare parameters."""
+
+
+@params.command(name="list")
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+def list_(as_json: bool) -> None:
+    """All parameters with default, range, unit and meaning."""
+    from autopilot.core.params import PARAMETERS
+
+    rows = sorted(PARAMETERS, key=lambda spec: spec.name)
+    if as_json:
+        emit_json(
+            [
+                {
+                    "name": spec.name,
+                    "default": spec.default,
+                    "minimum": spec.minimum,
+                    "maximum": spec.maximum,
+                    "unit": spec.unit,
+                    "type": spec.type.value,
+                    "help": spec.help,
+                }
+                for spec in rows
+            ]
+        )
+        return
+    print_table(
+        "Parameters",
+        ("name", "default", "minimum", "maximum", "unit", "meaning"),
+        [(s.name, f"{s.default:g}", f"{s.minimum:g}", f"{s.maximum:g}", s.unit, s.help) for s in rows],
+    )
+
+
+@params.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+def check(file: Path, as_json: bool) -> None:
+    """Check a parameter file and show what differs from the defaults."""
+    from autopilot.core.params import ParamSet
+    from autopilot.param_file import read_param_file
+
+    values = read_param_file(file)
+    defaults = ParamSet()
+    different = {name: value for name, value in values.items() if defaults[name] != value}
+    if as_json:
+        emit_json({"read": len(values), "different": different})
+        return
+    print_table(
+        f"{file}: {len(values)} parameters, {len(different)} differ from the default",
+        ("name", "value", "default"),
+        [(name, f"{value:g}", f"{defaults[name]:g}") for name, value in sorted(different.items())],
+    )
+
+
+@params.command()
+@click.argument("file", type=click.Path(path_type=Path))
+def defaults(file: Path) -> None:
+    """Write a parameter file with all defaults."""
+    from autopilot.core.params import ParamSet
+    from autopilot.param_file import write_param_file
+
+    write_param_file(file, ParamSet())
+    click.echo(f"{file}: {len(ParamSet())} parameters")

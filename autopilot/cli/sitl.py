@@ -1,0 +1,51 @@
+"""``autopilot sitl``: the service on a simulated vehicle."""
+
+import signal
+from types import FrameType
+from typing import Any
+
+import click
+
+from autopilot.config import ESTIMATORS, PROFILES, SENSORS
+
+
+@click.command()
+@click.argument("scenario", required=False)
+@click.option("--plan", type=click.Path(exists=True, dir_okay=False), help="Preload mission, fence and rally.")
+@click.option("--speed", type=click.FloatRange(min=0.0), help="1 = real time (default), 0 = as fast as possible.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of all randomness (default: the scenario's).")
+@click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End after so many seconds.")
+@click.option("--log", type=click.Path(dir_okay=False), help="Log file (default: one per arming in the log folder).")
+@click.option("--connect", multiple=True, help="MAVLink connection; repeatable, replaces the defaults.")
+@click.option("--estimator", type=click.Choice(ESTIMATORS), help="Default: ekf.")
+@click.option("--sensors", type=click.Choice(SENSORS), help="Rendered camera, or a noisy pose (default: scenario's).")
+@click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter for this run; repeatable.")
+@click.option("--profile", type=click.Choice(PROFILES), help="MAVLink identity (default: px4).")
+@click.option("--instance", type=click.IntRange(0, 99), default=0, show_default=True, help="Instance number.")
+@click.option("--start", is_flag=True, default=None, help="Arm and start the preloaded plan by an operator in-process.")
+@click.option("--quiet", is_flag=True, help="Print only errors.")
+def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
+    """Run the service on the simulated vehicle of SCENARIO (a shipped name or a TOML file; default paper-tank)."""
+    from autopilot.config import gather, parse_overrides, sitl_defaults
+    from autopilot.sitl_session import open_sitl
+
+    settings = gather(sitl_defaults(instance), {"scenario": scenario, **given})
+    stopped = False
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        nonlocal stopped
+        stopped = True
+
+    signal.signal(signal.SIGTERM, stop)
+    session = open_sitl(settings, parse_overrides(param), instance=instance)
+    if not quiet:
+        name = session.scenario.scenario.name
+        click.echo(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
+    wall_s = session.run(stop=lambda: stopped)
+    if not quiet:
+        counters = session.runtime.counters
+        ran_s = counters.ticks * 0.01
+        click.echo(
+            f"{ran_s:.1f} s simulated in {wall_s:.1f} s ({ran_s / max(wall_s, 1e-9):.1f} x real time), "
+            f"{counters.overruns} overruns"
+        )

@@ -1,0 +1,91 @@
+"""The composition root: puts the service and, for SITL, its simulated world together."""
+
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from autopilot import __version__
+from autopilot.commander import Commander
+from autopilot.control.allocation import Allocation
+from autopilot.control.controller import MotionController
+from autopilot.core.errors import PlanError
+from autopilot.core.markers import MarkerMap
+from autopilot.core.params import ParamSet
+from autopilot.core.plan import PlanKind
+from autopilot.core.vehicle import Vehicle
+from autopilot.mavlink.server import MavlinkServer
+from autopilot.service import Autopilot, Parts
+from estimator.protocol import create_estimator
+from mission.geodesy import Origin
+from mission.plan_files import PlanFile
+from mission.store import Plans
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ServiceSetup:
+    """What distinguishes one service from another."""
+
+    vehicle: Vehicle
+    params: ParamSet
+    origin: Origin
+    markers: MarkerMap | None
+    """The surveyed floor, None without one."""
+    floor_depth_m: float | None
+    """Depth of the floor that the laser points at, None = unknown."""
+    estimator: str
+    profile: str
+    instance: int
+    links: int
+    """Number of MAVLink links that are open from the start."""
+    patience: float
+    """How much faster than a client's clock this service's time may run (plan transfers wait so much longer)."""
+
+
+def revision() -> str:
+    """Git revision of the running code, empty when it is not a checkout."""
+    root = Path(__file__).resolve().parent.parent
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), "rev-parse", "--short=8", "HEAD"], capture_output=True, text=True, check=False
+        )
+    except OSError:
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
+    """The service and its parts (the runtime needs some of them for persistence and the log)."""
+    params, vehicle = setup.params, setup.vehicle
+    plans = Plans(params, vehicle.radius_m, setup.origin)
+    commander = Commander(vehicle, params, plans)
+    parts = Parts(
+        vehicle=vehicle,
+        params=params,
+        plans=plans,
+        estimator=create_estimator(setup.estimator, vehicle, setup.markers, floor_depth_m=setup.floor_depth_m),
+        controller=MotionController(vehicle),
+        allocation=Allocation(vehicle.drive),
+        commander=commander,
+        server=MavlinkServer(
+            sysid=int(params["SYSID_THISMAV"]) + setup.instance,
+            profile=setup.profile,
+            params=params,
+            plans=plans,
+            vehicle=commander,
+            version=__version__,
+            git=revision(),
+            uid=setup.instance + 1,
+            links=range(setup.links),
+            patience=setup.patience,
+        ),
+    )
+    return Autopilot(parts), parts
+
+
+def load_plan(plans: Plans, plan: PlanFile, origin: str) -> None:
+    """Take fence, mission and rally of a plan file, or raise PlanError with the reason of the first refusal."""
+    for kind, items in ((PlanKind.FENCE, plan.fence), (PlanKind.MISSION, plan.mission), (PlanKind.RALLY, plan.rally)):
+        if items:
+            rejection = plans.replace(kind, items)
+            if rejection is not None:
+                raise PlanError(f"{origin}: {kind.name.lower()}: {rejection.reason}")

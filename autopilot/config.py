@@ -1,0 +1,111 @@
+"""Configuration of a run: defaults < file < environment < command line, and where each value came from."""
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+
+from autopilot.core.errors import ConfigError
+
+ENVIRONMENT_PREFIX = "AUTOPILOT_"
+"""AUTOPILOT_STATE_DIR and so on: every setting's name in capitals."""
+
+PROFILES = ("generic", "px4", "ardusub")
+ESTIMATORS = ("ekf", "complementary")
+SENSORS = ("camera", "pose")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """One value and its origin (default, environment, command line)."""
+
+    value: Any
+    origin: str
+
+
+@dataclass(slots=True)
+class Settings:
+    """Effective settings by name."""
+
+    table: dict[str, Setting] = field(default_factory=dict)
+
+    def put(self, name: str, value: Any, origin: str) -> None:
+        """Set a value; later calls win."""
+        self.table[name] = Setting(value=value, origin=origin)
+
+    def __getitem__(self, name: str) -> Any:
+        return self.table[name].value
+
+    def values(self) -> dict[str, Any]:
+        """Plain values."""
+        return {name: setting.value for name, setting in sorted(self.table.items())}
+
+
+def default_connections(instance: int) -> tuple[str, ...]:
+    """Where a client finds instance N: QGC's port, an API port, a TCP port (PX4's and ArduPilot's conventions)."""
+    return (
+        "udpout:127.0.0.1:14550",
+        f"udpin:127.0.0.1:{14540 + instance}",
+        f"tcpin:127.0.0.1:{5760 + 10 * instance}",
+    )
+
+
+def sitl_defaults(instance: int) -> dict[str, Any]:
+    """Settings of `autopilot sitl` before environment and command line."""
+    return {
+        "scenario": "paper-tank",
+        "speed": 1.0,
+        "seed": None,
+        "duration": None,
+        "plan": None,
+        "log": None,
+        "connect": default_connections(instance),
+        "estimator": "ekf",
+        "sensors": None,
+        "profile": "px4",
+        "start": False,
+        "state_dir": platformdirs.user_state_dir("underwater-autopilot", appauthor=False),
+        "log_dir": str(Path(platformdirs.user_data_dir("underwater-autopilot", appauthor=False)) / "logs"),
+    }
+
+
+_FROM_TEXT: dict[str, Any] = {
+    "speed": float,
+    "seed": int,
+    "duration": float,
+    "connect": lambda text: tuple(text.split(",")),
+    "start": lambda text: text.lower() in ("1", "true", "yes"),
+}
+
+
+def gather(defaults: dict[str, Any], given: dict[str, Any], environment: dict[str, str] | None = None) -> Settings:
+    """Layer defaults, environment and command line (``given``: None or empty = not given)."""
+    settings = Settings()
+    env = dict(os.environ) if environment is None else environment
+    for name, value in defaults.items():
+        settings.put(name, value, "default")
+        variable = ENVIRONMENT_PREFIX + name.upper()
+        if variable in env:
+            try:
+                settings.put(name, _FROM_TEXT.get(name, str)(env[variable]), f"environment {variable}")
+            except ValueError as error:
+                raise ConfigError(f"{variable}={env[variable]!r} is not valid: {error}; correct or unset it") from error
+        if given.get(name) not in (None, ()):
+            settings.put(name, given[name], "command line")
+    return settings
+
+
+def parse_overrides(texts: tuple[str, ...]) -> dict[str, float]:
+    """``NAME=VALUE`` texts as parameters; ConfigError names a text that is not one."""
+    values: dict[str, float] = {}
+    for text in texts:
+        name, equals, raw = text.partition("=")
+        try:
+            values[name.strip()] = float(raw)
+        except ValueError as error:
+            raise ConfigError(f"--param {text!r}: write NAME=VALUE with a number") from error
+        if not equals:
+            raise ConfigError(f"--param {text!r}: write NAME=VALUE with a number")
+    return values

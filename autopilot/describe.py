@@ -1,0 +1,92 @@
+"""What a log says of its run: scenario, geometry, plan, bounds and parameters (``run.json``)."""
+
+from autopilot.log.description import AcceptBounds, Obstacle, RunDescription, Waypoint, fence_shapes
+from autopilot.mavlink.api import FlightMode
+from autopilot.service import Parts
+from mission.items import GoTo, Jump
+from sitl.scenario import Scenario
+from sitl.scenario_tables import CylinderObstacle
+
+
+def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -> RunDescription:
+    """The description of a simulated run as things stand now."""
+    params = parts.params
+    tank = scenario.tank
+    waypoints, laps = _tour(parts)
+    accept = scenario.accept
+    return RunDescription(
+        scenario=scenario.scenario.name,
+        vehicle=parts.vehicle.name,
+        seed=seed,
+        speed=speed,
+        origin_lat_deg=parts.plans.origin.lat_deg,
+        origin_lon_deg=parts.plans.origin.lon_deg,
+        origin_alt_m=parts.plans.origin.alt_m,
+        body_radius_m=parts.vehicle.radius_m,
+        # The plant's power holds the hotel load already.
+        hotel_power_w=0.0,
+        thruster_names=tuple(thruster.name for thruster in parts.vehicle.thruster),
+        tank_polygon_m=() if tank is None else tuple(tank.polygon_m),
+        tank_depth_m=None if tank is None else tank.depth_m,
+        obstacles=tuple(
+            Obstacle(
+                center_m=tuple(obstacle.center_m),
+                radius_m=obstacle.radius_m,
+                name=f"{'cylinder' if isinstance(obstacle, CylinderObstacle) else 'sphere'} {index + 1}",
+            )
+            for index, obstacle in enumerate(scenario.obstacle)
+        ),
+        fence=fence_shapes(parts.commander.fence),
+        waypoints=waypoints,
+        closed_tour=laps is not None,
+        accept=AcceptBounds(
+            laps=laps,
+            cylinder_clearance_m=accept.cylinder_clearance_m,
+            wall_clearance_m=accept.wall_clearance_m,
+            tolerance_m=accept.tolerance_m,
+            depth_min_m=accept.depth_min_m,
+            depth_max_m=accept.depth_max_m,
+            planar_speed_m_s=accept.planar_speed_m_s,
+            heave_m_s=accept.heave_m_s,
+            yaw_rate_rad_s=accept.yaw_rate_rad_s,
+            thrust_n=accept.thrust_n,
+            pos_rms_m=accept.pos_rms_m,
+            yaw_rms_deg=accept.yaw_rms_deg,
+        ),
+        paper_bounds={
+            "planar_speed_m_s": params["SPD_PLANAR_MAX"],
+            "heave_m_s": params["SPD_HEAVE_MAX"],
+            "yaw_rate_rad_s": params["SPD_YAW_MAX"],
+            "thrust_n": params["THR_LIMIT"],
+        },
+        mode_names={str(parts.server.custom_mode(mode)): mode.name for mode in FlightMode},
+        parameters=dict(params),
+    )
+
+
+def _tour(parts: Parts) -> tuple[tuple[Waypoint, ...], int | None]:
+    """The places of one lap, and the laps that the mission asks for (None = it is not a tour of laps)."""
+    steps = parts.plans.steps()
+    params = parts.params
+    places = [step for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]
+    jump = next((step for step in steps if isinstance(step, Jump)), None)
+    laps = None if jump is None or jump.count is None else jump.count + 1
+    if jump is not None:
+        inside = [step for step in places if step.seq < jump.seq]
+        # A-B-A with a jump back to B: the last place closes the lap at the first one.
+        closes = len(inside) > 1 and bool((inside[-1].pos_ned_m == inside[0].pos_ned_m).all())  # type: ignore[union-attr]
+        places = inside[:-1] if closes else inside
+    waypoints = []
+    for index, step in enumerate(places):
+        assert step.pos_ned_m is not None
+        north, east, down = (float(a) for a in step.pos_ned_m)
+        waypoints.append(
+            Waypoint(
+                name=chr(ord("A") + index) if index < 26 else str(index),
+                pos_ned_m=(north, east, down),
+                yaw_rad=step.yaw_rad,
+                accept_radius_m=step.accept_radius_m or params["WP_ACCEPT_RADIUS"],
+                accept_yaw_rad=params["WP_ACCEPT_YAW"],
+            )
+        )
+    return tuple(waypoints), laps

@@ -1,0 +1,116 @@
+"""Failsafe rules: conditions -> bits, messages and the action that overrides the operator's mode.
+
+One row per rule; the most severe action wins and never weakens until the vehicle is disarmed or the operator takes
+over after the condition has gone.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, PowerSample
+from autopilot.core.params import ParamSet
+
+Action: TypeAlias = Literal["hold", "surface", "disarm"]
+
+AHRS_TIMEOUT_S = 0.5
+"""50 AHRS frames missing: attitude is no longer known."""
+
+_SEVERITY_CRITICAL = 2
+_SEVERITY_NOTICE = 5
+
+_RANK: dict[Action, int] = {"hold": 1, "surface": 2, "disarm": 3}
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Conditions:
+    """Facts of this tick that rules and arming look at."""
+
+    t_us: int
+    nav: NavState | None
+    power: PowerSample | None
+    ahrs_age_s: float | None
+    """None = nothing heard yet."""
+    solver_failures: int
+    """NMPC steps in a row without a solution."""
+
+
+class FailsafeRules:
+    """State of all failsafes."""
+
+    def __init__(self, params: ParamSet) -> None:
+        self._params = params
+        self._active: dict[Failsafe, str] = {}
+        self._nav_good_us: int | None = None
+        self.action: Action | None = None
+        """The most severe action since arming, None while nothing has happened."""
+
+    @property
+    def bits(self) -> int:
+        """Active failsafes as bits of :class:`Failsafe`."""
+        return sum(1 << int(rule) for rule in self._active)
+
+    def describe(self) -> str:
+        """Active conditions in one line."""
+        return "; ".join(self._active.values()) or "condition has gone"
+
+    def acting(self, conditions: Conditions | None) -> bool:
+        """Whether a condition that caused the action still holds."""
+        return bool(self._active) and conditions is not None
+
+    def clear(self) -> None:
+        """Forget past actions (on arming)."""
+        self.action = None
+
+    def prearm_reasons(self, conditions: Conditions) -> tuple[str, ...]:
+        """Why the vehicle must not be armed."""
+        reasons = []
+        if conditions.ahrs_age_s is None or conditions.ahrs_age_s > AHRS_TIMEOUT_S:
+            reasons.append("AHRS is silent: check cable and port")
+        if conditions.nav is None:
+            reasons.append("no position yet: markers must be in view")
+        elif conditions.nav.health is not NavHealth.GOOD:
+            reasons.append("position is not good: markers must be in view")
+        power = conditions.power
+        if power is not None and power.remaining < self._params["FS_BATT_LOW"]:
+            reasons.append(f"battery at {100.0 * power.remaining:.0f} %: charge it")
+        return tuple(reasons)
+
+    def update(self, conditions: Conditions, *, armed: bool) -> list[Event]:
+        """Evaluate all rules; events report what began and what ended."""
+        found = self._evaluate(conditions)
+        events = [
+            Event(t_us=conditions.t_us, severity=_SEVERITY_CRITICAL, text=f"Failsafe: {text}")
+            for rule, (text, _) in found.items()
+            if rule not in self._active and armed
+        ]
+        events += [
+            Event(t_us=conditions.t_us, severity=_SEVERITY_NOTICE, text=f"Failsafe over: {text}")
+            for rule, text in self._active.items()
+            if rule not in found and armed
+        ]
+        self._active = {rule: text for rule, (text, _) in found.items()}
+        if armed:
+            for _, action in found.values():
+                if action is not None and _RANK[action] > (0 if self.action is None else _RANK[self.action]):
+                    self.action = action
+        return events
+
+    def _evaluate(self, conditions: Conditions) -> dict[Failsafe, tuple[str, Action | None]]:
+        p = self._params
+        found: dict[Failsafe, tuple[str, Action | None]] = {}
+        nav = conditions.nav
+        if nav is not None and nav.health is not NavHealth.INVALID:
+            self._nav_good_us = conditions.t_us
+        if self._nav_good_us is not None and conditions.t_us - self._nav_good_us > p["FS_NAV_TIMEOUT"] * 1e6:
+            nav_actions: tuple[Action | None, ...] = (None, "disarm", "surface")
+            found[Failsafe.NAV_LOST] = ("position lost", nav_actions[int(p["FS_NAV_ACT"])])
+        if conditions.ahrs_age_s is not None and conditions.ahrs_age_s > AHRS_TIMEOUT_S:
+            found[Failsafe.AHRS_STALE] = ("AHRS silent", "surface")
+        soft_actions: tuple[Action | None, ...] = (None, "hold", "surface")
+        if conditions.solver_failures >= p["FS_SOLVER_N"]:
+            found[Failsafe.SOLVER] = ("controller finds no solution", soft_actions[int(p["FS_SOLVER_ACT"])])
+        power = conditions.power
+        if power is not None and power.remaining < p["FS_BATT_LOW"]:
+            text = f"battery below {100.0 * p['FS_BATT_LOW']:.0f} %"
+            found[Failsafe.BATTERY] = (text, soft_actions[int(p["FS_BATT_ACT"])])
+        return found

@@ -1,0 +1,246 @@
+"""The loop round ``Autopilot.step``: devices, links, log and pace. The same code at any speed.
+
+The device may be a simulated vehicle: it is advanced to the time of the tick before it is asked for samples, which is
+all that lockstep needs. With a speed the loop waits for its clock and counts the ticks that began late; without one it
+runs as fast as the machine allows and time is what the tick says.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from autopilot.core.clock import TICK_US, Clock
+from autopilot.core.messages import (
+    CameraFrame,
+    Inputs,
+    LoopStats,
+    MavlinkFrame,
+    Outputs,
+    Sample,
+    ThrusterCommand,
+)
+from autopilot.service import Autopilot
+from autopilot.vision import VisionWorker
+from drivers.protocols import Link
+
+STATS_EVERY_TICKS = 100
+"""Loop statistics once per second."""
+
+
+class Device(Protocol):
+    """The vehicle's hardware, real or simulated."""
+
+    def advance(self, t_us: int) -> None:
+        """Let the outside world go on to ``t_us``."""
+        ...
+
+    def poll(self, t_us: int) -> Sequence[Sample]:
+        """Samples that have arrived by ``t_us``."""
+        ...
+
+    def frames(self, t_us: int) -> Sequence[CameraFrame]:
+        """Images that have arrived by ``t_us``."""
+        ...
+
+    def write(self, t_us: int, command: ThrusterCommand) -> None:
+        """Drive the thrusters."""
+        ...
+
+    def close(self) -> None:
+        """Thrusters to neutral, devices closed."""
+        ...
+
+
+class Recorder(Protocol):
+    """Where every tick is recorded."""
+
+    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
+        """Log one tick."""
+        ...
+
+    def loop_stats(self, stats: LoopStats) -> None:
+        """Log the health of the loop."""
+        ...
+
+    @property
+    def dropped(self) -> int:
+        """Messages lost so far."""
+        ...
+
+
+class Peer(Protocol):
+    """An in-process MAVLink client that lives in the same time as the vehicle (scripted operators, tests)."""
+
+    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        """Datagrams that the vehicle sent since the last call -> datagrams for the vehicle."""
+        ...
+
+
+class PacedClock:
+    """Wall clock scaled by ``speed``."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._start_s = time.monotonic()
+
+    def now_us(self) -> int:
+        """Scaled microseconds since the clock was made."""
+        return int((time.monotonic() - self._start_s) * 1e6 * self._speed)
+
+    def wait_until(self, t_us: int) -> int:
+        """Sleep until ``t_us``."""
+        remaining_s = (t_us - self.now_us()) * 1e-6 / self._speed
+        if remaining_s > 0.0:
+            time.sleep(remaining_s)
+        return self.now_us()
+
+
+class LockstepClock:
+    """Time is what the loop says: no waiting, never late."""
+
+    def __init__(self) -> None:
+        self._t_us = 0
+
+    def now_us(self) -> int:
+        """Time of the present tick."""
+        return self._t_us
+
+    def wait_until(self, t_us: int) -> int:
+        """Jump."""
+        self._t_us = t_us
+        return t_us
+
+
+def make_clock(speed: float) -> Clock:
+    """Speed 0 = as fast as possible."""
+    return PacedClock(speed) if speed > 0.0 else LockstepClock()
+
+
+@dataclass(slots=True)
+class LoopCounters:
+    """What the loop has seen so far."""
+
+    ticks: int = 0
+    overruns: int = 0
+    worst_tick_s: float = 0.0
+    cpu_load: float = 0.0
+
+
+class Runtime:
+    """Owns the outside world of one service."""
+
+    def __init__(
+        self,
+        service: Autopilot,
+        device: Device,
+        vision: VisionWorker | None,
+        links: Sequence[Link],
+        recorder: Recorder,
+        clock: Clock,
+        *,
+        peers: Sequence[Peer] = (),
+        on_tick: Callable[[Outputs], None] = lambda _: None,
+        paced: bool = False,
+    ) -> None:
+        self._service = service
+        self._device = device
+        self._vision = vision
+        self._links = tuple(links)
+        self._recorder = recorder
+        self._clock = clock
+        self._peers = tuple(peers)
+        self._on_tick = on_tick
+        self._paced = paced
+        self._peer_rx: list[MavlinkFrame] = []
+        self._cpu_mark_s = time.process_time()
+        self._busy_s = 0.0
+        self._worst_tick_s = 0.0
+        self.counters = LoopCounters()
+
+    def run(self, *, duration_s: float | None, stop: Callable[[], bool]) -> None:
+        """Tick until ``duration_s`` of vehicle time have passed or ``stop`` says so; then close everything."""
+        end_tick = None if duration_s is None else round(duration_s * 1e6 / TICK_US)
+        tick = 0
+        try:
+            while not stop() and (end_tick is None or tick < end_tick):
+                tick += 1
+                self.tick(tick * TICK_US)
+        finally:
+            self.close()
+
+    def tick(self, t_us: int) -> Outputs:
+        """One tick: wait, gather, step, act, record."""
+        late_us = self._clock.wait_until(t_us) - t_us
+        if late_us > TICK_US:
+            self.counters.overruns += 1
+        begin_s = time.perf_counter()
+        self._device.advance(t_us)
+        frames = self._device.frames(t_us)
+        samples = list(self._device.poll(t_us))
+        if self._vision is not None:
+            samples += self._vision.collect(t_us)
+            for frame in frames:
+                self._vision.submit(t_us, frame, self._service.nav)
+        inputs = Inputs(
+            t_us=t_us,
+            samples=tuple(samples),
+            mavlink_rx=self._receive(),
+            overruns=self.counters.overruns,
+            cpu_load=self.counters.cpu_load,
+        )
+        outputs = self._service.step(inputs)
+        self._device.write(t_us, outputs.command)
+        self._send(t_us, outputs.mavlink_tx)
+        self._recorder.record(inputs, outputs, frames)
+        self._on_tick(outputs)
+        self._account(t_us, time.perf_counter() - begin_s)
+        return outputs
+
+    def close(self) -> None:
+        """Thrusters neutral first, then links and threads."""
+        self._device.close()
+        if self._vision is not None:
+            self._vision.close()
+        for link in self._links:
+            link.close()
+
+    def _receive(self) -> tuple[MavlinkFrame, ...]:
+        received = [
+            MavlinkFrame(link=index, data=data) for index, link in enumerate(self._links) for data in link.recv()
+        ]
+        received += self._peer_rx
+        self._peer_rx = []
+        return tuple(received)
+
+    def _send(self, t_us: int, frames: Sequence[MavlinkFrame]) -> None:
+        for index, link in enumerate(self._links):
+            for frame in frames:
+                if frame.link in (index, -1):
+                    link.send(frame.data)
+        for offset, peer in enumerate(self._peers):
+            index = len(self._links) + offset
+            mine = [frame.data for frame in frames if frame.link in (index, -1)]
+            self._peer_rx += [MavlinkFrame(link=index, data=data) for data in peer.step(t_us, mine)]
+
+    def _account(self, t_us: int, tick_s: float) -> None:
+        counters = self.counters
+        counters.ticks += 1
+        self._busy_s += tick_s
+        self._worst_tick_s = max(self._worst_tick_s, tick_s)
+        if counters.ticks % STATS_EVERY_TICKS:
+            return
+        cpu_s = time.process_time()
+        self._recorder.loop_stats(
+            LoopStats(
+                t_us=t_us,
+                tick_s=self._worst_tick_s,
+                cpu_s=cpu_s - self._cpu_mark_s,
+                overruns=counters.overruns,
+                dropped_log=self._recorder.dropped,
+            )
+        )
+        if self._paced:
+            counters.cpu_load = min(1.0, self._busy_s / (STATS_EVERY_TICKS * TICK_US * 1e-6))
+        counters.worst_tick_s = max(counters.worst_tick_s, self._worst_tick_s)
+        self._cpu_mark_s, self._busy_s, self._worst_tick_s = cpu_s, 0.0, 0.0

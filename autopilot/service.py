@@ -1,0 +1,194 @@
+"""The autopilot as one function: ``Outputs = Autopilot.step(Inputs)``, once per tick of 10 ms.
+
+Order within a tick: estimate -> MAVLink -> decide -> control (every fifth tick) -> allocate. No clock, socket, file or
+random number lives here; real vehicle, simulation and replay differ only in who makes the inputs.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.commander import Commander, Decision
+from autopilot.control.allocation import Allocation
+from autopilot.control.controller import MotionController
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import (
+    MAX_THRUSTERS,
+    AhrsSample,
+    ControlOutput,
+    Event,
+    Fallback,
+    Goal,
+    Inputs,
+    ModeState,
+    NavState,
+    Outputs,
+    PowerSample,
+    SolveStatus,
+    ThrusterCommand,
+)
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle
+from autopilot.failsafes import Conditions
+from autopilot.mavlink.api import GeoPoint, VehicleView
+from autopilot.mavlink.server import MavlinkServer
+from estimator.protocol import Estimator
+from mission.geodesy import Origin
+from mission.store import Plans
+
+CONTROL_EVERY_TICKS = 5
+"""The NMPC runs at 20 Hz: counted in ticks, not timed."""
+
+BLIND_ASCENT_SHARE = 0.35
+"""Share of the thrust limit that lifts a vehicle without a position: about 0.2 m/s for the LBV150."""
+
+VERTICAL = 2
+"""Index of the vertical thruster."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Parts:
+    """Everything that the composition root puts together."""
+
+    vehicle: Vehicle
+    params: ParamSet
+    plans: Plans
+    estimator: Estimator
+    controller: MotionController
+    allocation: Allocation
+    commander: Commander
+    server: MavlinkServer
+
+
+class Autopilot:
+    """The service. Not thread-safe: one caller, time never going back."""
+
+    def __init__(self, parts: Parts) -> None:
+        self._parts = parts
+        self._tick = 0
+        self._thrust_n: FloatArray = np.zeros(4)
+        self._ahrs_us: int | None = None
+        self._power: PowerSample | None = None
+        self._solver_failures = 0
+        self._decision: Decision | None = None
+        self._command: ThrusterCommand | None = None
+        self._goal: Goal | None = None
+        self._nav: NavState | None = None
+        self._events: tuple[Event, ...] = ()
+
+    @property
+    def nav(self) -> NavState | None:
+        """The estimate of the last tick (what the vision front end predicts from)."""
+        return self._nav
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """One tick."""
+        parts = self._parts
+        t_us = inputs.t_us
+        self._note(inputs)
+        nav = parts.estimator.step(t_us, inputs.samples, self._thrust_n)
+        self._nav = nav
+        tx = parts.server.step(
+            t_us,
+            inputs.mavlink_rx,
+            self._view(inputs, nav),
+            self._events,
+            () if self._decision is None else self._decision.reached,
+        )
+        decision = parts.commander.step(
+            Conditions(
+                t_us=t_us,
+                nav=nav,
+                power=self._power,
+                ahrs_age_s=None if self._ahrs_us is None else (t_us - self._ahrs_us) * 1e-6,
+                solver_failures=self._solver_failures,
+            )
+        )
+        control = self._control(t_us, nav, decision)
+        command = self._allocate(t_us, decision.armed)
+        self._decision, self._command, self._goal = decision, command, decision.goal
+        self._events = parts.commander.drain_events()
+        self._tick += 1
+        return Outputs(
+            t_us=t_us,
+            command=command,
+            nav=nav,
+            mode=ModeState(
+                t_us=t_us,
+                armed=decision.armed,
+                custom_mode=parts.server.custom_mode(decision.mode),
+                failsafes=decision.failsafes,
+            ),
+            mavlink_tx=tx,
+            aids=parts.estimator.take_aids(),
+            goal=decision.goal,
+            control=control,
+            progress=decision.progress,
+            events=self._events + parts.server.take_notices(),
+        )
+
+    def _note(self, inputs: Inputs) -> None:
+        for sample in inputs.samples:
+            if isinstance(sample, AhrsSample):
+                self._ahrs_us = inputs.t_us
+            elif isinstance(sample, PowerSample):
+                self._power = sample
+
+    def _control(self, t_us: int, nav: NavState | None, decision: Decision) -> ControlOutput | None:
+        """Run the controller on its ticks; hold the thrust in between; neutral when there is nothing to follow."""
+        parts = self._parts
+        if decision.blind_ascent:
+            self._thrust_n = np.zeros(4)
+            self._thrust_n[VERTICAL] = -BLIND_ASCENT_SHARE * parts.params["THR_LIMIT"]
+            return None
+        if decision.goal is None or nav is None:
+            if self._thrust_n.any():
+                self._thrust_n = np.zeros(4)
+            if self._goal is not None:
+                parts.controller.reset()
+                self._solver_failures = 0
+            return None
+        if self._tick % CONTROL_EVERY_TICKS and self._goal is not None:
+            return None
+        control = parts.controller.step(t_us, nav, decision.goal, parts.commander.fence, parts.params)
+        solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
+        self._solver_failures = 0 if solved else self._solver_failures + 1
+        self._thrust_n = control.thrust_n
+        return control
+
+    def _allocate(self, t_us: int, armed: bool) -> ThrusterCommand:
+        allocation, count = self._parts.allocation, len(self._thrust_n)
+        thrust_n = np.zeros(MAX_THRUSTERS)
+        unused = (0,) * (MAX_THRUSTERS - count)
+        if not armed:
+            return ThrusterCommand(t_us=t_us, thrust_n=thrust_n, pwm_us=allocation.neutral(count) + unused)
+        thrust_n[:count] = self._thrust_n
+        supply_v = None if self._power is None else self._power.voltage_v
+        pulses_us = allocation.pulses_us(self._thrust_n, supply_v)
+        return ThrusterCommand(t_us=t_us, thrust_n=thrust_n, pwm_us=pulses_us + unused)
+
+    def _view(self, inputs: Inputs, nav: NavState | None) -> VehicleView:
+        parts, commander = self._parts, self._parts.commander
+        decision = self._decision
+        return VehicleView(
+            t_us=inputs.t_us,
+            armed=commander.armed,
+            mode=commander.mode,
+            intended_mode=commander.intended_mode,
+            nav=nav,
+            power=self._power,
+            command=self._command,
+            progress=None if decision is None else decision.progress,
+            target_ned_m=None if self._goal is None else self._goal.pos_ned_m,
+            origin=_geo(parts.plans.origin),
+            home=_geo(parts.plans.home),
+            prearm_reasons=commander.readiness,
+            failsafes=0 if decision is None else decision.failsafes,
+            cpu_load=inputs.cpu_load,
+            submerged=commander.submerged,
+            dropped_rx=parts.server.dropped_rx,
+        )
+
+
+def _geo(point: Origin) -> GeoPoint:
+    return GeoPoint(lat_deg=point.lat_deg, lon_deg=point.lon_deg, alt_m=point.alt_m)

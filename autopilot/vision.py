@@ -1,0 +1,71 @@
+"""Runs the marker detector beside the loop: frames go in, sightings come out as samples of a later tick.
+
+In lockstep a sighting is due a fixed time after its frame came in and the loop waits for it then, so that a run does
+not depend on how fast the machine is.
+"""
+
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+from autopilot.core.messages import CameraFrame, MarkerSighting, NavHealth, NavState
+from estimator.vision import Hint
+
+ACQUISITION_EVERY = 6
+"""Without a prediction the whole dictionary is searched, which is slow: every sixth frame, 5 Hz."""
+
+MAX_PENDING = 4
+"""Frames that may wait; a newer one is dropped and counted when detection cannot follow."""
+
+
+class Detector(Protocol):
+    """Pure function from a frame (and where the vehicle probably was) to what is in it."""
+
+    def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
+        """Find markers and the laser dot."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Pending:
+    due_us: int
+    sighting: "Future[MarkerSighting]"
+
+
+class VisionWorker:
+    """One thread of detection."""
+
+    def __init__(self, detector: Detector, *, delay_s: float) -> None:
+        self._detector = detector
+        self._delay_us = round(delay_s * 1e6)
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vision")
+        self._pending: deque[_Pending] = deque()
+        self._blind_frames = 0
+        self.dropped = 0
+
+    def submit(self, t_us: int, frame: CameraFrame, nav: NavState | None) -> None:
+        """Start the detection of a frame that came in at ``t_us``."""
+        hint = None
+        if nav is not None and nav.health is not NavHealth.INVALID:
+            hint = Hint(pos_ned_m=nav.pos_ned_m, rpy_rad=nav.rpy_rad)
+        else:
+            self._blind_frames += 1
+            if self._blind_frames % ACQUISITION_EVERY != 1:
+                return
+        if len(self._pending) >= MAX_PENDING:
+            self.dropped += 1
+            return
+        sighting = self._pool.submit(self._detector.detect, frame, hint)
+        self._pending.append(_Pending(due_us=t_us + self._delay_us, sighting=sighting))
+
+    def collect(self, t_us: int) -> list[MarkerSighting]:
+        """Sightings that are due, waiting for those that are not ready."""
+        found = []
+        while self._pending and self._pending[0].due_us <= t_us:
+            found.append(self._pending.popleft().sighting.result())
+        return found
+
+    def close(self) -> None:
+        """Stop the thread."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
