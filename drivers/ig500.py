@@ -74,8 +74,9 @@ class Ig500(Closing):
         self._clock = DeviceClock()
         self._silent_polls = 0
         self._last_us = -(1 << 62)
+        self._last_device_us = -1
         self.bad_samples = 0
-        """Frames with a good checksum and unusable content (other mask, not finite, no rotation, time going back)."""
+        """Frames that are intact but useless (wrong size, not finite, no rotation, time standing still)."""
         self.configured_count = 0
         """How often the device was configured: 1 at opening, more when it fell silent."""
 
@@ -124,6 +125,9 @@ class Ig500(Closing):
         if abs(norm - 1.0) > QUATERNION_TOLERANCE:
             return None
         device_us = int(values[Field.TIME_SINCE_RESET][0]) * 1000
+        if device_us == self._last_device_us:
+            return None
+        self._last_device_us = device_us
         t_us = self._clock.stamp(arrival_us, device_us) - self._latency_us
         if t_us <= self._last_us:
             return None

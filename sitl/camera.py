@@ -72,8 +72,9 @@ class SimCamera:
         self._vignette = 1.0 - look.vignetting * (off_centre**2).sum(axis=-1)
         rng = np.random.default_rng((seed, 0))
         shape = (camera.height_px + NOISE_PAD, camera.width_px + NOISE_PAD, 3)
-        noise = rng.normal(128.0, look.noise_levels, shape).astype(np.float32)
-        self._noise = np.clip(np.rint(noise), 0, 255).astype(np.uint8)
+        noise = np.rint(rng.standard_normal(shape, dtype=np.float32) * np.float32(look.noise_levels))
+        self._brighter = np.clip(noise, 0, 255).astype(np.uint8)
+        self._darker = np.clip(-noise, 0, 255).astype(np.uint8)
         self._caustic_phases = rng.uniform(0.0, 2.0 * math.pi, len(CAUSTIC_WAVES_1_M))
 
     @property
@@ -187,13 +188,15 @@ class SimCamera:
         patch[:] = np.clip(patch + np.rint(glow), 0, 255).astype(np.uint8)
 
     def _noisy(self, picture: Image, index: int) -> Image:
-        """Sensor noise: another cut-out of the stored noise for every frame number."""
+        """Sensor noise, in place: another cut-out of the stored noise for every frame number."""
         if self._look.noise_levels == 0.0:
             return picture
         down, right = np.random.default_rng((self._seed, 1, index)).integers(0, NOISE_PAD, 2)
-        noise = self._noise[down : down + self._camera.height_px, right : right + self._camera.width_px]
-        noisy: Image = cv2.addWeighted(picture, 1.0, noise, 1.0, -128.0)
-        return noisy
+        rows = slice(down, down + self._camera.height_px)
+        columns = slice(right, right + self._camera.width_px)
+        cv2.add(picture, self._brighter[rows, columns], dst=picture)
+        cv2.subtract(picture, self._darker[rows, columns], dst=picture)
+        return picture
 
 
 def _span(where_px: NDArray[np.float32], limit: int) -> tuple[int, int]:

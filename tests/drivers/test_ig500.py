@@ -1,0 +1,178 @@
+"""The AHRS driver: stamps, counters, configuration, and the whole way over a pseudo-terminal."""
+
+import os
+import pty
+import struct
+import tty
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from autopilot.core.frames import quat_from_rpy
+from drivers.base import Closing
+from drivers.ig500 import ASK_AGAIN_POLLS, DeviceClock, Ig500
+from drivers.ig500_protocol import (
+    AHRS_MASK,
+    CONTINUOUS_OUTPUT,
+    SET_CONTINUOUS_MODE,
+    SET_OUTPUT_MASK,
+    Field,
+    FrameParser,
+    OutputCodec,
+    encode_frame,
+)
+from drivers.serial_port import SerialPort
+
+CODEC = OutputCodec(AHRS_MASK)
+
+
+class ScriptedPort(Closing):
+    """A byte port whose content the test writes down beforehand."""
+
+    def __init__(self) -> None:
+        self.chunks: list[tuple[int, bytes]] = []
+        self.written = b""
+
+    def open(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def read(self, t_us: int) -> list[tuple[int, bytes]]:
+        due = [chunk for chunk in self.chunks if chunk[0] <= t_us]
+        self.chunks = [chunk for chunk in self.chunks if chunk[0] > t_us]
+        return due
+
+    def write(self, data: bytes) -> None:
+        self.written += data
+
+
+def frame(device_ms: int, yaw_rad: float = 0.0, scale: float = 1.0) -> bytes:
+    """One 0x90 frame; ``scale`` spoils the quaternion."""
+    quat = scale * quat_from_rpy(np.array([0.01, -0.02, yaw_rad]))
+    return encode_frame(
+        CONTINUOUS_OUTPUT,
+        CODEC.encode(
+            {
+                Field.QUATERNION: tuple(quat),
+                Field.GYRO: (0.1, 0.2, 0.3),
+                Field.ACCEL: (0.0, 0.1, -9.81),
+                Field.TIME_SINCE_RESET: (device_ms,),
+                Field.STATUS: (0,),
+                Field.ATTITUDE_ACCURACY: (0.01,),
+            }
+        ),
+    )
+
+
+def test_configures_mask_before_output_and_reads_samples() -> None:
+    port = ScriptedPort()
+    with Ig500(port, latency_s=0.015) as driver:
+        sent = FrameParser().feed(port.written)
+        assert [f.command for f in sent] == [SET_OUTPUT_MASK, SET_CONTINUOUS_MODE]
+        assert struct.unpack(">BI", sent[0].data)[1] == AHRS_MASK
+        port.chunks = [(115_000, frame(100, 1.5))]
+        assert driver.poll(110_000) == []
+        (sample,) = driver.poll(120_000)
+    assert sample.t_us == 100_000  # arrival minus declared latency
+    np.testing.assert_allclose(sample.rpy_rad, [0.01, -0.02, 1.5], atol=1e-6)
+    np.testing.assert_allclose(sample.rate_frd_rad_s, [0.1, 0.2, 0.3], atol=1e-6)
+    np.testing.assert_allclose(sample.accel_frd_m_s2, [0.0, 0.1, -9.81], atol=1e-6)
+
+
+def test_stamps_follow_the_device_clock_and_not_the_jitter_of_arrival() -> None:
+    rng = np.random.default_rng(4)
+    port = ScriptedPort()
+    driver = Ig500(port, latency_s=0.015)
+    driver.open()
+    errors = []
+    for k in range(1000):
+        taken = 10_000 * k
+        port.chunks = [(taken + 15_000 + int(rng.normal(0.0, 3_000.0)), frame(5_000 + 10 * k))]
+        errors += [sample.t_us - taken for sample in driver.poll(taken + 60_000)]
+    assert len(errors) >= 998
+    settled = np.array(errors[200:])
+    assert abs(settled.mean()) < 500
+    assert settled.std() < 600  # the arrivals scatter by 3000
+
+
+@pytest.mark.parametrize("jump_ms", [-5000, 70_000])
+def test_device_clock_starts_anew_after_a_reset(jump_ms: int) -> None:
+    clock = DeviceClock()
+    for k in range(300):
+        assert clock.stamp(10_000 * k, 10_000 * k) == 10_000 * k
+    offset = 1000 * jump_ms
+    stamps = [clock.stamp(10_000 * k, 10_000 * k + offset) for k in range(300, 500)]
+    assert stamps[-1] == 10_000 * 499
+
+
+def test_device_clock_is_not_moved_by_a_late_burst() -> None:
+    clock = DeviceClock()
+    for k in range(300):
+        clock.stamp(10_000 * k, 10_000 * k)
+    late = [clock.stamp(3_300_000, 10_000 * k) for k in range(300, 330)]  # all at once, up to 0.3 s late
+    assert max(abs(stamp - 10_000 * k) for k, stamp in zip(range(300, 330), late, strict=True)) < 2_000
+
+
+def test_useless_content_is_counted_and_dropped() -> None:
+    port = ScriptedPort()
+    driver = Ig500(port, latency_s=0.0)
+    driver.open()
+    port.chunks = [
+        (1, frame(10, scale=1.2)),
+        (2, encode_frame(CONTINUOUS_OUTPUT, b"too short")),
+        (3, frame(20)),
+        (4, frame(20)),
+        (5, encode_frame(0x01, b"\x00\x00")),
+        (6, frame(30)[:-1] + b"\x00"),
+    ]
+    assert len(driver.poll(10)) == 1
+    assert driver.bad_samples == 3  # no rotation, wrong size, same time again
+    driver.poll(11)
+    port.chunks = [(12, bytes(600))]
+    driver.poll(12)
+    assert driver.bad_frames >= 1
+
+
+@given(st.lists(st.binary(max_size=80), max_size=10))
+def test_noise_on_the_line_never_raises(chunks: list[bytes]) -> None:
+    port = ScriptedPort()
+    driver = Ig500(port, latency_s=0.01)
+    driver.open()
+    port.chunks = [(k, encode_frame(CONTINUOUS_OUTPUT, chunk) + chunk) for k, chunk in enumerate(chunks)]
+    driver.poll(100)
+
+
+def test_configures_again_when_the_device_falls_silent() -> None:
+    port = ScriptedPort()
+    driver = Ig500(port, latency_s=0.0)
+    driver.open()
+    for k in range(ASK_AGAIN_POLLS - 1):
+        driver.poll(k)
+    assert driver.configured_count == 1
+    driver.poll(ASK_AGAIN_POLLS)
+    assert driver.configured_count == 2
+    assert len(FrameParser().feed(port.written)) == 4
+
+
+def test_over_a_real_serial_line() -> None:
+    device, line = pty.openpty()
+    tty.setraw(device)
+    try:
+        with Ig500(SerialPort(os.ttyname(line), 115200), latency_s=0.01) as driver:
+            commands = FrameParser().feed(os.read(device, 1024))
+            assert [f.command for f in commands] == [SET_OUTPUT_MASK, SET_CONTINUOUS_MODE]
+            assert driver.poll(0) == []
+            data = frame(40, 0.5)
+            os.write(device, data[:20])
+            assert driver.poll(45_000) == []
+            os.write(device, data[20:])
+            (sample,) = driver.poll(50_000)
+            assert sample.t_us == 40_000
+            assert sample.rpy_rad[2] == pytest.approx(0.5, abs=1e-6)
+    finally:
+        os.close(device)
+        os.close(line)

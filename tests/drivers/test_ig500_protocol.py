@@ -1,0 +1,146 @@
+"""The IG-500's wire format: checksums, resynchronisation, fields."""
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from autopilot.core.errors import ConfigError
+from drivers.ig500_protocol import (
+    AHRS_MASK,
+    MAX_DATA,
+    Field,
+    Frame,
+    FrameParser,
+    OutputCodec,
+    crc16,
+    encode_continuous_mode,
+    encode_frame,
+    encode_output_mask,
+)
+
+COMMANDS = st.integers(0, 255)
+DATA = st.binary(max_size=MAX_DATA)
+
+
+def bitwise_crc(data: bytes) -> int:
+    """The checksum as sbgCom's documentation describes it, bit by bit."""
+    crc = 0
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)
+    return crc
+
+
+def test_crc_check_value() -> None:
+    assert crc16(b"123456789") == 0x2189  # catalogue value of CRC-16/KERMIT
+
+
+@given(st.binary(max_size=200))
+def test_crc_is_the_bitwise_definition(data: bytes) -> None:
+    assert crc16(data) == bitwise_crc(data)
+
+
+def test_frame_layout() -> None:
+    frame = encode_frame(0x53, b"\x00\x01\x04")
+    assert frame[:8] == b"\xff\x02\x53\x00\x03\x00\x01\x04"
+    assert frame[8:10] == struct.pack(">H", bitwise_crc(frame[2:8]))
+    assert frame[10:] == b"\x03"
+
+
+def test_commands_of_the_driver() -> None:
+    assert encode_continuous_mode(4)[:8] == b"\xff\x02\x53\x00\x03\x00\x01\x04"
+    assert encode_output_mask(AHRS_MASK)[:10] == b"\xff\x02\x50\x00\x05\x00\x00\x20\x18\x19"
+
+
+@given(st.lists(st.tuples(COMMANDS, DATA), max_size=5), st.data())
+def test_frames_survive_any_cut(frames: list[tuple[int, bytes]], data: st.DataObject) -> None:
+    stream = b"".join(encode_frame(command, content) for command, content in frames)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
+    parser, out = FrameParser(), []
+    for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
+        out += parser.feed(stream[start:end])
+    assert out == [Frame(command, content) for command, content in frames]
+    assert parser.skipped == parser.bad_frames == 0
+
+
+@given(st.lists(st.binary(max_size=700), max_size=6))
+def test_any_bytes_never_raise_and_memory_is_bounded(chunks: list[bytes]) -> None:
+    parser = FrameParser()
+    for chunk in chunks:
+        parser.feed(chunk)
+    assert len(parser._buffer) <= MAX_DATA + 8
+
+
+@given(st.binary(max_size=60), COMMANDS, st.binary(max_size=80))
+def test_finds_the_frame_behind_noise(noise: bytes, command: int, content: bytes) -> None:
+    # A following run of zeros pushes the frame through whatever size the noise has announced.
+    parser = FrameParser()
+    frames = parser.feed(noise + encode_frame(command, content) + bytes(600))
+    assert Frame(command, content) in frames
+
+
+@given(COMMANDS, st.binary(max_size=80), st.data())
+def test_a_damaged_frame_is_dropped_and_the_next_one_is_not(command: int, content: bytes, data: st.DataObject) -> None:
+    frame = bytearray(encode_frame(command, content))
+    place = data.draw(st.integers(0, len(frame) - 1))
+    frame[place] ^= data.draw(st.integers(1, 255))
+    parser = FrameParser()
+    good = Frame(0x90, b"good")
+    frames = parser.feed(bytes(frame) + encode_frame(good.command, good.data) + bytes(600))
+    assert good in frames
+    assert all(found == good or found != Frame(command, content) for found in frames)
+    assert parser.skipped > 0
+
+
+def test_too_much_data_does_not_fit() -> None:
+    with pytest.raises(ValueError, match="505 bytes"):
+        encode_frame(1, bytes(MAX_DATA + 1))
+
+
+FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)
+
+
+@given(
+    st.tuples(FLOATS, FLOATS, FLOATS, FLOATS),
+    st.tuples(FLOATS, FLOATS, FLOATS),
+    st.tuples(FLOATS, FLOATS, FLOATS),
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**32 - 1),
+    FLOATS,
+)
+def test_fields_round_trip_in_the_order_of_the_mask(
+    quat: tuple[float, ...],
+    gyro: tuple[float, ...],
+    accel: tuple[float, ...],
+    time_ms: int,
+    status: int,
+    accuracy: float,
+) -> None:
+    codec = OutputCodec(AHRS_MASK)
+    values = {
+        Field.ATTITUDE_ACCURACY: (accuracy,),
+        Field.STATUS: (status,),
+        Field.TIME_SINCE_RESET: (time_ms,),
+        Field.ACCEL: accel,
+        Field.GYRO: gyro,
+        Field.QUATERNION: quat,
+    }
+    data = codec.encode(values)
+    assert len(data) == codec.size == 52
+    assert struct.unpack(">4f", data[:16]) == quat
+    assert codec.decode(data) == values
+
+
+def test_other_sizes_and_numbers_that_are_none_are_refused() -> None:
+    codec = OutputCodec(Field.GYRO)
+    assert codec.decode(bytes(11)) is None
+    assert codec.decode(struct.pack(">3f", 0.0, float("nan"), 0.0)) is None
+    assert codec.decode(struct.pack(">3f", 0.0, 1.0, 0.0)) == {Field.GYRO: (0.0, 1.0, 0.0)}
+
+
+def test_unknown_mask_bits_are_named() -> None:
+    with pytest.raises(ConfigError, match="0x40000000"):
+        OutputCodec(Field(1 << 30))

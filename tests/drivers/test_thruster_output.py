@@ -1,0 +1,121 @@
+"""The safety rule that every thruster output keeps, checked for every one of them."""
+
+from collections.abc import Callable
+
+import pytest
+
+from autopilot.core.errors import DriverError
+from autopilot.core.vehicle import Vehicle, load_vehicle
+from drivers.thruster_output import SafeThrusterOutput
+from sitl.backend import SimThrusterOutput
+
+VEHICLE = load_vehicle("lbv150")
+NEUTRAL = (1500, 1500, 1500, 1500)
+TIMEOUT_US = round(VEHICLE.drive.command_timeout_s * 1e6)
+
+
+class WireOutput(SafeThrusterOutput):
+    """The template over a wire that remembers what it carried and can be broken."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle)
+        self.carried: list[tuple[int, ...]] = []
+        self.broken = False
+        self.released = 0
+
+    @property
+    def pwm_us(self) -> tuple[int, ...]:
+        return self.carried[-1]
+
+    def _acquire(self) -> None:
+        pass
+
+    def _put(self, pwm_us: tuple[int, ...]) -> None:
+        if self.broken:
+            raise OSError("wire is cut")
+        self.carried.append(pwm_us)
+
+    def _release(self) -> None:
+        self.released += 1
+
+
+Output = WireOutput | SimThrusterOutput
+
+
+@pytest.fixture(params=[WireOutput, SimThrusterOutput])
+def output(request: pytest.FixtureRequest) -> Output:
+    kind: Callable[[Vehicle], Output] = request.param
+    return kind(VEHICLE)
+
+
+def test_neutral_when_opened(output: Output) -> None:
+    with output:
+        assert output.pwm_us == NEUTRAL
+        assert output.check(0)
+
+
+def test_carries_what_is_commanded(output: Output) -> None:
+    with output:
+        output.write(0, (1600, 1400, 1500, 1900))
+        assert output.pwm_us == (1600, 1400, 1500, 1900)
+        output.write(1, (1510, 1500, 1500, 1500, 0, 0, 0, 0))  # the width of ThrusterCommand
+        assert output.pwm_us == (1510, 1500, 1500, 1500)
+
+
+def test_neutral_when_commands_stop_coming(output: Output) -> None:
+    with output:
+        output.write(1000, (1600,) * 4)
+        assert not output.check(1000 + TIMEOUT_US)
+        assert output.pwm_us == (1600,) * 4
+        assert output.check(1001 + TIMEOUT_US)
+        assert output.pwm_us == NEUTRAL
+        assert output.check(2000 + TIMEOUT_US)
+        assert output.stale_count == 1
+        output.write(3000 + TIMEOUT_US, (1600,) * 4)
+        assert not output.check(3000 + TIMEOUT_US)
+        assert output.pwm_us == (1600,) * 4
+
+
+def test_neutral_on_exit_and_after_an_exception(output: Output) -> None:
+    with pytest.raises(ZeroDivisionError), output:
+        output.write(0, (1700,) * 4)
+        raise ZeroDivisionError
+    assert output.pwm_us == NEUTRAL
+    output.close()
+    with pytest.raises(DriverError, match="closed"):
+        output.write(0, (1600,) * 4)
+    assert output.pwm_us == NEUTRAL
+
+
+def test_neutral_at_once(output: Output) -> None:
+    with output:
+        output.write(0, (1700,) * 4)
+        output.neutral()
+        assert output.pwm_us == NEUTRAL
+        assert output.check(1)
+
+
+def test_pulses_beyond_the_amplifiers_are_cut_and_counted(output: Output) -> None:
+    with output:
+        output.write(0, (3000, 0, 1900, 1100))
+        assert output.pwm_us == (1900, 1100, 1900, 1100)
+        assert output.clamped_count == 2
+
+
+def test_too_few_pulses_stop_the_vehicle(output: Output) -> None:
+    with output:
+        output.write(0, (1700,) * 4)
+        with pytest.raises(DriverError, match="3 pulses for 4 thrusters"):
+            output.write(1, (1700,) * 3)
+        assert output.pwm_us == NEUTRAL
+
+
+def test_a_broken_wire_raises_once_and_closing_still_lets_go() -> None:
+    output = WireOutput(VEHICLE)
+    output.open()
+    output.broken = True
+    with pytest.raises(DriverError, match="wire is cut"):
+        output.write(0, (1600,) * 4)
+    output.close()
+    assert output.released == 1
+    assert output.failed_neutral_count == 2
