@@ -15,6 +15,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ProgressState
 from autopilot.log.description import FenceShape, Point2, RunDescription, Waypoint
 from autopilot.log.reader import Log, Table
+from autopilot.log.schemas import layout
+from autopilot.log.topics import type_of
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
@@ -101,7 +103,7 @@ class Flight:
 
     def table(self, topic: str) -> Table | None:
         """A topic of fixed size, None if the log does not have it."""
-        return self.log.get(topic)
+        return known_table(self.log, topic)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,18 +162,32 @@ def wrap(angles_rad: FloatArray) -> FloatArray:
     return result
 
 
-def _track(log: Log, topic: str) -> Track | None:
-    if topic not in log:
+def known_table(log: Log, topic: str) -> Table | None:
+    """A topic of ours, None if the log does not have it. LogError if it is not defined as in this version."""
+    table = log.get(topic)
+    if table is None:
         return None
-    table = log[topic]
+    kind = type_of(topic)
+    expected = set(layout(kind).dtype.names or ()) - {"header", "stamp"}
+    if not expected <= set(table.dtype.names or ()):
+        raise LogError(
+            f"{log.path}: {topic} is not {kind} as this version defines it; use the version that wrote the log"
+        )
+    return table
+
+
+def _track(log: Log, topic: str) -> Track | None:
+    table = known_table(log, topic)
+    if table is None:
+        return None
     fields = [name for name in Track.__slots__ if name != "t_s"]
     return Track(t_s=seconds(table), **{name: table[name] for name in fields})
 
 
 def _armed_span(log: Log, whole: Span) -> Span:
-    if "/sys/mode" not in log:
+    mode = known_table(log, "/sys/mode")
+    if mode is None:
         return whole
-    mode = log["/sys/mode"]
     t_s, armed = seconds(mode), mode["armed"] != 0
     if not armed.any():
         return whole
@@ -181,9 +197,9 @@ def _armed_span(log: Log, whole: Span) -> Span:
 
 
 def _mission_span(log: Log, armed: Span) -> Span:
-    if "/mission/progress" not in log:
+    progress = known_table(log, "/mission/progress")
+    if progress is None:
         return armed
-    progress = log["/mission/progress"]
     t_s = seconds(progress)
     active = np.flatnonzero((progress["state"] == ProgressState.ACTIVE) & armed.holds(t_s))
     if not len(active):

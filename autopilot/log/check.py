@@ -86,6 +86,13 @@ def overall(rows: Iterable[Row]) -> Verdict:
     return Verdict.PASS
 
 
+def format_figure(value: float | None) -> str:
+    """A figure of a row as text: empty if there is none, whole numbers without decimals."""
+    if value is None:
+        return ""
+    return f"{value:.0f}" if math.isfinite(value) and value == int(value) else f"{value:.4g}"
+
+
 def _info(name: str, unit: str, value: float | None, note: str = "") -> Row:
     return Row(name=name, unit=unit, limit=None, worst=value, margin=None, verdict=Verdict.INFO, note=note)
 

@@ -26,7 +26,8 @@ _PREFIX = struct.Struct("<BQ")
 PREFIX_BYTES = _PREFIX.size
 """Opcode and length in front of every record."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
-_FOOTER_BYTES = PREFIX_BYTES + 20 + len(MAGIC)
+_FOOTER_CONTENT = 20
+_FOOTER_BYTES = PREFIX_BYTES + _FOOTER_CONTENT + len(MAGIC)
 LARGEST_CHUNK = 1 << 30
 """A chunk that claims to unpack to more than this is taken as damaged."""
 
@@ -76,9 +77,24 @@ class Contents:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
     """Messages per channel."""
+    first_ns: int | None = None
+    last_ns: int | None = None
+    """Log times of the first and last message."""
+    indexed: set[int] = field(default_factory=set)
+    """Where chunks are, by the index at the end of the file."""
     finished: bool = False
     """The writer closed the file."""
     problems: list[str] = field(default_factory=list)
+
+    @property
+    def duration_ns(self) -> int:
+        """Time between the first and the last message."""
+        return 0 if self.first_ns is None or self.last_ns is None else self.last_ns - self.first_ns
+
+    def extend(self, first_ns: int, last_ns: int) -> None:
+        """Widen the time to hold these."""
+        self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
+        self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
 
 
 def read_contents(path: Path) -> Contents:
@@ -100,7 +116,7 @@ def _read_contents(file: IO[bytes], path: Path) -> Contents:
     contents = Contents()
     statistics = _walk_file(file, size, contents)
     if statistics is None:
-        _index_from_chunks(file, contents)
+        index_from_chunks(file, contents)
     else:
         contents.counts = statistics
     return contents
@@ -128,6 +144,9 @@ def _walk_file(file: IO[bytes], size: int, contents: Contents) -> Counter[int] |
             contents.chunks.append(ChunkRef(offset, end - offset, True))
         elif in_data and opcode in _LOOSE:
             _add_loose(contents, offset, end)
+        elif opcode == _FOOTER and length != _FOOTER_CONTENT:
+            contents.problems.append(f"the file is damaged at byte {offset} of {size}")
+            return None
         elif opcode in _IN_FULL:
             try:
                 found = _take(opcode, file.read(length), contents)
@@ -136,14 +155,31 @@ def _walk_file(file: IO[bytes], size: int, contents: Contents) -> Counter[int] |
                 found = None
             statistics = found if found is not None else statistics
         in_data = in_data and opcode != _DATA_END
-        offset = end
         if opcode == _FOOTER:
             contents.finished = file.read(len(MAGIC)) == MAGIC
             break
+        offset = end
     if not contents.finished:
         contents.problems.append("the file was not closed (the service was killed or is still writing)")
         return None
+    if not _summary_is_sound(file, offset):
+        contents.problems.append("the index at the end of the file is damaged")
+        contents.schemas.clear()
+        contents.channels.clear()
+        return None
+    for missed in sorted(contents.indexed - seen):
+        contents.problems.append(f"the chunk at byte {missed} is damaged; its messages are left out")
     return statistics
+
+
+def _summary_is_sound(file: IO[bytes], footer: int) -> bool:
+    """Check the CRC of everything between the data and the end, which the footer at an offset holds."""
+    file.seek(footer + PREFIX_BYTES)
+    summary, _, crc = struct.unpack("<QQI", file.read(20))
+    if not 0 < summary <= footer:
+        return False
+    file.seek(summary)
+    return crc in (0, zlib.crc32(file.read(footer + PREFIX_BYTES + 16 - summary)))
 
 
 def _add_loose(contents: Contents, offset: int, end: int) -> None:
@@ -181,8 +217,8 @@ def _resume_from_index(file: IO[bytes], size: int, contents: Contents, seen: set
     return True
 
 
-def _index_from_chunks(file: IO[bytes], contents: Contents) -> None:
-    """Schemas, channels and counts of a file without a summary, out of its chunks."""
+def index_from_chunks(file: IO[bytes], contents: Contents) -> None:
+    """Schemas, channels and counts out of the chunks themselves; chunks that are damaged are taken from the list."""
     contents.counts.clear()
     usable = []
     for chunk in contents.chunks:
@@ -191,10 +227,12 @@ def _index_from_chunks(file: IO[bytes], contents: Contents) -> None:
             for opcode, start, length in records(data):
                 if opcode == MESSAGE:
                     contents.counts[int.from_bytes(data[start : start + 2], "little")] += 1
+                    log_time = int.from_bytes(data[start + 6 : start + 14], "little")
+                    contents.extend(log_time, log_time)
                 elif opcode in (_SCHEMA, _CHANNEL):
                     _take(opcode, data[start : start + length], contents)
         except Damage as damage:
-            contents.problems.append(str(damage))
+            contents.problems.append(f"{damage}; its messages are left out")
         else:
             usable.append(chunk)
     contents.chunks = usable
@@ -264,8 +302,13 @@ def _take(opcode: int, body: bytes, contents: Contents) -> Counter[int] | None:
         if crc not in (0, zlib.crc32(body[:-4])):
             raise Damage(f"attachment {name} is damaged (checksum)")
         contents.attachments[name] = data
+    elif opcode == _CHUNK_INDEX:
+        reader.take(16)
+        contents.indexed.add(reader.number(8))
     elif opcode == _STATISTICS:
-        reader.take(8 + 2 + 4 * 4 + 8 + 8)
+        reader.take(8 + 2 + 4 * 4)
+        first_ns, last_ns = reader.number(8), reader.number(8)
+        contents.extend(first_ns, last_ns)
         pairs = reader.number(4) // 10
         return Counter({reader.number(2): reader.number(8) for _ in range(pairs)})
     return None

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from autopilot.core.errors import LogError
 from autopilot.log.cdr import Layout, Types, decode, fixed_layout, parse_definition, short_name
-from autopilot.log.container import MESSAGE, Contents, Damage, read_contents, records, unpack
+from autopilot.log.container import MESSAGE, Contents, Damage, index_from_chunks, read_contents, records, unpack
 from autopilot.log.description import ATTACHMENT, RUN_RECORD, RunDescription, from_json
 
 Table: TypeAlias = NDArray[np.void]
 """One row per message: ``t_us`` (int64, the service's clock), ``sequence``, then the fields without the header."""
 
+_EPOCH_DIGITS = 20
+"""A Unix time in nanoseconds has fewer digits than this (until the year 2286)."""
 _MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")])
 
 
@@ -106,11 +108,16 @@ class Log:
         """Messages in all topics."""
         return sum(self._contents.counts.values())
 
+    @property
+    def duration_s(self) -> float:
+        """Time between the first and the last message [s]."""
+        return self._contents.duration_ns * 1e-9
+
     @cached_property
     def epoch_ns(self) -> int:
         """Unix time [ns] at which the service's clock read zero; without metadata, 0."""
         text = self.run.get("epoch_ns", "")
-        return int(text) if text.isdigit() else 0
+        return int(text) if text.isdecimal() and len(text) < _EPOCH_DIGITS else 0
 
     def __contains__(self, topic: object) -> bool:
         info = self.topics.get(topic) if isinstance(topic, str) else None
@@ -124,7 +131,9 @@ class Log:
 
     def get(self, topic: str) -> Table | None:
         """A fixed-size topic, None if it has no messages."""
-        return self[topic] if topic in self else None
+        if topic not in self:
+            return None
+        return self[topic]
 
     def messages(self, topic: str) -> list[Message]:
         """Every message of a topic of any type, decoded. LogError if the topic is missing or a message is damaged."""
@@ -156,8 +165,12 @@ class Log:
             self._read_chunks(wanted)
 
     def verify(self) -> tuple[str, ...]:
-        """Read every chunk once and return all problems."""
+        """Read every chunk once and return all problems; ``topics`` then counts what is really readable."""
         self._read_chunks({})
+        if self._contents.problems:
+            with self.path.open("rb") as file:
+                index_from_chunks(file, self._contents)
+            self.__dict__.pop("topics", None)
         return self.problems
 
     def _read_chunks(self, wanted: Mapping[int, str]) -> None:

@@ -1,0 +1,159 @@
+"""``autopilot log``: look into a log. Exit codes: 0 ok, 1 failed or unreadable, 3 warnings or loss."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from autopilot.cli.output import emit_json
+
+if TYPE_CHECKING:
+    from autopilot.log.check import Row
+    from autopilot.log.reader import Log
+
+EXIT_FAILED = 1
+EXIT_LOSS = 3
+
+_LOG = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+
+
+@click.group()
+def log() -> None:
+    """Look into a log: info, check, report, plot."""
+
+
+@log.command()
+@_LOG
+@_JSON
+@click.pass_context
+def info(ctx: click.Context, log_file: Path, as_json: bool) -> None:
+    """What LOG holds: topics, run, attachments, damage. Exit 3 if something is lost."""
+    from autopilot.log.reader import open_log
+
+    opened = open_log(log_file)
+    opened.verify()
+    facts = _facts(opened)
+    if as_json:
+        emit_json(facts)
+    else:
+        _print_facts(opened, facts)
+    ctx.exit(EXIT_LOSS if opened.problems else 0)
+
+
+@log.command()
+@_LOG
+@_JSON
+@click.pass_context
+def check(ctx: click.Context, log_file: Path, as_json: bool) -> None:
+    """Judge LOG by the bounds of its run. Exit 1 if one is broken, 3 if there are warnings."""
+    from autopilot.log.check import Verdict, acceptance_table, overall
+    from autopilot.log.reader import open_log
+
+    rows = acceptance_table(open_log(log_file))
+    verdict = overall(rows)
+    if as_json:
+        listed = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
+        emit_json({"log": str(log_file), "verdict": verdict.value, "rows": listed})
+    else:
+        print_rows(rows, str(log_file))
+    ctx.exit({Verdict.FAIL: EXIT_FAILED, Verdict.WARN: EXIT_LOSS}.get(verdict, 0))
+
+
+@log.command()
+@_LOG
+@click.option("--out", type=click.Path(path_type=Path), help="File to write (default: LOG with the ending .html).")
+def report(log_file: Path, out: Path | None) -> None:
+    """Write LOG as one HTML file with interactive plots, which needs no network."""
+    from autopilot.log.reader import open_log
+    from autopilot.log.report import write_report
+
+    target = out if out is not None else log_file.with_suffix(".html")
+    click.echo(str(write_report(open_log(log_file), target)))
+
+
+@log.command()
+@_LOG
+@click.option("--out", type=click.Path(path_type=Path), help="Folder to write into (default: LOG without its ending).")
+def plot(log_file: Path, out: Path | None) -> None:
+    """Draw LOG as PNG figures: the paper's five, errors of the estimate, solve time, energy, current."""
+    from autopilot.log.figures import write_figures
+    from autopilot.log.reader import open_log
+
+    target = out if out is not None else log_file.with_suffix("")
+    for path in write_figures(open_log(log_file), target):
+        click.echo(str(path))
+
+
+def print_rows(rows: "list[Row]", title: str) -> None:
+    """Print an acceptance table."""
+    from rich.box import SIMPLE
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from autopilot.log.check import Verdict, format_figure, overall
+
+    styles = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red", Verdict.INFO: "dim"}
+    table = Table(title=Text(title), title_justify="left", caption_justify="left", box=SIMPLE, pad_edge=False)
+    table.add_column("bound", no_wrap=True)
+    for column in ("limit", "worst", "margin"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    table.add_column("note")
+    for row in rows:
+        figures = [format_figure(value) for value in (row.limit, row.worst, row.margin)]
+        verdict = Text(row.verdict.value, style=styles[row.verdict])
+        table.add_row(Text(row.name), *figures, row.unit, verdict, Text(row.note))
+    table.caption = f"verdict: {overall(rows).value}"
+    Console().print(table)
+
+
+def _facts(opened: "Log") -> dict[str, Any]:
+    """Everything that ``info`` tells, ready for JSON."""
+    span_s = opened.duration_s
+    return {
+        "path": str(opened.path),
+        "bytes": opened.path.stat().st_size,
+        "duration_s": span_s,
+        "messages": opened.message_count,
+        "run": dict(opened.run),
+        "attachments": {name: len(data) for name, data in opened.attachments.items()},
+        "topics": {
+            topic: {
+                "type": entry.type,
+                "messages": entry.count,
+                "rate_hz": entry.count / span_s if span_s > 0.0 else 0.0,
+            }
+            for topic, entry in opened.topics.items()
+        },
+        "problems": list(opened.problems),
+    }
+
+
+def _print_facts(opened: "Log", facts: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    head = Table(show_header=False, box=None, pad_edge=False)
+    size = f"{facts['bytes'] / 1e6:.1f} MB, {facts['duration_s']:.1f} s, {facts['messages']} messages"
+    head.add_row("log", Text(f"{facts['path']}: {size}"))
+    for name, value in facts["run"].items():
+        head.add_row(Text(name), Text(value))
+    attached = ", ".join(f"{name} ({size} B)" for name, size in facts["attachments"].items())
+    head.add_row("attachments", Text(attached))
+    console.print(head)
+    table = Table("topic", "type")
+    table.add_column("messages", justify="right")
+    table.add_column("Hz", justify="right")
+    for topic, entry in facts["topics"].items():
+        table.add_row(Text(topic), Text(entry["type"]), str(entry["messages"]), f"{entry['rate_hz']:.1f}")
+    console.print(table)
+    for problem in opened.problems:
+        console.print(Text.assemble(("loss: ", "bold red"), problem))
+    if opened.problems:
+        console.print(f"{opened.message_count} messages are readable", highlight=False)
