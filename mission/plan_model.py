@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from autopilot.core.errors import PlanError
 from autopilot.core.plan import PlanItem, PlanKind
-from mission.geodesy import Origin, e7_from_deg, local_e4_from_m
+from mission.geodesy import Origin, deg_from_e7, e7_from_deg, local_e4_from_m
 from mission.items import Frame
 
 FLOAT32_MAX = 3.4028234e38
@@ -27,6 +27,16 @@ class PlanFile:
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
         """The items of one kind."""
         return {PlanKind.MISSION: self.mission, PlanKind.FENCE: self.fence, PlanKind.RALLY: self.rally}[kind]
+
+    def drawing_origin(self) -> Origin:
+        """Local origin for judging the plan without a vehicle: home, else its first place on the map."""
+        if self.home is not None:
+            return self.home
+        for item in (*self.fence, *self.mission, *self.rally):
+            on_map = abs(item.x) <= 89 * 10**7 and abs(item.y) <= 180 * 10**7 and (item.x or item.y)
+            if item.frame not in (Frame.MISSION, Frame.LOCAL_NED) and on_map:
+                return Origin(lat_deg=deg_from_e7(item.x), lon_deg=deg_from_e7(item.y))
+        return Origin(lat_deg=0.0, lon_deg=0.0)
 
 
 def make_item(

@@ -178,7 +178,7 @@ def _rally(rally: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
 
 def write_qgc_plan(plan: PlanFile, speed_m_s: float = 0.35) -> str:
     """The ``.plan`` text of a plan. PlanError for what the format cannot hold (fence or rally in a local frame)."""
-    home = plan.home or _first_place(plan)
+    home = plan.drawing_origin()
     document = {
         "fileType": FILE_TYPE,
         "version": VERSION,
@@ -199,16 +199,8 @@ def write_qgc_plan(plan: PlanFile, speed_m_s: float = 0.35) -> str:
     return json.dumps(document, indent=4, allow_nan=False) + "\n"
 
 
-def _first_place(plan: PlanFile) -> Origin:
-    """A home for a plan without one: its first global point."""
-    for item in (*plan.fence, *plan.mission, *plan.rally):
-        if item.frame not in (Frame.MISSION, Frame.LOCAL_NED) and (item.x or item.y):
-            return Origin(lat_deg=deg_from_e7(item.x), lon_deg=deg_from_e7(item.y))
-    return Origin(lat_deg=0.0, lon_deg=0.0)
-
-
 def _json_number(value: float) -> float | None:
-    """Shortest decimal of a 32-bit float would lose nothing on the wire; NaN is null in this format."""
+    """A parameter; "not given" is NaN on the wire and null in this format."""
     return value if math.isfinite(value) else None
 
 

@@ -14,17 +14,7 @@ from mission.fence import FenceShape, build_fence, read_fence
 from mission.gaps import narrow_gaps
 from mission.geodesy import Origin, geodetic_from_ned, ned_from_geodetic
 from mission.items import Step
-from mission.validation import (
-    PlanContext,
-    check_item,
-    conflicts,
-    fence_conflict,
-    fence_problems,
-    gap_text,
-    mission_conflict,
-    mission_problems,
-    rally_problems,
-)
+from mission.validation import PlanContext, check_item, gap_text, plan_problems
 
 _ITEM = struct.Struct("<HBH4f2ifB")
 """What identifies an item, as wide as on the wire (MISSION_ITEM_INT)."""
@@ -150,35 +140,3 @@ class Plans(PlanStore):
         """What is wrong with one plan among the others, lazily: the first finding is enough to refuse."""
         ctx = PlanContext(origin=origin, params=self._params, radius_m=self._radius_m)
         yield from plan_problems(kind, plans, ctx)
-
-
-def plan_problems(
-    kind: PlanKind, plans: Mapping[PlanKind, tuple[PlanItem, ...]], ctx: PlanContext
-) -> Iterator[PlanRejection]:
-    """All that is wrong with the plan of one kind, by itself and against the others."""
-    items = plans[kind]
-    if not items:
-        return
-    if kind is PlanKind.MISSION:
-        found = list(mission_problems(items, ctx))
-        yield from found
-        if not found:
-            steps = [parse_step(item, ctx.origin) for item in items]
-            shapes = read_fence(plans[PlanKind.FENCE], ctx.origin)[0]
-            yield from map(mission_conflict, conflicts(steps, shapes, ctx))
-    elif kind is PlanKind.RALLY:
-        yield from rally_problems(items, read_fence(plans[PlanKind.FENCE], ctx.origin)[0], ctx)
-    else:
-        found = list(fence_problems(items, ctx))
-        yield from found
-        if not found:
-            yield from _fence_against_others(plans, ctx)
-
-
-def _fence_against_others(plans: Mapping[PlanKind, tuple[PlanItem, ...]], ctx: PlanContext) -> Iterator[PlanRejection]:
-    shapes = read_fence(plans[PlanKind.FENCE], ctx.origin)[0]
-    steps = [parse_step(item, ctx.origin) for item in plans[PlanKind.MISSION]]
-    yield from map(fence_conflict, conflicts(steps, shapes, ctx))
-    for rejection in rally_problems(plans[PlanKind.RALLY], shapes, ctx):
-        text = f"fence forbids a rally point in force: {rejection.reason}; or clear the rally points first"
-        yield PlanRejection(seq=0, result=rejection.result, reason=text)

@@ -14,6 +14,7 @@ from mission.fence import FenceShape, build_fence, check_fence_item, read_fence
 from mission.gaps import Gap, narrow_gaps
 from mission.geodesy import Origin
 from mission.items import ChangeSpeed, Command, GoTo, Jump, ReturnHome, SetHome, Step, Surface, Wait
+from mission.plan_model import PlanFile
 from mission.reach import free_regions
 from mission.shapes import clearance_m
 
@@ -267,3 +268,44 @@ def fence_conflict(conflict: Conflict) -> PlanRejection:
     """The answer when the fence comes second."""
     text = f"fence item {conflict.fence_seq} forbids the mission in force, {conflict.text}; or clear the mission first"
     return PlanRejection(seq=conflict.fence_seq, result=MissionResult.INVALID, reason=text)
+
+
+def plan_problems(
+    kind: PlanKind, plans: Mapping[PlanKind, tuple[PlanItem, ...]], ctx: PlanContext
+) -> Iterator[PlanRejection]:
+    """All that is wrong with the plan of one kind, by itself and against the others."""
+    items = plans[kind]
+    if not items:
+        return
+    if kind is PlanKind.MISSION:
+        found = list(mission_problems(items, ctx))
+        yield from found
+        if not found:
+            steps = [parse_step(item, ctx.origin) for item in items]
+            shapes = read_fence(plans[PlanKind.FENCE], ctx.origin)[0]
+            yield from map(mission_conflict, conflicts(steps, shapes, ctx))
+    elif kind is PlanKind.RALLY:
+        yield from rally_problems(items, read_fence(plans[PlanKind.FENCE], ctx.origin)[0], ctx)
+    else:
+        found = list(fence_problems(items, ctx))
+        yield from found
+        if not found:
+            yield from _fence_against_others(plans, ctx)
+
+
+def _fence_against_others(plans: Mapping[PlanKind, tuple[PlanItem, ...]], ctx: PlanContext) -> Iterator[PlanRejection]:
+    shapes = read_fence(plans[PlanKind.FENCE], ctx.origin)[0]
+    steps = [parse_step(item, ctx.origin) for item in plans[PlanKind.MISSION]]
+    yield from map(fence_conflict, conflicts(steps, shapes, ctx))
+    for rejection in rally_problems(plans[PlanKind.RALLY], shapes, ctx):
+        text = f"fence forbids a rally point in force: {rejection.reason}; or clear the rally points first"
+        yield PlanRejection(seq=0, result=rejection.result, reason=text)
+
+
+def file_problems(plan: PlanFile, ctx: PlanContext) -> Iterator[tuple[PlanKind, PlanRejection]]:
+    """All that is wrong with a plan file, each finding once."""
+    plans = {kind: plan.items(kind) for kind in PlanKind}
+    alone = {PlanKind.FENCE: plans[PlanKind.FENCE]}
+    for kind in PlanKind:
+        against = {**dict.fromkeys(PlanKind, ()), **alone} if kind is PlanKind.FENCE else plans
+        yield from ((kind, problem) for problem in plan_problems(kind, against, ctx))

@@ -1,0 +1,242 @@
+"""``autopilot mission``: plans to and from a vehicle, over our own small MAVLink client."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from autopilot.cli.output import emit_json, print_table
+
+if TYPE_CHECKING:
+    from autopilot.client.session import MissionStatus, Session
+    from autopilot.core.plan import PlanKind
+    from mission.plan_model import PlanFile
+
+DEFAULT_CONNECTION = "udpout:127.0.0.1:14540"
+"""Where a simulated vehicle listens for clients."""
+
+_connect = click.option(
+    "--connect",
+    "connection",
+    default=DEFAULT_CONNECTION,
+    show_default=True,
+    metavar="CONN",
+    help="Where the vehicle is: udpout:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT.",
+)
+_patience = click.option(
+    "--patience", default=10.0, show_default=True, metavar="S", help="Wait so long for the vehicle's heartbeat."
+)
+_json = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+
+
+@click.group()
+def mission() -> None:
+    """Upload, download, start or check a plan (.plan, .waypoints, local-metres .toml)."""
+
+
+@mission.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--clear", is_flag=True, help="Remove the vehicle's old plans first (when they conflict with the fence).")
+@_connect
+@_patience
+@_json
+def upload(file: Path, clear: bool, connection: str, patience: float, as_json: bool) -> None:
+    """Send FILE's fence, rally points and mission to the vehicle."""
+    from mission.plan_files import read_plan
+
+    plan = read_plan(file)
+    with _session(connection, patience, as_json) as session:
+        counts = _upload(session, plan, file, clear, quiet=as_json)
+        if as_json:
+            emit_json({"vehicle": _vehicle(session), **counts})
+        else:
+            click.echo("accepted: " + ", ".join(f"{name} {count} items" for name, count in counts.items()))
+
+
+@mission.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@_connect
+@_patience
+@_json
+def download(file: Path, connection: str, patience: float, as_json: bool) -> None:
+    """Read the vehicle's plans and write them to FILE (.plan)."""
+    from autopilot.core.plan import PlanKind
+    from mission.plan_files import PlanFile, write_plan
+
+    with _session(connection, patience, as_json) as session:
+        plans = {}
+        for kind in PlanKind:
+            with _bar(kind.name.lower(), quiet=as_json) as advance:
+                plans[kind] = session.download(kind, advance)
+        plan = PlanFile(
+            mission=plans[PlanKind.MISSION], fence=plans[PlanKind.FENCE], rally=plans[PlanKind.RALLY], home=None
+        )
+        write_plan(file, plan)
+        counts = {kind.name.lower(): len(items) for kind, items in plans.items()}
+        if as_json:
+            emit_json({"vehicle": _vehicle(session), "file": str(file), **counts})
+        else:
+            click.echo(f"{file}: " + ", ".join(f"{name} {count} items" for name, count in counts.items()))
+
+
+@mission.command()
+@click.argument("file", type=click.Path(path_type=Path), required=False)
+@click.option("--clear", is_flag=True, help="Remove the vehicle's old plans before FILE is sent.")
+@click.option("--wait", is_flag=True, help="Watch the mission until it is complete.")
+@click.option("--timeout", default=3600.0, show_default=True, metavar="S", help="Longest time to watch.")
+@_connect
+@_patience
+@_json
+def start(
+    file: Path | None, clear: bool, wait: bool, timeout: float, connection: str, patience: float, as_json: bool
+) -> None:
+    """Arm the vehicle and start its mission, after sending FILE if one is given."""
+    from autopilot.core.messages import ProgressState
+    from mission.plan_files import read_plan
+
+    plan = None if file is None else read_plan(file)
+    with _session(connection, patience, as_json) as session:
+        if plan is not None and file is not None:
+            _upload(session, plan, file, clear, quiet=as_json)
+        if session.vehicle is None or not session.vehicle.armed:
+            session.arm()
+        session.start_mission()
+        if not wait:
+            if as_json:
+                emit_json({"vehicle": _vehicle(session), "started": True})
+            else:
+                click.echo("mission started")
+            return
+        status = session.watch_mission(None if as_json else _StatusLine(), timeout)
+    complete = status.state is ProgressState.COMPLETE
+    if as_json:
+        emit_json({"state": status.state.name, "seq": status.seq, "total": status.total, "reached": status.reached})
+    else:
+        click.echo(f"mission {status.state.name.lower()}: {len(status.reached)} items reached")
+    if not complete:
+        raise click.exceptions.Exit(1)
+
+
+@mission.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle file or shipped vehicle, for its radius.")
+@click.option("--param", "overrides", multiple=True, metavar="NAME=VALUE", help="Judge with another parameter value.")
+@_json
+def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -> None:
+    """Show everything that is wrong with FILE, without a vehicle."""
+    from autopilot.core.plan import PlanKind
+    from autopilot.core.vehicle import load_vehicle
+    from mission.plan_files import read_plan
+    from mission.validation import PlanContext, file_problems
+
+    params = _params(overrides)
+    radius_m = load_vehicle(vehicle).radius_m
+    plan = read_plan(file)
+    origin = plan.drawing_origin()
+    problems = list(file_problems(plan, PlanContext(origin=origin, params=params, radius_m=radius_m)))
+    counts = {kind.name.lower(): len(plan.items(kind)) for kind in PlanKind}
+    if as_json:
+        found = [
+            {"plan": kind.name.lower(), "item": p.seq, "result": p.result.name, "reason": p.reason}
+            for kind, p in problems
+        ]
+        emit_json({"file": str(file), "ok": not found, "items": counts, "problems": found})
+    elif problems:
+        rows = [(kind.name.lower(), p.seq, p.result.name, p.reason) for kind, p in problems]
+        print_table(f"{file}: {len(problems)} problems", ("plan", "item", "result", "what is wrong"), rows)
+    else:
+        click.echo(f"{file}: fit to fly: " + ", ".join(f"{name} {count} items" for name, count in counts.items()))
+    if problems:
+        raise click.exceptions.Exit(1)
+
+
+def _params(overrides: tuple[str, ...]) -> Any:
+    """The default parameters with NAME=VALUE changes; a usage error when one is not understood."""
+    from autopilot.core.errors import ConfigError
+    from autopilot.core.params import ParamSet
+
+    params = ParamSet()
+    for text in overrides:
+        name, _, value = text.partition("=")
+        try:
+            params.set(name, float(value))
+        except (ValueError, ConfigError) as error:
+            message = str(error) if isinstance(error, ConfigError) else f"{text!r} is not NAME=VALUE"
+            raise click.BadParameter(message, param_hint="--param") from error
+    return params
+
+
+@contextmanager
+def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[Session]:
+    """A session with a vehicle that has been heard; warnings of the vehicle go to stderr."""
+    from autopilot.client.session import Session
+    from autopilot.client.texts import WARNING
+
+    with Session(connection) as session:
+        if not quiet:
+            session.on_text = lambda text: (
+                click.echo(f"vehicle: {text.text}", err=True) if text.severity <= WARNING else None
+            )
+        session.connect(patience_s)
+        yield session
+
+
+def _upload(session: Session, plan: PlanFile, file: Path, clear: bool, quiet: bool) -> dict[str, int]:
+    """Fence, rally points, mission: each is checked against those before it. A .waypoints file holds a mission only."""
+    from autopilot.core.plan import PlanKind
+
+    kinds: tuple[PlanKind, ...] = (PlanKind.FENCE, PlanKind.RALLY, PlanKind.MISSION)
+    if file.suffix.lower() in (".waypoints", ".txt"):
+        kinds = (PlanKind.MISSION,)
+    if clear:
+        for kind in reversed(kinds):
+            session.upload(kind, ())
+    for kind in kinds:
+        with _bar(kind.name.lower(), quiet) as advance:
+            session.upload(kind, plan.items(kind), advance)
+    return {kind.name.lower(): len(plan.items(kind)) for kind in kinds}
+
+
+def _vehicle(session: Session) -> dict[str, int] | None:
+    vehicle = session.vehicle
+    return None if vehicle is None else {"system": vehicle.system, "autopilot": vehicle.autopilot}
+
+
+@contextmanager
+def _bar(name: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """A progress bar on stderr."""
+    if quiet:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description:8}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task(name, total=None)
+
+        def advance(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        yield advance
+
+
+class _StatusLine:
+    """One line per event of the mission."""
+
+    def __init__(self) -> None:
+        self._reached = 0
+        self._state = ""
+
+    def __call__(self, status: MissionStatus) -> None:
+        if status.state.name != self._state:
+            self._state = status.state.name
+            click.echo(f"mission {self._state.lower().replace('_', ' ')}, {status.total} items", err=True)
+        for seq in status.reached[self._reached :]:
+            click.echo(f"reached item {seq}", err=True)
+        self._reached = len(status.reached)

@@ -1,0 +1,135 @@
+"""What all exchanges with a vehicle share, as state machines without clock and socket.
+
+Each gives the messages to send from ``begin``, ``handle`` (one received message) and ``tick`` (time has passed), until
+``outcome`` is set. Lost, repeated and swapped datagrams are part of the job: everything is repeated until it is
+answered or the vehicle has been silent for :attr:`Timers.give_up_s`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
+
+from autopilot.client.texts import WARNING, Text, TextCollector
+
+Message: TypeAlias = Any
+"""A message object of the dialect (pymavlink carries no types)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Timers:
+    """Waiting times [s]."""
+
+    general_s: float = 0.5
+    """Before COUNT, REQUEST_LIST, a command or the last item is sent again."""
+    item_s: float = 0.25
+    """Before an item of a download is asked for again (MAVLink mission protocol)."""
+    give_up_s: float = 10.0
+    """Silence of the vehicle that ends the exchange."""
+    reason_s: float = 0.8
+    """Wait for a STATUSTEXT that explains a refusal."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """Address of the vehicle."""
+
+    system: int = 1
+    component: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """How an exchange ended."""
+
+    result: int | None
+    """MAV_MISSION_RESULT or MAV_RESULT (0 = accepted in both), None = the vehicle stayed silent."""
+    reason: str
+    """The vehicle's own words for a refusal, else what happened; one line, empty when accepted."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the vehicle said yes."""
+        return self.result == 0
+
+
+class Exchange(Protocol):
+    """What :class:`autopilot.client.session.Session` runs."""
+
+    outcome: Outcome | None
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Items done and items in all."""
+        ...
+
+    def begin(self, t_s: float) -> list[Message]:
+        """First messages."""
+        ...
+
+    def handle(self, message: Message, t_s: float) -> list[Message]:
+        """Answers to a message of the vehicle."""
+        ...
+
+    def tick(self, t_s: float) -> list[Message]:
+        """Repetitions that are due."""
+        ...
+
+
+class BaseExchange:
+    """Silence, refusals and their reasons: common to all exchanges."""
+
+    def __init__(self, target: Target, timers: Timers, what: str) -> None:
+        self.outcome: Outcome | None = None
+        self._target = target
+        self._timers = timers
+        self._what = what
+        self._heard_s = 0.0
+        self._sent_s = 0.0
+        self._texts = TextCollector()
+        self._complaints: list[Text] = []
+        self._refused: tuple[int, float] | None = None
+
+    def _start(self, t_s: float) -> None:
+        self._heard_s = self._sent_s = t_s
+
+    def _note_text(self, message: Message, t_s: float) -> None:
+        self._take_texts(self._texts.feed(message, t_s), t_s)
+
+    def _take_texts(self, texts: Sequence[Text], t_s: float) -> None:
+        self._complaints += [text for text in texts if text.severity <= WARNING]
+        if self._refused is not None and self._best_reason():
+            self._finish_refusal()
+
+    def _refuse(self, result: int, t_s: float) -> None:
+        """The vehicle said no: its reason may already be there or still come."""
+        if self._refused is None:
+            self._refused = (result, t_s)
+            if self._best_reason():
+                self._finish_refusal()
+
+    def _best_reason(self) -> str:
+        """The complaint that speaks of a refusal, "" if there is none yet."""
+        spoken = [c.text for c in self._complaints if "refus" in c.text.lower() or "denied" in c.text.lower()]
+        return spoken[-1] if spoken else ""
+
+    def _finish_refusal(self) -> None:
+        assert self._refused is not None
+        result = self._refused[0]
+        others = self._complaints[-1].text if self._complaints else ""
+        reason = self._best_reason() or others or f"{self._what} refused by the vehicle with result {result}"
+        self.outcome = Outcome(result=result, reason=reason)
+
+    def _waits(self, t_s: float) -> bool:
+        """True when nothing has to be sent now: ended, waiting for a reason, or given up."""
+        self._take_texts(self._texts.flush(t_s), t_s)
+        if self.outcome is not None:
+            return True
+        if self._refused is not None:
+            if t_s - self._refused[1] >= self._timers.reason_s:
+                self._finish_refusal()
+            return True
+        if t_s - self._heard_s >= self._timers.give_up_s:
+            text = f"{self._what}: the vehicle did not answer for {self._timers.give_up_s:g} s; check the connection"
+            self.outcome = Outcome(result=None, reason=text)
+            return True
+        return False

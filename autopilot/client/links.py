@@ -1,0 +1,128 @@
+"""Sockets of the client. Connection strings are pymavlink's; MAVSDK's spellings with ``//`` are accepted too.
+
+``udpout:HOST:PORT`` sends there, ``udpin:HOST:PORT`` waits there for the vehicle, ``tcp:HOST:PORT`` connects.
+"""
+
+import select
+import socket
+from typing import Protocol
+
+from autopilot.core.errors import DriverError
+
+_CHUNK_BYTES = 65536
+_CONNECT_TIMEOUT_S = 5.0
+_KINDS = {"udp": "udpin", "udpin": "udpin", "udpout": "udpout", "tcp": "tcp", "tcpout": "tcp"}
+HINT = "use udpout:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT"
+
+
+class Link(Protocol):
+    """Carries bytes to the vehicle and back."""
+
+    def send(self, data: bytes) -> None:
+        """Send, or drop when there is nobody to send to yet."""
+        ...
+
+    def receive(self, timeout_s: float) -> bytes:
+        """What has come, b"" when nothing did within the time."""
+        ...
+
+    def close(self) -> None:
+        """Free the socket."""
+        ...
+
+
+def parse_connection(text: str) -> tuple[str, str, int]:
+    """Kind (udpin, udpout, tcp), host and port of a connection string. DriverError when it is none."""
+    kind, _, rest = text.partition(":")
+    host, _, port = rest.removeprefix("//").rpartition(":")
+    if kind not in _KINDS or not port.isdigit() or not 0 < int(port) < 65536:
+        raise DriverError(f"connection {text!r} is not understood; {HINT}")
+    return _KINDS[kind], host or "127.0.0.1", int(port)
+
+
+def open_link(text: str) -> Link:
+    """Open a connection. DriverError names it and what to do when that fails."""
+    kind, host, port = parse_connection(text)
+    try:
+        if kind == "tcp":
+            return TcpLink(host, port)
+        return UdpLink(host, port, listen=kind == "udpin")
+    except OSError as error:
+        remedy = "is another program using the port?" if kind == "udpin" else "is the vehicle running there?"
+        raise DriverError(f"connection {text!r}: {error.strerror or error}; {remedy}") from error
+
+
+class UdpLink:
+    """Datagrams, to a fixed address or to whoever spoke last."""
+
+    def __init__(self, host: str, port: int, listen: bool) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._peer: tuple[str, int] | None = None
+            if listen:
+                self._socket.bind((host, port))
+            else:
+                self._peer = (socket.gethostbyname(host), port)
+        except OSError:
+            self._socket.close()
+            raise
+        self._listen = listen
+        self._socket.setblocking(False)
+
+    def send(self, data: bytes) -> None:
+        """One datagram; dropped while no vehicle has been heard or nobody listens there."""
+        if self._peer is not None:
+            try:
+                self._socket.sendto(data, self._peer)
+            except (BlockingIOError, ConnectionError):
+                return
+
+    def receive(self, timeout_s: float) -> bytes:
+        """One datagram."""
+        ready, _, _ = select.select([self._socket], [], [], max(0.0, timeout_s))
+        if not ready:
+            return b""
+        try:
+            data, peer = self._socket.recvfrom(_CHUNK_BYTES)
+        except (BlockingIOError, ConnectionError):
+            # An ICMP "port unreachable" of an earlier datagram: nobody listens there yet.
+            return b""
+        if self._listen:
+            self._peer = peer
+        return data
+
+    def close(self) -> None:
+        """Free the socket."""
+        self._socket.close()
+
+
+class TcpLink:
+    """A stream to a listening vehicle."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def send(self, data: bytes) -> None:
+        """All of it. DriverError when the vehicle has closed the connection."""
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise DriverError(f"connection lost: {error.strerror or error}; start the vehicle and try again") from error
+
+    def receive(self, timeout_s: float) -> bytes:
+        """What has come. DriverError when the vehicle has closed the connection."""
+        ready, _, _ = select.select([self._socket], [], [], max(0.0, timeout_s))
+        if not ready:
+            return b""
+        try:
+            data = self._socket.recv(_CHUNK_BYTES)
+        except OSError as error:
+            raise DriverError(f"connection lost: {error.strerror or error}; start the vehicle and try again") from error
+        if not data:
+            raise DriverError("connection closed by the vehicle; start it and try again")
+        return data
+
+    def close(self) -> None:
+        """Free the socket."""
+        self._socket.close()

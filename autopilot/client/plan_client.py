@@ -1,0 +1,191 @@
+"""Plan transfer from the client's side: upload and download of one plan.
+
+Protocol: https://mavlink.io/en/services/mission.html. That page's five tries lose one transfer of 160 items at 20 % of
+lost datagrams in both directions, so the limit here is silence and not a number of tries.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.client.exchange import BaseExchange, Message, Outcome, Target, Timers
+from autopilot.core.plan import MissionResult, PlanItem, PlanKind
+
+
+class PlanUpload(BaseExchange):
+    """Replace one plan of the vehicle. The vehicle drives: it asks for items in its order, and ends with an ACK."""
+
+    def __init__(
+        self,
+        kind: PlanKind,
+        items: Sequence[PlanItem],
+        target: Target | None = None,
+        timers: Timers | None = None,
+    ) -> None:
+        super().__init__(target or Target(), timers or Timers(), f"{kind.name.lower()} upload")
+        self._kind = kind
+        self._items = tuple(items)
+        self._last_sent: int | None = None
+        self._highest = -1
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Items asked for and items in all."""
+        return self._highest + 1, len(self._items)
+
+    @property
+    def all_sent(self) -> bool:
+        """Whether the vehicle has asked for everything: what is missing is its final word."""
+        return self._highest == len(self._items) - 1
+
+    def begin(self, t_s: float) -> list[Message]:
+        """MISSION_COUNT."""
+        self._start(t_s)
+        return [self._count()]
+
+    def handle(self, message: Message, t_s: float) -> list[Message]:
+        """Items that are asked for; the end."""
+        kind = message.get_type()
+        if kind == "STATUSTEXT":
+            self._note_text(message, t_s)
+        if self.outcome is not None or self._refused is not None:
+            return []
+        if getattr(message, "mission_type", None) != self._kind:
+            return []
+        if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and 0 <= message.seq < len(self._items):
+            self._heard_s = self._sent_s = t_s
+            self._last_sent = message.seq
+            self._highest = max(self._highest, message.seq)
+            return [self._item(message.seq)]
+        if kind == "MISSION_ACK":
+            self._heard_s = t_s
+            if message.type != MissionResult.ACCEPTED:
+                self._refuse(message.type, t_s)
+            elif self.all_sent:
+                self.outcome = Outcome(result=0, reason="")
+            # An early ACCEPTED is a late copy of the answer to an earlier upload.
+        return []
+
+    def tick(self, t_s: float) -> list[Message]:
+        """COUNT until the vehicle asks, then the last item until it asks for another or ends."""
+        if self._waits(t_s) or t_s - self._sent_s < self._timers.general_s:
+            return []
+        self._sent_s = t_s
+        return [self._count() if self._last_sent is None else self._item(self._last_sent)]
+
+    def _count(self) -> Message:
+        target = self._target
+        return mav.MAVLink_mission_count_message(target.system, target.component, len(self._items), int(self._kind))
+
+    def _item(self, seq: int) -> Message:
+        item, target = self._items[seq], self._target
+        return mav.MAVLink_mission_item_int_message(
+            target.system,
+            target.component,
+            item.seq,
+            item.frame,
+            item.command,
+            int(seq == 0 and self._kind is PlanKind.MISSION),
+            item.autocontinue,
+            item.param1,
+            item.param2,
+            item.param3,
+            item.param4,
+            item.x,
+            item.y,
+            item.z,
+            int(self._kind),
+        )
+
+
+class PlanDownload(BaseExchange):
+    """Read one plan of the vehicle. The client drives: it asks for one item after the other and ends with an ACK."""
+
+    def __init__(self, kind: PlanKind, target: Target | None = None, timers: Timers | None = None) -> None:
+        super().__init__(target or Target(), timers or Timers(), f"{kind.name.lower()} download")
+        self._kind = kind
+        self._count: int | None = None
+        self._items: list[PlanItem] = []
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Items received and items in all (0 before that is known)."""
+        return len(self._items), self._count or 0
+
+    @property
+    def items(self) -> tuple[PlanItem, ...]:
+        """The plan, complete when the outcome is accepted."""
+        return tuple(self._items)
+
+    def begin(self, t_s: float) -> list[Message]:
+        """MISSION_REQUEST_LIST."""
+        self._start(t_s)
+        return [self._request()]
+
+    def handle(self, message: Message, t_s: float) -> list[Message]:
+        """The next request, or the final ACK."""
+        kind = message.get_type()
+        if kind == "STATUSTEXT":
+            self._note_text(message, t_s)
+        if self.outcome is not None or self._refused is not None:
+            return []
+        if getattr(message, "mission_type", None) != self._kind:
+            return []
+        if kind == "MISSION_ACK" and message.type != MissionResult.ACCEPTED:
+            self._refuse(message.type, t_s)
+            return []
+        if kind == "MISSION_COUNT" and self._count is None:
+            self._count = message.count
+        elif kind == "MISSION_ITEM_INT" and self._count is not None and message.seq == len(self._items):
+            self._items.append(_plan_item(message))
+        else:
+            return []
+        self._heard_s = self._sent_s = t_s
+        if len(self._items) < (self._count or 0):
+            return [self._request()]
+        self.outcome = Outcome(result=0, reason="")
+        target = self._target
+        return [mav.MAVLink_mission_ack_message(target.system, target.component, 0, int(self._kind))]
+
+    def tick(self, t_s: float) -> list[Message]:
+        """The pending request again."""
+        wait_s = self._timers.general_s if self._count is None else self._timers.item_s
+        if self._waits(t_s) or t_s - self._sent_s < wait_s:
+            return []
+        self._sent_s = t_s
+        return [self._request()]
+
+    def _request(self) -> Message:
+        target, kind = self._target, int(self._kind)
+        if self._count is None:
+            return mav.MAVLink_mission_request_list_message(target.system, target.component, kind)
+        return mav.MAVLink_mission_request_int_message(target.system, target.component, len(self._items), kind)
+
+
+def _plan_item(message: Message) -> PlanItem:
+    return PlanItem(
+        seq=message.seq,
+        frame=message.frame,
+        command=message.command,
+        param1=message.param1,
+        param2=message.param2,
+        param3=message.param3,
+        param4=message.param4,
+        x=message.x,
+        y=message.y,
+        z=message.z,
+        autocontinue=message.autocontinue,
+    )
+
+
+def same_on_the_wire(a: Sequence[PlanItem], b: Sequence[PlanItem]) -> bool:
+    """Whether two plans are the same MISSION_ITEM_INT messages (32-bit floats, NaN equal to NaN)."""
+    return len(a) == len(b) and all(_wire(x) == _wire(y) for x, y in zip(a, b, strict=True))
+
+
+def _wire(item: PlanItem) -> tuple[object, ...]:
+    floats = (item.param1, item.param2, item.param3, item.param4, item.z)
+    packed = tuple(None if math.isnan(v) else struct.pack("<f", v) for v in floats)
+    return (item.seq, item.frame, item.command, item.x, item.y, item.autocontinue, packed)

@@ -1,0 +1,277 @@
+"""Runs exchanges over a connection, by the wall clock. The client's side of the whole-system tests and of the demo."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Self
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.client.command_client import CommandSend
+from autopilot.client.exchange import Exchange, Message, Outcome, Target, Timers
+from autopilot.client.links import Link, open_link
+from autopilot.client.plan_client import PlanDownload, PlanUpload, same_on_the_wire
+from autopilot.client.texts import Text, TextCollector
+from autopilot.core.errors import AutopilotError, DriverError, PlanError
+from autopilot.core.messages import ProgressState
+from autopilot.core.plan import PlanItem, PlanKind
+
+SYSTEM_ID, COMPONENT_ID = 254, 190
+"""Ours: a ground station beside the usual 255, MAV_COMP_ID_MISSIONPLANNER."""
+HEARTBEAT_S = 1.0
+_POLL_S = 0.02
+_SHOWN_S = 3.0
+"""Time that the vehicle's telemetry may lag behind its answer to a command."""
+_FORCE_DISARM = 21196.0
+_FORCE_ARM = 2989.0
+"""Magic numbers of MAV_CMD_COMPONENT_ARM_DISARM param2 (common.xml)."""
+
+Progress = Callable[[int, int], None]
+"""Called with items done and items in all."""
+
+
+class CommandRefusedError(AutopilotError):
+    """The vehicle refused a command, or did not answer. One line with its reason."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleInfo:
+    """Who answered."""
+
+    system: int
+    component: int
+    autopilot: int
+    """MAV_AUTOPILOT."""
+    armed: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionStatus:
+    """Where the mission of the vehicle stands."""
+
+    seq: int
+    total: int
+    state: ProgressState
+    reached: tuple[int, ...]
+    """Items reached so far, in order of arrival (an item of a loop more than once)."""
+    armed: bool
+
+
+class Session:
+    """One connection to one vehicle. Use as a context manager; DriverError when the vehicle is not there."""
+
+    def __init__(
+        self,
+        connection: str | Link,
+        timers: Timers | None = None,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._link = open_link(connection) if isinstance(connection, str) else connection
+        self._name = connection if isinstance(connection, str) else "link"
+        self._timers = timers or Timers()
+        self._clock_s = clock_s
+        self._codec = mav.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
+        self._codec.robust_parsing = True
+        self._beat_s = -math.inf
+        self._collector = TextCollector()
+        self._target: Target | None = None
+        self.vehicle: VehicleInfo | None = None
+        self.on_text: Callable[[Text], None] | None = None
+        """Called with every STATUSTEXT."""
+
+    def __enter__(self) -> Self:
+        """The session itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the connection."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._link.close()
+
+    def connect(self, timeout_s: float = 10.0, system: int | None = None) -> VehicleInfo:
+        """Wait for the heartbeat of an autopilot (component 1). DriverError when none comes."""
+        end_s = self._clock_s() + timeout_s
+        while self._clock_s() < end_s:
+            for message in self.poll():
+                is_autopilot = message.get_type() == "HEARTBEAT" and message.autopilot != mav.MAV_AUTOPILOT_INVALID
+                if is_autopilot and message.get_srcComponent() == 1 and system in (None, message.get_srcSystem()):
+                    self._target = Target(system=message.get_srcSystem(), component=1)
+                    self._note_heartbeat(message)
+                    assert self.vehicle is not None
+                    return self.vehicle
+        raise DriverError(f"no vehicle heard on {self._name} within {timeout_s:g} s; is it running and reachable?")
+
+    def poll(self, wait_s: float = _POLL_S) -> list[Message]:
+        """Messages that came within ``wait_s``, of our vehicle only once it is known; keeps our heartbeat going."""
+        now_s = self._clock_s()
+        if now_s - self._beat_s >= HEARTBEAT_S:
+            self._beat_s = now_s
+            self.send(mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3))
+        messages: list[Message] = []
+        data = self._link.receive(wait_s)
+        while data:
+            messages += [m for m in self._codec.parse_buffer(data) or [] if self._is_for_us(m)]
+            data = self._link.receive(0.0)
+        for message in messages:
+            if message.get_type() == "HEARTBEAT" and self._target is not None:
+                self._note_heartbeat(message)
+            elif message.get_type() == "STATUSTEXT" and self.on_text is not None:
+                for text in self._collector.feed(message, now_s):
+                    self.on_text(text)
+        if self.on_text is not None:
+            for text in self._collector.flush(now_s):
+                self.on_text(text)
+        return messages
+
+    def send(self, message: Message) -> None:
+        """Send one message of the dialect."""
+        self._link.send(bytes(message.pack(self._codec)))
+
+    def _is_for_us(self, message: Message) -> bool:
+        if message.get_type() == "BAD_DATA":
+            return False
+        if getattr(message, "target_system", 0) not in (0, SYSTEM_ID):
+            return False
+        target = self._target
+        return target is None or (message.get_srcSystem(), message.get_srcComponent()) == (
+            target.system,
+            target.component,
+        )
+
+    def _note_heartbeat(self, message: Message) -> None:
+        self.vehicle = VehicleInfo(
+            system=message.get_srcSystem(),
+            component=message.get_srcComponent(),
+            autopilot=message.autopilot,
+            armed=bool(message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED),
+        )
+
+    def _address(self) -> Target:
+        if self._target is None:
+            self.connect()
+        assert self._target is not None
+        return self._target
+
+    def run(self, exchange: Exchange, on_progress: Progress | None = None) -> Outcome:
+        """Carry an exchange to its end."""
+        pending = exchange.begin(self._clock_s())
+        shown: tuple[int, int] | None = None
+        while True:
+            for message in pending:
+                self.send(message)
+            if on_progress is not None and exchange.progress != shown:
+                shown = exchange.progress
+                on_progress(*shown)
+            if exchange.outcome is not None:
+                return exchange.outcome
+            pending = [answer for m in self.poll() for answer in exchange.handle(m, self._clock_s())]
+            pending += exchange.tick(self._clock_s())
+
+    @property
+    def _home_is_item_0(self) -> bool:
+        """ArduPilot's convention: item 0 of a mission on the wire is home."""
+        return self.vehicle is not None and self.vehicle.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA
+
+    def upload(self, kind: PlanKind, items: Sequence[PlanItem], on_progress: Progress | None = None) -> None:
+        """Replace a plan. PlanError with the vehicle's reason when it refuses; its old plan is in force then."""
+        target = self._address()
+        wire = tuple(items)
+        if wire and kind is PlanKind.MISSION and self._home_is_item_0:
+            wire = (_home_placeholder(wire[0]), *(_renumbered(item, 1) for item in wire))
+        upload = PlanUpload(kind, wire, target, self._timers)
+        outcome = self.run(upload, on_progress)
+        if outcome.result is None and upload.all_sent and same_on_the_wire(self.download(kind), items):
+            return
+        if not outcome.accepted:
+            raise PlanError(outcome.reason)
+
+    def download(self, kind: PlanKind, on_progress: Progress | None = None) -> tuple[PlanItem, ...]:
+        """Read a plan. PlanError when the vehicle does not give it."""
+        download = PlanDownload(kind, self._address(), self._timers)
+        outcome = self.run(download, on_progress)
+        if not outcome.accepted:
+            raise PlanError(outcome.reason)
+        if kind is PlanKind.MISSION and self._home_is_item_0:
+            return tuple(_renumbered(item, -1) for item in download.items[1:])
+        return download.items
+
+    def command(self, command: int, *params: float) -> None:
+        """Send a command until it is answered. CommandRefusedError with the vehicle's reason when it says no."""
+        outcome = self.run(CommandSend(command, params, self._address(), self._timers))
+        if not outcome.accepted:
+            raise CommandRefusedError(outcome.reason)
+
+    def arm(self, force: bool = False) -> None:
+        """Arm and wait until the heartbeat shows it. CommandRefusedError with the reasons when it is not ready."""
+        self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, _FORCE_ARM if force else 0.0)
+        end_s = self._clock_s() + _SHOWN_S
+        while not (self.vehicle is not None and self.vehicle.armed) and self._clock_s() < end_s:
+            self.poll()
+
+    def disarm(self, force: bool = False) -> None:
+        """Disarm; ``force`` = emergency stop."""
+        self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _FORCE_DISARM if force else 0.0)
+
+    def start_mission(self, first_seq: int = 0) -> None:
+        """Start the mission (0 = from where it stands)."""
+        self.command(mav.MAV_CMD_MISSION_START, float(first_seq), 0.0)
+
+    def watch_mission(
+        self,
+        on_status: Callable[[MissionStatus], None] | None = None,
+        timeout_s: float = math.inf,
+        silence_s: float = 10.0,
+    ) -> MissionStatus:
+        """Watch until the mission is complete or the vehicle is disarmed; gives the last status.
+
+        DriverError when the vehicle falls silent, or the mission takes longer than ``timeout_s``.
+        """
+        self._address()
+        begun_s = heard_s = self._clock_s()
+        reached: list[int] = []
+        shown: MissionStatus | None = None
+        begun = False
+        seq, total, state = 0, 0, ProgressState.UNKNOWN
+        while True:
+            now_s = self._clock_s()
+            for message in self.poll():
+                heard_s = now_s
+                if message.get_type() == "MISSION_ITEM_REACHED":
+                    reached.append(message.seq)
+                elif message.get_type() == "MISSION_CURRENT":
+                    seq, total, state = message.seq, message.total, _state(message.mission_state)
+            armed = self.vehicle is not None and self.vehicle.armed
+            status = MissionStatus(seq=seq, total=total, state=state, reached=tuple(reached), armed=armed)
+            if status != shown and on_status is not None:
+                on_status(status)
+            shown = status
+            # What stands there from before the start counts only when it stays.
+            begun |= state in (ProgressState.ACTIVE, ProgressState.PAUSED) or now_s - begun_s > _SHOWN_S
+            if begun and (state is ProgressState.COMPLETE or not armed):
+                return status
+            if now_s - heard_s > silence_s:
+                raise DriverError(f"the vehicle on {self._name} has been silent for {silence_s:g} s; check the link")
+            if now_s - begun_s > timeout_s:
+                raise DriverError(f"the mission is at item {seq} after {timeout_s:g} s; give it more time (--timeout)")
+
+
+def _state(value: int) -> ProgressState:
+    return ProgressState(value) if value in list(ProgressState) else ProgressState.UNKNOWN
+
+
+def _renumbered(item: PlanItem, by: int) -> PlanItem:
+    """The item with its number, and the target of a jump, shifted."""
+    jump = item.command == mav.MAV_CMD_DO_JUMP
+    return replace(item, seq=item.seq + by, param1=item.param1 + by if jump else item.param1)
+
+
+def _home_placeholder(first: PlanItem) -> PlanItem:
+    """Item 0 for vehicles that keep home there; they put their own home into it."""
+    return PlanItem(seq=0, frame=0, command=mav.MAV_CMD_NAV_WAYPOINT, param4=0.0, x=first.x, y=first.y, z=0.0)
