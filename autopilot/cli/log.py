@@ -96,7 +96,7 @@ def print_rows(rows: "list[Row]", title: str) -> None:
     from autopilot.log.check import Verdict, format_figure, overall
 
     styles = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red", Verdict.INFO: "dim"}
-    table = Table(title=Text(title), title_justify="left", caption_justify="left", box=SIMPLE, pad_edge=False)
+    table = Table(title=Text(title), title_justify="left", caption_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
     table.add_column("bound", no_wrap=True)
     for column in ("limit", "worst", "margin"):
         table.add_column(column, justify="right", no_wrap=True)

@@ -175,7 +175,7 @@ def _mission_rows(flight: Flight, run: RunDescription) -> list[Row]:
         rows.append(_info(f"time lap {number}", "s", span.end_s - span.start_s))
         energy = energy_j(flight, span)
         if energy is not None:
-            rows.append(_info(f"energy lap {number}", "J", energy, f"hotel load {run.hotel_power_w:g} W included"))
+            rows.append(_info(f"energy lap {number}", "J", energy, f"{run.hotel_power_w:g} W hotel included"))
     return rows
 
 
@@ -183,7 +183,7 @@ def _waypoint_rows(stays: Sequence[Visit]) -> list[Row]:
     """Position and heading of the worst visit of one waypoint."""
     waypoint = stays[0].waypoint
     reached = sum(visit.t_s is not None for visit in stays)
-    note = f"reached {reached} of {len(stays)} times"
+    note = f"reached {reached} of {len(stays)}"
     far = max(stays, key=lambda visit: visit.distance_m)
     rows = [_reached(f"waypoint {waypoint.name} position", "m", waypoint.accept_radius_m, far.distance_m, far, note)]
     if waypoint.yaw_rad is not None:
@@ -243,10 +243,10 @@ def _motion_rows(flight: Flight, accept: AcceptBounds) -> list[Row]:
     t_s, depth = track.t_s, track.pos_ned_m[:, 2]
     rows = _at_least("depth, shallowest", "m", accept.depth_min_m, 0.0, t_s, depth)
     rows += _at_most("depth, deepest", "m", accept.depth_max_m, t_s, depth)
-    rows += _at_most("planar speed", "m/s", accept.planar_speed_m_s, t_s, track.planar_speed_m_s, "norm, in the water")
+    rows += _at_most("planar speed", "m/s", accept.planar_speed_m_s, t_s, track.planar_speed_m_s)
     if len(t_s):
         literal = float(np.max(track.literal_speed_m_s))
-        rows.append(_info("planar speed |u+v|", "m/s", literal, "the paper's (5a) taken literally, for comparison"))
+        rows.append(_info("planar speed |u+v|", "m/s", literal, "paper (5a), literal"))
     rows += _at_most("heave", "m/s", accept.heave_m_s, t_s, np.abs(track.vel_water_frd_m_s[:, 2]))
     rows += _at_most("yaw rate", "rad/s", accept.yaw_rate_rad_s, t_s, np.abs(track.rate_frd_rad_s[:, 2]))
     commands = flight.table("/out/thrusters")

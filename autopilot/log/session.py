@@ -24,10 +24,11 @@ from autopilot.core.messages import (
     PowerSample,
     Sample,
 )
-from autopilot.log import topics, visuals
+from autopilot.log import packing, visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import StreamCutter
 from autopilot.log.scene import scene_markers
+from autopilot.log.topics import AID_PREFIX
 from autopilot.log.writer import LogWriter
 
 TRUTH_US = 10_000
@@ -120,7 +121,7 @@ class RunLog:
     def inputs(self, inputs: Inputs) -> None:
         """Everything that goes into ``step``, in its order."""
         t_us = inputs.t_us
-        self._write("/in/tick", t_us, topics.input_tick(self._ns(t_us), inputs))
+        self._write("/in/tick", t_us, packing.input_tick(self._ns(t_us), inputs))
         for sample in inputs.samples:
             self._sample(sample)
         for frame in inputs.mavlink_rx:
@@ -133,20 +134,20 @@ class RunLog:
         pixels, stamp_ns = frame.image_bgr.copy(), self._ns(frame.t_us)
         self._writer.write("/in/camera", frame.t_us, _jpeg_maker(pixels, stamp_ns), size=pixels.nbytes)
 
-    def truth(self, t_us: int, truth: topics.TruthLike) -> None:
+    def truth(self, t_us: int, truth: packing.TruthLike) -> None:
         """The simulated vehicle, once per tick."""
         if self._due("/sim/truth", t_us, TRUTH_US):
-            self._write("/sim/truth", t_us, topics.vehicle_state(self._ns(t_us), truth))
+            self._write("/sim/truth", t_us, packing.vehicle_state(self._ns(t_us), truth))
         if self._due("/sim/thrusters", t_us, THRUSTERS_US):
-            self._write("/sim/thrusters", t_us, topics.thruster_state(self._ns(t_us), truth))
+            self._write("/sim/thrusters", t_us, packing.thruster_state(self._ns(t_us), truth))
 
     def contact(self, t_us: int, count: int, penetration_m: float) -> None:
         """Contacts of the simulated hull begun so far and the deepest penetration of now, once per tick."""
-        self._on_change("/sim/contact", t_us, topics.contact_state(self._ns(t_us), count, penetration_m))
+        self._on_change("/sim/contact", t_us, packing.contact_state(self._ns(t_us), count, penetration_m))
 
     def loop(self, stats: LoopStats) -> None:
         """Health of the loop, once per second."""
-        self._write("/sys/loop", stats.t_us, topics.loop_stats(self._ns(stats.t_us), stats))
+        self._write("/sys/loop", stats.t_us, packing.loop_stats(self._ns(stats.t_us), stats))
 
     def event(self, event: Event) -> None:
         """A line that does not come from ``step`` (``Outputs.events`` are written by ``outputs``)."""
@@ -159,15 +160,15 @@ class RunLog:
         if outputs.nav is not None:
             self._nav(t_us, stamp_ns, outputs.nav)
         for aid in outputs.aids:
-            self._write(topics.AID_PREFIX + aid.sensor, aid.t_us, topics.aid_status(self._ns(aid.t_us), aid))
-        self._on_change("/sys/mode", t_us, topics.mode_state(stamp_ns, outputs.mode))
+            self._write(AID_PREFIX + aid.sensor, aid.t_us, packing.aid_status(self._ns(aid.t_us), aid))
+        self._on_change("/sys/mode", t_us, packing.mode_state(stamp_ns, outputs.mode))
         if outputs.progress is not None:
-            self._on_change("/mission/progress", t_us, topics.mission_progress(stamp_ns, outputs.progress))
+            self._on_change("/mission/progress", t_us, packing.mission_progress(stamp_ns, outputs.progress))
         if outputs.goal is not None:
-            self._on_change("/ctl/goal", t_us, topics.goal(stamp_ns, outputs.goal))
+            self._on_change("/ctl/goal", t_us, packing.goal(stamp_ns, outputs.goal))
         if outputs.control is not None:
             self._control(t_us, stamp_ns, outputs)
-        command = topics.thruster_command(stamp_ns, outputs.command)
+        command = packing.thruster_command(stamp_ns, outputs.command)
         self._on_change("/out/thrusters", t_us, command, always=outputs.control is not None)
         for frame in outputs.mavlink_tx:
             self._mavlink("/out/mavlink", t_us, frame)
@@ -199,32 +200,32 @@ class RunLog:
         t_us, stamp_ns = sample.t_us, self._ns(sample.t_us)
         match sample:
             case AhrsSample():
-                self._write("/in/ahrs_raw", t_us, topics.ahrs_raw(stamp_ns, sample))
-                self._write("/in/ahrs", t_us, topics.imu(stamp_ns, sample))
+                self._write("/in/ahrs_raw", t_us, packing.ahrs_raw(stamp_ns, sample))
+                self._write("/in/ahrs", t_us, packing.imu(stamp_ns, sample))
             case MarkerSighting():
-                self._write("/in/markers", t_us, topics.marker_sighting(stamp_ns, sample))
+                self._write("/in/markers", t_us, packing.marker_sighting(stamp_ns, sample))
             case PoseSample():
-                self._write("/in/pose", t_us, topics.pose_fix(stamp_ns, sample))
+                self._write("/in/pose", t_us, packing.pose_fix(stamp_ns, sample))
             case LaserSample():
-                self._write("/in/laser_raw", t_us, topics.laser_raw(stamp_ns, sample))
-                self._write("/in/laser", t_us, topics.laser_range(stamp_ns, sample))
+                self._write("/in/laser_raw", t_us, packing.laser_raw(stamp_ns, sample))
+                self._write("/in/laser", t_us, packing.laser_range(stamp_ns, sample))
             case PowerSample():
-                self._write("/in/power_raw", t_us, topics.power_raw(stamp_ns, sample))
+                self._write("/in/power_raw", t_us, packing.power_raw(stamp_ns, sample))
                 self._write("/in/power", t_us, visuals.battery_state(stamp_ns, sample))
 
     def _mavlink(self, topic: str, t_us: int, frame: MavlinkFrame) -> None:
         cutter = self._cutters.setdefault((topic, frame.link), StreamCutter())
         stamp_ns = self._ns(t_us)
         for piece in cutter.cut(frame.data):
-            self._write(topic, t_us, topics.mavlink_frame(stamp_ns, piece.data, frame.link))
+            self._write(topic, t_us, packing.mavlink_frame(stamp_ns, piece.data, frame.link))
             if piece.is_packet:
                 self._writer.write_packet(t_us, piece.data)
 
     def _nav(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
-        self._write("/nav/state", t_us, topics.vehicle_state(stamp_ns, nav))
-        self._on_change("/nav/status", t_us, topics.nav_status(stamp_ns, nav))
+        self._write("/nav/state", t_us, packing.vehicle_state(stamp_ns, nav))
+        self._on_change("/nav/status", t_us, packing.nav_status(stamp_ns, nav))
         if self._due("/nav/covariance", t_us, COVARIANCE_US):
-            self._write("/nav/covariance", t_us, topics.nav_covariance(stamp_ns, nav))
+            self._write("/nav/covariance", t_us, packing.nav_covariance(stamp_ns, nav))
         if self._due("/viz/pose", t_us, VIZ_US):
             self._write("/viz/pose", t_us, visuals.pose_stamped(stamp_ns, nav))
             self._write("/viz/tf", t_us, visuals.transforms(stamp_ns, nav))
@@ -238,7 +239,7 @@ class RunLog:
     def _control(self, t_us: int, stamp_ns: int, outputs: Outputs) -> None:
         control = outputs.control
         assert control is not None
-        self._write("/ctl/nmpc", t_us, topics.nmpc_status(stamp_ns, control.status))
+        self._write("/ctl/nmpc", t_us, packing.nmpc_status(stamp_ns, control.status))
         if not self._due("/ctl/horizon", t_us, HORIZON_US):
             return
         self._write("/ctl/horizon", t_us, visuals.path(stamp_ns, control.horizon_ned_m.tolist()))

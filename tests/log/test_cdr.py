@@ -34,7 +34,7 @@ from autopilot.core.messages import (
     SolveStatus,
     ThrusterCommand,
 )
-from autopilot.log import topics, visuals
+from autopilot.log import packing, topics, visuals
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer, decode, fixed_layout, parse_definition
 from autopilot.log.schemas import definition, layout, ros_name, type_names, types_of
 
@@ -117,13 +117,13 @@ def test_nav(stamp: int, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, var: An
         variance=var,
         reset_count=resets,
     )
-    state = read_back("autopilot_msgs/VehicleState", topics.vehicle_state(stamp, nav))
+    state = read_back("autopilot_msgs/VehicleState", packing.vehicle_state(stamp, nav))
     assert stamp_of(state.header) == stamp and state.header.frame_id == "ned"
     for field in ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s"):
         np.testing.assert_array_equal(getattr(state, field), getattr(nav, field))
-    covariance = read_back("autopilot_msgs/NavCovariance", topics.nav_covariance(stamp, nav))
+    covariance = read_back("autopilot_msgs/NavCovariance", packing.nav_covariance(stamp, nav))
     np.testing.assert_array_equal(covariance.variance, var)
-    status = read_back("autopilot_msgs/NavStatus", topics.nav_status(stamp, nav))
+    status = read_back("autopilot_msgs/NavStatus", packing.nav_status(stamp, nav))
     assert (status.health, status.reset_count) == (health % 3, resets)
 
 
@@ -141,10 +141,10 @@ def test_truth_thrusters_and_contact(stamp: int, thrust: list[float], power: flo
         thrust_n=np.array(thrust),
         power_w=power,
     )
-    state = read_back("autopilot_msgs/ThrusterState", topics.thruster_state(stamp, truth))
+    state = read_back("autopilot_msgs/ThrusterState", packing.thruster_state(stamp, truth))
     np.testing.assert_array_equal(state.thrust_n, thrust + [0.0] * (8 - len(thrust)))
     assert state.power_w == power
-    contact = read_back("autopilot_msgs/ContactState", topics.contact_state(stamp, count, depth))
+    contact = read_back("autopilot_msgs/ContactState", packing.contact_state(stamp, count, depth))
     assert (contact.count, contact.penetration_m) == (count, depth)
 
 
@@ -152,7 +152,7 @@ def test_truth_thrusters_and_contact(stamp: int, thrust: list[float], power: flo
 @settings(max_examples=25, deadline=None)
 def test_goal(stamp: int, pos: Any, yaw: float | None, speed: float, radius: float, band: float, seq: int) -> None:
     goal = Goal(pos_ned_m=pos, yaw_rad=yaw, speed_m_s=speed, accept_radius_m=radius, accept_yaw_rad=band, seq=seq)
-    read = read_back("autopilot_msgs/Goal", topics.goal(stamp, goal))
+    read = read_back("autopilot_msgs/Goal", packing.goal(stamp, goal))
     np.testing.assert_array_equal(read.pos_ned_m, pos)
     assert (read.yaw_free, read.yaw_rad) == ((1, 0.0) if yaw is None else (0, yaw))
     assert (read.speed_m_s, read.accept_radius_m, read.accept_yaw_rad, read.seq) == (speed, radius, band, seq)
@@ -171,7 +171,7 @@ def test_control_and_system(
     a: int,
     b: int,
 ) -> None:
-    command = topics.thruster_command(stamp, ThrusterCommand(t_us=0, thrust_n=thrust, pwm_us=tuple(pwm)))
+    command = packing.thruster_command(stamp, ThrusterCommand(t_us=0, thrust_n=thrust, pwm_us=tuple(pwm)))
     read = read_back("autopilot_msgs/ThrusterCommand", command)
     np.testing.assert_array_equal(read.thrust_n, thrust)
     assert read.pwm_us.tolist() == pwm + [0] * (8 - len(pwm))
@@ -185,20 +185,20 @@ def test_control_and_system(
         slack_max=x,
         margin_m=y,
     )
-    read = read_back("autopilot_msgs/NmpcStatus", topics.nmpc_status(stamp, nmpc))
+    read = read_back("autopilot_msgs/NmpcStatus", packing.nmpc_status(stamp, nmpc))
     assert (read.status, read.fallback, read.iterations, read.solve_s, read.cost) == (3, 1, count, x, y)
     assert (read.slack_max, read.margin_m) == (x, y)
     progress = MissionProgress(t_us=0, current_seq=-1, reached_seq=3, lap=count, state=ProgressState.ACTIVE)
-    read = read_back("autopilot_msgs/MissionProgress", topics.mission_progress(stamp, progress))
+    read = read_back("autopilot_msgs/MissionProgress", packing.mission_progress(stamp, progress))
     assert (read.current_seq, read.reached_seq, read.lap, read.state) == (-1, 3, count, 3)
     mode = ModeState(t_us=0, armed=flag, custom_mode=a, failsafes=b)
-    read = read_back("autopilot_msgs/ModeState", topics.mode_state(stamp, mode))
+    read = read_back("autopilot_msgs/ModeState", packing.mode_state(stamp, mode))
     assert (read.armed, read.custom_mode, read.failsafes) == (flag, a, b)
     stats = LoopStats(t_us=0, tick_s=x, cpu_s=y, overruns=a, dropped_log=b)
-    read = read_back("autopilot_msgs/LoopStats", topics.loop_stats(stamp, stats))
+    read = read_back("autopilot_msgs/LoopStats", packing.loop_stats(stamp, stats))
     assert (read.tick_s, read.cpu_s, read.overruns, read.dropped_log) == (x, y, a, b)
     inputs = Inputs(t_us=0, overruns=a, cpu_load=x)
-    read = read_back("autopilot_msgs/InputTick", topics.input_tick(stamp, inputs))
+    read = read_back("autopilot_msgs/InputTick", packing.input_tick(stamp, inputs))
     assert (read.samples, read.frames, read.overruns, read.cpu_load) == (0, 0, a, x)
     aid = AidStatus(
         t_us=0,
@@ -210,7 +210,7 @@ def test_control_and_system(
         state=AidState.REJECTING,
         age_s=y,
     )
-    read = read_back("autopilot_msgs/AidStatus", topics.aid_status(stamp, aid))
+    read = read_back("autopilot_msgs/AidStatus", packing.aid_status(stamp, aid))
     np.testing.assert_array_equal(read.innovation, thrust[:3])
     np.testing.assert_array_equal(read.innovation_var, thrust[3:6])
     assert (read.test_ratio, read.fused, read.state, read.age_s) == (x, flag, 3, y)
@@ -220,26 +220,26 @@ def test_control_and_system(
 @settings(max_examples=25, deadline=None)
 def test_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> None:
     ahrs = AhrsSample(t_us=0, rpy_rad=np.array(rpy), rate_frd_rad_s=v, accel_frd_m_s2=-v)
-    raw = read_back("autopilot_msgs/AhrsRaw", topics.ahrs_raw(stamp, ahrs))
+    raw = read_back("autopilot_msgs/AhrsRaw", packing.ahrs_raw(stamp, ahrs))
     np.testing.assert_array_equal(raw.rpy_rad, rpy)
     np.testing.assert_array_equal(raw.rate_frd_rad_s, v)
     np.testing.assert_array_equal(raw.accel_frd_m_s2, -v)
-    imu = read_back("sensor_msgs/Imu", topics.imu(stamp, ahrs))
+    imu = read_back("sensor_msgs/Imu", packing.imu(stamp, ahrs))
     q = imu.orientation
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     assert yaw == pytest.approx(rpy[2], abs=1e-9)
     assert (imu.linear_acceleration.x, imu.linear_acceleration.z) == (-v[0], -v[2])
     fix = PoseSample(t_us=0, pos_ned_m=v, yaw_rad=x, sigma_pos_m=-v, sigma_yaw_rad=y)
-    read = read_back("autopilot_msgs/PoseFix", topics.pose_fix(stamp, fix))
+    read = read_back("autopilot_msgs/PoseFix", packing.pose_fix(stamp, fix))
     np.testing.assert_array_equal(read.pos_ned_m, v)
     np.testing.assert_array_equal(read.sigma_pos_m, -v)
     assert (read.yaw_rad, read.sigma_yaw_rad) == (x, y)
     laser = LaserSample(t_us=0, range_m=x, sigma_m=y)
-    read = read_back("autopilot_msgs/LaserRaw", topics.laser_raw(stamp, laser))
+    read = read_back("autopilot_msgs/LaserRaw", packing.laser_raw(stamp, laser))
     assert (read.range_m, read.sigma_m) == (x, y)
-    assert read_back("sensor_msgs/Range", topics.laser_range(stamp, laser)).range == np.float32(x)
+    assert read_back("sensor_msgs/Range", packing.laser_range(stamp, laser)).range == np.float32(x)
     power = PowerSample(t_us=0, voltage_v=x, current_a=y, energy_used_j=x, remaining=0.5)
-    read = read_back("autopilot_msgs/PowerRaw", topics.power_raw(stamp, power))
+    read = read_back("autopilot_msgs/PowerRaw", packing.power_raw(stamp, power))
     assert (read.voltage_v, read.current_a, read.energy_used_j, read.remaining) == (x, y, x, 0.5)
     battery = STORE.deserialize_cdr(visuals.battery_state(stamp, power), "sensor_msgs/msg/BatteryState")
     assert (battery.voltage, battery.current, battery.percentage) == (np.float32(x), np.float32(-y), 0.5)
@@ -257,8 +257,8 @@ def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) ->
         laser_px=np.array([1.5, 2.5]) if laser else None,
         decode_us=decode_us,
     )
-    read = read_back("autopilot_msgs/MarkerSighting", topics.marker_sighting(stamp, sighting))
-    kept = min(count, topics.MAX_MARKERS)
+    read = read_back("autopilot_msgs/MarkerSighting", packing.marker_sighting(stamp, sighting))
+    kept = min(count, packing.MAX_MARKERS)
     assert (read.count, read.laser_found, read.decode_us) == (kept, int(laser), decode_us)
     assert read.ids[:kept].tolist() == list(range(kept)) and not read.ids[kept:].any()
     np.testing.assert_array_equal(read.corners_px[: 8 * kept], corners[:kept].ravel())
@@ -269,7 +269,7 @@ def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) ->
 @given(stamps, st.binary(min_size=0, max_size=280), st.integers(-1, 20))
 @settings(max_examples=25, deadline=None)
 def test_mavlink_frame(stamp: int, data: bytes, link: int) -> None:
-    read = read_back("autopilot_msgs/MavlinkFrame", topics.mavlink_frame(stamp, data, link))
+    read = read_back("autopilot_msgs/MavlinkFrame", packing.mavlink_frame(stamp, data, link))
     assert read.data.tobytes()[: read.length] == data
     assert read.link == (255 if link < 0 else link)
 
@@ -330,7 +330,7 @@ def test_decoder_survives_anything(name: str, data: bytes) -> None:
 
 
 def test_decoder_names_the_type_of_a_short_message() -> None:
-    data = topics.contact_state(0, 1, 0.0)
+    data = packing.contact_state(0, 1, 0.0)
     for length in range(len(data)):
         with pytest.raises(LogError, match="ContactState"):
             decode(types_of("autopilot_msgs/ContactState"), "autopilot_msgs/ContactState", data[:length])

@@ -1,0 +1,127 @@
+"""What readers of the paper's figures ask for next: errors of the estimate, solve time, energy, current."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from autopilot.core.frames import FloatArray
+from autopilot.log.analysis import energy_j, estimate_error, seconds
+from autopilot.log.figure_parts import (
+    LAP_COLORS,
+    TRUTH,
+    WIDTH_IN,
+    Scene,
+    legend_above,
+    make_room,
+    stacked_axes,
+    time_axis,
+)
+
+SIGMAS = 3.0
+SLIGHT_CURRENT_M_S = 0.05
+"""Axes of currents show at least this much, so that still water looks still."""
+
+
+def estimate_errors(scene: Scene) -> Figure | None:
+    """Estimate minus truth with the filter's own 3 sigma."""
+    flight = scene.flight
+    if flight.truth is None or flight.nav is None:
+        return None
+    error = estimate_error(flight.truth, flight.nav.between(flight.armed))
+    if error is None:
+        return None
+    figure, axes = stacked_axes(4, 6.4)
+    covariance = flight.table("/nav/covariance")
+    curves = [(1000.0 * error.pos_ned_m[:, i], 1000.0, i, f"{'xyz'[i]} [mm]") for i in range(3)]
+    curves.append((np.degrees(error.yaw_rad), float(np.degrees(1.0)), 5, "yaw [deg]"))
+    for ax, (values, scale, index, label) in zip(axes, curves, strict=True):
+        ax.plot(error.t_s, values, label="estimate minus truth", **TRUTH)
+        if covariance is not None:
+            sigma = SIGMAS * scale * np.sqrt(np.maximum(covariance["variance"][:, index], 0.0))
+            t_s = seconds(covariance)
+            for sign in (-1.0, 1.0):
+                ax.plot(t_s, sign * sigma, color="#2ca02c", linewidth=0.8, label="3 sigma" if sign > 0 else None)
+            _limit_to(ax, scene, t_s, sigma)
+        ax.set_ylabel(label)
+    legend_above(axes[0])
+    axes[0].set_title(f"rms {1000.0 * error.pos_rms_m:.1f} mm, {np.degrees(error.yaw_rms_rad):.2f} deg", loc="left")
+    time_axis(scene, axes)
+    return figure
+
+
+def _limit_to(ax: Axes, scene: Scene, t_s: FloatArray, sigma: FloatArray) -> None:
+    """Show the band of the flight in full: before arming it may be far wider than anything of interest."""
+    keep = scene.flight.armed.holds(t_s)
+    if keep.any():
+        height = 1.3 * float(np.max(sigma[keep]))
+        low, high = ax.get_ylim()
+        ax.set_ylim(max(low, -3.0 * height), min(high, 3.0 * height))
+
+
+def solve_time(scene: Scene) -> Figure | None:
+    """CPU time of the NMPC steps over time and as a histogram."""
+    table = scene.flight.table("/ctl/nmpc")
+    if table is None or not (table["solve_s"] > 0.0).any():
+        return None
+    figure = Figure(figsize=(WIDTH_IN, 2.8))
+    left, right = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
+    keep = table["solve_s"] > 0.0
+    t_s, solve_ms = seconds(table)[keep], 1000.0 * table["solve_s"][keep]
+    left.plot(t_s, solve_ms, ".", markersize=2, color="#1f77b4")
+    failed = table["fallback"][keep] != 0
+    left.plot(t_s[failed], solve_ms[failed], "rx", markersize=4, label="fallback")
+    left.set_xlabel("time [s]")
+    left.set_ylabel("NMPC step [ms]")
+    left.set_ylim(bottom=0.0)
+    right.hist(solve_ms, bins=60, range=(0.0, float(np.percentile(solve_ms, 99.5)) * 1.2), color="#1f77b4")
+    for share, style in ((50, "-"), (99, "--")):
+        value = float(np.percentile(solve_ms, share))
+        right.axvline(value, color="#d62728", linestyle=style, linewidth=1.0, label=f"p{share} {value:.2f} ms")
+    right.set_xlabel("NMPC step [ms]")
+    legend_above(right, 1)
+    return figure
+
+
+def energy(scene: Scene) -> Figure | None:
+    """Electrical energy per lap, and power over time."""
+    table = scene.flight.table("/sim/thrusters")
+    if table is None:
+        return None
+    figure = Figure(figsize=(WIDTH_IN, 2.8))
+    left, right = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
+    hotel_w = scene.flight.run.hotel_power_w if scene.flight.run is not None else 0.0
+    left.plot(seconds(table), table["power_w"] + hotel_w, label="thrusters and hotel load", **TRUTH)
+    left.axhline(hotel_w, color="#999999", linewidth=0.8, label="hotel load")
+    legend_above(left)
+    left.set_ylim(bottom=0.0)
+    left.set_ylabel("power [W]")
+    time_axis(scene, [left])
+    for number, lap in enumerate(scene.laps, 1):
+        joules = energy_j(scene.flight, lap)
+        if joules is not None:
+            right.bar(number, joules, color=LAP_COLORS[(number - 1) % len(LAP_COLORS)], width=0.6)
+            right.annotate(f"{joules:.0f} J", (number, joules), ha="center", va="bottom", fontsize=8)
+    right.set_xticks(range(1, len(scene.laps) + 1))
+    right.set_xlabel("lap")
+    right.set_ylabel("energy [J]")
+    right.margins(y=0.12)
+    return figure
+
+
+def current(scene: Scene) -> Figure | None:
+    """Current at the vehicle: what the estimator believes and what there was."""
+    nav = scene.flight.nav
+    if nav is None:
+        return None
+    figure, axes = stacked_axes(2, 3.8)
+    nav = nav.between(scene.flight.armed)
+    truth = scene.flight.truth.between(scene.flight.armed) if scene.flight.truth is not None else None
+    for index, (ax, label) in enumerate(zip(axes, ("north [m/s]", "east [m/s]"), strict=True)):
+        if truth is not None:
+            ax.plot(truth.t_s, truth.current_ned_m_s[:, index], label="truth", **TRUTH)
+        ax.plot(nav.t_s, nav.current_ned_m_s[:, index], color="#ff7f0e", linewidth=1.0, label="estimate")
+        ax.set_ylabel(f"current {label}")
+        make_room(ax, -SLIGHT_CURRENT_M_S, SLIGHT_CURRENT_M_S)
+    legend_above(axes[0])
+    time_axis(scene, axes)
+    return figure

@@ -1,0 +1,154 @@
+"""The five figures of the paper, section IV. Bounds are red dashed lines as there.
+
+Plans show the tank from above: x (north) to the right, y (east) down.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from autopilot.core.frames import FloatArray
+from autopilot.log.analysis import Visit, seconds, wrap
+from autopilot.log.figure_parts import (
+    BAND,
+    LAP_COLORS,
+    TRUTH,
+    WIDTH_IN,
+    Scene,
+    draw_bounds,
+    legend_above,
+    make_room,
+    stacked_axes,
+    time_axis,
+)
+from autopilot.log.figure_plan import draw_plan
+
+
+def trajectory(scene: Scene) -> Figure | None:
+    """Paper, figure 4: the way in the horizontal plane, one colour per lap."""
+    figure = Figure(figsize=(WIDTH_IN, 4.7))
+    ax = figure.subplots()
+    if scene.flight.run is not None:
+        draw_plan(ax, scene.flight.run)
+    plane = scene.track.pos_ned_m
+    label = "outside of laps" if scene.laps else scene.basis
+    ax.plot(plane[:, 0], plane[:, 1], color="#aaaaaa", linewidth=0.8, label=label)
+    for number, lap in enumerate(scene.laps):
+        keep = lap.holds(scene.track.t_s)
+        color = LAP_COLORS[number % len(LAP_COLORS)]
+        ax.plot(plane[keep, 0], plane[keep, 1], color=color, linewidth=1.3, label=f"lap {number + 1}")
+    ax.plot(plane[0, 0], plane[0, 1], "k^", markersize=4, label="start")
+    legend_above(ax, 6)
+    ax.set_aspect("equal")
+    ax.yaxis.set_inverted(True)
+    ax.set_xlabel("x, north [m]")
+    ax.set_ylabel("y, east [m]")
+    return figure
+
+
+def depth_and_yaw(scene: Scene) -> Figure | None:
+    """Paper, figure 5: depth and heading with the acceptance bands of the waypoint that is approached."""
+    figure, (top, bottom) = stacked_axes(2, 4.6)
+    run, track = scene.flight.run, scene.track
+    top.plot(track.t_s, track.pos_ned_m[:, 2], label=f"depth ({scene.basis})", **TRUTH)
+    _bands(scene, top, lambda v: (v.waypoint.pos_ned_m[2], v.waypoint.accept_radius_m))
+    limits = (run.accept.depth_min_m, run.accept.depth_max_m) if run is not None else (None, None)
+    draw_bounds(top, *limits)
+    make_room(top, *limits)
+    legend_above(top)
+    top.yaxis.set_inverted(True)
+    top.set_ylabel("z, depth [m]")
+    center = _yaw_center(scene)
+    bottom.plot(*_broken(track.t_s, center + wrap(track.rpy_rad[:, 2] - center)), **TRUTH)
+    _bands(scene, bottom, lambda visit: _yaw_band(visit, center))
+    bottom.set_ylabel("yaw [rad]")
+    time_axis(scene, [top, bottom])
+    return figure
+
+
+def _yaw_band(visit: Visit, center_rad: float) -> tuple[float, float] | None:
+    yaw = visit.waypoint.yaw_rad
+    return None if yaw is None else (_near(yaw, center_rad), visit.waypoint.accept_yaw_rad)
+
+
+def _near(angle_rad: float, center_rad: float) -> float:
+    return center_rad + float(wrap(np.array([angle_rad - center_rad]))[0])
+
+
+def _yaw_center(scene: Scene) -> float:
+    """A heading opposite to which the curve may be cut: the middle of the waypoints' headings."""
+    yaws = [visit.waypoint.yaw_rad for visit in scene.tour if visit.waypoint.yaw_rad is not None]
+    return float(np.mean([min(yaws), max(yaws)])) if yaws else 0.0
+
+
+def _broken(t_s: FloatArray, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The curve with gaps where it jumps by a turn."""
+    jumps = np.flatnonzero(np.abs(np.diff(angles)) > np.pi) + 1
+    return np.insert(t_s, jumps, t_s[jumps]), np.insert(angles, jumps, np.nan)
+
+
+def _bands(scene: Scene, ax: Axes, band: Callable[[Visit], tuple[float, float] | None]) -> None:
+    """Shade the acceptance band of each waypoint for as long as it is approached."""
+    start, label = float(scene.track.t_s[0]), "acceptance band"
+    for visit in scene.tour:
+        end = visit.t_s if visit.t_s is not None else float(scene.track.t_s[-1])
+        around = band(visit)
+        if around is not None:
+            center, half = around
+            ax.fill_between([start, end], center - half, center + half, label=label, **BAND)
+            label = ""
+        start = end
+
+
+def planar_speed(scene: Scene) -> Figure | None:
+    """Paper, figure 6: speed relative to the water in the horizontal plane."""
+    figure, (ax,) = stacked_axes(1, 2.6)
+    limit = scene.bound("planar_speed_m_s")
+    ax.plot(scene.track.t_s, scene.track.planar_speed_m_s, label="norm of (u, v)", **TRUTH)
+    ax.plot(scene.track.t_s, scene.track.literal_speed_m_s, color="#bbbbbb", linewidth=0.7, label="|u + v|", zorder=1)
+    draw_bounds(ax, limit)
+    legend_above(ax)
+    make_room(ax, limit, 0.0)
+    ax.set_ylabel("planar speed [m/s]")
+    time_axis(scene, [ax])
+    return figure
+
+
+def heave_and_yaw_rate(scene: Scene) -> Figure | None:
+    """Paper, figure 7."""
+    figure, (top, bottom) = stacked_axes(2, 4.2)
+    curves = (
+        (top, scene.track.vel_water_frd_m_s[:, 2], scene.bound("heave_m_s"), "heave w [m/s]"),
+        (bottom, scene.track.rate_frd_rad_s[:, 2], scene.bound("yaw_rate_rad_s"), "yaw rate r [rad/s]"),
+    )
+    for ax, values, limit, label in curves:
+        both = () if limit is None else (-limit, limit)
+        ax.plot(scene.track.t_s, values, label=scene.basis, **TRUTH)
+        draw_bounds(ax, *both)
+        make_room(ax, *both)
+        ax.set_ylabel(label)
+    legend_above(top)
+    time_axis(scene, [top, bottom])
+    return figure
+
+
+def thrusters(scene: Scene) -> Figure | None:
+    """Paper, figure 8: what the thrusters were told."""
+    table = scene.flight.table("/out/thrusters")
+    if table is None:
+        return None
+    run = scene.flight.run
+    names = run.thruster_names if run is not None else tuple(f"thruster {i + 1}" for i in range(4))
+    figure, axes = stacked_axes(len(names), 1.6 * len(names) + 0.4)
+    limit = scene.bound("thrust_n")
+    both = () if limit is None else (-limit, limit)
+    for index, (ax, name) in enumerate(zip(axes, names, strict=True)):
+        ax.step(seconds(table), table["thrust_n"][:, index], where="post", label="command", **TRUTH)
+        draw_bounds(ax, *both)
+        make_room(ax, *both)
+        ax.set_ylabel(f"{name} [N]")
+    legend_above(axes[0])
+    time_axis(scene, axes)
+    return figure

@@ -1,0 +1,99 @@
+"""What all figures share: the scene of a run, style, axes, bounds, legends."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from autopilot.core.errors import LogError
+from autopilot.log.analysis import Flight, Span, Track, Visit, lap_spans, load_flight, visits
+from autopilot.log.reader import Log
+
+LAP_COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf")
+BOUND: dict[str, Any] = {"color": "red", "linestyle": "--", "linewidth": 1.0}
+TRUTH: dict[str, Any] = {"color": "#1f77b4", "linewidth": 1.2}
+ESTIMATE: dict[str, Any] = {"color": "#444444", "linewidth": 0.8, "linestyle": ":"}
+BAND: dict[str, Any] = {"color": "#2ca02c", "alpha": 0.18, "linewidth": 0.0}
+WIDTH_IN = 7.0
+STYLE: Any = {
+    "font.size": 9.0,
+    "font.family": "DejaVu Sans",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.alpha": 0.3,
+    "grid.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "figure.constrained_layout.use": True,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Scene:
+    """What all figures need of a run."""
+
+    flight: Flight
+    track: Track
+    """The truth (or the estimate if there is none), while armed."""
+    tour: tuple[Visit, ...]
+    laps: tuple[Span, ...]
+
+    @property
+    def basis(self) -> str:
+        """Name of what is drawn."""
+        return "truth" if self.flight.truth is not None else "estimate"
+
+    def bound(self, name: str) -> float | None:
+        """A bound that the controller was given."""
+        return self.flight.run.paper_bounds.get(name) if self.flight.run is not None else None
+
+
+def make_scene(log: Log) -> Scene:
+    flight = load_flight(log)
+    track = flight.judged.between(flight.armed)
+    if not len(track.t_s):
+        raise LogError(f"{log.path}: the vehicle's track is empty; there is nothing to draw")
+    tour = visits(track, flight.run) if flight.run is not None else []
+    laps = lap_spans(tour, flight.run) if flight.run is not None else []
+    return Scene(flight=flight, track=track, tour=tuple(tour), laps=tuple(laps))
+
+
+def stacked_axes(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(WIDTH_IN, height_in))
+    grid = figure.subplots(rows, 1, sharex=True, squeeze=False)
+    return figure, [row[0] for row in grid]
+
+
+def time_axis(scene: Scene, axes: list[Axes]) -> None:
+    """Label the lowest axes and mark the laps on all of them."""
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(float(scene.track.t_s[0]), float(scene.track.t_s[-1]))
+    for ax in axes:
+        for lap in scene.laps:
+            ax.axvline(lap.end_s, color="#999999", linewidth=0.6)
+
+
+def draw_bounds(ax: Axes, *values: float | None) -> None:
+    shown = [value for value in values if value is not None]
+    for index, value in enumerate(shown):
+        ax.axhline(value, label="bound" if index == 0 else None, **BOUND)
+
+
+def make_room(ax: Axes, *values: float | None) -> None:
+    """Widen the y range so that bounds do not lie on the frame."""
+    low, high = ax.get_ylim()
+    lower, upper = min(low, high), max(low, high)
+    known = [value for value in values if value is not None]
+    lower, upper = min([lower, *known]), max([upper, *known])
+    margin = 0.06 * (upper - lower)
+    ax.set_ylim(lower - margin, upper + margin)
+
+
+def legend_above(ax: Axes, columns: int = 3) -> None:
+    """Put a legend above the axes, once everything is drawn."""
+    handles, labels = ax.get_legend_handles_labels()
+    if labels:
+        ax.legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1)
