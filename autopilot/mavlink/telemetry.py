@@ -58,11 +58,11 @@ def motion_of(nav: NavState) -> Motion | None:
     """Plain numbers of an estimate; None when it is invalid or not finite."""
     if nav.health is NavHealth.INVALID:
         return None
-    north, east, down = nav.pos_ned_m.tolist()
-    roll, pitch, yaw = nav.rpy_rad.tolist()
-    p, q, r = nav.rate_frd_rad_s.tolist()
-    u, v, w = nav.vel_frd_m_s.tolist()
-    ur, vr, wr = nav.vel_water_frd_m_s.tolist()
+    parts = (nav.pos_ned_m, nav.rpy_rad, nav.rate_frd_rad_s, nav.vel_frd_m_s, nav.vel_water_frd_m_s)
+    numbers = [x for part in parts for x in part.tolist()]
+    if not all(abs(x) < SANE for x in numbers):
+        return None
+    north, east, down, roll, pitch, yaw, p, q, r, u, v, w, ur, vr, wr = numbers
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     cy, sy = math.cos(yaw), math.sin(yaw)
     # r_ned_from_frd row by row (Fossen 2011, eq. 2.18).
@@ -70,8 +70,6 @@ def motion_of(nav: NavState) -> Motion | None:
     ve = sy * cp * u + (sy * sp * sr + cy * cr) * v + (sy * sp * cr - cy * sr) * w
     vd = -sp * u + cp * sr * v + cp * cr * w
     water = math.sqrt(ur * ur + vr * vr + wr * wr)
-    if not all(abs(x) < SANE for x in (north, east, down, roll, pitch, yaw, p, q, r, vn, ve, vd, water)):
-        return None
     return Motion(north, east, down, roll, pitch, yaw, p, q, r, vn, ve, vd, water, math.degrees(yaw) % 360.0)
 
 

@@ -23,6 +23,9 @@ CHANGE_MODE = 1
 _GLOBAL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
 _RELATIVE = frozenset((mav.MAV_FRAME_GLOBAL_RELATIVE_ALT, mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
 
+MAX_LAT_DEG = 89.0
+"""Nearer to a pole the local east axis loses its meaning."""
+
 INT_ONLY = Answer(
     result=CommandResult.COMMAND_INT_ONLY, reason="COMMAND_LONG rounds positions to 0.5 m: send COMMAND_INT"
 )
@@ -220,8 +223,8 @@ class VehicleService:
     def set_origin_message(self, latitude: int, longitude: int, altitude: int) -> Answer:
         """SET_GPS_GLOBAL_ORIGIN: 1e-7 degrees and millimetres."""
         lat_deg, lon_deg = latitude / 1e7, longitude / 1e7
-        if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
-            return denied(f"origin: {lat_deg:.7f}, {lon_deg:.7f} is no position").answer
+        if not _usable(lat_deg, lon_deg):
+            return denied(f"origin: {lat_deg:.7f}, {lon_deg:.7f} is no usable position").answer
         answer = self._ctx.vehicle.set_origin(GeoPoint(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=altitude / 1e3))
         if answer.result is CommandResult.ACCEPTED:
             self._ctx.announce_place = True
@@ -248,6 +251,11 @@ class VehicleService:
                 lat_deg, lon_deg = here.lat_deg, here.lon_deg
             if not math.isfinite(call.z):
                 alt_m = here.alt_m
-        if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0 or (lat_deg == 0.0 and lon_deg == 0.0):
-            return denied(f"{what}: {lat_deg:.7f}, {lon_deg:.7f} is no position")
+        if not _usable(lat_deg, lon_deg):
+            return denied(f"{what}: {lat_deg:.7f}, {lon_deg:.7f} is no usable position")
         return GeoPoint(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)
+
+
+def _usable(lat_deg: float, lon_deg: float) -> bool:
+    """Whether a latitude and longitude can be meant: in range, and not the 0, 0 of fields left empty."""
+    return abs(lat_deg) <= MAX_LAT_DEG and abs(lon_deg) <= 180.0 and (lat_deg != 0.0 or lon_deg != 0.0)

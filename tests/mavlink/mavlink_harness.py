@@ -341,7 +341,7 @@ class Uploader:
     def _on(self, m: Any) -> None:
         if m.get_type() == "MISSION_REQUEST_INT" and m.mission_type == self.kind:
             self.requests.append(m.seq)
-            if m.seq < len(self.items):
+            if m.seq < len(self.items) and self.items[m.seq] is not None:
                 self.client.send(self.items[m.seq])
         elif m.get_type() == "MISSION_ACK" and m.mission_type == self.kind:
             self.results.append(m.type)

@@ -1,0 +1,18 @@
+"""Fixtures of the MAVLink tests."""
+
+from collections.abc import Callable
+
+import pytest
+from mavlink_harness import World
+
+from autopilot.mavlink.api import Answer, CommandResult
+
+
+@pytest.fixture
+def refuse() -> Callable[[World, str, str], None]:
+    """Makes the vehicle refuse one kind of request with a reason."""
+
+    def refuse_(world: World, name: str, reason: str) -> None:
+        world.vehicle.answers[name] = Answer(result=CommandResult.DENIED, reason=reason)
+
+    return refuse_

@@ -1,0 +1,459 @@
+"""Commands: what each asks of the vehicle, its answer, and what happens to retransmissions."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from mavlink_harness import NAN, ORIGIN, Client, World, mav, nav_state, upload, waypoint
+
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
+
+R = CommandResult
+PROFILES = ("generic", "px4", "ardusub")
+INT32_MAX = 0x7FFF_FFFF
+
+
+@pytest.fixture(name="world")
+def world_fixture() -> World:
+    return World()
+
+
+@pytest.fixture(name="client")
+def client_fixture(world: World) -> Client:
+    return world.client()
+
+
+H, M, RET, S = FlightMode.HOLD, FlightMode.MISSION, FlightMode.RETURN, FlightMode.SURFACE
+
+CASES: list[tuple[int, tuple[float, ...], tuple[Any, ...]]] = [
+    (400, (1,), ("arm", False)),
+    (400, (1, 2989), ("arm", True)),
+    (400, (1, 21196), ("arm", True)),
+    (400, (0,), ("disarm", False)),
+    (400, (0, 21196), ("disarm", True)),
+    (185, (1,), ("disarm", True)),
+    (176, (129, 4, 3), ("set_mode", H)),
+    (176, (129, 4, 4), ("set_mode", M)),
+    (176, (1, 4, 5), ("set_mode", RET)),
+    (176, (129, 4, 6), ("set_mode", S)),
+    (176, (129, float((4 << 16) | (4 << 24))), ("set_mode", M)),
+    (262, (1,), ("set_mode", H)),
+    (262, (5,), ("set_mode", RET)),
+    (262, (6,), ("set_mode", M)),
+    (262, (7,), ("set_mode", S)),
+    (20, (), ("set_mode", RET)),
+    (21, (), ("set_mode", S)),
+    (17, (), ("set_mode", H)),
+    (300, (), ("start_mission", None)),
+    (300, (2, 0), ("start_mission", 2)),
+    (300, (0, 3), ("start_mission", None)),
+    (193, (0,), ("pause",)),
+    (193, (1,), ("resume",)),
+    (224, (2,), ("set_current_item", 2)),
+    (178, (1, 0.25), ("change_speed", 0.25)),
+    (178, (0, 0.5), ("change_speed", 0.5)),
+    (178, (1, -2), ("change_speed", 0.35)),
+    (179, (1,), ("set_home", None)),
+]
+
+
+@pytest.mark.parametrize("rest", [0.0, NAN])
+@pytest.mark.parametrize(("command", "params", "call"), CASES)
+def test_commands_reach_the_vehicle(
+    world: World, client: Client, command: int, params: tuple[float, ...], call: tuple[Any, ...], rest: float
+) -> None:
+    """Unused parameters are 0 from QGroundControl's action buttons and NaN from MAVSDK."""
+    upload(client, [waypoint(n) for n in range(4)])
+    assert client.command(command, *params, rest=rest) == R.ACCEPTED
+    assert world.vehicle.calls == [call]
+
+
+@pytest.mark.parametrize(("command", "params", "call"), CASES)
+def test_the_same_as_command_int(
+    world: World, client: Client, command: int, params: tuple[float, ...], call: tuple[Any, ...]
+) -> None:
+    upload(client, [waypoint(n) for n in range(4)])
+    four = (*params, 0.0, 0.0, 0.0, 0.0)[:4]
+    assert client.command_int(command, 0, four, 0, 0, 0.0) == R.ACCEPTED
+    assert world.vehicle.calls == [call]
+
+
+@pytest.mark.parametrize(
+    ("command", "params", "result"),
+    [
+        (400, (2,), R.DENIED),
+        (400, (NAN,), R.DENIED),
+        (185, (0,), R.DENIED),
+        (176, (128, 4, 4), R.DENIED),  # no custom flag
+        (176, (129, 9, 9), R.DENIED),
+        (176, (129, 3, 0), R.DENIED),  # PX4's POSCTL does not exist here
+        (176, (129, -1, 0), R.DENIED),
+        (176, (129, 4.5, 3), R.DENIED),
+        (176, (NAN, NAN, NAN), R.DENIED),
+        (262, (4,), R.FAILED),
+        (262, (0,), R.FAILED),
+        (300, (-1,), R.DENIED),
+        (300, (0, 2), R.DENIED),
+        (300, (1e30,), R.DENIED),
+        (193, (2,), R.DENIED),
+        (193, (NAN,), R.DENIED),
+        (224, (-3,), R.DENIED),
+        (224, (1.5,), R.DENIED),
+        (224, (NAN,), R.DENIED),
+        (178, (2, 0.3), R.DENIED),
+        (178, (1, 0.0), R.DENIED),
+        (178, (1, NAN), R.DENIED),
+        (178, (1, math.inf), R.DENIED),
+        (179, (7,), R.DENIED),
+        (17, (0, 0, 0, 0, 37.9, 23.7, 0), R.DENIED),
+        (512, (99_999,), R.UNSUPPORTED),
+        (512, (NAN,), R.TEMPORARILY_REJECTED),
+        (512, (397,), R.UNSUPPORTED),
+        (511, (12_345, 1000), R.UNSUPPORTED),
+        (511, (30, NAN), R.DENIED),
+        (511, (30, -5), R.DENIED),
+        (511, (0, 100_000), R.DENIED),
+        (510, (-1,), R.DENIED),
+    ],
+)
+def test_wrong_parameters_are_refused_and_reach_nobody(
+    world: World, client: Client, command: int, params: tuple[float, ...], result: CommandResult
+) -> None:
+    upload(client, [waypoint(n) for n in range(4)])
+    if command == 512 and math.isnan(params[0]):
+        world.show(nav=None)
+        params = (30,)  # ATTITUDE without an estimate
+    assert client.command(command, *params) == result
+    assert world.vehicle.calls == []
+
+
+@pytest.mark.parametrize("command", [22, 201, 209, 241, 245, 246, 519 + 1000, 2510, 31_999, 65_535, 0])
+def test_everything_else_is_unsupported(world: World, client: Client, command: int) -> None:
+    assert client.command(command) == R.UNSUPPORTED
+    assert client.command_int(command, 0, (0, 0, 0, 0), 0, 0, 0.0) == R.UNSUPPORTED
+    assert world.vehicle.calls == []
+
+
+def test_the_vehicles_reason_is_passed_on(world: World, client: Client) -> None:
+    reason = "Arming denied: no position; battery at 5 %"
+    world.vehicle.answers["arm"] = Answer(result=R.DENIED, reason=reason)
+    assert client.command(400, 1) == R.DENIED
+    assert client.texts().count(reason) == 1
+    assert [event.text for event in world.server.take_notices()] == [reason]
+
+
+# Retransmission
+
+
+def test_a_retransmission_gets_the_answer_but_is_not_executed_again(world: World, client: Client) -> None:
+    world.vehicle.answers["arm"] = Answer(result=R.DENIED, reason="no position")
+    assert client.command(400, 1) == R.DENIED
+    del world.vehicle.answers["arm"]
+    for confirmation in (1, 2):
+        assert client.command(400, 1, confirmation=confirmation) == R.DENIED
+    assert len(world.vehicle.calls) == 1
+    assert client.command(400, 1, confirmation=0) == R.ACCEPTED
+    assert len(world.vehicle.calls) == 2
+
+
+def test_a_first_transmission_that_was_lost_is_made_good(world: World, client: Client) -> None:
+    assert client.command(400, 1, confirmation=1) == R.ACCEPTED
+    assert world.vehicle.calls == [("arm", False)]
+
+
+def test_other_parameters_are_another_command(world: World, client: Client) -> None:
+    client.command(400, 1)
+    assert client.command(400, 0, confirmation=1) == R.ACCEPTED
+    assert [call[0] for call in world.vehicle.calls] == ["arm", "disarm"]
+
+
+def test_a_datagram_duplicated_by_the_network_is_executed_once(world: World, client: Client) -> None:
+    data = client.send(mav.MAVLink_command_long_message(1, 1, 193, 0, 0, 0, 0, 0, 0, 0, 0))
+    client.send_raw(data)
+    world.run(0.05)
+    assert world.vehicle.calls == [("pause",)]
+    assert [m.result for m in client.got("COMMAND_ACK")] == [R.ACCEPTED, R.ACCEPTED]
+
+
+def test_two_clients_with_the_same_command_are_two_commands(world: World, client: Client) -> None:
+    other = world.client(sysid=254)
+    client.send(mav.MAVLink_command_long_message(1, 1, 193, 0, 0, 0, 0, 0, 0, 0, 0))
+    other.send(mav.MAVLink_command_long_message(1, 1, 193, 1, 0, 0, 0, 0, 0, 0, 0))
+    world.run(0.05)
+    assert len(world.vehicle.calls) == 2
+
+
+def test_requests_are_answered_every_time(client: Client) -> None:
+    for confirmation in (0, 1, 2):
+        assert client.command(512, 148, confirmation=confirmation) == R.ACCEPTED
+        assert len(client.got("AUTOPILOT_VERSION")) == 1
+
+
+# Addressing
+
+
+@pytest.mark.parametrize(
+    ("system", "component", "heard"), [(0, 0, True), (1, 0, True), (1, 1, True), (9, 1, False), (1, 100, False)]
+)
+def test_only_what_is_addressed_to_us(world: World, client: Client, system: int, component: int, heard: bool) -> None:
+    client.send(mav.MAVLink_command_long_message(system, component, 193, 0, 0, 0, 0, 0, 0, 0, 0))
+    world.run(0.05)
+    assert bool(world.vehicle.calls) is heard
+    assert bool(client.got("COMMAND_ACK")) is heard
+
+
+def test_our_own_echo_is_not_obeyed(world: World) -> None:
+    echo = world.client(sysid=1, compid=1)
+    echo.send(mav.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
+    world.run(0.05)
+    assert world.vehicle.calls == [] and not echo.got("COMMAND_ACK")
+
+
+# Mode by message
+
+
+@pytest.mark.parametrize(
+    ("profile", "custom", "mode"),
+    [("px4", (4 << 16) | (4 << 24), M), ("generic", (4 << 16) | (6 << 24), S), ("ardusub", 3, M), ("ardusub", 16, H)],
+)
+def test_legacy_set_mode(profile: str, custom: int, mode: FlightMode) -> None:
+    world = World(profile)
+    client = world.client()
+    client.send(mav.MAVLink_set_mode_message(1, 1, custom))
+    world.run(0.05)
+    assert world.vehicle.calls == [("set_mode", mode)]
+    client.send(mav.MAVLink_set_mode_message(1, 1, 0x7777))
+    world.run(0.05)
+    assert len(world.vehicle.calls) == 1 and "no mode" in client.texts()
+
+
+@pytest.mark.parametrize(("number", "mode"), [(3, M), (4, H), (16, H), (9, S), (6, RET)])
+def test_ardusub_mode_numbers(number: int, mode: FlightMode) -> None:
+    world = World("ardusub")
+    assert world.client().command(176, 1, number) == R.ACCEPTED
+    assert world.vehicle.calls == [("set_mode", mode)]
+
+
+def test_manual_modes_of_ardusub_are_refused() -> None:
+    world = World("ardusub")
+    client = world.client()
+    for number in (0, 1, 2, 7, 19, 20, 21, 99):
+        assert client.command(176, 1, number) == R.DENIED
+
+
+def test_a_mode_change_shows_at_once(world: World, client: Client) -> None:
+    world.run(1.0)
+    client.rx.clear()
+    world.show(mode=S, intended_mode=M)
+    world.tick()
+    (beat,) = client.got("HEARTBEAT")
+    (mode,) = client.got("CURRENT_MODE")
+    assert beat.custom_mode == world.server.custom_mode(S) == mode.custom_mode
+    assert mode.intended_custom_mode == world.server.custom_mode(M) and mode.standard_mode == 7
+
+
+# Mission start under ArduPilot's numbering
+
+
+def test_mission_start_counts_home_under_ardusub() -> None:
+    world = World("ardusub")
+    client = world.client()
+    upload(client, [waypoint(n) for n in range(4)])
+    assert client.command(300, 2, 3) == R.ACCEPTED
+    assert client.command(300, 0, 0) == R.ACCEPTED
+    assert world.vehicle.calls == [("start_mission", 1), ("start_mission", None)]
+
+
+# Places
+
+
+def e7(deg: float) -> int:
+    return round(deg * 1e7)
+
+
+def test_reposition_takes_exact_coordinates(world: World, client: Client) -> None:
+    x, y = e7(37.97550123), e7(23.77900456)
+    assert client.command_int(192, 0, (-1, 1, 0, NAN), x, y, 11.5) == R.ACCEPTED
+    ((name, point, yaw),) = world.vehicle.calls
+    assert (name, e7(point.lat_deg), e7(point.lon_deg), point.alt_m, yaw) == ("go_to", x, y, 11.5, None)
+
+
+def test_reposition_frames(world: World, client: Client) -> None:
+    x, y = e7(37.9756), e7(23.7791)
+    assert client.command_int(192, 3, (-1, 1, 0, 1.5), x, y, -0.5) == R.ACCEPTED
+    assert client.command_int(192, 1, (-1, 1, 0, NAN), 10_000, -20_000, 0.7) == R.ACCEPTED
+    assert client.command_int(192, 12, (-1, 1, 0, NAN), x, y, 0.0) == R.UNSUPPORTED_FRAME
+    (_, point, yaw), (_, local, _) = world.vehicle.calls
+    assert point.alt_m == ORIGIN.alt_m - 0.5 and yaw == 1.5
+    north_m = (local.lat_deg - ORIGIN.lat_deg) * 110_990.0
+    east_m = (local.lon_deg - ORIGIN.lon_deg) * 111_320.0 * math.cos(math.radians(ORIGIN.lat_deg))
+    assert (north_m, east_m) == pytest.approx((1.0, -2.0), abs=0.01)
+    assert local.alt_m == pytest.approx(ORIGIN.alt_m - 0.7)
+
+
+def test_reposition_without_a_position_is_pause(world: World, client: Client) -> None:
+    """QGroundControl's pause button under the PX4 identity."""
+    assert client.command(192, -1, 1, 0, NAN, NAN, NAN, NAN) == R.ACCEPTED
+    world.show(mode=RET)
+    assert client.command(192, -1, 1, 0, NAN, NAN, NAN, NAN) == R.ACCEPTED
+    assert client.command_int(192, 0, (-1, 1, 0, NAN), INT32_MAX, INT32_MAX, NAN) == R.ACCEPTED
+    assert world.vehicle.calls == [("pause",), ("go_to", None, None), ("go_to", None, None)]
+
+
+def test_reposition_with_an_altitude_only_is_a_new_depth_here(world: World, client: Client) -> None:
+    """QGroundControl's change-altitude under the PX4 identity."""
+    assert client.command(192, -1, 1, 0, NAN, NAN, NAN, 11.0) == R.ACCEPTED
+    ((_, point, _),) = world.vehicle.calls
+    assert point.alt_m == 11.0
+    assert (point.lat_deg - ORIGIN.lat_deg) * 110_990.0 == pytest.approx(-1.6, abs=0.01)
+    world.show(nav=None)
+    assert client.command(192, -1, 1, 0, NAN, NAN, NAN, 10.0) == R.DENIED
+
+
+def test_reposition_with_a_speed(world: World, client: Client) -> None:
+    assert client.command_int(192, 0, (0.2, 1, 0, NAN), e7(37.9756), e7(23.7791), 11.0) == R.ACCEPTED
+    assert world.vehicle.calls[1] == ("change_speed", pytest.approx(0.2))
+
+
+def test_reposition_needs_the_flag_outside_hold(world: World, client: Client) -> None:
+    assert client.command_int(192, 0, (-1, 0, 0, NAN), e7(37.9756), e7(23.7791), 11.0) == R.DENIED
+    world.show(mode=H)
+    assert client.command_int(192, 0, (-1, 0, 0, NAN), e7(37.9756), e7(23.7791), 11.0) == R.ACCEPTED
+
+
+def test_positions_by_command_long_are_too_coarse(world: World, client: Client) -> None:
+    assert client.command(192, -1, 1, 0, NAN, 37.9756, 23.7791, 11.0) == R.COMMAND_INT_ONLY
+    assert client.command(611, 0, 0, 0, 0, 37.9756, 23.7791, 11.0) == R.COMMAND_INT_ONLY
+    assert client.command(179, 0, 0, 0, 0, 37.9756, 23.7791, 11.0) == R.COMMAND_INT_ONLY
+    assert world.vehicle.calls == []
+
+
+@pytest.mark.parametrize(("x", "y"), [(0, 0), (910_000_000, 0), (0, 1_810_000_000), (-900_000_000, 5)])
+def test_places_that_are_none(world: World, client: Client, x: int, y: int) -> None:
+    assert client.command_int(192, 0, (-1, 1, 0, NAN), x, y, 0.0) == R.DENIED
+    assert client.command_int(611, 0, (0, 0, 0, 0), x, y, 0.0) == R.DENIED
+    assert world.vehicle.calls == []
+
+
+def test_set_home_to_a_place(world: World, client: Client) -> None:
+    assert client.command_int(179, 0, (0, 0, 0, 0), e7(37.9756), e7(23.7791), 12.0) == R.ACCEPTED
+    assert world.vehicle.calls == [("set_home", GeoPoint(lat_deg=37.9756, lon_deg=23.7791, alt_m=12.0))]
+    world.run(0.05)
+    assert client.got("HOME_POSITION")
+
+
+def test_get_home(world: World, client: Client) -> None:
+    world.run(0.1)
+    assert client.command(410) == R.ACCEPTED
+    (home,) = client.got("HOME_POSITION")
+    assert (home.latitude, home.longitude, home.altitude) == (e7(ORIGIN.lat_deg), e7(ORIGIN.lon_deg), 12_000)
+
+
+def test_origin_by_command(world: World, client: Client) -> None:
+    world.run(0.1)
+    assert client.command_int(611, 0, (0, 0, 0, 0), e7(38.0), e7(24.0), 3.0) == R.ACCEPTED
+    assert world.vehicle.calls == [("set_origin", GeoPoint(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))]
+    assert len(client.got("GPS_GLOBAL_ORIGIN")) == 1
+    assert client.command_int(611, 3, (0, 0, 0, 0), e7(38.0), e7(24.0), 3.0) == R.UNSUPPORTED_FRAME
+    assert client.command_int(611, 0, (0, 0, 0, 0), INT32_MAX, e7(24.0), 3.0) == R.DENIED
+
+
+def test_origin_by_message_is_answered_with_the_new_one(world: World) -> None:
+    """MAVSDK waits 0.5 s for GPS_GLOBAL_ORIGIN."""
+    client = world.client()
+    world.run(0.1)
+    client.rx.clear()
+    client.send(mav.MAVLink_set_gps_global_origin_message(1, e7(38.0), e7(24.0), 3000))
+    world.tick()
+    world.show(origin=GeoPoint(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))
+    world.run(0.05)
+    (origin,) = client.got("GPS_GLOBAL_ORIGIN")
+    assert (origin.latitude, origin.longitude, origin.altitude) == (380_000_000, 240_000_000, 3000)
+    assert len(client.got("HOME_POSITION")) == 1
+
+
+def test_a_refused_origin_message_is_not_confirmed(
+    world: World, client: Client, refuse: Callable[[World, str, str], None]
+) -> None:
+    refuse(world, "set_origin", "Origin denied: disarm first")
+    world.run(0.1)
+    client.rx.clear()
+    client.send(mav.MAVLink_set_gps_global_origin_message(1, e7(38.0), e7(24.0), 3000))
+    world.run(0.1)
+    assert not client.got("GPS_GLOBAL_ORIGIN") and "disarm first" in client.texts()
+
+
+# Requests
+
+
+def test_acknowledgement_comes_before_the_message(client: Client) -> None:
+    for params, name in (
+        ((512, 148), "AUTOPILOT_VERSION"),
+        ((520, 1), "AUTOPILOT_VERSION"),
+        ((512, 242), "HOME_POSITION"),
+    ):
+        assert client.command(*params) == R.ACCEPTED
+        kinds = [m.get_type() for m in client.rx if m.get_type() in ("COMMAND_ACK", name)]
+        assert kinds[:2] == ["COMMAND_ACK", name]
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_available_modes(profile: str) -> None:
+    world = World(profile)
+    client = world.client()
+    assert client.command(512, 435, 0) == R.ACCEPTED
+    modes = client.got("AVAILABLE_MODES")
+    assert [(m.mode_index, m.number_modes) for m in modes] == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert [m.standard_mode for m in modes] == [1, 6, 5, 7]
+    assert [m.mode_name for m in modes] == ["Hold", "Mission", "Return", "Surface"]
+    assert [m.custom_mode for m in modes] == [world.server.custom_mode(mode) for mode in (H, M, RET, S)]
+    assert client.command(512, 435, 3) == R.ACCEPTED
+    assert [m.mode_index for m in client.got("AVAILABLE_MODES")] == [3]
+    assert client.command(512, 435, 5) == R.DENIED
+
+
+def test_protocol_version_is_answered(client: Client) -> None:
+    for command in ((512, 300), (519, 1)):
+        assert client.command(*command) == R.ACCEPTED
+        assert client.got("UNKNOWN_300")
+
+
+def test_message_intervals(world: World, client: Client) -> None:
+    assert client.command(511, mav.MAVLINK_MSG_ID_ATTITUDE, 20_000) == R.ACCEPTED
+    client.rx.clear()
+    world.run(1.0)
+    assert len(client.got("ATTITUDE")) == 50
+    assert client.command(510, mav.MAVLINK_MSG_ID_ATTITUDE) == R.ACCEPTED
+    assert client.got("MESSAGE_INTERVAL")[0].interval_us == 20_000
+    assert client.command(512, 244, mav.MAVLINK_MSG_ID_ATTITUDE) == R.ACCEPTED
+    assert client.got("MESSAGE_INTERVAL")[0].interval_us == 20_000
+    assert client.command(511, mav.MAVLINK_MSG_ID_ATTITUDE, -1) == R.ACCEPTED
+    client.rx.clear()
+    world.run(1.0)
+    assert not client.got("ATTITUDE")
+    assert client.command(510, mav.MAVLINK_MSG_ID_ATTITUDE) == R.ACCEPTED
+    assert client.got("MESSAGE_INTERVAL")[0].interval_us == -1
+    assert client.command(510, 12_345) == R.ACCEPTED
+    assert client.got("MESSAGE_INTERVAL")[0].interval_us == 0
+    assert client.command(511, mav.MAVLINK_MSG_ID_ATTITUDE, 0) == R.ACCEPTED
+    client.rx.clear()
+    world.run(1.0)
+    assert len(client.got("ATTITUDE")) == 10
+
+
+def test_prearm_checks(world: World, client: Client) -> None:
+    assert client.command(401) == R.TEMPORARILY_REJECTED
+    world.show(armed=False, prearm_reasons=("no position", "battery low"))
+    assert client.command(401) == R.ACCEPTED
+    assert "no position" in client.texts() and "battery low" in client.texts()
+    world.show(prearm_reasons=())
+    assert client.command(401) == R.ACCEPTED
+    assert "passed" in client.texts()
+
+
+def test_diverged_estimates_do_not_break_commands(world: World, client: Client) -> None:
+    world.show(nav=nav_state(pos_ned_m=np.array([math.inf, 0.0, 1e300])))
+    assert client.command(192, -1, 1, 0, NAN, NAN, NAN, 10.0) == R.DENIED
+    assert client.command(512, mav.MAVLINK_MSG_ID_ATTITUDE) == R.TEMPORARILY_REJECTED

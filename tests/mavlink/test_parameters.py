@@ -1,0 +1,173 @@
+"""The parameter protocol under all profiles."""
+
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mavlink_harness import NAN, Client, World, mav
+
+from autopilot.core.params import PARAMETERS, ParamType
+from autopilot.mavlink.parameters import shortest_decimal
+
+INT32, REAL32 = mav.MAV_PARAM_TYPE_INT32, mav.MAV_PARAM_TYPE_REAL32
+PROFILES = ("generic", "px4", "ardusub")
+
+
+@pytest.fixture(name="world", params=PROFILES)
+def world_fixture(request: pytest.FixtureRequest) -> World:
+    return World(request.param)
+
+
+def as_wire(world: World, value: float, wire_type: int) -> float:
+    """What a client of this profile puts into param_value."""
+    if wire_type == INT32 and world.server._profile.name != "ardusub":
+        return struct.unpack("<f", struct.pack("<i", int(value)))[0]
+    return value
+
+
+def from_wire(world: World, message: object) -> float:
+    if message.param_type == INT32 and world.server._profile.name != "ardusub":
+        return struct.unpack("<i", struct.pack("<f", message.param_value))[0]
+    return message.param_value
+
+
+def set_param(client: Client, name: str, value: float, wire_type: int = REAL32) -> list:
+    wire = as_wire(client.world, value, wire_type)
+    return client.ask(mav.MAVLink_param_set_message(1, 1, name.encode(), wire, wire_type), "PARAM_VALUE", 0.05)
+
+
+def test_the_list_is_complete_typed_and_stable(world: World) -> None:
+    client = world.client()
+    for _ in range(2):
+        got = client.ask(mav.MAVLink_param_request_list_message(1, 0), "PARAM_VALUE", 1.0)
+        assert [m.param_index for m in got] == list(range(len(PARAMETERS)))
+        assert {m.param_count for m in got} == {len(PARAMETERS)}
+        assert {m.param_id for m in got} == {spec.name for spec in PARAMETERS}
+        for m in got:
+            spec = world.params.spec(m.param_id)
+            assert m.param_type == (INT32 if spec.type is ParamType.INT32 else REAL32)
+            assert from_wire(world, m) == pytest.approx(world.params[m.param_id], rel=1e-6)
+
+
+def test_the_list_is_throttled(world: World) -> None:
+    client = world.client()
+    client.send(mav.MAVLink_param_request_list_message(1, 1))
+    world.tick()
+    assert 1 <= len(client.got("PARAM_VALUE")) <= 5
+
+
+def test_reading_by_name_and_by_index(world: World) -> None:
+    client = world.client()
+    by_name = client.ask(mav.MAVLink_param_request_read_message(1, 1, b"SPD_CRUISE", -1), "PARAM_VALUE", 0.05)
+    assert len(by_name) == 1 and by_name[0].param_value == pytest.approx(0.35)
+    index = by_name[0].param_index
+    by_index = client.ask(mav.MAVLink_param_request_read_message(1, 1, b"", index), "PARAM_VALUE", 0.05)
+    assert len(by_index) == 1 and by_index[0].param_id == "SPD_CRUISE"
+
+
+def test_a_name_of_sixteen_characters_needs_no_end(world: World) -> None:
+    assert max(len(spec.name) for spec in PARAMETERS) == 16
+    client = world.client()
+    name = next(spec.name for spec in PARAMETERS if len(spec.name) == 16)
+    (value,) = client.ask(mav.MAVLink_param_request_read_message(1, 1, name.encode(), -1), "PARAM_VALUE", 0.05)
+    assert value.param_id == name
+
+
+@pytest.mark.parametrize(("name", "index"), [(b"NO_SUCH", -1), (b"", 9999), (b"", -7), (b"\xff\xfe", -1)])
+def test_reading_what_does_not_exist(world: World, name: bytes, index: int) -> None:
+    client = world.client()
+    (error,) = client.ask(mav.MAVLink_param_request_read_message(1, 1, name, index), "PARAM_ERROR", 0.05)
+    assert error.error == mav.MAV_PARAM_ERROR_DOES_NOT_EXIST
+    assert (error.target_system, error.target_component) == (255, 190)
+    assert not client.got("PARAM_VALUE")
+
+
+def test_the_hash_check_is_met_with_silence(world: World) -> None:
+    client = world.client()
+    client.send(mav.MAVLink_param_request_read_message(1, 1, b"_HASH_CHECK", -1))
+    client.send(mav.MAVLink_param_set_message(1, 1, b"_HASH_CHECK", 1.0, 6))
+    world.run(0.1)
+    assert not client.got("PARAM_VALUE") and not client.got("PARAM_ERROR")
+
+
+def test_setting_tells_everyone_and_marks_the_set_as_changed() -> None:
+    world = World(links=(0, 1))
+    client, other = world.client(), world.client(link=1, sysid=254)
+    (value,) = set_param(client, "SPD_CRUISE", 0.3)
+    assert value.param_value == struct.unpack("<f", struct.pack("<f", 0.3))[0]
+    assert world.params["SPD_CRUISE"] == 0.3
+    assert [m.param_id for m in other.got("PARAM_VALUE")] == ["SPD_CRUISE"]
+    assert world.server.params_changed
+    world.server.params_changed = False
+    set_param(client, "SPD_CRUISE", 0.3)
+    assert not world.server.params_changed
+
+
+def test_integers_travel_as_the_profile_says(world: World) -> None:
+    client = world.client()
+    (value,) = set_param(client, "FS_SOLVER_N", 77, INT32)
+    assert world.params["FS_SOLVER_N"] == 77.0
+    assert from_wire(world, value) == 77
+    assert (value.param_value == 77.0) == (world.server._profile.name == "ardusub")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "wire_type"),
+    [
+        ("SPD_CRUISE", 99.0, REAL32),
+        ("SPD_CRUISE", NAN, REAL32),
+        ("SPD_CRUISE", math.inf, REAL32),
+        ("FS_SOLVER_N", 4, INT32),
+        ("FS_SOLVER_N", 2_000_000_000, INT32),
+    ],
+)
+def test_a_refusal_says_the_value_in_force_and_why(world: World, name: str, value: float, wire_type: int) -> None:
+    client = world.client()
+    before = world.params[name]
+    (shown,) = set_param(client, name, value, wire_type)
+    (error,) = client.got("PARAM_ERROR")
+    assert error.error == mav.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE and error.param_id == name
+    assert from_wire(world, shown) == pytest.approx(before) and world.params[name] == before
+    assert name in client.texts()
+    assert not world.server.params_changed
+
+
+def test_setting_what_does_not_exist(world: World) -> None:
+    client = world.client()
+    assert set_param(client, "NO_SUCH", 1.0) == []
+    assert client.got("PARAM_ERROR")[0].error == mav.MAV_PARAM_ERROR_DOES_NOT_EXIST
+
+
+@pytest.mark.parametrize(("name", "wire_type"), [("FS_SOLVER_N", REAL32), ("SPD_CRUISE", INT32)])
+def test_another_type_is_refused_where_bytes_are_shared(name: str, wire_type: int) -> None:
+    world = World("px4")
+    client = world.client()
+    before = dict(world.params)
+    (shown,) = client.ask(mav.MAVLink_param_set_message(1, 1, name.encode(), 0.25, wire_type), "PARAM_VALUE", 0.05)
+    assert client.got("PARAM_ERROR")[0].error == 7
+    assert shown.param_id == name and dict(world.params) == before
+
+
+def test_any_number_type_is_taken_where_values_are_cast() -> None:
+    """MAVProxy sends REAL32 for every parameter of an ArduPilot vehicle."""
+    world = World("ardusub")
+    client = world.client()
+    set_param(client, "FS_SOLVER_N", 50.0, REAL32)
+    assert world.params["FS_SOLVER_N"] == 50.0
+    set_param(client, "FS_SOLVER_N", 50.5, REAL32)
+    assert world.params["FS_SOLVER_N"] == 50.0 and client.got("PARAM_ERROR")
+
+
+def test_bounds_can_be_set_although_the_wire_rounds_them() -> None:
+    """0.01 as float32 is 0.0099999998: below the bound unless read as the number that was meant."""
+    world = World("px4")
+    client = world.client()
+    set_param(client, "WP_ACCEPT_YAW", 0.01)
+    assert world.params["WP_ACCEPT_YAW"] == 0.01 and not client.got("PARAM_ERROR")
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
+def test_the_shortest_decimal_is_the_same_float32(value: float) -> None:
+    assert struct.pack("<f", shortest_decimal(value)) == struct.pack("<f", value)
