@@ -90,7 +90,7 @@ class Ig500Emulator(Closing):
         noise = self._rng.standard_normal(NOISE_NUMBERS)
         chance = self._rng.random(3)
         values = self._measured(truth, dt_s, noise)
-        if any(fault.at_s <= truth.t_us * 1e-6 < fault.at_s + fault.duration_s for fault in self._freezes):
+        if any(fault.at_s <= truth.t_us / 1e6 < fault.at_s + fault.duration_s for fault in self._freezes):
             values = self._held or values
         self._held = values
         self._count += 1

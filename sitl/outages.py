@@ -21,7 +21,7 @@ class OutageClock:
 
     def silent(self, t_us: int) -> bool:
         """Whether nothing comes out at that time."""
-        t_s = t_us * 1e-6
+        t_s = t_us / 1e6
         while t_s >= self._end_s > 0.0:
             self._draw()
         return self._start_s <= t_s < self._end_s or any(start <= t_s < end for start, end in self._faults)
