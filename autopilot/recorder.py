@@ -10,7 +10,7 @@ from typing import Protocol
 from autopilot.core.messages import CameraFrame, Inputs, LoopStats, Outputs
 from autopilot.log.description import RunDescription
 from autopilot.log.session import RunLog
-from autopilot.log.topics import TruthLike
+from autopilot.log.packing import TruthLike
 
 
 class LoggedTruth(TruthLike, Protocol):
