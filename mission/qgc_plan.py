@@ -207,8 +207,8 @@ def _json_number(value: float) -> float | None:
 def _mission_entry(item: PlanItem) -> dict[str, Any]:
     local, none = item.frame == Frame.LOCAL_NED, item.frame == Frame.MISSION
     x, y = (float(v) if none else m_from_local_e4(v) if local else deg_from_e7(v) for v in (item.x, item.y))
-    jump = 1.0 if item.command == Command.DO_JUMP else 0.0
-    params = [item.param1 + jump, item.param2, item.param3, item.param4, x, y, item.z]
+    p1 = item.param1 + 1.0 if item.command == Command.DO_JUMP else item.param1
+    params = [p1, item.param2, item.param3, item.param4, x, y, item.z]
     entry: dict[str, Any] = {
         "type": "SimpleItem",
         "autoContinue": item.autocontinue != 0,

@@ -198,65 +198,78 @@ def rally_problems(
         except ItemRefusedError as error:
             yield error.rejection
             continue
-        for conflict in _place_conflicts(f"rally point {item.seq}", item.seq, point, shapes, ctx.radius_m):
+        place = _Place(seq=item.seq, name=f"{RALLY_LABEL} {item.seq}", north_m=point[0], east_m=point[1])
+        for conflict in _place_conflicts([place], shapes, ctx.radius_m):
             yield PlanRejection(seq=item.seq, result=MissionResult.INVALID_PARAM5_X, reason=conflict.text)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Place:
+    """A point of a plan that has to be free."""
+
+    seq: int
+    name: str
+    """For the operator: "item 3: waypoint"."""
+    north_m: float
+    east_m: float
+
+
 def conflicts(steps: Sequence[Step], shapes: Sequence[FenceShape], ctx: PlanContext) -> Iterator[Conflict]:
-    """Steps whose place the fence forbids, and legs without a free path."""
-    placed: list[tuple[int, tuple[float, float]]] = []
-    forbidden = False
+    """Steps whose place the fence forbids; if there is none, legs without a free path."""
+    places: list[_Place] = []
+    route: list[_Place] = []
     for step in steps:
-        if not isinstance(step, GoTo | Surface | SetHome) or step.pos_ned_m is None:
-            continue
-        place = (float(step.pos_ned_m[0]), float(step.pos_ned_m[1]))
-        name = "home" if isinstance(step, SetHome) else "waypoint"
-        for conflict in _place_conflicts(f"item {step.seq}: {name}", step.seq, place, shapes, ctx.radius_m):
-            forbidden = True
-            yield conflict
-        if not isinstance(step, SetHome):
-            placed.append((step.seq, place))
-    if not forbidden and placed and shapes:
-        yield from _path_conflicts(placed, shapes, ctx)
+        if isinstance(step, GoTo | Surface | SetHome) and step.pos_ned_m is not None:
+            name = "home" if isinstance(step, SetHome) else "waypoint"
+            north, east = float(step.pos_ned_m[0]), float(step.pos_ned_m[1])
+            place = _Place(seq=step.seq, name=f"item {step.seq}: {name}", north_m=north, east_m=east)
+            places.append(place)
+            if not isinstance(step, SetHome):
+                route.append(place)
+    if not places or not shapes:
+        return
+    found = _place_conflicts(places, shapes, ctx.radius_m)
+    yield from found
+    if not found and route:
+        yield from _path_conflicts(route, shapes, ctx)
 
 
-def _place_conflicts(
-    name: str, seq: int, place: tuple[float, float], shapes: Sequence[FenceShape], radius_m: float
-) -> Iterator[Conflict]:
-    """A place in an inflated obstacle or outside the shrunk workspace."""
-    where = f"{name} at north {place[0]:.2f}, east {place[1]:.2f} m"
-    point = np.array([place])
-    for shape in shapes:
-        distance = float(clearance_m(shape.shape, point)[0])
-        room = -distance if shape.inclusion else distance
-        if room >= radius_m - PLACE_TOLERANCE_M:
-            continue
-        if shape.inclusion:
-            state = f"{distance:.2f} m outside" if distance > 0.0 else f"only {-distance:.2f} m inside"
-        else:
-            state = f"{-distance:.2f} m inside" if distance < 0.0 else f"only {distance:.2f} m from"
-        text = (
-            f"{where} is {state} {shape.name}; the vehicle keeps {radius_m:.2f} m, move it by {radius_m - room:.2f} m"
-        )
-        yield Conflict(step_seq=seq, fence_seq=shape.seq, text=text)
+def _place_conflicts(places: Sequence[_Place], shapes: Sequence[FenceShape], radius_m: float) -> list[Conflict]:
+    """Places in an inflated obstacle or outside the shrunk workspace, in the order of the plan."""
+    points = np.array([(p.north_m, p.east_m) for p in places]).reshape(-1, 2)
+    signs = np.array([-1.0 if s.inclusion else 1.0 for s in shapes])
+    room = np.array([clearance_m(s.shape, points) for s in shapes]).reshape(len(shapes), -1) * signs[:, None]
+    bad = np.argwhere((room < radius_m - PLACE_TOLERANCE_M).T)
+    return [_place_conflict(places[i], shapes[k], float(room[k, i]), radius_m) for i, k in bad]
 
 
-def _path_conflicts(
-    placed: Sequence[tuple[int, tuple[float, float]]], shapes: Sequence[FenceShape], ctx: PlanContext
-) -> Iterator[Conflict]:
+def _place_conflict(place: _Place, shape: FenceShape, room_m: float, radius_m: float) -> Conflict:
+    """One line about a place that has ``room_m`` (< ``radius_m``) between itself and a boundary."""
+    if shape.inclusion:
+        state = f"{-room_m:.2f} m outside" if room_m < 0.0 else f"only {room_m:.2f} m inside"
+    else:
+        state = f"{-room_m:.2f} m inside" if room_m < 0.0 else f"only {room_m:.2f} m from"
+    text = (
+        f"{place.name} at north {place.north_m:.2f}, east {place.east_m:.2f} m is {state} {shape.name}; "
+        f"the vehicle keeps {radius_m:.2f} m, move it by {radius_m - room_m:.2f} m"
+    )
+    return Conflict(step_seq=place.seq, fence_seq=shape.seq, text=text)
+
+
+def _path_conflicts(route: Sequence[_Place], shapes: Sequence[FenceShape], ctx: PlanContext) -> Iterator[Conflict]:
     """Neighbours in the order of the plan that stand in different parts of the free space."""
     fence = build_fence(shapes, ctx.params)
-    points = np.array([place for _, place in placed])
+    points = np.array([(p.north_m, p.east_m) for p in route])
     regions = free_regions(fence, points, ctx.radius_m - PLACE_TOLERANCE_M)
     if regions is None:
-        regions = (0,) * len(placed)
-    for before, after, (seq_a, _), (seq_b, _) in zip(regions, regions[1:], placed, placed[1:], strict=False):
+        regions = (0,) * len(route)
+    for before, after, a, b in zip(regions, regions[1:], route, route[1:], strict=False):
         if before != after:
             text = (
-                f"item {seq_b}: no free path from item {seq_a} to item {seq_b} for a vehicle of radius "
+                f"item {b.seq}: no free path from item {a.seq} to item {b.seq} for a vehicle of radius "
                 f"{ctx.radius_m:.2f} m; move the waypoint or open the fence"
             )
-            yield Conflict(step_seq=seq_b, fence_seq=shapes[0].seq, text=text)
+            yield Conflict(step_seq=b.seq, fence_seq=shapes[0].seq, text=text)
 
 
 def mission_conflict(conflict: Conflict) -> PlanRejection:

@@ -103,8 +103,12 @@ def test_surface_distance_tells_near_from_far() -> None:
 
 @pytest.mark.parametrize(
     ("lat", "lon", "alt", "word"),
-    [(89.9, 0.0, 0.0, "latitude"), (math.nan, 0.0, 0.0, "latitude"), (0.0, 181.0, 0.0, "longitude")]
-    + [(0.0, 0.0, math.inf, "altitude")],
+    [
+        (89.9, 0.0, 0.0, "latitude"),
+        (math.nan, 0.0, 0.0, "latitude"),
+        (0.0, 181.0, 0.0, "longitude"),
+        (0.0, 0.0, math.inf, "altitude"),
+    ],
 )
 def test_impossible_origins_are_refused(lat: float, lon: float, alt: float, word: str) -> None:
     with pytest.raises(ConfigError, match=word):

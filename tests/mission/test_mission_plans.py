@@ -1,0 +1,295 @@
+"""Whole plans: the paper's is taken, bad ones are refused with item, reason and remedy, and the old one stays."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mission_helpers import NAN, ORIGIN, RADIUS_M, box, circle, local, nav, plain, polygon, tank, waypoint
+
+from autopilot.core.geometry import Circle, Polygon
+from autopilot.core.params import ParamSet
+from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
+from mission.fence import fence_clearance_m
+from mission.geodesy import Origin
+from mission.paper import paper_plan
+from mission.store import Plans, plan_checksum
+
+R = MissionResult
+
+
+def plans(**overrides: float) -> Plans:
+    return Plans(ParamSet(overrides), RADIUS_M, ORIGIN)
+
+
+def fenced(items: list[PlanItem], **overrides: float) -> Plans:
+    store = plans(**overrides)
+    assert store.replace(PlanKind.FENCE, tuple(items)) is None
+    return store
+
+
+def numbered(*groups: list[PlanItem] | PlanItem) -> list[PlanItem]:
+    flat = [item for group in groups for item in (group if isinstance(group, list) else [group])]
+    return [replace(item, seq=k) for k, item in enumerate(flat)]
+
+
+def test_the_papers_plan_is_taken_and_means_what_the_paper_says() -> None:
+    store = plans()
+    plan = paper_plan()
+    assert store.replace(PlanKind.FENCE, plan.fence) is None
+    assert store.replace(PlanKind.MISSION, plan.mission) is None
+    fence = store.fence()
+    (workspace,) = fence.inclusions
+    assert isinstance(workspace, Polygon)
+    corners = {tuple(np.round(v, 2).tolist()) for v in workspace.vertices_ned_m}
+    assert corners == {(-2.5, -1.5), (2.5, -1.5), (2.5, 1.5), (-2.5, 1.5)}
+    first, second = fence.exclusions
+    assert isinstance(first, Circle)
+    assert isinstance(second, Circle)
+    assert first.center_ned_m == pytest.approx([-0.625, -0.625], abs=0.006)
+    assert second.center_ned_m == pytest.approx([0.9375, 0.0], abs=0.006)
+    assert (first.radius_m, second.radius_m) == (0.16, 0.16)
+    assert (fence.depth_min_m, fence.depth_max_m) == (0.05, 1.2)
+    assert [type(s).__name__ for s in store.steps()] == ["GoTo", "GoTo", "GoTo", "Jump"]
+
+
+def test_mission_and_fence_in_the_other_order() -> None:
+    store = plans()
+    assert store.replace(PlanKind.MISSION, paper_plan().mission) is None
+    assert store.replace(PlanKind.FENCE, paper_plan().fence) is None
+
+
+@pytest.mark.parametrize(
+    ("mission", "seq", "result", "words"),
+    [
+        (
+            [waypoint(0, -1.6, 0), waypoint(1, 0.9, 0.1)],
+            1,
+            R.INVALID_PARAM5_X,
+            "inside exclusion circle (fence item 5)",
+        ),
+        ([waypoint(0, -0.625, -0.25)], 0, R.INVALID_PARAM5_X, "only 0.2"),
+        ([waypoint(0, 3.0, 0)], 0, R.INVALID_PARAM5_X, "0.50 m outside inclusion polygon (fence item 0)"),
+        ([waypoint(0, 2.3, 0)], 0, R.INVALID_PARAM5_X, "only 0.20 m inside"),
+        ([waypoint(0, 0, 0.9, depth=1.3)], 0, R.INVALID_PARAM7, "DEPTH_MAX 1.2"),
+        ([waypoint(0, 0, 0.9, depth=0.0)], 0, R.INVALID_PARAM7, "DEPTH_MIN 0.05"),
+        ([waypoint(0, 0, 0.9, depth=-0.5)], 0, R.INVALID_PARAM7, "above the surface"),
+        ([waypoint(0, 0, 0.9, depth=NAN)], 0, R.INVALID_PARAM7, "nan"),
+        ([plain(0, 178, 1, 0.7), waypoint(1, 0, 0.9)], 0, R.INVALID_PARAM2, "SPD_PLANAR_MAX"),
+        ([waypoint(0, 0, 0.9), plain(1, 177, 2, 1)], 1, R.INVALID_PARAM1, "does not exist"),
+        ([plain(0, 178, 1, 0.3), plain(1, 177, 0, -1)], 1, R.INVALID, "for ever without a waypoint"),
+        ([plain(0, 177, 1, -1), plain(1, 177, 0, -1), waypoint(2, 0, 0.9)], 0, R.INVALID, "for ever"),
+        ([waypoint(0, 0, 0.9), waypoint(2, 0, 0.9)], 2, R.INVALID_SEQUENCE, "number the items"),
+        ([local(0, 21, 3.0, 0.0)], 0, R.INVALID_PARAM5_X, "outside"),
+        ([local(0, 179, 0.9375, 0.0, 0, (0, 0, 0, 0))], 0, R.INVALID_PARAM5_X, "home"),
+    ],
+)
+def test_bad_missions_are_refused_and_the_old_one_stays(
+    mission: list[PlanItem], seq: int, result: MissionResult, words: str
+) -> None:
+    store = fenced(list(paper_plan().fence))
+    assert store.replace(PlanKind.MISSION, paper_plan().mission) is None
+    before, id_before = store.items(PlanKind.MISSION), store.checksum(PlanKind.MISSION)
+    rejection = store.replace(PlanKind.MISSION, tuple(mission))
+    assert rejection is not None
+    assert (rejection.seq, rejection.result) == (seq, result)
+    assert words in rejection.reason
+    assert "\n" not in rejection.reason
+    assert store.items(PlanKind.MISSION) is before
+    assert store.checksum(PlanKind.MISSION) == id_before
+    assert len(store.steps()) == 4
+
+
+def test_too_many_items() -> None:
+    mission = tuple(waypoint(k, 0.0, 0.9) for k in range(MAX_ITEMS + 1))
+    rejection = plans().replace(PlanKind.MISSION, mission)
+    assert rejection is not None
+    assert rejection.result is R.NO_SPACE
+    assert plans().replace(PlanKind.MISSION, mission[:-1]) is None
+
+
+@pytest.mark.parametrize(
+    ("fence", "seq", "result", "words"),
+    [
+        (tank()[:3], 0, R.INVALID_PARAM1, "3 of 4 vertices"),
+        ([*tank()[:3], circle(3, 0, 0, 0.2)], 0, R.INVALID_PARAM1, "3 of 4 vertices"),
+        (polygon(0, [(0, 0), (2, 2), (2, 0), (0, 2)]), 0, R.INVALID, "intersects itself"),
+        (polygon(0, [(0, 0), (0, 0), (2, 2)]), 0, R.INVALID, "intersects itself"),
+        (polygon(0, [(0, 0), (1, 1), (1, 1.0005)]), 0, R.INVALID, "no area"),
+        ([*tank(), circle(4, 0.0, 1.0, 0.16)], 4, R.INVALID, "narrower than the vehicle"),
+        ([circle(0, 0, 0, 0.5), circle(1, 1.4, 0, 0.5)], 1, R.INVALID, "gap of 0.40 m at north 0.70, east 0.00"),
+        ([*box(0, 0, 0, 1, 1, False), *box(4, 2.5, 0, 1, 1, False)], 4, R.INVALID, "gap of 0.50 m"),
+        (box(0, 0, 0, 0.25, 0.25, True), 0, R.INVALID, "no room"),
+        ([*tank(), circle(4, 0, 0, 3.5)], 0, R.INVALID, "no room"),
+        ([circle(0, -2, 0, 1.0, True), circle(1, 2, 0, 1.0, True)], 0, R.INVALID, "no room"),
+        ([replace(circle(0, 0, 0, 1.0), z=NAN, param1=-1.0)], 0, R.INVALID_PARAM1, "radius"),
+    ],
+)
+def test_bad_fences_are_refused_and_the_old_one_stays(
+    fence: list[PlanItem], seq: int, result: MissionResult, words: str
+) -> None:
+    store = fenced(tank())
+    rejection = store.replace(PlanKind.FENCE, tuple(fence))
+    assert rejection is not None
+    assert (rejection.seq, rejection.result) == (seq, result)
+    assert words in rejection.reason
+    assert "\n" not in rejection.reason
+    assert len(store.fence().inclusions) == 1
+    assert len(store.items(PlanKind.FENCE)) == 4
+
+
+def test_narrow_gaps_only_warn_when_the_parameter_says_so() -> None:
+    store = fenced([circle(0, 0, 0, 0.5), circle(1, 1.4, 0, 0.5)], FENCE_GAP_CHK=0)
+    (warning,) = store.warnings()
+    assert "narrower than the vehicle" in warning
+
+
+@pytest.mark.parametrize(
+    "fence",
+    [
+        [circle(0, 0, 0, 0.5), circle(1, 0.9, 0, 0.5)],
+        [circle(0, 0, 0, 0.5), circle(1, 1.0, 0, 0.5)],
+        [circle(0, 0, 0, 1.5), circle(1, 0.5, 0, 0.2)],
+        [*tank(), circle(4, 0.0, 1.45, 0.16)],
+        [*tank(), circle(4, 0.0, 2.0, 0.16)],
+        [*tank(), *box(4, 2.6, 0.0, 0.4, 0.2, False)],
+        [circle(0, 0, 0, 0.5), circle(1, 1.4, 0, 0.5), *box(2, 0.7, 0.0, 0.5, 0.2, False)],
+        [*tank(), circle(4, 0, 0, 0.5), circle(5, 0, 0, 4.0, inclusion=True)],
+    ],
+    ids=["overlap", "touch", "nested", "at the wall", "outside", "through the wall", "bridged", "two workspaces"],
+)
+def test_what_is_no_gap_is_taken(fence: list[PlanItem]) -> None:
+    assert plans().replace(PlanKind.FENCE, tuple(fence)) is None
+
+
+def test_a_fence_that_forbids_the_mission_in_force_names_the_waypoint() -> None:
+    store = plans()
+    assert store.replace(PlanKind.MISSION, paper_plan().mission) is None
+    rejection = store.replace(PlanKind.FENCE, tuple(numbered(tank(), circle(0, 1.55, 0.0, 0.2))))
+    assert rejection is not None
+    assert (rejection.seq, rejection.result) == (4, R.INVALID)
+    assert "item 1: waypoint" in rejection.reason
+    assert "clear the mission" in rejection.reason
+    assert store.items(PlanKind.FENCE) == ()
+
+
+def test_a_wall_across_the_tank_leaves_no_path() -> None:
+    wall = box(4, 0.0, 0.0, 0.1, 1.6, False)
+    store = fenced([*tank(), *wall])
+    rejection = store.replace(PlanKind.MISSION, (waypoint(0, -1.5, 0), waypoint(1, -1, 0.5), waypoint(2, 1.5, 0)))
+    assert rejection is not None
+    assert rejection.seq == 2
+    assert "no free path from item 1 to item 2" in rejection.reason
+    assert store.replace(PlanKind.MISSION, (waypoint(0, -1.5, 0), waypoint(1, -1, 0.5))) is None
+    door = box(4, 0.0, -0.4, 0.1, 1.2, False)
+    open_ = fenced([*tank(), *door])
+    assert open_.replace(PlanKind.MISSION, (waypoint(0, -1.5, 0), waypoint(1, 1.5, 0))) is None
+
+
+def test_rally_points_are_checked_against_the_fence() -> None:
+    store = fenced(tank())
+    outside = store.replace(PlanKind.RALLY, (local(0, 5100, 5.0, 0.0),))
+    assert outside is not None
+    assert "rally point 0" in outside.reason
+    assert store.replace(PlanKind.RALLY, (local(0, 5100, 1.0, 0.0),)) is None
+    assert np.array_equal(store.rally_ned_m(), [[1.0, 0.0]])
+    moved = store.replace(PlanKind.FENCE, tuple(box(0, -5, 0, 2, 2, True)))
+    assert moved is not None
+    assert "rally point 0" in moved.reason
+
+
+def test_clearing_is_always_possible_and_changes_the_id() -> None:
+    store = fenced(tank())
+    taken = store.checksum(PlanKind.FENCE)
+    revision = store.revision
+    assert taken != 0
+    assert store.replace(PlanKind.FENCE, ()) is None
+    assert store.checksum(PlanKind.FENCE) == 0
+    assert store.revision == revision + 1
+    fence = store.fence()
+    assert (fence.inclusions, fence.exclusions) == ((), ())
+    assert fence_clearance_m(fence, np.zeros((2, 2))) == pytest.approx([np.inf, np.inf])
+
+
+def test_ids_tell_plans_apart_and_nan_is_a_value_like_any_other() -> None:
+    a, b = waypoint(0, 1.0, 0.0), waypoint(0, 1.0001, 0.0)
+    assert plan_checksum((a,)) != plan_checksum((b,))
+    assert plan_checksum((a,)) == plan_checksum((replace(a),))
+    assert plan_checksum(()) == 0
+
+
+def test_the_origin_moves_global_plans_and_not_local_ones() -> None:
+    store = plans()
+    assert store.replace(PlanKind.MISSION, (waypoint(0, 1.0, 0.0),)) is None
+    moved = Origin(lat_deg=38.0, lon_deg=23.8)
+    assert store.set_origin(moved) is None
+    assert store.steps()[0].pos_ned_m == pytest.approx([1.0, 0.0, 0.5])  # type: ignore[union-attr]
+    assert store.replace(PlanKind.MISSION, ()) is None
+    assert store.set_origin(ORIGIN) is None
+    assert store.replace(PlanKind.MISSION, paper_plan().mission) is None
+    refused = store.set_origin(Origin(lat_deg=10.0, lon_deg=23.8))
+    assert refused is not None
+    assert "km from the local origin" in refused.reason
+    assert store.origin == ORIGIN
+
+
+def test_parameters_that_change_later_are_noticed() -> None:
+    params = ParamSet()
+    store = Plans(params, RADIUS_M, ORIGIN)
+    assert store.replace(PlanKind.MISSION, (waypoint(0, 0, 0, depth=1.0),)) is None
+    assert store.recheck() is None
+    params.set("DEPTH_MAX", 0.8)
+    problem = store.recheck()
+    assert problem is not None
+    assert "DEPTH_MAX 0.8" in problem.reason
+
+
+def test_home_in_both_coordinates() -> None:
+    store = plans()
+    store.set_home(nav(1.0, -2.0, 0.5).pos_ned_m)
+    back = store.local_ned_m(store.home.lat_deg, store.home.lon_deg, store.home.alt_m)
+    assert back == pytest.approx([1.0, -2.0, 0.5], abs=1e-6)
+
+
+coordinate = st.floats(-4.0, 4.0)
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.tuples(coordinate, coordinate, st.floats(0.05, 1.0)), max_size=6),
+    st.lists(st.tuples(coordinate, coordinate), min_size=1, max_size=5),
+)
+def test_whatever_is_taken_keeps_the_vehicle_clear(
+    obstacles: list[tuple[float, float, float]], route: list[tuple[float, float]]
+) -> None:
+    store = plans()
+    fence = numbered(box(0, 0, 0, 3.5, 3.5, True), *[circle(0, *o) for o in obstacles])
+    if store.replace(PlanKind.FENCE, tuple(fence)) is not None:
+        return
+    mission = tuple(waypoint(k, x, y) for k, (x, y) in enumerate(route))
+    if store.replace(PlanKind.MISSION, mission) is None:
+        points = np.array([s.pos_ned_m[:2] for s in store.steps()])  # type: ignore[union-attr]
+        assert float(np.min(fence_clearance_m(store.fence(), points))) >= RADIUS_M - 0.0121
+
+
+def test_a_full_plan_is_taken() -> None:
+    pillars = [circle(4 + k, 4.0 * (k // 30), 4.0 * (k % 30), 0.5) for k in range(MAX_ITEMS - 4)]
+    fence = [*box(0, 64.0, 58.0, 70.0, 62.0, True), *pillars]
+    mission = tuple(waypoint(k, 2.0 + 4.0 * (k // 30 % 30), 2.0 + 4.0 * (k % 28)) for k in range(MAX_ITEMS))
+    store = plans()
+    assert store.replace(PlanKind.FENCE, tuple(fence)) is None
+    assert store.replace(PlanKind.MISSION, mission) is None
+    assert len(store.steps()) == MAX_ITEMS
+
+
+def test_the_shipped_plan_is_its_generators_output() -> None:
+    from mission.local_plan import read_local_plan
+    from mission.qgc_plan import write_qgc_plan
+
+    folder = Path(__file__).resolve().parents[2] / "sitl" / "scenarios"
+    shipped = (folder / "paper.plan").read_text(encoding="utf-8")
+    assert shipped == write_qgc_plan(paper_plan())
+    toml = (folder / "paper.mission.toml").read_text(encoding="utf-8")
+    assert write_qgc_plan(read_local_plan(toml, "paper.mission.toml")) == shipped
