@@ -2,6 +2,7 @@
 
 import random
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -65,6 +66,7 @@ class RecordingVehicle:
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []
         self.answers: dict[str, Answer] = {}
+        self.on_set_current: Callable[[int], None] = lambda seq: None
 
     def _note(self, name: str, *args: Any) -> Answer:
         self.calls.append((name, *args))
@@ -89,6 +91,7 @@ class RecordingVehicle:
         return self._note("resume")
 
     def set_current_item(self, seq: int) -> Answer:
+        self.on_set_current(seq)
         return self._note("set_current_item", seq)
 
     def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:

@@ -1,0 +1,162 @@
+"""A client that we did not write: MAVSDK against the server on a UDP socket, in real time."""
+
+import math
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from mavlink_harness import World
+
+from autopilot.core.messages import MavlinkFrame, MissionProgress, ProgressState
+from autopilot.core.plan import PlanKind
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
+
+mavsdk = pytest.importorskip("mavsdk")
+
+from mavsdk.plugins.action import Action, ActionError  # noqa: E402
+from mavsdk.plugins.mission_raw import MissionItem, MissionRaw, MissionRawError  # noqa: E402
+from mavsdk.plugins.param import Param, ParamError  # noqa: E402
+
+NAN = math.nan
+
+
+class Loop(threading.Thread):
+    """Steps the server at 100 Hz between a socket and MAVSDK."""
+
+    def __init__(self, world: World, port: int) -> None:
+        super().__init__(daemon=True)
+        self.world, self.address = world, ("127.0.0.1", port)
+        self.lock = threading.Lock()
+        self._end = threading.Event()
+
+    def run(self) -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+            sock.setblocking(False)
+            start = time.monotonic()
+            while not self._end.wait(0.01):
+                frames = []
+                while True:
+                    try:
+                        frames.append(MavlinkFrame(link=0, data=sock.recv(4096)))
+                    except (BlockingIOError, ConnectionRefusedError):
+                        break
+                with self.lock:
+                    t_us = int((time.monotonic() - start) * 1e6)
+                    for frame in self.world.server.step(t_us, frames, self.world.view):
+                        sock.sendto(frame.data, self.address)
+
+    def end(self) -> None:
+        self._end.set()
+        self.join(5.0)
+
+
+@pytest.fixture(name="link", params=["px4", "generic"])
+def link_fixture(request: pytest.FixtureRequest) -> Iterator[tuple[World, Any]]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    world = World(request.param)
+    world.show(armed=False, mode=FlightMode.HOLD, intended_mode=FlightMode.HOLD)
+    loop = Loop(world, port)
+    mavsdk.log_subscribe(lambda *args: True)
+    configuration = mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.GROUND_STATION)
+    with mavsdk.Mavsdk(configuration) as sdk:
+        sdk.add_any_connection(f"udpin://127.0.0.1:{port}")
+        loop.start()
+        try:
+            system = sdk.first_autopilot(20.0)
+            assert system is not None, "MAVSDK did not find the vehicle"
+            yield world, system
+        finally:
+            loop.end()
+
+
+def progress_at(seq: int) -> MissionProgress:
+    return MissionProgress(t_us=0, current_seq=seq, reached_seq=-1, lap=0, state=ProgressState.ACTIVE)
+
+
+def items(count: int, kind: int = 0) -> list[Any]:
+    command = {0: 16, 1: 5004, 2: 5100}[kind]
+    return [
+        MissionItem(n, 3, command, int(n == 0), 1, 0.5, 0.3, 0.0, NAN, 379_755_000 + n, 237_790_000 - n, -0.45, kind)
+        for n in range(count)
+    ]
+
+
+def content(plan: list[Any]) -> list[tuple[Any, ...]]:
+    """Items as comparable numbers; NaN as None."""
+    names = ("seq", "frame", "command", "autocontinue", "param1", "param2", "param3", "param4", "x", "y", "z")
+    rows = []
+    for item in plan:
+        values = [getattr(item, name) for name in names] + [item.mission_type]
+        rows.append(tuple(None if v != v else float(np.float32(v)) if isinstance(v, float) else v for v in values))
+    return rows
+
+
+@pytest.mark.timeout(90)
+def test_mavsdk_gets_along(link: tuple[World, Any]) -> None:
+    world, system = link
+    raw, action, param = MissionRaw(system), Action(system), Param(system)
+
+    mission, fence, rally = items(25), items(4, 1), items(2, 2)
+    raw.upload_mission(mission)
+    raw.upload_geofence(fence)
+    raw.upload_rally_points(rally)
+    assert [len(world.plans.items(kind)) for kind in PlanKind] == [25, 4, 2]
+    assert content(raw.download_mission()) == content(mission)
+    assert content(raw.download_geofence()) == content(fence)
+    assert content(raw.download_rallypoints()) == content(rally)
+
+    bad = items(5)
+    bad[3].command = 9999
+    with pytest.raises(MissionRawError, match="UNSUPPORTED"):
+        raw.upload_mission(bad)
+    assert len(world.plans.items(PlanKind.MISSION)) == 25
+
+    action.arm()
+    raw.start_mission()
+    raw.pause_mission()
+    action.return_to_launch()
+    action.land()
+    action.set_current_speed(0.2)
+    action.kill()
+    world.vehicle.on_set_current = lambda seq: world.show(progress=progress_at(seq))
+    raw.set_current_mission_item(3)
+    assert [call for call in world.vehicle.calls if call[0] != "change_speed"] == [
+        ("arm", False),
+        ("set_mode", FlightMode.MISSION),
+        ("set_mode", FlightMode.HOLD),
+        ("set_mode", FlightMode.RETURN),
+        ("set_mode", FlightMode.SURFACE),
+        ("disarm", True),
+        ("set_current_item", 3),
+    ]
+    world.vehicle.answers["arm"] = Answer(result=CommandResult.DENIED, reason="Arming denied: no position")
+    with pytest.raises(ActionError, match="DENIED"):
+        action.arm()
+
+    world.vehicle.calls.clear()
+    action.goto_location(37.9756, 23.7791, 11.5, 90.0)
+    (point, yaw_rad) = next(call[1:] for call in world.vehicle.calls if call[0] == "go_to" and call[1] is not None)
+    assert (point.lat_deg, point.lon_deg, point.alt_m) == pytest.approx((37.9756, 23.7791, 11.5), abs=2e-7)
+    assert yaw_rad == pytest.approx(math.pi / 2)
+
+    world.show(origin=GeoPoint(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))
+    action.set_gps_global_origin(38.0, 24.0, 3.0)
+
+    assert param.get_param_float("SPD_CRUISE") == pytest.approx(0.35)
+    assert param.get_param_int("FS_SOLVER_N") == 40
+    param.set_param_float("SPD_CRUISE", 0.3)
+    param.set_param_int("FS_SOLVER_N", 41)
+    assert (world.params["SPD_CRUISE"], world.params["FS_SOLVER_N"]) == (0.3, 41.0)
+    with pytest.raises(ParamError):
+        param.set_param_float("SPD_CRUISE", 50.0)
+    every = param.get_all_params()
+    assert len(every.int_params) + len(every.float_params) == len(world.params)
+
+    raw.clear_mission()
+    assert world.plans.items(PlanKind.MISSION) == ()
