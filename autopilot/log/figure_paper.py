@@ -27,7 +27,7 @@ from autopilot.log.figure_plan import draw_plan
 
 
 def trajectory(scene: Scene) -> Figure | None:
-    """Paper, figure 4: the way in the horizontal plane, one colour per lap."""
+    """The way in the horizontal plane, one colour per lap."""
     figure = Figure(figsize=(WIDTH_IN, 4.7))
     ax = figure.subplots()
     if scene.flight.run is not None:
@@ -40,7 +40,7 @@ def trajectory(scene: Scene) -> Figure | None:
         color = LAP_COLORS[number % len(LAP_COLORS)]
         ax.plot(plane[keep, 0], plane[keep, 1], color=color, linewidth=1.3, label=f"lap {number + 1}")
     ax.plot(plane[0, 0], plane[0, 1], "k^", markersize=4, label="start")
-    legend_above(ax, 6)
+    legend_above(ax, 4)
     ax.set_aspect("equal")
     ax.yaxis.set_inverted(True)
     ax.set_xlabel("x, north [m]")
@@ -49,7 +49,7 @@ def trajectory(scene: Scene) -> Figure | None:
 
 
 def depth_and_yaw(scene: Scene) -> Figure | None:
-    """Paper, figure 5: depth and heading with the acceptance bands of the waypoint that is approached."""
+    """Depth and heading with the acceptance bands of the waypoint that is approached."""
     figure, (top, bottom) = stacked_axes(2, 4.6)
     run, track = scene.flight.run, scene.track
     top.plot(track.t_s, track.pos_ned_m[:, 2], label=f"depth ({scene.basis})", **TRUTH)
@@ -103,7 +103,7 @@ def _bands(scene: Scene, ax: Axes, band: Callable[[Visit], tuple[float, float] |
 
 
 def planar_speed(scene: Scene) -> Figure | None:
-    """Paper, figure 6: speed relative to the water in the horizontal plane."""
+    """Speed relative to the water in the horizontal plane."""
     figure, (ax,) = stacked_axes(1, 2.6)
     limit = scene.bound("planar_speed_m_s")
     ax.plot(scene.track.t_s, scene.track.planar_speed_m_s, label="norm of (u, v)", **TRUTH)
@@ -117,7 +117,7 @@ def planar_speed(scene: Scene) -> Figure | None:
 
 
 def heave_and_yaw_rate(scene: Scene) -> Figure | None:
-    """Paper, figure 7."""
+    """Heave relative to the water and yaw rate, with their bounds."""
     figure, (top, bottom) = stacked_axes(2, 4.2)
     curves = (
         (top, scene.track.vel_water_frd_m_s[:, 2], scene.bound("heave_m_s"), "heave w [m/s]"),
@@ -135,7 +135,7 @@ def heave_and_yaw_rate(scene: Scene) -> Figure | None:
 
 
 def thrusters(scene: Scene) -> Figure | None:
-    """Paper, figure 8: what the thrusters were told."""
+    """What the thrusters were told."""
     table = scene.flight.table("/out/thrusters")
     if table is None:
         return None

@@ -12,6 +12,8 @@ SETUP_SIGNING = 256
 """Message that carries the secret signing key (mavlink.io, Message Signing): never logged."""
 MAX_BYTES = 280
 _SIGNED = 0x01
+_ID_AT, _ID_END = 7, 10
+"""Where the message id stands in a MAVLink 2 header."""
 _SETUP_SIGNING_ID = SETUP_SIGNING.to_bytes(3, "little")
 
 
@@ -29,10 +31,16 @@ class StreamCutter:
 
     def __init__(self) -> None:
         self._rest = b""
+        """A packet that is not complete yet."""
+        self._history = b""
+        """The last bytes that came, so that a key's header is seen however the stream is cut."""
+        self._skip = 0
+        """Bytes of a key that are still to come."""
 
     def cut(self, data: bytes) -> list[Piece]:
-        """Pieces that ``data`` completes, in order. Packets of SETUP_SIGNING are left out."""
-        stream = self._rest + data
+        """Pieces that ``data`` completes, in order. Packets of SETUP_SIGNING are left out, in sync or not."""
+        clean = self._without_keys(data)
+        stream = self._rest + clean
         pieces: list[Piece] = []
         start = noise = 0
         while start < len(stream):
@@ -43,12 +51,41 @@ class StreamCutter:
             if end is None or end > len(stream):
                 break
             _add_noise(pieces, stream[noise:start])
-            if not _carries_key(stream, start, end):
-                pieces.append(Piece(stream[start:end], True))
+            pieces.append(Piece(stream[start:end], True))
             start = noise = end
         _add_noise(pieces, stream[noise:start])
         self._rest = stream[start:]
         return pieces
+
+    def _without_keys(self, data: bytes) -> bytes:
+        """``data`` without the bytes of any packet whose header says SETUP_SIGNING, wherever it begins.
+
+        The header has passed before its message id is known; it is taken back out of ``_rest``. The key comes after it.
+        """
+        window, old = self._history + data, len(self._history)
+        self._history = window[1 - _ID_END :]
+        skipped = min(self._skip, len(data))
+        self._skip -= skipped
+        at = old + skipped
+        out = bytearray()
+        start = window.find(STX_V2, at if skipped else 0)
+        while start != -1 and start + _ID_END <= len(window):
+            if start + _ID_END <= old or window[start + _ID_AT : start + _ID_END] != _SETUP_SIGNING_ID:
+                start = window.find(STX_V2, start + 1)
+                continue
+            passed = old - start
+            if passed > 0:
+                self._rest = self._rest[:-passed]
+            else:
+                out += window[at:start]
+            end = start + 12 + window[start + 1] + _signature_bytes(window[start + 2])
+            at, self._skip = min(end, len(window)), max(end - len(window), 0)
+            start = window.find(STX_V2, at)
+        return bytes(out + window[at:])
+
+
+def _signature_bytes(incompatibility_flags: int) -> int:
+    return 13 if incompatibility_flags & _SIGNED else 0
 
 
 def _packet_end(stream: bytes, start: int) -> int | None:
@@ -57,18 +94,7 @@ def _packet_end(stream: bytes, start: int) -> int | None:
         return start + 8 + stream[start + 1] if len(stream) > start + 1 else None
     if len(stream) <= start + 2:
         return None
-    signature = 13 if stream[start + 2] & _SIGNED else 0
-    return start + 12 + stream[start + 1] + signature
-
-
-def _carries_key(stream: bytes, start: int, end: int) -> bool:
-    """True if a SETUP_SIGNING packet begins anywhere in the piece (also inside one whose start was noise)."""
-    at = start
-    while at != -1:
-        if stream[at + 7 : at + 10] == _SETUP_SIGNING_ID:
-            return True
-        at = stream.find(STX_V2, at + 1, end)
-    return False
+    return start + 12 + stream[start + 1] + _signature_bytes(stream[start + 2])
 
 
 def _add_noise(pieces: list[Piece], noise: bytes) -> None:

@@ -6,7 +6,7 @@ variable size are decoded message by message. Damage is skipped and named in ``L
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -211,7 +211,7 @@ class Log:
         schema = self._contents.schemas.get(channel.schema_id)
         if schema is None or schema.encoding != "ros2msg" or channel.encoding != "cdr":
             raise LogError(f"{self.path}: {topic} is not CDR with a ros2msg schema; only such topics can be decoded")
-        return parse_definition(schema.name, schema.text), schema.name
+        return _parsed(schema.name, schema.text), schema.name
 
     def _table(self, topic: str) -> Table:
         types, name = self._types(topic)
@@ -236,6 +236,10 @@ class Log:
         for column in (table.dtype.names or ())[2:]:
             table[column] = body[column]
         return table
+
+
+_parsed = lru_cache(maxsize=256)(parse_definition)
+"""Logs of one version share their schemas."""
 
 
 def _columns(layout: Layout) -> np.dtype[np.void]:

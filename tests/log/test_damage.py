@@ -1,0 +1,212 @@
+"""Broken files: never a traceback, never a wrong value, and everything readable is read."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from log_synthetic import EPOCH_NS, Run, write_run
+from rosbags.rosbag2 import Reader
+
+from autopilot.core.errors import LogError
+from autopilot.log.check import acceptance_table
+from autopilot.log.compare import compare_logs
+from autopilot.log.container import read_contents
+from autopilot.log.lock import lock_exclusive
+from autopilot.log.reader import Log, open_log
+from autopilot.log.recover import RECOVERED_RECORD, recover_unfinished
+
+CHECKED = ("/nav/state", "/sim/truth", "/out/thrusters")
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Several chunks: one per second of log time."""
+    return write_run(tmp_path_factory.mktemp("damage") / "sound.mcap", Run(laps=1, step_us=500_000))
+
+
+@pytest.fixture(scope="module")
+def rows(sound: Path) -> dict[str, set[bytes]]:
+    log = open_log(sound)
+    return {topic: {body for _, body in log.raw_messages(topic)} for topic in CHECKED}
+
+
+def read_all(path: Path, rows: dict[str, set[bytes]]) -> Log | None:
+    """Open and read a damaged file; every message that comes out must be one that was written."""
+    try:
+        log = open_log(path)
+    except LogError as error:
+        assert str(path) in str(error)
+        return None
+    for topic in CHECKED:
+        if topic in log.topics:
+            assert {body for _, body in log.raw_messages(topic)} <= rows[topic]
+    log.verify()
+    try:
+        acceptance_table(log)
+    except LogError as error:
+        assert str(path) in str(error)
+    return log
+
+
+def test_cut_off_anywhere(sound: Path, rows: dict[str, set[bytes]], tmp_path: Path) -> None:
+    data = sound.read_bytes()
+    path = tmp_path / "cut.mcap"
+    ends = {
+        offset + extra for chunk in read_contents(sound).chunks for offset in (chunk.offset,) for extra in (-1, 0, 9)
+    }
+    step = len(data) // 25
+    readable = []
+    for size in sorted({0, 1, 7, 8, 9, 20, len(data) - 1, len(data) - 8, *ends, *range(0, len(data), step)}):
+        path.write_bytes(data[:size])
+        log = read_all(path, rows)
+        assert (log is None) == (size < 8)
+        if log is not None:
+            assert log.problems and not log._contents.finished
+            readable.append(log.message_count)
+    assert readable == sorted(readable) and readable[-1] == open_log(sound).message_count
+
+
+@given(st.floats(0.0, 0.999999), st.integers(1, 255))
+@settings(max_examples=70, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_one_byte_flipped(sound: Path, rows: dict[str, set[bytes]], tmp_path: Path, where: float, flip: int) -> None:
+    data = bytearray(sound.read_bytes())
+    data[int(where * len(data))] ^= flip
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(data)
+    read_all(path, rows)
+
+
+@given(st.data())
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_stretch_overwritten(sound: Path, rows: dict[str, set[bytes]], tmp_path: Path, data: st.DataObject) -> None:
+    raw = bytearray(sound.read_bytes())
+    start = data.draw(st.integers(8, len(raw) - 1))
+    noise = data.draw(st.binary(min_size=1, max_size=2000))
+    raw[start : start + len(noise)] = noise[: len(raw) - start]
+    path = tmp_path / "noise.mcap"
+    path.write_bytes(raw)
+    read_all(path, rows)
+
+
+def test_a_damaged_chunk_costs_only_itself(sound: Path, tmp_path: Path) -> None:
+    whole = open_log(sound)
+    chunks = read_contents(sound).chunks
+    assert len(chunks) > 5
+    data = bytearray(sound.read_bytes())
+    for name, at in (("content", chunks[3].offset + chunks[3].length // 2), ("opcode", chunks[3].offset)):
+        broken = bytearray(data)
+        broken[at] ^= 0xFF
+        path = tmp_path / f"{name}.mcap"
+        path.write_bytes(broken)
+        log = open_log(path)
+        kept = log["/nav/state"]
+        assert 0 < len(whole["/nav/state"]) - len(kept) < 10
+        assert f"byte {chunks[3].offset}" in log.verify()[0]
+        assert log.message_count < whole.message_count
+
+
+def test_a_damaged_length_is_bridged_by_the_index(sound: Path, tmp_path: Path) -> None:
+    chunks = read_contents(sound).chunks
+    broken = bytearray(sound.read_bytes())
+    broken[chunks[2].offset + 8] = 0x7F
+    path = tmp_path / "length.mcap"
+    path.write_bytes(broken)
+    log = open_log(path)
+    assert compare_logs(open_log(sound), log) == []
+    assert f"damaged at byte {chunks[2].offset}" in log.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(b"", "is empty"), (b"\x89PNG\r\n\x1a\n....", "not an MCAP log"), (b"\x89MCAP", "not an MCAP log")],
+)
+def test_other_files_are_refused_by_their_first_bytes(tmp_path: Path, content: bytes, reason: str) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=reason):
+        open_log(path)
+    with pytest.raises(LogError, match="cannot be read"):
+        open_log(tmp_path / "missing.mcap")
+    with pytest.raises(LogError, match="cannot be read"):
+        open_log(tmp_path)
+
+
+def test_the_name_does_not_matter(sound: Path, tmp_path: Path) -> None:
+    path = tmp_path / "log.bin"
+    path.write_bytes(sound.read_bytes())
+    assert open_log(path).problems == ()
+
+
+def test_recovery(sound: Path, tmp_path: Path) -> None:
+    data = sound.read_bytes()
+    folder = tmp_path / "2026-01-01"
+    folder.mkdir()
+    cut, fine, locked, junk = (folder / f"{name}.mcap" for name in ("a_cut", "b_fine", "c_locked", "d_junk"))
+    cut.write_bytes(data[: len(data) * 2 // 3])
+    fine.write_bytes(data)
+    locked.write_bytes(data[: len(data) // 2])
+    junk.write_bytes(b"nothing of the kind")
+    copy = tmp_path / "copy"
+    copy.write_bytes(cut.read_bytes())
+    before = open_log(copy)
+    with locked.open("r+b") as held:
+        assert lock_exclusive(held)
+        done = {recovery.path: recovery for recovery in recover_unfinished(tmp_path)}
+    assert set(done) == {cut, junk}
+    assert done[cut].repaired and done[cut].messages == before.message_count and "cut off" in done[cut].problem
+    assert not done[junk].repaired and "not an MCAP log" in done[junk].problem
+    assert junk.read_bytes() == b"nothing of the kind"
+    assert fine.read_bytes() == data and locked.read_bytes() == data[: len(data) // 2]
+    after = open_log(cut)
+    assert after.verify() == () and RECOVERED_RECORD in after.metadata
+    assert after.epoch_ns == EPOCH_NS and after.attachments == before.attachments
+    assert compare_logs(before, after) == []
+    with Reader(cut) as bag:
+        assert sum(1 for _ in bag.messages()) == after.message_count
+    assert not list(folder.glob(".*"))
+    assert [r.path for r in recover_unfinished(tmp_path)] == [locked, junk]
+
+
+_VICTIM = """
+import sys, time
+from pathlib import Path
+from autopilot.log import packing
+from autopilot.log.writer import LogWriter
+log = LogWriter(Path(sys.argv[1]), epoch_ns=10**18, metadata={}, attachments={"a": b"b"})
+t_us = 0
+while True:
+    log.write("/sim/contact", t_us, packing.contact_state(10**18 + t_us * 1000, t_us // 1000, 0.0))
+    t_us += 1000
+    time.sleep(0.001)
+    if t_us == 1_500_000:
+        print("half", flush=True)
+"""
+
+
+def test_killed_while_writing(tmp_path: Path) -> None:
+    """What was flushed before a kill -9 is there, without a gap, and is repaired at the next start."""
+    path = tmp_path / "killed.mcap"
+    victim = subprocess.Popen([sys.executable, "-c", _VICTIM, str(path)], stdout=subprocess.PIPE)
+    try:
+        assert victim.stdout is not None
+        victim.stdout.readline()
+        deadline = time.monotonic() + 30.0
+        while os.path.getsize(path) < 2000 and time.monotonic() < deadline:
+            time.sleep(0.05)
+    finally:
+        victim.kill()
+        victim.wait()
+    log = open_log(path)
+    assert log.problems and log.attachments == {"a": b"b"}
+    count = log["/sim/contact"]["count"]
+    assert len(count) > 100
+    np.testing.assert_array_equal(count, np.arange(len(count)))
+    (recovery,) = recover_unfinished(tmp_path)
+    assert recovery.repaired and recovery.messages == len(count)
+    assert open_log(path).verify() == ()
