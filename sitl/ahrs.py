@@ -13,7 +13,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, quat_from_rpy
 from autopilot.core.vehicle import Ahrs
-from drivers.base import Closing
+from drivers.base import AlwaysOpen
 from drivers.ig500_protocol import (
     ACKNOWLEDGE,
     CONTINUOUS_OUTPUT,
@@ -51,7 +51,7 @@ class SlowError:
         return self.value
 
 
-class Ig500Emulator(Closing):
+class Ig500Emulator(AlwaysOpen):
     """The device and its cable: a :class:`drivers.protocols.BytePort` for the driver."""
 
     def __init__(self, settings: AhrsSensor, ahrs: Ahrs, faults: list[Fault], seed: int) -> None:
@@ -134,12 +134,6 @@ class Ig500Emulator(Closing):
         return 0.5 * self._settings.yaw_field_rad * pattern
 
     # The cable's side.
-
-    def open(self) -> None:
-        """Nothing to do: the cable is plugged in."""
-
-    def close(self) -> None:
-        """Nothing to do: the device sends on."""
 
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
         """What has arrived up to ``t_us``."""

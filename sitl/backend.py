@@ -8,13 +8,13 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import CameraFrame, PowerSample, Sample
 from autopilot.core.vehicle import Vehicle
-from drivers.base import Closing
+from drivers.base import AlwaysOpen, Closing
 from drivers.ig500 import Ig500
 from drivers.thruster_output import SafeThrusterOutput
 from sitl.ahrs import Ig500Emulator
-from sitl.camera import SimCamera
+from sitl.camera import SimCamera, camera_of
 from sitl.camera_feed import CameraFeed
-from sitl.floor import build_floor, camera_of
+from sitl.floor import build_floor
 from sitl.plant import Truth, build_plant
 from sitl.pose_sensor import SimPoseSensor
 from sitl.scenario import Scenario, ThrusterLoss
@@ -71,19 +71,13 @@ class SimThrusterOutput(SafeThrusterOutput):
         """Nothing to close."""
 
 
-class PowerMonitor(Closing):
+class PowerMonitor(AlwaysOpen):
     """Voltage, current and energy at the battery's terminals."""
 
     def __init__(self) -> None:
         self.next_us = 0
         """When the next sample is taken."""
         self._samples: list[PowerSample] = []
-
-    def open(self) -> None:
-        """Nothing to open."""
-
-    def close(self) -> None:
-        """Nothing to close."""
 
     def observe(self, truth: Truth) -> None:
         """Take a sample."""

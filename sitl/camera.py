@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.core.camera import R_FRD_FROM_CAM, CameraModel
+from autopilot.core.camera import NEAR_M, R_FRD_FROM_CAM, CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from sitl.floor import Floor, Image
 from sitl.plant import Truth
@@ -171,7 +171,7 @@ class SimCamera:
         if down < HORIZON:
             return
         range_m = (self._floor.depth_m - float(origin_ned_m[2])) / down
-        if range_m <= 0.0:
+        if range_m <= NEAR_M:
             return
         x, y = self._camera.laser_pixel(range_m)
         sigma = math.hypot(LASER_GLOW_PX, self._camera.focal_px[0] * LASER_SPOT_M / range_m)
@@ -197,6 +197,20 @@ class SimCamera:
         cv2.add(picture, self._brighter[rows, columns], dst=picture)
         cv2.subtract(picture, self._darker[rows, columns], dst=picture)
         return picture
+
+
+def camera_of(model: CameraModel, focal_factor: float) -> CameraModel:
+    """The true camera: the calibrated one with its focal length off by a factor."""
+    fx, fy = model.focal_px
+    return CameraModel(
+        width_px=model.width_px,
+        height_px=model.height_px,
+        focal_px=(fx * focal_factor, fy * focal_factor),
+        center_px=model.center_px,
+        distortion=model.distortion,
+        position_frd_m=model.position_frd_m,
+        laser_offset_cam_m=model.laser_offset_cam_m,
+    )
 
 
 def _span(where_px: NDArray[np.float32], limit: int) -> tuple[int, int]:

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap, grid_floor
 from sitl.scenario import Scenario
@@ -103,20 +102,6 @@ def build_floor(scenario: Scenario) -> Floor | None:
         east_m=float(low[1]),
         px_per_m=px_per_m,
         levels=tuple(levels),
-    )
-
-
-def camera_of(model: CameraModel, focal_factor: float) -> CameraModel:
-    """The true camera: the calibrated one with its focal length off by a factor."""
-    fx, fy = model.focal_px
-    return CameraModel(
-        width_px=model.width_px,
-        height_px=model.height_px,
-        focal_px=(fx * focal_factor, fy * focal_factor),
-        center_px=model.center_px,
-        distortion=model.distortion,
-        position_frd_m=model.position_frd_m,
-        laser_offset_cam_m=model.laser_offset_cam_m,
     )
 
 

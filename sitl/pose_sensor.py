@@ -12,6 +12,7 @@ import numpy as np
 from autopilot.core.frames import r_ned_from_frd, wrap_pi
 from autopilot.core.messages import LaserSample, PoseSample
 from autopilot.core.vehicle import Vehicle
+from drivers.base import AlwaysOpen
 from sitl.outages import OutageClock
 from sitl.plant import Truth
 from sitl.scenario import Fault, LaserSensor, PoseSensor
@@ -24,7 +25,7 @@ LASER_LEAST_RANGE_M, LASER_MOST_RANGE_M = 0.15, 2.0
 """Where the dot is in the picture, and bright enough."""
 
 
-class SimPoseSensor:
+class SimPoseSensor(AlwaysOpen):
     """Takes samples of the truth and delivers them after their latency."""
 
     def __init__(

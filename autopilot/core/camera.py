@@ -1,8 +1,8 @@
 """The down-looking camera: pinhole with Brown's distortion (k1 k2 p1 p2 k3), calibrated in water, and where it sits.
 
 The formulas are OpenCV's (calib3d: pinhole model with radial and tangential distortion), written in numpy so that
-projecting a few hundred points costs tens of microseconds and needs no heavy import. Pixel centres lie at whole numbers,
-as everywhere in OpenCV.
+projecting a few hundred points costs tens of microseconds and needs no heavy import. Pixel centres lie at whole
+numbers, as everywhere in OpenCV.
 """
 
 from dataclasses import dataclass, field

@@ -1,5 +1,7 @@
 """The marker floor: what the layout promises, and which markers a pose shows."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -66,7 +68,7 @@ def test_no_pair_of_neighbours_occurs_twice(floor: MarkerMap) -> None:
 
 
 def test_same_seed_same_floor(floor: MarkerMap) -> None:
-    arguments = {"polygon_m": TANK, "depth_m": DEPTH_M, "pitch_m": 0.08, "size_m": 0.06}
+    arguments: dict[str, Any] = {"polygon_m": TANK, "depth_m": DEPTH_M, "pitch_m": 0.08, "size_m": 0.06}
     first, again, other = (grid_floor(**arguments, seed=seed) for seed in (5, 5, 6))
     assert np.array_equal(first.ids, again.ids)
     assert np.array_equal(first.corners_ned_m, again.corners_ned_m)
@@ -124,6 +126,6 @@ def test_markers_stay_inside_a_polygon_that_is_not_convex() -> None:
     ],
 )
 def test_refuses_a_floor_that_cannot_be(change: dict[str, object], message: str) -> None:
-    arguments = {"polygon_m": TANK, "depth_m": DEPTH_M, "pitch_m": 0.08, "size_m": 0.06, "seed": 1, **change}
+    whole: dict[str, Any] = {"polygon_m": TANK, "depth_m": DEPTH_M, "pitch_m": 0.08, "size_m": 0.06, "seed": 1}
     with pytest.raises(ConfigError, match=message):
-        grid_floor(**arguments)  # type: ignore[arg-type]
+        grid_floor(**{**whole, **change})

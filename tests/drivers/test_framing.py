@@ -1,6 +1,6 @@
 """Cutting a stream into MAVLink frames."""
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.framing import FrameCutter
@@ -18,6 +18,7 @@ def v2(payload: bytes, signed: bool = False) -> bytes:
 FRAMES = st.one_of(st.builds(v1, st.binary(max_size=255)), st.builds(v2, st.binary(max_size=255), st.booleans()))
 
 
+@settings(deadline=None)
 @given(st.lists(FRAMES, max_size=6), st.data())
 def test_whole_frames_come_out_however_the_stream_is_cut(frames: list[bytes], data: st.DataObject) -> None:
     stream = b"".join(frames)
@@ -29,6 +30,7 @@ def test_whole_frames_come_out_however_the_stream_is_cut(frames: list[bytes], da
     assert cutter.skipped == 0
 
 
+@settings(deadline=None)
 @given(st.lists(st.binary(max_size=400), max_size=6))
 def test_any_bytes_never_raise_and_little_is_kept(chunks: list[bytes]) -> None:
     cutter = FrameCutter()
@@ -38,6 +40,7 @@ def test_any_bytes_never_raise_and_little_is_kept(chunks: list[bytes]) -> None:
     assert len(cutter._buffer) <= 280
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=40), st.binary(max_size=255))
 def test_finds_its_way_back_after_noise(noise: bytes, payload: bytes) -> None:
     frame = v2(payload.replace(b"\xfd", b"-").replace(b"\xfe", b"-"))

@@ -7,7 +7,7 @@ import tty
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.core.frames import quat_from_rpy
@@ -137,6 +137,7 @@ def test_useless_content_is_counted_and_dropped() -> None:
     assert driver.bad_frames >= 1
 
 
+@settings(deadline=None)
 @given(st.lists(st.binary(max_size=80), max_size=10))
 def test_noise_on_the_line_never_raises(chunks: list[bytes]) -> None:
     port = ScriptedPort()

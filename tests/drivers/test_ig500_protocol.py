@@ -3,7 +3,7 @@
 import struct
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError
@@ -38,6 +38,7 @@ def test_crc_check_value() -> None:
     assert crc16(b"123456789") == 0x2189  # catalogue value of CRC-16/KERMIT
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=200))
 def test_crc_is_the_bitwise_definition(data: bytes) -> None:
     assert crc16(data) == bitwise_crc(data)
@@ -55,6 +56,7 @@ def test_commands_of_the_driver() -> None:
     assert encode_output_mask(AHRS_MASK)[:10] == b"\xff\x02\x50\x00\x05\x00\x00\x20\x18\x19"
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(COMMANDS, DATA), max_size=5), st.data())
 def test_frames_survive_any_cut(frames: list[tuple[int, bytes]], data: st.DataObject) -> None:
     stream = b"".join(encode_frame(command, content) for command, content in frames)
@@ -66,6 +68,7 @@ def test_frames_survive_any_cut(frames: list[tuple[int, bytes]], data: st.DataOb
     assert parser.skipped == parser.bad_frames == 0
 
 
+@settings(deadline=None)
 @given(st.lists(st.binary(max_size=700), max_size=6))
 def test_any_bytes_never_raise_and_memory_is_bounded(chunks: list[bytes]) -> None:
     parser = FrameParser()
@@ -74,6 +77,7 @@ def test_any_bytes_never_raise_and_memory_is_bounded(chunks: list[bytes]) -> Non
     assert len(parser._buffer) <= MAX_DATA + 8
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=60), COMMANDS, st.binary(max_size=80))
 def test_finds_the_frame_behind_noise(noise: bytes, command: int, content: bytes) -> None:
     # A following run of zeros pushes the frame through whatever size the noise has announced.
@@ -82,6 +86,7 @@ def test_finds_the_frame_behind_noise(noise: bytes, command: int, content: bytes
     assert Frame(command, content) in frames
 
 
+@settings(deadline=None)
 @given(COMMANDS, st.binary(max_size=80), st.data())
 def test_a_damaged_frame_is_dropped_and_the_next_one_is_not(command: int, content: bytes, data: st.DataObject) -> None:
     frame = bytearray(encode_frame(command, content))
@@ -103,6 +108,7 @@ def test_too_much_data_does_not_fit() -> None:
 FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)
 
 
+@settings(deadline=None)
 @given(
     st.tuples(FLOATS, FLOATS, FLOATS, FLOATS),
     st.tuples(FLOATS, FLOATS, FLOATS),

@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError, DriverError
@@ -89,6 +89,7 @@ def test_malformed_connection_strings_are_refused_with_examples(text: str) -> No
     assert repr(text) in str(refusal.value)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=30))
 def test_any_text_is_understood_or_refused(text: str) -> None:
     with contextlib.suppress(ConfigError):

@@ -18,7 +18,8 @@ def cell_levels(picture: np.ndarray, index: int) -> np.ndarray:
     north = corners[0, 0] + (corners[3, 0] - corners[0, 0]) * np.repeat(centres[:, None], MARKER_CELLS, axis=1)
     east = corners[0, 1] + (corners[1, 1] - corners[0, 1]) * np.repeat(centres[None, :], MARKER_CELLS, axis=0)
     where = floor().pixel_map(north, east, 0)
-    return cv2.remap(cv2.blur(picture, (5, 5)), where, None, cv2.INTER_LINEAR).astype(float)
+    levels: np.ndarray = cv2.remap(cv2.blur(picture, (5, 5)), where, None, cv2.INTER_LINEAR).astype(float)
+    return levels
 
 
 @pytest.mark.parametrize("index", [0, 1, 500, 1111, 2200, -1])

@@ -8,8 +8,7 @@ import pytest
 from sensor_helpers import CAMERA, CLEAN, floor, height, renderer, truth_at
 
 from autopilot.core.frames import r_ned_from_frd
-from sitl.camera import WALL_LEVEL
-from sitl.floor import camera_of
+from sitl.camera import WALL_LEVEL, camera_of
 from sitl.plant import Truth
 
 
@@ -118,7 +117,7 @@ def test_the_dot_is_greener_than_anything_else() -> None:
 
 def test_dot_outside_of_the_picture_and_tilted_cameras_do_no_harm() -> None:
     for rpy in ((0.0, 0.0, 0.0), (1.4, 0.0, 0.0), (0.0, -1.5, 0.0), (3.1, 0.0, 0.0)):
-        for depth in (1.38, 1.45, 0.0):
+        for depth in (1.38, 1.395, 1.45, 0.0):
             assert renderer().render(truth_at((0.0, 0.0, depth), rpy), 0).shape == (480, 640, 3)
 
 
