@@ -234,7 +234,7 @@ class _StatusLine:
         self._state = ""
 
     def __call__(self, status: MissionStatus) -> None:
-        if status.state.name != self._state:
+        if status.state and status.state.name != self._state:
             self._state = status.state.name
             click.echo(f"mission {self._state.lower().replace('_', ' ')}, {status.total} items", err=True)
         for seq in status.reached[self._reached :]:

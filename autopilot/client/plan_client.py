@@ -13,6 +13,11 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.client.exchange import BaseExchange, Message, Outcome, Target, Timers
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 
+MAX_RESTARTS = 3
+"""An upload that broke off for no fault of the plan is begun anew so often."""
+_BROKEN_OFF = frozenset({MissionResult.ERROR, MissionResult.INVALID_SEQUENCE, MissionResult.OPERATION_CANCELLED})
+"""What a vehicle answers when a late copy of an earlier datagram has confused or ended the transfer."""
+
 
 class PlanUpload(BaseExchange):
     """Replace one plan of the vehicle. The vehicle drives: it asks for items in its order, and ends with an ACK."""
@@ -29,6 +34,7 @@ class PlanUpload(BaseExchange):
         self._items = tuple(items)
         self._last_sent: int | None = None
         self._highest = -1
+        self._restarts = 0
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -61,11 +67,20 @@ class PlanUpload(BaseExchange):
             return [self._item(message.seq)]
         if kind == "MISSION_ACK":
             self._heard_s = t_s
-            if message.type != MissionResult.ACCEPTED:
-                self._refuse(message.type, t_s)
-            elif self.all_sent:
+            return self._on_ack(message.type, t_s)
+        return []
+
+    def _on_ack(self, result: int, t_s: float) -> list[Message]:
+        """The end, or another beginning. An early ACCEPTED is a late copy of the answer to an earlier upload."""
+        if result == MissionResult.ACCEPTED:
+            if self.all_sent:
                 self.outcome = Outcome(result=0, reason="")
-            # An early ACCEPTED is a late copy of the answer to an earlier upload.
+            return []
+        if result in _BROKEN_OFF and self._restarts < MAX_RESTARTS:
+            self._restarts += 1
+            self._last_sent, self._highest, self._sent_s = None, -1, t_s
+            return [self._count()]
+        self._refuse(result, t_s)
         return []
 
     def tick(self, t_s: float) -> list[Message]:

@@ -77,6 +77,9 @@ class Session:
         self._beat_s = -math.inf
         self._collector = TextCollector()
         self._target: Target | None = None
+        self._reached: list[int] = []
+        self._reached_marks: set[tuple[int, int]] = set()
+        self._current: Message | None = None
         self.vehicle: VehicleInfo | None = None
         self.on_text: Callable[[Text], None] | None = None
         """Called with every STATUSTEXT."""
@@ -120,15 +123,28 @@ class Session:
             messages += [m for m in self._codec.parse_buffer(data) or [] if self._is_for_us(m)]
             data = self._link.receive(0.0)
         for message in messages:
-            if message.get_type() == "HEARTBEAT" and self._target is not None:
-                self._note_heartbeat(message)
-            elif message.get_type() == "STATUSTEXT" and self.on_text is not None:
-                for text in self._collector.feed(message, now_s):
-                    self.on_text(text)
+            self._note(message, now_s)
         if self.on_text is not None:
             for text in self._collector.flush(now_s):
                 self.on_text(text)
         return messages
+
+    def _note(self, message: Message, now_s: float) -> None:
+        """Keep what may come at any time: liveness, progress, texts."""
+        kind = message.get_type()
+        if kind == "HEARTBEAT" and self._target is not None:
+            self._note_heartbeat(message)
+        elif kind == "MISSION_CURRENT":
+            self._current = message
+        elif kind == "MISSION_ITEM_REACHED":
+            mark = (message.get_seq(), message.seq)
+            if mark not in self._reached_marks:
+                # The same packet number with the same item is a copy made by the network.
+                self._reached_marks = {m for m in self._reached_marks if (mark[0] - m[0]) % 256 < 128} | {mark}
+                self._reached.append(message.seq)
+        elif kind == "STATUSTEXT" and self.on_text is not None:
+            for text in self._collector.feed(message, now_s):
+                self.on_text(text)
 
     def send(self, message: Message) -> None:
         """Send one message of the dialect."""
@@ -220,7 +236,8 @@ class Session:
         self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _FORCE_DISARM if force else 0.0)
 
     def start_mission(self, first_seq: int = 0) -> None:
-        """Start the mission (0 = from where it stands)."""
+        """Start the mission (0 = from where it stands). Items reached are counted from here on."""
+        self._reached, self._current = [], None
         self.command(mav.MAV_CMD_MISSION_START, float(first_seq), 0.0)
 
     def watch_mission(
@@ -235,20 +252,17 @@ class Session:
         """
         self._address()
         begun_s = heard_s = self._clock_s()
-        reached: list[int] = []
         shown: MissionStatus | None = None
         begun = False
-        seq, total, state = 0, 0, ProgressState.UNKNOWN
         while True:
             now_s = self._clock_s()
-            for message in self.poll():
+            if self.poll():
                 heard_s = now_s
-                if message.get_type() == "MISSION_ITEM_REACHED":
-                    reached.append(message.seq)
-                elif message.get_type() == "MISSION_CURRENT":
-                    seq, total, state = message.seq, message.total, _state(message.mission_state)
+            current = self._current
+            seq, total = (0, 0) if current is None else (current.seq, current.total)
+            state = ProgressState.UNKNOWN if current is None else _state(current.mission_state)
             armed = self.vehicle is not None and self.vehicle.armed
-            status = MissionStatus(seq=seq, total=total, state=state, reached=tuple(reached), armed=armed)
+            status = MissionStatus(seq=seq, total=total, state=state, reached=tuple(self._reached), armed=armed)
             if status != shown and on_status is not None:
                 on_status(status)
             shown = status

@@ -1,0 +1,210 @@
+"""The client's session against the service's real MAVLink server, plan store and sequencer, over a bad link in memory.
+
+Time is virtual: it passes while the client waits. The vehicle under the server flies straight to its goal.
+"""
+
+import random
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from autopilot.core.frames import wrap_pi
+from autopilot.core.messages import Event, MavlinkFrame, NavHealth, NavState, ProgressState
+from autopilot.core.params import ParamSet
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, VehicleView
+from autopilot.mavlink.server import MavlinkServer
+from mission.geodesy import Origin
+from mission.sequencer import Sequencer
+from mission.store import Plans
+
+TICK_US = 10_000
+RADIUS_M = 0.3
+ORIGIN = Origin(lat_deg=37.9755, lon_deg=23.7790)
+_POINT = GeoPoint(lat_deg=ORIGIN.lat_deg, lon_deg=ORIGIN.lon_deg, alt_m=ORIGIN.alt_m)
+OK = Answer(result=CommandResult.ACCEPTED)
+NO = Answer(result=CommandResult.UNSUPPORTED)
+
+
+class StraightVehicle:
+    """Arms, starts missions, and goes straight to every goal at 1 m/s."""
+
+    def __init__(self, plans: Plans, params: ParamSet) -> None:
+        self.plans = plans
+        self.sequencer = Sequencer(params)
+        self.loaded = -1
+        self.armed = False
+        self.pos = np.array([-1.6, -0.35, 0.45])
+        self.yaw = 0.0
+        self.not_ready = ""
+        self.starts = 0
+
+    def arm(self, force: bool) -> Answer:
+        if self.not_ready and not force:
+            return Answer(result=CommandResult.DENIED, reason=f"Arming denied: {self.not_ready}")
+        self.armed = True
+        return OK
+
+    def disarm(self, force: bool) -> Answer:
+        self.armed = False
+        return OK
+
+    def start_mission(self, first_seq: int | None) -> Answer:
+        if not self.armed or not self.plans.steps():
+            return Answer(result=CommandResult.DENIED, reason="Mission start refused: not armed or no mission")
+        self.starts += 1
+        self.sequencer.start(first_seq)
+        return OK
+
+    def set_mode(self, mode: FlightMode) -> Answer:
+        return NO
+
+    def pause(self) -> Answer:
+        return NO
+
+    def resume(self) -> Answer:
+        return NO
+
+    def set_current_item(self, seq: int) -> Answer:
+        return NO
+
+    def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
+        return NO
+
+    def change_speed(self, speed_m_s: float) -> Answer:
+        return NO
+
+    def set_home(self, point: GeoPoint | None) -> Answer:
+        return NO
+
+    def set_origin(self, point: GeoPoint) -> Answer:
+        return NO
+
+    def tick(self, t_us: int) -> tuple[tuple[int, ...], VehicleView]:
+        """Items reached, and what telemetry shows."""
+        if self.plans.revision != self.loaded and self.sequencer.state is not ProgressState.ACTIVE:
+            self.sequencer.load(self.plans.steps())
+            self.loaded = self.plans.revision
+        nav = self._nav(t_us)
+        out = self.sequencer.step(t_us, nav)
+        if out.goal is not None:
+            off = out.goal.pos_ned_m - self.pos
+            self.pos = self.pos + off * min(1.0, 0.01 / max(float(np.linalg.norm(off)), 1e-9))
+            turn = 0.0 if out.goal.yaw_rad is None else wrap_pi(out.goal.yaw_rad - self.yaw)
+            self.yaw = wrap_pi(self.yaw + max(-0.02, min(0.02, turn)))
+        view = VehicleView(
+            t_us=t_us,
+            armed=self.armed,
+            mode=FlightMode.HOLD,
+            intended_mode=FlightMode.HOLD,
+            nav=nav,
+            power=None,
+            command=None,
+            progress=out.progress,
+            target_ned_m=None,
+            origin=_POINT,
+            home=_POINT,
+            prearm_reasons=(),
+            failsafes=0,
+            cpu_load=0.0,
+            submerged=True,
+            dropped_rx=0,
+        )
+        return out.reached, view
+
+    def _nav(self, t_us: int) -> NavState:
+        zero = np.zeros(3)
+        return NavState(
+            t_us=t_us,
+            health=NavHealth.GOOD,
+            pos_ned_m=self.pos,
+            rpy_rad=np.array([0.0, 0.0, self.yaw]),
+            vel_frd_m_s=zero,
+            vel_water_frd_m_s=zero,
+            rate_frd_rad_s=zero,
+            current_ned_m_s=zero,
+            variance=np.zeros(12),
+        )
+
+
+@dataclass
+class Loss:
+    """What the link does to each datagram, in both directions."""
+
+    drop: float = 0.0
+    duplicate: float = 0.0
+    delay: float = 0.0
+    """Share of datagrams that are late by up to ``late_s``: later ones overtake them."""
+    late_s: float = 0.12
+    rng: random.Random = field(default_factory=lambda: random.Random(1))
+
+
+class MemoryLink:
+    """The client's link, and the world behind it."""
+
+    def __init__(self, loss: Loss | None = None, profile: str = "px4") -> None:
+        self.params = ParamSet()
+        self.plans = Plans(self.params, RADIUS_M, ORIGIN)
+        self.vehicle = StraightVehicle(self.plans, self.params)
+        self.loss = loss or Loss()
+        self.t_us = 0
+        self.cut = False
+        """True = nothing gets through in either direction."""
+        self.client_sent = 0
+        self._serial = 0
+        self._up: list[tuple[int, int, bytes]] = []
+        self._down: list[tuple[int, int, bytes]] = []
+        self.server = MavlinkServer(
+            sysid=1,
+            profile=profile,
+            params=self.params,
+            plans=self.plans,
+            vehicle=self.vehicle,
+            version="0.1.0",
+            git="0",
+            uid=1,
+            links=(0,),
+        )
+
+    def clock_s(self) -> float:
+        """Virtual seconds."""
+        return self.t_us * 1e-6
+
+    def send(self, data: bytes) -> None:
+        """From the client."""
+        self.client_sent += 1
+        self._post(self._up, data)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """To the client; time passes until something comes."""
+        end_us = self.t_us + round(timeout_s * 1e6)
+        while True:
+            due = sorted(entry for entry in self._down if entry[0] <= self.t_us)
+            if due:
+                self._down.remove(due[0])
+                return due[0][2]
+            if self.t_us >= end_us:
+                return b""
+            self.tick()
+
+    def close(self) -> None:
+        """Nothing to free."""
+
+    def tick(self, events: tuple[Event, ...] = ()) -> None:
+        """10 ms of the world."""
+        self.t_us += TICK_US
+        due = sorted(entry for entry in self._up if entry[0] <= self.t_us)
+        self._up = [entry for entry in self._up if entry[0] > self.t_us]
+        reached, view = self.vehicle.tick(self.t_us)
+        rx = [MavlinkFrame(link=0, data=data) for _, _, data in due]
+        for frame in self.server.step(self.t_us, rx, view, events, reached):
+            self._post(self._down, frame.data)
+
+    def _post(self, queue: list[tuple[int, int, bytes]], data: bytes) -> None:
+        loss, rng = self.loss, self.loss.rng
+        copies = 2 if rng.random() < loss.duplicate else 1
+        for _ in range(copies):
+            if self.cut or rng.random() < loss.drop:
+                continue
+            late_us = round(rng.random() * loss.late_s * 1e6) if rng.random() < loss.delay else 0
+            self._serial += 1
+            queue.append((self.t_us + late_us, self._serial, data))

@@ -1,0 +1,214 @@
+"""Plan transfer, commands and watching over good and bad links, against the service's own server."""
+
+import random
+from collections.abc import Callable
+
+import pytest
+from client_world import Loss, MemoryLink
+
+from autopilot.client.exchange import Timers
+from autopilot.client.plan_client import same_on_the_wire
+from autopilot.client.session import CommandRefusedError, MissionStatus, Session
+from autopilot.core.errors import DriverError, PlanError
+from autopilot.core.messages import ProgressState
+from autopilot.core.plan import PlanItem, PlanKind
+from mission.paper import paper_plan
+
+BAD = {"drop": 0.2, "duplicate": 0.2, "delay": 0.2}
+
+
+def session(link: MemoryLink) -> Session:
+    opened = Session(link, clock_s=link.clock_s)
+    opened.connect()
+    return opened
+
+
+def long_mission(count: int) -> tuple[PlanItem, ...]:
+    first = paper_plan().mission[0]
+    return tuple(
+        PlanItem(seq=k, frame=3, command=16, param2=0.3, x=first.x + 3 * (k % 5), y=first.y, z=-0.5)
+        for k in range(count)
+    )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_plans_arrive_whole_over_a_link_that_loses_doubles_and_swaps(seed: int) -> None:
+    link = MemoryLink(Loss(**BAD, rng=random.Random(seed)))
+    client = session(link)
+    plan = paper_plan()
+    for kind in (PlanKind.FENCE, PlanKind.RALLY, PlanKind.MISSION):
+        client.upload(kind, plan.items(kind))
+        assert same_on_the_wire(link.plans.items(kind), plan.items(kind))
+        assert same_on_the_wire(client.download(kind), plan.items(kind))
+    mission = long_mission(60)
+    client.upload(PlanKind.MISSION, mission)
+    assert same_on_the_wire(client.download(PlanKind.MISSION), mission)
+
+
+@pytest.mark.parametrize("profile", ["generic", "px4", "ardusub"])
+def test_every_profile_takes_and_gives_back_the_same_plan(profile: str) -> None:
+    link = MemoryLink(profile=profile)
+    client = session(link)
+    plan = paper_plan()
+    client.upload(PlanKind.FENCE, plan.fence)
+    client.upload(PlanKind.MISSION, plan.mission)
+    assert same_on_the_wire(link.plans.items(PlanKind.MISSION), plan.mission)
+    assert same_on_the_wire(client.download(PlanKind.MISSION), plan.mission)
+
+
+def test_progress_grows_to_the_end() -> None:
+    link = MemoryLink()
+    seen: list[tuple[int, int]] = []
+    session(link).upload(PlanKind.MISSION, long_mission(20), lambda done, total: seen.append((done, total)))
+    assert seen == sorted(seen)
+    assert seen[-1] == (20, 20)
+
+
+def test_an_empty_plan_clears() -> None:
+    link = MemoryLink()
+    client = session(link)
+    client.upload(PlanKind.MISSION, long_mission(3))
+    client.upload(PlanKind.MISSION, ())
+    assert link.plans.items(PlanKind.MISSION) == ()
+    assert client.download(PlanKind.MISSION) == ()
+
+
+@pytest.mark.parametrize("loss", [{}, BAD], ids=["good link", "bad link"])
+def test_a_refusal_comes_with_the_vehicles_reason(loss: dict[str, float]) -> None:
+    link = MemoryLink(Loss(**loss, rng=random.Random(3)))
+    client = session(link)
+    client.upload(PlanKind.FENCE, paper_plan().fence)
+    good = long_mission(5)
+    bad = (*good[:3], PlanItem(seq=3, frame=3, command=16, x=good[0].x, y=good[0].y, z=50.0), good[4])
+    client.upload(PlanKind.MISSION, good)
+    with pytest.raises(PlanError) as refusal:
+        client.upload(PlanKind.MISSION, bad)
+    if not loss:
+        assert "item 3: 50.00 m above the surface; altitude must be <= 0" in str(refusal.value)
+    assert same_on_the_wire(link.plans.items(PlanKind.MISSION), good)
+
+
+def test_a_refusal_of_the_whole_plan_names_the_obstacle() -> None:
+    link = MemoryLink()
+    client = session(link)
+    client.upload(PlanKind.FENCE, paper_plan().fence)
+    circle = paper_plan().fence[5]
+    inside = PlanItem(seq=0, frame=3, command=16, x=circle.x, y=circle.y, z=-0.5)
+    with pytest.raises(PlanError, match=r"item 0: waypoint .* exclusion circle \(fence item 5\)"):
+        client.upload(PlanKind.MISSION, (inside,))
+
+
+def test_a_vehicle_that_falls_silent_is_reported() -> None:
+    link = MemoryLink()
+    client = session(link)
+    link.cut = True
+    with pytest.raises(PlanError, match="did not answer for 10 s"):
+        client.upload(PlanKind.MISSION, long_mission(3))
+    with pytest.raises(PlanError, match="did not answer"):
+        client.download(PlanKind.FENCE)
+    with pytest.raises(CommandRefusedError, match="did not answer"):
+        client.arm()
+
+
+def test_no_vehicle_at_all() -> None:
+    link = MemoryLink()
+    link.cut = True
+    with pytest.raises(DriverError, match="no vehicle heard on link within 2 s"):
+        Session(link, clock_s=link.clock_s).connect(2.0)
+
+
+def _drop_acks(link: MemoryLink) -> Callable[[bytes], None]:
+    """Make the link swallow every MISSION_ACK (message 47) of the vehicle."""
+    receive = link.receive
+
+    def without_acks(timeout_s: float) -> bytes:
+        data = receive(timeout_s)
+        return b"" if data[7:10] == b"\x2f\x00\x00" else data
+
+    link.receive = without_acks  # type: ignore[method-assign]
+    return link.send
+
+
+def test_an_upload_whose_final_answer_is_lost_for_good_is_checked_by_reading_back() -> None:
+    link = MemoryLink()
+    client = session(link)
+    _drop_acks(link)
+    client.upload(PlanKind.MISSION, long_mission(4))
+    assert len(link.plans.items(PlanKind.MISSION)) == 4
+
+
+def test_arm_refused_with_reasons_then_forced() -> None:
+    link = MemoryLink()
+    client = session(link)
+    link.vehicle.not_ready = "no position estimate"
+    with pytest.raises(CommandRefusedError, match="no position estimate"):
+        client.arm()
+    assert not link.vehicle.armed
+    client.arm(force=True)
+    assert link.vehicle.armed
+    assert client.vehicle is not None
+    assert client.vehicle.armed
+
+
+@pytest.mark.parametrize("loss", [{}, BAD], ids=["good link", "bad link"])
+def test_the_papers_mission_flown_from_the_client(loss: dict[str, float]) -> None:
+    link = MemoryLink(Loss(**loss, rng=random.Random(5)))
+    client = session(link)
+    plan = paper_plan(3)
+    client.upload(PlanKind.FENCE, plan.fence)
+    client.upload(PlanKind.MISSION, plan.mission)
+    with pytest.raises(CommandRefusedError, match="not armed"):
+        client.start_mission()
+    client.arm()
+    client.start_mission()
+    seen: list[MissionStatus] = []
+    status = client.watch_mission(seen.append, timeout_s=120.0)
+    assert status.state is ProgressState.COMPLETE
+    if not loss:
+        assert status.reached == (0, 1, 2, 1, 2, 1, 2)
+    assert [len(s.reached) for s in seen] == sorted(len(s.reached) for s in seen)
+
+
+def test_watching_ends_when_the_vehicle_disarms_or_time_is_up() -> None:
+    link = MemoryLink()
+    client = session(link)
+    client.upload(PlanKind.MISSION, (*long_mission(1), _far(1)))
+    client.arm()
+    client.start_mission()
+    with pytest.raises(DriverError, match="after 1 s"):
+        client.watch_mission(timeout_s=1.0)
+    link.vehicle.armed = False
+    status = client.watch_mission()
+    assert not status.armed
+    assert status.state is ProgressState.ACTIVE
+    client.arm()
+    link.cut = True
+    with pytest.raises(DriverError, match="silent"):
+        client.watch_mission(silence_s=1.0)
+
+
+def _far(seq: int) -> PlanItem:
+    first = paper_plan().mission[0]
+    return PlanItem(seq=seq, frame=3, command=16, x=first.x + 20_000, y=first.y, z=-0.5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_long_reasons_survive_doubled_and_swapped_chunks(seed: int) -> None:
+    link = MemoryLink(Loss(drop=0.0, duplicate=0.5, delay=0.5, rng=random.Random(seed)))
+    client = session(link)
+    high = PlanItem(seq=0, frame=3, command=16, x=379755000, y=237790000, z=50.0)
+    with pytest.raises(PlanError) as refusal:
+        client.upload(PlanKind.MISSION, (high,))
+    said = "item 0: 50.00 m above the surface; altitude must be <= 0: depth 0.4 m is altitude -0.4"
+    assert str(refusal.value).endswith(said)
+
+
+def test_timers_can_be_patient() -> None:
+    link = MemoryLink()
+    client = Session(link, Timers(give_up_s=1.0), clock_s=link.clock_s)
+    client.connect()
+    link.cut = True
+    begun = link.clock_s()
+    with pytest.raises(PlanError, match="for 1 s"):
+        client.download(PlanKind.MISSION)
+    assert link.clock_s() - begun == pytest.approx(1.0, abs=0.1)
