@@ -23,10 +23,13 @@ class SafeThrusterOutput(Closing):
         self._timeout_us = round(drive.command_timeout_s * 1e6)
         self._last_us: int | None = None
         self._open = False
+        self._at_rest = False
         self.stale_count = 0
         """How often the outputs went to neutral because commands stopped coming."""
         self.clamped_count = 0
         """Pulses that were outside neutral +- span and were cut to it."""
+        self.failed_neutral_count = 0
+        """How often not even neutral could be sent; the amplifiers' own timeout is then what stops the thrusters."""
 
     @abstractmethod
     def _acquire(self) -> None:
@@ -57,6 +60,7 @@ class SafeThrusterOutput(Closing):
         wanted = tuple(int(pulse) for pulse in pwm_us[: len(self._neutral_us)])
         sent = tuple(min(self._high_us, max(self._low_us, pulse)) for pulse in wanted)
         self.clamped_count += sum(a != b for a, b in zip(wanted, sent, strict=True))
+        self._at_rest = False
         try:
             self._put(sent)
         except (DriverError, OSError) as error:
@@ -65,20 +69,23 @@ class SafeThrusterOutput(Closing):
         self._last_us = t_us
 
     def check(self, t_us: int) -> bool:
-        """To be called every tick: neutral when the last command is too old; True while it is."""
-        if self._last_us is None:
-            return True
-        if t_us - self._last_us <= self._timeout_us:
-            return False
-        self.stale_count += 1
-        self.neutral()
+        """To be called every tick: neutral when the last command is too old; True while it is.
+
+        Does not raise: a neutral that does not get through is counted and tried again at the next tick.
+        """
+        if self._last_us is not None:
+            if t_us - self._last_us <= self._timeout_us:
+                return False
+            self.stale_count += 1
+            self._last_us = None
+        if self._open and not self._at_rest:
+            self._try_neutral()
         return True
 
     def neutral(self) -> None:
-        """Stop all thrusters now; a fresh command starts them again."""
-        self._last_us = None
-        if self._open:
-            self._put(self._neutral_us)
+        """Stop all thrusters now; a fresh command starts them again. DriverError if the wire fails."""
+        if self._open and not self._try_neutral():
+            raise DriverError("thruster output failed: neutral did not get through; check cable and power")
 
     def close(self) -> None:
         """Neutral, then let go of the device. Idempotent; the device is let go of even when neutral fails."""
@@ -87,13 +94,13 @@ class SafeThrusterOutput(Closing):
             self._open = False
             self._release()
 
-    def _try_neutral(self) -> None:
-        """Neutral if the wire still takes it: an error is being handled or the device is being closed."""
+    def _try_neutral(self) -> bool:
+        """Neutral if the wire still takes it; whether it did."""
         self._last_us = None
         try:
             self._put(self._neutral_us)
         except (DriverError, OSError):
             self.failed_neutral_count += 1
-
-    failed_neutral_count = 0
-    """How often not even neutral could be sent; the amplifiers' own timeout is then what stops the thrusters."""
+            return False
+        self._at_rest = True
+        return True

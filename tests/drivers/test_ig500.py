@@ -2,8 +2,11 @@
 
 import os
 import pty
+import select
 import struct
 import tty
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -162,16 +165,28 @@ def test_configures_again_when_the_device_falls_silent() -> None:
 def test_over_a_real_serial_line() -> None:
     device, line = pty.openpty()
     tty.setraw(device)
+
+    def soon(look: Callable[[], list[Any]], count: int) -> list[Any]:
+        """What ``look`` gives in all, once it is ``count``: a terminal hands bytes on in its own time."""
+        found: list[Any] = []
+        for _ in range(400):
+            found += look()
+            if len(found) >= count:
+                break
+            select.select([], [], [], 0.005)
+        return found
+
     try:
         with Ig500(SerialPort(os.ttyname(line), 115200), latency_s=0.01) as driver:
-            commands = FrameParser().feed(os.read(device, 1024))
+            parser = FrameParser()
+            commands = soon(lambda: parser.feed(os.read(device, 1024)), 2)
             assert [f.command for f in commands] == [SET_OUTPUT_MASK, SET_CONTINUOUS_MODE]
             assert driver.poll(0) == []
             data = frame(40, 0.5)
             os.write(device, data[:20])
             assert driver.poll(45_000) == []
             os.write(device, data[20:])
-            (sample,) = driver.poll(50_000)
+            (sample,) = soon(lambda: driver.poll(50_000), 1)
             assert sample.t_us == 40_000
             assert sample.rpy_rad[2] == pytest.approx(0.5, abs=1e-6)
     finally:

@@ -110,6 +110,26 @@ def test_too_few_pulses_stop_the_vehicle(output: Output) -> None:
         assert output.pwm_us == NEUTRAL
 
 
+def test_neutral_is_tried_again_until_the_wire_takes_it() -> None:
+    output = WireOutput(VEHICLE)
+    output.open()
+    output.write(0, (1600,) * 4)
+    output.broken = True
+    assert output.check(TIMEOUT_US + 1)
+    assert output.check(TIMEOUT_US + 2)
+    assert (output.stale_count, output.failed_neutral_count) == (1, 2)
+    with pytest.raises(DriverError, match="neutral did not get through"):
+        output.neutral()
+    assert output.pwm_us == (1600,) * 4
+    output.broken = False
+    assert output.check(TIMEOUT_US + 3)
+    assert output.pwm_us == NEUTRAL
+    carried = len(output.carried)
+    assert output.check(TIMEOUT_US + 4)
+    assert len(output.carried) == carried  # said once, not every tick
+    output.close()
+
+
 def test_a_broken_wire_raises_once_and_closing_still_lets_go() -> None:
     output = WireOutput(VEHICLE)
     output.open()

@@ -77,7 +77,7 @@ def run(
     return samples, frames
 
 
-def times(samples: Sequence[tuple[int, Any]], kind: type) -> list[int]:
+def times(samples: Sequence[tuple[int, Any]], kind: type[Any]) -> list[int]:
     return [int(sample.t_us) for _, sample in samples if type(sample) is kind]
 
 
