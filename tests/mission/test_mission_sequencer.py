@@ -336,7 +336,7 @@ def _item(seq: int, count: int, spec: tuple) -> PlanItem:
     return plain(seq, int(command), *params)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(steps, min_size=1, max_size=8), st.lists(st.integers(0, 400), max_size=3))
 def test_any_mission_comes_to_an_end_with_sane_outputs(specs: list[tuple], pauses: list[int]) -> None:
     items = [_item(k, len(specs), spec) for k, spec in enumerate(specs)]

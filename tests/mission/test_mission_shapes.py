@@ -106,7 +106,7 @@ def test_area_of_a_rectangle_far_from_the_origin() -> None:
     assert signed_area_m2(vertices) == pytest.approx(6.0, abs=1e-9)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(shapes, shapes)
 def test_gap_is_the_distance_of_the_outlines(a: Shape, b: Shape) -> None:
     gap, middle = boundary_gap_m(a, b)
