@@ -83,7 +83,9 @@ class ObserverCore:
         """Variances grow; that of the position also as if the velocity were wrong all along in one direction."""
         blind = 10.0 if step.mode is Mode.BLIND else 1.0
         p = state.p + (blind * step.dt_s) * self._growth
-        p[POS] += 2.0 * step.dt_s * np.sqrt(p[POS] * p[VEL]) * (0.0 if step.mode is Mode.NOMINAL else 1.0)
+        p[POS] += (
+            2.0 * step.dt_s * np.sqrt(p[POS] * p[VEL]) * (0.0 if step.mode in (Mode.NOMINAL, Mode.TRIMMED) else 1.0)
+        )
         return FilterState(np.array(moved(state.x, step)), p)
 
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
@@ -140,7 +142,7 @@ class ObserverCore:
 
 
 def _fix_gain(gain: FloatArray, x: FloatArray) -> FloatArray:
-    """The adaptive gain (17, 4) with the fixed rows for velocity and biases; the position's share sets their size."""
+    """The adaptive gain (18, 4) with the fixed rows for velocity and biases; the position's share sets their size."""
     c, s = np.cos(x[YAW]), np.sin(x[YAW])
     gain[VEL] = 0.0
     gain[4, 0] = gain[5, 1] = gain[6, 2] = K_VEL
@@ -154,7 +156,7 @@ def _fix_gain(gain: FloatArray, x: FloatArray) -> FloatArray:
 
 
 def _model_gain(x: FloatArray) -> FloatArray:
-    """Gain (17, 2): an acceleration that the model does not explain is water that pushes."""
+    """Gain (18, 2): an acceleration that the model does not explain is water that pushes."""
     c, s = float(np.cos(x[YAW])), float(np.sin(x[YAW]))
     gain = np.zeros((NX, 2))
     gain[CURRENT] = K_CURRENT_S * np.array([[c, -s], [s, c]])

@@ -18,16 +18,16 @@ class Innovation(NamedTuple):
     test_ratio: float
     """Squared distance over its gate, > 1 = to be rejected."""
     gain: FloatArray
-    """(17, m) what a unit of residual moves."""
+    """(18, m) what a unit of residual moves."""
     spread: FloatArray
-    """(17, m) covariance between state and residual (the observer: unused)."""
+    """(18, m) covariance between state and residual (the observer: unused)."""
 
 
 class FilterCore(Protocol):
     """Pure functions of a filter state: nothing is remembered between calls, so that history can be replayed."""
 
     def start(self, x: FloatArray) -> FilterState:
-        """First state around ``x`` (17,)."""
+        """First state around ``x`` (18,)."""
         ...
 
     def predict(self, state: FilterState, step: Step) -> FilterState:

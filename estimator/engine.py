@@ -19,7 +19,7 @@ from autopilot.core.vehicle import Vehicle
 from estimator.aiding import Aid
 from estimator.core import FilterCore
 from estimator.history import History, Node
-from estimator.inertial import AhrsDoor, Inertial, Mode, made_up, step_between
+from estimator.inertial import AhrsDoor, Inertial, Mode, level, made_up, step_between
 from estimator.intake import AidingSample, Intake
 from estimator.markers_pose import MarkerSolver
 from estimator.measure_heading import heading_of
@@ -33,6 +33,7 @@ from estimator.relocation import Relocation
 from estimator.startup import StartUp
 from estimator.states import YAW, initial_state
 from estimator.thrust import ThrustLag
+from estimator.tilt import TiltTrim
 
 HEADING_EVERY = 10
 """AHRS samples per heading measurement: 10 Hz."""
@@ -75,6 +76,7 @@ class Engine:
         self._heading, self._aid_model = Aid("heading"), Aid("model")
         self._intake = Intake({PoseSample: self._markers, MarkerSighting: self._markers, LaserSample: self._laser})
         self._startup = StartUp()
+        self._trim = TiltTrim()
         self._relocation = Relocation()
         self._history: History | None = None
         self._recent: deque[Inertial] = deque(maxlen=128)
@@ -129,8 +131,8 @@ class Engine:
             ahrs.sort(key=lambda s: s.t_us)
         for sample in ahrs:
             newest_us = self._recent[-1].t_us if self._recent else -1
-            inertial = self._door.let_in(sample, self._now_us, newest_us)
-            if inertial is not None:
+            if self._door.let_in(sample, self._now_us, newest_us):
+                inertial = level(sample, self._trim.at(sample))
                 self._recent.append(inertial)
                 if self._history is not None:
                     self._advance(self._history, inertial)
@@ -146,6 +148,8 @@ class Engine:
             mode = Mode.BLIND
         elif inertial.t_us - (self._markers.last_fused_us or newest.t_us) > COAST_AFTER_US:
             mode = Mode.COASTING
+        elif self._trim.fresh(inertial.t_us):
+            mode = Mode.TRIMMED
         moment = Moment(inertial, self._thrust.at(inertial.t_us))
         node = history.append(inertial.t_us, moment, step_between(newest.moment.inertial, inertial, mode))
         if not inertial.real:
@@ -267,6 +271,8 @@ class Engine:
         y = self._fuse(history, node, fix, self._markers)
         if y is None:
             self._relocation.accepted()
+            if fix.tilt_rad is not None and node.moment.inertial.real:
+                self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
             return True
         if self._relocation.rejected(fix.t_us, y):
             self._relocate(history, fix, y)

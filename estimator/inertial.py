@@ -34,6 +34,8 @@ class Mode(IntEnum):
     """No vision for a while: the current is held."""
     BLIND = 2
     """No AHRS: the acceleration is the vehicle model's."""
+    TRIMMED = 3
+    """Vision, and its tilt keeps gravity out of the acceleration."""
 
 
 class Inertial(NamedTuple):
@@ -49,6 +51,8 @@ class Inertial(NamedTuple):
     """Acceleration without gravity, forward/right/down in the level frame that turns with the heading."""
     rate_frd_rad_s: FloatArray
     """(3,)"""
+    raw_tilt_rad: tuple[float, float]
+    """Roll and pitch as the AHRS shows them."""
     real: bool
     """False = made up because no AHRS data came."""
 
@@ -73,9 +77,10 @@ class Verdict(Enum):
     STUCK = "stuck"
 
 
-def level(sample: AhrsSample) -> Inertial:
-    """The sample in the level frame: rotate by pitch and roll, take gravity away."""
-    roll, pitch, yaw = sample.rpy_rad.tolist()
+def level(sample: AhrsSample, trim_rad: tuple[float, float] = (0.0, 0.0)) -> Inertial:
+    """The sample in the level frame: take the trim off roll and pitch, rotate by them, take gravity away."""
+    raw_roll, raw_pitch, yaw = sample.rpy_rad.tolist()
+    roll, pitch = raw_roll - trim_rad[0], raw_pitch - trim_rad[1]
     _, q, r = sample.rate_frd_rad_s.tolist()
     fx, fy, fz = sample.accel_frd_m_s2.tolist()
     cr, sr = math.cos(roll), math.sin(roll)
@@ -89,6 +94,7 @@ def level(sample: AhrsSample) -> Inertial:
         (sr * q + cr * r) / max(cp, 0.1),
         (cp * fx + sp * down, cr * fy - sr * fz, -sp * fx + cp * down + GRAVITY_M_S2),
         sample.rate_frd_rad_s,
+        (raw_roll, raw_pitch),
         True,
     )
 
@@ -106,6 +112,7 @@ def made_up(
         yaw_rate_rad_s=yaw_rate,
         accel_level_m_s2=accel_level_m_s2,
         rate_frd_rad_s=np.array([0.0, 0.0, yaw_rate]),
+        raw_tilt_rad=last.raw_tilt_rad,
         real=False,
     )
 
@@ -139,11 +146,11 @@ class AhrsDoor:
         self._last: list[float] = []
         self._repeats = 0
 
-    def let_in(self, sample: AhrsSample, now_us: int, newest_us: int) -> Inertial | None:
-        """The sample, levelled, if it is good at ``now_us`` when everything up to ``newest_us`` has been used."""
+    def let_in(self, sample: AhrsSample, now_us: int, newest_us: int) -> bool:
+        """Whether the sample is good at ``now_us`` when everything up to ``newest_us`` has been used."""
         verdict = self._check(sample, now_us, newest_us)
         self.counts[verdict] += 1
-        return level(sample) if verdict is Verdict.GOOD else None
+        return verdict is Verdict.GOOD
 
     def _check(self, sample: AhrsSample, now_us: int, newest_us: int) -> Verdict:
         rpy, rate, accel = sample.rpy_rad, sample.rate_frd_rad_s, sample.accel_frd_m_s2

@@ -41,9 +41,12 @@ class MarkerSolver:
     def __init__(self, camera: CameraModel, markers: MarkerMap) -> None:
         self._camera = camera
         self._corners_ned_m = markers.corners_ned_m
-        self._by_id: dict[int, IntArray] = {int(i): np.flatnonzero(markers.ids == i) for i in np.unique(markers.ids)}
         self._plane_m = markers.corners_ned_m[..., 0] + 1j * markers.corners_ned_m[..., 1]
         self._floor_m = float(markers.corners_ned_m[..., 2].mean())
+        self._centers: list[complex] = self._plane_m.mean(axis=1).tolist()
+        self._by_id: dict[int, list[tuple[int, complex]]] = {}
+        for j, (i, center) in enumerate(zip(markers.ids.tolist(), self._centers, strict=True)):
+            self._by_id.setdefault(i, []).append((j, center))
 
     def well_formed(self, sighting: MarkerSighting) -> bool:
         """Whether the arrays have the right shapes and hold finite pixels."""
@@ -60,19 +63,17 @@ class MarkerSolver:
             return None
         r_ned = r_ned_from_frd(rpy_rad)
         eye = pos_ned_m + r_ned @ self._camera.position_frd_m
-        rays = self._camera.normalized(sighting.corners_px[known].mean(axis=1))
+        rays = self._camera.normalized(0.25 * sighting.corners_px[known].sum(axis=1))
         rays_ned = np.column_stack((rays, np.ones(len(rays)))) @ (r_ned @ R_FRD_FROM_CAM).T
         scale = (self._floor_m - eye[2]) / np.maximum(rays_ned[:, 2], 0.1)
-        seen = eye[:2] + scale[:, None] * rays_ned[:, :2]
+        seen = eye[0] + 1j * eye[1] + scale * (rays_ned[:, 0] + 1j * rays_ned[:, 1])
         matched, which, shifts = [], [], []
-        for k, (n, e) in zip(known, seen.tolist(), strict=True):
-            candidates = self._by_id[sighting.ids[k]]
-            offsets = self._plane_m[candidates].mean(axis=1) - complex(n, e)
-            best = int(np.abs(offsets).argmin())
-            if abs(offsets[best]) <= NEAREST_M:
+        for k, place in zip(known, seen.tolist(), strict=True):
+            offset, best = min((abs(center - place), j) for j, center in self._by_id[sighting.ids[k]])
+            if offset <= NEAREST_M:
                 matched.append(k)
-                which.append(int(candidates[best]))
-                shifts.append(complex(offsets[best]))
+                which.append(best)
+                shifts.append(self._centers[best] - place)
         if not matched:
             return None
         shift = np.array(shifts)
@@ -86,7 +87,7 @@ class MarkerSolver:
     def locate(self, sighting: MarkerSighting, roll_rad: float, pitch_rad: float) -> PoseFix | None:
         """Fix from nothing but the tilt: every marker of the image votes, None without a clear winner."""
         q = self._level_rays(sighting.corners_px, roll_rad, pitch_rad)
-        pairs = [(k, int(j)) for k, i in enumerate(sighting.ids) for j in self._by_id.get(i, ())]
+        pairs = [(k, j) for k, i in enumerate(sighting.ids) for j, _ in self._by_id.get(i, ())]
         if not pairs:
             return None
         seen, placed = np.array(pairs).T
@@ -158,7 +159,14 @@ class MarkerSolver:
                 return None
             best = again
         z = np.append(best.pos_ned_m, best.rpy_rad[2])
-        return PoseFix(sensor="markers", t_us=sighting.t_us, z=z, noise=best.covariance)
+        return PoseFix(
+            sensor="markers",
+            t_us=sighting.t_us,
+            z=z,
+            noise=best.covariance,
+            tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
+            sigma_tilt_rad=best.sigma_tilt_rad,
+        )
 
 
 def _winner(seen: IntArray, a: np.ndarray, b: np.ndarray) -> IntArray | None:

@@ -19,7 +19,7 @@ from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
 from autopilot.core.vehicle import Vehicle
 from estimator.inertial import Inertial
 from estimator.measurement import Moment
-from estimator.states import GYRO_BIAS, NX, YAW
+from estimator.states import DRAG_EXCESS, GYRO_BIAS, NX, YAW
 
 SIGMA_M_S2 = 0.06
 """Error of the modelled acceleration: tether, drag and thrust coefficients. For 25 looks per second that share it."""
@@ -49,7 +49,8 @@ class ModelAid:
         u, v, r, c, s = _relative(x, moment)
         m11, m22 = self.model.mass_kg[:2]
         lin, quad = self.model.linear_drag, self.model.quadratic_drag
-        fu, fv = -(lin[0] + quad[0] * _slope(u)) / m11, -(lin[1] + quad[1] * _slope(v)) / m22
+        more = 1.0 + float(x[DRAG_EXCESS])
+        fu, fv = -more * (lin[0] + quad[0] * _slope(u)) / m11, -more * (lin[1] + quad[1] * _slope(v)) / m22
         cross_v, cross_u = (m22 / m11 - 1.0) * r, (1.0 - m11 / m22) * r
         jac = np.zeros((2, NX))
         # Through u_r = c rn + s re and v_r = c re - s rn, with d u_r/d yaw = v_r and d v_r/d yaw = -u_r.
@@ -66,6 +67,8 @@ class ModelAid:
         jac[0, GYRO_BIAS] = -(m22 / m11 - 1.0) * v
         jac[1, GYRO_BIAS] = -(1.0 - m11 / m22) * u
         jac[0, 8] = jac[1, 9] = 1.0
+        drag_u, drag_v = _drag(self.model, u, v)
+        jac[0, DRAG_EXCESS], jac[1, DRAG_EXCESS] = -drag_u, -drag_v
         jac[0, 13], jac[0, 14] = k0 * c, k0 * s
         jac[1, 13], jac[1, 14] = -k1 * s, k1 * c
         return jac
@@ -82,8 +85,23 @@ def expected_acceleration(
     """Acceleration over ground forward, right, down in the level frame [m/s^2], and of the yaw rate [rad/s^2]."""
     u, v, r, c, s = _relative(x, moment)
     du, dv, dw, dr = body_acceleration(model, (u, v, float(x[6]), r), moment.thrust_n, math)
-    gn, ge = float(x[13]), float(x[14])
-    return du - r * v + follow[0] * (c * gn + s * ge), dv + r * u + follow[1] * (c * ge - s * gn), dw, dr
+    gn, ge, excess = float(x[13]), float(x[14]), float(x[DRAG_EXCESS])
+    drag_u, drag_v = _drag(model, u, v)
+    return (
+        du - r * v - excess * drag_u + follow[0] * (c * gn + s * ge),
+        dv + r * u - excess * drag_v + follow[1] * (c * ge - s * gn),
+        dw,
+        dr,
+    )
+
+
+def _drag(model: Model4, u: float, v: float) -> tuple[float, float]:
+    """Deceleration by the model's drag in surge and sway [m/s^2]."""
+    lin, quad = model.linear_drag, model.quadratic_drag
+    return (
+        (lin[0] + quad[0] * math.sqrt(u * u + ABS_SMOOTHING_M2_S2)) * u / model.mass_kg[0],
+        (lin[1] + quad[1] * math.sqrt(v * v + ABS_SMOOTHING_M2_S2)) * v / model.mass_kg[1],
+    )
 
 
 _NOISE: FloatArray = np.eye(2) * SIGMA_M_S2**2

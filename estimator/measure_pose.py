@@ -28,6 +28,9 @@ class PoseFix:
     """(4,)"""
     noise: FloatArray
     """(4, 4)"""
+    tilt_rad: tuple[float, float] | None = None
+    """Roll and pitch that the same image shows."""
+    sigma_tilt_rad: float = 0.0
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Position moved on with the velocity, yaw with the rate."""

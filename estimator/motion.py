@@ -11,8 +11,8 @@ from estimator.tuning import CURRENT_RATE_TIME_S
 
 
 def moved(x: FloatArray, step: Step) -> list[float]:
-    """State (17) after the step: the accelerometer moves the velocity, the gyro the heading."""
-    n, e, d, yaw, vn, ve, vd, bg, bx, by, bz, cn, ce, gn, ge, off, laser = x.tolist()
+    """State (18) after the step: the accelerometer moves the velocity, the gyro the heading."""
+    n, e, d, yaw, vn, ve, vd, bg, bx, by, bz, cn, ce, gn, ge, off, laser, drag = x.tolist()
     dt = step.dt_s
     ax, ay, az = step.accel_level_m_s2
     c, s = math.cos(yaw), math.sin(yaw)
@@ -38,11 +38,12 @@ def moved(x: FloatArray, step: Step) -> list[float]:
         fade * ge,
         off,
         laser,
+        drag,
     ]
 
 
 def fill_jacobian(jac: FloatArray, x: FloatArray, step: Step) -> None:
-    """Write d moved / dx into ``jac`` (17, 17), which must be the identity or a matrix filled by this function."""
+    """Write d moved / dx into ``jac`` (18, 18), which must be the identity or a matrix filled by this function."""
     dt = step.dt_s
     yaw = float(x[3])
     c, s = math.cos(yaw), math.sin(yaw)

@@ -12,10 +12,13 @@ from estimator.inertial import Mode, hold
 from estimator.motion import moved
 from estimator.options import EstimatorOptions
 
-TILT_VARIANCE_RAD2 = math.radians(0.5) ** 2
-"""Roll and pitch are the AHRS's: 0.5 degrees."""
-NO_TILT_VARIANCE_RAD2 = math.radians(5.0) ** 2
-"""Without AHRS the vehicle is taken as level; its righting moment keeps it there within a few degrees."""
+TILT_VARIANCE_RAD2 = {
+    Mode.NOMINAL: math.radians(0.5) ** 2,
+    Mode.COASTING: math.radians(0.5) ** 2,
+    Mode.TRIMMED: math.radians(0.1) ** 2,
+    Mode.BLIND: math.radians(5.0) ** 2,
+}
+"""Roll and pitch: of the AHRS, trimmed by vision, or without AHRS level as the righting moment keeps the vehicle."""
 
 
 def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets: int) -> NavState:
@@ -23,7 +26,7 @@ def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets
     inertial = node.moment.inertial
     after_s = 1e-6 * (t_us - node.t_us)
     x = node.state.x.tolist() if after_s <= 0.0 else moved(node.state.x, hold(inertial, t_us, Mode.NOMINAL))
-    n, e, d, yaw, vn, ve, vd, gyro_bias, _, _, _, cn, ce, _, _, _, _ = x
+    n, e, d, yaw, vn, ve, vd, gyro_bias, _, _, _, cn, ce, _, _, _, _, _ = x
     p, q, r = inertial.rate_frd_rad_s.tolist()
     roll, pitch = inertial.roll_rad + p * after_s, inertial.pitch_rad + q * after_s
     sr, cr, sp, cp, sy, cy = (
@@ -42,7 +45,7 @@ def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets
         return [cp * forward - sp * down, cr * right + sr * below, cr * below - sr * right]
 
     pn, pe, pd, pyaw, pu, pv, pw, pcn, pce, pcd = core.variance(node.state, cy, sy)
-    tilt = TILT_VARIANCE_RAD2 if inertial.real else NO_TILT_VARIANCE_RAD2
+    tilt = TILT_VARIANCE_RAD2[node.step.mode if node.step is not None else Mode.NOMINAL]
     return NavState(
         t_us=t_us,
         health=health,

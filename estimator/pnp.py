@@ -4,6 +4,7 @@ All six degrees of freedom are solved for. The AHRS's roll and pitch come in as 
 when one or two markers leave the tilt open and do not matter when many are seen.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +13,9 @@ from autopilot.core.camera import NEAR_M, R_FRD_FROM_CAM, CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
 
-STEPS = 6
-CONVERGED = 1e-5
-"""Steps end when nothing moves by more than this [m, rad]."""
+STEPS = 10
+CONVERGED = 1e-4
+"""Steps end when nothing moves by more than this [m, rad]; what is left is its square."""
 TILT_SIGMA_FEW_RAD = 0.009
 """0.5 degrees: the AHRS's tilt as a prior when at most two markers are seen."""
 TILT_SIGMA_MANY_RAD = 0.09
@@ -36,6 +37,8 @@ class Pose(NamedTuple):
     """(3,)"""
     covariance: FloatArray
     """(4, 4) of north, east, down, yaw; floors included."""
+    sigma_tilt_rad: float
+    """Larger one of the standard deviations of the two tilts."""
     residual_px: FloatArray
     """(m, 2)"""
 
@@ -48,24 +51,22 @@ def solve_pose(
     rotation = r_ned_from_frd(rpy_rad)
     up_prior = rotation.T[:, 2].copy()
     sigma_tilt = TILT_SIGMA_FEW_RAD if len(points_ned_m) <= FEW_POINTS else TILT_SIGMA_MANY_RAD
-    sigma_px = MIN_SIGMA_PX
     for _ in range(STEPS):
         linear = _linearise(camera, points_ned_m, pixels, pos, rotation)
         if linear is None:
             return None
         residual, jac = linear
-        sigma_px = max(MIN_SIGMA_PX, float(np.sqrt(np.mean(residual * residual))))
+        sigma_px = max(MIN_SIGMA_PX, _rms(residual))
         information, gradient = _normal_equations(residual, jac, sigma_px, rotation, up_prior, sigma_tilt)
         delta: FloatArray = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         pos = pos + delta[:3]
         rotation = _turn(delta[3:]) @ rotation
+        residual = residual - jac @ delta
         if float(np.abs(delta).max()) < CONVERGED:
             break
-    linear = _linearise(camera, points_ned_m, pixels, pos, rotation)
-    if linear is None or not np.isfinite(pos).all():
+    else:
         return None
-    residual, jac = linear
-    rms = float(np.sqrt(np.mean(residual * residual)))
+    rms = _rms(residual)
     if not rms <= MAX_RMS_PX:
         return None
     information, _ = _normal_equations(residual, jac, max(MIN_SIGMA_PX, rms), rotation, up_prior, sigma_tilt)
@@ -73,7 +74,8 @@ def solve_pose(
     pick = np.array([0, 1, 2, 5])
     noise = covariance[np.ix_(pick, pick)]
     noise[np.arange(4), np.arange(4)] += np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2
-    return Pose(pos, rpy_from_r(rotation), noise, residual.reshape(-1, 2))
+    sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))
+    return Pose(pos, rpy_from_r(rotation), noise, sigma_tilt_rad, residual.reshape(-1, 2))
 
 
 def _linearise(
@@ -137,6 +139,10 @@ def _normal_equations(
     gradient[3] += tilt * float(lean[1])
     gradient[4] -= tilt * float(lean[0])
     return information, gradient
+
+
+def _rms(residual: FloatArray) -> float:
+    return math.sqrt(float(residual @ residual) / len(residual))
 
 
 def _turn(vector: FloatArray) -> FloatArray:

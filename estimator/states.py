@@ -6,7 +6,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 
-NX = 17
+NX = 18
 """Number of states."""
 
 POS = slice(0, 3)
@@ -29,26 +29,28 @@ HEADING_OFFSET = 15
 """Heading that the AHRS shows minus true heading [rad]."""
 LASER_BIAS = 16
 """Range that the laser shows minus true range [m]."""
+DRAG_EXCESS = 17
+"""Share by which surge and sway drag exceed the model's: growth, wear, a tether in tow."""
 
 
 class FilterState(NamedTuple):
     """Estimate at one moment. The arrays are never changed in place, only replaced."""
 
     x: FloatArray
-    """(17,)"""
+    """(18,)"""
     p: FloatArray
-    """Covariance (17, 17) in the Kalman filter, variances (17,) in the observer."""
+    """Covariance (18, 18) in the Kalman filter, variances (18,) in the observer."""
 
 
 INITIAL_SIGMA: FloatArray = np.array(
-    [0.03, 0.03, 0.03, 0.03, 0.3, 0.3, 0.1, 0.02, 0.15, 0.15, 0.1, 0.2, 0.2, 0.05, 0.05, 0.05, 0.02]
+    [0.03, 0.03, 0.03, 0.03, 0.3, 0.3, 0.1, 0.02, 0.15, 0.15, 0.1, 0.2, 0.2, 0.05, 0.05, 0.05, 0.02, 0.15]
 )
-"""(17,) standard deviations at start-up: position from one fix, moderate speed, current and biases not known."""
+"""(18,) standard deviations at start-up: position from one fix, moderate speed, current and biases not known."""
 INITIAL_SIGMA.flags.writeable = False
 
 
 def initial_state(pos_ned_m: FloatArray, yaw_rad: float, heading_offset_rad: float) -> FloatArray:
-    """State (17,) of a vehicle at rest at that pose."""
+    """State (18,) of a vehicle at rest at that pose."""
     x = np.zeros(NX)
     x[POS] = pos_ned_m
     x[YAW] = yaw_rad

@@ -4,7 +4,19 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from estimator.inertial import Mode
-from estimator.states import ACCEL_BIAS, CURRENT, CURRENT_RATE, GYRO_BIAS, HEADING_OFFSET, LASER_BIAS, NX, POS, VEL, YAW
+from estimator.states import (
+    ACCEL_BIAS,
+    CURRENT,
+    CURRENT_RATE,
+    DRAG_EXCESS,
+    GYRO_BIAS,
+    HEADING_OFFSET,
+    LASER_BIAS,
+    NX,
+    POS,
+    VEL,
+    YAW,
+)
 
 POS_NOISE = 1e-4
 """m/sqrt(s): keeps the position gain alive at rest."""
@@ -16,6 +28,8 @@ GYRO_BIAS_WALK = 1e-4
 """rad/s/sqrt(s)"""
 ACCEL_BIAS_WALK = 0.02
 """m/s^2/sqrt(s): gravity leaking in through slow tilt errors, 0.07 m/s^2 for 0.4 degrees."""
+ACCEL_BIAS_WALK_TRIMMED = 0.006
+"""The same when vision trims the tilt."""
 CURRENT_WALK = 0.02
 """m/s/sqrt(s): eddies that CURRENT_RATE does not describe."""
 CURRENT_RATE_WALK = 0.12
@@ -34,20 +48,23 @@ BLIND_ACCEL_NOISE = 0.15
 
 COAST_CURRENT_SHARE = 0.2
 """Without vision the current cannot be told from the accelerometer's bias: its states wander by this share only."""
+DRAG_WALK = 0.004
+"""1/sqrt(s): drag changes over minutes."""
 
 
 def process_noise(mode: Mode) -> FloatArray:
-    """Covariance per second (17, 17), diagonal."""
-    coast = 1.0 if mode is Mode.NOMINAL else COAST_CURRENT_SHARE
+    """Covariance per second (18, 18), diagonal."""
+    coast = 1.0 if mode in (Mode.NOMINAL, Mode.TRIMMED) else COAST_CURRENT_SHARE
     blind = mode is Mode.BLIND
     sigma = np.zeros(NX)
     sigma[POS] = POS_NOISE
     sigma[YAW] = BLIND_GYRO_NOISE if blind else GYRO_NOISE
     sigma[VEL] = BLIND_ACCEL_NOISE if blind else ACCEL_NOISE
     sigma[GYRO_BIAS] = GYRO_BIAS_WALK
-    sigma[ACCEL_BIAS] = ACCEL_BIAS_WALK
+    sigma[ACCEL_BIAS] = ACCEL_BIAS_WALK_TRIMMED if mode is Mode.TRIMMED else ACCEL_BIAS_WALK
     sigma[CURRENT] = coast * CURRENT_WALK
     sigma[CURRENT_RATE] = coast * CURRENT_RATE_WALK
     sigma[HEADING_OFFSET] = HEADING_OFFSET_WALK
     sigma[LASER_BIAS] = LASER_BIAS_WALK
+    sigma[DRAG_EXCESS] = coast * DRAG_WALK
     return np.diag(sigma**2)

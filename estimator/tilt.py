@@ -1,0 +1,55 @@
+"""Trim of the AHRS's roll and pitch by the tilt that vision sees.
+
+An AHRS of this class is half a degree off, slowly wandering, which leaks 0.09 m/s^2 of gravity into the horizontal
+acceleration: more than drag and thrust errors together. A pose from many markers knows the tilt to a twentieth of a
+degree. The difference is followed slowly and taken off the samples that come later; without vision it fades away.
+"""
+
+import math
+
+from autopilot.core.messages import AhrsSample
+from estimator.inertial import Inertial
+
+GAIN = 0.1
+"""Share of the difference per fix (30 Hz): follows within 0.3 s and averages the noise of ten fixes."""
+MAX_SIGMA_RAD = math.radians(0.4)
+"""Fixes whose tilt is less certain (few markers: it is the AHRS's own then) are not used."""
+MAX_DIFFERENCE_RAD = math.radians(5.0)
+"""Larger differences are wrong fixes."""
+FADE_TIME_S = 20.0
+"""Correlation time of the AHRS's error: what is known of it fades with that."""
+HELD_US = 500_000
+"""After so long without a fix the trim does not count as fresh."""
+
+
+class TiltTrim:
+    """What is taken off roll and pitch of the AHRS."""
+
+    def __init__(self) -> None:
+        self._roll = 0.0
+        self._pitch = 0.0
+        self._at_us = -1
+        self.last_fix_us: int | None = None
+        """Time of the newest fix that was used."""
+
+    def fresh(self, t_us: int) -> bool:
+        """Whether the tilt at ``t_us`` is vision's."""
+        return self.last_fix_us is not None and t_us - self.last_fix_us <= HELD_US
+
+    def learn(self, raw: Inertial, roll_rad: float, pitch_rad: float, sigma_rad: float, t_us: int) -> None:
+        """A fix at ``t_us`` saw this tilt while the AHRS, untrimmed, showed ``raw``."""
+        d_roll, d_pitch = raw.raw_tilt_rad[0] - roll_rad, raw.raw_tilt_rad[1] - pitch_rad
+        if not (sigma_rad <= MAX_SIGMA_RAD and max(abs(d_roll), abs(d_pitch)) <= MAX_DIFFERENCE_RAD):
+            return
+        gain = GAIN if self.fresh(t_us) else 0.5
+        self._roll += gain * (d_roll - self._roll)
+        self._pitch += gain * (d_pitch - self._pitch)
+        self.last_fix_us = t_us
+
+    def at(self, sample: AhrsSample) -> tuple[float, float]:
+        """Roll and pitch to be taken off ``sample``."""
+        if not self.fresh(sample.t_us):
+            fade = math.exp(-1e-6 * max(0, sample.t_us - self._at_us) / FADE_TIME_S)
+            self._roll, self._pitch = fade * self._roll, fade * self._pitch
+        self._at_us = sample.t_us
+        return self._roll, self._pitch
