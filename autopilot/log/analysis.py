@@ -20,6 +20,9 @@ from autopilot.log.topics import type_of
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
+MICROSECOND_S = 1e-6
+"""Resolution of the service's clock: a span ends so long before the message that ends it."""
+
 TOPICS_OF_INTEREST = (
     "/sim/truth",
     "/sim/thrusters",
@@ -193,7 +196,7 @@ def _armed_span(log: Log, whole: Span) -> Span:
         return whole
     first = int(np.argmax(armed))
     off = np.flatnonzero(~armed[first:])
-    return Span(float(t_s[first]), float(t_s[first + off[0]]) if len(off) else whole.end_s)
+    return Span(float(t_s[first]), float(t_s[first + off[0]]) - MICROSECOND_S if len(off) else whole.end_s)
 
 
 def _mission_span(log: Log, armed: Span) -> Span:

@@ -12,6 +12,7 @@ from enum import Enum
 
 import numpy as np
 
+from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import (
     Flight,
@@ -63,6 +64,8 @@ def acceptance_table(log: Log) -> list[Row]:
     """All rows of a log. LogError if it holds neither truth nor estimate."""
     flight = load_flight(log)
     rows: list[Row] = []
+    if not len(flight.judged.t_s):
+        raise LogError(f"{log.path}: the vehicle's track is empty; there is nothing to judge")
     if flight.run is not None:
         rows += _mission_rows(flight, flight.run)
         rows += _clearance_rows(flight, flight.run)

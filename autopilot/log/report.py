@@ -33,6 +33,8 @@ _LEVEL_NAMES = {50: "fatal", 40: "error", 30: "warning", 20: "info", 10: "debug"
 
 def write_report(log: Log, path: Path) -> Path:
     """Write the report of a log. LogError if the log holds no track or the file cannot be written."""
+    if path.is_dir():
+        raise LogError(f"{path}: the report cannot be written (is a folder); give the name of a file")
     flight = load_flight(log)
     page = _page(flight, acceptance_table(log))
     try:

@@ -26,6 +26,10 @@ from autopilot.log.topics import type_of
 CHUNK_BYTES = 256 * 1024
 FLUSH_NS = 1_000_000_000
 FSYNC_NS = 5_000_000_000
+FIRST_EPOCH_NS = 1_000_000_000
+"""Samples may be a little older than the clock's zero, and MCAP has no negative times."""
+LAST_EPOCH_NS = 2**31 * 1_000_000_000 - 366 * 86_400 * 1_000_000_000
+"""A year before builtin_interfaces/Time ends (2038)."""
 QUEUE_MESSAGES = 20_000
 """About ten seconds of messages."""
 QUEUE_BYTES = 64 * 1024 * 1024
@@ -87,6 +91,8 @@ class LogWriter:
 
         ``epoch_ns`` is the Unix time [ns] at which the service's clock read zero. LogError if the file cannot be made.
         """
+        if not FIRST_EPOCH_NS <= epoch_ns < LAST_EPOCH_NS:
+            raise LogError(f"log {path}: epoch_ns = {epoch_ns} is not a Unix time in nanoseconds that ROS can hold")
         self.path = path
         self.epoch_ns = epoch_ns
         self._lossless = lossless

@@ -182,7 +182,7 @@ def _tick(log: RunLog, run: Run, t_us: int, end_us: int) -> None:
     truth = run.change_truth(t_s, truth_at(t_s))
     if run.with_truth:
         log.truth(t_us, truth)
-        log.contact(t_us, run.contacts if t_s > 20.0 else 0, 0.01 if 20.0 < t_s < 20.2 and run.contacts else 0.0)
+        log.contact(t_us, run.contacts if t_s > 20.0 else 0, 0.01 if 20.0 < t_s < 20.5 and run.contacts else 0.0)
     log.inputs(inputs_at(t_us, truth, run.full_inputs))
     log.outputs(outputs_at(t_us, truth, run, t_us >= end_us - 400_000))
     if t_us % 1_000_000 == 0:

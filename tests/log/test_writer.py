@@ -163,6 +163,9 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
         small(tmp_path / "file" / "a.mcap")
     with pytest.raises(LogError, match="cannot be written"):
         small(tmp_path)
+    for epoch_ns in (0, 2**62):
+        with pytest.raises(LogError, match="epoch_ns"):
+            LogWriter(tmp_path / "a.mcap", epoch_ns=epoch_ns, metadata={}, attachments={})
 
 
 def test_a_log_in_use_is_not_overwritten(tmp_path: Path) -> None:

@@ -1,0 +1,225 @@
+"""Figures, report and the command line."""
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from log_synthetic import DESCRIPTION, EPOCH_NS, Run, shifted, write_run
+
+from autopilot.cli.log import log as log_command
+from autopilot.core.errors import LogError
+from autopilot.log.description import AcceptBounds
+from autopilot.log.figures import FIGURES, write_figures
+from autopilot.log.reader import open_log
+from autopilot.log.report import write_report
+from autopilot.log.report_plots import decimate
+from autopilot.log.writer import LogWriter
+
+ONE_LAP = replace(DESCRIPTION, accept=AcceptBounds(laps=1), parameters={"MPC_Q_POS": 1234.5, "HEARTBEAT": 1.0})
+
+
+@pytest.fixture(scope="module")
+def run_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = Run(laps=1, step_us=100_000, full_inputs=True, description=ONE_LAP)
+    return write_run(tmp_path_factory.mktemp("outputs") / "run.mcap", run)
+
+
+@pytest.fixture(scope="module")
+def bad_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    change = shifted(9.0, 0.3, vel_water_frd_m_s=np.array([0.6, 0.0, 0.0]))
+    run = Run(laps=1, step_us=200_000, description=ONE_LAP, change_truth=change)
+    return write_run(tmp_path_factory.mktemp("outputs") / "bad.mcap", run)
+
+
+def call(*args: object) -> tuple[int, str]:
+    """Run a command in this process as the console script does."""
+    from autopilot.cli.main import cli, run
+
+    runner = CliRunner()
+    codes: list[int] = []
+    with runner.isolation() as streams:
+        codes.append(run(lambda: cli(["log", *map(str, args)], standalone_mode=False)))
+        out = streams[0].getvalue().decode() + streams[1].getvalue().decode()
+    return codes[0], out
+
+
+def bare(path: Path) -> Path:
+    LogWriter(path, epoch_ns=EPOCH_NS, metadata={}, attachments={}).close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def figures(run_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """What ``autopilot log plot`` draws."""
+    folder = tmp_path_factory.mktemp("figures")
+    code, out = call("plot", run_log, "--out", folder)
+    assert code == 0
+    paths = [Path(line) for line in out.splitlines()]
+    assert sorted(folder.iterdir()) == paths
+    return paths
+
+
+@pytest.fixture(scope="module")
+def report(run_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What ``autopilot log report`` writes."""
+    path = tmp_path_factory.mktemp("report") / "deep" / "report.html"
+    code, out = call("report", run_log, "--out", path)
+    assert code == 0 and out.strip() == str(path)
+    return path
+
+
+def test_figures_are_drawn(figures: list[Path]) -> None:
+    import cv2
+
+    assert [path.stem for path in figures] == list(FIGURES)
+    for path in figures:
+        image = cv2.imread(str(path))
+        assert image is not None and image.shape[1] == 1050
+        assert image.std() > 10.0, f"{path.name} is blank"
+
+
+def test_bounds_are_red_in_the_papers_figures(figures: list[Path]) -> None:
+    import cv2
+
+    for path in figures[:5]:
+        image = cv2.imread(str(path))
+        assert image is not None
+        blue, green, red = (image[..., i].astype(int) for i in range(3))
+        assert ((red > 240) & (green < 60) & (blue < 60)).sum() > 300, f"{path.name} has no bounds"
+
+
+def test_figures_of_poor_logs(tmp_path: Path) -> None:
+    poor = Run(laps=1, step_us=500_000, with_truth=False, description=replace(DESCRIPTION, waypoints=(), obstacles=()))
+    paths = write_figures(open_log(write_run(tmp_path / "poor.mcap", poor)), tmp_path / "out")
+    assert "6_estimate_error" not in {path.stem for path in paths} and "1_trajectory" in {path.stem for path in paths}
+    with pytest.raises(LogError, match="neither"):
+        write_figures(open_log(bare(tmp_path / "bare.mcap")), tmp_path)
+    with pytest.raises(LogError, match="cannot be written"):
+        write_figures(open_log(tmp_path / "poor.mcap"), tmp_path / "poor.mcap")
+
+
+class Loads(HTMLParser):
+    """Everything that a page would fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name in ("src", "href", "srcset", "data", "action", "poster") and value:
+                self.found.append(f"{tag} {value}")
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def test_report_is_one_file_that_loads_nothing(report: Path) -> None:
+    page = report.read_text(encoding="utf-8")
+    loads = Loads()
+    loads.feed(page)
+    assert loads.found == []
+    styles = "".join(re.findall(r"<style>(.*?)</style>", page, re.S))
+    assert "url(" not in styles and "@import" not in styles
+    assert report.stat().st_size < 6_000_000
+    text = "".join(loads.text)
+    for expected in ("paper-tank", "planar speed", "waypoint B heading", "lap 0", "1234.5", "/nav/state", "mission"):
+        assert expected in text
+    assert page.count("data-root-id") >= 16
+
+
+def test_report_escapes_what_operators_wrote(tmp_path: Path) -> None:
+    nasty = replace(ONE_LAP, scenario="<script>alert(1)</script>", obstacles=())
+    log = write_run(tmp_path / "a.mcap", Run(laps=1, step_us=500_000, description=nasty))
+    page = write_report(open_log(log), tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "<script>alert" not in page and "&lt;script&gt;alert" in page
+
+
+def test_report_of_poor_logs(tmp_path: Path) -> None:
+    poor = write_run(tmp_path / "poor.mcap", Run(laps=1, step_us=500_000, with_truth=False))
+    data = poor.read_bytes()
+    poor.write_bytes(data[: len(data) // 2])
+    page = write_report(open_log(poor), tmp_path / "poor.html").read_text(encoding="utf-8")
+    assert "cut off" in page
+    with pytest.raises(LogError, match="neither"):
+        write_report(open_log(bare(tmp_path / "bare.mcap")), tmp_path / "bare.html")
+    with pytest.raises(LogError, match="cannot be written"):
+        write_report(open_log(poor), tmp_path)
+
+
+@given(st.integers(1, 5000), st.integers(1, 50), st.data())
+@settings(deadline=None, max_examples=50)
+def test_decimation_keeps_every_extreme(count: int, buckets: int, data: st.DataObject) -> None:
+    values = np.random.default_rng(count).normal(size=count)
+    spike = data.draw(st.integers(0, count - 1))
+    values[spike] = 1e3
+    t_s, kept = decimate(np.arange(count) * 0.01, values, buckets)
+    assert len(kept) <= max(2 * buckets + 2, 2) and len(t_s) == len(kept)
+    assert kept.max() == 1e3 and kept.min() == values.min()
+    assert (np.diff(t_s) > 0).all() and kept[0] == values[0] and kept[-1] == values[-1]
+
+
+def test_info(run_log: Path, tmp_path: Path) -> None:
+    code, out = call("info", run_log)
+    assert code == 0 and "/nav/state" in out and "paper-tank" in out
+    code, out = call("info", run_log, "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["topics"]["/sim/truth"] == {
+        "type": "autopilot_msgs/VehicleState",
+        "messages": 366,
+        "rate_hz": pytest.approx(10.0, rel=0.05),
+    }
+    data = run_log.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: len(data) // 2])
+    code, out = call("info", cut)
+    assert code == 3 and "cut off" in out and "messages are readable" in out
+    code, out = call("info", cut, "--json")
+    assert code == 3 and json.loads(out)["problems"]
+
+
+def test_unreadable_logs_give_one_line(tmp_path: Path) -> None:
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"junk")
+    for command in ("info", "check", "report", "plot"):
+        for path in (junk, tmp_path / "none.mcap"):
+            code, out = call(command, path)
+            assert code == 1 and out.startswith("error: ") and out.count("\n") == 1 and str(path) in out
+
+
+def test_check(run_log: Path, bad_log: Path, tmp_path: Path) -> None:
+    code, out = call("check", run_log)
+    assert code == 0 and "verdict: pass" in out
+    code, out = call("check", bad_log)
+    assert code == 1 and "verdict: fail" in out
+    code, out = call("check", bad_log, "--json")
+    listed = json.loads(out)
+    assert code == 1 and listed["verdict"] == "fail"
+    assert [row["name"] for row in listed["rows"] if row["verdict"] == "fail"] == ["planar speed"]
+    data = run_log.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: len(data) - 10])
+    code, out = call("check", cut)
+    assert code == 3 and "log damage" in out
+
+
+def test_a_log_has_to_be_named() -> None:
+    assert call("report")[0] == call("plot")[0] == 2
+
+
+def test_group_lists_its_commands_without_heavy_imports() -> None:
+    assert set(log_command.commands) == {"info", "check", "report", "plot"}
+    heavy = "{'numpy', 'mcap', 'matplotlib', 'bokeh', 'rich'}"
+    code = f"import sys, autopilot.cli.log; sys.exit(','.join({heavy} & set(sys.modules)) or 0)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
