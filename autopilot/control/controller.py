@@ -20,7 +20,7 @@ from autopilot.control.reference import TURN_AHEAD_M, Route, Target, build_refer
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import ControlOutput, Fallback, Goal, NavHealth, NavState, NmpcStatus, SolveStatus
-from autopilot.core.model4 import NU, NX, YAW, Model4
+from autopilot.core.model4 import NU, NX, YAW, Model4, Z
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 
@@ -248,8 +248,8 @@ class MotionController:
                     _speed_cap(params),
                     HEAVE_SHARE * params["SPD_HEAVE_MAX"],
                     YAW_RATE_SHARE * params["SPD_YAW_MAX"],
-                    max(fence.depth_min_m, params["DEPTH_MIN"]),
-                    min(fence.depth_max_m, params["DEPTH_MAX"]),
+                    min(x0[Z], max(fence.depth_min_m, params["DEPTH_MIN"])),
+                    max(x0[Z], min(fence.depth_max_m, params["DEPTH_MAX"])),
                 ]
             ),
             thrust_limit_n=limit_n,
@@ -261,8 +261,10 @@ class MotionController:
         self._burst = max(0, self._burst - 1)
         margin = FAR_M
         for _ in range(qps):
-            points = self.nmpc.x[1:n, :2]
-            margin = planner.features.half_planes(points, radius, self.nmpc.planes, self._plane_n, self._plane_d)
+            self.nmpc.x[0] = x0
+            margin = planner.features.half_planes(
+                self.nmpc.x[:n, :2], self.nmpc.grid.t_s[:n], radius, self.nmpc.planes, self._plane_n, self._plane_d
+            )
             result = self.nmpc.solve(problem)
             if result.status is not SolveStatus.OK:
                 break

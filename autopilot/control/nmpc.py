@@ -75,7 +75,7 @@ class QpStep:
     def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
         n = grid.n
         self.backend = backend
-        self._function = _build(model, _grid_key(grid), planes, backend.plugin)
+        self._function = _build(model, _grid_key(grid), planes, backend)
         self.x_guess = np.zeros((n + 1, NX))
         self.u_guess = np.zeros((n, NU))
         self.x_ref = np.zeros((n + 1, NX))
@@ -87,7 +87,7 @@ class QpStep:
         self.plane_d = np.zeros((n - 1, planes))
         self.x = np.zeros((n + 1, NX))
         self.u = np.zeros((n, NU))
-        self.slack = np.zeros(n - 1)
+        self.slack = np.zeros((n - 1, ocp.N_SLACKS))
         self.figures = np.zeros(5)
         self._multipliers = np.zeros(self._function.nnz_out("multipliers"))
         self._buffer, self._evaluate = self._function.buffer()
@@ -117,11 +117,10 @@ def _grid_key(grid: TimeGrid) -> tuple[float, ...]:
 
 
 @lru_cache(maxsize=8)
-def _build(model: Model4, dt_s: tuple[float, ...], planes: int, plugin: str) -> Any:
+def _build(model: Model4, dt_s: tuple[float, ...], planes: int, backend: ocp.QpBackend) -> Any:
     """The built function is pure; controllers of the same vehicle and grid share it."""
     dt = np.array(dt_s)
     grid = TimeGrid(dt_s=dt, t_s=np.concatenate(([0.0], np.cumsum(dt))))
-    backend = {b.plugin: b for b in (ocp.HPIPM, ocp.PIQP)}[plugin]
     return ocp.build_qp_step(model, grid, planes, backend)
 
 
@@ -151,7 +150,7 @@ def passes_self_test(step: QpStep) -> bool:
         and abs(port - starboard) < SELF_TEST_TOLERANCE_N
         and abs(lateral) < SELF_TEST_TOLERANCE_N
         and 1.0 < port < 12.0 + OVERSHOOT_LIMIT_N
-        and 0.5 < step.x[-1, 0] < 1.5
+        and 0.0 < step.x[-1, 0] < 1.5
     )
 
 

@@ -2,7 +2,8 @@
 
 Every boundary is broken into circles and segments. A feature constrains the vehicle's centre by the half-plane that
 touches it at the point nearest to a predicted position. From the free side the half-plane keeps the centre a radius
-away; from the wrong side (inside an obstacle, outside the workspace) its sign turns, so that it pushes back the shortest way.
+away; from the wrong side (inside an obstacle, outside the workspace) its sign turns, so that it pushes back the
+shortest way.
 """
 
 from collections.abc import Sequence
@@ -19,83 +20,78 @@ ComplexArray: TypeAlias = NDArray[np.complex128]
 FAR_M = 1e6
 """Stands for "no boundary anywhere near"."""
 
+RECOVERY_M_S = 0.2
+"""How fast the vehicle is asked to come back from where it must not be."""
+
 TINY_M = 1e-9
 
 
 class Features:
-    """Circles and segments of a fence, as arrays of complex numbers north + i east. Segments of a polygon are contiguous."""
+    """Circles and segments of a fence, as complex numbers north + i east.
+
+    All are segments from ``a`` along ``ab`` with a radius; a circle is a segment without length. The segments of a
+    polygon are contiguous.
+    """
 
     def __init__(self, fence: Fence) -> None:
-        circles: list[tuple[complex, float, float]] = []
-        polygons: list[tuple[ComplexArray, bool]] = []
+        a: list[complex] = []
+        ab: list[complex] = []
+        side: list[float] = []
+        radius: list[float] = []
+        free_left: list[float] = []
+        self._polygons: list[tuple[slice, bool, bool]] = []
         for shapes, inside in ((fence.inclusions, True), (fence.exclusions, False)):
             for shape in shapes:
                 if isinstance(shape, Circle):
-                    center = complex(float(shape.center_ned_m[0]), float(shape.center_ned_m[1]))
-                    circles.append((center, float(shape.radius_m), -1.0 if inside else 1.0))
-                else:
-                    polygons.append((_counter_clockwise(shape), inside))
-        self._center = np.array([c for c, _, _ in circles], dtype=complex)
-        self._sign = np.array([sign for _, _, sign in circles])
-        """+1 keep outside, -1 keep inside."""
-        self._signed_radius = np.array([sign * radius for _, radius, sign in circles])
-        corners = [v for v, _ in polygons]
-        self._a = np.concatenate(corners) if corners else np.zeros(0, dtype=complex)
-        ends = np.concatenate([np.roll(v, -1) for v in corners]) if corners else self._a
-        self._ab = ends - self._a
+                    a.append(complex(float(shape.center_ned_m[0]), float(shape.center_ned_m[1])))
+                    ab.append(0j)
+                    side.append(-1.0 if inside else 1.0)
+                    radius.append(float(shape.radius_m))
+                    free_left.append(1.0)
+                    continue
+                corners = _counter_clockwise(shape)
+                self._polygons.append((slice(len(a), len(a) + len(corners)), inside, _is_convex(corners)))
+                a += corners.tolist()
+                ab += (np.roll(corners, -1) - corners).tolist()
+                side += [1.0] * len(corners)
+                radius += [0.0] * len(corners)
+                free_left += [1.0 if inside else -1.0] * len(corners)
+        self.count = len(a)
+        """Number of features."""
+        self._a, self._ab = np.array(a, dtype=complex), np.array(ab, dtype=complex)
+        self._b = self._a + self._ab
+        for part, _, _ in self._polygons:
+            self._b[part] = np.roll(self._a[part], -1)
+        self._side = np.array(side)
+        """+1 keep away from it, -1 keep inside it (circles)."""
+        self._signed_radius = self._side * np.array(radius)
         length = np.maximum(np.abs(self._ab), TINY_M)
         self._along = np.conj(self._ab) / length**2
         """Re(this * (p - a)) is the share of the segment at which p projects."""
-        free_side = np.array([1.0 if inside else -1.0 for v, inside in polygons for _ in range(len(v))])
-        self._normal = 1j * self._ab / length * free_side
-        """Unit normals of the segments towards the free side."""
-        self._polygons: list[tuple[slice, bool, bool]] = []
-        first = 0
-        for v, inside in polygons:
-            self._polygons.append((slice(first, first + len(v)), inside, _is_convex(v)))
-            first += len(v)
-        self.count = len(self._center) + len(self._a)
-        """Number of features."""
+        normal = 1j * self._ab / length * np.array(free_left)
+        self._normal = np.where(np.abs(normal) > 0.5, normal, 1.0)
+        """Unit normals towards the free side, north for circles: the way out from a point on the line or centre."""
 
     def nearest(self, points: ComplexArray) -> tuple[FloatArray, ComplexArray, FloatArray]:
         """Per point (m,) and feature: signed distance (m, F), unit normal (m, F), offset of the boundary (m, F).
 
-        The constraint of a feature is ``normal . p >= offset + radius``. Distance is positive on the free side. Features
-        that say nothing at that point (ends shared with a neighbour, far walls seen from outside) have distance FAR_M.
+        The constraint of a feature is ``normal . p >= offset + radius``. Distance is positive on the free side.
+        Features that say nothing at that point (shared ends, far walls seen from outside) have distance FAR_M.
         """
         column = points[:, None]
-        if not len(self._a):
-            return self._circles(column)
-        if not len(self._center):
-            return self._segments(column)
-        parts = zip(self._circles(column), self._segments(column), strict=True)
-        distance, normal, offset = (np.concatenate(pair, axis=1) for pair in parts)
-        return distance, normal, offset
-
-    def _circles(self, points: ComplexArray) -> tuple[FloatArray, ComplexArray, FloatArray]:
-        ray = points - self._center
-        rho = np.abs(ray)
-        if rho.min() < TINY_M:
-            ray = np.where(rho < TINY_M, TINY_M, ray)
-            rho = np.abs(ray)
-        normal = ray * (self._sign / rho)
-        distance = self._sign * rho - self._signed_radius
-        offset = (np.conj(normal) * self._center).real + self._signed_radius
-        return distance, normal, offset
-
-    def _segments(self, points: ComplexArray) -> tuple[FloatArray, ComplexArray, FloatArray]:
-        ray = points - self._a
+        ray = column - self._a
         share = (ray * self._along).real
         gap = ray - np.minimum(np.maximum(share, 0.0), 1.0) * self._ab
         rho = np.abs(gap)
         if rho.min() < TINY_M:
-            gap = np.where(rho < TINY_M, self._normal * TINY_M, gap)
+            gap = np.where(rho < TINY_M, self._normal * (TINY_M * self._side), gap)
             rho = np.abs(gap)
-        normal = gap / rho
-        offset = (np.conj(normal) * (points - gap)).real
-        distance = np.where(share >= 1.0, FAR_M, rho)
+        normal = gap * (self._side / rho)
+        offset = (np.conj(normal) * (column - gap)).real + self._signed_radius
+        distance = rho * self._side - self._signed_radius
+        distance[share >= 1.0] = FAR_M
         for part, inside, convex in self._polygons:
-            bad = self._forbidden(part, inside, convex, ray)
+            bad = self._forbidden(part, inside, convex, column, ray)
             if bad is not None:
                 # On the wrong side only the nearest edge counts, and it pushes the other way.
                 rows = np.flatnonzero(bad)
@@ -107,7 +103,9 @@ class Features:
                 offset[rows, columns] *= turned
         return distance, normal, offset
 
-    def _forbidden(self, part: slice, inside: bool, convex: bool, ray: ComplexArray) -> NDArray[np.bool_] | None:
+    def _forbidden(
+        self, part: slice, inside: bool, convex: bool, points: ComplexArray, ray: ComplexArray
+    ) -> NDArray[np.bool_] | None:
         """Which points (m,) are on the wrong side of one polygon; None if none is."""
         ray = ray[:, part]
         if convex:
@@ -117,9 +115,9 @@ class Features:
                 return worst < 0.0 if worst.min() < 0.0 else None
             best = side.max(axis=1)
             return best < 0.0 if best.min() < 0.0 else None
-        # Even-odd rule on the ray towards north.
-        ab = self._ab[part]
-        crosses = (ray.imag < 0.0) != (ray.imag < ab.imag)
+        # Even-odd rule on the ray towards north; corners are compared as they are, so that neighbours agree on them.
+        ab, east = self._ab[part], points.imag
+        crosses = (self._a[part].imag > east) != (self._b[part].imag > east)
         with np.errstate(divide="ignore", invalid="ignore"):
             north_of_point = ray.imag / ab.imag * ab.real > ray.real
         contains = (crosses & north_of_point).sum(axis=1) % 2 == 1
@@ -137,11 +135,27 @@ class Features:
         result: FloatArray = distance.min(axis=1)
         return result
 
-    def half_planes(
-        self, points_ned_m: FloatArray, radius_m: float, slots: int, normals: FloatArray, offsets: FloatArray
-    ) -> float:
-        """Fill ``normals`` (m, slots, 2) and ``offsets`` (m, slots) with the nearest features at each point (m, 2).
+    def push_out(self, points_ned_m: FloatArray, radius_m: float) -> FloatArray:
+        """Steps (m, 2) that bring each point to ``radius_m`` from its nearest boundary; zero where farther away."""
+        distance, normal, _ = self.nearest(_complex(points_ned_m))
+        nearest = distance.argmin(axis=1)[:, None]
+        lack = np.maximum(radius_m - np.take_along_axis(distance, nearest, axis=1), 0.0)
+        steps: FloatArray = (lack * np.take_along_axis(normal, nearest, axis=1)).view(float)
+        return steps
 
+    def half_planes(
+        self,
+        points_ned_m: FloatArray,
+        t_s: FloatArray,
+        radius_m: float,
+        slots: int,
+        normals: FloatArray,
+        offsets: FloatArray,
+    ) -> float:
+        """Fill ``normals`` (m, slots, 2) and ``offsets`` (m, slots) with the nearest features at predicted points.
+
+        ``points_ned_m`` (m + 1, 2) begins with the present position, ``t_s`` (m + 1,) are their times. A boundary that
+        is violated now is asked for at RECOVERY_M_S and not at once, so that other limits are kept on the way back.
         Unused slots get a zero normal and offset -1, which is always satisfied. Returns the smallest clearance beyond
         ``radius_m`` over all points.
         """
@@ -149,20 +163,26 @@ class Features:
             normals[:], offsets[:] = 0.0, -1.0
             return FAR_M
         distance, normal, offset = self.nearest(_complex(points_ned_m))
+        margin = float(distance.min()) - radius_m
+        if margin < 0.0 and distance[0].min() < radius_m:
+            offset -= np.maximum(radius_m - distance[0] - RECOVERY_M_S * t_s[:, None], 0.0)
+        distance, normal, offset = distance[1:], normal[1:], offset[1:]
         used = min(self.count, slots)
         if self.count > slots:
             pick = np.argpartition(distance, slots - 1, axis=1)[:, :slots]
-            distance, normal, offset = (np.take_along_axis(v, pick, axis=1) for v in (distance, normal, offset))
+            distance = np.take_along_axis(distance, pick, axis=1)
+            normal = np.take_along_axis(normal, pick, axis=1)
+            offset = np.take_along_axis(offset, pick, axis=1)
         else:
             normals[:, used:], offsets[:, used:] = 0.0, -1.0
-        slots_of_normals = normals.view(complex)[..., 0]
+        slots_of_normals = normals.view(np.complex128)[..., 0]
         slots_of_normals[:, :used] = normal
         offsets[:, :used] = offset + radius_m
         if distance.max() >= FAR_M:
             silent = distance >= FAR_M
             slots_of_normals[:, :used][silent] = 0.0
             offsets[:, :used][silent] = -1.0
-        return float(distance.min()) - radius_m
+        return margin
 
 
 def clearance_m(fence: Fence, points_ned_m: Sequence[Sequence[float]] | FloatArray) -> FloatArray:
@@ -172,8 +192,7 @@ def clearance_m(fence: Fence, points_ned_m: Sequence[Sequence[float]] | FloatArr
 
 def _complex(points_ned_m: FloatArray) -> ComplexArray:
     """(m, 2) as north + i east."""
-    result: ComplexArray = np.ascontiguousarray(points_ned_m).view(complex)[:, 0]
-    return result
+    return np.ascontiguousarray(points_ned_m).view(np.complex128)[:, 0]
 
 
 def _counter_clockwise(polygon: Polygon) -> ComplexArray:

@@ -1,8 +1,9 @@
 """The paper's optimal control problem (section III, eq. 12) as one CasADi function: linearise, solve one QP, unpack.
 
-Decision variables per stage: state (8), thrust (4) and, from stage 1 on, one slack that all soft constraints of the
-stage share. The first state is known and is not a variable. Everything that changes at run time is an argument, so nothing
-is rebuilt for a new fence, current, weight or limit. The function works in steps around the guess (Gauss-Newton: the
+Decision variables per stage: state (8), thrust (4) and, from stage 1 on, two slacks: one that the limits on speeds
+share and one for depth band and half-planes, so that a vehicle outside its workspace does not speed on its way back.
+The first state is known and is not a variable. Everything that changes at run time is an argument, so nothing is
+rebuilt for a new fence, current, weight or limit. The function works in steps around the guess (Gauss-Newton: the
 residuals are linear in state and input, so the Hessian is exact up to the curvature of the dynamics).
 
 * dynamics: RK4 on :mod:`autopilot.core.model4`, intervals split where RK4 would lose its stability
@@ -27,10 +28,13 @@ from autopilot.core.model4 import NU, NX, R, U, V, W, Z
 N_LIMITS = 5
 """Planar speed [m/s], heave [m/s], yaw rate [rad/s], depth minimum and maximum [m]."""
 
+N_SLACKS = 2
+"""Of the speeds [m/s, rad/s] and of the places [m]."""
+
 N_BOX_ROWS = 4
-"""Soft rows per stage beside the half-planes: speed, heave, yaw rate, depth. Two-sided limits enter with the side that is
-nearer to the guess: a step never crosses from one limit to the other, and HPIPM pays for every row (8 half-planes and
-these 4 fill three of its 4-row panels)."""
+"""Soft rows per stage beside the half-planes: speed, heave, yaw rate, depth. Two-sided limits enter with the side that
+is nearer to the guess: a step never crosses from one limit to the other, and HPIPM pays for every row (8 half-planes
+and these 4 fill three of its 4-row panels)."""
 
 SLACK_L1 = 1e3
 SLACK_L2 = 1e3
@@ -41,7 +45,7 @@ SPEED_EPSILON_M_S = 0.02
 """Below this guess the speed constraint has no direction and is relaxed."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class QpBackend:
     """A QP plugin of CasADi with its options."""
 
@@ -95,9 +99,9 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
 
     Arguments: x_guess (8, N+1) whose first column is the present state, u_guess (4, N), x_ref (8, N+1),
     current (3, N), weights (8 + 4: state, thrust), limits (5), thrust_limit (4), plane_n (2, planes * (N-1)),
-    plane_d (planes, N-1). Results: x (8, N+1), u (4, N), slack (N-1), figures (5: cost, largest violation of a QP row,
-    largest gap of the guess, largest overshoot of a thrust bound before it was clipped, sum of the step: not finite when
-    any of it is not), multipliers.
+    plane_d (planes, N-1). Results: x (8, N+1), u (4, N), slack (2, N-1), figures (5: cost, largest violation of a QP
+    row, largest gap of the guess, largest overshoot of a thrust bound before it was clipped, sum of the step: not
+    finite when any of it is not), multipliers.
     """
     n = grid.n
     xg, ug = ca.SX.sym("xg", NX, n + 1), ca.SX.sym("ug", NU, n)
@@ -132,14 +136,14 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
         lower.append(-tlim - ug[:, k])
         upper.append(tlim - ug[:, k])
         if k > 0:
-            hessian.append(ca.SX(scale[k] * SLACK_L2))
-            gradient.append(ca.SX(scale[k] * SLACK_L1))
-            lower.append(ca.SX(0))
-            upper.append(ca.SX(ca.inf))
+            hessian.append(scale[k] * SLACK_L2 * ca.SX.ones(N_SLACKS))
+            gradient.append(scale[k] * SLACK_L1 * ca.SX.ones(N_SLACKS))
+            lower.append(ca.SX.zeros(N_SLACKS))
+            upper.append(ca.inf * ca.SX.ones(N_SLACKS))
             c_rows, values = _soft_rows(xg[:, k], limits, plane_n[:, (k - 1) * planes : k * planes], plane_d[:, k - 1])
             row_low.append(-ca.inf * ca.SX.ones(c_rows.shape[0]))
             row_high.append(-values)
-            blocks.append([a, ca.horzcat(b, ca.SX(NX, 1)), c_rows])
+            blocks.append([a, ca.horzcat(b, ca.SX(NX, N_SLACKS)), c_rows])
         else:
             blocks.append([a, b, None])
     hessian.append(TERMINAL_STAGES * q)
@@ -166,7 +170,7 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
 
 
 def _soft_rows(x: Any, limits: Any, normals: Any, offsets: Any) -> tuple[Any, Any]:
-    """Rows C (m, 8 + 4 + 1) of the step and their present values: C dz + value <= 0, slack included."""
+    """Rows C (m, 8 + 4 + 2) of the step and their present values: C dz + value <= 0, slack included."""
     planar = ca.sqrt(x[U] ** 2 + x[V] ** 2 + SPEED_EPSILON_M_S**2)
     heave, turn = ca.if_else(x[W] < 0, -1, 1), ca.if_else(x[R] < 0, -1, 1)
     shallow = x[Z] - limits[3] < limits[4] - x[Z]
@@ -175,11 +179,11 @@ def _soft_rows(x: Any, limits: Any, normals: Any, offsets: Any) -> tuple[Any, An
     for j in range(normals.shape[1]):
         signed.append(((0, -normals[0, j]), (1, -normals[1, j])))
         bounds.append(-offsets[j])
-    rows, values = ca.SX(len(signed), NX + NU + 1), []
+    rows, values = ca.SX(len(signed), NX + NU + N_SLACKS), []
     for i, (entries, bound) in enumerate(zip(signed, bounds, strict=True)):
         for column, coefficient in entries:
             rows[i, column] = coefficient
-        rows[i, NX + NU] = -1.0
+        rows[i, NX + NU + (0 if i < 3 else 1)] = -1.0
         values.append(sum(coefficient * x[column] for column, coefficient in entries) - bound)
     return rows, ca.vertcat(*values)
 
@@ -189,10 +193,10 @@ def _assemble(blocks: list[list[Any]], rows_per_stage: int) -> Any:
     n = len(blocks)
     height = NX * n + rows_per_stage * (n - 1)
     columns, row, offset = [], 0, 0
-    width = NU + (n - 1) * (NX + NU + 1) + NX
+    width = NU + (n - 1) * (NX + NU + N_SLACKS) + NX
     matrix = ca.SX(height, width)
     for k, (a, b, c) in enumerate(blocks):
-        n_x, n_u = (0 if k == 0 else NX), (NU if k == 0 else NU + 1)
+        n_x, n_u = (0 if k == 0 else NX), (NU if k == 0 else NU + N_SLACKS)
         if k > 0:
             matrix[row : row + NX, offset : offset + NX] = a
         matrix[row : row + NX, offset + n_x : offset + n_x + n_u] = b
@@ -219,7 +223,7 @@ def _embed(
         options |= {
             "N": n,
             "nx": [0] + [NX] * n,
-            "nu": [NU] + [NU + 1] * (n - 1) + [0],
+            "nu": [NU] + [NU + N_SLACKS] * (n - 1) + [0],
             "ng": [0] + [planes + N_BOX_ROWS] * (n - 1) + [0],
         }
     options |= {"error_on_fail": False}
@@ -228,7 +232,7 @@ def _embed(
     z = solution["x"]
     value = ca.mtimes(a, z)
     violation = ca.mmax(ca.fmax(ca.fmax(lba - value, value - uba), 0))
-    width = NX + NU + 1
+    width = NX + NU + N_SLACKS
     body = ca.reshape(z[NU : NU + (n - 1) * width], width, n - 1)
     dx = ca.horzcat(ca.MX.zeros(NX, 1), body[:NX, :], z[NU + (n - 1) * width :])
     du = ca.horzcat(z[:NU], body[NX : NX + NU, :])
@@ -241,7 +245,7 @@ def _embed(
     return ca.Function(
         "nmpc_step",
         symbols,
-        [x, u, body[NX + NU, :].T, figures, solution["lam_a"]],
+        [x, u, body[NX + NU :, :], figures, solution["lam_a"]],
         names,
         ["x", "u", "slack", "figures", "multipliers"],
     )

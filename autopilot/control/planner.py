@@ -31,6 +31,11 @@ GOAL_SNAP_M = 0.3
 ENDPOINT_RELIEF_M = 0.25
 """Near its ends a straight line may be as near to a boundary as the end itself."""
 
+BAND_STEP_M = 0.1
+MAX_BAND_POINTS = 60
+BAND_ITERATIONS = 40
+"""Enough to round a corner over half a metre."""
+
 _OFFSETS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 
 
@@ -86,7 +91,7 @@ class Planner:
         while field.next_node[nodes[-1]] >= 0:
             nodes.append(int(field.next_node[nodes[-1]]))
         points = np.concatenate([start[None], grid.position_m[nodes], goal[None]])
-        return self._shortcut(points)
+        return self._relax(self._shortcut(points))
 
     def sees(self, a: FloatArray, b: FloatArray) -> bool:
         """True if the straight line from a to b (2,) keeps the planning radius, apart from what its ends force."""
@@ -120,6 +125,18 @@ class Planner:
             i = low
             kept.append(i)
         return points[kept]
+
+    def _relax(self, points: FloatArray) -> FloatArray:
+        """The path as an elastic band: corners become bends that lie against the inflated fence."""
+        length = np.hypot(*np.diff(points, axis=0).T)
+        s = np.concatenate(([0.0], np.cumsum(length)))
+        count = min(max(int(s[-1] / BAND_STEP_M), 2), MAX_BAND_POINTS)
+        at = np.linspace(0.0, s[-1], count + 1)
+        band = np.stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])], axis=1)
+        for _ in range(BAND_ITERATIONS):
+            band[1:-1] += 0.5 * (0.5 * (band[:-2] + band[2:]) - band[1:-1])
+            band[1:-1] += self.features.push_out(band[1:-1], self.radius_m)
+        return band
 
     def _grid_for(self, start: FloatArray, goal: FloatArray) -> _Grid:
         grid = self._grid

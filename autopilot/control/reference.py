@@ -1,6 +1,7 @@
 """What the prediction is compared with: the goal as it is approached along the route, stage by stage."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -12,8 +13,10 @@ from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 
-DECELERATIONS = np.array([[0.12], [0.10], [0.4]])
-"""Of the approach in the plane [m/s^2], in depth [m/s^2] and in heading [rad/s^2]: v = sqrt(2 a d)."""
+DECELERATION_M_S2 = 0.12
+HEAVE_DECELERATION_M_S2 = 0.1
+YAW_DECELERATION_RAD_S2 = 0.4
+"""Of the approach to the goal: v = sqrt(2 a d)."""
 
 YAW_RATE_SHARE = 0.55
 """Share of the yaw rate limit that a planned turn uses."""
@@ -41,29 +44,29 @@ class Route:
     """A polyline with arc length, as complex numbers north + i east."""
 
     def __init__(self, points_ned_m: FloatArray) -> None:
-        z = np.ascontiguousarray(points_ned_m, dtype=float).view(complex)[:, 0]
+        z = np.ascontiguousarray(points_ned_m, dtype=float).view(np.complex128)[:, 0]
         z = z[np.concatenate(([True], np.abs(np.diff(z)) > 1e-6))]
         if len(z) == 1:
             z = np.concatenate([z, z])
         length = np.abs(np.diff(z))
-        self._start, self._s = z[0], np.concatenate(([0.0], np.cumsum(length)))
-        self._length = length
+        self._corner = z
+        self._s = np.concatenate(([0.0], np.cumsum(length)))
         self._tangent = np.diff(z) / np.maximum(length, 1e-9)
         self.length_m = float(self._s[-1])
         self.points = z.view(float).reshape(-1, 2).copy()
         """(m, 2)"""
-        self._legs = list(
-            zip(z[:-1].tolist(), self._tangent.tolist(), self._s[:-1].tolist(), length.tolist(), strict=True)
-        )
+        legs = (z[:-1].tolist(), self._tangent.tolist(), self._s[:-1].tolist(), length.tolist())
+        self._legs: list[tuple[complex, complex, float, float]] = list(zip(*legs, strict=True))
 
-    def project(self, point: FloatArray, s_hint: float, window_m: float = 1.0) -> tuple[float, float]:
+    def project(self, point: FloatArray, s_hint: float, window_m: float = 0.5) -> tuple[float, float]:
         """Arc length of the nearest point within a window round ``s_hint``, and the distance to it."""
         p = complex(point[0], point[1])
         best_s, best = 0.0, math.inf
-        for corner, tangent, s, length in self._legs:
+        first = max(0, int(self._s.searchsorted(s_hint - window_m)) - 1)
+        for corner, tangent, s, length in self._legs[first:]:
             low, high = max(0.0, s_hint - window_m - s), min(length, s_hint + window_m - s)
             if low > high:
-                continue
+                break
             along = min(max(((p - corner) * tangent.conjugate()).real, low), high)
             distance = abs(p - corner - along * tangent)
             if distance < best:
@@ -72,23 +75,18 @@ class Route:
 
     def at(self, s: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Position and unit tangent (m,) at arc lengths (m,)."""
-        position = self._start + np.minimum(np.maximum(s[:, None] - self._s[:-1], 0.0), self._length) @ self._tangent
-        leg = np.minimum(self._s[1:].searchsorted(s, side="right"), len(self._length) - 1)
-        return position, self._tangent[leg]
+        leg = np.minimum(self._s[1:].searchsorted(s, side="right"), len(self._tangent) - 1)
+        position: ComplexArray = np.interp(s, self._s, self._corner)
+        tangent: ComplexArray = self._tangent[leg]
+        return position, tangent
 
     def tangent(self, s: float) -> complex:
         """Unit tangent at one arc length; 0 for a route without length."""
-        for _, tangent, start, length in self._legs:
-            if s < start + length:
-                return complex(tangent)
-        return complex(self._legs[-1][1])
+        return self._legs[min(int(self._s[1:].searchsorted(s, side="right")), len(self._legs) - 1)][1]
 
     def point(self, s: float) -> complex:
         """Position at one arc length."""
-        for corner, tangent, start, length in self._legs:
-            if s <= start + length:
-                return complex(corner + (s - start) * tangent)
-        return complex(self.points[-1, 0], self.points[-1, 1])
+        return complex(np.interp(s, self._s, self._corner))
 
     def ahead(self, here: FloatArray, s: float) -> FloatArray:
         """``here`` (2,) and the corners that are still to come (m, 2)."""
@@ -97,19 +95,20 @@ class Route:
         return result
 
 
-def approach(
-    distance: FloatArray, speed: FloatArray, deceleration: FloatArray, t_s: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Travel and speed (k, m) at times ``t_s`` (m,) of points that move at ``speed`` (k, 1) and stop after ``distance``.
+def approach(moves: Sequence[tuple[float, float, float]], t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Travel and speed (k, m) at times ``t_s`` (m,) of k points that move at a speed and stop after a distance.
 
-    All arguments but the time are (k, 1) and not negative, deceleration is positive.
+    Each move is (distance, speed, deceleration), none negative, deceleration positive: v = sqrt(2 a d) at the end.
     """
-    start = np.minimum(speed, np.sqrt(2.0 * deceleration * distance))
-    braking = start * start / (2.0 * deceleration)
-    t_brake = (distance - braking) / np.maximum(start, 1e-9)
-    until_brake = np.maximum(t_brake - t_s, 0.0)
-    now = np.minimum(np.maximum(t_brake * deceleration + start - deceleration * t_s, 0.0), start)
-    return distance - now * now / (2.0 * deceleration) - until_brake * start, now
+    table = []
+    for distance, speed, deceleration in moves:
+        start = min(speed, math.sqrt(2.0 * deceleration * distance))
+        brake_s = distance / start - 0.5 * start / deceleration if start > 0.0 else 0.0
+        table.append((start, brake_s, deceleration, distance))
+    start, brake_s, deceleration, distance = np.array(table).T[:, :, None]
+    until_brake = brake_s - t_s
+    now = np.minimum(np.maximum(until_brake * deceleration + start, 0.0), start)
+    return distance - now * now / (2.0 * deceleration) - np.maximum(until_brake, 0.0) * start, now
 
 
 def ground_speed(cruise_m_s: float, tangent: complex, current: complex, water_limit_m_s: float) -> float:
@@ -148,8 +147,8 @@ def build_reference(t_s: FloatArray, x0: FloatArray, target: Target, current_ned
     """References (N+1, 8) at the times of the nodes.
 
     Position marches along the route at cruise speed over ground and stops at its end, depth arrives with it or as fast
-    as heave allows, heading turns by the way given. Velocities are those through the water that this motion needs in the
-    current, so that a goal in a current is a steady state of the reference and is held without offset.
+    as heave allows, heading turns by the way given. Velocities are those through the water that this motion needs in
+    the current, so that a goal in a current is a steady state of the reference and is held without offset.
     """
     route, rest = target.route, max(0.0, target.route.length_m - target.s0_m)
     current = complex(current_ned_m_s[0], current_ned_m_s[1])
@@ -157,9 +156,13 @@ def build_reference(t_s: FloatArray, x0: FloatArray, target: Target, current_ned
     speed = ground_speed(target.cruise_m_s, tangent, current, target.speed_limit_m_s)
     dz, turn = float(target.depth_m - x0[Z]), float(target.yaw_rad - x0[YAW])
     climb = min(HEAVE_SHARE * target.heave_limit_m_s, max(abs(dz) / max(rest / speed, MIN_DEPTH_TIME_S), SLOWEST_M_S))
-    distance = np.array([[rest], [abs(dz)], [abs(turn)]])
-    speeds = np.array([[speed], [climb], [YAW_RATE_SHARE * target.yaw_rate_limit_rad_s]])
-    travel, rate = approach(distance, speeds, DECELERATIONS, t_s)
+    turn_rate = YAW_RATE_SHARE * target.yaw_rate_limit_rad_s
+    moves = (
+        (rest, speed, DECELERATION_M_S2),
+        (abs(dz), climb, HEAVE_DECELERATION_M_S2),
+        (abs(turn), turn_rate, YAW_DECELERATION_RAD_S2),
+    )
+    travel, rate = approach(moves, t_s)
 
     ref = np.empty((len(t_s), NX))
     position, tangents = route.at(target.s0_m + travel[0])

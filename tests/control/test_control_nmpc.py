@@ -1,0 +1,162 @@
+"""The optimiser: the QP's answer against IPOPT on the same problem, the choice of a solver, the checks of a result."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from control_loop import MODEL, TANK
+
+from autopilot.bench.ipopt import IpoptNmpc
+from autopilot.control import ocp
+from autopilot.control.grid import geometric_grid, uniform_grid
+from autopilot.control.nmpc import PLANES, Nmpc, NmpcProblem, QpStep, choose_step, passes_self_test
+from autopilot.control.obstacles import Features
+from autopilot.control.planner import Planner
+from autopilot.control.reference import Route, Target, build_reference
+from autopilot.core.errors import ConfigError
+from autopilot.core.messages import SolveStatus
+
+RADIUS_M = 0.33
+WEIGHTS = np.array([20.0, 20.0, 40.0, 3.0, 8.0, 8.0, 8.0, 0.5, 0.02, 0.02, 0.02, 0.02])
+
+
+def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, planes: int = PLANES) -> NmpcProblem:
+    path = Planner(TANK, RADIUS_M).path(x0[:2], np.array(goal))
+    assert path is not None
+    current = np.array([0.1, -0.08, 0.0])
+    target = Target(
+        route=Route(path),
+        s0_m=0.0,
+        depth_m=0.3,
+        yaw_rad=yaw,
+        cruise_m_s=0.35,
+        speed_limit_m_s=0.46,
+        heave_limit_m_s=0.25,
+        yaw_rate_limit_rad_s=1.0,
+    )
+    reference = build_reference(grid.t_s, x0, target, current)
+    normals, offsets = np.zeros((grid.n - 1, planes, 2)), np.zeros((grid.n - 1, planes))
+    Features(TANK).half_planes(reference[: grid.n, :2], grid.t_s[: grid.n], RADIUS_M, planes, normals, offsets)
+    return NmpcProblem(
+        x0=x0,
+        x_ref=reference,
+        current_ned_m_s=np.broadcast_to(current, (grid.n, 3)),
+        weights=WEIGHTS,
+        limits=np.array([0.46, 0.23, 0.92, 0.05, 1.2]),
+        thrust_limit_n=np.full(4, 12.0),
+        plane_n=normals,
+        plane_d_m=offsets,
+    )
+
+
+START = np.array([-1.3, -0.2, 0.45, 0.3, 0.3, 0.05, 0.0, -0.2])
+
+
+@pytest.mark.parametrize("grid", [uniform_grid(20), geometric_grid(20, 8.0)], ids=["uniform", "geometric"])
+@pytest.mark.parametrize("backend", [ocp.HPIPM, ocp.PIQP], ids=lambda b: b.plugin)
+def test_repeated_qps_reach_what_ipopt_finds(grid, backend) -> None:
+    task = problem(grid, START)
+    fast, slow = Nmpc(MODEL, grid, backends=(backend,)), IpoptNmpc(MODEL, grid, PLANES, 1e-9)
+    fast.set_plan(task.x_ref, np.zeros((grid.n, 4)))
+    slow.set_plan(task.x_ref, np.zeros((grid.n, 4)))
+    x, u, solved = slow.solve(task)
+    assert solved
+    for _ in range(10):
+        result = fast.solve(task)
+        assert result.status is SolveStatus.OK
+    assert result.gap_max < 1e-6
+    assert np.allclose(result.thrust_n[0], u[0], atol=0.05)
+    assert np.allclose(result.x, x, atol=0.01)
+
+
+@pytest.mark.parametrize("x0", [START, np.array([-1.2, -0.2, 0.45, 0.8, 0.5, 0.15, 0.1, 0.7])])
+def test_constraints_hold_in_the_plan(x0: np.ndarray) -> None:
+    grid = geometric_grid(20, 8.0)
+    task = problem(grid, x0)
+    fast = Nmpc(MODEL, grid)
+    fast.set_plan(task.x_ref, np.zeros((grid.n, 4)))
+    for _ in range(10):
+        result = fast.solve(task)
+    x = result.x[4:]
+    assert (np.hypot(x[:, 4], x[:, 5]) <= 0.461).all()
+    assert (np.abs(x[:, 6]) <= 0.231).all()
+    assert (np.abs(x[:, 7]) <= 0.921).all()
+    assert (np.abs(result.thrust_n) <= 12.0).all()
+    assert Features(TANK).clearance_m(result.x[1:20, :2]).min() > RADIUS_M - 2e-3
+
+
+def test_thrust_limits_are_per_thruster() -> None:
+    grid = geometric_grid(20, 8.0)
+    limit = np.array([12.0, 3.0, 1.0, 0.5])
+    task = dataclasses.replace(problem(grid, START), thrust_limit_n=limit)
+    fast = Nmpc(MODEL, grid)
+    fast.set_plan(task.x_ref, np.zeros((grid.n, 4)))
+    for _ in range(5):
+        result = fast.solve(task)
+        assert result.status is SolveStatus.OK
+        assert (np.abs(result.thrust_n) <= limit).all()
+
+
+def test_first_solver_that_works_is_taken() -> None:
+    grid = uniform_grid(5)
+    missing = ocp.QpBackend(plugin="no_such_plugin", options={}, staged=False)
+    assert choose_step(MODEL, grid, 2, (missing, ocp.PIQP)).backend.plugin == "piqp"
+    assert Nmpc(MODEL, grid).solver == "hpipm"
+    with pytest.raises(ConfigError, match="no_such_plugin"):
+        choose_step(MODEL, grid, 2, (missing,))
+
+
+@pytest.mark.parametrize("amount", [1.0, math.nan])
+def test_self_test_rejects_wrong_answers(monkeypatch: pytest.MonkeyPatch, amount: float) -> None:
+    grid = uniform_grid(10)
+    step = QpStep(MODEL, grid, 2, ocp.HPIPM)
+    assert passes_self_test(step)
+    evaluate = QpStep.evaluate
+
+    def spoiled(self: QpStep) -> None:
+        evaluate(self)
+        self.u[0, 0] += amount
+        self.figures[4] += amount
+
+    monkeypatch.setattr(QpStep, "evaluate", spoiled)
+    assert not passes_self_test(step)
+    with pytest.raises(ConfigError, match="self-test"):
+        choose_step(MODEL, grid, 2, (ocp.HPIPM,))
+
+
+def test_not_finite_input_is_reported_and_the_plan_stays() -> None:
+    grid = geometric_grid(20, 8.0)
+    task = problem(grid, START)
+    fast = Nmpc(MODEL, grid)
+    fast.set_plan(task.x_ref, np.zeros((grid.n, 4)))
+    assert fast.solve(task).status is SolveStatus.OK
+    before = fast.u.copy()
+    bad = START.copy()
+    bad[4] = math.nan
+    result = fast.solve(dataclasses.replace(task, x0=bad))
+    assert result.status in (SolveStatus.NOT_FINITE, SolveStatus.RESIDUAL, SolveStatus.EXCEPTION)
+    assert np.array_equal(fast.u, before)
+    assert fast.solve(task).status is SolveStatus.OK
+
+
+def test_unsolved_qp_is_reported() -> None:
+    grid = geometric_grid(20, 8.0)
+    task = problem(grid, START)
+    fast = Nmpc(MODEL, grid)
+    fast.set_plan(task.x_ref, np.zeros((grid.n, 4)))
+    impossible = dataclasses.replace(task, thrust_limit_n=np.full(4, -1.0))
+    assert fast.solve(impossible).status is not SolveStatus.OK
+
+
+def test_same_inputs_give_the_same_bits() -> None:
+    grid = geometric_grid(20, 8.0)
+    task = problem(grid, START)
+    answers = []
+    for _ in range(2):
+        fast = Nmpc(MODEL, grid)
+        fast.set_plan(task.x_ref, np.zeros((grid.n, 4)))
+        for _ in range(3):
+            result = fast.solve(task)
+        answers.append((result.x.tobytes(), result.thrust_n.tobytes(), result.cost))
+    assert answers[0] == answers[1]
