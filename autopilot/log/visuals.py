@@ -1,7 +1,8 @@
 """Messages of variable size: what viewers draw (paths, markers, transforms, images) and text."""
 
 import math
-from collections.abc import Iterable, Sequence
+import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from autopilot.core.frames import FloatArray, quat_from_rpy
@@ -11,8 +12,16 @@ from autopilot.log.schemas import layout
 
 _pose_stamped = layout("geometry_msgs/PoseStamped").packer.pack
 _NS = 1_000_000_000
+_NED = (4, b"ned\0")
 _IDENTITY = (0.0, 0.0, 0.0, 1.0)
 """Quaternion in ROS order x, y, z, w."""
+_HALF_TURN = (1.0, 0.0, 0.0, 0.0)
+
+# Header and sequence length end at byte 20 of the content: only the first pose needs padding in front of its doubles.
+_PATH_HEAD = struct.Struct("<4siII4sI")
+_FIRST_POSE = struct.Struct("<iII4s4x7d")
+_NEXT_POSE = struct.Struct("<iII4s7d")
+_TWO_TRANSFORMS = struct.Struct("<4sIiII4sI4s4x7diII4sI4s7d")
 
 ROS_LEVEL = (50, 50, 50, 40, 30, 20, 20, 10)
 """rcl_interfaces/Log level of each MAV_SEVERITY, emergency to debug."""
@@ -37,29 +46,34 @@ def pose_stamped(stamp_ns: int, nav: NavState) -> bytes:
     )
 
 
-def path(stamp_ns: int, points_ned_m: Iterable[Sequence[float]]) -> bytes:
+def path(stamp_ns: int, points_ned_m: Sequence[Sequence[float]]) -> bytes:
     """nav_msgs/Path through points (n, 3) in ``ned``; orientations are left at identity."""
-    points = list(points_ned_m)
-    out = CdrBuffer()
-    out.header(stamp_ns, "ned")
-    out.put("uint32", len(points))
-    for point in points:
-        out.header(stamp_ns, "ned")
-        out.put("float64", point[0], point[1], point[2], *_IDENTITY)
-    return out.getvalue()
+    sec, nanosec = divmod(stamp_ns, _NS)
+    parts = [_PATH_HEAD.pack(ENCAPSULATION, sec, nanosec, *_NED, len(points_ned_m))]
+    pack = _FIRST_POSE.pack
+    for x, y, z in points_ned_m:
+        parts.append(pack(sec, nanosec, *_NED, x, y, z, *_IDENTITY))
+        pack = _NEXT_POSE.pack
+    return b"".join(parts)
 
 
 def transforms(stamp_ns: int, nav: NavState) -> bytes:
     """tf2_msgs/TFMessage: ``map`` (z up, for viewers) -> ``ned`` (turned half a turn about north) -> ``frd``."""
-    out = CdrBuffer()
-    out.put("uint32", 2)
-    out.header(stamp_ns, "map")
-    out.string("ned")
-    out.put("float64", 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    out.header(stamp_ns, "ned")
-    out.string("frd")
-    out.put("float64", *nav.pos_ned_m.tolist(), *_ros_quaternion(nav.rpy_rad))
-    return out.getvalue()
+    stamp = divmod(stamp_ns, _NS)
+    return _TWO_TRANSFORMS.pack(
+        ENCAPSULATION,
+        2,
+        *stamp,
+        *(4, b"map\0"),
+        *_NED,
+        *(0.0, 0.0, 0.0),
+        *_HALF_TURN,
+        *stamp,
+        *_NED,
+        *(4, b"frd\0"),
+        *nav.pos_ned_m.tolist(),
+        *_ros_quaternion(nav.rpy_rad),
+    )
 
 
 def event(stamp_ns: int, value: Event) -> bytes:
