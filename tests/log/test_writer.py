@@ -3,6 +3,7 @@
 import json
 import os
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -256,6 +257,22 @@ def test_rates_and_changes(tmp_path: Path) -> None:
     assert read["/in/tick"]["samples"][0] == 5 and read["/in/tick"]["frames"][0] == 1
     assert read["/in/ahrs_raw"]["t_us"][3] == 30_000 - 15_000
     assert json.loads(read.attachments["run.json"])["scenario"] == "paper-tank"
+
+
+def test_the_last_description_counts(tmp_path: Path) -> None:
+    log = open_log_for(tmp_path)
+    later = replace(DESCRIPTION, scenario="later", obstacles=())
+    for t_us in range(0, 3_000_000, 100_000):
+        if t_us == 1_500_000:
+            log.describe(t_us, later)
+        log.outputs(outputs_at(t_us, truth_at(t_us * 1e-6), Run()))
+    log.close()
+    read = open_log(tmp_path / "a.mcap")
+    assert read.description == later and read.verify() == ()
+    marks = [len(m.value["markers"]) for m in read.messages("/viz/markers")]
+    assert marks[0] == marks[1] == marks[2] + 4
+    with (tmp_path / "a.mcap").open("rb") as file:
+        assert [a.name for a in make_reader(file).iter_attachments()] == ["run.json", "run.json"]
 
 
 def test_names_by_start_time(tmp_path: Path) -> None:
