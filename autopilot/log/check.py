@@ -141,7 +141,7 @@ def _at_least(
         verdict = Verdict.FAIL
     else:
         verdict = Verdict.PASS if worst >= limit else Verdict.WARN
-    note = f"tolerance {tolerance * 1000:.0f} mm" if tolerance else ""
+    note = f"tol. {tolerance * 1000:.0f} mm" if tolerance else ""
     return [
         Row(
             name=name,
@@ -178,7 +178,8 @@ def _mission_rows(flight: Flight, run: RunDescription) -> list[Row]:
         rows.append(_info(f"time lap {number}", "s", span.end_s - span.start_s))
         energy = energy_j(flight, span)
         if energy is not None:
-            rows.append(_info(f"energy lap {number}", "J", energy, f"{run.hotel_power_w:g} W hotel included"))
+            note = f"{run.hotel_power_w:g} W hotel load" if run.hotel_power_w else ""
+            rows.append(_info(f"energy lap {number}", "J", energy, note))
     return rows
 
 

@@ -16,6 +16,9 @@ WALL_CLOCK_TOPICS = ("/sys/loop",)
 WALL_CLOCK_FIELDS = ("/ctl/nmpc.solve_s", "/in/tick.cpu_load", "/in/tick.overruns", "/in/markers.decode_us")
 """Measurements of the machine, which differ between two runs of the same seed."""
 
+_SHOWN = 80
+"""Characters of a value in a difference."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
@@ -90,7 +93,8 @@ def _bytes(values: Any) -> Any:
 
 
 def _show(value: Any) -> str:
-    return str(value).replace("\n", " ")
+    text = " ".join(str(value).split())
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def _compare_messages(topic: str, a: Log, b: Log, ignore_fields: Collection[str]) -> list[Difference]:
@@ -116,7 +120,7 @@ def _first_difference(a: Any, b: Any, topic: str, field: str, ignore_fields: Col
         pairs = [(f"{field}[{index}]", *pair) for index, pair in enumerate(zip(a, b, strict=True))]
     else:
         same = a == b or (isinstance(a, float) and isinstance(b, float) and a != a and b != b)
-        return None if same else (field, f"{_show(a)[:80]} against {_show(b)[:80]}")
+        return None if same else (field, f"{_show(a)} against {_show(b)}")
     for name, first, second in pairs:
         if not _ignored(topic, name, ignore_fields):
             place = _first_difference(first, second, topic, name, ignore_fields)

@@ -90,8 +90,9 @@ def energy(scene: Scene) -> Figure | None:
     figure = Figure(figsize=(WIDTH_IN, 2.8))
     left, right = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
     hotel_w = scene.flight.run.hotel_power_w if scene.flight.run is not None else 0.0
-    left.plot(seconds(table), table["power_w"] + hotel_w, label="thrusters and hotel load", **TRUTH)
-    left.axhline(hotel_w, color="#999999", linewidth=0.8, label="hotel load")
+    left.plot(seconds(table), table["power_w"] + hotel_w, label="electrical power", **TRUTH)
+    if hotel_w > 0.0:
+        left.axhline(hotel_w, color="#999999", linewidth=0.8, label="hotel load")
     legend_above(left)
     left.set_ylim(bottom=0.0)
     left.set_ylabel("power [W]")

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from autopilot.core.frames import FloatArray
-from autopilot.log.analysis import Visit, seconds, wrap
+from autopilot.core.frames import FloatArray, unwrap_near
+from autopilot.log.analysis import Track, Visit, seconds
 from autopilot.log.figure_parts import (
     BAND,
     LAP_COLORS,
@@ -60,33 +60,20 @@ def depth_and_yaw(scene: Scene) -> Figure | None:
     legend_above(top)
     top.yaxis.set_inverted(True)
     top.set_ylabel("z, depth [m]")
-    center = _yaw_center(scene)
-    bottom.plot(*_broken(track.t_s, center + wrap(track.rpy_rad[:, 2] - center)), **TRUTH)
-    _bands(scene, bottom, lambda visit: _yaw_band(visit, center))
-    bottom.set_ylabel("yaw [rad]")
+    yaw = np.unwrap(track.rpy_rad[:, 2])
+    bottom.plot(track.t_s, yaw, **TRUTH)
+    _bands(scene, bottom, lambda visit: _yaw_band(visit, track, yaw))
+    bottom.set_ylabel("yaw, unwrapped [rad]")
     time_axis(scene, [top, bottom])
     return figure
 
 
-def _yaw_band(visit: Visit, center_rad: float) -> tuple[float, float] | None:
-    yaw = visit.waypoint.yaw_rad
-    return None if yaw is None else (_near(yaw, center_rad), visit.waypoint.accept_yaw_rad)
-
-
-def _near(angle_rad: float, center_rad: float) -> float:
-    return center_rad + float(wrap(np.array([angle_rad - center_rad]))[0])
-
-
-def _yaw_center(scene: Scene) -> float:
-    """A heading opposite to which the curve may be cut: the middle of the waypoints' headings."""
-    yaws = [visit.waypoint.yaw_rad for visit in scene.tour if visit.waypoint.yaw_rad is not None]
-    return float(np.mean([min(yaws), max(yaws)])) if yaws else 0.0
-
-
-def _broken(t_s: FloatArray, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The curve with gaps where it jumps by a turn."""
-    jumps = np.flatnonzero(np.abs(np.diff(angles)) > np.pi) + 1
-    return np.insert(t_s, jumps, t_s[jumps]), np.insert(angles, jumps, np.nan)
+def _yaw_band(visit: Visit, track: Track, unwrapped_rad: FloatArray) -> tuple[float, float] | None:
+    """Centre and half width of a heading band, on the turn on which the vehicle came to it."""
+    if visit.waypoint.yaw_rad is None:
+        return None
+    at = len(unwrapped_rad) - 1 if visit.t_s is None else int(np.searchsorted(track.t_s, visit.t_s))
+    return unwrap_near(visit.waypoint.yaw_rad, float(unwrapped_rad[at])), visit.waypoint.accept_yaw_rad
 
 
 def _bands(scene: Scene, ax: Axes, band: Callable[[Visit], tuple[float, float] | None]) -> None:

@@ -1,13 +1,15 @@
 """The tank seen from above: walls, obstacles with their safe zones, fence, acceptance circles."""
 
+from collections.abc import Sequence
+
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 
-from autopilot.log.description import RunDescription
+from autopilot.log.description import Point2, RunDescription
 from autopilot.log.scene import outline
 
-_ALREADY_DRAWN_M = 1e-6
-"""A fence shape that coincides with a wall or obstacle to this is not drawn twice."""
+_ALREADY_DRAWN_M = 0.02
+"""A fence shape that lies on a wall or obstacle to this (it came as latitude and longitude) is not drawn twice."""
 
 
 def draw_plan(ax: Axes, run: RunDescription) -> None:
@@ -25,7 +27,7 @@ def draw_plan(ax: Axes, run: RunDescription) -> None:
         circle = None if shape.center_m is None else (*shape.center_m, shape.radius_m or 0.0)
         if circle is not None and any(_same(circle, other) for other in drawn):
             continue
-        if shape.vertices_m and set(shape.vertices_m) == set(run.tank_polygon_m):
+        if shape.vertices_m and _same_corners(shape.vertices_m, run.tank_polygon_m):
             continue
         color = "#2ca02c" if shape.inclusion else "#d62728"
         ax.add_patch(Polygon(outline(shape), closed=True, fill=False, edgecolor=color, linewidth=1.0))
@@ -38,6 +40,10 @@ def draw_plan(ax: Axes, run: RunDescription) -> None:
         ax.plot(*center, "k+", markersize=7)
         ax.annotate(waypoint.name, center, xytext=(5, 5), textcoords="offset points", fontweight="bold")
     ax.autoscale_view()
+
+
+def _same_corners(a: Sequence[Point2], b: Sequence[Point2]) -> bool:
+    return len(a) == len(b) and all(any(_same(corner, other) for other in b) for corner in a)
 
 
 def _same(a: tuple[float, ...], b: tuple[float, ...]) -> bool:

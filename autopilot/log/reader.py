@@ -230,7 +230,7 @@ class Log:
             raise LogError(f"{self.path}: messages on {topic} do not fit their schema {name}; the log is damaged")
         body = np.ascontiguousarray(rows[:, head:]).view(layout.dtype)[:, 0]
         start = np.ascontiguousarray(rows[:, :head]).view(_MESSAGE_HEAD)[:, 0]
-        table = np.empty(len(rows), _columns(layout))
+        table = np.zeros(len(rows), _columns(layout))
         table["t_us"] = (start["log_time"].astype(np.int64) - self.epoch_ns) // 1000
         table["sequence"] = start["sequence"]
         for column in (table.dtype.names or ())[2:]:

@@ -138,19 +138,15 @@ def test_report_is_one_file_that_loads_nothing(report: Path) -> None:
     assert page.count("data-root-id") >= 16
 
 
-def test_report_escapes_what_operators_wrote(tmp_path: Path) -> None:
-    nasty = replace(ONE_LAP, scenario="<script>alert(1)</script>", obstacles=())
-    log = write_run(tmp_path / "a.mcap", Run(laps=1, step_us=500_000, description=nasty))
-    page = write_report(open_log(log), tmp_path / "a.html").read_text(encoding="utf-8")
-    assert "<script>alert" not in page and "&lt;script&gt;alert" in page
-
-
 def test_report_of_poor_logs(tmp_path: Path) -> None:
-    poor = write_run(tmp_path / "poor.mcap", Run(laps=1, step_us=500_000, with_truth=False))
+    """A cut-off log without truth, whose operator has written what a page must not run."""
+    nasty = replace(ONE_LAP, scenario="<script>alert(1)</script>", obstacles=())
+    poor = write_run(tmp_path / "poor.mcap", Run(laps=1, step_us=500_000, with_truth=False, description=nasty))
     data = poor.read_bytes()
     poor.write_bytes(data[: len(data) // 2])
     page = write_report(open_log(poor), tmp_path / "poor.html").read_text(encoding="utf-8")
     assert "cut off" in page
+    assert "<script>alert" not in page and "&lt;script&gt;alert" in page
     with pytest.raises(LogError, match="neither"):
         write_report(open_log(bare(tmp_path / "bare.mcap")), tmp_path / "bare.html")
     with pytest.raises(LogError, match="cannot be written"):
