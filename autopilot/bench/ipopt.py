@@ -63,6 +63,7 @@ class IpoptNmpc:
         constraints = ca.vertcat(*gaps, *rows)
         p = ca.vertcat(*(ca.vec(v) for v in parameters))
         options: dict[str, Any] = {
+            "expand": True,
             "print_time": False,
             "ipopt": {"print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": 200, "warm_start_init_point": "yes"},
         }

@@ -12,7 +12,7 @@ import numpy as np
 
 from autopilot.control import ocp
 from autopilot.control.fallback import station_keeping_thrust
-from autopilot.control.grid import geometric_grid
+from autopilot.control.grid import TimeGrid, geometric_grid
 from autopilot.control.nmpc import Nmpc, NmpcProblem, NmpcResult
 from autopilot.control.obstacles import FAR_M
 from autopilot.control.planner import Planner
@@ -52,7 +52,13 @@ class _Task:
 
 
 class MotionController:
-    """Called every 50 ms (any other interval works). One instance per vehicle; :meth:`step` is deterministic."""
+    """Called every 50 ms (any other interval works). One instance per vehicle; :meth:`step` is deterministic.
+
+    The horizon is a geometric grid of ``n`` intervals over ``horizon_s``, or any other ``grid``. ``cpu_clock`` measures
+    what a step costs (reported, never acted upon). The current estimate holds over the whole horizon: it carries what
+    the model lacks as well (drag, tether), which does not fade with distance, a faded current would give every goal an
+    offset, and what lies beyond the first seconds is planned again before it is flown.
+    """
 
     def __init__(
         self,
@@ -60,6 +66,7 @@ class MotionController:
         *,
         n: int = 20,
         horizon_s: float = 8.0,
+        grid: TimeGrid | None = None,
         cpu_clock: Callable[[], float] = time.thread_time,
         backends: tuple[ocp.QpBackend, ...] = (ocp.HPIPM, ocp.PIQP),
     ) -> None:
@@ -67,10 +74,11 @@ class MotionController:
         self._model = vehicle.model4.to_model()
         self._lag_s = vehicle.drive.time_constant_s
         self._cpu_clock = cpu_clock
-        self.nmpc = Nmpc(self._model, geometric_grid(n, horizon_s), backends=backends)
+        grid = grid or geometric_grid(n, horizon_s)
+        self.nmpc = Nmpc(self._model, grid, backends=backends)
         self._advance = _Advance(self._model, self._lag_s)
-        self._plane_n = np.zeros((n - 1, self.nmpc.planes, 2))
-        self._plane_d = np.zeros((n - 1, self.nmpc.planes))
+        self._plane_n = np.zeros((grid.n - 1, self.nmpc.planes, 2))
+        self._plane_d = np.zeros((grid.n - 1, self.nmpc.planes))
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
         self._fence: Fence | None = None

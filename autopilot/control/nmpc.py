@@ -4,6 +4,7 @@ Holds the compiled step of :mod:`autopilot.control.ocp` and the arrays it reads 
 built after construction. The first solver that passes a self-test is used.
 """
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -75,7 +76,7 @@ class QpStep:
     def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
         n = grid.n
         self.backend = backend
-        self._function = _build(model, _grid_key(grid), planes, backend)
+        self._function = _build(dataclasses.astuple(model), _grid_key(grid), planes, backend)
         self.x_guess = np.zeros((n + 1, NX))
         self.u_guess = np.zeros((n, NU))
         self.x_ref = np.zeros((n + 1, NX))
@@ -117,10 +118,12 @@ def _grid_key(grid: TimeGrid) -> tuple[float, ...]:
 
 
 @lru_cache(maxsize=8)
-def _build(model: Model4, dt_s: tuple[float, ...], planes: int, backend: ocp.QpBackend) -> Any:
+def _build(model_values: tuple[Any, ...], dt_s: tuple[float, ...], planes: int, backend: ocp.QpBackend) -> Any:
     """The built function is pure; controllers of the same vehicle and grid share it."""
     dt = np.array(dt_s)
     grid = TimeGrid(dt_s=dt, t_s=np.concatenate(([0.0], np.cumsum(dt))))
+    fields = (field.name for field in dataclasses.fields(Model4))
+    model = Model4(**dict(zip(fields, model_values, strict=True)))
     return ocp.build_qp_step(model, grid, planes, backend)
 
 
@@ -186,6 +189,8 @@ class Nmpc:
         self._shifts: dict[float, tuple[FloatArray, FloatArray]] = {}
         self.x = np.zeros((grid.n + 1, NX))
         self.u = np.zeros((grid.n, NU))
+        self.last_problem: NmpcProblem | None = None
+        """What was solved last (its arrays may be those of the caller), for comparisons."""
 
     @property
     def solver(self) -> str:
@@ -209,7 +214,7 @@ class Nmpc:
 
     def solve(self, problem: NmpcProblem) -> NmpcResult:
         """One QP around the plan. The plan is replaced only when the result passes every check."""
-        step = self._step
+        step, self.last_problem = self._step, problem
         step.x_guess[:] = self.x
         step.x_guess[0] = problem.x0
         step.u_guess[:] = self.u

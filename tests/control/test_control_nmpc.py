@@ -53,21 +53,23 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
 START = np.array([-1.3, -0.2, 0.45, 0.3, 0.3, 0.05, 0.0, -0.2])
 
 
-@pytest.mark.parametrize("grid", [uniform_grid(20), geometric_grid(20, 8.0)], ids=["uniform", "geometric"])
-@pytest.mark.parametrize("backend", [ocp.HPIPM, ocp.PIQP], ids=lambda b: b.plugin)
-def test_repeated_qps_reach_what_ipopt_finds(grid, backend) -> None:
+@pytest.mark.parametrize("grid", [uniform_grid(12), geometric_grid(12, 4.0)], ids=["uniform", "geometric"])
+def test_repeated_qps_reach_what_ipopt_finds(grid) -> None:
     task = problem(grid, START)
-    fast, slow = Nmpc(MODEL, grid, backends=(backend,)), IpoptNmpc(MODEL, grid, PLANES, 1e-9)
-    fast.set_plan(task.x_ref, np.zeros((grid.n, 4)))
+    slow = IpoptNmpc(MODEL, grid, PLANES, 1e-9)
     slow.set_plan(task.x_ref, np.zeros((grid.n, 4)))
     x, u, solved = slow.solve(task)
     assert solved
-    for _ in range(10):
-        result = fast.solve(task)
-        assert result.status is SolveStatus.OK
-    assert result.gap_max < 1e-6
-    assert np.allclose(result.thrust_n[0], u[0], atol=0.05)
-    assert np.allclose(result.x, x, atol=0.01)
+    for backend in (ocp.HPIPM, ocp.PIQP):
+        fast = Nmpc(MODEL, grid, backends=(backend,))
+        assert fast.solver == backend.plugin
+        fast.set_plan(task.x_ref, np.zeros((grid.n, 4)))
+        for _ in range(10):
+            result = fast.solve(task)
+            assert result.status is SolveStatus.OK
+        assert result.gap_max < 1e-6
+        assert np.allclose(result.thrust_n, u, atol=0.05)
+        assert np.allclose(result.x, x, atol=0.003)
 
 
 @pytest.mark.parametrize("x0", [START, np.array([-1.2, -0.2, 0.45, 0.8, 0.5, 0.15, 0.1, 0.7])])
