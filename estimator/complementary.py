@@ -80,12 +80,11 @@ class ObserverCore:
         return FilterState(x, INITIAL_SIGMA**2)
 
     def predict(self, state: FilterState, step: Step) -> FilterState:
-        """Variances grow; that of the position also as if the velocity were wrong all along in one direction."""
+        """Variances grow; without vision that of the position as if the velocity were wrong in one direction."""
         blind = 10.0 if step.mode is Mode.BLIND else 1.0
         p = state.p + (blind * step.dt_s) * self._growth
-        p[POS] += (
-            2.0 * step.dt_s * np.sqrt(p[POS] * p[VEL]) * (0.0 if step.mode in (Mode.NOMINAL, Mode.TRIMMED) else 1.0)
-        )
+        if step.mode in (Mode.COASTING, Mode.BLIND):
+            p[POS] += 2.0 * step.dt_s * np.sqrt(p[POS] * p[VEL])
         return FilterState(np.array(moved(state.x, step)), p)
 
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
@@ -120,11 +119,11 @@ class ObserverCore:
             p[VEL] *= VEL_SHRINK
         return FilterState(state.x + innovation.gain @ innovation.y, p)
 
-    def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray) -> FilterState:
+    def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray) -> FilterState:
         """See :class:`estimator.core.FilterCore`."""
         x, p = state.x.copy(), state.p.copy()
         x[HEADING_OFFSET] -= pose[3] - x[YAW]
-        x[POS], x[YAW] = pose[:3], pose[3]
+        x[POS], x[YAW], x[VEL] = pose[:3], pose[3], vel_ned_m_s
         p[:4] = noise.diagonal()
         p[VEL] = RELOCATED_SIGMA_VEL_M_S**2
         return FilterState(x, p)

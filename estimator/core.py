@@ -42,8 +42,10 @@ class FilterCore(Protocol):
         """State after the measurement that ``innovation`` was made of."""
         ...
 
-    def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray) -> FilterState:
-        """State moved to a pose (4,) north, east, down, yaw with covariance (4, 4); the heading offset moves along."""
+    def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray) -> FilterState:
+        """State moved to a pose (4,) north, east, down, yaw with covariance (4, 4) and a velocity over ground (3,).
+
+        The heading offset moves along with the yaw."""
         ...
 
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:

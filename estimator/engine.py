@@ -50,6 +50,8 @@ COAST_AFTER_US = 300_000
 """Time without vision after which the current is held."""
 LOST_AFTER = 3
 """Sightings in a row that do not fit the predicted pose before the whole floor is searched."""
+RELOCATED_VARIANCE = 1e-3
+"""Added to the variance of the fix that a reset goes to (m^2, rad^2): it has been carried on to now."""
 
 
 class Engine:
@@ -274,8 +276,9 @@ class Engine:
             if fix.tilt_rad is not None and node.moment.inertial.real:
                 self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
             return True
-        if self._relocation.rejected(fix.t_us, y):
-            self._relocate(history, fix, y)
+        velocity = self._relocation.rejected(fix)
+        if velocity is not None:
+            self._relocate(history, fix, float(y[3]), velocity)
         return False
 
     def _use_laser(self, history: History, node: Node, sample: LaserSample) -> bool:
@@ -295,12 +298,12 @@ class Engine:
         self._statuses.append(aid.judged(measurement.t_us, self._now_us, innovation, fused))
         return None if fused else innovation.y
 
-    def _relocate(self, history: History, fix: PoseFix, residual: FloatArray) -> None:
-        """Believe the fixes and not ourselves: move the newest node by the residual and forget the past."""
+    def _relocate(self, history: History, fix: PoseFix, turn_rad: float, vel_ned_m_s: FloatArray) -> None:
+        """Believe the fixes and not ourselves: move the newest node there and forget the past."""
         newest = history.newest
-        x = newest.state.x
-        pose = np.append(x[:3], x[YAW]) + residual
-        state = self._core.relocate(newest.state, pose, fix.noise + np.eye(4) * 1e-3)
+        pos = fix.z[:3] + 1e-6 * (newest.t_us - fix.t_us) * vel_ned_m_s
+        pose = np.append(pos, newest.state.x[YAW] + turn_rad)
+        state = self._core.relocate(newest.state, pose, fix.noise + np.eye(4) * RELOCATED_VARIANCE, vel_ned_m_s)
         self._history = History(self._core, Node(newest.t_us, newest.moment, None, state))
         self._relocation.accepted()
         self._markers.rejected_in_row = 0

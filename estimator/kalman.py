@@ -16,8 +16,8 @@ from estimator.tuning import process_noise
 VERTICAL_CURRENT_VARIANCE = 0.02**2
 """The vertical current is taken as zero; this is how wrong that may be [m^2/s^2]."""
 
-RELOCATED_SIGMA_VEL_M_S = 0.2
-"""After a reset of the pose the velocity is not trusted further than this."""
+RELOCATED_SIGMA_VEL_M_S = 0.1
+"""Of the velocity after a reset, which is the mean over the last fixes."""
 
 
 class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no type hints
@@ -78,11 +78,11 @@ class KalmanCore:
         p *= 0.5
         return FilterState(state.x + innovation.gain.dot(innovation.y), p)
 
-    def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray) -> FilterState:
-        """The pose gets the fix's covariance, its correlations are dropped, the velocity is doubted."""
+    def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray) -> FilterState:
+        """The pose gets the fix's covariance, correlations of pose and velocity are dropped."""
         x, p = state.x.copy(), state.p.copy()
         x[HEADING_OFFSET] -= pose[3] - x[YAW]
-        x[POS], x[YAW] = pose[:3], pose[3]
+        x[POS], x[YAW], x[VEL] = pose[:3], pose[3], vel_ned_m_s
         for part in (range(4), range(4, 7)):
             p[part, :] = 0.0
             p[:, part] = 0.0

@@ -2,33 +2,30 @@
 
 from collections import deque
 
-import numpy as np
-
 from autopilot.core.frames import FloatArray
 from estimator.aiding import REJECT_COUNT
-
-SPREAD_M = 0.15
-SPREAD_RAD = 0.15
-"""Rejected fixes agree if their distances from the prediction lie within these."""
-WINDOW_US = 3_000_000
-"""Older rejections do not count."""
+from estimator.measure_pose import PoseFix
+from estimator.startup import WINDOW_US, agree
 
 
 class Relocation:
-    """Watches the residuals of rejected fixes."""
+    """Watches rejected fixes. What the filter itself thinks plays no part: it may be lost altogether."""
 
     def __init__(self) -> None:
-        self._residuals: deque[tuple[int, FloatArray]] = deque(maxlen=REJECT_COUNT)
+        self._fixes: deque[PoseFix] = deque(maxlen=REJECT_COUNT)
 
     def accepted(self) -> None:
         """A fix passed the gate."""
-        self._residuals.clear()
+        self._fixes.clear()
 
-    def rejected(self, t_us: int, residual: FloatArray) -> bool:
-        """A fix with this residual (4,) did not pass. True: believe it and move there."""
-        self._residuals.append((t_us, residual))
-        if len(self._residuals) < REJECT_COUNT or abs(t_us - self._residuals[0][0]) > WINDOW_US:
-            return False
-        values = np.array([r for _, r in self._residuals])
-        spread = values.max(axis=0) - values.min(axis=0)
-        return bool(spread[:3].max() <= SPREAD_M and spread[3] <= SPREAD_RAD)
+    def rejected(self, fix: PoseFix) -> FloatArray | None:
+        """A fix did not pass. Not None: believe it and move there, at this velocity (3,) NED over ground."""
+        self._fixes.append(fix)
+        first = self._fixes[0]
+        span_us = fix.t_us - first.t_us
+        if len(self._fixes) < REJECT_COUNT or not 0 < span_us <= WINDOW_US:
+            return None
+        if not all(agree(fix, other) for other in self._fixes):
+            return None
+        velocity: FloatArray = (fix.z[:3] - first.z[:3]) / (1e-6 * span_us)
+        return velocity

@@ -26,10 +26,11 @@ class StartUp:
         """True if ``fix`` can be believed: at least two others of the last second agree with it."""
         others = [f for f in self._fixes if f.t_us != fix.t_us and abs(fix.t_us - f.t_us) <= WINDOW_US]
         self._fixes.append(fix)
-        return 1 + sum(_agree(fix, other) for other in others) >= AGREE_COUNT
+        return 1 + sum(agree(fix, other) for other in others) >= AGREE_COUNT
 
 
-def _agree(a: PoseFix, b: PoseFix) -> bool:
+def agree(a: PoseFix, b: PoseFix) -> bool:
+    """Whether one vehicle can have been at both."""
     dt = 1e-6 * abs(a.t_us - b.t_us)
     step: FloatArray = a.z[:3] - b.z[:3]
     near = math.sqrt(float(step @ step)) <= AGREE_M + SPEED_M_S * dt

@@ -22,18 +22,19 @@ POS_NOISE = 1e-4
 """m/sqrt(s): keeps the position gain alive at rest."""
 GYRO_NOISE = 2e-3
 """rad/s/sqrt(Hz): 0.05 deg/s/sqrt(Hz) of the IG-500 class doubled for scale error and misalignment."""
-ACCEL_NOISE = 0.03
-"""m/s^2/sqrt(Hz): sensor noise is a tenth of this, the rest is what tilt errors do within a second."""
+ACCEL_NOISE = 0.015
+"""m/s^2/sqrt(Hz): sensor noise is a sixth of this, the rest is what tilt errors do within a second."""
 GYRO_BIAS_WALK = 1e-4
 """rad/s/sqrt(s)"""
-ACCEL_BIAS_WALK = 0.02
-"""m/s^2/sqrt(s): gravity leaking in through slow tilt errors, 0.07 m/s^2 for 0.4 degrees."""
+ACCEL_BIAS_WALK = 0.03
+"""m/s^2/sqrt(s): gravity leaking in through slow tilt errors, 0.09 m/s^2 for 0.5 degrees in 20 s."""
 ACCEL_BIAS_WALK_TRIMMED = 0.006
 """The same when vision trims the tilt."""
 CURRENT_WALK = 0.02
 """m/s/sqrt(s): eddies that CURRENT_RATE does not describe."""
-CURRENT_RATE_WALK = 0.12
-"""m/s^2/sqrt(s): with CURRENT_RATE_TIME_S a stationary 0.12 m/s^2, the jet crossed at cruise speed."""
+CURRENT_RATE_WALK = 0.04
+"""m/s^2/sqrt(s): with CURRENT_RATE_TIME_S a stationary 0.04 m/s^2. The jet crossed at cruise speed does twice that
+for a moment, but a larger value lets errors of the drag pass for current."""
 CURRENT_RATE_TIME_S = 2.0
 """Correlation time of the current's rate of change: the jet's width at cruise speed."""
 HEADING_OFFSET_WALK = 0.0087

@@ -1,0 +1,45 @@
+"""What the estimator tests share: the vehicle, and both estimators by name."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from autopilot.core.markers import MarkerMap, grid_floor
+from autopilot.core.vehicle import Vehicle, load_vehicle
+from estimator.complementary import create_complementary
+from estimator.ekf import create_ekf
+from estimator.engine import Engine
+from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+
+Make = Callable[..., Engine]
+
+
+@pytest.fixture(scope="session")
+def vehicle() -> Vehicle:
+    return load_vehicle("lbv150")
+
+
+@pytest.fixture(scope="session")
+def floor() -> MarkerMap:
+    """A tank floor with the layout of the shipped scenario."""
+    polygon = np.array([[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]])
+    return grid_floor(polygon_m=polygon, depth_m=1.5, pitch_m=0.08, size_m=0.06, seed=7)
+
+
+@pytest.fixture
+def make_ekf(vehicle: Vehicle) -> Make:
+    def make(options: EstimatorOptions = DEFAULT_OPTIONS, markers: MarkerMap | None = None) -> Engine:
+        return create_ekf(vehicle, markers, 1.5, options)
+
+    return make
+
+
+@pytest.fixture(params=["ekf", "complementary"])
+def make(request: pytest.FixtureRequest, vehicle: Vehicle) -> Make:
+    create = {"ekf": create_ekf, "complementary": create_complementary}[request.param]
+
+    def make_one(options: EstimatorOptions = DEFAULT_OPTIONS, markers: MarkerMap | None = None) -> Engine:
+        return create(vehicle, markers, 1.5, options)
+
+    return make_one
