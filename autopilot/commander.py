@@ -35,7 +35,7 @@ READINESS_EVERY_TICKS = 50
 """Arming checks are looked at twice per second for telemetry, and anew at every request."""
 
 SURFACED_M = 0.05
-"""The vehicle counts as surfaced within this distance of the top of its depth band."""
+"""The vehicle counts as surfaced within this distance of where it floats."""
 
 MAX_YAW_AIM_RAD = 0.15
 """Acceptance band of goals that are not mission items."""
@@ -314,10 +314,16 @@ class Commander:
         elif out.action is Action.HOLD:
             self._mode = FlightMode.HOLD
             self._say(SEVERITY_NOTICE, f"Mission complete: {out.progress.lap} laps")
+            return self._hold, self._with_last_item(out.reached)
         return self._hold, out.reached
 
+    def _with_last_item(self, reached: tuple[int, ...]) -> tuple[int, ...]:
+        """A plan that ends with DO_ items is over with the last of them: MAVSDK's progress waits for its number."""
+        last = len(self._mission) - 1
+        return reached if last in reached else (*reached, last)
+
     def _disarm_when_surfaced(self, nav: NavState) -> None:
-        if self.mode is FlightMode.SURFACE and nav.pos_ned_m[2] <= self._params["DEPTH_MIN"] + SURFACED_M:
+        if self.mode is FlightMode.SURFACE and nav.pos_ned_m[2] <= self._top_m() + SURFACED_M:
             self._say(SEVERITY_NOTICE, "Surfaced")
             self.disarm(force=False)
             self._mode, self._override = FlightMode.HOLD, None
@@ -418,8 +424,12 @@ class Commander:
         if nav is None:
             return None
         pos_ned_m = nav.pos_ned_m.copy()
-        pos_ned_m[2] = self._params["DEPTH_MIN"]
+        pos_ned_m[2] = self._top_m()
         return self._goal_at(pos_ned_m, float(nav.rpy_rad[2]))
+
+    def _top_m(self) -> float:
+        """Depth of the centre at the surface: the hull floats up no farther than its half height."""
+        return max(self._params["DEPTH_MIN"], self._vehicle.hull_half_height_m)
 
     def _say(self, severity: int, text: str) -> None:
         self._events.append(Event(t_us=self._t_us, severity=severity, text=text))

@@ -236,6 +236,8 @@ def conflicts(steps: Sequence[Step], shapes: Sequence[FenceShape], ctx: PlanCont
 
 def _place_conflicts(places: Sequence[_Place], shapes: Sequence[FenceShape], radius_m: float) -> list[Conflict]:
     """Places in an inflated obstacle or outside the shrunk workspace, in the order of the plan."""
+    if not shapes:
+        return []
     points = np.array([(p.north_m, p.east_m) for p in places]).reshape(-1, 2)
     signs = np.array([-1.0 if s.inclusion else 1.0 for s in shapes])
     room = np.array([clearance_m(s.shape, points) for s in shapes]).reshape(len(shapes), -1) * signs[:, None]

@@ -108,8 +108,8 @@ class Inputs:
     mavlink_rx: tuple[MavlinkFrame, ...] = ()
     overruns: int = 0
     """Ticks that began late so far (real time only), counted by the runtime."""
-    log_dropped: int = 0
-    """Log messages lost so far, counted by the log writer."""
+    cpu_load: float = 0.0
+    """Share of the last second that the loop was busy, 0..1; 0 when nobody measures (lockstep)."""
 
 
 # Estimate.
@@ -303,7 +303,6 @@ class Failsafe(IntEnum):
     SOLVER = 1
     BATTERY = 2
     AHRS_STALE = 3
-    GCS_LOST = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -45,9 +45,6 @@ class Upload:
     peer: Peer
     kind: PlanKind
     count: int
-    count_mark: tuple[int, int]
-    """Header sequence and checksum of the MISSION_COUNT: tells its duplicate from a new start."""
-    begun_us: int
     asked_us: int
     progress_us: int
     wrong: int = 0
@@ -83,6 +80,8 @@ class Missions:
         self._upload: Upload | None = None
         self._finished: Finished | None = None
         self._downloads: dict[tuple[Peer, PlanKind], Download] = {}
+        self._counts: dict[tuple[Peer, int, int], int] = {}
+        self._duplicate_us = DUPLICATE_US * ctx.patience
         self.current_wire_seq = 0
         """What downloads mark as current."""
         self.revision = 0
@@ -103,8 +102,8 @@ class Missions:
             return
         if self._denied(peer, kind):
             return
-        upload, mark = self._upload, (msg.get_seq(), msg.get_crc())
-        if upload is not None and upload.count_mark == mark and ctx.t_us - upload.begun_us <= DUPLICATE_US:
+        mark = (peer, msg.get_seq(), msg.get_crc())
+        if self._is_late_duplicate(mark):
             return
         self._upload = self._finished = None
         if msg.count > MAX_ITEMS + home_item.shift(ctx, kind):
@@ -115,11 +114,19 @@ class Missions:
                 peer.link,
             )
             return
-        self._upload = Upload(peer, kind, msg.count, mark, ctx.t_us, ctx.t_us, ctx.t_us)
+        self._upload = Upload(peer, kind, msg.count, ctx.t_us, ctx.t_us)
         if msg.count == 0:
             self._finish(self._upload)
         else:
             self._ask(self._upload)
+
+    def _is_late_duplicate(self, mark: tuple[Peer, int, int]) -> bool:
+        """Whether the network delivers a COUNT again, of whatever plan; a client's own retry has another number."""
+        now_us = self._ctx.t_us
+        self._counts = {known: at_us for known, at_us in self._counts.items() if now_us - at_us <= self._duplicate_us}
+        seen = mark in self._counts
+        self._counts.setdefault(mark, now_us)
+        return seen
 
     def on_item(self, peer: Peer, msg: Message) -> None:
         """MISSION_ITEM_INT."""

@@ -1,0 +1,70 @@
+"""The whole service, in this process with virtual time or as a process of its own."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from system_harness import OpenSession, RunningService, free_port
+
+from autopilot.config import gather, sitl_defaults
+from autopilot.core.messages import Outputs
+from autopilot.sitl_session import SitlSession, open_sitl
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[OpenSession]:
+    """Makes sessions with nothing shared: no sockets, a state folder of their own, lockstep."""
+    opened: list[SitlSession] = []
+
+    def make(
+        scenario: str = "paper-tank",
+        *,
+        peers: Sequence[Any] = (),
+        params: dict[str, float] | None = None,
+        log: Path | None = None,
+        on_tick: Callable[[Outputs], None] = lambda _: None,
+        **given: Any,
+    ) -> SitlSession:
+        settings = gather(sitl_defaults(0), {"scenario": scenario, "speed": 0.0, **given}, {})
+        settings.put("connect", (), "test")
+        settings.put("state_dir", str(tmp_path / "state"), "test")
+        settings.put("log", None if log is None else str(log), "test")
+        made = open_sitl(settings, params or {}, log=log is not None, peers=peers, on_tick=on_tick)
+        opened.append(made)
+        return made
+
+    yield make
+    for made in opened:
+        made.runtime.close()
+        made.recorder.close()
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Iterator[Callable[..., RunningService]]:
+    """Starts services; they are ended by SIGTERM and must end well."""
+    with contextlib.ExitStack() as stack:
+
+        def start(*arguments: str, scenario: str = "paper-tank", speed: float = 0.0) -> RunningService:
+            port, log = free_port(), tmp_path / "service.mcap"
+            command = [
+                *(sys.executable, "-m", "autopilot", "sitl", scenario, "--quiet", "--sensors", "pose"),
+                *("--speed", str(speed), "--log", str(log), "--connect", f"udpin:127.0.0.1:{port}", *arguments),
+            ]
+            environment = {**os.environ, "AUTOPILOT_STATE_DIR": str(tmp_path / "state")}
+            process = subprocess.Popen(command, env=environment)
+
+            def end() -> None:
+                if process.poll() is None:
+                    process.send_signal(signal.SIGTERM)
+                assert process.wait(timeout=60) == 0
+
+            stack.callback(end)
+            return RunningService(process=process, port=port, log=log)
+
+        yield start

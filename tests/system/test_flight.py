@@ -1,0 +1,83 @@
+"""Whole missions in lockstep, judged on the plant's truth."""
+
+from pathlib import Path
+
+import pytest
+from system_harness import OpenSession
+
+from autopilot.core.messages import NavHealth, Outputs
+from autopilot.log.check import Verdict, acceptance_table
+from autopilot.log.reader import open_log
+from mission.paper import paper_plan
+from mission.plan_files import write_plan
+
+
+def _plan(folder: Path, laps: int) -> str:
+    path = folder / "paper.plan"
+    write_plan(path, paper_plan(laps))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "sensors", "estimator", "laps", "duration_s"),
+    [
+        ("paper-tank", "camera", "ekf", 1, 40.0),
+        ("paper-tank", "pose", "ekf", 3, 90.0),
+        ("paper-tank-still", "pose", "ekf", 1, 40.0),
+    ],
+)
+def test_laps_without_a_broken_bound(
+    session: OpenSession, tmp_path: Path, scenario: str, sensors: str, estimator: str, laps: int, duration_s: float
+) -> None:
+    log = tmp_path / "run.mcap"
+    run = session(
+        scenario,
+        sensors=sensors,
+        estimator=estimator,
+        plan=_plan(tmp_path, laps),
+        start=True,
+        duration=duration_s,
+        log=log,
+    )
+    run.run()
+    rows = {row.name: row for row in acceptance_table(open_log(log))}
+    assert rows["laps"].worst == laps
+    broken = [row for row in rows.values() if row.verdict is Verdict.FAIL]
+    assert broken == []
+
+
+def test_the_complementary_observer_flies_the_lap(session: OpenSession, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    session(
+        sensors="pose",
+        estimator="complementary",
+        plan=_plan(tmp_path, 1),
+        start=True,
+        duration=45.0,
+        log=log,
+    ).run()
+    rows = {row.name: row for row in acceptance_table(open_log(log))}
+    assert rows["laps"].worst == 1
+    assert rows["contacts"].worst == 0
+    for name in ("distance to cylinder 1", "distance to cylinder 2", "distance to walls"):
+        assert rows[name].verdict is not Verdict.FAIL, rows[name]
+
+
+def test_finds_itself_wherever_it_stands(session: OpenSession, tmp_path: Path) -> None:
+    scenario = (Path(__file__).parents[2] / "sitl/scenarios/paper-tank.toml").read_text()
+    for index, (start, yaw) in enumerate([("[1.9, -1.0, 0.9]", 2.9), ("[-0.2, 0.9, 0.2]", -1.7)]):
+        moved = tmp_path / f"moved-{index}.toml"
+        moved.write_text(
+            scenario.replace("start_m = [-1.9, 0.6, 0.4]", f"start_m = {start}").replace(
+                "start_yaw_rad = 0.5", f"start_yaw_rad = {yaw}"
+            )
+        )
+        seen: list[Outputs] = []
+        run = session(str(moved), sensors="camera", duration=3.0, on_tick=seen.append)
+        run.run()
+        nav = seen[-1].nav
+        assert nav is not None
+        assert nav.health is NavHealth.GOOD
+        x, y, z = (float(a) for a in start.strip("[]").split(","))
+        assert nav.pos_ned_m == pytest.approx([x, y, z], abs=0.02)
+        assert nav.rpy_rad[2] == pytest.approx(yaw, abs=0.02)

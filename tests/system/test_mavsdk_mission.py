@@ -1,0 +1,70 @@
+"""A mission flown by MAVSDK: a client that we did not write."""
+
+import asyncio
+from collections.abc import Callable, Sequence
+
+from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+from mavsdk.asyncio.plugins.action import ActionAsync, ActionError
+from mavsdk.asyncio.plugins.mission_raw import MissionItem, MissionRawAsync
+from system_harness import RunningService
+
+from autopilot.core.plan import PlanItem, PlanKind
+from mission.paper import paper_plan
+
+FLIGHT_TIMEOUT_S = 150.0
+
+
+def _raw(kind: PlanKind, items: Sequence[PlanItem]) -> list[MissionItem]:
+    """Items as MAVSDK's raw plugin takes them."""
+    return [
+        MissionItem(
+            item.seq,
+            item.frame,
+            item.command,
+            1 if item.seq == 0 else 0,
+            1,
+            item.param1,
+            item.param2,
+            item.param3,
+            item.param4,
+            item.x,
+            item.y,
+            item.z,
+            int(kind),
+        )
+        for item in items
+    ]
+
+
+def _key(item: MissionItem) -> tuple[float, ...]:
+    return (item.seq, item.command, item.x, item.y, round(item.z, 3), round(item.param1, 3), round(item.param2, 3))
+
+
+async def _fly(port: int) -> None:
+    async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as sdk:
+        await sdk.add_any_connection(f"udpout://127.0.0.1:{port}")
+        vehicle = await sdk.first_autopilot(timeout_s=20.0)
+        assert vehicle is not None
+        raw, action = MissionRawAsync(vehicle), ActionAsync(vehicle)
+        plan = paper_plan(1)
+        fence, items = _raw(PlanKind.FENCE, plan.fence), _raw(PlanKind.MISSION, plan.mission)
+        await raw.upload_geofence(fence)
+        await raw.upload_mission(items)
+        assert [_key(item) for item in await raw.download_geofence()] == [_key(item) for item in fence]
+        assert [_key(item) for item in await raw.download_mission()] == [_key(item) for item in items]
+        for attempt in range(40):
+            try:
+                await action.arm()
+                break
+            except ActionError:
+                assert attempt < 39, "never armed"
+                await asyncio.sleep(0.25)
+        await raw.start_mission()
+        async with asyncio.timeout(FLIGHT_TIMEOUT_S):
+            async for progress in raw.subscribe_mission_progress():
+                if progress.total and progress.current == progress.total:
+                    return
+
+
+def test_mavsdk_flies_the_mission(service: Callable[..., RunningService]) -> None:
+    asyncio.run(_fly(service().port))
