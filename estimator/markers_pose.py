@@ -29,6 +29,9 @@ SIMILAR = 0.15
 REJECT_SIGMAS = 3.0
 REJECT_FLOOR_PX = 1.0
 """A marker with a corner further than this from its projection is left out."""
+REJECT_ROUNDS = 4
+FIRST_RMS_PX, FINAL_RMS_PX = 40.0, 3.0
+"""A fit may be this bad before and after markers have been left out."""
 LASER_SIGMA_PX = 1.5
 LASER_OFF_LINE_PX = 6.0
 """How far the dot may lie off the line on which it must lie."""
@@ -140,24 +143,28 @@ class MarkerSolver:
     def _refine(
         self, sighting: MarkerSighting, seen: IntArray, placed: IntArray, pos: FloatArray, rpy: FloatArray
     ) -> PoseFix | None:
-        """Least squares over the corners; markers that do not fit are left out once."""
+        """Least squares over the corners; markers that do not fit are left out and it is done again."""
         pixels, points = sighting.corners_px[seen], self._corners_ned_m[placed]
-        first = solve_pose(self._camera, points.reshape(-1, 3), pixels.reshape(-1, 2), pos, rpy)
-        if first is None:
-            return None
-        worst = np.sqrt((first.residual_px.reshape(-1, 4, 2) ** 2).sum(axis=2)).max(axis=1)
-        limit = max(REJECT_FLOOR_PX, REJECT_SIGMAS * float(np.median(worst)))
-        good = worst <= limit
-        best = first
-        if not good.all():
-            if not good.any():
-                return None
-            again = solve_pose(
-                self._camera, points[good].reshape(-1, 3), pixels[good].reshape(-1, 2), first.pos_ned_m, first.rpy_rad
+        good = np.ones(len(seen), dtype=bool)
+        best = None
+        for round_left in reversed(range(REJECT_ROUNDS)):
+            best = solve_pose(
+                self._camera,
+                points[good].reshape(-1, 3),
+                pixels[good].reshape(-1, 2),
+                pos if best is None else best.pos_ned_m,
+                rpy if best is None else best.rpy_rad,
+                max_rms_px=FINAL_RMS_PX if round_left == 0 else FIRST_RMS_PX,
             )
-            if again is None:
+            if best is None:
                 return None
-            best = again
+            worst = np.sqrt((best.residual_px.reshape(-1, 4, 2) ** 2).sum(axis=2)).max(axis=1)
+            fits = worst <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * float(np.median(worst)))
+            if fits.all():
+                break
+            good[np.flatnonzero(good)[~fits]] = False
+        if best is None or best.rms_px > FINAL_RMS_PX:
+            return None
         z = np.append(best.pos_ned_m, best.rpy_rad[2])
         return PoseFix(
             sensor="markers",

@@ -24,8 +24,6 @@ FEW_POINTS = 8
 MIN_SIGMA_PX = 0.25
 INFLATION = 2.0
 """Corners of one marker share errors, so the covariance from independent corners is too small by this factor."""
-MAX_RMS_PX = 4.0
-"""A worse fit is no fit."""
 
 
 class Pose(NamedTuple):
@@ -41,12 +39,20 @@ class Pose(NamedTuple):
     """Larger one of the standard deviations of the two tilts."""
     residual_px: FloatArray
     """(m, 2)"""
+    rms_px: float
 
 
 def solve_pose(
-    camera: CameraModel, points_ned_m: FloatArray, pixels: FloatArray, pos_ned_m: FloatArray, rpy_rad: FloatArray
+    camera: CameraModel,
+    points_ned_m: FloatArray,
+    pixels: FloatArray,
+    pos_ned_m: FloatArray,
+    rpy_rad: FloatArray,
+    max_rms_px: float,
 ) -> Pose | None:
-    """Pose from m >= 3 points (m, 3) and pixels (m, 2), starting at a rough pose. None if it does not converge."""
+    """Pose from m >= 3 points (m, 3) and pixels (m, 2), starting at a rough pose.
+
+    None if it does not converge or if the residuals' root mean square is above ``max_rms_px``."""
     pos = np.array(pos_ned_m, dtype=float)
     rotation = r_ned_from_frd(rpy_rad)
     up_prior = rotation.T[:, 2].copy()
@@ -67,7 +73,7 @@ def solve_pose(
     else:
         return None
     rms = _rms(residual)
-    if not rms <= MAX_RMS_PX:
+    if not rms <= max_rms_px:
         return None
     information, _ = _normal_equations(residual, jac, max(MIN_SIGMA_PX, rms), rotation, up_prior, sigma_tilt)
     covariance = INFLATION * np.linalg.inv(information)
@@ -75,7 +81,7 @@ def solve_pose(
     noise = covariance[np.ix_(pick, pick)]
     noise[np.arange(4), np.arange(4)] += np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2
     sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))
-    return Pose(pos, rpy_from_r(rotation), noise, sigma_tilt_rad, residual.reshape(-1, 2))
+    return Pose(pos, rpy_from_r(rotation), noise, sigma_tilt_rad, residual.reshape(-1, 2), rms)
 
 
 def _linearise(
