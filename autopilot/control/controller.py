@@ -4,23 +4,21 @@ import cmath
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from autopilot.control import ocp
 from autopilot.control.fallback import station_keeping_thrust
 from autopilot.control.grid import TimeGrid, geometric_grid
+from autopilot.control.lag import ThrusterLag
 from autopilot.control.nmpc import Nmpc, NmpcProblem, NmpcResult
-from autopilot.control.obstacles import FAR_M
+from autopilot.control.obstacles import FAR_M, fence_key
 from autopilot.control.planner import Planner
 from autopilot.control.reference import TURN_AHEAD_M, Route, Target, build_reference, turn_target
 from autopilot.core.frames import FloatArray, unwrap_near
-from autopilot.core.geometry import Circle, Fence
+from autopilot.core.geometry import Fence
 from autopilot.core.messages import ControlOutput, Fallback, Goal, NavHealth, NavState, NmpcStatus, SolveStatus
-from autopilot.core.model4 import NU, NX, YAW, Model4, Z
+from autopilot.core.model4 import NU, NX, YAW, Z
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 
@@ -41,14 +39,6 @@ REPLAN_INTERVAL_US = 1_000_000
 
 LONGEST_SHIFT_S = 1.0
 """A plan older than this is not continued."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Task:
-    """Goal, fence and radius for which the route was made."""
-
-    goal_key: tuple[float, ...]
-    planner_key: tuple[object, ...]
 
 
 class MotionController:
@@ -72,11 +62,10 @@ class MotionController:
     ) -> None:
         self._vehicle = vehicle
         self._model = vehicle.model4.to_model()
-        self._lag_s = vehicle.drive.time_constant_s
         self._cpu_clock = cpu_clock
         grid = grid or geometric_grid(n, horizon_s)
         self.nmpc = Nmpc(self._model, grid, backends=backends)
-        self._advance = _Advance(self._model, self._lag_s)
+        self._lag = ThrusterLag(self._model, vehicle.drive.time_constant_s)
         self._plane_n = np.zeros((grid.n - 1, self.nmpc.planes, 2))
         self._plane_d = np.zeros((grid.n - 1, self.nmpc.planes))
         self._planner: Planner | None = None
@@ -101,7 +90,7 @@ class MotionController:
         self._hold: FloatArray | None = None
         self._hold_goal: FloatArray | None = None
         self._command = np.zeros(NU)
-        self._acting = np.zeros(NU)
+        self._lag.reset()
         self.unreachable = False
 
     def step(
@@ -120,13 +109,13 @@ class MotionController:
             limit_n = np.minimum(limit_n, thruster_limit_n)
         elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
         self._last_us = t_us
-        self._acting += (1.0 - math.exp(-max(elapsed_s, 0.0) / self._lag_s)) * (self._command - self._acting)
+        self._lag.follow(self._command, elapsed_s)
         if nav.health is NavHealth.INVALID or not _finite(nav):
             return self._neutral(t_us, nav, began)
 
         x = self._state(nav)
         current = nav.current_ned_m_s
-        x0 = self._advance(x, self._acting, current)
+        x0 = self._lag.ahead(x, current)
         fresh = self._update_task(t_us, x0, goal, fence, params)
         if nav.reset_count != self._reset_count or elapsed_s > LONGEST_SHIFT_S or elapsed_s < 0.0:
             fresh = True
@@ -174,7 +163,7 @@ class MotionController:
         """Make planner and route anew where something changed; True if the route is another one."""
         radius = self._vehicle.radius_m + params["MPC_MARGIN"]
         if fence is not self._fence or self._planner is None or self._planner_key[0] != radius:
-            key = (radius, *_fence_key(fence))
+            key = (radius, *fence_key(fence))
             if key != self._planner_key:
                 self._planner = Planner(fence, radius)
                 self._planner_key = key
@@ -319,30 +308,6 @@ class MotionController:
         return here[None] if route is None or self.unreachable else route.ahead(here, self._s)
 
 
-class _Advance:
-    """The state one actuator lag later.
-
-    A thruster with first-order lag T that acts with thrust F and is commanded G delivers the same momentum as one that
-    keeps F for T and then jumps to G. So the plan starts T ahead, from where the acting thrust takes the vehicle.
-    """
-
-    def __init__(self, model: Model4, lag_s: float) -> None:
-        interval = ocp.discrete_dynamics(model, lag_s, 2)
-        x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", NU), ca.SX.sym("c", 3)
-        function: Any = ca.Function("advance", [x, u, c], [interval(x, u, c)[0]])
-        self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(NU), np.zeros(3), np.zeros(NX)
-        self._function = function
-        self._buffer, self._evaluate = function.buffer()
-        for i, array in enumerate((self._x, self._u, self._c)):
-            self._buffer.set_arg(i, array.data)
-        self._buffer.set_res(0, self._out.data)
-
-    def __call__(self, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> FloatArray:
-        self._x[:], self._u[:], self._c[:] = x, thrust_n, current_ned_m_s
-        self._evaluate()
-        return self._out.copy()
-
-
 def _speed_cap(params: ParamSet) -> float:
     return max(0.05, params["SPD_PLANAR_MAX"] - params["MPC_SPEED_MARGIN"])
 
@@ -361,16 +326,3 @@ def _finite(nav: NavState) -> bool:
         nav.current_ned_m_s,
     )
     return math.isfinite(sum(float(a.sum()) for a in arrays))
-
-
-def _fence_key(fence: Fence) -> tuple[object, ...]:
-    """The horizontal content of a fence, to tell a new one from the same one built again."""
-    parts: list[object] = []
-    for shapes in (fence.inclusions, fence.exclusions):
-        parts.append(len(shapes))
-        for shape in shapes:
-            if isinstance(shape, Circle):
-                parts.append((np.asarray(shape.center_ned_m, dtype=float).tobytes(), float(shape.radius_m)))
-            else:
-                parts.append(np.asarray(shape.vertices_ned_m, dtype=float).tobytes())
-    return tuple(parts)

@@ -190,6 +190,19 @@ def clearance_m(fence: Fence, points_ned_m: Sequence[Sequence[float]] | FloatArr
     return Features(fence).clearance_m(np.asarray(points_ned_m, dtype=float).reshape(-1, 2))
 
 
+def fence_key(fence: Fence) -> tuple[object, ...]:
+    """The horizontal content of a fence, to tell a new one from the same one built again."""
+    parts: list[object] = []
+    for shapes in (fence.inclusions, fence.exclusions):
+        parts.append(len(shapes))
+        for shape in shapes:
+            if isinstance(shape, Circle):
+                parts.append((np.asarray(shape.center_ned_m, dtype=float).tobytes(), float(shape.radius_m)))
+            else:
+                parts.append(np.asarray(shape.vertices_ned_m, dtype=float).tobytes())
+    return tuple(parts)
+
+
 def _complex(points_ned_m: FloatArray) -> ComplexArray:
     """(m, 2) as north + i east."""
     return np.ascontiguousarray(points_ned_m).view(np.complex128)[:, 0]

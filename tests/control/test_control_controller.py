@@ -207,6 +207,7 @@ def test_lower_thruster_limits_are_kept(controller: MotionController) -> None:
     x = START.copy()
     for step in range(40):
         output = controller.step(step * STEP_US, nav_state(step * STEP_US, x), B, TANK, ParamSet(), limit)
+        assert output.status.fallback is Fallback.NONE
         assert (np.abs(output.thrust_n) <= limit).all()
 
 
