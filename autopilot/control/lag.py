@@ -6,12 +6,11 @@ thrust states.
 """
 
 import math
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from autopilot.control.ocp import discrete_dynamics
+from autopilot.control.ocp import bind, discrete_dynamics
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NU, NX, Model4
 
@@ -23,12 +22,9 @@ class ThrusterLag:
         self._lag_s = lag_s
         interval = discrete_dynamics(model, lag_s, 2)
         x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", NU), ca.SX.sym("c", 3)
-        self._function: Any = ca.Function("ahead", [x, u, c], [interval(x, u, c)[0]])
+        function = ca.Function("ahead", [x, u, c], [interval(x, u, c)[0]])
         self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(NU), np.zeros(3), np.zeros(NX)
-        self._buffer, self._evaluate = self._function.buffer()
-        for i, array in enumerate((self._x, self._u, self._c)):
-            self._buffer.set_arg(i, array.data)
-        self._buffer.set_res(0, self._out.data)
+        self._owner, self._evaluate = bind(function, (self._x, self._u, self._c), (self._out,))
         self.acting_n = np.zeros(NU)
         """(4,) thrust that acts now."""
 

@@ -76,7 +76,7 @@ class QpStep:
     def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
         n = grid.n
         self.backend = backend
-        self._function = _build(dataclasses.astuple(model), _grid_key(grid), planes, backend)
+        function = _build(dataclasses.astuple(model), _grid_key(grid), planes, backend)
         self.x_guess = np.zeros((n + 1, NX))
         self.u_guess = np.zeros((n, NU))
         self.x_ref = np.zeros((n + 1, NX))
@@ -90,8 +90,7 @@ class QpStep:
         self.u = np.zeros((n, NU))
         self.slack = np.zeros((n - 1, ocp.N_SLACKS))
         self.figures = np.zeros(5)
-        self._multipliers = np.zeros(self._function.nnz_out("multipliers"))
-        self._buffer, self._evaluate = self._function.buffer()
+        self._multipliers = np.zeros(function.nnz_out("multipliers"))
         arguments = (
             self.x_guess,
             self.u_guess,
@@ -103,10 +102,8 @@ class QpStep:
             self.plane_n,
             self.plane_d,
         )
-        for i, array in enumerate(arguments):
-            self._buffer.set_arg(i, array.data)
-        for i, array in enumerate((self.x, self.u, self.slack, self.figures, self._multipliers)):
-            self._buffer.set_res(i, array.data)
+        results = (self.x, self.u, self.slack, self.figures, self._multipliers)
+        self._owner, self._evaluate = ocp.bind(function, arguments, results)
 
     def evaluate(self) -> None:
         """Linearise at the guess, solve, write the results."""

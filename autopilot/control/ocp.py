@@ -16,6 +16,7 @@ residuals are linear in state and input, so the Hessian is exact up to the curva
   which to linearise when the horizon ends in the middle of a leg.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,7 @@ import casadi as ca
 
 from autopilot.control.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.core import model4
+from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NU, NX, R, U, V, W, Z
 
 N_LIMITS = 5
@@ -64,6 +66,21 @@ HPIPM = QpBackend(
 
 PIQP = QpBackend(plugin="piqp", options={"piqp": {"kkt_solver": "sparse_ldlt_ineq_cond"}}, staged=False)
 """Slower by half, with the shortest tail; the fallback where the first does not work."""
+
+
+def bind(
+    function: Any, arguments: Sequence[FloatArray], results: Sequence[FloatArray]
+) -> tuple[Any, Callable[[], None]]:
+    """Tie a CasADi function to arrays: (owner, call). The call reads and writes the arrays and allocates nothing.
+
+    Arrays are C-contiguous and transposed with respect to CasADi's column-major matrices. Keep the owner alive.
+    """
+    buffer, call = function.buffer()
+    for i, array in enumerate(arguments):
+        buffer.set_arg(i, array.data)
+    for i, array in enumerate(results):
+        buffer.set_res(i, array.data)
+    return (function, buffer), call
 
 
 def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Function:
