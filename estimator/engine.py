@@ -5,6 +5,7 @@ before their time of validity, and the nodes after it are computed again. What i
 carried on to now.
 """
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -41,6 +42,9 @@ MODEL_EVERY = 4
 """AHRS samples per look at the vehicle model: 25 Hz."""
 AHRS_WAIT_US = 60_000
 """After so long without AHRS data the filter goes on without."""
+IDLE_THRUST_N = 0.3
+IDLE_SPEED_M_S = 0.03
+"""Below both the vehicle may be moored, held or aground: the model has nothing to say."""
 BLIND_STEP_US = 20_000
 BLIND_STEPS_MAX = 500
 """At most so many steps without AHRS data per tick; they get longer when the gap is longer."""
@@ -105,8 +109,7 @@ class Engine:
             return None
         self._fuse_due(self._history)
         newest = self._history.newest
-        last_fix_us = self._markers.last_fused_us if self._markers.last_fused_us is not None else newest.t_us
-        health = judge_health(newest, self._core, t_us, last_fix_us, self._options)
+        health = judge_health(newest, self._core, self._fix_age_us(t_us), self._options)
         self._last = nav_state(self._core, newest, t_us, health, self._counts["resets"])
         return self._last
 
@@ -145,22 +148,28 @@ class Engine:
     def _advance(self, history: History, inertial: Inertial) -> None:
         """One node more, with the measurements that every so many AHRS samples bring."""
         newest = history.newest
+        moment = Moment(inertial, self._thrust.at(inertial.t_us))
+        idle = not self._options.model_aid or _idle(moment, newest.state.x)
         mode = Mode.NOMINAL
         if not inertial.real:
             mode = Mode.BLIND
-        elif inertial.t_us - (self._markers.last_fused_us or newest.t_us) > COAST_AFTER_US:
+        elif idle or self._fix_age_us(inertial.t_us) > COAST_AFTER_US:
             mode = Mode.COASTING
         elif self._trim.fresh(inertial.t_us):
             mode = Mode.TRIMMED
-        moment = Moment(inertial, self._thrust.at(inertial.t_us))
         node = history.append(inertial.t_us, moment, step_between(newest.moment.inertial, inertial, mode))
         if not inertial.real:
             return
         self._samples_since += 1
         if self._samples_since % HEADING_EVERY == 0:
             self._fuse(history, node, heading_of(inertial), self._heading)
-        if self._options.model_aid and self._samples_since % MODEL_EVERY == 0:
+        if not idle and self._samples_since % MODEL_EVERY == 0:
             self._fuse(history, node, model_aid_of(inertial, self._model, self._follow), self._aid_model)
+
+    def _fix_age_us(self, t_us: int) -> int:
+        """How long ago, at ``t_us``, the newest fix was that has been used. There is one since the start."""
+        last_us = self._markers.last_fused_us
+        return 0 if last_us is None else t_us - last_us
 
     def _go_blind(self, history: History) -> None:
         """Without AHRS data for too long: let the vehicle model move the state."""
@@ -315,3 +324,10 @@ class Engine:
         if fix is None:
             self._markers.counts["malformed"] += 1
         return fix
+
+
+def _idle(moment: Moment, x: FloatArray) -> bool:
+    """No thrust and no motion."""
+    if max(map(abs, moment.thrust_n)) > IDLE_THRUST_N:
+        return False
+    return math.hypot(x.item(4), x.item(5)) < IDLE_SPEED_M_S

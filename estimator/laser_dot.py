@@ -14,14 +14,16 @@ RANGE_BAND = (0.75, 1.35)
 RANGE_SLACK_M = 0.03
 ANY_RANGE_M = (0.2, 3.0)
 """Where to look without a prediction."""
-PAD_PX = 8
-"""Half height of the strip: tilt between beam and axis, distortion."""
+PAD_PX = 10
+"""Half height of the strip that is looked at."""
+OFF_LINE_PX = 5
+"""Half height of the part of it where the dot may be: distortion, calibration."""
 SMOOTH_SIGMA_PX = 1.5
 """Of the dot's image."""
-MIN_EXCESS = 12.0
-"""Grey levels by which the smoothed dot must be greener than what is around it."""
-MIN_CONTRAST = 5.0
-"""The dot's excess in robust standard deviations of the strip."""
+MIN_EXCESS = 6.0
+"""Grey levels by which the smoothed dot must be greener than its brightness explains: six times the noise."""
+MIN_CONTRAST = 6.0
+"""The same in robust standard deviations of the strip."""
 CENTROID_PX = 3
 """Half width of the window whose centre of mass is the dot."""
 
@@ -44,13 +46,17 @@ def find_dot(image_bgr: Any, camera: CameraModel, range_m: float | None) -> Floa
     if right - left < 2 * PAD_PX or bottom - top < PAD_PX:
         return None
     patch = image_bgr[top:bottom, left:right].astype(np.float32)
-    excess = patch[:, :, 1] - 0.5 * (patch[:, :, 0] + patch[:, :, 2])
-    smooth = cv2.GaussianBlur(excess, (0, 0), SMOOTH_SIGMA_PX)
-    # Tinted light makes all white look a little green, more so where it is brighter: judge against the surroundings.
+    # Under one light, black and white print differ in brightness alone: green follows blue along a straight line, which
+    # tint and haze only shift. What lies above that line is the laser's.
+    blue, green = patch[:, :, 0], patch[:, :, 1]
+    blue_off, green_off = blue - blue.mean(), green - green.mean()
+    slope = float((blue_off * green_off).sum()) / max(float((blue_off * blue_off).sum()), 1.0)
+    smooth = cv2.GaussianBlur(green_off - slope * blue_off, (0, 0), SMOOTH_SIGMA_PX)
     level = float(np.median(smooth))
-    spread = max(1.4826 * float(np.median(np.abs(smooth - level))), 1.0)
-    row, column = (int(v) for v in np.unravel_index(int(smooth.argmax()), smooth.shape))
-    peak = float(smooth[row, column]) - level
+    spread = max(1.4826 * float(np.median(np.abs(smooth - level))), 0.5)
+    inner = _near_line(smooth, line, left, top)
+    row, column = (int(v) for v in np.unravel_index(int(inner.argmax()), smooth.shape))
+    peak = float(inner[row, column]) - level
     if peak < max(MIN_EXCESS, MIN_CONTRAST * spread):
         return None
     r0, r1 = max(row - CENTROID_PX, 0), min(row + CENTROID_PX + 1, smooth.shape[0])
@@ -59,3 +65,12 @@ def find_dot(image_bgr: Any, camera: CameraModel, range_m: float | None) -> Floa
     total = float(weight.sum())
     rows, columns = np.mgrid[r0:r1, c0:c1]
     return np.array([left + float((weight * columns).sum()) / total, top + float((weight * rows).sum()) / total])
+
+
+def _near_line(smooth: Any, line: FloatArray, left: int, top: int) -> Any:
+    """``smooth`` with everything further than OFF_LINE_PX from the line made small. The line runs along the strip."""
+    rows, columns = np.mgrid[0 : smooth.shape[0], 0 : smooth.shape[1]]
+    along = line[-1] - line[0]
+    normal = np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-9)
+    away = (columns + left - line[0, 0]) * normal[0] + (rows + top - line[0, 1]) * normal[1]
+    return np.where(np.abs(away) <= OFF_LINE_PX, smooth, smooth.min())

@@ -60,9 +60,9 @@ def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets
     )
 
 
-def judge_health(node: Node, core: FilterCore, t_us: int, last_fix_us: int, options: EstimatorOptions) -> NavHealth:
+def judge_health(node: Node, core: FilterCore, fix_age_us: int, options: EstimatorOptions) -> NavHealth:
     """Good, dead reckoning (no vision or no AHRS for a while), or invalid."""
-    age_s = 1e-6 * (t_us - last_fix_us)
+    age_s = 1e-6 * fix_age_us
     if age_s > options.invalid_after_s or core.planar_variance(node.state) > options.sigma_limit_m**2:
         return NavHealth.INVALID
     if age_s > options.dead_reckoning_after_s or not node.moment.inertial.real:
