@@ -144,6 +144,7 @@ class Runtime:
         paced: bool = False,
     ) -> None:
         self._service = service
+        self._step = service.step
         self._device = device
         self._vision = vision
         self._links = tuple(links)
@@ -157,6 +158,10 @@ class Runtime:
         self._busy_s = 0.0
         self._worst_tick_s = 0.0
         self.counters = LoopCounters()
+
+    def wrap_step(self, step: Callable[[Inputs], Outputs]) -> None:
+        """Put something round ``Autopilot.step`` (benchmarks that time it)."""
+        self._step = step
 
     def run(self, *, duration_s: float | None, stop: Callable[[], bool]) -> None:
         """Tick until ``duration_s`` of vehicle time have passed or ``stop`` says so; then close everything."""
@@ -189,7 +194,7 @@ class Runtime:
             overruns=self.counters.overruns,
             cpu_load=self.counters.cpu_load,
         )
-        outputs = self._service.step(inputs)
+        outputs = self._step(inputs)
         self._device.write(t_us, outputs.command)
         self._send(t_us, outputs.mavlink_tx)
         self._recorder.record(inputs, outputs, frames)

@@ -1,0 +1,52 @@
+"""``autopilot bench``: the benchmarks, each beside what it is measured against."""
+
+from dataclasses import asdict
+
+import click
+
+from autopilot.cli.output import emit_json, print_table
+
+NAMES = ("nmpc", "sitl")
+
+
+@click.command()
+@click.argument("name", type=click.Choice(NAMES), required=False)
+@click.option("--short", is_flag=True, help="Fewer samples, for a quick look.")
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+def bench(name: str | None, short: bool, as_json: bool) -> None:
+    """Run the benchmark NAME, or all.
+
+    nmpc: CPU time of one control step for several grids, beside IPOPT on the same problems in the same run.
+    sitl: speed against real time, CPU time per tick and memory, with a rendered camera and with pose samples.
+
+    Times depend on the machine: compare within one run.
+    """
+    chosen = NAMES if name is None else (name,)
+    results: dict[str, list[dict[str, object]]] = {}
+    for each in chosen:
+        results[each] = {"nmpc": _nmpc, "sitl": _sitl}[each](short)
+        if not as_json:
+            _print(each, results[each])
+    if as_json:
+        emit_json(results)
+
+
+def _nmpc(short: bool) -> list[dict[str, object]]:
+    from autopilot.bench.nmpc import bench_nmpc
+
+    return [asdict(row) for row in bench_nmpc(steps=100 if short else 400)]
+
+
+def _sitl(short: bool) -> list[dict[str, object]]:
+    from autopilot.bench.sitl import bench_sitl
+
+    return [asdict(row) for row in bench_sitl(duration_s=10.0 if short else 30.0)]
+
+
+def _print(name: str, rows: list[dict[str, object]]) -> None:
+    columns = list(rows[0])
+    print_table(name, columns, [[_figure(row[column]) for column in columns] for row in rows])
+
+
+def _figure(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
