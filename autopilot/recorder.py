@@ -9,8 +9,8 @@ from typing import Protocol
 
 from autopilot.core.messages import CameraFrame, Inputs, LoopStats, Outputs
 from autopilot.log.description import RunDescription
-from autopilot.log.session import RunLog
 from autopilot.log.packing import TruthLike
+from autopilot.log.session import RunLog
 
 
 class LoggedTruth(TruthLike, Protocol):

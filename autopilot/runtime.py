@@ -144,7 +144,7 @@ class Runtime:
         paced: bool = False,
     ) -> None:
         self._service = service
-        self._step = service.step
+        self._step: Callable[[Inputs], Outputs] = service.step
         self._device = device
         self._vision = vision
         self._links = tuple(links)

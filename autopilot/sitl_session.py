@@ -116,7 +116,7 @@ def open_sitl(
     peers: Sequence[Peer] = (),
     on_tick: Callable[[Outputs], None] = lambda _: None,
 ) -> SitlSession:
-    """Everything of a SITL run. ConfigError, PlanError, DriverError or LogError name what is wrong; nothing runs then."""
+    """Everything of a SITL run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then."""
     sys.setswitchinterval(THREAD_SWITCH_S)
     scenario = load_scenario(settings["scenario"])
     vehicle = load_vehicle(scenario.vehicle.model)

@@ -7,7 +7,7 @@
 | ``cam`` | OpenCV: x right in the image, y down in the image, z along the optical axis | camera |
 
 A rotation is named ``r_<to>_from_<from>`` so that adjacent names match: ``v_ned = r_ned_from_frd @ v_frd``.
-Quaternions are Hamilton, ``[w, x, y, z]``. Euler angles are roll, pitch, yaw in the order z-y-x (Fossen 2011, eq. 2.18).
+Quaternions are Hamilton, ``[w, x, y, z]``. Euler angles are roll, pitch, yaw in the order z-y-x (Fossen 2011, 2.2).
 """
 
 import math

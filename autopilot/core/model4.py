@@ -42,8 +42,7 @@ def body_acceleration(model: Model4, nu: Sequence[Any], thrust_n: Sequence[Any],
     u, v, w, r = nu[0], nu[1], nu[2], nu[3]
     m11, m22, m33, m44 = model.mass_kg
     forces = [
-        sum(model.allocation[i][j] * thrust_n[j] for j in range(NU) if model.allocation[i][j] != 0.0)
-        for i in range(NU)
+        sum(model.allocation[i][j] * thrust_n[j] for j in range(NU) if model.allocation[i][j] != 0.0) for i in range(NU)
     ]
     drag = [
         model.linear_drag[i] * a + model.quadratic_drag[i] * ops.sqrt(a * a + ABS_SMOOTHING_M2_S2) * a

@@ -98,14 +98,13 @@ class ParamSet(Mapping[str, float]):
         return self._specs[name]
 
     def set(self, name: str, value: float) -> None:
-        """Change a value, or raise ConfigError (unknown name, not finite, out of range, not whole) and change nothing."""
+        """Change a value. ConfigError (unknown, not finite, out of range, not whole) changes nothing."""
         spec = self.spec(name)
         if not math.isfinite(value):
             raise ConfigError(f"parameter {name} = {value} is not a finite number")
         if not spec.minimum <= value <= spec.maximum:
-            raise ConfigError(
-                f"parameter {name} = {value:g} is out of range; use {spec.minimum:g} to {spec.maximum:g} {spec.unit}".rstrip()
-            )
+            span = f"{spec.minimum:g} to {spec.maximum:g} {spec.unit}".rstrip()
+            raise ConfigError(f"parameter {name} = {value:g} is out of range; use {span}")
         if spec.type is ParamType.INT32 and value != int(value):
             raise ConfigError(f"parameter {name} = {value:g} must be a whole number")
         if self._values[name] != value:
