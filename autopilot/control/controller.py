@@ -3,7 +3,7 @@
 import cmath
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -68,6 +68,7 @@ class MotionController:
         self._lag = ThrusterLag(self._model, vehicle.drive.time_constant_s)
         self._plane_n = np.zeros((grid.n - 1, self.nmpc.planes, 2))
         self._plane_d = np.zeros((grid.n - 1, self.nmpc.planes))
+        self._currents = np.zeros((grid.n, 3))
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
         self._fence: Fence | None = None
@@ -110,11 +111,10 @@ class MotionController:
         elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
         self._last_us = t_us
         self._lag.follow(self._command, elapsed_s)
-        if nav.health is NavHealth.INVALID or not _finite(nav):
+        x, current = self._state(nav), nav.current_ned_m_s
+        if nav.health is NavHealth.INVALID or not math.isfinite(float(x.sum() + current.sum())):
             return self._neutral(t_us, nav, began)
 
-        x = self._state(nav)
-        current = nav.current_ned_m_s
         x0 = self._lag.ahead(x, current)
         fresh = self._update_task(t_us, x0, goal, fence, params)
         if nav.reset_count != self._reset_count or elapsed_s > LONGEST_SHIFT_S or elapsed_s < 0.0:
@@ -235,10 +235,11 @@ class MotionController:
         """The QPs of this step: result of the last, their number, and the smallest clearance of the plan."""
         planner, n = self._planner, self.nmpc.grid.n
         assert planner is not None
+        self._currents[:] = current
         problem = NmpcProblem(
             x0=x0,
             x_ref=reference,
-            current_ned_m_s=np.broadcast_to(current, (n, 3)),
+            current_ned_m_s=self._currents,
             weights=_weights(params),
             limits=np.array(
                 [
@@ -315,14 +316,3 @@ def _speed_cap(params: ParamSet) -> float:
 def _weights(params: ParamSet) -> FloatArray:
     q = params["MPC_Q_POS"]
     return np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS, *[params["MPC_R_THRUST"]] * NU])
-
-
-def _finite(nav: NavState) -> bool:
-    arrays: Sequence[FloatArray] = (
-        nav.pos_ned_m,
-        nav.rpy_rad,
-        nav.vel_water_frd_m_s,
-        nav.rate_frd_rad_s,
-        nav.current_ned_m_s,
-    )
-    return math.isfinite(sum(float(a.sum()) for a in arrays))

@@ -90,8 +90,9 @@ class Route:
 
     def ahead(self, here: FloatArray, s: float) -> FloatArray:
         """``here`` (2,) and the corners that are still to come (m, 2)."""
-        first = min(int(self._s.searchsorted(s + 1e-6, side="right")), len(self._s) - 1)
-        result: FloatArray = np.vstack((here, self.points[first:]))
+        rest = self.points[min(int(self._s.searchsorted(s + 1e-6, side="right")), len(self._s) - 1) :]
+        result = np.empty((len(rest) + 1, 2))
+        result[0], result[1:] = here, rest
         return result
 
 
