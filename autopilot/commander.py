@@ -173,6 +173,7 @@ class Commander:
                     reason=f"Mode change denied: failsafe active ({self._failsafes.describe()})",
                 )
             self._override = None
+            self._failsafes.clear()
         if mode is FlightMode.MISSION:
             if not self._plans.items(PlanKind.MISSION):
                 return Answer(result=CommandResult.DENIED, reason="No mission: upload one first")

@@ -1,0 +1,273 @@
+"""Arming, modes and failsafes, tick by tick."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from autopilot.commander import Commander, Decision
+from autopilot.core.messages import Failsafe, NavHealth, NavState, PowerSample
+from autopilot.core.params import ParamSet
+from autopilot.core.plan import PlanKind
+from autopilot.core.vehicle import load_vehicle
+from autopilot.failsafes import Conditions
+from autopilot.mavlink.api import CommandResult, FlightMode, GeoPoint
+from mission.geodesy import geodetic_from_ned
+from mission.paper import paper_plan
+from mission.store import Plans
+
+TICK_US = 10_000
+OK = CommandResult.ACCEPTED
+
+
+class Bench:
+    """A commander with everything that it looks at under the test's hand."""
+
+    def __init__(self, **params: float) -> None:
+        self.params = ParamSet(params)
+        vehicle = load_vehicle("lbv150")
+        self.plans = Plans(self.params, vehicle.radius_m)
+        self.commander = Commander(vehicle, self.params, self.plans)
+        self.t_us = 0
+        self.pos = np.array([-1.0, 0.5, 0.5])
+        self.yaw = 0.0
+        self.health: NavHealth | None = NavHealth.GOOD
+        self.remaining = 0.9
+        self.ahrs_age_s: float | None = 0.01
+        self.failures = 0
+        self.texts: list[str] = []
+
+    def nav(self) -> NavState | None:
+        if self.health is None:
+            return None
+        zero = np.zeros(3)
+        return NavState(
+            t_us=self.t_us,
+            health=self.health,
+            pos_ned_m=self.pos,
+            rpy_rad=np.array([0.0, 0.0, self.yaw]),
+            vel_frd_m_s=zero,
+            vel_water_frd_m_s=zero,
+            rate_frd_rad_s=zero,
+            current_ned_m_s=zero,
+            variance=np.zeros(12),
+        )
+
+    def run(self, seconds: float = 0.01) -> Decision:
+        for _ in range(max(1, round(seconds * 100))):
+            self.t_us += TICK_US
+            decision = self.commander.step(
+                Conditions(
+                    t_us=self.t_us,
+                    nav=self.nav(),
+                    power=PowerSample(
+                        t_us=self.t_us, voltage_v=18.0, current_a=1.0, energy_used_j=0.0, remaining=self.remaining
+                    ),
+                    ahrs_age_s=self.ahrs_age_s,
+                    solver_failures=self.failures,
+                )
+            )
+            self.texts += [event.text for event in self.commander.drain_events()]
+        return decision
+
+    def load(self, laps: int = 1) -> None:
+        plan = paper_plan(laps)
+        assert self.plans.replace(PlanKind.FENCE, plan.fence) is None
+        assert self.plans.replace(PlanKind.MISSION, plan.mission) is None
+
+    def armed(self, **_: Any) -> "Bench":
+        self.run()
+        assert self.commander.arm(force=False).result is OK
+        return self
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"health": None}, "markers"),
+        ({"health": NavHealth.DEAD_RECKONING}, "markers"),
+        ({"ahrs_age_s": None}, "AHRS"),
+        ({"ahrs_age_s": 2.0}, "AHRS"),
+        ({"remaining": 0.05}, "battery"),
+    ],
+)
+def test_arming_is_refused_with_a_reason(change: dict[str, Any], word: str) -> None:
+    bench = Bench()
+    for name, value in change.items():
+        setattr(bench, name, value)
+    bench.run()
+    answer = bench.commander.arm(force=False)
+    assert answer.result is CommandResult.DENIED
+    assert word in answer.reason
+    assert not bench.run().armed
+    assert bench.commander.arm(force=True).result is OK
+    assert bench.run().armed
+
+
+def test_arming_outside_the_fence_is_refused() -> None:
+    bench = Bench()
+    bench.load()
+    bench.pos = np.array([0.9375, 0.0, 0.5])
+    bench.run()
+    assert "fence" in bench.commander.arm(force=False).reason
+
+
+def test_a_disarmed_vehicle_has_no_goal_and_an_armed_one_holds() -> None:
+    bench = Bench()
+    assert bench.run().goal is None
+    bench.armed()
+    goal = bench.run().goal
+    assert goal is not None
+    assert goal.pos_ned_m == pytest.approx(bench.pos)
+    bench.pos = bench.pos + 0.2
+    held = bench.run().goal
+    assert held is not None
+    assert held.pos_ned_m == pytest.approx(goal.pos_ned_m)
+
+
+def test_the_mission_runs_to_its_end_and_then_holds() -> None:
+    bench = Bench()
+    bench.load()
+    bench.armed()
+    assert bench.commander.start_mission(None).result is OK
+    reached: list[int] = []
+    for x, y, z, yaw in [(-1.6, -0.35, 0.45, 0.0), (1.75, 0.0, 0.3, np.pi), (-1.6, -0.35, 0.45, 0.0)]:
+        bench.pos, bench.yaw = np.array([x, y, z]), yaw
+        reached += bench.run().reached
+    assert reached == [0, 1, 2, 3]
+    decision = bench.run()
+    assert decision.mode is FlightMode.HOLD
+    assert decision.progress.state.name == "COMPLETE"
+    assert decision.goal is not None
+    assert decision.goal.pos_ned_m[:2] == pytest.approx([-1.6, -0.35], abs=0.02)
+
+
+def test_start_without_plan_or_arms_is_refused() -> None:
+    bench = Bench()
+    bench.run()
+    assert "arm" in bench.commander.start_mission(None).reason
+    bench.armed()
+    assert "upload" in bench.commander.start_mission(None).reason
+    assert "upload" in bench.commander.set_mode(FlightMode.MISSION).reason
+
+
+def test_pause_and_resume_keep_the_place_in_the_mission() -> None:
+    bench = Bench()
+    bench.load()
+    bench.armed()
+    bench.commander.start_mission(None)
+    bench.pos = np.array([-1.6, -0.35, 0.45])
+    bench.run(0.05)
+    assert bench.run().progress.current_seq == 1
+    assert bench.commander.pause().result is OK
+    goal = bench.run().goal
+    assert goal is not None
+    assert goal.pos_ned_m == pytest.approx(bench.pos)
+    assert bench.commander.resume().result is OK
+    decision = bench.run()
+    assert decision.progress.current_seq == 1
+    assert decision.goal is not None
+    assert decision.goal.seq == 1
+
+
+def test_a_new_plan_stops_the_running_one() -> None:
+    bench = Bench()
+    bench.load()
+    bench.armed()
+    bench.commander.start_mission(None)
+    bench.run()
+    assert bench.plans.replace(PlanKind.MISSION, paper_plan(2).mission) is None
+    assert bench.run().mode is FlightMode.HOLD
+    assert any("changed" in text for text in bench.texts)
+
+
+def test_surfacing_ends_disarmed() -> None:
+    bench = Bench().armed()
+    assert bench.commander.set_mode(FlightMode.SURFACE).result is OK
+    goal = bench.run().goal
+    assert goal is not None
+    assert goal.pos_ned_m[2] < 0.2
+    bench.pos[2] = 0.14
+    bench.run(0.02)
+    assert not bench.run().armed
+
+
+def test_go_to_is_checked_against_the_fence() -> None:
+    bench = Bench()
+    bench.load()
+    bench.armed()
+
+    def go(north: float, east: float, down: float) -> Any:
+        lat, lon, alt = geodetic_from_ned(bench.plans.origin, np.array([north, east, down]))
+        return bench.commander.go_to(GeoPoint(lat_deg=lat, lon_deg=lon, alt_m=alt), None)
+
+    assert go(0.0, 0.8, 0.4).result is OK
+    goal = bench.run().goal
+    assert goal is not None
+    assert goal.pos_ned_m == pytest.approx([0.0, 0.8, 0.4], abs=1e-3)
+    for bad in [(0.9375, 0.1, 0.4), (3.0, 0.0, 0.4), (0.0, 0.8, -0.5), (0.0, 0.8, 1.4)]:
+        assert go(*bad).result is CommandResult.DENIED
+    kept = bench.run().goal
+    assert kept is not None
+    assert kept.pos_ned_m == pytest.approx(goal.pos_ned_m)
+
+
+def test_origin_moves_only_while_disarmed() -> None:
+    bench = Bench()
+    bench.run()
+    there = GeoPoint(lat_deg=10.0, lon_deg=20.0, alt_m=1.0)
+    assert bench.commander.set_origin(there).result is OK
+    assert bench.plans.origin.lat_deg == 10.0
+    bench.armed()
+    assert bench.commander.set_origin(there).result is CommandResult.DENIED
+    assert bench.commander.set_origin(GeoPoint(lat_deg=95.0, lon_deg=0.0, alt_m=0.0)).result is not OK
+
+
+def test_lost_position_surfaces_blind_after_the_timeout() -> None:
+    bench = Bench(FS_NAV_TIMEOUT=2.0).armed()
+    bench.run()
+    bench.health = NavHealth.INVALID
+    assert bench.run(1.9).mode is FlightMode.HOLD
+    decision = bench.run(0.2)
+    assert decision.mode is FlightMode.SURFACE
+    assert decision.blind_ascent
+    assert decision.goal is None
+    assert decision.failsafes == 1 << Failsafe.NAV_LOST
+    assert bench.commander.set_mode(FlightMode.HOLD).result is CommandResult.DENIED
+
+
+@pytest.mark.parametrize(("action", "armed", "mode"), [(0, True, FlightMode.HOLD), (1, False, FlightMode.HOLD)])
+def test_lost_position_does_what_the_parameter_says(action: int, armed: bool, mode: FlightMode) -> None:
+    bench = Bench(FS_NAV_ACT=action, FS_NAV_TIMEOUT=1.0).armed()
+    bench.run()
+    bench.health = NavHealth.INVALID
+    decision = bench.run(1.5)
+    assert decision.armed is armed
+    assert decision.mode is mode
+
+
+def test_empty_battery_and_failing_solver_act_and_do_not_weaken() -> None:
+    bench = Bench(FS_SOLVER_ACT=1).armed()
+    bench.failures = 1000
+    assert bench.run(0.02).mode is FlightMode.HOLD
+    bench.remaining = 0.01
+    assert bench.run(0.02).mode is FlightMode.SURFACE
+    bench.remaining, bench.failures = 0.9, 0
+    assert bench.run(0.02).mode is FlightMode.SURFACE
+    assert bench.commander.set_mode(FlightMode.HOLD).result is OK
+    assert bench.run().mode is FlightMode.HOLD
+
+
+def test_silent_ahrs_is_a_failsafe() -> None:
+    bench = Bench().armed()
+    bench.ahrs_age_s = 1.0
+    decision = bench.run(0.02)
+    assert decision.failsafes & 1 << Failsafe.AHRS_STALE
+    assert decision.mode is FlightMode.SURFACE
+
+
+def test_emergency_stop_always_works() -> None:
+    bench = Bench().armed()
+    assert bench.commander.disarm(force=True).result is OK
+    assert not bench.run().armed
+    assert "Emergency stop" in bench.texts

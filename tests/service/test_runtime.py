@@ -1,0 +1,151 @@
+"""The loop: order of things, late ticks, stopping."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from autopilot.core.messages import (
+    CameraFrame,
+    Inputs,
+    LoopStats,
+    MavlinkFrame,
+    ModeState,
+    Outputs,
+    Sample,
+    ThrusterCommand,
+)
+from autopilot.runtime import LockstepClock, Runtime
+
+
+class Service:
+    """Answers every tick with one frame to all links."""
+
+    nav = None
+
+    def __init__(self) -> None:
+        self.inputs: list[Inputs] = []
+
+    def step(self, inputs: Inputs) -> Outputs:
+        self.inputs.append(inputs)
+        return Outputs(
+            t_us=inputs.t_us,
+            command=ThrusterCommand(t_us=inputs.t_us, thrust_n=np.zeros(8), pwm_us=(1500,) * 8),
+            nav=None,
+            mode=ModeState(t_us=inputs.t_us, armed=False, custom_mode=0, failsafes=0),
+            mavlink_tx=(MavlinkFrame(link=-1, data=b"all"), MavlinkFrame(link=1, data=b"second")),
+        )
+
+
+class Device:
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+
+    def advance(self, t_us: int) -> None:
+        self.calls.append("advance")
+
+    def poll(self, t_us: int) -> Sequence[Sample]:
+        self.calls.append("poll")
+        return ()
+
+    def frames(self, t_us: int) -> Sequence[CameraFrame]:
+        return ()
+
+    def write(self, t_us: int, command: ThrusterCommand) -> None:
+        self.calls.append("write")
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+
+class Link:
+    name = "memory"
+
+    def __init__(self) -> None:
+        self.inbox: list[bytes] = []
+        self.sent: list[bytes] = []
+        self.closed = False
+
+    def recv(self) -> list[bytes]:
+        received, self.inbox = self.inbox, []
+        return received
+
+    def send(self, data: bytes) -> None:
+        self.sent.append(data)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Recorder:
+    dropped = 3
+
+    def __init__(self) -> None:
+        self.stats: list[LoopStats] = []
+
+    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
+        pass
+
+    def loop_stats(self, stats: LoopStats) -> None:
+        self.stats.append(stats)
+
+
+class LateClock(LockstepClock):
+    """Every tenth tick begins 15 ms late."""
+
+    def wait_until(self, t_us: int) -> int:
+        super().wait_until(t_us)
+        return t_us + (15_000 if t_us % 100_000 == 0 else 500)
+
+
+def _runtime(clock: Any = None, links: Sequence[Link] = ()) -> tuple[Runtime, Service, Device, Recorder]:
+    service, device, recorder = Service(), Device(), Recorder()
+    runtime = Runtime(service, device, None, links, recorder, clock or LockstepClock())  # type: ignore[arg-type]
+    return runtime, service, device, recorder
+
+
+def test_a_tick_goes_from_world_to_thrusters_and_closing_is_last() -> None:
+    runtime, service, device, _ = _runtime()
+    runtime.run(duration_s=0.02, stop=lambda: False)
+    assert device.calls == ["advance", "poll", "write", "advance", "poll", "write", "close"]
+    assert [inputs.t_us for inputs in service.inputs] == [10_000, 20_000]
+
+
+def test_late_ticks_are_counted_logged_and_told_to_the_service() -> None:
+    runtime, service, _, recorder = _runtime(LateClock())
+    runtime.run(duration_s=2.0, stop=lambda: False)
+    assert runtime.counters.overruns == 20
+    assert [stats.overruns for stats in recorder.stats] == [10, 20]
+    assert service.inputs[-1].overruns == 20
+    assert recorder.stats[0].dropped_log == 3
+
+
+def test_lockstep_is_never_late() -> None:
+    runtime, *_ = _runtime()
+    runtime.run(duration_s=1.0, stop=lambda: False)
+    assert runtime.counters.overruns == 0
+
+
+def test_frames_reach_their_links() -> None:
+    links = [Link(), Link()]
+    links[1].inbox = [b"hello"]
+    runtime, service, *_ = _runtime(links=links)
+    runtime.run(duration_s=0.01, stop=lambda: False)
+    assert links[0].sent == [b"all"]
+    assert links[1].sent == [b"all", b"second"]
+    assert [(frame.link, frame.data) for frame in service.inputs[0].mavlink_rx] == [(1, b"hello")]
+    assert all(link.closed for link in links)
+
+
+def test_thrusters_go_neutral_when_the_service_fails() -> None:
+    runtime, service, device, _ = _runtime()
+
+    def fail(_: Inputs) -> Outputs:
+        raise RuntimeError("bug")
+
+    runtime.wrap_step(fail)
+    with pytest.raises(RuntimeError):
+        runtime.run(duration_s=1.0, stop=lambda: False)
+    assert device.calls[-1] == "close"
+    assert service.inputs == []
