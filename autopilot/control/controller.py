@@ -29,9 +29,8 @@ YAW_RATE_SHARE = 0.92
 HEAVE_SHARE = 0.92
 """Shares of the heave and yaw rate limits that the optimiser may use; the rest is for estimation error."""
 
-BURST_STEPS = 2
-BURST_QPS = 2
-"""After a new goal or fence so many steps solve so many QPs, so that the plan converges without one long step."""
+BURST_QPS = 3
+"""The step that makes a new route solves so many QPs: the plan starts from the reference and converges at once."""
 
 REPLAN_DISTANCE_M = 0.3
 REPLAN_INTERVAL_US = 1_000_000
@@ -87,7 +86,7 @@ class MotionController:
         self._yaw_target: float | None = None
         self._reset_count = -1
         self._plan_age_s: float | None = None
-        self._burst = 0
+        self._burst = False
         self._hold: FloatArray | None = None
         self._hold_goal: FloatArray | None = None
         self._command = np.zeros(NU)
@@ -124,7 +123,7 @@ class MotionController:
         if fresh or self._plan_age_s is None:
             self._plan_age_s = None
             self.nmpc.set_plan(reference, np.zeros((self.nmpc.grid.n, NU)))
-            self._burst = BURST_STEPS
+            self._burst = True
         else:
             self.nmpc.shift(elapsed_s)
             turn = 2.0 * math.pi * round((x0[YAW] - self.nmpc.x[0, YAW]) / (2.0 * math.pi))
@@ -255,8 +254,8 @@ class MotionController:
             plane_d_m=self._plane_d,
         )
         radius = self._vehicle.radius_m + params["MPC_MARGIN"]
-        qps = BURST_QPS if self._burst > 0 else 1
-        self._burst = max(0, self._burst - 1)
+        qps = BURST_QPS if self._burst else 1
+        self._burst = False
         margin = FAR_M
         for _ in range(qps):
             self.nmpc.x[0] = x0

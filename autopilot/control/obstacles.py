@@ -23,6 +23,10 @@ FAR_M = 1e6
 RECOVERY_M_S = 0.2
 """How fast the vehicle is asked to come back from where it must not be."""
 
+MANY_FEATURES = 16
+NEAR_M = 1.0
+"""Of more features than that, circles are left out that no predicted position comes this near."""
+
 TINY_M = 1e-9
 
 
@@ -30,7 +34,7 @@ class Features:
     """Circles and segments of a fence, as complex numbers north + i east.
 
     All are segments from ``a`` along ``ab`` with a radius; a circle is a segment without length. The segments of a
-    polygon are contiguous.
+    polygon are contiguous, circles come last.
     """
 
     def __init__(self, fence: Fence) -> None:
@@ -39,15 +43,12 @@ class Features:
         side: list[float] = []
         radius: list[float] = []
         free_left: list[float] = []
+        circles: list[tuple[Circle, float]] = []
         self._polygons: list[tuple[slice, bool, bool]] = []
         for shapes, inside in ((fence.inclusions, True), (fence.exclusions, False)):
             for shape in shapes:
                 if isinstance(shape, Circle):
-                    a.append(complex(float(shape.center_ned_m[0]), float(shape.center_ned_m[1])))
-                    ab.append(0j)
-                    side.append(-1.0 if inside else 1.0)
-                    radius.append(float(shape.radius_m))
-                    free_left.append(1.0)
+                    circles.append((shape, -1.0 if inside else 1.0))
                     continue
                 corners = _counter_clockwise(shape)
                 self._polygons.append((slice(len(a), len(a) + len(corners)), inside, _is_convex(corners)))
@@ -56,6 +57,13 @@ class Features:
                 side += [1.0] * len(corners)
                 radius += [0.0] * len(corners)
                 free_left += [1.0 if inside else -1.0] * len(corners)
+        self._segments = len(a)
+        for circle, keep in circles:
+            a.append(complex(float(circle.center_ned_m[0]), float(circle.center_ned_m[1])))
+            ab.append(0j)
+            side.append(keep)
+            radius.append(float(circle.radius_m))
+            free_left.append(1.0)
         self.count = len(a)
         """Number of features."""
         self._a, self._ab = np.array(a, dtype=complex), np.array(ab, dtype=complex)
@@ -72,23 +80,36 @@ class Features:
         self._normal = np.where(np.abs(normal) > 0.5, normal, 1.0)
         """Unit normals towards the free side, north for circles: the way out from a point on the line or centre."""
 
-    def nearest(self, points: ComplexArray) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    def _within(self, points: ComplexArray, reach_m: float) -> NDArray[np.intp]:
+        """Indices of the features that matter within ``reach_m`` of the points: all but the circles farther away."""
+        first = points[0]
+        reach_m += float(np.abs(points - first).max())
+        circles = slice(self._segments, None)
+        near = np.abs(self._a[circles] - first) - self._signed_radius[circles] < reach_m
+        near |= self._side[circles] < 0.0
+        return np.concatenate([np.arange(self._segments), self._segments + np.flatnonzero(near)])
+
+    def nearest(
+        self, points: ComplexArray, keep: NDArray[np.intp] | slice = slice(None)
+    ) -> tuple[FloatArray, ComplexArray, FloatArray]:
         """Per point (m,) and feature: signed distance (m, F), unit normal (m, F), offset of the boundary (m, F).
 
-        The constraint of a feature is ``normal . p >= offset + radius``. Distance is positive on the free side.
+        ``keep`` selects features. Their constraint is ``normal . p >= offset + radius``; distance is positive where
+        free.
         Features that say nothing at that point (shared ends, far walls seen from outside) have distance FAR_M.
         """
         column = points[:, None]
-        ray = column - self._a
-        share = (ray * self._along).real
-        gap = ray - np.minimum(np.maximum(share, 0.0), 1.0) * self._ab
+        ray = column - self._a[keep]
+        share = (ray * self._along[keep]).real
+        gap = ray - np.minimum(np.maximum(share, 0.0), 1.0) * self._ab[keep]
         rho = np.abs(gap)
-        if rho.min() < TINY_M:
-            gap = np.where(rho < TINY_M, self._normal * (TINY_M * self._side), gap)
+        side, signed_radius = self._side[keep], self._signed_radius[keep]
+        if rho.min(initial=FAR_M) < TINY_M:
+            gap = np.where(rho < TINY_M, self._normal[keep] * (TINY_M * side), gap)
             rho = np.abs(gap)
-        normal = gap * (self._side / rho)
-        offset = (np.conj(normal) * (column - gap)).real + self._signed_radius
-        distance = rho * self._side - self._signed_radius
+        normal = gap * (side / rho)
+        offset = (np.conj(normal) * (column - gap)).real + signed_radius
+        distance = rho * side - signed_radius
         distance[share >= 1.0] = FAR_M
         for part, inside, convex in self._polygons:
             bad = self._forbidden(part, inside, convex, column, ray)
@@ -157,18 +178,25 @@ class Features:
         ``points_ned_m`` (m + 1, 2) begins with the present position, ``t_s`` (m + 1,) are their times. A boundary that
         is violated now is asked for at RECOVERY_M_S and not at once, so that other limits are kept on the way back.
         Unused slots get a zero normal and offset -1, which is always satisfied. Returns the smallest clearance beyond
-        ``radius_m`` over all points.
+        ``radius_m`` over all points (of many features, those within NEAR_M are looked at).
         """
         if self.count == 0:
             normals[:], offsets[:] = 0.0, -1.0
             return FAR_M
-        distance, normal, offset = self.nearest(_complex(points_ned_m))
+        points = _complex(points_ned_m)
+        keep: NDArray[np.intp] | slice = slice(None)
+        if self.count > MANY_FEATURES:
+            keep = self._within(points, radius_m + NEAR_M)
+            if len(keep) == 0:
+                normals[:], offsets[:] = 0.0, -1.0
+                return NEAR_M
+        distance, normal, offset = self.nearest(points, keep)
         margin = float(distance.min()) - radius_m
         if margin < 0.0 and distance[0].min() < radius_m:
             offset -= np.maximum(radius_m - distance[0] - RECOVERY_M_S * t_s[:, None], 0.0)
         distance, normal, offset = distance[1:], normal[1:], offset[1:]
-        used = min(self.count, slots)
-        if self.count > slots:
+        used = min(distance.shape[1], slots)
+        if distance.shape[1] > slots:
             pick = np.argpartition(distance, slots - 1, axis=1)[:, :slots]
             distance = np.take_along_axis(distance, pick, axis=1)
             normal = np.take_along_axis(normal, pick, axis=1)

@@ -98,7 +98,7 @@ def test_invalid_estimate_means_neutral_and_a_fresh_start(controller: MotionCont
     assert not output.thrust_n.any()
     output = controller.step(6 * STEP_US, nav_state(6 * STEP_US, START), B, TANK, params)
     assert output.status.fallback is Fallback.NONE
-    assert output.status.iterations == 2
+    assert output.status.iterations == 3
 
 
 def test_report_of_a_step(controller: MotionController) -> None:
@@ -123,8 +123,8 @@ def test_equal_content_is_no_new_goal_or_fence(controller: MotionController) -> 
         fence = TANK if step % 2 else same
         output = controller.step(step * STEP_US, nav_state(step * STEP_US, START), target, fence, params)
         qps.append(output.status.iterations)
-    assert qps == [2, 2, 1, 1, 1, 1, 1, 1]
-    assert controller.step(8 * STEP_US, nav_state(8 * STEP_US, START), A, TANK, params).status.iterations == 2
+    assert qps == [3, 1, 1, 1, 1, 1, 1, 1]
+    assert controller.step(8 * STEP_US, nav_state(8 * STEP_US, START), A, TANK, params).status.iterations == 3
 
 
 def test_unreachable_goal_is_reported_and_the_place_is_held(controller: MotionController) -> None:
@@ -218,7 +218,7 @@ def test_jump_of_the_estimate_starts_a_new_plan(controller: MotionController) ->
     moved = START + np.array([0.3, 0.3, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
     nav = dataclasses.replace(nav_state(4 * STEP_US, moved), reset_count=1)
     output = controller.step(4 * STEP_US, nav, B, TANK, params)
-    assert output.status.iterations == 2
+    assert output.status.iterations == 3
     assert output.status.fallback is Fallback.NONE
 
 

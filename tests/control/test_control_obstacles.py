@@ -164,3 +164,18 @@ def test_a_violated_boundary_is_asked_for_gradually_and_others_at_once() -> None
     assert demanded == pytest.approx([-2.5 + 0.2 * 0.5, -2.5 + 0.2 * 2.0, -1.7])
     south = np.flatnonzero(np.isclose(normals[1, :, 1], 1.0))
     assert offsets[1, south[0]] == pytest.approx(-1.7)
+
+
+def test_of_many_obstacles_the_near_ones_are_the_same_as_without_culling() -> None:
+    rng = np.random.default_rng(8)
+    circles = tuple(
+        Circle(center_ned_m=rng.uniform(-12, 12, 2), radius_m=float(rng.uniform(0.1, 0.8))) for _ in range(60)
+    )
+    fence = Fence(inclusions=(Circle(center_ned_m=np.zeros(2), radius_m=14.0),), exclusions=circles)
+    features = Features(fence)
+    points = np.cumsum(rng.uniform(-0.3, 0.4, (20, 2)), axis=0)
+    normals, offsets = np.zeros((19, 8, 2)), np.zeros((19, 8))
+    margin = features.half_planes(points, np.zeros(20), 0.3, 8, normals, offsets)
+    assert margin == pytest.approx(features.clearance_m(points).min() - 0.3)
+    room = (np.einsum("mks,ms->mk", normals, points[1:]) - offsets)[np.abs(normals).sum(axis=2) > 0.0]
+    assert room.min() == pytest.approx(features.clearance_m(points[1:]).min() - 0.3)
