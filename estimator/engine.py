@@ -36,10 +36,10 @@ from estimator.states import YAW, initial_state
 from estimator.thrust import ThrustLag
 from estimator.tilt import TiltTrim
 
-HEADING_EVERY = 10
-"""AHRS samples per heading measurement: 10 Hz."""
-MODEL_EVERY = 4
-"""AHRS samples per look at the vehicle model: 25 Hz."""
+HEADING_EVERY = 20
+"""AHRS samples per heading measurement: 5 Hz, its errors are slow."""
+MODEL_EVERY = 5
+"""AHRS samples per look at the vehicle model: 20 Hz."""
 AHRS_WAIT_US = 60_000
 """After so long without AHRS data the filter goes on without."""
 IDLE_THRUST_N = 0.3

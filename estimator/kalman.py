@@ -24,6 +24,13 @@ class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no ty
     x: FloatArray
     """filterpy's filter with our motion: ``u`` of predict() is the step."""
 
+    P: FloatArray
+
+    def predict(self, u: Any = 0) -> None:
+        """filterpy's predict() without its copies of the prior, which nobody reads here."""
+        self.predict_x(u)
+        self.P = self.F.dot(self.P).dot(self.F.T) + self.Q
+
     def predict_x(self, u: Any = 0) -> None:
         """Move the state and linearise about where it was."""
         fill_jacobian(self.F, self.x, u)

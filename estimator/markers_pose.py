@@ -80,10 +80,9 @@ class MarkerSolver:
                 shifts.append(self._centers[best] - place)
         if not matched:
             return None
-        shift = np.array(shifts)
-        common = np.median(shift.real) + 1j * np.median(shift.imag)
-        alike = np.flatnonzero(np.abs(shift - common) <= COMMON_SHIFT_M)
-        if 2 * len(alike) < len(matched) or len(alike) == 0:
+        common = complex(_median([s.real for s in shifts]), _median([s.imag for s in shifts]))
+        alike = [k for k, shift in enumerate(shifts) if abs(shift - common) <= COMMON_SHIFT_M]
+        if 2 * len(alike) < len(matched) or not alike:
             return None
         start = pos_ned_m + np.array([common.real, common.imag, 0.0])
         return self._refine(sighting, np.array(matched)[alike], np.array(which)[alike], start, rpy_rad)
@@ -160,7 +159,7 @@ class MarkerSolver:
             if best is None:
                 return None
             worst = np.sqrt((best.residual_px.reshape(-1, 4, 2) ** 2).sum(axis=2)).max(axis=1)
-            fits = worst <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * float(np.median(worst)))
+            fits = worst <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * _median(worst.tolist()))
             if fits.all():
                 break
             good[np.flatnonzero(good)[~fits]] = False
@@ -175,6 +174,11 @@ class MarkerSolver:
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
             sigma_tilt_rad=best.sigma_tilt_rad,
         )
+
+
+def _median(values: list[float]) -> float:
+    """The upper median: good enough here and cheaper than numpy's for a few dozen."""
+    return sorted(values)[len(values) // 2]
 
 
 def _winner(seen: IntArray, a: np.ndarray, b: np.ndarray) -> IntArray | None:

@@ -10,7 +10,7 @@ from estimator.measurement import Moment
 from estimator.states import HEADING_OFFSET, NX, YAW
 
 SIGMA_RAD = 0.026
-"""1.5 degrees: the AHRS's short-term heading error, for 10 looks per second that share it."""
+"""1.5 degrees: the AHRS's short-term heading error, for 5 looks per second that share it."""
 
 _JACOBIAN: FloatArray = np.zeros((1, NX))
 _JACOBIAN[0, YAW] = _JACOBIAN[0, HEADING_OFFSET] = 1.0

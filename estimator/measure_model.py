@@ -22,7 +22,7 @@ from estimator.measurement import Moment
 from estimator.states import DRAG_EXCESS, GYRO_BIAS, NX, YAW
 
 SIGMA_M_S2 = 0.06
-"""Error of the modelled acceleration: tether, drag and thrust coefficients. For 25 looks per second that share it."""
+"""Error of the modelled acceleration: tether, drag and thrust coefficients. For 20 looks per second that share it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
