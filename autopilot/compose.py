@@ -8,6 +8,7 @@ from autopilot import __version__
 from autopilot.commander import Commander
 from autopilot.control.allocation import Allocation
 from autopilot.control.controller import MotionController
+from autopilot.control.currents import CurrentForecast
 from autopilot.core.errors import PlanError
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSet
@@ -35,6 +36,8 @@ class ServiceSetup:
     estimator: str
     profile: str
     instance: int
+    currents: CurrentForecast
+    """What the controller is told of the water."""
     links: int
     """Number of MAVLink links that are open from the start."""
     patience: float
@@ -63,7 +66,7 @@ def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
         params=params,
         plans=plans,
         estimator=create_estimator(setup.estimator, vehicle, setup.markers, floor_depth_m=setup.floor_depth_m),
-        controller=MotionController(vehicle),
+        controller=MotionController(vehicle, currents=setup.currents),
         allocation=Allocation(vehicle.drive),
         commander=commander,
         server=MavlinkServer(

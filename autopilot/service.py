@@ -150,11 +150,18 @@ class Autopilot:
             return None
         if self._tick % CONTROL_EVERY_TICKS and self._goal is not None:
             return None
-        control = parts.controller.step(t_us, nav, decision.goal, parts.commander.fence, parts.params)
+        control = parts.controller.step(
+            t_us, nav, decision.goal, parts.commander.fence, parts.params, self._thrust_limit_n()
+        )
         solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
         self._solver_failures = 0 if solved else self._solver_failures + 1
         self._thrust_n = control.thrust_n
         return control
+
+    def _thrust_limit_n(self) -> FloatArray:
+        """What the thrusters can give at the present supply: a sagging battery lowers the controller's bounds."""
+        supply_v = None if self._power is None else self._power.voltage_v
+        return np.full(len(self._thrust_n), self._parts.allocation.capability_n(supply_v))
 
     def _allocate(self, t_us: int, armed: bool) -> ThrusterCommand:
         allocation, count = self._parts.allocation, len(self._thrust_n)

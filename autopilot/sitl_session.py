@@ -13,6 +13,7 @@ import msgspec
 from autopilot import __version__
 from autopilot.compose import ServiceSetup, build_service, load_plan, revision
 from autopilot.config import Settings
+from autopilot.control.currents import CurrentForecast, EstimatedCurrent, MappedCurrent, NoCurrent
 from autopilot.core.camera import CameraModel
 from autopilot.core.messages import CameraFrame, Outputs, Sample, ThrusterCommand
 from autopilot.core.params import ParamSet
@@ -33,6 +34,7 @@ from estimator.vision import MarkerDetector
 from mission.geodesy import Origin
 from mission.plan_files import read_plan
 from sitl.backend import SimulatedVehicle, simulated_vehicle
+from sitl.currents import current_field
 from sitl.plant import Truth
 from sitl.scenario import Scenario, load_scenario
 
@@ -138,6 +140,7 @@ def open_sitl(
             estimator=settings["estimator"],
             profile=settings["profile"],
             instance=instance,
+            currents=_currents(scenario),
             links=len(connections) + len(peers),
             patience=FASTEST if speed == 0.0 else max(1.0, speed),
         )
@@ -188,6 +191,13 @@ def open_sitl(
         seed=seed,
         speed=speed,
     )
+
+
+def _currents(scenario: Scenario) -> CurrentForecast:
+    """What the scenario lets the controller know of the current."""
+    if scenario.controller.currents == "map":
+        return MappedCurrent(current_field(scenario.current).velocity)
+    return NoCurrent() if scenario.controller.currents == "none" else EstimatedCurrent()
 
 
 def _params(

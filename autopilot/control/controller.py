@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from autopilot.control import ocp
+from autopilot.control.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.fallback import station_keeping_thrust
 from autopilot.control.grid import TimeGrid, geometric_grid
 from autopilot.control.lag import ThrusterLag
@@ -56,6 +57,7 @@ class MotionController:
         n: int = 20,
         horizon_s: float = 8.0,
         grid: TimeGrid | None = None,
+        currents: CurrentForecast | None = None,
         cpu_clock: Callable[[], float] = time.thread_time,
         backends: tuple[ocp.QpBackend, ...] = (ocp.HPIPM, ocp.PIQP),
     ) -> None:
@@ -67,6 +69,7 @@ class MotionController:
         self._lag = ThrusterLag(self._model, vehicle.drive.time_constant_s)
         self._plane_n = np.zeros((grid.n - 1, self.nmpc.planes, 2))
         self._plane_d = np.zeros((grid.n - 1, self.nmpc.planes))
+        self._forecast = currents or EstimatedCurrent()
         self._currents = np.zeros((grid.n, 3))
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
@@ -110,6 +113,7 @@ class MotionController:
         elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
         self._last_us = t_us
         self._lag.follow(self._command, elapsed_s)
+        nav = self._forecast.view(nav)
         x, current = self._state(nav), nav.current_ned_m_s
         if nav.health is NavHealth.INVALID or not math.isfinite(float(x.sum() + current.sum())):
             return self._neutral(t_us, nav, began)
@@ -129,7 +133,7 @@ class MotionController:
             turn = 2.0 * math.pi * round((x0[YAW] - self.nmpc.x[0, YAW]) / (2.0 * math.pi))
             if turn:
                 self.nmpc.x[:, YAW] += turn
-        result, qps, margin_m = self._solve(x0, reference, current, fence, params, limit_n)
+        result, qps, margin_m = self._solve(x0, reference, nav, fence, params, limit_n)
         thrust, fallback = self._choose(result, x, current, limit_n, elapsed_s)
         self._command = thrust
         return ControlOutput(
@@ -226,7 +230,7 @@ class MotionController:
         self,
         x0: FloatArray,
         reference: FloatArray,
-        current: FloatArray,
+        nav: NavState,
         fence: Fence,
         params: ParamSet,
         limit_n: FloatArray,
@@ -234,7 +238,7 @@ class MotionController:
         """The QPs of this step: result of the last, their number, and the smallest clearance of the plan."""
         planner, n = self._planner, self.nmpc.grid.n
         assert planner is not None
-        self._currents[:] = current
+        self._forecast.fill(nav, self.nmpc.x[:n, :3], self.nmpc.grid.t_s[:n], self._currents)
         problem = NmpcProblem(
             x0=x0,
             x_ref=reference,
