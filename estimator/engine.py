@@ -285,7 +285,8 @@ class Engine:
             if fix.tilt_rad is not None and node.moment.inertial.real:
                 self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
             return True
-        velocity = self._relocation.rejected(fix)
+        lost = self._fix_age_us(fix.t_us) > 1e6 * self._options.dead_reckoning_after_s
+        velocity = self._relocation.rejected(fix, lost)
         if velocity is not None:
             self._relocate(history, fix, float(y[3]), velocity)
         return False

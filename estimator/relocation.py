@@ -5,7 +5,7 @@ from collections import deque
 from autopilot.core.frames import FloatArray
 from estimator.aiding import REJECT_COUNT
 from estimator.measure_pose import PoseFix
-from estimator.startup import WINDOW_US, agree
+from estimator.startup import AGREE_COUNT, WINDOW_US, agree
 
 
 class Relocation:
@@ -18,14 +18,18 @@ class Relocation:
         """A fix passed the gate."""
         self._fixes.clear()
 
-    def rejected(self, fix: PoseFix) -> FloatArray | None:
-        """A fix did not pass. Not None: believe it and move there, at this velocity (3,) NED over ground."""
+    def rejected(self, fix: PoseFix, lost: bool) -> FloatArray | None:
+        """A fix did not pass. Not None: believe it and move there, at this velocity (3,) NED over ground.
+
+        As many fixes must agree as make a sensor count as rejecting, or, when the filter is ``lost`` (no good fix
+        for a while), as at start-up."""
         self._fixes.append(fix)
-        first = self._fixes[0]
+        last = list(self._fixes)[-(AGREE_COUNT if lost else REJECT_COUNT) :]
+        first = last[0]
         span_us = fix.t_us - first.t_us
-        if len(self._fixes) < REJECT_COUNT or not 0 < span_us <= WINDOW_US:
+        if len(last) < (AGREE_COUNT if lost else REJECT_COUNT) or not 0 < span_us <= WINDOW_US:
             return None
-        if not all(agree(fix, other) for other in self._fixes):
+        if not all(agree(fix, other) for other in last):
             return None
         velocity: FloatArray = (fix.z[:3] - first.z[:3]) / (1e-6 * span_us)
         return velocity

@@ -250,6 +250,25 @@ def test_believes_a_consistent_shift_after_a_while(make: Make) -> None:
     assert rms(track.after(4.0, 6.0).pos_error()) < 0.015
 
 
+def test_found_again_by_rare_fixes(make: Make) -> None:
+    """Carried away during a gap, and then only five fixes per second: back within a second and a half."""
+
+    class Carried(World):
+        def _look(self, t: float) -> None:
+            if t < 3.0 or (t > 9.0 and (self.t_us // 10_000) % 20 == 0):
+                super()._look(t)
+
+    world = Carried(no_current)
+    estimator = make()
+    nav = None
+    for truth, samples, command in world.run(11.0):
+        if truth.t_us == 6_000_000:
+            world.n, world.e = 1.0, 1.0
+        nav = estimator.step(truth.t_us, samples, command)
+    assert nav is not None and nav.health is NavHealth.GOOD and nav.reset_count == 1
+    assert np.abs(nav.pos_ned_m - truth.pos).max() < 0.05
+
+
 def test_pause_of_the_whole_service(make: Make) -> None:
     """Nothing is called for eight seconds: the estimator goes on, says that it is lost, and finds back."""
     estimator, world = make(), World(uniform_current)
