@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autopilot.cli.output import emit_json
+from autopilot.cli.output import emit_json, make_console
 
 if TYPE_CHECKING:
     from autopilot.log.check import Row
@@ -89,7 +89,6 @@ def plot(log_file: Path, out: Path | None) -> None:
 def print_rows(rows: "list[Row]", title: str) -> None:
     """Print an acceptance table."""
     from rich.box import SIMPLE
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -108,7 +107,7 @@ def print_rows(rows: "list[Row]", title: str) -> None:
         verdict = Text(row.verdict.value, style=styles[row.verdict])
         table.add_row(Text(row.name), *figures, row.unit, verdict, Text(row.note))
     table.caption = f"verdict: {overall(rows).value}"
-    Console().print(table)
+    make_console().print(table)
 
 
 def _facts(opened: "Log") -> dict[str, Any]:
@@ -134,11 +133,10 @@ def _facts(opened: "Log") -> dict[str, Any]:
 
 
 def _print_facts(opened: "Log", facts: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    console = make_console()
     head = Table(show_header=False, box=None, pad_edge=False)
     size = f"{facts['bytes'] / 1e6:.1f} MB, {facts['duration_s']:.1f} s, {facts['messages']} messages"
     head.add_row("log", Text(f"{facts['path']}: {size}"))
