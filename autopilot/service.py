@@ -67,6 +67,7 @@ class Autopilot:
         self._parts = parts
         self._tick = 0
         self._thrust_n: FloatArray = np.zeros(4)
+        self._applied_n: FloatArray = np.zeros(4)
         self._ahrs_us: int | None = None
         self._power: PowerSample | None = None
         self._solver_failures = 0
@@ -86,7 +87,7 @@ class Autopilot:
         parts = self._parts
         t_us = inputs.t_us
         self._note(inputs)
-        nav = parts.estimator.step(t_us, inputs.samples, self._thrust_n)
+        nav = parts.estimator.step(t_us, inputs.samples, self._applied_n)
         self._nav = nav
         tx = parts.server.step(
             t_us,
@@ -168,10 +169,13 @@ class Autopilot:
         thrust_n = np.zeros(MAX_THRUSTERS)
         unused = (0,) * (MAX_THRUSTERS - count)
         if not armed:
+            self._applied_n = np.zeros(count)
             return ThrusterCommand(t_us=t_us, thrust_n=thrust_n, pwm_us=allocation.neutral(count) + unused)
         thrust_n[:count] = self._thrust_n
         supply_v = None if self._power is None else self._power.voltage_v
         pulses_us = allocation.pulses_us(self._thrust_n, supply_v)
+        # What the pulses will give, deadband and saturation included: the estimator's model lives on it.
+        self._applied_n = allocation.thrusts_n(pulses_us, supply_v)
         return ThrusterCommand(t_us=t_us, thrust_n=thrust_n, pwm_us=pulses_us + unused)
 
     def _view(self, inputs: Inputs, nav: NavState | None) -> VehicleView:

@@ -4,9 +4,10 @@ In lockstep a sighting is due a fixed time after its frame came in and the loop 
 not depend on how fast the machine is.
 """
 
+import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from autopilot.core.messages import CameraFrame, MarkerSighting, NavHealth, NavState
@@ -56,8 +57,13 @@ class VisionWorker:
         if len(self._pending) >= MAX_PENDING:
             self.dropped += 1
             return
-        sighting = self._pool.submit(self._detector.detect, frame, hint)
+        sighting = self._pool.submit(self._timed, frame, hint)
         self._pending.append(_Pending(due_us=t_us + self._delay_us, sighting=sighting))
+
+    def _timed(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
+        begin_s = time.thread_time()
+        sighting = self._detector.detect(frame, hint)
+        return replace(sighting, decode_us=round(1e6 * (time.thread_time() - begin_s)))
 
     def collect(self, t_us: int) -> list[MarkerSighting]:
         """Sightings that are due, waiting for those that are not ready."""
