@@ -110,7 +110,7 @@ class Missions:
             self._ack(peer, MissionResult.NO_SPACE, kind)
             ctx.say(
                 SEVERITY_WARNING,
-                f"{kind.name.lower()} upload refused: {msg.count} items, at most {MAX_ITEMS} fit; send a shorter plan",
+                f"{kind.name.capitalize()} upload refused: {msg.count} items, at most {MAX_ITEMS} fit; send a shorter plan",
                 peer.link,
             )
             return

@@ -1,0 +1,148 @@
+"""Clients that speak raw MAVLink in the vehicle's own time, for sessions in this process."""
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.clock import TICK_US
+from autopilot.core.messages import Outputs
+from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.sitl_session import SitlSession
+
+_CHUNK_CHARS = 50
+"""STATUSTEXT.text; a chunk that is not full ends a text."""
+
+
+class WireClient:
+    """A ground station of a few lines: sends what it is told, keeps everything that it hears."""
+
+    def __init__(self, sysid: int = 255, compid: int = 190) -> None:
+        self._mav = mav.MAVLink(None, srcSystem=sysid, srcComponent=compid)
+        self._outbox: list[bytes] = []
+        self.inbox: list[Any] = []
+
+    def step(self, _t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        for data in received:
+            self.inbox += self._mav.parse_buffer(data) or ()
+        outbox, self._outbox = self._outbox, []
+        return outbox
+
+    def send(self, message: Any) -> None:
+        self._outbox.append(bytes(message.pack(self._mav)))
+        self._mav.seq = (self._mav.seq + 1) & 0xFF
+
+    def send_bytes(self, data: bytes) -> None:
+        self._outbox.append(data)
+
+    def heard(self, *names: str) -> list[Any]:
+        return [message for message in self.inbox if message.get_type() in names]
+
+    def texts(self, worst: int = 0, least: int = mav.MAV_SEVERITY_WARNING) -> list[str]:
+        """Whole texts of these severities, chunks put together, in order."""
+        whole: list[str] = []
+        parts: dict[int, str] = defaultdict(str)
+        for message in self.heard("STATUSTEXT"):
+            if not worst <= message.severity <= least:
+                continue
+            if message.id == 0:
+                whole.append(message.text)
+                continue
+            parts[message.id] += message.text
+            if len(message.text) < _CHUNK_CHARS:
+                whole.append(parts.pop(message.id))
+        assert not parts, "a text without its end"
+        return whole
+
+
+class Harbour:
+    """A session and the time in it."""
+
+    def __init__(self, session: SitlSession) -> None:
+        self.session = session
+        self._tick = 0
+
+    def tick(self) -> Outputs:
+        self._tick += 1
+        return self.session.runtime.tick(self._tick * TICK_US)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * 1e6 / TICK_US)):
+            self.tick()
+
+    def until(self, done: Callable[[], bool], timeout_s: float = 5.0) -> None:
+        for _ in range(round(timeout_s * 1e6 / TICK_US)):
+            if done():
+                return
+            self.tick()
+        raise AssertionError(f"nothing came in {timeout_s:g} s")
+
+    def _hear(self, client: WireClient, count: int, *names: str) -> None:
+        self.until(lambda: len(client.heard(*names)) >= count)
+
+    # Exchanges that every client has
+
+    def command(self, client: WireClient, command: int, *params: float) -> int:
+        """COMMAND_LONG and its result."""
+        client.inbox.clear()
+        filled = (*params, *(0.0,) * (7 - len(params)))
+        client.send(mav.MAVLink_command_long_message(1, 1, command, 0, *filled))
+
+        def answers() -> list[int]:
+            return [m.result for m in client.heard("COMMAND_ACK") if m.command == command]
+
+        self.until(lambda: bool(answers()))
+        return answers()[0]
+
+    def offer(self, client: WireClient, kind: PlanKind, items: Sequence[PlanItem], count: int | None = None) -> int:
+        """Upload as a client would; the MAV_MISSION_RESULT. ``count`` announces another number of items."""
+        client.inbox.clear()
+        client.send(mav.MAVLink_mission_count_message(1, 1, len(items) if count is None else count, int(kind)))
+        answered = 0
+        while not (acks := client.heard("MISSION_ACK")):
+            self._hear(client, answered + 1, "MISSION_REQUEST_INT", "MISSION_ACK")
+            for request in client.heard("MISSION_REQUEST_INT")[answered:]:
+                client.send(item_message(items[request.seq], kind))
+                answered += 1
+        self.run(0.3)  # more than one answer, or a text late
+        assert len(client.heard("MISSION_ACK")) == 1
+        assert acks[0].mission_type == kind
+        return int(acks[0].type)
+
+    def download(self, client: WireClient, kind: PlanKind) -> list[PlanItem]:
+        client.inbox.clear()
+        client.send(mav.MAVLink_mission_request_list_message(1, 1, int(kind)))
+        self._hear(client, 1, "MISSION_COUNT")
+        count = client.heard("MISSION_COUNT")[0].count
+        for seq in range(count):
+            client.send(mav.MAVLink_mission_request_int_message(1, 1, seq, int(kind)))
+            self._hear(client, seq + 1, "MISSION_ITEM_INT")
+        client.send(mav.MAVLink_mission_ack_message(1, 1, mav.MAV_MISSION_ACCEPTED, int(kind)))
+        self.tick()
+        return [plan_item(message) for message in client.heard("MISSION_ITEM_INT")]
+
+
+def item_message(item: PlanItem, kind: PlanKind) -> Any:
+    """MISSION_ITEM_INT of an item."""
+    params = (item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z)
+    return mav.MAVLink_mission_item_int_message(
+        1, 1, item.seq, item.frame, item.command, 0, item.autocontinue, *params, int(kind)
+    )
+
+
+def plan_item(message: Any) -> PlanItem:
+    """The item of a MISSION_ITEM_INT."""
+    return PlanItem(
+        seq=message.seq,
+        frame=message.frame,
+        command=message.command,
+        param1=message.param1,
+        param2=message.param2,
+        param3=message.param3,
+        param4=message.param4,
+        x=message.x,
+        y=message.y,
+        z=message.z,
+        autocontinue=message.autocontinue,
+    )
