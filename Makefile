@@ -9,7 +9,6 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 $(VENV)/installed: pyproject.toml
 	@echo "setting up $(VENV) (about a minute)"
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) --upgrade pip
 	$(PIP) --editable .
 	@touch $@
 
