@@ -70,6 +70,9 @@ class Ig500(Closing):
         self._latency_us = round(latency_s * 1e6)
         self._divider = divider
         self._codec = OutputCodec(AHRS_MASK)
+        parts = self._codec.parts
+        self._quaternion, self._gyro, self._accel = parts[Field.QUATERNION], parts[Field.GYRO], parts[Field.ACCEL]
+        self._time = parts[Field.TIME_SINCE_RESET].start
         self._parser = FrameParser()
         self._clock = DeviceClock()
         self._silent_polls = 0
@@ -117,14 +120,14 @@ class Ig500(Closing):
         self.configured_count += 1
 
     def _sample(self, arrival_us: int, data: bytes) -> AhrsSample | None:
-        values = self._codec.decode(data)
-        if values is None:
+        numbers = self._codec.numbers(data)
+        if numbers is None:
             return None
-        quaternion = np.array(values[Field.QUATERNION])
-        norm = math.sqrt(float(quaternion @ quaternion))
+        w, x, y, z = numbers[self._quaternion]
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
         if abs(norm - 1.0) > QUATERNION_TOLERANCE:
             return None
-        device_us = int(values[Field.TIME_SINCE_RESET][0]) * 1000
+        device_us = int(numbers[self._time]) * 1000
         if device_us == self._last_device_us:
             return None
         self._last_device_us = device_us
@@ -134,7 +137,7 @@ class Ig500(Closing):
         self._last_us = t_us
         return AhrsSample(
             t_us=t_us,
-            rpy_rad=rpy_from_quat(quaternion / norm),
-            rate_frd_rad_s=np.array(values[Field.GYRO]),
-            accel_frd_m_s2=np.array(values[Field.ACCEL]),
+            rpy_rad=rpy_from_quat((w / norm, x / norm, y / norm, z / norm)),
+            rate_frd_rad_s=np.array(numbers[self._gyro]),
+            accel_frd_m_s2=np.array(numbers[self._accel]),
         )

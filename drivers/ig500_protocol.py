@@ -151,11 +151,12 @@ class OutputCodec:
             raise ConfigError(f"IG-500 output mask 0x{int(mask):x} has unknown bits; use bits of 0x{int(known):x}")
         self._fields = [field for field in _LAYOUT if field & mask]
         self._struct = struct.Struct(">" + "".join(_LAYOUT[field] for field in self._fields))
-        self._slices: list[tuple[Field, slice]] = []
+        self.parts: dict[Field, slice] = {}
+        """Where the numbers of a field are in :meth:`numbers`."""
         at = 0
         for field in self._fields:
             count = int(_LAYOUT[field][:-1] or 1)
-            self._slices.append((field, slice(at, at + count)))
+            self.parts[field] = slice(at, at + count)
             at += count
 
     @property
@@ -165,13 +166,19 @@ class OutputCodec:
 
     def encode(self, values: Mapping[Field, tuple[float, ...]]) -> bytes:
         """Data of a frame; ``values`` holds one tuple per field of the mask (whole numbers for time and status)."""
-        return self._struct.pack(*(number for field in self._fields for number in values[field]))
+        numbers: list[float] = []
+        for field in self._fields:
+            numbers += values[field]
+        return self._struct.pack(*numbers)
 
-    def decode(self, data: bytes) -> dict[Field, tuple[float, ...]] | None:
-        """Values by field; None if the size is not that of the mask or a number is not finite."""
+    def numbers(self, data: bytes) -> tuple[float, ...] | None:
+        """All values in a row; None if the size is not that of the mask or a number is not finite."""
         if len(data) != self._struct.size:
             return None
         numbers = self._struct.unpack(data)
-        if not all(map(math.isfinite, numbers)):
-            return None
-        return {field: numbers[part] for field, part in self._slices}
+        return numbers if all(map(math.isfinite, numbers)) else None
+
+    def decode(self, data: bytes) -> dict[Field, tuple[float, ...]] | None:
+        """Values by field; None if there are no good :meth:`numbers`."""
+        numbers = self.numbers(data)
+        return None if numbers is None else {field: numbers[part] for field, part in self.parts.items()}

@@ -8,6 +8,7 @@ heading that is off by a constant and by an amount that depends on the place.
 import math
 import struct
 from collections import deque
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -34,20 +35,21 @@ ACCURACY_RAD = 0.02
 """What the device says of its own attitude."""
 NOISE_NUMBERS = 16
 """Random numbers drawn per sample, whatever becomes of it, so that one fault does not change all that follows."""
+NOISE_SAMPLES = 256
+"""Samples whose random numbers are drawn in one go."""
 
 
 class SlowError:
     """First-order Gauss-Markov process with a given standard deviation and correlation time."""
 
-    def __init__(self, sigma: float, time_s: float, first: float) -> None:
-        self._sigma = sigma
-        self._time_s = time_s
+    def __init__(self, sigma: float, time_s: float, dt_s: float, first: float) -> None:
+        self._keep = math.exp(-dt_s / time_s)
+        self._fresh = sigma * math.sqrt(1.0 - self._keep * self._keep)
         self.value = sigma * first
 
-    def step(self, dt_s: float, normal: float) -> float:
+    def step(self, normal: float) -> float:
         """The value ``dt_s`` later; ``normal`` is a standard normal number."""
-        keep = math.exp(-dt_s / self._time_s)
-        self.value = keep * self.value + self._sigma * math.sqrt(1.0 - keep * keep) * normal
+        self.value = self._keep * self.value + self._fresh * normal
         return self.value
 
 
@@ -65,63 +67,73 @@ class Ig500Emulator(AlwaysOpen):
         self._sending = False
         self._divider = 1
         self._count = 0
+        self.next_us = 0
+        """When the device takes its next sample."""
         self._queue: deque[tuple[int, bytes]] = deque()
         self._last_arrival_us = 0
         self._held: dict[Field, tuple[float, ...]] | None = None
-        first = self._rng.standard_normal(12)
-        self._gyro_bias: FloatArray = settings.gyro_bias_rad_s * first[0:3]
-        self._accel_bias: FloatArray = settings.accel_bias_m_s2 * first[3:6]
-        self._roll = SlowError(settings.tilt_error_rad, settings.tilt_error_time_s, float(first[6]))
-        self._pitch = SlowError(settings.tilt_error_rad, settings.tilt_error_time_s, float(first[7]))
-        self._yaw = SlowError(settings.yaw_error_rad, settings.yaw_error_time_s, float(first[8]))
-        self._yaw_offset_rad = settings.yaw_offset_rad * float(first[9])
-        self._field_phase: FloatArray = self._rng.uniform(0.0, 2.0 * math.pi, 2)
+        first = self._rng.standard_normal(12).tolist()
+        dt_s = 1.0 / self._rate_hz
+        tilt, tilt_s = settings.tilt_error_rad, settings.tilt_error_time_s
+        self._bias = [settings.gyro_bias_rad_s * n for n in first[0:3]]
+        self._bias += [settings.accel_bias_m_s2 * n for n in first[3:6]]
+        self._roll = SlowError(tilt, tilt_s, dt_s, first[6])
+        self._pitch = SlowError(tilt, tilt_s, dt_s, first[7])
+        self._yaw = SlowError(settings.yaw_error_rad, settings.yaw_error_time_s, dt_s, first[8])
+        self._yaw_offset_rad = settings.yaw_offset_rad * first[9]
+        self._field_phase: list[float] = self._rng.uniform(0.0, 2.0 * math.pi, 2).tolist()
+        root = math.sqrt(dt_s)
+        self._walk = [settings.gyro_bias_walk_rad_s_rts * root] * 3 + [settings.accel_bias_walk_m_s2_rts * root] * 3
+        self._white = [settings.gyro_noise_rad_s_rthz / root] * 3 + [settings.accel_noise_m_s2_rthz / root] * 3
+        self._draws: Iterator[tuple[list[float], list[float]]] = iter(())
 
     # The device's side.
 
-    @property
-    def next_us(self) -> int:
-        """When the device takes its next sample."""
-        return round(self._count * 1e6 / self._rate_hz)
-
     def observe(self, truth: Truth) -> None:
         """Take the sample that is due at ``truth.t_us`` and put its frame on the line."""
-        dt_s = 1.0 / self._rate_hz
-        noise = self._rng.standard_normal(NOISE_NUMBERS)
-        chance = self._rng.random(3)
-        values = self._measured(truth, dt_s, noise)
+        noise, chance = self._drawn()
+        values = self._measured(truth, noise)
         if any(fault.at_s <= truth.t_us / 1e6 < fault.at_s + fault.duration_s for fault in self._freezes):
             values = self._held or values
         self._held = values
         self._count += 1
+        self.next_us = round(self._count * 1e6 / self._rate_hz)
         if not self._sending or self._count % self._divider:
             return
         stamped = {**values, Field.TIME_SINCE_RESET: (truth.t_us // 1000,)}
-        data = bytearray(encode_frame(CONTINUOUS_OUTPUT, self._codec.encode(stamped)))
+        data = encode_frame(CONTINUOUS_OUTPUT, self._codec.encode(stamped))
         if chance[0] < self._settings.corrupt_probability:
-            data[int(chance[1] * len(data))] ^= 0x5A
-        delay_s = self._latency_s + self._settings.latency_jitter_s * float(noise[15])
+            broken = bytearray(data)
+            broken[int(chance[1] * len(data))] ^= 0x5A
+            data = bytes(broken)
+        delay_s = self._latency_s + self._settings.latency_jitter_s * noise[15]
         arrival_us = max(self._last_arrival_us, truth.t_us + max(0, round(delay_s * 1e6)))
         if chance[2] >= self._settings.drop_probability:
-            self._queue.append((arrival_us, bytes(data)))
+            self._queue.append((arrival_us, data))
             self._last_arrival_us = arrival_us
 
-    def _measured(self, truth: Truth, dt_s: float, noise: FloatArray) -> dict[Field, tuple[float, ...]]:
-        s = self._settings
-        self._gyro_bias = self._gyro_bias + s.gyro_bias_walk_rad_s_rts * math.sqrt(dt_s) * noise[0:3]
-        self._accel_bias = self._accel_bias + s.accel_bias_walk_m_s2_rts * math.sqrt(dt_s) * noise[3:6]
-        gyro = truth.rate_frd_rad_s + self._gyro_bias + s.gyro_noise_rad_s_rthz / math.sqrt(dt_s) * noise[6:9]
-        accel = truth.accel_frd_m_s2 + self._accel_bias + s.accel_noise_m_s2_rthz / math.sqrt(dt_s) * noise[9:12]
-        roll_rad = self._roll.step(dt_s, float(noise[12]))
-        pitch_rad = self._pitch.step(dt_s, float(noise[13]))
-        yaw_rad = self._yaw.step(dt_s, float(noise[14])) + self._yaw_offset_rad + self._field_rad(truth.pos_ned_m)
-        rpy = truth.rpy_rad + np.array([roll_rad, pitch_rad, yaw_rad])
-        quat = quat_from_rpy(rpy)
+    def _drawn(self) -> tuple[list[float], list[float]]:
+        """The next sample's random numbers: standard normal ones, and chances in [0, 1)."""
+        draw = next(self._draws, None)
+        if draw is None:
+            noise = self._rng.standard_normal((NOISE_SAMPLES, NOISE_NUMBERS)).tolist()
+            self._draws = zip(noise, self._rng.random((NOISE_SAMPLES, 3)).tolist(), strict=True)
+            draw = next(self._draws)
+        return draw
+
+    def _measured(self, truth: Truth, noise: list[float]) -> dict[Field, tuple[float, ...]]:
+        self._bias = [b + w * n for b, w, n in zip(self._bias, self._walk, noise[0:6], strict=True)]
+        true = truth.rate_frd_rad_s.tolist() + truth.accel_frd_m_s2.tolist()
+        felt = [t + b + w * n for t, b, w, n in zip(true, self._bias, self._white, noise[6:12], strict=True)]
+        roll, pitch, yaw = truth.rpy_rad.tolist()
+        roll += self._roll.step(noise[12])
+        pitch += self._pitch.step(noise[13])
+        yaw += self._yaw.step(noise[14]) + self._yaw_offset_rad + self._field_rad(truth.pos_ned_m)
         return {
-            Field.QUATERNION: tuple(quat),
-            Field.EULER: tuple(rpy),
-            Field.GYRO: tuple(gyro),
-            Field.ACCEL: tuple(accel),
+            Field.QUATERNION: tuple(quat_from_rpy((roll, pitch, yaw)).tolist()),
+            Field.EULER: (roll, pitch, yaw),
+            Field.GYRO: tuple(felt[0:3]),
+            Field.ACCEL: tuple(felt[3:6]),
             Field.STATUS: (STATUS_GOOD,),
             Field.ATTITUDE_ACCURACY: (ACCURACY_RAD,),
         }
@@ -129,7 +141,7 @@ class Ig500Emulator(AlwaysOpen):
     def _field_rad(self, pos_ned_m: FloatArray) -> float:
         """Magnetic disturbance of the heading at a place."""
         wave = 2.0 * math.pi / self._settings.yaw_field_length_m
-        north, east = float(pos_ned_m[0]), float(pos_ned_m[1])
+        north, east, _ = pos_ned_m.tolist()
         pattern = math.sin(wave * north + self._field_phase[0]) + math.sin(wave * east + self._field_phase[1])
         return 0.5 * self._settings.yaw_field_rad * pattern
 

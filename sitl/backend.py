@@ -17,7 +17,7 @@ from sitl.camera_feed import CameraFeed
 from sitl.floor import build_floor
 from sitl.plant import Truth, build_plant
 from sitl.pose_sensor import SimPoseSensor
-from sitl.scenario import Scenario, ThrusterLoss
+from sitl.scenario import Scenario
 
 POWER_PERIOD_US = 500_000
 """The battery monitor reports at 2 Hz."""
@@ -33,10 +33,6 @@ class PlantLike(Protocol):
 
     def advance(self, t_us: int, pwm_us: Sequence[int]) -> None:
         """Move on to a time with these pulses held."""
-        ...
-
-    def set_thruster_loss(self, name: str, loss: float) -> None:
-        """Weaken a thruster."""
         ...
 
 
@@ -141,8 +137,7 @@ class SimulatedVehicle(Closing):
             self._camera = CameraFeed(renderer, sensors.camera, vehicle.camera, faults, seed)
             self._observers.append(self._camera)
             self.markers = floor.markers
-        losses = [fault for fault in faults if isinstance(fault, ThrusterLoss)]
-        self._losses = sorted(losses, key=lambda fault: fault.at_s)
+        self._due_us = 0
 
     def open(self) -> None:
         """Configure the AHRS, start the renderer, thrusters to neutral."""
@@ -173,21 +168,14 @@ class SimulatedVehicle(Closing):
     def advance(self, t_us: int) -> None:
         """Move the plant on to ``t_us`` with the last pulses; every sensor looks at its own times on the way."""
         self.output.check(t_us)
-        while True:
-            due_us = min(observer.next_us for observer in self._observers)
-            fault_us = round(self._losses[0].at_s * 1e6) if self._losses else None
-            if fault_us is not None and fault_us <= min(due_us, t_us):
-                self._move(max(fault_us, self._t_us))
-                fault = self._losses.pop(0)
-                self._plant.set_thruster_loss(fault.thruster, fault.loss)
-                continue
-            if due_us > t_us:
-                break
+        while self._due_us <= t_us:
+            due_us = self._due_us
             self._move(due_us)
             truth = self.truth
             for observer in self._observers:
                 if observer.next_us == due_us:
                     observer.observe(truth)
+            self._due_us = min(observer.next_us for observer in self._observers)
         self._move(t_us)
 
     def poll(self, t_us: int) -> tuple[Sample, ...]:

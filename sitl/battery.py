@@ -39,8 +39,9 @@ class Battery:
         self.voltage_v = 0.5 * (emf + math.sqrt(max(root, 0.0)))
         self.current_a = power_w / self.voltage_v
 
-    def step(self, power_w: float, dt_s: float) -> None:
-        """Draw ``power_w`` for ``dt_s``."""
-        self.load(power_w)
-        self.used_j += power_w * dt_s
-        self._drawn_j += (power_w + self.current_a * self.current_a * self._table.internal_resistance_ohm) * dt_s
+    def step(self, begin_w: float, end_w: float, dt_s: float) -> None:
+        """Draw a power that changes evenly from ``begin_w`` to ``end_w`` in ``dt_s``."""
+        mean_w = 0.5 * (begin_w + end_w)
+        self.load(end_w)
+        self.used_j += mean_w * dt_s
+        self._drawn_j += (mean_w + self.current_a * self.current_a * self._table.internal_resistance_ohm) * dt_s

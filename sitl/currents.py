@@ -1,8 +1,8 @@
 """Water currents: analytic fields over the local NED frame, all free of divergence.
 
 Every field gives its velocity, its gradient and its rate of change at a fixed place, because a hull that moves through
-a field that varies in space feels the acceleration of the water (:mod:`sitl.rigid_body`). Vertical velocity is zero
-except in the uniform field.
+a field that varies in space feels the acceleration of the water (:mod:`sitl.rigid_body`). All fields are the same at
+every depth; vertical velocity is zero except in the uniform field.
 """
 
 import math
@@ -13,11 +13,11 @@ from typing import Protocol, TypeAlias
 from autopilot.core.vehicle import Vec2, Vec3
 from sitl import scenario_tables as sc
 
-Gradient: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
-"""d c_i / d x_j [1/s], row by row: (c_n,n c_n,e c_n,d c_e,n ... c_d,d)."""
+Gradient: TypeAlias = tuple[float, float, float, float]
+"""d c_i / d x_j [1/s], row by row: (c_n,n c_n,e c_e,n c_e,e); the other five are zero in every field."""
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
-ZERO_GRADIENT: Gradient = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+ZERO_GRADIENT: Gradient = (0.0, 0.0, 0.0, 0.0)
 
 JET_PROFILE = 27.0 / 4.0
 """Makes the largest value of xi (1 - xi)^2 on [0, 1] (at xi = 1/3) equal to 1."""
@@ -39,7 +39,7 @@ class CurrentField(Protocol):
         ...
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """d c_i / d x_j [1/s], nine numbers row by row."""
+        """d c_i / d x_j [1/s], four numbers row by row."""
         ...
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
@@ -91,11 +91,6 @@ class _Steady:
         return ZERO
 
 
-def _planar(xx: float, xy: float, yx: float, yy: float) -> Gradient:
-    """Gradient of a field that is horizontal and the same at every depth."""
-    return (xx, xy, 0.0, yx, yy, 0.0, 0.0, 0.0, 0.0)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TankJet(_Steady):
     """Jet along +x in the middle of a rectangular tank with return flow along the walls y = +-width / 2.
@@ -134,7 +129,7 @@ class TankJet(_Steady):
         h_x = JET_PROFILE * rest * (1.0 - 3.0 * xi) / self.length_m
         h_xx = JET_PROFILE * (6.0 * xi - 4.0) / (self.length_m * self.length_m)
         u = self.speed_m_s
-        return _planar(-u * c * h_x, u * k * s * h, u / k * s * h_xx, u * c * h_x)
+        return (-u * c * h_x, u * k * s * h, u / k * s * h_xx, u * c * h_x)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,7 +161,7 @@ class Vortex(_Steady):
         dx, dy = pos_ned_m[0] - self.center_m[0], pos_ned_m[1] - self.center_m[1]
         omega, slope = self._profile(dx * dx + dy * dy)
         cross = 2.0 * slope * dx * dy
-        return _planar(-cross, -omega - 2.0 * slope * dy * dy, omega + 2.0 * slope * dx * dx, cross)
+        return (-cross, -omega - 2.0 * slope * dy * dy, omega + 2.0 * slope * dx * dx, cross)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,7 +178,7 @@ class Shear(_Steady):
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
         """See :class:`CurrentField`."""
-        return _planar(0.0, self.shear_1_s, 0.0, 0.0)
+        return (0.0, self.shear_1_s, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,7 +200,7 @@ class Bickley(_Steady):
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
         """See :class:`CurrentField`."""
         th = self._tanh(pos_ned_m)
-        return _planar(0.0, -2.0 * self.speed_m_s * th * (1.0 - th * th) / self.width_m, 0.0, 0.0)
+        return (0.0, -2.0 * self.speed_m_s * th * (1.0 - th * th) / self.width_m, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,7 +221,7 @@ class Gyre(_Steady):
         a, b = math.pi * pos_ned_m[0] / self.cell_m, math.pi * pos_ned_m[1] / self.cell_m
         k = self.speed_m_s * math.pi / self.cell_m
         even, odd = k * math.cos(a) * math.cos(b), k * math.sin(a) * math.sin(b)
-        return _planar(even, -odd, odd, -even)
+        return (even, -odd, odd, -even)
 
 
 def current_field(table: sc.Current) -> CurrentField:

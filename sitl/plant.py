@@ -1,35 +1,43 @@
 """The simulated vehicle: pulses in, truth out. Its equations (:mod:`sitl.rigid_body`) are not the controller's.
 
-The plant advances in fixed steps of 5 ms. Within a step the pulses, the supply voltage and the gradient of the current
-are held, the thrust follows its lag exactly, and the hull is integrated by Runge-Kutta 4. Nothing is random here.
+The plant advances in fixed steps, shorter ones near anything solid. Within a step the pulses, the supply voltage and
+the gradient of the current are held, the thrust follows its lag exactly, and the hull is integrated by Runge-Kutta 4.
+Nothing is random here.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.frames import FloatArray, quat_from_rpy, r_ned_from_frd, rpy_from_quat
+from autopilot.core.frames import FloatArray, quat_from_rpy
 from autopilot.core.messages import MAX_THRUSTERS
 from autopilot.core.vehicle import Vec3, Vehicle
 from sitl.battery import Battery
 from sitl.contact import NEAR_M, ContactLog, ContactRecord, Surroundings
 from sitl.mismatch import mismatched
-from sitl.rigid_body import Flow, ForceNed, State, Wrench, make_derivative, rk4_step
+from sitl.rigid_body import ForceNed, State, Water, Wrench, make_derivative, rk4_step
 from sitl.scenario_tables import Scenario, ThrusterLoss
-from sitl.tether import tether_force_ned_n
+from sitl.tether import make_tether
 from sitl.thrusters import Thrusters
 from sitl.world import World, build_world
 
-STEP_US = 5_000
-"""Integration step: 200 Hz, 30 steps in the thruster lag of 0.15 s."""
+STEP_US = 10_000
+"""Integration step in open water: 15 steps in the thruster lag of 0.15 s, the fastest thing there."""
+
+NEAR_STEP_US = 5_000
+"""Integration step where the hull may touch something: 36 steps in the period of the hull on the contact's spring."""
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity, for what an accelerometer feels."""
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
+
+Push: TypeAlias = tuple[float, float, float, float, float, float]
+"""Force [N] and moment [N m] in the body frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -72,6 +80,18 @@ class Truth:
     """How far the top of the hull stands out of the water, 0 = submerged."""
 
 
+class _Instant(NamedTuple):
+    """What holds at one moment, for the truth and for the step that begins there."""
+
+    near: bool
+    """The hull may be closer than NEAR_M to something."""
+    water: Water
+    force: ForceNed | None
+    """What acts on the hull from outside, None in open water without a tether."""
+    change: State
+    """Derivative of the state without thrust."""
+
+
 class Plant:
     """One vehicle in one world."""
 
@@ -106,10 +126,11 @@ class Plant:
         self._clearance_m = -math.inf
         self._derivative = make_derivative(
             self._vehicle.body,
-            world.current,
             hull_half_height_m=vehicle.hull_half_height_m,
             froude_krylov=froude_krylov,
         )
+        entry = world.tether_entry_ned_m
+        self._tether = None if entry is None else make_tether(self._vehicle.tether, entry)
         self._surroundings = Surroundings(
             polygon_ned_m=world.polygon_ned_m,
             floor_m=world.floor_m,
@@ -128,10 +149,17 @@ class Plant:
         self._losses = sorted(losses, key=lambda loss: loss.at_s)
         for loss in self._losses:
             self._thruster_index(loss.thruster)
+        self._no_thrust = (0.0,) * (MAX_THRUSTERS - len(self._vehicle.thruster))
         self._columns = [_wrench_column(t.position_frd_m, t.direction_frd) for t in self._vehicle.thruster]
+        body = self._vehicle.body
+        mass = [body.mass_kg + added for added in body.added_mass_kg]
+        inertia = [rigid + added for rigid, added in zip(body.inertia_kg_m2, body.added_inertia_kg_m2, strict=True)]
+        self._masses = (*mass, *inertia)
         self._external: Wrench = (0.0,) * 9
+        self._instant: _Instant | None = None
         self._battery = Battery(self._vehicle.battery)
-        self._battery.load(self._power_w())
+        self._power_w = self._vehicle.hotel_power_w
+        self._battery.load(self._power_w)
 
     # What happens.
 
@@ -143,24 +171,50 @@ class Plant:
     @property
     def truth(self) -> Truth:
         """The present truth."""
-        state = np.array(self._state)
-        quat, vel = state[3:7], state[7:10]
-        rpy = rpy_from_quat(quat)
-        r = r_ned_from_frd(rpy)
-        current = np.array(self._world.current.velocity(self._state[:3], self._t_us * 1e-6))
-        acting = self._thrusters.thrust_n
+        _, _, z, ew, ex, ey, ez, u, v, w, p, q, r = self._state
+        r11, r12, r13 = 1.0 - 2.0 * (ey * ey + ez * ez), 2.0 * (ex * ey - ez * ew), 2.0 * (ex * ez + ey * ew)
+        r21, r22, r23 = 2.0 * (ex * ey + ez * ew), 1.0 - 2.0 * (ex * ex + ez * ez), 2.0 * (ey * ez - ex * ew)
+        r31, r32, r33 = 2.0 * (ex * ez - ey * ew), 2.0 * (ey * ez + ex * ew), 1.0 - 2.0 * (ex * ex + ey * ey)
+        instant = self._here()
+        cn, ce, cd = instant.water.current_ned_m_s
+        thrust_n = self._thrusters.thrust_n
+        if self._held:
+            ax = ay = az = 0.0
+        else:
+            fx, fy, fz, *_ = self._push(thrust_n)
+            mx, my, mz, *_ = self._masses
+            du, dv, dw = instant.change[7:10]
+            ax, ay, az = du + fx / mx + q * w - r * v, dv + fy / my + r * u - p * w, dw + fz / mz + p * v - q * u
+        rpy = math.atan2(r32, r33), math.asin(max(-1.0, min(1.0, -r31))), math.atan2(r21, r11)
+        numbers = np.array(
+            [
+                *self._state,
+                *rpy,
+                cn,
+                ce,
+                cd,
+                u - r11 * cn - r21 * ce - r31 * cd,
+                v - r12 * cn - r22 * ce - r32 * cd,
+                w - r13 * cn - r23 * ce - r33 * cd,
+                ax - GRAVITY_M_S2 * r31,
+                ay - GRAVITY_M_S2 * r32,
+                az - GRAVITY_M_S2 * r33,
+                *thrust_n,
+                *self._no_thrust,
+            ]
+        )
         return Truth(
             t_us=self._t_us,
-            pos_ned_m=state[0:3],
-            rpy_rad=rpy,
-            quat=quat,
-            vel_frd_m_s=vel,
-            vel_water_frd_m_s=vel - current @ r,
-            rate_frd_rad_s=state[10:13],
-            accel_frd_m_s2=np.array(self._specific_force(r)),
-            current_ned_m_s=current,
-            thrust_n=np.array(acting + [0.0] * (MAX_THRUSTERS - len(acting))),
-            power_w=self._power_w(),
+            pos_ned_m=numbers[0:3],
+            rpy_rad=numbers[13:16],
+            quat=numbers[3:7],
+            vel_frd_m_s=numbers[7:10],
+            vel_water_frd_m_s=numbers[19:22],
+            rate_frd_rad_s=numbers[10:13],
+            accel_frd_m_s2=numbers[22:25],
+            current_ned_m_s=numbers[16:19],
+            thrust_n=numbers[25:],
+            power_w=self._power_w,
             voltage_v=self._battery.voltage_v,
             current_a=self._battery.current_a,
             energy_used_j=self._battery.used_j,
@@ -168,7 +222,7 @@ class Plant:
             contact_depth_m=self._contacts.depth_m,
             contact_count=self._contacts.count,
             max_penetration_m=self._contacts.max_depth_m,
-            emerged_m=max(0.0, self._vehicle.hull_half_height_m - self._state[2]),
+            emerged_m=max(0.0, self._vehicle.hull_half_height_m - z),
         )
 
     def advance(self, t_us: int, pwm_us: Sequence[int]) -> None:
@@ -176,7 +230,7 @@ class Plant:
         if t_us < self._t_us:
             raise ValueError(f"t_us = {t_us} lies before the present, {self._t_us}")
         while self._t_us < t_us:
-            self._step(min(STEP_US, t_us - self._t_us), pwm_us)
+            self._step(t_us - self._t_us, pwm_us)
 
     # What is done to the vehicle.
 
@@ -189,6 +243,7 @@ class Plant:
     ) -> None:
         """A further force and moment on the hull from now on (a push, a payload), replacing the one before."""
         self._external = (*force_frd_n, *moment_frd_n_m, *force_ned_n)
+        self._instant = None
 
     # Inside.
 
@@ -198,67 +253,66 @@ class Plant:
             raise ConfigError(f"thruster {name!r} does not exist; use one of {', '.join(names)}")
         return names.index(name)
 
-    def _power_w(self) -> float:
-        return self._vehicle.hotel_power_w + self._thrusters.power_w
-
-    def _step(self, dt_us: int, pwm_us: Sequence[int]) -> None:
-        dt_s = dt_us * 1e-6
+    def _step(self, room_us: int, pwm_us: Sequence[int]) -> None:
+        """One step, no longer than ``room_us``."""
         while self._losses and self._losses[0].at_s * 1e6 <= self._t_us:
             happened = self._losses.pop(0)
             self.set_thruster_loss(happened.thruster, happened.loss)
+        instant = self._here()
+        dt_us = min(NEAR_STEP_US if instant.near else STEP_US, room_us)
+        dt_s = dt_us * 1e-6
         supply_v = 0.0 if self._battery.empty else self._battery.voltage_v
         self._thrusters.step(pwm_us, supply_v, dt_s)
-        self._battery.step(self._power_w(), dt_s)
+        before_w, self._power_w = self._power_w, self._vehicle.hotel_power_w + self._thrusters.power_w
+        self._battery.step(before_w, self._power_w, dt_s)
+        self._t_us += dt_us
+        self._instant = None
         if self._held and self._thrusters.commanded(pwm_us):
             self._held = False
-        if not self._held:
-            wrench = self._wrench(self._thrusters.mean_n)
-            t_s = self._t_us * 1e-6
-            near = self._near()
-            self._state = rk4_step(self._derivative, self._state, t_s, dt_s, wrench, self._flow(), self._force())
-            if near:
-                self._contacts.update(self._t_us + dt_us, self._surroundings.touches(self._state[:3]))
-        self._t_us += dt_us
+        if self._held:
+            return
+        push, change = self._push(self._thrusters.mean_n), instant.change
+        fx, fy, fz, kx, ky, kz, fn, fe, fd = self._external
+        px, py, pz, pk, pm, pn = push
+        wrench: Wrench = (fx + px, fy + py, fz + pz, kx + pk, ky + pm, kz + pn, fn, fe, fd)
+        # The equations are linear in the thrust.
+        first = change[:7] + [c + a / m for c, a, m in zip(change[7:], push, self._masses, strict=True)]
+        self._state = rk4_step(self._derivative, self._state, first, dt_s, wrench, instant.water, instant.force)
+        if instant.near:
+            self._contacts.update(self._t_us, self._surroundings.touches(self._state[:3]))
 
-    def _near(self) -> bool:
+    def _here(self) -> _Instant:
+        """What holds now; worked out once for every moment at which somebody asks."""
+        if self._instant is None:
+            x, y, z = place = (self._state[0], self._state[1], self._state[2])
+            near = self._near(x, y, z)
+            field, t_s = self._world.current, self._t_us * 1e-6
+            flow = None if field.steady_uniform else (field.gradient(place, t_s), field.rate(place, t_s))
+            water = Water(field.velocity(place, t_s), place, flow)
+            force = self._outside if near or self._tether is not None else None
+            change = self._derivative(self._state, 0.0, self._external, water, force)
+            self._instant = _Instant(near, water, force, change)
+        return self._instant
+
+    def _near(self, x: float, y: float, z: float) -> bool:
         """Whether the hull may be closer than NEAR_M to anything. Looks again only after it moved far enough."""
-        x, y, z = self._state[:3]
         cx, cy, cz = self._checked_at
         if abs(x - cx) + abs(y - cy) + abs(z - cz) >= self._clearance_m - NEAR_M:
             self._checked_at = (x, y, z)
             self._clearance_m = self._surroundings.clearance_m(self._checked_at)
         return self._clearance_m < NEAR_M
 
-    def _flow(self) -> Flow | None:
-        """Gradient and rate of the current here and now, None where it is steady and uniform."""
-        field = self._world.current
-        if field.steady_uniform:
-            return None
-        place, t_s = self._state[:3], self._t_us * 1e-6
-        return field.gradient(place, t_s), field.rate(place, t_s)
-
-    def _force(self) -> ForceNed | None:
-        """What acts on the hull from outside here and now, None in open water without a tether."""
-        if self._near():
-            return self._tether_and_contact
-        return self._tether if self._world.tether_entry_ned_m is not None else None
-
-    def _tether(self, pos_ned_m: Vec3, vel_ned_m_s: Vec3, vel_water_ned_m_s: Vec3) -> Vec3:
-        """Force of the tether (3,) NED [N]."""
-        entry = self._world.tether_entry_ned_m
-        if entry is None:
-            return ZERO
-        return tether_force_ned_n(self._vehicle.tether, entry, pos_ned_m, vel_water_ned_m_s)
-
-    def _tether_and_contact(self, pos_ned_m: Vec3, vel_ned_m_s: Vec3, vel_water_ned_m_s: Vec3) -> Vec3:
+    def _outside(self, pos_ned_m: Vec3, vel_ned_m_s: Vec3, vel_water_ned_m_s: Vec3) -> Vec3:
         """Force of tether and contact (3,) NED [N]."""
-        tn, te, td = self._tether(pos_ned_m, vel_ned_m_s, vel_water_ned_m_s)
+        tn, te, td = ZERO if self._tether is None else self._tether(pos_ned_m, vel_water_ned_m_s)
+        if self._clearance_m >= NEAR_M:
+            return tn, te, td
         cn, ce, cd = self._surroundings.force_ned_n(pos_ned_m, vel_ned_m_s)
         return tn + cn, te + ce, td + cd
 
-    def _wrench(self, thrust_n: Sequence[float]) -> Wrench:
-        """Thrust and external wrench together."""
-        fx, fy, fz, kx, ky, kz, fn, fe, fd = self._external
+    def _push(self, thrust_n: Sequence[float]) -> Push:
+        """Force and moment of the thrusters in the body frame."""
+        fx = fy = fz = kx = ky = kz = 0.0
         for (dx, dy, dz, mx, my, mz), thrust in zip(self._columns, thrust_n, strict=True):
             fx += dx * thrust
             fy += dy * thrust
@@ -266,20 +320,10 @@ class Plant:
             kx += mx * thrust
             ky += my * thrust
             kz += mz * thrust
-        return fx, fy, fz, kx, ky, kz, fn, fe, fd
-
-    def _specific_force(self, r_ned_from_frd_: FloatArray) -> Vec3:
-        """What an accelerometer at the centre of gravity feels (3,) FRD: its acceleration minus gravity."""
-        gx, gy, gz = (GRAVITY_M_S2 * float(a) for a in r_ned_from_frd_[2])
-        if self._held:
-            return -gx, -gy, -gz
-        wrench = self._wrench(self._thrusters.thrust_n)
-        change = self._derivative(self._state, self._t_us * 1e-6, wrench, self._flow(), self._force())
-        u, v, w, p, q, r = self._state[7:13]
-        return change[7] + q * w - r * v - gx, change[8] + r * u - p * w - gy, change[9] + p * v - q * u - gz
+        return fx, fy, fz, kx, ky, kz
 
 
-def _wrench_column(position_frd_m: Vec3, direction_frd: Vec3) -> tuple[float, float, float, float, float, float]:
+def _wrench_column(position_frd_m: Vec3, direction_frd: Vec3) -> Push:
     """Force and moment of 1 N of a thruster: direction d (normalised) and position x d."""
     norm = math.hypot(*direction_frd)
     if norm == 0.0:

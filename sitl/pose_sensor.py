@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from autopilot.core.frames import r_ned_from_frd, wrap_pi
+from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.messages import LaserSample, PoseSample
 from autopilot.core.vehicle import Vehicle
 from drivers.base import AlwaysOpen
@@ -48,26 +48,25 @@ class SimPoseSensor(AlwaysOpen):
         self._rng = np.random.default_rng((seed, 20))
         self._outages = OutageClock(pose.outages, faults, np.random.default_rng((seed, 21)))
         self._count = 0
+        self.next_us = 0
+        """When the next sample is taken."""
         self._last_due_us = 0
         self._queue: deque[tuple[int, PoseSample | LaserSample]] = deque()
-
-    @property
-    def next_us(self) -> int:
-        """When the next sample is taken."""
-        return round(self._count * 1e6 / self._rate_hz)
 
     def observe(self, truth: Truth) -> None:
         """Take the sample that is due at ``truth.t_us``."""
         self._count += 1
-        noise = self._rng.standard_normal(6)
-        chance = self._rng.random(6)
+        self.next_us = round(self._count * 1e6 / self._rate_hz)
+        noise = self._rng.standard_normal(6).tolist()
+        chance = self._rng.random(6).tolist()
         if self._outages.silent(truth.t_us) or chance[0] < self._pose.drop_probability:
             return
-        delay_s = self._latency_s + self._pose.latency_jitter_s * float(noise[5])
+        delay_s = self._latency_s + self._pose.latency_jitter_s * noise[5]
         due_us = max(self._last_due_us, truth.t_us + max(0, round(delay_s * 1e6)))
         self._last_due_us = due_us
-        self._queue.append((due_us, self._measured(truth, noise, chance)))
-        laser = self._range(truth, float(noise[4]), chance)
+        r = r_ned_from_frd(truth.rpy_rad)
+        self._queue.append((due_us, self._measured(truth, r, noise, chance)))
+        laser = self._range(truth, r, noise[4], chance)
         if laser is not None:
             self._queue.append((due_us, laser))
 
@@ -78,8 +77,8 @@ class SimPoseSensor(AlwaysOpen):
             due.append(self._queue.popleft()[1])
         return due
 
-    def _measured(self, truth: Truth, noise: np.ndarray, chance: np.ndarray) -> PoseSample:
-        scale = self._scale(truth)
+    def _measured(self, truth: Truth, r: FloatArray, noise: list[float], chance: list[float]) -> PoseSample:
+        scale = self._scale(truth, r)
         sigma_pos = scale * np.array([self._pose.sigma_xy_m, self._pose.sigma_xy_m, self._pose.sigma_z_m])
         sigma_yaw = scale * self._pose.sigma_yaw_rad
         position = truth.pos_ned_m + sigma_pos * noise[0:3]
@@ -94,22 +93,20 @@ class SimPoseSensor(AlwaysOpen):
             sigma_yaw_rad=sigma_yaw,
         )
 
-    def _scale(self, truth: Truth) -> float:
+    def _scale(self, truth: Truth, r: FloatArray) -> float:
         """How much larger the errors are than at the reference height."""
         if self._floor_depth_m is None:
             return 1.0
-        camera = truth.pos_ned_m + r_ned_from_frd(truth.rpy_rad) @ self._camera_frd_m
-        return max(LEAST_SCALE, (self._floor_depth_m - float(camera[2])) / REFERENCE_HEIGHT_M)
+        camera_m = float(truth.pos_ned_m[2] + r[2] @ self._camera_frd_m)
+        return max(LEAST_SCALE, (self._floor_depth_m - camera_m) / REFERENCE_HEIGHT_M)
 
-    def _range(self, truth: Truth, noise: float, chance: np.ndarray) -> LaserSample | None:
+    def _range(self, truth: Truth, r: FloatArray, noise: float, chance: list[float]) -> LaserSample | None:
         if self._floor_depth_m is None or not self._laser.enabled:
             return None
-        r = r_ned_from_frd(truth.rpy_rad)
-        start = truth.pos_ned_m + r @ self._laser_frd_m
         down = float(r[2, 2])
         if down <= 0.0:
             return None
-        range_m = (self._floor_depth_m - float(start[2])) / down
+        range_m = (self._floor_depth_m - float(truth.pos_ned_m[2] + r[2] @ self._laser_frd_m)) / down
         if not LASER_LEAST_RANGE_M <= range_m <= LASER_MOST_RANGE_M:
             return None
         sigma_m = self._laser.sigma_m * max(LEAST_SCALE, range_m / REFERENCE_HEIGHT_M) ** 2

@@ -11,100 +11,114 @@ dc/dt + (v . grad) c. On top comes the Froude-Krylov force, displaced mass times
 dc/dt + (c . grad) c: the pressure gradient that turns the water turns the hull as well. With it a neutral hull at
 v_r = 0 drifts along a streamline exactly; without it (``froude_krylov=False``) it would be thrown out of every vortex.
 
+Within a step the current is its first-order expansion in place and time about where the step begins, so that its
+velocity, gradient and rate are those of one and the same field.
+
 In a mismatch the mass is that of hull and trapped water, so the displaced mass is mass * buoyancy / weight.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from autopilot.core.vehicle import Body, Vec3
-from sitl.currents import CurrentField, Gradient
+from sitl.currents import Gradient
 
 State: TypeAlias = list[float]
 Wrench: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
 """Force FRD [N], moment FRD [N m], further force NED [N]."""
-Flow: TypeAlias = tuple[Gradient, Vec3]
-"""Gradient of the current [1/s] and its rate at a fixed place [m/s^2], held within a step."""
 ForceNed: TypeAlias = Callable[[Vec3, Vec3, Vec3], Vec3]
 """Force NED [N] (tether, contact) from position, velocity over ground and velocity relative to the water, all NED."""
-Derivative: TypeAlias = Callable[[Sequence[float], float, Wrench, Flow | None, ForceNed | None], State]
 
 
-def make_derivative(  # one function on purpose: it runs 800 times per simulated second
-    body: Body, field: CurrentField, *, hull_half_height_m: float, froude_krylov: bool = True
+class Water(NamedTuple):
+    """The current about one place and one time."""
+
+    current_ned_m_s: Vec3
+    """There and then."""
+    place_ned_m: Vec3
+    change: tuple[Gradient, Vec3] | None
+    """Gradient [1/s] and rate at a fixed place [m/s^2]; None where the current is steady and uniform."""
+
+
+Derivative: TypeAlias = Callable[[Sequence[float], float, Wrench, Water, ForceNed | None], State]
+
+
+def make_derivative(  # one function on purpose: it runs 500 times per simulated second
+    body: Body, *, hull_half_height_m: float, froude_krylov: bool = True
 ) -> Derivative:
-    """The time derivative of the state as a function of state, time [s], wrench, flow (None = uniform) and force."""
+    """The time derivative of the state as a function of state, time since ``Water`` held [s], wrench, water, force."""
     m, (ax, ay, az) = body.mass_kg, body.added_mass_kg
-    (ix, iy, iz), (jx, jy, jz) = body.inertia_kg_m2, body.added_inertia_kg_m2
-    (lu, lv, lw), (qu, qv, qw_) = body.linear_drag_n_s_m, body.quadratic_drag_n_s2_m2
+    mx, my, mz = m + ax, m + ay, m + az
+    ix, iy, iz = (rigid + added for rigid, added in zip(body.inertia_kg_m2, body.added_inertia_kg_m2, strict=True))
+    (lu, lv, lw), (qu, qv, qw) = body.linear_drag_n_s_m, body.quadratic_drag_n_s2_m2
     (lp, lq, lr), (qp, qq, qr) = body.angular_linear_drag_n_m_s, body.angular_quadratic_drag_n_m_s2
     weight, (bx, by, bz) = body.weight_n, body.center_of_buoyancy_frd_m
     buoyancy = weight + body.buoyancy_excess_n
     displaced = m * buoyancy / weight if froude_krylov else 0.0
-    velocity = field.velocity
 
     def derivative(
-        state: Sequence[float], t_s: float, wrench: Wrench, flow: Flow | None, force: ForceNed | None
+        state: Sequence[float], elapsed_s: float, wrench: Wrench, water: Water, force: ForceNed | None
     ) -> State:
         x, y, z, ew, ex, ey, ez, u, v, w, p, q, r = state
         fx, fy, fz, kx, ky, kz, fn, fe, fd = wrench
 
-        r11, r12, r13 = 1.0 - 2.0 * (ey * ey + ez * ez), 2.0 * (ex * ey - ez * ew), 2.0 * (ex * ez + ey * ew)
-        r21, r22, r23 = 2.0 * (ex * ey + ez * ew), 1.0 - 2.0 * (ex * ex + ez * ez), 2.0 * (ey * ez - ex * ew)
-        r31, r32, r33 = 2.0 * (ex * ez - ey * ew), 2.0 * (ey * ez + ex * ew), 1.0 - 2.0 * (ex * ex + ey * ey)
+        x2, y2, z2 = ex + ex, ey + ey, ez + ez
+        wx, wy, wz = x2 * ew, y2 * ew, z2 * ew
+        xx, xy, xz, yy, yz, zz = x2 * ex, x2 * ey, x2 * ez, y2 * ey, y2 * ez, z2 * ez
+        r11, r12, r13 = 1.0 - yy - zz, xy - wz, xz + wy
+        r21, r22, r23 = xy + wz, 1.0 - xx - zz, yz - wx
+        r31, r32, r33 = xz - wy, yz + wx, 1.0 - xx - yy
         vn = r11 * u + r12 * v + r13 * w
         ve = r21 * u + r22 * v + r23 * w
         vd = r31 * u + r32 * v + r33 * w
 
         # Water velocity in the body frame, and forces from its acceleration.
-        place = (x, y, z)
-        cn, ce, cd = velocity(place, t_s)
+        (cn, ce, cd), (x0, y0, _), change = water
+        if change is not None:
+            (nn, ne, en, ee), (tn, te, td) = change
+            dx, dy = x - x0, y - y0
+            cn += nn * dx + ne * dy + tn * elapsed_s
+            ce += en * dx + ee * dy + te * elapsed_s
+            cd += td * elapsed_s
+            hn, he = nn * vn + ne * ve + tn, en * vn + ee * ve + te  # change along the path of the hull
+            wn, we = nn * cn + ne * ce + tn, en * cn + ee * ce + te  # acceleration of the water itself
+            fx += ax * (r11 * hn + r21 * he + r31 * td) + displaced * (r11 * wn + r21 * we + r31 * td)
+            fy += ay * (r12 * hn + r22 * he + r32 * td) + displaced * (r12 * wn + r22 * we + r32 * td)
+            fz += az * (r13 * hn + r23 * he + r33 * td) + displaced * (r13 * wn + r23 * we + r33 * td)
         cu = r11 * cn + r21 * ce + r31 * cd
         cv = r12 * cn + r22 * ce + r32 * cd
         cw = r13 * cn + r23 * ce + r33 * cd
         ur, vr, wr = u - cu, v - cv, w - cw
-        if flow is not None:
-            (nn, ne, nd, en, ee, ed, dn, de, dd), (tn, te, td) = flow
-            hn = nn * vn + ne * ve + nd * vd + tn  # change along the path of the hull
-            he = en * vn + ee * ve + ed * vd + te
-            hd = dn * vn + de * ve + dd * vd + td
-            wn = nn * cn + ne * ce + nd * cd + tn  # acceleration of the water itself
-            we = en * cn + ee * ce + ed * cd + te
-            wd = dn * cn + de * ce + dd * cd + td
-            fx += ax * (r11 * hn + r21 * he + r31 * hd) + displaced * (r11 * wn + r21 * we + r31 * wd)
-            fy += ay * (r12 * hn + r22 * he + r32 * hd) + displaced * (r12 * wn + r22 * we + r32 * wd)
-            fz += az * (r13 * hn + r23 * he + r33 * hd) + displaced * (r13 * wn + r23 * we + r33 * wd)
 
         # Weight, buoyancy of the part that is under water, tether and contact: forces given in NED.
-        emerged = hull_half_height_m - z
-        wet = 1.0 if emerged <= 0.0 else max(0.0, 1.0 - emerged / (2.0 * hull_half_height_m))
-        lift = buoyancy * wet
+        lift = buoyancy
+        if z < hull_half_height_m:
+            lift *= max(0.0, 0.5 + 0.5 * z / hull_half_height_m)
         fd += weight - lift
         if force is not None:
-            kn, ke, kd = force(place, (vn, ve, vd), (vn - cn, ve - ce, vd - cd))
+            kn, ke, kd = force((x, y, z), (vn, ve, vd), (vn - cn, ve - ce, vd - cd))
             fn, fe, fd = fn + kn, fe + ke, fd + kd
         fx += r11 * fn + r21 * fe + r31 * fd
         fy += r12 * fn + r22 * fe + r32 * fd
         fz += r13 * fn + r23 * fe + r33 * fd
 
-        # Momentum of the water that moves along, Coriolis terms, drag.
+        # Momentum of hull and water that moves along, Coriolis terms, drag.
         mu, mv, mw = ax * ur, ay * vr, az * wr
-        fx -= m * (q * w - r * v) + (q * mw - r * mv) + ax * (q * cw - r * cv) + (lu + qu * abs(ur)) * ur
-        fy -= m * (r * u - p * w) + (r * mu - p * mw) + ay * (r * cu - p * cw) + (lv + qv * abs(vr)) * vr
-        fz -= m * (p * v - q * u) + (p * mv - q * mu) + az * (p * cv - q * cu) + (lw + qw_ * abs(wr)) * wr
-        hp, hq, hr = (ix + jx) * p, (iy + jy) * q, (iz + jz) * r
-        kx -= (q * hr - r * hq) + (vr * mw - wr * mv) + (lp + qp * abs(p)) * p + lift * (by * r33 - bz * r32)
-        ky -= (r * hp - p * hr) + (wr * mu - ur * mw) + (lq + qq * abs(q)) * q + lift * (bz * r31 - bx * r33)
-        kz -= (p * hq - q * hp) + (ur * mv - vr * mu) + (lr + qr * abs(r)) * r + lift * (bx * r32 - by * r31)
+        gu, gv, gw = m * u + mu, m * v + mv, m * w + mw
+        fx -= q * (gw + ax * cw) - r * (gv + ax * cv) + (lu + qu * abs(ur)) * ur
+        fy -= r * (gu + ay * cu) - p * (gw + ay * cw) + (lv + qv * abs(vr)) * vr
+        fz -= p * (gv + az * cv) - q * (gu + az * cu) + (lw + qw * abs(wr)) * wr
+        hp, hq, hr = ix * p, iy * q, iz * r
+        kx -= q * hr - r * hq + vr * mw - wr * mv + (lp + qp * abs(p)) * p + lift * (by * r33 - bz * r32)
+        ky -= r * hp - p * hr + wr * mu - ur * mw + (lq + qq * abs(q)) * q + lift * (bz * r31 - bx * r33)
+        kz -= p * hq - q * hp + ur * mv - vr * mu + (lr + qr * abs(r)) * r + lift * (bx * r32 - by * r31)
 
+        hp, hq, hr = 0.5 * p, 0.5 * q, 0.5 * r
         return [
             vn, ve, vd,
-            -0.5 * (ex * p + ey * q + ez * r),
-            0.5 * (ew * p + ey * r - ez * q),
-            0.5 * (ew * q + ez * p - ex * r),
-            0.5 * (ew * r + ex * q - ey * p),
-            fx / (m + ax), fy / (m + ay), fz / (m + az),
-            kx / (ix + jx), ky / (iy + jy), kz / (iz + jz),
+            -ex * hp - ey * hq - ez * hr, ew * hp + ey * hr - ez * hq,
+            ew * hq + ez * hp - ex * hr, ew * hr + ex * hq - ey * hp,
+            fx / mx, fy / my, fz / mz, kx / ix, ky / iy, kz / iz,
         ]  # fmt: skip
 
     return derivative
@@ -113,20 +127,22 @@ def make_derivative(  # one function on purpose: it runs 800 times per simulated
 def rk4_step(
     derivative: Derivative,
     state: State,
-    t_s: float,
+    first: State,
     dt_s: float,
     wrench: Wrench,
-    flow: Flow | None,
+    water: Water,
     force: ForceNed | None,
 ) -> State:
-    """One classical Runge-Kutta step with wrench and flow held; the quaternion is renormalised."""
+    """One classical Runge-Kutta step with the wrench held; the quaternion is renormalised.
+
+    ``first`` is the derivative at the start, where ``water`` was taken: the caller has it already.
+    """
     half = 0.5 * dt_s
-    k1 = derivative(state, t_s, wrench, flow, force)
-    k2 = derivative([s + half * k for s, k in zip(state, k1, strict=True)], t_s + half, wrench, flow, force)
-    k3 = derivative([s + half * k for s, k in zip(state, k2, strict=True)], t_s + half, wrench, flow, force)
-    k4 = derivative([s + dt_s * k for s, k in zip(state, k3, strict=True)], t_s + dt_s, wrench, flow, force)
+    k2 = derivative([s + half * k for s, k in zip(state, first, strict=True)], half, wrench, water, force)
+    k3 = derivative([s + half * k for s, k in zip(state, k2, strict=True)], half, wrench, water, force)
+    k4 = derivative([s + dt_s * k for s, k in zip(state, k3, strict=True)], dt_s, wrench, water, force)
     sixth = dt_s / 6.0
-    new = [s + sixth * (a + 2.0 * (b + c) + d) for s, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)]
+    new = [s + sixth * (a + 2.0 * (b + c) + d) for s, a, b, c, d in zip(state, first, k2, k3, k4, strict=True)]
     w, x, y, z = new[3:7]
     scale = (w * w + x * x + y * y + z * z) ** -0.5
     new[3:7] = [w * scale, x * scale, y * scale, z * scale]

@@ -5,7 +5,7 @@ the place where the tether enters the water. The tether is neutrally buoyant (LB
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 
 from autopilot.core.vehicle import Tether, Vec3
 
@@ -16,17 +16,19 @@ SLACK_M = 0.2
 """Closer than this to its entry point the tether loses its pull in proportion (assumed: one bend radius)."""
 
 
-def tether_force_ned_n(
-    tether: Tether, entry_ned_m: Vec3, pos_ned_m: Sequence[float], vel_water_ned_m_s: Sequence[float]
-) -> Vec3:
-    """Force on the vehicle (3,) NED [N] at a position, moving at a velocity relative to the water."""
-    speed = math.hypot(*vel_water_ned_m_s)
+def make_tether(tether: Tether, entry_ned_m: Vec3) -> Callable[[Vec3, Vec3], Vec3]:
+    """Force on the vehicle (3,) NED [N] as a function of its position and its velocity relative to the water, NED."""
     area_m2 = tether.diameter_m * tether.length_in_flow_m
-    drag = 0.5 * WATER_DENSITY_KG_M3 * tether.drag_coefficient * area_m2 * speed
-    away = [p - e for p, e in zip(pos_ned_m, entry_ned_m, strict=True)]
-    pull = tether.pull_n / max(math.hypot(*away), SLACK_M)
-    return (
-        -drag * vel_water_ned_m_s[0] - pull * away[0],
-        -drag * vel_water_ned_m_s[1] - pull * away[1],
-        -drag * vel_water_ned_m_s[2] - pull * away[2],
-    )
+    drag_n_s2_m2 = 0.5 * WATER_DENSITY_KG_M3 * tether.drag_coefficient * area_m2
+    pull_n = tether.pull_n
+    entry_n, entry_e, entry_d = entry_ned_m
+
+    def force_ned_n(pos_ned_m: Vec3, vel_water_ned_m_s: Vec3) -> Vec3:
+        x, y, z = pos_ned_m
+        vn, ve, vd = vel_water_ned_m_s
+        an, ae, ad = x - entry_n, y - entry_e, z - entry_d
+        drag = drag_n_s2_m2 * math.sqrt(vn * vn + ve * ve + vd * vd)
+        pull = pull_n / max(math.sqrt(an * an + ae * ae + ad * ad), SLACK_M)
+        return -drag * vn - pull * an, -drag * ve - pull * ae, -drag * vd - pull * ad
+
+    return force_ned_n

@@ -11,6 +11,7 @@ Quaternions are Hamilton, ``[w, x, y, z]``. Euler angles are roll, pitch, yaw in
 """
 
 import math
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -56,7 +57,7 @@ def rpy_from_r(r_ned_from_frd_: FloatArray) -> FloatArray:
     )
 
 
-def quat_from_rpy(rpy_rad: FloatArray) -> FloatArray:
+def quat_from_rpy(rpy_rad: FloatArray | Sequence[float]) -> FloatArray:
     """Quaternion [w, x, y, z] (body to world) of roll, pitch, yaw (3,)."""
     hr, hp, hy = (0.5 * float(a) for a in rpy_rad)
     cr, sr = math.cos(hr), math.sin(hr)
@@ -72,7 +73,7 @@ def quat_from_rpy(rpy_rad: FloatArray) -> FloatArray:
     )
 
 
-def rpy_from_quat(quat: FloatArray) -> FloatArray:
+def rpy_from_quat(quat: FloatArray | Sequence[float]) -> FloatArray:
     """Roll, pitch, yaw (3,) of a quaternion [w, x, y, z] (body to world)."""
     w, x, y, z = (float(a) for a in quat)
     return np.array(

@@ -13,7 +13,7 @@ from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.messages import AhrsSample, CameraFrame, LaserSample, PoseSample, PowerSample, Sample
 from drivers.protocols import BytePort, Sensor, ThrusterOutput
 from sitl.ahrs import Ig500Emulator
-from sitl.backend import PlantLike, PowerMonitor, SimulatedVehicle, simulated_vehicle
+from sitl.backend import PowerMonitor, SimulatedVehicle, simulated_vehicle
 from sitl.plant import Truth
 from sitl.pose_sensor import SimPoseSensor
 from sitl.scenario import (
@@ -45,7 +45,6 @@ class RecordingPlant:
 
     def __init__(self) -> None:
         self.asked: list[tuple[int, tuple[int, ...]]] = []
-        self.losses: list[tuple[int, str, float]] = []
         self.t_us = 0
 
     @property
@@ -56,9 +55,6 @@ class RecordingPlant:
         assert t_us >= self.t_us
         self.t_us = t_us
         self.asked.append((t_us, tuple(pwm_us)))
-
-    def set_thruster_loss(self, name: str, loss: float) -> None:
-        self.losses.append((self.t_us, name, loss))
 
 
 def run(
@@ -168,11 +164,17 @@ def test_sensors_look_at_their_own_times_and_not_only_at_ticks() -> None:
 
 
 def test_thruster_loss_strikes_at_its_time() -> None:
-    plant: PlantLike = RecordingPlant()
-    assert isinstance(plant, RecordingPlant)
-    faults = [ThrusterLoss(at_s=0.25, thruster="port", loss=0.4), ThrusterLoss(at_s=0.0, thruster="lateral")]
-    run(SimulatedVehicle(scenario_with(fault=faults), VEHICLE, plant, seed=1, position="pose"), 0.5)
-    assert plant.losses == [(0, "lateral", 1.0), (250_000, "port", 0.4)]
+    faults = [ThrusterLoss(at_s=0.5, thruster="port", loss=0.4), ThrusterLoss(at_s=0.0, thruster="starboard")]
+    vehicle = simulated_vehicle(scenario_with(fault=faults), VEHICLE, seed=1, position="pose")
+    thrust_n = {}
+    with vehicle:
+        for t_us in range(0, 1_000_001, 10_000):
+            vehicle.advance(t_us)
+            vehicle.write(PUSH)
+            thrust_n[t_us] = vehicle.truth.thrust_n[:2].tolist()
+    assert thrust_n[500_000][0] > 0.5
+    assert thrust_n[510_000][0] == pytest.approx(0.6 * thrust_n[500_000][0], rel=0.05)
+    assert {starboard for _, starboard in thrust_n.values()} == {0.0}
 
 
 def test_truth_is_the_present_one() -> None:

