@@ -1,0 +1,44 @@
+"""Without --log every arming has a log of its own, closed when the vehicle is disarmed."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.config import gather, sitl_defaults
+from autopilot.log.reader import open_log
+from autopilot.sitl_session import open_sitl
+
+
+class Switch:
+    """Arms and disarms at given times."""
+
+    def __init__(self, times_s: dict[float, int]) -> None:
+        self._codec = mav.MAVLink(None, srcSystem=255, srcComponent=190)
+        self._todo = sorted((round(t * 1e6), arm) for t, arm in times_s.items())
+
+    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        out = []
+        while self._todo and self._todo[0][0] <= t_us:
+            arm = self._todo.pop(0)[1]
+            message = self._codec.command_long_encode(1, 1, mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, arm, 0, 0, 0, 0, 0, 0)
+            out.append(bytes(message.pack(self._codec)))
+        return out
+
+
+def test_one_log_per_arming(tmp_path: Path) -> None:
+    settings = gather(sitl_defaults(0), {"speed": 0.0, "sensors": "pose", "duration": 7.0}, {})
+    for name, value in {"connect": (), "state_dir": str(tmp_path / "state"), "log_dir": str(tmp_path / "logs")}.items():
+        settings.put(name, value, "test")
+    open_sitl(settings, {}, peers=[Switch({2.0: 1, 3.5: 0, 4.5: 1, 6.0: 0})]).run()
+    logs = sorted((tmp_path / "logs").rglob("*.mcap"))
+    assert len(logs) == 2
+    for path, begin_s in zip(logs, (2.0, 4.5), strict=True):
+        log = open_log(path)
+        assert not log.problems
+        mode = log["/sys/mode"]
+        assert mode["armed"][0] == 1
+        assert mode["armed"][-1] == 0
+        assert mode["t_us"][0] * 1e-6 == pytest.approx(begin_s, abs=0.02)
+        assert path.with_suffix(".tlog").exists()
