@@ -17,28 +17,24 @@ from autopilot.core.messages import (
     MissionProgress,
     NavHealth,
     NavState,
+    Severity,
 )
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.core.vehicle import Vehicle
 from autopilot.failsafes import Conditions, FailsafeRules
+from autopilot.goals import Goals
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
-from mission.fence import fence_clearance_m
+from autopilot.watch import Watch
 from mission.geodesy import Origin
 from mission.sequencer import Action, Sequencer
 from mission.store import Plans
-
-SEVERITY_CRITICAL, SEVERITY_ERROR, SEVERITY_WARNING, SEVERITY_NOTICE, SEVERITY_INFO = 2, 3, 4, 5, 6
-"""MAV_SEVERITY (common.xml)."""
 
 READINESS_EVERY_TICKS = 50
 """Arming checks are looked at twice per second for telemetry, and anew at every request."""
 
 SURFACED_M = 0.05
 """The vehicle counts as surfaced within this distance of where it floats."""
-
-MAX_YAW_AIM_RAD = 0.15
-"""Acceptance band of goals that are not mission items."""
 
 SUBMERGED_M = 0.2
 """Centre deeper than this: under water (half the hull's height and a margin)."""
@@ -69,6 +65,8 @@ class Commander:
         self._plans = plans
         self._sequencer = Sequencer(params)
         self._failsafes = FailsafeRules(params)
+        self._goals = Goals(vehicle, params, plans)
+        self._watch = Watch(vehicle, plans, self._goals)
         self._armed = False
         self._mode = FlightMode.HOLD
         self._override: FlightMode | None = None
@@ -76,8 +74,6 @@ class Commander:
         self._conditions: Conditions | None = None
         self._mission: tuple[PlanItem, ...] = ()
         self._origin = plans.origin
-        self._fence_key: tuple[float, ...] = ()
-        self._fence = plans.fence()
         self._problem_key: tuple[int, int] = (-1, -1)
         self._problem = ""
         self._readiness: tuple[str, ...] = ("service is starting",)
@@ -98,10 +94,7 @@ class Commander:
     @property
     def fence(self) -> Fence:
         """The workspace in force; the same object until plan, origin or depth band change."""
-        key = (self._plans.revision, self._params["DEPTH_MIN"], self._params["DEPTH_MAX"])
-        if key != self._fence_key:
-            self._fence_key, self._fence = key, self._plans.fence()
-        return self._fence
+        return self._goals.fence
 
     @property
     def submerged(self) -> bool:
@@ -132,7 +125,7 @@ class Commander:
             return ("service is starting",)
         reasons = list(self._failsafes.prearm_reasons(self._conditions))
         nav = self._conditions.nav
-        if nav is not None and self._clearance_m(nav.pos_ned_m) < 0.0:
+        if nav is not None and self._goals.clearance_m(nav.pos_ned_m) < 0.0:
             reasons.append("vehicle is outside the fence or inside an obstacle: check fence and origin")
         problem = self._plan_problem()
         return (*reasons, problem) if problem else tuple(reasons)
@@ -145,57 +138,45 @@ class Commander:
         if reasons and not force:
             return Answer(result=CommandResult.DENIED, reason="Arming denied: " + "; ".join(reasons))
         if reasons:
-            self._say(SEVERITY_WARNING, "Forced arming despite: " + "; ".join(reasons))
+            self._say(Severity.WARNING, "Forced arming despite: " + "; ".join(reasons))
         self._armed = True
-        self._override = None
         self._failsafes.clear()
         nav = self._nav()
         if nav is not None:
             self._set_home_ned(nav.pos_ned_m)
-        self._hold_here()
-        self._say(SEVERITY_INFO, "Armed")
+        self._enter(FlightMode.HOLD if self._refuse_mode(self._mode) else self._mode)
+        self._say(Severity.INFO, "Armed")
         return _ACCEPTED
 
     def disarm(self, force: bool) -> Answer:
-        """Disarm. ``force`` marks an emergency stop; both are always accepted."""
+        """Disarm. ``force`` marks an emergency stop; both are always accepted. The next arming begins in HOLD."""
         if self._armed:
             self._armed = False
-            self._sequencer.pause()
-            self._say(SEVERITY_WARNING if force else SEVERITY_INFO, "Emergency stop" if force else "Disarmed")
+            self._override = None
+            self._enter(FlightMode.HOLD)
+            self._say(Severity.WARNING if force else Severity.INFO, "Emergency stop" if force else "Disarmed")
         return _ACCEPTED
 
     def set_mode(self, mode: FlightMode) -> Answer:
         """Change the mode, or say why not."""
+        reason = self._refuse_mode(mode)
+        if reason:
+            return Answer(result=CommandResult.DENIED, reason=reason)
+        if mode is not self._mode:
+            self._say(Severity.INFO, f"Mode {mode.name}")
         if self._override is not None and mode is not FlightMode.SURFACE:
-            if self._failsafes.acting(self._conditions):
-                return Answer(
-                    result=CommandResult.DENIED,
-                    reason=f"Mode change denied: failsafe active ({self._failsafes.describe()})",
-                )
             self._override = None
             self._failsafes.clear()
-        if mode is FlightMode.MISSION:
-            if not self._plans.items(PlanKind.MISSION):
-                return Answer(result=CommandResult.DENIED, reason="No mission: upload one first")
-            self._load_mission()
-            self._sequencer.start()
-        else:
-            self._sequencer.pause()
-        if mode is FlightMode.RETURN:
-            self._hold = self._goal_at(self._return_point(), None)
-        elif mode is FlightMode.SURFACE:
-            self._hold = self._surface_goal()
-        elif mode is FlightMode.HOLD:
-            self._hold_here()
-        if mode is not self._mode:
-            self._say(SEVERITY_INFO, f"Mode {mode.name}")
-        self._mode = mode
+        elif self._override is not None:
+            self._override = FlightMode.SURFACE
+        self._enter(mode)
         return _ACCEPTED
 
     def start_mission(self, first_seq: int | None) -> Answer:
         """Enter MISSION at an item, None = where it is."""
-        if not self._armed:
-            return Answer(result=CommandResult.DENIED, reason="Mission start denied: arm first")
+        reason = self._refuse_mode(FlightMode.MISSION) if self._armed else "Mission start denied: arm first"
+        if reason:
+            return Answer(result=CommandResult.DENIED, reason=reason)
         if first_seq is not None and first_seq > 0:
             answer = self.set_current_item(first_seq)
             if answer.result is not CommandResult.ACCEPTED:
@@ -226,16 +207,16 @@ class Commander:
         if not self._armed:
             return Answer(result=CommandResult.DENIED, reason="Go-to denied: arm first")
         target_ned_m = self._plans.local_ned_m(point.lat_deg, point.lon_deg, point.alt_m)
-        refusal = self._refuse_target(target_ned_m)
+        refusal = self._goals.refuse(target_ned_m)
         if refusal:
             return Answer(result=CommandResult.DENIED, reason=f"Go-to denied: {refusal}")
         answer = self.set_mode(FlightMode.HOLD)
         if answer.result is CommandResult.ACCEPTED:
-            self._hold = self._goal_at(target_ned_m, yaw_rad)
+            self._hold = self._goals.at(target_ned_m, yaw_rad)
         return answer
 
     def change_speed(self, speed_m_s: float) -> Answer:
-        """Cruise speed until the next mission start."""
+        """Cruise speed for what runs now."""
         limit = self._params["SPD_PLANAR_MAX"]
         if not 0.0 < speed_m_s <= limit:
             return Answer(
@@ -277,6 +258,8 @@ class Commander:
         self._t_us = conditions.t_us
         self._conditions = conditions
         self._watch_plan()
+        for severity, text in self._watch.look(conditions, armed=self._armed):
+            self._say(severity, text)
         self._apply_failsafes(conditions)
         if not self._armed and self._ticks % READINESS_EVERY_TICKS == 0:
             self._readiness = self.prearm_reasons()
@@ -298,25 +281,27 @@ class Commander:
             failsafes=self._failsafes.bits,
         )
 
-    def _goal(self, nav: NavState) -> tuple[Goal | None, tuple[int, ...]]:
-        if self.mode is not FlightMode.MISSION:
-            if self._hold is None:
-                self._hold_here()
-            return self._hold, ()
-        out = self._sequencer.step(self._t_us, nav)
-        for seq in out.reached:
-            self._say(SEVERITY_INFO, f"Reached item {seq}")
-        if out.goal is not None:
-            self._hold = out.goal
-        if out.home_ned_m is not None:
-            self._plans.set_home(out.home_ned_m)
-        if out.action is Action.SURFACE:
-            self.set_mode(FlightMode.SURFACE)
-        elif out.action is Action.HOLD:
-            self._mode = FlightMode.HOLD
-            self._say(SEVERITY_NOTICE, f"Mission complete: {out.progress.lap} laps")
-            return self._hold, self._with_last_item(out.reached)
-        return self._hold, out.reached
+    def _goal(self, nav: NavState) -> tuple[Goal, tuple[int, ...]]:
+        """Goal of this tick, and the mission items that have been reached on it."""
+        reached: tuple[int, ...] = ()
+        if self.mode is FlightMode.MISSION:
+            out = self._sequencer.step(self._t_us, nav)
+            reached = out.reached
+            for seq in reached:
+                self._say(Severity.INFO, f"Reached item {seq}")
+            if out.goal is not None:
+                self._hold = out.goal
+            if out.home_ned_m is not None:
+                self._set_home_ned(out.home_ned_m)
+            if out.action is Action.SURFACE:
+                self.set_mode(FlightMode.SURFACE)
+            elif out.action is Action.HOLD:
+                self._mode = FlightMode.HOLD
+                self._say(Severity.NOTICE, f"Mission complete, laps: {out.progress.lap}")
+                reached = self._with_last_item(reached)
+        if self._hold is None:
+            self._hold = self._goal_of(self.mode, nav)
+        return self._hold, reached
 
     def _with_last_item(self, reached: tuple[int, ...]) -> tuple[int, ...]:
         """A plan that ends with DO_ items is over with the last of them: MAVSDK's progress waits for its number."""
@@ -324,16 +309,19 @@ class Commander:
         return reached if last in reached else (*reached, last)
 
     def _disarm_when_surfaced(self, nav: NavState) -> None:
-        if self.mode is FlightMode.SURFACE and nav.pos_ned_m[2] <= self._top_m() + SURFACED_M:
-            self._say(SEVERITY_NOTICE, "Surfaced")
+        if self.mode is FlightMode.SURFACE and nav.pos_ned_m[2] <= self._goals.top_m + SURFACED_M:
+            self._say(Severity.NOTICE, "Surfaced")
             self.disarm(force=False)
-            self._mode, self._override = FlightMode.HOLD, None
 
     def _watch_plan(self) -> None:
         """A new mission is loaded at once; one that replaces a running mission is not started."""
-        if self._load_mission() and self._armed and self._mode is FlightMode.MISSION:
-            self._say(SEVERITY_WARNING, "Mission changed while it ran: holding, start again")
-            self.set_mode(FlightMode.HOLD)
+        if not self._load_mission() or self._mode is not FlightMode.MISSION:
+            return
+        if self._armed:
+            self._say(Severity.WARNING, "Mission changed while it ran: holding, start again")
+        if self._override is None:
+            self._enter(FlightMode.HOLD)
+        self._mode = FlightMode.HOLD
 
     def _load_mission(self) -> bool:
         """Bring the sequencer in line with the plan in force; True if the plan was another one."""
@@ -346,22 +334,49 @@ class Commander:
 
     def _apply_failsafes(self, conditions: Conditions) -> None:
         for event in self._failsafes.update(conditions, armed=self._armed):
-            self._say(event.severity, event.text)
+            self._events.append(event)
         action = self._failsafes.action
         if not self._armed or action is None:
             return
         if action == "disarm":
-            self._say(SEVERITY_CRITICAL, f"Failsafe disarms: {self._failsafes.describe()}")
+            self._say(Severity.CRITICAL, f"Failsafe disarms: {self._failsafes.describe()}")
             self.disarm(force=True)
             return
         mode = FlightMode.SURFACE if action == "surface" else FlightMode.HOLD
         if self._override is not mode and self._override is not FlightMode.SURFACE:
             self._override = mode
             self._sequencer.pause()
-            self._hold = self._surface_goal() if mode is FlightMode.SURFACE else self._hold
-            self._say(SEVERITY_CRITICAL, f"Failsafe {mode.name}: {self._failsafes.describe()}")
+            nav = self._nav()
+            self._hold = None if nav is None else self._goal_of(mode, nav)
+            self._say(Severity.CRITICAL, f"Failsafe {mode.name}: {self._failsafes.describe()}")
 
-    # Goals
+    # Modes
+
+    def _refuse_mode(self, mode: FlightMode) -> str:
+        """Why a mode cannot be entered, "" if it can."""
+        if self._override is not None and mode is not FlightMode.SURFACE and self._failsafes.acting:
+            return f"Mode change denied: failsafe active ({self._failsafes.describe()})"
+        if mode is FlightMode.MISSION and not self._plans.items(PlanKind.MISSION):
+            return "No mission: upload one first"
+        refusal = self._goals.refuse_home() if mode is FlightMode.RETURN else ""
+        return f"Return denied: {refusal}" if refusal else ""
+
+    def _enter(self, mode: FlightMode) -> None:
+        """Begin a mode where the vehicle is."""
+        if mode is FlightMode.MISSION:
+            self._load_mission()
+            self._sequencer.start()
+        else:
+            self._sequencer.pause()
+        nav = self._nav()
+        self._hold = None if nav is None else self._goal_of(mode, nav)
+        self._mode = mode
+
+    def _goal_of(self, mode: FlightMode, nav: NavState) -> Goal:
+        """Where a mode goes from here; a mission says so itself, until then it holds."""
+        if mode is FlightMode.RETURN:
+            return self._goals.home(nav)
+        return self._goals.surface(nav) if mode is FlightMode.SURFACE else self._goals.hold(nav)
 
     def _nav(self) -> NavState | None:
         nav = None if self._conditions is None else self._conditions.nav
@@ -375,62 +390,11 @@ class Commander:
             self._problem_key, self._problem = key, "" if problem is None else problem.reason
         return self._problem
 
-    def _clearance_m(self, pos_ned_m: FloatArray) -> float:
-        return float(fence_clearance_m(self.fence, pos_ned_m[None, :2])[0])
-
     def _set_home_ned(self, pos_ned_m: FloatArray) -> None:
         """Home is a place on the surface: relative altitudes count from there."""
         home_ned_m = np.array([pos_ned_m[0], pos_ned_m[1], 0.0])
         self._plans.set_home(home_ned_m)
         self._sequencer.set_home(home_ned_m)
 
-    def _refuse_target(self, target_ned_m: FloatArray) -> str:
-        low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
-        if not low <= target_ned_m[2] <= high:
-            return f"depth {target_ned_m[2]:.2f} m is outside {low:g} to {high:g} m"
-        clearance_m = self._clearance_m(target_ned_m)
-        needed_m = self._vehicle.radius_m + self._params["MPC_MARGIN"]
-        if clearance_m < needed_m:
-            return f"target is {clearance_m:.2f} m from the fence, needs {needed_m:.2f} m"
-        return ""
-
-    def _goal_at(self, pos_ned_m: FloatArray, yaw_rad: float | None) -> Goal:
-        return Goal(
-            pos_ned_m=pos_ned_m,
-            yaw_rad=yaw_rad,
-            speed_m_s=self._params["SPD_CRUISE"],
-            accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
-            accept_yaw_rad=MAX_YAW_AIM_RAD,
-            seq=-1,
-        )
-
-    def _hold_here(self) -> None:
-        nav = self._nav()
-        if nav is None:
-            self._hold = None
-            return
-        pos_ned_m = nav.pos_ned_m.copy()
-        pos_ned_m[2] = np.clip(pos_ned_m[2], self._params["DEPTH_MIN"], self._params["DEPTH_MAX"])
-        self._hold = self._goal_at(pos_ned_m, float(nav.rpy_rad[2]))
-
-    def _return_point(self) -> FloatArray:
-        nav = self._nav()
-        home_ned_m = self._plans.home_ned_m.copy()
-        depth_m = self._params["DEPTH_MIN"] if nav is None else nav.pos_ned_m[2]
-        home_ned_m[2] = np.clip(depth_m, self._params["DEPTH_MIN"], self._params["DEPTH_MAX"])
-        return home_ned_m
-
-    def _surface_goal(self) -> Goal | None:
-        nav = self._nav()
-        if nav is None:
-            return None
-        pos_ned_m = nav.pos_ned_m.copy()
-        pos_ned_m[2] = self._top_m()
-        return self._goal_at(pos_ned_m, float(nav.rpy_rad[2]))
-
-    def _top_m(self) -> float:
-        """Depth of the centre at the surface: the hull floats up no farther than its half height."""
-        return max(self._params["DEPTH_MIN"], self._vehicle.hull_half_height_m)
-
-    def _say(self, severity: int, text: str) -> None:
+    def _say(self, severity: Severity, text: str) -> None:
         self._events.append(Event(t_us=self._t_us, severity=severity, text=text))

@@ -7,16 +7,13 @@ over after the condition has gone.
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, PowerSample
+from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, PowerSample, Severity
 from autopilot.core.params import ParamSet
 
 Action: TypeAlias = Literal["hold", "surface", "disarm"]
 
 AHRS_TIMEOUT_S = 0.5
 """50 AHRS frames missing: attitude is no longer known."""
-
-_SEVERITY_CRITICAL = 2
-_SEVERITY_NOTICE = 5
 
 _RANK: dict[Action, int] = {"hold": 1, "surface": 2, "disarm": 3}
 
@@ -32,6 +29,8 @@ class Conditions:
     """None = nothing heard yet."""
     solver_failures: int
     """NMPC steps in a row without a solution."""
+    unreachable: bool = False
+    """The controller finds no way to its goal."""
 
 
 class FailsafeRules:
@@ -39,7 +38,7 @@ class FailsafeRules:
 
     def __init__(self, params: ParamSet) -> None:
         self._params = params
-        self._active: dict[Failsafe, str] = {}
+        self._active: dict[Failsafe, tuple[str, Action | None]] = {}
         self._nav_good_us: int | None = None
         self.action: Action | None = None
         """The most severe action since arming, None while nothing has happened."""
@@ -51,11 +50,12 @@ class FailsafeRules:
 
     def describe(self) -> str:
         """Active conditions in one line."""
-        return "; ".join(self._active.values()) or "condition has gone"
+        return "; ".join(text for text, _ in self._active.values()) or "condition has gone"
 
-    def acting(self, conditions: Conditions | None) -> bool:
-        """Whether a condition that caused the action still holds."""
-        return bool(self._active) and conditions is not None
+    @property
+    def acting(self) -> bool:
+        """Whether a condition that asks for an action (not only a warning) holds."""
+        return any(action is not None for _, action in self._active.values())
 
     def clear(self) -> None:
         """Forget past actions (on arming)."""
@@ -79,16 +79,16 @@ class FailsafeRules:
         """Evaluate all rules; events report what began and what ended."""
         found = self._evaluate(conditions)
         events = [
-            Event(t_us=conditions.t_us, severity=_SEVERITY_CRITICAL, text=f"Failsafe: {text}")
+            Event(t_us=conditions.t_us, severity=Severity.CRITICAL, text=f"Failsafe: {text}")
             for rule, (text, _) in found.items()
             if rule not in self._active and armed
         ]
         events += [
-            Event(t_us=conditions.t_us, severity=_SEVERITY_NOTICE, text=f"Failsafe over: {text}")
-            for rule, text in self._active.items()
+            Event(t_us=conditions.t_us, severity=Severity.NOTICE, text=f"Failsafe over: {text}")
+            for rule, (text, _) in self._active.items()
             if rule not in found and armed
         ]
-        self._active = {rule: text for rule, (text, _) in found.items()}
+        self._active = found
         if armed:
             for _, action in found.values():
                 if action is not None and _RANK[action] > (0 if self.action is None else _RANK[self.action]):

@@ -103,6 +103,7 @@ class Autopilot:
                 power=self._power,
                 ahrs_age_s=None if self._ahrs_us is None else (t_us - self._ahrs_us) * 1e-6,
                 solver_failures=self._solver_failures,
+                unreachable=parts.controller.unreachable,
             )
         )
         control = self._control(t_us, nav, decision)
@@ -138,13 +139,10 @@ class Autopilot:
     def _control(self, t_us: int, nav: NavState | None, decision: Decision) -> ControlOutput | None:
         """Run the controller on its ticks; hold the thrust in between; neutral when there is nothing to follow."""
         parts = self._parts
-        if decision.blind_ascent:
-            self._thrust_n = np.zeros(4)
-            self._thrust_n[VERTICAL] = -BLIND_ASCENT_SHARE * parts.params["THR_LIMIT"]
-            return None
         if decision.goal is None or nav is None:
-            if self._thrust_n.any():
-                self._thrust_n = np.zeros(4)
+            self._thrust_n = np.zeros(4)
+            if decision.blind_ascent:
+                self._thrust_n[VERTICAL] = -BLIND_ASCENT_SHARE * parts.params["THR_LIMIT"]
             if self._goal is not None:
                 parts.controller.reset()
                 self._solver_failures = 0

@@ -305,9 +305,22 @@ class Failsafe(IntEnum):
     AHRS_STALE = 3
 
 
+class Severity(IntEnum):
+    """MAV_SEVERITY (common.xml)."""
+
+    EMERGENCY = 0
+    ALERT = 1
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+    DEBUG = 7
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Event:
-    """A line for the operator and for the log. ``severity`` is MAV_SEVERITY (0 emergency .. 7 debug)."""
+    """A line for the operator and for the log. ``severity`` is a :class:`Severity`."""
 
     t_us: int
     severity: int

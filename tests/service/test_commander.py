@@ -4,81 +4,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commander_bench import OK, Bench
 
-from autopilot.commander import Commander, Decision
-from autopilot.core.messages import Failsafe, NavHealth, NavState, PowerSample
-from autopilot.core.params import ParamSet
+from autopilot.core.messages import Failsafe, NavHealth
 from autopilot.core.plan import PlanKind
-from autopilot.core.vehicle import load_vehicle
-from autopilot.failsafes import Conditions
 from autopilot.mavlink.api import CommandResult, FlightMode, GeoPoint
 from mission.geodesy import geodetic_from_ned
 from mission.paper import paper_plan
-from mission.store import Plans
-
-TICK_US = 10_000
-OK = CommandResult.ACCEPTED
-
-
-class Bench:
-    """A commander with everything that it looks at under the test's hand."""
-
-    def __init__(self, **params: float) -> None:
-        self.params = ParamSet(params)
-        vehicle = load_vehicle("lbv150")
-        self.plans = Plans(self.params, vehicle.radius_m)
-        self.commander = Commander(vehicle, self.params, self.plans)
-        self.t_us = 0
-        self.pos = np.array([-1.0, 0.5, 0.5])
-        self.yaw = 0.0
-        self.health: NavHealth | None = NavHealth.GOOD
-        self.remaining = 0.9
-        self.ahrs_age_s: float | None = 0.01
-        self.failures = 0
-        self.texts: list[str] = []
-
-    def nav(self) -> NavState | None:
-        if self.health is None:
-            return None
-        zero = np.zeros(3)
-        return NavState(
-            t_us=self.t_us,
-            health=self.health,
-            pos_ned_m=self.pos,
-            rpy_rad=np.array([0.0, 0.0, self.yaw]),
-            vel_frd_m_s=zero,
-            vel_water_frd_m_s=zero,
-            rate_frd_rad_s=zero,
-            current_ned_m_s=zero,
-            variance=np.zeros(12),
-        )
-
-    def run(self, seconds: float = 0.01) -> Decision:
-        for _ in range(max(1, round(seconds * 100))):
-            self.t_us += TICK_US
-            decision = self.commander.step(
-                Conditions(
-                    t_us=self.t_us,
-                    nav=self.nav(),
-                    power=PowerSample(
-                        t_us=self.t_us, voltage_v=18.0, current_a=1.0, energy_used_j=0.0, remaining=self.remaining
-                    ),
-                    ahrs_age_s=self.ahrs_age_s,
-                    solver_failures=self.failures,
-                )
-            )
-            self.texts += [event.text for event in self.commander.drain_events()]
-        return decision
-
-    def load(self, laps: int = 1) -> None:
-        plan = paper_plan(laps)
-        assert self.plans.replace(PlanKind.FENCE, plan.fence) is None
-        assert self.plans.replace(PlanKind.MISSION, plan.mission) is None
-
-    def armed(self, **_: Any) -> "Bench":
-        self.run()
-        assert self.commander.arm(force=False).result is OK
-        return self
 
 
 @pytest.mark.parametrize(

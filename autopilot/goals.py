@@ -1,0 +1,117 @@
+"""Goals that are not mission items: hold, go-to, return, surface; and the workspace that they have to lie in."""
+
+import math
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, r_ned_from_frd
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import Goal, NavState
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle
+from mission.fence import fence_clearance_m
+from mission.store import Plans
+
+STOP_DECELERATION_M_S2 = 0.25
+"""How hard a vehicle that is told to hold brakes: from cruise speed its drag alone gives it 0.25 to 0.35 m/s^2, so that
+it comes to rest without reverse thrust and without having to come back."""
+
+STOP_SAMPLES = 8
+"""Places between here and the end of the braking distance that are looked at."""
+
+ACCEPT_YAW_RAD = 0.15
+"""Acceptance band of the heading."""
+
+
+class Goals:
+    """Makes goals from where the vehicle is, from home and from requests. All positions NED [m]."""
+
+    def __init__(self, vehicle: Vehicle, params: ParamSet, plans: Plans) -> None:
+        self._vehicle = vehicle
+        self._params = params
+        self._plans = plans
+        self._fence = plans.fence()
+        self._fence_key = self._key()
+
+    @property
+    def fence(self) -> Fence:
+        """The workspace in force; the same object until plan, origin or depth band change."""
+        key = self._key()
+        if key != self._fence_key:
+            self._fence_key, self._fence = key, self._plans.fence()
+        return self._fence
+
+    @property
+    def top_m(self) -> float:
+        """Depth of the centre at the surface: the hull floats up no farther than its half height."""
+        return max(self._params["DEPTH_MIN"], self._vehicle.hull_half_height_m)
+
+    def clearance_m(self, pos_ned_m: FloatArray) -> float:
+        """Distance of a place (3,) to the nearest forbidden one: negative = in it, inf = open water."""
+        return float(fence_clearance_m(self.fence, pos_ned_m[None, :2])[0])
+
+    def at(self, pos_ned_m: FloatArray, yaw_rad: float | None) -> Goal:
+        """A place (3,) at cruise speed, with a heading or without."""
+        return Goal(
+            pos_ned_m=pos_ned_m,
+            yaw_rad=yaw_rad,
+            speed_m_s=self._params["SPD_CRUISE"],
+            accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
+            accept_yaw_rad=ACCEPT_YAW_RAD,
+            seq=-1,
+        )
+
+    def hold(self, nav: NavState) -> Goal:
+        """Where the vehicle comes to rest, with its heading."""
+        place = self._stopping_place(nav)
+        place[2] = self._in_band(place[2])
+        return self.at(place, float(nav.rpy_rad[2]))
+
+    def surface(self, nav: NavState) -> Goal:
+        """The surface above where the vehicle comes to rest."""
+        place = self._stopping_place(nav)
+        place[2] = self.top_m
+        return self.at(place, float(nav.rpy_rad[2]))
+
+    def home(self, nav: NavState) -> Goal:
+        """Home at the present depth, heading free."""
+        place = self._plans.home_ned_m.copy()
+        place[2] = self._in_band(float(nav.pos_ned_m[2]))
+        return self.at(place, None)
+
+    def refuse_home(self) -> str:
+        """Why home cannot be returned to, "" if it can. Near a boundary it is approached as far as that allows."""
+        clearance_m = self.clearance_m(self._plans.home_ned_m)
+        if clearance_m < 0.0:
+            return f"home is {-clearance_m:.2f} m inside what the fence forbids: set another home"
+        return ""
+
+    def refuse(self, pos_ned_m: FloatArray) -> str:
+        """Why a place (3,) cannot be a goal, "" if it can."""
+        low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
+        if not low <= pos_ned_m[2] <= high:
+            return f"depth {pos_ned_m[2]:.2f} m is outside {low:g} to {high:g} m"
+        clearance_m = self.clearance_m(pos_ned_m)
+        if clearance_m < self._keep_m():
+            return f"target is {clearance_m:.2f} m from the fence, needs {self._keep_m():.2f} m"
+        return ""
+
+    def _key(self) -> tuple[float, ...]:
+        return (self._plans.revision, self._params["DEPTH_MIN"], self._params["DEPTH_MAX"])
+
+    def _keep_m(self) -> float:
+        """What the controller keeps from every boundary."""
+        return self._vehicle.radius_m + self._params["MPC_MARGIN"]
+
+    def _in_band(self, depth_m: float) -> float:
+        return min(max(float(depth_m), self._params["DEPTH_MIN"]), self._params["DEPTH_MAX"])
+
+    def _stopping_place(self, nav: NavState) -> FloatArray:
+        """(3,) end of the braking distance v^2 / 2a over ground, or the last place on the way that the fence allows."""
+        vel_ned_m_s = r_ned_from_frd(nav.rpy_rad) @ nav.vel_frd_m_s
+        way_m = vel_ned_m_s * (math.hypot(*vel_ned_m_s) / (2.0 * STOP_DECELERATION_M_S2))
+        places = nav.pos_ned_m + np.linspace(0.0, 1.0, STOP_SAMPLES + 1)[:, None] * way_m
+        forbidden = np.flatnonzero(fence_clearance_m(self.fence, places[1:, :2]) < self._keep_m())
+        last = int(forbidden[0]) if len(forbidden) else STOP_SAMPLES
+        place: FloatArray = places[last].copy()
+        return place

@@ -1,0 +1,48 @@
+"""What the operator is told without having asked: position lost or found, no way to the goal, a new fence."""
+
+from autopilot.core.messages import NavHealth, NavState, Severity
+from autopilot.core.vehicle import Vehicle
+from autopilot.failsafes import Conditions
+from autopilot.goals import Goals
+from mission.store import Plans
+
+_HEALTH_TEXTS = {
+    NavHealth.GOOD: (Severity.NOTICE, "Position is good again"),
+    NavHealth.DEAD_RECKONING: (Severity.WARNING, "Dead reckoning: no position fix, look for markers"),
+    NavHealth.INVALID: (Severity.ERROR, "Position lost: the vehicle drifts until it is found again"),
+}
+
+
+class Watch:
+    """Remembers how things were on the last tick and says what has changed."""
+
+    def __init__(self, vehicle: Vehicle, plans: Plans, goals: Goals) -> None:
+        self._radius_m = vehicle.radius_m
+        self._plans = plans
+        self._goals = goals
+        self._fence = goals.fence
+        self._health = NavHealth.INVALID
+        self._unreachable = False
+
+    def look(self, conditions: Conditions, *, armed: bool) -> list[tuple[Severity, str]]:
+        """Severity and text of what is new on this tick."""
+        nav = conditions.nav
+        texts: list[tuple[Severity, str]] = []
+        health = NavHealth.INVALID if nav is None else nav.health
+        if armed and health is not self._health:
+            texts.append(_HEALTH_TEXTS[health])
+        if armed and conditions.unreachable and not self._unreachable:
+            texts.append((Severity.WARNING, "No free way to the goal: holding; move the goal or open the fence"))
+        self._health, self._unreachable = health, conditions.unreachable
+        if self._goals.fence is not self._fence:
+            self._fence = self._goals.fence
+            texts += self._of_fence(nav if armed and health is not NavHealth.INVALID else None)
+        return texts
+
+    def _of_fence(self, nav: NavState | None) -> list[tuple[Severity, str]]:
+        """Gaps that FENCE_GAP_CHK only warns of, and a vehicle that the new fence finds where it must not be."""
+        texts = [(Severity.WARNING, text) for text in self._plans.warnings()]
+        lack_m = 0.0 if nav is None else self._radius_m - self._goals.clearance_m(nav.pos_ned_m)
+        if lack_m > 0.0:
+            texts.append((Severity.WARNING, f"New fence: the vehicle is {lack_m:.2f} m too near or inside, moving out"))
+        return texts
