@@ -1,6 +1,8 @@
 """Configuration of a run: defaults < file < environment < command line, and where each value came from."""
 
+import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -80,6 +82,29 @@ _FROM_TEXT: dict[str, Any] = {
 }
 
 
+_ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "speed": (lambda value: 0.0 <= value < math.inf, "0 or more"),
+    "seed": (lambda value: value >= 0, "0 or more"),
+    "duration": (lambda value: 0.0 < value < math.inf, "a number of seconds above 0"),
+    "estimator": (lambda value: value in ESTIMATORS, " or ".join(ESTIMATORS)),
+    "sensors": (lambda value: value in SENSORS, " or ".join(SENSORS)),
+    "profile": (lambda value: value in PROFILES, ", ".join(PROFILES)),
+}
+"""Which values a setting may have, and how to say so."""
+
+
+def _from_environment(name: str, variable: str, text: str) -> Any:
+    """A variable's value; ConfigError if the setting cannot have it."""
+    allowed, use = _ALLOWED.get(name, (lambda _: True, ""))
+    try:
+        value = _FROM_TEXT.get(name, str)(text)
+    except ValueError as error:
+        raise ConfigError(f"{variable}={text!r} is not a number; correct or unset it") from error
+    if not allowed(value):
+        raise ConfigError(f"{variable}={text!r} is not valid; use {use}, or unset it")
+    return value
+
+
 def gather(defaults: dict[str, Any], given: dict[str, Any], environment: dict[str, str] | None = None) -> Settings:
     """Layer defaults, environment and command line (``given``: None or empty = not given)."""
     settings = Settings()
@@ -88,10 +113,7 @@ def gather(defaults: dict[str, Any], given: dict[str, Any], environment: dict[st
         settings.put(name, value, "default")
         variable = ENVIRONMENT_PREFIX + name.upper()
         if variable in env:
-            try:
-                settings.put(name, _FROM_TEXT.get(name, str)(env[variable]), f"environment {variable}")
-            except ValueError as error:
-                raise ConfigError(f"{variable}={env[variable]!r} is not valid: {error}; correct or unset it") from error
+            settings.put(name, _from_environment(name, variable, env[variable]), f"environment {variable}")
         if given.get(name) not in (None, ()):
             settings.put(name, given[name], "command line")
     return settings

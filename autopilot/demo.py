@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from autopilot.client.session import CommandRefusedError, MissionStatus, Session
-from autopilot.core.errors import AutopilotError, DriverError
+from autopilot.core.errors import AutopilotError, ConfigError, DriverError
 from autopilot.core.messages import ProgressState
 from autopilot.core.plan import PlanKind
 from autopilot.log.check import Row, Verdict, acceptance_table
@@ -59,7 +59,10 @@ class FlightResult:
 def fly(scenario: str, folder: Path, *, laps: int, speed: float, seed: int | None, show: Show) -> FlightResult:
     """One flight: service, client, log, verdict. AutopilotError if it cannot be flown."""
     begin_s = time.monotonic()
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be made ({error.strerror}); choose another folder with --out") from error
     log = folder / "run.mcap"
     plan = paper_plan(laps)
     write_plan(folder / "paper.plan", plan)

@@ -54,20 +54,32 @@ def read_param_file(path: Path) -> dict[str, float]:
 
 
 def write_param_file(path: Path, values: Mapping[str, float], *, sysid: int = 1) -> None:
-    """Write ``values`` atomically in QGroundControl's form."""
+    """Write ``values`` atomically in QGroundControl's form. ConfigError if the file cannot be written."""
     table = ParamSet()
     lines = ["# Vehicle-Id Component-Id Name Value Type"]
     for name in sorted(values):
         kind = table.spec(name).type
         value = f"{int(values[name])}" if kind is ParamType.INT32 else f"{values[name]:.9g}"
         lines.append(f"{sysid}\t1\t{name}\t{value}\t{MAV_PARAM_TYPE[kind]}")
+    try:
+        _replace(path, "\n".join(lines) + "\n")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); check folder and rights") from error
+
+
+def _replace(path: Path, text: str) -> None:
+    """The file is the old one or the new one, never half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name)
-    with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-        stream.write("\n".join(lines) + "\n")
-        stream.flush()
-        os.fsync(stream.fileno())
-    os.replace(temporary, path)
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    except OSError:
+        Path(temporary).unlink(missing_ok=True)
+        raise
 
 
 class PersistentParams:
@@ -79,6 +91,8 @@ class PersistentParams:
         self._saved: dict[str, float] = {}
         self._seen: dict[str, float] = {}
         self._revision = -1
+        self.failure: str | None = None
+        """Why the last change is not on disk; None while all is well."""
 
     def load(self) -> None:
         """Apply the file if there is one. ConfigError leaves all parameters as they were."""
@@ -93,10 +107,15 @@ class PersistentParams:
         self._revision = self._params.revision
 
     def save_changes(self) -> None:
-        """Write the file if a parameter changed since the last call; cheap when none did."""
+        """Write the file if a parameter changed since the last call; cheap when none did. Never raises: a vehicle
+        under way does not stop for a full disk (``failure`` says why, the next change tries again)."""
         if self._params.revision == self._revision:
             return
         changed = {name: value for name, value in self._params.items() if self._seen.get(name) != value}
         self._saved.update(changed)
-        write_param_file(self._path, self._saved)
+        try:
+            write_param_file(self._path, self._saved)
+            self.failure = None
+        except ConfigError as error:
+            self.failure = str(error)
         self.mark()

@@ -229,7 +229,6 @@ def _recorder(
 
     def open_log() -> RunLog:
         path = Path(fixed) if fixed is not None else log_path(folder, time.time_ns())
-        path.parent.mkdir(parents=True, exist_ok=True)
         return open_run_log(
             path,
             epoch_ns=SITL_EPOCH_NS,

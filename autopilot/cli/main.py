@@ -1,6 +1,7 @@
 """``autopilot``: the command line. Sub-commands are imported only when they are called, so that --help is quick."""
 
 import importlib
+import os
 import sys
 from collections.abc import Callable
 
@@ -61,8 +62,11 @@ def run(command: Callable[[], object]) -> int:
         return result if isinstance(result, int) else 0
     except click.exceptions.Exit as stop:
         return stop.exit_code
-    except click.ClickException as error:
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
+        return error.exit_code
+    except click.ClickException as error:
+        click.echo(f"error: {_one_line(error)}", err=True)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
@@ -70,6 +74,17 @@ def run(command: Callable[[], object]) -> int:
     except AutopilotError as error:
         click.echo(f"error: {error}", err=True)
         return EXIT_FAILED
+    except BrokenPipeError:
+        # Whoever read our output has had enough (`| head`). Python would complain at exit when it flushes the rest.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FAILED
+
+
+def _one_line(error: click.ClickException) -> str:
+    """What is wrong with the command line, and where help is."""
+    text = " ".join(error.format_message().split()).rstrip(".")
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    return text if context is None else f"{text}; see '{context.command_path} --help'"
 
 
 def main() -> None:

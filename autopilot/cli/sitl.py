@@ -27,21 +27,26 @@ from autopilot.config import ESTIMATORS, PROFILES, SENSORS
 def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the simulated vehicle of SCENARIO (a shipped name or a TOML file; default paper-tank)."""
     from autopilot.config import gather, parse_overrides, sitl_defaults
+    from autopilot.core.errors import ConfigError
     from autopilot.sitl_session import open_sitl
 
     settings = gather(sitl_defaults(instance), {"scenario": scenario, **given})
-    stopped = False
+    if settings["start"] and settings["plan"] is None:
+        raise ConfigError("--start: there is no plan to start; give one with --plan FILE")
+    stopped_by: list[int] = []
 
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        nonlocal stopped
-        stopped = True
+    def stop(number: int, _frame: FrameType | None) -> None:
+        """Let the tick end; a second signal does not wait."""
+        stopped_by.append(number)
+        signal.signal(number, signal.SIG_DFL)
 
     signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
     session = open_sitl(settings, parse_overrides(param), instance=instance)
     if not quiet:
         name = session.scenario.scenario.name
         click.echo(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
-    wall_s = session.run(stop=lambda: stopped)
+    wall_s = session.run(stop=lambda: bool(stopped_by))
     if not quiet:
         counters = session.runtime.counters
         ran_s = counters.ticks * 0.01
@@ -49,3 +54,7 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
             f"{ran_s:.1f} s simulated in {wall_s:.1f} s ({ran_s / max(wall_s, 1e-9):.1f} x real time), "
             f"{counters.overruns} overruns"
         )
+    if session.persistent.failure:
+        click.echo(f"warning: {session.persistent.failure}", err=True)
+    if signal.SIGINT in stopped_by:
+        raise click.Abort

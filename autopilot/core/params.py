@@ -101,12 +101,12 @@ class ParamSet(Mapping[str, float]):
         """Change a value. ConfigError (unknown, not finite, out of range, not whole) changes nothing."""
         spec = self.spec(name)
         if not math.isfinite(value):
-            raise ConfigError(f"parameter {name} = {value} is not a finite number")
+            raise ConfigError(f"parameter {name} = {value} is not a finite number; give {spec.minimum:g} to {spec.maximum:g}")
         if not spec.minimum <= value <= spec.maximum:
             span = f"{spec.minimum:g} to {spec.maximum:g} {spec.unit}".rstrip()
             raise ConfigError(f"parameter {name} = {value:g} is out of range; use {span}")
         if spec.type is ParamType.INT32 and value != int(value):
-            raise ConfigError(f"parameter {name} = {value:g} must be a whole number")
+            raise ConfigError(f"parameter {name} = {value:g} is not whole; give a whole number")
         if self._values[name] != value:
             self._values[name] = float(value)
             self.revision += 1

@@ -1,0 +1,413 @@
+"""The command line: bad input gets one line on stderr that names the thing and the remedy, and leaves nothing."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from system_harness import PAPER_PLAN, ROOT, OpenSession, RunningService, free_port
+
+from autopilot.cli.main import cli, run
+from autopilot.param_file import read_param_file
+
+TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
+VEHICLE = (ROOT / "autopilot/data/vehicles/lbv150.toml").read_text()
+NOBODY = "udpout:127.0.0.1:9"
+"""Nobody listens on the discard port."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command left."""
+
+    code: int
+    out: str
+    err: str
+
+
+Command = Callable[..., Done]
+
+
+@pytest.fixture
+def autopilot(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Command]:
+    """``autopilot ARGUMENTS`` in an empty folder, with state and logs in ``tmp_path``."""
+    monkeypatch.setenv("AUTOPILOT_STATE_DIR", str(tmp_path / "state"))
+    monkeypatch.setenv("AUTOPILOT_LOG_DIR", str(tmp_path / "logs"))
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    interval = sys.getswitchinterval()
+
+    def call(*arguments: str) -> Done:
+        capfd.readouterr()
+        code = run(lambda: cli(list(arguments), prog_name="autopilot", standalone_mode=False))
+        out, err = capfd.readouterr()
+        return Done(code, out, err)
+
+    yield call
+    sys.setswitchinterval(interval)
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+def _files(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*") if path.is_file()]
+
+
+def _assert_refused(done: Done, *named: str, code: int = 1) -> None:
+    assert done.code == code
+    lines = done.err.splitlines()
+    assert len(lines) == 1, done.err
+    assert lines[0].startswith("error: ")
+    assert any(word in lines[0] for word in (";", "check", "use", "write")), f"no remedy in {lines[0]!r}"
+    for word in named:
+        assert word in lines[0], lines[0]
+
+
+def _sitl(autopilot: Command, scenario: str | Path, *more: str) -> Done:
+    """A short run, if it starts at all."""
+    given = ("--duration", "0.05", "--speed", "0", "--sensors", "pose", "--quiet")
+    connect = () if "--connect" in more else ("--connect", NOBODY)
+    return autopilot("sitl", str(scenario), *given, *connect, *more)
+
+
+SCENARIOS = {
+    "unknown key": (TANK.replace("seed = 1", "sed = 1"), ("`sed`", "`$.scenario`")),
+    "unknown table": (TANK + "\n[wether]\nrain = true\n", ("`wether`",)),
+    "wrong type": (
+        TANK.replace("speed_m_s = 0.25", 'speed_m_s = "fast"'),
+        ("`float`", "`str`", "`$.current.speed_m_s`"),
+    ),
+    "wrong unit": (TANK.replace("speed_m_s", "speed_knots"), ("`speed_knots`",)),
+    "negative depth": (TANK.replace("depth_m = 1.5", "depth_m = -1.5"), ("`$.tank.depth_m`", "> 0")),
+    "not a number": (TANK.replace("speed_m_s = 0.25", "speed_m_s = nan"), ("`$.current.speed_m_s`", "nan")),
+    "unknown kind": (TANK.replace('"jet"', '"tsunami"'), ("'tsunami'", "`$.current.kind`")),
+    "kind of a later version": (TANK.replace('"cylinder"', '"moving"', 1), ("`$.obstacle[0].kind`", "moving")),
+    "unknown vehicle": (TANK.replace('"lbv150"', '"lbv151"'), ("'lbv151'", "lbv150")),
+    "not TOML": (TANK + "\n[[", ("not valid TOML",)),
+    "not text": ("\udcff\udcfe", ("UTF-8",)),
+}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_bad_scenario(autopilot: Command, tmp_path: Path, name: str) -> None:
+    text, named = SCENARIOS[name]
+    file = tmp_path / "bad.toml"
+    file.write_bytes(text.encode(errors="surrogateescape"))
+    log = tmp_path / "run.mcap"
+    before = _files(tmp_path)
+    _assert_refused(_sitl(autopilot, file, "--log", str(log)), *((str(file),) if "vehicle" not in name else ()), *named)
+    _assert_refused(autopilot("config", "show", str(file)), *named)
+    assert _files(tmp_path) == before
+
+
+VEHICLES = {
+    "unknown key": (VEHICLE.replace("mass_kg", "mass", 1), ("`mass`", "`$.body`")),
+    "wrong unit": (
+        re.sub(r"mass_kg = ([\d.]+)", r'mass_kg = "\1 lb"', VEHICLE, count=1),
+        ("`$.body.mass_kg`", "`str`"),
+    ),
+    "negative mass": (re.sub(r"mass_kg = ", "mass_kg = -", VEHICLE, count=1), ("`$.body.mass_kg`", "> 0")),
+    "no thrusters": (VEHICLE.replace("[[thruster]]", "[[truster]]"), ("`truster`",)),
+}
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_bad_vehicle(autopilot: Command, tmp_path: Path, name: str) -> None:
+    text, named = VEHICLES[name]
+    vehicle, scenario = tmp_path / "boat.toml", tmp_path / "scenario.toml"
+    vehicle.write_text(text)
+    scenario.write_text(TANK.replace('"lbv150"', f'"{vehicle}"'))
+    before = _files(tmp_path)
+    _assert_refused(_sitl(autopilot, scenario, "--log", str(tmp_path / "run.mcap")), str(vehicle), *named)
+    _assert_refused(autopilot("mission", "check", str(PAPER_PLAN), "--vehicle", str(vehicle)), str(vehicle), *named)
+    assert _files(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "named"),
+    [
+        (("--param", "SPD_CRUISE"), 1, ("'SPD_CRUISE'", "NAME=VALUE")),
+        (("--param", "SPD_CRUISE=fast"), 1, ("'SPD_CRUISE=fast'", "NAME=VALUE")),
+        (("--param", "SPEED=1"), 1, ("'SPEED'", "params list")),
+        (("--param", "SPD_CRUISE=99"), 1, ("SPD_CRUISE = 99", "use 0.02 to 2 m/s")),
+        (("--param", "SPD_CRUISE=nan"), 1, ("SPD_CRUISE = nan", "give 0.02 to 2")),
+        (("--connect", "pigeon"), 1, ("'pigeon'", "use e.g. udpout:")),
+        (("--connect", "udpin:127.0.0.1"), 1, ("no port", "'udpin:127.0.0.1'")),
+        (("--connect", "udpin:127.0.0.1:99999"), 1, ("port between 1 and 65535",)),
+        (("--connect", "tcp:127.0.0.1:1"), 1, ("127.0.0.1:1", "start the server")),
+        (("--connect", "/dev/nothing:57600"), 1, ("/dev/nothing", "check cable")),
+        (("--plan", "missing.plan"), 2, ("missing.plan", "sitl --help")),
+        (("--start",), 1, ("--start", "--plan FILE")),
+        (("--log", "/proc/none/run.mcap"), 1, ("/proc/none/run.mcap", "choose another place")),
+        (("--estimator", "ukf"), 2, ("'ukf'", "'ekf', 'complementary'")),
+        (("--seed", "-3"), 2, ("-3", "--seed")),
+        (("--speeed", "3"), 2, ("--speeed", "sitl --help")),
+    ],
+)
+def test_bad_option(
+    autopilot: Command, tmp_path: Path, more: tuple[str, ...], code: int, named: tuple[str, ...]
+) -> None:
+    _assert_refused(_sitl(autopilot, "paper-tank", *more), *named, code=code)
+    assert _files(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("variable", "text", "use"),
+    [
+        ("ESTIMATOR", "ukf", "use ekf or complementary"),
+        ("SENSORS", "sonar", "use camera or pose"),
+        ("PROFILE", "apm", "use generic, px4, ardusub"),
+        ("SPEED", "-3", "use 0 or more"),
+        ("SPEED", "fast", "not a number"),
+        ("DURATION", "0", "above 0"),
+        ("DURATION", "nan", "above 0"),
+        ("SEED", "-1", "use 0 or more"),
+    ],
+)
+def test_bad_environment(
+    autopilot: Command, monkeypatch: pytest.MonkeyPatch, variable: str, text: str, use: str
+) -> None:
+    monkeypatch.setenv(f"AUTOPILOT_{variable}", text)
+    for command in (("sitl", "--connect", NOBODY), ("config", "show")):
+        _assert_refused(autopilot(*command), f"AUTOPILOT_{variable}='{text}'", use, "unset it")
+
+
+PLAN_TEXT = PAPER_PLAN.read_text()
+PLANS = {
+    "cut.plan": (PLAN_TEXT[:400], ("cut.plan", "not complete JSON", "export")),
+    "other.plan": ('{"fileType": "Recipe", "version": 1}', ("other.plan", "Recipe")),
+    "newer.plan": (PLAN_TEXT.replace('"version": 1', '"version": 7', 1), ("newer.plan", "version")),
+    "nan.plan": (re.sub(r"37\.97\d+", "NaN", PLAN_TEXT, count=1), ("nan.plan", "nan")),
+    "short.waypoints": ("QGC WPL 110\n0\t1\t0\t16\n", ("short.waypoints: line 2", "4 columns")),
+    "old.waypoints": ("QGC WPL 100\n", ("old.waypoints: line 1", "version 110")),
+    "typo.toml": ("[orign]\nlat_deg = 1.0\n", ("typo.toml", "orign")),
+    "plan.doc": ("A - B - A", ("plan.doc", "use .plan")),
+}
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_bad_plan_file(autopilot: Command, tmp_path: Path, name: str) -> None:
+    text, named = PLANS[name]
+    file = tmp_path / name
+    file.write_text(text)
+    _assert_refused(autopilot("mission", "check", str(file)), *named)
+    _assert_refused(autopilot("mission", "upload", str(file), "--connect", NOBODY), *named)
+    _assert_refused(_sitl(autopilot, "paper-tank", "--plan", str(file)), *named)
+    assert _files(tmp_path) == [file]
+
+
+def test_plan_with_a_waypoint_in_an_obstacle(autopilot: Command, tmp_path: Path) -> None:
+    """As a preloaded plan it stops the start; `mission check` lists what is wrong."""
+    file = tmp_path / "bad.toml"
+    file.write_text(
+        "[origin]\nlat_deg = 37.9755\nlon_deg = 23.7790\n"
+        "[[waypoint]]\nx_m = 0.9\ny_m = 0.0\ndepth_m = 0.4\n"
+        "[[fence.polygon]]\npoints_m = [[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]]\ninclusion = true\n"
+        "[[fence.circle]]\nx_m = 0.9375\ny_m = 0.0\nradius_m = 0.16\n"
+    )
+    _assert_refused(_sitl(autopilot, "paper-tank", "--plan", str(file)), str(file), "item 0", "inside", "move it by")
+    checked = autopilot("mission", "check", str(file), "--json")
+    assert checked.code == 1
+    assert '"INVALID_PARAM5_X"' in checked.out
+    assert checked.err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("sitl", "nowhere"), ("'nowhere'", "paper-tank")),
+        (("sitl", "missing.toml"), ("missing.toml", "check the name")),
+        (("config", "show", "missing.toml"), ("missing.toml", "check the name")),
+        (("log", "info", "missing.mcap"), ("missing.mcap", "check the name")),
+        (("log", "check", "missing.mcap"), ("missing.mcap", "check the name")),
+        (("log", "report", "missing.mcap"), ("missing.mcap", "check the name")),
+        (("log", "plot", "missing.mcap"), ("missing.mcap", "check the name")),
+        (("mission", "check", "missing.plan"), ("missing.plan", "check the name")),
+        (("mission", "upload", "missing.plan"), ("missing.plan", "check the name")),
+        (("mission", "start", "missing.plan"), ("missing.plan", "check the name")),
+        (("params", "check", "missing.params"), ("missing.params", "check the name")),
+        (("params", "defaults", "/proc/none/all.params"), ("/proc/none/all.params", "check folder and rights")),
+        (("demo", "--laps", "1", "--out", "/proc/none"), ("/proc/none", "--out")),
+        (("mission", "download", "a.plan", "--connect", NOBODY, "--patience", "0.2"), ("no vehicle heard",)),
+        (("mission", "download", "a.plan", "--connect", "tcp:127.0.0.1:1"), ("tcp:127.0.0.1:1",)),
+    ],
+)
+def test_missing_things(autopilot: Command, tmp_path: Path, arguments: tuple[str, ...], named: tuple[str, ...]) -> None:
+    done = autopilot(*arguments)
+    assert done.code == 1
+    assert len(done.err.splitlines()) == 1
+    for word in named:
+        assert word in done.err
+    assert _files(tmp_path) == []
+
+
+def test_bad_parameter_file(autopilot: Command, tmp_path: Path) -> None:
+    """Parameters that were saved by hand: nothing starts with half of them."""
+    saved = tmp_path / "state/sitl-0/parameters.params"
+    saved.parent.mkdir(parents=True)
+    for text, named in (
+        ("SPD_CRUISE much\n", "'much' is not a number"),
+        ("SPD_CRUISE 0.3\nSPD 3\n", "parameters.params:2"),
+        ("SPD_CRUISE 99\n", "use 0.02 to 2 m/s"),
+    ):
+        saved.write_text(text)
+        _assert_refused(_sitl(autopilot, "paper-tank"), "parameters.params:", named)
+        _assert_refused(autopilot("params", "check", str(saved)), "parameters.params:", named)
+        assert saved.read_text() == text
+
+
+@pytest.mark.parametrize(("kind", "text"), [(socket.SOCK_DGRAM, "udpin"), (socket.SOCK_STREAM, "tcpin")])
+def test_port_in_use(autopilot: Command, tmp_path: Path, kind: socket.SocketKind, text: str) -> None:
+    with socket.socket(socket.AF_INET, kind) as holder:
+        holder.bind(("127.0.0.1", 0))
+        if kind is socket.SOCK_STREAM:
+            holder.listen()
+        port = holder.getsockname()[1]
+        connection, other = f"{text}:127.0.0.1:{port}", f"udpin:127.0.0.1:{free_port()}"
+        done = _sitl(
+            autopilot, "paper-tank", "--connect", other, "--connect", connection, "--log", str(tmp_path / "a.mcap")
+        )
+        _assert_refused(done, connection, "already in use", "another port")
+        assert _files(tmp_path) == []
+    # What was opened before the bad one is free again.
+    assert _sitl(autopilot, "paper-tank", "--connect", other, "--connect", connection).code == 0
+
+
+# Logs
+
+
+@pytest.fixture
+def flown(session: OpenSession, tmp_path: Path) -> Path:
+    """A log of a few seconds of flight."""
+    path = tmp_path / "logs/flown.mcap"
+    session(sensors="pose", plan=str(PAPER_PLAN), start=True, duration=4.0, log=path).run()
+    return path
+
+
+def test_log_that_is_whole(autopilot: Command, flown: Path) -> None:
+    done = autopilot("log", "info", str(flown))
+    assert (done.code, done.err) == (0, "")
+    assert "loss" not in done.out
+
+
+@pytest.mark.parametrize("share", [0.97, 0.5, 0.1])
+def test_truncated_log(autopilot: Command, flown: Path, share: float) -> None:
+    """What is readable is shown, what is lost is said, the exit code says so, and the file stays as it is."""
+    data = flown.read_bytes()
+    cut = data[: int(share * len(data))]
+    flown.write_bytes(cut)
+    done = autopilot("log", "info", str(flown))
+    assert done.code == 3
+    assert "loss:" in done.out
+    assert done.err == ""
+    assert flown.read_bytes() == cut
+
+
+def test_corrupted_log(autopilot: Command, flown: Path) -> None:
+    data = bytearray(flown.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 64] = bytes(64)
+    flown.write_bytes(data)
+    done = autopilot("log", "info", str(flown))
+    assert done.code == 3
+    assert "loss:" in done.out
+
+
+@pytest.mark.parametrize("content", [b"", b"not a log at all" * 64, b"\x89MCAP0\r\n"])
+@pytest.mark.parametrize("command", ["info", "check", "report", "plot"])
+def test_not_a_log(autopilot: Command, tmp_path: Path, command: str, content: bytes) -> None:
+    file = tmp_path / "other.mcap"
+    file.write_bytes(content)
+    done = autopilot("log", command, str(file))
+    assert done.code in (1, 3)
+    assert "Traceback" not in done.err
+    if done.code == 1:
+        _assert_refused(done, str(file))
+    assert _files(tmp_path) == [file]
+
+
+# The service as a process
+
+
+def test_interrupt_ends_well(tmp_path: Path) -> None:
+    """Ctrl-C while flying: exit code 130, one line, and the log is whole."""
+    from autopilot.log.reader import open_log
+
+    log, port = tmp_path / "run.mcap", free_port()
+    command = [
+        *(sys.executable, "-m", "autopilot", "sitl", "--quiet", "--sensors", "pose", "--speed", "0", "--start"),
+        *("--plan", str(PAPER_PLAN), "--log", str(log), "--connect", f"udpin:127.0.0.1:{port}"),
+    ]
+    environment = {**os.environ, "AUTOPILOT_STATE_DIR": str(tmp_path / "state")}
+    process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+    end_s = time.monotonic() + 60.0
+    while not (log.exists() and log.stat().st_size > 100_000):
+        assert process.poll() is None
+        assert time.monotonic() < end_s
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err == "interrupted\n"
+    opened = open_log(log)
+    opened.verify()
+    assert opened.problems == ()
+
+
+def test_parameters_survive_a_restart(service: Callable[..., RunningService], tmp_path: Path) -> None:
+    from pymavlink import mavutil
+
+    saved = tmp_path / "state/sitl-0/parameters.params"
+    first = service()
+    client = mavutil.mavlink_connection(f"udpout:127.0.0.1:{first.port}", source_system=255, dialect="development")
+    try:
+        end_s = time.monotonic() + 60.0
+        while not saved.exists():
+            assert time.monotonic() < end_s
+            client.mav.heartbeat_send(6, 8, 0, 0, 4)
+            client.mav.param_set_send(1, 1, b"SPD_CRUISE", 0.25, 9)
+            time.sleep(0.2)
+    finally:
+        client.close()
+    first.process.send_signal(signal.SIGTERM)
+    assert first.process.wait(timeout=60) == 0
+    assert read_param_file(saved) == {"SPD_CRUISE": pytest.approx(0.25)}
+    second = service()
+    client = mavutil.mavlink_connection(f"udpout:127.0.0.1:{second.port}", source_system=255, dialect="development")
+    try:
+        end_s = time.monotonic() + 60.0
+        value = None
+        while value is None:
+            assert time.monotonic() < end_s
+            client.mav.heartbeat_send(6, 8, 0, 0, 4)
+            client.mav.param_request_read_send(1, 1, b"SPD_CRUISE", -1)
+            value = client.recv_match(type="PARAM_VALUE", blocking=True, timeout=0.5)
+        assert value.param_value == pytest.approx(0.25)
+    finally:
+        client.close()
+
+
+def test_full_disk_for_parameters_does_not_stop_the_vehicle(session: OpenSession, tmp_path: Path) -> None:
+    """The state folder cannot be written: the parameter holds for this run, and the run says so at its end."""
+    run_ = session(sensors="pose")
+    (tmp_path / "state").write_text("a file where a folder should be")
+    run_.parts.params.set("SPD_CRUISE", 0.2)
+    for tick in range(1, 20):
+        run_.runtime.tick(tick * 10_000)
+    assert run_.persistent.failure is not None
+    assert "cannot be written" in run_.persistent.failure
+
+
+def test_help_names_every_command(autopilot: Command) -> None:
+    done = autopilot("--help")
+    assert done.code == 0
+    for name in ("bench", "config", "demo", "log", "mission", "params", "sitl"):
+        assert re.search(rf"^  {name} ", done.out, re.MULTILINE)
