@@ -101,7 +101,9 @@ class ParamSet(Mapping[str, float]):
         """Change a value. ConfigError (unknown, not finite, out of range, not whole) changes nothing."""
         spec = self.spec(name)
         if not math.isfinite(value):
-            raise ConfigError(f"parameter {name} = {value} is not a finite number; give {spec.minimum:g} to {spec.maximum:g}")
+            raise ConfigError(
+                f"parameter {name} = {value} is not a finite number; give {spec.minimum:g} to {spec.maximum:g}"
+            )
         if not spec.minimum <= value <= spec.maximum:
             span = f"{spec.minimum:g} to {spec.maximum:g} {spec.unit}".rstrip()
             raise ConfigError(f"parameter {name} = {value:g} is out of range; use {span}")
