@@ -7,13 +7,12 @@ and left alone; the repaired file is opened and counted again before it replaces
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
-
-from mcap.writer import CompressionType, Writer
+from typing import IO
 
 from autopilot.core.errors import LogError
 from autopilot.log.container import MESSAGE, Contents, Damage, read_contents, records, unpack
 from autopilot.log.lock import lock_exclusive
+from autopilot.log.mcap_file import McapFile
 from autopilot.log.schemas import PROFILE
 from autopilot.log.writer import CHUNK_BYTES, LIBRARY, QOS_PROFILES
 
@@ -73,8 +72,8 @@ def _copy(source: IO[bytes], contents: Contents, target: Path, problem: str) -> 
     """Write everything readable to a new file; the number of messages."""
     written = 0
     with target.open("wb") as file:
-        writer: Any = _writer(file)
-        writer.start(profile=PROFILE, library=LIBRARY)
+        writer = McapFile(file, CHUNK_BYTES)
+        writer.start(PROFILE, LIBRARY)
         for name, values in contents.metadata.items():
             writer.add_metadata(name, values)
         writer.add_metadata(RECOVERED_RECORD, {"problem": problem})
@@ -94,7 +93,7 @@ def _copy(source: IO[bytes], contents: Contents, target: Path, problem: str) -> 
                     sequence = int.from_bytes(data[start + 2 : start + 6], "little")
                     log_time = int.from_bytes(data[start + 6 : start + 14], "little")
                     body = data[start + 22 : start + length]
-                    writer.add_message(channels[number], log_time, body, log_time, sequence)
+                    writer.add_message(channels[number], log_time, body, sequence)
                     written += 1
             except Damage:
                 continue
@@ -104,17 +103,13 @@ def _copy(source: IO[bytes], contents: Contents, target: Path, problem: str) -> 
     return written
 
 
-def _writer(file: IO[bytes]) -> Any:
-    return Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-
-
-def _register(writer: Any, contents: Contents, number: int, schemas: dict[int, int]) -> int:
+def _register(writer: McapFile, contents: Contents, number: int, schemas: dict[int, int]) -> int:
     """Channel number in the new file of a channel of the old one."""
     channel = contents.channels[number]
     schema = contents.schemas.get(channel.schema_id)
     if schema is None:
-        return int(writer.register_channel(channel.topic, channel.encoding, 0))
+        return writer.register_channel(channel.topic, channel.encoding, 0, {})
     if channel.schema_id not in schemas:
         schemas[channel.schema_id] = writer.register_schema(schema.name, schema.encoding, schema.text.encode())
     metadata = {"offered_qos_profiles": QOS_PROFILES}
-    return int(writer.register_channel(channel.topic, channel.encoding, schemas[channel.schema_id], metadata))
+    return writer.register_channel(channel.topic, channel.encoding, schemas[channel.schema_id], metadata)

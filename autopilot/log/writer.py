@@ -13,13 +13,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import IO, Any, TypeAlias
-
-from mcap.writer import CompressionType, Writer
+from typing import IO, TypeAlias
 
 from autopilot.core.errors import LogError
 from autopilot.log.description import RUN_RECORD
 from autopilot.log.lock import lock_exclusive
+from autopilot.log.mcap_file import McapFile
 from autopilot.log.schemas import ENCODING, MESSAGE_ENCODING, PROFILE, definition, ros_name
 from autopilot.log.topics import type_of
 
@@ -68,11 +67,6 @@ def _open_locked(path: Path) -> IO[bytes]:
     return file
 
 
-def _mcap_writer(file: IO[bytes]) -> Any:
-    """The library's writer (Any: some of its methods carry no types)."""
-    return Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-
-
 class LogWriter:
     """One MCAP file being written, with a ``.tlog`` beside it once there is MAVLink traffic."""
 
@@ -102,7 +96,7 @@ class LogWriter:
         self._count_in = self._count_out = self._bytes_in = self._bytes_out = 0
         self._dropped = self._lost = 0
         self._failure: str | None = None
-        self._closing = self._stopped = False
+        self._closing = self._stopped = self._waiting = False
         self._wake, self._room = threading.Event(), threading.Event()
         self._tlog: IO[bytes] | None = None
         self._channels: dict[str, int] = {}
@@ -111,8 +105,8 @@ class LogWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = _open_locked(path)
             path.with_suffix(".tlog").unlink(missing_ok=True)
-            self._mcap = _mcap_writer(self._file)
-            self._mcap.start(profile=PROFILE, library=LIBRARY)
+            self._mcap = McapFile(self._file, CHUNK_BYTES)
+            self._mcap.start(PROFILE, LIBRARY)
             self._mcap.add_metadata(RUN_RECORD, {**metadata, "epoch_ns": str(epoch_ns)})
             for name, data in attachments.items():
                 self._add_attachment(name, epoch_ns, data)
@@ -187,7 +181,9 @@ class LogWriter:
         self._wake.set()
         while self._lossless and not self._stopped:
             self._room.clear()
+            self._waiting = True
             if not self._is_full():
+                self._waiting = False
                 return True
             self._room.wait(POLL_S)
         return False
@@ -223,29 +219,43 @@ class LogWriter:
         for _ in range(len(self._queue)):
             topic, t_us, payload, sequence, size = self._queue.popleft()
             if self._failure is None:
-                if self._lossless and t_us // 1_000_000 > second:
-                    second = t_us // 1_000_000
-                    self._guard(self._flush)
-                self._guard(self._put, topic, t_us, payload, sequence)
+                try:
+                    if self._lossless and t_us // 1_000_000 > second:
+                        second = t_us // 1_000_000
+                        self._flush()
+                    self._put(topic, t_us, payload, sequence)
+                except (OSError, LogError) as error:
+                    self._fail(error)
             if self._failure is not None:
                 self._lost += 1
             self._count_out += 1
             self._bytes_out += size
-            self._room.set()
+            if self._waiting:
+                self._room.set()
         return second
 
-    def _guard(self, action: Callable[..., Any], *args: Any) -> None:
-        """Run one step of writing; the first failure of the disk ends writing and is reported by ``close``."""
+    def _guard(self, action: Callable[[], object]) -> None:
+        """Run one step of writing."""
         try:
-            action(*args)
-        except OSError as error:
-            self._failure = self._failure or f"cannot be written ({error.strerror}); free or change the disk"
-        except LogError as error:
-            self._failure = self._failure or str(error)
+            action()
+        except (OSError, LogError) as error:
+            self._fail(error)
+
+    def _fail(self, error: OSError | LogError) -> None:
+        """The first failure of the disk ends writing and is reported by ``close``."""
+        if self._failure is None:
+            if isinstance(error, OSError):
+                self._failure = f"cannot be written ({error.strerror}); free or change the disk"
+            else:
+                self._failure = str(error)
 
     def _put(self, topic: str, t_us: int, payload: Payload, sequence: int) -> None:
         data = payload if isinstance(payload, bytes) else payload()
         time_ns = self.epoch_ns + t_us * 1000
+        channel = self._channels.get(topic)
+        if channel is not None:
+            self._mcap.add_message(channel, time_ns, data, sequence & 0xFFFFFFFF)
+            return
         if topic == _TLOG:
             if self._tlog is None:
                 self._tlog = self.path.with_suffix(".tlog").open("wb")
@@ -254,10 +264,8 @@ class LogWriter:
         if topic.startswith(_ATTACHMENT):
             self._add_attachment(topic.removeprefix(_ATTACHMENT), time_ns, data)
             return
-        channel = self._channels.get(topic)
-        if channel is None:
-            channel = self._channels[topic] = self._register(topic)
-        self._mcap.add_message(channel, time_ns, data, time_ns, sequence & 0xFFFFFFFF)
+        channel = self._channels[topic] = self._register(topic)
+        self._mcap.add_message(channel, time_ns, data, sequence & 0xFFFFFFFF)
 
     def _add_attachment(self, name: str, time_ns: int, data: bytes) -> None:
         media = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
@@ -270,7 +278,7 @@ class LogWriter:
         if schema is None:
             schema = self._schemas[name] = self._mcap.register_schema(name, ENCODING, definition(kind).encode())
         metadata = {"offered_qos_profiles": QOS_PROFILES}
-        return int(self._mcap.register_channel(topic, MESSAGE_ENCODING, schema, metadata))
+        return self._mcap.register_channel(topic, MESSAGE_ENCODING, schema, metadata)
 
     def _flush(self) -> None:
         self._mcap.flush()
