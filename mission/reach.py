@@ -23,7 +23,7 @@ MAX_CELL_EDGES = 4_000_000
 
 
 def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tuple[int, ...] | None:
-    """The connected region of free space that each point (n, 2) stands in (0 = none); None when nothing is free.
+    """The connected region of free space that each point (n, 2) stands in or is nearest to; None when nothing is free.
 
     ``radius_m``: what the vehicle's centre keeps from every boundary.
     """
@@ -44,7 +44,8 @@ def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tup
     if not free.any():
         return None
     index = np.clip(((points_ned_m - low) / cell_m).astype(int), 0, shape - 1)
-    return tuple(int(labels[i, j]) for i, j in index)
+    nearest = ndimage.distance_transform_edt(~free, return_distances=False, return_indices=True)
+    return tuple(int(labels[tuple(nearest[:, i, j])]) for i, j in index)
 
 
 def _area(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray]:

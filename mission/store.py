@@ -44,6 +44,7 @@ class Plans(PlanStore):
             lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"]
         )
         self._home_ned_m: FloatArray = np.zeros(3)
+        self._home: Origin | None = None
         self._plans: dict[PlanKind, tuple[PlanItem, ...]] = dict.fromkeys(PlanKind, ())
         self._steps: tuple[Step, ...] = ()
         self._shapes: tuple[FenceShape, ...] = ()
@@ -62,13 +63,16 @@ class Plans(PlanStore):
 
     @property
     def home(self) -> Origin:
-        """Home in geodetic coordinates."""
-        lat, lon, alt = geodetic_from_ned(self._origin, self._home_ned_m)
-        return Origin(lat_deg=lat, lon_deg=lon, alt_m=alt)
+        """Home in geodetic coordinates; the same object until home or origin change."""
+        if self._home is None:
+            lat, lon, alt = geodetic_from_ned(self._origin, self._home_ned_m)
+            self._home = Origin(lat_deg=lat, lon_deg=lon, alt_m=alt)
+        return self._home
 
     def set_home(self, pos_ned_m: FloatArray) -> None:
         """New home (3,)."""
         self._home_ned_m = np.array(pos_ned_m, dtype=np.float64)
+        self._home = None
 
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
         """The plan in force."""
@@ -114,6 +118,7 @@ class Plans(PlanStore):
         rejection = next(self._all_problems(origin), None)
         if rejection is None:
             self._origin = origin
+            self._home = None
             self._derive()
         return rejection
 

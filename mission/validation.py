@@ -22,6 +22,11 @@ DEPTH_TOLERANCE_M = 1e-3
 """Altitudes arrive as 32-bit floats."""
 PLACE_TOLERANCE_M = 0.012
 """Rounding of a waypoint and of a fence point to 1e-7 degrees (11 mm) together."""
+APPROACH_SHARE = 0.6
+"""The controller keeps MPC_MARGIN beyond the body radius, so that a place nearer to a boundary is only approached: what
+is missing may be this share of the acceptance radius (two walls at once make it 1.41 times as much) ..."""
+APPROACH_M = 0.15
+"""... and no more than this, beyond which the route planner does not look for free ground round a goal."""
 RALLY_LABEL = "rally point"
 
 
@@ -33,6 +38,11 @@ class PlanContext:
     params: Mapping[str, float]
     radius_m: float
     """Ball round the vehicle's centre that covers it."""
+
+    @property
+    def keep_m(self) -> float:
+        """What the controller keeps from every boundary."""
+        return self.radius_m + self.params["MPC_MARGIN"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,10 +174,10 @@ def fence_problems(items: Sequence[PlanItem], ctx: PlanContext) -> Iterator[Plan
     if ctx.params["FENCE_GAP_CHK"]:
         yield from (_gap_rejection(gap, ctx.radius_m) for gap in narrow_gaps(shapes, 2.0 * ctx.radius_m))
     fence = build_fence(shapes, ctx.params)
-    if fence.inclusions and free_regions(fence, np.zeros((0, 2)), ctx.radius_m - PLACE_TOLERANCE_M) is None:
+    if fence.inclusions and free_regions(fence, np.zeros((0, 2)), ctx.keep_m - PLACE_TOLERANCE_M) is None:
         first = next(s for s in shapes if s.inclusion)
         text = (
-            f"fence item {first.seq}: the workspace has no room for the vehicle, which keeps {ctx.radius_m:g} m from "
+            f"fence item {first.seq}: the workspace has no room for the vehicle, which keeps {ctx.keep_m:g} m from "
             "every boundary; make it larger or remove exclusions"
         )
         yield PlanRejection(seq=first.seq, result=MissionResult.INVALID, reason=text)
@@ -198,8 +208,9 @@ def rally_problems(
         except ItemRefusedError as error:
             yield error.rejection
             continue
-        place = _Place(seq=item.seq, name=f"{RALLY_LABEL} {item.seq}", north_m=point[0], east_m=point[1])
-        for conflict in _place_conflicts([place], shapes, ctx.radius_m):
+        name = f"{RALLY_LABEL} {item.seq}"
+        place = _Place(seq=item.seq, name=name, north_m=point[0], east_m=point[1], need_m=ctx.radius_m)
+        for conflict in _place_conflicts([place], shapes):
             yield PlanRejection(seq=item.seq, result=MissionResult.INVALID_PARAM5_X, reason=conflict.text)
 
 
@@ -212,6 +223,8 @@ class _Place:
     """For the operator: "item 3: waypoint"."""
     north_m: float
     east_m: float
+    need_m: float
+    """Distance from every boundary that it has to have."""
 
 
 def conflicts(steps: Sequence[Step], shapes: Sequence[FenceShape], ctx: PlanContext) -> Iterator[Conflict]:
@@ -222,38 +235,49 @@ def conflicts(steps: Sequence[Step], shapes: Sequence[FenceShape], ctx: PlanCont
         if isinstance(step, GoTo | Surface | SetHome) and step.pos_ned_m is not None:
             name = "home" if isinstance(step, SetHome) else "waypoint"
             north, east = float(step.pos_ned_m[0]), float(step.pos_ned_m[1])
-            place = _Place(seq=step.seq, name=f"item {step.seq}: {name}", north_m=north, east_m=east)
+            name = f"item {step.seq}: {name}"
+            need_m = _room_needed_m(step, ctx)
+            place = _Place(seq=step.seq, name=name, north_m=north, east_m=east, need_m=need_m)
             places.append(place)
             if not isinstance(step, SetHome):
                 route.append(place)
     if not places or not shapes:
         return
-    found = _place_conflicts(places, shapes, ctx.radius_m)
+    found = _place_conflicts(places, shapes)
     yield from found
     if not found and route:
         yield from _path_conflicts(route, shapes, ctx)
 
 
-def _place_conflicts(places: Sequence[_Place], shapes: Sequence[FenceShape], radius_m: float) -> list[Conflict]:
+def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
+    """How far from every boundary a place has to be: no contact, and near enough to where the controller gets."""
+    accept_m = step.accept_radius_m if isinstance(step, GoTo) else None
+    if accept_m is None:
+        accept_m = ctx.params["WP_ACCEPT_RADIUS"]
+    return max(ctx.radius_m, ctx.keep_m - min(APPROACH_SHARE * accept_m, APPROACH_M))
+
+
+def _place_conflicts(places: Sequence[_Place], shapes: Sequence[FenceShape]) -> list[Conflict]:
     """Places in an inflated obstacle or outside the shrunk workspace, in the order of the plan."""
     if not shapes:
         return []
     points = np.array([(p.north_m, p.east_m) for p in places]).reshape(-1, 2)
     signs = np.array([-1.0 if s.inclusion else 1.0 for s in shapes])
     room = np.array([clearance_m(s.shape, points) for s in shapes]).reshape(len(shapes), -1) * signs[:, None]
-    bad = np.argwhere((room < radius_m - PLACE_TOLERANCE_M).T)
-    return [_place_conflict(places[i], shapes[k], float(room[k, i]), radius_m) for i, k in bad]
+    need_m = np.array([p.need_m for p in places])
+    bad = np.argwhere((room < need_m - PLACE_TOLERANCE_M).T)
+    return [_place_conflict(places[i], shapes[k], float(room[k, i])) for i, k in bad]
 
 
-def _place_conflict(place: _Place, shape: FenceShape, room_m: float, radius_m: float) -> Conflict:
-    """One line about a place that has ``room_m`` (< ``radius_m``) between itself and a boundary."""
+def _place_conflict(place: _Place, shape: FenceShape, room_m: float) -> Conflict:
+    """One line about a place that has ``room_m`` between itself and a boundary, less than it needs."""
     if shape.inclusion:
         state = f"{-room_m:.2f} m outside" if room_m < 0.0 else f"only {room_m:.2f} m inside"
     else:
         state = f"{-room_m:.2f} m inside" if room_m < 0.0 else f"only {room_m:.2f} m from"
     text = (
         f"{place.name} at north {place.north_m:.2f}, east {place.east_m:.2f} m is {state} {shape.name}; "
-        f"the vehicle keeps {radius_m:.2f} m, move it by {radius_m - room_m:.2f} m"
+        f"the vehicle keeps {place.need_m:.2f} m, move it by {place.need_m - room_m:.2f} m"
     )
     return Conflict(step_seq=place.seq, fence_seq=shape.seq, text=text)
 
@@ -262,14 +286,14 @@ def _path_conflicts(route: Sequence[_Place], shapes: Sequence[FenceShape], ctx: 
     """Neighbours in the order of the plan that stand in different parts of the free space."""
     fence = build_fence(shapes, ctx.params)
     points = np.array([(p.north_m, p.east_m) for p in route])
-    regions = free_regions(fence, points, ctx.radius_m - PLACE_TOLERANCE_M)
+    regions = free_regions(fence, points, ctx.keep_m - PLACE_TOLERANCE_M)
     if regions is None:
         regions = (0,) * len(route)
     for before, after, a, b in zip(regions, regions[1:], route, route[1:], strict=False):
         if before != after:
             text = (
-                f"item {b.seq}: no free path from item {a.seq} to item {b.seq} for a vehicle of radius "
-                f"{ctx.radius_m:.2f} m; move the waypoint or open the fence"
+                f"item {b.seq}: no free path from item {a.seq} to item {b.seq} for a vehicle that keeps "
+                f"{ctx.keep_m:.2f} m from every boundary; move the waypoint or open the fence"
             )
             yield Conflict(step_seq=b.seq, fence_seq=shapes[0].seq, text=text)
 

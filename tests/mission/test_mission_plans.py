@@ -256,6 +256,31 @@ def test_home_in_both_coordinates() -> None:
 coordinate = st.floats(-4.0, 4.0)
 
 
+def test_a_place_that_the_margin_keeps_the_vehicle_from_is_refused() -> None:
+    store = fenced(tank())
+    near = waypoint(0, -2.2, 0.0)
+    assert store.replace(PlanKind.MISSION, (near,)) is None
+    rejection = store.replace(PlanKind.MISSION, (replace(near, param2=0.02),))
+    assert rejection is not None
+    assert "only 0.30 m inside" in rejection.reason
+    assert "keeps 0.32 m" in rejection.reason
+
+
+def test_a_door_that_the_margin_closes_is_no_way() -> None:
+    def rooms(door_m: float) -> Plans:
+        half = door_m / 2
+        west = [(-2, -1), (-2, 1), (-0.1, 1), (-0.1, half)]
+        east = [(0.1, half), (0.1, 1), (2, 1), (2, -1), (0.1, -1), (0.1, -half), (-0.1, -half), (-0.1, -1)]
+        return fenced(polygon(0, [*west, *east], True))
+
+    mission = (waypoint(0, -1.0, 0.0), waypoint(1, 1.0, 0.0))
+    assert rooms(0.75).replace(PlanKind.MISSION, mission) is None
+    rejection = rooms(0.58).replace(PlanKind.MISSION, mission)
+    assert rejection is not None
+    assert "no free path from item 0 to item 1" in rejection.reason
+    assert "keeps 0.33 m" in rejection.reason
+
+
 @settings(max_examples=40)
 @given(
     st.lists(st.tuples(coordinate, coordinate, st.floats(0.05, 1.0)), max_size=6),
