@@ -37,8 +37,9 @@ MIN_SIDE_PX = 10.0
 """Smaller markers cannot be read."""
 HALF_SIDE_PX = 44.0
 """Markers at least this large are looked for in the image at half its size; their cells still have 3.7 pixels there."""
-REFINE_SHARE = 0.12
-"""Half width of the corner refinement window as a share of the marker's side: less than one of its six cells."""
+REFINE_CELLS = 0.72
+"""Half width of the corner refinement window in cells of the marker, black border included: a wider window would be
+drawn to the next cell's corner."""
 REFINE_WINDOW_PX = (2, 5)
 
 
@@ -108,10 +109,9 @@ class MarkerDetector:
         if indices is None or len(quads) == 0:
             return [], np.empty((0, 4, 2))
         corners = np.array(quads, dtype=np.float32).reshape(-1, 2) * np.float32(scale)
-        side = float(
-            np.median(np.linalg.norm(corners.reshape(-1, 4, 2)[:, 1] - corners.reshape(-1, 4, 2)[:, 0], axis=1))
-        )
-        half = int(np.clip(round(REFINE_SHARE * side), *REFINE_WINDOW_PX))
+        sides_px = np.linalg.norm(np.diff(corners.reshape(-1, 4, 2), axis=1), axis=2).min(axis=1)
+        cell_px = float(np.median(sides_px)) / (self._dictionary.markerSize + 2)
+        half = int(np.clip(round(REFINE_CELLS * cell_px), *REFINE_WINDOW_PX))
         criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.01)
         refined = cv2.cornerSubPix(grey, corners.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), criteria)
         result = np.asarray(refined, dtype=np.float64).reshape(-1, 4, 2)
