@@ -1,5 +1,6 @@
 """``autopilot sitl``: the service on a simulated vehicle."""
 
+import gc
 import signal
 from types import FrameType
 from typing import Any
@@ -46,6 +47,9 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     if not quiet:
         name = session.scenario.scenario.name
         click.echo(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
+    # A full pass of the garbage collector over all that was imported would take five ticks; from here on it is left out.
+    gc.collect()
+    gc.freeze()
     wall_s = session.run(stop=lambda: bool(stopped_by))
     if not quiet:
         counters = session.runtime.counters
