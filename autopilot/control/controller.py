@@ -119,10 +119,10 @@ class MotionController:
             return self._neutral(t_us, nav, began)
 
         x0 = self._lag.ahead(x, current)
+        if nav.reset_count != self._reset_count:
+            self._reset_count, self._route = nav.reset_count, None
         fresh = self._update_task(t_us, x0, goal, fence, params)
-        if nav.reset_count != self._reset_count or elapsed_s > LONGEST_SHIFT_S or elapsed_s < 0.0:
-            fresh = True
-        self._reset_count = nav.reset_count
+        fresh |= not 0.0 <= elapsed_s <= LONGEST_SHIFT_S
         reference = self._reference(x0, goal, current, params)
         if fresh or self._plan_age_s is None:
             self._plan_age_s = None
@@ -290,7 +290,7 @@ class MotionController:
     def _neutral(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
         """Without an estimate there is nothing to control: no thrust, and the plan is void."""
         self._command = np.zeros(NU)
-        self._plan_age_s = self._hold = self._yaw_rad = self._route = None
+        self._plan_age_s = self._hold = self._yaw_rad = self._yaw_target = self._route = None
         status = NmpcStatus(
             t_us=t_us,
             status=SolveStatus.IDLE,

@@ -21,6 +21,9 @@ PLANNING_EXTRA_M = 0.04
 a passage that is open by centimetres only is not chosen."""
 
 FINEST_CELL_M = 0.05
+TIGHT_CELL_M = 0.02
+"""Cell of the second look, which finds passages that are open by centimetres when there is no other way."""
+
 MAX_CELLS = 40_000
 OPEN_WATER_BORDER_M = 3.0
 """Without a workspace the grid covers start, goal and obstacles and this much beyond."""
@@ -64,18 +67,39 @@ class _Field:
 
 
 class Planner:
-    """Paths in one fence with one radius."""
+    """Paths in one fence with one radius: comfortable ones if there are any, else tight ones."""
 
     def __init__(self, fence: Fence, radius_m: float) -> None:
-        self.fence = fence
         self.features = Features(fence)
-        self.radius_m = radius_m + PLANNING_EXTRA_M
-        self._grid: _Grid | None = None
-        self._field: _Field | None = None
+        self._looks = (
+            _Look(fence, self.features, radius_m, PLANNING_EXTRA_M, FINEST_CELL_M),
+            _Look(fence, self.features, radius_m, 0.0, TIGHT_CELL_M),
+        )
 
     def path(self, start_ned_m: FloatArray, goal_ned_m: FloatArray) -> FloatArray | None:
         """Corner points (m, 2) of a free path, first row the start, last the goal; None if there is no way."""
         start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
+        for look in self._looks:
+            path = look.path(start, goal)
+            if path is not None:
+                return path
+        return None
+
+
+class _Look:
+    """Paths that keep ``extra_m`` beyond a radius."""
+
+    def __init__(self, fence: Fence, features: Features, radius_m: float, extra_m: float, cell_m: float) -> None:
+        self.fence = fence
+        self.features = features
+        self.radius_m = radius_m + extra_m
+        self._slack_m = 0.5 * extra_m
+        self._cell_m = cell_m
+        self._grid: _Grid | None = None
+        self._field: _Field | None = None
+
+    def path(self, start: FloatArray, goal: FloatArray) -> FloatArray | None:
+        """:meth:`Planner.path` of points (2,)."""
         if self.sees(start, goal):
             return np.stack([start, goal])
         grid = self._grid_for(start, goal)
@@ -144,7 +168,7 @@ class Planner:
     def _keeps_clear(self, band: FloatArray) -> bool:
         share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
         between = (band[:-1] + share * np.diff(band, axis=0)).reshape(-1, 2)
-        needed = min(self.radius_m, float(self.features.clearance_m(band).min())) - PLANNING_EXTRA_M / 2.0
+        needed = min(self.radius_m, float(self.features.clearance_m(band).min())) - self._slack_m
         return bool((self.features.clearance_m(between) >= needed).all())
 
     def _grid_for(self, start: FloatArray, goal: FloatArray) -> _Grid:
@@ -153,7 +177,7 @@ class Planner:
             return grid
         low, high = self._bounds(start, goal)
         size = high - low
-        cell = max(FINEST_CELL_M, math.sqrt(float(size[0] * size[1]) / MAX_CELLS))
+        cell = max(self._cell_m, math.sqrt(float(size[0] * size[1]) / MAX_CELLS))
         shape = (int(size[0] / cell) + 1, int(size[1] / cell) + 1)
         x = low[0] + cell * (np.arange(shape[0]) + 0.5)
         y = low[1] + cell * (np.arange(shape[1]) + 0.5)

@@ -9,8 +9,10 @@ from control_loop import MODEL, STEP_US, TANK, VEHICLE, A, B, fly, goal, jet, na
 
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc import QpStep
+from autopilot.control.obstacles import clearance_m
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Fallback, NavHealth, SolveStatus
+from autopilot.core.model4 import YAW
 from autopilot.core.params import ParamSet
 
 START = np.array([-1.6, -0.35, 0.45, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -99,6 +101,31 @@ def test_invalid_estimate_means_neutral_and_a_fresh_start(controller: MotionCont
     output = controller.step(6 * STEP_US, nav_state(6 * STEP_US, START), B, TANK, params)
     assert output.status.fallback is Fallback.NONE
     assert output.status.iterations == 3
+
+
+def test_a_jump_of_the_estimate_gets_a_new_route_at_once(controller: MotionController) -> None:
+    params = ParamSet()
+    controller.step(0, nav_state(0, START), B, TANK, params)
+    jumped = START.copy()
+    jumped[:2] = [-1.0, 0.9]
+    nav = dataclasses.replace(nav_state(STEP_US, jumped), reset_count=1)
+    output = controller.step(STEP_US, nav, B, TANK, params)
+    assert output.status.iterations == 3
+    straight = np.linspace(jumped[:2], output.route_ned_m[1], 40)
+    assert clearance_m(TANK, straight).min() > 0.33
+
+
+def test_no_turn_is_made_up_for_after_the_estimate_was_lost(controller: MotionController) -> None:
+    """More than a turn before the gap, heading free: the heading that is found again is the one to keep."""
+    params, here = ParamSet(), goal(-1.6, 0.9, 0.45, None)
+    x = np.array([-1.6, 0.9, 0.45, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for step in range(40):
+        x[3] = 0.2 * step
+        controller.step(step * STEP_US, nav_state(step * STEP_US, x), here, TANK, params)
+    lost = nav_state(40 * STEP_US, x, health=NavHealth.INVALID)
+    controller.step(40 * STEP_US, lost, here, TANK, params)
+    controller.step(41 * STEP_US, nav_state(41 * STEP_US, x), here, TANK, params)
+    assert abs(controller.nmpc.x[-1, YAW] - (x[3] - 2.0 * math.pi)) < 0.2
 
 
 def test_report_of_a_step(controller: MotionController) -> None:

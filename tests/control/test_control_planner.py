@@ -77,6 +77,18 @@ def test_walled_off_goal_has_no_route() -> None:
     assert planner.path(np.array([-3.0, 0.0]), np.array([3.0, 0.0])) is not None
 
 
+@pytest.mark.parametrize(("door_m", "open_"), [(0.64, False), (0.70, True), (0.75, True), (0.90, True)])
+def test_a_tight_door_is_taken_when_there_is_no_other_way(door_m: float, open_: bool) -> None:
+    half = door_m / 2
+    west = [(-2, -1), (-2, 1), (-0.1, 1), (-0.1, half)]
+    east = [(0.1, half), (0.1, 1), (2, 1), (2, -1), (0.1, -1), (0.1, -half), (-0.1, -half), (-0.1, -1)]
+    fence = Fence(inclusions=(Polygon(vertices_ned_m=np.array([*west, *east])),))
+    path = Planner(fence, RADIUS_M).path(np.array([-1.0, 0.3]), np.array([1.0, -0.3]))
+    assert (path is not None) is open_
+    if path is not None:
+        assert clearance_along(fence, path) >= RADIUS_M
+
+
 def test_goal_inside_an_obstacle_or_outside_the_workspace_has_no_route() -> None:
     planner = Planner(TANK, RADIUS_M)
     assert planner.path(A, np.array([-3.5, 0.0])) is None
