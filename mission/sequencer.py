@@ -59,7 +59,10 @@ class _Run:
     speed_m_s: float | None = None
     """None = SPD_CRUISE."""
     inside_since_us: int | None = None
-    wait_since_us: int = 0
+    waited_us: int = 0
+    """How long the present wait has run, pauses left out."""
+    clock_us: int | None = None
+    """The last tick of that wait, None = it (or its pause) has just begun or ended."""
     rising: bool = False
     """NAV_LAND: above its place and on the way up."""
     jumps_done: dict[int, int] = field(default_factory=dict)
@@ -106,19 +109,13 @@ class Sequencer:
         elif self._run.state is ProgressState.COMPLETE:
             self._clear(0)
         self._run.state = ProgressState.ACTIVE
-        self._run.inside_since_us = None
+        self._run.inside_since_us = self._run.clock_us = None
 
     def pause(self) -> None:
         """Hold where the vehicle is on the next tick; the mission stays where it is."""
         if self._run.state is ProgressState.ACTIVE:
             self._run.state = ProgressState.PAUSED
             self._run.pause_goal = None
-
-    def resume(self) -> None:
-        """Go on with a paused mission."""
-        if self._run.state is ProgressState.PAUSED:
-            self._run.state = ProgressState.ACTIVE
-            self._run.inside_since_us = None
 
     def set_current(self, seq: int) -> None:
         """Choose the item that runs next (at once when active). PlanError when there is no such item."""
@@ -129,7 +126,7 @@ class Sequencer:
         self._run.entered = False
 
     def set_home(self, pos_ned_m: FloatArray) -> None:
-        """Where NAV_RETURN_TO_LAUNCH goes, (3,)."""
+        """Where NAV_RETURN_TO_LAUNCH goes (3,), at the depth of the goal before it."""
         self._home_ned_m = np.array(pos_ned_m, dtype=np.float64)
 
     def set_speed(self, speed_m_s: float | None) -> None:
@@ -184,7 +181,7 @@ class Sequencer:
         for _ in range(MAX_INSTANT_STEPS):
             step = self._steps[self._run.cursor]
             if isinstance(step, GoTo | Surface | ReturnHome | Wait):
-                if not self._run.entered and not self._enter(step, t_us, nav):
+                if not self._run.entered and not self._enter(step, nav):
                     return
                 if ended or not self._is_done(step, t_us, nav):
                     return
@@ -204,16 +201,22 @@ class Sequencer:
             self._run.speed_m_s = step.speed_m_s
             self._refresh_goal()
         elif isinstance(step, SetHeading):
-            if not step.relative:
-                self._run.default_yaw_rad = step.yaw_rad
-            elif math.isfinite(float(nav.rpy_rad[2])):
-                self._run.default_yaw_rad = wrap_pi(float(nav.rpy_rad[2]) + step.yaw_rad)
+            self._set_heading(step, float(nav.rpy_rad[2]))
         else:
             place = nav.pos_ned_m if step.pos_ned_m is None else step.pos_ned_m
             if bool(np.all(np.isfinite(place))):
                 self._home_ned_m = np.array(place, dtype=np.float64)
                 self._new_home = self._home_ned_m
         self._advance(self._run.cursor + 1)
+
+    def _set_heading(self, step: SetHeading, yaw_rad: float) -> None:
+        """The heading of later goals and, for a wait that follows, of the present one."""
+        if step.relative and not math.isfinite(yaw_rad):
+            return
+        heading = wrap_pi(yaw_rad + step.yaw_rad) if step.relative else step.yaw_rad
+        self._run.default_yaw_rad = heading
+        if self._run.goal is not None:
+            self._run.goal = replace(self._run.goal, yaw_rad=heading)
 
     def _jump(self, step: Jump) -> None:
         if self._run.cursor == self._lap_marker:
@@ -239,7 +242,7 @@ class Sequencer:
         self._run.state = ProgressState.COMPLETE
         self._action = action
 
-    def _enter(self, step: GoTo | Surface | ReturnHome | Wait, t_us: int, nav: NavState) -> bool:
+    def _enter(self, step: GoTo | Surface | ReturnHome | Wait, nav: NavState) -> bool:
         """Set the goal of a step. False (try again on the next tick) while it needs an estimate that is not finite."""
         target = self._target_ned_m(step, nav)
         if target is None:
@@ -248,8 +251,8 @@ class Sequencer:
             self._run.goal = self._make_goal(step, target)
         self._run.entered = True
         self._run.rising = isinstance(step, Surface) and step.pos_ned_m is None
-        self._run.inside_since_us = None
-        self._run.wait_since_us = t_us
+        self._run.inside_since_us = self._run.clock_us = None
+        self._run.waited_us = 0
         return True
 
     def _target_ned_m(self, step: GoTo | Surface | ReturnHome | Wait, nav: NavState) -> FloatArray | None:
@@ -257,7 +260,7 @@ class Sequencer:
         here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
         last = here if self._run.goal is None else self._run.goal.pos_ned_m
         if isinstance(step, ReturnHome):
-            return self._home_ned_m
+            return None if last is None else np.array([*self._home_ned_m[:2], last[2]])
         if isinstance(step, GoTo):
             return here if step.pos_ned_m is None else step.pos_ned_m
         if isinstance(step, Wait) or last is None:
@@ -269,7 +272,10 @@ class Sequencer:
     def _is_done(self, step: GoTo | Surface | ReturnHome | Wait, t_us: int, nav: NavState) -> bool:
         """Whether a step that takes time has ended."""
         if isinstance(step, Wait):
-            return t_us - self._run.wait_since_us >= step.duration_s * 1e6
+            since_us = t_us if self._run.clock_us is None else self._run.clock_us
+            self._run.waited_us += t_us - since_us
+            self._run.clock_us = t_us
+            return self._run.waited_us >= step.duration_s * 1e6
         if self._run.goal is None or not is_inside(self._run.goal, nav):
             self._run.inside_since_us = None
             return False

@@ -250,13 +250,39 @@ def test_return_goes_home_and_ends_the_mission() -> None:
     assert np.linalg.norm(flight.pos - home) < 0.31
 
 
-def test_home_set_from_outside_is_brought_into_the_depth_band() -> None:
+@pytest.mark.parametrize(("depth_m", "kept_m"), [(0.45, 0.45), (-0.2, 0.05), (1.5, 1.2)])
+def test_return_keeps_the_depth_and_the_depth_band(depth_m: float, kept_m: float) -> None:
     flight = Flight([plain(0, 20)])
     flight.sequencer.set_home(np.array([1.0, 0.5, 0.0]))
+    flight.pos[2] = depth_m
     flight.sequencer.start()
     goal = flight.tick().goal
     assert goal is not None
-    assert goal.pos_ned_m == pytest.approx([1.0, 0.5, 0.05])
+    assert goal.pos_ned_m == pytest.approx([1.0, 0.5, kept_m])
+
+
+def test_a_pause_does_not_count_as_waiting() -> None:
+    flight = Flight([waypoint(0, -1.6, -0.35, 0.45), plain(1, 93, 1.0), waypoint(2, -1, 0)])
+    flight.sequencer.start()
+    for _ in range(50):
+        flight.tick()
+    flight.sequencer.pause()
+    for _ in range(200):
+        flight.tick()
+    flight.sequencer.start()
+    for _ in range(45):
+        assert flight.tick().progress.current_seq == 1
+    for _ in range(10):
+        flight.tick()
+    assert flight.reached == [0, 1]
+
+
+def test_a_heading_before_a_wait_is_turned_to_while_waiting() -> None:
+    flight = Flight([waypoint(0, -1.6, -0.35, 0.45), plain(1, 115, 90.0), plain(2, 93, 1.0)])
+    flight.sequencer.start()
+    for _ in range(60):
+        flight.tick()
+    assert flight.yaw == pytest.approx(math.pi / 2)
 
 
 def test_land_goes_there_then_up_then_asks_for_the_surface() -> None:
@@ -282,7 +308,7 @@ def test_without_autocontinue_the_mission_waits_for_the_operator() -> None:
     assert flight.last.progress.state is S.PAUSED
     assert flight.last.goal is not None
     assert flight.last.goal.seq == 0
-    flight.sequencer.resume()
+    flight.sequencer.start()
     assert flight.fly() == [0, 1]
 
 
@@ -347,7 +373,7 @@ def test_any_mission_comes_to_an_end_with_sane_outputs(specs: list[tuple], pause
         if k in pauses:
             flight.sequencer.pause()
         elif k - 5 in pauses:
-            flight.sequencer.resume()
+            flight.sequencer.start()
         out = flight.tick()
         assert len(out.reached) <= 1
         assert all(items[seq].command in (16, 17, 19, 20, 21, 93) for seq in out.reached)
