@@ -47,7 +47,7 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     if not quiet:
         name = session.scenario.scenario.name
         click.echo(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
-    # A full pass of the garbage collector over all that was imported would take five ticks; from here on it is left out.
+    # A full garbage collection over all that was imported would take five ticks: it leaves out what there is by now.
     gc.collect()
     gc.freeze()
     wall_s = session.run(stop=lambda: bool(stopped_by))
