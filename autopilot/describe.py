@@ -68,18 +68,17 @@ def _tour(parts: Parts) -> tuple[tuple[Waypoint, ...], int | None]:
     """The places of one lap, and the laps that the mission asks for (None = it is not a tour of laps)."""
     steps = parts.plans.steps()
     params = parts.params
-    places = [step for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]
+    places = [(step, step.pos_ned_m) for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]
     jump = next((step for step in steps if isinstance(step, Jump)), None)
     laps = None if jump is None or jump.count is None else jump.count + 1
     if jump is not None:
-        inside = [step for step in places if step.seq < jump.seq]
+        places = [(step, pos) for step, pos in places if step.seq < jump.seq]
         # A-B-A with a jump back to B: the last place closes the lap at the first one.
-        closes = len(inside) > 1 and bool((inside[-1].pos_ned_m == inside[0].pos_ned_m).all())  # type: ignore[union-attr]
-        places = inside[:-1] if closes else inside
+        if len(places) > 1 and bool((places[-1][1] == places[0][1]).all()):
+            places = places[:-1]
     waypoints = []
-    for index, step in enumerate(places):
-        assert step.pos_ned_m is not None
-        north, east, down = (float(a) for a in step.pos_ned_m)
+    for index, (step, pos_ned_m) in enumerate(places):
+        north, east, down = pos_ned_m.tolist()
         waypoints.append(
             Waypoint(
                 name=chr(ord("A") + index) if index < 26 else str(index),

@@ -12,6 +12,7 @@ OURS = ("autopilot", "drivers", "estimator", "mission", "sitl")
 
 ALLOWED: dict[str, tuple[str, ...]] = {
     "autopilot/core": ("autopilot.core",),
+    "autopilot/client": ("autopilot.core", "autopilot.client"),
     "autopilot/control": ("autopilot.core", "autopilot.control"),
     "autopilot/mavlink": ("autopilot.core", "autopilot.mavlink"),
     "autopilot/log": ("autopilot.core", "autopilot.log"),
@@ -48,6 +49,17 @@ def test_room_imports_only_what_it_may(room: str) -> None:
                 assert allowed, f"{path.relative_to(ROOT)} imports {name}"
 
 
+COMPOSITION = ("autopilot.bench", "autopilot.cli", "autopilot.compose", "autopilot.demo", "autopilot.describe")
+"""What puts rooms together: nothing below may know of it."""
+
+
+@pytest.mark.parametrize("part", ["commander", "failsafes", "goals", "operator", "param_file", "service", "watch"])
+def test_the_service_knows_neither_simulation_nor_composition(part: str) -> None:
+    for name in _imports(ROOT / "autopilot" / f"{part}.py"):
+        assert name.split(".")[0] not in ("sitl", "drivers"), f"{part} imports {name}"
+        assert not name.startswith(COMPOSITION), f"{part} imports {name}"
+
+
 def test_plant_does_not_share_the_controllers_model() -> None:
     for path in _files("sitl"):
         assert "autopilot.core.model4" not in _imports(path), path
@@ -55,11 +67,13 @@ def test_plant_does_not_share_the_controllers_model() -> None:
 
 def test_no_clock_and_no_global_randomness_in_the_libraries() -> None:
     banned = {"time.time", "time.monotonic", "time.sleep", "datetime.now", "np.random.seed", "random.random"}
-    for room in ("autopilot/core", "autopilot/mavlink", "estimator", "mission"):
-        for path in _files(room):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Call):
-                    assert ast.unparse(node.func) not in banned, f"{path}: {ast.unparse(node.func)}"
+    files = [ROOT / "autopilot" / f"{part}.py" for part in ("commander", "failsafes", "goals", "service", "watch")]
+    for room in ("autopilot/core", "autopilot/control", "autopilot/mavlink", "estimator", "mission", "sitl"):
+        files += _files(room)
+    for path in files:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                assert ast.unparse(node.func) not in banned, f"{path}: {ast.unparse(node.func)}"
 
 
 def test_help_imports_nothing_heavy() -> None:
