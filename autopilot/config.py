@@ -1,4 +1,7 @@
-"""Configuration of a run: defaults < file < environment < command line, and where each value came from."""
+"""Configuration of a run: defaults < environment < command line, and where each value came from.
+
+What belongs to a world or a vehicle is in files of their own (scenario, vehicle, parameters).
+"""
 
 import math
 import os
@@ -123,11 +126,9 @@ def parse_overrides(texts: tuple[str, ...]) -> dict[str, float]:
     """``NAME=VALUE`` texts as parameters; ConfigError names a text that is not one."""
     values: dict[str, float] = {}
     for text in texts:
-        name, equals, raw = text.partition("=")
+        name, _, raw = text.partition("=")
         try:
             values[name.strip()] = float(raw)
         except ValueError as error:
             raise ConfigError(f"--param {text!r}: write NAME=VALUE with a number") from error
-        if not equals:
-            raise ConfigError(f"--param {text!r}: write NAME=VALUE with a number")
     return values

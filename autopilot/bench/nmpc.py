@@ -11,8 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from autopilot.bench.ipopt import IpoptNmpc
 from autopilot.control.controller import MotionController
@@ -68,13 +66,11 @@ def bench_nmpc(
     grids: Sequence[tuple[str, TimeGrid]] | None = None,
     vehicle: Vehicle | None = None,
     cpu_clock: Callable[[], float] = time.thread_time,
-    progress: Callable[[str], None] = lambda _: None,
 ) -> list[NmpcBenchRow]:
     """Fly ``steps`` steps (50 ms each) per grid; two rows per grid, the controller's and IPOPT's."""
     vehicle = vehicle or load_vehicle("lbv150")
     rows = []
     for name, grid in grids or standard_grids():
-        progress(f"{name} N = {grid.n}")
         rows += _bench_grid(name, grid, steps, ipopt_every, vehicle, cpu_clock)
     return rows
 
@@ -153,31 +149,3 @@ def _nav(t_us: int, x: FloatArray) -> NavState:
         current_ned_m_s=CURRENT_NED_M_S,
         variance=np.zeros(12),
     )
-
-
-def table(rows: Sequence[NmpcBenchRow]) -> Table:
-    """The rows for a terminal."""
-    result = Table(title="NMPC, CPU time per step [ms]")
-    for column in ("grid", "N", "horizon s", "solver", "samples", "median", "p99", "max", "thrust gap N"):
-        result.add_column(column, justify="left" if column in ("grid", "solver") else "right")
-    for row in rows:
-        result.add_row(
-            row.grid,
-            str(row.n),
-            f"{row.horizon_s:.1f}",
-            row.solver,
-            str(row.samples),
-            f"{row.median_ms:.2f}",
-            f"{row.p99_ms:.2f}",
-            f"{row.max_ms:.2f}",
-            f"{row.thrust_gap_n:.3f}",
-        )
-    return result
-
-
-def run(console: Console, steps: int = 400) -> list[NmpcBenchRow]:
-    """Run the benchmark with a progress line and print the table."""
-    with console.status("NMPC benchmark") as status:
-        rows = bench_nmpc(steps, progress=lambda text: status.update(f"NMPC benchmark: {text}"))
-    console.print(table(rows))
-    return rows

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -128,12 +128,14 @@ def start(
 @_json
 def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -> None:
     """Show everything that is wrong with FILE, without a vehicle."""
+    from autopilot.config import parse_overrides
+    from autopilot.core.params import ParamSet
     from autopilot.core.plan import PlanKind
     from autopilot.core.vehicle import load_vehicle
     from mission.plan_files import read_plan
     from mission.validation import PlanContext, file_problems
 
-    params = _params(overrides)
+    params = ParamSet(parse_overrides(overrides))
     radius_m = load_vehicle(vehicle).radius_m
     plan = read_plan(file)
     origin = plan.drawing_origin()
@@ -152,22 +154,6 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
         click.echo(f"{file}: fit to fly: " + ", ".join(f"{name} {count} items" for name, count in counts.items()))
     if problems:
         raise click.exceptions.Exit(1)
-
-
-def _params(overrides: tuple[str, ...]) -> Any:
-    """The default parameters with NAME=VALUE changes; a usage error when one is not understood."""
-    from autopilot.core.errors import ConfigError
-    from autopilot.core.params import ParamSet
-
-    params = ParamSet()
-    for text in overrides:
-        name, _, value = text.partition("=")
-        try:
-            params.set(name, float(value))
-        except (ValueError, ConfigError) as error:
-            message = str(error) if isinstance(error, ConfigError) else f"{text!r} is not NAME=VALUE"
-            raise click.BadParameter(message, param_hint="--param") from error
-    return params
 
 
 @contextmanager

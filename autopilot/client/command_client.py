@@ -36,12 +36,9 @@ class CommandSend(BaseExchange):
 
     def handle(self, message: Message, t_s: float) -> list[Message]:
         """Its answer."""
-        kind = message.get_type()
-        if kind == "STATUSTEXT":
-            self._note_text(message, t_s)
-        if self.outcome is not None or self._refused is not None:
+        if not self._listens(message, t_s):
             return []
-        if kind == "COMMAND_ACK" and message.command == self._command:
+        if message.get_type() == "COMMAND_ACK" and message.command == self._command:
             self._heard_s = t_s
             if message.result == mav.MAV_RESULT_IN_PROGRESS:
                 self._running = True

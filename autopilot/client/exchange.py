@@ -92,29 +92,30 @@ class BaseExchange:
     def _start(self, t_s: float) -> None:
         self._heard_s = self._sent_s = t_s
 
-    def _note_text(self, message: Message, t_s: float) -> None:
-        self._take_texts(self._texts.feed(message, t_s), t_s)
+    def _listens(self, message: Message, t_s: float) -> bool:
+        """Keep what the vehicle says in words; True while its answers still matter."""
+        if message.get_type() == "STATUSTEXT":
+            self._take_texts(self._texts.feed(message, t_s), t_s)
+        return self.outcome is None and self._refused is None
 
     def _take_texts(self, texts: Sequence[Text], t_s: float) -> None:
         self._complaints += [text for text in texts if text.severity <= WARNING]
         if self._refused is not None and self._best_reason():
-            self._finish_refusal()
+            self._finish_refusal(self._refused[0])
 
     def _refuse(self, result: int, t_s: float) -> None:
         """The vehicle said no: its reason may already be there or still come."""
         if self._refused is None:
             self._refused = (result, t_s)
             if self._best_reason():
-                self._finish_refusal()
+                self._finish_refusal(result)
 
     def _best_reason(self) -> str:
         """The complaint that speaks of a refusal, "" if there is none yet."""
         spoken = [c.text for c in self._complaints if "refus" in c.text.lower() or "denied" in c.text.lower()]
         return spoken[-1] if spoken else ""
 
-    def _finish_refusal(self) -> None:
-        assert self._refused is not None
-        result = self._refused[0]
+    def _finish_refusal(self, result: int) -> None:
         others = self._complaints[-1].text if self._complaints else ""
         reason = self._best_reason() or others or f"{self._what} refused by the vehicle with result {result}"
         self.outcome = Outcome(result=result, reason=reason)
@@ -126,7 +127,7 @@ class BaseExchange:
             return True
         if self._refused is not None:
             if t_s - self._refused[1] >= self._timers.reason_s:
-                self._finish_refusal()
+                self._finish_refusal(self._refused[0])
             return True
         if t_s - self._heard_s >= self._timers.give_up_s:
             text = f"{self._what}: the vehicle did not answer for {self._timers.give_up_s:g} s; check the connection"

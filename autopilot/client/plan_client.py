@@ -53,13 +53,9 @@ class PlanUpload(BaseExchange):
 
     def handle(self, message: Message, t_s: float) -> list[Message]:
         """Items that are asked for; the end."""
+        if not self._listens(message, t_s) or getattr(message, "mission_type", None) != self._kind:
+            return []
         kind = message.get_type()
-        if kind == "STATUSTEXT":
-            self._note_text(message, t_s)
-        if self.outcome is not None or self._refused is not None:
-            return []
-        if getattr(message, "mission_type", None) != self._kind:
-            return []
         if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and 0 <= message.seq < len(self._items):
             self._heard_s = self._sent_s = t_s
             self._last_sent = message.seq
@@ -141,13 +137,9 @@ class PlanDownload(BaseExchange):
 
     def handle(self, message: Message, t_s: float) -> list[Message]:
         """The next request, or the final ACK."""
+        if not self._listens(message, t_s) or getattr(message, "mission_type", None) != self._kind:
+            return []
         kind = message.get_type()
-        if kind == "STATUSTEXT":
-            self._note_text(message, t_s)
-        if self.outcome is not None or self._refused is not None:
-            return []
-        if getattr(message, "mission_type", None) != self._kind:
-            return []
         if kind == "MISSION_ACK" and message.type != MissionResult.ACCEPTED:
             self._refuse(message.type, t_s)
             return []

@@ -106,9 +106,7 @@ class Session:
                 is_autopilot = message.get_type() == "HEARTBEAT" and message.autopilot != mav.MAV_AUTOPILOT_INVALID
                 if is_autopilot and message.get_srcComponent() == 1 and system in (None, message.get_srcSystem()):
                     self._target = Target(system=message.get_srcSystem(), component=1)
-                    self._note_heartbeat(message)
-                    assert self.vehicle is not None
-                    return self.vehicle
+                    return self._note_heartbeat(message)
         raise DriverError(f"no vehicle heard on {self._name} within {timeout_s:g} s; is it running and reachable?")
 
     def poll(self, wait_s: float = _POLL_S) -> list[Message]:
@@ -161,19 +159,21 @@ class Session:
             target.component,
         )
 
-    def _note_heartbeat(self, message: Message) -> None:
-        self.vehicle = VehicleInfo(
+    def _note_heartbeat(self, message: Message) -> VehicleInfo:
+        vehicle = VehicleInfo(
             system=message.get_srcSystem(),
             component=message.get_srcComponent(),
             autopilot=message.autopilot,
             armed=bool(message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED),
         )
+        self.vehicle = vehicle
+        return vehicle
 
     def _address(self) -> Target:
-        if self._target is None:
-            self.connect()
-        assert self._target is not None
-        return self._target
+        """Where the vehicle is; waits for its heartbeat if it has not been heard yet."""
+        if self._target is not None:
+            return self._target
+        return Target(system=self.connect().system)
 
     def run(self, exchange: Exchange, on_progress: Progress | None = None) -> Outcome:
         """Carry an exchange to its end."""

@@ -1,11 +1,8 @@
 """The benchmark runs, compares the same problems and reports plain numbers."""
 
-import io
-
 import pytest
-from rich.console import Console
 
-from autopilot.bench.nmpc import bench_nmpc, table
+from autopilot.bench.nmpc import bench_nmpc
 from autopilot.control.grid import uniform_grid
 
 
@@ -17,6 +14,4 @@ def test_bench_gives_two_rows_per_grid_and_solutions_that_agree() -> None:
     assert ours.solver == "controller step (hpipm)"
     assert ours.median_ms == pytest.approx(1.0)
     assert ours.thrust_gap_n < 0.3
-    console = Console(file=io.StringIO(), width=120)
-    console.print(table(rows))
-    assert "IPOPT" in console.file.getvalue()
+    assert "IPOPT" in ipopt.solver
