@@ -9,7 +9,7 @@ from autopilot.commander import Commander
 from autopilot.control.allocation import Allocation
 from autopilot.control.controller import MotionController
 from autopilot.control.currents import CurrentForecast
-from autopilot.core.errors import PlanError
+from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
@@ -44,6 +44,20 @@ class ServiceSetup:
     """How much faster than a client's clock this service's time may run (plan transfers wait so much longer)."""
 
 
+MAX_SYSTEM_ID = 254
+"""MAVLink system ids are 1 to 255; 255 is the ground station's by custom."""
+
+
+def system_id(params: ParamSet, instance: int) -> int:
+    """MAVLink system id of an instance. ConfigError when there is no such id."""
+    sysid = int(params["SYSID_THISMAV"]) + instance
+    if sysid > MAX_SYSTEM_ID:
+        raise ConfigError(
+            f"SYSID_THISMAV {sysid - instance} plus instance {instance} is {sysid}; it may be {MAX_SYSTEM_ID} at most"
+        )
+    return sysid
+
+
 def revision() -> str:
     """Git revision of the running code, empty when it is not a checkout."""
     root = Path(__file__).resolve().parent.parent
@@ -70,7 +84,7 @@ def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
         allocation=Allocation(vehicle.drive),
         commander=commander,
         server=MavlinkServer(
-            sysid=int(params["SYSID_THISMAV"]) + setup.instance,
+            sysid=system_id(params, setup.instance),
             profile=setup.profile,
             params=params,
             plans=plans,

@@ -124,6 +124,7 @@ class LoopCounters:
     ticks: int = 0
     overruns: int = 0
     worst_tick_s: float = 0.0
+    """Wall time of the longest tick."""
     cpu_load: float = 0.0
 
 

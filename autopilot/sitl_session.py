@@ -11,10 +11,11 @@ from typing import Literal, cast
 import msgspec
 
 from autopilot import __version__
-from autopilot.compose import ServiceSetup, build_service, load_plan, revision
+from autopilot.compose import ServiceSetup, build_service, load_plan, revision, system_id
 from autopilot.config import Settings
 from autopilot.control.currents import CurrentForecast, EstimatedCurrent, MappedCurrent, NoCurrent
 from autopilot.core.camera import CameraModel
+from autopilot.core.errors import ConfigError
 from autopilot.core.messages import CameraFrame, Outputs, Sample, ThrusterCommand
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
@@ -36,7 +37,7 @@ from mission.plan_files import read_plan
 from sitl.backend import SimulatedVehicle, simulated_vehicle
 from sitl.currents import current_field
 from sitl.plant import Truth
-from sitl.scenario import Scenario, load_scenario
+from sitl.scenario import Scenario, load_scenario, plan_path
 
 SITL_EPOCH_NS = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
 """Log time of simulated time zero: fixed, so that two runs of a scenario and seed give the same log."""
@@ -109,6 +110,17 @@ class SitlSession:
         return time.monotonic() - begin_s
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _World:
+    """What a scenario and the settings make of the world."""
+
+    scenario: Scenario
+    vehicle: Vehicle
+    simulated: SimulatedVehicle
+    seed: int
+    speed: float
+
+
 def open_sitl(
     settings: Settings,
     overrides: dict[str, float],
@@ -120,47 +132,24 @@ def open_sitl(
 ) -> SitlSession:
     """Everything of a SITL run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then."""
     sys.setswitchinterval(THREAD_SWITCH_S)
-    scenario = load_scenario(settings["scenario"])
-    vehicle = load_vehicle(scenario.vehicle.model)
-    seed = scenario.scenario.seed if settings["seed"] is None else settings["seed"]
-    speed = float(settings["speed"])
-    sensors = scenario.sensors.position if settings["sensors"] is None else settings["sensors"]
-    params, persistent = _params(settings, scenario, overrides, instance)
-    simulated = simulated_vehicle(scenario, vehicle, seed=seed, position=cast(Literal["camera", "pose"], sensors))
-    connections = tuple(settings["connect"])
-    operator = ScriptedOperator(int(params["SYSID_THISMAV"]) + instance) if settings["start"] else None
-    peers = (*peers, operator) if operator is not None else tuple(peers)
-    service, parts = build_service(
-        ServiceSetup(
-            vehicle=vehicle,
-            params=params,
-            origin=Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"]),
-            markers=simulated.markers,
-            floor_depth_m=None if scenario.tank is None else scenario.tank.depth_m,
-            estimator=settings["estimator"],
-            profile=settings["profile"],
-            instance=instance,
-            currents=_currents(scenario),
-            links=len(connections) + len(peers),
-            patience=FASTEST if speed == 0.0 else max(1.0, speed),
-        )
-    )
-    if settings["plan"] is not None:
-        load_plan(parts.plans, read_plan(Path(settings["plan"])), settings["plan"])
-    device = SimulatedDevice(simulated, len(vehicle.thruster))
+    world = _world(settings)
+    params, persistent = _params(settings, world.scenario, overrides, instance)
+    operator = ScriptedOperator(system_id(params, instance)) if settings["start"] else None
+    all_peers = (*peers, operator) if operator is not None else tuple(peers)
+    service, parts = _service(settings, world, params, instance, links=len(settings["connect"]) + len(all_peers))
+    plan = _plan(settings, world.scenario)
+    if plan is not None:
+        load_plan(parts.plans, read_plan(plan), str(plan))
+    device = SimulatedDevice(world.simulated, len(world.vehicle.thruster))
     links: list[Link] = []
     try:
-        links.extend(open_link(connection) for connection in connections)
-        recorder = _recorder(settings, scenario, parts, device, seed=seed, speed=speed) if log else NullRecorder()
+        links.extend(open_link(connection) for connection in settings["connect"])
+        recorder = _recorder(settings, world, parts, device) if log else NullRecorder()
     except BaseException:
         device.close()
         for link in links:
             link.close()
         raise
-    vision = None
-    if simulated.markers is not None:
-        detector = MarkerDetector(CameraModel.of(vehicle.camera, vehicle.laser), simulated.markers)
-        vision = VisionWorker(detector, delay_s=0.5 * vehicle.camera.latency_s)
     persistent.mark()
 
     def each_tick(outputs: Outputs) -> None:
@@ -170,27 +159,81 @@ def open_sitl(
     runtime = Runtime(
         service,
         device,
-        vision,
+        _vision(world),
         links,
         recorder,
-        make_clock(speed),
-        peers=peers,
+        make_clock(world.speed),
+        peers=all_peers,
         on_tick=each_tick,
-        paced=speed > 0.0,
+        paced=world.speed > 0.0,
     )
+    given_s = settings["duration"]
     return SitlSession(
-        scenario=scenario,
-        vehicle=vehicle,
+        scenario=world.scenario,
+        vehicle=world.vehicle,
         service=service,
         parts=parts,
         runtime=runtime,
         recorder=recorder,
         persistent=persistent,
         operator=operator,
-        duration_s=settings["duration"],
-        seed=seed,
-        speed=speed,
+        duration_s=world.scenario.scenario.duration_s if given_s is None else given_s,
+        seed=world.seed,
+        speed=world.speed,
     )
+
+
+def _world(settings: Settings) -> _World:
+    """Scenario, vehicle and the simulated vehicle."""
+    scenario = load_scenario(settings["scenario"])
+    vehicle = load_vehicle(scenario.vehicle.model)
+    seed = scenario.scenario.seed if settings["seed"] is None else settings["seed"]
+    sensors = scenario.sensors.position if settings["sensors"] is None else settings["sensors"]
+    position = cast(Literal["camera", "pose"], sensors)
+    simulated = simulated_vehicle(scenario, vehicle, seed=seed, position=position)
+    return _World(scenario=scenario, vehicle=vehicle, simulated=simulated, seed=seed, speed=float(settings["speed"]))
+
+
+def _service(
+    settings: Settings, world: _World, params: ParamSet, instance: int, *, links: int
+) -> tuple[Autopilot, Parts]:
+    """The service for that world: it learns marker map, floor depth and origin, and nothing of the truth."""
+    tank = world.scenario.tank
+    return build_service(
+        ServiceSetup(
+            vehicle=world.vehicle,
+            params=params,
+            origin=Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"]),
+            markers=world.simulated.markers,
+            floor_depth_m=None if tank is None else tank.depth_m,
+            estimator=settings["estimator"],
+            profile=settings["profile"],
+            instance=instance,
+            currents=_currents(world.scenario),
+            links=links,
+            patience=FASTEST if world.speed == 0.0 else max(1.0, world.speed),
+        )
+    )
+
+
+def _plan(settings: Settings, scenario: Scenario) -> Path | None:
+    """The plan to have on board: --plan, or the scenario's when an operator in-process is to start it."""
+    if settings["plan"] is not None:
+        return Path(settings["plan"])
+    if not settings["start"]:
+        return None
+    plan = plan_path(settings["scenario"], scenario)
+    if plan is None:
+        raise ConfigError(f"--start: scenario {scenario.scenario.name!r} has no plan; give one with --plan FILE")
+    return plan
+
+
+def _vision(world: _World) -> VisionWorker | None:
+    """Detection beside the loop, None when there are no pictures."""
+    if world.simulated.markers is None:
+        return None
+    detector = MarkerDetector(CameraModel.of(world.vehicle.camera, world.vehicle.laser), world.simulated.markers)
+    return VisionWorker(detector, delay_s=0.5 * world.vehicle.camera.latency_s)
 
 
 def _currents(scenario: Scenario) -> CurrentForecast:
@@ -215,9 +258,7 @@ def _params(
     return params, persistent
 
 
-def _recorder(
-    settings: Settings, scenario: Scenario, parts: Parts, device: SimulatedDevice, *, seed: int, speed: float
-) -> RunRecorder:
+def _recorder(settings: Settings, world: _World, parts: Parts, device: SimulatedDevice) -> RunRecorder:
     """The log: one file where ``--log`` says, else one per arming in the log folder."""
     fixed = settings["log"]
     folder = Path(settings["log_dir"])
@@ -225,7 +266,7 @@ def _recorder(
         recover_unfinished(folder)
 
     def describe() -> RunDescription:
-        return describe_run(scenario, parts, seed=seed, speed=speed)
+        return describe_run(world.scenario, parts, seed=world.seed, speed=world.speed)
 
     def open_log() -> RunLog:
         path = Path(fixed) if fixed is not None else log_path(folder, time.time_ns())
@@ -236,16 +277,16 @@ def _recorder(
             metadata={
                 "version": __version__,
                 "revision": revision(),
-                "scenario": scenario.scenario.name,
-                "seed": str(seed),
-                "speed": f"{speed:g}",
+                "scenario": world.scenario.scenario.name,
+                "seed": str(world.seed),
+                "speed": f"{world.speed:g}",
                 "vehicle": parts.vehicle.name,
                 "estimator": str(settings["estimator"]),
                 "started": datetime.now(UTC).isoformat(timespec="seconds"),
             },
             attachments={
                 "config.json": msgspec.json.encode(settings.values(), enc_hook=str),
-                "scenario.json": msgspec.json.encode(scenario),
+                "scenario.json": msgspec.json.encode(world.scenario),
                 "vehicle.json": msgspec.json.encode(parts.vehicle),
             },
             lossless=True,

@@ -22,10 +22,10 @@ class Header(_Table, frozen=True, kw_only=True):
     name: str
     description: str
     seed: Seed = 1
-    duration_s: Positive = 600.0
-    """The run ends here at the latest."""
+    duration_s: Positive | None = None
+    """The run ends here, None = when it is stopped."""
     plan: str | None = None
-    """Plan file that ``demo`` uploads, relative to the scenario file (:func:`plan_path`)."""
+    """Plan file that ``sitl --start`` flies, relative to the scenario file (:func:`plan_path`)."""
 
 
 class Origin(_Table, frozen=True, kw_only=True):

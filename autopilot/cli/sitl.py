@@ -28,12 +28,9 @@ from autopilot.config import ESTIMATORS, PROFILES, SENSORS
 def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the simulated vehicle of SCENARIO (a shipped name or a TOML file; default paper-tank)."""
     from autopilot.config import gather, parse_overrides, sitl_defaults
-    from autopilot.core.errors import ConfigError
     from autopilot.sitl_session import open_sitl
 
     settings = gather(sitl_defaults(instance), {"scenario": scenario, **given})
-    if settings["start"] and settings["plan"] is None:
-        raise ConfigError("--start: there is no plan to start; give one with --plan FILE")
     stopped_by: list[int] = []
 
     def stop(number: int, _frame: FrameType | None) -> None:
@@ -56,7 +53,7 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
         ran_s = counters.ticks * 0.01
         click.echo(
             f"{ran_s:.1f} s simulated in {wall_s:.1f} s ({ran_s / max(wall_s, 1e-9):.1f} x real time), "
-            f"{counters.overruns} overruns"
+            f"{counters.overruns} overruns, longest tick {1e3 * counters.worst_tick_s:.0f} ms"
         )
     if session.persistent.failure:
         click.echo(f"warning: {session.persistent.failure}", err=True)

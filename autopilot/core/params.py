@@ -43,7 +43,7 @@ def _int(name: str, default: int, minimum: int, maximum: int, text: str) -> Para
 
 
 PARAMETERS: tuple[ParamSpec, ...] = (
-    _real("DEPTH_MAX", 1.2, 0.1, 6000.0, "m", "Deepest point of the vehicle's centre (depth band, hard constraint)."),
+    _real("DEPTH_MAX", 1.2, 0.1, 6000.0, "m", "Deepest point of the vehicle's centre (depth band, exact penalty)."),
     _real("DEPTH_MIN", 0.05, 0.0, 100.0, "m", "Shallowest point of the vehicle's centre while under control."),
     _int("FENCE_GAP_CHK", 1, 0, 1, "1 = refuse a fence with a gap that is narrower than the vehicle, 0 = only warn."),
     _int("FS_BATT_ACT", 2, 0, 2, "Battery below FS_BATT_LOW: 0 = warn, 1 = hold, 2 = surface."),
@@ -62,9 +62,9 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("ORIGIN_LAT", 37.9755, -90.0, 90.0, "deg", "Latitude of the local origin, used until one is set by message."),
     _real("ORIGIN_LON", 23.7790, -180.0, 180.0, "deg", "Longitude of the local origin."),
     _real("SPD_CRUISE", 0.35, 0.02, 2.0, "m/s", "Speed over ground that missions ask for (DO_CHANGE_SPEED overrides)."),
-    _real("SPD_HEAVE_MAX", 0.25, 0.02, 2.0, "m/s", "Limit of heave speed relative to the water (hard constraint)."),
-    _real("SPD_PLANAR_MAX", 0.5, 0.05, 3.0, "m/s", "Limit of planar speed relative to the water (hard constraint)."),
-    _real("SPD_YAW_MAX", 1.0, 0.05, 3.0, "rad/s", "Limit of yaw rate (hard constraint)."),
+    _real("SPD_HEAVE_MAX", 0.25, 0.02, 2.0, "m/s", "Limit of heave speed relative to the water (exact penalty)."),
+    _real("SPD_PLANAR_MAX", 0.5, 0.05, 3.0, "m/s", "Limit of planar speed relative to the water (exact penalty)."),
+    _real("SPD_YAW_MAX", 1.0, 0.05, 3.0, "rad/s", "Limit of yaw rate (exact penalty)."),
     _int("SYSID_THISMAV", 1, 1, 250, "MAVLink system id; instance N adds N."),
     _real("THR_LIMIT", 12.0, 0.5, 200.0, "N", "Limit of every thrust command (hard constraint)."),
     _real("WP_ACCEPT_RADIUS", 0.3, 0.02, 50.0, "m", "Acceptance ball where an item gives none."),

@@ -54,7 +54,7 @@ class TruthLike(Protocol):
 
     @property
     def power_w(self) -> float:
-        """Electrical power of all thrusters together."""
+        """Electrical power drawn from the battery: thrusters and everything else."""
         ...
 
 

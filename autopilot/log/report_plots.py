@@ -78,7 +78,7 @@ class Plots:
         plots["Aiding: test ratio (above 1 = rejected)"] = self._aids()
         plots["NMPC step"] = self._topic_plot("/ctl/nmpc", "solve_s", "solve time [ms]", 1000.0)
         plots["Smallest clearance in the prediction"] = self._topic_plot("/ctl/nmpc", "margin_m", "margin [m]", 1.0)
-        plots["Thruster power"] = self._topic_plot("/sim/thrusters", "power_w", "power [W]", 1.0)
+        plots["Electrical power"] = self._topic_plot("/sim/thrusters", "power_w", "power [W]", 1.0)
         plots["Battery"] = self._topic_plot("/in/power_raw", "voltage_v", "voltage [V]", 1.0)
         return {title: plot for title, plot in plots.items() if plot is not None}
 

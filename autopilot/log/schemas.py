@@ -31,7 +31,7 @@ float64[3] current_ned_m_s
     "autopilot_msgs/ThrusterState": """
 std_msgs/Header header
 float64[8] thrust_n  # acting force, unused = 0
-float64 power_w  # electrical, of all thrusters
+float64 power_w  # electrical, drawn from the battery: thrusters and everything else
 """,
     "autopilot_msgs/ContactState": """
 std_msgs/Header header
@@ -92,7 +92,7 @@ uint8 state  # MISSION_STATE
 std_msgs/Header header
 uint8 armed
 uint32 custom_mode
-uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale, 4 GCS lost
+uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale
 """,
     "autopilot_msgs/LoopStats": """
 std_msgs/Header header

@@ -145,7 +145,6 @@ def test_bad_vehicle(autopilot: Command, tmp_path: Path, name: str) -> None:
         (("--connect", "tcp:127.0.0.1:1"), 1, ("127.0.0.1:1", "start the server")),
         (("--connect", "/dev/nothing:57600"), 1, ("/dev/nothing", "check cable")),
         (("--plan", "missing.plan"), 2, ("missing.plan", "sitl --help")),
-        (("--start",), 1, ("--start", "--plan FILE")),
         (("--log", "/proc/none/run.mcap"), 1, ("/proc/none/run.mcap", "choose another place")),
         (("--estimator", "ukf"), 2, ("'ukf'", "'ekf', 'complementary'")),
         (("--seed", "-3"), 2, ("-3", "--seed")),
@@ -156,6 +155,11 @@ def test_bad_option(
     autopilot: Command, tmp_path: Path, more: tuple[str, ...], code: int, named: tuple[str, ...]
 ) -> None:
     _assert_refused(_sitl(autopilot, "paper-tank", *more), *named, code=code)
+    assert _files(tmp_path) == []
+
+
+def test_start_needs_a_plan(autopilot: Command, tmp_path: Path) -> None:
+    _assert_refused(_sitl(autopilot, "open-water", "--start"), "--start", "open-water", "--plan FILE")
     assert _files(tmp_path) == []
 
 

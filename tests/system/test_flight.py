@@ -81,3 +81,16 @@ def test_finds_itself_wherever_it_stands(session: OpenSession, tmp_path: Path) -
         x, y, z = (float(a) for a in start.strip("[]").split(","))
         assert nav.pos_ned_m == pytest.approx([x, y, z], abs=0.02)
         assert nav.rpy_rad[2] == pytest.approx(yaw, abs=0.02)
+
+
+def test_a_scenario_says_what_is_flown_and_how_long(session: OpenSession, tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "sitl/scenarios/paper-tank.toml").read_text()
+    write_plan(tmp_path / "mine.plan", paper_plan(1))
+    mine = tmp_path / "mine.toml"
+    mine.write_text(text.replace('plan = "paper.plan"', 'plan = "mine.plan"\nduration_s = 3.0'))
+    seen: list[Outputs] = []
+    session(str(mine), sensors="pose", start=True, on_tick=seen.append).run()
+    assert seen[-1].t_us == 3_000_000
+    assert seen[-1].mode.armed
+    assert seen[-1].goal is not None
+    assert seen[-1].goal.seq == 0
