@@ -127,6 +127,8 @@ class Commander:
         nav = self._conditions.nav
         if nav is not None and self._goals.clearance_m(nav.pos_ned_m) < 0.0:
             reasons.append("vehicle is outside the fence or inside an obstacle: check fence and origin")
+        if self._params["DEPTH_MIN"] >= self._params["DEPTH_MAX"]:
+            reasons.append("the depth band is empty: set DEPTH_MIN below DEPTH_MAX")
         problem = self._plan_problem()
         return (*reasons, problem) if problem else tuple(reasons)
 
@@ -203,7 +205,10 @@ class Commander:
     def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
         """Reposition and hold there; None = hold here."""
         if point is None:
-            return self.set_mode(FlightMode.HOLD)
+            answer = self.set_mode(FlightMode.HOLD)
+            if answer.result is CommandResult.ACCEPTED and self._hold is not None and yaw_rad is not None:
+                self._hold = replace(self._hold, yaw_rad=yaw_rad)
+            return answer
         if not self._armed:
             return Answer(result=CommandResult.DENIED, reason="Go-to denied: arm first")
         target_ned_m = self._plans.local_ned_m(point.lat_deg, point.lon_deg, point.alt_m)

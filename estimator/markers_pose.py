@@ -37,6 +37,8 @@ LASER_SIGMA_PX = 0.7
 LASER_OFF_LINE_PX = 6.0
 """How far the dot may lie off the line on which it must lie."""
 LASER_MIN_RANGE_M = 0.1
+MAX_PIXEL = 1e5
+"""Pixels farther out than any image is large are garbage."""
 
 
 class MarkerSolver:
@@ -53,12 +55,13 @@ class MarkerSolver:
             self._by_id.setdefault(i, []).append((j, center))
 
     def well_formed(self, sighting: MarkerSighting) -> bool:
-        """Whether the arrays have the right shapes and hold finite pixels."""
+        """Whether the arrays have the right shapes and hold pixels that an image can have."""
         corners = np.asarray(sighting.corners_px)
-        if corners.shape != (len(sighting.ids), 4, 2) or not np.isfinite(corners).all():
+        # Comparisons with NaN are false.
+        if corners.shape != (len(sighting.ids), 4, 2) or not (np.abs(corners) < MAX_PIXEL).all():
             return False
         laser = sighting.laser_px
-        return laser is None or (np.shape(laser) == (2,) and bool(np.isfinite(laser).all()))
+        return laser is None or (np.shape(laser) == (2,) and bool((np.abs(laser) < MAX_PIXEL).all()))
 
     def track(self, sighting: MarkerSighting, pos_ned_m: FloatArray, rpy_rad: FloatArray) -> PoseFix | None:
         """Fix near a predicted pose, None if the markers do not fit to it."""

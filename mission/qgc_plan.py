@@ -34,6 +34,8 @@ def read_qgc_plan(text: str, name: str) -> PlanFile:
         raise PlanError(
             f"{name}: is not complete JSON (line {error.lineno}: {error.msg}); export the plan again"
         ) from error
+    except ValueError as error:
+        raise PlanError(f"{name}: holds a number of thousands of digits; export the plan again") from error
     except RecursionError as error:
         raise PlanError(f"{name}: is nested too deeply to be a plan; export the plan again") from error
     root = _typed(root, dict, name, "the file")
@@ -75,7 +77,15 @@ def _numbers(value: Any, count: int, where: str, what: str) -> list[float]:
     items = _typed(value, list, where, what)
     if len(items) < count:
         raise PlanError(f"{where}: {what} has {len(items)} numbers; {count} are needed")
-    return [math.nan if v is None else float(_typed(v, float, where, what)) for v in items[:count]]
+    return [math.nan if v is None else _float(v, where, what) for v in items[:count]]
+
+
+def _float(value: Any, where: str, what: str) -> float:
+    """A number as a float; JSON's whole numbers may be larger than any."""
+    try:
+        return float(_typed(value, float, where, what))
+    except OverflowError as error:
+        raise PlanError(f"{where}: {what} holds a number that is too large; correct it") from error
 
 
 def _part_version(table: Mapping[str, Any], where: str) -> None:
@@ -123,7 +133,7 @@ def _mission(mission: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
         frame = _get(item, "frame", int, here)
         params = _numbers(_get(item, "params", list, here), 7, here, "params")
         if math.isnan(params[6]) and isinstance(item.get("Altitude"), int | float):
-            params[6] = float(item["Altitude"])
+            params[6] = _float(item["Altitude"], here, "Altitude")
         if command == Command.DO_JUMP:
             if params[0] not in seq_by_jump_id:
                 raise PlanError(f"{here}: jumps to doJumpId {params[0]:g}, which no item has; correct params[0]")
@@ -154,7 +164,7 @@ def _fence(fence: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
         command = Command.FENCE_CIRCLE_INCLUSION if inclusion else Command.FENCE_CIRCLE_EXCLUSION
         circle = _get(outer, "circle", dict, here)
         lat, lon = _numbers(_get(circle, "center", list, here), 2, here, "center")
-        radius = float(_get(circle, "radius", float, here))
+        radius = _float(_get(circle, "radius", float, here), here, "radius")
         params = (radius, 0.0, 0.0, 0.0, lat, lon, 0.0)
         items.append(make_item(here, len(items), Frame.GLOBAL, command, params))
     if fence.get("breachReturn") is not None:
@@ -249,7 +259,7 @@ def _fence_entry(items: Sequence[PlanItem]) -> dict[str, Any]:
             circle = {"center": _place(item, "fence item"), "radius": item.param1}
             circles.append({"circle": circle, "inclusion": inclusion, "version": 1})
         else:
-            taken = max(1, int(item.param1))
+            taken = max(1, int(item.param1)) if math.isfinite(item.param1) else 1
             vertices = [_place(v, "fence item") for v in items[index : index + taken]]
             polygons.append({"inclusion": inclusion, "polygon": vertices, "version": 1})
         index += taken

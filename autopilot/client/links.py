@@ -70,12 +70,14 @@ class UdpLink:
         self._socket.setblocking(False)
 
     def send(self, data: bytes) -> None:
-        """One datagram; dropped while no vehicle has been heard or nobody listens there."""
+        """One datagram; dropped while no vehicle has been heard or nobody listens. DriverError without a network."""
         if self._peer is not None:
             try:
                 self._socket.sendto(data, self._peer)
             except (BlockingIOError, ConnectionError):
                 return
+            except OSError as error:
+                raise DriverError(f"cannot send: {error.strerror or error}; check network and address") from error
 
     def receive(self, timeout_s: float) -> bytes:
         """One datagram."""

@@ -1,6 +1,7 @@
 """From corners to a pose: least squares, association with repeated ids, vote at start-up, all the way to a state."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -235,6 +236,18 @@ def test_malformed_sightings_are_counted(make: Make, floor: MarkerMap, shape: tu
         nav = estimator.step(truth.t_us, bad + samples, command)
     assert nav is not None
     assert estimator.counters()["markers.malformed"] > 150
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1e200])
+def test_pixels_beyond_any_image_are_malformed(floor: MarkerMap, value: float) -> None:
+    solver = MarkerSolver(CAMERA, floor)
+    pos, rpy = np.array([0.0, 0.0, 0.5]), np.zeros(3)
+    good = sight(floor, pos, rpy, np.random.default_rng(1))
+    assert solver.well_formed(good)
+    corners = good.corners_px.copy()
+    corners[0, 2, 1] = value
+    assert not solver.well_formed(replace(good, corners_px=corners))
+    assert not solver.well_formed(replace(good, laser_px=np.array([1.0, value])))
 
 
 def test_vehicle_file_and_camera_agree(vehicle: Vehicle) -> None:

@@ -105,7 +105,12 @@ def test_a_plan_cut_off_anywhere_is_refused(length: int) -> None:
 
 
 json_values = st.recursive(
-    st.none() | st.booleans() | st.integers(-5, 20) | st.floats(allow_nan=False) | st.text(max_size=4),
+    st.none()
+    | st.booleans()
+    | st.integers(-5, 20)
+    | st.just(10**400)
+    | st.floats(allow_nan=False)
+    | st.text(max_size=4),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
     max_leaves=6,
 )
@@ -152,6 +157,8 @@ def test_any_value_anywhere_is_read_or_refused_in_one_line(data: st.DataObject, 
         (changed(lambda d: d["geoFence"]["polygons"][0]["polygon"][2].pop()), "polygon 0 vertex 2"),
         ("[1, 2]", "has to be an object"),
         ("[" * 5000, "JSON"),
+        ("9" * 5000, "thousands of digits"),
+        (changed(lambda d: d["mission"]["items"][0]["params"].__setitem__(4, 10**400)), "too large"),
         (PAPER.replace("37.9754856", "NaN"), "nan"),
     ],
 )

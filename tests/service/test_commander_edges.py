@@ -176,3 +176,18 @@ def test_a_new_mission_does_not_end_a_failsafe() -> None:
     bench.run()
     assert bench.plans.replace(PlanKind.MISSION, paper_plan(2).mission) is None
     assert bench.run(0.02).mode is FlightMode.SURFACE
+
+
+def test_an_empty_depth_band_is_no_place_to_fly() -> None:
+    bench = Bench(DEPTH_MIN=3.0, DEPTH_MAX=2.0)
+    bench.run()
+    assert "depth band" in bench.commander.arm(force=False).reason
+
+
+def test_go_to_without_a_place_turns_on_the_spot() -> None:
+    bench = Bench().armed()
+    assert bench.commander.go_to(None, 1.0).result is OK
+    goal = bench.run().goal
+    assert goal is not None
+    assert goal.yaw_rad == 1.0
+    assert goal.pos_ned_m == pytest.approx(bench.pos)
