@@ -70,7 +70,9 @@ def report(log_file: Path, out: Path | None) -> None:
     from autopilot.log.report import write_report
 
     target = out if out is not None else log_file.with_suffix(".html")
-    click.echo(str(write_report(open_log(log_file), target)))
+    opened = open_log(log_file)
+    click.echo(str(write_report(opened, target)))
+    _tell_loss(opened)
 
 
 @log.command()
@@ -82,8 +84,17 @@ def plot(log_file: Path, out: Path | None) -> None:
     from autopilot.log.reader import open_log
 
     target = out if out is not None else log_file.with_suffix("")
-    for path in write_figures(open_log(log_file), target):
+    opened = open_log(log_file)
+    for path in write_figures(opened, target):
         click.echo(str(path))
+    _tell_loss(opened)
+
+
+def _tell_loss(opened: "Log") -> None:
+    """What was drawn is not all that was flown: say so, and in the exit code."""
+    if opened.problems:
+        click.echo(f"warning: {opened.path}: {'; '.join(opened.problems)}; only what is readable was drawn", err=True)
+        raise click.exceptions.Exit(EXIT_LOSS)
 
 
 def print_rows(rows: "list[Row]", title: str) -> None:

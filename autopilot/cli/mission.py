@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 import click
 
 from autopilot.cli.output import emit_json, print_table
+from autopilot.core.errors import AutopilotError
 
 if TYPE_CHECKING:
     from autopilot.client.session import MissionStatus, Session
+    from autopilot.client.texts import Text
     from autopilot.core.plan import PlanKind
     from mission.plan_model import PlanFile
 
@@ -102,9 +104,10 @@ def start(
     with _session(connection, patience, as_json) as session:
         if plan is not None and file is not None:
             _upload(session, plan, file, clear, quiet=as_json)
-        if session.vehicle is None or not session.vehicle.armed:
-            session.arm()
-        session.start_mission()
+        with _said_once(session):
+            if session.vehicle is None or not session.vehicle.armed:
+                session.arm()
+            session.start_mission()
         if not wait:
             if as_json:
                 emit_json({"vehicle": _vehicle(session), "started": True})
@@ -171,6 +174,26 @@ def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[Sessio
         yield session
 
 
+@contextmanager
+def _said_once(session: Session) -> Iterator[None]:
+    """The vehicle's reason for a refusal comes as a text and is in the error too: it is shown as the error only."""
+    show = session.on_text
+    held: list[Text] = []
+    if show is None:
+        yield
+        return
+    session.on_text = held.append
+    try:
+        yield
+    except AutopilotError as error:
+        held = [text for text in held if text.text not in str(error)]
+        raise
+    finally:
+        session.on_text = show
+        for text in held:
+            show(text)
+
+
 def _upload(session: Session, plan: PlanFile, file: Path, clear: bool, quiet: bool) -> dict[str, int]:
     """Fence, rally points, mission: each is checked against those before it. A .waypoints file holds a mission only."""
     from autopilot.core.plan import PlanKind
@@ -180,9 +203,10 @@ def _upload(session: Session, plan: PlanFile, file: Path, clear: bool, quiet: bo
         kinds = (PlanKind.MISSION,)
     if clear:
         for kind in reversed(kinds):
-            session.upload(kind, ())
+            with _said_once(session):
+                session.upload(kind, ())
     for kind in kinds:
-        with _bar(kind.name.lower(), quiet) as advance:
+        with _said_once(session), _bar(kind.name.lower(), quiet) as advance:
             session.upload(kind, plan.items(kind), advance)
     return {kind.name.lower(): len(plan.items(kind)) for kind in kinds}
 
@@ -194,7 +218,7 @@ def _vehicle(session: Session) -> dict[str, int] | None:
 
 @contextmanager
 def _bar(name: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """A progress bar on stderr."""
+    """A progress bar on stderr, if that is a terminal."""
     if quiet:
         yield None
         return
@@ -202,6 +226,9 @@ def _bar(name: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     console = Console(stderr=True)
+    if not console.is_terminal:
+        yield None
+        return
     columns = (TextColumn("{task.description:8}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task(name, total=None)

@@ -94,6 +94,7 @@ def test_a_refused_upload_gives_the_reason(link: MemoryLink, tmp_path: Path) -> 
     refused = run("upload", other)
     assert isinstance(refused.exception, PlanError)
     assert "clear the mission first" in str(refused.exception)
+    assert "clear the mission first" not in refused.output, "the reason is said once: as the error"
     assert len(link.plans.items(PlanKind.FENCE)) == 6
     assert run("upload", other, "--clear").exit_code == 0
     assert len(link.plans.items(PlanKind.FENCE)) == 1

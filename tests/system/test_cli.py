@@ -16,6 +16,7 @@ from system_harness import PAPER_PLAN, ROOT, OpenSession, RunningService, free_p
 
 from autopilot.cli.main import cli, run
 from autopilot.param_file import read_param_file
+from mission.plan_files import read_plan
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
 VEHICLE = (ROOT / "autopilot/data/vehicles/lbv150.toml").read_text()
@@ -106,6 +107,13 @@ def test_bad_scenario(autopilot: Command, tmp_path: Path, name: str) -> None:
     _assert_refused(_sitl(autopilot, file, "--log", str(log)), *((str(file),) if "vehicle" not in name else ()), *named)
     _assert_refused(autopilot("config", "show", str(file)), *named)
     assert _files(tmp_path) == before
+
+
+def test_start_without_a_plan(autopilot: Command, tmp_path: Path) -> None:
+    file = tmp_path / "aimless.toml"
+    file.write_text(TANK.replace('plan = "paper.plan"\n', ""))
+    _assert_refused(_sitl(autopilot, file, "--start"), "--start", "--plan FILE")
+    assert _files(tmp_path) == [file]
 
 
 VEHICLES = {
@@ -315,6 +323,17 @@ def test_truncated_log(autopilot: Command, flown: Path, share: float) -> None:
     assert flown.read_bytes() == cut
 
 
+def test_what_is_drawn_of_a_truncated_log_is_not_passed_off_as_whole(autopilot: Command, flown: Path) -> None:
+    data = flown.read_bytes()
+    flown.write_bytes(data[: len(data) // 2])
+    for command in ("report", "plot"):
+        done = autopilot("log", command, str(flown))
+        assert done.code == 3
+        assert done.out.strip()
+        assert len(done.err.splitlines()) == 1
+        assert "cut off" in done.err
+
+
 def test_corrupted_log(autopilot: Command, flown: Path) -> None:
     data = bytearray(flown.read_bytes())
     middle = len(data) // 2
@@ -364,6 +383,21 @@ def test_interrupt_ends_well(tmp_path: Path) -> None:
     opened = open_log(log)
     opened.verify()
     assert opened.problems == ()
+
+
+def test_refused_upload_is_one_line(service: Callable[..., RunningService], autopilot: Command, tmp_path: Path) -> None:
+    """Against a vehicle in another process: exit code 1, the vehicle's reason once, its plan as before."""
+    vehicle = f"udpout:127.0.0.1:{service().port}"
+    assert autopilot("mission", "upload", str(PAPER_PLAN), "--connect", vehicle) == Done(
+        0, "accepted: fence 6 items, rally 0 items, mission 4 items\n", ""
+    )
+    bad = tmp_path / "bad.plan"
+    bad.write_text(re.sub(r"37\.97551\d*", "37.9755084", PLAN_TEXT))
+    done = autopilot("mission", "upload", str(bad), "--connect", vehicle)
+    _assert_refused(done, "Mission upload refused", "item 1", "inside exclusion circle", "move it by")
+    copy = tmp_path / "copy.plan"
+    assert autopilot("mission", "download", str(copy), "--connect", vehicle).code == 0
+    assert read_plan(copy).mission[1].x == read_plan(PAPER_PLAN).mission[1].x
 
 
 def test_parameters_survive_a_restart(service: Callable[..., RunningService], tmp_path: Path) -> None:
