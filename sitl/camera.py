@@ -3,8 +3,8 @@
 The geometry is exact: every pixel looks along its own ray (the inverse of the lens distortion, computed once), rays
 are cut with the floor on a grid of every eighth pixel and interpolated in between (error below 0.02 px), and the
 picture of the floor is sampled once. Then come, in the order of the light's way: caustics and vignetting, blur of
-optics and motion, turbidity (contrast exp(-c d), red fades fastest; Jaffe-McGlamery without forward scattering), the
-laser dot and noise. Obstacles are not drawn. A picture is a function of truth, frame number and seed alone.
+optics and motion, turbidity (contrast exp(-c d), red fades fastest; Jaffe-McGlamery without forward scattering), noise
+and the laser dot. Obstacles are not drawn. A picture is a function of truth, frame number and seed alone.
 """
 
 import math
@@ -34,8 +34,14 @@ MASK_UNIT = 160
 """Value of the 8-bit brightness mask that stands for 1.0 (leaves room for bright caustics)."""
 NOISE_PAD = 64
 """Pixels by which the stored noise is larger than a picture; each picture takes another cut-out."""
+NOISE_ZERO = 128
+"""Value of the 8-bit noise that stands for none."""
 MIN_BLUR_PX2 = 0.01
 """Variance of a blur that is not worth applying."""
+SMALL_BLUR_PX2 = 0.95
+"""Variance up to which 3 x 3 pixels are enough."""
+MIN_SKEW_PX2 = 0.02
+"""Covariance of a small blur that is not worth a kernel that does not separate: half a grey level at a sharp edge."""
 LASER_SPOT_M = 0.0012
 """Standard deviation of the beam."""
 LASER_GLOW_PX = 1.2
@@ -65,16 +71,16 @@ class SimCamera:
         columns = np.arange(-1, camera.width_px // STEP_PX + 1) * STEP_PX + (STEP_PX - 1) / 2
         rows = np.arange(-1, camera.height_px // STEP_PX + 1) * STEP_PX + (STEP_PX - 1) / 2
         grid_px = np.stack(np.meshgrid(columns, rows), axis=-1)
-        self._rays_cam = np.ones((*grid_px.shape[:2], 3))
-        self._rays_cam[..., :2] = camera.normalized(grid_px)
+        self._grid_shape: tuple[int, int] = grid_px.shape[:2]
+        self._rays_cam = np.ones((3, grid_px.shape[0] * grid_px.shape[1]))
+        self._rays_cam[:2] = camera.normalized(grid_px).reshape(-1, 2).T
         corner_px = math.hypot(camera.width_px, camera.height_px) / 2
         off_centre = (grid_px - [camera.width_px / 2, camera.height_px / 2]) / corner_px
-        self._vignette = 1.0 - look.vignetting * (off_centre**2).sum(axis=-1)
+        self._vignette = (1.0 - look.vignetting * (off_centre**2).sum(axis=-1)).astype(np.float32)
         rng = np.random.default_rng((seed, 0))
-        shape = (camera.height_px + NOISE_PAD, camera.width_px + NOISE_PAD, 3)
+        shape = (3, camera.height_px + NOISE_PAD, camera.width_px + NOISE_PAD)
         noise = np.rint(rng.standard_normal(shape, dtype=np.float32) * np.float32(look.noise_levels))
-        self._brighter = np.clip(noise, 0, 255).astype(np.uint8)
-        self._darker = np.clip(-noise, 0, 255).astype(np.uint8)
+        self._noise = np.clip(noise + NOISE_ZERO, 0, 255).astype(np.uint8)
         self._caustic_phases = rng.uniform(0.0, 2.0 * math.pi, len(CAUSTIC_WAVES_1_M))
 
     @property
@@ -92,16 +98,17 @@ class SimCamera:
         mask = self._brightness(north_m, east_m, truth.t_us * 1e-6)
         grey = cv2.multiply(grey, self._enlarged(mask), scale=1.0 / MASK_UNIT)
         grey = self._blurred(grey, truth, height_m)
-        picture = self._through_water(grey, height_m)
+        picture = self._through_water(grey, height_m, index)
         if self._laser:
             self._add_laser(picture, eye_ned_m, r)
-        return self._noisy(picture, index)
+        return picture
 
     def _floor_points(self, eye_ned_m: FloatArray, r: FloatArray, height_m: float) -> tuple[FloatArray, FloatArray]:
         """North and east of the floor points that the grid's rays meet."""
-        rays_ned = self._rays_cam @ (r @ R_FRD_FROM_CAM).T
-        reach = height_m / np.maximum(rays_ned[..., 2], HORIZON)
-        return eye_ned_m[0] + rays_ned[..., 0] * reach, eye_ned_m[1] + rays_ned[..., 1] * reach
+        north, east, down = (r @ R_FRD_FROM_CAM) @ self._rays_cam
+        reach = height_m / np.maximum(down, HORIZON)
+        north_m, east_m = eye_ned_m[0] + north * reach, eye_ned_m[1] + east * reach
+        return north_m.reshape(self._grid_shape), east_m.reshape(self._grid_shape)
 
     def _sampled(self, north_m: FloatArray, east_m: FloatArray, height_m: float) -> Image:
         """The floor's picture on every pixel, looked up in a small copy of what is in view (for the cache)."""
@@ -130,16 +137,19 @@ class SimCamera:
 
     def _brightness(self, north_m: FloatArray, east_m: FloatArray, t_s: float) -> Image:
         """Light on the grid's rays: lamp, vignetting and caustics, in units of 1 / MASK_UNIT."""
-        mask = self._look.light * self._vignette
+        mask = np.float32(MASK_UNIT * self._look.light) * self._vignette
         if self._look.caustics > 0.0:
-            north, east = north_m.astype(np.float32), east_m.astype(np.float32)
-            waves = np.zeros_like(north)
-            for (kn, ke), rate, phase in zip(CAUSTIC_WAVES_1_M, CAUSTIC_RATES_1_S, self._caustic_phases, strict=True):
-                shift = np.float32(math.fmod(rate * t_s + float(phase), 2.0 * math.pi))
-                waves += np.sin(np.float32(kn) * north + np.float32(ke) * east + shift)
-            crest = np.exp(waves) - np.float32(MEAN_EXP_SIN ** len(CAUSTIC_WAVES_1_M))
-            mask = mask * (1.0 + self._look.caustics * np.clip(crest / 3.0, -1.0, 3.0))
-        result: Image = np.clip(np.rint(MASK_UNIT * mask), 0, 255).astype(np.uint8)
+            shift = np.array(CAUSTIC_RATES_1_S) * t_s + self._caustic_phases
+            wave = np.array(CAUSTIC_WAVES_1_M, dtype=np.float32) @ np.stack((north_m.ravel(), east_m.ravel())).astype(
+                np.float32
+            )
+            wave += np.fmod(shift, 2.0 * math.pi).astype(np.float32)[:, None]
+            crest = np.exp(np.sin(wave, out=wave).sum(axis=0)) - np.float32(MEAN_EXP_SIN ** len(CAUSTIC_WAVES_1_M))
+            gain = np.clip(
+                crest * np.float32(self._look.caustics / 3.0), -self._look.caustics, 3.0 * self._look.caustics
+            )
+            mask = mask * (1.0 + gain.reshape(self._grid_shape))
+        result: Image = np.clip(np.rint(mask), 0, 255).astype(np.uint8)
         return result
 
     def _blurred(self, grey: Image, truth: Truth, height_m: float) -> Image:
@@ -151,17 +161,23 @@ class SimCamera:
         xx, yy, xy = self._look.blur_px**2 + mx * mx / 12.0, self._look.blur_px**2 + my * my / 12.0, mx * my / 12.0
         if max(xx, yy) < MIN_BLUR_PX2:
             return grey
-        blurred: Image = cv2.filter2D(grey, -1, _blur_kernel(xx, yy, xy))
+        if max(xx, yy) < SMALL_BLUR_PX2 and abs(xy) < MIN_SKEW_PX2:
+            blurred: Image = cv2.sepFilter2D(grey, -1, _three(xx), _three(yy))
+        else:
+            blurred = cv2.filter2D(grey, -1, _blur_kernel(xx, yy, xy))
         return blurred
 
-    def _through_water(self, grey: Image, height_m: float) -> Image:
-        """Colour: contrast lost to the veil over the distance to the floor."""
-        channels = []
-        for veil, fade, tint in zip(VEIL_BGR, FADE_BGR, TINT_BGR, strict=True):
+    def _through_water(self, grey: Image, height_m: float, index: int) -> Image:
+        """Colour: contrast lost to the veil over the distance to the floor. Noise: another cut-out of what is stored
+        for every frame number, in the same pass."""
+        down, right = np.random.default_rng((self._seed, 1, index)).integers(0, NOISE_PAD, 2)
+        noise = self._noise[:, down : down + self._camera.height_px, right : right + self._camera.width_px]
+        planes = []
+        for channel, (veil, fade, tint) in enumerate(zip(VEIL_BGR, FADE_BGR, TINT_BGR, strict=True)):
             kept = math.exp(-fade * self._look.turbidity_1_m * height_m)
             scattered = veil * min(1.0, self._look.light) * (1.0 - kept)
-            channels.append(cv2.convertScaleAbs(grey, alpha=tint * kept, beta=scattered))
-        picture: Image = cv2.merge(channels)
+            planes.append(cv2.addWeighted(grey, tint * kept, noise[channel], 1.0, scattered - NOISE_ZERO))
+        picture: Image = cv2.merge(planes)
         return picture
 
     def _add_laser(self, picture: Image, eye_ned_m: FloatArray, r: FloatArray) -> None:
@@ -187,17 +203,6 @@ class SimCamera:
         patch = picture[top:bottom, left:right]
         patch[:] = np.clip(patch + np.rint(glow), 0, 255).astype(np.uint8)
 
-    def _noisy(self, picture: Image, index: int) -> Image:
-        """Sensor noise, in place: another cut-out of the stored noise for every frame number."""
-        if self._look.noise_levels == 0.0:
-            return picture
-        down, right = np.random.default_rng((self._seed, 1, index)).integers(0, NOISE_PAD, 2)
-        rows = slice(down, down + self._camera.height_px)
-        columns = slice(right, right + self._camera.width_px)
-        cv2.add(picture, self._brighter[rows, columns], dst=picture)
-        cv2.subtract(picture, self._darker[rows, columns], dst=picture)
-        return picture
-
 
 def camera_of(model: CameraModel, focal_factor: float) -> CameraModel:
     """The true camera: the calibrated one with its focal length off by a factor."""
@@ -220,12 +225,16 @@ def _span(where_px: NDArray[np.float32], limit: int) -> tuple[int, int]:
     return first, last
 
 
+def _three(variance_px2: float) -> NDArray[np.float32]:
+    """Three weights with this second moment."""
+    return np.array([variance_px2 / 2, 1.0 - variance_px2, variance_px2 / 2], dtype=np.float32)
+
+
 def _blur_kernel(xx: float, yy: float, xy: float) -> NDArray[np.float32]:
     """Kernel with these second moments [px^2]: 3 x 3 while that is possible, else a Gaussian."""
-    if max(xx, yy) < 0.95:
-        across, along = np.array([xx / 2, 1.0 - xx, xx / 2]), np.array([yy / 2, 1.0 - yy, yy / 2])
+    if max(xx, yy) < SMALL_BLUR_PX2:
         skew = np.array([[1.0, 0.0, -1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 1.0]])
-        small: NDArray[np.float32] = (np.outer(along, across) + xy / 4.0 * skew).astype(np.float32)
+        small: NDArray[np.float32] = (np.outer(_three(yy), _three(xx)) + xy / 4.0 * skew).astype(np.float32)
         return small
     xx, yy = xx + 0.05, yy + 0.05  # never singular
     radius = min(8, math.ceil(2.2 * math.sqrt(max(xx, yy))))

@@ -4,7 +4,7 @@ Rates follow the service's clock, never the wall clock, so that the same run giv
 with their time of validity; ``/in/tick`` opens the group of inputs that one call of ``step`` took in, in file order.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -90,6 +90,7 @@ class RunLog:
         self._scene = scene_markers(description)
         self._camera_period_us = camera_period_us
         self._last_us: dict[str, int] = {}
+        self._last_key: dict[str, Hashable] = {}
         self._last_body: dict[str, bytes] = {}
         self._cutters: dict[tuple[str, int], StreamCutter] = {}
         self._trail: list[tuple[float, float, float]] = []
@@ -143,7 +144,8 @@ class RunLog:
 
     def contact(self, t_us: int, count: int, penetration_m: float) -> None:
         """Contacts of the simulated hull begun so far and the deepest penetration of now, once per tick."""
-        self._on_change("/sim/contact", t_us, packing.contact_state(self._ns(t_us), count, penetration_m))
+        if self._changed("/sim/contact", t_us, (count, penetration_m)):
+            self._on_change("/sim/contact", t_us, packing.contact_state(self._ns(t_us), count, penetration_m))
 
     def loop(self, stats: LoopStats) -> None:
         """Health of the loop, once per second."""
@@ -161,10 +163,14 @@ class RunLog:
             self._nav(t_us, stamp_ns, outputs.nav)
         for aid in outputs.aids:
             self._write(AID_PREFIX + aid.sensor, aid.t_us, packing.aid_status(self._ns(aid.t_us), aid))
-        self._on_change("/sys/mode", t_us, packing.mode_state(stamp_ns, outputs.mode))
-        if outputs.progress is not None:
-            self._on_change("/mission/progress", t_us, packing.mission_progress(stamp_ns, outputs.progress))
-        if outputs.goal is not None:
+        mode, done = outputs.mode, outputs.progress
+        if self._changed("/sys/mode", t_us, (mode.armed, mode.custom_mode, mode.failsafes)):
+            self._on_change("/sys/mode", t_us, packing.mode_state(stamp_ns, mode))
+        if done is not None and self._changed(
+            "/mission/progress", t_us, (done.current_seq, done.reached_seq, done.lap, done.state)
+        ):
+            self._on_change("/mission/progress", t_us, packing.mission_progress(stamp_ns, done))
+        if outputs.goal is not None and self._changed("/ctl/goal", t_us, outputs.goal):
             self._on_change("/ctl/goal", t_us, packing.goal(stamp_ns, outputs.goal))
         if outputs.control is not None:
             self._control(t_us, stamp_ns, outputs)
@@ -186,6 +192,13 @@ class RunLog:
         if last is not None and t_us - last < period_us:
             return False
         self._last_us[topic] = t_us
+        return True
+
+    def _changed(self, topic: str, t_us: int, key: Hashable) -> bool:
+        """Whether a message is worth packing: what it is made of is new, or SLOW_US have passed."""
+        if self._last_key.get(topic) == key and t_us - self._last_us[topic] < SLOW_US:
+            return False
+        self._last_key[topic] = key
         return True
 
     def _on_change(self, topic: str, t_us: int, payload: bytes, always: bool = False) -> None:
@@ -223,7 +236,8 @@ class RunLog:
 
     def _nav(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
         self._write("/nav/state", t_us, packing.vehicle_state(stamp_ns, nav))
-        self._on_change("/nav/status", t_us, packing.nav_status(stamp_ns, nav))
+        if self._changed("/nav/status", t_us, (nav.health, nav.reset_count)):
+            self._on_change("/nav/status", t_us, packing.nav_status(stamp_ns, nav))
         if self._due("/nav/covariance", t_us, COVARIANCE_US):
             self._write("/nav/covariance", t_us, packing.nav_covariance(stamp_ns, nav))
         if self._due("/viz/pose", t_us, VIZ_US):
