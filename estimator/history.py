@@ -38,11 +38,6 @@ class History:
         """The latest node."""
         return self._nodes[-1]
 
-    @property
-    def oldest_us(self) -> int:
-        """Measurements before this time are too old."""
-        return self._nodes[0].t_us
-
     def append(self, t_us: int, moment: Moment, step: Step) -> Node:
         """Predict from the newest node to a new one."""
         state = self._core.predict(self._nodes[-1].state, step)

@@ -1,7 +1,7 @@
 """Tables and JSON for all commands."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -38,11 +38,6 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     for row in rows:
         table.add_row(*[str(cell) for cell in row])
     make_console().print(table)
-
-
-def print_mapping(title: str, values: Mapping[str, object]) -> None:
-    """Print names and values."""
-    print_table(title, ("name", "value"), [(name, value) for name, value in values.items()])
 
 
 def _is_number(cell: object) -> bool:

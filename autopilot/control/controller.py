@@ -121,9 +121,10 @@ class MotionController:
         x0 = self._lag.ahead(x, current)
         if nav.reset_count != self._reset_count:
             self._reset_count, self._route = nav.reset_count, None
-        fresh = self._update_task(t_us, x0, goal, fence, params)
+        planner = self._planner_for(fence, params)
+        fresh, route = self._update_task(t_us, x0, goal, planner)
         fresh |= not 0.0 <= elapsed_s <= LONGEST_SHIFT_S
-        reference = self._reference(x0, goal, current, params)
+        reference = self._reference(x0, goal, route, current, params)
         if fresh or self._plan_age_s is None:
             self._plan_age_s = None
             self.nmpc.set_plan(reference, np.zeros((self.nmpc.grid.n, NU)))
@@ -133,7 +134,7 @@ class MotionController:
             turn = 2.0 * math.pi * round((x0[YAW] - self.nmpc.x[0, YAW]) / (2.0 * math.pi))
             if turn:
                 self.nmpc.x[:, YAW] += turn
-        result, qps, margin_m = self._solve(x0, reference, nav, fence, params, limit_n)
+        result, qps, margin_m = self._solve(x0, reference, nav, planner, fence, params, limit_n)
         thrust, fallback = self._choose(result, x, current, limit_n, elapsed_s)
         self._command = thrust
         return ControlOutput(
@@ -162,47 +163,51 @@ class MotionController:
         x[7] = nav.rate_frd_rad_s[2]
         return x
 
-    def _update_task(self, t_us: int, x0: FloatArray, goal: Goal, fence: Fence, params: ParamSet) -> bool:
-        """Make planner and route anew where something changed; True if the route is another one."""
-        radius = self._vehicle.radius_m + params["MPC_MARGIN"]
-        if fence is not self._fence or self._planner is None or self._planner_key[0] != radius:
-            key = (radius, *fence_key(fence))
-            if key != self._planner_key:
-                self._planner = Planner(fence, radius)
-                self._planner_key = key
-                self._route = None
-            self._fence = fence
-        assert self._planner is not None
+    def _planner_for(self, fence: Fence, params: ParamSet) -> Planner:
+        """The planner of this fence; another one, and no route yet, when fence or margin have changed."""
+        planner, radius = self._planner, self._vehicle.radius_m + params["MPC_MARGIN"]
+        if planner is not None and fence is self._fence and self._planner_key[0] == radius:
+            return planner
+        key = (radius, *fence_key(fence))
+        if planner is None or key != self._planner_key:
+            planner = Planner(fence, radius)
+            self._planner, self._planner_key, self._route = planner, key, None
+        self._fence = fence
+        return planner
+
+    def _update_task(self, t_us: int, x0: FloatArray, goal: Goal, planner: Planner) -> tuple[bool, Route]:
+        """Whether the route is another one, and the route."""
         goal_key = (
             *(float(p) for p in goal.pos_ned_m),
             0.0 if goal.yaw_rad is None else goal.yaw_rad,
             float(goal.yaw_rad is None),
         )
-        changed = goal_key != self._goal_key or self._route is None
+        route = self._route
+        changed = goal_key != self._goal_key or route is None
         if self._goal_key is None or goal_key[3:] != self._goal_key[3:]:
             self._yaw_target = None
         self._goal_key = goal_key
-        if not changed and self._route is not None:
-            self._s, off = self._route.project(x0[:2], self._s)
+        if not changed and route is not None:
+            self._s, off = route.project(x0[:2], self._s)
             pushed = off > REPLAN_DISTANCE_M or self.unreachable
             if not pushed or t_us - self._routed_us < REPLAN_INTERVAL_US:
-                return False
-        path = self._planner.path(x0[:2], np.asarray(goal.pos_ned_m, dtype=float))
+                return False, route
+        path = planner.path(x0[:2], np.asarray(goal.pos_ned_m, dtype=float))
         self._routed_us = t_us
         was_unreachable, self.unreachable = self.unreachable, path is None
         if path is None:
-            if was_unreachable and not changed:
-                return False
+            if was_unreachable and not changed and route is not None:
+                return False, route
             self._hold_goal = x0.copy()
             path = np.stack([x0[:2], x0[:2]])
         else:
             self._hold_goal = None
-        self._route, self._s = Route(path), 0.0
-        return True
+        route = Route(path)
+        self._route, self._s = route, 0.0
+        return True, route
 
-    def _reference(self, x0: FloatArray, goal: Goal, current: FloatArray, params: ParamSet) -> FloatArray:
-        route = self._route
-        assert route is not None
+    def _reference(self, x0: FloatArray, goal: Goal, route: Route, current: FloatArray, params: ParamSet) -> FloatArray:
+        """References (N+1, 8) along the route; chooses the way round to the heading."""
         hold = self._hold_goal
         if hold is not None:
             self._yaw_target = float(hold[YAW])
@@ -231,13 +236,13 @@ class MotionController:
         x0: FloatArray,
         reference: FloatArray,
         nav: NavState,
+        planner: Planner,
         fence: Fence,
         params: ParamSet,
         limit_n: FloatArray,
     ) -> tuple[NmpcResult, int, float]:
         """The QPs of this step: result of the last, their number, and the smallest clearance of the plan."""
-        planner, n = self._planner, self.nmpc.grid.n
-        assert planner is not None
+        n = self.nmpc.grid.n
         self._forecast.fill(nav, self.nmpc.x[:n, :3], self.nmpc.grid.t_s[:n], self._currents)
         problem = NmpcProblem(
             x0=x0,

@@ -209,7 +209,7 @@ def _assemble(blocks: list[list[Any]], rows_per_stage: int) -> Any:
     """The staged constraint matrix [A B -I; C D] from the blocks of all stages."""
     n = len(blocks)
     height = NX * n + rows_per_stage * (n - 1)
-    columns, row, offset = [], 0, 0
+    row = offset = 0
     width = NU + (n - 1) * (NX + NU + N_SLACKS) + NX
     matrix = ca.SX(height, width)
     for k, (a, b, c) in enumerate(blocks):
@@ -223,7 +223,6 @@ def _assemble(blocks: list[list[Any]], rows_per_stage: int) -> Any:
         if c is not None:
             matrix[row : row + rows_per_stage, offset:nxt] = c
             row += rows_per_stage
-        columns.append(offset)
         offset = nxt
     return ca.sparsify(matrix)
 
