@@ -19,7 +19,7 @@ ARM, START = 400, 300
 
 
 class ScriptedOperator:
-    """Heartbeats, arms until accepted, starts the mission until accepted, then only listens."""
+    """Arms until accepted, starts the mission until accepted, then only keeps its heartbeat going."""
 
     def __init__(self, target_system: int) -> None:
         from pymavlink.dialects.v20 import development
@@ -31,8 +31,6 @@ class ScriptedOperator:
         self._todo = [(ARM, 1.0), (START, 0.0)]
         self._sent_us = -RETRY_US
         self._heartbeat_us = -HEARTBEAT_US
-        self.refusals: list[str] = []
-        """STATUSTEXTs of severity warning or worse, in order."""
 
     @property
     def started(self) -> bool:
@@ -41,9 +39,10 @@ class ScriptedOperator:
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
         """One tick: read answers, send what is due."""
-        for data in received:
-            for message in self._mav.parse_buffer(data) or ():
-                self._hear(message)
+        if self._todo:
+            for data in received:
+                for message in self._mav.parse_buffer(data) or ():
+                    self._hear(message)
         out: list[bytes] = []
         if t_us - self._heartbeat_us >= HEARTBEAT_US:
             self._heartbeat_us = t_us
@@ -55,12 +54,10 @@ class ScriptedOperator:
         return out
 
     def _hear(self, message: Any) -> None:
-        kind = message.get_type()
-        if kind == "COMMAND_ACK" and self._todo and message.command == self._todo[0][0] and message.result == 0:
+        answered = message.get_type() == "COMMAND_ACK" and self._todo and message.command == self._todo[0][0]
+        if answered and message.result == 0:
             self._todo.pop(0)
             self._sent_us = -RETRY_US
-        elif kind == "STATUSTEXT" and message.severity <= 4:
-            self.refusals.append(message.text)
 
     def _pack(self, message: Any) -> bytes:
         return bytes(message.pack(self._mav))

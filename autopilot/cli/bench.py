@@ -55,7 +55,7 @@ def _estimator(short: bool) -> list[dict[str, object]]:
 
 
 TITLES = {
-    "nmpc": "One control step, CPU time [ms]; thrust_gap_n = first thrust against IPOPT's",
+    "nmpc": "One control step, CPU time (ms); thrust_gap_n = first thrust against IPOPT's",
     "sitl": "The paper's mission with its log; speed = simulated over wall time, asked = what the project asks for",
     "estimator": "Estimate against truth in the paper's tank, rms unless said otherwise; worst = of one seed",
 }

@@ -108,11 +108,8 @@ class Missions:
         self._upload = self._finished = None
         if msg.count > MAX_ITEMS + home_item.shift(ctx, kind):
             self._ack(peer, MissionResult.NO_SPACE, kind)
-            ctx.say(
-                SEVERITY_WARNING,
-                f"{kind.name.capitalize()} upload refused: {msg.count} items, at most {MAX_ITEMS} fit; send a shorter plan",
-                peer.link,
-            )
+            reason = f"{msg.count} items, at most {MAX_ITEMS} fit; send a shorter plan"
+            ctx.say(SEVERITY_WARNING, f"{kind.name.capitalize()} upload refused: {reason}", peer.link)
             return
         self._upload = Upload(peer, kind, msg.count, ctx.t_us, ctx.t_us)
         if msg.count == 0:
