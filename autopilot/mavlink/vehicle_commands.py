@@ -89,17 +89,19 @@ class VehicleService:
         """DO_SET_MODE: base mode with the custom flag, then the profile's numbers."""
         base = call.whole(1)
         if base is None or not base & CUSTOM_MODE_FLAG:
-            return denied("set mode: base mode without the custom-mode flag is not supported")
+            return denied(
+                "set mode: base mode without the custom-mode flag is not supported; send 1 plus a custom mode"
+            )
         mode = self._ctx.profile.mode_of_command(call.param(2), call.param(3))
         if mode is None:
-            return denied(f"set mode: there is no mode {call.param(2):g}/{call.param(3):g}")
+            return denied(f"set mode: there is no mode {call.param(2):g}/{call.param(3):g}; AVAILABLE_MODES lists them")
         return Reply(self._ctx.vehicle.set_mode(mode))
 
     def set_mode_message(self, base_mode: int, custom_mode: int) -> Answer:
         """Legacy SET_MODE."""
         mode = self._ctx.profile.mode_of(custom_mode) if base_mode & CUSTOM_MODE_FLAG else None
         if mode is None:
-            return denied(f"set mode: there is no mode {base_mode}/{custom_mode}").answer
+            return denied(f"set mode: there is no mode {base_mode}/{custom_mode}; AVAILABLE_MODES lists them").answer
         return self._ctx.vehicle.set_mode(mode)
 
     def do_set_standard_mode(self, call: Call) -> Reply:
@@ -224,7 +226,7 @@ class VehicleService:
         """SET_GPS_GLOBAL_ORIGIN: 1e-7 degrees and millimetres."""
         lat_deg, lon_deg = latitude / 1e7, longitude / 1e7
         if not _usable(lat_deg, lon_deg):
-            return denied(f"origin: {lat_deg:.7f}, {lon_deg:.7f} is no usable position").answer
+            return _no_place("origin", lat_deg, lon_deg).answer
         answer = self._ctx.vehicle.set_origin(GeoPoint(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=altitude / 1e3))
         if answer.result is CommandResult.ACCEPTED:
             self._ctx.announce_place = True
@@ -252,8 +254,14 @@ class VehicleService:
             if not math.isfinite(call.z):
                 alt_m = here.alt_m
         if not _usable(lat_deg, lon_deg):
-            return denied(f"{what}: {lat_deg:.7f}, {lon_deg:.7f} is no usable position")
+            return _no_place(what, lat_deg, lon_deg)
         return GeoPoint(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)
+
+
+def _no_place(what: str, lat_deg: float, lon_deg: float) -> Reply:
+    """Refuse a position that no local axes can be put at."""
+    text = f"{lat_deg:.7f}, {lon_deg:.7f} is no usable position; latitude goes to {MAX_LAT_DEG:g} deg, longitude to 180"
+    return denied(f"{what}: {text}")
 
 
 def _usable(lat_deg: float, lon_deg: float) -> bool:
