@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
@@ -25,6 +26,9 @@ TIGHT_CELL_M = 0.02
 """Cell of the second look, which finds passages that are open by centimetres when there is no other way."""
 
 MAX_CELLS = 40_000
+TILE_CELLS = 8
+"""Side of the tiles in which cells are looked at together."""
+
 OPEN_WATER_BORDER_M = 3.0
 """Without a workspace the grid covers start, goal and obstacles and this much beyond."""
 
@@ -128,7 +132,7 @@ class _Look:
         steps = max(2, math.ceil(length / min(FINEST_CELL_M, self.radius_m / 4.0)))
         steps = min(steps, 4000)
         share = np.linspace(0.0, 1.0, steps + 1)
-        clearance = self.features.clearance_m(a + share[:, None] * (b - a))
+        clearance = self.features.clearance_up_to_m(a + share[:, None] * (b - a), 2.0 * self.radius_m)
         need = np.full(steps + 1, self.radius_m)
         for end, along in ((0, share), (-1, 1.0 - share)):
             relief = along * length < ENDPOINT_RELIEF_M
@@ -168,8 +172,8 @@ class _Look:
     def _keeps_clear(self, band: FloatArray) -> bool:
         share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
         between = (band[:-1] + share * np.diff(band, axis=0)).reshape(-1, 2)
-        needed = min(self.radius_m, float(self.features.clearance_m(band).min())) - self._slack_m
-        return bool((self.features.clearance_m(between) >= needed).all())
+        needed = float(self.features.clearance_up_to_m(band, self.radius_m).min()) - self._slack_m
+        return bool((self.features.clearance_up_to_m(between, self.radius_m) >= needed).all())
 
     def _grid_for(self, start: FloatArray, goal: FloatArray) -> _Grid:
         grid = self._grid
@@ -182,9 +186,11 @@ class _Look:
         x = low[0] + cell * (np.arange(shape[0]) + 0.5)
         y = low[1] + cell * (np.arange(shape[1]) + 0.5)
         centers = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        chunks = [self.features.clearance_m(part) for part in np.array_split(centers, len(centers) // 4000 + 1)]
         # Between two cells that far from a corner, the longest edge (a knight's move) keeps the radius.
-        free = np.concatenate(chunks) >= math.hypot(self.radius_m, 0.5 * math.sqrt(5.0) * cell)
+        needed = math.hypot(self.radius_m, 0.5 * math.sqrt(5.0) * cell)
+        by_tile = _tile_order(shape)
+        free = np.empty(len(centers), dtype=bool)
+        free[by_tile] = self.features.clearance_up_to_m(centers[by_tile], needed) >= needed
         node_of_cell = np.full(len(centers), -1)
         node_of_cell[free] = np.arange(int(free.sum()))
         graph = _connect(node_of_cell.reshape(shape), cell, int(free.sum()))
@@ -224,6 +230,12 @@ class _Look:
         distance, previous = dijkstra(grid.graph, directed=True, indices=[node], return_predecessors=True)
         self._field = _Field(goal_m=goal.copy(), distance_m=distance[0], next_node=previous[0])
         return self._field
+
+
+def _tile_order(shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Numbers of all cells (rows * columns,), tile by tile of 8 x 8, so that neighbours stand together."""
+    row, column = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
+    return np.lexsort((column, row, column // TILE_CELLS, row // TILE_CELLS))
 
 
 def _covers(grid: _Grid, point: FloatArray) -> bool:

@@ -179,3 +179,21 @@ def test_of_many_obstacles_the_near_ones_are_the_same_as_without_culling() -> No
     assert margin == pytest.approx(features.clearance_m(points).min() - 0.3)
     room = (np.einsum("mks,ms->mk", normals, points[1:]) - offsets)[np.abs(normals).sum(axis=2) > 0.0]
     assert room.min() == pytest.approx(features.clearance_m(points[1:]).min() - 0.3)
+
+
+@given(st.integers(0, 10_000), st.floats(0.1, 3.0))
+def test_clearance_up_to_a_bound_is_the_clearance(seed: int, cap_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    circles = tuple(
+        Circle(center_ned_m=rng.uniform(-8.0, 8.0, 2), radius_m=float(rng.uniform(0.1, 1.0))) for _ in range(40)
+    )
+    tank = Polygon(vertices_ned_m=np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]]))
+    points = np.cumsum(rng.normal(0.0, 0.2, (200, 2)), axis=0)
+    for fence in (
+        Fence(exclusions=circles),
+        Fence(inclusions=(tank,), exclusions=circles),
+        Fence(exclusions=circles[:3]),
+    ):
+        features = Features(fence)
+        capped = features.clearance_up_to_m(points, cap_m)
+        assert np.allclose(capped, np.minimum(features.clearance_m(points), cap_m), atol=1e-12)
