@@ -27,6 +27,7 @@ from autopilot.goals import Goals
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
 from autopilot.watch import Watch
 from mission.geodesy import Origin
+from mission.items import ChangeSpeed, Jump, SetHeading, SetHome
 from mission.sequencer import Action, Sequencer
 from mission.store import Plans
 
@@ -310,8 +311,13 @@ class Commander:
 
     def _with_last_item(self, reached: tuple[int, ...]) -> tuple[int, ...]:
         """A plan that ends with DO_ items is over with the last of them: MAVSDK's progress waits for its number."""
-        last = len(self._mission) - 1
-        return reached if last in reached else (*reached, last)
+        steps = self._plans.steps()
+        last = len(steps) - 1
+        flown = max((*reached, self._sequencer.progress(self._t_us).reached_seq))
+        ends_with_orders = all(
+            isinstance(step, Jump | ChangeSpeed | SetHeading | SetHome) for step in steps[flown + 1 :]
+        )
+        return (*reached, last) if flown < last and ends_with_orders else reached
 
     def _disarm_when_surfaced(self, nav: NavState) -> None:
         if self.mode is FlightMode.SURFACE and nav.pos_ned_m[2] <= self._goals.top_m + SURFACED_M:

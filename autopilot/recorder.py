@@ -1,7 +1,7 @@
 """Feeds the log from the runtime: every tick's inputs, outputs and, in simulation, truth.
 
-A log describes its run (``run.json``, :mod:`autopilot.log.description`) at its start and again at every arming, because
-fence and mission usually come in between; readers take the last one.
+A log describes its run (``run.json``, :mod:`autopilot.log.description`) at its start, at every arming and whenever a plan
+comes while armed; readers take the last one.
 """
 
 from collections.abc import Callable, Sequence
@@ -59,6 +59,7 @@ class RunRecorder:
         open_log: Callable[[], RunLog],
         describe: Callable[[], RunDescription],
         *,
+        plan_revision: Callable[[], int],
         truth: TruthSource | None,
         per_arming: bool,
     ) -> None:
@@ -68,12 +69,13 @@ class RunRecorder:
         self._per_arming = per_arming
         self._armed = False
         self._log: RunLog | None = None if per_arming else open_log()
+        self._plan_revision = plan_revision
+        self._described = plan_revision()
         self.dropped = 0
 
     def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
         """Log one tick."""
-        if outputs.mode.armed != self._armed:
-            self._arming_changed(inputs.t_us, outputs.mode.armed)
+        self._describe_news(inputs.t_us, outputs.mode.armed)
         log = self._log
         if log is None:
             return
@@ -101,10 +103,14 @@ class RunRecorder:
             self._log.close()
             self._log = None
 
-    def _arming_changed(self, t_us: int, armed: bool) -> None:
+    def _describe_news(self, t_us: int, armed: bool) -> None:
+        """A description at every arming, and of every plan that comes while armed."""
+        begins = armed and not self._armed
         self._armed = armed
-        if not armed:
+        revision = self._plan_revision()
+        if not begins and not (armed and revision != self._described):
             return
+        self._described = revision
         if self._log is None:
             self._log = self._open_log()
         else:

@@ -15,7 +15,7 @@ from autopilot.compose import ServiceSetup, build_service, load_plan, revision, 
 from autopilot.config import Settings
 from autopilot.control.currents import CurrentForecast, EstimatedCurrent, MappedCurrent, NoCurrent
 from autopilot.core.camera import CameraModel
-from autopilot.core.errors import ConfigError
+from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.messages import CameraFrame, Outputs, Sample, ThrusterCommand
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
@@ -258,11 +258,20 @@ def _params(
     return params, persistent
 
 
+def _make_folder(folder: Path) -> None:
+    """The log folder, now and not at the first arming. LogError if it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(f"log folder {folder}: cannot be made ({error.strerror}); choose another place") from error
+
+
 def _recorder(settings: Settings, world: _World, parts: Parts, device: SimulatedDevice) -> RunRecorder:
     """The log: one file where ``--log`` says, else one per arming in the log folder."""
     fixed = settings["log"]
     folder = Path(settings["log_dir"])
     if fixed is None:
+        _make_folder(folder)
         recover_unfinished(folder)
 
     def describe() -> RunDescription:
@@ -292,4 +301,6 @@ def _recorder(settings: Settings, world: _World, parts: Parts, device: Simulated
             lossless=True,
         )
 
-    return RunRecorder(open_log, describe, truth=device, per_arming=fixed is None)
+    return RunRecorder(
+        open_log, describe, plan_revision=lambda: parts.plans.revision, truth=device, per_arming=fixed is None
+    )

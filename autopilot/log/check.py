@@ -14,6 +14,7 @@ import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
+from autopilot.core.messages import ProgressState
 from autopilot.log.analysis import (
     Flight,
     Visit,
@@ -161,6 +162,16 @@ def _missing(name: str, unit: str, limit: float | None) -> Row:
     return Row(name=name, unit=unit, limit=limit, worst=None, margin=None, verdict=Verdict.FAIL, note=note)
 
 
+FIRST_STATS_S = 1.5
+"""A log whose loop statistics (1 Hz) begin by then began with the service."""
+
+
+def _was_started(flight: Flight) -> bool:
+    """Whether the log shows a mission running; a log that does not tell counts as one."""
+    progress = flight.table("/mission/progress")
+    return progress is None or bool((progress["state"] == ProgressState.ACTIVE).any())
+
+
 def _mission_rows(flight: Flight, run: RunDescription) -> list[Row]:
     """Laps and waypoints."""
     if not run.waypoints:
@@ -171,6 +182,8 @@ def _mission_rows(flight: Flight, run: RunDescription) -> list[Row]:
     if run.accept.laps is not None:
         done, limit = float(len(spans)), float(run.accept.laps)
         verdict = Verdict.PASS if done >= limit else Verdict.FAIL
+        if not _was_started(flight):
+            return [_info("laps", "", 0.0, "the mission on board was not started")]
         rows.append(Row(name="laps", unit="", limit=limit, worst=done, margin=done - limit, verdict=verdict))
     for waypoint in run.waypoints:
         rows += _waypoint_rows([visit for visit in tour if visit.waypoint is waypoint])
@@ -308,7 +321,9 @@ def _health_rows(flight: Flight) -> list[Row]:
         rows.append(_count("failsafes raised", bits.bit_count(), f"bits {bits:#x}" if bits else ""))
     loop = flight.table("/sys/loop")
     if loop is not None:
-        rows.append(_count("loop overruns", int(loop["overruns"].max())))
+        # The counter runs since the service started, which may have been long before this log.
+        earlier = int(loop["overruns"][0]) if seconds(loop)[0] > FIRST_STATS_S else 0
+        rows.append(_count("loop overruns", int(loop["overruns"].max()) - earlier))
         rows.append(_info("longest tick", "ms", 1000.0 * float(loop["tick_s"].max())))
     dropped = int(loop["dropped_log"].max()) if loop is not None else 0
     rows.append(_count("log messages lost", max(dropped, sequence_gaps(flight.log))))

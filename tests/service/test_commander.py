@@ -1,5 +1,6 @@
 """Arming, modes and failsafes, tick by tick."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -203,3 +204,21 @@ def test_emergency_stop_always_works() -> None:
     assert bench.commander.disarm(force=True).result is OK
     assert not bench.run().armed
     assert "Emergency stop" in bench.texts
+
+
+def test_items_behind_a_return_are_not_reported_as_reached() -> None:
+    bench = Bench()
+    plan = paper_plan(1)
+    assert bench.plans.replace(PlanKind.FENCE, plan.fence) is None
+    first = plan.mission[0]
+    rtl = replace(first, seq=1, frame=2, command=20, param2=0.0, param4=0.0, x=0, y=0, z=0.0)
+    land = replace(rtl, seq=2, command=21)
+    assert bench.plans.replace(PlanKind.MISSION, (first, rtl, land)) is None
+    bench.armed()
+    assert bench.commander.start_mission(None).result is OK
+    reached: list[int] = []
+    for place in ([-1.6, -0.35, 0.45], [-1.0, 0.5, 0.45]):
+        bench.pos = np.array(place)
+        for _ in range(5):
+            reached += bench.run().reached
+    assert reached == [0, 1]
