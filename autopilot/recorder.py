@@ -1,7 +1,7 @@
 """Feeds the log from the runtime: every tick's inputs, outputs and, in simulation, truth.
 
-A log describes its run (``run.json``, :mod:`autopilot.log.description`) at its start, at every arming and whenever a plan
-comes while armed; readers take the last one.
+A log describes its run (``run.json``, :mod:`autopilot.log.description`) at its start, at every arming and whenever a
+plan comes while armed; readers take the last one.
 """
 
 from collections.abc import Callable, Sequence
