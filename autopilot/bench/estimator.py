@@ -49,14 +49,14 @@ CAMERA_SEEDS, SHORT_CAMERA_SEEDS = 3, 1
 """Flights with rendered pictures are several times slower."""
 WORKERS = 2
 
-STEADY_S = (8.0, 18.0)
+STEADY_S = (6.0, 15.0)
 """The vehicle has started and turned; every flight lasts at least so long."""
-SETTLED_S = (20.0, 30.0)
+SETTLED_S = (20.0, 28.0)
 """After 20 s the current has to be known."""
-BEFORE_GAPS_S = (20.0, 28.0)
-JET_GAPS_S = ((16.0, 17.0), (20.0, 22.0), (25.0, 30.0))
-UNIFORM_GAPS_S = ((28.0, 29.0), (32.0, 34.0), (37.0, 42.0))
-DRAG_GAPS_S = ((28.0, 33.0),)
+BEFORE_GAPS_S = (20.0, 26.0)
+JET_GAPS_S = ((14.0, 15.0), (18.0, 20.0), (23.0, 28.0))
+UNIFORM_GAPS_S = ((26.0, 27.0), (30.0, 32.0), (35.0, 40.0))
+DRAG_GAPS_S = ((26.0, 31.0),)
 AFTER_GAPS_S = 0.1
 
 UNIFORM = {"kind": "uniform", "velocity_m_s": [0.12, -0.06, 0.0]}

@@ -19,7 +19,7 @@ def bench(name: str | None, short: bool, as_json: bool) -> None:
     nmpc: CPU time of one control step for several grids, beside IPOPT on the same problems in the same run.
     sitl: speed against real time, CPU time per tick and memory, with a rendered camera and with pose samples.
     estimator: accuracy, honesty, gaps, outliers and delays of the estimator in flights of the whole vehicle, beside
-    what the project asks for; 20 seeds take over ten minutes, 3 (--short, or when no NAME is given) about two.
+    what the project asks for; 20 seeds take ten minutes, 3 (--short, or when no NAME is given) one and a half.
 
     Times depend on the machine: compare within one run.
     """
