@@ -1,7 +1,7 @@
 """How fast the machine is just now, so that figures of different days can be compared.
 
-The yardstick is one prediction of filterpy's extended Kalman filter with 16 states: pure Python and small arrays, as most
-of this service is. It took 4.5 us on the machine and day on which the project's figures for speed were set.
+The yardstick is one prediction of filterpy's extended Kalman filter with 16 states: pure Python and small arrays, as
+most of this service is. It took 4.5 us on the machine and day on which the project's figures for speed were set.
 """
 
 import time
