@@ -1,9 +1,13 @@
 """What a log says of its run: scenario, geometry, plan, bounds and parameters (``run.json``)."""
 
+import msgspec
+
+from autopilot.core.plan import PlanKind
 from autopilot.log.description import AcceptBounds, Obstacle, RunDescription, Waypoint, fence_shapes
 from autopilot.mavlink.api import FlightMode
 from autopilot.service import Parts
 from mission.items import GoTo, Jump
+from mission.store import Plans
 from sitl.scenario import Scenario
 from sitl.scenario_tables import CylinderObstacle
 
@@ -62,6 +66,11 @@ def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -
         mode_names={str(parts.server.custom_mode(mode)): mode.name for mode in FlightMode},
         parameters=dict(params),
     )
+
+
+def plans_json(plans: Plans) -> bytes:
+    """Mission, fence and rally points as they came over the wire, NaN as null (attachment ``plans.json``)."""
+    return msgspec.json.encode({kind.name.lower(): plans.items(kind) for kind in PlanKind})
 
 
 def _tour(parts: Parts) -> tuple[tuple[Waypoint, ...], int | None]:

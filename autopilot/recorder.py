@@ -4,7 +4,7 @@ A log describes its run (``run.json``, :mod:`autopilot.log.description`) at its 
 plan comes while armed; readers take the last one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from autopilot.core.messages import CameraFrame, Inputs, LoopStats, Outputs
@@ -57,7 +57,7 @@ class RunRecorder:
     def __init__(
         self,
         open_log: Callable[[], RunLog],
-        describe: Callable[[], RunDescription],
+        describe: Callable[[], tuple[RunDescription, Mapping[str, bytes]]],
         *,
         plan_revision: Callable[[], int],
         truth: TruthSource | None,
@@ -114,4 +114,4 @@ class RunRecorder:
         if self._log is None:
             self._log = self._open_log()
         else:
-            self._log.describe(t_us, self._describe())
+            self._log.describe(t_us, *self._describe())

@@ -19,7 +19,7 @@ from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.messages import CameraFrame, Outputs, Sample, ThrusterCommand
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.describe import describe_run
+from autopilot.describe import describe_run, plans_json
 from autopilot.log.description import RunDescription
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.session import RunLog, log_path, open_run_log
@@ -274,15 +274,17 @@ def _recorder(settings: Settings, world: _World, parts: Parts, device: Simulated
         _make_folder(folder)
         recover_unfinished(folder)
 
-    def describe() -> RunDescription:
-        return describe_run(world.scenario, parts, seed=world.seed, speed=world.speed)
+    def describe() -> tuple[RunDescription, dict[str, bytes]]:
+        description = describe_run(world.scenario, parts, seed=world.seed, speed=world.speed)
+        return description, {"plans.json": plans_json(parts.plans)}
 
     def open_log() -> RunLog:
         path = Path(fixed) if fixed is not None else log_path(folder, time.time_ns())
+        description, plans = describe()
         return open_run_log(
             path,
             epoch_ns=SITL_EPOCH_NS,
-            description=describe(),
+            description=description,
             metadata={
                 "version": __version__,
                 "revision": revision(),
@@ -297,6 +299,7 @@ def _recorder(settings: Settings, world: _World, parts: Parts, device: Simulated
                 "config.json": msgspec.json.encode(settings.values(), enc_hook=str),
                 "scenario.json": msgspec.json.encode(world.scenario),
                 "vehicle.json": msgspec.json.encode(parts.vehicle),
+                **plans,
             },
             lossless=True,
         )

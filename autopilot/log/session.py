@@ -114,10 +114,11 @@ class RunLog:
         """Finish the file. LogError if the disk failed on the way."""
         self._writer.close()
 
-    def describe(self, t_us: int, description: RunDescription) -> None:
-        """A newer description (plan and fence have come since the log began); readers take the last one."""
+    def describe(self, t_us: int, description: RunDescription, attachments: Mapping[str, bytes]) -> None:
+        """A newer description and what belongs to it (plans have come since the log began); readers take the last."""
         self._scene = scene_markers(description)
-        self._writer.attach(ATTACHMENT, t_us, to_json(description))
+        for name, data in {ATTACHMENT: to_json(description), **attachments}.items():
+            self._writer.attach(name, t_us, data)
 
     def inputs(self, inputs: Inputs) -> None:
         """Everything that goes into ``step``, in its order."""

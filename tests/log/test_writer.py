@@ -264,7 +264,7 @@ def test_the_last_description_counts(tmp_path: Path) -> None:
     later = replace(DESCRIPTION, scenario="later", obstacles=())
     for t_us in range(0, 3_000_000, 100_000):
         if t_us == 1_500_000:
-            log.describe(t_us, later)
+            log.describe(t_us, later, {"plans.json": str(t_us).encode()})
         log.outputs(outputs_at(t_us, truth_at(t_us * 1e-6), Run()))
     log.close()
     read = open_log(tmp_path / "a.mcap")
@@ -272,7 +272,7 @@ def test_the_last_description_counts(tmp_path: Path) -> None:
     marks = [len(m.value["markers"]) for m in read.messages("/viz/markers")]
     assert marks[0] == marks[1] == marks[2] + 4
     with (tmp_path / "a.mcap").open("rb") as file:
-        assert [a.name for a in make_reader(file).iter_attachments()] == ["run.json", "run.json"]
+        assert [a.name for a in make_reader(file).iter_attachments()] == ["run.json", "run.json", "plans.json"]
 
 
 def test_names_by_start_time(tmp_path: Path) -> None:

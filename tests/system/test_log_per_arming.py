@@ -1,5 +1,6 @@
 """Without --log every arming has a log of its own, closed when the vehicle is disarmed."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -42,3 +43,4 @@ def test_one_log_per_arming(tmp_path: Path) -> None:
         assert mode["armed"][-1] == 0
         assert mode["t_us"][0] * 1e-6 == pytest.approx(begin_s, abs=0.02)
         assert path.with_suffix(".tlog").exists()
+        assert set(json.loads(log.attachments["plans.json"])) == {"mission", "fence", "rally"}
