@@ -120,9 +120,20 @@ def ground_speed(cruise_m_s: float, tangent: complex, current: complex, water_li
     return max(SLOWEST_M_S, min(cruise_m_s, reachable))
 
 
+TURN_TIE_RAD = 0.2
+"""Ways round that differ by less than twice this are about equal: 0.4 s of turning at the yaw rate limit."""
+
+
 def turn_target(yaw_rad: float, goal_yaw_rad: float, previous_rad: float | None) -> float:
-    """The goal heading on the turn that is nearest; a choice once made is kept while the two ways are about equal."""
+    """The goal heading on the turn that is nearest.
+
+    Where both ways round are about equal, the one that leads back towards the first turn is taken, because a tether
+    winds up; a choice once made is kept.
+    """
     nearest = unwrap_near(goal_yaw_rad, yaw_rad)
+    other = nearest + math.copysign(2.0 * math.pi, yaw_rad - nearest)
+    if abs(other - yaw_rad) < math.pi + TURN_TIE_RAD and abs(other) < abs(nearest):
+        nearest = other
     if previous_rad is None or abs(wrap_pi(previous_rad - goal_yaw_rad)) > 1e-6:
         return nearest
     return previous_rad if abs(previous_rad - yaw_rad) < math.pi + TURN_HYSTERESIS_RAD else nearest

@@ -218,6 +218,17 @@ def test_half_turn_keeps_its_direction() -> None:
     assert turn_target(13.0, 0.5, None) == pytest.approx(0.5 + 4.0 * math.pi)
 
 
+def test_equal_ways_round_unwind_the_tether() -> None:
+    assert turn_target(math.pi, 0.0, None) == pytest.approx(0.0)
+    assert turn_target(-math.pi, 0.0, None) == pytest.approx(0.0)
+    assert turn_target(math.pi + 0.1, 0.0, None) == pytest.approx(0.0)
+    assert turn_target(math.pi + 0.3, 0.0, None) == pytest.approx(2.0 * math.pi)
+    yaw = 0.0
+    for goal in [math.pi, 0.0] * 10:
+        yaw = turn_target(yaw, goal, None)
+    assert yaw == pytest.approx(0.0)
+
+
 def test_station_keeping_balances_the_current_and_pulls_back() -> None:
     current, limit = np.array([0.15, -0.1, 0.0]), np.full(4, 12.0)
     held = np.array([1.0, 1.0, 0.5, 0.7, 0.0, 0.0, 0.0, 0.0])
