@@ -115,7 +115,7 @@ def _operate(session: Session, plan: PlanFile, *, total: int, show: Show) -> Non
     session.start_mission()
 
     def on_status(status: MissionStatus) -> None:
-        show(f"mission {status.state.name.lower()}", len(status.reached), total)
+        show(f"mission {status.state.name.lower()}", min(len(status.reached), total), total)
 
     status = session.watch_mission(on_status, timeout_s=FLIGHT_TIMEOUT_S)
     if status.state is not ProgressState.COMPLETE:

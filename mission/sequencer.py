@@ -341,10 +341,26 @@ class Sequencer:
             self._run.goal = replace(self._run.goal, speed_m_s=speed)
 
 
+SURE_SIGMAS = 3.0
+DOUBT_SHARE = 0.1
+"""Reached means surely reached: acceptance shrinks by so many standard deviations, but by this share at most."""
+
+_YAW_VARIANCE = 5
+"""Index in NavState.variance."""
+
+
 def is_inside(goal: Goal, nav: NavState) -> bool:
-    """Whether the estimate is valid and in the goal's acceptance ball and, if it has a heading, in its band."""
+    """Whether the vehicle is surely in the goal's acceptance ball and, if it has a heading, in its band."""
     if nav.health is NavHealth.INVALID:
         return False
-    if not float(np.linalg.norm(nav.pos_ned_m - goal.pos_ned_m)) <= goal.accept_radius_m:
+    radius_m = _shrunk(goal.accept_radius_m, float(nav.variance[:3].sum()))
+    if not float(np.linalg.norm(nav.pos_ned_m - goal.pos_ned_m)) <= radius_m:
         return False
-    return goal.yaw_rad is None or abs(wrap_pi(float(nav.rpy_rad[2]) - goal.yaw_rad)) <= goal.accept_yaw_rad
+    band_rad = _shrunk(goal.accept_yaw_rad, float(nav.variance[_YAW_VARIANCE]))
+    return goal.yaw_rad is None or abs(wrap_pi(float(nav.rpy_rad[2]) - goal.yaw_rad)) <= band_rad
+
+
+def _shrunk(limit: float, variance: float) -> float:
+    """An acceptance limit less what the estimate may be wrong by."""
+    doubt = SURE_SIGMAS * math.sqrt(variance) if variance >= 0.0 else math.inf
+    return limit - min(doubt, DOUBT_SHARE * limit)

@@ -17,7 +17,7 @@ from autopilot.core.plan import PlanItem
 from mission.decode import parse_step
 from mission.items import Command
 from mission.paper import paper_plan
-from mission.sequencer import Action, Sequencer, SequencerOutput
+from mission.sequencer import Action, Sequencer, SequencerOutput, is_inside
 
 TICK_US = 10_000
 S = ProgressState
@@ -395,3 +395,16 @@ def test_any_mission_comes_to_an_end_with_sane_outputs(specs: list[tuple], pause
         twin.fly(12_000)
         assert twin.reached == flight.reached
         assert np.array_equal(twin.pos, flight.pos)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 0.5))
+def test_reached_is_surely_reached(sigma_m: float, distance_m: float) -> None:
+    goal = Goal(pos_ned_m=np.zeros(3), yaw_rad=None, speed_m_s=0.3, accept_radius_m=0.3, accept_yaw_rad=0.15, seq=0)
+    variance = np.zeros(12)
+    variance[0] = sigma_m**2
+    seen = replace(nav(distance_m, 0.0, 0.0), variance=variance)
+    inside = is_inside(goal, seen)
+    if distance_m > 0.3 or (distance_m > 0.27 and distance_m + 3.0 * sigma_m > 0.3 + 1e-9):
+        assert not inside
+    if distance_m < 0.27:
+        assert inside
