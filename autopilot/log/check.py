@@ -113,18 +113,8 @@ def _at_most(
     worst = float(values[at])
     margin = limit - worst
     verdict = Verdict.PASS if margin >= 0.0 else Verdict.FAIL
-    return [
-        Row(
-            name=name,
-            unit=unit,
-            limit=limit,
-            worst=worst,
-            margin=margin,
-            verdict=verdict,
-            at_s=float(t_s[at]),
-            note=note,
-        )
-    ]
+    at_s = float(t_s[at])
+    return [Row(name=name, unit=unit, limit=limit, worst=worst, margin=margin, verdict=verdict, at_s=at_s, note=note)]
 
 
 def _at_least(
@@ -143,18 +133,8 @@ def _at_least(
     else:
         verdict = Verdict.PASS if worst >= limit else Verdict.WARN
     note = f"tol. {tolerance * 1000:.0f} mm" if tolerance else ""
-    return [
-        Row(
-            name=name,
-            unit=unit,
-            limit=limit,
-            worst=worst,
-            margin=margin,
-            verdict=verdict,
-            at_s=float(t_s[at]),
-            note=note,
-        )
-    ]
+    at_s = float(t_s[at])
+    return [Row(name=name, unit=unit, limit=limit, worst=worst, margin=margin, verdict=verdict, at_s=at_s, note=note)]
 
 
 def _missing(name: str, unit: str, limit: float | None) -> Row:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.messages import Severity
 from autopilot.mavlink.api import Answer, CommandResult
-from autopilot.mavlink.context import SEVERITY_WARNING, Context, Peer
+from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.wire import Message
 
 REPEAT_US = 10_000_000
@@ -164,7 +165,7 @@ class Commands:
         for message in reply.messages:
             self._ctx.send(peer.link, message)
         if reply.answer.reason and reply.answer.result is not CommandResult.ACCEPTED:
-            self._ctx.say(SEVERITY_WARNING, reply.answer.reason, peer.link)
+            self._ctx.say(Severity.WARNING, reply.answer.reason, peer.link)
 
     def _ack(self, peer: Peer, command: int, answer: Answer) -> None:
         self._ctx.send(

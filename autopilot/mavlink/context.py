@@ -17,9 +17,6 @@ from autopilot.mavlink.wire import LinkEncoder, LinkParser, Message
 COMPID = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 
-SEVERITY_ERROR, SEVERITY_WARNING, SEVERITY_NOTICE, SEVERITY_INFO = 3, 4, 5, 6
-"""MAV_SEVERITY (common.xml)."""
-
 MAX_TEXT_CHARS = 600
 """Longest text that is sent (12 chunks)."""
 _CHUNK_CHARS = 50

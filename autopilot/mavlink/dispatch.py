@@ -4,12 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import Event, MavlinkFrame
+from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, VehicleCommands, VehicleView
 from autopilot.mavlink.commands import Commands
-from autopilot.mavlink.context import COMPID, SEVERITY_INFO, SEVERITY_WARNING, Context, Identity, Peer
+from autopilot.mavlink.context import COMPID, Context, Identity, Peer
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.parameters import Parameters
 from autopilot.mavlink.profiles import Profile
@@ -189,7 +189,7 @@ class Dispatcher:
             del self._greeted[next(iter(self._greeted))]
         self._greeted[peer] = None
         identity = self._ctx.identity
-        self._ctx.text(SEVERITY_INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer.link)
+        self._ctx.text(Severity.INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer.link)
 
     def _say_heartbeat(self) -> None:
         """1 Hz, and at once when armed state or mode change."""
@@ -233,7 +233,7 @@ class Dispatcher:
     def _explain(self, peer: Peer, answer: Answer) -> None:
         """Messages without acknowledgement say a refusal as text."""
         if answer.result is not CommandResult.ACCEPTED and answer.reason:
-            self._ctx.say(SEVERITY_WARNING, answer.reason, peer.link)
+            self._ctx.say(Severity.WARNING, answer.reason, peer.link)
 
 
 __all__ = ["Dispatcher", "Identity"]

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.messages import Severity
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
 from autopilot.mavlink import home_item
-from autopilot.mavlink.context import SEVERITY_INFO, SEVERITY_WARNING, Context, Peer
+from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.wire import Message
 
 RETRY_US = 300_000
@@ -109,7 +110,7 @@ class Missions:
         if msg.count > MAX_ITEMS + home_item.shift(ctx, kind):
             self._ack(peer, MissionResult.NO_SPACE, kind)
             reason = f"{msg.count} items, at most {MAX_ITEMS} fit; send a shorter plan"
-            ctx.say(SEVERITY_WARNING, f"{kind.name.capitalize()} upload refused: {reason}", peer.link)
+            ctx.say(Severity.WARNING, f"{kind.name.capitalize()} upload refused: {reason}", peer.link)
             return
         self._upload = Upload(peer, kind, msg.count, ctx.t_us, ctx.t_us)
         if msg.count == 0:
@@ -169,7 +170,7 @@ class Missions:
             self._end(upload, MissionResult.UNSUPPORTED, reason)
         else:
             self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
-            self._ctx.say(SEVERITY_WARNING, reason, peer.link)
+            self._ctx.say(Severity.WARNING, reason, peer.link)
 
     def _item_out_of_turn(self, upload: Upload, msg: Message) -> None:
         """A repeated item is passed over; one from the future makes us ask again for the one that is due."""
@@ -214,7 +215,7 @@ class Missions:
             return
         self.revision += 1
         self._end(upload, MissionResult.ACCEPTED, "")
-        ctx.say(SEVERITY_INFO, f"{upload.kind.name.capitalize()} plan accepted: {len(items)} items")
+        ctx.say(Severity.INFO, f"{upload.kind.name.capitalize()} plan accepted: {len(items)} items")
 
     def _end(self, upload: Upload, result: MissionResult, reason: str) -> None:
         """Close the transfer with its answer; a refusal leaves the plan in force."""
@@ -224,7 +225,7 @@ class Missions:
         self._ack(upload.peer, result, upload.kind)
         if reason:
             text = f"{upload.kind.name.capitalize()} upload refused: {reason}"
-            self._ctx.say(SEVERITY_WARNING, text, upload.peer.link)
+            self._ctx.say(Severity.WARNING, text, upload.peer.link)
 
     def _denied(self, peer: Peer, kind: PlanKind) -> bool:
         """Whether another client's open upload keeps this one out; it is told so."""
@@ -233,7 +234,7 @@ class Missions:
             return False
         self._ack(peer, MissionResult.DENIED, kind)
         self._ctx.say(
-            SEVERITY_WARNING,
+            Severity.WARNING,
             f"{kind.name.capitalize()} change denied: client {upload.peer.sysid}/{upload.peer.compid} is uploading, "
             "try again later",
             peer.link,
@@ -261,11 +262,11 @@ class Missions:
             refusal = self._ctx.plans.replace(kind, ())
             if refusal is not None:
                 self._ack(peer, refusal.result, msg.mission_type)
-                self._ctx.say(SEVERITY_WARNING, f"{kind.name.capitalize()} not cleared: {refusal.reason}", peer.link)
+                self._ctx.say(Severity.WARNING, f"{kind.name.capitalize()} not cleared: {refusal.reason}", peer.link)
                 return
             self.revision += 1
         self._ack(peer, MissionResult.ACCEPTED, msg.mission_type)
-        self._ctx.log(SEVERITY_INFO, "cleared: " + ", ".join(kind.name.lower() for kind in kinds))
+        self._ctx.log(Severity.INFO, "cleared: " + ", ".join(kind.name.lower() for kind in kinds))
 
     # Download
 
@@ -328,7 +329,7 @@ class Missions:
         if upload is not None and upload.peer == peer and upload.kind is kind:
             if msg.type != MissionResult.ACCEPTED:
                 self._upload = None
-                self._ctx.log(SEVERITY_INFO, f"{kind.name.lower()} upload cancelled by the client")
+                self._ctx.log(Severity.INFO, f"{kind.name.lower()} upload cancelled by the client")
             return
         self._downloads.pop((peer, kind), None)
 

@@ -6,8 +6,9 @@ import struct
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.messages import Severity
 from autopilot.core.params import ParamSpec, ParamType
-from autopilot.mavlink.context import SEVERITY_INFO, SEVERITY_WARNING, Context, Peer
+from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.profiles import ParamEncoding
 from autopilot.mavlink.wire import Message
 
@@ -104,7 +105,7 @@ class Parameters:
         spec = ctx.params.spec(name)
         if not self._type_fits(spec, msg.param_type):
             self._refuse(peer, name, self._index[name], _TYPE_MISMATCH)
-            ctx.say(SEVERITY_WARNING, f"parameter {name} is {spec.type.value}: other types are refused", peer.link)
+            ctx.say(Severity.WARNING, f"parameter {name} is {spec.type.value}: other types are refused", peer.link)
         else:
             self._change(peer, name, decode(msg.param_value, spec.type, ctx.profile.param_encoding))
         ctx.broadcast(self.value(name))
@@ -121,11 +122,11 @@ class Parameters:
             ctx.params.set(name, value)
         except ConfigError as error:
             self._refuse(peer, name, self._index[name], _OUT_OF_RANGE)
-            ctx.say(SEVERITY_WARNING, str(error), peer.link)
+            ctx.say(Severity.WARNING, str(error), peer.link)
             return
         if ctx.params[name] != before:
             self.changed = True
-            ctx.log(SEVERITY_INFO, f"parameter {name} = {ctx.params[name]:g} (was {before:g})")
+            ctx.log(Severity.INFO, f"parameter {name} = {ctx.params[name]:g} (was {before:g})")
 
     def _refuse(self, peer: Peer, name: str, index: int, error: int) -> None:
         self._ctx.send(

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import ProgressState
+from autopilot.core.messages import ProgressState, Severity
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode
-from autopilot.mavlink.context import SEVERITY_WARNING, Context, Peer
+from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.wire import Message
 
@@ -64,7 +64,7 @@ class Progress:
         if answer.result is CommandResult.ACCEPTED:
             self._chosen_us = self._ctx.t_us
         else:
-            self._ctx.say(SEVERITY_WARNING, answer.reason or f"mission item {msg.seq} refused", peer.link)
+            self._ctx.say(Severity.WARNING, answer.reason or f"mission item {msg.seq} refused", peer.link)
 
     def tick(self, reached: Sequence[int]) -> None:
         """Tell every link what has been reached, and what has changed."""

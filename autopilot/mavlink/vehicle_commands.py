@@ -5,11 +5,12 @@ from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.messages import Severity
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
 from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
-from autopilot.mavlink.context import SEVERITY_INFO, SEVERITY_WARNING, Context
+from autopilot.mavlink.context import Context
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG, STANDARD_MODES
 from autopilot.mavlink.progress import Progress
 from autopilot.mavlink.telemetry import Telemetry
@@ -128,9 +129,9 @@ class VehicleService:
             )
         if view.prearm_reasons:
             for reason in view.prearm_reasons:
-                self._ctx.say(SEVERITY_WARNING, f"Arming check: {reason}", call.peer.link)
+                self._ctx.say(Severity.WARNING, f"Arming check: {reason}", call.peer.link)
         else:
-            self._ctx.say(SEVERITY_INFO, "Arming checks passed", call.peer.link)
+            self._ctx.say(Severity.INFO, "Arming checks passed", call.peer.link)
         return Reply(ACCEPTED)
 
     # Mission
@@ -181,7 +182,7 @@ class VehicleService:
         if answer.result is CommandResult.ACCEPTED and speed_m_s > 0.0:
             speed = ctx.vehicle.change_speed(speed_m_s)
             if speed.reason:
-                ctx.say(SEVERITY_WARNING, speed.reason, call.peer.link)
+                ctx.say(Severity.WARNING, speed.reason, call.peer.link)
         return Reply(answer)
 
     def change_speed(self, call: Call) -> Reply:
