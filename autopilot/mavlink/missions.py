@@ -189,7 +189,8 @@ class Missions:
     def _stray_item(self, peer: Peer, msg: Message) -> None:
         """An item outside an upload: late (repeat the answer), or nobody asked for it."""
         done, now_us = self._finished, self._ctx.t_us
-        if done is None or done.peer != peer or done.kind != msg.mission_type or now_us - done.at_us > REPEAT_US:
+        late_us = REPEAT_US * self._ctx.patience
+        if done is None or done.peer != peer or done.kind != msg.mission_type or now_us - done.at_us > late_us:
             self._ack(peer, MissionResult.ERROR, msg.mission_type)
             return
         if msg.seq == done.count - 1 and now_us - done.said_us >= REPEAT_PAUSE_US:
