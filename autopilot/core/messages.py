@@ -87,7 +87,21 @@ class PowerSample:
     """0..1"""
 
 
-Sample: TypeAlias = AhrsSample | MarkerSighting | PoseSample | LaserSample | PowerSample
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ObstacleTrack:
+    """An obstacle that something on board or outside has seen, as an upright cylinder. ``t_us``: time of validity."""
+
+    t_us: int
+    track_id: int
+    """Same obstacle, same number."""
+    pos_ned_m: FloatArray
+    """(2,) north, east of its axis."""
+    vel_ned_m_s: FloatArray
+    """(2,) over ground; zero for one that stands."""
+    radius_m: float
+
+
+Sample: TypeAlias = AhrsSample | MarkerSighting | PoseSample | LaserSample | PowerSample | ObstacleTrack
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -192,6 +206,8 @@ class Goal:
     accept_yaw_rad: float
     seq: int
     """Mission item, -1 when the goal is not of a mission."""
+    following: "Goal | None" = None
+    """Where it goes on to from here without a stop, None = it stays."""
 
 
 class ProgressState(IntEnum):
