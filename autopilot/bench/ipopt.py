@@ -26,10 +26,11 @@ class IpoptNmpc:
         n = self._n = grid.n
         self._planes = planes
         x, u, s = ca.MX.sym("x", NX, n), ca.MX.sym("u", NU, n), ca.MX.sym("s", ocp.N_SLACKS, n - 1)
-        shapes = ((NX, 1), (NX, n + 1), (3, n), (NX + NU, 1), (ocp.N_LIMITS, 1), (NU, 1), (2, planes * (n - 1)))
-        parameters = [ca.MX.sym(f"p{i}", *shape) for i, shape in enumerate((*shapes, (planes, n - 1)))]
-        x0, x_ref, current, weights, limits, thrust_limit, plane_n, plane_d = parameters
-        q, r = weights[:NX], weights[NX:]
+        shapes = {"x0": (NX, 1), **ocp.argument_shapes(n, planes)}
+        self._names = [name for name in shapes if not name.endswith("_guess")]
+        self._shapes = {name: shapes[name] for name in self._names}
+        parameters = [ca.MX.sym(name, *shape) for name, shape in self._shapes.items()]
+        x0, x_ref, u_ref, current, weight_x, weight_u, terminal, limits, thrust_limit, plane_n, plane_d = parameters
         cost: Any = 0.0
         gaps: list[Any] = []
         rows: list[Any] = []
@@ -38,27 +39,26 @@ class IpoptNmpc:
             scale = dt / REFERENCE_DT_S
             step = ocp.discrete_dynamics(model, float(dt), substeps)
             gaps.append(step(state, u[:, k], current[:, k])[0] - x[:, k])
-            steady = ocp.steady_thrust(model, x_ref[U:, k])
-            u_ref = ca.fmax(-thrust_limit, ca.fmin(thrust_limit, steady))
-            cost += 0.5 * scale * ca.dot(r * (u[:, k] - u_ref), u[:, k] - u_ref)
+            thrust = u[:, k] - ca.fmax(-thrust_limit[:, k], ca.fmin(thrust_limit[:, k], u_ref[:, k]))
+            cost += 0.5 * scale * ca.dot(weight_u[:, k] * thrust, thrust)
             if k > 0:
-                error, slack = state - x_ref[:, k], s[:, k - 1]
-                cost += 0.5 * scale * ca.dot(q * error, error)
+                error, slack, limit = state - x_ref[:, k], s[:, k - 1], limits[:, k - 1]
+                cost += 0.5 * scale * ca.dot(weight_x[:, k - 1] * error, error)
                 cost += scale * (ocp.SLACK_L1 * ca.sum1(slack) + 0.5 * ocp.SLACK_L2 * ca.sumsqr(slack))
                 normals = plane_n[:, (k - 1) * planes : k * planes]
                 rows += [
-                    ca.sqrt(state[U] ** 2 + state[V] ** 2 + 1e-12) - limits[0] - slack[0],
-                    state[W] - limits[1] - slack[0],
-                    -state[W] - limits[1] - slack[0],
-                    state[R] - limits[2] - slack[0],
-                    -state[R] - limits[2] - slack[0],
-                    limits[3] - state[Z] - slack[1],
-                    state[Z] - limits[4] - slack[1],
+                    ca.sqrt(state[U] ** 2 + state[V] ** 2 + 1e-12) - limit[0] - slack[0],
+                    state[W] - limit[1] - slack[0],
+                    -state[W] - limit[1] - slack[0],
+                    state[R] - limit[2] - slack[0],
+                    -state[R] - limit[2] - slack[0],
+                    limit[3] - state[Z] - slack[1],
+                    state[Z] - limit[4] - slack[1],
                     plane_d[:, k - 1] - ca.mtimes(normals.T, state[:2]) - slack[1],
                 ]
             state = x[:, k]
         error = state - x_ref[:, n]
-        cost += 0.5 * ocp.TERMINAL_STAGES * ca.dot(q * error, error)
+        cost += 0.5 * ca.bilin(terminal, error, error)
         variables = ca.vertcat(ca.vec(x), ca.vec(u), ca.vec(s))
         constraints = ca.vertcat(*gaps, *rows)
         p = ca.vertcat(*(ca.vec(v) for v in parameters))
@@ -83,24 +83,28 @@ class IpoptNmpc:
         n = self._n
         width = NX * n + NU * n + ocp.N_SLACKS * (n - 1)
         lower, upper = np.full(width, -np.inf), np.full(width, np.inf)
-        bound = np.tile(problem.thrust_limit_n, n)
-        lower[NX * n : NX * n + NU * n], upper[NX * n : NX * n + NU * n] = -bound, bound
-        lower[NX * n + NU * n :] = 0.0
+        values = (
+            problem.x0,
+            problem.x_ref,
+            problem.thrust_ref_n,
+            problem.current_ned_m_s,
+            problem.weight_x,
+            problem.weight_u,
+            problem.terminal,
+            problem.limits,
+            problem.thrust_limit_n,
+            problem.plane_n.reshape(-1, 2),
+            problem.plane_d_m,
+        )
         parameters = np.concatenate(
             [
-                np.ravel(v)
-                for v in (
-                    problem.x0,
-                    problem.x_ref,
-                    problem.current_ned_m_s,
-                    problem.weights,
-                    problem.limits,
-                    problem.thrust_limit_n,
-                    problem.plane_n,
-                    problem.plane_d_m,
-                )
+                np.broadcast_to(value, (columns, rows) if value.ndim == 2 or columns > 1 else (rows,)).ravel()
+                for value, (rows, columns) in zip(values, self._shapes.values(), strict=True)
             ]
         )
+        bound = np.broadcast_to(problem.thrust_limit_n, (n, NU)).ravel()
+        lower[NX * n : NX * n + NU * n], upper[NX * n : NX * n + NU * n] = -bound, bound
+        lower[NX * n + NU * n :] = 0.0
         guess = np.zeros(width) if self._guess is None else self._guess
         answer = self._solver(x0=guess, lbx=lower, ubx=upper, lbg=self._lbg, ubg=self._ubg, p=parameters)
         z = answer["x"].full().ravel()

@@ -40,14 +40,20 @@ class NmpcProblem:
     """(8,) present state, yaw on the same turn as the references."""
     x_ref: FloatArray
     """(N+1, 8)"""
+    thrust_ref_n: FloatArray
+    """(N, 4), cut to the bounds inside."""
     current_ned_m_s: FloatArray
     """(N, 3) per stage."""
-    weights: FloatArray
-    """(12,) state and thrust."""
+    weight_x: FloatArray
+    """(8,) or (N-1, 8) on the state at nodes 1 .. N-1, per REFERENCE_DT_S."""
+    weight_u: FloatArray
+    """(4,) or (N, 4) on the thrust, per REFERENCE_DT_S."""
+    terminal: FloatArray
+    """(8, 8) Hessian of the terminal cost, positive semidefinite."""
     limits: FloatArray
-    """(5,) planar speed, heave, yaw rate, depth minimum, depth maximum."""
+    """(5,) or (N-1, 5): planar speed, heave, yaw rate, depth minimum, depth maximum at nodes 1 .. N-1."""
     thrust_limit_n: FloatArray
-    """(4,)"""
+    """(4,) or (N, 4)"""
     plane_n: FloatArray
     """(N-1, PLANES, 2) unit normals of the half-planes n . p >= d at stages 1 .. N-1; zero = unused."""
     plane_d_m: FloatArray
@@ -68,6 +74,8 @@ class NmpcResult:
     slack_max: float
     gap_max: float
     """How far the guess was from satisfying the dynamics."""
+    penalty_use: float
+    """Largest multiplier of a soft constraint over the penalty's slope: above 0 a limit is touched, at 1 given up."""
 
 
 class QpStep:
@@ -77,31 +85,15 @@ class QpStep:
         n = grid.n
         self.backend = backend
         function = _build(dataclasses.astuple(model), _grid_key(grid), planes, backend)
-        self.x_guess = np.zeros((n + 1, NX))
-        self.u_guess = np.zeros((n, NU))
-        self.x_ref = np.zeros((n + 1, NX))
-        self.current = np.zeros((n, 3))
-        self.weights = np.zeros(NX + NU)
-        self.limits = np.zeros(ocp.N_LIMITS)
-        self.thrust_limit = np.zeros(NU)
-        self.plane_n = np.zeros((n - 1, planes, 2))
-        self.plane_d = np.zeros((n - 1, planes))
+        arguments = [np.zeros(shape[::-1]) for shape in ocp.argument_shapes(n, planes).values()]
+        self.x_guess, self.u_guess, self.x_ref, self.u_ref, self.current = arguments[:5]
+        self.weight_x, self.weight_u, self.terminal, self.limits, self.thrust_limit = arguments[5:10]
+        self.plane_n, self.plane_d = arguments[10].reshape(n - 1, planes, 2), arguments[11]
         self.x = np.zeros((n + 1, NX))
         self.u = np.zeros((n, NU))
         self.slack = np.zeros((n - 1, ocp.N_SLACKS))
-        self.figures = np.zeros(5)
+        self.figures = np.zeros(6)
         self._multipliers = np.zeros(function.nnz_out("multipliers"))
-        arguments = (
-            self.x_guess,
-            self.u_guess,
-            self.x_ref,
-            self.current,
-            self.weights,
-            self.limits,
-            self.thrust_limit,
-            self.plane_n,
-            self.plane_d,
-        )
         results = (self.x, self.u, self.slack, self.figures, self._multipliers)
         self._owner, self._evaluate = ocp.bind(function, arguments, results)
 
@@ -134,7 +126,10 @@ def passes_self_test(step: QpStep) -> bool:
     step.u_guess[:] = 0.0
     step.x_ref[:] = step.x_guess
     step.x_ref[:, 0] = 1.0
-    step.weights[:] = [20.0, 20.0, 40.0, 3.0, 1.0, 1.0, 1.0, 0.5, 0.02, 0.02, 0.02, 0.02]
+    step.u_ref[:] = 0.0
+    step.weight_x[:] = [20.0, 20.0, 40.0, 3.0, 1.0, 1.0, 1.0, 0.5]
+    step.weight_u[:] = 0.02
+    step.terminal[:] = ocp.TERMINAL_STAGES * np.diag(step.weight_x[0])
     step.limits[:] = [0.5, 0.25, 1.0, 0.0, 1.2]
     step.thrust_limit[:] = 12.0
     step.plane_n[:] = 0.0
@@ -216,8 +211,11 @@ class Nmpc:
         step.x_guess[0] = problem.x0
         step.u_guess[:] = self.u
         step.x_ref[:] = problem.x_ref
+        step.u_ref[:] = problem.thrust_ref_n
         step.current[:] = problem.current_ned_m_s
-        step.weights[:] = problem.weights
+        step.weight_x[:] = problem.weight_x
+        step.weight_u[:] = problem.weight_u
+        step.terminal[:] = problem.terminal
         step.limits[:] = problem.limits
         step.thrust_limit[:] = problem.thrust_limit_n
         step.plane_n[:] = problem.plane_n
@@ -227,7 +225,7 @@ class Nmpc:
             step.evaluate()
         except RuntimeError:
             status = SolveStatus.EXCEPTION
-        cost, violation, gap, overshoot, total = step.figures.tolist()
+        cost, violation, gap, overshoot, total, use = step.figures.tolist()
         if status is SolveStatus.OK:
             if not math.isfinite(total + gap):
                 status = SolveStatus.NOT_FINITE
@@ -243,4 +241,5 @@ class Nmpc:
             cost=cost,
             slack_max=float(step.slack.max()),
             gap_max=gap,
+            penalty_use=use,
         )

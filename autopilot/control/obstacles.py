@@ -186,32 +186,35 @@ class Features:
         self,
         points_ned_m: FloatArray,
         t_s: FloatArray,
-        radius_m: float,
+        radius_m: FloatArray | float,
         slots: int,
         normals: FloatArray,
         offsets: FloatArray,
     ) -> float:
         """Fill ``normals`` (m, slots, 2) and ``offsets`` (m, slots) with the nearest features at predicted points.
 
-        ``points_ned_m`` (m + 1, 2) begins with the present position, ``t_s`` (m + 1,) are their times. A boundary that
-        is violated now is asked for at RECOVERY_M_S and not at once, so that other limits are kept on the way back.
-        Unused slots get a zero normal and offset -1, which is always satisfied. Returns the smallest clearance beyond
-        ``radius_m`` over all points (of many features, those within NEAR_M are looked at).
+        ``points_ned_m`` (m + 1, 2) begins with the present position, ``t_s`` (m + 1,) are their times. ``radius_m``,
+        a number or (m,), is what predicted positions keep from a boundary (the present one as the first). A boundary
+        that is violated now is asked for at RECOVERY_M_S and not at once, so that other limits are kept on the way
+        back. Unused slots get a zero normal and offset -1, which is always satisfied. Returns the smallest clearance
+        beyond ``radius_m`` over all points (of many features, those within NEAR_M are looked at).
         """
         if self.count == 0:
             normals[:], offsets[:] = 0.0, -1.0
             return FAR_M
         points = _complex(points_ned_m)
+        radius_m = np.broadcast_to(np.asarray(radius_m, dtype=float), len(points) - 1)
         keep: NDArray[np.intp] | slice = slice(None)
         if self.count > MANY_FEATURES:
-            keep = self._within(points, radius_m + NEAR_M)
+            keep = self._within(points, float(radius_m.max()) + NEAR_M)
             if len(keep) == 0:
                 normals[:], offsets[:] = 0.0, -1.0
                 return NEAR_M
         distance, normal, offset = self.nearest(points, keep)
-        margin = float(distance.min()) - radius_m
-        if margin < 0.0 and distance[0].min() < radius_m:
-            offset -= np.maximum(radius_m - distance[0] - RECOVERY_M_S * t_s[:, None], 0.0)
+        now_m = float(radius_m[0])
+        margin = min(float(distance[0].min()) - now_m, float((distance[1:].min(axis=1) - radius_m).min()))
+        if margin < 0.0 and distance[0].min() < now_m:
+            offset -= np.maximum(now_m - distance[0] - RECOVERY_M_S * t_s[:, None], 0.0)
         distance, normal, offset = distance[1:], normal[1:], offset[1:]
         used = min(distance.shape[1], slots)
         if distance.shape[1] > slots:
@@ -223,7 +226,7 @@ class Features:
             normals[:, used:], offsets[:, used:] = 0.0, -1.0
         slots_of_normals = normals.view(np.complex128)[..., 0]
         slots_of_normals[:, :used] = normal
-        offsets[:, :used] = offset + radius_m
+        offsets[:, :used] = offset + radius_m[:, None]
         if distance.max() >= FAR_M:
             silent = distance >= FAR_M
             slots_of_normals[:, :used][silent] = 0.0

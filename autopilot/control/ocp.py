@@ -10,10 +10,12 @@ residuals are linear in state and input, so the Hessian is exact up to the curva
 * hard: thrust, per thruster
 * soft with an exact penalty (L1 + L2 on the slack): planar speed, heave, yaw rate, depth band, half-planes
 * planar speed: the Euclidean norm (u, v), as the tangent of the circle in the direction of the guess
-* terminal cost: 20 stages' worth of the state weights, a tail of 2 s at the rate of the running cost. That is what an
-  LQR tail gives for a loop that settles with a time constant of 4 s; it is independent of heading, which the DARE
-  solution at hover is not (position is in the world frame, velocity in the body frame), and it needs no equilibrium at
-  which to linearise when the horizon ends in the middle of a leg.
+* terminal cost: any symmetric matrix; :data:`TERMINAL_STAGES` of the state weights where nothing better is known, a
+  tail of 2 s at the rate of the running cost. That is what an LQR tail gives for a loop that settles with a time
+  constant of 4 s; it is independent of heading, which the DARE solution at hover is not (position is in the world
+  frame, velocity in the body frame), and it needs no equilibrium where the horizon ends within a leg.
+
+Weights, limits and bounds are given per node, so that margins may grow along the prediction.
 """
 
 from collections.abc import Callable, Sequence
@@ -104,32 +106,44 @@ def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Fu
     return ca.Function("interval", [x, u, c], [state, a, b])
 
 
-def steady_thrust(model: model4.Model4, nu: Any) -> Any:
-    """Thrust (4,) that holds the velocity ``nu`` = (u, v, w, r): drag, buoyancy and Munk moment against T_A tau."""
-    acceleration = model4.body_acceleration(model, ca.vertsplit(nu), [0.0] * NU, ca)
-    force = -ca.vertcat(*(m * a for m, a in zip(model.mass_kg, acceleration, strict=True)))
-    return ca.mtimes(ca.inv(ca.DM([list(row) for row in model.allocation])), force)
+def argument_shapes(n: int, planes: int) -> dict[str, tuple[int, int]]:
+    """Arguments of the step and their shapes (rows, columns), in order.
+
+    State and thrust of the guess and of the reference, current, weights per node (8 at nodes 1 .. N-1, 4 at 0 .. N-1,
+    per :data:`REFERENCE_DT_S`), Hessian of the terminal cost, limits at nodes 1 .. N-1, thrust bounds, half-planes at
+    nodes 1 .. N-1.
+    """
+    return {
+        "x_guess": (NX, n + 1),
+        "u_guess": (NU, n),
+        "x_ref": (NX, n + 1),
+        "u_ref": (NU, n),
+        "current": (3, n),
+        "weight_x": (NX, n - 1),
+        "weight_u": (NU, n),
+        "terminal": (NX, NX),
+        "limits": (N_LIMITS, n - 1),
+        "thrust_limit": (NU, n),
+        "plane_n": (2, planes * (n - 1)),
+        "plane_d": (planes, n - 1),
+    }
 
 
 def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: QpBackend) -> ca.Function:
     """The control step as a function.
 
-    Arguments: x_guess (8, N+1) whose first column is the present state, u_guess (4, N), x_ref (8, N+1),
-    current (3, N), weights (8 + 4: state, thrust), limits (5), thrust_limit (4), plane_n (2, planes * (N-1)),
-    plane_d (planes, N-1). Results: x (8, N+1), u (4, N), slack (2, N-1), figures (5: cost, largest violation of a QP
-    row, largest gap of the guess, largest overshoot of a thrust bound before it was clipped, sum of the step: not
-    finite when any of it is not), multipliers.
+    Arguments: see :func:`argument_shapes`; the first column of x_guess is the present state. Results: x (8, N+1),
+    u (4, N), slack (2, N-1), figures (6: cost, largest violation of a QP row, largest gap of the guess, largest
+    overshoot of a thrust bound before it was clipped, sum of the step: not finite when any of it is not, largest
+    multiplier of a soft row as a share of the penalty), multipliers.
     """
     n = grid.n
-    xg, ug = ca.SX.sym("xg", NX, n + 1), ca.SX.sym("ug", NU, n)
-    xref, cur = ca.SX.sym("xref", NX, n + 1), ca.SX.sym("cur", 3, n)
-    weights, limits, tlim = ca.SX.sym("w", NX + NU), ca.SX.sym("lim", N_LIMITS), ca.SX.sym("tlim", NU)
-    plane_n, plane_d = ca.SX.sym("pn", 2, planes * (n - 1)), ca.SX.sym("pd", planes, n - 1)
-    arguments = [xg, ug, xref, cur, weights, limits, tlim, plane_n, plane_d]
-    names = ["x_guess", "u_guess", "x_ref", "current", "weights", "limits", "thrust_limit", "plane_n", "plane_d"]
+    shapes = argument_shapes(n, planes)
+    names = list(shapes)
+    arguments = [ca.SX.sym(name, *shape) for name, shape in shapes.items()]
+    xg, ug, xref, uref, cur, weight_x, weight_u, terminal, limits, tlim, plane_n, plane_d = arguments
 
     scale = [dt / REFERENCE_DT_S for dt in grid.dt_s]
-    q, r = weights[:NX], weights[NX:]
     intervals: dict[tuple[float, int], ca.Function] = {}
     blocks: list[list[Any]] = []
     hessian, gradient, lower, upper, row_low, row_high, gaps = [], [], [], [], [], [], []
@@ -142,29 +156,31 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
         gaps.append(gap)
         row_low.append(-gap)
         row_high.append(-gap)
-        u_ref = ca.fmax(-tlim, ca.fmin(tlim, steady_thrust(model, xref[U:, k])))
+        u_ref = ca.fmax(-tlim[:, k], ca.fmin(tlim[:, k], uref[:, k]))
         if k > 0:
-            hessian.append(scale[k] * q)
-            gradient.append(scale[k] * q * (xg[:, k] - xref[:, k]))
+            hessian.append(ca.diag(scale[k] * weight_x[:, k - 1]))
+            gradient.append(scale[k] * weight_x[:, k - 1] * (xg[:, k] - xref[:, k]))
             lower.append(-ca.inf * ca.SX.ones(NX))
             upper.append(ca.inf * ca.SX.ones(NX))
-        hessian.append(scale[k] * r)
-        gradient.append(scale[k] * r * (ug[:, k] - u_ref))
-        lower.append(-tlim - ug[:, k])
-        upper.append(tlim - ug[:, k])
+        hessian.append(ca.diag(scale[k] * weight_u[:, k]))
+        gradient.append(scale[k] * weight_u[:, k] * (ug[:, k] - u_ref))
+        lower.append(-tlim[:, k] - ug[:, k])
+        upper.append(tlim[:, k] - ug[:, k])
         if k > 0:
-            hessian.append(scale[k] * SLACK_L2 * ca.SX.ones(N_SLACKS))
+            hessian.append(scale[k] * SLACK_L2 * ca.SX.eye(N_SLACKS))
             gradient.append(scale[k] * SLACK_L1 * ca.SX.ones(N_SLACKS))
             lower.append(ca.SX.zeros(N_SLACKS))
             upper.append(ca.inf * ca.SX.ones(N_SLACKS))
-            c_rows, values = _soft_rows(xg[:, k], limits, plane_n[:, (k - 1) * planes : k * planes], plane_d[:, k - 1])
+            c_rows, values = _soft_rows(
+                xg[:, k], limits[:, k - 1], plane_n[:, (k - 1) * planes : k * planes], plane_d[:, k - 1]
+            )
             row_low.append(-ca.inf * ca.SX.ones(c_rows.shape[0]))
             row_high.append(-values)
             blocks.append([a, ca.horzcat(b, ca.SX(NX, N_SLACKS)), c_rows])
         else:
             blocks.append([a, b, None])
-    hessian.append(TERMINAL_STAGES * q)
-    gradient.append(TERMINAL_STAGES * q * (xg[:, n] - xref[:, n]))
+    hessian.append(terminal)
+    gradient.append(ca.mtimes(terminal, xg[:, n] - xref[:, n]))
     lower.append(-ca.inf * ca.SX.ones(NX))
     upper.append(ca.inf * ca.SX.ones(NX))
 
@@ -173,7 +189,7 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
         "linearise",
         arguments,
         [
-            ca.diag(ca.vertcat(*hessian)),
+            ca.diagcat(*hessian),
             ca.vertcat(*gradient),
             constraint,
             ca.vertcat(*row_low),
@@ -253,9 +269,13 @@ def _embed(
     dx = ca.horzcat(ca.MX.zeros(NX, 1), body[:NX, :], z[NU + (n - 1) * width :])
     du = ca.horzcat(z[:NU], body[NX : NX + NU, :])
     x, u = symbols[0] + dx, symbols[1] + du
-    bound = ca.repmat(symbols[6], 1, n)
+    bound = symbols[names.index("thrust_limit")]
     overshoot = ca.mmax(ca.fabs(u) - bound)
-    figures = ca.vertcat(solution["cost"], violation, gap, overshoot, ca.sum1(z))
+    rows = NX + planes + N_BOX_ROWS
+    soft = ca.reshape(solution["lam_a"][NX:], rows, n - 1)[NX:, :]
+    penalty = ca.DM([SLACK_L1 * dt / REFERENCE_DT_S for dt in grid.dt_s[1:]]).T
+    use = ca.mmax(ca.fabs(soft) / ca.repmat(penalty, planes + N_BOX_ROWS, 1))
+    figures = ca.vertcat(solution["cost"], violation, gap, overshoot, ca.sum1(z), use)
     u = ca.fmax(ca.fmin(u, bound), -bound)
     # The plugin writes all multipliers, asked for or not: they are an output so that it has the memory to write to.
     return ca.Function(

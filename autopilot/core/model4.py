@@ -68,3 +68,9 @@ def state_derivative(
         x[R],
         *body_acceleration(model, (x[U], x[V], x[W], x[R]), thrust_n, ops),
     ]
+
+
+def steady_force(model: Model4, nu: Sequence[Any], ops: Any) -> list[Any]:
+    """Force (4) X, Y, Z [N], N [N m] that holds the velocity nu = (u, v, w, r): drag, buoyancy and Munk moment."""
+    drift = body_acceleration(model, nu, [0.0] * NU, ops)
+    return [-m * a for m, a in zip(model.mass_kg, drift, strict=True)]

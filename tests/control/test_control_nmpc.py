@@ -10,6 +10,7 @@ from control_loop import MODEL, TANK
 from autopilot.bench.ipopt import IpoptNmpc
 from autopilot.control import ocp
 from autopilot.control.grid import geometric_grid, uniform_grid
+from autopilot.control.guidance import SteadyThrust
 from autopilot.control.nmpc import PLANES, Nmpc, NmpcProblem, QpStep, choose_step, passes_self_test
 from autopilot.control.obstacles import Features
 from autopilot.control.planner import Planner
@@ -41,8 +42,11 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
     return NmpcProblem(
         x0=x0,
         x_ref=reference,
+        thrust_ref_n=SteadyThrust(MODEL)(reference[:-1, 4:]),
         current_ned_m_s=np.broadcast_to(current, (grid.n, 3)),
-        weights=WEIGHTS,
+        weight_x=WEIGHTS[:8],
+        weight_u=WEIGHTS[8:],
+        terminal=np.diag(20.0 * WEIGHTS[:8]),
         limits=np.array([0.46, 0.23, 0.92, 0.05, 1.2]),
         thrust_limit_n=np.full(4, 12.0),
         plane_n=normals,
