@@ -80,7 +80,7 @@ class Ig500Emulator(AlwaysOpen):
         self._roll = SlowError(tilt, tilt_s, dt_s, first[6])
         self._pitch = SlowError(tilt, tilt_s, dt_s, first[7])
         self._yaw = SlowError(settings.yaw_error_rad, settings.yaw_error_time_s, dt_s, first[8])
-        self._yaw_offset_rad = settings.yaw_offset_rad * first[9]
+        self._yaw_offset_rad = settings.yaw_offset_rad * first[9] + settings.yaw_bias_rad
         self._field_phase: list[float] = self._rng.uniform(0.0, 2.0 * math.pi, 2).tolist()
         root = math.sqrt(dt_s)
         self._walk = [settings.gyro_bias_walk_rad_s_rts * root] * 3 + [settings.accel_bias_walk_m_s2_rts * root] * 3

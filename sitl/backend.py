@@ -1,6 +1,7 @@
 """The simulated vehicle behind the drivers' protocols: what stands in for serial lines and amplifiers."""
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from typing import Literal, Protocol
 
 from autopilot.core.camera import CameraModel
@@ -67,6 +68,30 @@ class SimThrusterOutput(SafeThrusterOutput):
         """Nothing to close."""
 
 
+class CommandLine:
+    """The way from the service to the amplifiers: pulses arrive after a latency, in the order of their sending."""
+
+    def __init__(self, latency_s: float, neutral_us: tuple[int, ...]) -> None:
+        self._latency_us = round(latency_s * 1e6)
+        self._sent = self._now = neutral_us
+        self._under_way: deque[tuple[int, tuple[int, ...]]] = deque()
+
+    def send(self, t_us: int, pwm_us: tuple[int, ...]) -> None:
+        """From ``t_us`` on the service holds these pulses."""
+        if pwm_us != self._sent:
+            self._sent = pwm_us
+            self._under_way.append((t_us + self._latency_us, pwm_us))
+
+    def until(self, begin_us: int, end_us: int) -> Iterator[tuple[int, tuple[int, ...]]]:
+        """What the amplifiers see between two times: ends of intervals and the pulses held until there."""
+        while self._under_way and self._under_way[0][0] <= end_us:
+            arrival_us, pulses = self._under_way.popleft()
+            if arrival_us > begin_us:
+                yield arrival_us, self._now
+            self._now = pulses
+        yield end_us, self._now
+
+
 class PowerMonitor(AlwaysOpen):
     """Voltage, current and energy at the battery's terminals."""
 
@@ -113,6 +138,7 @@ class SimulatedVehicle(Closing):
         self._truth: Truth | None = None
         self.output = SimThrusterOutput(vehicle)
         """A :class:`drivers.protocols.ThrusterOutput`."""
+        self._line = CommandLine(scenario.vehicle.command_latency_s, self.output.pwm_us)
         emulator = Ig500Emulator(sensors.ahrs, vehicle.ahrs, faults, seed)
         self._ahrs = Ig500(emulator, vehicle.ahrs.latency_s)
         self._power = PowerMonitor()
@@ -195,7 +221,9 @@ class SimulatedVehicle(Closing):
 
     def _move(self, t_us: int) -> None:
         if t_us > self._t_us or self._truth is None:
-            self._plant.advance(t_us, self.output.pwm_us)
+            self._line.send(self._t_us, self.output.pwm_us)
+            for until_us, pulses in self._line.until(self._t_us, t_us):
+                self._plant.advance(until_us, pulses)
             self._t_us = t_us
             self._truth = None
 

@@ -97,7 +97,7 @@ class TankJet(_Steady):
 
     Streamfunction psi = -(U / k) sin(k (y + W/2)) h(xi), k = 2 pi / W, xi = x / L + 1/2, h = 6.75 xi (1 - xi)^2; so
     u = d psi / d y, v = -d psi / d x. No flow through the four walls; the largest velocity U lies at xi = 1/3, y = 0.
-    Places outside the tank see the nearest place inside.
+    Places outside the tank see the nearest place inside (the field is not free of divergence there).
     """
 
     speed_m_s: float = 0.25
@@ -128,8 +128,51 @@ class TankJet(_Steady):
         h = JET_PROFILE * xi * rest * rest
         h_x = JET_PROFILE * rest * (1.0 - 3.0 * xi) / self.length_m
         h_xx = JET_PROFILE * (6.0 * xi - 4.0) / (self.length_m * self.length_m)
-        u = self.speed_m_s
-        return (-u * c * h_x, u * k * s * h, u / k * s * h_xx, u * c * h_x)
+        # Outside the tank nothing changes along the direction in which the nearest place inside stays the same.
+        u_x = self.speed_m_s if abs(pos_ned_m[0] - self.center_m[0]) <= 0.5 * self.length_m else 0.0
+        u_y = self.speed_m_s if abs(pos_ned_m[1] - self.center_m[1]) <= 0.5 * self.width_m else 0.0
+        return (-u_x * c * h_x, u_y * k * s * h, u_x / k * s * h_xx, u_y * c * h_x)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turned:
+    """Another field turned about a place by an angle, clockwise seen from above (from north to east)."""
+
+    field: CurrentField
+    center_m: Vec2
+    cosine: float
+    sine: float
+
+    @property
+    def steady_uniform(self) -> bool:
+        """As the field that is turned."""
+        return self.field.steady_uniform
+
+    def _back(self, pos_ned_m: Sequence[float]) -> Vec3:
+        """The place in the field before it was turned."""
+        dx, dy = pos_ned_m[0] - self.center_m[0], pos_ned_m[1] - self.center_m[1]
+        c, s = self.cosine, self.sine
+        return (self.center_m[0] + c * dx + s * dy, self.center_m[1] - s * dx + c * dy, pos_ned_m[2])
+
+    def _turn(self, vector: Vec3) -> Vec3:
+        c, s = self.cosine, self.sine
+        return (c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2])
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        return self._turn(self.field.velocity(self._back(pos_ned_m), t_s))
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """See :class:`CurrentField`: R G R'."""
+        nn, ne, en, ee = self.field.gradient(self._back(pos_ned_m), t_s)
+        c, s = self.cosine, self.sine
+        # R G, then times R'.
+        a, b, d, e = c * nn - s * en, c * ne - s * ee, s * nn + c * en, s * ne + c * ee
+        return (a * c - b * s, a * s + b * c, d * c - e * s, d * s + e * c)
+
+    def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        return self._turn(self.field.rate(self._back(pos_ned_m), t_s))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -232,12 +275,16 @@ def current_field(table: sc.Current) -> CurrentField:
         case sc.UniformCurrent():
             return Uniform(velocity_m_s=table.velocity_m_s, tide_m_s=table.tide_m_s, tide_period_s=table.tide_period_s)
         case sc.JetCurrent():
-            return TankJet(
+            jet = TankJet(
                 speed_m_s=table.speed_m_s,
                 center_m=table.center_m,
                 length_m=table.length_m,
                 width_m=table.width_m,
             )
+            angle = table.direction_rad
+            if angle == 0.0:
+                return jet
+            return Turned(field=jet, center_m=table.center_m, cosine=math.cos(angle), sine=math.sin(angle))
         case sc.VortexCurrent():
             return Vortex(circulation_m2_s=table.circulation_m2_s, core_m=table.core_m, center_m=table.center_m)
         case sc.ShearCurrent():

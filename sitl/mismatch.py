@@ -13,11 +13,19 @@ from autopilot.core.vehicle import Body, Vec3, Vehicle
 
 MISMATCH_KEYS: dict[str, str] = {
     "mass": "mass of hull and trapped water, trim unchanged: weight and buoyancy stay as they are",
+    "surge_mass": "hull and trapped water together in surge, as the controller's m_11: its added mass changes",
+    "sway_mass": "the same in sway, m_22",
+    "heave_mass": "the same in heave, m_33",
+    "yaw_inertia": "hull and trapped water together about the yaw axis, m_66: its added inertia changes",
     "inertia": "moments of inertia",
     "added_mass": "added mass, all three axes",
     "added_inertia": "added moments of inertia",
     "linear_drag": "linear drag of translation and rotation",
     "drag": "quadratic drag of translation and rotation",
+    "surge_drag": "linear and quadratic drag in surge",
+    "sway_drag": "the same in sway",
+    "heave_drag": "the same in heave",
+    "yaw_drag": "the same about the yaw axis",
     "buoyancy": "buoyancy force itself (1.01 makes 12 kg float up with 1.2 N more)",
     "righting": "distance between centre of gravity and centre of buoyancy",
     "arm": "lever arms of the thrusters",
@@ -27,12 +35,23 @@ MISMATCH_KEYS: dict[str, str] = {
     "power": "electrical power of the thrusters",
     "hotel": "power of everything but the thrusters",
     "supply": "open-circuit and empty voltage of the battery",
+    "capacity": "energy in the battery: a small one sags from its open-circuit to its empty voltage during a run",
+    "resistance": "internal resistance of the battery",
     "tether": "drag and pull of the tether (0 = none)",
+    "tether_pull": "its pull alone (0 = none)",
 }
 """Every factor that a mismatch may hold, and what it multiplies."""
 
-MAY_BE_ZERO = frozenset({"linear_drag", "drag", "lag", "deadband", "righting", "arm", "power", "hotel", "tether"})
+_MASS_KEYS = ("surge_mass", "sway_mass", "heave_mass")
+_DRAG_KEYS = ("surge_drag", "sway_drag", "heave_drag")
+
+MAY_BE_ZERO = frozenset(
+    {"linear_drag", "drag", *_DRAG_KEYS, "yaw_drag", "lag", "deadband", "righting", "arm", "power", "hotel"}
+) | {"resistance", "tether", "tether_pull"}
 """Factors with which 0 leaves a physical vehicle."""
+
+_MASS_KEYS = ("surge_mass", "sway_mass", "heave_mass")
+_DRAG_KEYS = ("surge_drag", "sway_drag", "heave_drag")
 
 
 def check_mismatch(mismatch: Mapping[str, float], where: str) -> None:
@@ -48,31 +67,58 @@ def _times(factor: float, values: Vec3) -> Vec3:
     return (factor * values[0], factor * values[1], factor * values[2])
 
 
-def _body(body: Body, factors: Mapping[str, float]) -> Body:
+def _each(factors: Vec3, values: Vec3) -> Vec3:
+    return (factors[0] * values[0], factors[1] * values[1], factors[2] * values[2])
+
+
+def _added(where: str, key: str, factor: float, hull: float, added: float) -> float:
+    """Added mass or inertia with which its sum with the hull's is ``factor`` times what it was.
+
+    ConfigError, beginning with ``where``, if that would be negative."""
+    if factor == 1.0:
+        return added
+    result = factor * (hull + added) - hull
+    if result < 0.0:
+        least = hull / (hull + added)
+        raise ConfigError(f"{where}: {key} = {factor:g} leaves less than the hull itself; use {least:.3g} or more")
+    return result
+
+
+def _body(body: Body, factors: Mapping[str, float], where: str) -> Body:
     """The body with its factors applied."""
 
     def factor(key: str) -> float:
         return factors.get(key, 1.0)
 
     further_buoyancy_n = (body.weight_n + body.buoyancy_excess_n) * (factor("buoyancy") - 1.0)
+    mass_kg, inertia_kg_m2 = body.mass_kg * factor("mass"), _times(factor("inertia"), body.inertia_kg_m2)
+    x, y, z = _times(factor("added_mass"), body.added_mass_kg)
+    added = [_added(where, key, factor(key), mass_kg, each) for key, each in zip(_MASS_KEYS, (x, y, z), strict=True)]
+    roll, pitch, yaw = _times(factor("added_inertia"), body.added_inertia_kg_m2)
+    yaw = _added(where, "yaw_inertia", factor("yaw_inertia"), inertia_kg_m2[2], yaw)
+    surge, sway, heave = (factor(key) for key in _DRAG_KEYS)
+    shift, turn = (surge, sway, heave), (1.0, 1.0, factor("yaw_drag"))
+    linear, square = factor("linear_drag"), factor("drag")
     return msgspec.structs.replace(
         body,
-        mass_kg=body.mass_kg * factor("mass"),
+        mass_kg=mass_kg,
         buoyancy_excess_n=body.buoyancy_excess_n + further_buoyancy_n,
-        inertia_kg_m2=_times(factor("inertia"), body.inertia_kg_m2),
+        inertia_kg_m2=inertia_kg_m2,
         center_of_buoyancy_frd_m=_times(factor("righting"), body.center_of_buoyancy_frd_m),
-        added_mass_kg=_times(factor("added_mass"), body.added_mass_kg),
-        added_inertia_kg_m2=_times(factor("added_inertia"), body.added_inertia_kg_m2),
-        linear_drag_n_s_m=_times(factor("linear_drag"), body.linear_drag_n_s_m),
-        angular_linear_drag_n_m_s=_times(factor("linear_drag"), body.angular_linear_drag_n_m_s),
-        quadratic_drag_n_s2_m2=_times(factor("drag"), body.quadratic_drag_n_s2_m2),
-        angular_quadratic_drag_n_m_s2=_times(factor("drag"), body.angular_quadratic_drag_n_m_s2),
+        added_mass_kg=(added[0], added[1], added[2]),
+        added_inertia_kg_m2=(roll, pitch, yaw),
+        linear_drag_n_s_m=_each(shift, _times(linear, body.linear_drag_n_s_m)),
+        angular_linear_drag_n_m_s=_each(turn, _times(linear, body.angular_linear_drag_n_m_s)),
+        quadratic_drag_n_s2_m2=_each(shift, _times(square, body.quadratic_drag_n_s2_m2)),
+        angular_quadratic_drag_n_m_s2=_each(turn, _times(square, body.angular_quadratic_drag_n_m_s2)),
     )
 
 
-def mismatched(vehicle: Vehicle, mismatch: Mapping[str, float]) -> Vehicle:
-    """``vehicle`` with the factors of ``mismatch`` (missing keys = 1) applied. ConfigError for unknown keys."""
-    check_mismatch(mismatch, "mismatch")
+def mismatched(vehicle: Vehicle, mismatch: Mapping[str, float], where: str = "mismatch") -> Vehicle:
+    """``vehicle`` with the factors of ``mismatch`` (missing keys = 1) applied.
+
+    ConfigError, beginning with ``where``, for unknown keys and for factors that leave no physical vehicle."""
+    check_mismatch(mismatch, where)
 
     def factor(key: str) -> float:
         return mismatch.get(key, 1.0)
@@ -81,7 +127,7 @@ def mismatched(vehicle: Vehicle, mismatch: Mapping[str, float]) -> Vehicle:
     return msgspec.structs.replace(
         vehicle,
         hotel_power_w=vehicle.hotel_power_w * factor("hotel"),
-        body=_body(vehicle.body, mismatch),
+        body=_body(vehicle.body, mismatch, where),
         thruster=[
             msgspec.structs.replace(thruster, position_frd_m=_times(factor("arm"), thruster.position_frd_m))
             for thruster in vehicle.thruster
@@ -98,10 +144,12 @@ def mismatched(vehicle: Vehicle, mismatch: Mapping[str, float]) -> Vehicle:
             battery,
             open_circuit_v=battery.open_circuit_v * factor("supply"),
             empty_v=battery.empty_v * factor("supply"),
+            capacity_j=battery.capacity_j * factor("capacity"),
+            internal_resistance_ohm=battery.internal_resistance_ohm * factor("resistance"),
         ),
         tether=msgspec.structs.replace(
             tether,
             drag_coefficient=tether.drag_coefficient * factor("tether"),
-            pull_n=tether.pull_n * factor("tether"),
+            pull_n=tether.pull_n * factor("tether") * factor("tether_pull"),
         ),
     )

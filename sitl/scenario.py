@@ -7,11 +7,10 @@ Scenarios ship in ``sitl/scenarios``.
 
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import convert, load_vehicle, read_toml
-from sitl.mismatch import check_mismatch
+from sitl.mismatch import mismatched
 from sitl.scenario_tables import (
     Accept,
     AhrsFreeze,
@@ -38,12 +37,14 @@ from sitl.scenario_tables import (
     Sensors,
     ShearCurrent,
     SphereObstacle,
+    Spread,
     Tank,
     ThrusterLoss,
     UniformCurrent,
     VehicleStart,
     VortexCurrent,
 )
+from sitl.spread import Tables, check_spread
 
 __all__ = [
     "Accept",
@@ -71,12 +72,14 @@ __all__ = [
     "Sensors",
     "ShearCurrent",
     "SphereObstacle",
+    "Spread",
     "Tank",
     "ThrusterLoss",
     "UniformCurrent",
     "VehicleStart",
     "VortexCurrent",
     "load_scenario",
+    "load_tables",
     "plan_path",
     "scenario_names",
     "scenario_path",
@@ -112,14 +115,22 @@ def scenario_path(name_or_path: str) -> Path:
 def load_scenario(name_or_path: str) -> Scenario:
     """A shipped scenario by name, or a scenario file by path. ConfigError names the key that is wrong."""
     path = scenario_path(name_or_path)
-    tables = read_toml(path)
-    origin = str(path)
+    return _of_tables(read_toml(path), str(path))
+
+
+def load_tables(name_or_path: str) -> Tables:
+    """The tables of the file, which :func:`load_scenario` has to find good. ConfigError if it cannot be read."""
+    return read_toml(scenario_path(name_or_path))
+
+
+def _of_tables(tables: Tables, origin: str) -> Scenario:
+    """The scenario that tables describe. ConfigError begins with ``origin``."""
     _refuse_later_kinds(tables, origin)
     scenario: Scenario = convert(tables, Scenario, origin)
-    check_mismatch(scenario.vehicle.mismatch, f"{origin}: `$.vehicle.mismatch`")
     _check_vehicle(scenario, origin)
     if scenario.tank is None and scenario.sensors.position == "camera":
         raise ConfigError(f'{origin}: `$.sensors.position` = "camera" needs a floor; add [tank] or use "pose"')
+    check_spread(tables, scenario.spread, _of_tables, origin)
     return scenario
 
 
@@ -133,7 +144,7 @@ def plan_path(name_or_path: str, scenario: Scenario) -> Path | None:
     return path
 
 
-def _refuse_later_kinds(tables: dict[str, Any], origin: str) -> None:
+def _refuse_later_kinds(tables: Tables, origin: str) -> None:
     """ConfigError for a kind that the scenario format knows and this version does not simulate."""
     for key, kinds in LATER_KINDS.items():
         entries = tables.get(key)
@@ -147,8 +158,11 @@ def _refuse_later_kinds(tables: dict[str, Any], origin: str) -> None:
 
 
 def _check_vehicle(scenario: Scenario, origin: str) -> None:
-    """ConfigError if the vehicle is unknown or a fault names a thruster that it does not have."""
-    names = [thruster.name for thruster in load_vehicle(scenario.vehicle.model).thruster]
+    """ConfigError if the vehicle or a mismatch is unknown, or a fault names a thruster that it does not have."""
+    vehicle = mismatched(
+        load_vehicle(scenario.vehicle.model), scenario.vehicle.mismatch, f"{origin}: `$.vehicle.mismatch`"
+    )
+    names = [thruster.name for thruster in vehicle.thruster]
     for index, fault in enumerate(scenario.fault):
         if isinstance(fault, ThrusterLoss) and fault.thruster not in names:
             raise ConfigError(

@@ -102,6 +102,8 @@ class JetCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="jet")
     center_m: Vec2 = (0.0, 0.0)
     length_m: Positive = 5.0
     width_m: Positive = 3.0
+    direction_rad: float = 0.0
+    """The whole field turned about its centre, clockwise seen from above; then it does not follow the walls."""
 
 
 class VortexCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="vortex"):
@@ -155,6 +157,8 @@ class VehicleStart(_Table, frozen=True, kw_only=True):
     """Where the tether enters the water; absent = no tether."""
     held: bool = False
     """A hand holds the vehicle where it starts until a thruster is commanded for the first time."""
+    command_latency_s: NonNegative = 0.0
+    """From the service's command to the amplifiers (tether electronics)."""
 
 
 class AhrsSensor(_Table, frozen=True, kw_only=True):
@@ -181,6 +185,8 @@ class AhrsSensor(_Table, frozen=True, kw_only=True):
     yaw_error_time_s: Positive = 20.0
     yaw_offset_rad: NonNegative = 0.05
     """Standard deviation of the constant magnetic offset, drawn once per run."""
+    yaw_bias_rad: float = 0.0
+    """A further constant heading error, the same in every run."""
     yaw_field_rad: NonNegative = 0.035
     """Amplitude of the magnetic offset that changes from place to place (steel in the tank's walls)."""
     yaw_field_length_m: Positive = 3.0
@@ -348,12 +354,32 @@ class Accept(_Table, frozen=True, kw_only=True):
     thrust_n: Positive = 12.0
     pos_rms_m: Positive = 0.010
     yaw_rms_deg: Positive = 0.5
+    campaign: Literal["bounds", "contact"] = "bounds"
+    """What a campaign holds against a run: broken bounds and missing laps, or only contacts."""
 
     def __post_init__(self) -> None:
         if self.depth_max_m <= self.depth_min_m:
             raise ValueError(
                 f"`depth_max_m` = {self.depth_max_m:g} must be greater than `depth_min_m` = {self.depth_min_m:g}"
             )
+
+
+class Spread(_Table, frozen=True, kw_only=True):
+    """One entry of ``[spread]``: what a campaign draws for a key of the scenario, evenly distributed."""
+
+    low: float | None = None
+    high: float | None = None
+    choice: Annotated[list[float | str], msgspec.Meta(min_length=1)] | None = None
+    """One of these, all equally likely; instead of low and high."""
+
+    def __post_init__(self) -> None:
+        if self.choice is not None:
+            if self.low is not None or self.high is not None:
+                raise ValueError("give either `choice` or `low` and `high`")
+        elif self.low is None or self.high is None:
+            raise ValueError("give `low` and `high`, or `choice`")
+        elif self.high < self.low:
+            raise ValueError(f"`high` = {self.high:g} is below `low` = {self.low:g}")
 
 
 class Scenario(_Table, frozen=True, kw_only=True):
@@ -371,3 +397,5 @@ class Scenario(_Table, frozen=True, kw_only=True):
     controller: Controller = Controller()
     fault: list[Fault] = []
     accept: Accept = Accept()
+    spread: dict[str, Spread] = {}
+    """Key of this file ("vehicle.mismatch.drag", "fault[0].at_s") -> what a campaign draws for it."""

@@ -4,7 +4,6 @@ The estimators beside the flown one get the same samples and thrusts. One of the
 same bit for bit, but shows its whole covariance; others have something switched off or get altered fixes.
 """
 
-import json
 import tempfile
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
@@ -30,6 +29,7 @@ from mission.paper import paper_plan
 from mission.plan_files import write_plan
 from sitl.floor import build_markers
 from sitl.scenario import scenario_path
+from sitl.toml_text import toml_text
 
 BASE = "paper-tank"
 """The scenario that is varied."""
@@ -70,19 +70,6 @@ def overlaid(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
         merge = isinstance(value, Mapping) and isinstance(old, Mapping) and "kind" not in value
         result[key] = overlaid(old, value) if merge and isinstance(old, Mapping) else value
     return result
-
-
-def toml_text(tables: Mapping[str, Any]) -> str:
-    """TOML of nested tables, lists, numbers, texts and truth values, one line per top-level key."""
-    return "".join(f"{key} = {_inline(value)}\n" for key, value in tables.items())
-
-
-def _inline(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key} = {_inline(each)}" for key, each in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_inline(each) for each in value) + "]"
-    return json.dumps(value)
 
 
 class _OpenCore(KalmanCore):

@@ -32,10 +32,11 @@ from autopilot.bench.estimator_figures import (
     verdict,
     whiteness,
 )
-from autopilot.bench.estimator_flights import SAME, SHIFTED, FlightSpec, fly, overlaid, toml_text
+from autopilot.bench.estimator_flights import SAME, SHIFTED, FlightSpec, fly, overlaid
 from autopilot.cli.bench import bench as bench_command
 from autopilot.core.messages import NavState, Outputs
 from sitl.scenario import load_scenario
+from sitl.toml_text import toml_text
 
 SIGMA = np.array([0.002, 0.003, 0.001, 0.0005, 0.01, 0.02, 0.01])
 SPAN_S = (0.0, 1e9)

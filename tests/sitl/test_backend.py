@@ -157,6 +157,21 @@ def test_pulses_reach_the_plant_and_stop_when_commands_stop() -> None:
         vehicle.write(PUSH)
 
 
+def test_commands_arrive_after_their_latency() -> None:
+    plant = RecordingPlant()
+    late = msgspec.structs.replace(SCENARIO, vehicle=msgspec.structs.replace(SCENARIO.vehicle, command_latency_s=0.205))
+    with SimulatedVehicle(late, VEHICLE, plant, seed=1, position="pose") as vehicle:
+        for t_us in range(0, 600_000, 10_000):
+            vehicle.advance(t_us)
+            vehicle.write((1600 + t_us // 10_000, 1500, 1500, 1500, 0, 0, 0, 0))
+    asked = plant.asked
+    assert [pwm[0] for t, pwm in asked if t <= 205_000] == [1500] * sum(t <= 205_000 for t, _ in asked)
+    for t_us, pwm in asked:
+        if t_us > 205_000:
+            # What was sent no later than the beginning of this step minus the latency.
+            assert pwm[0] == 1600 + (t_us - 1 - 205_000) // 10_000, t_us
+
+
 def test_sensors_look_at_their_own_times_and_not_only_at_ticks() -> None:
     plant = RecordingPlant()
     run(SimulatedVehicle(SCENARIO, VEHICLE, plant, seed=1, position="pose"), 0.1)

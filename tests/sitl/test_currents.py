@@ -14,6 +14,7 @@ from sitl.currents import (
     Gyre,
     Shear,
     TankJet,
+    Turned,
     Uniform,
     Vortex,
     current_field,
@@ -23,6 +24,7 @@ from sitl.scenario import Scenario
 FIELDS: dict[str, CurrentField] = {
     "uniform": Uniform(velocity_m_s=(0.1, -0.2, 0.05), tide_m_s=(0.3, 0.0, 0.1), tide_period_s=60.0),
     "jet": TankJet(),
+    "turned jet": Turned(field=TankJet(length_m=9.0, width_m=9.0), center_m=(0.3, 0.2), cosine=0.8, sine=0.6),
     "vortex": Vortex(circulation_m2_s=2.0, core_m=0.8, center_m=(0.2, -0.1)),
     "shear": Shear(shear_1_s=0.3, speed_m_s=0.1, center_y_m=0.5),
     "bickley": Bickley(speed_m_s=0.3, width_m=0.7, center_y_m=-0.2),
@@ -138,3 +140,21 @@ def test_every_kind_of_a_scenario_becomes_its_field(table: dict[str, object], ki
     tables = {"scenario": {"name": "x", "description": "x"}, "vehicle": {"start_m": [0, 0, 1]}, "current": table}
     scenario: Scenario = convert(tables, Scenario, "test")
     assert type(current_field(scenario.current)) is kind
+
+
+def test_a_turned_jet_flows_the_other_way() -> None:
+    tables = {
+        "scenario": {"name": "x", "description": "x"},
+        "vehicle": {"start_m": [0.0, 0.0, 0.5]},
+        "current": {"kind": "jet", "speed_m_s": 0.2, "center_m": [0.1, -0.1], "direction_rad": math.pi / 6.0},
+    }
+    field = current_field(convert(tables, Scenario, "test").current)
+    straight = TankJet(speed_m_s=0.2).velocity((0.0, 0.0, 0.0), 0.0)[0]
+    flow = field.velocity((0.1, -0.1, 0.5), 0.0)
+    assert flow == pytest.approx((straight * math.cos(math.pi / 6.0), straight * 0.5, 0.0))
+
+
+@pytest.mark.parametrize("place", [(2.8, 0.2, 0.5), (-2.8, 0.4, 0.5), (0.5, 1.8, 0.5), (2.9, -1.9, 0.5)])
+def test_outside_the_tank_the_gradient_is_still_that_of_the_velocity(place: tuple[float, float, float]) -> None:
+    numeric = numeric_gradient(TankJet(), place, 0.0)[:2, :2]
+    np.testing.assert_allclose(np.reshape(TankJet().gradient(place, 0.0), (2, 2)), numeric, atol=1e-8)

@@ -191,5 +191,12 @@ def test_mismatch_of_the_buoyancy_is_a_factor_on_the_whole_force() -> None:
     body = mismatched(VEHICLE, {"buoyancy": 1.01}).body
     assert body.buoyancy_excess_n == pytest.approx(0.6 + 0.01 * 118.3)
     assert mismatched(VEHICLE, {"mass": 1.2}).body.mass_kg == pytest.approx(14.4)
+    masses = {"surge_mass": 0.8, "sway_mass": 1.2, "heave_mass": 1.1, "yaw_inertia": 0.8}
+    heavy = mismatched(VEHICLE, masses).body
+    hull, water = heavy.mass_kg, heavy.added_mass_kg
+    assert [hull + added for added in water] == pytest.approx([0.8 * 16.5, 1.2 * 22.0, 1.1 * 22.5])
+    assert heavy.inertia_kg_m2[2] + heavy.added_inertia_kg_m2[2] == pytest.approx(0.8 * 0.30)
+    with pytest.raises(ConfigError, match=r"surge_mass = 0\.6 leaves less than the hull"):
+        mismatched(VEHICLE, {"surge_mass": 0.6})
     with pytest.raises(ConfigError, match="'colour' is not a mismatch factor"):
         mismatched(VEHICLE, {"colour": 1.0})
