@@ -15,6 +15,10 @@ from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, MissionProgress, NavHealth, NavState, ProgressState
 from mission.items import ChangeSpeed, GoTo, Jump, ReturnHome, SetHeading, SetHome, Step, Surface, Wait
+from mission.lookahead import next_waypoint
+
+GOALS_AHEAD = 2
+"""A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""
 
 MAX_INSTANT_STEPS = 64
 """Steps without duration that one tick may run; a plan of thousands of empty jumps is spread over ticks."""
@@ -248,7 +252,7 @@ class Sequencer:
         if target is None:
             return False
         if not isinstance(step, Wait) or self._run.goal is None:
-            self._run.goal = self._make_goal(step, target)
+            self._run.goal = self._leading_on(self._make_goal(step, target))
         self._run.entered = True
         self._run.rising = isinstance(step, Surface) and step.pos_ned_m is None
         self._run.inside_since_us = self._run.clock_us = None
@@ -326,6 +330,22 @@ class Sequencer:
             accept_yaw_rad=self._params["WP_ACCEPT_YAW"],
             seq=seq,
         )
+
+    def _leading_on(self, goal: Goal) -> Goal:
+        """The goal of the present step with those that follow it without a stop."""
+        ahead: list[Goal] = []
+
+        def visit(step: GoTo, yaw_rad: float | None) -> None:
+            if step.pos_ned_m is not None:
+                yaw = yaw_rad if step.yaw_rad is None else step.yaw_rad
+                ahead.append(self._goal_at(step.pos_ned_m, yaw, step.accept_radius_m, step.seq))
+
+        run = self._run
+        next_waypoint(self._steps, run.cursor, run.jumps_done, run.default_yaw_rad, visit, GOALS_AHEAD)
+        following = None
+        for later in reversed(ahead):
+            following = replace(later, following=following)
+        return replace(goal, following=following)
 
     def _goal_here(self, nav: NavState) -> Goal | None:
         """Hold the present position and heading, None while the estimate is not finite."""

@@ -8,6 +8,10 @@ import numpy as np
 
 from autopilot.control import ocp
 from autopilot.control.currents import CurrentForecast, EstimatedCurrent
+from autopilot.control.energy.desk import PlanningDesk
+from autopilot.control.energy.guidance import EnergyGuidance
+from autopilot.control.energy.power import PowerModel
+from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.fallback import station_keeping_thrust
 from autopilot.control.grid import TimeGrid, geometric_grid
 from autopilot.control.guidance import Guidance, Reference, RouteGuidance, Situation
@@ -45,10 +49,11 @@ SLOWEST_CAP_M_S = 0.05
 class MotionController:
     """Called every 50 ms (any other interval works). One instance per vehicle; :meth:`step` is deterministic.
 
-    The horizon is a geometric grid of ``n`` intervals over ``horizon_s``, or any other ``grid``. ``cpu_clock`` measures
-    what a step costs (reported, never acted upon). The current estimate holds over the whole horizon: it carries what
-    the model lacks as well (drag, tether), which does not fade with distance, a faded current would give every goal an
-    offset, and what lies beyond the first seconds is planned again before it is flown.
+    The parameter MPC_COST chooses between the guidances. The horizon is a geometric grid of ``n`` intervals over
+    ``horizon_s``, or any other ``grid``. ``desk`` is where trajectories of least energy are planned. ``cpu_clock``
+    measures what a step costs (reported, never acted upon). The current estimate holds over the whole horizon: it
+    carries what the model lacks as well (drag, tether), which does not fade with distance, a faded current would give
+    every goal an offset, and what lies beyond the first seconds is planned again before it is flown.
     """
 
     def __init__(
@@ -59,6 +64,7 @@ class MotionController:
         horizon_s: float = 8.0,
         grid: TimeGrid | None = None,
         currents: CurrentForecast | None = None,
+        desk: PlanningDesk | None = None,
         cpu_clock: Callable[[], float] = time.thread_time,
         backends: tuple[ocp.QpBackend, ...] = (ocp.HPIPM, ocp.PIQP),
     ) -> None:
@@ -74,7 +80,12 @@ class MotionController:
         self._forecast = currents or EstimatedCurrent()
         self._currents = np.zeros((grid.n, 3))
         self._tightening: Tightening = FixedMargins(grid)
-        self._guidance: Guidance = RouteGuidance(self._model, grid)
+        desk = desk or PlanningDesk(EnergyPlanner(self._model, PowerModel.of(vehicle)).plan)
+        self._guidances: tuple[Guidance, ...] = (
+            RouteGuidance(self._model, grid),
+            EnergyGuidance(self._model, grid, desk),
+        )
+        self._guidance: Guidance = self._guidances[0]
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
         self._fence: Fence | None = None
@@ -122,18 +133,23 @@ class MotionController:
         if nav.health is NavHealth.INVALID or not math.isfinite(float(x.sum() + current.sum())):
             return self._neutral(t_us, nav, began)
 
-        if nav.reset_count != self._reset_count:
-            self._reset_count = nav.reset_count
-            self._guidance.reset()
+        guidance = self._guidances[int(params["MPC_COST"])]
+        if nav.reset_count != self._reset_count or guidance is not self._guidance:
+            self._reset_count, self._guidance = nav.reset_count, guidance
+            guidance.reset()
+        planner = self._planner_for(fence, params)
         now = Situation(
             t_us=t_us,
             x0=self._lag.ahead(x, current),
             nav=nav,
             goal=goal,
             params=params,
-            planner=self._planner_for(fence, params),
+            fence=fence,
+            planner=planner,
+            radius_m=self._vehicle.radius_m + self._tightening.clearance_m(params),
             forecast=self._forecast,
             speed_cap_m_s=max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - params["MPC_SPEED_MARGIN"]),
+            thrust_limit_n=limit_n,
         )
         reference = self._guidance.reference(now)
         qps = self._warm_start(now.x0, reference, elapsed_s)

@@ -17,6 +17,7 @@ from autopilot.control.planner import Planner
 from autopilot.control.reference import TURN_AHEAD_M, Route, Target, build_reference, turn_target
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray, unwrap_near
+from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.model4 import NU, YAW, Model4, R, U
 from autopilot.core.params import ParamSet
@@ -39,11 +40,16 @@ class Situation:
     nav: NavState
     goal: Goal
     params: ParamSet
+    fence: Fence
     planner: Planner
     """Of the fence in force."""
+    radius_m: float
+    """That ways keep from every boundary."""
     forecast: CurrentForecast
     speed_cap_m_s: float
     """Planar speed through the water that may be asked for."""
+    thrust_limit_n: FloatArray
+    """(4,)"""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

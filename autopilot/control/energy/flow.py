@@ -1,0 +1,115 @@
+"""A snapshot of the water that a planner may use while the vehicle goes on: samples on a grid, cubic in between.
+
+Taking samples makes a request for a plan pure data: what the forecast learns while the planner works does not change
+the answer.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from autopilot.control.currents import CurrentForecast
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Circle, Fence
+from autopilot.core.messages import NavState
+
+MAX_SAMPLES = 1500
+FINEST_SAMPLE_M = 0.1
+LEAST_SAMPLES = 5
+"""Per axis: a cubic spline needs four."""
+
+UNIFORM_M_S = 1e-6
+"""Samples that differ by less are the same everywhere."""
+
+OPEN_WATER_BORDER_M = 3.0
+OPEN_WATER_SHARE = 0.45
+"""Without a workspace a way may swing out by so much of the distance: half a circle would need 0.5."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Area:
+    """A rectangle of the plane."""
+
+    low_m: FloatArray
+    """(2,) north, east"""
+    high_m: FloatArray
+    """(2,)"""
+
+
+def area_of(fence: Fence, places_ned_m: FloatArray) -> Area:
+    """Where a way between ``places_ned_m`` (m, 2) may lead: the workspace, in open water a border round the places."""
+    corners = [places_ned_m]
+    border = 0.0
+    if fence.inclusions:
+        shapes = fence.inclusions
+    else:
+        shapes = fence.exclusions
+        span = float(np.hypot(*(places_ned_m.max(axis=0) - places_ned_m.min(axis=0))))
+        border = OPEN_WATER_BORDER_M + OPEN_WATER_SHARE * span
+    for shape in shapes:
+        if isinstance(shape, Circle):
+            c = np.asarray(shape.center_ned_m, dtype=float)
+            corners.append(np.stack([c - shape.radius_m, c + shape.radius_m]))
+        else:
+            corners.append(np.asarray(shape.vertices_ned_m, dtype=float))
+    points = np.concatenate(corners)
+    return Area(low_m=points.min(axis=0) - border, high_m=points.max(axis=0) + border)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FlowSamples:
+    """What the forecast says now, over an area."""
+
+    north_m: FloatArray
+    """(a,)"""
+    east_m: FloatArray
+    """(b,)"""
+    current_ned_m_s: FloatArray
+    """(a, b, 3)"""
+
+
+def sample_flow(forecast: CurrentForecast, nav: NavState, area: Area, depth_m: float) -> FlowSamples:
+    """Ask the forecast for the current all over an area at one depth, at the time of ``nav``."""
+    size = np.maximum(area.high_m - area.low_m, 1e-3)
+    cell = max(FINEST_SAMPLE_M, math.sqrt(float(size[0] * size[1]) / MAX_SAMPLES))
+    axes = [
+        np.linspace(low, high, max(LEAST_SAMPLES, math.ceil(length / cell) + 1))
+        for low, high, length in zip(area.low_m, area.high_m, size, strict=True)
+    ]
+    north, east = np.meshgrid(*axes, indexing="ij")
+    places = np.stack([north.ravel(), east.ravel(), np.full(north.size, depth_m)], axis=1)
+    out = np.empty_like(places)
+    forecast.fill(nav, places, np.zeros(len(places)), out)
+    return FlowSamples(north_m=axes[0], east_m=axes[1], current_ned_m_s=out.reshape(*north.shape, 3))
+
+
+class Flow:
+    """Current and its gradient anywhere; beyond the samples as at their border."""
+
+    def __init__(self, samples: FlowSamples) -> None:
+        values = samples.current_ned_m_s
+        self._mean: FloatArray = values.reshape(-1, 3).mean(axis=0)
+        self.uniform = bool(np.abs(values - self._mean).max() < UNIFORM_M_S)
+        """The same everywhere."""
+        self._splines = (
+            ()
+            if self.uniform
+            else tuple(RectBivariateSpline(samples.north_m, samples.east_m, values[..., i]) for i in range(2))
+        )
+
+    def current(self, places_ned_m: FloatArray) -> FloatArray:
+        """(m, 3) at places (m, 2)."""
+        out = np.tile(self._mean, (len(places_ned_m), 1))
+        for i, spline in enumerate(self._splines):
+            out[:, i] = spline.ev(places_ned_m[:, 0], places_ned_m[:, 1])
+        return out
+
+    def gradient(self, places_ned_m: FloatArray) -> FloatArray:
+        """(m, 4) d c_n / dx, d c_n / dy, d c_e / dx, d c_e / dy [1/s]."""
+        out = np.zeros((len(places_ned_m), 4))
+        for i, spline in enumerate(self._splines):
+            for j, order in enumerate(((1, 0), (0, 1))):
+                out[:, 2 * i + j] = spline.ev(places_ned_m[:, 0], places_ned_m[:, 1], dx=order[0], dy=order[1])
+        return out

@@ -1,0 +1,212 @@
+"""Guidance of least energy: asks for trajectories, follows them, and has them brought up to date when things change.
+
+A leg is planned when its goal appears; the leg after it is planned while this one is flown, so that there is no wait at
+a waypoint. A plan is brought up to date when the water differs from what it was made for, when the vehicle has been
+pushed off it, and when it ends before the goal. Without a plan the vehicle stays where it is.
+"""
+
+import numpy as np
+
+from autopilot.control.energy.desk import PlanningDesk
+from autopilot.control.energy.flow import Flow, FlowSamples, area_of, sample_flow
+from autopilot.control.energy.search import Plan, Request, shifted
+from autopilot.control.energy.track import Track, still
+from autopilot.control.grid import TimeGrid
+from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, Situation, SteadyThrust
+from autopilot.control.ocp import TERMINAL_STAGES
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Goal
+from autopilot.core.model4 import NU, Model4, R, U
+
+OFF_TRACK_M = 0.15
+"""A vehicle this far from its trajectory gets a new one."""
+
+CHANGED_M_S = 0.03
+"""Currents along the next seconds that differ by so much (rms) from those of the plan make a new one."""
+
+LOOK_AHEAD_S = 10.0
+CHECK_STEPS = 10
+"""The water is compared every so many control steps (0.5 s)."""
+
+REPLAN_STEPS = 40
+"""Plans are brought up to date at most this often (2 s)."""
+
+RETRY_STEPS = 20
+"""Without a way, one is looked for again after so many steps (1 s)."""
+
+RUNNING_OUT_S = 20.0
+"""A trajectory that does not reach its goal is continued when it has less than this left."""
+
+BOUND_SHARE = 0.96
+"""Share of the limits on speeds and thrust that plans use: what tracking needs is left to the optimiser."""
+
+
+class EnergyGuidance:
+    """See :class:`autopilot.control.guidance.Guidance`."""
+
+    def __init__(self, model: Model4, grid: TimeGrid, desk: PlanningDesk) -> None:
+        self._t_s = grid.t_s
+        self._steady = SteadyThrust(model)
+        self._desk = desk
+        self.unreachable = False
+        self.reset()
+
+    def reset(self) -> None:
+        """See :class:`Guidance`."""
+        self._step = 0
+        self._last_us: int | None = None
+        self._goal_key: tuple[float, ...] | None = None
+        self._planner: object = None
+        self._track: Track | None = None
+        self._next: Track | None = None
+        self._flow: FlowSamples | None = None
+        self._asked_step = -REPLAN_STEPS
+        self._hold: FloatArray | None = None
+        self._desk.clear()
+        self.unreachable = False
+        self.eta_s: float | None = None
+        self.energy_j: float | None = None
+
+    def reference(self, situation: Situation) -> Reference:
+        """See :class:`Guidance`."""
+        now = situation
+        elapsed_s = 0.0 if self._last_us is None else max(0.0, (now.t_us - self._last_us) * 1e-6)
+        self._last_us = now.t_us
+        self._step += 1
+        fresh = self._update(now, elapsed_s)
+        current = now.nav.current_ned_m_s
+        if self._track is None:
+            if self._hold is None:
+                self._hold, fresh = now.x0.copy(), True
+            x = still(self._hold, self._t_s, current)
+            thrust = self._steady(x[:-1, U : R + 1])
+        else:
+            self._hold = None
+            x, thrust = self._track.sample(self._t_s, current)
+            after = self._t_s[:-1] >= self._track.rest_s
+            thrust[after] = self._steady(x[:-1][after][:, U : R + 1])
+        params = now.params
+        q = params["MPC_Q_POS"]
+        weight_x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
+        return Reference(
+            x=x,
+            thrust_n=thrust,
+            weight_x=weight_x,
+            weight_u=np.full(NU, params["MPC_R_THRUST"]),
+            terminal=np.diag(TERMINAL_STAGES * weight_x),
+            fresh=fresh,
+        )
+
+    def ahead(self, here: FloatArray) -> FloatArray:
+        """See :class:`Guidance`."""
+        return here[None] if self._track is None else np.vstack([here, self._track.ahead()])
+
+    def _update(self, now: Situation, elapsed_s: float) -> bool:
+        """Goals, answers and requests; whether the reference has nothing to do with the last one."""
+        fresh = False
+        key = _key(now.goal)
+        if key != self._goal_key or now.planner is not self._planner:
+            fresh = self._new_goal(now, key)
+        answer = self._desk.poll(self._step)
+        if answer is not None:
+            fresh |= self._take(*answer, now)
+        off_m = 0.0 if self._track is None else self._track.advance(elapsed_s, now.x0)
+        if self._desk.open is None:
+            self._ask_if_needed(now, off_m)
+        return fresh
+
+    def _new_goal(self, now: Situation, key: tuple[float, ...]) -> bool:
+        """Take the plan that was made ahead for this goal, or begin without one."""
+        ahead, same_fence = self._next, now.planner is self._planner
+        self._goal_key, self._planner = key, now.planner
+        self._track = self._next = None
+        self._desk.clear()
+        self._asked_step = -REPLAN_STEPS
+        self.unreachable = False
+        if ahead is not None and same_fence and _key(ahead.goal) == key:
+            self._track = ahead
+            self._track.goal = now.goal
+            return False
+        return True
+
+    def _take(self, request: Request, plan: Plan, now: Situation) -> bool:
+        """Put an answer into force."""
+        track = None if plan.trajectory is None else Track(plan.trajectory, plan.goal, plan.complete)
+        if _key(request.goal) != self._goal_key:
+            self._next = track
+            return False
+        fresh = self._track is None
+        self.unreachable = track is None
+        if track is None and self._track is not None:
+            return False
+        self._track, self._next = track, None
+        if track is not None:
+            track.locate(now.x0, 0.0)
+        self._flow = request.flow
+        self.eta_s, self.energy_j = plan.eta_s, plan.energy_j
+        return fresh
+
+    def _ask_if_needed(self, now: Situation, off_m: float) -> None:
+        """Ask for a plan: the first, a better one for this leg, or the next leg's."""
+        track, since = self._track, self._step - self._asked_step
+        if track is None:
+            if since >= RETRY_STEPS:
+                self._ask(now, now.goal, now.x0, None)
+            return
+        if since >= REPLAN_STEPS and track.rest_s > 2.0:
+            pushed = off_m > OFF_TRACK_M
+            running_out = not track.complete and track.rest_s < RUNNING_OUT_S
+            if pushed or running_out or (self._step % CHECK_STEPS == 0 and self._water_changed(now, track)):
+                warm = None if running_out or off_m > 2.0 * OFF_TRACK_M else track
+                self._ask(now, now.goal, now.x0, warm)
+                return
+        if self._next is None and track.complete and now.goal.following is not None and since >= CHECK_STEPS:
+            end = track.trajectory.x[-1].copy()
+            self._ask(now, now.goal.following, end, None)
+
+    def _water_changed(self, now: Situation, track: Track) -> bool:
+        """Whether the forecast along the next seconds is another one than the plan was made with."""
+        if self._flow is None:
+            return False
+        ahead = np.linspace(0.0, max(0.5, min(LOOK_AHEAD_S, track.rest_s)), 16)
+        x, _ = track.sample(ahead, now.nav.current_ned_m_s)
+        forecast = np.empty((len(x), 3))
+        now.forecast.fill(now.nav, x[:, :3], ahead, forecast)
+        assumed = Flow(self._flow).current(x[:, :2])
+        return float(np.sqrt(((forecast - assumed)[:, :2] ** 2).sum(axis=1).mean())) > CHANGED_M_S
+
+    def _ask(self, now: Situation, goal: Goal, x0: FloatArray, warm: Track | None) -> None:
+        """Hand a request in."""
+        params, fence = now.params, now.fence
+        places = [x0[:2], np.asarray(goal.pos_ned_m[:2], dtype=float)]
+        if goal.following is not None:
+            places.append(np.asarray(goal.following.pos_ned_m[:2], dtype=float))
+        area = area_of(fence, np.stack(places))
+        limits = np.array(
+            [
+                BOUND_SHARE * now.speed_cap_m_s,
+                BOUND_SHARE * params["SPD_HEAVE_MAX"],
+                BOUND_SHARE * params["SPD_YAW_MAX"],
+                max(fence.depth_min_m, params["DEPTH_MIN"]),
+                min(fence.depth_max_m, params["DEPTH_MAX"]),
+            ]
+        )
+        request = Request(
+            x0=x0.copy(),
+            goal=goal,
+            fence=fence,
+            radius_m=now.radius_m,
+            flow=sample_flow(now.forecast, now.nav, area, float(x0[2])),
+            limits=limits,
+            thrust_limit_n=BOUND_SHARE * now.thrust_limit_n,
+            warm=None if warm is None else shifted(warm.trajectory, warm.clock_s, x0),
+        )
+        if _key(goal) == self._goal_key:
+            self._asked_step = self._step
+        self._desk.submit(self._step, request)
+
+
+def _key(goal: Goal) -> tuple[float, ...]:
+    """Place and heading, to tell goals apart."""
+    yaw = goal.yaw_rad
+    return (*(float(p) for p in goal.pos_ned_m), 0.0 if yaw is None else yaw, float(yaw is None))

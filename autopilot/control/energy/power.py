@@ -1,0 +1,65 @@
+"""What motion costs: J = integral of (hotel power + sum of c |F|^1.5) dt."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.model4 import Model4
+from autopilot.core.vehicle import Vehicle
+
+THRUST_SMOOTHING_N2 = 1e-4
+"""|F|^1.5 is taken as (F^2 + this)^0.75, twice differentiable at rest (10 mN)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PowerModel:
+    """Electrical power of the vehicle."""
+
+    hotel_w: float
+    thrust_w_n15: float
+    """c in P = c |F|^1.5, per thruster."""
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> "PowerModel":
+        """From the vehicle file."""
+        return cls(hotel_w=vehicle.hotel_power_w, thrust_w_n15=vehicle.drive.power_w_n15)
+
+    def thrust_w(self, thrust_n: Any) -> Any:
+        """Power of one thruster at ``thrust_n``; numbers, arrays or CasADi symbols."""
+        return self.thrust_w_n15 * (thrust_n * thrust_n + THRUST_SMOOTHING_N2) ** 0.75
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SpeedTable:
+    """Power (m,) [W], hotel included, at steady speeds (m,) [m/s] ahead through the water."""
+
+    speed_m_s: FloatArray
+    power_w: FloatArray
+
+
+def speed_table(model: Model4, power: PowerModel, top_m_s: float, count: int = 24) -> SpeedTable:
+    """Steady surge through the water from rest to ``top_m_s``, on the two horizontal thrusters."""
+    speed = np.linspace(0.0, top_m_s, count)
+    thrust = 0.5 * (model.linear_drag[0] + model.quadratic_drag[0] * speed) * speed
+    floating = power.thrust_w(np.abs(model.buoyancy_excess_n))
+    return SpeedTable(speed_m_s=speed, power_w=power.hotel_w + 2.0 * power.thrust_w(thrust) + floating)
+
+
+def energy_per_metre(table: SpeedTable, along_m_s: FloatArray, across_m_s: FloatArray) -> FloatArray:
+    """Least energy per metre over ground (m,) [J/m] in currents along and across the way (m,).
+
+    Min over u of P(u) / (sqrt(u^2 - across^2) + along); inf where no speed of the table makes headway.
+    """
+    u = table.speed_m_s[:, None]
+    room = u * u - across_m_s * across_m_s
+    ground = np.sqrt(np.maximum(room, 0.0)) + along_m_s
+    usable = (room >= 0.0) & (ground > SLOWEST_GROUND_M_S)
+    cost = np.where(usable, table.power_w[:, None] / np.where(usable, ground, 1.0), np.inf)
+    least: FloatArray = cost.min(axis=0)
+    return least
+
+
+SLOWEST_GROUND_M_S = 0.01
+"""Headway below this is none."""

@@ -1,0 +1,318 @@
+"""From a request to a plan: ways over the energy field, both ways of turning, the best of them as a trajectory."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from autopilot.control.energy.field import EnergyField, EnergyToGo, Way, other_ways
+from autopilot.control.energy.flow import Flow, FlowSamples, area_of
+from autopilot.control.energy.power import PowerModel, SpeedTable, speed_table
+from autopilot.control.energy.trajectory import PLANES, SUBSTEP_S, Ask, Program, Trajectory
+from autopilot.control.obstacles import Features, fence_key
+from autopilot.core.frames import FloatArray, unwrap_near
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import Goal
+from autopilot.core.model4 import NU, NX, YAW, Model4, U, V, X, Y, Z
+
+INTERVALS = 48
+"""Of a trajectory: 0.2 s each in the paper's tank."""
+
+LONGEST_S = 90.0
+"""A trajectory is planned so far; beyond it the energy field says what is best."""
+
+SUBSTEPS = (1, 2, 4)
+
+RADIUS_SHARE = 0.97
+YAW_SHARE = 0.9
+"""Shares of the acceptance region that a trajectory aims at, so that it is surely reached in spite of small errors."""
+
+GATE_RADIUS_M = 1.0
+"""Region in which a trajectory ends that does not reach its goal within LONGEST_S."""
+
+SCREEN_ROUNDS = 2
+POLISH_ROUNDS = 2
+"""Rounds of linearisation for every candidate, and more for the best."""
+
+KEEP_WITHIN = 1.3
+"""Ways whose energy is beyond so many times the best one's are not looked at."""
+
+MAX_OTHER_WAYS = 2
+
+BOTH_TURNS_RAD = 0.4 * math.pi
+"""A turn longer than this is tried both ways round."""
+
+LINEAR_TURN_S = 20.0
+"""On a way that takes less, the first guess turns evenly from start to end; on a longer one it follows the way."""
+
+SLOPE_REACH_M = 0.25
+
+EXTRA_M = 0.004
+"""Kept beyond the optimiser's own margin, for what lies between the nodes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Request:
+    """Everything a plan depends on. Pure data: the answer is the same whenever it is computed."""
+
+    x0: FloatArray
+    """(8,) state at which the plan begins."""
+    goal: Goal
+    fence: Fence
+    radius_m: float
+    """Kept from every boundary."""
+    flow: FlowSamples
+    limits: FloatArray
+    """(5,) planar speed, heave, yaw rate, depth minimum, depth maximum."""
+    thrust_limit_n: FloatArray
+    """(4,)"""
+    warm: Trajectory | None = None
+    """What is left of the plan in force, if that is only to be brought up to date."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Plan:
+    """An answer."""
+
+    goal: Goal
+    trajectory: Trajectory | None
+    """None if there is no way."""
+    energy_j: float
+    """To the goal region, what lies beyond LONGEST_S included."""
+    eta_s: float
+    complete: bool
+    """The trajectory ends in the goal's region."""
+
+
+class EnergyPlanner:
+    """Keeps the built programs and the last field; otherwise a function of the request."""
+
+    def __init__(self, model: Model4, power: PowerModel) -> None:
+        self._model, self._power = model, power
+        self._programs: dict[int, Program] = {}
+        self._features: tuple[tuple[object, ...], Features] | None = None
+
+    def plan(self, request: Request) -> Plan:
+        """Answer one request."""
+        features = self._features_of(request.fence)
+        flow = Flow(request.flow)
+        table = speed_table(self._model, self._power, float(request.limits[0]))
+        goal_at, start = np.asarray(request.goal.pos_ned_m[:2], dtype=float), request.x0[:2]
+        places = [start, goal_at]
+        if request.goal.following is not None:
+            places.append(np.asarray(request.goal.following.pos_ned_m[:2], dtype=float))
+        area = area_of(request.fence, np.stack(places))
+        field = EnergyField(features, request.radius_m + EXTRA_M, area, flow, table)
+        to_go = field.to(goal_at)
+        best = None if to_go is None else to_go.way(start)
+        if to_go is None or best is None:
+            return Plan(goal=request.goal, trajectory=None, energy_j=math.inf, eta_s=math.inf, complete=False)
+        end_slope = _slope_beyond(field, request.goal)
+        task = _Task(request, features, flow, table, to_go, end_slope, self._program)
+        if request.warm is not None:
+            warm = task.refine(request.warm, POLISH_ROUNDS)
+            if warm.solved:
+                return task.plan(warm)
+        ways = [best, *other_ways(field, to_go, best, features, MAX_OTHER_WAYS)]
+        candidates = [
+            task.refine(guess, SCREEN_ROUNDS)
+            for way in ways
+            if way.energy_j <= KEEP_WITHIN * best.energy_j
+            for guess in task.guesses(way)
+        ]
+        solved = [candidate for candidate in candidates if candidate.solved]
+        if not solved:
+            return task.plan(task.guesses(best)[0])
+        winner = min(solved, key=lambda candidate: candidate.cost_j)
+        polished = task.refine(winner, POLISH_ROUNDS)
+        return task.plan(polished if polished.solved else winner)
+
+    def _features_of(self, fence: Fence) -> Features:
+        key = fence_key(fence)
+        if self._features is None or self._features[0] != key:
+            self._features = (key, Features(fence))
+        return self._features[1]
+
+    def _program(self, duration_s: float) -> Program:
+        """The program whose RK4 steps are short enough for a trajectory of that duration."""
+        need = duration_s / (INTERVALS * SUBSTEP_S)
+        substeps = next((s for s in SUBSTEPS if s >= need), SUBSTEPS[-1])
+        if substeps not in self._programs:
+            self._programs[substeps] = Program(self._model, self._power, INTERVALS, substeps)
+        return self._programs[substeps]
+
+
+def _slope_beyond(field: EnergyField, goal: Goal) -> FloatArray:
+    """(2,) slope [J/m] at the goal of the energy that it takes to go on from there."""
+    if goal.following is None:
+        return np.zeros(2)
+    beyond = field.to(np.asarray(goal.following.pos_ned_m[:2], dtype=float))
+    if beyond is None:
+        return np.zeros(2)
+    return beyond.slope(np.asarray(goal.pos_ned_m[:2], dtype=float), SLOPE_REACH_M)
+
+
+class _Task:
+    """One request with what has been made of it."""
+
+    def __init__(
+        self,
+        request: Request,
+        features: Features,
+        flow: Flow,
+        table: SpeedTable,
+        to_go: EnergyToGo,
+        end_slope: FloatArray,
+        program: Callable[[float], Program],
+    ) -> None:
+        self._request, self._features, self._flow, self._table = request, features, flow, table
+        self._to_go, self._end_slope, self._program = to_go, end_slope, program
+        self._gate: FloatArray | None = None
+        """(2,) where the trajectory ends when the goal is too far away."""
+
+    def guesses(self, way: Way) -> list[Trajectory]:
+        """First trajectories along a way, one per way of turning: at the cheapest steady speed, thrust zero."""
+        request = self._request
+        points, times = self._timed(way)
+        if times[-1] > LONGEST_S:
+            cut = int(np.searchsorted(times, LONGEST_S))
+            points, times = points[: cut + 1], times[: cut + 1]
+            self._gate = points[-1].copy()
+        else:
+            self._gate = None
+            away = np.hypot(*(points - points[-1]).T)
+            outside = away > RADIUS_SHARE * request.goal.accept_radius_m
+            last = min(int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 1, len(points) - 1)
+            points, times = points[: last + 1], times[: last + 1]
+        t = np.linspace(0.0, max(float(times[-1]), 0.5), INTERVALS + 1)
+        x = np.zeros((INTERVALS + 1, NX))
+        x[:, X], x[:, Y] = np.interp(t, times, points[:, 0]), np.interp(t, times, points[:, 1])
+        depth = float(request.goal.pos_ned_m[2])
+        x[:, Z] = np.linspace(request.x0[Z], depth, INTERVALS + 1)
+        ground = np.gradient(x[:, :2], t, axis=0)
+        water = ground - self._flow.current(x[:, :2])[:, :2]
+        along = np.unwrap(np.concatenate([[request.x0[YAW]], np.arctan2(water[1:, 1], water[1:, 0])]))
+        return [self._guess(t, x, water, along, yaw) for yaw in self._turns(float(along[-1]))]
+
+    def _guess(
+        self, t: FloatArray, x: FloatArray, water: FloatArray, along: FloatArray, yaw_rad: float | None
+    ) -> Trajectory:
+        x = x.copy()
+        start = float(self._request.x0[YAW])
+        if yaw_rad is None:
+            x[:, YAW] = along
+        elif t[-1] < LINEAR_TURN_S:
+            x[:, YAW] = np.linspace(start, yaw_rad, len(t))
+        else:
+            last = unwrap_near(yaw_rad, float(along[-1]))
+            fade = np.clip((t - t[-1] + 0.5 * LINEAR_TURN_S) / (0.5 * LINEAR_TURN_S), 0.0, 1.0)
+            x[:, YAW] = along + fade * (last - along)
+        c, s = np.cos(x[:, YAW]), np.sin(x[:, YAW])
+        x[:, U], x[:, V] = c * water[:, 0] + s * water[:, 1], c * water[:, 1] - s * water[:, 0]
+        x[0] = self._request.x0
+        energy = float(t[-1]) * float(self._table.power_w.min())
+        return Trajectory(t_s=t, x=x, thrust_n=np.zeros((len(t) - 1, NU)), energy_j=energy, cost_j=energy, solved=False)
+
+    def _timed(self, way: Way) -> tuple[FloatArray, FloatArray]:
+        """Points (m, 2) close together along a way and when they are passed at the cheapest speeds."""
+        length = np.hypot(*np.diff(way.points_ned_m, axis=0).T)
+        s = np.concatenate(([0.0], np.cumsum(length)))
+        at = np.linspace(0.0, s[-1], max(200, int(s[-1] / 0.5)))
+        points = np.stack([np.interp(at, s, way.points_ned_m[:, i]) for i in range(2)], axis=1)
+        step = np.diff(points, axis=0)
+        ds = np.maximum(np.hypot(*step.T), 1e-9)
+        current = self._flow.current(0.5 * (points[1:] + points[:-1]))[:, :2]
+        along = (current * step).sum(axis=1) / ds
+        across = (current[:, 0] * step[:, 1] - current[:, 1] * step[:, 0]) / ds
+        u = self._table.speed_m_s[:, None]
+        ground = np.sqrt(np.maximum(u * u - across * across, 0.0)) + along
+        cost = np.where(ground > 0.02, self._table.power_w[:, None] / np.maximum(ground, 0.02), np.inf)
+        best = cost.argmin(axis=0)
+        speed = np.maximum(ground[best, np.arange(len(ds))], 0.02)
+        return points, np.concatenate(([0.0], np.cumsum(ds / speed)))
+
+    def _turns(self, along_rad: float) -> Sequence[float | None]:
+        """Headings to end with, on the turns by which they may be reached; None = free."""
+        goal = self._request.goal
+        if goal.yaw_rad is None or self._gate is not None:
+            return (None,)
+        start = float(self._request.x0[YAW])
+        nearest = unwrap_near(goal.yaw_rad, start)
+        if abs(nearest - start) < BOTH_TURNS_RAD:
+            return (nearest,)
+        return (nearest, nearest + math.copysign(2.0 * math.pi, start - nearest))
+
+    def refine(self, guess: Trajectory, rounds: int) -> Trajectory:
+        """Solve, linearise anew around the solution, and so on; the last solution, solved or not."""
+        request, trajectory = self._request, guess
+        program = self._program(1.1 * float(guess.t_s[-1]))
+        for _ in range(rounds):
+            trajectory = program.solve(
+                self._ask(trajectory, request), trajectory.x, trajectory.thrust_n, float(trajectory.t_s[-1])
+            )
+            if not trajectory.solved:
+                break
+        return trajectory
+
+    def _ask(self, guess: Trajectory, request: Request) -> Ask:
+        goal, x = request.goal, guess.x
+        n = len(x) - 1
+        normals, offsets = np.zeros((n + 1, PLANES, 2)), np.zeros((n + 1, PLANES))
+        self._features.half_planes(
+            np.vstack([x[:1, :2], x[:, :2]]),
+            np.concatenate([[0.0], guess.t_s]),
+            request.radius_m + EXTRA_M,
+            PLANES,
+            normals,
+            offsets,
+        )
+        gate = self._gate
+        yaw_band = goal.accept_yaw_rad * YAW_SHARE if goal.yaw_rad is not None and gate is None else 1e3
+        middle = float(x[-1, YAW]) if goal.yaw_rad is None else unwrap_near(goal.yaw_rad, float(x[-1, YAW]))
+        place = np.asarray(goal.pos_ned_m, dtype=float)
+        slope = self._end_slope
+        if gate is not None:
+            place = np.array([*gate, x[-1, Z]])
+            slope = self._to_go.slope(gate, GATE_RADIUS_M)
+        limits = request.limits.copy()
+        limits[3], limits[4] = min(limits[3], request.x0[Z]), max(limits[4], request.x0[Z])
+        return Ask(
+            x0=request.x0,
+            goal_ned_m=place,
+            radius_m=RADIUS_SHARE * goal.accept_radius_m if gate is None else GATE_RADIUS_M,
+            yaw_rad=middle,
+            yaw_band_rad=yaw_band,
+            current=self._flow.current(x[:, :2]),
+            gradient=self._flow.gradient(x[:, :2]),
+            places=x[:, :2].copy(),
+            plane_n=normals,
+            plane_d=offsets,
+            limits=limits,
+            thrust_limit_n=request.thrust_limit_n,
+            end_slope_j_m=slope,
+            longest_s=4.0 * LONGEST_S,
+        )
+
+    def plan(self, trajectory: Trajectory) -> Plan:
+        """The answer that a trajectory makes."""
+        energy, eta = trajectory.energy_j, float(trajectory.t_s[-1])
+        if self._gate is not None:
+            way = self._to_go.way(self._gate)
+            if way is not None:
+                energy += way.energy_j
+                eta += float(self._timed(way)[1][-1])
+        return Plan(
+            goal=self._request.goal, trajectory=trajectory, energy_j=energy, eta_s=eta, complete=self._gate is None
+        )
+
+
+def shifted(trajectory: Trajectory, by_s: float, x0: FloatArray) -> Trajectory:
+    """What is left of a trajectory after ``by_s``, on the same number of intervals, from the state ``x0``."""
+    n = len(trajectory.thrust_n)
+    t = np.linspace(min(by_s, 0.98 * float(trajectory.t_s[-1])), float(trajectory.t_s[-1]), n + 1)
+    x = np.stack([np.interp(t, trajectory.t_s, column) for column in trajectory.x.T], axis=1)
+    x[:, YAW] += unwrap_near(float(x[0, YAW]), float(x0[YAW])) - x[0, YAW]
+    index = np.clip(np.searchsorted(trajectory.t_s, 0.5 * (t[1:] + t[:-1])) - 1, 0, n - 1)
+    x[0] = x0
+    return replace(trajectory, t_s=t - t[0], x=x, thrust_n=trajectory.thrust_n[index], solved=False)

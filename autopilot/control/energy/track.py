@@ -1,0 +1,112 @@
+"""A planned trajectory as a reference: where on it the vehicle is, what comes next, what comes after its end."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.control.energy.trajectory import Trajectory
+from autopilot.core.frames import FloatArray, unwrap_near
+from autopilot.core.messages import Goal
+from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Z
+
+YAW_LEVER_M = 0.3
+"""A radian of heading counts as so many metres when the nearest point of the trajectory is looked for."""
+
+SLOWEST_RATE = 0.3
+FASTEST_RATE = 2.0
+"""The trajectory's clock runs between these rates: it waits for a vehicle that is late and does not stand still."""
+
+WINDOW_S = 2.0
+SEARCH_POINTS = 41
+
+SETTLE_S = 1.5
+"""Time constant with which the reference goes on to the goal's centre after the end of the trajectory."""
+
+
+class Track:
+    """One trajectory towards one goal, followed by its clock."""
+
+    def __init__(self, trajectory: Trajectory, goal: Goal, complete: bool) -> None:
+        self.trajectory = trajectory
+        self.goal = goal
+        self.complete = complete
+        """It ends in the goal's region."""
+        self.clock_s = 0.0
+        """Where on the trajectory the vehicle is."""
+        dt = np.diff(trajectory.t_s)
+        self._impulse = np.vstack([np.zeros(4), np.cumsum(trajectory.thrust_n * dt[:, None], axis=0)])
+
+    @property
+    def rest_s(self) -> float:
+        """Time to the end, negative when it has passed."""
+        return float(self.trajectory.t_s[-1]) - self.clock_s
+
+    def locate(self, x0: FloatArray, around_s: float) -> None:
+        """Set the clock to the point nearest to the vehicle (8,) within WINDOW_S of ``around_s``."""
+        self.clock_s, _ = self._nearest(x0, around_s)
+
+    def advance(self, elapsed_s: float, x0: FloatArray) -> float:
+        """Move the clock on to where the vehicle (8,) is; the distance [m] to that point."""
+        low, high = self.clock_s + SLOWEST_RATE * elapsed_s, self.clock_s + FASTEST_RATE * elapsed_s
+        nearest_s, away_m = self._nearest(x0, self.clock_s)
+        self.clock_s = min(max(nearest_s, low), high)
+        return away_m
+
+    def _nearest(self, x0: FloatArray, around_s: float) -> tuple[float, float]:
+        """Time of the point nearest to a state, heading counted, and how far its place is [m]."""
+        window = np.linspace(max(0.0, around_s - WINDOW_S), around_s + WINDOW_S, SEARCH_POINTS)
+        places = self._states(window)
+        turn = places[:, YAW] - unwrap_near(float(x0[YAW]), float(places[0, YAW]))
+        gap = ((places[:, :2] - x0[:2]) ** 2).sum(axis=1)
+        nearest = int((gap + (YAW_LEVER_M * turn) ** 2).argmin())
+        return float(window[nearest]), math.sqrt(float(gap[nearest]))
+
+    def _states(self, t_s: FloatArray) -> FloatArray:
+        """States (m, 8) on the trajectory, its ends held."""
+        own = self.trajectory
+        return np.stack([np.interp(t_s, own.t_s, column) for column in own.x.T], axis=1)
+
+    def sample(self, t_s: FloatArray, current_ned_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """References (N+1, 8) and mean thrust (N, 4) at times ``t_s`` (N+1,) from now.
+
+        After the end the vehicle comes to rest at the goal's centre; thrust there is zero, to be filled in by the
+        caller for the velocities of the reference.
+        """
+        at = self.clock_s + t_s
+        own = self.trajectory
+        x = self._states(at)
+        impulse = np.stack([np.interp(at, own.t_s, column) for column in self._impulse.T], axis=1)
+        thrust = np.diff(impulse, axis=0) / np.diff(t_s)[:, None]
+        late = np.flatnonzero(at > own.t_s[-1])
+        if len(late) and self.complete:
+            self._settle(x, at, late, current_ned_m_s)
+        return x, thrust
+
+    def _settle(self, x: FloatArray, at: FloatArray, late: NDArray[np.intp], current_ned_m_s: FloatArray) -> None:
+        """Fill the states after the end: exponentially to the goal's centre and heading."""
+        end, goal = self.trajectory.x[-1], self.goal
+        place = np.asarray(goal.pos_ned_m, dtype=float)
+        yaw = float(end[YAW]) if goal.yaw_rad is None else unwrap_near(goal.yaw_rad, float(end[YAW]))
+        fade = np.exp(-(at[late] - self.trajectory.t_s[-1]) / SETTLE_S)
+        x[late, X : Z + 1] = place + fade[:, None] * (end[: Z + 1] - place)
+        x[late, YAW] = yaw + fade * (end[YAW] - yaw)
+        rate = -fade / SETTLE_S
+        velocity = rate[:, None] * (end[: Z + 1] - place) - current_ned_m_s
+        c, s = np.cos(x[late, YAW]), np.sin(x[late, YAW])
+        x[late, U], x[late, V] = c * velocity[:, 0] + s * velocity[:, 1], c * velocity[:, 1] - s * velocity[:, 0]
+        x[late, W], x[late, R] = velocity[:, 2], rate * (end[YAW] - yaw)
+
+    def ahead(self) -> FloatArray:
+        """(m, 2) what is still to come."""
+        later = self.trajectory.t_s > self.clock_s
+        return np.vstack([self.trajectory.x[later, :2], np.asarray(self.goal.pos_ned_m[:2], dtype=float)[None]])
+
+
+def still(x0: FloatArray, t_s: FloatArray, current_ned_m_s: FloatArray) -> FloatArray:
+    """References (N+1, 8) that stay where the vehicle is, at rest over ground."""
+    x = np.tile(x0, (len(t_s), 1))
+    c, s = math.cos(float(x0[YAW])), math.sin(float(x0[YAW]))
+    north, east, down = (float(v) for v in current_ned_m_s)
+    x[:, U:NX] = (-(c * north + s * east), -(c * east - s * north), -down, 0.0)
+    return x

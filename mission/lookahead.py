@@ -1,0 +1,50 @@
+"""Where a mission goes on to after a waypoint that it passes without a stop: for controllers that plan ahead."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from mission.items import ChangeSpeed, GoTo, Jump, SetHeading, Step
+
+LONGEST_WALK = 64
+"""Steps looked at: a plan of empty jumps ends the look ahead."""
+
+
+def passes_on(step: Step) -> bool:
+    """Whether the mission goes on from a step as soon as its region is entered."""
+    return isinstance(step, GoTo) and step.hold_s == 0.0 and step.autocontinue
+
+
+def next_waypoint(
+    steps: Sequence[Step],
+    cursor: int,
+    jumps_done: Mapping[int, int],
+    default_yaw_rad: float | None,
+    visit: Callable[[GoTo, float | None], None],
+    count: int,
+) -> None:
+    """Call ``visit`` with the next ``count`` waypoints (and the heading of those that leave it free) after step
+    ``cursor``. The walk ends at a waypoint that is not passed without a stop (it is still visited) and before any other
+    step that takes time or whose effect is not known yet."""
+    done = dict(jumps_done)
+    if not passes_on(steps[cursor]):
+        return
+    cursor += 1
+    for _ in range(LONGEST_WALK):
+        if cursor >= len(steps):
+            return
+        step = steps[cursor]
+        if isinstance(step, Jump):
+            taken = done.get(cursor, 0)
+            go = step.count is None or taken < step.count
+            done[cursor] = taken + 1
+            cursor = step.target_seq if go else cursor + 1
+            continue
+        if isinstance(step, SetHeading) and not step.relative:
+            default_yaw_rad = step.yaw_rad
+        elif isinstance(step, GoTo) and step.pos_ned_m is not None:
+            visit(step, default_yaw_rad)
+            count -= 1
+            if count == 0 or not passes_on(step):
+                return
+        elif not isinstance(step, ChangeSpeed):
+            return
+        cursor += 1
