@@ -91,6 +91,7 @@ class SitlSession:
     vehicle: Vehicle
     service: Autopilot
     parts: Parts
+    device: SimulatedDevice
     runtime: Runtime
     recorder: RunRecorder | NullRecorder
     persistent: PersistentParams
@@ -173,6 +174,7 @@ def open_sitl(
         vehicle=world.vehicle,
         service=service,
         parts=parts,
+        device=device,
         runtime=runtime,
         recorder=recorder,
         persistent=persistent,

@@ -49,7 +49,14 @@ def test_room_imports_only_what_it_may(room: str) -> None:
                 assert allowed, f"{path.relative_to(ROOT)} imports {name}"
 
 
-COMPOSITION = ("autopilot.bench", "autopilot.cli", "autopilot.compose", "autopilot.demo", "autopilot.describe")
+COMPOSITION = (
+    "autopilot.bench",
+    "autopilot.campaign",
+    "autopilot.cli",
+    "autopilot.compose",
+    "autopilot.demo",
+    "autopilot.describe",
+)
 """What puts rooms together: nothing below may know of it."""
 
 

@@ -12,6 +12,7 @@ from autopilot.core.errors import AutopilotError
 
 _COMMANDS: dict[str, tuple[str, str]] = {
     "bench": ("autopilot.cli.bench:bench", "Benchmarks, side by side with their baselines."),
+    "campaign": ("autopilot.cli.campaign:campaign", "Monte Carlo over seeds and spreads of a scenario, resumable."),
     "config": ("autopilot.cli.config:config", "Show the effective configuration and where it comes from."),
     "demo": ("autopilot.cli.demo:demo", "Fly the paper's mission in the simulated tank and judge it."),
     "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot."),

@@ -1,0 +1,1 @@
+"""Monte Carlo over seeds and spreads of a scenario: draw, fly, judge, keep, sum up."""

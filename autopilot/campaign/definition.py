@@ -1,0 +1,122 @@
+"""What a campaign is: a scenario with its spread, a seed, and everything else that its results depend on."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from autopilot import __version__
+from autopilot.campaign.results import Task
+from autopilot.compose import revision
+from autopilot.core.errors import ConfigError
+from autopilot.core.params import ParamSet
+from sitl.scenario import Scenario, load_scenario, load_tables, plan_path
+from sitl.spread import Tables, drawn_tables, drawn_values, run_seed
+from sitl.toml_text import toml_text
+
+FORMAT = 1
+"""Of the campaign's folder."""
+
+
+class Identity(msgspec.Struct, frozen=True, kw_only=True):
+    """``campaign.json``: runs of one folder agree in all of it."""
+
+    format: int
+    version: str
+    revision: str
+    """Of the code, empty when it is not a checkout."""
+    scenario: dict[str, Any]
+    """The tables of the scenario file, ``[spread]`` among them."""
+    plan_name: str
+    plan: str
+    seed: int
+    estimator: str
+    sensors: str | None
+    duration_s: float | None
+    params: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Campaign:
+    """A campaign that can be flown."""
+
+    identity: Identity
+    scenario: Scenario
+    tables: Tables
+
+    def task(self, run: int) -> Task:
+        """Run number ``run``, from 0."""
+        mine, spread = self.identity, self.scenario.spread
+        return Task(
+            run=run,
+            seed=run_seed(mine.seed, run),
+            drawn=drawn_values(spread, mine.seed, run),
+            scenario_toml=toml_text(drawn_tables(self.tables, spread, mine.seed, run)),
+            plan_name=mine.plan_name,
+            plan=mine.plan.encode(),
+            estimator=mine.estimator,
+            sensors=mine.sensors,
+            duration_s=mine.duration_s,
+            params=mine.params,
+        )
+
+
+def define(
+    name_or_path: str,
+    *,
+    seed: int | None = None,
+    estimator: str = "ekf",
+    sensors: str | None = None,
+    duration_s: float | None = None,
+    params: dict[str, float] | None = None,
+) -> Campaign:
+    """The campaign over a scenario; ``seed`` None = the scenario's. ConfigError if it cannot be flown."""
+    scenario, tables = load_scenario(name_or_path), load_tables(name_or_path)
+    plan = plan_path(name_or_path, scenario)
+    if plan is None:
+        raise ConfigError(f"scenario {scenario.scenario.name!r} has no plan; name one in scenario.plan")
+    if duration_s is None and scenario.scenario.duration_s is None:
+        raise ConfigError(
+            f"scenario {scenario.scenario.name!r} does not say when a run ends; add scenario.duration_s or --duration"
+        )
+    known = ParamSet()
+    for name, value in (params or {}).items():
+        known.set(name, value)
+    identity = Identity(
+        format=FORMAT,
+        version=__version__,
+        revision=revision(),
+        scenario=tables,
+        plan_name=plan.name,
+        plan=plan.read_text(encoding="utf-8"),
+        seed=scenario.scenario.seed if seed is None else seed,
+        estimator=estimator,
+        sensors=sensors,
+        duration_s=duration_s,
+        params=params or {},
+    )
+    return Campaign(identity=identity, scenario=scenario, tables=tables)
+
+
+def first_difference(old: Any, new: Any, place: str) -> str:
+    """``place: OLD instead of NEW`` of the first value in which nested tables differ; empty if they agree."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted({*old, *new}):
+            found = first_difference(old.get(key), new.get(key), f"{place}.{key}" if place else str(key))
+            if found:
+                return found
+        return ""
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        for index, (mine, other) in enumerate(zip(old, new, strict=True)):
+            found = first_difference(mine, other, f"{place}[{index}]")
+            if found:
+                return found
+        return ""
+    if old == new:
+        return ""
+    return f"{place} was {_short(old)} and is now {_short(new)}"
+
+
+def _short(value: Any) -> str:
+    text = "absent" if value is None else repr(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -1,0 +1,115 @@
+"""A run against its bounds, on the plant's truth at 100 Hz. Clearances and spans as in ``autopilot log check``."""
+
+import msgspec
+import numpy as np
+
+from autopilot.campaign.results import Margin, RunResult, Task
+from autopilot.campaign.watch import Watch
+from autopilot.core.frames import FloatArray
+from autopilot.log.analysis import (
+    Span,
+    Track,
+    distance_to_center,
+    distance_to_fence,
+    distance_to_polygon,
+    lap_spans,
+    visits,
+)
+from autopilot.log.description import RunDescription
+from sitl.plant import Truth
+from sitl.scenario import Scenario
+
+THRUST_TOLERANCE_N = 1e-6
+"""Rounding: a command at its limit is not beyond it."""
+
+
+def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end: Truth, cpu_s: float) -> RunResult:
+    """The result of a run that was flown; ``end`` is the truth at its end."""
+    flown = RunResult(
+        run=task.run,
+        seed=task.seed,
+        drawn=task.drawn,
+        simulated_s=end.t_us * 1e-6,
+        cpu_s=round(cpu_s, 2),
+        judged=scenario.accept.campaign,
+        laps_asked=run.accept.laps,
+        completed=watch.completed,
+        margins=_margins(scenario, run, watch) if len(watch.rows) else {},
+        contacts=end.contact_count,
+        penetration_m=end.max_penetration_m,
+        steps=watch.steps,
+        fallbacks=watch.fallbacks,
+        slack_max=watch.slack_max,
+        failsafes=watch.failsafe_names,
+        events=watch.events,
+    )
+    if not len(watch.rows):
+        return flown
+    spans = lap_spans(visits(watch.track, run), run)
+    return msgspec.structs.replace(
+        flown,
+        laps=len(spans),
+        energy_j=[_energy_j(watch, span) for span in spans],
+        lap_s=[span.end_s - span.start_s for span in spans],
+        **_estimate(watch),
+    )
+
+
+def _margins(scenario: Scenario, run: RunDescription, watch: Watch) -> dict[str, Margin]:
+    """Every bound of the scenario and of the plan."""
+    accept, track = scenario.accept, watch.track
+    judged = track.between(watch.mission)
+    found: dict[str, Margin] = {}
+
+    def add(name: str, margins: FloatArray, at: Track, tolerance: float) -> None:
+        if len(margins):
+            # A number that is none is the worst there is.
+            worst = int(np.argmin(np.where(np.isnan(margins), -np.inf, margins)))
+            found[name] = Margin(
+                margin=round(float(margins[worst]), 5), at_s=round(float(at.t_s[worst]), 2), tolerance=tolerance
+            )
+
+    near = accept.tolerance_m
+    for obstacle in run.obstacles:
+        limit = max(accept.cylinder_clearance_m, obstacle.radius_m + run.body_radius_m)
+        add(obstacle.name, distance_to_center(track, obstacle.center_m) - limit, track, near)
+    plane = track.pos_ned_m[:, :2]
+    if run.tank_polygon_m:
+        add("walls", distance_to_polygon(plane, run.tank_polygon_m) - accept.wall_clearance_m, track, near)
+    if run.fence:
+        add("fence", distance_to_fence(plane, run.fence) - run.body_radius_m, track, near)
+    depth = judged.pos_ned_m[:, 2]
+    add("shallowest", depth - accept.depth_min_m, judged, near)
+    add("deepest", accept.depth_max_m - depth, judged, near)
+    bounds = run.paper_bounds
+    for name, values, limit, allowed in (
+        ("planar speed", judged.planar_speed_m_s, bounds["planar_speed_m_s"], accept.planar_speed_m_s),
+        ("heave", np.abs(judged.vel_water_frd_m_s[:, 2]), bounds["heave_m_s"], accept.heave_m_s),
+        ("yaw rate", np.abs(judged.rate_frd_rad_s[:, 2]), bounds["yaw_rate_rad_s"], accept.yaw_rate_rad_s),
+    ):
+        add(name, limit - values, judged, round(max(0.0, allowed - limit), 6))
+    command_n = watch.column("thrust_n")[watch.mission.holds(track.t_s)]
+    add("thrust", min(bounds["thrust_n"], accept.thrust_n) - command_n, judged, THRUST_TOLERANCE_N)
+    return found
+
+
+def _energy_j(watch: Watch, span: Span) -> float:
+    """Energy of thrusters and hotel load in a span: trapezoidal rule at 100 Hz."""
+    keep = span.holds(watch.column("t_s"))
+    t_s, power_w = watch.column("t_s")[keep], watch.column("power_w")[keep]
+    return round(float(np.sum(0.5 * (power_w[1:] + power_w[:-1]) * np.diff(t_s))), 2)
+
+
+def _estimate(watch: Watch) -> dict[str, float]:
+    """Errors of the estimate until the mission is complete."""
+    rows = watch.rows[watch.mission.holds(watch.column("t_s"))]
+    errors = rows[:, 21:27][~np.isnan(rows[:, 21])]
+    if not len(errors):
+        return {}
+    distance2 = np.sum(errors[:, :3] ** 2, axis=1)
+    return {
+        "pos_rms_m": round(float(np.sqrt(np.mean(distance2))), 6),
+        "pos_max_m": round(float(np.sqrt(np.max(distance2))), 6),
+        "yaw_rms_rad": round(float(np.sqrt(np.mean(errors[:, 3] ** 2))), 6),
+        "current_rms_m_s": round(float(np.sqrt(np.mean(np.sum(errors[:, 4:6] ** 2, axis=1)))), 6),
+    }

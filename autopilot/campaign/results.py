@@ -1,0 +1,108 @@
+"""What a campaign hands to an engine and what it keeps of every run."""
+
+from dataclasses import dataclass, field
+
+import msgspec
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """One run, complete in itself: it may be flown in another process or on another machine."""
+
+    run: int
+    """Number in the campaign, from 0."""
+    seed: int
+    drawn: dict[str, float | str]
+    """What ``[spread]`` gave for this run."""
+    scenario_toml: str
+    plan_name: str
+    plan: bytes
+    estimator: str
+    sensors: str | None
+    """None = as the scenario says."""
+    duration_s: float | None
+    """None = as the scenario says."""
+    params: dict[str, float] = field(default_factory=dict)
+
+
+class Margin(msgspec.Struct, frozen=True, kw_only=True):
+    """How near a run came to one bound."""
+
+    margin: float
+    """Distance from the bound itself, without tolerance; negative = broken. SI."""
+    at_s: float
+    tolerance: float
+    """By how much the bound may be broken before a bar is."""
+
+    @property
+    def beyond(self) -> bool:
+        """Broken by more than the tolerance."""
+        return not self.margin >= -self.tolerance
+
+
+class RunResult(msgspec.Struct, frozen=True, kw_only=True):
+    """One line of ``runs.jsonl``."""
+
+    run: int
+    seed: int
+    drawn: dict[str, float | str]
+    error: str | None = None
+    """Why it was not flown to its end; everything below is empty then."""
+    simulated_s: float = 0.0
+    cpu_s: float = 0.0
+    judged: str = "bounds"
+    """``accept.campaign`` of the scenario."""
+    laps: int = 0
+    laps_asked: int | None = None
+    """None = the mission has no laps."""
+    completed: bool = False
+    """The mission came to its end."""
+    margins: dict[str, Margin] = {}
+    contacts: int = 0
+    penetration_m: float = 0.0
+    """Deepest."""
+    energy_j: list[float] = []
+    """Per lap, everything on board."""
+    lap_s: list[float] = []
+    pos_rms_m: float = 0.0
+    """Estimate against truth, as the next three."""
+    pos_max_m: float = 0.0
+    yaw_rms_rad: float = 0.0
+    current_rms_m_s: float = 0.0
+    steps: int = 0
+    """Of the controller."""
+    fallbacks: int = 0
+    """Steps in which something else than the optimum commanded the thrusters."""
+    slack_max: float = 0.0
+    failsafes: list[str] = []
+    events: list[str] = []
+    """Warnings and worse, the first ones."""
+    tube_share: float | None = None
+    """Share of samples inside the tube that the controller announced; None = it announced none."""
+
+    @property
+    def laps_missing(self) -> bool:
+        """Fewer laps than the mission asks for, or no end of a mission without laps."""
+        return not self.completed if self.laps_asked is None else self.laps < self.laps_asked
+
+    @property
+    def broken(self) -> list[str]:
+        """Bounds broken at all."""
+        return [name for name, margin in self.margins.items() if not margin.margin >= 0.0]
+
+    @property
+    def beyond(self) -> list[str]:
+        """Bounds broken by more than their tolerance."""
+        return [name for name, margin in self.margins.items() if margin.beyond]
+
+    @property
+    def failed(self) -> bool:
+        """It breaks what the scenario holds against a run."""
+        if self.error is not None or self.contacts > 0:
+            return True
+        return self.judged == "bounds" and (bool(self.beyond) or self.laps_missing)
+
+
+def failure(task: Task, error: str) -> RunResult:
+    """A run that could not be flown."""
+    return RunResult(run=task.run, seed=task.seed, drawn=task.drawn, error=error)

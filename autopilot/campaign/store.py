@@ -1,0 +1,130 @@
+"""The folder of a campaign: what it is, the drawn scenarios, one line per finished run.
+
+``campaign.json`` holds the identity, ``scenarios/run-0007.toml`` what run 7 flew (with the plan beside it), and
+``runs.jsonl`` (``runs-2of4.jsonl`` for a shard) one :class:`RunResult` per line, each written at once and synced. A
+line that a crash cut off is dropped. Folders of shards are put together by copying their ``runs-*.jsonl`` into one.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import msgspec
+
+from autopilot.campaign.definition import Campaign, Identity, first_difference
+from autopilot.campaign.results import RunResult, Task
+from autopilot.core.errors import ConfigError, LogError
+from autopilot.log.lock import lock_exclusive
+
+IDENTITY = "campaign.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """Part ``index`` (from 1) of ``count``: every ``count``-th run."""
+
+    index: int = 1
+    count: int = 1
+
+    @classmethod
+    def parse(cls, text: str) -> "Shard":
+        """From ``I/N``. ConfigError if it is not one."""
+        first, _, second = text.partition("/")
+        if not (first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second)):
+            raise ConfigError(f"--shard {text!r}: write I/N with I from 1 to N, such as 2/4")
+        return cls(int(first), int(second))
+
+    def holds(self, run: int) -> bool:
+        """Whether a run (from 0) belongs to it."""
+        return run % self.count == self.index - 1
+
+    @property
+    def file_name(self) -> str:
+        """Where its lines are."""
+        return "runs.jsonl" if self.count == 1 else f"runs-{self.index}of{self.count}.jsonl"
+
+
+class Store:
+    """A folder that is open for one shard; nobody else writes that shard meanwhile."""
+
+    def __init__(self, folder: Path, campaign: Campaign, shard: Shard) -> None:
+        """ConfigError: another campaign lives there, or another process flies this shard. LogError: damaged."""
+        self._folder = folder
+        self._scenarios = folder / "scenarios"
+        try:
+            self._scenarios.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from error
+        _settle_identity(folder / IDENTITY, campaign.identity)
+        plan = self._scenarios / campaign.identity.plan_name
+        plan.write_text(campaign.identity.plan, encoding="utf-8")
+        path = folder / shard.file_name
+        self._file: IO[bytes] = path.open("ab")
+        if not lock_exclusive(self._file):
+            self._file.close()
+            raise ConfigError(f"{path}: another process flies these runs now; wait for it or take another --shard")
+        _drop_cut_line(path)
+
+    def close(self) -> None:
+        """Give the shard free."""
+        self._file.close()
+
+    def results(self) -> dict[int, RunResult]:
+        """Finished runs of all shards in the folder, by number."""
+        return read_results(self._folder)
+
+    def begin(self, task: Task) -> None:
+        """Write down what a run flies, before it does."""
+        path = scenario_file(self._folder, task.run)
+        path.write_text(task.scenario_toml, encoding="utf-8")
+
+    def append(self, result: RunResult) -> None:
+        """Keep a finished run: one write, then on disk."""
+        os.write(self._file.fileno(), msgspec.json.encode(result) + b"\n")
+        os.fsync(self._file.fileno())
+
+
+def scenario_file(folder: Path, run: int) -> Path:
+    """The drawn scenario of a run."""
+    return folder / "scenarios" / f"run-{run:04d}.toml"
+
+
+def read_results(folder: Path) -> dict[int, RunResult]:
+    """Finished runs of all shards in a folder, in order. LogError names a line that is damaged."""
+    found: dict[int, RunResult] = {}
+    for path in sorted(folder.glob("runs*.jsonl")):
+        whole, _, _ = path.read_bytes().rpartition(b"\n")
+        for number, line in enumerate(whole.splitlines(), 1):
+            try:
+                result = msgspec.json.decode(line, type=RunResult)
+            except msgspec.MsgspecError as error:
+                raise LogError(f"{path}:{number}: damaged ({error}); delete that line to fly its run again") from error
+            found.setdefault(result.run, result)
+    return dict(sorted(found.items()))
+
+
+def _settle_identity(path: Path, mine: Identity) -> None:
+    """Write the identity into a new folder; in an old one it has to be the same."""
+    data = msgspec.json.format(msgspec.json.encode(mine), indent=1)
+    if not path.exists():
+        fresh = path.with_suffix(f".{os.getpid()}")
+        fresh.write_bytes(data)
+        fresh.replace(path)
+    try:
+        old = msgspec.json.decode(path.read_bytes())
+    except msgspec.MsgspecError as error:
+        raise LogError(f"{path}: damaged ({error}); choose another --out") from error
+    difference = first_difference(old, msgspec.json.decode(data), "")
+    if difference:
+        raise ConfigError(
+            f"{path.parent}: holds another campaign: {difference}; choose another --out, or go on with what it was"
+        )
+
+
+def _drop_cut_line(path: Path) -> None:
+    """A write that a crash cut off is no run."""
+    data = path.read_bytes()
+    whole = data.rfind(b"\n") + 1
+    if whole < len(data):
+        os.truncate(path, whole)

@@ -1,0 +1,170 @@
+"""What the runs of a campaign say together: shares with their confidence, percentiles of margins, bars."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.campaign.results import RunResult
+
+CONFIDENCE = 0.95
+PERCENTILES = (0.0, 1.0, 5.0, 50.0, 95.0, 100.0)
+TUBE_SHARE = 0.999
+"""Share of samples that has to lie inside the announced tube."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bar:
+    """Something that all runs together have to hold."""
+
+    name: str
+    bar: str
+    value: str
+    held: bool | None
+    """None = cannot be judged."""
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spreadout:
+    """How a figure is distributed over the runs."""
+
+    name: str
+    unit: str
+    count: int
+    percentiles: tuple[float, ...]
+    """At :data:`PERCENTILES`."""
+    broken: int = 0
+    """Runs that broke this bound at all."""
+    beyond: int = 0
+    """Runs that broke it by more than its tolerance."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """A campaign so far."""
+
+    asked: int
+    """Runs that were asked for."""
+    finished: int
+    bars: tuple[Bar, ...]
+    margins: tuple[Spreadout, ...]
+    figures: tuple[Spreadout, ...]
+    failed: tuple[RunResult, ...]
+    """Runs that break what the scenario holds against a run."""
+    shy: tuple[RunResult, ...]
+    """Runs that broke a bound within its tolerance, or missed something that is not held against them."""
+
+    @property
+    def passed(self) -> bool:
+        """No bar is broken."""
+        return all(bar.held is not False for bar in self.bars)
+
+
+def failure_bound(failures: int, runs: int) -> float:
+    """Largest failure rate that such a result still allows with 95 % confidence (Clopper and Pearson 1934, one-sided).
+
+    Without failures about 3 / runs (rule of three)."""
+    if failures >= runs:
+        return 1.0
+    if failures == 0:
+        return float(1.0 - (1.0 - CONFIDENCE) ** (1.0 / runs))
+    from scipy.stats import beta
+
+    return float(beta.ppf(CONFIDENCE, failures + 1, runs - failures))
+
+
+def summarise(results: Sequence[RunResult], asked: int) -> Summary:
+    """All figures of the finished runs."""
+    flown = [result for result in results if result.error is None]
+    failed = tuple(result for result in results if result.failed)
+    return Summary(
+        asked=asked,
+        finished=len(results),
+        bars=tuple(_bars(results, flown)),
+        margins=tuple(_margins(flown)),
+        figures=tuple(_figures(flown)),
+        failed=failed,
+        shy=tuple(r for r in flown if not r.failed and (r.broken or r.laps_missing)),
+    )
+
+
+def _bars(results: Sequence[RunResult], flown: Sequence[RunResult]) -> list[Bar]:
+    count = len(results)
+    strict = any(result.judged == "bounds" for result in flown)
+    errors = count - len(flown)
+    bars = [Bar(name="runs flown to their end", bar="all", value=f"{len(flown)} of {count}", held=not errors)]
+    with_laps = [result for result in flown if not result.laps_missing]
+    done = f"{len(with_laps)} of {len(flown)}"
+    laps_held = len(with_laps) == len(flown) if strict else None
+    bars.append(Bar(name="laps done", bar="all" if strict else "not asked", value=done, held=laps_held))
+    touched = [result for result in flown if result.contacts]
+    bars.append(_none("contacts", touched, True))
+    bars.append(_none("a bound broken beyond its tolerance", [r for r in flown if r.beyond], strict))
+    at_all = [result for result in flown if result.broken]
+    note = _which(at_all) or ("goal" if strict else "")
+    bars.append(Bar(name="a bound broken at all", bar="goal: no run", value=str(len(at_all)), held=None, note=note))
+    bars.append(_tube(flown))
+    failures = sum(result.failed for result in results)
+    if count:
+        bound = failure_bound(failures, count)
+        note = f"{failures} failed of {count}, 95 % confidence"
+        bars.append(Bar(name="failure rate", bar="", value=f"<= {bound:.2%}", held=None, note=note))
+    return bars
+
+
+def _none(name: str, runs: Sequence[RunResult], strict: bool) -> Bar:
+    bar = "no run" if strict else "not held against it"
+    return Bar(name=name, bar=bar, value=str(len(runs)), held=not runs if strict else None, note=_which(runs))
+
+
+def _which(runs: Sequence[RunResult]) -> str:
+    shown = ", ".join(str(result.run) for result in runs[:12])
+    return f"runs {shown}{', ...' if len(runs) > 12 else ''}" if runs else ""
+
+
+def _tube(flown: Sequence[RunResult]) -> Bar:
+    shares = [result.tube_share for result in flown if result.tube_share is not None]
+    name, bar = "samples inside the announced tube", f">= {TUBE_SHARE:.1%}"
+    if not shares:
+        return Bar(name=name, bar=bar, value="", held=None, note="the controller announced none")
+    mean = float(np.mean(shares))
+    return Bar(name=name, bar=bar, value=f"{mean:.3%}", held=mean >= TUBE_SHARE, note=f"worst run {min(shares):.3%}")
+
+
+def _margins(flown: Sequence[RunResult]) -> list[Spreadout]:
+    names = list(dict.fromkeys(name for result in flown for name in result.margins))
+    units = {"planar speed": "m/s", "heave": "m/s", "yaw rate": "rad/s", "thrust": "N"}
+    return [
+        _spread(
+            name,
+            units.get(name, "m"),
+            [result.margins[name].margin for result in flown if name in result.margins],
+            broken=sum(name in result.broken for result in flown),
+            beyond=sum(name in result.beyond for result in flown),
+        )
+        for name in names
+    ]
+
+
+def _figures(flown: Sequence[RunResult]) -> list[Spreadout]:
+    laps = [energy for result in flown for energy in result.energy_j]
+    rows = [
+        _spread("energy per lap", "J", laps),
+        _spread("energy of a run's laps", "J", [sum(result.energy_j) for result in flown if not result.laps_missing]),
+        _spread("time per lap", "s", [lap for result in flown for lap in result.lap_s]),
+        _spread("estimate position rms", "mm", [1000.0 * result.pos_rms_m for result in flown]),
+        _spread("estimate position worst", "mm", [1000.0 * result.pos_max_m for result in flown]),
+        _spread("estimate yaw rms", "deg", [math.degrees(result.yaw_rms_rad) for result in flown]),
+        _spread("estimate current rms", "m/s", [result.current_rms_m_s for result in flown]),
+        _spread("controller fallbacks", "%", [100.0 * r.fallbacks / r.steps for r in flown if r.steps]),
+        _spread("largest slack", "", [result.slack_max for result in flown]),
+        _spread("CPU time of a run", "s", [result.cpu_s for result in flown]),
+    ]
+    return [row for row in rows if row.count]
+
+
+def _spread(name: str, unit: str, values: Sequence[float], *, broken: int = 0, beyond: int = 0) -> Spreadout:
+    at = tuple(float(value) for value in np.percentile(values, PERCENTILES)) if len(values) else ()
+    return Spreadout(name=name, unit=unit, count=len(values), percentiles=at, broken=broken, beyond=beyond)

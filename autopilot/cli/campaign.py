@@ -1,0 +1,244 @@
+"""``autopilot campaign``: Monte Carlo over seeds and spreads of a scenario."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Protocol
+
+import click
+
+from autopilot.cli.output import emit_json, print_table
+from autopilot.config import ESTIMATORS, SENSORS
+
+if TYPE_CHECKING:
+    from autopilot.campaign.engines import Engine
+    from autopilot.campaign.results import RunResult
+    from autopilot.campaign.store import Shard
+    from autopilot.campaign.summary import Summary
+
+
+class _Show(Protocol):
+    def __call__(self, result: RunResult | None, done: int, total: int) -> None: ...
+
+
+@click.command()
+@click.argument("scenario")
+@click.option("--runs", type=click.IntRange(min=1), required=True, help="Runs in all; more than before goes on.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the campaign.")
+@click.option("--engine", default="local", show_default=True, help="local, dask or dask+tcp://HOST:PORT.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (default: one per core).")
+@click.option("--shard", default="1/1", show_default=True, help="I/N: only every N-th run, from the I-th on.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the campaign (default: the scenario's).")
+@click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End every run after so many seconds.")
+@click.option("--estimator", type=click.Choice(ESTIMATORS), default="ekf", show_default=True)
+@click.option("--sensors", type=click.Choice(SENSORS), help="Default: the scenario's.")
+@click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable.")
+@click.option("--figures/--no-figures", default=True, show_default=True, help="Histograms in the folder.")
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+def campaign(
+    scenario: str,
+    runs: int,
+    out: Path,
+    engine: str,
+    jobs: int | None,
+    shard: str,
+    seed: int | None,
+    duration: float | None,
+    estimator: str,
+    sensors: str | None,
+    param: tuple[str, ...],
+    figures: bool,
+    as_json: bool,
+) -> None:
+    """Fly SCENARIO (a shipped name or a TOML file) RUNS times, each with another seed and other values of its [spread].
+
+    Every run is the whole service on the simulated vehicle, judged on the plant's truth at 100 Hz. Finished runs are
+    kept in OUT, one line each; the same command goes on where it was stopped. Exit code 1 if a bar is broken.
+    """
+    from autopilot.campaign.definition import define
+    from autopilot.campaign.engines import make_engine
+    from autopilot.campaign.store import Shard
+    from autopilot.campaign.summary import summarise
+    from autopilot.config import parse_overrides
+
+    defined = define(
+        scenario,
+        seed=seed,
+        estimator=estimator,
+        sensors=sensors,
+        duration_s=duration,
+        params=parse_overrides(param),
+    )
+    name = defined.scenario.scenario.name
+    results, stopped = _fly(defined, make_engine(engine, jobs), out, runs, Shard.parse(shard), quiet=as_json)
+    if stopped:
+        click.echo(f"{name}: {len(results)} of {runs} runs are kept in {out}; the same command goes on", err=True)
+        raise click.Abort
+    summary = summarise(list(results.values()), runs)
+    written = _write_figures(list(results.values()), name, out) if figures else []
+    if as_json:
+        emit_json({"passed": summary.passed, "scenario": name, **_plain(summary), "figures": [str(p) for p in written]})
+    else:
+        _print(summary, name, out)
+        click.echo(f"{name}: {'no bar is broken' if summary.passed else 'A BAR IS BROKEN'}; runs in {out}")
+    if not summary.passed:
+        raise click.exceptions.Exit(1)
+
+
+def _fly(
+    defined: Any, engine: Engine, out: Path, runs: int, shard: Shard, *, quiet: bool
+) -> tuple[dict[int, RunResult], bool]:
+    """Fly what is missing; all finished runs of the folder, and whether somebody stopped it."""
+    from autopilot.campaign.store import Store
+
+    store = Store(out, defined, shard)
+    try:
+        finished = store.results()
+        mine = [run for run in range(runs) if shard.holds(run)]
+        tasks = [defined.task(run) for run in mine if run not in finished]
+        for task in tasks:
+            store.begin(task)
+        done = len(mine) - len(tasks)
+        with _stoppable() as stop, _progress(defined.scenario.scenario.name, quiet=quiet) as show:
+            show(None, done, len(mine))
+            for result in engine.run(tasks, lambda: bool(stop)):
+                store.append(result)
+                done += 1
+                show(result, done, len(mine))
+        return {run: result for run, result in store.results().items() if run < runs}, bool(stop)
+    finally:
+        store.close()
+
+
+@contextmanager
+def _stoppable() -> Iterator[list[int]]:
+    """A list that fills when Ctrl-C or SIGTERM come; a second one does not wait."""
+    stopped: list[int] = []
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        stopped.append(number)
+        signal.signal(number, signal.SIG_DFL)
+
+    before = [(number, signal.signal(number, note)) for number in (signal.SIGINT, signal.SIGTERM)]
+    try:
+        yield stopped
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)
+
+
+def _write_figures(results: list[RunResult], title: str, out: Path) -> list[Path]:
+    from autopilot.campaign.figures import write_figures
+
+    return write_figures(results, title, out)
+
+
+def _plain(summary: Summary) -> dict[str, Any]:
+    from autopilot.campaign.summary import PERCENTILES
+
+    def run(result: RunResult) -> Mapping[str, Any]:
+        return {"run": result.run, "seed": result.seed, "what": _what(result)}
+
+    return {
+        "asked": summary.asked,
+        "finished": summary.finished,
+        "bars": [asdict(bar) for bar in summary.bars],
+        "percentiles": PERCENTILES,
+        "margins": [asdict(row) for row in summary.margins],
+        "distributions": [asdict(row) for row in summary.figures],
+        "failed": [run(result) for result in summary.failed],
+        "within_tolerance": [run(result) for result in summary.shy],
+    }
+
+
+def _print(summary: Summary, name: str, out: Path) -> None:
+    from autopilot.campaign.store import scenario_file
+    from autopilot.campaign.summary import PERCENTILES
+
+    held = {True: "pass", False: "FAIL", None: ""}
+    print_table(
+        f"{name}: {summary.finished} of {summary.asked} runs",
+        ("", "bar", "value", "", "note"),
+        [(bar.name, bar.bar, bar.value, held[bar.held], bar.note) for bar in summary.bars],
+    )
+    heads = tuple("min" if p == 0.0 else "max" if p == 100.0 else f"p{p:g}" for p in PERCENTILES)
+    print_table(
+        "worst margin of each run (distance from the bound itself)",
+        ("bound", "unit", *heads, "broken", "beyond tolerance"),
+        [(m.name, m.unit, *(f"{v:.4f}" for v in m.percentiles), m.broken, m.beyond) for m in summary.margins],
+    )
+    print_table(
+        "distributions",
+        ("", "unit", "count", *heads),
+        [(f.name, f.unit, f.count, *(f"{v:.4g}" for v in f.percentiles)) for f in summary.figures],
+    )
+    listed = [(result, "failed") for result in summary.failed] + [(result, "") for result in summary.shy]
+    if listed:
+        rows = [(r.run, r.seed, verdict, _what(r), scenario_file(out, r.run).name) for r, verdict in listed]
+        print_table(
+            "runs to look at (autopilot sitl FILE --speed 0 --start)", ("run", "seed", "", "what", "file"), rows
+        )
+
+
+def _what(result: RunResult) -> str:
+    """What a run broke, in words."""
+    if result.error is not None:
+        return result.error
+    parts = [f"{result.contacts} contacts, {1000.0 * result.penetration_m:.0f} mm"] if result.contacts else []
+    if result.laps_missing:
+        parts.append(
+            "mission not completed" if result.laps_asked is None else f"{result.laps} of {result.laps_asked} laps"
+        )
+    parts += [
+        f"{name} {result.margins[name].margin:+.4f} at {result.margins[name].at_s:.1f} s" for name in result.broken
+    ]
+    parts += [f"failsafe {name}" for name in result.failsafes]
+    return "; ".join(parts)
+
+
+@contextmanager
+def _progress(name: str, *, quiet: bool) -> Iterator[_Show]:
+    """A bar on a terminal, a line per run elsewhere."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    failures = 0
+
+    def verdict(result: RunResult) -> str:
+        return f"FAILED: {_what(result)}" if result.failed else (_what(result) or "good")
+
+    if quiet or not console.is_terminal:
+
+        def line(result: RunResult | None, done: int, total: int) -> None:
+            if result is not None and not quiet:
+                click.echo(
+                    f"{name}: {done} of {total}: run {result.run}, seed {result.seed}: {verdict(result)}", err=True
+                )
+
+        yield line
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as progress:
+        bar = progress.add_task(name, total=None)
+
+        def show(result: RunResult | None, done: int, total: int) -> None:
+            nonlocal failures
+            failures += result is not None and result.failed
+            if result is not None and result.failed:
+                progress.console.print(f"run {result.run}, seed {result.seed}: {verdict(result)}", highlight=False)
+            progress.update(bar, completed=done, total=total, description=f"{name}: {failures} failed")
+
+        yield show

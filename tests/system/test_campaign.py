@@ -1,0 +1,388 @@
+"""Campaigns: kept, resumed, sharded, refused when changed, summed up."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from system_harness import free_port
+
+from autopilot.campaign.definition import Campaign, define, first_difference
+from autopilot.campaign.engines import DaskCluster, InProcess, LocalPool, make_engine
+from autopilot.campaign.figures import write_figures
+from autopilot.campaign.flight import fly
+from autopilot.campaign.results import Margin, RunResult, Task
+from autopilot.campaign.store import Shard, Store, read_results, scenario_file
+from autopilot.campaign.summary import failure_bound, summarise
+from autopilot.cli.main import cli, run
+from autopilot.core.errors import ConfigError, LogError
+from autopilot.log.check import acceptance_table
+from autopilot.log.reader import open_log
+from mission.paper import paper_plan
+from mission.plan_files import write_plan
+from sitl.scenario import scenario_path
+
+SHORT_S = 2.5
+SPREAD = '[spread]\n"vehicle.mismatch.drag" = { low = 0.7, high = 1.3 }\n'
+"""Few seconds of the paper's tour: enough to arm and to move."""
+
+
+def scenario_in(folder: Path, spread: str = SPREAD, name: str = "short.toml") -> str:
+    folder.mkdir(parents=True, exist_ok=True)
+    text = scenario_path("r1").read_text(encoding="utf-8")
+    path = folder / name
+    head = text[: text.index("[spread]")].replace("duration_s = 150.0", f"duration_s = {SHORT_S}")
+    path.write_text(head + spread, encoding="utf-8")
+    write_plan(folder / "paper.plan", paper_plan(1))
+    return str(path)
+
+
+def campaign(out: Path, scenario: str, *arguments: str, runs: int = 2) -> tuple[int, Any]:
+    """Exit code and what --json printed."""
+    command = ["campaign", scenario, "--runs", str(runs), "--out", str(out), "--json", "--jobs", "1", *arguments]
+    printed: list[str] = []
+    runner = CliRunner()
+
+    def call() -> object:
+        done = runner.invoke(cli, command, standalone_mode=False)
+        printed.append(done.output)
+        if done.exception is not None:
+            raise done.exception
+        return done.return_value
+
+    code = run(call)
+    return code, json.loads(printed[0]) if printed[0].startswith("{") else None
+
+
+def lines(out: Path) -> list[dict[str, Any]]:
+    """What is kept of every run, but for the time it took."""
+    found = [msgspec.to_builtins(result) for result in read_results(out).values()]
+    return [{key: value for key, value in each.items() if key != "cpu_s"} for each in found]
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, Any]:
+    """Two short runs: folder, scenario, what was printed."""
+    folder = tmp_path_factory.mktemp("campaign")
+    scenario = scenario_in(folder / "in")
+    code, printed = campaign(folder / "out", scenario)
+    assert code == 1, "nobody finishes laps in that time"
+    return folder / "out", scenario, printed
+
+
+def test_two_runs_are_flown_and_judged(flown: tuple[Path, str, Any]) -> None:
+    out, _, printed = flown
+    first, second = read_results(out).values()
+    assert (first.run, second.run) == (0, 1)
+    assert (first.seed, second.seed) == (1_000_000, 1_000_001)
+    assert first.drawn != second.drawn
+    assert 0.7 <= float(first.drawn["vehicle.mismatch.drag"]) <= 1.3
+    for result in (first, second):
+        assert result.error is None
+        assert result.simulated_s == SHORT_S
+        assert result.laps == 0
+        assert result.laps_asked == 1
+        assert result.failed
+        assert result.beyond == []
+        names = {"cylinder 1", "cylinder 2", "walls", "fence", "shallowest", "deepest"}
+        assert set(result.margins) == names | {"planar speed", "heave", "yaw rate", "thrust"}
+        assert 0.0 < result.pos_rms_m < 0.01
+        assert result.steps > 10
+    bars = {bar["name"]: bar for bar in printed["bars"]}
+    assert bars["laps done"]["held"] is False
+    assert bars["a bound broken beyond its tolerance"]["held"] is True
+    assert printed["passed"] is False
+    assert [each["what"] for each in printed["failed"]] == ["0 of 1 laps", "0 of 1 laps"]
+    assert (out / "margins.png").is_file()
+
+
+def test_a_drawn_run_flown_alone_is_the_same(flown: tuple[Path, str, Any], tmp_path: Path) -> None:
+    out, _, _ = flown
+    log = tmp_path / "alone.mcap"
+    subprocess.run(
+        [
+            *(sys.executable, "-m", "autopilot", "sitl", str(scenario_file(out, 1)), "--seed", "1000001", "--start"),
+            *("--speed", "0", "--quiet", "--connect", f"udpin:127.0.0.1:{free_port()}", "--log", str(log)),
+        ],
+        check=True,
+        env={**os.environ, "AUTOPILOT_STATE_DIR": str(tmp_path)},
+    )
+    rows = {row.name: row for row in acceptance_table(open_log(log))}
+    result = read_results(out)[1]
+    worst = rows["distance to cylinder 1"].worst
+    assert worst is not None
+    # The log keeps the truth at 50 Hz, the campaign looks at 100 Hz.
+    assert worst - 0.46 == pytest.approx(result.margins["cylinder 1"].margin, abs=2e-3)
+
+
+def test_finished_runs_are_not_repeated_and_more_can_be_added(flown: tuple[Path, str, Any], tmp_path: Path) -> None:
+    out, scenario, _ = flown
+    fresh = tmp_path / "out"
+    assert campaign(fresh, scenario, runs=1)[0] == 1
+    with (fresh / "runs.jsonl").open("ab") as file:
+        file.write(b'{"run":1,"se')  # a crash cut this line off
+    data = (fresh / "runs.jsonl").read_bytes()
+    code, printed = campaign(fresh, scenario)
+    assert (code, printed["finished"]) == (1, 2)
+    again = (fresh / "runs.jsonl").read_bytes()
+    assert again.startswith(data[: data.index(b"\n") + 1])
+    assert again.count(b"\n") == 2
+    assert lines(fresh) == lines(out), "interrupted and resumed = flown in one go"
+    campaign(fresh, scenario)
+    assert (fresh / "runs.jsonl").read_bytes() == again
+
+
+def test_shards_together_are_the_whole(flown: tuple[Path, str, Any], tmp_path: Path) -> None:
+    out, scenario, _ = flown
+    together = tmp_path / "out"
+    code, first = campaign(together, scenario, "--shard", "2/2")
+    assert first["finished"] == 1
+    code, both = campaign(together, scenario, "--shard", "1/2")
+    assert (code, both["finished"]) == (1, 2)
+    assert sorted(path.name for path in together.glob("runs*")) == ["runs-1of2.jsonl", "runs-2of2.jsonl"]
+    assert lines(together) == lines(out)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("--seed", "2"), "holds another campaign: seed was 1 and is now 2"),
+        (("--sensors", "camera"), "sensors was absent and is now 'camera'"),
+        (("--param", "THR_LIMIT=11"), "params.THR_LIMIT was absent and is now 11.0"),
+        (("--duration", "3"), "duration_s was absent and is now 3.0"),
+        (None, "scenario.spread.vehicle.mismatch.drag.high was 1.3 and is now 1.2"),
+    ],
+)
+def test_another_campaign_in_the_same_folder_is_refused(
+    flown: tuple[Path, str, Any],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    change: tuple[str, ...] | None,
+    message: str,
+) -> None:
+    out, scenario, _ = flown
+    if change is None:
+        scenario, change = scenario_in(tmp_path, SPREAD.replace("1.3", "1.2")), ()
+    assert campaign(out, scenario, *change)[0] == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert "choose another --out" in error
+    assert error.count("\n") == 1
+
+
+def test_another_version_is_refused(flown: tuple[Path, str, Any]) -> None:
+    out, scenario, _ = flown
+    defined = define(scenario)
+    other = Campaign(
+        identity=msgspec.structs.replace(defined.identity, version="0.0.9"),
+        scenario=defined.scenario,
+        tables=defined.tables,
+    )
+    with pytest.raises(ConfigError, match=r"version was '.*' and is now '0\.0\.9'"):
+        Store(out, other, Shard())
+
+
+def test_two_processes_do_not_fly_the_same_runs(flown: tuple[Path, str, Any]) -> None:
+    out, scenario, _ = flown
+    store = Store(out, define(scenario), Shard())
+    with pytest.raises(ConfigError, match="another process flies these runs now"):
+        Store(out, define(scenario), Shard())
+    store.close()
+
+
+def test_a_damaged_line_is_named(tmp_path: Path) -> None:
+    (tmp_path / "runs.jsonl").write_bytes(b'{"run":0,"seed":1,"drawn":{}}\n{"run":\n')
+    with pytest.raises(LogError, match=r"runs\.jsonl:2: damaged"):
+        read_results(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("nowhere",), "scenario 'nowhere' is not known"),
+        (("vortex",), "has no plan"),
+        (("paper-tank",), "does not say when a run ends"),
+        (("r1", "--shard", "3/2"), "--shard '3/2': write I/N"),
+        (("r1", "--shard", "x"), "--shard 'x': write I/N"),
+        (("r1", "--engine", "abacus"), "--engine 'abacus': use local, dask or dask+tcp://HOST:PORT"),
+        (("r1", "--param", "NO_SUCH=1"), "NO_SUCH"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
+) -> None:
+    scenario, *rest = arguments
+    assert campaign(tmp_path / "out", scenario, *rest)[0] == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.glob("out/runs*"))
+
+
+def test_a_bad_spread_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = scenario_in(tmp_path, '[spread]\n"vehicle.mismatch.colour" = { low = 0.9, high = 1.1 }\n')
+    assert campaign(tmp_path / "out", scenario)[0] == 1
+    assert '$.spread."vehicle.mismatch.colour"` = 0.9' in capsys.readouterr().err
+
+
+def test_an_interrupted_campaign_can_go_on(tmp_path: Path) -> None:
+    """Ctrl-C while two processes fly: exit code 130, what was finished is kept, nothing else is left."""
+    scenario, out = scenario_in(tmp_path / "in"), tmp_path / "out"
+    command = [
+        *(sys.executable, "-m", "autopilot", "campaign", scenario, "--runs", "40", "--out", str(out)),
+        *("--jobs", "2", "--no-figures"),
+    ]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stderr is not None
+            first = process.stderr.readline()
+            assert first.startswith("r1: 1 of 40: run ")
+            process.send_signal(signal.SIGINT)
+            rest = process.stderr.read()
+            assert process.wait(timeout=60) == 130
+        finally:
+            process.kill()
+    kept = read_results(out)
+    assert 1 <= len(kept) < 40
+    assert f"r1: {len(kept)} of 40 runs are kept in {out}; the same command goes on" in rest
+    assert "Traceback" not in rest
+    assert all(result.error is None for result in kept.values())
+    defined = define(scenario)
+    again = fly(defined.task(min(kept)))
+    assert again is not None
+    alike = msgspec.structs.replace(again, cpu_s=kept[min(kept)].cpu_s)
+    assert alike == kept[min(kept)], "a process of the pool flies the same run"
+
+
+def test_a_run_that_cannot_be_flown_is_a_failed_one(tmp_path: Path) -> None:
+    """The start lies inside the cylinder in half of the range: those runs fail and the others are flown."""
+    spread = (
+        '[spread]\n"vehicle.start_m[0]" = { choice = [-1.6, -0.625] }\n"vehicle.start_m[1]" = { choice = [-0.625] }\n'
+    )
+    defined = define(scenario_in(tmp_path, spread), duration_s=0.5)
+    results = list(InProcess().run([defined.task(run) for run in range(4)], lambda: False))
+    inside = [float(result.drawn["vehicle.start_m[0]"]) == -0.625 for result in results]
+    assert any(inside)
+    assert not all(inside)
+    for result, bad in zip(results, inside, strict=True):
+        assert (result.error is not None) == bad
+        assert "inside obstacle 1" in (result.error or "inside obstacle 1")
+    summary = summarise(results, 4)
+    assert not summary.passed
+    assert summary.bars[0].value == f"{4 - sum(inside)} of 4"
+
+
+def test_engines_are_chosen_by_name() -> None:
+    assert isinstance(make_engine("local", 1), InProcess)
+    assert isinstance(make_engine("local", 3), LocalPool)
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        with pytest.raises(ConfigError, match=r"install underwater-autopilot\[cluster\]"):
+            make_engine("dask", 1)
+    else:
+        assert isinstance(make_engine("dask+tcp://127.0.0.1:1", 1), DaskCluster)
+
+
+def test_a_stopped_engine_gives_nothing_more(tmp_path: Path) -> None:
+    defined = define(scenario_in(tmp_path))
+    asked: list[Task] = [defined.task(run) for run in range(3)]
+    assert list(InProcess().run(asked, lambda: True)) == []
+    begin_s = time.process_time()
+    assert fly(asked[0], lambda: True) is None
+    assert time.process_time() - begin_s < 30.0
+
+
+# Summing up.
+
+
+def made_up(run: int, margin: float = 0.05, **changes: Any) -> RunResult:
+    return RunResult(
+        run=run,
+        seed=run,
+        drawn={},
+        laps=3,
+        laps_asked=3,
+        completed=True,
+        margins={"cylinder 1": Margin(margin=margin, at_s=3.0, tolerance=0.010)},
+        energy_j=[400.0 + run] * 3,
+        **changes,
+    )
+
+
+def test_bars_and_percentiles() -> None:
+    summary = summarise([made_up(run, 0.001 * run) for run in range(101)], 101)
+    assert summary.passed
+    assert summary.failed == summary.shy == ()
+    (margin,) = summary.margins
+    assert margin.percentiles == pytest.approx((0.0, 0.001, 0.005, 0.050, 0.095, 0.100))
+    energy = {row.name: row for row in summary.figures}["energy per lap"]
+    assert energy.count == 303
+    assert energy.percentiles[3] == 450.0
+    assert "<= 2.92%" in [bar.value for bar in summary.bars]
+
+
+@pytest.mark.parametrize(
+    ("bad", "failed", "shy"),
+    [
+        ({"margin": -0.005}, False, True),
+        ({"margin": -0.0101}, True, False),
+        ({"margin": float("nan")}, True, False),
+        ({"contacts": 1}, True, False),
+        ({"error": "ConfigError: no"}, True, False),
+        ({"judged": "contact", "margin": -0.2}, False, True),
+        ({"judged": "contact", "contacts": 1}, True, False),
+    ],
+)
+def test_what_fails_a_run(bad: dict[str, Any], failed: bool, shy: bool) -> None:
+    judged = bad.get("judged", "bounds")
+    runs = [made_up(0, judged=judged), made_up(1, **bad)]
+    summary = summarise(runs, 2)
+    assert [result.run for result in summary.failed] == [1] * failed
+    assert [result.run for result in summary.shy] == [1] * shy
+    assert summary.passed is not failed
+
+
+def test_missing_laps_fail_only_where_they_are_asked_for() -> None:
+    late = msgspec.structs.replace(made_up(0), laps=2)
+    assert late.failed
+    assert not msgspec.structs.replace(late, judged="contact").failed
+    assert not summarise([late], 1).passed
+
+
+def test_the_tube_bar_is_judged_when_a_tube_was_announced() -> None:
+    bars = {bar.name: bar for bar in summarise([made_up(0)], 1).bars}
+    assert bars["samples inside the announced tube"].held is None
+    for share, held in ((0.9995, True), (0.99, False)):
+        bars = {bar.name: bar for bar in summarise([made_up(0, tube_share=share)], 1).bars}
+        assert bars["samples inside the announced tube"].held is held
+
+
+def test_failure_rates_that_a_result_still_allows() -> None:
+    assert failure_bound(0, 300) == pytest.approx(3.0 / 300.0, rel=0.01)
+    assert failure_bound(3, 3) == 1.0
+    # Three failures in 100 at the bound's rate or fewer happen in 5 % of such campaigns.
+    rate = failure_bound(3, 100)
+    rng = np.random.default_rng(1)
+    assert np.mean(rng.binomial(100, rate, 100_000) <= 3) == pytest.approx(0.05, abs=0.003)
+
+
+def test_figures_of_made_up_runs(tmp_path: Path) -> None:
+    runs = [made_up(run, 0.001 * run - 0.005) for run in range(30)]
+    assert {path.name for path in write_figures(runs, "made up", tmp_path)} == {"margins.png", "energy.png"}
+    assert write_figures([], "none", tmp_path) == []
+
+
+def test_the_first_difference_is_named() -> None:
+    old = {"a": {"b": [1, {"c": 2}]}, "d": None}
+    assert first_difference(old, {"a": {"b": [1, {"c": 2}]}, "d": None}, "") == ""
+    assert first_difference(old, {"a": {"b": [1, {"c": 3}]}, "d": None}, "") == "a.b[1].c was 2 and is now 3"
+    assert first_difference(old, {"a": {"b": [1]}, "d": None}, "") == "a.b was [1, {'c': 2}] and is now [1]"
