@@ -12,14 +12,20 @@ from autopilot.control.energy.desk import PlanningDesk
 from autopilot.control.energy.guidance import EnergyGuidance
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.fallback import station_keeping_thrust
 from autopilot.control.grid import TimeGrid, geometric_grid
-from autopilot.control.guidance import Guidance, Reference, RouteGuidance, Situation
+from autopilot.control.guidance import VELOCITY_WEIGHTS, Guidance, Reference, RouteGuidance, Situation
 from autopilot.control.lag import ThrusterLag
 from autopilot.control.nmpc import Nmpc, NmpcProblem, NmpcResult
 from autopilot.control.obstacles import FAR_M, fence_key
 from autopilot.control.planner import Planner
-from autopilot.control.tightening import BackOffs, FixedMargins, Tightening
+from autopilot.control.robust.inner import InnerLoop, plan_error
+from autopilot.control.robust.margins import Margins, Tighten
+from autopilot.control.robust.penalty import PenaltyWatch
+from autopilot.control.robust.regions import TerminalRegions
+from autopilot.control.robust.station import StationKeeper
+from autopilot.control.robust.terminal import TerminalLimits
+from autopilot.control.robust.tube import LARGEST_THRUST_SHARE
+from autopilot.control.tightening import BackOffs
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import (
@@ -30,9 +36,10 @@ from autopilot.core.messages import (
     NavState,
     NmpcStatus,
     ObstacleTrack,
+    Severity,
     SolveStatus,
 )
-from autopilot.core.model4 import NU, NX, YAW, Z
+from autopilot.core.model4 import NU, NX, YAW, U, Z
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 
@@ -41,6 +48,9 @@ BURST_QPS = 3
 
 LONGEST_SHIFT_S = 1.0
 """A plan older than this is not continued."""
+
+PLAUSIBLE = 4.0
+"""m/s, rad/s: no vehicle that this controller is for moves or turns faster."""
 
 SLOWEST_CAP_M_S = 0.05
 """Margins do not lower the cap of the planar speed below this."""
@@ -79,7 +89,14 @@ class MotionController:
         self._limits = np.zeros((grid.n - 1, ocp.N_LIMITS))
         self._forecast = currents or EstimatedCurrent()
         self._currents = np.zeros((grid.n, 3))
-        self._tightening: Tightening = FixedMargins(grid)
+        self.margins = Margins(self._model, grid)
+        self._inner = InnerLoop(self.margins.ancillary, grid)
+        self._station = StationKeeper(self._model)
+        self.regions = TerminalRegions(self._model)
+        self._penalty = PenaltyWatch()
+        self._tube_m = np.zeros(grid.n + 1)
+        self._nominal_t_s = vehicle.drive.time_constant_s + grid.t_s
+        self._plan_current = np.zeros(3)
         desk = desk or PlanningDesk(EnergyPlanner(self._model, PowerModel.of(vehicle)).plan)
         self._guidances: tuple[Guidance, ...] = (
             RouteGuidance(self._model, grid),
@@ -89,6 +106,7 @@ class MotionController:
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
         self._fence: Fence | None = None
+        self._cleared: tuple[Planner, FloatArray, float] | None = None
         self.reset()
 
     @property
@@ -99,12 +117,19 @@ class MotionController:
     def reset(self) -> None:
         """Forget the plan (after disarming, before a new start)."""
         self._last_us: int | None = None
+        self._followed_us: int | None = None
         self._yaw_rad: float | None = None
         self._reset_count = -1
         self._plan_age_s: float | None = None
-        self._hold: FloatArray | None = None
+        self._planned: FloatArray | None = None
         self._command = np.zeros(NU)
+        self._limit_n = np.zeros(NU)
+        self._speed_back_off = 0.0
+        self._penalty.reset()
         self._lag.reset()
+        self._inner.stop()
+        self._station.release()
+        self.regions.reset()
         self._guidance.reset()
 
     def step(
@@ -126,8 +151,8 @@ class MotionController:
         if thruster_limit_n is not None:
             limit_n = np.minimum(limit_n, thruster_limit_n)
         elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
-        self._last_us = t_us
-        self._lag.follow(self._command, elapsed_s)
+        self._last_us, self._limit_n = t_us, limit_n
+        self._follow_lag(t_us)
         nav = self._forecast.view(nav)
         x, current = self._state(nav), nav.current_ned_m_s
         if nav.health is NavHealth.INVALID or not math.isfinite(float(x.sum() + current.sum())):
@@ -146,16 +171,17 @@ class MotionController:
             params=params,
             fence=fence,
             planner=planner,
-            radius_m=self._vehicle.radius_m + self._tightening.clearance_m(params),
+            radius_m=self._vehicle.radius_m + self.margins.clearance_m(params),
             forecast=self._forecast,
-            speed_cap_m_s=max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - params["MPC_SPEED_MARGIN"]),
+            speed_cap_m_s=self._speed_cap(params),
             thrust_limit_n=limit_n,
         )
         reference = self._guidance.reference(now)
         qps = self._warm_start(now.x0, reference, elapsed_s)
         result, margin_m = self._solve(qps, now, reference, fence, limit_n)
-        thrust, fallback = self._choose(result, x, current, limit_n, elapsed_s)
+        thrust, fallback = self._choose(result, now, x, limit_n, elapsed_s)
         self._command = thrust
+        self._penalty.watch(result.penalty_use if result.status is SolveStatus.OK else 0.0)
         return ControlOutput(
             thrust_n=thrust,
             status=NmpcStatus(
@@ -167,10 +193,43 @@ class MotionController:
                 cost=result.cost if math.isfinite(result.cost) else 0.0,
                 slack_max=result.slack_max if math.isfinite(result.slack_max) else 0.0,
                 margin_m=margin_m,
+                tube_m=float(self._tube_m.max()),
+                penalty_use=result.penalty_use if math.isfinite(result.penalty_use) else 0.0,
             ),
             horizon_ned_m=self.nmpc.x[:, :3].copy(),
             route_ned_m=self._guidance.ahead(np.array(nav.pos_ned_m[:2], dtype=float)),
+            nominal=self.nmpc.x.copy(),
+            nominal_t_s=self._nominal_t_s,
+            tube_m=self._tube_m.copy(),
+            restarted=qps > 1,
         )
+
+    def tick(self, t_us: int, nav: NavState) -> FloatArray | None:
+        """Thrust (4,) between two steps: the last plan with the ancillary feedback. None = keep what was commanded
+        (no plan, no estimate, or margins that credit no feedback)."""
+        self._follow_lag(t_us)
+        if not self._inner.active or nav.health is NavHealth.INVALID or nav.reset_count != self._reset_count:
+            return None
+        nav = self._forecast.view(nav)
+        x, current = self._state(nav), nav.current_ned_m_s
+        if not math.isfinite(float(x.sum() + current.sum())):
+            return None
+        self._command = self._inner.thrust(t_us, self._lag.ahead(x, current), current, self._limit_n)
+        return self._command
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """Severity and text of what the operator should know since the last call."""
+        return self.regions.take_news() + self._penalty.take_news()
+
+    def _follow_lag(self, t_us: int) -> None:
+        elapsed_s = 0.0 if self._followed_us is None else (t_us - self._followed_us) * 1e-6
+        self._followed_us = t_us
+        self._lag.follow(self._command, elapsed_s)
+
+    def _speed_cap(self, params: ParamSet) -> float:
+        """Planar speed that guidance may ask for: what the margins of the last step leave, in steps of 1 cm/s."""
+        back_off = max(params["MPC_SPEED_MARGIN"], math.ceil(100.0 * self._speed_back_off - 1e-6) / 100.0)
+        return max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - back_off)
 
     def _state(self, nav: NavState) -> FloatArray:
         yaw = float(nav.rpy_rad[2])
@@ -184,7 +243,7 @@ class MotionController:
 
     def _planner_for(self, fence: Fence, params: ParamSet) -> Planner:
         """The planner of this fence; another one when fence or margin have changed."""
-        planner, radius = self._planner, self._vehicle.radius_m + self._tightening.clearance_m(params)
+        planner, radius = self._planner, self._vehicle.radius_m + self.margins.clearance_m(params)
         if planner is not None and fence is self._fence and self._planner_key[0] == radius:
             return planner
         key = (radius, *fence_key(fence))
@@ -197,13 +256,15 @@ class MotionController:
     def _warm_start(self, x0: FloatArray, reference: Reference, elapsed_s: float) -> int:
         """The plan to begin with: the last one moved on, or the reference. Returns how many QPs that is worth."""
         if reference.fresh or self._plan_age_s is None or not 0.0 <= elapsed_s <= LONGEST_SHIFT_S:
-            self._plan_age_s = None
+            self._plan_age_s = self._planned = None
             self.nmpc.set_plan(reference.x, np.zeros((self.nmpc.grid.n, NU)))
             return BURST_QPS
         self.nmpc.shift(elapsed_s)
+        self._planned = self.nmpc.x[0].copy()
         turn = 2.0 * math.pi * round((x0[YAW] - self.nmpc.x[0, YAW]) / (2.0 * math.pi))
         if turn:
             self.nmpc.x[:, YAW] += turn
+            self._planned[YAW] += turn
         return 1
 
     def _solve(
@@ -217,8 +278,12 @@ class MotionController:
         """The QPs of this step: result of the last, and the smallest clearance of the plan."""
         nmpc, n, x0 = self.nmpc, self.nmpc.grid.n, now.x0
         now.forecast.fill(now.nav, nmpc.x[:n, :3], nmpc.grid.t_s[:n], self._currents)
-        back_off = self._tightening.back_offs(now.nav, nmpc.x, nmpc.u, now.params)
+        back_off = self.margins.back_offs(now.nav, nmpc.x, nmpc.u, now.params)
         self._fill_limits(back_off, x0, fence, now.params)
+        self._speed_back_off = float(back_off.planar_speed_m_s[-1])
+        self._tube_m[1:-1] = back_off.clearance_m
+        self._tube_m[0], self._tube_m[-1] = back_off.clearance_m[0], back_off.clearance_m[-1]
+        terminal = self._terminal(now, reference, back_off)
         problem = NmpcProblem(
             x0=x0,
             x_ref=reference.x,
@@ -226,22 +291,32 @@ class MotionController:
             current_ned_m_s=self._currents,
             weight_x=reference.weight_x,
             weight_u=reference.weight_u,
-            terminal=reference.terminal,
+            terminal=terminal,
             limits=self._limits,
-            thrust_limit_n=np.maximum(limit_n - back_off.thrust_n, 0.0),
+            thrust_limit_n=_left(limit_n, back_off.thrust_n),
             plane_n=self._plane_n,
             plane_d_m=self._plane_d,
         )
-        margin = FAR_M
+        keep_m = self._vehicle.radius_m + back_off.clearance_m
+        states, thrusts = nmpc.x.copy(), nmpc.u.copy()
+        result, margin = self._iterate(qps, problem, now.planner, keep_m)
+        if qps < BURST_QPS and not (result.status is SolveStatus.OK and _plausible(nmpc.x)):
+            # Around a guess that has run away no step is any good: once more from the reference, and at once.
+            nmpc.set_plan(reference.x, np.zeros_like(thrusts))
+            result, margin = self._iterate(BURST_QPS, problem, now.planner, keep_m)
+            if result.status is not SolveStatus.OK:
+                nmpc.set_plan(states, thrusts)
+        return result, margin
+
+    def _iterate(
+        self, qps: int, problem: NmpcProblem, planner: Planner, keep_m: FloatArray
+    ) -> tuple[NmpcResult, float]:
+        """QPs around the plan, each with the half-planes of the one before."""
+        nmpc, n, margin = self.nmpc, self.nmpc.grid.n, FAR_M
         for _ in range(qps):
-            nmpc.x[0] = x0
-            margin = now.planner.features.half_planes(
-                nmpc.x[:n, :2],
-                nmpc.grid.t_s[:n],
-                self._vehicle.radius_m + back_off.clearance_m,
-                nmpc.planes,
-                self._plane_n,
-                self._plane_d,
+            nmpc.x[0] = problem.x0
+            margin = planner.features.half_planes(
+                nmpc.x[:n, :2], nmpc.grid.t_s[:n], keep_m, nmpc.planes, self._plane_n, self._plane_d
             )
             result = nmpc.solve(problem)
             if result.status is not SolveStatus.OK:
@@ -257,26 +332,65 @@ class MotionController:
         limits[:, 3] = np.minimum(x0[Z], max(fence.depth_min_m, params["DEPTH_MIN"]) + back_off.depth_m)
         limits[:, 4] = np.maximum(x0[Z], min(fence.depth_max_m, params["DEPTH_MAX"]) - back_off.depth_m)
 
+    def _terminal(self, now: Situation, reference: Reference, back_off: BackOffs) -> FloatArray:
+        """Terminal Hessian (8, 8): the goal's own where the reference ends there, else what guidance gives."""
+        goal, params = now.goal, now.params
+        q = params["MPC_Q_POS"]
+        place = goal.pos_ned_m[:2]
+        if self._cleared is None or self._cleared[0] is not now.planner or not (self._cleared[1] == place).all():
+            room = float(now.planner.features.clearance_m(place[None])[0])
+            self._cleared = (now.planner, place.copy(), room - self._vehicle.radius_m - params["MPC_MARGIN"])
+        self.regions.follow(
+            goal,
+            float(reference.x[-1, YAW]),
+            now.nav.current_ned_m_s,
+            TerminalLimits(
+                thrust_n=now.thrust_limit_n
+                - np.minimum(back_off.thrust_n[-1], LARGEST_THRUST_SHARE * now.thrust_limit_n),
+                planar_speed_m_s=params["SPD_PLANAR_MAX"] - float(back_off.planar_speed_m_s[-1]),
+                heave_m_s=params["SPD_HEAVE_MAX"] - float(back_off.heave_m_s[-1]),
+                yaw_rate_rad_s=params["SPD_YAW_MAX"] - float(back_off.yaw_rate_rad_s[-1]),
+                depth_min_m=max(now.fence.depth_min_m, params["DEPTH_MIN"]) + float(back_off.depth_m[-1]),
+                depth_max_m=min(now.fence.depth_max_m, params["DEPTH_MAX"]) - float(back_off.depth_m[-1]),
+                clearance_m=self._cleared[2],
+            ),
+            np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS]),
+            np.full(NU, params["MPC_R_THRUST"]),
+        )
+        cost = None if int(params["MPC_COST"]) else self.regions.cost_at(reference.x[-1], goal)
+        return reference.terminal if cost is None else cost
+
     def _choose(
-        self, result: NmpcResult, x: FloatArray, current: FloatArray, limit_n: FloatArray, elapsed_s: float
+        self, result: NmpcResult, now: Situation, x: FloatArray, limit_n: FloatArray, elapsed_s: float
     ) -> tuple[FloatArray, Fallback]:
-        """The fallback chain: new plan, rest of the last plan, station keeping where that ended."""
+        """The fallback chain: new plan, rest of the last plan with feedback, station keeping where that ended."""
+        current = now.nav.current_ned_m_s
         if result.status is SolveStatus.OK:
-            self._plan_age_s, self._hold = 0.0, None
+            self._plan_age_s = 0.0
+            self._plan_current = current
+            self._station.release()
+            if Tighten(int(now.params["MPC_TIGHTEN"])) is Tighten.TUBE:
+                self._inner.start(now.t_us, self.nmpc.x, self.nmpc.u, current)
+            else:
+                self._inner.stop()
             return result.thrust_n[0].copy(), Fallback.NONE
-        if self._plan_age_s is not None and self._hold is None:
+        if self._plan_age_s is not None and self._planned is not None and self._station.target is None:
             self._plan_age_s += elapsed_s
             if self._plan_age_s < self.nmpc.grid.t_s[-1]:
-                return np.clip(self.nmpc.u[0], -limit_n, limit_n), Fallback.SHIFTED_PLAN
+                planned = self.nmpc.x[0] = self._planned
+                error = plan_error(now.x0, planned, current, self._plan_current)
+                thrust = self.nmpc.u[0] + self.margins.ancillary.gain(float(planned[U])) @ error
+                return np.clip(thrust, -limit_n, limit_n), Fallback.SHIFTED_PLAN
         self._plan_age_s = None
-        if self._hold is None:
-            self._hold = x.copy()
-        return station_keeping_thrust(self._model, x, self._hold, current, limit_n), Fallback.STATION_KEEPING
+        self._inner.stop()
+        return self._station.thrust(x, current, limit_n), Fallback.STATION_KEEPING
 
     def _neutral(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
         """Without an estimate there is nothing to control: no thrust, and the plan is void."""
         self._command = np.zeros(NU)
-        self._plan_age_s = self._hold = self._yaw_rad = None
+        self._plan_age_s = self._yaw_rad = None
+        self._inner.stop()
+        self._station.release()
         self._guidance.reset()
         status = NmpcStatus(
             t_us=t_us,
@@ -292,3 +406,14 @@ class MotionController:
         return ControlOutput(
             thrust_n=np.zeros(NU), status=status, horizon_ned_m=here.copy(), route_ned_m=here[:, :2].copy()
         )
+
+
+def _plausible(x: FloatArray) -> bool:
+    """Whether a plan (N+1, 8) moves as a vehicle can: a step of the iteration may run away with an unstable plant."""
+    return float(np.abs(x[:, U:]).max()) < PLAUSIBLE
+
+
+def _left(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
+    """What the margins leave of thrust limits (4,)."""
+    left: FloatArray = limit_n - np.minimum(back_off_n, LARGEST_THRUST_SHARE * limit_n)
+    return left

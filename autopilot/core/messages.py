@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from autopilot.core.frames import FloatArray
 
 MAX_THRUSTERS = 8
@@ -272,6 +274,10 @@ class NmpcStatus:
     slack_max: float
     margin_m: float
     """Smallest tightened clearance to fence and obstacles in the prediction."""
+    tube_m: float = 0.0
+    """Largest distance that the prediction keeps from boundaries beyond the body: the tube, at least MPC_MARGIN."""
+    penalty_use: float = 0.0
+    """Largest multiplier of a soft limit over the slope of its penalty: at 1 the penalty is no longer exact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -285,6 +291,14 @@ class ControlOutput:
     """(n, 3) predicted positions, first row = now."""
     route_ned_m: FloatArray
     """(m, 2) the free path that the reference follows, first row = now, last = goal."""
+    nominal: FloatArray = field(default_factory=lambda: np.zeros((0, 8)))
+    """(n, 8) predicted states (:mod:`autopilot.core.model4`); where an undisturbed vehicle would be."""
+    nominal_t_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(n,) times of ``nominal`` after ``status.t_us``: the plan begins one thruster lag ahead."""
+    tube_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """(n,) horizontal distance from ``nominal`` within which the vehicle stays; what limits are tightened by."""
+    restarted: bool = False
+    """The plan began anew (another route, a jump of the estimate): earlier ones promise nothing any more."""
 
 
 # Out.

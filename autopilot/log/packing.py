@@ -189,6 +189,8 @@ def nmpc_status(stamp_ns: int, status: NmpcStatus) -> bytes:
         status.cost,
         status.slack_max,
         status.margin_m,
+        status.tube_m,
+        status.penalty_use,
     )
 
 

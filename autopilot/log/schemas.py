@@ -75,6 +75,8 @@ float64 solve_s
 float64 cost
 float64 slack_max
 float64 margin_m  # smallest tightened clearance in the prediction
+float64 tube_m  # largest distance kept from boundaries beyond the body
+float64 penalty_use  # largest multiplier of a soft limit over its penalty
 """,
     "autopilot_msgs/ThrusterCommand": """
 std_msgs/Header header

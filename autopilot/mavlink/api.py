@@ -8,7 +8,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import MissionProgress, NavState, PowerSample, ThrusterCommand
+from autopilot.core.messages import MissionProgress, NavState, NmpcStatus, PowerSample, ThrusterCommand
 
 
 class CommandResult(IntEnum):
@@ -80,6 +80,8 @@ class VehicleView:
     submerged: bool
     dropped_rx: int
     """Malformed frames so far."""
+    control: NmpcStatus | None = None
+    """Of the last control step, None while nothing is controlled."""
 
 
 class VehicleCommands(Protocol):

@@ -29,6 +29,7 @@ DEFAULT_INTERVAL_US: Mapping[int, int] = MappingProxyType(
         mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _S,
         mav.MAVLINK_MSG_ID_MISSION_CURRENT: _S,
         mav.MAVLINK_MSG_ID_WIND_COV: _S,
+        mav.MAVLINK_MSG_ID_DEBUG_VECT: _S,
         mav.MAVLINK_MSG_ID_BATTERY_STATUS: 2 * _S,
         mav.MAVLINK_MSG_ID_HOME_POSITION: 2 * _S,
         mav.MAVLINK_MSG_ID_CURRENT_MODE: 2 * _S,

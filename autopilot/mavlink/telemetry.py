@@ -97,6 +97,7 @@ class Telemetry:
             mav.MAVLINK_MSG_ID_HOME_POSITION: self.home_position,
             mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self.gps_global_origin,
             mav.MAVLINK_MSG_ID_WIND_COV: self.wind_cov,
+            mav.MAVLINK_MSG_ID_DEBUG_VECT: self.debug_vect,
         }
 
     def motion(self) -> Motion | None:
@@ -280,4 +281,13 @@ class Telemetry:
             self._ctx.view.origin.alt_m - m.down,
             NAN,
             NAN,
+        )
+
+    def debug_vect(self) -> Message | None:
+        """DEBUG_VECT "margin": room beyond what is kept [m], what is kept [m], use of the penalties (1 = all)."""
+        control = self._ctx.view.control
+        if control is None:
+            return None
+        return mav.MAVLink_debug_vect_message(
+            b"margin", self._ctx.t_us, control.margin_m, control.tube_m, control.penalty_use
         )

@@ -184,10 +184,12 @@ def test_control_and_system(
         cost=y,
         slack_max=x,
         margin_m=y,
+        tube_m=x,
+        penalty_use=y,
     )
     read = read_back("autopilot_msgs/NmpcStatus", packing.nmpc_status(stamp, nmpc))
     assert (read.status, read.fallback, read.iterations, read.solve_s, read.cost) == (3, 1, count, x, y)
-    assert (read.slack_max, read.margin_m) == (x, y)
+    assert (read.slack_max, read.margin_m, read.tube_m, read.penalty_use) == (x, y, x, y)
     progress = MissionProgress(t_us=0, current_seq=-1, reached_seq=3, lap=count, state=ProgressState.ACTIVE)
     read = read_back("autopilot_msgs/MissionProgress", packing.mission_progress(stamp, progress))
     assert (read.current_seq, read.reached_seq, read.lap, read.state) == (-1, 3, count, 3)

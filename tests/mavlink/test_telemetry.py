@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_harness import NAN, ORIGIN, World, mav, nav_state
+from mavlink_harness import NAN, ORIGIN, World, base_view, mav, nav_state
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.messages import Event, MavlinkFrame, NavHealth, PowerSample
+from autopilot.core.messages import Event, Fallback, MavlinkFrame, NavHealth, NmpcStatus, PowerSample, SolveStatus
 from autopilot.core.params import ParamSet
 from autopilot.mavlink.api import FlightMode, GeoPoint
 from autopilot.mavlink.geo import TangentPlane
@@ -195,6 +195,30 @@ def test_a_link_that_opens_or_closes(world: World) -> None:
     world.server.add_link(5)
     world.run(1.1)
     assert client.got("HEARTBEAT")
+
+
+def test_the_live_margin_is_sent_while_controlled(world: World) -> None:
+    client = world.client()
+    world.run(3.0)
+    assert not client.got("DEBUG_VECT"), "nothing is controlled yet"
+    world.view = base_view(
+        control=NmpcStatus(
+            t_us=0,
+            status=SolveStatus.OK,
+            fallback=Fallback.NONE,
+            iterations=1,
+            solve_s=0.001,
+            cost=1.0,
+            slack_max=0.0,
+            margin_m=0.25,
+            tube_m=0.0625,
+            penalty_use=0.5,
+        )
+    )
+    world.run(10.0)
+    sent = client.got("DEBUG_VECT")
+    assert len(sent) == pytest.approx(10, abs=1)
+    assert (sent[-1].name, sent[-1].x, sent[-1].y, sent[-1].z) == ("margin", 0.25, 0.0625, 0.5)
 
 
 def test_position_and_velocity(world: World) -> None:

@@ -1,0 +1,1 @@
+"""Robust control: disturbance bound, tube, Lipschitz growth, terminal regions, the loop between optimiser steps."""

@@ -1,0 +1,55 @@
+"""Ancillary feedback: u = v + K (x - z), with K scheduled on the planned surge.
+
+Ahead of about 0.2 m/s the sway-yaw pair is unstable (Munk moment, m22 > m11), so that one gain for all speeds is either
+weak or rash: K is the LQR gain of the error dynamics at nine surge speeds, linear in between. Gains at other sway and
+turn rates stay stable on the whole envelope of speeds (tests/control/test_robust_tube.py).
+"""
+
+import numpy as np
+
+from autopilot.control.robust.error_model import error_jacobian, error_of, input_matrix
+from autopilot.control.robust.riccati import dare, discretise, gain
+from autopilot.core.frames import FloatArray
+from autopilot.core.model4 import NU, NX, Model4, U
+
+SURGES_M_S = np.linspace(-0.8, 0.8, 9)
+"""Surge speeds of the table; beyond, its ends."""
+
+STATE_WEIGHTS = (60.0, 60.0, 80.0, 20.0, 8.0, 8.0, 8.0, 1.0)
+"""Error ahead, to starboard, depth, yaw, velocities. Per 0.1 s, as the optimiser's. Three times its weight on position:
+disturbances of 1 N then leave 3 cm, at bandwidths (1.5 1/s, yaw 4 1/s) that the thrusters' lag of 0.15 s allows."""
+
+THRUST_WEIGHT = 0.02
+
+DESIGN_STEP_S = 0.02
+
+
+def lqr_gains(model: Model4, surges_m_s: FloatArray = SURGES_M_S) -> FloatArray:
+    """(m, 4, 8) gains at surge speeds (m,) with no other velocity."""
+    a = np.array([error_jacobian(model, np.array([u, 0.0, 0.0, 0.0])) for u in surges_m_s])
+    b = np.broadcast_to(input_matrix(model), (len(surges_m_s), NX, NU))
+    a_d, b_d = discretise(a, b, DESIGN_STEP_S)
+    r = THRUST_WEIGHT * np.eye(NU)
+    p = dare(a_d, b_d, np.diag(STATE_WEIGHTS), r)
+    return gain(a_d, b_d, p, r)
+
+
+class Ancillary:
+    """The scheduled gain."""
+
+    def __init__(self, model: Model4) -> None:
+        self.gains = lqr_gains(model)
+        """(9, 4, 8) at SURGES_M_S."""
+        self._first, self._step = float(SURGES_M_S[0]), float(SURGES_M_S[1] - SURGES_M_S[0])
+
+    def gain(self, surge_m_s: float) -> FloatArray:
+        """K (4, 8) at a planned surge."""
+        place = min(max((surge_m_s - self._first) / self._step, 0.0), len(self.gains) - 1.0)
+        low = min(int(place), len(self.gains) - 2)
+        k: FloatArray = self.gains[low] + (place - low) * (self.gains[low + 1] - self.gains[low])
+        return k
+
+    def correction(self, x: FloatArray, z: FloatArray) -> FloatArray:
+        """Thrust (4,) that brings the state ``x`` (8,) back to the planned ``z`` (8,)."""
+        thrust: FloatArray = self.gain(float(z[U])) @ error_of(x, z)
+        return thrust

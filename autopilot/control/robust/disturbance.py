@@ -1,0 +1,78 @@
+"""What may push the vehicle off its plan: bounds from parameters, and what the estimator says of itself."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.control.robust.error_model import CHANNELS
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavState
+from autopilot.core.params import ParamSet
+
+BOUND_SIGMAS = 3.0
+"""A bound is read as three standard deviations."""
+
+POSITION_VARIANCE_LIMIT_M2 = 0.3**2
+VELOCITY_VARIANCE_LIMIT_M2_S2 = 0.3**2
+"""An estimate worse than this is one that navigation failsafes act upon; margins do not grow for ever with it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DisturbanceBound:
+    """Bounds of what the model does not know, after the estimator has absorbed what lasts."""
+
+    force_n: float
+    """Per axis."""
+    moment_n_m: float
+    current_m_s: float
+    """Error of the believed current beyond what the estimator admits, per axis."""
+
+    @classmethod
+    def of(cls, params: ParamSet) -> "DisturbanceBound":
+        """MPC_W_FORCE, MPC_W_MOMENT, MPC_W_CURRENT."""
+        return cls(
+            force_n=params["MPC_W_FORCE"], moment_n_m=params["MPC_W_MOMENT"], current_m_s=params["MPC_W_CURRENT"]
+        )
+
+    def per_channel(self) -> FloatArray:
+        """(7,) bounds in the order of :data:`autopilot.control.robust.error_model.CHANNELS`."""
+        bound = np.empty(CHANNELS)
+        bound[:3], bound[3], bound[4:] = self.force_n, self.moment_n_m, self.current_m_s
+        return bound
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimateSpread:
+    """Variances of the estimate, the worse of two horizontal axes each."""
+
+    position_m2: float
+    depth_m2: float
+    yaw_rad2: float
+    planar_m2_s2: float
+    heave_m2_s2: float
+    current_m2_s2: float
+
+    @classmethod
+    def of(cls, nav: NavState) -> "EstimateSpread":
+        """From ``NavState.variance``. A variance that is no number is as bad as the limit."""
+        v = [x if math.isfinite(x) and x > 0.0 else 0.0 if x == 0.0 else math.inf for x in nav.variance.tolist()]
+        return cls(
+            position_m2=min(max(v[0], v[1]), POSITION_VARIANCE_LIMIT_M2),
+            depth_m2=min(v[2], POSITION_VARIANCE_LIMIT_M2),
+            yaw_rad2=min(v[5], POSITION_VARIANCE_LIMIT_M2),
+            planar_m2_s2=min(max(v[6], v[7]), VELOCITY_VARIANCE_LIMIT_M2_S2),
+            heave_m2_s2=min(v[8], VELOCITY_VARIANCE_LIMIT_M2_S2),
+            current_m2_s2=min(max(v[9], v[10]), VELOCITY_VARIANCE_LIMIT_M2_S2),
+        )
+
+
+def channel_variances(bound: DisturbanceBound, spread: EstimateSpread) -> FloatArray:
+    """(3,) variances of force [N^2], moment [N^2 m^2] and current error [m^2/s^2]."""
+    return np.array(
+        [
+            (bound.force_n / BOUND_SIGMAS) ** 2,
+            (bound.moment_n_m / BOUND_SIGMAS) ** 2,
+            (bound.current_m_s / BOUND_SIGMAS) ** 2 + spread.current_m2_s2,
+        ]
+    )

@@ -1,0 +1,63 @@
+"""The loop between optimiser steps: follows the last plan with the ancillary feedback, once per tick.
+
+The plan begins one thruster lag ahead of now (:mod:`autopilot.control.lag`); so does the state it is compared with.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.control.grid import TimeGrid
+from autopilot.control.robust.ancillary import Ancillary
+from autopilot.control.robust.error_model import error_of
+from autopilot.core.frames import FloatArray
+from autopilot.core.model4 import NU, NX, YAW, U, V, W
+
+
+class InnerLoop:
+    """Thrust at any time of a plan."""
+
+    def __init__(self, ancillary: Ancillary, grid: TimeGrid) -> None:
+        self._ancillary, self._grid = ancillary, grid
+        self._t_s = grid.t_s.tolist()
+        self._x, self._u = np.zeros((grid.n + 1, NX)), np.zeros((grid.n, NU))
+        self._k = np.zeros((NU, NX))
+        self._current = np.zeros(3)
+        self._begin_us = 0
+        self.active = False
+        """There is a plan to follow."""
+
+    def start(self, t_us: int, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> None:
+        """Follow the plan x (N+1, 8), thrust (N, 4) that begins now and believes in this current (3,)."""
+        self._x[:], self._u[:], self._current[:] = x, thrust_n, current_ned_m_s
+        self._k = self._ancillary.gain(float(x[0, U]))
+        self._begin_us, self.active = t_us, True
+
+    def stop(self) -> None:
+        """There is no plan any more."""
+        self.active = False
+
+    def thrust(self, t_us: int, x: FloatArray, current_ned_m_s: FloatArray, limit_n: FloatArray) -> FloatArray:
+        """Thrust (4,) for the state ``x`` (8,), cut to ``limit_n`` (4,)."""
+        after_s = min(max((t_us - self._begin_us) * 1e-6, 0.0), self._t_s[-1])
+        k = 0
+        while after_s > self._t_s[k + 1]:
+            k += 1
+        share = (after_s - self._t_s[k]) / (self._t_s[k + 1] - self._t_s[k])
+        z = self._x[k] + share * (self._x[k + 1] - self._x[k])
+        gain = self._k if k < 2 else self._ancillary.gain(float(z[U]))
+        thrust = self._u[k] + gain @ plan_error(x, z, current_ned_m_s, self._current)
+        result: FloatArray = np.minimum(np.maximum(thrust, -limit_n), limit_n)
+        return result
+
+
+def plan_error(x: FloatArray, z: FloatArray, current_ned_m_s: FloatArray, planned_ned_m_s: FloatArray) -> FloatArray:
+    """Error (8,) of ``x`` against the planned ``z``, velocities over ground: a change of the believed current between
+    the two is no motion."""
+    e = error_of(x, z)
+    north, east, down = (current_ned_m_s - planned_ned_m_s).tolist()
+    c, s = math.cos(x[YAW]), math.sin(x[YAW])
+    e[U] += c * north + s * east
+    e[V] += c * east - s * north
+    e[W] += down
+    return e

@@ -1,0 +1,90 @@
+"""The margins in force: fixed, tube or Lipschitz (parameter MPC_TIGHTEN), and what is refused because of them."""
+
+import math
+from enum import IntEnum
+
+import numpy as np
+
+from autopilot.control.grid import TimeGrid
+from autopilot.control.robust.ancillary import Ancillary
+from autopilot.control.robust.lipschitz import LipschitzMargins
+from autopilot.control.robust.tube import TubeMargins
+from autopilot.control.tightening import BackOffs, FixedMargins
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavState
+from autopilot.core.model4 import NU, NX, Model4
+from autopilot.core.params import ParamSet
+
+
+class Tighten(IntEnum):
+    """Values of MPC_TIGHTEN."""
+
+    FIXED = 0
+    TUBE = 1
+    LIPSCHITZ = 2
+
+
+class Margins:
+    """Chooses among the three at every step."""
+
+    def __init__(self, model: Model4, grid: TimeGrid) -> None:
+        self.ancillary = Ancillary(model)
+        fixed = FixedMargins(grid)
+        self.tube = TubeMargins(model, grid, self.ancillary, fixed)
+        self.lipschitz = LipschitzMargins(model, grid, fixed)
+        self._fixed = fixed
+        self._rest = np.zeros((grid.n + 1, NX))
+        self._idle = np.zeros((grid.n, NU))
+
+    def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
+        """See :class:`autopilot.control.tightening.Tightening`."""
+        mode = Tighten(int(params["MPC_TIGHTEN"]))
+        if mode is Tighten.TUBE:
+            return self.tube.back_offs(nav, x, thrust_n, params)
+        if mode is Tighten.LIPSCHITZ:
+            return self.lipschitz.back_offs(nav, x, thrust_n, params)
+        return self._fixed.back_offs(nav, x, thrust_n, params)
+
+    def clearance_m(self, params: ParamSet) -> float:
+        """Routes keep the fixed margin and what the planner adds to it: a route that changed with every change of the
+        estimate would be no route."""
+        return params["MPC_MARGIN"]
+
+    def refusals(
+        self, nav: NavState, goals: list[tuple[str, float]], fence_half_m: float, params: ParamSet
+    ) -> tuple[str, ...]:
+        """Why the vehicle must not be armed: limits of which the margins leave nothing at node 1 or at a goal.
+
+        ``goals``: name and clearance [m] beyond the body radius of every place of the mission; ``fence_half_m``:
+        largest clearance beyond the body radius anywhere (inf = open water).
+        """
+        margins = self.back_offs(nav, self._rest, self._idle, params)
+        mode = Tighten(int(params["MPC_TIGHTEN"])).name.lower()
+        reasons = [
+            f"{name} limit {params[limit]:g} {unit} is used up by the {mode} margin {float(margin[0]):.2f}: "
+            f"better estimate, smaller MPC_W_* or higher {limit}"
+            for name, limit, unit, margin in (
+                ("planar speed", "SPD_PLANAR_MAX", "m/s", margins.planar_speed_m_s),
+                ("heave", "SPD_HEAVE_MAX", "m/s", margins.heave_m_s),
+                ("yaw rate", "SPD_YAW_MAX", "rad/s", margins.yaw_rate_rad_s),
+            )
+            if float(margin[0]) >= params[limit]
+        ]
+        band = params["DEPTH_MAX"] - params["DEPTH_MIN"]
+        if 0.0 < band <= 2.0 * float(margins.depth_m[0]):
+            reasons.append(f"depth band {band:.2f} m is used up by the {mode} margin {float(margins.depth_m[0]):.2f} m")
+        near = float(margins.clearance_m[0])
+        if fence_half_m < near and math.isfinite(fence_half_m):
+            reasons.append(f"the fence leaves nothing of the {mode} margin {near:.2f} m: widen it")
+        # A goal is where the vehicle stays: what is kept there is the margin that has grown to its end.
+        far = float(margins.clearance_m[-1]) if mode != "lipschitz" else near
+        reasons += [
+            f"{name} is {clearance:.2f} m from the fence beyond the body, needs {far:.2f} m ({mode} margin)"
+            for name, clearance in goals
+            if clearance < far
+        ]
+        if mode == "lipschitz":
+            report = self.lipschitz.report(nav, params)
+            if report.empty_node is not None and report.empty_node <= 1:
+                reasons.append(f"{report.text}: set MPC_TIGHTEN 1 or smaller MPC_W_*")
+        return tuple(reasons)

@@ -1,0 +1,101 @@
+"""Station keeping: what holds the vehicle when the optimiser has nothing to offer.
+
+Far from the place the cascade of :mod:`autopilot.control.fallback` brings it back slowly; inside the terminal region of
+the place the local law of :mod:`autopilot.control.robust.terminal` keeps it there: the region is invariant, so that the
+vehicle does not leave it again by itself.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.control.fallback import station_keeping_thrust
+from autopilot.control.robust.ancillary import STATE_WEIGHTS, THRUST_WEIGHT
+from autopilot.control.robust.terminal import (
+    CertificateJob,
+    Terminal,
+    TerminalLimits,
+    region_error,
+    terminal_law,
+    unit_samples,
+)
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Goal
+from autopilot.core.model4 import NU, YAW, Model4
+
+HOLD_RADIUS_M = 0.25
+HOLD_YAW_RAD = 0.35
+HOLD_SPEED_M_S = 0.45
+HOLD_HEAVE_M_S = 0.25
+HOLD_YAW_RATE_RAD_S = 1.0
+"""The region in which the local law takes over from the cascade."""
+
+HOLD_SAMPLES = 2_000
+CURRENT_STEP_M_S = 0.05
+"""The local law is made anew when the current has changed by this."""
+
+
+class StationKeeper:
+    """Holds one place after the other."""
+
+    def __init__(self, model: Model4) -> None:
+        self._model = model
+        self._samples = unit_samples(HOLD_SAMPLES)
+        self._target: FloatArray | None = None
+        self._law: Terminal | None = None
+        self._alpha = 0.0
+        self._current = np.zeros(3)
+        self.inside = False
+        """The last command was that of the local law: the vehicle is in the invariant set."""
+
+    @property
+    def target(self) -> FloatArray | None:
+        """(8,) the place that is held, None = none."""
+        return self._target
+
+    def release(self) -> None:
+        """Somebody else has the thrusters."""
+        self._target, self._law, self.inside = None, None, False
+
+    def thrust(self, x: FloatArray, current_ned_m_s: FloatArray, limit_n: FloatArray) -> FloatArray:
+        """Thrust (4,) that holds the place where this began."""
+        if self._target is None:
+            self._target = x.copy()
+        if self._law is None or float(np.abs(current_ned_m_s - self._current).max()) > CURRENT_STEP_M_S:
+            self._make(self._target, current_ned_m_s, limit_n)
+        law = self._law
+        self.inside = False
+        if law is not None and self._alpha > 0.0:
+            error = region_error(law, x, self._target[:3])
+            if law.level(error) <= self._alpha:
+                self.inside = True
+                inner: FloatArray = np.clip(law.thrust_n + law.k @ error, -limit_n, limit_n)
+                return inner
+        return station_keeping_thrust(self._model, x, self._target, current_ned_m_s, limit_n)
+
+    def _make(self, target: FloatArray, current: FloatArray, limit_n: FloatArray) -> None:
+        self._current = current.copy()
+        law = terminal_law(
+            self._model, float(target[YAW]), current, np.array(STATE_WEIGHTS), np.full(NU, THRUST_WEIGHT)
+        )
+        place = Goal(
+            pos_ned_m=target[:3],
+            yaw_rad=law.yaw_rad,
+            speed_m_s=0.0,
+            accept_radius_m=HOLD_RADIUS_M,
+            accept_yaw_rad=HOLD_YAW_RAD,
+            seq=-1,
+        )
+        limits = TerminalLimits(
+            thrust_n=limit_n,
+            planar_speed_m_s=HOLD_SPEED_M_S,
+            heave_m_s=HOLD_HEAVE_M_S,
+            yaw_rate_rad_s=HOLD_YAW_RATE_RAD_S,
+            depth_min_m=-math.inf,
+            depth_max_m=math.inf,
+            clearance_m=math.inf,
+        )
+        job = CertificateJob(self._model, law, place, limits, self._samples)
+        while job.certificate is None:
+            job.advance(HOLD_SAMPLES)
+        self._law, self._alpha = law, job.certificate.alpha

@@ -1,0 +1,293 @@
+"""Terminal ingredients of one goal: steady input against the current, LQR gain, cost and region, with a certificate.
+
+In the frame of the goal (error ahead, to starboard, ... of the goal's heading) the vehicle is linearised where it
+stands still over ground: velocity through the water -R^T c, thrust that holds it. With the discrete Riccati gain K,
+P solves (A+BK)^T P (A+BK) - P = -kappa (Q + K^T R K), kappa > 1, so that E(e) = e^T P e falls by more than the stage
+cost with something to spare for what the linearisation leaves out. The level alpha is the largest at which the
+ellipsoid E <= alpha meets every limit; sampling of the nonlinear model then shrinks it until no sample violates the decrease.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.control.grid import REFERENCE_DT_S
+from autopilot.control.robust.error_model import error_jacobian, input_matrix
+from autopilot.control.robust.riccati import dare, discretise, gain, lyapunov
+from autopilot.core import model4
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Goal
+from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Z
+
+KAPPA = 1.3
+"""With 1 the sampled decrease of the nonlinear model fails by 2 %; between 1.2 and 1.5 it holds."""
+
+SAMPLES = 20_000
+SEED = 20_181_018
+SHRINK = 0.8
+"""Factor on alpha after a sample that violates the decrease."""
+
+LEAST_ALPHA = 1e-9
+FREE_YAW_RAD = 0.5
+"""Band of the heading where a goal leaves it free: beyond, the linearisation is another one."""
+
+THRUSTERS = ("port", "starboard", "vertical", "lateral")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class TerminalLimits:
+    """What the region has to stay inside, back-offs already taken off."""
+
+    thrust_n: FloatArray
+    """(4,)"""
+    planar_speed_m_s: float
+    heave_m_s: float
+    yaw_rate_rad_s: float
+    depth_min_m: float
+    depth_max_m: float
+    clearance_m: float
+    """From the goal to the nearest place that the centre must keep out of."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Terminal:
+    """Local law and cost of a goal, before the region is known."""
+
+    yaw_rad: float
+    nu: FloatArray
+    """(4,) velocity through the water at the goal."""
+    thrust_n: FloatArray
+    """(4,) that holds it there."""
+    k: FloatArray
+    """(4, 8) gain on the error in the goal's frame."""
+    p: FloatArray
+    """(8, 8) cost in the goal's frame, per REFERENCE_DT_S as the stage cost."""
+    q: FloatArray
+    """(8,)"""
+    r: FloatArray
+    """(4,)"""
+
+    def cost_ned(self) -> FloatArray:
+        """(8, 8) cost on the error in NED, as the optimiser's terminal Hessian is given."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        turn = np.eye(NX)
+        turn[:2, :2] = [[c, s], [-s, c]]
+        return turn.T @ self.p @ turn
+
+    def level(self, error: FloatArray) -> float:
+        """E of an error (8,) in the goal's frame."""
+        return float(error @ self.p @ error)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Certificate:
+    """What was verified."""
+
+    alpha: float
+    """Level of the region, 0 = it is empty."""
+    binding: str
+    """The limit that decides alpha."""
+    rooms: dict[str, float]
+    """alpha that every limit alone would allow; negative = the goal itself is beyond the limit."""
+    radius_m: float
+    """Largest horizontal error in the region."""
+    depth_m: float
+    yaw_rad: float
+    planar_speed_m_s: float
+    accept_radius_m: float
+    """Radius of the goal's own region."""
+    fits: bool
+    """The goal's own ball lies inside the limits; else the region to be reached is smaller."""
+    fit_room_m: float
+    """Largest ball round the goal that does."""
+    fit_limit: str
+    """Clearance or depth: what limits that ball."""
+    samples: int
+    violations: int
+    """Samples at which the decrease failed at this alpha: 0 in a finished certificate."""
+    shrunk: int
+    """How often sampling made alpha smaller."""
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        if self.alpha <= 0.0:
+            return f"no terminal region: the goal is beyond its {self.binding} limit"
+        size = f"{self.radius_m:.3f} m, {math.degrees(self.yaw_rad):.1f} deg"
+        small = ""
+        if not self.fits:
+            ball = (
+                f"acceptance ball {self.accept_radius_m:g} m does not fit {self.fit_room_m:.3f} m of {self.fit_limit}"
+            )
+            small = f"; {ball}, region made smaller"
+        return f"alpha {self.alpha:.3g} ({size}) by {self.binding}, {self.violations} of {self.samples} violate{small}"
+
+
+def terminal_law(model: Model4, yaw_rad: float, current_ned_m_s: FloatArray, q: FloatArray, r: FloatArray) -> Terminal:
+    """Steady input, gain and cost of a goal with heading ``yaw_rad`` in a current; q (8,), r (4,) of the stage cost."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    cn, ce, cd = (float(v) for v in current_ned_m_s)
+    nu = np.array([-(c * cn + s * ce), -(c * ce - s * cn), -cd, 0.0])
+    force = model4.steady_force(model, nu.tolist(), math)
+    thrust = np.linalg.solve(np.array(model.allocation), np.array(force))
+    a, b = _goal_jacobian(model, nu), input_matrix(model)
+    a_d, b_d = discretise(a, b, REFERENCE_DT_S)
+    weights = np.diag(np.maximum(q, 1e-6))
+    r_d = np.diag(r)
+    k = gain(a_d, b_d, dare(a_d, b_d, weights, r_d), r_d)
+    closed = a_d + b_d @ k
+    p = lyapunov(closed.T, KAPPA * (weights + k.T @ r_d @ k))
+    return Terminal(yaw_rad=yaw_rad, nu=nu, thrust_n=thrust, k=k, p=0.5 * (p + p.T), q=q, r=r)
+
+
+def _goal_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
+    """(8, 8) dynamics of the error in the goal's frame, which does not turn."""
+    a = error_jacobian(model, nu)
+    a[0, 1] = a[1, 0] = 0.0
+    return a
+
+
+def analytic_alpha(law: Terminal, goal: Goal, limits: TerminalLimits) -> tuple[float, str, dict[str, float]]:
+    """Largest level that meets every limit, the limit that decides it, and the level of each limit alone."""
+    spread = np.linalg.inv(law.p)
+    feedback = np.einsum("ij,jk,ik->i", law.k, spread, law.k)
+    planar = float(np.linalg.eigvalsh(spread[:2, :2])[-1])
+    ball = float(np.linalg.eigvalsh(spread[:3, :3])[-1])
+    water = float(np.linalg.eigvalsh(spread[U : V + 1, U : V + 1])[-1])
+    depth = float(goal.pos_ned_m[2])
+    yaw_room = FREE_YAW_RAD if goal.yaw_rad is None else goal.accept_yaw_rad
+    rooms = {
+        "clearance": (limits.clearance_m, planar),
+        "acceptance radius": (goal.accept_radius_m, ball),
+        "acceptance heading": (yaw_room, spread[YAW, YAW]),
+        "depth": (min(depth - limits.depth_min_m, limits.depth_max_m - depth), spread[Z, Z]),
+        "planar speed": (limits.planar_speed_m_s - math.hypot(law.nu[0], law.nu[1]), water),
+        "heave speed": (limits.heave_m_s - abs(float(law.nu[2])), spread[W, W]),
+        "yaw rate": (limits.yaw_rate_rad_s, spread[R, R]),
+    }
+    for i, name in enumerate(THRUSTERS):
+        rooms[f"{name} thrust"] = (float(limits.thrust_n[i] - abs(law.thrust_n[i])), feedback[i])
+    levels = {name: math.copysign(room * room, room) / float(size) for name, (room, size) in rooms.items()}
+    binding = min(levels, key=lambda name: levels[name])
+    return max(levels[binding], 0.0), binding, levels
+
+
+def closed_loop(model: Model4, law: Terminal, error: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Errors (m, 8) after one REFERENCE_DT_S of the nonlinear model under the local law (RK4), and stage costs (m,)."""
+    feedback = error @ law.k.T
+    cost = (error * error) @ law.q + (feedback * feedback) @ law.r
+    thrust = law.thrust_n + feedback
+    c, s = math.cos(law.yaw_rad), math.sin(law.yaw_rad)
+    u, v, w, _ = (float(x) for x in law.nu)
+    current = (-(c * u - s * v), -(s * u + c * v), -w)
+    offset = np.array([0.0, 0.0, 0.0, law.yaw_rad, *law.nu])
+    state = error + offset
+    state[:, 0], state[:, 1] = c * error[:, 0] - s * error[:, 1], s * error[:, 0] + c * error[:, 1]
+    h = REFERENCE_DT_S
+
+    def f(x: FloatArray) -> FloatArray:
+        return np.stack(model4.state_derivative(model, list(x.T), list(thrust.T), current, np), axis=1)
+
+    k1 = f(state)
+    k2 = f(state + 0.5 * h * k1)
+    k3 = f(state + 0.5 * h * k2)
+    k4 = f(state + h * k3)
+    after = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4) - offset
+    after[:, 0], after[:, 1] = c * after[:, 0] + s * after[:, 1], c * after[:, 1] - s * after[:, 0]
+    return after, cost
+
+
+def violations(model: Model4, law: Terminal, error: FloatArray) -> int:
+    """How many errors (m, 8) do not lose at least their stage cost in one step."""
+    after, cost = closed_loop(model, law, error)
+    before_level = np.einsum("mi,ij,mj->m", error, law.p, error)
+    after_level = np.einsum("mi,ij,mj->m", after, law.p, after)
+    return int((after_level - before_level > -cost).sum())
+
+
+def unit_samples(count: int = SAMPLES, seed: int = SEED) -> FloatArray:
+    """(count, 8) points of the unit ball: half on its surface, half inside (radius uniform)."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, NX))
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    points[1::2] *= rng.uniform(0.02, 1.0, size=(len(points[1::2]), 1))
+    return points
+
+
+class CertificateJob:
+    """The sampling of one goal, a slice at a time, so that no control step is held up."""
+
+    def __init__(self, model: Model4, law: Terminal, goal: Goal, limits: TerminalLimits, samples: FloatArray) -> None:
+        self._model, self._law, self._goal, self._limits, self._samples = model, law, goal, limits, samples
+        self._alpha, self._binding, self._rooms = analytic_alpha(law, goal, limits)
+        self._to_error = np.linalg.inv(np.linalg.cholesky(law.p)).T
+        self._done = 0
+        self._shrunk = 0
+        self.certificate: Certificate | None = None
+        """Set when all samples have been looked at."""
+        if self._alpha < LEAST_ALPHA:
+            self._alpha = 0.0
+            self.certificate = self._certify()
+
+    def advance(self, count: int) -> Certificate | None:
+        """Look at the next ``count`` samples; the certificate when that was the last of them."""
+        if self.certificate is None:
+            part = self._samples[self._done : self._done + count]
+            error = math.sqrt(self._alpha) * (part @ self._to_error.T)
+            if violations(self._model, self._law, error):
+                self._alpha *= SHRINK
+                self._shrunk += 1
+                self._done = 0
+                if self._alpha < LEAST_ALPHA:
+                    self._alpha, self._binding = 0.0, "decrease"
+                    self.certificate = self._certify()
+            else:
+                self._done += len(part)
+                if self._done >= len(self._samples):
+                    self.certificate = self._certify()
+        return self.certificate
+
+    def _certify(self) -> Certificate:
+        spread = np.linalg.inv(self._law.p) * self._alpha
+        goal, limits = self._goal, self._limits
+        depth = float(goal.pos_ned_m[2])
+        room_z = min(depth - limits.depth_min_m, limits.depth_max_m - depth)
+        return Certificate(
+            alpha=self._alpha,
+            binding="decrease" if self._shrunk else self._binding,
+            rooms=self._rooms,
+            radius_m=math.sqrt(float(np.linalg.eigvalsh(spread[:2, :2])[-1])),
+            depth_m=math.sqrt(float(spread[Z, Z])),
+            yaw_rad=math.sqrt(float(spread[YAW, YAW])),
+            planar_speed_m_s=math.sqrt(float(np.linalg.eigvalsh(spread[U : V + 1, U : V + 1])[-1])),
+            accept_radius_m=goal.accept_radius_m,
+            fits=goal.accept_radius_m <= min(limits.clearance_m, room_z),
+            fit_room_m=min(limits.clearance_m, room_z),
+            fit_limit="clearance" if limits.clearance_m < room_z else "depth",
+            samples=self._done,
+            violations=0,
+            shrunk=self._shrunk,
+        )
+
+
+def certify(
+    model: Model4, law: Terminal, goal: Goal, limits: TerminalLimits, samples: FloatArray | None = None
+) -> Certificate:
+    """The whole certificate at once."""
+    job = CertificateJob(model, law, goal, limits, unit_samples() if samples is None else samples)
+    while job.certificate is None:
+        job.advance(2_000)
+    return job.certificate
+
+
+def region_error(law: Terminal, x: FloatArray, pos_ned_m: FloatArray) -> FloatArray:
+    """Error (8,) of a state ``x`` (8,) against standing still at ``pos_ned_m`` (3,), in the goal's frame."""
+    c, s = math.cos(law.yaw_rad), math.sin(law.yaw_rad)
+    e = np.empty(NX)
+    north, east = float(x[X] - pos_ned_m[0]), float(x[1] - pos_ned_m[1])
+    e[0], e[1], e[2] = c * north + s * east, c * east - s * north, x[Z] - pos_ned_m[2]
+    turn = float(x[YAW]) - law.yaw_rad
+    e[YAW] = turn - 2.0 * math.pi * round(turn / (2.0 * math.pi))
+    e[U:] = x[U:] - law.nu
+    return e

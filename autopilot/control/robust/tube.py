@@ -1,0 +1,162 @@
+"""The tube: how far the vehicle may be from its plan when disturbances act and the ancillary feedback pulls it back.
+
+Per planned surge speed the error follows e' = (A + B K) e + G w, with w a first-order Gauss-Markov process per channel:
+what lasts longer than its correlation time is absorbed by the estimator (as current), what is shorter is filtered by
+the mass. The covariance of e grows from zero along the prediction (zoRO: P_{j+1} = (A+BK) P_j (A+BK)^T + G W G^T, here
+with the disturbance's own dynamics) and settles within two seconds, faster than speed changes: so growth is tabulated
+once per speed and node for unit variances, and a control step only mixes and interpolates the table. The spread of the
+estimate comes on top at all nodes: feedback follows the estimate, so that its error never fades.
+
+Back-offs are frozen for one QP, as the real-time iteration is one QP.
+"""
+
+import numpy as np
+
+from autopilot.control.grid import TimeGrid
+from autopilot.control.robust.ancillary import SURGES_M_S, Ancillary
+from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSpread, channel_variances
+from autopilot.control.robust.error_model import CHANNELS, disturbance_matrix, error_jacobian, input_matrix
+from autopilot.control.robust.riccati import exponential
+from autopilot.control.tightening import BackOffs, FixedMargins
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavState
+from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Y, Z
+from autopilot.core.params import ParamSet
+
+FORCE_CORRELATION_S = 1.0
+CURRENT_CORRELATION_S = 2.0
+"""How long a disturbance lasts: the estimator's current follows within about these times."""
+
+DISC_SIGMAS = 3.72
+"""A disc of so many standard deviations holds 99.9 % of a normal distribution in the plane: sqrt(-2 ln 0.001)."""
+
+BAND_SIGMAS = 3.29
+"""The same for one dimension."""
+
+ESTIMATE_SPEED_SIGMAS = 2.0
+"""Of the estimate in limits on speed: bounds of performance and not of safety, and the estimator is modest (its errors
+are about half of what it says)."""
+
+LARGEST_SHARE = 0.5
+"""Back-offs never take more of a limit than this, however bad the estimate is: then failsafes act."""
+
+LARGEST_THRUST_SHARE = 0.3
+"""Of what a thruster can give; the controller applies it."""
+
+LARGEST_CLEARANCE_M = 0.3
+
+GROWTH_STEP_S = 0.05
+GROUPS = 3
+"""Force, moment, current error: their variances come at run time."""
+
+OUTPUTS = 14
+"""xx, xy, yy, zz, yaw, uu, uv, vv, ww, rr and the four thrusts."""
+
+
+class TubeTable:
+    """Variances (speeds, nodes, OUTPUTS, GROUPS) of error and feedback for unit disturbances."""
+
+    def __init__(self, model: Model4, grid: TimeGrid, ancillary: Ancillary) -> None:
+        self.variance = _growth(model, grid, ancillary)
+        self._nodes = np.arange(grid.n + 1)
+        self._first, self._step = float(SURGES_M_S[0]), float(SURGES_M_S[1] - SURGES_M_S[0])
+
+    def along(self, surge_m_s: FloatArray, variances: FloatArray) -> FloatArray:
+        """(nodes, OUTPUTS) for planned surge (nodes,) and variances (GROUPS,)."""
+        mixed = self.variance @ variances
+        place = np.minimum(np.maximum((surge_m_s - self._first) / self._step, 0.0), len(mixed) - 1.0)
+        low = np.minimum(place.astype(np.intp), len(mixed) - 2)
+        share = (place - low)[:, None]
+        below = mixed[low, self._nodes]
+        result: FloatArray = below + share * (mixed[low + 1, self._nodes] - below)
+        return result
+
+
+def _growth(model: Model4, grid: TimeGrid, ancillary: Ancillary) -> FloatArray:
+    """Covariances at multiples of GROWTH_STEP_S, read off at the nodes."""
+    speeds, size = len(SURGES_M_S), NX + CHANNELS
+    rate = np.array([FORCE_CORRELATION_S] * 4 + [CURRENT_CORRELATION_S] * 3)
+    system, b = np.zeros((speeds, size, size)), input_matrix(model)
+    for i, surge in enumerate(SURGES_M_S):
+        nu = np.array([surge, 0.0, 0.0, 0.0])
+        system[i, :NX, :NX] = error_jacobian(model, nu) + b @ ancillary.gains[i]
+        system[i, :NX, NX:] = disturbance_matrix(model, nu)
+        system[i, NX:, NX:] = -np.diag(1.0 / rate)
+    step = exponential(system * GROWTH_STEP_S)[:, None]
+    fade = 1.0 - np.exp(-2.0 * GROWTH_STEP_S / rate)
+    member = np.zeros((GROUPS, CHANNELS))
+    member[0, :3] = member[1, 3] = member[2, 4:] = 1.0
+    p, news = np.zeros((speeds, GROUPS, size, size)), np.zeros((GROUPS, size, size))
+    for g in range(GROUPS):
+        p[:, g, NX:, NX:] = np.diag(member[g])
+        news[g, NX:, NX:] = np.diag(member[g] * fade)
+    count = int(np.ceil(grid.t_s[-1] / GROWTH_STEP_S)) + 1
+    rows = np.empty((count + 1, speeds, GROUPS, OUTPUTS))
+    for k in range(count + 1):
+        rows[k] = _outputs(p[..., :NX, :NX], ancillary.gains[:, None])
+        p = step @ p @ np.swapaxes(step, -1, -2) + news
+    place = grid.t_s / GROWTH_STEP_S
+    low = np.minimum(place.astype(np.intp), count - 1)
+    share = (place - low)[:, None, None, None]
+    at_nodes = rows[low] * (1.0 - share) + rows[low + 1] * share
+    return np.ascontiguousarray(at_nodes.transpose(1, 0, 3, 2))
+
+
+def _outputs(p: FloatArray, gains: FloatArray) -> FloatArray:
+    """(..., OUTPUTS) of covariances (..., 8, 8)."""
+    picks = ((X, X), (X, Y), (Y, Y), (Z, Z), (YAW, YAW), (U, U), (U, V), (V, V), (W, W), (R, R))
+    thrust = np.einsum("...ij,...jk,...ik->...i", gains, p, gains)
+    return np.concatenate([np.stack([p[..., i, j] for i, j in picks], axis=-1), thrust], axis=-1)
+
+
+def largest(rows: FloatArray, first: int) -> FloatArray:
+    """Largest eigenvalue of the symmetric 2 x 2 blocks in columns first .. first + 2."""
+    xx, xy, yy = rows[:, first], rows[:, first + 1], rows[:, first + 2]
+    result: FloatArray = 0.5 * (xx + yy) + np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    return result
+
+
+class TubeMargins:
+    """Back-offs from the tube, never less than the fixed margins (which also cover what happens between the nodes)."""
+
+    def __init__(self, model: Model4, grid: TimeGrid, ancillary: Ancillary, fixed: FixedMargins) -> None:
+        self.table = TubeTable(model, grid, ancillary)
+        self._fixed = fixed
+
+    def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
+        """See :class:`autopilot.control.tightening.Tightening`."""
+        spread = EstimateSpread.of(nav)
+        rows = self.table.along(x[:, U], channel_variances(DisturbanceBound.of(params), spread))
+        inner, fixed = rows[1:-1], self._fixed.back_offs(nav, x, thrust_n, params)
+        speed_sigmas = ESTIMATE_SPEED_SIGMAS / BAND_SIGMAS
+        band = max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
+        return BackOffs(
+            clearance_m=_between(
+                DISC_SIGMAS * np.sqrt(largest(inner, 0) + spread.position_m2), fixed.clearance_m, LARGEST_CLEARANCE_M
+            ),
+            depth_m=_between(
+                BAND_SIGMAS * np.sqrt(inner[:, 3] + spread.depth_m2),
+                fixed.depth_m,
+                0.5 * LARGEST_SHARE * band,
+            ),
+            planar_speed_m_s=_between(
+                BAND_SIGMAS * np.sqrt(largest(inner, 5) + speed_sigmas**2 * spread.planar_m2_s2),
+                fixed.planar_speed_m_s,
+                LARGEST_SHARE * params["SPD_PLANAR_MAX"],
+            ),
+            heave_m_s=_between(
+                BAND_SIGMAS * np.sqrt(inner[:, 8] + speed_sigmas**2 * spread.heave_m2_s2),
+                fixed.heave_m_s,
+                LARGEST_SHARE * params["SPD_HEAVE_MAX"],
+            ),
+            yaw_rate_rad_s=_between(
+                BAND_SIGMAS * np.sqrt(inner[:, 9]), fixed.yaw_rate_rad_s, LARGEST_SHARE * params["SPD_YAW_MAX"]
+            ),
+            thrust_n=BAND_SIGMAS * np.sqrt(rows[:-1, 10:]),
+        )
+
+
+def _between(wanted: FloatArray, least: FloatArray, most: float) -> FloatArray:
+    """At least the fixed margin; what is beyond it at most ``most``."""
+    result: FloatArray = np.maximum(np.minimum(wanted, most), least)
+    return result
