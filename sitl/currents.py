@@ -1,8 +1,8 @@
-"""Water currents: analytic fields over the local NED frame, all free of divergence.
+"""Water currents over the local NED frame: analytic fields, all free of divergence, and gridded ones.
 
 Every field gives its velocity, its gradient and its rate of change at a fixed place, because a hull that moves through
-a field that varies in space feels the acceleration of the water (:mod:`sitl.rigid_body`). All fields are the same at
-every depth; vertical velocity is zero except in the uniform field.
+a field that varies in space feels the acceleration of the water (:mod:`sitl.rigid_body`). Analytic fields are the same
+at every depth; vertical velocity is zero except in the uniform field and on a grid that has one.
 """
 
 import math
@@ -12,9 +12,10 @@ from typing import Protocol, TypeAlias
 
 from autopilot.core.vehicle import Vec2, Vec3
 from sitl import scenario_tables as sc
+from sitl.grid_current import GridField, read_grid
 
 Gradient: TypeAlias = tuple[float, float, float, float]
-"""d c_i / d x_j [1/s], row by row: (c_n,n c_n,e c_e,n c_e,e); the other five are zero in every field."""
+"""d c_i / d x_j [1/s], row by row: (c_n,n c_n,e c_e,n c_e,e); the other five are zero in every analytic field."""
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 ZERO_GRADIENT: Gradient = (0.0, 0.0, 0.0, 0.0)
@@ -293,3 +294,5 @@ def current_field(table: sc.Current) -> CurrentField:
             return Bickley(speed_m_s=table.speed_m_s, width_m=table.width_m, center_y_m=table.center_y_m)
         case sc.GyreCurrent():
             return Gyre(speed_m_s=table.speed_m_s, cell_m=table.cell_m)
+        case sc.GridCurrent():
+            return GridField(read_grid(table.file))

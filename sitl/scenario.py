@@ -23,6 +23,7 @@ from sitl.scenario_tables import (
     Current,
     CylinderObstacle,
     Fault,
+    GridCurrent,
     GyreCurrent,
     Header,
     JetCurrent,
@@ -58,6 +59,7 @@ __all__ = [
     "Current",
     "CylinderObstacle",
     "Fault",
+    "GridCurrent",
     "GyreCurrent",
     "Header",
     "JetCurrent",
@@ -86,11 +88,13 @@ __all__ = [
 ]
 
 LATER_KINDS = {
-    "current": {"grid": "gridded currents"},
     "obstacle": {"moving": "moving obstacles"},
     "fault": {"leak": "leaks", "battery_sag": "battery faults", "link_loss": "link faults"},
 }
 """Kinds of the scenario format that this version does not simulate, and what they are."""
+
+FILE_KEYS = (("current", "file"), ("controller", "map"))
+"""Keys that name a file beside the scenario."""
 
 
 def scenario_names() -> list[str]:
@@ -115,12 +119,25 @@ def scenario_path(name_or_path: str) -> Path:
 def load_scenario(name_or_path: str) -> Scenario:
     """A shipped scenario by name, or a scenario file by path. ConfigError names the key that is wrong."""
     path = scenario_path(name_or_path)
-    return _of_tables(read_toml(path), str(path))
+    return _of_tables(_located(read_toml(path), path.parent), str(path))
 
 
 def load_tables(name_or_path: str) -> Tables:
     """The tables of the file, which :func:`load_scenario` has to find good. ConfigError if it cannot be read."""
-    return read_toml(scenario_path(name_or_path))
+    path = scenario_path(name_or_path)
+    return _located(read_toml(path), path.parent)
+
+
+def _located(tables: Tables, folder: Path) -> Tables:
+    """The tables with files by absolute path: a campaign hands them on to other places."""
+    for table, key in FILE_KEYS:
+        entry, spread = tables.get(table), tables.get("spread")
+        drawn = spread.get(f"{table}.{key}") if isinstance(spread, dict) else None
+        if isinstance(entry, dict) and isinstance(entry.get(key), str):
+            entry[key] = str((folder / entry[key]).resolve())
+        if isinstance(drawn, dict) and isinstance(drawn.get("choice"), list):
+            drawn["choice"] = [str((folder / c).resolve()) if isinstance(c, str) else c for c in drawn["choice"]]
+    return tables
 
 
 def _of_tables(tables: Tables, origin: str) -> Scenario:

@@ -139,8 +139,15 @@ class GyreCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="gyre
     cell_m: Positive
 
 
+class GridCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="grid"):
+    """Gridded, linear between the nodes in space and time (:mod:`sitl.grid_current`)."""
+
+    file: str
+    """``.npz`` or NetCDF-3, relative to the scenario file."""
+
+
 Current: TypeAlias = (
-    NoCurrent | UniformCurrent | JetCurrent | VortexCurrent | ShearCurrent | BickleyCurrent | GyreCurrent
+    NoCurrent | UniformCurrent | JetCurrent | VortexCurrent | ShearCurrent | BickleyCurrent | GyreCurrent | GridCurrent
 )
 
 
@@ -303,12 +310,18 @@ class Markers(_Table, frozen=True, kw_only=True):
 class Controller(_Table, frozen=True, kw_only=True):
     """``[controller]``: what the vehicle is told."""
 
-    currents: Literal["estimate", "map", "none"] = "estimate"
-    """Currents come from the estimator, from the scenario's own field, or are taken as zero."""
+    currents: Literal["estimate", "map", "memory", "none"] = "estimate"
+    """Currents come from the estimator, from a map, from what was estimated where, or are taken as zero."""
+    map: str | None = None
+    """Map file for ``currents = "map"``, relative to the scenario file; None = the scenario's own field."""
     disturbance_n: NonNegative = 1.0
     """Bound on unmodelled force per axis."""
     disturbance_n_m: NonNegative = 0.1
     """Bound on unmodelled yaw moment."""
+
+    def __post_init__(self) -> None:
+        if self.map is not None and self.currents != "map":
+            raise ValueError(f'`map` needs `currents` = "map", not "{self.currents}"')
 
 
 class ThrusterLoss(_Table, frozen=True, kw_only=True, tag_field="kind", tag="thruster_loss"):

@@ -106,7 +106,12 @@ def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
         ("radius_m = 0.2", "radius_m = 0.2\ncolor = 1", r"`color` - at `\$\.obstacle\[0\]`"),
         ('kind = "cylinder"', 'kind = "cube"', r"'cube' - at `\$\.obstacle\[0\]\.kind`"),
         ('kind = "cylinder"', 'kind = "moving"', r"`\$\.obstacle\[0\]\.kind` = \"moving\": .* not available"),
-        ('kind = "jet"', 'kind = "grid"', r"`\$\.current\.kind` = \"grid\": gridded currents are not available"),
+        ('kind = "jet"', 'kind = "grid"', r"`speed_m_s` - at `\$\.current`"),
+        (
+            "[vehicle]",
+            '[controller]\nmap = "a.npz"\n[vehicle]',
+            r"`map` needs `currents` = \"map\"",
+        ),
         ('kind = "thruster_loss"', 'kind = "leak"', r"`\$\.fault\[0\]\.kind` = \"leak\": .* not available"),
         ("start_m = [-1.0, 0.0, 0.5]", "start_m = [-1.0, 0.0]", r"`\$\.vehicle\.start_m`"),
         ("mass = 1.2", "mass = -1.2", r">= 0\.0 - at `\$\.vehicle\.mismatch"),
