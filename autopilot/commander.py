@@ -4,6 +4,7 @@ The commander answers MAVLink requests at once (:class:`autopilot.mavlink.api.Ve
 turns mode, mission and estimate into a goal for the controller. It never touches thrusters itself.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,10 +61,19 @@ class Decision:
 class Commander:
     """The vehicle's state machine."""
 
-    def __init__(self, vehicle: Vehicle, params: ParamSet, plans: Plans) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        params: ParamSet,
+        plans: Plans,
+        *,
+        controller_check: Callable[[NavState], tuple[str, ...]] = lambda _: (),
+    ) -> None:
+        """``controller_check`` says what the controller has against arming with an estimate."""
         self._vehicle = vehicle
         self._params = params
         self._plans = plans
+        self._controller_check = controller_check
         self._sequencer = Sequencer(params)
         self._failsafes = FailsafeRules(params)
         self._goals = Goals(vehicle, params, plans)
@@ -131,7 +141,10 @@ class Commander:
         if self._params["DEPTH_MIN"] >= self._params["DEPTH_MAX"]:
             reasons.append("the depth band is empty: set DEPTH_MIN below DEPTH_MAX")
         problem = self._plan_problem()
-        return (*reasons, problem) if problem else tuple(reasons)
+        reasons += [problem] if problem else []
+        if nav is not None and nav.health is not NavHealth.INVALID:
+            reasons += self._controller_check(nav)
+        return tuple(reasons)
 
     def arm(self, force: bool) -> Answer:
         """Arm unless a check fails; ``force`` skips the checks and says so in the log."""

@@ -15,6 +15,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.server import MavlinkServer
+from autopilot.readiness import MarginCheck
 from autopilot.service import Autopilot, Parts
 from estimator.protocol import create_estimator
 from mission.geodesy import Origin
@@ -74,13 +75,15 @@ def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
     """The service and its parts (the runtime needs some of them for persistence and the log)."""
     params, vehicle = setup.params, setup.vehicle
     plans = Plans(params, vehicle.radius_m, setup.origin)
-    commander = Commander(vehicle, params, plans)
+    controller = MotionController(vehicle, currents=setup.currents)
+    check = MarginCheck(controller.margins, vehicle, params, plans)
+    commander = Commander(vehicle, params, plans, controller_check=check)
     parts = Parts(
         vehicle=vehicle,
         params=params,
         plans=plans,
         estimator=create_estimator(setup.estimator, vehicle, setup.markers, floor_depth_m=setup.floor_depth_m),
-        controller=MotionController(vehicle, currents=setup.currents),
+        controller=controller,
         allocation=Allocation(vehicle.drive),
         commander=commander,
         server=MavlinkServer(

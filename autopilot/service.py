@@ -22,6 +22,7 @@ from autopilot.core.messages import (
     Inputs,
     ModeState,
     NavState,
+    NmpcStatus,
     Outputs,
     PowerSample,
     SolveStatus,
@@ -71,6 +72,7 @@ class Autopilot:
         self._ahrs_us: int | None = None
         self._power: PowerSample | None = None
         self._solver_failures = 0
+        self._status: NmpcStatus | None = None
         self._decision: Decision | None = None
         self._command: ThrusterCommand | None = None
         self._goal: Goal | None = None
@@ -109,7 +111,9 @@ class Autopilot:
         control = self._control(t_us, nav, decision)
         command = self._allocate(t_us, decision.armed)
         self._decision, self._command, self._goal = decision, command, decision.goal
-        self._events = parts.commander.drain_events()
+        self._events = parts.commander.drain_events() + tuple(
+            Event(t_us=t_us, severity=severity, text=text) for severity, text in parts.controller.take_news()
+        )
         self._tick += 1
         return Outputs(
             t_us=t_us,
@@ -137,7 +141,7 @@ class Autopilot:
                 self._power = sample
 
     def _control(self, t_us: int, nav: NavState | None, decision: Decision) -> ControlOutput | None:
-        """Run the controller on its ticks; hold the thrust in between; neutral when there is nothing to follow."""
+        """Run the controller on its ticks, its inner loop in between; neutral when there is nothing to follow."""
         parts = self._parts
         if decision.goal is None or nav is None:
             self._thrust_n = np.zeros(4)
@@ -145,16 +149,18 @@ class Autopilot:
                 self._thrust_n[VERTICAL] = -BLIND_ASCENT_SHARE * parts.params["THR_LIMIT"]
             if self._goal is not None:
                 parts.controller.reset()
-                self._solver_failures = 0
+                self._solver_failures, self._status = 0, None
             return None
         if self._tick % CONTROL_EVERY_TICKS and self._goal is not None:
+            between = parts.controller.tick(t_us, nav)
+            self._thrust_n = self._thrust_n if between is None else between
             return None
         control = parts.controller.step(
             t_us, nav, decision.goal, parts.commander.fence, parts.params, self._thrust_limit_n()
         )
         solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
         self._solver_failures = 0 if solved else self._solver_failures + 1
-        self._thrust_n = control.thrust_n
+        self._thrust_n, self._status = control.thrust_n, control.status
         return control
 
     def _thrust_limit_n(self) -> FloatArray:
@@ -196,6 +202,7 @@ class Autopilot:
             cpu_load=inputs.cpu_load,
             submerged=commander.submerged,
             dropped_rx=parts.server.dropped_rx,
+            control=self._status,
         )
 
 

@@ -248,11 +248,15 @@ def _currents(scenario: Scenario) -> CurrentForecast:
 def _params(
     settings: Settings, scenario: Scenario, overrides: dict[str, float], instance: int
 ) -> tuple[ParamSet, PersistentParams]:
-    """Defaults < scenario's origin < saved by earlier runs < command line."""
+    """Defaults < scenario's origin and disturbance bounds < saved by earlier runs < command line."""
     params = ParamSet()
     params.set("ORIGIN_LAT", scenario.origin.lat_deg)
     params.set("ORIGIN_LON", scenario.origin.lon_deg)
     params.set("ORIGIN_ALT", scenario.origin.alt_m)
+    told = scenario.controller
+    for bound, value in (("MPC_W_FORCE", told.disturbance_n), ("MPC_W_MOMENT", told.disturbance_n_m)):
+        if value is not None:
+            params.set(bound, value)
     persistent = PersistentParams(Path(settings["state_dir"]) / f"sitl-{instance}" / "parameters.params", params)
     persistent.load()
     for name, value in overrides.items():

@@ -314,10 +314,10 @@ class Controller(_Table, frozen=True, kw_only=True):
     """Currents come from the estimator, from a map, from what was estimated where, or are taken as zero."""
     map: str | None = None
     """Map file for ``currents = "map"``, relative to the scenario file; None = the scenario's own field."""
-    disturbance_n: NonNegative = 1.0
-    """Bound on unmodelled force per axis."""
-    disturbance_n_m: NonNegative = 0.1
-    """Bound on unmodelled yaw moment."""
+    disturbance_n: NonNegative | None = None
+    """Bound on unmodelled force per axis [N]; None = what parameter MPC_W_FORCE says."""
+    disturbance_n_m: NonNegative | None = None
+    """Bound on unmodelled yaw moment [N m]; None = what parameter MPC_W_MOMENT says."""
 
     def __post_init__(self) -> None:
         if self.map is not None and self.currents != "map":

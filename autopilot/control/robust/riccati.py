@@ -61,17 +61,17 @@ def dare(a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray) -> FloatArr
 def gain(a: FloatArray, b: FloatArray, p: FloatArray, r: FloatArray) -> FloatArray:
     """K (..., m, n) of u = K x that belongs to the solution ``p`` of :func:`dare`."""
     bt_p = np.swapaxes(b, -1, -2) @ p
-    k: FloatArray = -np.linalg.solve(r + bt_p @ b, bt_p @ a)
+    k: FloatArray = np.asarray(-np.linalg.solve(r + bt_p @ b, bt_p @ a), dtype=float)
     return k
 
 
 def lyapunov(a: FloatArray, q: FloatArray) -> FloatArray:
     """P = a P a' + q for stable ``a`` (doubling)."""
-    p: FloatArray = q.copy()
+    p, power = q.copy(), a
     for _ in range(DOUBLINGS):
-        step = a @ p @ np.swapaxes(a, -1, -2)
-        p += step
-        a = a @ a
+        step = power @ p @ np.swapaxes(power, -1, -2)
+        np.add(p, step, out=p)
+        power = power @ power
         if np.abs(step).max() <= TOLERANCE * np.abs(p).max():
             break
     return p

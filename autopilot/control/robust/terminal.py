@@ -4,7 +4,8 @@ In the frame of the goal (error ahead, to starboard, ... of the goal's heading) 
 stands still over ground: velocity through the water -R^T c, thrust that holds it. With the discrete Riccati gain K,
 P solves (A+BK)^T P (A+BK) - P = -kappa (Q + K^T R K), kappa > 1, so that E(e) = e^T P e falls by more than the stage
 cost with something to spare for what the linearisation leaves out. The level alpha is the largest at which the
-ellipsoid E <= alpha meets every limit; sampling of the nonlinear model then shrinks it until no sample violates the decrease.
+ellipsoid E <= alpha meets every limit; sampling of the nonlinear model then shrinks it until no sample violates the
+decrease.
 """
 
 import math
