@@ -16,7 +16,7 @@ from autopilot.control.grid import TimeGrid, geometric_grid
 from autopilot.control.guidance import VELOCITY_WEIGHTS, Guidance, Reference, RouteGuidance, Situation
 from autopilot.control.lag import ThrusterLag
 from autopilot.control.nmpc import Nmpc, NmpcProblem, NmpcResult
-from autopilot.control.obstacles import FAR_M, fence_key
+from autopilot.control.obstacles import FAR_M, Movers, fence_key
 from autopilot.control.planner import Planner
 from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.margins import Margins, Tighten
@@ -26,6 +26,7 @@ from autopilot.control.robust.station import StationKeeper
 from autopilot.control.robust.terminal import TerminalLimits
 from autopilot.control.robust.tube import LARGEST_THRUST_SHARE
 from autopilot.control.tightening import BackOffs
+from autopilot.control.tracks import Obstructions, Way
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import (
@@ -106,6 +107,8 @@ class MotionController:
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
         self._fence: Fence | None = None
+        self._obstructions = Obstructions()
+        self._movers: Movers | None = None
         self._cleared: tuple[Planner, FloatArray, float] | None = None
         self.reset()
 
@@ -131,6 +134,7 @@ class MotionController:
         self._station.release()
         self.regions.reset()
         self._guidance.reset()
+        self._obstructions.reset()
 
     def step(
         self,
@@ -162,6 +166,7 @@ class MotionController:
         if nav.reset_count != self._reset_count or guidance is not self._guidance:
             self._reset_count, self._guidance = nav.reset_count, guidance
             guidance.reset()
+        fence = self._go_round(t_us, fence, nav, goal, params, tracks)
         planner = self._planner_for(fence, params)
         now = Situation(
             t_us=t_us,
@@ -241,6 +246,26 @@ class MotionController:
         x[7] = nav.rate_frd_rad_s[2]
         return x
 
+    def _go_round(
+        self,
+        t_us: int,
+        fence: Fence,
+        nav: NavState,
+        goal: Goal,
+        params: ParamSet,
+        tracks: Sequence[ObstacleTrack],
+    ) -> Fence:
+        """The fence with the tracks that routes have to go round; takes note of those that move."""
+        here = np.array(nav.pos_ned_m[:2], dtype=float)
+        way = Way(
+            speed_m_s=math.hypot(*nav.vel_frd_m_s[:2]),
+            route_ned_m=self._guidance.ahead(here) if tracks else here[None],
+            goal_distance_m=math.hypot(*(goal.pos_ned_m[:2] - here)),
+            keep_m=self._vehicle.radius_m + self.margins.clearance_m(params),
+        )
+        fence, self._movers = self._obstructions.sort(t_us, fence, tracks, way)
+        return fence
+
     def _planner_for(self, fence: Fence, params: ParamSet) -> Planner:
         """The planner of this fence; another one when fence or margin have changed."""
         planner, radius = self._planner, self._vehicle.radius_m + self.margins.clearance_m(params)
@@ -313,15 +338,19 @@ class MotionController:
     ) -> tuple[NmpcResult, float]:
         """QPs around the plan, each with the half-planes of the one before."""
         nmpc, n, margin = self.nmpc, self.nmpc.grid.n, FAR_M
+        path, t_s = nmpc.x[:n, :2], nmpc.grid.t_s[:n]
         for _ in range(qps):
             nmpc.x[0] = problem.x0
             margin = planner.features.half_planes(
-                nmpc.x[:n, :2], nmpc.grid.t_s[:n], keep_m, nmpc.planes, self._plane_n, self._plane_d
+                path, t_s, keep_m, nmpc.planes, self._plane_n, self._plane_d, self._movers
             )
             result = nmpc.solve(problem)
             if result.status is not SolveStatus.OK:
-                break
-        return result, margin
+                return result, margin
+        # The half-planes certify the new plan, chords included; only where they do not it is looked at again.
+        room = self._plane_n[..., 0] * path[1:, :1] + self._plane_n[..., 1] * path[1:, 1:] - self._plane_d
+        margin = min(margin, float(room.min()))
+        return result, margin if margin >= 0.0 else planner.features.margin_m(path, t_s, keep_m, self._movers)
 
     def _fill_limits(self, back_off: BackOffs, x0: FloatArray, fence: Fence, params: ParamSet) -> None:
         """Limits (N-1, 5) of the prediction."""
