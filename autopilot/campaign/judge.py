@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 
 from autopilot.campaign.results import Margin, RunResult, Task
+from autopilot.campaign.tube import AHEAD_S
 from autopilot.campaign.watch import Watch
 from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import (
@@ -42,6 +43,7 @@ def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end
         slack_max=watch.slack_max,
         failsafes=watch.failsafe_names,
         events=watch.events,
+        tube_shares=[share for share in map(watch.tube.share, AHEAD_S) if share is not None],
     )
     if not len(watch.rows):
         return flown

@@ -77,8 +77,9 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     failsafes: list[str] = []
     events: list[str] = []
     """Warnings and worse, the first ones."""
-    tube_share: float | None = None
-    """Share of samples inside the tube that the controller announced; None = it announced none."""
+    tube_shares: list[float] = []
+    """Share of nodes inside the announced tube, by how far ahead they were (:data:`autopilot.campaign.tube.AHEAD_S`);
+    empty if the controller announced none."""
 
     @property
     def laps_missing(self) -> bool:

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.campaign.results import RunResult
+from autopilot.campaign.tube import AHEAD_S
 
 CONFIDENCE = 0.95
 PERCENTILES = (0.0, 1.0, 5.0, 50.0, 95.0, 100.0)
 TUBE_SHARE = 0.999
-"""Share of samples that has to lie inside the announced tube."""
+"""Share of nodes that has to lie inside the announced tube."""
+TUBE_BAR = 1
+"""Which of :data:`AHEAD_S` the bar is for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,12 +128,16 @@ def _which(runs: Sequence[RunResult]) -> str:
 
 
 def _tube(flown: Sequence[RunResult]) -> Bar:
-    shares = [result.tube_share for result in flown if result.tube_share is not None]
-    name, bar = "samples inside the announced tube", f">= {TUBE_SHARE:.1%}"
-    if not shares:
+    name, bar = f"nodes up to {AHEAD_S[TUBE_BAR]:g} s ahead inside the announced tube", f">= {TUBE_SHARE:.1%}"
+    shares = np.array([result.tube_shares for result in flown if len(result.tube_shares) == len(AHEAD_S)])
+    if not len(shares):
         return Bar(name=name, bar=bar, value="", held=None, note="the controller announced none")
-    mean = float(np.mean(shares))
-    return Bar(name=name, bar=bar, value=f"{mean:.3%}", held=mean >= TUBE_SHARE, note=f"worst run {min(shares):.3%}")
+    mean = shares.mean(axis=0)
+    other = [
+        f"{s:.2%} {f'up to {a:g} s' if math.isfinite(a) else 'of all'}" for a, s in zip(AHEAD_S, mean, strict=True)
+    ]
+    value = float(mean[TUBE_BAR])
+    return Bar(name=name, bar=bar, value=f"{value:.3%}", held=value >= TUBE_SHARE, note=", ".join(other))
 
 
 def _margins(flown: Sequence[RunResult]) -> list[Spreadout]:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from autopilot.campaign.tube import TubeCheck
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Event, Failsafe, Fallback, Outputs, ProgressState, Severity
 from autopilot.log.analysis import Span, Track
@@ -38,6 +39,7 @@ class Watch:
         self.slack_max = 0.0
         self.events: list[str] = []
         self._now_s = 0.0
+        self.tube = TubeCheck()
 
     def tick(self, outputs: Outputs) -> None:
         """Take note of one tick."""
@@ -61,6 +63,8 @@ class Watch:
             row[21:24] = nav.pos_ned_m - truth.pos_ned_m
             row[24] = wrap_pi(float(nav.rpy_rad[2] - truth.rpy_rad[2]))
             row[25:27] = nav.current_ned_m_s[:2] - truth.current_ned_m_s[:2]
+        if self._complete_s is None:
+            self.tube.look(t_s, float(row[1]), float(row[2]))
         self._note_control(outputs)
 
     @property
@@ -134,6 +138,8 @@ class Watch:
         self.failsafes |= outputs.mode.failsafes
         if outputs.control is None:
             return
+        if len(outputs.control.tube_m):
+            self.tube.announce(outputs.control)
         status = outputs.control.status
         self.steps += 1
         self.fallbacks += status.fallback is not Fallback.NONE

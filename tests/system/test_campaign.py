@@ -359,11 +359,11 @@ def test_missing_laps_fail_only_where_they_are_asked_for() -> None:
 
 
 def test_the_tube_bar_is_judged_when_a_tube_was_announced() -> None:
-    bars = {bar.name: bar for bar in summarise([made_up(0)], 1).bars}
-    assert bars["samples inside the announced tube"].held is None
+    name = "nodes up to 1 s ahead inside the announced tube"
+    assert {bar.name: bar for bar in summarise([made_up(0)], 1).bars}[name].held is None
     for share, held in ((0.9995, True), (0.99, False)):
-        bars = {bar.name: bar for bar in summarise([made_up(0, tube_share=share)], 1).bars}
-        assert bars["samples inside the announced tube"].held is held
+        bars = {bar.name: bar for bar in summarise([made_up(0, tube_shares=[1.0, share, 0.7, 0.5])], 1).bars}
+        assert bars[name].held is held
 
 
 def test_failure_rates_that_a_result_still_allows() -> None:

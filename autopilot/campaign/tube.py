@@ -1,0 +1,52 @@
+"""Whether the vehicle stays within the tube that its controller announced round its plan."""
+
+import heapq
+import math
+
+from autopilot.core.messages import ControlOutput
+
+AHEAD_S = (0.5, 1.0, 2.0, math.inf)
+"""Nodes are counted apart by how far ahead they were announced: feedback answers for the near ones, while the optimiser has
+changed its mind before the far ones come due."""
+
+
+class TubeCheck:
+    """Every plan says, node by node, where the vehicle will be and how far from there at most; this looks when the time
+    has come. A plan that began anew takes back what earlier ones said."""
+
+    def __init__(self) -> None:
+        self._due: list[tuple[float, float, float, float, float]] = []
+        """Heap of time [s], north, east, distance [m], how far ahead [s]."""
+        self._before: tuple[float, float, float] | None = None
+        """Time, north and east of the last look."""
+        self._looked = dict.fromkeys(AHEAD_S, 0)
+        self._inside = dict.fromkeys(AHEAD_S, 0)
+
+    def share(self, ahead_s: float) -> float | None:
+        """Share of the nodes at most ``ahead_s`` (of :data:`AHEAD_S`) ahead at which the vehicle was inside, None if none
+        has come due."""
+        return self._inside[ahead_s] / self._looked[ahead_s] if self._looked[ahead_s] else None
+
+    def announce(self, control: ControlOutput) -> None:
+        """What a control step says of the time ahead."""
+        if control.restarted:
+            self._due.clear()
+        begin_s = control.status.t_us * 1e-6
+        times, tube = control.nominal_t_s.tolist(), control.tube_m.tolist()
+        for after_s, place, distance_m in zip(times, control.nominal[:, :2].tolist(), tube, strict=True):
+            heapq.heappush(self._due, (begin_s + after_s, place[0], place[1], distance_m, after_s))
+
+    def look(self, t_s: float, north_m: float, east_m: float) -> None:
+        """Where the vehicle is now; nodes since the last look are compared with the straight line between the two."""
+        before_s, from_n, from_e = self._before or (t_s, north_m, east_m)
+        self._before = (t_s, north_m, east_m)
+        while self._due and self._due[0][0] <= t_s:
+            due_s, north, east, distance_m, after_s = heapq.heappop(self._due)
+            if due_s < before_s:
+                continue
+            share = (due_s - before_s) / (t_s - before_s) if t_s > before_s else 1.0
+            off_m = math.hypot(from_n + share * (north_m - from_n) - north, from_e + share * (east_m - from_e) - east)
+            for ahead_s in AHEAD_S:
+                if after_s <= ahead_s:
+                    self._looked[ahead_s] += 1
+                    self._inside[ahead_s] += off_m <= distance_m
