@@ -34,6 +34,9 @@ REPLAN_STEPS = 40
 RETRY_STEPS = 20
 """Without a way, one is looked for again after so many steps (1 s)."""
 
+NEXT_LEG_S = 5.0
+"""The next leg is planned when this one has so much left."""
+
 RUNNING_OUT_S = 20.0
 """A trajectory that does not reach its goal is continued when it has less than this left."""
 
@@ -139,7 +142,7 @@ class EnergyGuidance:
         self.unreachable = track is None
         if track is None and self._track is not None:
             return False
-        self._track, self._next = track, None
+        self._track = track
         if track is not None:
             track.locate(now.x0, 0.0)
         self._flow = request.flow
@@ -160,7 +163,7 @@ class EnergyGuidance:
                 warm = None if running_out or off_m > 2.0 * OFF_TRACK_M else track
                 self._ask(now, now.goal, now.x0, warm)
                 return
-        if self._next is None and track.complete and now.goal.following is not None and since >= CHECK_STEPS:
+        if self._next is None and track.complete and now.goal.following is not None and track.rest_s < NEXT_LEG_S:
             end = track.trajectory.x[-1].copy()
             self._ask(now, now.goal.following, end, None)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from autopilot.control.energy.field import EnergyField, EnergyToGo, Way, other_ways
 from autopilot.control.energy.flow import Flow, FlowSamples, area_of
-from autopilot.control.energy.power import PowerModel, SpeedTable, speed_table
+from autopilot.control.energy.power import PowerModel, SpeedTable, energy_per_metre, speed_table
 from autopilot.control.energy.trajectory import PLANES, SUBSTEP_S, Ask, Program, Trajectory
 from autopilot.control.obstacles import Features, fence_key
 from autopilot.core.frames import FloatArray, unwrap_near
@@ -31,11 +31,17 @@ YAW_SHARE = 0.9
 GATE_RADIUS_M = 1.0
 """Region in which a trajectory ends that does not reach its goal within LONGEST_S."""
 
-SCREEN_ROUNDS = 2
-POLISH_ROUNDS = 2
+SCREEN_ROUNDS = 1
+POLISH_ROUNDS = 3
 """Rounds of linearisation for every candidate, and more for the best."""
 
-KEEP_WITHIN = 1.3
+UPDATE_ROUNDS = 1
+"""Rounds for a plan that is only brought up to date."""
+
+STAY_WITHIN = 1.1
+"""A plan stays on its way while the energy field knows none that is cheaper by more than this (near-ties would flip)."""
+
+KEEP_WITHIN = 1.15
 """Ways whose energy is beyond so many times the best one's are not looked at."""
 
 MAX_OTHER_WAYS = 2
@@ -110,10 +116,9 @@ class EnergyPlanner:
             return Plan(goal=request.goal, trajectory=None, energy_j=math.inf, eta_s=math.inf, complete=False)
         end_slope = _slope_beyond(field, request.goal)
         task = _Task(request, features, flow, table, to_go, end_slope, self._program)
-        if request.warm is not None:
-            warm = task.refine(request.warm, POLISH_ROUNDS)
-            if warm.solved:
-                return task.plan(warm)
+        warm = None if request.warm is None else task.refine(request.warm, UPDATE_ROUNDS)
+        if warm is not None and warm.solved and task.energy_along(warm) < STAY_WITHIN * best.energy_j:
+            return task.plan(warm)
         ways = [best, *other_ways(field, to_go, best, features, MAX_OTHER_WAYS)]
         candidates = [
             task.refine(guess, SCREEN_ROUNDS)
@@ -121,7 +126,7 @@ class EnergyPlanner:
             if way.energy_j <= KEEP_WITHIN * best.energy_j
             for guess in task.guesses(way)
         ]
-        solved = [candidate for candidate in candidates if candidate.solved]
+        solved = [candidate for candidate in (warm, *candidates) if candidate is not None and candidate.solved]
         if not solved:
             return task.plan(task.guesses(best)[0])
         winner = min(solved, key=lambda candidate: candidate.cost_j)
@@ -213,6 +218,18 @@ class _Task:
         x[0] = self._request.x0
         energy = float(t[-1]) * float(self._table.power_w.min())
         return Trajectory(t_s=t, x=x, thrust_n=np.zeros((len(t) - 1, NU)), energy_j=energy, cost_j=energy, solved=False)
+
+    def energy_along(self, trajectory: Trajectory) -> float:
+        """What the way of a trajectory costs by the measure of the energy field: steady speeds, heading along it."""
+        places = trajectory.x[:, :2]
+        step = np.diff(places, axis=0)
+        ds = np.maximum(np.hypot(*step.T), 1e-9)
+        current = self._flow.current(0.5 * (places[1:] + places[:-1]))[:, :2]
+        along = (current * step).sum(axis=1) / ds
+        across = (current[:, 0] * step[:, 1] - current[:, 1] * step[:, 0]) / ds
+        rest = self._to_go.way(places[-1])
+        energy = float((ds * energy_per_metre(self._table, along, across)).sum())
+        return math.inf if rest is None else energy + rest.energy_j
 
     def _timed(self, way: Way) -> tuple[FloatArray, FloatArray]:
         """Points (m, 2) close together along a way and when they are passed at the cheapest speeds."""
