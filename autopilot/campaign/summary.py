@@ -133,9 +133,8 @@ def _tube(flown: Sequence[RunResult]) -> Bar:
     if not len(shares):
         return Bar(name=name, bar=bar, value="", held=None, note="the controller announced none")
     mean = shares.mean(axis=0)
-    other = [
-        f"{s:.2%} {f'up to {a:g} s' if math.isfinite(a) else 'of all'}" for a, s in zip(AHEAD_S, mean, strict=True)
-    ]
+    reach = [f"up to {ahead_s:g} s" if math.isfinite(ahead_s) else "of all" for ahead_s in AHEAD_S]
+    other = [f"{share:.2%} {words}" for words, share in zip(reach, mean.tolist(), strict=True)]
     value = float(mean[TUBE_BAR])
     return Bar(name=name, bar=bar, value=f"{value:.3%}", held=value >= TUBE_SHARE, note=", ".join(other))
 

@@ -6,8 +6,8 @@ import math
 from autopilot.core.messages import ControlOutput
 
 AHEAD_S = (0.5, 1.0, 2.0, math.inf)
-"""Nodes are counted apart by how far ahead they were announced: feedback answers for the near ones, while the optimiser has
-changed its mind before the far ones come due."""
+"""Nodes are counted apart by how far ahead they were announced: feedback answers for the near ones, while the
+optimiser has changed its mind before the far ones come due."""
 
 
 class TubeCheck:
@@ -23,8 +23,9 @@ class TubeCheck:
         self._inside = dict.fromkeys(AHEAD_S, 0)
 
     def share(self, ahead_s: float) -> float | None:
-        """Share of the nodes at most ``ahead_s`` (of :data:`AHEAD_S`) ahead at which the vehicle was inside, None if none
-        has come due."""
+        """Share of the nodes at most ``ahead_s`` (of :data:`AHEAD_S`) ahead at which the vehicle was inside.
+
+        None if none has come due."""
         return self._inside[ahead_s] / self._looked[ahead_s] if self._looked[ahead_s] else None
 
     def announce(self, control: ControlOutput) -> None:
