@@ -50,10 +50,10 @@ class MarginCheck:
             places = np.array([step.pos_ned_m[:2] for step in steps if step.pos_ned_m is not None])
             clearance = fence_clearance_m(fence, places) - self._vehicle.radius_m
             self._goals = [(f"item {step.seq}", float(c)) for step, c in zip(steps, clearance, strict=True)]
-        self._widest_m = _widest_m(fence) - self._vehicle.radius_m
+        self._widest_m = widest_m(fence) - self._vehicle.radius_m
 
 
-def _widest_m(fence: Fence) -> float:
+def widest_m(fence: Fence) -> float:
     """Largest clearance on a grid over the workspace; inf in open water."""
     corners = [
         shape.vertices_ned_m

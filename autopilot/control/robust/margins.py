@@ -8,7 +8,7 @@ import numpy as np
 from autopilot.control.grid import TimeGrid
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.lipschitz import LipschitzMargins
-from autopilot.control.robust.tube import TubeMargins
+from autopilot.control.robust.tube import LARGEST_SHARE, TubeMargins
 from autopilot.control.tightening import BackOffs, FixedMargins
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
@@ -59,20 +59,23 @@ class Margins:
         largest clearance beyond the body radius anywhere (inf = open water).
         """
         margins = self.back_offs(nav, self._rest, self._idle, params)
-        mode = Tighten(int(params["MPC_TIGHTEN"])).name.lower()
+        kind = Tighten(int(params["MPC_TIGHTEN"]))
+        mode = kind.name.lower()
+        # Tube margins settle and are cut at a share of the limit: one that has been cut is one that does not fit.
+        node, share = (-1, LARGEST_SHARE) if kind is Tighten.TUBE else (0, 1.0)
         reasons = [
-            f"{name} limit {params[limit]:g} {unit} is used up by the {mode} margin {float(margin[0]):.2f}: "
+            f"{name} limit {params[limit]:g} {unit} leaves too little beside the {mode} margin {margin[node]:.2f}: "
             f"better estimate, smaller MPC_W_* or higher {limit}"
             for name, limit, unit, margin in (
                 ("planar speed", "SPD_PLANAR_MAX", "m/s", margins.planar_speed_m_s),
                 ("heave", "SPD_HEAVE_MAX", "m/s", margins.heave_m_s),
                 ("yaw rate", "SPD_YAW_MAX", "rad/s", margins.yaw_rate_rad_s),
             )
-            if float(margin[0]) >= params[limit]
+            if float(margin[node]) >= share * params[limit]
         ]
-        band = params["DEPTH_MAX"] - params["DEPTH_MIN"]
-        if 0.0 < band <= 2.0 * float(margins.depth_m[0]):
-            reasons.append(f"depth band {band:.2f} m is used up by the {mode} margin {float(margins.depth_m[0]):.2f} m")
+        band, depth = params["DEPTH_MAX"] - params["DEPTH_MIN"], float(margins.depth_m[node])
+        if band > 0.0 and share * band <= 2.0 * depth:
+            reasons.append(f"depth band {band:.2f} m leaves too little beside the {mode} margin {depth:.2f} m")
         near = float(margins.clearance_m[0])
         if fence_half_m < near and math.isfinite(fence_half_m):
             reasons.append(f"the fence leaves nothing of the {mode} margin {near:.2f} m: widen it")
