@@ -10,6 +10,7 @@ from autopilot.campaign.results import Task
 from autopilot.compose import revision
 from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
+from mission.plan_files import read_plan
 from sitl.scenario import Scenario, load_scenario, load_tables, plan_path
 from sitl.spread import Tables, drawn_tables, drawn_values, run_seed
 from sitl.toml_text import toml_text
@@ -70,7 +71,7 @@ def define(
     duration_s: float | None = None,
     params: dict[str, float] | None = None,
 ) -> Campaign:
-    """The campaign over a scenario; ``seed`` None = the scenario's. ConfigError if it cannot be flown."""
+    """The campaign over a scenario; ``seed`` None = the scenario's. ConfigError, PlanError: it cannot be flown."""
     scenario, tables = load_scenario(name_or_path), load_tables(name_or_path)
     plan = plan_path(name_or_path, scenario)
     if plan is None:
@@ -79,6 +80,7 @@ def define(
         raise ConfigError(
             f"scenario {scenario.scenario.name!r} does not say when a run ends; add scenario.duration_s or --duration"
         )
+    read_plan(plan)
     known = ParamSet()
     for name, value in (params or {}).items():
         known.set(name, value)

@@ -52,15 +52,15 @@ class Store:
         """ConfigError: another campaign lives there, or another process flies this shard. LogError: damaged."""
         self._folder = folder
         self._scenarios = folder / "scenarios"
+        path = folder / shard.file_name
         try:
             self._scenarios.mkdir(parents=True, exist_ok=True)
+            _settle_identity(folder / IDENTITY, campaign.identity)
+            plan = self._scenarios / campaign.identity.plan_name
+            plan.write_text(campaign.identity.plan, encoding="utf-8")
+            self._file: IO[bytes] = path.open("ab")
         except OSError as error:
-            raise ConfigError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from error
-        _settle_identity(folder / IDENTITY, campaign.identity)
-        plan = self._scenarios / campaign.identity.plan_name
-        plan.write_text(campaign.identity.plan, encoding="utf-8")
-        path = folder / shard.file_name
-        self._file: IO[bytes] = path.open("ab")
+            raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from error
         if not lock_exclusive(self._file):
             self._file.close()
             raise ConfigError(f"{path}: another process flies these runs now; wait for it or take another --shard")

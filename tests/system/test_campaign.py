@@ -23,7 +23,7 @@ from autopilot.campaign.results import Margin, RunResult, Task
 from autopilot.campaign.store import Shard, Store, read_results, scenario_file
 from autopilot.campaign.summary import failure_bound, summarise
 from autopilot.cli.main import cli, run
-from autopilot.core.errors import ConfigError, LogError
+from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.log.check import acceptance_table
 from autopilot.log.reader import open_log
 from mission.paper import paper_plan
@@ -225,6 +225,19 @@ def test_bad_input_is_refused_in_one_line(
     assert message in error
     assert error.count("\n") == 1
     assert not list(tmp_path.glob("out/runs*"))
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out").write_text("a file")
+    assert campaign(tmp_path / "out", scenario_in(tmp_path / "in"))[0] != 0
+    assert "out" in capsys.readouterr().err
+
+
+def test_a_plan_that_is_none_is_refused_before_anything_is_flown(tmp_path: Path) -> None:
+    scenario = scenario_in(tmp_path)
+    (tmp_path / "paper.plan").write_text("{}")
+    with pytest.raises(PlanError):
+        define(scenario)
 
 
 def test_a_bad_spread_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
