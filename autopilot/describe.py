@@ -9,7 +9,7 @@ from autopilot.service import Parts
 from mission.items import GoTo, Jump
 from mission.store import Plans
 from sitl.scenario import Scenario
-from sitl.scenario_tables import CylinderObstacle
+from sitl.scenario_tables import CylinderObstacle, MovingObstacle, SphereObstacle
 
 
 def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -> RunDescription:
@@ -32,14 +32,7 @@ def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -
         thruster_names=tuple(thruster.name for thruster in parts.vehicle.thruster),
         tank_polygon_m=() if tank is None else tuple(tank.polygon_m),
         tank_depth_m=None if tank is None else tank.depth_m,
-        obstacles=tuple(
-            Obstacle(
-                center_m=tuple(obstacle.center_m),
-                radius_m=obstacle.radius_m,
-                name=f"{'cylinder' if isinstance(obstacle, CylinderObstacle) else 'sphere'} {index + 1}",
-            )
-            for index, obstacle in enumerate(scenario.obstacle)
-        ),
+        obstacles=tuple(_obstacle(obstacle, number) for number, obstacle in enumerate(scenario.obstacle, start=1)),
         fence=fence_shapes(parts.commander.fence),
         waypoints=waypoints,
         closed_tour=laps is not None,
@@ -66,6 +59,21 @@ def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -
         mode_names={str(parts.server.custom_mode(mode)): mode.name for mode in FlightMode},
         parameters=dict(params),
     )
+
+
+def _obstacle(obstacle: CylinderObstacle | SphereObstacle | MovingObstacle, number: int) -> Obstacle:
+    if isinstance(obstacle, MovingObstacle):
+        return Obstacle(
+            center_m=tuple(obstacle.path_m[0]),
+            radius_m=obstacle.radius_m,
+            name=f"moving {number}",
+            path_m=tuple(obstacle.path_m),
+            speed_m_s=obstacle.speed_m_s,
+            ends=obstacle.ends,
+            start_s=obstacle.start_s,
+        )
+    kind = "cylinder" if isinstance(obstacle, CylinderObstacle) else "sphere"
+    return Obstacle(center_m=tuple(obstacle.center_m), radius_m=obstacle.radius_m, name=f"{kind} {number}")
 
 
 def plans_json(plans: Plans) -> bytes:

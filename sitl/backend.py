@@ -16,6 +16,7 @@ from sitl.ahrs import Ig500Emulator
 from sitl.camera import SimCamera, camera_of
 from sitl.camera_feed import CameraFeed
 from sitl.floor import build_floor
+from sitl.obstacle_sensor import SimObstacleSensor
 from sitl.plant import Truth, build_plant
 from sitl.pose_sensor import SimPoseSensor
 from sitl.scenario import Scenario
@@ -147,6 +148,9 @@ class SimulatedVehicle(Closing):
         self.markers: MarkerMap | None = None
         """The true marker map; None when there are no pictures."""
         self._observers: list[Observer] = [emulator, self._power]
+        self._obstacles = SimObstacleSensor(sensors.obstacles, scenario.obstacle, seed)
+        if not self._obstacles.blind:
+            self._observers.append(self._obstacles)
         if position == "pose":
             depth_m = None if scenario.tank is None else scenario.tank.depth_m
             self._pose = SimPoseSensor(sensors.pose, sensors.laser, vehicle, depth_m, faults, seed)
@@ -209,6 +213,7 @@ class SimulatedVehicle(Closing):
         samples: list[Sample] = [*self._ahrs.poll(t_us), *self._power.poll(t_us)]
         if self._pose is not None:
             samples.extend(self._pose.poll(t_us))
+        samples.extend(self._obstacles.poll(t_us))
         return tuple(samples)
 
     def frames(self, t_us: int) -> list[CameraFrame]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from autopilot.core.vehicle import Vec2, Vec3
+from sitl.moving import MovingPath
 
 STIFFNESS_N_M = 2.0e4
 """Assumed: a bumper bar; full thrust (29 N) presses it in by 1.5 mm, a run at 0.5 m/s by about 15 mm."""
@@ -44,7 +45,16 @@ class Sphere:
     radius_m: float
 
 
-Solid: TypeAlias = Cylinder | Sphere
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovingCylinder:
+    """A vertical cylinder through the whole depth that moves, and that nothing stops."""
+
+    name: str
+    path: MovingPath
+    radius_m: float
+
+
+Solid: TypeAlias = Cylinder | Sphere | MovingCylinder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +66,8 @@ class Touch:
     depth_m: float
     normal_ned: Vec3
     """Unit vector out of the thing that is touched."""
+    speed_m_s: float = 0.0
+    """How fast the thing itself moves along the normal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,8 +119,15 @@ class Surroundings:
         self._polygon = tuple(polygon_ned_m) if polygon_ned_m is not None else None
         self._floor_m = floor_m
         self._solids = tuple(solids)
+        self._t_s = 0.0
+        self.fastest_m_s = max((s.path.speed_m_s for s in self._solids if isinstance(s, MovingCylinder)), default=0.0)
+        """Speed of the fastest thing that moves."""
         self._radius = hull_radius_m
         self._half_height = hull_half_height_m
+
+    def move_to(self, t_s: float) -> None:
+        """Everything that moves is where it is at that time."""
+        self._t_s = t_s
 
     def touches(self, pos_ned_m: Sequence[float], margin_m: float = 0.0) -> list[Touch]:
         """What a hull at a position (3,) touches, or is closer to than ``margin_m`` (depth < 0 then)."""
@@ -124,9 +143,15 @@ class Surroundings:
             depth = z + self._half_height - self._floor_m
             found.append(Touch(what="floor", depth_m=depth, normal_ned=(0.0, 0.0, -1.0)))
         for solid in self._solids:
-            gap, normal = self._gap(solid, x, y, z)
+            if isinstance(solid, MovingCylinder):
+                (cx, cy), (u, v) = solid.path.at(self._t_s)
+                where: Cylinder | Sphere = Cylinder(name=solid.name, center_ned_m=(cx, cy), radius_m=solid.radius_m)
+            else:
+                where, u, v = solid, 0.0, 0.0
+            gap, normal = self._gap(where, x, y, z)
             if gap < margin_m:
-                found.append(Touch(what=solid.name, depth_m=-gap, normal_ned=normal))
+                speed = normal[0] * u + normal[1] * v
+                found.append(Touch(what=solid.name, depth_m=-gap, normal_ned=normal, speed_m_s=speed))
         return found
 
     def clearance_m(self, pos_ned_m: Sequence[float]) -> float:
@@ -134,7 +159,7 @@ class Surroundings:
         gaps = [-touch.depth_m for touch in self.touches(pos_ned_m, math.inf)]
         return min(gaps, default=math.inf)
 
-    def _gap(self, solid: Solid, x: float, y: float, z: float) -> tuple[float, Vec3]:
+    def _gap(self, solid: Cylinder | Sphere, x: float, y: float, z: float) -> tuple[float, Vec3]:
         """Distance of the hull from a solid (negative inside) and the unit vector away from it."""
         dx, dy = x - solid.center_ned_m[0], y - solid.center_ned_m[1]
         planar = math.hypot(dx, dy)
@@ -154,7 +179,7 @@ class Surroundings:
         fx = fy = fz = 0.0
         for touch in self.touches(pos_ned_m):
             nx, ny, nz = touch.normal_ned
-            closing = -(vel_ned_m_s[0] * nx + vel_ned_m_s[1] * ny + vel_ned_m_s[2] * nz)
+            closing = touch.speed_m_s - (vel_ned_m_s[0] * nx + vel_ned_m_s[1] * ny + vel_ned_m_s[2] * nz)
             push = max(0.0, STIFFNESS_N_M * touch.depth_m + DAMPING_N_S_M * closing)
             fx, fy, fz = fx + push * nx, fy + push * ny, fz + push * nz
         return fx, fy, fz

@@ -123,6 +123,7 @@ class Plant:
         start = (*start_pos_ned_m, *quat, *start_vel_frd_m_s, *start_rate_frd_rad_s)
         self._state: State = [float(value) for value in start]
         self._checked_at: Sequence[float] = self._state[:3]
+        self._checked_us = 0
         self._clearance_m = -math.inf
         self._derivative = make_derivative(
             self._vehicle.body,
@@ -285,6 +286,7 @@ class Plant:
         """What holds now; worked out once for every moment at which somebody asks."""
         if self._instant is None:
             x, y, z = place = (self._state[0], self._state[1], self._state[2])
+            self._surroundings.move_to(self._t_us * 1e-6)
             near = self._near(x, y, z)
             field, t_s = self._world.current, self._t_us * 1e-6
             flow = None if field.steady_uniform else (field.gradient(place, t_s), field.rate(place, t_s))
@@ -295,10 +297,11 @@ class Plant:
         return self._instant
 
     def _near(self, x: float, y: float, z: float) -> bool:
-        """Whether the hull may be closer than NEAR_M to anything. Looks again only after it moved far enough."""
+        """Whether the hull may be closer than NEAR_M to anything. Looks again only after enough has moved."""
         cx, cy, cz = self._checked_at
-        if abs(x - cx) + abs(y - cy) + abs(z - cz) >= self._clearance_m - NEAR_M:
-            self._checked_at = (x, y, z)
+        came_m = self._surroundings.fastest_m_s * (self._t_us - self._checked_us) * 1e-6
+        if abs(x - cx) + abs(y - cy) + abs(z - cz) + came_m >= self._clearance_m - NEAR_M:
+            self._checked_at, self._checked_us = (x, y, z), self._t_us
             self._clearance_m = self._surroundings.clearance_m(self._checked_at)
         return self._clearance_m < NEAR_M
 

@@ -29,8 +29,10 @@ from sitl.scenario_tables import (
     JetCurrent,
     LaserSensor,
     Markers,
+    MovingObstacle,
     NoCurrent,
     Obstacle,
+    ObstacleSensor,
     Origin,
     Outages,
     PoseSensor,
@@ -65,8 +67,10 @@ __all__ = [
     "JetCurrent",
     "LaserSensor",
     "Markers",
+    "MovingObstacle",
     "NoCurrent",
     "Obstacle",
+    "ObstacleSensor",
     "Origin",
     "Outages",
     "PoseSensor",
@@ -88,7 +92,6 @@ __all__ = [
 ]
 
 LATER_KINDS = {
-    "obstacle": {"moving": "moving obstacles"},
     "fault": {"leak": "leaks", "battery_sag": "battery faults", "link_loss": "link faults"},
 }
 """Kinds of the scenario format that this version does not simulate, and what they are."""

@@ -1,5 +1,6 @@
 """The tables of a scenario file as immutable structs (what they mean as a whole: :mod:`sitl.scenario`)."""
 
+from itertools import pairwise
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
@@ -70,6 +71,8 @@ class CylinderObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag=
 
     center_m: Vec2
     radius_m: Positive
+    surprise: bool = False
+    """The obstacle sensor reports it as it comes into range; whoever drew the fence did not know of it."""
 
 
 class SphereObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="sphere"):
@@ -79,7 +82,26 @@ class SphereObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="s
     radius_m: Positive
 
 
-Obstacle: TypeAlias = CylinderObstacle | SphereObstacle
+class MovingObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="moving"):
+    """A vertical cylinder through the whole depth that moves along a polyline; the obstacle sensor reports it."""
+
+    path_m: Annotated[list[Vec2], msgspec.Meta(min_length=2)]
+    """Corners [north, east]."""
+    speed_m_s: Positive
+    radius_m: Positive
+    ends: Literal["bounce", "loop", "stop"] = "bounce"
+    """At the last corner it turns back, goes on to the first one, or stops."""
+    start_s: NonNegative = 0.0
+    """Until then it stands at the first corner."""
+
+    def __post_init__(self) -> None:
+        corners = self.path_m if self.ends != "loop" else [*self.path_m, self.path_m[0]]
+        for before, corner in pairwise(corners):
+            if before == corner:
+                raise ValueError(f"`path_m` repeats the corner [{corner[0]:g}, {corner[1]:g}]")
+
+
+Obstacle: TypeAlias = CylinderObstacle | SphereObstacle | MovingObstacle
 
 
 class NoCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="none"):
@@ -259,6 +281,19 @@ class LaserSensor(_Table, frozen=True, kw_only=True):
     outlier_m: NonNegative = 0.3
 
 
+class ObstacleSensor(_Table, frozen=True, kw_only=True):
+    """``[sensors.obstacles]``: reports moving obstacles, and standing ones that are a surprise, as tracks."""
+
+    range_m: NonNegative = 1.0
+    """From the vehicle's centre to the obstacle's surface."""
+    rate_hz: Positive = 5.0
+    sigma_m: NonNegative = 0.01
+    """Standard deviation of a reported position, each axis."""
+    sigma_velocity_m_s: NonNegative = 0.01
+    """Standard deviation of a reported velocity, each axis; what stands is known to stand."""
+    latency_s: NonNegative = 0.1
+
+
 class Sensors(_Table, frozen=True, kw_only=True):
     """``[sensors]``"""
 
@@ -268,6 +303,7 @@ class Sensors(_Table, frozen=True, kw_only=True):
     camera: CameraSensor = CameraSensor()
     pose: PoseSensor = PoseSensor()
     laser: LaserSensor = LaserSensor()
+    obstacles: ObstacleSensor = ObstacleSensor()
 
 
 class CameraLook(_Table, frozen=True, kw_only=True):

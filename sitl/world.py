@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import Vec2, Vec3
-from sitl.contact import Cylinder, Solid, Sphere, inside_polygon
+from sitl.contact import Cylinder, MovingCylinder, Solid, Sphere, inside_polygon
 from sitl.currents import CurrentField, Uniform, current_field
-from sitl.scenario import CylinderObstacle, Scenario
+from sitl.moving import MovingPath
+from sitl.scenario import CylinderObstacle, MovingObstacle, Scenario
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -23,6 +24,11 @@ class World:
     """None = no tether."""
 
 
+def moving_path(obstacle: MovingObstacle) -> MovingPath:
+    """How a moving obstacle of a scenario moves."""
+    return MovingPath(obstacle.path_m, obstacle.speed_m_s, obstacle.ends, obstacle.start_s)
+
+
 def build_world(scenario: Scenario) -> World:
     """The world that a scenario describes. ConfigError if the vehicle would start outside the tank."""
     solids: list[Solid] = []
@@ -30,6 +36,8 @@ def build_world(scenario: Scenario) -> World:
         name = f"obstacle {number}"
         if isinstance(obstacle, CylinderObstacle):
             solids.append(Cylinder(name=name, center_ned_m=obstacle.center_m, radius_m=obstacle.radius_m))
+        elif isinstance(obstacle, MovingObstacle):
+            solids.append(MovingCylinder(name=name, path=moving_path(obstacle), radius_m=obstacle.radius_m))
         else:
             solids.append(Sphere(name=name, center_ned_m=obstacle.center_m, radius_m=obstacle.radius_m))
     tank = scenario.tank

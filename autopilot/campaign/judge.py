@@ -10,10 +10,11 @@ from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import (
     Span,
     Track,
-    distance_to_center,
     distance_to_fence,
+    distance_to_obstacle,
     distance_to_polygon,
     lap_spans,
+    obstacle_limit_m,
     visits,
 )
 from autopilot.log.description import RunDescription
@@ -73,8 +74,9 @@ def _margins(scenario: Scenario, run: RunDescription, watch: Watch) -> dict[str,
 
     near = accept.tolerance_m
     for obstacle in run.obstacles:
-        limit = max(accept.cylinder_clearance_m, obstacle.radius_m + run.body_radius_m)
-        add(obstacle.name, distance_to_center(track, obstacle.center_m) - limit, track, near)
+        limit = obstacle_limit_m(obstacle, run)
+        if limit is not None:
+            add(obstacle.name, distance_to_obstacle(track, obstacle) - limit, track, near)
     plane = track.pos_ned_m[:, :2]
     if run.tank_polygon_m:
         add("walls", distance_to_polygon(plane, run.tank_polygon_m) - accept.wall_clearance_m, track, near)

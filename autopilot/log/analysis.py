@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ProgressState
-from autopilot.log.description import FenceShape, Point2, RunDescription, Waypoint
+from autopilot.log.description import FenceShape, Obstacle, Point2, RunDescription, Waypoint
 from autopilot.log.reader import Log, Table
 from autopilot.log.schemas import layout
 from autopilot.log.topics import type_of
@@ -246,6 +246,36 @@ def distance_to_center(track: Track, center_m: Sequence[float]) -> FloatArray:
     offset = track.pos_ned_m[:, : len(center_m)] - np.array(center_m)
     result: FloatArray = np.linalg.norm(offset, axis=1)
     return result
+
+
+def obstacle_position(obstacle: Obstacle, t_s: FloatArray) -> FloatArray:
+    """(n, 2) or (n, 3) where an obstacle was at times (n,)."""
+    if not obstacle.path_m:
+        return np.broadcast_to(np.array(obstacle.center_m), (len(t_s), len(obstacle.center_m)))
+    corners = np.array([*obstacle.path_m, *(obstacle.path_m[:1] if obstacle.ends == "loop" else ())])
+    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
+    travelled = obstacle.speed_m_s * np.maximum(t_s - obstacle.start_s, 0.0)
+    if obstacle.ends == "loop":
+        travelled = travelled % s[-1]
+    elif obstacle.ends == "bounce":
+        travelled = s[-1] - np.abs(travelled % (2.0 * s[-1]) - s[-1])
+    return np.stack([np.interp(travelled, s, corners[:, 0]), np.interp(travelled, s, corners[:, 1])], axis=1)
+
+
+def distance_to_obstacle(track: Track, obstacle: Obstacle) -> FloatArray:
+    """(n,) distance from an obstacle's axis or centre, wherever it was at the time."""
+    where = obstacle_position(obstacle, track.t_s)
+    result: FloatArray = np.linalg.norm(track.pos_ned_m[:, : where.shape[1]] - where, axis=1)
+    return result
+
+
+def obstacle_limit_m(obstacle: Obstacle, run: RunDescription) -> float | None:
+    """What the vehicle's centre has to keep from an obstacle's axis; None = not judged."""
+    asked = run.accept.cylinder_clearance_m
+    if asked is None:
+        return None
+    touch = obstacle.radius_m + run.body_radius_m
+    return touch if obstacle.path_m else max(asked, touch)
 
 
 def waypoint_errors(track: Track, waypoint: Waypoint) -> tuple[FloatArray, FloatArray]:

@@ -49,8 +49,16 @@ class Obstacle:
     """A solid of the world: a vertical cylinder (``center_m`` of 2) or a sphere (``center_m`` of 3)."""
 
     center_m: tuple[float, ...]
+    """Of one that moves: where it begins."""
     radius_m: float
     name: str = ""
+    path_m: tuple[Point2, ...] = ()
+    """Corners of the polyline along which it moves; empty = it stands."""
+    speed_m_s: float = 0.0
+    ends: str = "bounce"
+    """What it does at the last corner: "bounce" back, "loop" to the first one or "stop"."""
+    start_s: float = 0.0
+    """On the service's clock."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

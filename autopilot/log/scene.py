@@ -1,7 +1,11 @@
 """The world as markers for 3D viewers: tank, obstacles with their safe zones, fence, waypoints."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
+
+from autopilot.log.analysis import obstacle_position
 from autopilot.log.description import FenceShape, Obstacle, Point2, RunDescription
 from autopilot.log.visuals import Marker
 
@@ -16,13 +20,15 @@ _DEFAULT_DEPTH_M = 1.5
 
 
 def scene_markers(run: RunDescription) -> list[Marker]:
-    """Everything of the description that has a place; the list is the same for the whole run."""
+    """Everything of the description that keeps its place; the list is the same for the whole run."""
     depth = run.tank_depth_m if run.tank_depth_m is not None else _DEFAULT_DEPTH_M
     markers: list[Marker] = []
     if run.tank_polygon_m:
         for number, z in enumerate((0.0, depth)):
             markers.append(_outline("tank", number, run.tank_polygon_m, z, _WALL))
     for number, obstacle in enumerate(run.obstacles):
+        if obstacle.path_m:
+            continue
         markers.append(_solid("obstacle", number, obstacle, obstacle.radius_m, depth, _SOLID))
         markers.append(_solid("safe_zone", number, obstacle, obstacle.radius_m + run.body_radius_m, depth, _SAFE))
     markers += [_outline("fence", number, outline(shape), 0.0, _FENCE) for number, shape in enumerate(run.fence)]
@@ -38,6 +44,19 @@ def scene_markers(run: RunDescription) -> list[Marker]:
                 color_rgba=_GOAL,
             )
         )
+    return markers
+
+
+def moving_markers(run: RunDescription, t_s: float) -> list[Marker]:
+    """What moves, where it is at a time."""
+    depth = run.tank_depth_m if run.tank_depth_m is not None else _DEFAULT_DEPTH_M
+    markers: list[Marker] = []
+    for number, obstacle in enumerate(run.obstacles):
+        if obstacle.path_m:
+            north, east = obstacle_position(obstacle, np.array([t_s]))[0].tolist()
+            here = replace(obstacle, center_m=(north, east))
+            markers.append(_solid("obstacle", number, here, obstacle.radius_m, depth, _SOLID))
+            markers.append(_solid("safe_zone", number, here, obstacle.radius_m + run.body_radius_m, depth, _SAFE))
     return markers
 
 

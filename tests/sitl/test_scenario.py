@@ -105,7 +105,12 @@ def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
         ("radius_m = 0.2", "radius_m = -0.2", r"> 0\.0 - at `\$\.obstacle\[0\]\.radius_m`"),
         ("radius_m = 0.2", "radius_m = 0.2\ncolor = 1", r"`color` - at `\$\.obstacle\[0\]`"),
         ('kind = "cylinder"', 'kind = "cube"', r"'cube' - at `\$\.obstacle\[0\]\.kind`"),
-        ('kind = "cylinder"', 'kind = "moving"', r"`\$\.obstacle\[0\]\.kind` = \"moving\": .* not available"),
+        ('kind = "cylinder"', 'kind = "moving"', r"unknown field `center_m` - at `\$\.obstacle\[0\]`"),
+        (
+            'kind = "cylinder"\ncenter_m = [1.0, 0.0]',
+            'kind = "moving"\npath_m = [[1.0, 0.5], [1.0, 0.5]]\nspeed_m_s = 0.1',
+            r"`path_m` repeats the corner \[1, 0\.5\] - at `\$\.obstacle\[0\]`",
+        ),
         ('kind = "jet"', 'kind = "grid"', r"`speed_m_s` - at `\$\.current`"),
         (
             "[vehicle]",

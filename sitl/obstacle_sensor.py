@@ -1,0 +1,69 @@
+"""An obstacle sensor (an imaging sonar with its tracker, say): tracks of what moves and of what nobody knew of.
+
+What the fence has is left out: the vehicle knows it. Every report is a track of its own time, with noise on position
+and velocity, and arrives after the latency.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from autopilot.core.messages import ObstacleTrack
+from drivers.base import AlwaysOpen
+from sitl.moving import Motion, MovingPath
+from sitl.plant import Truth
+from sitl.scenario import MovingObstacle, Obstacle, ObstacleSensor, SphereObstacle
+from sitl.world import moving_path
+
+
+class SimObstacleSensor(AlwaysOpen):
+    """Looks at the truth at its own rate."""
+
+    def __init__(self, sensor: ObstacleSensor, obstacles: Sequence[Obstacle], seed: int) -> None:
+        self._sensor = sensor
+        self._rng = np.random.default_rng((seed, 30))
+        self._seen: list[tuple[int, MovingPath | Motion, float]] = []
+        for number, obstacle in enumerate(obstacles, start=1):
+            if isinstance(obstacle, MovingObstacle):
+                self._seen.append((number, moving_path(obstacle), obstacle.radius_m))
+            elif not isinstance(obstacle, SphereObstacle) and obstacle.surprise:
+                self._seen.append((number, Motion(obstacle.center_m, (0.0, 0.0)), obstacle.radius_m))
+        self._count = 0
+        self.next_us = 0
+        """When it looks next."""
+        self._queue: deque[tuple[int, ObstacleTrack]] = deque()
+
+    @property
+    def blind(self) -> bool:
+        """There is nothing in this world that it would ever report."""
+        return not self._seen
+
+    def observe(self, truth: Truth) -> None:
+        """Look round at ``truth.t_us``."""
+        self._count += 1
+        self.next_us = round(self._count * 1e6 / self._sensor.rate_hz)
+        due_us = truth.t_us + round(self._sensor.latency_s * 1e6)
+        for number, path, radius_m in self._seen:
+            motion = path.at(truth.t_us * 1e-6) if isinstance(path, MovingPath) else path
+            noise = self._rng.standard_normal(4)
+            center, velocity = np.array(motion.center_ned_m), np.array(motion.velocity_ned_m_s)
+            if np.hypot(*(truth.pos_ned_m[:2] - center)) - radius_m > self._sensor.range_m:
+                continue
+            if velocity.any():
+                velocity = velocity + self._sensor.sigma_velocity_m_s * noise[2:]
+            report = ObstacleTrack(
+                t_us=truth.t_us,
+                track_id=number,
+                pos_ned_m=center + self._sensor.sigma_m * noise[:2],
+                vel_ned_m_s=velocity,
+                radius_m=radius_m,
+            )
+            self._queue.append((due_us, report))
+
+    def poll(self, t_us: int) -> list[ObstacleTrack]:
+        """What has arrived by ``t_us``."""
+        due = []
+        while self._queue and self._queue[0][0] <= t_us:
+            due.append(self._queue.popleft()[1])
+        return due
