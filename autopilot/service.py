@@ -11,6 +11,7 @@ import numpy as np
 from autopilot.commander import Commander, Decision
 from autopilot.control.allocation import Allocation
 from autopilot.control.controller import MotionController
+from autopilot.control.tracks import Tracks
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import (
     MAX_THRUSTERS,
@@ -23,6 +24,7 @@ from autopilot.core.messages import (
     ModeState,
     NavState,
     NmpcStatus,
+    ObstacleTrack,
     Outputs,
     PowerSample,
     SolveStatus,
@@ -71,6 +73,7 @@ class Autopilot:
         self._applied_n: FloatArray = np.zeros(4)
         self._ahrs_us: int | None = None
         self._power: PowerSample | None = None
+        self._tracks = Tracks()
         self._solver_failures = 0
         self._status: NmpcStatus | None = None
         self._decision: Decision | None = None
@@ -139,6 +142,8 @@ class Autopilot:
                 self._ahrs_us = inputs.t_us
             elif isinstance(sample, PowerSample):
                 self._power = sample
+            elif isinstance(sample, ObstacleTrack):
+                self._tracks.note(inputs.t_us, sample)
 
     def _control(self, t_us: int, nav: NavState | None, decision: Decision) -> ControlOutput | None:
         """Run the controller on its ticks, its inner loop in between; neutral when there is nothing to follow."""
@@ -156,7 +161,13 @@ class Autopilot:
             self._thrust_n = self._thrust_n if between is None else between
             return None
         control = parts.controller.step(
-            t_us, nav, decision.goal, parts.commander.fence, parts.params, self._thrust_limit_n()
+            t_us,
+            nav,
+            decision.goal,
+            parts.commander.fence,
+            parts.params,
+            self._thrust_limit_n(),
+            self._tracks.at(t_us),
         )
         solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
         self._solver_failures = 0 if solved else self._solver_failures + 1

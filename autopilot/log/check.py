@@ -18,13 +18,14 @@ from autopilot.core.messages import ProgressState
 from autopilot.log.analysis import (
     Flight,
     Visit,
-    distance_to_center,
     distance_to_fence,
+    distance_to_obstacle,
     distance_to_polygon,
     energy_j,
     estimate_error,
     lap_spans,
     load_flight,
+    obstacle_limit_m,
     seconds,
     sequence_gaps,
     visits,
@@ -220,10 +221,9 @@ def _clearance_rows(flight: Flight, run: RunDescription) -> list[Row]:
     track, accept = flight.judged.between(flight.armed), run.accept
     rows: list[Row] = []
     for number, obstacle in enumerate(run.obstacles, 1):
-        touch = obstacle.radius_m + run.body_radius_m
-        limit = None if accept.cylinder_clearance_m is None else max(accept.cylinder_clearance_m, touch)
+        limit = obstacle_limit_m(obstacle, run)
         name = f"distance to {obstacle.name or f'obstacle {number}'}"
-        rows += _at_least(name, "m", limit, accept.tolerance_m, track.t_s, distance_to_center(track, obstacle.center_m))
+        rows += _at_least(name, "m", limit, accept.tolerance_m, track.t_s, distance_to_obstacle(track, obstacle))
     plane = track.pos_ned_m[:, :2]
     if run.tank_polygon_m:
         values = distance_to_polygon(plane, run.tank_polygon_m)

@@ -27,7 +27,7 @@ from autopilot.core.messages import (
 from autopilot.log import packing, visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import StreamCutter
-from autopilot.log.scene import scene_markers
+from autopilot.log.scene import moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.writer import LogWriter
 
@@ -87,7 +87,7 @@ class RunLog:
     ) -> None:
         """``camera_period_us``: time between logged images, None = no images."""
         self._writer = writer
-        self._scene = scene_markers(description)
+        self._description, self._scene = description, scene_markers(description)
         self._camera_period_us = camera_period_us
         self._last_us: dict[str, int] = {}
         self._last_key: dict[str, Hashable] = {}
@@ -116,7 +116,7 @@ class RunLog:
 
     def describe(self, t_us: int, description: RunDescription, attachments: Mapping[str, bytes]) -> None:
         """A newer description and what belongs to it (plans have come since the log began); readers take the last."""
-        self._scene = scene_markers(description)
+        self._description, self._scene = description, scene_markers(description)
         for name, data in {ATTACHMENT: to_json(description), **attachments}.items():
             self._writer.attach(name, t_us, data)
 
@@ -248,7 +248,8 @@ class RunLog:
             north, east, down = nav.pos_ned_m.tolist()
             self._trail = [*self._trail[1 - TRAIL_POINTS :], (north, east, down)]
         if self._due("/viz/markers", t_us, SLOW_US):
-            self._write("/viz/markers", t_us, visuals.marker_array(stamp_ns, self._scene))
+            moving = moving_markers(self._description, t_us * 1e-6)
+            self._write("/viz/markers", t_us, visuals.marker_array(stamp_ns, [*self._scene, *moving]))
             self._write("/viz/path", t_us, visuals.path(stamp_ns, self._trail))
 
     def _control(self, t_us: int, stamp_ns: int, outputs: Outputs) -> None:
