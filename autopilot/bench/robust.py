@@ -103,7 +103,7 @@ class CostRow:
     margins_share: float
     """Of the step, spent on back-offs."""
     regions_share: float
-    """Of the step, spent on the terminal region and its certificate."""
+    """Of the step, spent on the terminal region (its certificate is made between steps)."""
     tick_share: float
     """One tick of the inner loop over one step."""
 

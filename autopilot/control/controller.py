@@ -213,6 +213,7 @@ class MotionController:
         """Thrust (4,) between two steps: the last plan with the ancillary feedback. None = keep what was commanded
         (no plan, no estimate, or margins that credit no feedback)."""
         self._follow_lag(t_us)
+        self.regions.advance()
         if not self._inner.active or nav.health is NavHealth.INVALID or nav.reset_count != self._reset_count:
             return None
         nav = self._forecast.view(nav)

@@ -161,7 +161,7 @@ def test_regions_are_made_slice_by_slice_and_tell_once() -> None:
         regions.follow(B, math.pi, still, limits(), Q, R)
         steps += 1
         assert steps < 200
-    assert steps == SAMPLES // SAMPLES_PER_STEP
+    assert steps == SAMPLES // SAMPLES_PER_STEP + 1
     news = regions.take_news()
     assert len(news) == 1 and news[0][0] is Severity.NOTICE and "Item 0: alpha" in news[0][1]
     for _ in range(2 * steps):

@@ -1,7 +1,7 @@
 """The terminal region of the goal in force: made when the goal or its water changes, verified a slice per control step.
 
 The law (steady input, gain, cost) is there at once and costs a millisecond; the 20,000 samples of its certificate are
-looked at 250 per step, four seconds long, so that no step is held up and every run counts the same.
+looked at in the pauses between steps, 250 at a time, four seconds long: no step is held up, every run counts the same.
 """
 
 import math
@@ -44,6 +44,7 @@ class TerminalRegions:
         self._told = ""
         self._current = np.zeros(3)
         self._job: CertificateJob | None = None
+        self._owed = False
         self._cost: FloatArray | None = None
         self._news: list[tuple[Severity, str]] = []
         self.law: Terminal | None = None
@@ -74,11 +75,19 @@ class TerminalRegions:
             self._cost = self.law.cost_ned()
             self.certificate = None
             self._job = CertificateJob(self._model, self.law, goal, limits, self._samples)
-        if self._job is not None:
-            self.certificate = self._job.advance(SAMPLES_PER_STEP)
-            if self.certificate is not None:
-                self._job = None
-                self._tell(goal, self.certificate)
+        elif self._owed:
+            self.advance()
+        self._owed = self._job is not None
+
+    def advance(self) -> None:
+        """Look at the next slice of samples, if the last step left one: between two steps, or else in the next one."""
+        if self._job is None or self._goal is None or not self._owed:
+            return
+        self._owed = False
+        self.certificate = self._job.advance(SAMPLES_PER_STEP)
+        if self.certificate is not None:
+            self._job = None
+            self._tell(self._goal, self.certificate)
 
     def cost_at(self, x_end: FloatArray, goal: Goal) -> FloatArray | None:
         """(8, 8) terminal Hessian for a reference that ends in ``x_end`` (8,): that of the goal if it ends there."""

@@ -202,9 +202,8 @@ def closed_loop(model: Model4, law: Terminal, error: FloatArray) -> tuple[FloatA
 def violations(model: Model4, law: Terminal, error: FloatArray) -> int:
     """How many errors (m, 8) do not lose at least their stage cost in one step."""
     after, cost = closed_loop(model, law, error)
-    before_level = np.einsum("mi,ij,mj->m", error, law.p, error)
-    after_level = np.einsum("mi,ij,mj->m", after, law.p, after)
-    return int((after_level - before_level > -cost).sum())
+    change = ((after @ law.p) * after).sum(axis=1) - ((error @ law.p) * error).sum(axis=1)
+    return int((change > -cost).sum())
 
 
 def unit_samples(count: int = SAMPLES, seed: int = SEED) -> FloatArray:
