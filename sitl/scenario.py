@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import convert, load_vehicle, read_toml
 from sitl.mismatch import mismatched
 from sitl.scenario_tables import (
@@ -148,6 +149,7 @@ def _of_tables(tables: Tables, origin: str) -> Scenario:
     _refuse_later_kinds(tables, origin)
     scenario: Scenario = convert(tables, Scenario, origin)
     _check_vehicle(scenario, origin)
+    _check_params(scenario, origin)
     if scenario.tank is None and scenario.sensors.position == "camera":
         raise ConfigError(f'{origin}: `$.sensors.position` = "camera" needs a floor; add [tank] or use "pose"')
     check_spread(tables, scenario.spread, _of_tables, origin)
@@ -175,6 +177,16 @@ def _refuse_later_kinds(tables: Tables, origin: str) -> None:
                 raise ConfigError(
                     f'{origin}: `{place}` = "{kind}": {kinds[kind]} are not available in this version; use another kind'
                 )
+
+
+def _check_params(scenario: Scenario, origin: str) -> None:
+    """ConfigError for a parameter that does not exist or a value out of its range."""
+    params = ParamSet()
+    for name, value in scenario.params.items():
+        try:
+            params.set(name, value)
+        except ConfigError as error:
+            raise ConfigError(f"{origin}: `$.params.{name}`: {error}") from error
 
 
 def _check_vehicle(scenario: Scenario, origin: str) -> None:

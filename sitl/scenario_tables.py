@@ -445,6 +445,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
     markers: Markers = Markers()
     controller: Controller = Controller()
     fault: list[Fault] = []
+    params: dict[str, float] = {}
+    """Parameters of the vehicle that this scenario is flown with (``[params]``); saved ones and ``--param`` win."""
     accept: Accept = Accept()
     spread: dict[str, Spread] = {}
     """Key of this file ("vehicle.mismatch.drag", "fault[0].at_s") -> what a campaign draws for it."""

@@ -185,7 +185,7 @@ def test_a_thruster_fault_happens_at_its_time(tmp_path: Path) -> None:
 
 
 def test_unknown_names_and_missing_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"scenario 'atlantis' is not known; use one of b1, harbour"):
+    with pytest.raises(ConfigError, match=r"scenario 'atlantis' is not known; use one of b1, .*harbour"):
         load_scenario("atlantis")
     with pytest.raises(ConfigError, match=r"none\.toml: cannot be read"):
         load_scenario(str(tmp_path / "none.toml"))
@@ -210,3 +210,20 @@ def test_mismatch_of_the_buoyancy_is_a_factor_on_the_whole_force() -> None:
         mismatched(VEHICLE, {"surge_mass": 0.6})
     with pytest.raises(ConfigError, match="'colour' is not a mismatch factor"):
         mismatched(VEHICLE, {"colour": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("NO_SUCH = 1", r"`\$\.params\.NO_SUCH`.*does not exist"),
+        ("MPC_COST = 7", r"`\$\.params\.MPC_COST`.*out of range"),
+    ],
+)
+def test_parameters_of_a_scenario_are_checked(tmp_path: Path, line: str, message: str) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text(
+        f'[scenario]\nname = "s"\ndescription = "d"\n[vehicle]\nstart_m = [0, 0, 1]\n'
+        f'[sensors]\nposition = "pose"\n[params]\n{line}\n'
+    )
+    with pytest.raises(ConfigError, match=message):
+        load_scenario(str(path))
