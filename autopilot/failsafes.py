@@ -15,6 +15,9 @@ Action: TypeAlias = Literal["hold", "surface", "disarm"]
 AHRS_TIMEOUT_S = 0.5
 """50 AHRS frames missing: attitude is no longer known."""
 
+THRUSTER_TIMEOUT_S = 3.0
+"""So long the thrusters must be too weak: the current that counts is an estimate."""
+
 _RANK: dict[Action, int] = {"hold": 1, "surface": 2, "disarm": 3}
 
 
@@ -31,6 +34,10 @@ class Conditions:
     """NMPC steps in a row without a solution."""
     unreachable: bool = False
     """The controller finds no way to its goal."""
+    thruster_share: tuple[float, ...] = ()
+    """What each thruster gives of its thrust, in the order of the vehicle file; empty = not known."""
+    thruster_problem: str = ""
+    """What the thrusters that are left cannot do any more."""
 
 
 class FailsafeRules:
@@ -40,6 +47,7 @@ class FailsafeRules:
         self._params = params
         self._active: dict[Failsafe, tuple[str, Action | None]] = {}
         self._nav_good_us: int | None = None
+        self._thrusters_good_us = 0
         self.action: Action | None = None
         """The most severe action since arming, None while nothing has happened."""
 
@@ -70,6 +78,8 @@ class FailsafeRules:
             reasons.append("no position yet: markers must be in view")
         elif conditions.nav.health is not NavHealth.GOOD:
             reasons.append("position is not good: markers must be in view")
+        if conditions.thruster_problem:
+            reasons.append(f"{conditions.thruster_problem}: repair it, or correct THRn_HEALTH")
         power = conditions.power
         if power is not None and power.remaining < self._params["FS_BATT_LOW"]:
             reasons.append(f"battery at {100.0 * power.remaining:.0f} %: charge it")
@@ -109,6 +119,10 @@ class FailsafeRules:
         soft_actions: tuple[Action | None, ...] = (None, "hold", "surface")
         if conditions.solver_failures >= p["FS_SOLVER_N"]:
             found[Failsafe.SOLVER] = ("controller finds no solution", soft_actions[int(p["FS_SOLVER_ACT"])])
+        if not conditions.thruster_problem:
+            self._thrusters_good_us = conditions.t_us
+        elif conditions.t_us - self._thrusters_good_us > THRUSTER_TIMEOUT_S * 1e6:
+            found[Failsafe.THRUSTER] = (conditions.thruster_problem, soft_actions[int(p["FS_THR_ACT"])])
         power = conditions.power
         if power is not None and power.remaining < p["FS_BATT_LOW"]:
             text = f"battery below {100.0 * p['FS_BATT_LOW']:.0f} %"

@@ -35,6 +35,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.failsafes import Conditions
 from autopilot.mavlink.api import GeoPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
+from autopilot.thrusters import ThrusterCare
 from estimator.protocol import Estimator
 from mission.geodesy import Origin
 from mission.store import Plans
@@ -70,7 +71,9 @@ class Autopilot:
         self._parts = parts
         self._tick = 0
         self._thrust_n: FloatArray = np.zeros(4)
+        self._pulse_n: FloatArray = np.zeros(4)
         self._applied_n: FloatArray = np.zeros(4)
+        self._care = ThrusterCare(parts.vehicle, parts.params)
         self._ahrs_us: int | None = None
         self._power: PowerSample | None = None
         self._tracks = Tracks()
@@ -101,6 +104,8 @@ class Autopilot:
             self._events,
             () if self._decision is None else self._decision.reached,
         )
+        capability_n = parts.allocation.capability_n(self._supply_v())
+        thrusters = self._care.step(t_us, nav, self._pulse_n, capability_n, self._goal, armed=parts.commander.armed)
         decision = parts.commander.step(
             Conditions(
                 t_us=t_us,
@@ -109,6 +114,8 @@ class Autopilot:
                 ahrs_age_s=None if self._ahrs_us is None else (t_us - self._ahrs_us) * 1e-6,
                 solver_failures=self._solver_failures,
                 unreachable=parts.controller.unreachable,
+                thruster_share=tuple(self._care.share.tolist()),
+                thruster_problem=self._care.problem,
             )
         )
         control = self._control(t_us, nav, decision)
@@ -133,6 +140,7 @@ class Autopilot:
             goal=decision.goal,
             control=control,
             progress=decision.progress,
+            thrusters=thrusters,
             events=self._events + parts.server.take_notices(),
         )
 
@@ -175,22 +183,25 @@ class Autopilot:
         return control
 
     def _thrust_limit_n(self) -> FloatArray:
-        """What the thrusters can give at the present supply: a sagging battery lowers the controller's bounds."""
-        supply_v = None if self._power is None else self._power.voltage_v
-        return np.full(len(self._thrust_n), self._parts.allocation.capability_n(supply_v))
+        """What the thrusters can give at the present supply: a sagging battery and losses lower the bounds."""
+        return self._parts.allocation.capability_n(self._supply_v()) * self._care.share
+
+    def _supply_v(self) -> float | None:
+        return None if self._power is None else self._power.voltage_v
 
     def _allocate(self, t_us: int, armed: bool) -> ThrusterCommand:
         allocation, count = self._parts.allocation, len(self._thrust_n)
         thrust_n = np.zeros(MAX_THRUSTERS)
         unused = (0,) * (MAX_THRUSTERS - count)
         if not armed:
-            self._applied_n = np.zeros(count)
+            self._pulse_n = self._applied_n = np.zeros(count)
             return ThrusterCommand(t_us=t_us, thrust_n=thrust_n, pwm_us=allocation.neutral(count) + unused)
         thrust_n[:count] = self._thrust_n
-        supply_v = None if self._power is None else self._power.voltage_v
-        pulses_us = allocation.pulses_us(self._thrust_n, supply_v)
+        supply_v, share = self._supply_v(), self._care.share
+        pulses_us = allocation.pulses_us(self._thrust_n, supply_v, share)
         # What the pulses will give, deadband and saturation included: the estimator's model lives on it.
-        self._applied_n = allocation.thrusts_n(pulses_us, supply_v)
+        self._pulse_n = allocation.thrusts_n(pulses_us, supply_v)
+        self._applied_n = share * self._pulse_n
         return ThrusterCommand(t_us=t_us, thrust_n=thrust_n, pwm_us=pulses_us + unused)
 
     def _view(self, inputs: Inputs, nav: NavState | None) -> VehicleView:

@@ -13,6 +13,10 @@ _HEALTH_TEXTS = {
 }
 
 
+SHARE_NEWS = 0.15
+"""A change of a thruster's effectiveness that is worth a message."""
+
+
 class Watch:
     """Remembers how things were on the last tick and says what has changed."""
 
@@ -23,6 +27,8 @@ class Watch:
         self._fence = goals.fence
         self._health = NavHealth.INVALID
         self._unreachable = False
+        self._thrusters = tuple(thruster.name for thruster in vehicle.thruster)
+        self._share: dict[str, float] = {}
 
     def look(self, conditions: Conditions, *, armed: bool) -> list[tuple[Severity, str]]:
         """Severity and text of what is new on this tick."""
@@ -34,9 +40,24 @@ class Watch:
         if armed and conditions.unreachable and not self._unreachable:
             texts.append((Severity.WARNING, "No free way to the goal: holding; move the goal or open the fence"))
         self._health, self._unreachable = health, conditions.unreachable
+        texts += self._of_thrusters(conditions.thruster_share)
         if self._goals.fence is not self._fence:
             self._fence = self._goals.fence
             texts += self._of_fence(nav if armed and health is not NavHealth.INVALID else None)
+        return texts
+
+    def _of_thrusters(self, shares: tuple[float, ...]) -> list[tuple[Severity, str]]:
+        """A thruster that gives less than it should, or again what it should."""
+        texts: list[tuple[Severity, str]] = []
+        for name, share in zip(self._thrusters, shares, strict=False):
+            said = self._share.get(name, 1.0)
+            if abs(share - said) < SHARE_NEWS and not (share == 1.0 != said):
+                continue
+            self._share[name] = share
+            if share == 1.0:
+                texts.append((Severity.NOTICE, f"Thruster {name} gives its full thrust again"))
+            else:
+                texts.append((Severity.WARNING, f"Thruster {name} gives {100.0 * share:.0f} % of its thrust"))
         return texts
 
     def _of_fence(self, nav: NavState | None) -> list[tuple[Severity, str]]:

@@ -68,12 +68,23 @@ class Allocation:
         volts = offset / drive.span_us * self._supply(supply_v)
         return (drive.forward_n_v2 if offset > 0 else drive.reverse_n_v2) * volts * abs(volts)
 
-    def pulses_us(self, thrust_n: Sequence[float] | FloatArray, supply_v: float | None = None) -> tuple[int, ...]:
-        """Pulses for all thrusters."""
-        return tuple(self.pulse_us(float(thrust), supply_v) for thrust in thrust_n)
+    def pulses_us(
+        self,
+        thrust_n: Sequence[float] | FloatArray,
+        supply_v: float | None = None,
+        effectiveness: FloatArray | None = None,
+    ) -> tuple[int, ...]:
+        """Pulses for all thrusters. One that gives only the share ``effectiveness`` (n,) of its thrust gets a larger
+        pulse, up to its limit; a dead one (0) stands still."""
+        if effectiveness is None:
+            return tuple(self.pulse_us(float(thrust), supply_v) for thrust in thrust_n)
+        return tuple(
+            self.pulse_us(float(thrust) / float(share) if share > 0.0 else 0.0, supply_v)
+            for thrust, share in zip(thrust_n, effectiveness, strict=True)
+        )
 
     def thrusts_n(self, pulses_us: Sequence[int], supply_v: float | None = None) -> FloatArray:
-        """Steady thrust of all thrusters, what the pulses will really give."""
+        """Steady thrust of sound thrusters, what the pulses will really give."""
         return np.array([self.thrust_n(pulse, supply_v) for pulse in pulses_us])
 
     def capability_n(self, supply_v: float | None = None) -> float:

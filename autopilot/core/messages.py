@@ -316,6 +316,19 @@ class ThrusterCommand:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ThrusterHealthState:
+    """How much of its thrust each thruster gives, 1 = as the vehicle file says."""
+
+    t_us: int
+    effectiveness: FloatArray
+    """(4,) what bounds and allocation go by: what was told and what was found, the smaller."""
+    estimate: FloatArray
+    """(4,) the running estimate; errors of mass and drag are in it."""
+    sigma: FloatArray
+    """(4,) standard deviation of the estimate."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeState:
     """What the vehicle is doing."""
 
@@ -333,6 +346,7 @@ class Failsafe(IntEnum):
     SOLVER = 1
     BATTERY = 2
     AHRS_STALE = 3
+    THRUSTER = 4
 
 
 class Severity(IntEnum):
@@ -385,4 +399,6 @@ class Outputs:
     control: ControlOutput | None = None
     """Set on the ticks on which the controller ran."""
     progress: MissionProgress | None = None
+    thrusters: ThrusterHealthState | None = None
+    """Twice per second and when a thruster's health changes."""
     events: tuple[Event, ...] = field(default=())

@@ -78,6 +78,12 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("SPD_YAW_MAX", 1.0, 0.05, 3.0, "rad/s", "Limit of yaw rate (exact penalty)."),
     _int("SYSID_THISMAV", 1, 1, 250, "MAVLink system id; instance N adds N."),
     _real("THR_LIMIT", 12.0, 0.5, 200.0, "N", "Limit of every thrust command (hard constraint)."),
+    _int("FS_THR_ACT", 2, 0, 2, "Thrusters lost that depth, heading or hover need: 0 = warn, 1 = hold, 2 = surface."),
+    _int("THR_DETECT", 1, 0, 1, "1 = losses of thrust are found from the motion, 0 = only THRn_HEALTH counts."),
+    _real("THR1_HEALTH", 1.0, 0.0, 1.0, "", "Share of its thrust that thruster 1 (port) is known to give."),
+    _real("THR2_HEALTH", 1.0, 0.0, 1.0, "", "The same of thruster 2 (starboard)."),
+    _real("THR3_HEALTH", 1.0, 0.0, 1.0, "", "The same of thruster 3 (vertical)."),
+    _real("THR4_HEALTH", 1.0, 0.0, 1.0, "", "The same of thruster 4 (lateral)."),
     _real("WP_ACCEPT_RADIUS", 0.3, 0.02, 50.0, "m", "Acceptance ball where an item gives none."),
     _real("WP_ACCEPT_YAW", 0.15, 0.01, 3.15, "rad", "Acceptance band of the heading where an item gives a heading."),
 )

@@ -15,6 +15,7 @@ import numpy as np
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ProgressState
+from autopilot.core.model4 import NU
 from autopilot.log.analysis import (
     Flight,
     Visit,
@@ -299,6 +300,10 @@ def _health_rows(flight: Flight) -> list[Row]:
     if mode is not None:
         bits = int(np.bitwise_or.reduce(mode["failsafes"][flight.armed.holds(seconds(mode))], initial=0))
         rows.append(_count("failsafes raised", bits.bit_count(), f"bits {bits:#x}" if bits else ""))
+    thrusters = flight.table("/ctl/thrusters")
+    if thrusters is not None:
+        weakest = float(thrusters["effectiveness"][:, :NU].min())
+        rows.append(_info("weakest thruster gives", "%", 100.0 * weakest))
     loop = flight.table("/sys/loop")
     if loop is not None:
         # The counter runs since the service started, which may have been long before this log.

@@ -27,6 +27,7 @@ from autopilot.core.messages import (
     PoseSample,
     PowerSample,
     ThrusterCommand,
+    ThrusterHealthState,
 )
 from autopilot.log.cdr import ENCAPSULATION
 from autopilot.log.schemas import layout
@@ -72,6 +73,7 @@ _aid_status = layout("autopilot_msgs/AidStatus").packer.pack
 _goal = layout("autopilot_msgs/Goal").packer.pack
 _nmpc_status = layout("autopilot_msgs/NmpcStatus").packer.pack
 _thruster_command = layout("autopilot_msgs/ThrusterCommand").packer.pack
+_thruster_health = layout("autopilot_msgs/ThrusterHealth").packer.pack
 _mission_progress = layout("autopilot_msgs/MissionProgress").packer.pack
 _mode_state = layout("autopilot_msgs/ModeState").packer.pack
 _loop_stats = layout("autopilot_msgs/LoopStats").packer.pack
@@ -198,6 +200,18 @@ def thruster_command(stamp_ns: int, command: ThrusterCommand) -> bytes:
     """ThrusterCommand."""
     pwm = (command.pwm_us + (0,) * MAX_THRUSTERS)[:MAX_THRUSTERS]
     return _thruster_command(ENCAPSULATION, *divmod(stamp_ns, _NS), *_FRD, *_eight(command.thrust_n), *pwm)
+
+
+def thruster_health(stamp_ns: int, state: ThrusterHealthState) -> bytes:
+    """ThrusterHealth."""
+    return _thruster_health(
+        ENCAPSULATION,
+        *divmod(stamp_ns, _NS),
+        *_FRD,
+        *_eight(state.effectiveness),
+        *_eight(state.estimate),
+        *_eight(state.sigma),
+    )
 
 
 def mission_progress(stamp_ns: int, progress: MissionProgress) -> bytes:

@@ -83,6 +83,12 @@ std_msgs/Header header
 float64[8] thrust_n
 uint16[8] pwm_us
 """,
+    "autopilot_msgs/ThrusterHealth": """
+std_msgs/Header header
+float64[8] effectiveness  # 0..1, what bounds and allocation go by, unused = 0
+float64[8] estimate  # from the motion
+float64[8] sigma  # its standard deviation
+""",
     "autopilot_msgs/MissionProgress": """
 std_msgs/Header header
 int32 current_seq
@@ -94,7 +100,7 @@ uint8 state  # MISSION_STATE
 std_msgs/Header header
 uint8 armed
 uint32 custom_mode
-uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale
+uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale, 4 thruster lost
 """,
     "autopilot_msgs/LoopStats": """
 std_msgs/Header header

@@ -177,6 +177,8 @@ class RunLog:
             self._control(t_us, stamp_ns, outputs)
         command = packing.thruster_command(stamp_ns, outputs.command)
         self._on_change("/out/thrusters", t_us, command, always=outputs.control is not None)
+        if outputs.thrusters is not None:
+            self._write("/ctl/thrusters", t_us, packing.thruster_health(stamp_ns, outputs.thrusters))
         for frame in outputs.mavlink_tx:
             self._mavlink("/out/mavlink", t_us, frame)
         for event in outputs.events:

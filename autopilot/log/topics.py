@@ -17,6 +17,7 @@ TOPICS: dict[str, str] = {
     "/ctl/route": "nav_msgs/Path",
     "/out/thrusters": "autopilot_msgs/ThrusterCommand",
     "/out/mavlink": "autopilot_msgs/MavlinkFrame",
+    "/ctl/thrusters": "autopilot_msgs/ThrusterHealth",
     "/mission/progress": "autopilot_msgs/MissionProgress",
     "/sys/mode": "autopilot_msgs/ModeState",
     "/sys/loop": "autopilot_msgs/LoopStats",

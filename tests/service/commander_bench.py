@@ -35,6 +35,8 @@ class Bench:
         self.vel_frd_m_s = np.zeros(3)
         self.failures = 0
         self.unreachable = False
+        self.thruster_share: tuple[float, ...] = (1.0,) * 4
+        self.thruster_problem = ""
         self.texts: list[str] = []
 
     def nav(self) -> NavState | None:
@@ -66,6 +68,8 @@ class Bench:
                     ahrs_age_s=self.ahrs_age_s,
                     solver_failures=self.failures,
                     unreachable=self.unreachable,
+                    thruster_share=self.thruster_share,
+                    thruster_problem=self.thruster_problem,
                 )
             )
             self.texts += [event.text for event in self.commander.drain_events()]
