@@ -20,7 +20,7 @@ from autopilot.service import Autopilot, Parts
 from estimator.protocol import create_estimator
 from mission.geodesy import Origin
 from mission.plan_files import PlanFile
-from mission.store import Plans
+from mission.store import Plans, WaterCheck
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -39,6 +39,8 @@ class ServiceSetup:
     instance: int
     currents: CurrentForecast
     """What the controller is told of the water."""
+    water: WaterCheck | None = None
+    """Judges workspaces by a current map, None without one."""
     links: int
     """Number of MAVLink links that are open from the start."""
     patience: float
@@ -74,7 +76,7 @@ def revision() -> str:
 def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
     """The service and its parts (the runtime needs some of them for persistence and the log)."""
     params, vehicle = setup.params, setup.vehicle
-    plans = Plans(params, vehicle.radius_m, setup.origin)
+    plans = Plans(params, vehicle.radius_m, setup.origin, setup.water)
     controller = MotionController(vehicle, currents=setup.currents)
     check = MarginCheck(controller.margins, vehicle, params, plans)
     commander = Commander(vehicle, params, plans, controller_check=check)

@@ -20,6 +20,7 @@ ENVIRONMENT_PREFIX = "AUTOPILOT_"
 PROFILES = ("generic", "px4", "ardusub")
 ESTIMATORS = ("ekf", "complementary")
 SENSORS = ("camera", "pose")
+CURRENTS = ("estimate", "map", "memory", "none")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +70,9 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
         "connect": default_connections(instance),
         "estimator": "ekf",
         "sensors": None,
+        "currents": None,
+        "currents_map": None,
+        "currents_start": None,
         "profile": "px4",
         "start": False,
         "state_dir": platformdirs.user_state_dir("underwater-autopilot", appauthor=False),
@@ -91,6 +95,7 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "duration": (lambda value: 0.0 < value < math.inf, "a number of seconds above 0"),
     "estimator": (lambda value: value in ESTIMATORS, " or ".join(ESTIMATORS)),
     "sensors": (lambda value: value in SENSORS, " or ".join(SENSORS)),
+    "currents": (lambda value: value in CURRENTS, ", ".join(CURRENTS)),
     "profile": (lambda value: value in PROFILES, ", ".join(PROFILES)),
 }
 """Which values a setting may have, and how to say so."""

@@ -13,7 +13,17 @@ import msgspec
 from autopilot import __version__
 from autopilot.compose import ServiceSetup, build_service, load_plan, revision, system_id
 from autopilot.config import Settings
-from autopilot.control.currents import CurrentForecast, EstimatedCurrent, MappedCurrent, NoCurrent
+from autopilot.control.current_map import CurrentMap
+from autopilot.control.currents import (
+    OPEN_WATER_SCALE_M,
+    TANK_SCALE_M,
+    CurrentForecast,
+    EstimatedCurrent,
+    MappedCurrent,
+    NoCurrent,
+    PointwiseField,
+    RememberedCurrent,
+)
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.messages import CameraFrame, Outputs, Sample, ThrusterCommand
@@ -23,6 +33,7 @@ from autopilot.describe import describe_run, plans_json
 from autopilot.log.description import RunDescription
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.session import RunLog, log_path, open_run_log
+from autopilot.map_check import MapCheck, open_map
 from autopilot.operator import ScriptedOperator
 from autopilot.param_file import PersistentParams
 from autopilot.recorder import NullRecorder, RunRecorder
@@ -37,7 +48,7 @@ from mission.plan_files import read_plan
 from sitl.backend import SimulatedVehicle, simulated_vehicle
 from sitl.currents import current_field
 from sitl.plant import Truth
-from sitl.scenario import Scenario, load_scenario, plan_path
+from sitl.scenario import GridCurrent, Scenario, load_scenario, plan_path
 
 SITL_EPOCH_NS = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
 """Log time of simulated time zero: fixed, so that two runs of a scenario and seed give the same log."""
@@ -120,6 +131,10 @@ class _World:
     simulated: SimulatedVehicle
     seed: int
     speed: float
+    origin: Origin
+    """Of the local frame at the start."""
+    water: CurrentMap | None
+    """The map that the controller is told, None without a file."""
 
 
 def open_sitl(
@@ -133,8 +148,9 @@ def open_sitl(
 ) -> SitlSession:
     """Everything of a SITL run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then."""
     sys.setswitchinterval(THREAD_SWITCH_S)
-    world = _world(settings)
-    params, persistent = _params(settings, world.scenario, overrides, instance)
+    scenario = load_scenario(settings["scenario"])
+    params, persistent = _params(settings, scenario, overrides, instance)
+    world = _world(settings, scenario, params)
     operator = ScriptedOperator(system_id(params, instance)) if settings["start"] else None
     all_peers = (*peers, operator) if operator is not None else tuple(peers)
     service, parts = _service(settings, world, params, instance, links=len(settings["connect"]) + len(all_peers))
@@ -185,15 +201,23 @@ def open_sitl(
     )
 
 
-def _world(settings: Settings) -> _World:
-    """Scenario, vehicle and the simulated vehicle."""
-    scenario = load_scenario(settings["scenario"])
+def _world(settings: Settings, scenario: Scenario, params: ParamSet) -> _World:
+    """Scenario, vehicle and the simulated vehicle, and what the controller may know of the water."""
     vehicle = load_vehicle(scenario.vehicle.model)
     seed = scenario.scenario.seed if settings["seed"] is None else settings["seed"]
     sensors = scenario.sensors.position if settings["sensors"] is None else settings["sensors"]
     position = cast(Literal["camera", "pose"], sensors)
     simulated = simulated_vehicle(scenario, vehicle, seed=seed, position=position)
-    return _World(scenario=scenario, vehicle=vehicle, simulated=simulated, seed=seed, speed=float(settings["speed"]))
+    origin = Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"])
+    return _World(
+        scenario=scenario,
+        vehicle=vehicle,
+        simulated=simulated,
+        seed=seed,
+        speed=float(settings["speed"]),
+        origin=origin,
+        water=_map(settings, scenario, origin),
+    )
 
 
 def _service(
@@ -205,13 +229,14 @@ def _service(
         ServiceSetup(
             vehicle=world.vehicle,
             params=params,
-            origin=Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"]),
+            origin=world.origin,
             markers=world.simulated.markers,
             floor_depth_m=None if tank is None else tank.depth_m,
             estimator=settings["estimator"],
             profile=settings["profile"],
             instance=instance,
-            currents=_currents(world.scenario),
+            currents=_currents(settings, world),
+            water=None if world.water is None else MapCheck(world.water, params, world.origin),
             links=links,
             patience=FASTEST if world.speed == 0.0 else max(1.0, world.speed),
         )
@@ -238,11 +263,39 @@ def _vision(world: _World) -> VisionWorker | None:
     return VisionWorker(detector, delay_s=0.5 * world.vehicle.camera.latency_s)
 
 
-def _currents(scenario: Scenario) -> CurrentForecast:
-    """What the scenario lets the controller know of the current."""
-    if scenario.controller.currents == "map":
-        return MappedCurrent(current_field(scenario.current).velocity)
-    return NoCurrent() if scenario.controller.currents == "none" else EstimatedCurrent()
+def _knowledge(settings: Settings, scenario: Scenario) -> str:
+    """What the controller is told of the water: the setting, a given map, or what the scenario says."""
+    if settings["currents"] is not None:
+        return str(settings["currents"])
+    return "map" if settings["currents_map"] is not None else scenario.controller.currents
+
+
+def _map(settings: Settings, scenario: Scenario, origin: Origin) -> CurrentMap | None:
+    """The map file of the settings, else the scenario's; None when there is none. ConfigError if it is no good."""
+    if _knowledge(settings, scenario) != "map":
+        if settings["currents_map"] is not None:
+            raise ConfigError(f"--currents-map needs --currents map, not {settings['currents']}")
+        return None
+    path = settings["currents_map"] or scenario.controller.map
+    if path is None and isinstance(scenario.current, GridCurrent):
+        path = scenario.current.file
+    return None if path is None else open_map(Path(path), origin, settings["currents_start"])
+
+
+def _currents(settings: Settings, world: _World) -> CurrentForecast:
+    """What the controller is told of the current. Without a map file a map is the scenario's own formula."""
+    scale_m = OPEN_WATER_SCALE_M if world.scenario.tank is None else TANK_SCALE_M
+    match _knowledge(settings, world.scenario):
+        case "map" if world.water is not None:
+            return MappedCurrent(world.water)
+        case "map":
+            return MappedCurrent(PointwiseField(current_field(world.scenario.current).velocity, scale_m))
+        case "memory":
+            return RememberedCurrent(scale_m)
+        case "none":
+            return NoCurrent()
+        case _:
+            return EstimatedCurrent()
 
 
 def _params(
@@ -299,6 +352,9 @@ def _recorder(settings: Settings, world: _World, parts: Parts, device: Simulated
                 "speed": f"{world.speed:g}",
                 "vehicle": parts.vehicle.name,
                 "estimator": str(settings["estimator"]),
+                "currents": _knowledge(settings, world.scenario),
+                "currents_map": "" if world.water is None else world.water.name,
+                "currents_map_sha256": "" if world.water is None else world.water.nodes.digest,
                 "started": datetime.now(UTC).isoformat(timespec="seconds"),
             },
             attachments={

@@ -2,19 +2,33 @@
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.plan import PlanItem, PlanKind, PlanRejection, PlanStore
+from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection, PlanStore
 from mission.decode import horizontal_ned_m, parse_step
 from mission.fence import FenceShape, build_fence, read_fence
 from mission.gaps import narrow_gaps
 from mission.geodesy import Origin, geodetic_from_ned, ned_from_geodetic
 from mission.items import Step
 from mission.validation import PlanContext, check_item, gap_text, plan_problems
+
+
+class WaterCheck(Protocol):
+    """What is known of the water, as a judge of workspaces (a current map has to cover them)."""
+
+    def problem(self, fence: Fence, steps: Sequence[Step], origin: Origin) -> str:
+        """Why nothing may be flown there, "" if it may."""
+        ...
+
+    def warning(self, fence: Fence, steps: Sequence[Step]) -> str:
+        """What the operator should know, "" if nothing."""
+        ...
+
 
 _ITEM = struct.Struct("<HBH4f2ifB")
 """What identifies an item, as wide as on the wire (MISSION_ITEM_INT)."""
@@ -37,8 +51,15 @@ class Plans(PlanStore):
     ``params`` is read live: what a parameter allows is judged at upload and again by :meth:`recheck`.
     """
 
-    def __init__(self, params: Mapping[str, float], radius_m: float, origin: Origin | None = None) -> None:
+    def __init__(
+        self,
+        params: Mapping[str, float],
+        radius_m: float,
+        origin: Origin | None = None,
+        water: WaterCheck | None = None,
+    ) -> None:
         self._params = params
+        self._water = water
         self._radius_m = radius_m
         self._origin = origin or Origin(
             lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"]
@@ -96,10 +117,12 @@ class Plans(PlanStore):
         return np.array(points).reshape(-1, 2)
 
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the fence but tolerated by FENCE_GAP_CHK = 0."""
-        if self._params["FENCE_GAP_CHK"]:
-            return ()
-        return tuple(gap_text(gap, self._radius_m) for gap in narrow_gaps(self._shapes, 2.0 * self._radius_m))
+        """What is wrong with the fence but tolerated by FENCE_GAP_CHK = 0, and what the water is like there."""
+        texts: list[str] = []
+        if not self._params["FENCE_GAP_CHK"]:
+            texts += [gap_text(gap, self._radius_m) for gap in narrow_gaps(self._shapes, 2.0 * self._radius_m)]
+        warning = "" if self._water is None else self._water.warning(self.fence(), self._steps)
+        return (*texts, warning) if warning else tuple(texts)
 
     def check_item(self, kind: PlanKind, item: PlanItem) -> PlanRejection | None:
         """The cheap check of one item as it arrives."""
@@ -144,4 +167,13 @@ class Plans(PlanStore):
     ) -> Iterator[PlanRejection]:
         """What is wrong with one plan among the others, lazily: the first finding is enough to refuse."""
         ctx = PlanContext(origin=origin, params=self._params, radius_m=self._radius_m)
-        yield from plan_problems(kind, plans, ctx)
+        found = False
+        for problem in plan_problems(kind, plans, ctx):
+            found = True
+            yield problem
+        if self._water is not None and not found and plans[kind] and kind is not PlanKind.RALLY:
+            steps = [parse_step(item, origin) for item in plans[PlanKind.MISSION]]
+            fence = build_fence(read_fence(plans[PlanKind.FENCE], origin)[0], self._params)
+            reason = self._water.problem(fence, steps, origin)
+            if reason:
+                yield PlanRejection(seq=0, result=MissionResult.INVALID, reason=reason)

@@ -63,7 +63,7 @@ def b6_map() -> FlowMap:
             r2 = (x - north - DRIFT_M_S * t) ** 2 + (y - east) ** 2
             # Speed A r / R^2 exp(-r^2 / 2R^2) has its maximum A / (R sqrt(e)) at r = R.
             amplitude = EDDY_SPEED_M_S * EDDY_RADIUS_M * math.exp(0.5)
-            psi = psi - sense * amplitude * np.exp(-r2 / (2.0 * EDDY_RADIUS_M**2))
+            psi = psi + sense * amplitude * np.exp(-r2 / (2.0 * EDDY_RADIUS_M**2))
         frames.append(_flow(psi))
     u, v = np.array([f[0] for f in frames]), np.array([f[1] for f in frames])
     return FlowMap(time_s=time_s, north_m=north_m, east_m=east_m, current_north_m_s=u, current_east_m_s=v)

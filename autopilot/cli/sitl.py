@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from autopilot.config import ESTIMATORS, PROFILES, SENSORS
+from autopilot.config import CURRENTS, ESTIMATORS, PROFILES, SENSORS
 
 
 @click.command()
@@ -20,6 +20,11 @@ from autopilot.config import ESTIMATORS, PROFILES, SENSORS
 @click.option("--connect", multiple=True, help="MAVLink connection; repeatable, replaces the defaults.")
 @click.option("--estimator", type=click.Choice(ESTIMATORS), help="Default: ekf.")
 @click.option("--sensors", type=click.Choice(SENSORS), help="Rendered camera, or a noisy pose (default: scenario's).")
+@click.option(
+    "--currents", type=click.Choice(CURRENTS), help="What the controller knows of them (default: scenario's)."
+)
+@click.option("--currents-map", type=click.Path(dir_okay=False), help="Current map (.npz, NetCDF): --currents map.")
+@click.option("--currents-start", metavar="UTC", help="Date of the start in the map (default: its first frame).")
 @click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter for this run; repeatable.")
 @click.option("--profile", type=click.Choice(PROFILES), help="MAVLink identity (default: px4).")
 @click.option("--instance", type=click.IntRange(0, 99), default=0, show_default=True, help="Instance number.")

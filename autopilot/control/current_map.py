@@ -68,6 +68,12 @@ class CurrentMap:
         """For messages and the log."""
         return self.nodes.name
 
+    @property
+    def scale_m(self) -> float:
+        """Length over which the field, and what it misses, may change: two cells, a metre at least."""
+        nodes = self.nodes
+        return max(1.0, float(np.diff(nodes.north_m).max() + np.diff(nodes.east_m).max()))
+
     def velocity(self, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
         """(m, 3) NED [m/s] at places (m, 3) and times (m,) of the service's clock."""
         values, shares, _ = self._cell(pos_ned_m, t_s)

@@ -1,0 +1,99 @@
+"""What was seen of the water where: a coarse grid of weighted means that wraps round."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.core.frames import FloatArray
+
+CELLS_PER_SCALE = 4
+"""Nodes per length over which the current changes."""
+
+SPREAD = 0.2
+"""An observation counts for the nodes round it by a Gaussian of this share of that length ..."""
+
+REACH = 2
+"""... and for those of 5 x 5 at most."""
+
+NODES = 128
+"""Per side: a window of 32 lengths that wraps round. A node forgets one place when it gets another."""
+
+VARIANCE_FLOOR_M2_S2 = 0.02**2
+"""An estimate is not better than this whatever its covariance says: it lags behind a current that varies along the way,
+and it carries what the model lacks, which depends on the manoeuvre."""
+
+FORGET_S = 900.0
+"""Time in which what was learned loses its weight by e."""
+
+PRIOR_WEIGHT = 0.1 / VARIANCE_FLOOR_M2_S2
+"""Weight [s^3/m^2] of what is believed without memory: a tenth of a second of good estimates at the node. With
+more the first lap is worse, with less nothing changes (docs/control.md)."""
+
+LONGEST_LESSON_S = 0.2
+"""One look counts no longer than this, however long nobody has looked."""
+
+
+class CurrentMemory:
+    """Means (3,) by place. Bounded (0.9 MB), deterministic; planar: what was seen at one depth counts at all.
+
+    The nodes carry sums of weights w and of w c, w = duration / (variance + floor) times a Gaussian of the distance. At
+    a place the answer is (sum of w c + w0 c0) / (sum of w + w0), the sums being interpolated between the four nodes
+    round it and c0 what is believed anyway: a kernel average with a prior.
+    """
+
+    def __init__(self, scale_m: float) -> None:
+        """``scale_m``: length over which the current changes."""
+        self._cell_m = scale_m / CELLS_PER_SCALE
+        self._spread_m = SPREAD * scale_m
+        self._sums: FloatArray = np.zeros((NODES * NODES, 4))
+        self._place: NDArray[np.int64] = np.full(NODES * NODES, -1, dtype=np.int64)
+        self._learned_us: FloatArray = np.zeros(NODES * NODES)
+        around = np.arange(-REACH, REACH + 1)
+        self._around = np.stack(np.meshgrid(around, around, indexing="ij")).reshape(2, -1)
+        self._last_us: int | None = None
+
+    def learn(self, t_us: int, pos_ned_m: FloatArray, seen_m_s: FloatArray, variance_m2_s2: float) -> None:
+        """Tell the nodes round a place (3,) what was seen there (3,), for as long as since the last time."""
+        elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
+        self._last_us = t_us
+        if elapsed_s <= 0.0:
+            return
+        xy = pos_ned_m[:2]
+        node = np.rint(xy / self._cell_m).astype(np.int64)[:, None] + self._around
+        slot, place = _slot(node)
+        r2 = np.square(node * self._cell_m - xy[:, None]).sum(axis=0)
+        gain = min(elapsed_s, LONGEST_LESSON_S) / (max(variance_m2_s2, 0.0) + VARIANCE_FLOOR_M2_S2)
+        weight = gain * np.exp(-0.5 * r2 / self._spread_m**2)
+        kept = self._kept(slot, place, t_us)
+        self._sums[slot] *= kept[:, None]
+        self._sums[slot, 0] += weight
+        self._sums[slot, 1:] += weight[:, None] * seen_m_s
+        self._place[slot], self._learned_us[slot] = place, t_us
+
+    def recall(self, t_us: int, pos_ned_m: FloatArray, prior_m_s: FloatArray) -> FloatArray:
+        """(n, 3) at places (n, 3): what was seen there, ``prior_m_s`` (3,) where nothing was."""
+        scaled = pos_ned_m[:, :2].T / self._cell_m
+        corner = np.floor(scaled)
+        ahead = scaled - corner
+        # (2, 4, n): the four nodes round every place, and how near they are.
+        node = corner.astype(np.int64)[:, None] + _CORNERS[:, :, None]
+        near = np.where(_CORNERS[:, :, None] == 1, ahead[:, None], 1.0 - ahead[:, None])
+        slot, place = _slot(node)
+        share = near[0] * near[1] * self._kept(slot, place, t_us)
+        sums = (share[:, :, None] * self._sums[slot]).sum(axis=0)
+        out: FloatArray = (sums[:, 1:] + PRIOR_WEIGHT * prior_m_s) / (sums[:, :1] + PRIOR_WEIGHT)
+        return out
+
+    def _kept(self, slot: NDArray[np.int64], place: NDArray[np.int64], t_us: int) -> FloatArray:
+        """What is left of a node's weight: nothing if it is kept for another place."""
+        age = np.exp((self._learned_us[slot] - t_us) * (1e-6 / FORGET_S))
+        kept: FloatArray = np.where(self._place[slot] == place, age, 0.0)
+        return kept
+
+
+_CORNERS: NDArray[np.int64] = np.array([[0, 0, 1, 1], [0, 1, 0, 1]])
+
+
+def _slot(node: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where a node (2, ...) is kept, and a number that tells it from the others that are kept there."""
+    window = node // NODES
+    return (node[0] % NODES) * NODES + node[1] % NODES, (window[0] + (1 << 20)) * (1 << 22) + window[1] + (1 << 20)
