@@ -1,6 +1,7 @@
 """The margins in force: fixed, tube or Lipschitz (parameter MPC_TIGHTEN), and what is refused because of them."""
 
 import math
+from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
@@ -58,14 +59,17 @@ class Margins:
         ``goals``: name and clearance [m] beyond the body radius of every place of the mission; ``fence_half_m``:
         largest clearance beyond the body radius anywhere (inf = open water).
         """
-        margins = self.back_offs(nav, self._rest, self._idle, params)
+        # What the parameters alone leave: a vehicle that lies still cannot know the current yet, and the estimate gets
+        # better once it moves. That there is a position at all is asked for elsewhere.
+        settled = replace(nav, variance=np.zeros_like(nav.variance))
+        margins = self.back_offs(settled, self._rest, self._idle, params)
         kind = Tighten(int(params["MPC_TIGHTEN"]))
         mode = kind.name.lower()
         # Tube margins settle and are cut at a share of the limit: one that has been cut is one that does not fit.
         node, share = (-1, LARGEST_SHARE) if kind is Tighten.TUBE else (0, 1.0)
         reasons = [
             f"{name} limit {params[limit]:g} {unit} leaves too little beside the {mode} margin {margin[node]:.2f}: "
-            f"better estimate, smaller MPC_W_* or higher {limit}"
+            f"smaller MPC_W_* or higher {limit}"
             for name, limit, unit, margin in (
                 ("planar speed", "SPD_PLANAR_MAX", "m/s", margins.planar_speed_m_s),
                 ("heave", "SPD_HEAVE_MAX", "m/s", margins.heave_m_s),
