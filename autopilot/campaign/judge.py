@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 
-from autopilot.campaign.results import Margin, RunResult, Task
+from autopilot.campaign.results import Margin, RunResult, Task, failure
 from autopilot.campaign.tube import AHEAD_S
 from autopilot.campaign.watch import Watch
 from autopilot.core.frames import FloatArray
@@ -26,7 +26,9 @@ THRUST_TOLERANCE_N = 1e-6
 
 
 def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end: Truth, cpu_s: float) -> RunResult:
-    """The result of a run that was flown; ``end`` is the truth at its end."""
+    """The result of a run; ``end`` is the truth at its end. One that was never armed has failed."""
+    if not len(watch.rows):
+        return failure(task, f"was never armed: {watch.not_armed or 'nobody asked for it'}")
     flown = RunResult(
         run=task.run,
         seed=task.seed,
@@ -36,7 +38,7 @@ def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end
         judged=scenario.accept.campaign,
         laps_asked=run.accept.laps,
         completed=watch.completed,
-        margins=_margins(scenario, run, watch) if len(watch.rows) else {},
+        margins=_margins(scenario, run, watch),
         contacts=end.contact_count,
         penetration_m=end.max_penetration_m,
         steps=watch.steps,
@@ -46,8 +48,6 @@ def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end
         events=watch.events,
         tube_shares=[share for share in map(watch.tube.share, AHEAD_S) if share is not None],
     )
-    if not len(watch.rows):
-        return flown
     spans = lap_spans(visits(watch.track, run), run)
     return msgspec.structs.replace(
         flown,

@@ -38,6 +38,9 @@ class Watch:
         self.fallbacks = 0
         self.slack_max = 0.0
         self.events: list[str] = []
+        """Since arming."""
+        self.not_armed = ""
+        """The last warning before."""
         self._now_s = 0.0
         self.tube = TubeCheck()
 
@@ -126,12 +129,15 @@ class Watch:
         progress = outputs.progress
         if armed and progress is not None and progress.state is ProgressState.COMPLETE and self._complete_s is None:
             self._complete_s = t_s
-        if self._armed_s is not None:
-            for event in outputs.events:
-                self._note_event(event, t_s)
+        for event in outputs.events:
+            self._note_event(event, t_s)
 
     def _note_event(self, event: Event, t_s: float) -> None:
-        if event.severity <= Severity.WARNING and len(self.events) < MOST_EVENTS:
+        if event.severity > Severity.WARNING:
+            return
+        if self._armed_s is None:
+            self.not_armed = event.text
+        elif len(self.events) < MOST_EVENTS:
             self.events.append(f"{t_s:.2f} s {event.text}")
 
     def _note_control(self, outputs: Outputs) -> None:

@@ -293,6 +293,18 @@ def test_a_run_that_cannot_be_flown_is_a_failed_one(tmp_path: Path) -> None:
     assert summary.bars[0].value == f"{4 - sum(inside)} of 4"
 
 
+def test_a_run_that_is_never_armed_is_a_failed_one(tmp_path: Path) -> None:
+    scenario = Path(scenario_in(tmp_path, '[accept]\ncampaign = "contact"\n' + SPREAD))
+    text = scenario.read_text(encoding="utf-8").replace(
+        'position = "pose"', 'position = "pose"\npose = { drop_probability = 1.0 }'
+    )
+    scenario.write_text(text, encoding="utf-8")
+    (result,) = InProcess().run([define(str(scenario), duration_s=2.0).task(0)], lambda: False)
+    assert result.failed
+    assert result.error is not None
+    assert result.error.startswith("was never armed: Arming denied: no position yet")
+
+
 def test_engines_are_chosen_by_name() -> None:
     assert isinstance(make_engine("local", 1), InProcess)
     assert isinstance(make_engine("local", 3), LocalPool)
