@@ -77,7 +77,7 @@ class MotionController:
         currents: CurrentForecast | None = None,
         desk: PlanningDesk | None = None,
         cpu_clock: Callable[[], float] = time.thread_time,
-        backends: tuple[ocp.QpBackend, ...] = (ocp.HPIPM, ocp.PIQP),
+        backends: tuple[ocp.QpBackend, ...] = ocp.BACKENDS,
     ) -> None:
         self._vehicle = vehicle
         self._model = vehicle.model4.to_model()
@@ -225,7 +225,7 @@ class MotionController:
 
     def take_news(self) -> list[tuple[Severity, str]]:
         """Severity and text of what the operator should know since the last call."""
-        return self.regions.take_news() + self._penalty.take_news()
+        return self.margins.take_news() + self.regions.take_news() + self._penalty.take_news()
 
     def _follow_lag(self, t_us: int) -> None:
         elapsed_s = 0.0 if self._followed_us is None else (t_us - self._followed_us) * 1e-6

@@ -12,7 +12,7 @@ from autopilot.control.robust.lipschitz import LipschitzMargins
 from autopilot.control.robust.tube import LARGEST_SHARE, TubeMargins
 from autopilot.control.tightening import BackOffs, FixedMargins
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import NavState
+from autopilot.core.messages import NavState, Severity
 from autopilot.core.model4 import NU, NX, Model4
 from autopilot.core.params import ParamSet
 
@@ -34,6 +34,8 @@ class Margins:
         self.tube = TubeMargins(model, grid, self.ancillary, fixed)
         self.lipschitz = LipschitzMargins(model, grid, fixed)
         self._fixed = fixed
+        self._told = False
+        self._news: list[tuple[Severity, str]] = []
         self._rest = np.zeros((grid.n + 1, NX))
         self._idle = np.zeros((grid.n, NU))
 
@@ -41,10 +43,20 @@ class Margins:
         """See :class:`autopilot.control.tightening.Tightening`."""
         mode = Tighten(int(params["MPC_TIGHTEN"]))
         if mode is Tighten.TUBE:
+            self._told = False
             return self.tube.back_offs(nav, x, thrust_n, params)
         if mode is Tighten.LIPSCHITZ:
+            if not self._told:
+                self._told = True
+                self._news.append((Severity.NOTICE, self.lipschitz.report(nav, params).text))
             return self.lipschitz.back_offs(nav, x, thrust_n, params)
+        self._told = False
         return self._fixed.back_offs(nav, x, thrust_n, params)
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """How far the Lipschitz sets reach, once whenever they come into force."""
+        news, self._news = self._news, []
+        return news
 
     def clearance_m(self, params: ParamSet) -> float:
         """Routes keep the fixed margin and what the planner adds to it: a route that changed with every change of the
