@@ -1,0 +1,58 @@
+"""Thrusters that fail in flight: the service finds out from the motion alone, goes on if it can, is safe if not."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from system_harness import ROOT, OpenSession
+
+from autopilot.core.messages import Failsafe
+from autopilot.log.check import Row, Verdict, acceptance_table
+from autopilot.log.reader import open_log
+from mission.paper import paper_plan
+from mission.plan_files import write_plan
+
+SCENARIO = ROOT / "sitl" / "scenarios" / "thruster-loss.toml"
+FAULT_S = 12.0
+
+
+def _fly(session: OpenSession, folder: Path, thruster: str, loss: float, duration_s: float) -> Path:
+    """One lap of the shipped scenario with this fault; the log."""
+    shipped = 'thruster = "port"\nloss = 0.5'
+    text = SCENARIO.read_text(encoding="utf-8")
+    assert shipped in text
+    variant, plan, log = folder / "variant.toml", folder / "paper.plan", folder / "run.mcap"
+    variant.write_text(text.replace(shipped, f'thruster = "{thruster}"\nloss = {loss}'), encoding="utf-8")
+    write_plan(plan, paper_plan(1))
+    session(str(variant), sensors="pose", plan=str(plan), start=True, duration=duration_s, log=log).run()
+    return log
+
+
+def _rows(log: Path) -> dict[str, Row]:
+    return {row.name: row for row in acceptance_table(open_log(log))}
+
+
+@pytest.mark.parametrize("thruster", ["port", "lateral"])
+def test_half_a_thruster_does_not_end_a_mission(session: OpenSession, tmp_path: Path, thruster: str) -> None:
+    rows = _rows(_fly(session, tmp_path, thruster, 0.5, 50.0))
+    assert rows["laps"].worst == 1
+    assert [row for row in rows.values() if row.verdict is Verdict.FAIL] == []
+    assert rows["failsafes raised"].worst == 0
+    weakest = rows["weakest thruster gives"].worst
+    assert weakest is not None
+    assert 30.0 < weakest < 75.0
+
+
+def test_a_dead_horizontal_thruster_ends_safely(session: OpenSession, tmp_path: Path) -> None:
+    log = _fly(session, tmp_path, "port", 1.0, 45.0)
+    rows = _rows(log)
+    assert rows["contacts"].worst == 0
+    for name in ("distance to cylinder 1", "distance to cylinder 2", "distance to walls"):
+        assert rows[name].verdict is not Verdict.FAIL, rows[name]
+    health = open_log(log)["/ctl/thrusters"]
+    dead = health["effectiveness"][:, 0] == 0.0
+    assert dead.any()
+    assert (health["effectiveness"][:, 1:4] > 0.5).all()
+    mode = open_log(log)["/sys/mode"]
+    raised = int(np.bitwise_or.reduce(mode["failsafes"]))
+    assert rows["laps"].worst == 1 or raised == 1 << Failsafe.THRUSTER
