@@ -14,6 +14,7 @@ import numpy as np
 
 from autopilot.control import ocp
 from autopilot.control.grid import TimeGrid, shift_matrices
+from autopilot.control.native import NativeStep
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus
@@ -116,7 +117,7 @@ def _build(model_values: tuple[Any, ...], dt_s: tuple[float, ...], planes: int, 
     return ocp.build_qp_step(model, grid, planes, backend)
 
 
-def passes_self_test(step: QpStep) -> bool:
+def passes_self_test(step: QpStep | NativeStep) -> bool:
     """Solve one problem with a known answer: at rest 1 m behind a reference straight ahead, all is symmetric.
 
     Port and starboard thrust must be equal, forward and inside the bound, lateral thrust zero, all figures small.
@@ -149,12 +150,13 @@ def passes_self_test(step: QpStep) -> bool:
     )
 
 
-def choose_step(model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.QpBackend, ...]) -> QpStep:
+def choose_step(model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.QpBackend, ...]) -> QpStep | NativeStep:
     """The first backend that loads and passes the self-test; ConfigError if none does."""
     reasons = []
     for backend in backends:
         try:
-            step = QpStep(model, grid, planes, backend)
+            kind = NativeStep if backend is ocp.NATIVE else QpStep
+            step = kind(model, grid, planes, backend)
         except RuntimeError as error:
             reasons.append(f"{backend.plugin}: {str(error).splitlines()[-1]}")
             continue
@@ -173,7 +175,7 @@ class Nmpc:
         grid: TimeGrid,
         *,
         planes: int = PLANES,
-        backends: tuple[ocp.QpBackend, ...] = (ocp.HPIPM, ocp.PIQP),
+        backends: tuple[ocp.QpBackend, ...] = ocp.BACKENDS,
     ) -> None:
         self.grid = grid
         self.planes = planes
@@ -186,7 +188,7 @@ class Nmpc:
 
     @property
     def solver(self) -> str:
-        """Name of the QP plugin in use."""
+        """Name of the solver in use."""
         return self._step.backend.plugin
 
     def set_plan(self, x: FloatArray, thrust_n: FloatArray) -> None:
@@ -225,7 +227,7 @@ class Nmpc:
             step.evaluate()
         except RuntimeError:
             status = SolveStatus.EXCEPTION
-        cost, violation, gap, overshoot, total, use = step.figures.tolist()
+        cost, violation, gap, overshoot, total, use = step.figures[:6].tolist()
         if status is SolveStatus.OK:
             if not math.isfinite(total + gap):
                 status = SolveStatus.NOT_FINITE

@@ -70,6 +70,13 @@ PIQP = QpBackend(plugin="piqp", options={"piqp": {"kkt_solver": "sparse_ldlt_ine
 """Slower by half, with the shortest tail; the fallback where the first does not work."""
 
 
+NATIVE = QpBackend(plugin="native", options={}, staged=True)
+"""The step in C (:mod:`autopilot.control.native`), where a compiler is at hand."""
+
+BACKENDS = (NATIVE, HPIPM, PIQP)
+"""In the order in which they are tried."""
+
+
 def bind(
     function: Any, arguments: Sequence[FloatArray], results: Sequence[FloatArray]
 ) -> tuple[Any, Callable[[], None]]:

@@ -8,6 +8,7 @@ import pytest
 from control_loop import MODEL, STEP_US, TANK, VEHICLE, A, B, fly, goal, jet, nav_state, rk4, still
 
 from autopilot.control.controller import MotionController
+from autopilot.control.native import NativeStep
 from autopilot.control.nmpc import QpStep
 from autopilot.control.obstacles import clearance_m
 from autopilot.core.geometry import Circle, Fence
@@ -28,7 +29,7 @@ def controller() -> MotionController:
 def breaking(monkeypatch: pytest.MonkeyPatch, status: SolveStatus) -> None:
     """From now on every QP fails the way ``status`` says."""
 
-    def evaluate(step: QpStep) -> None:
+    def evaluate(step: QpStep | NativeStep) -> None:
         if status is SolveStatus.EXCEPTION:
             raise RuntimeError("injected")
         step.figures[:] = 0.0
@@ -38,7 +39,8 @@ def breaking(monkeypatch: pytest.MonkeyPatch, status: SolveStatus) -> None:
         step.u[:] = 99.0
         step.x[:] = math.nan
 
-    monkeypatch.setattr(QpStep, "evaluate", evaluate)
+    for kind in (QpStep, NativeStep):
+        monkeypatch.setattr(kind, "evaluate", evaluate)
 
 
 @pytest.mark.parametrize("status", [SolveStatus.NOT_FINITE, SolveStatus.RESIDUAL, SolveStatus.EXCEPTION])

@@ -8,7 +8,7 @@ import pytest
 from control_loop import MODEL, TANK
 
 from autopilot.bench.ipopt import IpoptNmpc
-from autopilot.control import ocp
+from autopilot.control import native, ocp
 from autopilot.control.grid import geometric_grid, uniform_grid
 from autopilot.control.guidance import SteadyThrust
 from autopilot.control.nmpc import PLANES, Nmpc, NmpcProblem, QpStep, choose_step, passes_self_test
@@ -54,6 +54,9 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
     )
 
 
+NATIVE = (ocp.NATIVE,) if native.compiler() else ()
+"""The solver in C, on machines that can build it."""
+
 START = np.array([-1.3, -0.2, 0.45, 0.3, 0.3, 0.05, 0.0, -0.2])
 
 
@@ -64,7 +67,7 @@ def test_repeated_qps_reach_what_ipopt_finds(grid) -> None:
     slow.set_plan(task.x_ref, np.zeros((grid.n, 4)))
     x, u, solved = slow.solve(task)
     assert solved
-    for backend in (ocp.HPIPM, ocp.PIQP):
+    for backend in (ocp.HPIPM, ocp.PIQP, *NATIVE):
         fast = Nmpc(MODEL, grid, backends=(backend,))
         assert fast.solver == backend.plugin
         fast.set_plan(task.x_ref, np.zeros((grid.n, 4)))
@@ -108,7 +111,7 @@ def test_first_solver_that_works_is_taken() -> None:
     grid = uniform_grid(5)
     missing = ocp.QpBackend(plugin="no_such_plugin", options={}, staged=False)
     assert choose_step(MODEL, grid, 2, (missing, ocp.PIQP)).backend.plugin == "piqp"
-    assert Nmpc(MODEL, grid).solver == "hpipm"
+    assert Nmpc(MODEL, grid, backends=(ocp.HPIPM, ocp.PIQP)).solver == "hpipm"
     with pytest.raises(ConfigError, match="no_such_plugin"):
         choose_step(MODEL, grid, 2, (missing,))
 
@@ -166,3 +169,56 @@ def test_same_inputs_give_the_same_bits() -> None:
             result = fast.solve(task)
         answers.append((result.x.tobytes(), result.thrust_n.tobytes(), result.cost))
     assert answers[0] == answers[1]
+
+
+@pytest.mark.skipif(not NATIVE, reason="no C compiler")
+@pytest.mark.parametrize("grid", [uniform_grid(20), geometric_grid(20, 8.0)], ids=["uniform", "geometric"])
+def test_native_solver_gives_what_hpipm_gives_at_a_tight_tolerance(grid) -> None:
+    options = {"mode": "robust", "iter_max": 200, **{f"res_{name}_max": 1e-9 for name in "gbdm"}}
+    exact = QpStep(MODEL, grid, PLANES, ocp.QpBackend(plugin="hpipm", options={"hpipm": options}, staged=True))
+    step = native.NativeStep(MODEL, grid, PLANES, ocp.NATIVE)
+    rng = np.random.default_rng(5)
+    names = (*native.ARRAYS[3:13], "plane_n", "plane_d")
+    for _ in range(20):
+        start = START + rng.normal(size=8) * [0.3, 0.1, 0.2, 0.5, 0.2, 0.2, 0.1, 0.5]
+        task = problem(grid, start)
+        values = (
+            *(task.x_ref, np.zeros((grid.n, 4)), task.x_ref, task.thrust_ref_n, task.current_ned_m_s, task.weight_x),
+            *(task.weight_u, task.terminal, task.limits, task.thrust_limit_n, task.plane_n, task.plane_d_m),
+        )
+        for one in (exact, step):
+            for name, value in zip(names, values, strict=True):
+                getattr(one, name)[:] = value
+            one.x_guess[0] = start
+            one.evaluate()
+        assert step.figures[7] == 0.0
+        assert step.figures[6] <= 30
+        assert np.allclose(step.u, exact.u, atol=2e-3)
+        assert np.allclose(step.x, exact.x, atol=1e-3)
+        assert step.figures[0] == pytest.approx(exact.figures[0], rel=1e-4, abs=1e-3)
+        assert step.figures[5] == pytest.approx(exact.figures[5], abs=1e-3)
+
+
+def test_without_a_compiler_the_next_solver_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(native.COMPILER_VARIABLE, "")
+    assert Nmpc(MODEL, uniform_grid(5)).solver == "hpipm"
+    monkeypatch.setenv(native.COMPILER_VARIABLE, "no-such-compiler")
+    assert Nmpc(MODEL, uniform_grid(5)).solver == "hpipm"
+
+
+@pytest.mark.skipif(not NATIVE, reason="no C compiler")
+def test_library_is_built_once_and_an_error_is_said(tmp_path) -> None:
+    compiler = native.compiler()
+    assert compiler is not None
+    first = native.build("int answer(void) { return 42; }", compiler, tmp_path / "cache")
+    stamp = first.stat().st_mtime_ns
+    assert native.build("int answer(void) { return 42; }", compiler, tmp_path / "cache") == first
+    assert first.stat().st_mtime_ns == stamp
+    assert native.build("int answer(void) { return 43; }", compiler, tmp_path / "cache") != first
+    with pytest.raises(RuntimeError, match="error"):
+        native.build("this is not C", compiler, tmp_path / "cache")
+    assert sorted(path.suffix for path in (tmp_path / "cache").iterdir()) == [".so", ".so"]
+    in_the_way = tmp_path / "file"
+    in_the_way.write_text("x")
+    with pytest.raises(RuntimeError, match="cannot compile"):
+        native.build("int answer(void) { return 42; }", compiler, in_the_way)
