@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from autopilot.campaign.results import RunResult
-from autopilot.log.figure_parts import BOUND, STYLE
+from autopilot.log.figure_parts import BOUND, STYLE, legend_above
 
-BINS = 24
+BINS = 40
 SHOWN = (
     ("cylinder 1", "cylinder 1 [mm]", 1000.0),
     ("cylinder 2", "cylinder 2 [mm]", 1000.0),
@@ -46,11 +46,10 @@ def _margins(flown: Sequence[RunResult], title: str) -> Figure | None:
     figure = Figure(figsize=(7.0, 1.9 * rows))
     for ax, (name, label, scale) in zip(figure.subplots(rows, 2, squeeze=False).flat, shown, strict=False):
         found = [result.margins[name] for result in flown if name in result.margins]
-        _histogram(ax, [scale * margin.margin for margin in found], label)
+        values, tolerance = [scale * margin.margin for margin in found], scale * found[0].tolerance
+        _histogram(ax, values, (min(*values, -1.5 * tolerance), max(*values, tolerance)), label)
         ax.axvline(0.0, **BOUND)
-        ax.axvspan(-scale * found[0].tolerance, 0.0, color="red", alpha=0.12, linewidth=0.0)
-        low, high = ax.get_xlim()
-        ax.set_xlim(min(low, -1.5 * scale * found[0].tolerance), max(high, 0.0))
+        ax.axvspan(-tolerance, 0.0, color="red", alpha=0.12, linewidth=0.0)
     if len(shown) % 2:
         figure.axes[-1].set_visible(False)
     figure.suptitle(f"{title}: worst margin of each of {len(flown)} runs (red = the bound, shaded = its tolerance)")
@@ -64,15 +63,15 @@ def _energy(flown: Sequence[RunResult], title: str) -> Figure | None:
         return None
     figure = Figure(figsize=(7.0, 2.8))
     ax = figure.subplots()
-    _histogram(ax, laps, "energy of a lap, everything on board [J]")
+    _histogram(ax, laps, (0.0, max(laps)), "energy of a lap, everything on board [J]")
     median = float(np.median(laps))
     ax.axvline(median, color="#444444", linewidth=1.0, linestyle=":", label=f"median {median:.0f} J")
-    ax.legend(loc="upper right")
+    legend_above(ax)
     figure.suptitle(f"{title}: {len(laps)} laps of {len(flown)} runs")
     return figure
 
 
-def _histogram(ax: Axes, values: Sequence[float], label: str) -> None:
-    ax.hist(values, bins=BINS, color="#1f77b4", edgecolor="white", linewidth=0.5)
+def _histogram(ax: Axes, values: Sequence[float], span: tuple[float, float], label: str) -> None:
+    ax.hist(values, bins=BINS, range=span, color="#1f77b4", edgecolor="white", linewidth=0.5)
     ax.set_xlabel(label)
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))
