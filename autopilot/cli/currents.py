@@ -56,3 +56,23 @@ def b6(file: str, error: float | None, seed: int) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_flow_map(flow, path)
     click.echo(f"{path}: {len(flow.time_s)} frames, rms {flow.rms_m_s:.3f} m/s, {path.stat().st_size // 1024} KiB")
+
+
+@currents.command()
+@click.argument("log", type=click.Path(exists=True, dir_okay=False))
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+def compare(log: str, as_json: bool) -> None:
+    """Mean error [m/s] of the forecasts without a map along the way that a simulated flight's LOG then took."""
+    from dataclasses import asdict
+
+    from autopilot.bench.current_forecasts import compare_forecasts
+
+    rows = [asdict(row) for row in compare_forecasts(Path(log))]
+    if as_json:
+        emit_json(rows)
+        return
+    print_table(
+        "Mean error of the forecast, m/s",
+        ("forecast", "lap", "next 8 s", "rest of the leg", "revisions"),
+        [(r["forecast"], r["lap"], round(r["next_8_s"], 4), round(r["rest_of_leg"], 4), r["revisions"]) for r in rows],
+    )

@@ -1,0 +1,85 @@
+"""Current maps end to end: a gridded world, a controller that is told another one, refusals at the start, the log."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from autopilot.bench.current_forecasts import compare_forecasts
+from autopilot.config import gather, sitl_defaults
+from autopilot.core.errors import ConfigError, LogError, PlanError
+from autopilot.log.reader import open_log
+from autopilot.sitl_session import SitlSession, open_sitl
+from sitl.scenario import scenario_path
+
+NORTH, EAST = np.linspace(-3.0, 3.0, 13), np.linspace(-2.0, 2.0, 9)
+SCENARIO = """
+[scenario]
+name = "gridded"
+description = "a world from a file"
+[sensors]
+position = "pose"
+[current]
+kind = "grid"
+file = "truth.npz"
+[vehicle]
+start_m = [-1.6, -0.35, 0.45]
+[controller]
+currents = "map"
+map = "forecast.npz"
+"""
+
+
+def _write(path: Path, north_m_s: float, scale: float = 1.0) -> None:
+    flow = np.full((13, 9), north_m_s)
+    np.savez(path, north_m=scale * NORTH, east_m=scale * EAST, current_north_m_s=flow, current_east_m_s=0.0 * flow)
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Callable[..., SitlSession]:
+    _write(tmp_path / "truth.npz", 0.1)
+    _write(tmp_path / "forecast.npz", 0.3)
+    _write(tmp_path / "small.npz", 0.1, 0.5)
+    (tmp_path / "gridded.toml").write_text(SCENARIO)
+
+    def make(**given: object) -> SitlSession:
+        settings = {
+            "scenario": str(tmp_path / "gridded.toml"),
+            "state_dir": str(tmp_path / "state"),
+            "log": str(tmp_path / "run.mcap"),
+            "speed": 0.0,
+            "duration": 2.0,
+            **given,
+        }
+        gathered = gather(sitl_defaults(0), settings, {})
+        gathered.put("connect", (), "test")
+        return open_sitl(gathered, {})
+
+    return make
+
+
+def test_truth_and_map_are_two_files_and_the_log_names_the_map(
+    tmp_path: Path, opened: Callable[..., SitlSession]
+) -> None:
+    session = opened()
+    session.run()
+    log = open_log(tmp_path / "run.mcap")
+    assert log["/sim/truth"]["current_ned_m_s"][-1] == pytest.approx([0.1, 0.0, 0.0])
+    assert log.run["currents"] == "map"
+    assert log.run["currents_map"] == "forecast.npz"
+    assert len(log.run["currents_map_sha256"]) == 64
+    with pytest.raises(LogError, match="give the log of a simulated mission"):
+        compare_forecasts(tmp_path / "run.mcap")
+
+
+def test_what_does_not_fit_is_refused_before_anything_runs(tmp_path: Path, opened: Callable[..., SitlSession]) -> None:
+    plan = str(scenario_path("paper-tank").parent / "paper.plan")
+    with pytest.raises(PlanError, match=r"current map small\.npz: does not cover"):
+        opened(plan=plan, currents_map=str(tmp_path / "small.npz"))
+    with pytest.raises(ConfigError, match="--currents-map needs --currents map, not memory"):
+        opened(currents="memory", currents_map=str(tmp_path / "small.npz"))
+    with pytest.raises(ConfigError, match="cannot be read"):
+        opened(currents_map=str(tmp_path / "nothing.npz"))
+    with pytest.raises(ConfigError, match="AUTOPILOT_CURRENTS='maps' is not valid; use estimate, map"):
+        gather(sitl_defaults(0), {}, {"AUTOPILOT_CURRENTS": "maps"})
