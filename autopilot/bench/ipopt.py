@@ -1,4 +1,4 @@
-"""The controller's problem solved to convergence by IPOPT: the yardstick for the real-time iteration.
+"""The controller's problem solved to convergence by IPOPT or fatrop: the yardstick for the real-time iteration.
 
 The same dynamics, weights, penalties, bounds and half-planes as :mod:`autopilot.control.ocp`, written as a plain
 nonlinear program with two-sided limits and the speed norm as it stands, so that it also checks the linearisation.
@@ -20,25 +20,35 @@ COST_SCALE = 1e-2
 
 
 class IpoptNmpc:
-    """One built nonlinear program, warm-started by its own last solution."""
+    """One built nonlinear program, warm-started by a plan. Variables and rows are in the order of the stages."""
 
-    def __init__(self, model: Model4, grid: TimeGrid, planes: int, tolerance: float = 1e-6) -> None:
+    def __init__(
+        self, model: Model4, grid: TimeGrid, planes: int, tolerance: float = 1e-6, plugin: str = "ipopt"
+    ) -> None:
         n = self._n = grid.n
-        self._planes = planes
-        x, u, s = ca.MX.sym("x", NX, n), ca.MX.sym("u", NU, n), ca.MX.sym("s", ocp.N_SLACKS, n - 1)
+        width = NX + NU + ocp.N_SLACKS
+        z = ca.MX.sym("z", NU + (n - 1) * width + NX)
+        place = NU + width * np.arange(n)[:, None]
+        self._at_x = place + np.arange(NX)
+        self._at_u = np.vstack([np.arange(NU), place[:-1] + NX + np.arange(NU)])
+        self._at_s = place[:-1] + NX + NU + np.arange(ocp.N_SLACKS)
+        x, u, s = (
+            ca.reshape(z[at.ravel().tolist()], at.shape[1], at.shape[0]) for at in (self._at_x, self._at_u, self._at_s)
+        )
         shapes = {"x0": (NX, 1), **ocp.argument_shapes(n, planes)}
         self._names = [name for name in shapes if not name.endswith("_guess")]
         self._shapes = {name: shapes[name] for name in self._names}
         parameters = [ca.MX.sym(name, *shape) for name, shape in self._shapes.items()]
         x0, x_ref, u_ref, current, weight_x, weight_u, terminal, limits, thrust_limit, plane_n, plane_d = parameters
         cost: Any = 0.0
-        gaps: list[Any] = []
         rows: list[Any] = []
+        is_gap: list[bool] = []
         state = x0
         for k, (dt, substeps) in enumerate(zip(grid.dt_s, grid.substeps(), strict=True)):
             scale = dt / REFERENCE_DT_S
             step = ocp.discrete_dynamics(model, float(dt), substeps)
-            gaps.append(step(state, u[:, k], current[:, k])[0] - x[:, k])
+            rows.append(x[:, k] - step(state, u[:, k], current[:, k])[0])
+            is_gap += [True] * NX
             thrust = u[:, k] - ca.fmax(-thrust_limit[:, k], ca.fmin(thrust_limit[:, k], u_ref[:, k]))
             cost += 0.5 * scale * ca.dot(weight_u[:, k] * thrust, thrust)
             if k > 0:
@@ -56,33 +66,38 @@ class IpoptNmpc:
                     state[Z] - limit[4] - slack[1],
                     plane_d[:, k - 1] - ca.mtimes(normals.T, state[:2]) - slack[1],
                 ]
+                is_gap += [False] * (7 + planes)
             state = x[:, k]
         error = state - x_ref[:, n]
         cost += 0.5 * ca.bilin(terminal, error, error)
-        variables = ca.vertcat(ca.vec(x), ca.vec(u), ca.vec(s))
-        constraints = ca.vertcat(*gaps, *rows)
         p = ca.vertcat(*(ca.vec(v) for v in parameters))
-        options: dict[str, Any] = {
-            "expand": True,
-            "print_time": False,
-            "ipopt": {"print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": 200, "warm_start_init_point": "yes"},
-        }
-        program: Any = {"x": variables, "f": COST_SCALE * cost, "g": constraints, "p": p}
-        self._solver: Any = ca.nlpsol("ipopt", "ipopt", program, options)
-        self._ubg = np.zeros(constraints.shape[0])
-        self._lbg = np.full(constraints.shape[0], -np.inf)
-        self._lbg[: NX * n] = 0.0
-        self._guess: FloatArray | None = None
+        options: dict[str, Any] = {"expand": True, "print_time": False}
+        if plugin == "fatrop":
+            stages = {
+                "N": n,
+                "nx": [0] + [NX] * n,
+                "nu": [NU] + [NU + ocp.N_SLACKS] * (n - 1) + [0],
+                "ng": [0] + [7 + planes] * (n - 1) + [0],
+            }
+            options |= {"structure_detection": "manual", **stages, "equality": is_gap}
+            options["fatrop"] = {"print_level": 0, "tolerance": tolerance, "mu_init": 1e-2, "max_iter": 200}
+        else:
+            inner = {"print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": 200, "warm_start_init_point": "yes"}
+            options["ipopt"] = inner
+        program: Any = {"x": z, "f": COST_SCALE * cost, "g": ca.vertcat(*rows), "p": p}
+        self._solver: Any = ca.nlpsol(plugin, plugin, program, options)
+        self._ubg = np.zeros(len(is_gap))
+        self._lbg = np.where(is_gap, 0.0, -np.inf)
+        self._guess = np.zeros(z.shape[0])
 
     def set_plan(self, x: FloatArray, thrust_n: FloatArray) -> None:
         """Start from states (N+1, 8) and thrust (N, 4)."""
-        self._guess = np.concatenate([x[1:].ravel(), thrust_n.ravel(), np.zeros(ocp.N_SLACKS * (self._n - 1))])
+        self._guess[self._at_x], self._guess[self._at_u], self._guess[self._at_s] = x[1:], thrust_n, 0.0
 
     def solve(self, problem: NmpcProblem) -> tuple[FloatArray, FloatArray, bool]:
-        """States (N+1, 8), thrust (N, 4) and whether IPOPT calls it solved."""
+        """States (N+1, 8), thrust (N, 4) and whether the solver calls it solved."""
         n = self._n
-        width = NX * n + NU * n + ocp.N_SLACKS * (n - 1)
-        lower, upper = np.full(width, -np.inf), np.full(width, np.inf)
+        lower, upper = np.full(len(self._guess), -np.inf), np.full(len(self._guess), np.inf)
         values = (
             problem.x0,
             problem.x_ref,
@@ -102,12 +117,9 @@ class IpoptNmpc:
                 for value, (rows, columns) in zip(values, self._shapes.values(), strict=True)
             ]
         )
-        bound = np.broadcast_to(problem.thrust_limit_n, (n, NU)).ravel()
-        lower[NX * n : NX * n + NU * n], upper[NX * n : NX * n + NU * n] = -bound, bound
-        lower[NX * n + NU * n :] = 0.0
-        guess = np.zeros(width) if self._guess is None else self._guess
-        answer = self._solver(x0=guess, lbx=lower, ubx=upper, lbg=self._lbg, ubg=self._ubg, p=parameters)
+        bound = np.broadcast_to(problem.thrust_limit_n, (n, NU))
+        lower[self._at_u], upper[self._at_u] = -bound, bound
+        lower[self._at_s] = 0.0
+        answer = self._solver(x0=self._guess, lbx=lower, ubx=upper, lbg=self._lbg, ubg=self._ubg, p=parameters)
         z = answer["x"].full().ravel()
-        x = np.vstack([problem.x0, z[: NX * n].reshape(n, NX)])
-        u = z[NX * n : NX * n + NU * n].reshape(n, NU)
-        return x, u, bool(self._solver.stats()["success"])
+        return np.vstack([problem.x0, z[self._at_x]]), z[self._at_u], bool(self._solver.stats()["success"])

@@ -1,11 +1,15 @@
-"""What one control step costs: the whole Python step (route, half-planes, QP, checks) beside IPOPT on its problems.
+"""What one control step costs: the whole Python step (route, half-planes, QP, checks) beside IPOPT and fatrop.
 
-Both run in one closed loop on the model, on the paper's tank with a uniform current: the controller flies, and every
-few steps IPOPT gets the problem that the controller has just solved, warm-started from the same plan. CPU time of the
-thread, because wall-clock time on a shared machine measures the neighbours.
+All run in one closed loop on the model, on the paper's tank with a uniform current: the controller flies, and every
+few steps the others get the problem that it has just solved, warm-started from the same plan. CPU time of the thread,
+because wall-clock time on a shared machine measures the neighbours. Steps that plan a new route have a row of their
+own.
 """
 
+import json
 import math
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,45 +17,46 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.bench.ipopt import IpoptNmpc
+from autopilot.bench.nmpc_flight import TANK, WAYPOINTS, Flight, basin, fly
+from autopilot.control import ocp
 from autopilot.control.controller import MotionController
 from autopilot.control.grid import TimeGrid, geometric_grid, uniform_grid
-from autopilot.control.ocp import discrete_dynamics
-from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.geometry import Circle, Fence, Polygon
-from autopilot.core.messages import Goal, NavHealth, NavState
-from autopilot.core.model4 import YAW
+from autopilot.control.obstacles import Features
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import ControlOutput
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
 
-STEP_US = 50_000
-CURRENT_NED_M_S = np.array([0.12, -0.08, 0.0])
-TANK = Fence(
-    inclusions=(Polygon(vertices_ned_m=np.array([[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]])),),
-    exclusions=tuple(
-        Circle(center_ned_m=np.array(center), radius_m=0.16) for center in ((-0.625, -0.625), (0.9375, 0.0))
-    ),
-    depth_max_m=1.2,
-)
-"""Tank and obstacles of the paper, section IV."""
+__all__ = ["TANK", "NmpcBenchRow", "bench_nmpc", "standard_grids"]
 
-WAYPOINTS = ((1.75, 0.0, 0.30, math.pi), (-1.60, -0.35, 0.45, 0.0))
-"""B and A of the paper: x, y, z [m], yaw [rad]."""
+ASKED_MS = {("geometric", 20): (1.0, 0.5), ("uniform", 20): (0.55, 0.33), ("uniform", 40): (1.2, 0.74)}
+ASKED_MS |= {("uniform", 80): (2.3, 1.34)}
+"""Bar and goal of the median: 1.25 and 0.75 times a tuned acados called from Python on such a machine."""
+
+START = np.array([*WAYPOINTS[1], 0.0, 0.0, 0.0, 0.0])
+OBSTACLES = (2, 10, 50)
+STARTS, STEPS_EACH = 200, 40
+START_CLEARANCE_M = 0.1
+"""Of random starts beyond the body radius."""
+
+OTHERS = (("ipopt", "IPOPT, warm", 1e-6), ("fatrop", "fatrop, warm", 1e-4))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NmpcBenchRow:
-    """One grid with one solver."""
+    """One figure; times in CPU milliseconds of this machine, ``normal_ms`` the median at the reference speed."""
 
-    grid: str
-    n: int
-    horizon_s: float
-    solver: str
-    samples: int
-    median_ms: float
-    p99_ms: float
-    max_ms: float
-    thrust_gap_n: float
-    """Median difference between the controller's first thrust and IPOPT's on the same problem."""
+    what: str
+    n: int | None = None
+    solver: str = ""
+    samples: int | None = None
+    median_ms: float | None = None
+    p99_ms: float | None = None
+    max_ms: float | None = None
+    normal_ms: float | None = None
+    bar_ms: float | None = None
+    goal_ms: float | None = None
+    note: str = ""
 
 
 def standard_grids() -> tuple[tuple[str, TimeGrid], ...]:
@@ -62,90 +67,180 @@ def standard_grids() -> tuple[tuple[str, TimeGrid], ...]:
 
 def bench_nmpc(
     steps: int = 400,
-    ipopt_every: int = 20,
+    others_every: int = 20,
     grids: Sequence[tuple[str, TimeGrid]] | None = None,
     vehicle: Vehicle | None = None,
     cpu_clock: Callable[[], float] = time.thread_time,
+    slowness: float = 1.0,
+    starts: int = STARTS,
 ) -> list[NmpcBenchRow]:
-    """Fly ``steps`` steps (50 ms each) per grid; two rows per grid, the controller's and IPOPT's."""
+    """Fly ``steps`` steps (50 ms each) per row; ``slowness`` of the machine divides into ``normal_ms``."""
     vehicle = vehicle or load_vehicle("lbv150")
-    rows = []
+    rows: list[NmpcBenchRow] = []
+    costs: dict[tuple[str, int], float] = {}
     for name, grid in grids or standard_grids():
-        rows += _bench_grid(name, grid, steps, ipopt_every, vehicle, cpu_clock)
+        rows += _bench_grid(name, grid, steps, others_every, vehicle, cpu_clock, slowness, costs)
+    if ("geometric", 20) in costs and ("uniform", 80) in costs:
+        ratio = costs["geometric", 20] / costs["uniform", 80]
+        note = f"cost of the closed loop over that of 80 uniform nodes: {ratio:.4f}"
+        rows.append(NmpcBenchRow(what="20 geometric nodes over 8 s", n=20, note=note))
+    for obstacles in OBSTACLES:
+        controller = MotionController(vehicle, cpu_clock=cpu_clock)
+        flight = fly(controller, vehicle, START, steps, fence=basin(obstacles))
+        rows.append(_row(f"{obstacles} obstacles, geometric", 20, controller.nmpc.solver, flight.solve_s, slowness))
+    if starts:
+        rows.append(_random_starts(vehicle, starts))
+    rows.append(_process(slowness))
     return rows
 
 
 def _bench_grid(
-    name: str, grid: TimeGrid, steps: int, ipopt_every: int, vehicle: Vehicle, cpu_clock: Callable[[], float]
+    name: str,
+    grid: TimeGrid,
+    steps: int,
+    others_every: int,
+    vehicle: Vehicle,
+    cpu_clock: Callable[[], float],
+    slowness: float,
+    costs: dict[tuple[str, int], float],
 ) -> list[NmpcBenchRow]:
-    model = vehicle.model4.to_model()
+    """The controller with its first solver and with the ones of the wheel, and what converged solvers need."""
     controller = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock)
-    ipopt = IpoptNmpc(model, grid, controller.nmpc.planes)
-    move = discrete_dynamics(model, STEP_US * 1e-6, 1)
-    params, goals, index = ParamSet(), [_goal(*w) for w in WAYPOINTS], 0
-    x, acting = np.array([*WAYPOINTS[1], 0.0, 0.0, 0.0, 0.0]), np.zeros(4)
-    ours: list[float] = []
-    theirs: list[float] = []
-    gaps: list[float] = []
-    for step in range(steps):
-        output = controller.step(step * STEP_US, _nav(step * STEP_US, x), goals[index], TANK, params)
-        ours.append(output.status.solve_s)
-        problem = controller.nmpc.last_problem
-        if step % ipopt_every == ipopt_every // 2 and problem is not None:
-            began = cpu_clock()
-            ipopt.set_plan(controller.nmpc.x, controller.nmpc.u)
-            _, thrust, solved = ipopt.solve(problem)
-            theirs.append(cpu_clock() - began)
-            if solved:
-                gaps.append(float(np.abs(thrust[0] - output.thrust_n).max()))
-        acting += (output.thrust_n - acting) * (1.0 - math.exp(-STEP_US * 1e-6 / vehicle.drive.time_constant_s))
-        x = move(x, acting, CURRENT_NED_M_S)[0].full().ravel()
-        goal = goals[index]
-        turned = abs(wrap_pi(float(x[YAW]) - (goal.yaw_rad or 0.0)))
-        if np.linalg.norm(x[:3] - goal.pos_ned_m) < goal.accept_radius_m and turned < goal.accept_yaw_rad:
-            index = 1 - index
-    gap = float(np.median(gaps)) if gaps else math.nan
-    return [
-        _row(name, grid, f"controller step ({controller.nmpc.solver})", ours, gap),
-        _row(name, grid, "IPOPT, warm", theirs, 0.0),
-    ]
+    others = [_Other(plugin, controller, vehicle, grid, tol, cpu_clock) for plugin, _, tol in OTHERS]
+
+    def compare(step: int, output: ControlOutput) -> None:
+        if step % others_every == others_every // 2:
+            for other in others:
+                other.solve(output)
+
+    flight = fly(controller, vehicle, START, steps, watch=compare)
+    costs[name, grid.n] = flight.cost
+    asked = ASKED_MS.get((name, grid.n))
+    rows = [_step_row(name, grid.n, controller.nmpc.solver, flight, slowness, asked, others[0].gap_n())]
+    if controller.nmpc.solver == ocp.NATIVE.plugin:
+        wheel = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock, backends=(ocp.HPIPM, ocp.PIQP))
+        again = fly(wheel, vehicle, START, steps)
+        rows.append(_step_row(name, grid.n, wheel.nmpc.solver, again, slowness, asked, math.nan))
+        flights = np.concatenate([flight.planning_s, again.planning_s])
+    else:
+        flights = flight.planning_s
+    for other, (_, title, _) in zip(others, OTHERS, strict=True):
+        note = f"{other.failed} of {len(other.seconds)} not solved" if other.failed else ""
+        rows.append(_row(f"{name}, the same problems", grid.n, title, np.array(other.seconds), slowness, note))
+    rows.append(_row(f"{name}, steps with a new route", grid.n, "", flights, slowness))
+    return rows
 
 
-def _row(name: str, grid: TimeGrid, solver: str, seconds: list[float], gap_n: float) -> NmpcBenchRow:
-    times = 1e3 * np.array(seconds) if seconds else np.array([math.nan])
+class _Other:
+    """A converged solver beside the controller."""
+
+    def __init__(
+        self,
+        plugin: str,
+        controller: MotionController,
+        vehicle: Vehicle,
+        grid: TimeGrid,
+        tolerance: float,
+        cpu_clock: Callable[[], float],
+    ) -> None:
+        self._nmpc, self._cpu_clock = controller.nmpc, cpu_clock
+        self._solver = IpoptNmpc(vehicle.model4.to_model(), grid, controller.nmpc.planes, tolerance, plugin)
+        self.seconds: list[float] = []
+        self.failed = 0
+        self._gaps: list[float] = []
+
+    def solve(self, output: ControlOutput) -> None:
+        """The problem that the controller has just solved."""
+        problem = self._nmpc.last_problem
+        if problem is None:
+            return
+        began = self._cpu_clock()
+        self._solver.set_plan(self._nmpc.x, self._nmpc.u)
+        _, thrust, solved = self._solver.solve(problem)
+        self.seconds.append(self._cpu_clock() - began)
+        if solved:
+            self._gaps.append(float(np.abs(thrust[0] - output.thrust_n).max()))
+        else:
+            self.failed += 1
+
+    def gap_n(self) -> float:
+        """Median difference of the first thrust."""
+        return float(np.median(self._gaps)) if self._gaps else math.nan
+
+
+def _step_row(
+    name: str, n: int, solver: str, flight: Flight, slowness: float, asked: tuple[float, float] | None, gap_n: float
+) -> NmpcBenchRow:
+    times = flight.solve_s
+    tail = float(np.percentile(times, 99) / np.median(times)) if len(times) else math.nan
+    note = f"p99 = {tail:.2f} medians (bar 2)"
+    if math.isfinite(gap_n):
+        note += f", thrust within {gap_n:.2g} N of IPOPT's (median)"
+    return _row(f"{name}, whole step", n, solver, times, slowness, note, asked)
+
+
+def _row(
+    what: str,
+    n: int,
+    solver: str,
+    seconds: FloatArray,
+    slowness: float,
+    note: str = "",
+    asked: tuple[float, float] | None = None,
+) -> NmpcBenchRow:
+    times = 1e3 * seconds if len(seconds) else np.array([math.nan])
     return NmpcBenchRow(
-        grid=name,
-        n=grid.n,
-        horizon_s=float(grid.t_s[-1]),
+        what=what,
+        n=n,
         solver=solver,
         samples=len(seconds),
         median_ms=float(np.median(times)),
         p99_ms=float(np.percentile(times, 99)),
         max_ms=float(times.max()),
-        thrust_gap_n=gap_n,
+        normal_ms=float(np.median(times)) / slowness,
+        bar_ms=asked[0] if asked else None,
+        goal_ms=asked[1] if asked else None,
+        note=note,
     )
 
 
-def _goal(x: float, y: float, z: float, yaw: float) -> Goal:
-    return Goal(
-        pos_ned_m=np.array([x, y, z]),
-        yaw_rad=yaw,
-        speed_m_s=0.35,
-        accept_radius_m=0.3,
-        accept_yaw_rad=0.15,
-        seq=-1,
+def _random_starts(vehicle: Vehicle, starts: int, seed: int = 42) -> NmpcBenchRow:
+    """Closed loops from random places, headings and speeds of the tank: failures and the worst violation."""
+    rng = np.random.default_rng(seed)
+    features, params = Features(TANK), ParamSet()
+    controller = MotionController(vehicle)
+    failures, into_m, over_m_s = 0, 0.0, 0.0
+    for _ in range(starts):
+        while True:
+            x = np.array([*rng.uniform([-2.2, -1.2, 0.2], [2.2, 1.2, 1.0]), rng.uniform(-math.pi, math.pi)])
+            if features.clearance_m(x[None, :2])[0] > vehicle.radius_m + START_CLEARANCE_M:
+                break
+        start = np.concatenate([x, rng.uniform(-1.0, 1.0, 4) * [0.2, 0.1, 0.1, 0.2]])
+        controller.reset()
+        flight = fly(controller, vehicle, start, STEPS_EACH, first=int(rng.integers(2)))
+        failures += flight.failures
+        into_m = max(into_m, vehicle.radius_m - float(features.clearance_m(flight.x[:, :2]).min()))
+        over_m_s = max(over_m_s, float(np.hypot(flight.x[:, 4], flight.x[:, 5]).max()) - params["SPD_PLANAR_MAX"])
+    return NmpcBenchRow(
+        what=f"{starts * STEPS_EACH} steps from {starts} random starts",
+        n=controller.nmpc.grid.n,
+        solver=controller.nmpc.solver,
+        samples=starts * STEPS_EACH,
+        note=f"{failures} failures (bar 0), worst into a keep-out {1e3 * max(into_m, 0.0):.1f} mm, "
+        f"over the planar speed {max(over_m_s, 0.0):.3f} m/s",
     )
 
 
-def _nav(t_us: int, x: FloatArray) -> NavState:
-    return NavState(
-        t_us=t_us,
-        health=NavHealth.GOOD,
-        pos_ned_m=x[:3],
-        rpy_rad=np.array([0.0, 0.0, wrap_pi(float(x[YAW]))]),
-        vel_frd_m_s=x[4:7],
-        vel_water_frd_m_s=x[4:7],
-        rate_frd_rad_s=np.array([0.0, 0.0, x[7]]),
-        current_ned_m_s=CURRENT_NED_M_S,
-        variance=np.zeros(12),
+def _process(slowness: float) -> NmpcBenchRow:
+    """Start-up and memory of a process that holds nothing but the controller (and the model it flies)."""
+    command = [sys.executable, "-m", "autopilot.bench.controller_process"]
+    values = json.loads(subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout)
+    return NmpcBenchRow(
+        what="start-up, controller alone",
+        n=20,
+        samples=1,
+        median_ms=values["build_ms"],
+        normal_ms=values["build_ms"] / slowness,
+        bar_ms=500.0,
+        note=f"imports {values['import_ms']:.0f} ms, memory {values['rss_mb']:.0f} MB (bar 80)",
     )

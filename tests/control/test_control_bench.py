@@ -6,12 +6,22 @@ from autopilot.bench.nmpc import bench_nmpc
 from autopilot.control.grid import uniform_grid
 
 
-def test_bench_gives_two_rows_per_grid_and_solutions_that_agree() -> None:
+def test_bench_gives_rows_per_grid_and_solutions_that_agree() -> None:
     ticks = iter(range(1_000_000))
-    rows = bench_nmpc(30, 10, [("uniform", uniform_grid(8))], cpu_clock=lambda: next(ticks) * 1e-3)
-    ours, ipopt = rows
-    assert (ours.n, ours.samples, ipopt.samples) == (8, 30, 3)
-    assert ours.solver == "controller step (hpipm)"
-    assert ours.median_ms == pytest.approx(1.0)
-    assert ours.thrust_gap_n < 0.3
-    assert "IPOPT" in ipopt.solver
+    rows = bench_nmpc(
+        30, 10, [("uniform", uniform_grid(8))], cpu_clock=lambda: next(ticks) * 1e-3, slowness=2.0, starts=2
+    )
+    by_name = {(row.what, row.solver): row for row in rows}
+    whole = [row for row in rows if row.what == "uniform, whole step"]
+    assert {row.solver for row in whole} in ({"native", "hpipm"}, {"hpipm"})
+    assert all(row.n == 8 and row.samples is not None and 25 <= row.samples < 30 for row in whole)
+    assert whole[0].median_ms == pytest.approx(1.0)
+    assert whole[0].normal_ms == pytest.approx(0.5)
+    assert float(whole[0].note.split("within ")[1].split(" N")[0]) < 0.3
+    for solver in ("IPOPT, warm", "fatrop, warm"):
+        row = by_name["uniform, the same problems", solver]
+        assert row.samples == 3
+        assert "not solved" not in row.note
+    assert [row.what for row in rows if "obstacles" in row.what] == [f"{k} obstacles, geometric" for k in (2, 10, 50)]
+    assert by_name["80 steps from 2 random starts", rows[-2].solver].note.startswith("0 failures")
+    assert rows[-1].what == "start-up, controller alone"
