@@ -20,7 +20,7 @@ ENVIRONMENT_PREFIX = "AUTOPILOT_"
 PROFILES = ("generic", "px4", "ardusub")
 ESTIMATORS = ("ekf", "complementary")
 SENSORS = ("camera", "pose")
-CURRENTS = ("estimate", "map", "memory", "none")
+CURRENTS = ("estimate", "map", "memory", "none", "uniform")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

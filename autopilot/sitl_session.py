@@ -13,6 +13,7 @@ import msgspec
 from autopilot import __version__
 from autopilot.compose import ServiceSetup, build_service, load_plan, revision, system_id
 from autopilot.config import Settings
+from autopilot.control.current_learning import LearnedCurrent
 from autopilot.control.current_map import CurrentMap
 from autopilot.control.currents import (
     OPEN_WATER_SCALE_M,
@@ -294,14 +295,16 @@ def _currents(settings: Settings, world: _World) -> CurrentForecast:
             return RememberedCurrent(scale_m)
         case "none":
             return NoCurrent()
-        case _:
+        case "uniform":
             return EstimatedCurrent()
+        case _:
+            return LearnedCurrent()
 
 
 def _params(
     settings: Settings, scenario: Scenario, overrides: dict[str, float], instance: int
 ) -> tuple[ParamSet, PersistentParams]:
-    """Defaults < scenario's origin and disturbance bounds < saved by earlier runs < command line."""
+    """Defaults < scenario's origin, disturbance bounds and parameters < saved by earlier runs < command line."""
     params = ParamSet()
     params.set("ORIGIN_LAT", scenario.origin.lat_deg)
     params.set("ORIGIN_LON", scenario.origin.lon_deg)
@@ -310,6 +313,8 @@ def _params(
     for bound, value in (("MPC_W_FORCE", told.disturbance_n), ("MPC_W_MOMENT", told.disturbance_n_m)):
         if value is not None:
             params.set(bound, value)
+    for name, value in scenario.params.items():
+        params.set(name, value)
     persistent = PersistentParams(Path(settings["state_dir"]) / f"sitl-{instance}" / "parameters.params", params)
     persistent.load()
     for name, value in overrides.items():

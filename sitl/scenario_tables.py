@@ -346,8 +346,8 @@ class Markers(_Table, frozen=True, kw_only=True):
 class Controller(_Table, frozen=True, kw_only=True):
     """``[controller]``: what the vehicle is told."""
 
-    currents: Literal["estimate", "map", "memory", "none"] = "estimate"
-    """Currents come from the estimator, from a map, from what was estimated where, or are taken as zero."""
+    currents: Literal["estimate", "map", "memory", "none", "uniform"] = "estimate"
+    """A flow through all estimates, a map, what was estimated where, still water, or the estimate everywhere."""
     map: str | None = None
     """Map file for ``currents = "map"``, relative to the scenario file; None = the scenario's own field."""
     disturbance_n: NonNegative | None = None

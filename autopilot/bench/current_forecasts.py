@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.bench.nmpc import TANK
+from autopilot.control.current_learning import LearnedCurrent
 from autopilot.control.currents import (
     TANK_SCALE_M,
     CurrentForecast,
@@ -59,10 +61,13 @@ class _Flight:
 def compare_forecasts(path: Path) -> list[ForecastRow]:
     """Fly the forecasts along a simulated flight's log. LogError if the log does not hold what is needed."""
     flight = _flight(open_log(path))
+    flow = LearnedCurrent()
+    flow.within(TANK)
     forecasts: dict[str, CurrentForecast] = {
         "none": NoCurrent(),
-        "estimate": EstimatedCurrent(),
+        "uniform": EstimatedCurrent(),
         "memory": RememberedCurrent(TANK_SCALE_M),
+        "estimate": flow,
     }
     return [row for name, forecast in forecasts.items() for row in _judge(name, forecast, flight)]
 

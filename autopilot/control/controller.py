@@ -107,6 +107,7 @@ class MotionController:
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
         self._fence: Fence | None = None
+        self._told_fence: Fence | None = None
         self._obstructions = Obstructions()
         self._movers: Movers | None = None
         self._cleared: tuple[Planner, FloatArray, float] | None = None
@@ -166,6 +167,9 @@ class MotionController:
         if nav.reset_count != self._reset_count or guidance is not self._guidance:
             self._reset_count, self._guidance = nav.reset_count, guidance
             guidance.reset()
+        if fence is not self._told_fence:
+            self._told_fence = fence
+            self._forecast.within(fence)
         fence = self._go_round(t_us, fence, nav, goal, params, tracks)
         planner = self._planner_for(fence, params)
         now = Situation(

@@ -11,6 +11,7 @@ import numpy as np
 
 from autopilot.control.current_memory import CurrentMemory
 from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence
 from autopilot.core.messages import NavHealth, NavState
 
 Pointwise: TypeAlias = Callable[[tuple[float, float, float], float], tuple[float, float, float]]
@@ -49,6 +50,10 @@ class CurrentForecast(Protocol):
 
     def revision(self, nav: NavState) -> int:
         """Grows when the forecast is another one (by MATERIAL_M_S) than at the last revision: time to plan anew."""
+        ...
+
+    def within(self, fence: Fence) -> None:
+        """Learn of the fence in force; called when there is another one."""
         ...
 
 
@@ -113,7 +118,14 @@ class Revision:
         return self.count
 
 
-class EstimatedCurrent:
+class _Anywhere:
+    """A forecast that does not depend on the fence."""
+
+    def within(self, fence: Fence) -> None:
+        """Nothing to learn."""
+
+
+class EstimatedCurrent(_Anywhere):
     """The estimate holds over the whole horizon."""
 
     def __init__(self) -> None:
@@ -132,7 +144,7 @@ class EstimatedCurrent:
         return self._revision.look(nav.current_ned_m_s, nav.t_us * 1e-6)
 
 
-class _Corrected(ABC):
+class _Corrected(_Anywhere, ABC):
     """A belief of the water and a memory of what it lacked where; both corrected by what they lack here and now."""
 
     def __init__(self, scale_m: float, drift_m_s: Callable[[float, float], float] = _no_drift) -> None:
@@ -211,7 +223,7 @@ def correction_share(
     return share
 
 
-class NoCurrent:
+class NoCurrent(_Anywhere):
     """Unaware of currents: speed over ground is taken for speed in the water."""
 
     def view(self, nav: NavState) -> NavState:

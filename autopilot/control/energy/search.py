@@ -39,7 +39,7 @@ UPDATE_ROUNDS = 1
 """Rounds for a plan that is only brought up to date."""
 
 STAY_WITHIN = 1.1
-"""A plan stays on its way while the energy field knows none that is cheaper by more than this (near-ties would flip)."""
+"""A plan stays on its way while the energy field knows none that is cheaper by so much: near-ties would flip."""
 
 KEEP_WITHIN = 1.15
 """Ways whose energy is beyond so many times the best one's are not looked at."""

@@ -1,0 +1,162 @@
+"""Trajectories of least energy, when they are answered, and how they are followed."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from threading import Event
+
+import numpy as np
+import pytest
+
+from autopilot.control.controller import MotionController
+from autopilot.control.currents import EstimatedCurrent, MappedCurrent, PointwiseField
+from autopilot.control.energy.desk import ANSWER_STEPS, PlanningDesk
+from autopilot.control.energy.flow import area_of, sample_flow
+from autopilot.control.energy.power import PowerModel
+from autopilot.control.energy.search import EnergyPlanner, Plan, Request, shifted
+from autopilot.control.energy.track import Track
+from autopilot.core import model4
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import Goal
+from autopilot.core.params import ParamSet
+from tests.control.control_loop import MODEL, TANK, VEHICLE, A, B, fly, goal, jet, nav_state
+
+POWER = PowerModel.of(VEHICLE)
+PLANNER = EnergyPlanner(MODEL, POWER)
+LIMITS = np.array([0.5, 0.25, 1.0, 0.0, 1.2])
+AT_A = np.array([-1.60, -0.35, 0.45, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def request(x0: FloatArray, to: Goal, fence: Fence = TANK, current: FloatArray | None = None) -> Request:
+    nav = nav_state(0, x0, current)
+    area = area_of(fence, np.stack([x0[:2], to.pos_ned_m[:2]]))
+    return Request(
+        x0=x0,
+        goal=to,
+        fence=fence,
+        radius_m=0.32,
+        flow=sample_flow(EstimatedCurrent(), nav, area, 0.4),
+        limits=LIMITS,
+        thrust_limit_n=np.full(4, 12.0),
+    )
+
+
+def fine_end(x: FloatArray, thrust_n: FloatArray, duration_s: float, current: FloatArray) -> FloatArray:
+    """RK4 in steps of 5 ms."""
+    count = math.ceil(duration_s / 0.005)
+    h = duration_s / count
+
+    def f(state: FloatArray) -> FloatArray:
+        return np.array(model4.state_derivative(MODEL, state.tolist(), thrust_n.tolist(), current.tolist(), math))
+
+    for _ in range(count):
+        k1 = f(x)
+        k2 = f(x + h / 2 * k1)
+        k3 = f(x + h / 2 * k2)
+        k4 = f(x + h * k3)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
+
+
+def test_a_plan_obeys_physics_and_limits() -> None:
+    current = np.array([0.05, 0.02, 0.0])
+    plan = PLANNER.plan(request(AT_A, B, current=current))
+    found = plan.trajectory
+    assert found is not None
+    assert found.solved
+    assert plan.complete
+    dt = float(found.t_s[1])
+    for k in range(len(found.thrust_n)):
+        assert np.allclose(fine_end(found.x[k], found.thrust_n[k], dt, current), found.x[k + 1], atol=2e-3)
+    assert np.hypot(found.x[:, 4], found.x[:, 5]).max() < 0.5 + 1e-6
+    assert np.abs(found.thrust_n).max() < 12.0 + 1e-6
+    for cx, cy in ((-0.625, -0.625), (0.9375, 0.0)):
+        assert np.hypot(found.x[:, 0] - cx, found.x[:, 1] - cy).min() > 0.16 + 0.32 - 1e-4
+    assert np.linalg.norm(found.x[-1, :3] - B.pos_ned_m) < 0.3
+    watt = 12.0 + 1.2 * ((found.thrust_n**2 + 1e-4) ** 0.75).sum(axis=1)
+    assert found.energy_j == pytest.approx(float(watt.sum()) * dt, rel=1e-6)
+    assert plan.energy_j == found.energy_j
+    assert plan.eta_s == pytest.approx(found.t_s[-1])
+
+
+def test_a_long_leg_in_still_water_is_near_the_closed_form() -> None:
+    to = goal(20.0, 0.0, 0.45, None)
+    plan = PLANNER.plan(request(np.array([0.0, 0.0, 0.45, 0, 0, 0, 0, 0]), to, Fence()))
+    speed = np.linspace(0.05, 0.5, 500)
+    drag = 0.5 * (4.0 + 30.0 * speed) * speed
+    expected = 19.7 * float(((12.0 + 1.2 * (2.0 * drag**1.5 + 0.6**1.5)) / speed).min())
+    assert plan.trajectory is not None
+    assert plan.trajectory.solved
+    assert plan.energy_j == pytest.approx(expected, rel=0.03)
+
+
+def test_a_goal_that_no_way_reaches_is_an_answer() -> None:
+    away = replace(B, pos_ned_m=np.array([9.0, 0.0, 0.3]))
+    plan = PLANNER.plan(request(AT_A, away))
+    assert plan.trajectory is None
+    assert math.isinf(plan.energy_j)
+
+
+def test_answers_come_after_a_counted_number_of_steps() -> None:
+    plan = Plan(goal=B, trajectory=None, energy_j=1.0, eta_s=1.0, complete=True)
+    asked = request(AT_A, B)
+    desk = PlanningDesk(lambda _: plan)
+    desk.submit(3, asked)
+    assert [desk.poll(step) is not None for step in range(4, 3 + ANSWER_STEPS + 2)] == [False] * (ANSWER_STEPS - 1) + [
+        True,
+        False,
+    ]
+    gate = Event()
+
+    def slow(_: Request) -> Plan:
+        gate.wait(10.0)
+        return plan
+
+    with ThreadPoolExecutor(1) as executor:
+        hasty = PlanningDesk(slow, executor, patient=False)
+        hasty.submit(0, asked)
+        assert hasty.poll(ANSWER_STEPS) is None
+        assert hasty.poll(ANSWER_STEPS + 1) is None
+        assert hasty.late == 1
+        gate.set()
+        patient = PlanningDesk(slow, executor)
+        patient.submit(0, asked)
+        assert patient.poll(ANSWER_STEPS) == (asked, plan)
+
+
+def test_the_clock_of_a_track_waits_for_the_vehicle_and_settles_at_the_goal() -> None:
+    trajectory = PLANNER.plan(request(AT_A, B)).trajectory
+    assert trajectory is not None
+    track = Track(trajectory, B, complete=True)
+    for _ in range(20):
+        track.advance(0.05, AT_A)
+    assert 0.3 <= track.clock_s < 0.8
+    track.locate(trajectory.x[24], float(trajectory.t_s[24]))
+    assert track.clock_s == pytest.approx(trajectory.t_s[24], abs=0.06)
+    x, _ = track.sample(np.linspace(0.0, 30.0, 31), np.zeros(3))
+    assert np.allclose(x[-1, :3], B.pos_ned_m, atol=1e-3)
+    assert abs(x[-1, 4]) + abs(x[-1, 5]) < 1e-3
+    rest = shifted(trajectory, float(trajectory.t_s[10]), trajectory.x[10])
+    assert np.allclose(rest.x[0], trajectory.x[10])
+    assert rest.t_s[-1] == pytest.approx(trajectory.t_s[-1] - trajectory.t_s[10])
+
+
+def test_energy_mode_rides_the_jet() -> None:
+    joules = []
+    there, back = replace(B, following=A), replace(A, following=B)
+    for cost in (0, 1):
+        field = MappedCurrent(PointwiseField(lambda p, _: tuple(jet(np.array(p)).tolist())))
+        flight = fly(
+            MotionController(VEHICLE, currents=field),
+            [there, back],
+            AT_A.tolist(),
+            params=ParamSet({"MPC_COST": cost}),
+            current=jet,
+            current_lag_s=0.05,
+        )
+        assert len(flight.reached_s) == 2
+        assert flight.pillar_distance_m() > 0.46
+        assert flight.wall_distance_m() > 0.3
+        joules.append(float((12.0 + 1.2 * ((flight.thrust_n**2 + 1e-4) ** 0.75).sum(axis=1)).sum()) * 0.05)
+    assert joules[1] < 0.7 * joules[0]
