@@ -24,6 +24,7 @@ from autopilot.core.messages import (
     ModeState,
     NavState,
     NmpcStatus,
+    ObstacleTrack,
     PoseSample,
     PowerSample,
     ThrusterCommand,
@@ -81,6 +82,7 @@ _input_tick = layout("autopilot_msgs/InputTick").packer.pack
 _ahrs_raw = layout("autopilot_msgs/AhrsRaw").packer.pack
 _imu = layout("sensor_msgs/Imu").packer.pack
 _pose_fix = layout("autopilot_msgs/PoseFix").packer.pack
+_obstacle_track = layout("autopilot_msgs/ObstacleTrack").packer.pack
 _laser_raw = layout("autopilot_msgs/LaserRaw").packer.pack
 _range = layout("sensor_msgs/Range").packer.pack
 _power_raw = layout("autopilot_msgs/PowerRaw").packer.pack
@@ -333,6 +335,19 @@ def laser_range(stamp_ns: int, sample: LaserSample) -> bytes:
     """sensor_msgs/Range of the same sample, for viewers."""
     variance = sample.sigma_m * sample.sigma_m
     return _range(ENCAPSULATION, *divmod(stamp_ns, _NS), *_FRD, 1, 0.0, 0.0, math.inf, sample.range_m, variance)
+
+
+def obstacle_track(stamp_ns: int, track: ObstacleTrack) -> bytes:
+    """ObstacleTrack."""
+    return _obstacle_track(
+        ENCAPSULATION,
+        *divmod(stamp_ns, _NS),
+        *_NED,
+        *track.pos_ned_m.tolist(),
+        *track.vel_ned_m_s.tolist(),
+        track.radius_m,
+        _clip(track.track_id, _UINT32),
+    )
 
 
 def power_raw(stamp_ns: int, sample: PowerSample) -> bytes:

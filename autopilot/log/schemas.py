@@ -143,6 +143,13 @@ std_msgs/Header header
 float64 range_m
 float64 sigma_m
 """,
+    "autopilot_msgs/ObstacleTrack": """
+std_msgs/Header header
+float64[2] pos_ned_m
+float64[2] vel_ned_m_s
+float64 radius_m
+uint32 track_id
+""",
     "autopilot_msgs/PowerRaw": """
 std_msgs/Header header
 float64 voltage_v

@@ -19,6 +19,7 @@ from autopilot.core.messages import (
     MarkerSighting,
     MavlinkFrame,
     NavState,
+    ObstacleTrack,
     Outputs,
     PoseSample,
     PowerSample,
@@ -225,6 +226,8 @@ class RunLog:
             case LaserSample():
                 self._write("/in/laser_raw", t_us, packing.laser_raw(stamp_ns, sample))
                 self._write("/in/laser", t_us, packing.laser_range(stamp_ns, sample))
+            case ObstacleTrack():
+                self._write("/in/tracks", t_us, packing.obstacle_track(stamp_ns, sample))
             case PowerSample():
                 self._write("/in/power_raw", t_us, packing.power_raw(stamp_ns, sample))
                 self._write("/in/power", t_us, visuals.battery_state(stamp_ns, sample))

@@ -29,6 +29,7 @@ TOPICS: dict[str, str] = {
     "/in/pose": "autopilot_msgs/PoseFix",
     "/in/laser": "sensor_msgs/Range",
     "/in/laser_raw": "autopilot_msgs/LaserRaw",
+    "/in/tracks": "autopilot_msgs/ObstacleTrack",
     "/in/power": "sensor_msgs/BatteryState",
     "/in/power_raw": "autopilot_msgs/PowerRaw",
     "/in/mavlink": "autopilot_msgs/MavlinkFrame",

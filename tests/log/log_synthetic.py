@@ -26,6 +26,7 @@ from autopilot.core.messages import (
     NavHealth,
     NavState,
     NmpcStatus,
+    ObstacleTrack,
     Outputs,
     PoseSample,
     PowerSample,
@@ -214,10 +215,13 @@ def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
         sigma_yaw_rad=0.0026,
     )
     laser = LaserSample(t_us=t_us - 60_000, range_m=1.1, sigma_m=0.005)
+    track = ObstacleTrack(
+        t_us=t_us - 100_000, track_id=3, pos_ned_m=np.array([1.0, 2.0]), vel_ned_m_s=np.array([0.1, 0.0]), radius_m=0.2
+    )
     power = PowerSample(t_us=t_us, voltage_v=18.9, current_a=2.5, energy_used_j=t_us * 3e-5, remaining=0.99)
     frame = MavlinkFrame(link=0, data=heartbeat(t_us // STEP_US))
     return Inputs(
-        t_us=t_us, samples=(ahrs, sighting, fix, laser, power), mavlink_rx=(frame,), overruns=2, cpu_load=0.25
+        t_us=t_us, samples=(ahrs, sighting, fix, laser, track, power), mavlink_rx=(frame,), overruns=2, cpu_load=0.25
     )
 
 

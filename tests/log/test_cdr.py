@@ -28,6 +28,7 @@ from autopilot.core.messages import (
     NavHealth,
     NavState,
     NmpcStatus,
+    ObstacleTrack,
     PoseSample,
     PowerSample,
     ProgressState,
@@ -240,6 +241,11 @@ def test_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> No
     read = read_back("autopilot_msgs/LaserRaw", packing.laser_raw(stamp, laser))
     assert (read.range_m, read.sigma_m) == (x, y)
     assert read_back("sensor_msgs/Range", packing.laser_range(stamp, laser)).range == np.float32(x)
+    track = ObstacleTrack(t_us=0, track_id=7, pos_ned_m=v[:2], vel_ned_m_s=-v[:2], radius_m=x)
+    read = read_back("autopilot_msgs/ObstacleTrack", packing.obstacle_track(stamp, track))
+    np.testing.assert_array_equal(read.pos_ned_m, v[:2])
+    np.testing.assert_array_equal(read.vel_ned_m_s, -v[:2])
+    assert (read.radius_m, read.track_id) == (x, 7)
     power = PowerSample(t_us=0, voltage_v=x, current_a=y, energy_used_j=x, remaining=0.5)
     read = read_back("autopilot_msgs/PowerRaw", packing.power_raw(stamp, power))
     assert (read.voltage_v, read.current_a, read.energy_used_j, read.remaining) == (x, y, x, 0.5)
