@@ -108,7 +108,7 @@ def _bars(results: Sequence[RunResult], flown: Sequence[RunResult]) -> list[Bar]
     at_all = [result for result in flown if result.broken]
     note = _which(at_all) or ("goal" if strict else "")
     bars.append(Bar(name="a bound broken at all", bar="goal: no run", value=str(len(at_all)), held=None, note=note))
-    bars.append(_tube(flown))
+    bars.append(_tube(flown, strict))
     failures = sum(result.failed for result in results)
     if count:
         bound = failure_bound(failures, count)
@@ -127,7 +127,7 @@ def _which(runs: Sequence[RunResult]) -> str:
     return f"runs {shown}{', ...' if len(runs) > 12 else ''}" if runs else ""
 
 
-def _tube(flown: Sequence[RunResult]) -> Bar:
+def _tube(flown: Sequence[RunResult], strict: bool) -> Bar:
     name, bar = f"nodes up to {AHEAD_S[TUBE_BAR]:g} s ahead inside the announced tube", f">= {TUBE_SHARE:.1%}"
     shares = np.array([result.tube_shares for result in flown if len(result.tube_shares) == len(AHEAD_S)])
     if not len(shares):
@@ -136,7 +136,8 @@ def _tube(flown: Sequence[RunResult]) -> Bar:
     reach = [f"up to {ahead_s:g} s" if math.isfinite(ahead_s) else "of all" for ahead_s in AHEAD_S]
     other = [f"{share:.2%} {words}" for words, share in zip(reach, mean.tolist(), strict=True)]
     value = float(mean[TUBE_BAR])
-    return Bar(name=name, bar=bar, value=f"{value:.3%}", held=value >= TUBE_SHARE, note=", ".join(other))
+    held = value >= TUBE_SHARE if strict else None
+    return Bar(name=name, bar=bar if strict else "", value=f"{value:.3%}", held=held, note=", ".join(other))
 
 
 def _margins(flown: Sequence[RunResult]) -> list[Spreadout]:
