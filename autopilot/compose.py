@@ -1,6 +1,7 @@
 """The composition root: puts the service and, for SITL, its simulated world together."""
 
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,9 @@ from autopilot.commander import Commander
 from autopilot.control.allocation import Allocation
 from autopilot.control.controller import MotionController
 from autopilot.control.currents import CurrentForecast
+from autopilot.control.energy.desk import PlanningDesk
+from autopilot.control.energy.power import PowerModel
+from autopilot.control.energy.search import EnergyPlanner
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSet
@@ -45,6 +49,8 @@ class ServiceSetup:
     """Number of MAVLink links that are open from the start."""
     patience: float
     """How much faster than a client's clock this service's time may run (plan transfers wait so much longer)."""
+    waits_for_plans: bool
+    """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
 
 
 MAX_SYSTEM_ID = 254
@@ -77,7 +83,10 @@ def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
     """The service and its parts (the runtime needs some of them for persistence and the log)."""
     params, vehicle = setup.params, setup.vehicle
     plans = Plans(params, vehicle.radius_m, setup.origin, setup.water)
-    controller = MotionController(vehicle, currents=setup.currents)
+    energy = EnergyPlanner(vehicle.model4.to_model(), PowerModel.of(vehicle))
+    beside = ThreadPoolExecutor(1, thread_name_prefix="planner")
+    desk = PlanningDesk(energy.plan, beside, patient=setup.waits_for_plans)
+    controller = MotionController(vehicle, currents=setup.currents, desk=desk)
     check = MarginCheck(controller.margins, vehicle, params, plans)
     commander = Commander(vehicle, params, plans, controller_check=check)
     parts = Parts(

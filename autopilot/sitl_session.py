@@ -240,6 +240,7 @@ def _service(
             water=None if world.water is None else MapCheck(world.water, params, world.origin),
             links=links,
             patience=FASTEST if world.speed == 0.0 else max(1.0, world.speed),
+            waits_for_plans=world.speed == 0.0,
         )
     )
 

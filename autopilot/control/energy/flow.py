@@ -6,9 +6,9 @@ the answer.
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
 
 from autopilot.control.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
@@ -85,6 +85,13 @@ def sample_flow(forecast: CurrentForecast, nav: NavState, area: Area, depth_m: f
     return FlowSamples(north_m=axes[0], east_m=axes[1], current_ned_m_s=out.reshape(*north.shape, 3))
 
 
+def _spline(samples: FlowSamples, axis: int) -> Any:
+    # Imported here: a controller that never plans by energy starts without it.
+    from scipy.interpolate import RectBivariateSpline
+
+    return RectBivariateSpline(samples.north_m, samples.east_m, samples.current_ned_m_s[..., axis])
+
+
 class Flow:
     """Current and its gradient anywhere; beyond the samples as at their border."""
 
@@ -93,11 +100,7 @@ class Flow:
         self._mean: FloatArray = values.reshape(-1, 3).mean(axis=0)
         self.uniform = bool(np.abs(values - self._mean).max() < UNIFORM_M_S)
         """The same everywhere."""
-        self._splines = (
-            ()
-            if self.uniform
-            else tuple(RectBivariateSpline(samples.north_m, samples.east_m, values[..., i]) for i in range(2))
-        )
+        self._splines = () if self.uniform else tuple(_spline(samples, i) for i in range(2))
 
     def current(self, places_ned_m: FloatArray) -> FloatArray:
         """(m, 3) at places (m, 2)."""
