@@ -26,7 +26,7 @@ static const double FEASIBILITY = 1e-9;     /* largest residual of a row that is
 static const double STATIONARITY = 1e-6;    /* largest residual of a gradient with respect to thrust or slack */
 static const double TO_BOUNDARY = 0.995;
 static const double START_PRODUCT = 30.0, START_DISTANCE_N = 0.5, START_SLACK = 0.02; /* of few iterations */
-static const double LOOSER = 1e3; /* what is left when the iterations are used up may be this much larger */
+static const double LOOSER = 1e3; /* what is left when iterations or digits are used up may be this much larger */
 
 typedef struct {
     long n;
@@ -234,44 +234,43 @@ static double residuals(const Task *task, Stage *st, double *worst_row, double *
     return sum / (double)(USED * n - (USED - 2 * NU));
 }
 
-/* Hessian of a stage in states and thrust with all inequalities and slacks folded in: added to q (8 x 8) and r. */
-static void fold(Stage *st, double q[NX][NX]) {
-    const double *w = st->w;
-    double xx = 0.0, xy = 0.0, yy = 0.0, bx = 0.0, by = 0.0, sum = 0.0;
-    for (int i = 0; i < PLANES; i++) {
-        const double a = w[PLANE + i] * st->nx[i], b = w[PLANE + i] * st->ny[i];
-        xx += a * st->nx[i];
-        xy += a * st->ny[i];
-        yy += b * st->ny[i];
-        bx += a;
-        by += b;
-        sum += w[PLANE + i];
+/* What `count` rows c (weights w) that share a slack of Hessian h0 add to q (their `size` states begin at `first`), and
+ * their coupling b with the slack. Sum w c c' - b b' / (h0 + sum w), written about the mean row so that nothing cancels.
+ * Returns h0 + sum w. */
+static inline double fold_slack(
+    int count, int size, const double *c, const double *w, double h0, int first, double q[NX][NX], double *b) {
+    double sum = 0.0, mean[4];
+    for (int j = 0; j < size; j++) b[j] = 0.0;
+    for (int i = 0; i < count; i++) {
+        sum += w[i];
+        for (int j = 0; j < size; j++) b[j] += w[i] * c[size * i + j];
     }
-    st->hs[OF_PLACES] = st->l2 + w[SLACK + OF_PLACES] + w[DEPTH] + sum;
-    st->hs[OF_SPEEDS] = st->l2 + w[SLACK + OF_SPEEDS] + w[SPEED] + w[HEAVE] + w[TURN];
-    st->b1[0] = bx;
-    st->b1[1] = by;
-    st->b1[2] = st->sign_z * w[DEPTH];
-    st->b0[0] = st->cu * w[SPEED];
-    st->b0[1] = st->cv * w[SPEED];
-    st->b0[2] = st->sign_w * w[HEAVE];
-    st->b0[3] = st->sign_r * w[TURN];
-    const double i1 = 1.0 / st->hs[OF_PLACES], i0 = 1.0 / st->hs[OF_SPEEDS];
-    q[0][0] += xx;
-    q[0][1] += xy;
-    q[1][0] += xy;
-    q[1][1] += yy;
-    q[2][2] += w[DEPTH];
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) q[i][j] -= st->b1[i] * st->b1[j] * i1;
-    q[4][4] += st->cu * st->b0[0];
-    q[4][5] += st->cv * st->b0[0];
-    q[5][4] += st->cv * st->b0[0];
-    q[5][5] += st->cv * st->b0[1];
-    q[6][6] += w[HEAVE];
-    q[7][7] += w[TURN];
-    for (int i = 0; i < 4; i++)
-        for (int j = 0; j < 4; j++) q[4 + i][4 + j] -= st->b0[i] * st->b0[j] * i0;
+    for (int j = 0; j < size; j++) mean[j] = b[j] / sum;
+    const double share = sum * (h0 / (h0 + sum));
+    for (int j = 0; j < size; j++)
+        for (int l = 0; l <= j; l++) {
+            double v = share * mean[j] * mean[l];
+            for (int i = 0; i < count; i++) v += w[i] * (c[size * i + j] - mean[j]) * (c[size * i + l] - mean[l]);
+            q[first + j][first + l] += v;
+            if (l < j) q[first + l][first + j] += v;
+        }
+    return h0 + sum;
+}
+
+/* Inequalities and slacks of a stage folded into the Hessian q of its state. */
+static void fold(Stage *st, double q[NX][NX]) {
+    double c[PLANES + 1][3];
+    for (int i = 0; i < PLANES; i++) {
+        c[i][0] = st->nx[i];
+        c[i][1] = st->ny[i];
+        c[i][2] = 0.0;
+    }
+    c[PLANES][0] = c[PLANES][1] = 0.0;
+    c[PLANES][2] = st->sign_z;
+    const double speeds[3][4] = {{st->cu, st->cv, 0.0, 0.0}, {0.0, 0.0, st->sign_w, 0.0}, {0.0, 0.0, 0.0, st->sign_r}};
+    const double *w = st->w;
+    st->hs[OF_PLACES] = fold_slack(PLANES + 1, 3, &c[0][0], w + PLANE, st->l2 + w[SLACK + OF_PLACES], 0, q, st->b1);
+    st->hs[OF_SPEEDS] = fold_slack(3, 4, &speeds[0][0], w + SPEED, st->l2 + w[SLACK + OF_SPEEDS], 4, q, st->b0);
 }
 
 /* Riccati recursion: gains of every stage. Returns 0 when a pivot is not positive. */
@@ -335,6 +334,8 @@ static int factorise(const Task *task, Stage *st) {
         for (int i = 0; i < NU; i++)
             for (int r = 0; r < NX; r++)
                 for (int c = 0; c < NX; c++) p[r][c] -= y[i][r] * y[i][c];
+        for (int r = 0; r < NX; r++)
+            for (int c = 0; c < r; c++) p[r][c] = p[c][r] = 0.5 * (p[r][c] + p[c][r]);
     }
     return 1;
 }
@@ -555,16 +556,14 @@ void control_step(const Task *task) {
         double row = 0.0, product = 0.0;
         if (iteration > 0) dynamics_residual(task, st, gap);
         const double mu = residuals(task, st, &row, &product);
-        const double slack = iteration < MAX_ITERATIONS ? 1.0 : LOOSER;
         terminal_gradient_at(task, st[n].x, gradient);
         if (!(mu < 1e300)) break;
-        if (product < slack * COMPLEMENTARITY && row < slack * FEASIBILITY &&
-            largest_gap(task, st) < slack * FEASIBILITY && stationarity(task, st, gradient) < slack * STATIONARITY) {
-            unsolved = 0.0;
+        double left = fmax(product / COMPLEMENTARITY, fmax(row, largest_gap(task, st)) / FEASIBILITY);
+        if (left < LOOSER) left = fmax(left, stationarity(task, st, gradient) / STATIONARITY);
+        if (left < 1.0 || iteration == MAX_ITERATIONS || !factorise(task, st)) {
+            if (left < LOOSER) unsolved = 0.0;
             break;
         }
-        if (iteration == MAX_ITERATIONS) break;
-        if (!factorise(task, st)) break;
         for (long k = 0; k < n; k++)
             for (int i = 0; i < NI; i++) st[k].eff[i] = st[k].w[i] * st[k].rp[i];
         solve(task, st, gradient);
