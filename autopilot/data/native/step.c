@@ -20,11 +20,12 @@ enum { UPPER = 0, LOWER = 4, PLANE = 8, DEPTH = 16, SPEED = 17, HEAVE = 18, TURN
 enum { OF_SPEEDS = 0, OF_PLACES = 1 };
 
 static const double SPEED_EPSILON_M_S = 0.02;
-static const int MAX_ITERATIONS = 60;
+static const int MAX_ITERATIONS = 30;
+static const double WIDER = 10.0; /* the second start */
 static const double COMPLEMENTARITY = 1e-7; /* largest product of a multiplier and its distance that is left */
 static const double FEASIBILITY = 1e-9;     /* largest residual of a row that is left */
 static const double STATIONARITY = 1e-6;    /* largest residual of a gradient with respect to thrust or slack */
-static const double TO_BOUNDARY = 0.995;
+static const double TO_BOUNDARY = 0.995, SHORT_STEP = 0.1;
 static const double START_PRODUCT = 30.0, START_DISTANCE_N = 0.5, START_SLACK = 0.02; /* of few iterations */
 static const double LOOSER = 1e3; /* what is left when iterations or digits are used up may be this much larger */
 
@@ -183,19 +184,19 @@ static void prepare(const Task *task, Stage *st) {
 }
 
 /* A start inside all bounds: thrusts a little away from theirs, slacks as large as the guess needs them. */
-static void start(const Task *task, Stage *st) {
-    const double mu = START_PRODUCT;
+static void start(const Task *task, Stage *st, double wider) {
+    const double mu = START_PRODUCT * wider, distance_n = START_DISTANCE_N * wider, slack = START_SLACK * wider;
     for (long k = 0; k < task->n; k++, st++) {
         for (int i = 0; i < 2 * NU; i++) {
-            st->t[i] = fmax(st->h[i], START_DISTANCE_N);
+            st->t[i] = fmax(st->h[i], distance_n);
             st->lam[i] = mu / st->t[i];
         }
         if (k == 0) continue;
-        st->s[OF_PLACES] = st->s[OF_SPEEDS] = START_SLACK;
+        st->s[OF_PLACES] = st->s[OF_SPEEDS] = slack;
         for (int i = PLANE; i <= DEPTH; i++) st->s[OF_PLACES] = fmax(st->s[OF_PLACES], -st->h[i]);
         for (int i = SPEED; i <= TURN; i++) st->s[OF_SPEEDS] = fmax(st->s[OF_SPEEDS], -st->h[i]);
         for (int i = PLANE; i <= TURN; i++) {
-            st->t[i] = fmax(st->h[i] + st->s[i <= DEPTH ? OF_PLACES : OF_SPEEDS], START_SLACK);
+            st->t[i] = fmax(st->h[i] + st->s[i <= DEPTH ? OF_PLACES : OF_SPEEDS], slack);
             st->lam[i] = mu / st->t[i];
         }
         for (int j = 0; j < 2; j++) {
@@ -540,17 +541,15 @@ static void write_out(const Task *task, const Stage *st, double gap_max, int ite
     memcpy(task->figures, figures, sizeof figures);
 }
 
-/* The step. Figures 6 and 7 are the iterations and what is left unsolved (0 = converged, else 1). */
-void control_step(const Task *task) {
-    Stage *st = (Stage *)task->work;
+/* Interior point iterations from a start. Returns their number; `unsolved` becomes 0 if they converge. */
+static int iterate(const Task *task, Stage *st, const double *gap, double wider, double *unsolved) {
     const long n = task->n;
-    double gap_max = 0.0, gradient[NX], unsolved = 1.0;
-    linearise(task, st, &gap_max);
+    double gradient[NX];
     prepare(task, st);
     memset(st[n].x, 0, sizeof st[n].x);
-    double *gap = (double *)(st + n + 1);
-    for (long k = 0; k < n; k++) memcpy(gap + NX * k, st[k].e, NX * sizeof(double));
-    start(task, st);
+    start(task, st, wider);
+    dynamics_residual(task, st, gap);
+    double last_alpha = 1.0;
     int iteration = 0;
     for (;; iteration++) {
         double row = 0.0, product = 0.0;
@@ -561,7 +560,7 @@ void control_step(const Task *task) {
         double left = fmax(product / COMPLEMENTARITY, fmax(row, largest_gap(task, st)) / FEASIBILITY);
         if (left < LOOSER) left = fmax(left, stationarity(task, st, gradient) / STATIONARITY);
         if (left < 1.0 || iteration == MAX_ITERATIONS || !factorise(task, st)) {
-            if (left < LOOSER) unsolved = 0.0;
+            if (left < LOOSER) *unsolved = 0.0;
             break;
         }
         for (long k = 0; k < n; k++)
@@ -577,12 +576,14 @@ void control_step(const Task *task) {
                 total[i] += (st[k].t[i] + primal * st[k].dt[i]) * (st[k].lam[i] + dual * st[k].dl[i]);
         for (int i = 0; i < NI; i++) affine += total[i];
         affine /= (double)(USED * n - (USED - 2 * NU));
-        const double share = affine / mu, target = mu * share * share * share;
+        /* After a short step the products are too uneven for the second-order term: go for the centre first. */
+        const int stuck = last_alpha < SHORT_STEP;
+        const double share = affine / mu, target = stuck ? 0.5 * mu : mu * share * share * share;
         for (long k = 0; k < n; k++) {
             Stage *a = st + k;
             const int used = k == 0 ? PLANE : NI;
             for (int i = 0; i < used; i++) {
-                const double centre = i < USED ? target - a->dt[i] * a->dl[i] : 0.0;
+                const double centre = i < USED ? target - (stuck ? 0.0 : a->dt[i] * a->dl[i]) : 0.0;
                 a->eff[i] = a->w[i] * a->rp[i] + centre * a->inv[i];
             }
         }
@@ -590,6 +591,7 @@ void control_step(const Task *task) {
         reach(task, st, &primal, &dual);
         const double both = primal < dual ? primal : dual;
         const double alpha = TO_BOUNDARY * both < 1.0 ? TO_BOUNDARY * both : 1.0;
+        last_alpha = alpha;
         for (long k = 0; k <= n; k++) {
             Stage *a = st + k;
             for (int i = 0; i < NX; i++) a->x[i] += alpha * a->dx[i];
@@ -602,5 +604,18 @@ void control_step(const Task *task) {
             }
         }
     }
-    write_out(task, st, gap_max, iteration, unsolved);
+    return iteration;
+}
+
+/* The step. Figures 6 and 7 are the iterations and what is left unsolved (0 = converged, else 1). A start that leads
+ * nowhere is followed by one farther inside. */
+void control_step(const Task *task) {
+    Stage *st = (Stage *)task->work;
+    double gap_max = 0.0, unsolved = 1.0;
+    double *gap = (double *)(st + task->n + 1);
+    linearise(task, st, &gap_max);
+    for (long k = 0; k < task->n; k++) memcpy(gap + NX * k, st[k].e, NX * sizeof(double));
+    int iterations = iterate(task, st, gap, 1.0, &unsolved);
+    if (unsolved > 0.0) iterations += iterate(task, st, gap, WIDER, &unsolved);
+    write_out(task, st, gap_max, iterations, unsolved);
 }
