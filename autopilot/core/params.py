@@ -54,7 +54,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _int("FS_SOLVER_N", 40, 5, 1000, "NMPC steps in a row without a solution before the solver failsafe acts."),
     _int("MPC_COST", 0, 0, 1, "What the controller minimises: 0 = distance and effort at cruise speed, 1 = energy."),
     _real("MPC_MARGIN", 0.03, 0.0, 1.0, "m", "Distance that the controller keeps beyond the body radius at least."),
-    _real("MPC_SPEED_MARGIN", 0.02, 0.0, 0.5, "m/s", "Kept free below the planar speed limit at least."),
+    _real("MPC_SPEED_MARGIN", 0.08, 0.0, 0.5, "m/s", "Kept free below the planar speed limit at least."),
     _real("MPC_Q_POS", 20.0, 0.0, 1e4, "", "NMPC weight on planar position error."),
     _real("MPC_Q_YAW", 3.0, 0.0, 1e4, "", "NMPC weight on heading error."),
     _real("MPC_Q_Z", 40.0, 0.0, 1e4, "", "NMPC weight on depth error."),

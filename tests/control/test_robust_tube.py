@@ -163,9 +163,10 @@ def test_tube_table_is_the_stationary_covariance() -> None:
 
 def test_margins_follow_estimate_and_bounds() -> None:
     x, thrust = cruise(0.35)
-    perfect = MARGINS.back_offs(nav_with(), x, thrust, ParamSet())
+    low_floor = ParamSet({"MPC_SPEED_MARGIN": 0.02})
+    perfect = MARGINS.back_offs(nav_with(), x, thrust, low_floor)
     sigmas = np.array([0.01, 0.01, 0.005, 0.01, 0.01, 0.01, 0.04, 0.04, 0.02, 0.05, 0.05, 0.02])
-    worse = MARGINS.back_offs(nav_with(sigmas), x, thrust, ParamSet())
+    worse = MARGINS.back_offs(nav_with(sigmas), x, thrust, low_floor)
     assert 0.015 < perfect.clearance_m[-1] < 0.035, "small with perfect knowledge"
     for name in ("clearance_m", "depth_m", "planar_speed_m_s", "heave_m_s"):
         assert (getattr(worse, name) > getattr(perfect, name)).all(), name
