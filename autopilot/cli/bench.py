@@ -6,16 +6,18 @@ import click
 
 from autopilot.cli.output import emit_json, print_table
 
-NAMES = ("nmpc", "sitl", "estimator", "pockets")
-LONG = ("estimator", "pockets")
+NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy")
+LONG = ("estimator", "pockets", "energy")
 """Short when all are run."""
 
 
 @click.command()
 @click.argument("name", type=click.Choice(NAMES), required=False)
 @click.option("--short", is_flag=True, help="Fewer samples, for a quick look.")
+@click.option("--recompute", is_flag=True, help="energy: compute the optima anew first (minutes).")
+@click.option("--figures", type=click.Path(file_okay=False), help="energy: write its figures into this folder.")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
-def bench(name: str | None, short: bool, as_json: bool) -> None:
+def bench(name: str | None, short: bool, recompute: bool, figures: str | None, as_json: bool) -> None:
     """Run the benchmark NAME, or all.
 
     nmpc: CPU time of one control step for several grids, beside IPOPT and fatrop on the same problems in the same run;
@@ -25,16 +27,22 @@ def bench(name: str | None, short: bool, as_json: bool) -> None:
     what the project asks for; 20 seeds take ten minutes, 3 (--short, or when no NAME is given) one and a half.
     pockets: goals behind pockets, cylinders on the line and staggered gaps, reached from 60 starts each (five minutes;
     6 starts with --short, or when no NAME is given).
+    energy: energy of closed loops beside the offline optimum (known flow; estimated flow and a wrong model) and
+    beside rivals; a quarter of an hour, one minute with --short, or when no NAME is given.
 
     Times depend on the machine and on what else it does: each table says how slow the machine is just now.
     """
+    if (recompute or figures is not None) and name != "energy":
+        raise click.UsageError("--recompute and --figures belong to the benchmark energy")
+    if recompute:
+        _recompute()
     chosen = NAMES if name is None else (name,)
     results: dict[str, object] = {}
     for each in chosen:
         slow = _slowness()
-        rows = {"nmpc": _nmpc, "sitl": _sitl, "estimator": _estimator, "pockets": _pockets}[each](
-            short or (each in LONG and name is None)
-        )
+        brief = short or (each in LONG and name is None)
+        runs = {"nmpc": _nmpc, "sitl": _sitl, "estimator": _estimator, "pockets": _pockets}
+        rows = _energy(brief, figures) if each == "energy" else runs[each](brief)
         slow = 0.5 * (slow + _slowness())
         results[each] = {"machine_slowness": slow, "rows": rows}
         if not as_json:
@@ -76,10 +84,29 @@ def _pockets(short: bool) -> list[dict[str, object]]:
     return [asdict(row) for row in bench_pockets(SHORT_STARTS if short else STARTS)]
 
 
+def _recompute() -> None:
+    from autopilot.bench.energy.record import recompute, save_records
+
+    save_records(recompute(lambda line: click.echo(line, err=True)))
+
+
+def _energy(short: bool, figures: str | None) -> list[dict[str, object]]:
+    from autopilot.bench.energy.bench import bench_energy
+
+    result = bench_energy(short, lambda line: click.echo(line, err=True))
+    if figures is not None:
+        from autopilot.bench.energy.figures import draw
+
+        for path in draw(result.flights, figures):
+            click.echo(path, err=True)
+    return [asdict(row) for row in result.rows]
+
+
 TITLES = {
     "nmpc": "One control step, CPU time; normal_ms = the median at the reference speed, bar and goal are for that",
     "sitl": "The paper's mission with its log; speed = simulated over wall time, asked = what the project asks for",
     "estimator": "Estimate against truth in the paper's tank, rms unless said otherwise; worst = of one seed",
+    "energy": "Energy per lap against the optimum, or against the rival; bar = what the project asks for at most",
     "pockets": "Local minima: goals reached in closed loop; nearest_m = clearance beyond the body radius",
 }
 
