@@ -7,13 +7,13 @@ changes, and not at all while the straight line is free.
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from autopilot.control.obstacles import Features
+from autopilot.control.shortest import lengths_from
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 
@@ -52,6 +52,9 @@ BAND_ITERATIONS = 25
 SETTLE_ITERATIONS = 3
 """Steps by which a place finds the middle of a door: each brings it away from the nearer side."""
 
+Edges: TypeAlias = tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]
+"""From, to, length [m]."""
+
 _OFFSETS = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 
 
@@ -62,11 +65,11 @@ class _Grid:
     origin_m: FloatArray
     cell_m: float
     shape: tuple[int, int]
-    node_of_cell: FloatArray
+    node_of_cell: NDArray[np.intp]
     """(rows * columns,) node number, -1 where not free."""
     position_m: FloatArray
     """(nodes, 2)"""
-    graph: csr_matrix
+    edges: Edges
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -75,7 +78,7 @@ class _Field:
 
     goal_m: FloatArray
     distance_m: FloatArray
-    next_node: FloatArray
+    next_node: NDArray[np.int32]
     """(nodes,) the next node towards the goal."""
 
 
@@ -212,16 +215,16 @@ class _Look:
             free |= tight
         node_of_cell = np.full(len(centers), -1)
         node_of_cell[free] = np.arange(int(free.sum()))
-        graph = _connect(node_of_cell.reshape(shape), cell, int(free.sum()))
+        edges = _connect(node_of_cell.reshape(shape), cell)
         if tight.any():
-            graph = self._keep_clear(graph, centers[free], tight[free], cell)
+            edges = self._keep_clear(edges, centers[free], tight[free], cell)
         self._grid = _Grid(
             origin_m=low,
             cell_m=cell,
             shape=shape,
             node_of_cell=node_of_cell,
             position_m=centers[free],
-            graph=graph,
+            edges=edges,
         )
         self._field = None
         return self._grid
@@ -243,19 +246,18 @@ class _Look:
         result[cells[settled]] = True
         return result
 
-    def _keep_clear(self, graph: csr_matrix, places: FloatArray, tight: NDArray[np.bool_], cell_m: float) -> csr_matrix:
-        """The graph without long moves and without cut corners between places of tight cells."""
-        edges = graph.tocoo()
-        doubtful = tight[edges.row] | tight[edges.col]
+    def _keep_clear(self, edges: Edges, places: FloatArray, tight: NDArray[np.bool_], cell_m: float) -> Edges:
+        """The edges without long moves and without cut corners between places of tight cells."""
+        begin, end, length = edges
+        doubtful = tight[begin] | tight[end]
         keep = ~doubtful
-        look = np.flatnonzero(doubtful & (edges.data < 1.5 * cell_m))
-        a, b = places[edges.row[look]], places[edges.col[look]]
+        look = np.flatnonzero(doubtful & (length < 1.5 * cell_m))
+        a, b = places[begin[look]], places[end[look]]
         share = np.array([0.25, 0.5, 0.75])[:, None]
         between = (a[:, None] + share * (b - a)[:, None]).reshape(-1, 2)
         clear = self.features.clearance_up_to_m(between, self.radius_m).reshape(-1, 3).min(axis=1)
         keep[look] = clear >= self.radius_m - CHORD_LOSS_M
-        kept: csr_matrix = coo_matrix((edges.data[keep], (edges.row[keep], edges.col[keep])), graph.shape).tocsr()
-        return kept
+        return begin[keep], end[keep], length[keep]
 
     def _bounds(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
         corners = [start[None], goal[None]]
@@ -279,8 +281,8 @@ class _Look:
         node = int(separation.argmin())
         if separation[node] > GOAL_SNAP_M + grid.cell_m:
             return None
-        distance, previous = dijkstra(grid.graph, directed=True, indices=[node], return_predecessors=True)
-        self._field = _Field(goal_m=goal.copy(), distance_m=distance[0], next_node=previous[0])
+        distance, previous = lengths_from(node, *grid.edges, len(grid.position_m))
+        self._field = _Field(goal_m=goal.copy(), distance_m=distance, next_node=previous)
         return self._field
 
 
@@ -295,13 +297,13 @@ def _covers(grid: _Grid, point: FloatArray) -> bool:
     return bool((point >= grid.origin_m).all() and (point <= high).all())
 
 
-def _connect(node: FloatArray, cell_m: float, count: int) -> csr_matrix:
+def _connect(node: NDArray[np.intp], cell_m: float) -> Edges:
     """Edges between free cells (king's and knight's moves; a knight's move needs both cells that it passes)."""
     rows, columns, lengths = [], [], []
     padded = np.pad(node, 2, constant_values=-1)
     height, width = node.shape
 
-    def shifted(di: int, dj: int) -> FloatArray:
+    def shifted(di: int, dj: int) -> NDArray[np.intp]:
         return padded[2 + di : 2 + di + height, 2 + dj : 2 + dj + width]
 
     for di, dj in _OFFSETS:
@@ -321,5 +323,4 @@ def _connect(node: FloatArray, cell_m: float, count: int) -> csr_matrix:
         rows += [a, b]
         columns += [b, a]
         lengths.append(np.full(2 * len(a), cell_m * math.hypot(di, dj)))
-    matrix = coo_matrix((np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns))), (count, count))
-    return matrix.tocsr()
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(lengths)

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from autopilot.control.energy.flow import Area, Flow
 from autopilot.control.energy.power import SpeedTable, energy_per_metre
 from autopilot.control.obstacles import Features
+from autopilot.control.shortest import lengths_from
 from autopilot.core.frames import FloatArray
 
 MAX_CELLS = 6000
@@ -102,17 +101,15 @@ class EnergyField:
         if closed is not None:
             open_ = ~(closed[a] | closed[b])
             a, b, cost = a[open_], b[open_], cost[open_]
-        count = len(self.places_ned_m)
-        reversed_graph = csr_matrix((cost, (b, a)), shape=(count, count))
-        energy, nxt = dijkstra(reversed_graph, directed=True, indices=[node], return_predecessors=True)
-        return EnergyToGo(self, np.asarray(goal_ned_m, dtype=float), energy[0], nxt[0])
+        energy, following = lengths_from(node, b, a, cost, len(self.places_ned_m))
+        return EnergyToGo(self, np.asarray(goal_ned_m, dtype=float), energy, following)
 
 
 class EnergyToGo:
     """Joules to one goal from every free cell."""
 
     def __init__(
-        self, field: EnergyField, goal_ned_m: FloatArray, energy_j: FloatArray, next_node: NDArray[np.intp]
+        self, field: EnergyField, goal_ned_m: FloatArray, energy_j: FloatArray, next_node: NDArray[np.int32]
     ) -> None:
         self._field = field
         self._goal = goal_ned_m

