@@ -24,8 +24,8 @@ LONGEST_S = 90.0
 
 SUBSTEPS = (1, 2, 4)
 
-RADIUS_SHARE = 0.97
-YAW_SHARE = 0.9
+RADIUS_SHARE = 0.98
+YAW_SHARE = 0.96
 """Shares of the acceptance region that a trajectory aims at, so that it is surely reached in spite of small errors."""
 
 GATE_RADIUS_M = 1.0
