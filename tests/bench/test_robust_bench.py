@@ -17,7 +17,7 @@ VEHICLE = load_vehicle("lbv150")
 
 
 def test_tube_table_widens_with_the_estimate_and_stays_small_when_it_is_good() -> None:
-    rows = tube_table(VEHICLE, ParamSet())
+    rows = tube_table(VEHICLE, ParamSet({"MPC_SPEED_MARGIN": 0.02}))
     at_cruise = {row.estimate: row for row in rows if row.speed_m_s == 0.35}
     assert at_cruise["perfect"].clearance_m[-1] <= 0.035 and at_cruise["perfect"].planar_m_s <= 0.025
     order = [at_cruise[name].clearance_m[-1] for name in ("perfect", "pose", "camera", "lost for 5 s")]

@@ -33,6 +33,7 @@ from autopilot.core.messages import (
     ProgressState,
     SolveStatus,
     ThrusterCommand,
+    ThrusterHealthState,
 )
 from autopilot.log.description import AcceptBounds, FenceShape, Obstacle, RunDescription, Waypoint
 from autopilot.log.session import RunLog, open_run_log
@@ -264,6 +265,11 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         aids=(aid,) if t_us % 100_000 == 0 else (),
         goal=goal,
         control=control,
+        thrusters=ThrusterHealthState(
+            t_us=t_us, effectiveness=np.ones(4), estimate=np.full(4, 0.98), sigma=np.full(4, 0.05)
+        )
+        if t_us % 1_000_000 == 0
+        else None,
         progress=MissionProgress(t_us=t_us, current_seq=1, reached_seq=-1, lap=lap, state=state),
         events=(Event(t_us=t_us, severity=6, text=f"lap {lap}"),) if t_us % 5_000_000 == 0 else (),
     )
