@@ -210,6 +210,7 @@ class MotionController:
             nominal=self.nmpc.x.copy(),
             nominal_t_s=self._nominal_t_s,
             tube_m=self._tube_m.copy(),
+            plan=reference.plan,
             restarted=qps > 1,
         )
 

@@ -18,7 +18,7 @@ from autopilot.control.reference import TURN_AHEAD_M, Route, Target, build_refer
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Goal, NavState
+from autopilot.core.messages import EnergyPlan, Goal, NavState
 from autopilot.core.model4 import NU, YAW, Model4, R, U
 from autopilot.core.params import ParamSet
 
@@ -68,6 +68,8 @@ class Reference:
     """(8, 8)"""
     fresh: bool
     """It has nothing to do with the last one: the optimiser starts anew from it."""
+    plan: EnergyPlan | None = None
+    """On the step on which it came into force."""
 
 
 class Guidance(Protocol):

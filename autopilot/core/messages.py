@@ -281,6 +281,22 @@ class NmpcStatus:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class EnergyPlan:
+    """A trajectory of least energy that has just come into force."""
+
+    seq: int
+    """Mission item that it leads to, -1 when the goal is not of a mission."""
+    eta_s: float
+    """To the goal's region."""
+    energy_j: float
+    """To the goal's region, hotel power included."""
+    trajectory_s: float
+    """How far it is planned: less than ``eta_s`` when the goal is far away."""
+    late: int
+    """Plans so far that were not there when they were due."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ControlOutput:
     """One NMPC step's result."""
 
@@ -297,6 +313,8 @@ class ControlOutput:
     """(n,) times of ``nominal`` after ``status.t_us``: the plan begins one thruster lag ahead."""
     tube_m: FloatArray = field(default_factory=lambda: np.zeros(0))
     """(n,) horizontal distance from ``nominal`` within which the vehicle stays; what limits are tightened by."""
+    plan: EnergyPlan | None = None
+    """On the step on which one came into force."""
     restarted: bool = False
     """The plan began anew (another route, a jump of the estimate): earlier ones promise nothing any more."""
 

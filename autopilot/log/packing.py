@@ -15,6 +15,7 @@ from autopilot.core.messages import (
     MAX_THRUSTERS,
     AhrsSample,
     AidStatus,
+    EnergyPlan,
     Goal,
     Inputs,
     LaserSample,
@@ -74,6 +75,7 @@ _aid_status = layout("autopilot_msgs/AidStatus").packer.pack
 _goal = layout("autopilot_msgs/Goal").packer.pack
 _nmpc_status = layout("autopilot_msgs/NmpcStatus").packer.pack
 _thruster_command = layout("autopilot_msgs/ThrusterCommand").packer.pack
+_energy_plan = layout("autopilot_msgs/EnergyPlan").packer.pack
 _thruster_health = layout("autopilot_msgs/ThrusterHealth").packer.pack
 _mission_progress = layout("autopilot_msgs/MissionProgress").packer.pack
 _mode_state = layout("autopilot_msgs/ModeState").packer.pack
@@ -213,6 +215,20 @@ def thruster_health(stamp_ns: int, state: ThrusterHealthState) -> bytes:
         *_eight(state.effectiveness),
         *_eight(state.estimate),
         *_eight(state.sigma),
+    )
+
+
+def energy_plan(stamp_ns: int, plan: EnergyPlan) -> bytes:
+    """EnergyPlan."""
+    return _energy_plan(
+        ENCAPSULATION,
+        *divmod(stamp_ns, _NS),
+        *_NED,
+        plan.seq,
+        plan.eta_s,
+        plan.energy_j,
+        plan.trajectory_s,
+        plan.late,
     )
 
 

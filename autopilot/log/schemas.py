@@ -89,6 +89,14 @@ float64[8] effectiveness  # 0..1, what bounds and allocation go by, unused = 0
 float64[8] estimate  # from the motion
 float64[8] sigma  # its standard deviation
 """,
+    "autopilot_msgs/EnergyPlan": """
+std_msgs/Header header
+int32 seq  # mission item that it leads to, -1 none
+float64 eta_s  # to the goal's region
+float64 energy_j  # to the goal's region, hotel power included
+float64 trajectory_s  # planned so far
+uint32 late  # plans that came late
+""",
     "autopilot_msgs/MissionProgress": """
 std_msgs/Header header
 int32 current_seq

@@ -261,6 +261,8 @@ class RunLog:
         control = outputs.control
         assert control is not None
         self._write("/ctl/nmpc", t_us, packing.nmpc_status(stamp_ns, control.status))
+        if control.plan is not None:
+            self._write("/ctl/plan", t_us, packing.energy_plan(stamp_ns, control.plan))
         if not self._due("/ctl/horizon", t_us, HORIZON_US):
             return
         self._write("/ctl/horizon", t_us, visuals.path(stamp_ns, control.horizon_ned_m.tolist()))

@@ -15,6 +15,7 @@ TOPICS: dict[str, str] = {
     "/ctl/nmpc": "autopilot_msgs/NmpcStatus",
     "/ctl/horizon": "nav_msgs/Path",
     "/ctl/route": "nav_msgs/Path",
+    "/ctl/plan": "autopilot_msgs/EnergyPlan",
     "/out/thrusters": "autopilot_msgs/ThrusterCommand",
     "/out/mavlink": "autopilot_msgs/MavlinkFrame",
     "/ctl/thrusters": "autopilot_msgs/ThrusterHealth",

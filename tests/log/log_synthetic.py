@@ -13,6 +13,7 @@ from autopilot.core.messages import (
     AidState,
     AidStatus,
     ControlOutput,
+    EnergyPlan,
     Event,
     Fallback,
     Goal,
@@ -240,7 +241,15 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         margin_m=0.05,
     )
     horizon = truth.pos_ned_m + np.linspace(0.0, 1.0, 5)[:, None] * truth.vel_frd_m_s
-    control = ControlOutput(thrust_n=thrust[:4], status=status, horizon_ned_m=horizon, route_ned_m=VIA[:, :2])
+    control = ControlOutput(
+        thrust_n=thrust[:4],
+        status=status,
+        horizon_ned_m=horizon,
+        route_ned_m=VIA[:, :2],
+        plan=EnergyPlan(seq=1, eta_s=10.5, energy_j=180.0, trajectory_s=10.5, late=0)
+        if t_us % 1_000_000 == 0
+        else None,
+    )
     aid = AidStatus(
         t_us=t_us,
         sensor="markers",

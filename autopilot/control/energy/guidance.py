@@ -15,7 +15,7 @@ from autopilot.control.grid import TimeGrid
 from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, Situation, SteadyThrust
 from autopilot.control.ocp import TERMINAL_STAGES
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Goal
+from autopilot.core.messages import EnergyPlan, Goal
 from autopilot.core.model4 import NU, Model4, R, U
 
 OFF_TRACK_M = 0.15
@@ -71,8 +71,7 @@ class EnergyGuidance:
         self._hold: FloatArray | None = None
         self._desk.clear()
         self.unreachable = False
-        self.eta_s: float | None = None
-        self.energy_j: float | None = None
+        self._news: EnergyPlan | None = None
 
     def reference(self, situation: Situation) -> Reference:
         """See :class:`Guidance`."""
@@ -105,6 +104,7 @@ class EnergyGuidance:
             weight_u=np.full(NU, weight_u),
             terminal=np.diag(TERMINAL_STAGES * weight_x),
             fresh=fresh,
+            plan=self._take_news(),
         )
 
     def ahead(self, here: FloatArray) -> FloatArray:
@@ -153,8 +153,19 @@ class EnergyGuidance:
         if track is not None:
             track.locate(now.x0, 0.0)
         self._flow = request.flow
-        self.eta_s, self.energy_j = plan.eta_s, plan.energy_j
+        if plan.trajectory is not None:
+            self._news = EnergyPlan(
+                seq=plan.goal.seq,
+                eta_s=plan.eta_s,
+                energy_j=plan.energy_j,
+                trajectory_s=float(plan.trajectory.t_s[-1]),
+                late=self._desk.late,
+            )
         return fresh
+
+    def _take_news(self) -> EnergyPlan | None:
+        news, self._news = self._news, None
+        return news
 
     def _ask_if_needed(self, now: Situation, off_m: float) -> None:
         """Ask for a plan: the first, a better one for this leg, or the next leg's."""
