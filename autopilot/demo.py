@@ -144,7 +144,7 @@ def _service(
     """The service as its own process, ended by SIGTERM."""
     command = [
         *(sys.executable, "-m", "autopilot", "sitl", scenario, "--quiet", "--speed", f"{speed:g}"),
-        *("--log", str(log), "--connect", f"udpin:127.0.0.1:{port}"),
+        *("--log", str(log), "--connect", f"udpin:127.0.0.1:{port}", "--param", "MPC_COST=1"),
     ]
     if seed is not None:
         command += ["--seed", str(seed)]
