@@ -62,7 +62,7 @@ def test_scenarios_are_the_cases(name: str) -> None:
 
 def test_committed_optima_fit_their_cases() -> None:
     records = load_records()
-    assert {"b1", "b5"} <= set(records)
+    assert set(records) == {CORRIDOR, *CASES}
     for name, record in records.items():
         case = CASES["b1" if name == CORRIDOR else name]
         assert record.track_ned_m[0] == pytest.approx(case.start[:2], abs=2e-3)
@@ -72,14 +72,14 @@ def test_committed_optima_fit_their_cases() -> None:
         assert record.energy_j == pytest.approx(min(record.classes.values()), abs=0.1)
         assert record.gap_m < 5e-3
         # The grid knows neither inertia nor turning, which in a tank is a fifth.
-        assert (0.75 if case.tank else 0.9) < record.grid_j / record.energy_j < 1.1
+        assert (0.75 if case.tank else 0.98) < record.grid_j / record.energy_j < 1.01
 
 
 def test_committed_optima_of_a_neutral_vehicle_are_the_published_ones() -> None:
-    """Legs of B2 in a current are published as the limit of steady motion: ends and local minima make up to 3 %."""
+    """Legs of B2 in a current are published as the limit of steady motion; what the ends make of it is small."""
     for record in load_records().values():
-        steady = record.name.startswith("b2") and "0.00" not in record.name
-        assert record.neutral_j == pytest.approx(record.published_j, rel=0.05 if steady else 0.011), record.name
+        assert record.neutral_j == pytest.approx(record.published_j, rel=0.005), record.name
+        assert record.neutral_j < record.energy_j, record.name
 
 
 def test_classes_are_all_sides_and_turns() -> None:
