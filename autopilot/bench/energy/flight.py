@@ -116,7 +116,8 @@ def nmpc_pilot(
     drive = msgspec.structs.replace(vehicle.drive, time_constant_s=NO_LAG_S)
     told = currents or known_current(case)
     controller = MotionController(msgspec.structs.replace(vehicle, drive=drive), currents=told, cpu_clock=lambda: 0.0)
-    given = ParamSet(params)
+    depth = {} if case.tank else {"DEPTH_MAX": OPEN_WATER.depth_max_m}
+    given = ParamSet({**params, **depth})
 
     def pilot(t_us: int, nav: NavState, goal: Goal, fence: Fence) -> FloatArray:
         return controller.step(t_us, nav, goal, fence, given).thrust_n

@@ -10,11 +10,12 @@ from autopilot.control.energy.field import EnergyField, EnergyToGo, Way, other_w
 from autopilot.control.energy.flow import Flow, FlowSamples, area_of
 from autopilot.control.energy.power import PowerModel, SpeedTable, energy_per_metre, speed_table
 from autopilot.control.energy.trajectory import PLANES, SUBSTEP_S, Ask, Program, Trajectory
+from autopilot.control.guidance import SteadyThrust
 from autopilot.control.obstacles import Features, fence_key
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
-from autopilot.core.model4 import NU, NX, YAW, Model4, U, V, X, Y, Z
+from autopilot.core.model4 import NX, YAW, Model4, R, U, V, X, Y, Z
 
 INTERVALS = 48
 """Of a trajectory: 0.2 s each in the paper's tank."""
@@ -24,11 +25,14 @@ LONGEST_S = 90.0
 
 SUBSTEPS = (1, 2, 4)
 
+LONGER, LONGER_S = 1.3, 3.0
+"""A solution takes at most so many times as long as its guess, and so much more: RK4 steps must not grow unstable."""
+
 RADIUS_SHARE = 0.98
 YAW_SHARE = 0.96
 """Shares of the acceptance region that a trajectory aims at, so that it is surely reached in spite of small errors."""
 
-GATE_RADIUS_M = 1.0
+GATE_RADIUS_M = 0.5
 """Region in which a trajectory ends that does not reach its goal within LONGEST_S."""
 
 SCREEN_ROUNDS = 1
@@ -96,6 +100,7 @@ class EnergyPlanner:
 
     def __init__(self, model: Model4, power: PowerModel) -> None:
         self._model, self._power = model, power
+        self._steady = SteadyThrust(model)
         self._programs: dict[int, Program] = {}
         self._features: tuple[tuple[object, ...], Features] | None = None
 
@@ -115,7 +120,7 @@ class EnergyPlanner:
         if to_go is None or best is None:
             return Plan(goal=request.goal, trajectory=None, energy_j=math.inf, eta_s=math.inf, complete=False)
         end_slope = _slope_beyond(field, request.goal)
-        task = _Task(request, features, flow, table, to_go, end_slope, self._program)
+        task = _Task(request, features, flow, table, to_go, end_slope, self._program, self._steady)
         warm = None if request.warm is None else task.refine(request.warm, UPDATE_ROUNDS)
         if warm is not None and warm.solved and task.energy_along(warm) < STAY_WITHIN * best.energy_j:
             return task.plan(warm)
@@ -170,20 +175,25 @@ class _Task:
         to_go: EnergyToGo,
         end_slope: FloatArray,
         program: Callable[[float], Program],
+        steady: SteadyThrust,
     ) -> None:
+        self._steady = steady
         self._request, self._features, self._flow, self._table = request, features, flow, table
         self._to_go, self._end_slope, self._program = to_go, end_slope, program
         self._gate: FloatArray | None = None
-        """(2,) where the trajectory ends when the goal is too far away."""
+        """(3,) where the trajectory ends when the goal is too far away."""
 
     def guesses(self, way: Way) -> list[Trajectory]:
-        """First trajectories along a way, one per way of turning: at the cheapest steady speed, thrust zero."""
+        """First trajectories along a way, one per way of turning: at the cheapest steady speed and its thrust."""
         request = self._request
         points, times = self._timed(way)
-        if times[-1] > LONGEST_S:
+        whole_s = float(times[-1])
+        if whole_s > LONGEST_S:
             cut = int(np.searchsorted(times, LONGEST_S))
             points, times = points[: cut + 1], times[: cut + 1]
-            self._gate = points[-1].copy()
+            share = float(times[-1]) / whole_s
+            depth = request.x0[Z] + share * (request.goal.pos_ned_m[2] - request.x0[Z])
+            self._gate = np.array([*points[-1], depth])
         else:
             self._gate = None
             away = np.hypot(*(points - points[-1]).T)
@@ -193,7 +203,7 @@ class _Task:
         t = np.linspace(0.0, max(float(times[-1]), 0.5), INTERVALS + 1)
         x = np.zeros((INTERVALS + 1, NX))
         x[:, X], x[:, Y] = np.interp(t, times, points[:, 0]), np.interp(t, times, points[:, 1])
-        depth = float(request.goal.pos_ned_m[2])
+        depth = float(request.goal.pos_ned_m[2] if self._gate is None else self._gate[2])
         x[:, Z] = np.linspace(request.x0[Z], depth, INTERVALS + 1)
         ground = np.gradient(x[:, :2], t, axis=0)
         water = ground - self._flow.current(x[:, :2])[:, :2]
@@ -215,9 +225,12 @@ class _Task:
             x[:, YAW] = along + fade * (last - along)
         c, s = np.cos(x[:, YAW]), np.sin(x[:, YAW])
         x[:, U], x[:, V] = c * water[:, 0] + s * water[:, 1], c * water[:, 1] - s * water[:, 0]
+        x[:, R] = np.gradient(x[:, YAW], t)
+        limit = self._request.thrust_limit_n
+        thrust = np.clip(self._steady(0.5 * (x[1:, U:] + x[:-1, U:])), -limit, limit)
         x[0] = self._request.x0
         energy = float(t[-1]) * float(self._table.power_w.min())
-        return Trajectory(t_s=t, x=x, thrust_n=np.zeros((len(t) - 1, NU)), energy_j=energy, cost_j=energy, solved=False)
+        return Trajectory(t_s=t, x=x, thrust_n=thrust, energy_j=energy, cost_j=energy, solved=False)
 
     def energy_along(self, trajectory: Trajectory) -> float:
         """What the way of a trajectory costs by the measure of the energy field: steady speeds, heading along it."""
@@ -290,8 +303,8 @@ class _Task:
         place = np.asarray(goal.pos_ned_m, dtype=float)
         slope = self._end_slope
         if gate is not None:
-            place = np.array([*gate, x[-1, Z]])
-            slope = self._to_go.slope(gate, GATE_RADIUS_M)
+            place = gate
+            slope = self._to_go.slope(gate[:2], GATE_RADIUS_M)
         limits = request.limits.copy()
         limits[3], limits[4] = min(limits[3], request.x0[Z]), max(limits[4], request.x0[Z])
         return Ask(
@@ -308,14 +321,14 @@ class _Task:
             limits=limits,
             thrust_limit_n=request.thrust_limit_n,
             end_slope_j_m=slope,
-            longest_s=4.0 * LONGEST_S,
+            longest_s=LONGER * float(guess.t_s[-1]) + LONGER_S,
         )
 
     def plan(self, trajectory: Trajectory) -> Plan:
         """The answer that a trajectory makes."""
         energy, eta = trajectory.energy_j, float(trajectory.t_s[-1])
         if self._gate is not None:
-            way = self._to_go.way(self._gate)
+            way = self._to_go.way(self._gate[:2])
             if way is not None:
                 energy += way.energy_j
                 eta += float(self._timed(way)[1][-1])
