@@ -72,6 +72,10 @@ def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[Flight, float]]:
         case = CASES[name]
         pilot = nmpc_pilot(vehicle, case, ENERGY_PARAMS)
         yield fly(case, pilot, "energy, flow known", vehicle, laps=1 if short else 0), KNOWN_BAR
+        if case.tank:
+            again = nmpc_pilot(vehicle, case, ENERGY_PARAMS)
+            fenced = "energy, flow known, corridor fenced off"
+            yield fly(case, again, fenced, vehicle, laps=1 if short else 0, corridor=False), KNOWN_BAR
     for name, scenario in {} if short else SERVICE_CASES.items():
         for drag in DRAGS:
             yield fly_service(CASES[name], scenario, drag), ESTIMATED_BAR

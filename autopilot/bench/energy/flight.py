@@ -143,11 +143,11 @@ def fly(
     *,
     cruise_m_s: float = 0.35,
     laps: int = 0,
-    corridor: bool = False,
+    corridor: bool = True,
 ) -> Flight:
     """Fly all laps of a case (or ``laps``); a leg ends when its region is entered.
 
-    ``corridor``: the way between cylinder and south wall is open.
+    ``corridor``: the way between cylinder and south wall is open, as in the tank; else a fence closes it.
     """
     plant = plant_of(case, vehicle)
     power = PowerModel.of(vehicle)

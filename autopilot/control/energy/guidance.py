@@ -40,7 +40,7 @@ NEXT_LEG_S = 5.0
 RUNNING_OUT_S = 20.0
 """A trajectory that does not reach its goal is continued when it has less than this left."""
 
-FOLLOWING_THRUST_WEIGHT = 0.5
+FOLLOWING_THRUST_WEIGHT = 1.0
 """Least weight on the difference to the planned thrust while a trajectory is followed: to be a little off it costs less
 than to correct it at once. (In the paper's tank 2 % of a lap against 0.02; the limits are kept by other means.)"""
 
