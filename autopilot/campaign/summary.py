@@ -13,7 +13,7 @@ CONFIDENCE = 0.95
 PERCENTILES = (0.0, 1.0, 5.0, 50.0, 95.0, 100.0)
 TUBE_SHARE = 0.999
 """Share of nodes that has to lie inside the announced tube."""
-TUBE_BAR = 1
+TUBE_BAR = 0
 """Which of :data:`AHEAD_S` the bar is for."""
 
 
