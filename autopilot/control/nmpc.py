@@ -18,7 +18,7 @@ from autopilot.control.native import NativeStep
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus
-from autopilot.core.model4 import NU, NX, Model4
+from autopilot.core.model4 import NU, NX, Model4, U
 
 PLANES = 8
 """Half-plane slots per stage: four walls of a tank and four obstacles."""
@@ -28,6 +28,9 @@ VIOLATION_LIMIT = 1e-3
 
 OVERSHOOT_LIMIT_N = 1e-3
 """Largest thrust beyond its bound that counts as solved (it is clipped)."""
+
+GUESS_LIMIT = 100.0
+"""m/s, rad/s: around a guess that moves faster (or is no number) nothing can be linearised; solvers would print it."""
 
 SELF_TEST_TOLERANCE_N = 0.05
 """How far the first thrust of the self-test may be from what the problem's symmetry demands."""
@@ -222,6 +225,16 @@ class Nmpc:
         step.thrust_limit[:] = problem.thrust_limit_n
         step.plane_n[:] = problem.plane_n
         step.plane_d[:] = problem.plane_d_m
+        if not float(np.abs(step.x_guess[:, U:]).max()) < GUESS_LIMIT:
+            return NmpcResult(
+                status=SolveStatus.NOT_FINITE,
+                x=self.x,
+                thrust_n=self.u,
+                cost=math.nan,
+                slack_max=math.nan,
+                gap_max=math.nan,
+                penalty_use=math.nan,
+            )
         status = SolveStatus.OK
         try:
             step.evaluate()

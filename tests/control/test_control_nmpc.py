@@ -222,3 +222,13 @@ def test_library_is_built_once_and_an_error_is_said(tmp_path) -> None:
     in_the_way.write_text("x")
     with pytest.raises(RuntimeError, match="cannot compile"):
         native.build("int answer(void) { return 42; }", compiler, in_the_way)
+
+
+@pytest.mark.parametrize("wild", [1e3, math.inf, math.nan])
+def test_a_guess_that_has_run_away_is_not_solved_around(wild: float, capfd: pytest.CaptureFixture[str]) -> None:
+    nmpc = Nmpc(MODEL, uniform_grid(12))
+    task = problem(nmpc.grid, START)
+    nmpc.set_plan(task.x_ref, np.zeros((12, 4)))
+    nmpc.x[5, 4] = wild
+    assert nmpc.solve(task).status is SolveStatus.NOT_FINITE
+    assert capfd.readouterr().out == ""
