@@ -1,26 +1,31 @@
-"""The down-looking camera: pinhole with Brown's distortion (k1 k2 p1 p2 k3), calibrated in water, and where it sits.
+"""The down-looking camera and where it sits. Three models (``[camera] model`` of the vehicle file):
 
-The formulas are OpenCV's (calib3d: pinhole model with radial and tangential distortion), written in numpy so that
-projecting a few hundred points costs tens of microseconds and needs no heavy import. Pixel centres lie at whole
-numbers, as everywhere in OpenCV.
+``pinhole``    Brown's distortion (k1 k2 p1 p2 k3), calibrated in water: the default
+``fisheye``    OpenCV's fisheye polynomial (k1 k2 k3 k4), calibrated in water
+``flat_port``  pinhole with Brown's distortion calibrated in air, behind a flat pane (:mod:`autopilot.core.flat_port`)
+
+All is numpy, so that projecting a few hundred points costs tens of microseconds and needs no heavy import. Pixel
+centres lie at whole numbers, as everywhere in OpenCV.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from autopilot.core.frames import FloatArray
+from autopilot.core.flat_port import FlatPort, lens_in_air
+from autopilot.core.frames import FloatArray, r_ned_from_frd
+from autopilot.core.lens import BrownLens, FisheyeLens, Lens
 from autopilot.core.vehicle import Camera, Laser
 
 R_FRD_FROM_CAM: FloatArray = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""(3, 3) mounting: image x points to starboard, image y to aft, the optical axis down."""
+"""(3, 3) a camera that looks straight down: image x points to starboard, image y to aft, the optical axis down."""
 R_FRD_FROM_CAM.flags.writeable = False
+
+_STRAIGHT: FloatArray = np.array([0.0, 0.0, 1.0])
+_STRAIGHT.flags.writeable = False
 
 NEAR_M = 0.02
 """Points closer to the lens than this (along the optical axis), or behind it, have no image."""
-
-_NEWTON_STEPS = 4
-"""Of :meth:`CameraModel.normalized`: the error is at rounding after 4 anywhere in the LBV150's image."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -34,25 +39,44 @@ class CameraModel:
     center_px: tuple[float, float]
     """Principal point, x and y."""
     distortion: tuple[float, float, float, float, float]
-    """k1 k2 p1 p2 k3."""
+    """k1 k2 p1 p2 k3; of a fisheye k1 k2 k3 k4 and 0. Of the lens in air if there is a port."""
     position_frd_m: FloatArray
     """(3,) projection centre in the body frame (lever arm)."""
     laser_offset_cam_m: FloatArray
-    """(3,) where the laser beam, parallel to the optical axis, starts, in the camera frame."""
+    """(3,) where the laser beam starts, in the camera frame."""
+    laser_direction_cam: FloatArray = field(default_factory=lambda: _STRAIGHT)
+    """(3,) unit vector along the beam, in the camera frame."""
+    r_frd_from_cam: FloatArray = field(default_factory=lambda: R_FRD_FROM_CAM)
+    """(3, 3) mounting."""
+    fisheye: bool = False
+    port: FlatPort | None = None
+    """The flat pane before the lens; None when the intrinsics are those of a calibration in water."""
     view_slope: float = field(init=False)
-    """Tangent of the angle between the optical axis and the farthest point of the image."""
+    """Tangent of the angle between the optical axis and the farthest point of the image, in the water."""
+    view_offset_m: float = field(init=False)
+    """By how much a ray may miss the projection centre sideways (0 without a port)."""
+    near_m: float = field(init=False)
+    """Points closer than this have no image."""
+    _lens: Lens = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        k1, k2, k3, k4, _ = self.distortion
+        lens: Lens = FisheyeLens((k1, k2, k3, k4)) if self.fisheye else BrownLens(self.distortion)
+        object.__setattr__(self, "_lens", lens)
+        object.__setattr__(self, "near_m", NEAR_M if self.port is None else self.port.outside_m + NEAR_M)
         w, h = float(self.width_px), float(self.height_px)
-        rim = self.normalized(
-            np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]])
-        )
-        object.__setattr__(self, "view_slope", float(np.hypot(rim[:, 0], rim[:, 1]).max()))
+        rim = np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]])
+        origins, directions = self.rays(rim)
+        object.__setattr__(self, "view_slope", float(np.hypot(directions[:, 0], directions[:, 1]).max()))
+        missed = origins[:, :2] - origins[:, 2:] * directions[:, :2]
+        object.__setattr__(self, "view_offset_m", float(np.hypot(missed[:, 0], missed[:, 1]).max()))
 
     @staticmethod
     def of(camera: Camera, laser: Laser) -> "CameraModel":
         """The model of a vehicle file's ``[camera]`` and ``[laser]``."""
         position = np.array(camera.position_frd_m)
+        direction = np.array(laser.direction_frd)
+        r_frd_from_cam = r_ned_from_frd(np.array(camera.mounting_rpy_rad)) @ R_FRD_FROM_CAM
         return CameraModel(
             width_px=camera.width_px,
             height_px=camera.height_px,
@@ -60,7 +84,27 @@ class CameraModel:
             center_px=camera.center_px,
             distortion=camera.distortion,
             position_frd_m=position,
-            laser_offset_cam_m=R_FRD_FROM_CAM.T @ (np.array(laser.position_frd_m) - position),
+            laser_offset_cam_m=r_frd_from_cam.T @ (np.array(laser.position_frd_m) - position),
+            laser_direction_cam=r_frd_from_cam.T @ (direction / np.linalg.norm(direction)),
+            r_frd_from_cam=r_frd_from_cam,
+            fisheye=camera.model == "fisheye",
+            port=None if camera.port is None else camera.port.to_port(),
+        )
+
+    def behind(self, port: FlatPort) -> "CameraModel":
+        """The same lens behind that pane, light bent exactly.
+
+        From a pinhole calibrated in water the bare lens is taken to fourth order (:func:`lens_in_air`), at the place
+        that the calibration gives for its projection centre.
+        """
+        if self.port is not None or self.fisheye:
+            return replace(self, port=port)
+        fx, fy = self.focal_px
+        return replace(
+            self,
+            focal_px=(fx / port.water_index, fy / port.water_index),
+            distortion=lens_in_air(self.distortion, port.water_index),
+            port=port,
         )
 
     @property
@@ -71,59 +115,106 @@ class CameraModel:
 
     @property
     def distortion_coefficients(self) -> FloatArray:
-        """(5,) k1 k2 p1 p2 k3 as OpenCV takes them."""
+        """(5,) as OpenCV takes them; for a fisheye leave the last one out."""
         return np.array(self.distortion)
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is a pinhole with Brown's distortion and nothing else."""
+        return self.port is None and not self.fisheye
 
     def cam_from_ned(self, points_ned_m: FloatArray, pos_ned_m: FloatArray, r_ned_from_frd: FloatArray) -> FloatArray:
         """World points (..., 3) in the camera frame for a vehicle at ``pos_ned_m`` (3,) with that attitude (3, 3)."""
-        r_ned_from_cam = r_ned_from_frd @ R_FRD_FROM_CAM
+        r_ned_from_cam = r_ned_from_frd @ self.r_frd_from_cam
         eye_ned_m = pos_ned_m + r_ned_from_frd @ self.position_frd_m
         result: FloatArray = (points_ned_m - eye_ned_m) @ r_ned_from_cam
         return result
 
     def project(self, points_cam_m: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of points (..., 3) in the camera frame; NaN for those nearer than :data:`NEAR_M`."""
-        z = np.where(points_cam_m[..., 2] < NEAR_M, np.nan, points_cam_m[..., 2])
-        return self.distort(points_cam_m[..., :2] / z[..., None])
+        """Pixels (..., 2) of points (..., 3) in the camera frame; NaN for those nearer than :attr:`near_m`."""
+        z = np.where(points_cam_m[..., 2] < self.near_m, np.nan, points_cam_m[..., 2])
+        if self.port is None:
+            return self._pixels(points_cam_m[..., :2] / z[..., None])
+        radius_m = np.hypot(points_cam_m[..., 0], points_cam_m[..., 1])
+        u, du_dradius, _ = self.port.solve(radius_m, z)
+        per_m = np.where(radius_m > 1e-9, u / np.maximum(radius_m, 1e-9), du_dradius)
+        return self._pixels(points_cam_m[..., :2] * per_m[..., None])
 
-    def distort(self, normalized: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of ideal image points (..., 2), that is x/z and y/z in the camera frame."""
-        k1, k2, p1, p2, k3 = self.distortion
-        x, y = normalized[..., 0], normalized[..., 1]
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        xy = 2.0 * x * y
-        result = np.empty_like(normalized)
-        result[..., 0] = self.focal_px[0] * (x * radial + p1 * xy + p2 * (r2 + 2.0 * x * x)) + self.center_px[0]
-        result[..., 1] = self.focal_px[1] * (y * radial + p1 * (r2 + 2.0 * y * y) + p2 * xy) + self.center_px[1]
+    def linearise(self, points_cam_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Pixels (..., 2) of points (..., 3) in the camera frame, and their derivatives (..., 2, 3) by the point."""
+        z = np.where(points_cam_m[..., 2] < self.near_m, np.nan, points_cam_m[..., 2])
+        flat = points_cam_m[..., :2]
+        by_point = np.zeros((*flat.shape, 3))
+        if self.port is None:
+            ideal = flat / z[..., None]
+            by_point[..., 0, 0] = by_point[..., 1, 1] = 1.0 / z
+            by_point[..., 2] = -ideal / z[..., None]
+        else:
+            radius_m = np.hypot(flat[..., 0], flat[..., 1])
+            u, du_dradius, du_dz = self.port.solve(radius_m, z)
+            safe_m = np.maximum(radius_m, 1e-9)
+            per_m = np.where(radius_m > 1e-9, u / safe_m, du_dradius)
+            ideal = flat * per_m[..., None]
+            unit = flat / safe_m[..., None]
+            by_point[..., :2] = (du_dradius - per_m)[..., None, None] * unit[..., :, None] * unit[..., None, :]
+            by_point[..., 0, 0] += per_m
+            by_point[..., 1, 1] += per_m
+            by_point[..., 2] = du_dz[..., None] * unit
+        slopes: FloatArray = self._lens.slopes(ideal) @ by_point
+        return self._pixels(ideal), slopes * np.array(self.focal_px)[:, None]
+
+    def _pixels(self, ideal: FloatArray) -> FloatArray:
+        """Pixels (..., 2) of ideal image points (..., 2) before the lens."""
+        result = self._lens.bend(ideal)
+        result[..., 0] = self.focal_px[0] * result[..., 0] + self.center_px[0]
+        result[..., 1] = self.focal_px[1] * result[..., 1] + self.center_px[1]
         return result
 
+    def _ideal(self, pixels: FloatArray) -> FloatArray:
+        """The inverse of :meth:`_pixels`."""
+        return self._lens.unbend((pixels - np.array(self.center_px)) / np.array(self.focal_px))
+
+    def distort(self, normalized: FloatArray) -> FloatArray:
+        """Pixels (..., 2) of ideal image points (..., 2): x/z and y/z of distant points in the camera frame."""
+        if self.port is None:
+            return self._pixels(normalized)
+        slope = np.hypot(normalized[..., 0], normalized[..., 1])
+        scale = np.where(slope > 1e-9, self.port.air_slope(slope) / np.maximum(slope, 1e-9), self.port.water_index)
+        return self._pixels(normalized * scale[..., None])
+
     def normalized(self, pixels: FloatArray) -> FloatArray:
-        """Ideal image points (..., 2) of pixels (..., 2): the inverse of :meth:`distort`, by Newton's method."""
-        k1, k2, p1, p2, k3 = self.distortion
-        target_x = (pixels[..., 0] - self.center_px[0]) / self.focal_px[0]
-        target_y = (pixels[..., 1] - self.center_px[1]) / self.focal_px[1]
-        x, y = target_x, target_y
-        for _ in range(_NEWTON_STEPS):
-            r2 = x * x + y * y
-            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2))
-            xy = x * y
-            error_x = x * radial + 2.0 * p1 * xy + p2 * (r2 + 2.0 * x * x) - target_x
-            error_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * xy - target_y
-            dxx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-            dyy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-            dxy = slope * xy + 2.0 * (p1 * x + p2 * y)
-            determinant = dxx * dyy - dxy * dxy
-            x, y = (
-                x - (dyy * error_x - dxy * error_y) / determinant,
-                y - (dxx * error_y - dxy * error_x) / determinant,
-            )
-        return np.stack([x, y], axis=-1)
+        """Ideal image points (..., 2) of pixels (..., 2): the inverse of :meth:`distort`.
+
+        x/z and y/z of the ray in the water. Behind a port such rays miss the projection centre by some millimetres:
+        :meth:`rays` gives them whole.
+        """
+        ideal = self._ideal(pixels)
+        if self.port is None:
+            return ideal
+        slope = np.hypot(ideal[..., 0], ideal[..., 1])
+        scale = np.where(
+            slope > 1e-9, self.port.water_slope(slope) / np.maximum(slope, 1e-9), 1.0 / self.port.water_index
+        )
+        result: FloatArray = ideal * scale[..., None]
+        return result
+
+    def rays(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where the rays of pixels (..., 2) enter the water (..., 3) and where they go (..., 3), with z = 1; camera
+        frame. Without a port all start at the projection centre."""
+        directions = np.ones((*pixels.shape[:-1], 3))
+        origins = np.zeros_like(directions)
+        directions[..., :2] = self.normalized(pixels)
+        if self.port is not None:
+            ideal = self._ideal(pixels)
+            slope = np.hypot(ideal[..., 0], ideal[..., 1])
+            radius_m = self.port.exit_radius(slope)
+            origins[..., :2] = ideal * (radius_m / np.maximum(slope, 1e-12))[..., None]
+            origins[..., 2] = self.port.outside_m
+        return origins, directions
 
     def laser_pixel(self, range_m: float) -> FloatArray:
         """Pixel (2,) of the laser dot at ``range_m`` along the beam from where it starts."""
-        return self.project(self.laser_offset_cam_m + np.array([0.0, 0.0, range_m]))
+        return self.project(self.laser_offset_cam_m + range_m * self.laser_direction_cam)
 
     def inside(self, pixels: FloatArray, margin_px: float = 0.0) -> np.ndarray:
         """Whether pixels (..., 2) lie in the image and at least ``margin_px`` from its border; False for NaN."""

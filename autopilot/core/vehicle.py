@@ -8,11 +8,12 @@ import tomllib
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import msgspec
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.flat_port import FlatPort
 from autopilot.core.model4 import Model4
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -111,8 +112,29 @@ class Tether(_Table, frozen=True, kw_only=True):
     pull_n: NonNegative
 
 
+class Port(_Table, frozen=True, kw_only=True):
+    """A flat pane before the camera's lens (:class:`autopilot.core.flat_port.FlatPort`)."""
+
+    distance_m: NonNegative
+    """From the lens's centre of projection to the pane."""
+    thickness_m: NonNegative = 0.0
+    glass_index: Annotated[float, msgspec.Meta(ge=1.0, le=2.5)] = 1.49
+    """Of refraction, relative to air; default acrylic."""
+    water_index: Annotated[float, msgspec.Meta(ge=1.0, le=2.0)] = 1.333
+    """Relative to air; default fresh water at 20 degC in green light."""
+
+    def to_port(self) -> FlatPort:
+        """The same as the plain dataclass that the equations take."""
+        return FlatPort(
+            distance_m=self.distance_m,
+            thickness_m=self.thickness_m,
+            glass_index=self.glass_index,
+            water_index=self.water_index,
+        )
+
+
 class Camera(_Table, frozen=True, kw_only=True):
-    """Down-looking camera: pinhole with k1 k2 p1 p2 k3, calibrated in water. Image x = starboard, image y = aft."""
+    """Down-looking camera. Image x = starboard, image y = aft."""
 
     width_px: Annotated[int, msgspec.Meta(gt=0)]
     height_px: Annotated[int, msgspec.Meta(gt=0)]
@@ -120,15 +142,35 @@ class Camera(_Table, frozen=True, kw_only=True):
     focal_px: tuple[Positive, Positive]
     center_px: Vec2
     distortion: tuple[float, float, float, float, float]
+    """k1 k2 p1 p2 k3 (OpenCV); of a fisheye k1 k2 k3 k4 and 0."""
     position_frd_m: Vec3
     latency_s: NonNegative
     """Exposure to the arrival of the detection."""
+    mounting_rpy_rad: Vec3 = (0.0, 0.0, 0.0)
+    """How the camera is turned from looking straight down: roll, pitch, yaw about the body's axes."""
+    model: Literal["pinhole", "fisheye", "flat_port"] = "pinhole"
+    """What focal length, centre and distortion belong to: a calibration in water, or with "flat_port" one in air."""
+    port: Port | None = None
+    """``[camera.port]``, needed by the model "flat_port"."""
+
+    def __post_init__(self) -> None:
+        if (self.model == "flat_port") != (self.port is not None):
+            raise ValueError(f'`model` = "{self.model}": "flat_port" and the table `port` go together')
+        if self.model == "fisheye" and self.distortion[4] != 0.0:
+            raise ValueError(f"`distortion[4]` = {self.distortion[4]:g} must be 0 for a fisheye (k1 k2 k3 k4 and 0)")
 
 
 class Laser(_Table, frozen=True, kw_only=True):
-    """Laser pointer parallel to the optical axis."""
+    """Laser pointer beside the camera."""
 
     position_frd_m: Vec3
+    direction_frd: Vec3 = (0.0, 0.0, 1.0)
+    """Where the beam goes, of any length; straight down by default."""
+
+    def __post_init__(self) -> None:
+        x, y, z = self.direction_frd
+        if not z > abs(x) + abs(y):
+            raise ValueError(f"`direction_frd` = [{x:g}, {y:g}, {z:g}] does not go down; its third number is largest")
 
 
 class Ahrs(_Table, frozen=True, kw_only=True):
