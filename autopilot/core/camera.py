@@ -144,24 +144,31 @@ class CameraModel:
         """Pixels (..., 2) of points (..., 3) in the camera frame, and their derivatives (..., 2, 3) by the point."""
         z = np.where(points_cam_m[..., 2] < self.near_m, np.nan, points_cam_m[..., 2])
         flat = points_cam_m[..., :2]
-        by_point = np.zeros((*flat.shape, 3))
+        result = np.empty((*flat.shape, 3))
         if self.port is None:
             ideal = flat / z[..., None]
-            by_point[..., 0, 0] = by_point[..., 1, 1] = 1.0 / z
-            by_point[..., 2] = -ideal / z[..., None]
-        else:
-            radius_m = np.hypot(flat[..., 0], flat[..., 1])
-            u, du_dradius, du_dz = self.port.solve(radius_m, z)
-            safe_m = np.maximum(radius_m, 1e-9)
-            per_m = np.where(radius_m > 1e-9, u / safe_m, du_dradius)
-            ideal = flat * per_m[..., None]
-            unit = flat / safe_m[..., None]
-            by_point[..., :2] = (du_dradius - per_m)[..., None, None] * unit[..., :, None] * unit[..., None, :]
-            by_point[..., 0, 0] += per_m
-            by_point[..., 1, 1] += per_m
-            by_point[..., 2] = du_dz[..., None] * unit
-        slopes: FloatArray = self._lens.slopes(ideal) @ by_point
-        return self._pixels(ideal), slopes * np.array(self.focal_px)[:, None]
+            slopes = self._slopes(ideal)
+            result[..., :2] = slopes / z[..., None, None]
+            result[..., 2] = -(result[..., 0] * ideal[..., :1] + result[..., 1] * ideal[..., 1:])
+            return self._pixels(ideal), result
+        radius_m = np.hypot(flat[..., 0], flat[..., 1])
+        u, du_dradius, du_dz = self.port.solve(radius_m, z)
+        safe_m = np.maximum(radius_m, 1e-9)
+        per_m = np.where(radius_m > 1e-9, u / safe_m, du_dradius)
+        ideal = flat * per_m[..., None]
+        unit = flat / safe_m[..., None]
+        result[..., :2] = (du_dradius - per_m)[..., None, None] * unit[..., :, None] * unit[..., None, :]
+        result[..., 0, 0] += per_m
+        result[..., 1, 1] += per_m
+        result[..., 2] = du_dz[..., None] * unit
+        return self._pixels(ideal), self._slopes(ideal) @ result
+
+    def _slopes(self, ideal: FloatArray) -> FloatArray:
+        """(..., 2, 2) derivatives of :meth:`_pixels`."""
+        result = self._lens.slopes(ideal)
+        result[..., 0, :] *= self.focal_px[0]
+        result[..., 1, :] *= self.focal_px[1]
+        return result
 
     def _pixels(self, ideal: FloatArray) -> FloatArray:
         """Pixels (..., 2) of ideal image points (..., 2) before the lens."""
