@@ -50,9 +50,6 @@ MAY_BE_ZERO = frozenset(
 ) | {"resistance", "tether", "tether_pull"}
 """Factors with which 0 leaves a physical vehicle."""
 
-_MASS_KEYS = ("surge_mass", "sway_mass", "heave_mass")
-_DRAG_KEYS = ("surge_drag", "sway_drag", "heave_drag")
-
 
 def check_mismatch(mismatch: Mapping[str, float], where: str) -> None:
     """ConfigError if a key is unknown or its factor is not usable; ``where`` begins the message."""

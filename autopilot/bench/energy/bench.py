@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from autopilot.bench.energy.cases import CASES
 from autopilot.bench.energy.flight import ENERGY_PARAMS, QUADRATIC_PARAMS, Flight, fly, los_pilot, nmpc_pilot
 from autopilot.bench.energy.los_pid import LosGains
-from autopilot.bench.energy.record import CORRIDOR, Record, load_records
+from autopilot.bench.energy.record import CORRIDOR, DRAGS, Record, load_records
 from autopilot.bench.energy.service_flight import fly_service
 from autopilot.control.currents import NoCurrent
 from autopilot.core.vehicle import Vehicle, load_vehicle
@@ -17,7 +17,6 @@ CRUISES_M_S = (0.2, 0.25, 0.3, 0.35)
 """Cruise speeds that the quadratic controller is tried with; the best counts."""
 
 SERVICE_CASES = {"b1": "b1-est", "b2 0.15@60": "b2-est", "b3 up": "b3-est", "b4": "b4-est", "b5": "b5-est"}
-DRAGS = (1.2, 0.8)
 RIVAL_BARS = {"quadratic": 0.60, "current-unaware": 0.55, "PID line of sight": 0.70}
 
 
@@ -38,6 +37,8 @@ class EnergyRow:
     """Against the published optimum, of a vehicle that neither floats nor sinks: the stricter figure."""
     corridor_ratio: float | None
     """Against the published optimum with the south corridor open, without buoyancy too."""
+    flown_ratio: float | None
+    """Where the model is wrong: against the optimum of the vehicle that is flown, not of the nominal one."""
     nearest_m: float | None
     top_m_s: float
 
@@ -55,9 +56,9 @@ def bench_energy(short: bool = False, progress: Callable[[str], None] = lambda _
     vehicle, records = load_vehicle("lbv150"), load_records()
     rows: list[EnergyRow] = []
     flights: list[Flight] = []
-    for flight, bar in _flights(vehicle, short):
+    for flight, bar, drag in _flights(vehicle, short):
         flights.append(flight)
-        rows.append(_against_optimum(flight, bar, records))
+        rows.append(_against_optimum(flight, bar, drag, records))
         progress(f"{flight.case}, {flight.pilot}: {rows[-1].lap_j:.1f} J, {rows[-1].ratio:.3f}")
     own = flights[0]
     for rival in _rivals(vehicle, laps=len(own.leg_j) // 2):
@@ -67,18 +68,19 @@ def bench_energy(short: bool = False, progress: Callable[[str], None] = lambda _
     return EnergyResult(rows=rows, flights=flights)
 
 
-def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[Flight, float]]:
+def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[Flight, float, float | None]]:
+    """Flights, their bars, and the factor on drag where the model is wrong."""
     for name in ("b1", "b5") if short else CASES:
         case = CASES[name]
         pilot = nmpc_pilot(vehicle, case, ENERGY_PARAMS)
-        yield fly(case, pilot, "energy, flow known", vehicle, laps=1 if short else 0), KNOWN_BAR
+        yield fly(case, pilot, "energy, flow known", vehicle, laps=1 if short else 0), KNOWN_BAR, None
         if case.tank:
             again = nmpc_pilot(vehicle, case, ENERGY_PARAMS)
             fenced = "energy, flow known, corridor fenced off"
-            yield fly(case, again, fenced, vehicle, laps=1 if short else 0, corridor=False), KNOWN_BAR
+            yield fly(case, again, fenced, vehicle, laps=1 if short else 0, corridor=False), KNOWN_BAR, None
     for name, scenario in {} if short else SERVICE_CASES.items():
         for drag in DRAGS:
-            yield fly_service(CASES[name], scenario, drag), ESTIMATED_BAR
+            yield fly_service(CASES[name], scenario, drag), ESTIMATED_BAR, drag
 
 
 def _rivals(vehicle: Vehicle, laps: int) -> list[Flight]:
@@ -114,11 +116,14 @@ def lap_energy_j(flight: Flight) -> float:
     return sum(flight.leg_j[: laps * goals]) / laps if laps else math.inf
 
 
-def _against_optimum(flight: Flight, bar: float, records: dict[str, Record]) -> EnergyRow:
+def _against_optimum(flight: Flight, bar: float, drag: float | None, records: dict[str, Record]) -> EnergyRow:
     record, lap_j = records[flight.case], lap_energy_j(flight)
     corridor = lap_j / records[CORRIDOR].published_j if flight.case == "b1" else None
     published = lap_j / record.published_j
-    return _row(flight, lap_j, record.energy_j, bar, published_ratio=published, corridor_ratio=corridor)
+    flown = None if drag is None else lap_j / record.heavier_j[f"{drag:g}"]
+    return _row(
+        flight, lap_j, record.energy_j, bar, published_ratio=published, corridor_ratio=corridor, flown_ratio=flown
+    )
 
 
 def _against_rival(own: Flight, rival: Flight) -> EnergyRow:
@@ -134,6 +139,7 @@ def _row(
     *,
     published_ratio: float | None = None,
     corridor_ratio: float | None = None,
+    flown_ratio: float | None = None,
 ) -> EnergyRow:
     rival = flight.pilot in RIVAL_BARS
     return EnergyRow(
@@ -146,6 +152,7 @@ def _row(
         bar=bar,
         published_ratio=published_ratio,
         corridor_ratio=corridor_ratio,
+        flown_ratio=flown_ratio,
         nearest_m=None if math.isinf(flight.nearest_m) else flight.nearest_m,
         top_m_s=flight.top_m_s,
     )

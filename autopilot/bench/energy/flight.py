@@ -53,7 +53,7 @@ OPEN_WATER = Fence(depth_max_m=50.0)
 ENERGY_PARAMS = {
     "MPC_COST": 1.0,
     "MPC_MARGIN": 0.02,
-    "MPC_SPEED_MARGIN": 0.02,
+    "MPC_SPEED_MARGIN": 0.01,
     "MPC_W_CURRENT": 0.0,
     "MPC_W_FORCE": 0.0,
     "MPC_W_MOMENT": 0.0,

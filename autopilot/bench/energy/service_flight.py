@@ -8,6 +8,7 @@ import numpy as np
 
 from autopilot.bench.energy.cases import REGION_M, REGION_YAW_RAD, Case
 from autopilot.bench.energy.flight import Flight
+from autopilot.bench.energy.record import DRAGS, MASS
 from autopilot.bench.nmpc import TANK
 from autopilot.config import gather, sitl_defaults
 from autopilot.control.energy.power import PowerModel
@@ -19,7 +20,14 @@ from autopilot.sitl_session import SitlSession, open_sitl
 from sitl.scenario import scenario_path
 
 LEG_LIMIT_S = 300.0
-MISMATCH = "mismatch = { mass = 1.2, drag = 1.2 }"
+
+
+def _mismatch(drag: float) -> str:
+    """The line of a scenario file."""
+    return f"mismatch = {{ mass = {MASS:g}, drag = {drag:g} }}"
+
+
+SHIPPED = _mismatch(DRAGS[0])
 """As the scenarios ship; the bench flies other drags too."""
 
 
@@ -67,7 +75,7 @@ def fly_service(case: Case, scenario: str, drag: float) -> Flight:
     score = _Score(case)
     with tempfile.TemporaryDirectory() as folder:
         source = scenario_path(scenario)
-        text = source.read_text().replace(MISMATCH, f"mismatch = {{ mass = 1.2, drag = {drag:g} }}")
+        text = source.read_text().replace(SHIPPED, _mismatch(drag))
         for plan in (*source.parent.glob("*.plan"), *source.parent.glob("*.mission.toml")):
             (Path(folder) / plan.name).write_text(plan.read_text())
         altered = Path(folder) / source.name

@@ -45,7 +45,10 @@ FOLLOWING_THRUST_WEIGHT = 1.0
 than to correct it at once. (In the paper's tank 2 % of a lap against 0.02; the limits are kept by other means.)"""
 
 BOUND_SHARE = 0.96
-"""Share of the limits on speeds and thrust that plans use: what tracking needs is left to the optimiser."""
+"""Share of the limits on heave, yaw rate and thrust that plans use: what tracking needs is left to the optimiser."""
+
+SPEED_SHARE = 0.98
+"""The same for the planar speed, which has a margin of its own (MPC_SPEED_MARGIN)."""
 
 
 class EnergyGuidance:
@@ -205,7 +208,7 @@ class EnergyGuidance:
         area = area_of(fence, np.stack(places))
         limits = np.array(
             [
-                BOUND_SHARE * now.speed_cap_m_s,
+                SPEED_SHARE * now.speed_cap_m_s,
                 BOUND_SHARE * params["SPD_HEAVE_MAX"],
                 BOUND_SHARE * params["SPD_YAW_MAX"],
                 max(fence.depth_min_m, params["DEPTH_MIN"]),

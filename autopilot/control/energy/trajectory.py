@@ -192,6 +192,8 @@ def _build(model: Model4, power: PowerModel, n: int, substeps: int, shapes: dict
     }
     options: dict[str, Any] = {
         "print_time": False,
+        # A trial step may leave the domain; IPOPT takes a shorter one.
+        "show_eval_warnings": False,
         "ipopt": {
             "print_level": 0,
             "sb": "yes",
