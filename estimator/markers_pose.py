@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from autopilot.core.camera import R_FRD_FROM_CAM, CameraModel
+from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.messages import MarkerSighting
@@ -71,7 +71,7 @@ class MarkerSolver:
         r_ned = r_ned_from_frd(rpy_rad)
         eye = pos_ned_m + r_ned @ self._camera.position_frd_m
         rays = self._camera.normalized(0.25 * sighting.corners_px[known].sum(axis=1))
-        rays_ned = np.column_stack((rays, np.ones(len(rays)))) @ (r_ned @ R_FRD_FROM_CAM).T
+        rays_ned = np.column_stack((rays, np.ones(len(rays)))) @ (r_ned @ self._camera.r_frd_from_cam).T
         scale = (self._floor_m - eye[2]) / np.maximum(rays_ned[:, 2], 0.1)
         seen = eye[0] + 1j * eye[1] + scale * (rays_ned[:, 0] + 1j * rays_ned[:, 1])
         matched, which, shifts = [], [], []
@@ -122,22 +122,27 @@ class MarkerSolver:
         """Range along the beam and its sigma [m] from the dot's pixel, None without a dot or one off its line."""
         if sighting.laser_px is None:
             return None
+        dx, dy, dz = self._camera.laser_direction_cam.tolist()
         ox, oy, oz = self._camera.laser_offset_cam_m.tolist()
+        # A dot at depth Z is seen at (dx, dy) / dz, the beam's vanishing point, plus (ox, oy) / Z, where the beam passes
+        # (ox, oy) beside the lens.
+        ox, oy = ox - oz * dx / dz, oy - oz * dy / dz
         x, y = self._camera.normalized(np.asarray(sighting.laser_px, dtype=float)).tolist()
+        x, y = x - dx / dz, y - dy / dz
         focal = 0.5 * sum(self._camera.focal_px)
         base2 = ox * ox + oy * oy
         along = ox * x + oy * y
         if base2 == 0.0 or along <= 0.0 or abs(ox * y - oy * x) / math.sqrt(base2) * focal > LASER_OFF_LINE_PX:
             return None
         depth = base2 / along
-        if depth - oz < LASER_MIN_RANGE_M:
+        if (depth - oz) / dz < LASER_MIN_RANGE_M:
             return None
-        return depth - oz, depth * depth * LASER_SIGMA_PX / (focal * math.sqrt(base2))
+        return (depth - oz) / dz, depth * depth * LASER_SIGMA_PX / (focal * math.sqrt(base2) * dz)
 
     def _level_rays(self, corners_px: FloatArray, roll_rad: float, pitch_rad: float) -> np.ndarray:
         """(n, 4) complex forward + i right of the corners on a level plane one metre below the camera."""
         rays = self._camera.normalized(corners_px)
-        level = r_ned_from_frd(np.array([roll_rad, pitch_rad, 0.0])) @ R_FRD_FROM_CAM
+        level = r_ned_from_frd(np.array([roll_rad, pitch_rad, 0.0])) @ self._camera.r_frd_from_cam
         full = np.concatenate((rays, np.ones((*rays.shape[:-1], 1))), axis=-1) @ level.T
         down = np.maximum(full[..., 2], 0.1)
         result: np.ndarray = (full[..., 0] + 1j * full[..., 1]) / down

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from autopilot.core.camera import NEAR_M, R_FRD_FROM_CAM, CameraModel
+from autopilot.core.camera import NEAR_M, CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
 
@@ -88,9 +88,9 @@ def _linearise(
     camera: CameraModel, points: FloatArray, pixels: FloatArray, pos: FloatArray, rotation: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
     """Residual (2m,) pixels minus projection, and d projection / d (position, small rotation in NED) (2m, 6)."""
-    r_cam_from_ned = (rotation @ R_FRD_FROM_CAM).T
+    r_cam_from_ned = (rotation @ camera.r_frd_from_cam).T
     arm = points - pos
-    cam = arm @ r_cam_from_ned.T - R_FRD_FROM_CAM.T @ camera.position_frd_m
+    cam = arm @ r_cam_from_ned.T - camera.r_frd_from_cam.T @ camera.position_frd_m
     z = cam[:, 2]
     if not float(z.min()) > NEAR_M:
         return None

@@ -13,7 +13,7 @@ from drivers.base import AlwaysOpen, Closing
 from drivers.ig500 import Ig500
 from drivers.thruster_output import SafeThrusterOutput
 from sitl.ahrs import Ig500Emulator
-from sitl.camera import SimCamera, camera_of
+from sitl.camera import SimCamera, true_camera
 from sitl.camera_feed import CameraFeed
 from sitl.floor import build_floor
 from sitl.obstacle_sensor import SimObstacleSensor
@@ -162,7 +162,7 @@ class SimulatedVehicle(Closing):
                     f"scenario {scenario.scenario.name!r} has no [tank], so there is no floor for the camera;"
                     " use --sensors pose"
                 )
-            model = camera_of(CameraModel.of(vehicle.camera, vehicle.laser), scenario.camera.focal_factor)
+            model = true_camera(CameraModel.of(vehicle.camera, vehicle.laser), scenario.camera, sensors.laser)
             renderer = SimCamera(model, floor, scenario.camera, seed, laser=sensors.laser.enabled)
             self._camera = CameraFeed(renderer, sensors.camera, vehicle.camera, faults, seed)
             self._observers.append(self._camera)

@@ -8,17 +8,18 @@ and the laser dot. Obstacles are not drawn. A picture is a function of truth, fr
 """
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.core.camera import NEAR_M, R_FRD_FROM_CAM, CameraModel
+from autopilot.core.camera import NEAR_M, CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from sitl.floor import Floor, Image
 from sitl.plant import Truth
-from sitl.scenario import CameraLook
+from sitl.scenario import CameraLook, LaserSensor
 
 STEP_PX = 8
 """Distance of the rays that are really cut with the floor."""
@@ -105,7 +106,7 @@ class SimCamera:
 
     def _floor_points(self, eye_ned_m: FloatArray, r: FloatArray, height_m: float) -> tuple[FloatArray, FloatArray]:
         """North and east of the floor points that the grid's rays meet."""
-        north, east, down = (r @ R_FRD_FROM_CAM) @ self._rays_cam
+        north, east, down = (r @ self._camera.r_frd_from_cam) @ self._rays_cam
         reach = height_m / np.maximum(down, HORIZON)
         north_m, east_m = eye_ned_m[0] + north * reach, eye_ned_m[1] + east * reach
         return north_m.reshape(self._grid_shape), east_m.reshape(self._grid_shape)
@@ -154,8 +155,8 @@ class SimCamera:
 
     def _blurred(self, grey: Image, truth: Truth, height_m: float) -> Image:
         """Optical blur, and motion during the exposure by its variance along its direction."""
-        vx, vy, _ = R_FRD_FROM_CAM.T @ truth.vel_frd_m_s
-        wx, wy, _ = R_FRD_FROM_CAM.T @ truth.rate_frd_rad_s
+        vx, vy, _ = self._camera.r_frd_from_cam.T @ truth.vel_frd_m_s
+        wx, wy, _ = self._camera.r_frd_from_cam.T @ truth.rate_frd_rad_s
         scale = self._camera.focal_px[0] * self._look.exposure_s
         mx, my = scale * (vx / height_m + wy), scale * (vy / height_m - wx)
         xx, yy, xy = self._look.blur_px**2 + mx * mx / 12.0, self._look.blur_px**2 + my * my / 12.0, mx * my / 12.0
@@ -182,8 +183,9 @@ class SimCamera:
 
     def _add_laser(self, picture: Image, eye_ned_m: FloatArray, r: FloatArray) -> None:
         """The dot where the beam meets the floor, in place."""
-        origin_ned_m = eye_ned_m + r @ R_FRD_FROM_CAM @ self._camera.laser_offset_cam_m
-        down = float(r[2, 2])
+        r_ned_from_cam = r @ self._camera.r_frd_from_cam
+        origin_ned_m = eye_ned_m + r_ned_from_cam @ self._camera.laser_offset_cam_m
+        down = float(r_ned_from_cam[2] @ self._camera.laser_direction_cam)
         if down < HORIZON:
             return
         range_m = (self._floor.depth_m - float(origin_ned_m[2])) / down
@@ -207,14 +209,21 @@ class SimCamera:
 def camera_of(model: CameraModel, focal_factor: float) -> CameraModel:
     """The true camera: the calibrated one with its focal length off by a factor."""
     fx, fy = model.focal_px
-    return CameraModel(
-        width_px=model.width_px,
-        height_px=model.height_px,
-        focal_px=(fx * focal_factor, fy * focal_factor),
-        center_px=model.center_px,
-        distortion=model.distortion,
-        position_frd_m=model.position_frd_m,
-        laser_offset_cam_m=model.laser_offset_cam_m,
+    return replace(model, focal_px=(fx * focal_factor, fy * focal_factor))
+
+
+def true_camera(model: CameraModel, look: CameraLook, laser: LaserSensor) -> CameraModel:
+    """The camera and the beam of a scenario that differ from ``model``, the vehicle file's, by its errors."""
+    laser_frd_m = model.position_frd_m + model.r_frd_from_cam @ model.laser_offset_cam_m + laser.position_error_m
+    beam_frd = r_ned_from_frd(np.array([*laser.tilt_error_rad, 0.0])) @ model.r_frd_from_cam @ model.laser_direction_cam
+    r_frd_from_cam = r_ned_from_frd(np.array(look.mounting_error_rad)) @ model.r_frd_from_cam
+    position_frd_m = model.position_frd_m + np.array(look.position_error_m)
+    return replace(
+        camera_of(model, look.focal_factor),
+        position_frd_m=position_frd_m,
+        r_frd_from_cam=r_frd_from_cam,
+        laser_offset_cam_m=r_frd_from_cam.T @ (laser_frd_m - position_frd_m),
+        laser_direction_cam=r_frd_from_cam.T @ beam_frd,
     )
 
 

@@ -34,6 +34,7 @@ class CameraFeed(Closing):
         self._rate_hz = settings.rate_hz or camera.rate_hz
         latency_s = camera.latency_s if settings.latency_s is None else settings.latency_s
         self._transport_s = TRANSPORT_SHARE * latency_s
+        self._stamp_error_us = round(settings.stamp_error_s * 1e6)
         self._rng = np.random.default_rng((seed, 30))
         self._outages = OutageClock(settings.outages, faults, np.random.default_rng((seed, 31)))
         self._count = 0
@@ -76,5 +77,5 @@ class CameraFeed(Closing):
         frames = []
         while self._queue and self._queue[0][0] <= t_us:
             _, exposure_us, picture = self._queue.popleft()
-            frames.append(CameraFrame(t_us=exposure_us, image_bgr=picture.result()))
+            frames.append(CameraFrame(t_us=exposure_us + self._stamp_error_us, image_bgr=picture.result()))
         return frames

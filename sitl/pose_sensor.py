@@ -43,6 +43,8 @@ class SimPoseSensor(AlwaysOpen):
         self._floor_depth_m = floor_depth_m
         self._camera_frd_m = np.array(vehicle.camera.position_frd_m)
         self._laser_frd_m = np.array(vehicle.laser.position_frd_m)
+        beam_frd = np.array(vehicle.laser.direction_frd)
+        self._beam_frd = beam_frd / np.linalg.norm(beam_frd)
         self._rate_hz = pose.rate_hz or vehicle.camera.rate_hz
         self._latency_s = vehicle.camera.latency_s if pose.latency_s is None else pose.latency_s
         self._rng = np.random.default_rng((seed, 20))
@@ -103,7 +105,7 @@ class SimPoseSensor(AlwaysOpen):
     def _range(self, truth: Truth, r: FloatArray, noise: float, chance: list[float]) -> LaserSample | None:
         if self._floor_depth_m is None or not self._laser.enabled:
             return None
-        down = float(r[2, 2])
+        down = float(r[2] @ self._beam_frd)
         if down <= 0.0:
             return None
         range_m = (self._floor_depth_m - float(truth.pos_ned_m[2] + r[2] @ self._laser_frd_m)) / down

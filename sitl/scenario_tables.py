@@ -246,6 +246,8 @@ class CameraSensor(_Table, frozen=True, kw_only=True):
     latency_s: NonNegative | None = None
     """None = as the vehicle file."""
     latency_jitter_s: NonNegative = 0.01
+    stamp_error_s: float = 0.0
+    """Pictures are stamped so much later than they were exposed: latency that the vehicle file does not know of."""
     drop_probability: Probability = 0.01
     """Per frame."""
     outages: Outages = Outages()
@@ -275,6 +277,10 @@ class LaserSensor(_Table, frozen=True, kw_only=True):
     """``[sensors.laser]``: the dot in the picture, or a range beside the pose sensor."""
 
     enabled: bool = True
+    tilt_error_rad: Vec2 = (0.0, 0.0)
+    """True direction of the beam against the vehicle file's: turned about the body's forward and starboard axes."""
+    position_error_m: Vec3 = (0.0, 0.0, 0.0)
+    """True place of the laser minus the vehicle file's, body frame."""
     sigma_m: NonNegative = 0.005
     """Of the range, when no picture is rendered."""
     outlier_probability: Probability = 0.0
@@ -311,6 +317,10 @@ class CameraLook(_Table, frozen=True, kw_only=True):
 
     focal_factor: Positive = 1.0
     """True focal length over the calibrated one of the vehicle file."""
+    mounting_error_rad: Vec3 = (0.0, 0.0, 0.0)
+    """True mounting of the camera against the vehicle file's: roll, pitch, yaw about the body's axes."""
+    position_error_m: Vec3 = (0.0, 0.0, 0.0)
+    """True place of the camera minus the vehicle file's, body frame."""
     turbidity_1_m: NonNegative = 0.3
     """Contrast decays as exp(-turbidity * distance)."""
     blur_px: NonNegative = 0.8

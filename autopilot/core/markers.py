@@ -77,7 +77,7 @@ class MarkerMap:
     ) -> tuple[float, float, float]:
         """North, east and radius [m] of a circle on the floor that holds all that the image can show."""
         eye_ned_m = pos_ned_m + r_ned_from_frd @ camera.position_frd_m
-        axis_ned = r_ned_from_frd[:, 2]
+        axis_ned = r_ned_from_frd @ camera.r_frd_from_cam[:, 2]
         height_m = max(0.0, self._depth_m - float(eye_ned_m[2]))
         slope = camera.view_slope + 1.5 * max(0.0, -margin_px) / min(camera.focal_px)
         tilt_rad = math.acos(max(-1.0, min(1.0, float(axis_ned[2]))))
