@@ -17,7 +17,7 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd
-from autopilot.core.markers import IntArray, MarkerMap
+from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.messages import CameraFrame, MarkerSighting
 from estimator.laser_dot import find_dot
 
@@ -58,14 +58,15 @@ class MarkerDetector:
 
     def __init__(self, camera: CameraModel, markers: MarkerMap) -> None:
         cv2.setNumThreads(1)
-        if not hasattr(cv2.aruco, markers.dictionary):
-            raise ConfigError(
-                f"marker dictionary {markers.dictionary!r} is not known to OpenCV; use e.g. DICT_4X4_1000"
-            )
+        for name in markers.dictionaries:
+            if not hasattr(cv2.aruco, name):
+                raise ConfigError(f"marker dictionary {name!r} is not known to OpenCV; use e.g. DICT_4X4_1000")
         self._camera = camera
         self._markers = markers
-        self._floor_m = float(markers.corners_ned_m[..., 2].mean())
-        self._dictionary: Any = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, markers.dictionary))
+        self._floor_m = markers.floor_m
+        self._dictionaries: list[Any] = [
+            cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)) for name in markers.dictionaries
+        ]
         self._known: IntArray = np.unique(markers.ids)
 
     def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
@@ -73,21 +74,35 @@ class MarkerDetector:
         image = frame.image_bgr
         # Water takes red first; green keeps the most contrast.
         grey = np.ascontiguousarray(image[:, :, 1])
-        if hint is None:
-            ids, side_px = self._known, None
-        else:
-            ids, side_px = self._expected(hint)
-        found, corners = self._search(grey, ids, side_px) if len(ids) else ([], np.empty((0, 4, 2)))
+        found: list[int] = []
+        corners = np.empty((0, 4, 2))
+        # Most maps are of one dictionary; each further kind in view costs a search of its own.
+        for ids, sides_px in self._acquisition() if hint is None else self._expected(hint):
+            more, where = self._search(grey, ids, sides_px)
+            found += more
+            corners = np.concatenate((corners, where))
         laser = find_dot(image, self._camera, self._laser_range_m(hint))
         return MarkerSighting(t_us=frame.t_us, ids=tuple(found), corners_px=corners, laser_px=laser)
 
-    def _expected(self, hint: Hint) -> tuple[IntArray, float]:
-        """Ids that can be in view, and how long a marker's side is [px]."""
+    def _acquisition(self) -> list[tuple[IntArray, None]]:
+        """All ids of the map, one group for each dictionary."""
+        kinds = self._known // ID_SPAN
+        return [(self._known[kinds == kind], None) for kind in np.unique(kinds)]
+
+    def _expected(self, hint: Hint) -> list[tuple[IntArray, tuple[float, float]]]:
+        """Ids that can be in view, one group for each dictionary, and how long markers' sides are at least and at
+        most [px]."""
         r = r_ned_from_frd(hint.rpy_rad)
-        ids = self._markers.ids[self._markers.visible(self._camera, hint.pos_ned_m, r, -HINT_MARGIN_PX)]
-        height_m = self._floor_m - float((hint.pos_ned_m + r @ self._camera.position_frd_m)[2])
-        side_px = self._markers.size_m * self._camera.focal_px[0] / max(height_m, 0.05)
-        return np.unique(ids), max(side_px, MIN_SIDE_PX)
+        seen = self._markers.visible(self._camera, hint.pos_ned_m, r, -HINT_MARGIN_PX)
+        eye_m = float((hint.pos_ned_m + r @ self._camera.position_frd_m)[2])
+        height_m = np.maximum(self._markers.centers_ned_m[seen, 2] - eye_m, 0.05)
+        side_px = np.maximum(self._markers.sizes_m[seen] * self._camera.focal_water_px / height_m, MIN_SIDE_PX)
+        ids = self._markers.ids[seen]
+        groups = []
+        for kind in np.unique(ids // ID_SPAN):
+            here = ids // ID_SPAN == kind
+            groups.append((np.unique(ids[here]), (float(side_px[here].min()), float(side_px[here].max()))))
+        return groups
 
     def _laser_range_m(self, hint: Hint | None) -> float | None:
         if hint is None:
@@ -96,21 +111,22 @@ class MarkerDetector:
         start_ned_m = hint.pos_ned_m + r @ self._camera.position_frd_m
         return (self._floor_m - float(start_ned_m[2])) / max(float(r[2, 2]), 0.2)
 
-    def _search(self, grey: Any, ids: IntArray, side_px: float | None) -> tuple[list[int], FloatArray]:
-        """Ids and refined corners (n, 4, 2) of the markers whose id is one of ``ids``."""
-        few = cv2.aruco.Dictionary(self._dictionary.bytesList[ids], self._dictionary.markerSize, 0)
+    def _search(self, grey: Any, ids: IntArray, sides_px: tuple[float, float] | None) -> tuple[list[int], FloatArray]:
+        """Ids and refined corners (n, 4, 2) of the markers whose id is one of ``ids``, all of one dictionary."""
+        dictionary = self._dictionaries[int(ids[0]) // ID_SPAN]
+        few = cv2.aruco.Dictionary(dictionary.bytesList[ids % ID_SPAN], dictionary.markerSize, 0)
         # Noise makes thousands of contours, which cost more than the markers: smooth, and halve where that is possible.
-        halved = side_px is not None and side_px >= HALF_SIDE_PX
+        halved = sides_px is not None and sides_px[0] >= HALF_SIDE_PX
         smooth = cv2.pyrDown(grey) if halved else cv2.GaussianBlur(grey, (3, 3), 0.0)
         scale = 2.0 if halved else 1.0
-        size_px = None if side_px is None else side_px / scale
-        detector = cv2.aruco.ArucoDetector(few, _parameters(size_px, max(smooth.shape)))
+        band_px = None if sides_px is None else (sides_px[0] / scale, sides_px[1] / scale)
+        detector = cv2.aruco.ArucoDetector(few, _parameters(band_px, max(smooth.shape)))
         quads, indices, _ = detector.detectMarkers(smooth)
         if indices is None or len(quads) == 0:
             return [], np.empty((0, 4, 2))
         corners = np.array(quads, dtype=np.float32).reshape(-1, 2) * np.float32(scale)
         sides_px = np.linalg.norm(np.diff(corners.reshape(-1, 4, 2), axis=1), axis=2).min(axis=1)
-        cell_px = float(np.median(sides_px)) / (self._dictionary.markerSize + 2)
+        cell_px = float(np.median(sides_px)) / (dictionary.markerSize + 2)
         half = int(np.clip(round(REFINE_CELLS * cell_px), *REFINE_WINDOW_PX))
         criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.01)
         refined = cv2.cornerSubPix(grey, corners.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), criteria)
@@ -118,18 +134,18 @@ class MarkerDetector:
         return [int(i) for i in ids[np.asarray(indices).ravel()]], result
 
 
-def _parameters(side_px: float | None, image_px: int) -> Any:
+def _parameters(sides_px: tuple[float, float] | None, image_px: int) -> Any:
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshConstant = THRESHOLD_CONSTANT
     parameters.minOtsuStdDev = MIN_OTSU_STD_DEV
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    if side_px is None:
+    if sides_px is None:
         first, last, step = ACQUIRE_WINDOWS_PX
         parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = first, last
         parameters.adaptiveThreshWinSizeStep = step
         parameters.minMarkerPerimeterRate = 4.0 * MIN_SIDE_PX / image_px
     else:
         parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = WINDOW_PX
-        parameters.minMarkerPerimeterRate = max(4.0 * MIN_SIDE_PX, SIZE_BAND[0] * 4.0 * side_px) / image_px
-        parameters.maxMarkerPerimeterRate = SIZE_BAND[1] * 4.0 * side_px / image_px
+        parameters.minMarkerPerimeterRate = max(4.0 * MIN_SIDE_PX, SIZE_BAND[0] * 4.0 * sides_px[0]) / image_px
+        parameters.maxMarkerPerimeterRate = SIZE_BAND[1] * 4.0 * sides_px[1] / image_px
     return parameters

@@ -119,9 +119,9 @@ class CameraModel:
         return np.array(self.distortion)
 
     @property
-    def plain(self) -> bool:
-        """Whether it is a pinhole with Brown's distortion and nothing else."""
-        return self.port is None and not self.fisheye
+    def focal_water_px(self) -> float:
+        """Pixels per radian near the axis of what is in the water, mean of x and y."""
+        return 0.5 * (self.focal_px[0] + self.focal_px[1]) * (1.0 if self.port is None else self.port.water_index)
 
     def cam_from_ned(self, points_ned_m: FloatArray, pos_ned_m: FloatArray, r_ned_from_frd: FloatArray) -> FloatArray:
         """World points (..., 3) in the camera frame for a vehicle at ``pos_ned_m`` (3,) with that attitude (3, 3)."""

@@ -18,8 +18,20 @@ from autopilot.core.frames import FloatArray
 
 IntArray: TypeAlias = NDArray[np.int64]
 
-DICTIONARY_SIZES = {"DICT_4X4_50": 50, "DICT_4X4_100": 100, "DICT_4X4_250": 250, "DICT_4X4_1000": 1000}
-"""Predefined OpenCV dictionaries that a floor can be made of, and how many ids each has."""
+DICTIONARY_SIZES = {
+    **{f"DICT_{n}X{n}_{count}": count for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
+    "DICT_ARUCO_ORIGINAL": 1024,
+    "DICT_ARUCO_MIP_36h12": 250,
+    "DICT_APRILTAG_16h5": 30,
+    "DICT_APRILTAG_25h9": 35,
+    "DICT_APRILTAG_36h10": 2320,
+    "DICT_APRILTAG_36h11": 587,
+}
+"""Predefined OpenCV dictionaries that a map can use, and how many ids each has."""
+
+ID_SPAN = 4096
+"""More than any dictionary has ids. The id by which a marker goes everywhere is its dictionary's number in the map
+times this plus its id in that dictionary; where all markers are of one dictionary, it is simply that id."""
 
 SAME_ID_DISTANCE_M = 1.0
 """Least distance of two markers with the same id, where the dictionary is large enough."""
@@ -27,39 +39,63 @@ SAME_ID_DISTANCE_M = 1.0
 FLATTEST_RAD = math.radians(80.0)
 """A view that reaches farther from the vertical than this is taken as unlimited."""
 
-_CORNER_SIGNS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
+LEVEL_M = 1e-4
+"""Corners that differ by less in depth lie on one level floor."""
+
+CORNER_SIGNS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 """(4, 2) north, east of the corners in OpenCV's order for a marker whose top points north, seen from above."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MarkerMap:
-    """Surveyed markers, all of one dictionary. All lie face up."""
+    """Surveyed markers: any poses, sizes and dictionaries."""
 
     dictionary: str
-    """Name of OpenCV's predefined dictionary, e.g. DICT_4X4_1000."""
+    """Name of OpenCV's predefined dictionary, e.g. DICT_4X4_1000; of markers with ids below :data:`ID_SPAN`."""
     size_m: float
-    """Side of the black square."""
+    """Side of the black square, of most markers."""
     ids: IntArray
-    """(n,) dictionary ids; may repeat."""
+    """(n,) ids, see :data:`ID_SPAN`; may repeat."""
     corners_ned_m: FloatArray
     """(n, 4, 3) in OpenCV's corner order."""
+    more_dictionaries: tuple[str, ...] = ()
+    """Dictionaries number 1 and on."""
     centers_ned_m: FloatArray = field(init=False)
     """(n, 3)"""
+    sizes_m: FloatArray = field(init=False)
+    """(n,) sides of the black squares."""
+    level: bool = field(init=False)
+    """Whether all lie face up on one level floor."""
+    floor_m: float = field(init=False)
+    """Mean depth of all corners, 0 without markers."""
     _north_m: FloatArray = field(init=False, repr=False)
     _east_m: FloatArray = field(init=False, repr=False)
     _depth_m: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        centers = self.corners_ned_m.mean(axis=1)
+        corners = self.corners_ned_m
+        centers = corners.mean(axis=1)
+        some = len(centers) > 0
         object.__setattr__(self, "centers_ned_m", centers)
+        sides = corners - np.roll(corners, -1, axis=1)
+        object.__setattr__(self, "sizes_m", np.sqrt((sides * sides).sum(axis=2)).mean(axis=1))
+        depth = corners[..., 2]
+        up = _cross_2d(corners[..., 1], -corners[..., 0]) >= 0.0
+        object.__setattr__(self, "level", bool(some and np.ptp(depth) < LEVEL_M and up.all()))
+        object.__setattr__(self, "floor_m", float(depth.mean()) if some else 0.0)
         object.__setattr__(self, "_north_m", centers[:, 0].copy())
         object.__setattr__(self, "_east_m", centers[:, 1].copy())
-        object.__setattr__(self, "_depth_m", float(centers[:, 2].max()) if len(centers) else 0.0)
+        object.__setattr__(self, "_depth_m", float(depth.max()) if some else 0.0)
+
+    @property
+    def dictionaries(self) -> tuple[str, ...]:
+        """All dictionaries by number."""
+        return (self.dictionary, *self.more_dictionaries)
 
     def visible(
         self, camera: CameraModel, pos_ned_m: FloatArray, r_ned_from_frd: FloatArray, margin_px: float = 0.0
     ) -> IntArray:
-        """Indices (m,) of the markers with all four corners in the image of a vehicle at that pose.
+        """Indices (m,) of the markers whose face shows with all four corners in the image of a vehicle at that pose.
 
         ``margin_px`` > 0 asks for that distance from the image border, < 0 adds markers that far outside of it (for
         an uncertain pose).
@@ -67,15 +103,17 @@ class MarkerMap:
         north, east, radius = self._footprint(camera, pos_ned_m, r_ned_from_frd, margin_px)
         dn, de = self._north_m - north, self._east_m - east
         near = np.flatnonzero(dn * dn + de * de < radius * radius)
-        points = camera.cam_from_ned(self.corners_ned_m[near], pos_ned_m, r_ned_from_frd)
-        full = camera.inside(camera.project(points), margin_px).all(axis=1)
-        result: IntArray = near[full]
+        pixels = camera.project(camera.cam_from_ned(self.corners_ned_m[near], pos_ned_m, r_ned_from_frd))
+        shown = camera.inside(pixels, margin_px).all(axis=1)
+        if not self.level:
+            shown &= _cross_2d(pixels[..., 0], pixels[..., 1]) > 0.0
+        result: IntArray = near[shown]
         return result
 
     def _footprint(
         self, camera: CameraModel, pos_ned_m: FloatArray, r_ned_from_frd: FloatArray, margin_px: float
     ) -> tuple[float, float, float]:
-        """North, east and radius [m] of a circle on the floor that holds all that the image can show."""
+        """North, east and radius [m] of a circle that holds the centres of all markers that the image can show."""
         eye_ned_m = pos_ned_m + r_ned_from_frd @ camera.position_frd_m
         axis_ned = r_ned_from_frd @ camera.r_frd_from_cam[:, 2]
         height_m = max(0.0, self._depth_m - float(eye_ned_m[2]))
@@ -84,9 +122,17 @@ class MarkerMap:
         far_rad = tilt_rad + math.atan(slope)
         if far_rad > FLATTEST_RAD:
             return float(eye_ned_m[0]), float(eye_ned_m[1]), math.inf
+        aside_m = camera.view_offset_m * (1.0 + math.tan(far_rad))
+        if not self.level:  # what lies higher is seen nearer to below the camera
+            return float(eye_ned_m[0]), float(eye_ned_m[1]), height_m * math.tan(far_rad) + aside_m
         reach_m = height_m / float(axis_ned[2])
-        radius_m = height_m * (math.tan(far_rad) - math.tan(tilt_rad))
+        radius_m = height_m * (math.tan(far_rad) - math.tan(tilt_rad)) + aside_m
         return float(eye_ned_m[0] + reach_m * axis_ned[0]), float(eye_ned_m[1] + reach_m * axis_ned[1]), radius_m
+
+
+def _cross_2d(x: FloatArray, y: FloatArray) -> FloatArray:
+    """(n,) twice the area of quadrilaterals (n, 4), positive where they run clockwise with y to below."""
+    return np.asarray((x[:, 2] - x[:, 0]) * (y[:, 3] - y[:, 1]) - (y[:, 2] - y[:, 0]) * (x[:, 3] - x[:, 1]))
 
 
 def grid_floor(
@@ -115,7 +161,7 @@ def grid_floor(
     start = 0.5 * (low + high) - 0.5 * pitch_m * (count - 1)
     cells = np.array([(i, j) for i in range(count[0]) for j in range(count[1])], dtype=np.int64).reshape(-1, 2)
     centers = start + pitch_m * cells
-    squares = centers[:, None, :] + 0.5 * pitch_m * _CORNER_SIGNS * (1.0 - 1e-9)
+    squares = centers[:, None, :] + 0.5 * pitch_m * CORNER_SIGNS * (1.0 - 1e-9)
     fits = _inside_polygon(squares.reshape(-1, 2), polygon).reshape(-1, 4).all(axis=1)
     cells, centers = cells[fits], centers[fits]
     if len(cells) == 0:
@@ -123,7 +169,7 @@ def grid_floor(
             f"markers.pitch_m = {pitch_m:g} leaves no room for a marker in the polygon; use a finer pitch"
         )
     corners = np.empty((len(cells), 4, 3))
-    corners[:, :, :2] = centers[:, None, :] + 0.5 * size_m * _CORNER_SIGNS
+    corners[:, :, :2] = centers[:, None, :] + 0.5 * size_m * CORNER_SIGNS
     corners[:, :, 2] = depth_m
     ids = _assign_ids(cells, pitch_m, DICTIONARY_SIZES[dictionary], np.random.default_rng(seed))
     return MarkerMap(dictionary=dictionary, size_m=size_m, ids=ids, corners_ned_m=corners)

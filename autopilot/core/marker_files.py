@@ -1,0 +1,350 @@
+"""The marker map file: which marker of which dictionary lies where, in TOML (docs/markers.md).
+
+``[[marker]]`` gives one marker, ``[[board]]`` a grid of them; both can be mixed, and so can dictionaries and sizes. A
+pose is that of the marker's frame: x to its top, y to its right, z into the surface it is printed on. With all angles
+zero it lies face up with its top to the north.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+
+from autopilot.core.errors import ConfigError
+from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
+from autopilot.core.markers import CORNER_SIGNS, DICTIONARY_SIZES, ID_SPAN, MarkerMap
+from autopilot.core.vehicle import Vec3, convert, read_toml
+
+AMBIGUITY_M = 0.9
+"""Markers of one id must lie this far apart: the estimator takes the nearest within half of it."""
+MAX_SIZE_M = 5.0
+MAX_MARKERS = 20_000
+FLAT_M = 0.01
+"""Markers whose planes are this close and that cover each other overlap; farther apart one hangs above the other."""
+MAX_DICTIONARIES = 16
+"""In one map; ids go into the log as 16 bit numbers."""
+
+Index = Annotated[int, msgspec.Meta(ge=0)]
+Count = Annotated[int, msgspec.Meta(ge=1, le=1000)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+Size = Annotated[float, msgspec.Meta(gt=0.0, le=MAX_SIZE_M)]
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A TOML table: immutable, unknown keys are errors."""
+
+
+class Defaults(_Table, frozen=True, kw_only=True):
+    """``[defaults]``: for markers and boards that do not say."""
+
+    dictionary: str | None = None
+    size_m: Size | None = None
+
+
+class Marker(_Table, frozen=True, kw_only=True):
+    """``[[marker]]``"""
+
+    id: Index
+    center_m: Vec3
+    """North, east, down of its middle."""
+    yaw_rad: float | None = None
+    """Where its top points, clockwise from north, when it lies face up."""
+    rpy_rad: Vec3 | None = None
+    """Instead: roll, pitch, yaw of its frame."""
+    dictionary: str | None = None
+    size_m: Size | None = None
+    """Side of the black square."""
+
+    def __post_init__(self) -> None:
+        if self.yaw_rad is not None and self.rpy_rad is not None:
+            raise ValueError("give either `yaw_rad` or `rpy_rad`")
+
+
+class Board(_Table, frozen=True, kw_only=True):
+    """``[[board]]``: a grid; its first marker is at the top left, the following ones to the right, row by row."""
+
+    rows: Count
+    columns: Count
+    gap_m: NonNegative
+    """Between the black squares."""
+    first_id: Index | None = None
+    """Ids count up from it."""
+    ids: list[Index] | None = None
+    """Instead: one id per marker."""
+    center_m: Vec3
+    """Of the whole grid."""
+    yaw_rad: float | None = None
+    rpy_rad: Vec3 | None = None
+    dictionary: str | None = None
+    size_m: Size | None = None
+
+    def __post_init__(self) -> None:
+        if self.yaw_rad is not None and self.rpy_rad is not None:
+            raise ValueError("give either `yaw_rad` or `rpy_rad`")
+        if (self.first_id is None) == (self.ids is None):
+            raise ValueError("give either `first_id` or `ids`")
+        if self.ids is not None and len(self.ids) != self.rows * self.columns:
+            raise ValueError(f"`ids` has {len(self.ids)} entries; {self.rows} x {self.columns} markers need one each")
+
+
+class MarkerFile(_Table, frozen=True, kw_only=True):
+    """One marker map file."""
+
+    name: str = ""
+    defaults: Defaults = Defaults()
+    marker: list[Marker] = []
+    board: list[Board] = []
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PlacedMarker:
+    """One marker of a map by its plain values."""
+
+    place: str
+    """Where it stands in the file, e.g. ``$.board[1]``."""
+    dictionary: str
+    id: int
+    size_m: float
+    center_ned_m: FloatArray
+    r_ned_from_marker: FloatArray
+    """(3, 3)"""
+
+    @property
+    def label(self) -> str:
+        """Name for messages."""
+        return f"{self.place} (id {self.id} of {self.dictionary})" if self.place else f"id {self.id}"
+
+    @property
+    def corners_ned_m(self) -> FloatArray:
+        """(4, 3)"""
+        flat = np.column_stack((0.5 * self.size_m * CORNER_SIGNS, np.zeros(4)))
+        result: FloatArray = self.center_ned_m + flat @ self.r_ned_from_marker.T
+        return result
+
+
+def load_marker_map(path: Path) -> MarkerMap:
+    """The map of a file. ConfigError names marker, value and remedy."""
+    file: MarkerFile = convert(read_toml(path), MarkerFile, str(path))
+    return make_map(_placed(file, str(path)), str(path))
+
+
+def make_map(placed: Sequence[PlacedMarker], origin: str) -> MarkerMap:
+    """The map of these markers, checked. ConfigError begins with ``origin``."""
+    if not 1 <= len(placed) <= MAX_MARKERS:
+        raise ConfigError(f"{origin}: holds {len(placed)} markers; give 1 to {MAX_MARKERS} [[marker]] or [[board]]")
+    whole = _whole_dictionaries({marker.dictionary for marker in placed})
+    numbers: dict[str, int] = {}
+    for marker in placed:
+        numbers.setdefault(whole[marker.dictionary], len(numbers))
+    if len(numbers) > MAX_DICTIONARIES:
+        raise ConfigError(f"{origin}: uses {len(numbers)} dictionaries; use at most {MAX_DICTIONARIES}")
+    names = tuple(numbers)
+    sizes = [marker.size_m for marker in placed]
+    result = MarkerMap(
+        dictionary=names[0],
+        size_m=sorted(sizes)[len(sizes) // 2],
+        ids=np.array([ID_SPAN * numbers[whole[m.dictionary]] + m.id for m in placed], dtype=np.int64),
+        corners_ned_m=np.array([marker.corners_ned_m for marker in placed]),
+        more_dictionaries=names[1:],
+    )
+    _refuse_duplicates(result, placed, origin)
+    _refuse_overlaps(result, placed, origin)
+    return result
+
+
+def _placed(file: MarkerFile, origin: str) -> list[PlacedMarker]:
+    """All markers of a file one by one. ConfigError for what a single marker cannot be."""
+    result: list[PlacedMarker] = []
+    for index, entry in enumerate(file.marker):
+        place = f"$.marker[{index}]"
+        dictionary, size_m = _kind(entry, file.defaults, place, origin)
+        _check_id(entry.id, dictionary, place, origin)
+        result.append(_one(place, dictionary, entry.id, size_m, np.array(entry.center_m), _rotation(entry)))
+    for index, board in enumerate(file.board):
+        place = f"$.board[{index}]"
+        dictionary, size_m = _kind(board, file.defaults, place, origin)
+        if len(result) + board.rows * board.columns > MAX_MARKERS:
+            raise ConfigError(f"{origin}: `{place}` brings the map to more than {MAX_MARKERS} markers; use fewer")
+        start = 0 if board.first_id is None else board.first_id
+        ids = board.ids if board.ids is not None else list(range(start, start + board.rows * board.columns))
+        for marker_id in ids:
+            _check_id(marker_id, dictionary, place, origin)
+        r = _rotation(board)
+        for n, (offset, marker_id) in enumerate(zip(board_offsets(board, size_m), ids, strict=True)):
+            center = np.array(board.center_m) + r @ offset
+            result.append(_one(f"{place} marker {n}", dictionary, marker_id, size_m, center, r))
+    return result
+
+
+def board_offsets(board: Board, size_m: float) -> FloatArray:
+    """(rows * columns, 3) centres of a board's markers in the board's frame."""
+    pitch = size_m + board.gap_m
+    down, right = np.divmod(np.arange(board.rows * board.columns), board.columns)
+    result = np.zeros((board.rows * board.columns, 3))
+    result[:, 0] = pitch * (0.5 * (board.rows - 1) - down)
+    result[:, 1] = pitch * (right - 0.5 * (board.columns - 1))
+    return result
+
+
+def _one(place: str, dictionary: str, marker_id: int, size_m: float, center: FloatArray, r: FloatArray) -> PlacedMarker:
+    return PlacedMarker(
+        place=place, dictionary=dictionary, id=marker_id, size_m=size_m, center_ned_m=center, r_ned_from_marker=r
+    )
+
+
+def _rotation(entry: Marker | Board) -> FloatArray:
+    if entry.rpy_rad is not None:
+        return r_ned_from_frd(np.array(entry.rpy_rad))
+    return r_ned_from_frd(np.array([0.0, 0.0, entry.yaw_rad or 0.0]))
+
+
+def _kind(entry: Marker | Board, defaults: Defaults, place: str, origin: str) -> tuple[str, float]:
+    """Dictionary and size of an entry."""
+    dictionary = entry.dictionary if entry.dictionary is not None else defaults.dictionary
+    size_m = entry.size_m if entry.size_m is not None else defaults.size_m
+    for key, value in (("dictionary", dictionary), ("size_m", size_m)):
+        if value is None:
+            raise ConfigError(f"{origin}: `{place}` has no `{key}`; give it there or in [defaults]")
+    assert dictionary is not None
+    assert size_m is not None
+    if dictionary not in DICTIONARY_SIZES:
+        raise ConfigError(
+            f"{origin}: `{place}.dictionary` {dictionary!r} is not known; use one of {', '.join(DICTIONARY_SIZES)}"
+        )
+    return dictionary, size_m
+
+
+def _check_id(marker_id: int, dictionary: str, place: str, origin: str) -> None:
+    count = DICTIONARY_SIZES[dictionary]
+    if marker_id >= count:
+        raise ConfigError(
+            f"{origin}: `{place}`: id {marker_id} is not in {dictionary}; use 0 to {count - 1} or a larger dictionary"
+        )
+
+
+def _whole_dictionaries(names: set[str]) -> dict[str, str]:
+    """Dictionary -> the largest one used that begins with the same patterns (DICT_4X4_50 is in DICT_4X4_1000)."""
+
+    def family(name: str) -> str:
+        head, _, count = name.rpartition("_")
+        return head if count.isdigit() else name
+
+    largest: dict[str, str] = {}
+    for name in sorted(names, key=DICTIONARY_SIZES.__getitem__):
+        largest[family(name)] = name
+    return {name: largest[family(name)] for name in names}
+
+
+def _refuse_duplicates(markers: MarkerMap, placed: Sequence[PlacedMarker], origin: str) -> None:
+    """ConfigError for two markers of one id that the estimator could take for each other."""
+    order = np.argsort(markers.ids, kind="stable")
+    starts = np.flatnonzero(np.diff(markers.ids[order], prepend=-1))
+    for group in np.split(order, starts[1:]):
+        centers = markers.centers_ned_m[group]
+        for k in range(1, len(group)):
+            distance_m = np.linalg.norm(centers[:k] - centers[k], axis=1)
+            nearest = int(distance_m.argmin())
+            if distance_m[nearest] < AMBIGUITY_M:
+                raise ConfigError(
+                    f"{origin}: {placed[group[k]].label} is {distance_m[nearest]:.3f} m from"
+                    f" {placed[group[nearest]].label}; markers of one id must lie {AMBIGUITY_M:g} m apart:"
+                    " change the id or remove one"
+                )
+
+
+def _refuse_overlaps(markers: MarkerMap, placed: Sequence[PlacedMarker], origin: str) -> None:
+    """ConfigError for two markers that cover each other."""
+    for i, j in close_pairs(markers, 0.0):
+        if _overlap(placed[i], placed[j]):
+            raise ConfigError(
+                f"{origin}: {placed[i].label} and {placed[j].label} overlap, their centres are"
+                f" {np.linalg.norm(placed[i].center_ned_m - placed[j].center_ned_m):.3f} m apart; move one of them"
+            )
+
+
+def close_pairs(markers: MarkerMap, gap_m: float) -> list[tuple[int, int]]:
+    """Pairs of markers whose circumscribed circles are less than ``gap_m`` apart."""
+    reach = markers.sizes_m * math.sqrt(0.5)
+    order = np.argsort(markers.centers_ned_m[:, 0], kind="stable")
+    north = markers.centers_ned_m[order, 0]
+    widest = 2.0 * float(reach.max()) + gap_m
+    ends = np.searchsorted(north, north + widest, side="right")
+    pairs = []
+    for k, end in enumerate(ends.tolist()):
+        i, others = order[k], order[k + 1 : end]
+        apart = np.linalg.norm(markers.centers_ned_m[others] - markers.centers_ned_m[i], axis=1)
+        pairs += [(int(i), int(j)) for j in others[apart < reach[others] + reach[i] + gap_m]]
+    return pairs
+
+
+def _overlap(a: PlacedMarker, b: PlacedMarker) -> bool:
+    """Whether the square of ``b`` covers part of that of ``a``, by the separating axes of the two in a's plane."""
+    in_a = (b.corners_ned_m - a.center_ned_m) @ a.r_ned_from_marker
+    if np.abs(in_a[:, 2]).min() > FLAT_M:
+        return False
+    square = 0.5 * a.size_m * CORNER_SIGNS
+    other = in_a[:, :2]
+    for corners in (square, other):
+        for axis in (corners[1] - corners[0], corners[2] - corners[1]):
+            length = float(np.hypot(*axis))
+            if length < 1e-9:
+                continue
+            ours, theirs = square @ axis / length, other @ axis / length
+            if ours.max() <= theirs.min() + 1e-6 or theirs.max() <= ours.min() + 1e-6:
+                return False
+    return True
+
+
+def placed_markers(markers: MarkerMap) -> list[PlacedMarker]:
+    """The markers of a map one by one; the poses are those of the squares that fit the corners best."""
+    result = []
+    sizes_m = markers.sizes_m.tolist()
+    for code, corners, size_m in zip(markers.ids.tolist(), markers.corners_ned_m, sizes_m, strict=True):
+        kind, marker_id = divmod(code, ID_SPAN)
+        r = rotation_of(corners)
+        result.append(_one("", markers.dictionaries[kind], marker_id, size_m, corners.mean(axis=0), r))
+    return result
+
+
+def rotation_of(corners_m: FloatArray) -> FloatArray:
+    """(3, 3) rotation of the marker frame whose square lies closest to corners (4, 3), by Kabsch's method."""
+    flat = np.column_stack((CORNER_SIGNS, np.zeros(4)))
+    u, _, vt = np.linalg.svd((corners_m - corners_m.mean(axis=0)).T @ flat)
+    turn: FloatArray = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return turn
+
+
+def marker_file_text(markers: MarkerMap, notes: Sequence[str] = (), remarks: Sequence[str] = ()) -> str:
+    """TOML that :func:`load_marker_map` reads back as the same map (to 1e-6 m).
+
+    ``notes`` are comment lines for the head, ``remarks`` comments for each marker.
+    """
+    placed = placed_markers(markers)
+    size_m = round(markers.size_m, 6)
+    lines = [*(f"# {note}" for note in notes), "", "[defaults]", f'dictionary = "{markers.dictionary}"']
+    lines.append(f"size_m = {size_m!r}")
+    for n, marker in enumerate(placed):
+        lines += ["", "[[marker]]" + (f" # {remarks[n]}" if remarks else ""), f"id = {marker.id}"]
+        if marker.dictionary != markers.dictionary:
+            lines.append(f'dictionary = "{marker.dictionary}"')
+        if abs(marker.size_m - size_m) > 1e-6:
+            lines.append(f"size_m = {round(marker.size_m, 6)!r}")
+        lines.append(f"center_m = {_numbers(marker.center_ned_m, 6)}")
+        rpy = rpy_from_r(marker.r_ned_from_marker)
+        if np.abs(rpy[:2]).max() < 1e-7:
+            lines.append(f"yaw_rad = {_number(rpy[2], 7)}")
+        else:
+            lines.append(f"rpy_rad = {_numbers(rpy, 7)}")
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def _number(value: Any, digits: int) -> str:
+    return repr(round(float(value), digits) + 0.0)
+
+
+def _numbers(values: FloatArray, digits: int) -> str:
+    return "[" + ", ".join(_number(v, digits) for v in values) + "]"
