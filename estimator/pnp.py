@@ -1,7 +1,13 @@
-"""Pose of the vehicle from known points and their pixels: Gauss-Newton over position and rotation, with its covariance.
+"""Pose of the vehicle from marker corners and their pixels: Gauss-Newton over position and rotation, with covariance.
 
 All six degrees of freedom are solved for. The AHRS's roll and pitch come in as two weak extra residuals, which decide
 when one or two markers leave the tilt open and do not matter when many are seen.
+
+A seventh unknown is how far blur draws all corners towards their markers' centres. Refinement finds the corner of a
+blurred black square inside of the true one, by 0.2 to 0.5 px depending on optics, motion and window: taken for scale,
+that is a bias of the height which no residual shows and which every frame repeats. Many markers tell it apart from
+height (the distances between markers do not shrink), one marker leans on the prior. What is left are errors of single
+corners, nearly independent of each other and from frame to frame, so that their size tells the covariance.
 """
 
 import math
@@ -9,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from autopilot.core.camera import NEAR_M, CameraModel
+from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
 
@@ -21,9 +27,23 @@ TILT_SIGMA_FEW_RAD = 0.009
 TILT_SIGMA_MANY_RAD = 0.09
 """5 degrees otherwise: the AHRS's tilt error times the height would be worse than what many corners say."""
 FEW_POINTS = 8
-MIN_SIGMA_PX = 0.25
-INFLATION = 2.0
-"""Corners of one marker share errors, so the covariance from independent corners is too small by this factor."""
+LEAN_MAX_RAD = math.radians(3.0)
+"""With few markers a fit that leans further from the AHRS's vertical is the mirrored solution of a flat target (the
+other one of IPPE's two), or the AHRS is wrong: no fix."""
+SHRINK_PX, SHRINK_SIGMA_PX = 0.22, 0.12
+"""Prior of the distance by which corners are found inside of the true ones. Rendered images: 0.18 to 0.31 px at rest
+at 1.3 to 0.3 m, up to 0.5 px at 0.6 m/s; sharp corners: none. From frame to frame it spreads by 0.03 px."""
+MIN_SIGMA_PX = 0.06
+PRIOR_SIGMA_PX, PRIOR_COUNT = 0.12, 6.0
+"""Standard deviation of a corner along one axis in clear water, worth this many residuals: one marker's own residuals
+say little about it. Rendered images: 0.08 to 0.12 px in clear water, 0.2 to 0.5 px where little contrast is left."""
+INFLATION = 1.0
+"""Of the covariance from independent corners: the mean squared distance of the rendered poses is 3.5 (clear water) to 5
+(turbidity 2) of 4 without any. Their errors fade within five frames at 0.3 m/s, half of the variance at once."""
+CORNER_SIGMAS = 3.0
+CORNER_FLOOR_PX = 0.3
+"""Corners that lie further from their projection than this many standard deviations, and this many pixels, are left
+out: occluded, at the laser dot, wrongly refined."""
 
 
 class Pose(NamedTuple):
@@ -49,39 +69,83 @@ def solve_pose(
     pos_ned_m: FloatArray,
     rpy_rad: FloatArray,
     max_rms_px: float,
+    *,
+    shrink_px: float = SHRINK_PX,
 ) -> Pose | None:
-    """Pose from m >= 3 points (m, 3) and pixels (m, 2), starting at a rough pose.
+    """Pose from the corners (4n, 3) of n markers and their pixels (4n, 2), starting at a rough pose.
 
-    None if it does not converge or if the residuals' root mean square is above ``max_rms_px``."""
+    ``shrink_px``: mean of the prior of how far inside of the true ones the corners were found.
+
+    None if it does not converge, if the residuals' root mean square is above ``max_rms_px``, or if few markers want
+    another tilt than the start's, which is the AHRS's."""
     pos = np.array(pos_ned_m, dtype=float)
     rotation = r_ned_from_frd(rpy_rad)
     up_prior = rotation.T[:, 2].copy()
-    sigma_tilt = TILT_SIGMA_FEW_RAD if len(points_ned_m) <= FEW_POINTS else TILT_SIGMA_MANY_RAD
-    for _ in range(STEPS):
+    few = len(points_ned_m) <= FEW_POINTS
+    sigma_tilt = TILT_SIGMA_FEW_RAD if few else TILT_SIGMA_MANY_RAD
+    inward = _inward(pixels)
+    shrink = shrink_px
+    keep = np.ones(2 * len(pixels), dtype=bool)
+    for step in range(STEPS):
         linear = _linearise(camera, points_ned_m, pixels, pos, rotation)
         if linear is None:
             return None
         residual, jac = linear
-        sigma_px = max(MIN_SIGMA_PX, _rms(residual))
-        information, gradient = _normal_equations(residual, jac, sigma_px, rotation, up_prior, sigma_tilt)
+        residual = residual - shrink * inward
+        jac = np.column_stack((jac, inward))
+        sigma_px = _sigma_px(residual[keep])
+        information, gradient = _normal_equations(
+            residual[keep], jac[keep], sigma_px, rotation, up_prior, sigma_tilt, shrink_px - shrink
+        )
         delta: FloatArray = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         pos = pos + delta[:3]
-        rotation = _turn(delta[3:]) @ rotation
+        rotation = _turn(delta[3:6]) @ rotation
+        shrink += float(delta[6])
         residual = residual - jac @ delta
-        if float(np.abs(delta).max()) < CONVERGED:
-            break
+        if float(np.abs(delta[:6]).max()) < CONVERGED:
+            fits = _fitting(residual)
+            if (fits == keep).all() or step == STEPS - 1:
+                break
+            keep = fits
     else:
         return None
     rms = _rms(residual)
-    if not rms <= max_rms_px:
+    if not rms <= max_rms_px or (few and math.acos(min(1.0, float(rotation[2] @ up_prior))) > LEAN_MAX_RAD):
         return None
-    information, _ = _normal_equations(residual, jac, max(MIN_SIGMA_PX, rms), rotation, up_prior, sigma_tilt)
+    sigma_px = _sigma_px(residual[keep])
+    information, _ = _normal_equations(residual[keep], jac[keep], sigma_px, rotation, up_prior, sigma_tilt, 0.0)
     covariance = INFLATION * np.linalg.inv(information)
     pick = np.array([0, 1, 2, 5])
     noise = covariance[np.ix_(pick, pick)]
     noise[np.arange(4), np.arange(4)] += np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2
     sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))
     return Pose(pos, rpy_from_r(rotation), noise, sigma_tilt_rad, residual.reshape(-1, 2), rms)
+
+
+def _inward(pixels: FloatArray) -> FloatArray:
+    """Unit vectors (8n,) from each corner towards the centre of its marker."""
+    corners = pixels.reshape(-1, 4, 2)
+    away: FloatArray = corners.mean(axis=1, keepdims=True) - corners
+    away /= np.maximum(np.sqrt((away * away).sum(axis=2, keepdims=True)), 1e-6)
+    return away.reshape(-1)
+
+
+def _fitting(residual: FloatArray) -> np.ndarray:
+    """Which residuals (8n,) belong to corners that lie where they should; all, if less than three corners would stay.
+
+    The median of the length of a normally distributed two-dimensional error is 1.18 standard deviations."""
+    off_px = np.sqrt((residual.reshape(-1, 2) ** 2).sum(axis=1))
+    limit_px = max(CORNER_FLOOR_PX, CORNER_SIGMAS * float(np.median(off_px)) / 1.1774)
+    fits = off_px <= limit_px
+    if 4 * int(fits.sum()) < 3 * len(fits):
+        fits[:] = True
+    return np.repeat(fits, 2)
+
+
+def _sigma_px(residual: FloatArray) -> float:
+    """Standard deviation of a corner along one axis from residuals (k,), with seven unknowns taken off."""
+    squares = float(residual @ residual) + PRIOR_COUNT * PRIOR_SIGMA_PX**2
+    return max(MIN_SIGMA_PX, math.sqrt(squares / max(len(residual) - 7.0 + PRIOR_COUNT, 1.0)))
 
 
 def _linearise(
@@ -91,31 +155,13 @@ def _linearise(
     r_cam_from_ned = (rotation @ camera.r_frd_from_cam).T
     arm = points - pos
     cam = arm @ r_cam_from_ned.T - camera.r_frd_from_cam.T @ camera.position_frd_m
-    z = cam[:, 2]
-    if not float(z.min()) > NEAR_M:
+    if not float(cam[:, 2].min()) > camera.near_m:
         return None
-    x, y = cam[:, 0] / z, cam[:, 1] / z
-    k1, k2, p1, p2, k3 = camera.distortion
-    fx, fy = camera.focal_px
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
-    xy = x * y
-    residual = np.empty((len(z), 2))
-    residual[:, 0] = pixels[:, 0] - camera.center_px[0] - fx * (x * radial + 2.0 * p1 * xy + p2 * (r2 + 2.0 * x * x))
-    residual[:, 1] = pixels[:, 1] - camera.center_px[1] - fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * xy)
-    dux = fx * (radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x)
-    duy = fx * (slope * xy + 2.0 * p1 * x + 2.0 * p2 * y)
-    dvx = fy * (slope * xy + 2.0 * p1 * x + 2.0 * p2 * y)
-    dvy = fy * (radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x)
     # d pixel / d camera coordinates, (m, 2, 3), then to NED by the chain rule: cam = C (point - pos) - const.
-    by_cam = np.empty((len(z), 2, 3))
-    by_cam[:, 0, 0], by_cam[:, 0, 1] = dux / z, duy / z
-    by_cam[:, 1, 0], by_cam[:, 1, 1] = dvx / z, dvy / z
-    by_cam[:, 0, 2] = -(by_cam[:, 0, 0] * x + by_cam[:, 0, 1] * y)
-    by_cam[:, 1, 2] = -(by_cam[:, 1, 0] * x + by_cam[:, 1, 1] * y)
+    seen, by_cam = camera.linearise(cam)
+    residual = pixels - seen
     by_point = by_cam.reshape(-1, 3) @ r_cam_from_ned
-    jac = np.empty((2 * len(z), 6))
+    jac = np.empty((2 * len(cam), 6))
     jac[:, :3] = -by_point
     arm2 = np.repeat(arm, 2, axis=0)
     # A rotation by t in NED moves a point as seen from the vehicle by -t x arm; g . (arm x t) = (g x arm) . t
@@ -132,8 +178,9 @@ def _normal_equations(
     rotation: FloatArray,
     up_prior: FloatArray,
     sigma_tilt: float,
+    shrink_off_px: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (6, 6) and gradient (6,) of pixels and tilt prior."""
+    """Information (7, 7) and gradient (7,) of pixels, tilt prior and shrink prior."""
     weight = 1.0 / (sigma_px * sigma_px)
     information = weight * (jac.T @ jac)
     gradient = weight * (jac.T @ residual)
@@ -144,6 +191,8 @@ def _normal_equations(
     information[4, 4] += tilt
     gradient[3] += tilt * float(lean[1])
     gradient[4] -= tilt * float(lean[0])
+    information[6, 6] += SHRINK_SIGMA_PX**-2
+    gradient[6] += SHRINK_SIGMA_PX**-2 * shrink_off_px
     return information, gradient
 
 

@@ -18,12 +18,14 @@ from estimator.states import (
     YAW,
 )
 
-POS_NOISE = 1e-4
+POS_NOISE = 2e-4
 """m/sqrt(s): keeps the position gain alive at rest."""
-GYRO_NOISE = 2e-3
-"""rad/s/sqrt(Hz): 0.05 deg/s/sqrt(Hz) of the IG-500 class doubled for scale error and misalignment."""
-ACCEL_NOISE = 0.015
-"""m/s^2/sqrt(Hz): sensor noise is a sixth of this, the rest is what tilt errors do within a second."""
+GYRO_NOISE = 1.1e-3
+"""rad/s/sqrt(Hz): 0.05 deg/s/sqrt(Hz) of the IG-500 class, and a quarter more for scale error and misalignment."""
+ACCEL_NOISE = 0.007
+"""m/s^2/sqrt(Hz), north and east: sensor noise is a third of this, the rest is what tilt errors do within a second."""
+ACCEL_NOISE_DOWN = 0.005
+"""m/s^2/sqrt(Hz), down: tilt errors leak in squared only."""
 GYRO_BIAS_WALK = 1e-4
 """rad/s/sqrt(s)"""
 ACCEL_BIAS_WALK = 0.03
@@ -60,7 +62,7 @@ def process_noise(mode: Mode) -> FloatArray:
     sigma = np.zeros(NX)
     sigma[POS] = POS_NOISE
     sigma[YAW] = BLIND_GYRO_NOISE if blind else GYRO_NOISE
-    sigma[VEL] = BLIND_ACCEL_NOISE if blind else ACCEL_NOISE
+    sigma[VEL] = BLIND_ACCEL_NOISE if blind else (ACCEL_NOISE, ACCEL_NOISE, ACCEL_NOISE_DOWN)
     sigma[GYRO_BIAS] = GYRO_BIAS_WALK
     sigma[ACCEL_BIAS] = ACCEL_BIAS_WALK_TRIMMED if mode is Mode.TRIMMED else ACCEL_BIAS_WALK
     sigma[CURRENT] = coast * CURRENT_WALK

@@ -112,7 +112,8 @@ class Raspicam:
         pixels = self.sighting.corners_px[self.sighting.ids.index(tag)]
         tilt = tilt_error_rad * math.sqrt(0.5)
         guess_m, rpy_rad = np.array([0.05, -0.03, 0.05]), np.array([tilt, -tilt, 0.05])
-        pose = solve_pose(self.camera, points_m, pixels, guess_m, rpy_rad, max_rms_px=1.0)
+        # What was recorded comes from corners taken as they are found.
+        pose = solve_pose(self.camera, points_m, pixels, guess_m, rpy_rad, max_rms_px=1.0, shrink_px=0.0)
         assert pose is not None
         center_m = points_m.mean(axis=0)
         seen_m = r_ned_from_frd(pose.rpy_rad).T @ (center_m - pose.pos_ned_m)
