@@ -1,5 +1,12 @@
-"""Life cycle and counts of one aiding sensor."""
+"""Life cycle and counts of one aiding sensor: it starts, goes on, stops when silent, is reset when it must be.
 
+Every source goes through the same: gate, counts, report. What a reset means is the only difference. A source with an
+offset that is a state of the filter (heading, laser, depth) or that measures one kind of state alone (velocity) has
+these states reopened, when it has been rejected for a while and its residuals agree among themselves. A source of
+positions moves the whole filter (:mod:`estimator.relocation`).
+"""
+
+from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,21 +22,30 @@ REJECT_COUNT = 12
 TIMEOUT_US = 1_000_000
 """Silence after which a sensor counts as stopped."""
 
-_COUNTS = ("received", "fused", "rejected", "late", "duplicate", "future", "malformed")
+AGREE_SIGMA = 3.0
+"""Rejected residuals agree when they lie within so many of their expected deviations of their mean."""
+
+SENSORS = ("heading", "model", "markers", "external", "velocity", "depth", "laser")
+"""All of them, in the order in which measurements of the same time are used."""
+COUNTS = ("received", "fused", "rejected", "late", "duplicate", "future", "malformed", "resets")
+"""What is counted of every sensor."""
 
 
 class Aid:
     """Bookkeeping of one sensor."""
 
-    def __init__(self, sensor: str) -> None:
+    def __init__(self, sensor: str, own: slice | None = None) -> None:
+        """``own``: states that are reopened when the sensor is reset, None = it is not reset here."""
         self.sensor = sensor
-        self.counts = dict.fromkeys(_COUNTS, 0)
+        self.own = own
+        self.counts = dict.fromkeys(COUNTS, 0)
         self.rejected_in_row = 0
         self.last_fused_us: int | None = None
         """Time of validity of the newest measurement that was used."""
         self._fused_in_row = 0
         self._state = AidState.STOPPED
         self._last_us: int | None = None
+        self._rejected: deque[FloatArray] = deque(maxlen=REJECT_COUNT)
 
     def state(self, now_us: int) -> AidState:
         """Where the sensor is in its life cycle."""
@@ -45,11 +61,13 @@ class Aid:
         if fused:
             self.counts["fused"] += 1
             self.rejected_in_row = 0
+            self._rejected.clear()
             self._fused_in_row += 1
             self.last_fused_us = t_us if self.last_fused_us is None else max(t_us, self.last_fused_us)
         else:
             self.counts["rejected"] += 1
             self.rejected_in_row += 1
+            self._rejected.append(innovation.y)
             self._fused_in_row = 0
         if self.rejected_in_row >= REJECT_COUNT:
             self._state = AidState.REJECTING
@@ -67,6 +85,24 @@ class Aid:
             state=self._state,
             age_s=1e-6 * (now_us - t_us),
         )
+
+    def agreed_miss(self, innovation: Innovation) -> float | None:
+        """Mean square of the residuals if the sensor counts as rejecting and they agree, None if there is no case."""
+        if self.own is None or self.rejected_in_row < REJECT_COUNT:
+            return None
+        residuals = np.array(self._rejected)
+        mean = residuals.mean(axis=0)
+        if (np.abs(residuals - mean) > AGREE_SIGMA * np.sqrt(innovation.variance)).any():
+            return None
+        return float((mean * mean).max())
+
+    def reset(self, now_us: int) -> None:
+        """Begin anew: what follows is judged afresh."""
+        self.counts["resets"] += 1
+        self.rejected_in_row = self._fused_in_row = 0
+        self._rejected.clear()
+        self._state = AidState.STARTING
+        self._last_us = now_us
 
     def named_counts(self) -> Iterator[tuple[str, int]]:
         """Counts as ``sensor.what``."""

@@ -9,6 +9,8 @@ correlations), so that a fix counts for more after a gap, and a sensor's noise c
 difference between measured and modelled acceleration.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from autopilot.core.frames import FloatArray
@@ -18,6 +20,7 @@ from estimator.core import Innovation
 from estimator.engine import Engine
 from estimator.inertial import Mode, Step
 from estimator.kalman import RELOCATED_SIGMA_VEL_M_S, VERTICAL_CURRENT_VARIANCE
+from estimator.measure_depth import Depth
 from estimator.measure_laser import LaserRange
 from estimator.measure_model import ModelAid
 from estimator.measure_pose import PoseFix
@@ -27,6 +30,7 @@ from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from estimator.states import (
     ACCEL_BIAS,
     CURRENT,
+    DEPTH_OFFSET,
     GYRO_BIAS,
     HEADING_OFFSET,
     INITIAL_SIGMA,
@@ -61,7 +65,7 @@ VEL_NOISE = 0.06
 VEL_SHRINK = 0.85
 """Share of the velocity's variance that a fix leaves."""
 CURRENT_VARIANCE = 0.06**2
-OFFSET_NOISE, LASER_BIAS_NOISE = 0.0087, 1e-3
+OFFSET_NOISE, LASER_BIAS_NOISE, DEPTH_OFFSET_NOISE = 0.0087, 1e-3, 3e-4
 
 
 class ObserverCore:
@@ -74,6 +78,7 @@ class ObserverCore:
         self._growth[VEL] = VEL_NOISE**2
         self._growth[HEADING_OFFSET] = OFFSET_NOISE**2
         self._growth[LASER_BIAS] = LASER_BIAS_NOISE**2
+        self._growth[DEPTH_OFFSET] = DEPTH_OFFSET_NOISE**2
 
     def start(self, x: FloatArray) -> FilterState:
         """Around ``x``."""
@@ -104,7 +109,7 @@ class ObserverCore:
             return self._result(y, variance, _fix_gain(spread / (seen + noise), x), spread)
         variance = seen + noise
         gain = spread / variance
-        if isinstance(measurement, LaserRange):
+        if isinstance(measurement, LaserRange | Depth):
             variance = np.maximum(variance, GATE_FLOOR[0] ** 2)
         return self._result(y, variance, gain, spread)
 
@@ -128,6 +133,12 @@ class ObserverCore:
         p[VEL] = RELOCATED_SIGMA_VEL_M_S**2
         return FilterState(x, p)
 
+    def reopen(self, state: FilterState, part: slice, variance: float) -> FilterState:
+        """See :class:`estimator.core.FilterCore`."""
+        p = state.p.copy()
+        p[part] = variance
+        return FilterState(state.x, p)
+
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """Of the current a constant is told: the observer does not know it."""
         p = state.p.tolist()
@@ -141,7 +152,7 @@ class ObserverCore:
 
 
 def _fix_gain(gain: FloatArray, x: FloatArray) -> FloatArray:
-    """The adaptive gain (18, 4) with the fixed rows for velocity and biases; the position's share sets their size."""
+    """The adaptive gain (20, 4) with the fixed rows for velocity and biases; the position's share sets their size."""
     c, s = np.cos(x[YAW]), np.sin(x[YAW])
     gain[VEL] = 0.0
     gain[4, 0] = gain[5, 1] = gain[6, 2] = K_VEL
@@ -155,7 +166,7 @@ def _fix_gain(gain: FloatArray, x: FloatArray) -> FloatArray:
 
 
 def _model_gain(x: FloatArray) -> FloatArray:
-    """Gain (18, 2): an acceleration that the model does not explain is water that pushes."""
+    """Gain (20, 2): an acceleration that the model does not explain is water that pushes."""
     c, s = float(np.cos(x[YAW])), float(np.sin(x[YAW]))
     gain = np.zeros((NX, 2))
     gain[CURRENT] = K_CURRENT_S * np.array([[c, -s], [s, c]])
@@ -169,4 +180,4 @@ def create_complementary(
     options: EstimatorOptions = DEFAULT_OPTIONS,
 ) -> Engine:
     """The observer behind :class:`estimator.protocol.Estimator`."""
-    return Engine(ObserverCore(), vehicle, markers, floor_depth_m, options)
+    return Engine(ObserverCore(), vehicle, markers, floor_depth_m, replace(options, current_3d=False))

@@ -18,16 +18,16 @@ class Innovation(NamedTuple):
     test_ratio: float
     """Squared distance over its gate, > 1 = to be rejected."""
     gain: FloatArray
-    """(18, m) what a unit of residual moves."""
+    """(20, m) what a unit of residual moves."""
     spread: FloatArray
-    """(18, m) covariance between state and residual (the observer: unused)."""
+    """(20, m) covariance between state and residual (the observer: unused)."""
 
 
 class FilterCore(Protocol):
     """Pure functions of a filter state: nothing is remembered between calls, so that history can be replayed."""
 
     def start(self, x: FloatArray) -> FilterState:
-        """First state around ``x`` (18,)."""
+        """First state around ``x`` (20,)."""
         ...
 
     def predict(self, state: FilterState, step: Step) -> FilterState:
@@ -46,6 +46,10 @@ class FilterCore(Protocol):
         """State moved to a pose (4,) north, east, down, yaw with covariance (4, 4) and a velocity over ground (3,).
 
         The heading offset moves along with the yaw."""
+        ...
+
+    def reopen(self, state: FilterState, part: slice, variance: float) -> FilterState:
+        """State whose components ``part`` have that variance, uncorrelated: what was known of them is forgotten."""
         ...
 
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:

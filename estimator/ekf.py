@@ -14,4 +14,4 @@ def create_ekf(
     options: EstimatorOptions = DEFAULT_OPTIONS,
 ) -> Engine:
     """The extended Kalman filter behind :class:`estimator.protocol.Estimator`."""
-    return Engine(KalmanCore(), vehicle, markers, floor_depth_m, options)
+    return Engine(KalmanCore(current_3d=options.current_3d), vehicle, markers, floor_depth_m, options)

@@ -2,7 +2,9 @@
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
+from estimator.aiding import SENSORS
 from estimator.core import FilterCore, Innovation
 from estimator.inertial import Step
 from estimator.measurement import Measurement, Moment
@@ -10,6 +12,15 @@ from estimator.states import FilterState
 
 SPAN_US = 1_000_000
 """How far back a measurement may lie; older ones are dropped and counted."""
+
+
+class Reopening(NamedTuple):
+    """A sensor begins anew: what the filter knew of these states is forgotten, just before its next measurement."""
+
+    sensor: str
+    t_us: int
+    part: slice
+    variance: float
 
 
 @dataclass(slots=True, eq=False)
@@ -22,8 +33,10 @@ class Node:
     """How it came here from the node before, None for the first."""
     state: FilterState
     """After the measurements of this node."""
-    measurements: list[Measurement] = field(default_factory=list)
-    """What has been used here, in that order."""
+    prior: FilterState | None = None
+    """Before them; None for the first node, which takes them in the order of their arrival."""
+    used: list[Measurement | Reopening] = field(default_factory=list)
+    """What has been used here, in the order of :func:`_rank`."""
 
 
 class History:
@@ -41,7 +54,7 @@ class History:
     def append(self, t_us: int, moment: Moment, step: Step) -> Node:
         """Predict from the newest node to a new one."""
         state = self._core.predict(self._nodes[-1].state, step)
-        node = Node(t_us, moment, step, state)
+        node = Node(t_us, moment, step, state, state)
         self._nodes.append(node)
         while self._nodes[0].t_us < t_us - SPAN_US:
             self._nodes.popleft()
@@ -56,8 +69,13 @@ class History:
 
     def correct(self, node: Node, measurement: Measurement, innovation: Innovation) -> None:
         """Use a measurement at ``node``, without telling the later nodes: call :meth:`replay` when done."""
-        node.state = self._core.correct(node.state, innovation)
-        node.measurements.append(measurement)
+        if self._place(node, measurement):
+            node.state = self._core.correct(node.state, innovation)
+
+    def reopen(self, node: Node, reopening: Reopening) -> None:
+        """Forget states at ``node``, without telling the later nodes: call :meth:`replay` when done."""
+        if self._place(node, reopening):
+            node.state = self._core.reopen(node.state, reopening.part, reopening.variance)
 
     def replay(self, node: Node) -> None:
         """Compute all nodes after ``node`` again, with the measurements that they have."""
@@ -69,9 +87,36 @@ class History:
         state = node.state
         for other in reversed(later):
             assert other.step is not None
-            state = self._core.predict(state, other.step)
-            for measurement in other.measurements:
-                after_s = 1e-6 * (measurement.t_us - other.t_us)
-                innovation = self._core.innovation(state, measurement, other.moment, after_s)
-                state = self._core.correct(state, innovation)
-            other.state = state
+            other.prior = self._core.predict(state, other.step)
+            state = other.state = self._corrected(other, other.prior)
+
+    def _place(self, node: Node, new: Measurement | Reopening) -> bool:
+        """Put it among what the node has used. True if it comes last, else the node has been computed again.
+
+        The order does not depend on when things arrived, so neither does the result."""
+        place = len(node.used)
+        if node.prior is not None:
+            while place and _rank(node.used[place - 1]) > _rank(new):
+                place -= 1
+        node.used.insert(place, new)
+        if place == len(node.used) - 1:
+            return True
+        assert node.prior is not None
+        node.state = self._corrected(node, node.prior)
+        return False
+
+    def _corrected(self, node: Node, state: FilterState) -> FilterState:
+        for item in node.used:
+            if isinstance(item, Reopening):
+                state = self._core.reopen(state, item.part, item.variance)
+                continue
+            after_s = 1e-6 * (item.t_us - node.t_us)
+            state = self._core.correct(state, self._core.innovation(state, item, node.moment, after_s))
+        return state
+
+
+_ORDER = {name: number for number, name in enumerate(SENSORS)}
+
+
+def _rank(item: Measurement | Reopening) -> tuple[int, int]:
+    return item.t_us, _ORDER.get(item.sensor, len(_ORDER))

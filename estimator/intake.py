@@ -4,16 +4,23 @@ from collections import deque
 from collections.abc import Iterable
 from typing import TypeAlias
 
-from autopilot.core.messages import LaserSample, MarkerSighting, PoseSample
-from estimator.aiding import Aid
+from autopilot.core.messages import (
+    DepthSample,
+    ExternalPoseSample,
+    LaserSample,
+    MarkerSighting,
+    PoseSample,
+    VelocitySample,
+)
+from estimator.aiding import SENSORS, Aid
 from estimator.inertial import FUTURE_TOLERANCE_US
 
-AidingSample: TypeAlias = PoseSample | MarkerSighting | LaserSample
+AidingSample: TypeAlias = PoseSample | MarkerSighting | LaserSample | DepthSample | VelocitySample | ExternalPoseSample
 
 REMEMBERED = 64
 """Times of the latest samples of each kind, to recognise duplicates: two seconds of camera."""
 WAITING_MAX = 64
-"""Samples that may wait for the AHRS to catch up."""
+"""Samples of each kind that may wait for the AHRS to catch up."""
 
 
 class Intake:
@@ -22,6 +29,7 @@ class Intake:
     def __init__(self, aids: dict[type, Aid]) -> None:
         self._aids = aids
         self._seen: dict[type, deque[int]] = {kind: deque(maxlen=REMEMBERED) for kind in aids}
+        self._order = {kind: SENSORS.index(aid.sensor) for kind, aid in aids.items()}
         self._waiting: list[AidingSample] = []
 
     def admit(self, sample: AidingSample, now_us: int) -> None:
@@ -33,7 +41,7 @@ class Intake:
             aid.counts["future"] += 1
         elif sample.t_us in self._seen[kind]:
             aid.counts["duplicate"] += 1
-        elif len(self._waiting) >= WAITING_MAX:
+        elif sum(type(waiting) is kind for waiting in self._waiting) >= WAITING_MAX:
             aid.counts["late"] += 1
         else:
             self._seen[kind].append(sample.t_us)
@@ -43,7 +51,7 @@ class Intake:
         """What was valid at or before ``until_us``, oldest first; the rest waits."""
         if not self._waiting:
             return ()
-        ready = sorted((s for s in self._waiting if s.t_us <= until_us), key=lambda s: s.t_us)
+        ready = sorted((s for s in self._waiting if s.t_us <= until_us), key=lambda s: (s.t_us, self._order[type(s)]))
         if ready:
             self._waiting = [s for s in self._waiting if s.t_us > until_us]
         return ready

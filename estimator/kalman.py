@@ -10,11 +10,21 @@ from estimator.core import Innovation
 from estimator.inertial import Mode, Step
 from estimator.measurement import CHI2_999, Measurement, Moment
 from estimator.motion import fill_jacobian, moved, new_jacobian
-from estimator.states import HEADING_OFFSET, INITIAL_SIGMA, NX, POS, VEL, YAW, FilterState
+from estimator.states import (
+    CURRENT_DOWN,
+    HEADING_OFFSET,
+    INITIAL_SIGMA,
+    INITIAL_SIGMA_CURRENT_DOWN_M_S,
+    NX,
+    POS,
+    VEL,
+    YAW,
+    FilterState,
+)
 from estimator.tuning import process_noise
 
 VERTICAL_CURRENT_VARIANCE = 0.02**2
-"""The vertical current is taken as zero; this is how wrong that may be [m^2/s^2]."""
+"""The vertical current is taken as zero unless it is a state; this is how wrong that may be [m^2/s^2]."""
 
 RELOCATED_SIGMA_VEL_M_S = 0.1
 """Of the velocity after a reset, which is the mean over the last fixes."""
@@ -40,16 +50,22 @@ class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no ty
 class KalmanCore:
     """:class:`estimator.core.FilterCore` by filterpy."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, current_3d: bool = False) -> None:
+        """``current_3d``: the vertical current is a state."""
         self._kf = _Filter(NX, 4)
         self._kf.F = new_jacobian()
-        self._noise = {mode: process_noise(mode) for mode in Mode}
+        self._noise = {mode: process_noise(mode, current_3d=current_3d) for mode in Mode}
+        self._sigma = INITIAL_SIGMA.copy()
+        self._down_variance = VERTICAL_CURRENT_VARIANCE
+        if current_3d:
+            self._sigma[CURRENT_DOWN] = INITIAL_SIGMA_CURRENT_DOWN_M_S
+            self._down_variance = 0.0
         self._q = np.zeros((NX, NX))
         self._kf.Q = self._q
 
     def start(self, x: FloatArray) -> FilterState:
         """Diagonal covariance."""
-        return FilterState(x, np.diag(INITIAL_SIGMA**2))
+        return FilterState(x, np.diag(self._sigma**2))
 
     def predict(self, state: FilterState, step: Step) -> FilterState:
         """P = F P F' + Q dt"""
@@ -97,17 +113,26 @@ class KalmanCore:
         p[VEL, VEL] = np.eye(3) * RELOCATED_SIGMA_VEL_M_S**2
         return FilterState(x, p)
 
+    def reopen(self, state: FilterState, part: slice, variance: float) -> FilterState:
+        """See :class:`estimator.core.FilterCore`."""
+        p = state.p.copy()
+        p[part, :] = 0.0
+        p[:, part] = 0.0
+        p[part, part] = np.eye(part.stop - part.start) * variance
+        return FilterState(state.x, p)
+
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """From the covariance; velocity relative to the water with its correlation between ground and current."""
         p = state.p
-        pn, pe, pd, yaw, vn, ve, vd, _, _, _, _, cn, ce, _, _, _, _, _ = p.diagonal().tolist()
+        pn, pe, pd, yaw, vn, ve, vd, _, _, _, _, cn, ce, _, _, _, _, _, cd, _ = p.diagonal().tolist()
         nn = vn + cn - 2.0 * p.item(4, 11)
         ee = ve + ce - 2.0 * p.item(5, 12)
         ne = p.item(4, 5) + p.item(11, 12) - p.item(4, 12) - p.item(5, 11)
         c2, s2, mix = cos_yaw * cos_yaw, sin_yaw * sin_yaw, 2.0 * cos_yaw * sin_yaw * ne
         forward, right = max(c2 * nn + s2 * ee + mix, 0.0), max(s2 * nn + c2 * ee - mix, 0.0)
-        down = vd + VERTICAL_CURRENT_VARIANCE
-        return [pn, pe, pd, yaw, forward, right, down, cn, ce, VERTICAL_CURRENT_VARIANCE]
+        below = self._down_variance + cd
+        down = max(vd + below - 2.0 * p.item(6, CURRENT_DOWN), 0.0)
+        return [pn, pe, pd, yaw, forward, right, down, cn, ce, below]
 
     def planar_variance(self, state: FilterState) -> float:
         """From the diagonal."""

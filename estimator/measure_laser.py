@@ -7,7 +7,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import LaserSample
-from estimator.inertial import Inertial
+from estimator.inertial import Inertial, down_of
 from estimator.measurement import Moment
 from estimator.states import LASER_BIAS, NX
 
@@ -15,11 +15,12 @@ MIN_SIGMA_M = 0.005
 """Floor of the range noise: waves of the floor, calibration."""
 
 MAX_RANGE_M = 50.0
+MAX_SIGMA_M = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LaserRange:
-    """z = range from the laser to a level floor [m]; the beam is the body's z axis."""
+    """z = range from the laser to a level floor [m]."""
 
     sensor: str
     t_us: int
@@ -30,14 +31,12 @@ class LaserRange:
     floor_depth_m: float
     mount_frd_m: tuple[float, float, float]
     """Where the beam starts."""
+    beam_frd: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Where it goes, of length 1."""
 
     def _tilt(self, inertial: Inertial) -> tuple[float, float]:
         """Depth of the laser below the centre of gravity [m], and cosine between the beam and the vertical."""
-        roll, pitch = inertial.roll_rad, inertial.pitch_rad
-        sr, cr = math.sin(roll), math.cos(roll)
-        sp, cp = math.sin(pitch), math.cos(pitch)
-        lx, ly, lz = self.mount_frd_m
-        return -sp * lx + cp * sr * ly + cp * cr * lz, max(cp * cr, 0.2)
+        return down_of(inertial, self.mount_frd_m), max(down_of(inertial, self.beam_frd), 0.2)
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """(floor - depth of the laser) / cosine of the tilt, plus bias."""
@@ -60,12 +59,15 @@ class LaserRange:
 
 
 def range_from_sample(
-    sample: LaserSample, floor_depth_m: float, mount_frd_m: tuple[float, float, float]
+    sample: LaserSample,
+    floor_depth_m: float,
+    mount_frd_m: tuple[float, float, float],
+    beam_frd: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> LaserRange | None:
     """The measurement of a range sensor's sample; None if it is malformed."""
     if not (math.isfinite(sample.range_m) and math.isfinite(sample.sigma_m)):
         return None
-    if not 0.0 < sample.range_m < MAX_RANGE_M or sample.sigma_m < 0.0:
+    if not 0.0 < sample.range_m < MAX_RANGE_M or not 0.0 <= sample.sigma_m <= MAX_SIGMA_M:
         return None
     return LaserRange(
         sensor="laser",
@@ -74,4 +76,5 @@ def range_from_sample(
         noise=np.array([[max(sample.sigma_m, MIN_SIGMA_M) ** 2]]),
         floor_depth_m=floor_depth_m,
         mount_frd_m=mount_frd_m,
+        beam_frd=beam_frd,
     )

@@ -6,7 +6,8 @@ along the way of the vehicle, the surge and sway equations read (Fossen 2011, eq
 
     M dnu_r/dt = f(nu_r, thrust) - m R' c'   so that   R' a_ground = a_model(nu_r, thrust) + (M_A / M) R' c' .
 
-Roll, pitch and the vertical are left out: the level frame stands for the body's planar axes.
+Roll and pitch are left out: the level frame stands for the body's planar axes. When the vertical current is a state
+(``EstimatorOptions.current_3d``) the heave equation comes on top; its buoyancy is taken as known.
 """
 
 import math
@@ -19,7 +20,7 @@ from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
 from autopilot.core.vehicle import Vehicle
 from estimator.inertial import Inertial
 from estimator.measurement import Moment
-from estimator.states import DRAG_EXCESS, GYRO_BIAS, NX, YAW
+from estimator.states import CURRENT_DOWN, DRAG_EXCESS, GYRO_BIAS, NX, YAW
 
 SIGMA_M_S2 = 0.06
 """Error of the modelled acceleration: tether, drag and thrust coefficients. For 20 looks per second that share it."""
@@ -27,39 +28,39 @@ SIGMA_M_S2 = 0.06
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModelAid:
-    """z = planar acceleration of the AHRS in the level frame, forward and right [m/s^2], at its sample's moment."""
+    """z = acceleration of the AHRS in the level frame, forward, right (and down) [m/s^2], at its sample's moment."""
 
     sensor: str
     t_us: int
     z: FloatArray
-    """(2,)"""
+    """(2,) or, with the vertical, (3,)"""
     noise: FloatArray
-    """(2, 2)"""
+    """(2, 2) or (3, 3)"""
     model: Model4
     follow: tuple[float, float]
     """:func:`added_share` of the vehicle."""
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Acceleration of the model plus the bias of the AHRS."""
-        ax, ay, _, _ = expected_acceleration(self.model, self.follow, x, moment)
-        return np.array([ax + float(x[8]), ay + float(x[9])])
+        expected = expected_acceleration(self.model, self.follow, x, moment)
+        return np.array([a + x.item(8 + i) for i, a in enumerate(expected[: len(self.z)])])
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """Rows forward, right."""
+        """Rows forward, right (and down)."""
         u, v, r, c, s = _relative(x, moment)
         m11, m22 = self.model.mass_kg[:2]
         lin, quad = self.model.linear_drag, self.model.quadratic_drag
         more = 1.0 + float(x[DRAG_EXCESS])
         fu, fv = -more * (lin[0] + quad[0] * _slope(u)) / m11, -more * (lin[1] + quad[1] * _slope(v)) / m22
         cross_v, cross_u = (m22 / m11 - 1.0) * r, (1.0 - m11 / m22) * r
-        jac = np.zeros((2, NX))
+        jac = np.zeros((len(self.z), NX))
         # Through u_r = c rn + s re and v_r = c re - s rn, with d u_r/d yaw = v_r and d v_r/d yaw = -u_r.
         jac[0, 4] = fu * c - cross_v * s
         jac[0, 5] = fu * s + cross_v * c
         jac[1, 4] = cross_u * c - fv * s
         jac[1, 5] = cross_u * s + fv * c
-        jac[:, 11] = -jac[:, 4]
-        jac[:, 12] = -jac[:, 5]
+        jac[:2, 11] = -jac[:2, 4]
+        jac[:2, 12] = -jac[:2, 5]
         k0, k1 = self.follow
         gn, ge = float(x[13]), float(x[14])
         jac[0, YAW] = fu * v - cross_v * u + k0 * (c * ge - s * gn)
@@ -71,6 +72,10 @@ class ModelAid:
         jac[0, DRAG_EXCESS], jac[1, DRAG_EXCESS] = -drag_u, -drag_v
         jac[0, 13], jac[0, 14] = k0 * c, k0 * s
         jac[1, 13], jac[1, 14] = -k1 * s, k1 * c
+        if len(self.z) == 3:
+            jac[2, 6] = -(lin[2] + quad[2] * _slope(x.item(6) - x.item(CURRENT_DOWN))) / self.model.mass_kg[2]
+            jac[2, CURRENT_DOWN] = -jac[2, 6]
+            jac[2, 10] = 1.0
         return jac
 
     def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
@@ -84,7 +89,7 @@ def expected_acceleration(
 ) -> tuple[float, float, float, float]:
     """Acceleration over ground forward, right, down in the level frame [m/s^2], and of the yaw rate [rad/s^2]."""
     u, v, r, c, s = _relative(x, moment)
-    du, dv, dw, dr = body_acceleration(model, (u, v, float(x[6]), r), moment.thrust_n, math)
+    du, dv, dw, dr = body_acceleration(model, (u, v, x.item(6) - x.item(CURRENT_DOWN), r), moment.thrust_n, math)
     gn, ge, excess = float(x[13]), float(x[14]), float(x[DRAG_EXCESS])
     drag_u, drag_v = _drag(model, u, v)
     return (
@@ -104,14 +109,16 @@ def _drag(model: Model4, u: float, v: float) -> tuple[float, float]:
     )
 
 
-_NOISE: FloatArray = np.eye(2) * SIGMA_M_S2**2
+_NOISE: FloatArray = np.eye(3) * SIGMA_M_S2**2
 _NOISE.flags.writeable = False
 
 
-def model_aid_of(inertial: Inertial, model: Model4, follow: tuple[float, float]) -> ModelAid:
-    """The measurement that one AHRS sample makes with the model."""
-    z = np.array(inertial.accel_level_m_s2[:2])
-    return ModelAid(sensor="model", t_us=inertial.t_us, z=z, noise=_NOISE, model=model, follow=follow)
+def model_aid_of(inertial: Inertial, model: Model4, follow: tuple[float, float], *, vertical: bool = False) -> ModelAid:
+    """The measurement that one AHRS sample makes with the model, in the plane or with the ``vertical`` as well."""
+    rows = 3 if vertical else 2
+    z = np.array(inertial.accel_level_m_s2[:rows])
+    noise = _NOISE[:rows, :rows]
+    return ModelAid(sensor="model", t_us=inertial.t_us, z=z, noise=noise, model=model, follow=follow)
 
 
 def added_share(vehicle: Vehicle) -> tuple[float, float]:

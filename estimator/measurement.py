@@ -45,7 +45,7 @@ class Measurement(Protocol):
         ...
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
-        """dh/dx, (m, 18)"""
+        """dh/dx, (m, 20)"""
         ...
 
     def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:

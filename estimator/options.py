@@ -11,10 +11,12 @@ class EstimatorOptions:
     """False: late measurements are taken as if they were of now (to show what that costs)."""
     model_aid: bool = True
     """False: no current, as an estimator without a vehicle model has to do."""
+    current_3d: bool = False
+    """True: the vertical current is a state (Kalman filter only), found from heave thrust and a water-locked DVL."""
     dead_reckoning_after_s: float = 1.0
-    """Time without vision after which the estimate is called dead reckoning."""
+    """Time without a fix after which the estimate is called dead reckoning."""
     invalid_after_s: float = 5.0
-    """Time without vision after which the estimate is called invalid."""
+    """Time without a fix after which the estimate is called invalid, unless the velocity over ground is measured."""
     sigma_limit_m: float = 0.25
     """Standard deviation of the planar position beyond which the estimate is called invalid: nearly a body radius."""
 

@@ -26,7 +26,7 @@ def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets
     inertial = node.moment.inertial
     after_s = 1e-6 * (t_us - node.t_us)
     x = node.state.x.tolist() if after_s <= 0.0 else moved(node.state.x, hold(inertial, t_us, Mode.NOMINAL))
-    n, e, d, yaw, vn, ve, vd, gyro_bias, _, _, _, cn, ce, _, _, _, _, _ = x
+    n, e, d, yaw, vn, ve, vd, gyro_bias, _, _, _, cn, ce, _, _, _, _, _, cd, _ = x
     p, q, r = inertial.rate_frd_rad_s.tolist()
     roll, pitch = inertial.roll_rad + p * after_s, inertial.pitch_rad + q * after_s
     sr, cr, sp, cp, sy, cy = (
@@ -52,18 +52,23 @@ def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets
         pos_ned_m=np.array([n, e, d]),
         rpy_rad=np.array([roll, pitch, wrap_pi(yaw)]),
         vel_frd_m_s=np.array(body(vn, ve, vd)),
-        vel_water_frd_m_s=np.array(body(vn - cn, ve - ce, vd)),
+        vel_water_frd_m_s=np.array(body(vn - cn, ve - ce, vd - cd)),
         rate_frd_rad_s=np.array([p, q, r - gyro_bias]),
-        current_ned_m_s=np.array([cn, ce, 0.0]),
+        current_ned_m_s=np.array([cn, ce, cd]),
         variance=np.array([pn, pe, pd, tilt, tilt, pyaw, pu, pv, pw, pcn, pce, pcd]),
         reset_count=resets,
     )
 
 
-def judge_health(node: Node, core: FilterCore, fix_age_us: int, options: EstimatorOptions) -> NavHealth:
-    """Good, dead reckoning (no vision or no AHRS for a while), or invalid."""
+def judge_health(
+    node: Node, core: FilterCore, fix_age_us: int, options: EstimatorOptions, *, tracked: bool
+) -> NavHealth:
+    """Good, dead reckoning (no fix or no AHRS for a while), or invalid.
+
+    ``tracked``: the velocity over ground is being measured, so that only the growing variance ends the reckoning."""
     age_s = 1e-6 * fix_age_us
-    if age_s > options.invalid_after_s or core.planar_variance(node.state) > options.sigma_limit_m**2:
+    timed_out = age_s > options.invalid_after_s and not tracked
+    if timed_out or core.planar_variance(node.state) > options.sigma_limit_m**2:
         return NavHealth.INVALID
     if age_s > options.dead_reckoning_after_s or not node.moment.inertial.real:
         return NavHealth.DEAD_RECKONING

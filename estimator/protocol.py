@@ -30,6 +30,11 @@ class Estimator(Protocol):
         """
         ...
 
+    @property
+    def ahrs_us(self) -> int | None:
+        """Time of the tick at which an AHRS sample was last good (well-formed, new, not stuck), None before."""
+        ...
+
     def take_aids(self) -> tuple[AidStatus, ...]:
         """What became of every measurement since the last call of this method."""
         ...

@@ -7,7 +7,9 @@ from estimator.inertial import Mode
 from estimator.states import (
     ACCEL_BIAS,
     CURRENT,
+    CURRENT_DOWN,
     CURRENT_RATE,
+    DEPTH_OFFSET,
     DRAG_EXCESS,
     GYRO_BIAS,
     HEADING_OFFSET,
@@ -53,10 +55,14 @@ COAST_CURRENT_SHARE = 0.2
 """Without vision the current cannot be told from the accelerometer's bias: its states wander by this share only."""
 DRAG_WALK = 0.004
 """1/sqrt(s): drag changes over minutes."""
+CURRENT_DOWN_WALK = 0.01
+"""m/s/sqrt(s), when the vertical current is a state: half of the horizontal ones."""
+DEPTH_OFFSET_WALK = 3e-4
+"""m/sqrt(s): tides, weather and a warming sensor move the offset by a centimetre in a quarter of an hour."""
 
 
-def process_noise(mode: Mode) -> FloatArray:
-    """Covariance per second (18, 18), diagonal."""
+def process_noise(mode: Mode, *, current_3d: bool = False) -> FloatArray:
+    """Covariance per second (20, 20), diagonal."""
     coast = 1.0 if mode in (Mode.NOMINAL, Mode.TRIMMED) else COAST_CURRENT_SHARE
     blind = mode is Mode.BLIND
     sigma = np.zeros(NX)
@@ -70,4 +76,6 @@ def process_noise(mode: Mode) -> FloatArray:
     sigma[HEADING_OFFSET] = HEADING_OFFSET_WALK
     sigma[LASER_BIAS] = LASER_BIAS_WALK
     sigma[DRAG_EXCESS] = coast * DRAG_WALK
+    sigma[CURRENT_DOWN] = coast * CURRENT_DOWN_WALK if current_3d else 0.0
+    sigma[DEPTH_OFFSET] = DEPTH_OFFSET_WALK
     return np.diag(sigma**2)

@@ -78,6 +78,59 @@ class LaserSample:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DepthSample:
+    """Depth by pressure. ``t_us`` is the time of validity."""
+
+    t_us: int
+    depth_m: float
+    """Of the sensor below the surface, positive down."""
+    sigma_m: float
+
+
+class VelocityLock(IntEnum):
+    """What a velocity is measured against."""
+
+    WATER = 0
+    BOTTOM = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class VelocitySample:
+    """Velocity of the sensor in the body frame (DVL). ``t_us`` is the time of validity."""
+
+    t_us: int
+    vel_frd_m_s: FloatArray
+    """(3,)"""
+    sigma_m_s: FloatArray
+    """(3,) standard deviations."""
+    lock: VelocityLock = VelocityLock.BOTTOM
+
+
+class ExternalFrame(IntEnum):
+    """Local frame of an external pose."""
+
+    NED = 0
+    """Ours: north, east, down from the local origin at the surface."""
+    FRD = 1
+    """Level, down is down, but origin and direction of its x axis are the source's own."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ExternalPoseSample:
+    """A pose from outside of the vehicle's own sensors. ``t_us`` is the time of validity."""
+
+    t_us: int
+    pos_m: FloatArray
+    """(3,) of the tracked point, in ``frame``."""
+    yaw_rad: float
+    covariance: FloatArray | None
+    """(4, 4) of position and yaw, None = the source does not know."""
+    frame: ExternalFrame = ExternalFrame.NED
+    reset_counter: int = 0
+    """Changes when the source's pose has jumped."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PowerSample:
     """Battery terminals."""
 
@@ -103,7 +156,17 @@ class ObstacleTrack:
     radius_m: float
 
 
-Sample: TypeAlias = AhrsSample | MarkerSighting | PoseSample | LaserSample | PowerSample | ObstacleTrack
+Sample: TypeAlias = (
+    AhrsSample
+    | MarkerSighting
+    | PoseSample
+    | LaserSample
+    | DepthSample
+    | VelocitySample
+    | ExternalPoseSample
+    | PowerSample
+    | ObstacleTrack
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -178,7 +241,7 @@ class AidStatus:
 
     t_us: int
     sensor: str
-    """Topic-safe name: markers, laser, heading, model, ..."""
+    """Topic-safe name: markers, laser, heading, model, depth, velocity, external."""
     innovation: FloatArray
     """(3,)"""
     innovation_var: FloatArray

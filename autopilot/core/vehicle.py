@@ -146,6 +146,8 @@ class Camera(_Table, frozen=True, kw_only=True):
     position_frd_m: Vec3
     latency_s: NonNegative
     """Exposure to the arrival of the detection."""
+    time_offset_s: float = 0.0
+    """Added to the times that pictures come with: negative when these are too late."""
     mounting_rpy_rad: Vec3 = (0.0, 0.0, 0.0)
     """How the camera is turned from looking straight down: roll, pitch, yaw about the body's axes."""
     model: Literal["pinhole", "fisheye", "flat_port"] = "pinhole"
@@ -179,6 +181,36 @@ class Ahrs(_Table, frozen=True, kw_only=True):
     rate_hz: Positive
     latency_s: NonNegative
     position_frd_m: Vec3
+    time_offset_s: float = 0.0
+    """Added to the times of samples: negative when these are too late."""
+
+
+class DepthMount(_Table, frozen=True, kw_only=True):
+    """Pressure sensor."""
+
+    position_frd_m: Vec3 = (0.0, 0.0, 0.0)
+    rate_hz: Positive = 10.0
+    latency_s: NonNegative = 0.02
+    time_offset_s: float = 0.0
+    """Added to the times of samples: negative when these are too late."""
+
+
+class DvlMount(_Table, frozen=True, kw_only=True):
+    """Doppler velocity log; its axes are the body's."""
+
+    position_frd_m: Vec3 = (0.0, 0.0, 0.0)
+    rate_hz: Positive = 8.0
+    latency_s: NonNegative = 0.1
+    time_offset_s: float = 0.0
+    """Added to the times of samples: negative when these are too late."""
+
+
+class ExternalMount(_Table, frozen=True, kw_only=True):
+    """What an outside positioning system tracks."""
+
+    position_frd_m: Vec3 = (0.0, 0.0, 0.0)
+    time_offset_s: float = 0.0
+    """Added to the times of poses: negative when these are too late."""
 
 
 class Vehicle(_Table, frozen=True, kw_only=True):
@@ -201,6 +233,9 @@ class Vehicle(_Table, frozen=True, kw_only=True):
     camera: Camera
     laser: Laser
     ahrs: Ahrs
+    depth_sensor: DepthMount = DepthMount()
+    dvl: DvlMount = DvlMount()
+    external_pose: ExternalMount = ExternalMount()
     sources: dict[str, str]
 
 

@@ -11,20 +11,23 @@ from hypothesis import strategies as st
 from truth import Faults, World, fly, no_current, tank_jet
 
 from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.messages import VelocityLock
 from autopilot.core.vehicle import load_vehicle
 from estimator.inertial import Inertial, Mode, Step
 from estimator.kalman import KalmanCore
+from estimator.measure_depth import Depth
 from estimator.measure_heading import heading_of
 from estimator.measure_laser import LaserRange
 from estimator.measure_model import ModelAid, added_share, model_aid_of
 from estimator.measure_pose import PoseFix
+from estimator.measure_velocity import BodyVelocity
 from estimator.measurement import Measurement, Moment
 from estimator.motion import fill_jacobian, moved, new_jacobian
 from estimator.states import NX, YAW, FilterState
 
 VEHICLE = load_vehicle("lbv150")
 unit = st.floats(-1.0, 1.0, allow_subnormal=False)
-SCALE = np.array([2, 2, 1, 4, 0.5, 0.5, 0.2, 0.05, 0.1, 0.1, 0.1, 0.3, 0.3, 0.1, 0.1, 0.2, 0.02, 0.3])
+SCALE = np.array([2, 2, 1, 4, 0.5, 0.5, 0.2, 0.05, 0.1, 0.1, 0.1, 0.3, 0.3, 0.1, 0.1, 0.2, 0.02, 0.3, 0.1, 0.1])
 
 
 @st.composite
@@ -41,7 +44,7 @@ def moments(draw: st.DrawFn) -> Moment:
         ahrs_yaw_rad=3.0 * draw(unit),
         yaw_rate_rad_s=draw(unit),
         accel_level_m_s2=(draw(unit), draw(unit), draw(unit)),
-        rate_frd_rad_s=np.zeros(3),
+        rate_frd_rad_s=np.array([0.2 * draw(unit), 0.2 * draw(unit), draw(unit)]),
         raw_tilt_rad=(0.0, 0.0),
         real=True,
     )
@@ -81,6 +84,14 @@ def measurements(inertial: Inertial) -> list[Measurement]:
             mount_frd_m=(0.1, 0.05, 0.1),
         ),
         model_aid_of(inertial, VEHICLE.model4.to_model(), added_share(VEHICLE)),
+        model_aid_of(inertial, VEHICLE.model4.to_model(), added_share(VEHICLE), vertical=True),
+        Depth(sensor="depth", t_us=0, z=np.ones(1), noise=np.eye(1), mount_frd_m=(0.2, -0.1, 0.15)),
+        *(
+            BodyVelocity(
+                sensor="velocity", t_us=0, z=np.ones(3), noise=np.eye(3), lock=lock, mount_frd_m=(0.2, -0.1, 0.15)
+            )
+            for lock in VelocityLock
+        ),
     ]
 
 

@@ -1,0 +1,63 @@
+"""Depth by pressure: depth of the sensor plus an offset that is a state of its own."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import DepthSample
+from estimator.inertial import down_of
+from estimator.measurement import Moment
+from estimator.states import DEPTH_OFFSET, NX
+
+MIN_SIGMA_M = 0.003
+"""Floor of the noise: waves, and the pressure of the flow round the hull (v^2/2g is 6 mm at 0.35 m/s)."""
+MAX_SIGMA_M = 10.0
+DEEPEST_M, HIGHEST_M = 12_000.0, -10.0
+"""Outside of these no vehicle has ever been."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Depth:
+    """z = depth that the sensor shows [m]."""
+
+    sensor: str
+    t_us: int
+    z: FloatArray
+    """(1,)"""
+    noise: FloatArray
+    """(1, 1)"""
+    mount_frd_m: tuple[float, float, float]
+    """Where the sensor sits."""
+
+    def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """Depth of the centre of gravity, plus how far below it the sensor is, plus offset."""
+        return np.array([x[2] + after_s * x[6] + down_of(moment.inertial, self.mount_frd_m) + x[DEPTH_OFFSET]])
+
+    def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """d/d depth, heave speed and offset."""
+        jac = np.zeros((1, NX))
+        jac[0, 2] = jac[0, DEPTH_OFFSET] = 1.0
+        jac[0, 6] = after_s
+        return jac
+
+    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
+        """z - h"""
+        y: FloatArray = z - predicted
+        return y
+
+
+def depth_from_sample(sample: DepthSample, mount_frd_m: tuple[float, float, float]) -> Depth | None:
+    """The measurement of a pressure sensor's sample; None if it is malformed."""
+    if not (math.isfinite(sample.depth_m) and math.isfinite(sample.sigma_m)):
+        return None
+    if not (HIGHEST_M <= sample.depth_m <= DEEPEST_M and 0.0 <= sample.sigma_m <= MAX_SIGMA_M):
+        return None
+    return Depth(
+        sensor="depth",
+        t_us=sample.t_us,
+        z=np.array([sample.depth_m]),
+        noise=np.array([[max(sample.sigma_m, MIN_SIGMA_M) ** 2]]),
+        mount_frd_m=mount_frd_m,
+    )

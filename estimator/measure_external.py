@@ -1,0 +1,112 @@
+"""Pose from outside (motion capture, acoustic positioning, a companion computer's vision).
+
+It becomes the same measurement as a pose from markers, once it is in the local frame and of the centre of gravity. A
+source whose frame is not ours (FRD: level, but with an origin and a direction of its own) is laid onto the estimate
+when it begins and whenever it says that it has jumped; from then on it holds the vehicle where it was.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
+from autopilot.core.messages import ExternalFrame, ExternalPoseSample
+from estimator.inertial import Inertial
+from estimator.measure_pose import PoseFix
+
+MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.1)
+"""Floors of what a source claims."""
+UNKNOWN_SIGMA_M, UNKNOWN_SIGMA_RAD = 0.1, 0.1
+"""Taken when the source gives no covariance (the defaults of PX4's EKF2_EVP_NOISE and EKF2_EVA_NOISE)."""
+MAX_SIGMA_M, MAX_SIGMA_RAD = 10.0, math.pi
+"""A pose that is worse than this says nothing worth having."""
+MAX_DISTANCE_M = 1e5
+"""From the local origin, which lies near the vehicle."""
+MAX_YAW_RAD = 1e3
+
+
+class Alignment(NamedTuple):
+    """How a source's frame lies in ours."""
+
+    turn_rad: float
+    """Heading of its x axis."""
+    origin_ned_m: tuple[float, float, float]
+
+    def to_ned(self, pos_m: FloatArray, yaw_rad: float) -> tuple[FloatArray, float]:
+        """A pose in our frame."""
+        return self.rotation() @ pos_m + np.array(self.origin_ned_m), yaw_rad + self.turn_rad
+
+    def rotation(self) -> FloatArray:
+        """(3, 3) from its frame to ours."""
+        c, s = math.cos(self.turn_rad), math.sin(self.turn_rad)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+OURS = Alignment(0.0, (0.0, 0.0, 0.0))
+
+
+def aligned(sample: ExternalPoseSample, pos_ned_m: FloatArray, yaw_rad: float) -> Alignment:
+    """The alignment that puts the sample at this pose of the tracked point."""
+    turn_rad = wrap_pi(yaw_rad - sample.yaw_rad)
+    turned = Alignment(turn_rad, (0.0, 0.0, 0.0)).to_ned(np.asarray(sample.pos_m, dtype=float), 0.0)[0]
+    n, e, d = (pos_ned_m - turned).tolist()
+    return Alignment(turn_rad, (n, e, d))
+
+
+def well_formed(sample: ExternalPoseSample) -> bool:
+    """Shape, finite numbers, a covariance that is one, a known frame."""
+    pos = np.asarray(sample.pos_m, dtype=float)
+    # Comparisons with NaN are false, so a NaN anywhere is malformed as well.
+    if pos.shape != (3,) or not (abs(pos) <= MAX_DISTANCE_M).all() or not abs(sample.yaw_rad) <= MAX_YAW_RAD:
+        return False
+    if sample.frame not in tuple(ExternalFrame):
+        return False
+    return sample.covariance is None or _covariance(sample.covariance) is not None
+
+
+def fix_from_external(
+    sample: ExternalPoseSample, inertial: Inertial, mount_frd_m: tuple[float, float, float], frame: Alignment = OURS
+) -> PoseFix | None:
+    """The measurement of an external pose; None if it is malformed.
+
+    ``mount_frd_m`` is the tracked point; it is taken off with the tilt of ``inertial`` and the heading of the sample.
+    """
+    if not well_formed(sample):
+        return None
+    if sample.covariance is None:
+        noise = np.diag([UNKNOWN_SIGMA_M**2] * 3 + [UNKNOWN_SIGMA_RAD**2])
+    else:
+        checked = _covariance(sample.covariance)
+        assert checked is not None
+        turn = np.eye(4)
+        turn[:3, :3] = frame.rotation()
+        noise = turn @ checked @ turn.T
+    pos, yaw = frame.to_ned(np.asarray(sample.pos_m, dtype=float), float(sample.yaw_rad))
+    lever: FloatArray = r_ned_from_frd(np.array([inertial.roll_rad, inertial.pitch_rad, yaw])) @ np.array(mount_frd_m)
+    swing = np.eye(4)
+    swing[0, 3], swing[1, 3] = lever[1], -lever[0]
+    noise = swing @ noise @ swing.T
+    return PoseFix(sensor="external", t_us=sample.t_us, z=np.append(pos - lever, wrap_pi(yaw)), noise=noise)
+
+
+def tracked_point(
+    pos_ned_m: FloatArray, yaw_rad: float, inertial: Inertial, mount_frd_m: tuple[float, float, float]
+) -> FloatArray:
+    """(3,) NED of the point that the source tracks."""
+    point: FloatArray = pos_ned_m + r_ned_from_frd(
+        np.array([inertial.roll_rad, inertial.pitch_rad, yaw_rad])
+    ) @ np.array(mount_frd_m)
+    return point
+
+
+def _covariance(given: FloatArray) -> FloatArray | None:
+    """(4, 4) symmetric with floors on the diagonal; None if it is no covariance or says nothing worth having."""
+    p = np.asarray(given, dtype=float)
+    if p.shape != (4, 4) or not (abs(p) <= MAX_SIGMA_M**2).all() or p[3, 3] > MAX_SIGMA_RAD**2:
+        return None
+    p = 0.5 * (p + p.T)
+    if float(np.linalg.eigvalsh(p)[0]) < -1e-9:
+        return None
+    floored: FloatArray = p + np.diag([MIN_SIGMA_M**2] * 3 + [MIN_SIGMA_RAD**2])
+    return floored

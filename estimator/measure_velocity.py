@@ -1,0 +1,103 @@
+"""Velocity by a Doppler log (DVL): of the sensor, in the body frame, over ground or relative to the water."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, r_ned_from_frd
+from autopilot.core.messages import VelocityLock, VelocitySample
+from estimator.inertial import Inertial, cross
+from estimator.measurement import Moment
+from estimator.states import ACCEL_BIAS, CURRENT, CURRENT_DOWN, GYRO_BIAS, NX, VEL, YAW
+
+MIN_SIGMA_M_S = 0.002
+MAX_SIGMA_M_S = 5.0
+MAX_SPEED_M_S = 20.0
+SCALE_ERROR = 0.005
+"""Share of the velocity by which a DVL may be off (speed of sound, beam angles): the usual specification."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class BodyVelocity:
+    """z = velocity of the sensor [m/s], FRD."""
+
+    sensor: str
+    t_us: int
+    z: FloatArray
+    """(3,)"""
+    noise: FloatArray
+    """(3, 3)"""
+    lock: VelocityLock
+    mount_frd_m: tuple[float, float, float]
+    """Where the sensor sits: it moves when the body turns."""
+
+    def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """R' (v [- current]) + rate x lever arm."""
+        inertial = moment.inertial
+        frd_from_level = _frd_from_level(inertial)
+        rate = inertial.rate_frd_rad_s - x[GYRO_BIAS] * frd_from_level[:, 2]
+        h: FloatArray = frd_from_level @ self._level(x, moment, after_s)
+        h += np.array(cross(rate.tolist(), self.mount_frd_m))
+        return h
+
+    def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """Rows forward, right, down."""
+        inertial = moment.inertial
+        frd_from_level = _frd_from_level(inertial)
+        c, s = _direction(x, inertial, after_s)
+        jac = np.zeros((3, NX))
+        jac[:, VEL] = frd_from_level @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        if self.lock is VelocityLock.WATER:
+            jac[:, CURRENT] = -jac[:, 4:6]
+            jac[:, CURRENT_DOWN] = -jac[:, 6]
+        forward, right, _ = self._level(x, moment, 0.0, (c, s)).tolist()
+        jac[:, YAW] = frd_from_level @ np.array([right, -forward, 0.0])
+        jac[:, GYRO_BIAS] = -after_s * jac[:, YAW]
+        jac[:, GYRO_BIAS] -= cross(frd_from_level[:, 2].tolist(), self.mount_frd_m)
+        jac[:, ACCEL_BIAS] = -after_s * frd_from_level
+        return jac
+
+    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
+        """z - h"""
+        y: FloatArray = z - predicted
+        return y
+
+    def _level(
+        self, x: FloatArray, moment: Moment, after_s: float, direction: tuple[float, float] | None = None
+    ) -> FloatArray:
+        """Velocity in the level frame (3,), moved on by the acceleration."""
+        c, s = _direction(x, moment.inertial, after_s) if direction is None else direction
+        v = x[VEL].copy()
+        if self.lock is VelocityLock.WATER:
+            v[:2] -= x[CURRENT]
+            v[2] -= x[CURRENT_DOWN]
+        n, e, d = v.tolist()
+        ax, ay, az = moment.inertial.accel_level_m_s2
+        moved = (ax - x.item(8), ay - x.item(9), az - x.item(10))
+        return np.array([c * n + s * e, c * e - s * n, d]) + after_s * np.array(moved)
+
+
+def _direction(x: FloatArray, inertial: Inertial, after_s: float) -> tuple[float, float]:
+    """Cosine and sine of the heading at the time of the measurement."""
+    yaw = x.item(YAW) + after_s * (inertial.yaw_rate_rad_s - x.item(GYRO_BIAS))
+    return float(np.cos(yaw)), float(np.sin(yaw))
+
+
+def _frd_from_level(inertial: Inertial) -> FloatArray:
+    """(3, 3) by roll and pitch."""
+    return r_ned_from_frd(np.array([inertial.roll_rad, inertial.pitch_rad, 0.0])).T
+
+
+def velocity_from_sample(sample: VelocitySample, mount_frd_m: tuple[float, float, float]) -> BodyVelocity | None:
+    """The measurement of a DVL's sample; None if it is malformed."""
+    vel, sigma = np.asarray(sample.vel_frd_m_s, dtype=float), np.asarray(sample.sigma_m_s, dtype=float)
+    if vel.shape != (3,) or sigma.shape != (3,):
+        return None
+    # Comparisons with NaN are false, so a NaN anywhere is malformed as well.
+    if not (abs(vel) <= MAX_SPEED_M_S).all() or not ((sigma >= 0.0) & (sigma <= MAX_SIGMA_M_S)).all():
+        return None
+    if sample.lock not in tuple(VelocityLock):
+        return None
+    noise = np.diag(np.maximum(sigma, MIN_SIGMA_M_S) ** 2 + (SCALE_ERROR * vel) ** 2)
+    lock = VelocityLock(sample.lock)
+    return BodyVelocity(sensor="velocity", t_us=sample.t_us, z=vel, noise=noise, lock=lock, mount_frd_m=mount_frd_m)

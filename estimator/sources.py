@@ -1,0 +1,180 @@
+"""Where aiding measurements come from: every sensor's samples, its mounting and clock, and its book-keeping."""
+
+import math
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from autopilot.core.messages import (
+    DepthSample,
+    ExternalFrame,
+    ExternalPoseSample,
+    LaserSample,
+    MarkerSighting,
+    PoseSample,
+    VelocitySample,
+)
+from autopilot.core.vehicle import Vehicle
+from estimator.aiding import Aid
+from estimator.history import Node
+from estimator.inertial import Inertial
+from estimator.intake import AidingSample
+from estimator.markers_pose import MarkerSolver
+from estimator.measure_depth import depth_from_sample
+from estimator.measure_external import Alignment, aligned, fix_from_external, tracked_point, well_formed
+from estimator.measure_laser import range_from_sample
+from estimator.measure_pose import PoseFix, fix_from_sample
+from estimator.measure_velocity import velocity_from_sample
+from estimator.measurement import Measurement
+from estimator.states import DEPTH_OFFSET, HEADING_OFFSET, LASER_BIAS, VEL, YAW
+
+LOST_AFTER = 3
+"""Sightings in a row that do not fit the predicted pose before the whole floor is searched."""
+
+
+T = TypeVar("T")
+
+
+def _one(index: int) -> slice:
+    return slice(index, index + 1)
+
+
+class Sources:
+    """All aiding sensors of a vehicle."""
+
+    def __init__(self, vehicle: Vehicle, solver: MarkerSolver | None, floor_depth_m: float | None) -> None:
+        self._solver = solver
+        self._floor_depth_m = floor_depth_m
+        self._laser_frd_m = vehicle.laser.position_frd_m
+        bx, by, bz = vehicle.laser.direction_frd
+        length = math.sqrt(bx * bx + by * by + bz * bz)
+        self._beam_frd = (bx / length, by / length, bz / length)
+        self._depth_frd_m = vehicle.depth_sensor.position_frd_m
+        self._dvl_frd_m = vehicle.dvl.position_frd_m
+        self._external_frd_m = vehicle.external_pose.position_frd_m
+        self.markers, self.external = Aid("markers"), Aid("external")
+        self.laser, self.depth = Aid("laser", _one(LASER_BIAS)), Aid("depth", _one(DEPTH_OFFSET))
+        self.heading, self.velocity = Aid("heading", _one(HEADING_OFFSET)), Aid("velocity", VEL)
+        self.model = Aid("model")
+        self.aid_of: dict[type, Aid] = {
+            PoseSample: self.markers,
+            MarkerSighting: self.markers,
+            LaserSample: self.laser,
+            DepthSample: self.depth,
+            VelocitySample: self.velocity,
+            ExternalPoseSample: self.external,
+        }
+        """Kind of sample -> whose it is."""
+        camera_us = round(1e6 * vehicle.camera.time_offset_s)
+        self._offset_us: dict[type, int] = {
+            PoseSample: camera_us,
+            MarkerSighting: camera_us,
+            LaserSample: camera_us,
+            DepthSample: round(1e6 * vehicle.depth_sensor.time_offset_s),
+            VelocitySample: round(1e6 * vehicle.dvl.time_offset_s),
+            ExternalPoseSample: round(1e6 * vehicle.external_pose.time_offset_s),
+        }
+        self._unfit_in_row = 0
+        self._frame: Alignment | None = None
+        self._reset_counter: int | None = None
+        self.external_jumped = False
+        """The external source has said that its pose has jumped, and none of its poses has been used since."""
+
+    @property
+    def aids(self) -> tuple[Aid, ...]:
+        """All of them."""
+        return self.markers, self.laser, self.heading, self.model, self.depth, self.velocity, self.external
+
+    def on_our_clock(self, sample: AidingSample) -> AidingSample:
+        """The sample with its sensor's time offset taken off."""
+        offset_us = self._offset_us[type(sample)]
+        return replace(sample, t_us=sample.t_us + offset_us) if offset_us else sample
+
+    def first_fix(self, sample: AidingSample, inertial: Inertial) -> PoseFix | None:
+        """A pose from a sample while nothing is known; None if this sample gives none."""
+        if isinstance(sample, PoseSample):
+            return self._counted(fix_from_sample(sample, "markers"), self.markers)
+        if isinstance(sample, ExternalPoseSample):
+            self._note_jump(sample)
+            if sample.frame is not ExternalFrame.NED and well_formed(sample):
+                return None
+            return self._counted(fix_from_external(sample, inertial, self._external_frd_m), self.external)
+        if isinstance(sample, MarkerSighting) and self._solver is not None:
+            if not self._solver.well_formed(sample):
+                return self._counted(None, self.markers)
+            return self._solver.locate(sample, inertial.roll_rad, inertial.pitch_rad)
+        return None
+
+    def fix(self, sample: AidingSample, node: Node) -> tuple[PoseFix | None, Aid]:
+        """A pose from a sample that belongs to ``node``, and whose it is."""
+        if isinstance(sample, ExternalPoseSample):
+            return self._counted(self._external_fix(sample, node), self.external), self.external
+        if isinstance(sample, PoseSample):
+            return self._counted(fix_from_sample(sample, "markers"), self.markers), self.markers
+        if isinstance(sample, MarkerSighting) and self._solver is not None:
+            if not self._solver.well_formed(sample):
+                return self._counted(None, self.markers), self.markers
+            return self._solve(node, sample, self._solver), self.markers
+        return None, self.markers
+
+    def scalars(self, sample: AidingSample) -> tuple[Measurement | None, Aid]:
+        """Range, depth or velocity from a sample, and whose it is."""
+        if isinstance(sample, DepthSample):
+            return self._counted(depth_from_sample(sample, self._depth_frd_m), self.depth), self.depth
+        if isinstance(sample, VelocitySample):
+            return self._counted(velocity_from_sample(sample, self._dvl_frd_m), self.velocity), self.velocity
+        if isinstance(sample, MarkerSighting):
+            if self._solver is None or not self._solver.well_formed(sample):
+                return None, self.laser
+            dot = self._solver.laser_range(sample)
+            if dot is None:
+                return None, self.laser
+            self.laser.counts["received"] += 1
+            sample = LaserSample(t_us=sample.t_us, range_m=dot[0], sigma_m=dot[1])
+        if not isinstance(sample, LaserSample) or self._floor_depth_m is None:
+            return None, self.laser
+        laser = range_from_sample(sample, self._floor_depth_m, self._laser_frd_m, self._beam_frd)
+        return self._counted(laser, self.laser), self.laser
+
+    def _solve(self, node: Node, sighting: MarkerSighting, solver: MarkerSolver) -> PoseFix | None:
+        """Fix by the predicted pose; after some that do not fit, by a search over the whole floor."""
+        if not sighting.ids:
+            return None
+        inertial, x = node.moment.inertial, node.state.x
+        after_s = 1e-6 * (sighting.t_us - node.t_us)
+        rpy = np.array([inertial.roll_rad, inertial.pitch_rad, x[YAW] + after_s * inertial.yaw_rate_rad_s])
+        fix = solver.track(sighting, x[:3] + after_s * x[4:7], rpy)
+        self._unfit_in_row = 0 if fix is not None and self.markers.rejected_in_row == 0 else self._unfit_in_row + 1
+        if self._unfit_in_row > LOST_AFTER:
+            fix = solver.locate(sighting, inertial.roll_rad, inertial.pitch_rad) or fix
+        if fix is None:
+            self.markers.counts["rejected"] += 1
+        return fix
+
+    def _external_fix(self, sample: ExternalPoseSample, node: Node) -> PoseFix | None:
+        if not well_formed(sample):
+            return None
+        self._note_jump(sample)
+        inertial, x = node.moment.inertial, node.state.x
+        if sample.frame is ExternalFrame.NED:
+            return fix_from_external(sample, inertial, self._external_frd_m)
+        if self._frame is None:
+            after_s = 1e-6 * (sample.t_us - node.t_us)
+            yaw = float(x[YAW]) + after_s * inertial.yaw_rate_rad_s
+            point = tracked_point(x[:3] + after_s * x[4:7], yaw, inertial, self._external_frd_m)
+            self._frame = aligned(sample, point, yaw)
+        return fix_from_external(sample, inertial, self._external_frd_m, self._frame)
+
+    def _note_jump(self, sample: ExternalPoseSample) -> None:
+        """A new reset counter: what the source said before does not hold any more."""
+        if self._reset_counter is not None and sample.reset_counter != self._reset_counter:
+            self._frame = None
+            self.external_jumped = True
+            self.external.reset(sample.t_us)
+        self._reset_counter = sample.reset_counter
+
+    def _counted(self, measurement: T | None, aid: Aid) -> T | None:
+        if measurement is None:
+            aid.counts["malformed"] += 1
+        return measurement
