@@ -1,8 +1,9 @@
-"""From a marker sighting to a pose: which marker on the floor is which, and where the vehicle must be.
+"""From a marker sighting to a pose: which marker of the map is which, and where the vehicle must be.
 
 Ids repeat over the floor. While the pose is roughly known, a marker is the nearest one of its id to where it seems to
 lie (:meth:`MarkerSolver.track`); without a pose, every marker votes for all places where it could be seen like this
-(:meth:`MarkerSolver.locate`). Both end in the same least squares over all corners (:mod:`estimator.pnp`).
+(:meth:`MarkerSolver.locate`). Both end in the same least squares over all corners (:mod:`estimator.pnp`). Markers may
+lie anywhere in any attitude: each is looked for at its own depth, and votes by the square that it is.
 """
 
 import math
@@ -32,6 +33,13 @@ REJECT_FLOOR_PX = 1.0
 REJECT_ROUNDS = 4
 FIRST_RMS_PX, FINAL_RMS_PX = 40.0, 3.0
 """A fit may be this bad before and after markers have been left out."""
+STEEP = 0.3
+"""A ray that goes down by less than this per unit of length is not followed to a marker's depth, but to its nearest
+point."""
+LEVEL_RAD = math.radians(15.0)
+"""Markers that lean less are taken as level when they vote."""
+UNIT = 0.25
+"""Cosine and sine of the heading that a leaning marker's square asks for may miss the unit circle by this."""
 LASER_SIGMA_PX = 0.7
 """Measured on rendered images: 0.2 px in clear water, 0.6 px in haze."""
 LASER_OFF_LINE_PX = 6.0
@@ -48,7 +56,11 @@ class MarkerSolver:
         self._camera = camera
         self._corners_ned_m = markers.corners_ned_m
         self._plane_m = markers.corners_ned_m[..., 0] + 1j * markers.corners_ned_m[..., 1]
-        self._floor_m = float(markers.corners_ned_m[..., 2].mean())
+        self._depth_m = markers.centers_ned_m[:, 2]
+        self._level = markers.level
+        self._floor_m = markers.floor_m
+        lean_m = np.ptp(markers.corners_ned_m[..., 2], axis=1)
+        self._leaning = lean_m > math.sin(LEVEL_RAD) * np.maximum(markers.sizes_m, 1e-9)
         self._centers: list[complex] = self._plane_m.mean(axis=1).tolist()
         self._by_id: dict[int, list[tuple[int, complex]]] = {}
         for j, (i, center) in enumerate(zip(markers.ids.tolist(), self._centers, strict=True)):
@@ -75,12 +87,16 @@ class MarkerSolver:
         scale = (self._floor_m - eye[2]) / np.maximum(rays_ned[:, 2], 0.1)
         seen = eye[0] + 1j * eye[1] + scale * (rays_ned[:, 0] + 1j * rays_ned[:, 1])
         matched, which, shifts = [], [], []
-        for k, place in zip(known, seen.tolist(), strict=True):
-            offset, best = min((abs(center - place), j) for j, center in self._by_id[sighting.ids[k]])
+        for k, place, ray in zip(known, seen.tolist(), rays_ned, strict=True):
+            candidates = self._by_id[sighting.ids[k]]
+            if self._level:
+                offset, best, shift = min((abs(center - place), j, center - place) for j, center in candidates)
+            else:
+                offset, best, shift = min(self._miss(j, eye, ray) for j, _ in candidates)
             if offset <= NEAREST_M:
                 matched.append(k)
                 which.append(best)
-                shifts.append(self._centers[best] - place)
+                shifts.append(shift)
         if not matched:
             return None
         common = complex(_median([s.real for s in shifts]), _median([s.imag for s in shifts]))
@@ -90,6 +106,16 @@ class MarkerSolver:
         start = pos_ned_m + np.array([common.real, common.imag, 0.0])
         return self._refine(sighting, np.array(matched)[alike], np.array(which)[alike], start, rpy_rad)
 
+    def _miss(self, j: int, eye_ned_m: FloatArray, ray_ned: FloatArray) -> tuple[float, int, complex]:
+        """By how much a ray from the camera misses the middle of marker j: distance, j, north + i east."""
+        to_marker = np.array([self._centers[j].real, self._centers[j].imag, self._depth_m[j]]) - eye_ned_m
+        if to_marker @ ray_ned <= 0.0:
+            return math.inf, j, 0j
+        unit = ray_ned / np.linalg.norm(ray_ned)
+        along = to_marker[2] / unit[2] if unit[2] > STEEP else to_marker @ unit
+        miss = to_marker - along * unit
+        return float(np.linalg.norm(miss)), j, complex(miss[0], miss[1])
+
     def locate(self, sighting: MarkerSighting, roll_rad: float, pitch_rad: float) -> PoseFix | None:
         """Fix from nothing but the tilt: every marker of the image votes, None without a clear winner."""
         q = self._level_rays(sighting.corners_px, roll_rad, pitch_rad)
@@ -97,7 +123,24 @@ class MarkerSolver:
         if not pairs:
             return None
         seen, placed = np.array(pairs).T
-        # Best similarity w = a q + b between level image plane and floor: |a| height, arg a heading, b place.
+        a, b, square = self._votes(q, seen, placed)
+        if not square.any():
+            return None
+        seen, placed, a, b = seen[square], placed[square], a[square], b[square]
+        eye_depth = self._depth_m[placed] - np.abs(a)
+        chosen = _winner(seen, a, b, eye_depth)
+        if chosen is None:
+            return None
+        a_mean, b_mean = a[chosen].mean(), b[chosen].mean()
+        rpy = np.array([roll_rad, pitch_rad, math.atan2(a_mean.imag, a_mean.real)])
+        eye = np.array([b_mean.real, b_mean.imag, eye_depth[chosen].mean()])
+        pos = eye - r_ned_from_frd(rpy) @ self._camera.position_frd_m
+        return self._refine(sighting, seen[chosen], placed[chosen], pos, rpy)
+
+    def _votes(self, q: np.ndarray, seen: IntArray, placed: IntArray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where the camera would be if quadrilateral ``seen`` were marker ``placed`` (both (n,)): height over the
+        marker and heading as one number (n,), place (n,), and whether the quadrilateral fits the marker's square."""
+        # Best similarity w = a q + b between level image plane and floor: |a| height, arg a the heading, b place.
         qc = q - q.mean(axis=1, keepdims=True)
         w = self._plane_m[placed]
         wc = w - w.mean(axis=1, keepdims=True)
@@ -106,17 +149,29 @@ class MarkerSolver:
         misfit = np.abs(wc - a[:, None] * qc[seen]).max(axis=1)
         b = w.mean(axis=1) - a * q.mean(axis=1)[seen]
         square = misfit <= SIMILAR * np.abs(w[:, 1] - w[:, 0])
-        if not square.any():
+        for n in np.flatnonzero(self._leaning[placed]):
+            vote = self._leaning_vote(q[seen[n]], int(placed[n]))
+            square[n] = vote is not None
+            if vote is not None:
+                a[n], b[n] = vote
+        return a, b, square
+
+    def _leaning_vote(self, q: np.ndarray, j: int) -> tuple[complex, complex] | None:
+        """The same for one marker that leans: with the tilt known its corners are linear in heading and place."""
+        offsets = self._corners_ned_m[j] - self._corners_ned_m[j].mean(axis=0)
+        north, east, down = offsets.T
+        rows = np.zeros((8, 5))
+        # Corner in the level frame: (c n + s e + tx, c e - s n + ty, d + tz), seen at (q.real, q.imag) on z = 1.
+        rows[0::2] = np.column_stack((north, east, np.ones(4), np.zeros(4), -q.real))
+        rows[1::2] = np.column_stack((east, -north, np.zeros(4), np.ones(4), -q.imag))
+        right = np.empty(8)
+        right[0::2], right[1::2] = q.real * down, q.imag * down
+        (c, s, tx, ty, tz), _, rank, _ = np.linalg.lstsq(rows, right, rcond=None)
+        length = math.hypot(c, s)
+        if rank < 5 or tz <= 0.0 or abs(length - 1.0) > UNIT:
             return None
-        seen, placed, a, b = seen[square], placed[square], a[square], b[square]
-        chosen = _winner(seen, a, b)
-        if chosen is None:
-            return None
-        a_mean, b_mean = a[chosen].mean(), b[chosen].mean()
-        rpy = np.array([roll_rad, pitch_rad, math.atan2(a_mean.imag, a_mean.real)])
-        eye = np.array([b_mean.real, b_mean.imag, self._floor_m - abs(a_mean)])
-        pos = eye - r_ned_from_frd(rpy) @ self._camera.position_frd_m
-        return self._refine(sighting, seen[chosen], placed[chosen], pos, rpy)
+        turn = complex(c, s) / length
+        return tz * turn, self._centers[j] - turn * complex(tx, ty)
 
     def laser_range(self, sighting: MarkerSighting) -> tuple[float, float] | None:
         """Range along the beam and its sigma [m] from the dot's pixel, None without a dot or one off its line."""
@@ -124,12 +179,14 @@ class MarkerSolver:
             return None
         dx, dy, dz = self._camera.laser_direction_cam.tolist()
         ox, oy, oz = self._camera.laser_offset_cam_m.tolist()
-        # A dot at depth Z is seen at (dx, dy) / dz, the beam's vanishing point, plus (ox, oy) / Z, where the beam passes
-        # (ox, oy) beside the lens.
+        # A dot at depth Z is seen at (dx, dy) / dz, the beam's vanishing point, plus (ox, oy) / Z, where the beam
+        # passes (ox, oy) beside the lens.
         ox, oy = ox - oz * dx / dz, oy - oz * dy / dz
-        x, y = self._camera.normalized(np.asarray(sighting.laser_px, dtype=float)).tolist()
+        origin, direction = self._camera.rays(np.asarray(sighting.laser_px, dtype=float))
+        (px, py, pz), (x, y, _) = origin.tolist(), direction.tolist()
+        ox, oy = ox - (px - pz * x), oy - (py - pz * y)  # behind a port, rays miss the lens
         x, y = x - dx / dz, y - dy / dz
-        focal = 0.5 * sum(self._camera.focal_px)
+        focal = self._camera.focal_water_px
         base2 = ox * ox + oy * oy
         along = ox * x + oy * y
         if base2 == 0.0 or along <= 0.0 or abs(ox * y - oy * x) / math.sqrt(base2) * focal > LASER_OFF_LINE_PX:
@@ -161,7 +218,7 @@ class MarkerSolver:
                 points[good].reshape(-1, 3),
                 pixels[good].reshape(-1, 2),
                 pos if best is None else best.pos_ned_m,
-                rpy if best is None else best.rpy_rad,
+                rpy,
                 max_rms_px=FINAL_RMS_PX if round_left == 0 else FIRST_RMS_PX,
             )
             if best is None:
@@ -189,13 +246,13 @@ def _median(values: list[float]) -> float:
     return sorted(values)[len(values) // 2]
 
 
-def _winner(seen: IntArray, a: np.ndarray, b: np.ndarray) -> IntArray | None:
+def _winner(seen: IntArray, a: np.ndarray, b: np.ndarray, eye_depth_m: np.ndarray) -> IntArray | None:
     """Indices of the votes (one per marker) that agree on the most popular place, None if it is not clear."""
     height, direction = np.abs(a), a / np.abs(a)
     agree = (
         (np.abs(b[:, None] - b[None, :]) < VOTE_M)
         & (np.abs(direction[:, None] - direction[None, :]) < VOTE_RAD)
-        & (np.abs(height[:, None] - height[None, :]) < VOTE_SCALE * height[:, None])
+        & (np.abs(eye_depth_m[:, None] - eye_depth_m[None, :]) < VOTE_SCALE * height[:, None])
     )
     count = agree.sum(axis=1)
     best = int(count.argmax())
