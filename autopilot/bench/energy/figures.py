@@ -10,7 +10,7 @@ from autopilot.bench.energy.cases import CASES, CYLINDERS, REGION_M, TANK_X_M, T
 from autopilot.bench.energy.flight import Flight
 from autopilot.bench.energy.record import Record, load_records
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#999999")
 """Okabe and Ito, safe for the colour-blind."""
 
 DPI = 110
@@ -50,7 +50,7 @@ def _map(axes: Any, case: Case, record: Record, flights: Sequence[Flight]) -> No
     north, east = np.meshgrid(np.linspace(low[0], high[0], 21), np.linspace(low[1], high[1], 21), indexing="ij")
     flow = np.broadcast_arrays(*case.flow(north, east, np))
     if max(float(np.abs(part).max()) for part in flow) > 0.0:
-        axes.quiver(east, north, flow[1], flow[0], color="0.7", width=0.002)
+        axes.quiver(east, north, flow[1], flow[0], color="0.6", width=0.003, scale=5.0)
     if case.tank:
         from matplotlib.patches import Circle
 
@@ -69,7 +69,7 @@ def _map(axes: Any, case: Case, record: Record, flights: Sequence[Flight]) -> No
     axes.set(xlabel="east [m]", ylabel="north [m]", title=case.name, aspect="equal")
     axes.set_xlim(low[1], high[1])
     axes.set_ylim(low[0], high[0])
-    axes.legend(fontsize=8, loc="best")
+    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.02, 0.5))
 
 
 def _bars(axes: Any, flights: Sequence[Flight], records: dict[str, Record]) -> None:
