@@ -73,8 +73,9 @@ class SimCamera:
         rows = np.arange(-1, camera.height_px // STEP_PX + 1) * STEP_PX + (STEP_PX - 1) / 2
         grid_px = np.stack(np.meshgrid(columns, rows), axis=-1)
         self._grid_shape: tuple[int, int] = grid_px.shape[:2]
-        self._rays_cam = np.ones((3, grid_px.shape[0] * grid_px.shape[1]))
-        self._rays_cam[:2] = camera.normalized(grid_px).reshape(-1, 2).T
+        starts, directions = camera.rays(grid_px)
+        self._rays_cam = np.ascontiguousarray(directions.reshape(-1, 3).T)
+        self._starts_cam_m = np.ascontiguousarray(starts.reshape(-1, 3).T)
         corner_px = math.hypot(camera.width_px, camera.height_px) / 2
         off_centre = (grid_px - [camera.width_px / 2, camera.height_px / 2]) / corner_px
         self._vignette = (1.0 - look.vignetting * (off_centre**2).sum(axis=-1)).astype(np.float32)
@@ -106,14 +107,20 @@ class SimCamera:
 
     def _floor_points(self, eye_ned_m: FloatArray, r: FloatArray, height_m: float) -> tuple[FloatArray, FloatArray]:
         """North and east of the floor points that the grid's rays meet."""
-        north, east, down = (r @ self._camera.r_frd_from_cam) @ self._rays_cam
-        reach = height_m / np.maximum(down, HORIZON)
-        north_m, east_m = eye_ned_m[0] + north * reach, eye_ned_m[1] + east * reach
+        r_ned_from_cam = r @ self._camera.r_frd_from_cam
+        north, east, down = r_ned_from_cam @ self._rays_cam
+        if self._camera.port is None:
+            reach = height_m / np.maximum(down, HORIZON)
+            north_m, east_m = eye_ned_m[0] + north * reach, eye_ned_m[1] + east * reach
+        else:  # rays start where they enter the water
+            starts_m = r_ned_from_cam @ self._starts_cam_m
+            reach = np.maximum(height_m - starts_m[2], 0.01) / np.maximum(down, HORIZON)
+            north_m, east_m = eye_ned_m[0] + starts_m[0] + north * reach, eye_ned_m[1] + starts_m[1] + east * reach
         return north_m.reshape(self._grid_shape), east_m.reshape(self._grid_shape)
 
     def _sampled(self, north_m: FloatArray, east_m: FloatArray, height_m: float) -> Image:
         """The floor's picture on every pixel, looked up in a small copy of what is in view (for the cache)."""
-        level = self._floor.level_for(max(self._camera.focal_px) / height_m)
+        level = self._floor.level_for(self._camera.focal_water_px / height_m)
         picture = self._floor.levels[level]
         where = self._floor.pixel_map(north_m, east_m, level)
         left, right = _span(where[..., 0], picture.shape[1])
@@ -157,7 +164,7 @@ class SimCamera:
         """Optical blur, and motion during the exposure by its variance along its direction."""
         vx, vy, _ = self._camera.r_frd_from_cam.T @ truth.vel_frd_m_s
         wx, wy, _ = self._camera.r_frd_from_cam.T @ truth.rate_frd_rad_s
-        scale = self._camera.focal_px[0] * self._look.exposure_s
+        scale = self._camera.focal_water_px * self._look.exposure_s
         mx, my = scale * (vx / height_m + wy), scale * (vy / height_m - wx)
         xx, yy, xy = self._look.blur_px**2 + mx * mx / 12.0, self._look.blur_px**2 + my * my / 12.0, mx * my / 12.0
         if max(xx, yy) < MIN_BLUR_PX2:
@@ -192,7 +199,7 @@ class SimCamera:
         if range_m <= NEAR_M:
             return
         x, y = self._camera.laser_pixel(range_m)
-        sigma = math.hypot(LASER_GLOW_PX, self._camera.focal_px[0] * LASER_SPOT_M / range_m)
+        sigma = math.hypot(LASER_GLOW_PX, self._camera.focal_water_px * LASER_SPOT_M / range_m)
         radius = math.ceil(3.5 * sigma)
         left, right = max(0, round(x) - radius), min(self._camera.width_px, round(x) + radius + 1)
         top, bottom = max(0, round(y) - radius), min(self._camera.height_px, round(y) + radius + 1)
@@ -218,8 +225,9 @@ def true_camera(model: CameraModel, look: CameraLook, laser: LaserSensor) -> Cam
     beam_frd = r_ned_from_frd(np.array([*laser.tilt_error_rad, 0.0])) @ model.r_frd_from_cam @ model.laser_direction_cam
     r_frd_from_cam = r_ned_from_frd(np.array(look.mounting_error_rad)) @ model.r_frd_from_cam
     position_frd_m = model.position_frd_m + np.array(look.position_error_m)
+    lens = camera_of(model, look.focal_factor)
     return replace(
-        camera_of(model, look.focal_factor),
+        lens if look.port is None else lens.behind(look.port.to_port()),
         position_frd_m=position_frd_m,
         r_frd_from_cam=r_frd_from_cam,
         laser_offset_cam_m=r_frd_from_cam.T @ (laser_frd_m - position_frd_m),

@@ -4,14 +4,17 @@ Grey, seen from above: columns run to the east, rows to the south, so that it is
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
-from autopilot.core.markers import MarkerMap, grid_floor
+from autopilot.core.marker_files import load_marker_map, placed_markers
+from autopilot.core.markers import ID_SPAN, MarkerMap, grid_floor
 from sitl.scenario import Scenario
 
 Image: TypeAlias = NDArray[np.uint8]
@@ -24,8 +27,10 @@ LEVELS = 4
 """Each has half the resolution of the one before, for views from far away."""
 WHITE, BLACK = 200, 34
 """Grey levels of the boards' print under even light."""
-MARKER_CELLS = 6
-"""A 4x4 marker with its border of one cell."""
+OVERSAMPLING = 4
+"""Of markers that do not lie along the picture's axes."""
+OFF_FLOOR_M = 1e-3
+"""Markers of a map file may lie this far off the floor."""
 SAND_OCTAVES = ((256, 7.0), (48, 5.0), (10, 4.0), (3, 3.0))
 """Grain size [px] and standard deviation [grey levels] of the sand."""
 
@@ -66,6 +71,8 @@ def build_markers(scenario: Scenario) -> MarkerMap | None:
     if scenario.tank is None:
         return None
     layout = scenario.markers
+    if layout.file is not None:
+        return _of_file(layout.file, np.array(scenario.tank.polygon_m), scenario.tank.depth_m)
     return grid_floor(
         polygon_m=np.array(scenario.tank.polygon_m),
         depth_m=scenario.tank.depth_m,
@@ -74,6 +81,26 @@ def build_markers(scenario: Scenario) -> MarkerMap | None:
         seed=layout.seed,
         dictionary=layout.dictionary,
     )
+
+
+def _of_file(file: str, polygon_m: FloatArray, depth_m: float) -> MarkerMap:
+    """The map of a file, of which the simulated floor can show what lies on it. ConfigError for other markers."""
+    markers = load_marker_map(Path(file))
+    low, high = polygon_m.min(axis=0), polygon_m.max(axis=0)
+    off_m = np.abs(markers.corners_ned_m[..., 2] - depth_m).max(axis=1)
+    outside = ((markers.corners_ned_m[..., :2] < low) | (markers.corners_ned_m[..., :2] > high)).any(axis=(1, 2))
+    for wrong, what in (
+        (off_m > OFF_FLOOR_M, f"is not flat on the floor, which lies at {depth_m:g} m"),
+        (outside, "lies outside of the tank"),
+    ):
+        if wrong.any():
+            marker = placed_markers(markers)[int(wrong.argmax())]
+            north, east, down = marker.center_ned_m
+            raise ConfigError(
+                f"{file}: {marker.label} of {marker.dictionary} at [{north:.3f}, {east:.3f}, {down:.3f}] {what};"
+                " the simulated floor cannot show it: move or remove it"
+            )
+    return markers
 
 
 def build_floor(scenario: Scenario) -> Floor | None:
@@ -106,24 +133,47 @@ def build_floor(scenario: Scenario) -> Floor | None:
 
 
 def _print_markers(ink: Image, markers: MarkerMap, north_m: float, east_m: float, px_per_m: float) -> None:
-    """Print the markers (tops to the north), every pixel inked by the share of it that is black."""
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, markers.dictionary))
-    cell_px = markers.size_m * px_per_m / MARKER_CELLS
-    for marker_id, corner in zip(markers.ids, markers.corners_ned_m[:, 0], strict=True):
-        cells = cv2.aruco.generateImageMarker(dictionary, int(marker_id), MARKER_CELLS)
-        left, across = _coverage((corner[1] - east_m) * px_per_m, cell_px, ink.shape[1])
-        top, down = _coverage((north_m - corner[0]) * px_per_m, cell_px, ink.shape[0])
-        black = down @ (cells == 0).astype(float) @ across.T
+    """Print the markers, every pixel inked by the share of it that is black."""
+    dictionaries = [cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)) for name in markers.dictionaries]
+    for code, corners in zip(markers.ids.tolist(), markers.corners_ned_m, strict=True):
+        kind, marker_id = divmod(code, ID_SPAN)
+        cells = dictionaries[kind].markerSize + 2
+        picture = cv2.aruco.generateImageMarker(dictionaries[kind], marker_id, cells)
+        corners_px = np.column_stack(((corners[:, 1] - east_m) * px_per_m, (north_m - corners[:, 0]) * px_per_m))
+        across_px = corners_px[1] - corners_px[0]
+        if abs(across_px[1]) > 1e-6 or across_px[0] < 0.0:
+            _print_turned(ink, picture, corners_px)
+            continue
+        cell_px = float(across_px[0]) / cells
+        left, across = _coverage(float(corners_px[0, 0]), cell_px, cells, ink.shape[1])
+        top, down = _coverage(float(corners_px[0, 1]), cell_px, cells, ink.shape[0])
+        black = down @ (picture == 0).astype(float) @ across.T
         ink[top : top + len(down), left : left + len(across)] = np.rint(255.0 * black).astype(np.uint8)
 
 
-def _coverage(start_px: float, cell_px: float, limit: int) -> tuple[int, FloatArray]:
+def _print_turned(ink: Image, picture: Image, corners_px: FloatArray) -> None:
+    """Print one marker, one pixel per cell, whose corners (4, 2) column, row lie anyhow."""
+    left, top = (max(0, int(np.floor(v))) for v in corners_px.min(axis=0))
+    right = min(ink.shape[1], int(np.ceil(corners_px[:, 0].max())))
+    bottom = min(ink.shape[0], int(np.ceil(corners_px[:, 1].max())))
+    # Pixel centres lie at whole numbers for warpAffine, at halves in corners_px.
+    source = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=np.float32) * len(picture) - 0.5
+    target = (corners_px[[0, 1, 3]] - [left, top]) * OVERSAMPLING - 0.5
+    affine = cv2.getAffineTransform(source.astype(np.float32), target.astype(np.float32))
+    size = ((right - left) * OVERSAMPLING, (bottom - top) * OVERSAMPLING)
+    fine = cv2.warpAffine(255 - picture, affine, size, flags=cv2.INTER_NEAREST, borderValue=(0,))
+    patch = cv2.resize(fine, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
+    place = ink[top:bottom, left:right]
+    np.maximum(place, patch, out=place)
+
+
+def _coverage(start_px: float, cell_px: float, cells: int, limit: int) -> tuple[int, FloatArray]:
     """First pixel, and share (pixels, cells) of each pixel that each of a marker's cells covers along one axis."""
     start_px = round(start_px, 6)
     first = max(0, int(np.floor(start_px)))
-    last = min(limit, int(np.ceil(round(start_px + MARKER_CELLS * cell_px, 6))))
+    last = min(limit, int(np.ceil(round(start_px + cells * cell_px, 6))))
     pixels = np.arange(first, last)[:, None]
-    edges = start_px + cell_px * np.arange(MARKER_CELLS + 1)
+    edges = start_px + cell_px * np.arange(cells + 1)
     share = np.minimum(pixels + 1, edges[1:]) - np.maximum(pixels, edges[:-1])
     return first, np.clip(share, 0.0, 1.0)
 

@@ -97,7 +97,7 @@ LATER_KINDS = {
 }
 """Kinds of the scenario format that this version does not simulate, and what they are."""
 
-FILE_KEYS = (("current", "file"), ("controller", "map"))
+FILE_KEYS = (("current", "file"), ("controller", "map"), ("markers", "file"))
 """Keys that name a file beside the scenario."""
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
-from autopilot.core.vehicle import NonNegative, Positive, Vec2, Vec3
+from autopilot.core.vehicle import NonNegative, Port, Positive, Vec2, Vec3
 
 Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
@@ -321,6 +321,8 @@ class CameraLook(_Table, frozen=True, kw_only=True):
     """True mounting of the camera against the vehicle file's: roll, pitch, yaw about the body's axes."""
     position_error_m: Vec3 = (0.0, 0.0, 0.0)
     """True place of the camera minus the vehicle file's, body frame."""
+    port: Port | None = None
+    """``[camera.port]``: the true camera stands behind this flat pane; None = as the vehicle file says."""
     turbidity_1_m: NonNegative = 0.3
     """Contrast decays as exp(-turbidity * distance)."""
     blur_px: NonNegative = 0.8
@@ -341,6 +343,8 @@ class CameraLook(_Table, frozen=True, kw_only=True):
 class Markers(_Table, frozen=True, kw_only=True):
     """``[markers]``: the board on the floor. Default: two markers in view at any yaw from 0.45 m above the floor."""
 
+    file: str | None = None
+    """Marker map file, relative to the scenario file, with what lies where; then the other keys do not count."""
     pitch_m: Positive = 0.08
     size_m: Positive = 0.06
     dictionary: str = "DICT_4X4_1000"
