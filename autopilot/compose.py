@@ -21,6 +21,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.readiness import MarginCheck
 from autopilot.service import Autopilot, Parts
+from estimator.options import EstimatorOptions
 from estimator.protocol import create_estimator
 from mission.geodesy import Origin
 from mission.plan_files import PlanFile
@@ -93,7 +94,14 @@ def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
         vehicle=vehicle,
         params=params,
         plans=plans,
-        estimator=create_estimator(setup.estimator, vehicle, setup.markers, floor_depth_m=setup.floor_depth_m),
+        estimator=create_estimator(
+            setup.estimator,
+            vehicle,
+            setup.markers,
+            floor_depth_m=setup.floor_depth_m,
+            options=EstimatorOptions(current_3d=params["EST_CURRENT_3D"] > 0.0),
+            shadow=params["EST_SHADOW"] > 0.0,
+        ),
         controller=controller,
         allocation=Allocation(vehicle.drive),
         commander=commander,

@@ -29,11 +29,13 @@ class Conditions:
     nav: NavState | None
     power: PowerSample | None
     ahrs_age_s: float | None
-    """None = nothing heard yet."""
+    """Since the last good sample (a frozen device sends none); None = nothing heard yet."""
     solver_failures: int
     """NMPC steps in a row without a solution."""
     unreachable: bool = False
     """The controller finds no way to its goal."""
+    nav_disagrees: bool = False
+    """The estimator in the shadow of the flown one has been somewhere else for a while."""
     thruster_share: tuple[float, ...] = ()
     """What each thruster gives of its thrust, in the order of the vehicle file; empty = not known."""
     thruster_problem: str = ""
@@ -73,7 +75,7 @@ class FailsafeRules:
         """Why the vehicle must not be armed."""
         reasons = []
         if conditions.ahrs_age_s is None or conditions.ahrs_age_s > AHRS_TIMEOUT_S:
-            reasons.append("AHRS is silent: check cable and port")
+            reasons.append("AHRS is silent or frozen: check cable and port")
         if conditions.nav is None:
             reasons.append("no position yet: markers must be in view")
         elif conditions.nav.health is not NavHealth.GOOD:
@@ -115,7 +117,9 @@ class FailsafeRules:
             nav_actions: tuple[Action | None, ...] = (None, "disarm", "surface")
             found[Failsafe.NAV_LOST] = ("position lost", nav_actions[int(p["FS_NAV_ACT"])])
         if conditions.ahrs_age_s is not None and conditions.ahrs_age_s > AHRS_TIMEOUT_S:
-            found[Failsafe.AHRS_STALE] = ("AHRS silent", "surface")
+            found[Failsafe.AHRS_STALE] = ("AHRS silent or frozen", "surface")
+        if conditions.nav_disagrees:
+            found[Failsafe.NAV_CHECK] = ("estimators disagree", None)
         soft_actions: tuple[Action | None, ...] = (None, "hold", "surface")
         if conditions.solver_failures >= p["FS_SOLVER_N"]:
             found[Failsafe.SOLVER] = ("controller finds no solution", soft_actions[int(p["FS_SOLVER_ACT"])])

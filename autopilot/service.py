@@ -14,14 +14,15 @@ from autopilot.control.controller import MotionController
 from autopilot.control.tracks import Tracks
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import (
+    AID_SENSORS,
     MAX_THRUSTERS,
-    AhrsSample,
     ControlOutput,
     Event,
     Fallback,
     Goal,
     Inputs,
     ModeState,
+    NavCounters,
     NavState,
     NmpcStatus,
     ObstacleTrack,
@@ -42,6 +43,12 @@ from mission.store import Plans
 
 CONTROL_EVERY_TICKS = 5
 """The NMPC runs at 20 Hz: counted in ticks, not timed."""
+
+COUNTERS_EVERY_TICKS = 100
+"""The estimator's counts go to the log once per second."""
+
+UNUSED_COUNTS = ("rejected", "late", "duplicate", "future", "malformed")
+"""Counts of samples and measurements that were not used."""
 
 BLIND_ASCENT_SHARE = 0.35
 """Share of the thrust limit that lifts a vehicle without a position: about 0.2 m/s for the LBV150."""
@@ -74,7 +81,8 @@ class Autopilot:
         self._pulse_n: FloatArray = np.zeros(4)
         self._applied_n: FloatArray = np.zeros(4)
         self._care = ThrusterCare(parts.vehicle, parts.params)
-        self._ahrs_us: int | None = None
+        self._aid_ratio: dict[str, float] = {}
+        self._nav_errors = (0, 0, 0, 0)
         self._power: PowerSample | None = None
         self._tracks = Tracks()
         self._solver_failures = 0
@@ -95,8 +103,11 @@ class Autopilot:
         parts = self._parts
         t_us = inputs.t_us
         self._note(inputs)
-        nav = parts.estimator.step(t_us, inputs.samples, self._applied_n)
+        nav = parts.estimator.step(t_us, inputs.samples + parts.server.take_samples(), self._applied_n)
         self._nav = nav
+        ahrs_us, aids, shadow = parts.estimator.ahrs_us, parts.estimator.take_aids(), parts.estimator.shadow
+        self._aid_ratio.update((aid.sensor, aid.test_ratio) for aid in aids)
+        counters = self._counted(t_us) if self._tick % COUNTERS_EVERY_TICKS == 0 else None
         tx = parts.server.step(
             t_us,
             inputs.mavlink_rx,
@@ -111,9 +122,10 @@ class Autopilot:
                 t_us=t_us,
                 nav=nav,
                 power=self._power,
-                ahrs_age_s=None if self._ahrs_us is None else (t_us - self._ahrs_us) * 1e-6,
+                ahrs_age_s=None if ahrs_us is None else (t_us - ahrs_us) * 1e-6,
                 solver_failures=self._solver_failures,
                 unreachable=parts.controller.unreachable,
+                nav_disagrees=shadow is not None and shadow.disagrees,
                 thruster_share=tuple(self._care.share.tolist()),
                 thruster_problem=self._care.problem,
             )
@@ -136,7 +148,9 @@ class Autopilot:
                 failsafes=decision.failsafes,
             ),
             mavlink_tx=tx,
-            aids=parts.estimator.take_aids(),
+            aids=aids,
+            counters=counters,
+            shadow=shadow,
             goal=decision.goal,
             control=control,
             progress=decision.progress,
@@ -144,11 +158,22 @@ class Autopilot:
             events=self._events + parts.server.take_notices(),
         )
 
+    def _counted(self, t_us: int) -> NavCounters:
+        """The estimator's counts, for the log and in short for ground stations."""
+        counts = self._parts.estimator.counters()
+        unused = {sensor: sum(counts.get(f"{sensor}.{what}", 0) for what in UNUSED_COUNTS) for sensor in AID_SENSORS}
+        fixes = unused["markers"] + unused["external"]
+        self._nav_errors = (
+            sum(counts.get(f"ahrs.{what}", 0) for what in (*UNUSED_COUNTS, "old", "stuck")),
+            fixes,
+            sum(unused.values()) - fixes,
+            counts.get("resets", 0),
+        )
+        return NavCounters(t_us=t_us, counts=counts)
+
     def _note(self, inputs: Inputs) -> None:
         for sample in inputs.samples:
-            if isinstance(sample, AhrsSample):
-                self._ahrs_us = inputs.t_us
-            elif isinstance(sample, PowerSample):
+            if isinstance(sample, PowerSample):
                 self._power = sample
             elif isinstance(sample, ObstacleTrack):
                 self._tracks.note(inputs.t_us, sample)
@@ -224,6 +249,8 @@ class Autopilot:
             cpu_load=inputs.cpu_load,
             submerged=commander.submerged,
             dropped_rx=parts.server.dropped_rx,
+            aid_ratio=self._aid_ratio,
+            nav_errors=self._nav_errors,
             control=self._status,
         )
 

@@ -25,8 +25,6 @@ TIMEOUT_US = 1_000_000
 AGREE_SIGMA = 3.0
 """Rejected residuals agree when they lie within so many of their expected deviations of their mean."""
 
-SENSORS = ("heading", "model", "markers", "external", "velocity", "depth", "laser")
-"""All of them, in the order in which measurements of the same time are used."""
 COUNTS = ("received", "fused", "rejected", "late", "duplicate", "future", "malformed", "resets")
 """What is counted of every sensor."""
 

@@ -25,6 +25,7 @@ from autopilot.core.messages import (
     NavState,
     PoseSample,
     Sample,
+    ShadowStatus,
     VelocityLock,
     VelocitySample,
 )
@@ -146,10 +147,19 @@ class Engine:
             result.update(aid.named_counts())
         return result
 
+    def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
+        """Poses and ranges from pictures since the last call, stamped as the pictures were."""
+        return self._sources.take_made()
+
     @property
     def ahrs_us(self) -> int | None:
         """See :class:`estimator.protocol.Estimator`."""
         return self._ahrs_us
+
+    @property
+    def shadow(self) -> ShadowStatus | None:
+        """Nobody watches a single estimator."""
+        return None
 
     # Samples in.
 

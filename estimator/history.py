@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from estimator.aiding import SENSORS
+from autopilot.core.messages import AID_SENSORS
 from estimator.core import FilterCore, Innovation
 from estimator.inertial import Step
 from estimator.measurement import Measurement, Moment
@@ -115,7 +115,7 @@ class History:
         return state
 
 
-_ORDER = {name: number for number, name in enumerate(SENSORS)}
+_ORDER = {name: number for number, name in enumerate(AID_SENSORS)}
 
 
 def _rank(item: Measurement | Reopening) -> tuple[int, int]:

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from typing import TypeAlias
 
 from autopilot.core.messages import (
+    AID_SENSORS,
     DepthSample,
     ExternalPoseSample,
     LaserSample,
@@ -12,7 +13,7 @@ from autopilot.core.messages import (
     PoseSample,
     VelocitySample,
 )
-from estimator.aiding import SENSORS, Aid
+from estimator.aiding import Aid
 from estimator.inertial import FUTURE_TOLERANCE_US
 
 AidingSample: TypeAlias = PoseSample | MarkerSighting | LaserSample | DepthSample | VelocitySample | ExternalPoseSample
@@ -29,7 +30,7 @@ class Intake:
     def __init__(self, aids: dict[type, Aid]) -> None:
         self._aids = aids
         self._seen: dict[type, deque[int]] = {kind: deque(maxlen=REMEMBERED) for kind in aids}
-        self._order = {kind: SENSORS.index(aid.sensor) for kind, aid in aids.items()}
+        self._order = {kind: AID_SENSORS.index(aid.sensor) for kind, aid in aids.items()}
         self._waiting: list[AidingSample] = []
 
     def admit(self, sample: AidingSample, now_us: int) -> None:

@@ -11,8 +11,9 @@ from typing import Protocol
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import AidStatus, NavState, Sample
+from autopilot.core.messages import AidStatus, NavState, Sample, ShadowStatus
 from autopilot.core.vehicle import Vehicle
+from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 
 ESTIMATOR_NAMES = ("ekf", "complementary")
 """Names that :func:`create_estimator` knows."""
@@ -35,6 +36,11 @@ class Estimator(Protocol):
         """Time of the tick at which an AHRS sample was last good (well-formed, new, not stuck), None before."""
         ...
 
+    @property
+    def shadow(self) -> ShadowStatus | None:
+        """How far another estimator in this one's shadow is from it, as of the last step; None without one."""
+        ...
+
     def take_aids(self) -> tuple[AidStatus, ...]:
         """What became of every measurement since the last call of this method."""
         ...
@@ -45,21 +51,33 @@ class Estimator(Protocol):
 
 
 def create_estimator(
-    name: str, vehicle: Vehicle, markers: MarkerMap | None, *, floor_depth_m: float | None = None
+    name: str,
+    vehicle: Vehicle,
+    markers: MarkerMap | None,
+    *,
+    floor_depth_m: float | None = None,
+    options: EstimatorOptions = DEFAULT_OPTIONS,
+    shadow: bool = False,
 ) -> Estimator:
     """The estimator of that name for that vehicle.
 
     ``markers`` is the surveyed floor (None: marker sightings cannot be used, poses can). ``floor_depth_m`` is what the
-    laser points at; None = the depth of the markers, and without markers no laser. ConfigError if the name is unknown.
+    laser points at; None = the depth of the markers, and without markers no laser. ``shadow``: the other estimator runs
+    beside it and is compared with it. ConfigError if the name is unknown.
     """
     if name not in ESTIMATOR_NAMES:
         raise ConfigError(f"estimator {name!r} is not known; use one of {', '.join(ESTIMATOR_NAMES)}")
     if floor_depth_m is None and markers is not None:
         floor_depth_m = float(markers.corners_ned_m[..., 2].mean())
-    if name == "ekf":
-        from estimator.ekf import create_ekf
-
-        return create_ekf(vehicle, markers, floor_depth_m)
     from estimator.complementary import create_complementary
+    from estimator.ekf import create_ekf
 
-    return create_complementary(vehicle, markers, floor_depth_m)
+    create, create_other = create_ekf, create_complementary
+    if name == "complementary":
+        create, create_other = create_other, create
+    flown = create(vehicle, markers, floor_depth_m, options)
+    if not shadow:
+        return flown
+    from estimator.shadow import Shadowed
+
+    return Shadowed(flown, create_other(vehicle, None, floor_depth_m, options))

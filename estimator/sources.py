@@ -1,6 +1,7 @@
 """Where aiding measurements come from: every sensor's samples, its mounting and clock, and its book-keeping."""
 
 import math
+from collections import deque
 from dataclasses import replace
 from typing import TypeVar
 
@@ -75,6 +76,8 @@ class Sources:
             VelocitySample: round(1e6 * vehicle.dvl.time_offset_s),
             ExternalPoseSample: round(1e6 * vehicle.external_pose.time_offset_s),
         }
+        self._camera_us = camera_us
+        self._made: deque[PoseSample | LaserSample] = deque(maxlen=64)
         self._unfit_in_row = 0
         self._frame: Alignment | None = None
         self._reset_counter: int | None = None
@@ -91,6 +94,12 @@ class Sources:
         offset_us = self._offset_us[type(sample)]
         return replace(sample, t_us=sample.t_us + offset_us) if offset_us else sample
 
+    def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
+        """What was made of pictures since the last call, stamped as the pictures were."""
+        made = tuple(self._made)
+        self._made.clear()
+        return made
+
     def first_fix(self, sample: AidingSample, inertial: Inertial) -> PoseFix | None:
         """A pose from a sample while nothing is known; None if this sample gives none."""
         if isinstance(sample, PoseSample):
@@ -103,7 +112,7 @@ class Sources:
         if isinstance(sample, MarkerSighting) and self._solver is not None:
             if not self._solver.well_formed(sample):
                 return self._counted(None, self.markers)
-            return self._solver.locate(sample, inertial.roll_rad, inertial.pitch_rad)
+            return self._kept(self._solver.locate(sample, inertial.roll_rad, inertial.pitch_rad))
         return None
 
     def fix(self, sample: AidingSample, node: Node) -> tuple[PoseFix | None, Aid]:
@@ -115,7 +124,7 @@ class Sources:
         if isinstance(sample, MarkerSighting) and self._solver is not None:
             if not self._solver.well_formed(sample):
                 return self._counted(None, self.markers), self.markers
-            return self._solve(node, sample, self._solver), self.markers
+            return self._kept(self._solve(node, sample, self._solver)), self.markers
         return None, self.markers
 
     def scalars(self, sample: AidingSample) -> tuple[Measurement | None, Aid]:
@@ -132,6 +141,7 @@ class Sources:
                 return None, self.laser
             self.laser.counts["received"] += 1
             sample = LaserSample(t_us=sample.t_us, range_m=dot[0], sigma_m=dot[1])
+            self._made.append(replace(sample, t_us=sample.t_us - self._camera_us))
         if not isinstance(sample, LaserSample) or self._floor_depth_m is None:
             return None, self.laser
         laser = range_from_sample(sample, self._floor_depth_m, self._laser_frd_m, self._beam_frd)
@@ -150,6 +160,21 @@ class Sources:
             fix = solver.locate(sighting, inertial.roll_rad, inertial.pitch_rad) or fix
         if fix is None:
             self.markers.counts["rejected"] += 1
+        return fix
+
+    def _kept(self, fix: PoseFix | None) -> PoseFix | None:
+        """Remember a pose from a picture for :meth:`take_made`."""
+        if fix is not None:
+            sigma = np.sqrt(fix.noise.diagonal())
+            self._made.append(
+                PoseSample(
+                    t_us=fix.t_us - self._camera_us,
+                    pos_ned_m=fix.z[:3],
+                    yaw_rad=float(fix.z[3]),
+                    sigma_pos_m=sigma[:3],
+                    sigma_yaw_rad=float(sigma[3]),
+                )
+            )
         return fix
 
     def _external_fix(self, sample: ExternalPoseSample, node: Node) -> PoseFix | None:

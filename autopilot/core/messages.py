@@ -4,6 +4,7 @@ Frozen dataclasses, time first (``t_us``: microseconds since the service's clock
 field comments. A field that may be absent is None.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, TypeAlias
@@ -254,6 +255,35 @@ class AidStatus:
     """Now minus time of validity."""
 
 
+AID_SENSORS = ("heading", "model", "markers", "external", "velocity", "depth", "laser")
+"""Aiding sensors of the estimator, in the order in which measurements of the same time are used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class NavCounters:
+    """What the estimator has counted so far, once per second."""
+
+    t_us: int
+    counts: Mapping[str, int]
+    """By name: ``ahrs.stuck``, ``markers.fused``, ``resets``, ... (:meth:`estimator.protocol.Estimator.counters`)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ShadowStatus:
+    """Estimate of the flown estimator minus that of the one in its shadow."""
+
+    t_us: int
+    pos_difference_ned_m: FloatArray
+    """(3,)"""
+    yaw_difference_rad: float
+    vel_difference_frd_m_s: FloatArray
+    """(3,) over ground."""
+    ratio: float
+    """Largest difference over its bound; above 1 is too much."""
+    disagrees: bool
+    """It has been too much for a while."""
+
+
 # Decide.
 
 
@@ -428,6 +458,7 @@ class Failsafe(IntEnum):
     BATTERY = 2
     AHRS_STALE = 3
     THRUSTER = 4
+    NAV_CHECK = 6
 
 
 class Severity(IntEnum):
@@ -480,6 +511,10 @@ class Outputs:
     control: ControlOutput | None = None
     """Set on the ticks on which the controller ran."""
     progress: MissionProgress | None = None
+    counters: NavCounters | None = None
+    """Of the estimator, once per second."""
+    shadow: ShadowStatus | None = None
+    """None without an estimator in the shadow of the flown one."""
     thrusters: ThrusterHealthState | None = None
     """Twice per second and when a thruster's health changes."""
     events: tuple[Event, ...] = field(default=())

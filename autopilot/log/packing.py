@@ -12,10 +12,13 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, quat_from_rpy
 from autopilot.core.messages import (
+    AID_SENSORS,
     MAX_THRUSTERS,
     AhrsSample,
     AidStatus,
+    DepthSample,
     EnergyPlan,
+    ExternalPoseSample,
     Goal,
     Inputs,
     LaserSample,
@@ -23,13 +26,16 @@ from autopilot.core.messages import (
     MarkerSighting,
     MissionProgress,
     ModeState,
+    NavCounters,
     NavState,
     NmpcStatus,
     ObstacleTrack,
     PoseSample,
     PowerSample,
+    ShadowStatus,
     ThrusterCommand,
     ThrusterHealthState,
+    VelocitySample,
 )
 from autopilot.log.cdr import ENCAPSULATION
 from autopilot.log.schemas import layout
@@ -71,6 +77,11 @@ _thruster_state = layout("autopilot_msgs/ThrusterState").packer.pack
 _contact_state = layout("autopilot_msgs/ContactState").packer.pack
 _nav_covariance = layout("autopilot_msgs/NavCovariance").packer.pack
 _nav_status = layout("autopilot_msgs/NavStatus").packer.pack
+_nav_counters = layout("autopilot_msgs/NavCounters").packer.pack
+_shadow_status = layout("autopilot_msgs/ShadowStatus").packer.pack
+_depth_raw = layout("autopilot_msgs/DepthRaw").packer.pack
+_velocity_raw = layout("autopilot_msgs/VelocityRaw").packer.pack
+_external_pose = layout("autopilot_msgs/ExternalPose").packer.pack
 _aid_status = layout("autopilot_msgs/AidStatus").packer.pack
 _goal = layout("autopilot_msgs/Goal").packer.pack
 _nmpc_status = layout("autopilot_msgs/NmpcStatus").packer.pack
@@ -99,6 +110,20 @@ MAVLINK_MAX_BYTES = 280
 """Largest MAVLink 2 packet with signature (mavlink.io, Packet Serialization)."""
 ALL_LINKS = 255
 """``MavlinkFrame.link`` for a frame that goes to all links."""
+
+_OF_THE_FILTER = (
+    "resets",
+    "clock.backwards",
+    "thrust.malformed",
+    "ahrs.good",
+    "ahrs.malformed",
+    "ahrs.future",
+    "ahrs.old",
+    "ahrs.stuck",
+    "ahrs.blind_steps",
+)
+_OF_AN_AID = ("received", "fused", "rejected", "late", "duplicate", "future", "malformed", "resets")
+"""Names of counts, in the order of the fields of NavCounters."""
 
 _UNKNOWN_COVARIANCE = (-1.0,) + (0.0,) * 8
 """sensor_msgs/Imu: element 0 = -1 means that there is no estimate of this quantity's covariance."""
@@ -148,6 +173,29 @@ def nav_covariance(stamp_ns: int, nav: NavState) -> bytes:
 def nav_status(stamp_ns: int, nav: NavState) -> bytes:
     """NavStatus."""
     return _nav_status(ENCAPSULATION, *divmod(stamp_ns, _NS), *_NED, int(nav.health), _clip(nav.reset_count, _UINT32))
+
+
+def nav_counters(stamp_ns: int, value: NavCounters) -> bytes:
+    """NavCounters; what was not counted is 0."""
+    names = [*_OF_THE_FILTER]
+    for what in _OF_AN_AID:
+        names += [f"{sensor}.{what}" for sensor in AID_SENSORS] + [""] * (8 - len(AID_SENSORS))
+    counts = [_clip(value.counts.get(name, 0), _UINT32) for name in names]
+    return _nav_counters(ENCAPSULATION, *divmod(stamp_ns, _NS), *_FRD, *counts)
+
+
+def shadow_status(stamp_ns: int, status: ShadowStatus) -> bytes:
+    """ShadowStatus."""
+    return _shadow_status(
+        ENCAPSULATION,
+        *divmod(stamp_ns, _NS),
+        *_NED,
+        *status.pos_difference_ned_m.tolist(),
+        status.yaw_difference_rad,
+        *status.vel_difference_frd_m_s.tolist(),
+        status.ratio,
+        int(status.disagrees),
+    )
 
 
 def aid_status(stamp_ns: int, aid: AidStatus) -> bytes:
@@ -351,6 +399,39 @@ def laser_range(stamp_ns: int, sample: LaserSample) -> bytes:
     """sensor_msgs/Range of the same sample, for viewers."""
     variance = sample.sigma_m * sample.sigma_m
     return _range(ENCAPSULATION, *divmod(stamp_ns, _NS), *_FRD, 1, 0.0, 0.0, math.inf, sample.range_m, variance)
+
+
+def depth_raw(stamp_ns: int, sample: DepthSample) -> bytes:
+    """DepthRaw."""
+    return _depth_raw(ENCAPSULATION, *divmod(stamp_ns, _NS), *_FRD, sample.depth_m, sample.sigma_m)
+
+
+def velocity_raw(stamp_ns: int, sample: VelocitySample) -> bytes:
+    """VelocityRaw."""
+    return _velocity_raw(
+        ENCAPSULATION,
+        *divmod(stamp_ns, _NS),
+        *_FRD,
+        *sample.vel_frd_m_s.tolist(),
+        *sample.sigma_m_s.tolist(),
+        int(sample.lock),
+    )
+
+
+def external_pose(stamp_ns: int, sample: ExternalPoseSample) -> bytes:
+    """ExternalPose; an unknown covariance is zeros with ``covariance_known`` 0."""
+    known = sample.covariance is not None
+    return _external_pose(
+        ENCAPSULATION,
+        *divmod(stamp_ns, _NS),
+        *_NED,
+        *sample.pos_m.tolist(),
+        sample.yaw_rad,
+        int(known),
+        *([0.0] * 16 if sample.covariance is None else sample.covariance.ravel().tolist()),
+        int(sample.frame),
+        _clip(sample.reset_counter, _UINT32),
+    )
 
 
 def obstacle_track(stamp_ns: int, track: ObstacleTrack) -> bytes:

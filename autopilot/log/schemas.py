@@ -47,6 +47,34 @@ std_msgs/Header header
 uint8 health  # 0 invalid, 1 dead reckoning, 2 good
 uint32 reset_count
 """,
+    "autopilot_msgs/NavCounters": """
+std_msgs/Header header
+uint32 resets
+uint32 clock_backwards
+uint32 thrust_malformed
+uint32 ahrs_good
+uint32 ahrs_malformed
+uint32 ahrs_future
+uint32 ahrs_old
+uint32 ahrs_stuck
+uint32 ahrs_blind_steps
+uint32[8] received  # by sensor: 0 heading, 1 model, 2 markers, 3 external, 4 velocity, 5 depth, 6 laser
+uint32[8] fused
+uint32[8] rejected
+uint32[8] late
+uint32[8] duplicate
+uint32[8] future
+uint32[8] malformed
+uint32[8] aid_resets
+""",
+    "autopilot_msgs/ShadowStatus": """
+std_msgs/Header header
+float64[3] pos_difference_ned_m
+float64 yaw_difference_rad
+float64[3] vel_difference_frd_m_s
+float64 ratio  # largest difference over its bound
+uint8 disagrees
+""",
     "autopilot_msgs/AidStatus": """
 std_msgs/Header header
 float64[3] innovation
@@ -108,7 +136,7 @@ uint8 state  # MISSION_STATE
 std_msgs/Header header
 uint8 armed
 uint32 custom_mode
-uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale, 4 thruster lost
+uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale, 4 thruster lost, 6 estimators disagree
 """,
     "autopilot_msgs/LoopStats": """
 std_msgs/Header header
@@ -150,6 +178,26 @@ float64 sigma_yaw_rad
 std_msgs/Header header
 float64 range_m
 float64 sigma_m
+""",
+    "autopilot_msgs/DepthRaw": """
+std_msgs/Header header
+float64 depth_m
+float64 sigma_m
+""",
+    "autopilot_msgs/VelocityRaw": """
+std_msgs/Header header
+float64[3] vel_frd_m_s
+float64[3] sigma_m_s
+uint8 lock  # 0 water, 1 bottom
+""",
+    "autopilot_msgs/ExternalPose": """
+std_msgs/Header header
+float64[3] pos_m
+float64 yaw_rad
+uint8 covariance_known
+float64[16] covariance  # of position and yaw, by rows
+uint8 frame  # 0 NED, 1 FRD
+uint32 reset_counter
 """,
     "autopilot_msgs/ObstacleTrack": """
 std_msgs/Header header

@@ -12,7 +12,9 @@ from autopilot.core.errors import LogError
 from autopilot.core.messages import (
     AhrsSample,
     CameraFrame,
+    DepthSample,
     Event,
+    ExternalPoseSample,
     Inputs,
     LaserSample,
     LoopStats,
@@ -24,6 +26,7 @@ from autopilot.core.messages import (
     PoseSample,
     PowerSample,
     Sample,
+    VelocitySample,
 )
 from autopilot.log import packing, visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
@@ -35,6 +38,7 @@ from autopilot.log.writer import LogWriter
 TRUTH_US = 10_000
 THRUSTERS_US = 20_000
 COVARIANCE_US = 100_000
+SHADOW_US = 100_000
 HORIZON_US = 100_000
 SLOW_US = 1_000_000
 """State that seldom changes is written when it changes, and this often."""
@@ -165,6 +169,10 @@ class RunLog:
             self._nav(t_us, stamp_ns, outputs.nav)
         for aid in outputs.aids:
             self._write(AID_PREFIX + aid.sensor, aid.t_us, packing.aid_status(self._ns(aid.t_us), aid))
+        if outputs.counters is not None:
+            self._write("/nav/counters", t_us, packing.nav_counters(stamp_ns, outputs.counters))
+        if outputs.shadow is not None and self._due("/nav/shadow", t_us, SHADOW_US):
+            self._write("/nav/shadow", t_us, packing.shadow_status(stamp_ns, outputs.shadow))
         mode, done = outputs.mode, outputs.progress
         if self._changed("/sys/mode", t_us, (mode.armed, mode.custom_mode, mode.failsafes)):
             self._on_change("/sys/mode", t_us, packing.mode_state(stamp_ns, mode))
@@ -226,6 +234,12 @@ class RunLog:
             case LaserSample():
                 self._write("/in/laser_raw", t_us, packing.laser_raw(stamp_ns, sample))
                 self._write("/in/laser", t_us, packing.laser_range(stamp_ns, sample))
+            case DepthSample():
+                self._write("/in/depth", t_us, packing.depth_raw(stamp_ns, sample))
+            case VelocitySample():
+                self._write("/in/velocity", t_us, packing.velocity_raw(stamp_ns, sample))
+            case ExternalPoseSample():
+                self._write("/in/external", t_us, packing.external_pose(stamp_ns, sample))
             case ObstacleTrack():
                 self._write("/in/tracks", t_us, packing.obstacle_track(stamp_ns, sample))
             case PowerSample():

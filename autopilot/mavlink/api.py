@@ -3,7 +3,8 @@
 Implemented by :mod:`autopilot.commander`.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Protocol
 
@@ -80,6 +81,10 @@ class VehicleView:
     submerged: bool
     dropped_rx: int
     """Malformed frames so far."""
+    aid_ratio: Mapping[str, float] = field(default_factory=dict)
+    """Test ratio of the newest measurement of each aiding sensor, by name; above 1 it was rejected."""
+    nav_errors: tuple[int, int, int, int] = (0, 0, 0, 0)
+    """AHRS samples refused, fixes not used, other aiding measurements not used, resets of the estimator."""
     control: NmpcStatus | None = None
     """Of the last control step, None while nothing is controlled."""
 

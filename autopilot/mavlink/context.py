@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import Event, MavlinkFrame
+from autopilot.core.messages import Event, ExternalPoseSample, MavlinkFrame
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.mavlink.api import VehicleCommands, VehicleView
@@ -69,6 +69,8 @@ class Context:
     links: dict[int, Link] = field(default_factory=dict)
     tx: list[MavlinkFrame] = field(default_factory=list)
     notices: list[Event] = field(default_factory=list)
+    samples: list[ExternalPoseSample] = field(default_factory=list)
+    """Poses that clients sent, for the estimator."""
     announce_place: bool = False
     """Send origin and home on all links once the vehicle's view is fresh."""
     _text_id: int = 0

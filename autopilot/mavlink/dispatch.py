@@ -4,12 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import Event, MavlinkFrame, Severity
+from autopilot.core.messages import Event, ExternalPoseSample, MavlinkFrame, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, VehicleCommands, VehicleView
 from autopilot.mavlink.commands import Commands
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
+from autopilot.mavlink.external import ExternalPoses
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.parameters import Parameters
 from autopilot.mavlink.profiles import Profile
@@ -63,6 +64,7 @@ class Dispatcher:
         self.parameters = Parameters(ctx)
         self.missions = Missions(ctx)
         self.utility = Utility(ctx)
+        self._external = ExternalPoses(ctx, lambda: self.utility.utc_offset_us)
         self._status = Status(ctx)
         self._telemetry = Telemetry(ctx)
         self._progress = Progress(ctx, self.missions)
@@ -112,6 +114,8 @@ class Dispatcher:
             mav.MAVLINK_MSG_ID_SYSTEM_TIME: lambda peer, msg: utility.on_system_time(msg),
             mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: utility.on_file_transfer,
             mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST: lambda peer, msg: utility.on_log_request_list(peer),
+            mav.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE: self._external.on_vision_position_estimate,
+            mav.MAVLINK_MSG_ID_ODOMETRY: self._external.on_odometry,
             mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._on_request_data_stream,
         }
 
@@ -139,6 +143,11 @@ class Dispatcher:
         """Lines for the log since the last call."""
         notices, self._ctx.notices = tuple(self._ctx.notices), []
         return notices
+
+    def take_samples(self) -> tuple[ExternalPoseSample, ...]:
+        """Poses that clients have sent since the last call."""
+        samples, self._ctx.samples = tuple(self._ctx.samples), []
+        return samples
 
     # One tick
 

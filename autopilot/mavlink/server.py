@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from autopilot.core.messages import Event, MavlinkFrame
+from autopilot.core.messages import Event, ExternalPoseSample, MavlinkFrame
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.mavlink.api import FlightMode, GeoPoint, VehicleCommands, VehicleView
@@ -89,6 +89,10 @@ class MavlinkServer:
     def take_notices(self) -> tuple[Event, ...]:
         """What the server itself told operators since the last call (plans taken or refused, reasons), for the log."""
         return self._dispatcher.take_notices()
+
+    def take_samples(self) -> tuple[ExternalPoseSample, ...]:
+        """Poses that clients have sent since the last call (VISION_POSITION_ESTIMATE, ODOMETRY), for the estimator."""
+        return self._dispatcher.take_samples()
 
     @property
     def dropped_rx(self) -> int:

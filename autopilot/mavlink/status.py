@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import NavHealth
+from autopilot.core.messages import Failsafe, NavHealth
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.context import Context, i16, i32, limited, u16
 from autopilot.mavlink.profiles import STANDARD_MODE_OF, ParamEncoding
@@ -108,13 +108,15 @@ class Status:
         )
 
     def sys_status(self) -> Message | None:
-        """SYS_STATUS: PREARM_CHECK is healthy when arming would be accepted now."""
+        """SYS_STATUS: PREARM_CHECK is healthy when arming would be accepted now.
+
+        errors_count1 to 4: AHRS samples refused, fixes and other aiding measurements not used, estimator resets."""
         ctx, view = self._ctx, self._ctx.view
         health = _SENSORS
         nav_health = NavHealth.INVALID if view.nav is None else view.nav.health
-        if view.nav is None:
+        if view.nav is None or view.failsafes >> Failsafe.AHRS_STALE & 1:
             health &= ~mav.MAV_SYS_STATUS_AHRS
-        if nav_health is not NavHealth.GOOD:
+        if nav_health is not NavHealth.GOOD or view.failsafes >> Failsafe.NAV_CHECK & 1:
             health &= ~mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION
         if nav_health is NavHealth.INVALID:
             health &= ~(mav.MAV_SYS_STATUS_SENSOR_XY_POSITION_CONTROL | mav.MAV_SYS_STATUS_SENSOR_Z_ALTITUDE_CONTROL)
@@ -141,10 +143,7 @@ class Status:
             remaining,
             u16(lost),
             u16(view.dropped_rx),
-            0,
-            0,
-            0,
-            0,
+            *(u16(count) for count in view.nav_errors),
         )
 
     def extended_sys_state(self) -> Message | None:

@@ -199,7 +199,7 @@ class Telemetry:
         return mav.MAVLink_servo_output_raw_message(self._ctx.t_us & 0xFFFF_FFFF, 0, *pwm_us)
 
     def estimator_status(self) -> Message | None:
-        """ESTIMATOR_STATUS: what may be used, and one sigma of position. Ratios of tests that do not exist are 0."""
+        """ESTIMATOR_STATUS: what may be used, one sigma of position, test ratios (0 where nothing is measured)."""
         nav = self._ctx.view.nav
         if nav is None:
             return None
@@ -209,8 +209,16 @@ class Telemetry:
             var = [min(max(x, 0.0), SANE) for x in nav.variance[:3].tolist()]
             horizontal_m, vertical_m = math.sqrt(var[0] + var[1]), math.sqrt(var[2])
         return mav.MAVLink_estimator_status_message(
-            self._ctx.t_us, flags, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, horizontal_m, vertical_m
+            self._ctx.t_us, flags, *self._test_ratios(), horizontal_m, vertical_m
         )
+
+    def _test_ratios(self) -> tuple[float, float, float, float, float, float]:
+        """Velocity, horizontal and vertical position, magnetic heading, height over ground, airspeed."""
+        ratio = self._ctx.view.aid_ratio
+        fix = ratio.get("markers", ratio.get("external", 0.0))
+        found = (ratio.get("velocity", 0.0), fix, ratio.get("depth", fix), ratio.get("heading", 0.0))
+        vel, horizontal, vertical, mag, above = (min(value, SANE) for value in (*found, ratio.get("laser", 0.0)))
+        return vel, horizontal, vertical, mag, above, 0.0
 
     def position_target_local_ned(self) -> Message | None:
         """POSITION_TARGET_LOCAL_NED: where the vehicle is going."""

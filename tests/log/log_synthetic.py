@@ -13,8 +13,10 @@ from autopilot.core.messages import (
     AidState,
     AidStatus,
     ControlOutput,
+    DepthSample,
     EnergyPlan,
     Event,
+    ExternalPoseSample,
     Fallback,
     Goal,
     Inputs,
@@ -24,6 +26,7 @@ from autopilot.core.messages import (
     MavlinkFrame,
     MissionProgress,
     ModeState,
+    NavCounters,
     NavHealth,
     NavState,
     NmpcStatus,
@@ -32,9 +35,11 @@ from autopilot.core.messages import (
     PoseSample,
     PowerSample,
     ProgressState,
+    ShadowStatus,
     SolveStatus,
     ThrusterCommand,
     ThrusterHealthState,
+    VelocitySample,
 )
 from autopilot.log.description import AcceptBounds, FenceShape, Obstacle, RunDescription, Waypoint
 from autopilot.log.session import RunLog, open_run_log
@@ -222,8 +227,15 @@ def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
     )
     power = PowerSample(t_us=t_us, voltage_v=18.9, current_a=2.5, energy_used_j=t_us * 3e-5, remaining=0.99)
     frame = MavlinkFrame(link=0, data=heartbeat(t_us // STEP_US))
+    depth = DepthSample(t_us=t_us, depth_m=0.5, sigma_m=0.003)
+    velocity = VelocitySample(t_us=t_us, vel_frd_m_s=np.zeros(3), sigma_m_s=np.full(3, 0.01))
+    external = ExternalPoseSample(t_us=t_us, pos_m=np.zeros(3), yaw_rad=0.1, covariance=None)
     return Inputs(
-        t_us=t_us, samples=(ahrs, sighting, fix, laser, track, power), mavlink_rx=(frame,), overruns=2, cpu_load=0.25
+        t_us=t_us,
+        samples=(ahrs, sighting, fix, laser, depth, velocity, external, track, power),
+        mavlink_rx=(frame,),
+        overruns=2,
+        cpu_load=0.25,
     )
 
 
@@ -271,6 +283,15 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         nav=nav_of(t_us, truth, run.nav_error_m),
         mode=ModeState(t_us=t_us, armed=True, custom_mode=1, failsafes=0),
         mavlink_tx=(MavlinkFrame(link=-1, data=heartbeat(t_us // STEP_US)),) if t_us % 1_000_000 == 0 else (),
+        counters=NavCounters(t_us=t_us, counts={"markers.fused": 7}) if t_us % 1_000_000 == 0 else None,
+        shadow=ShadowStatus(
+            t_us=t_us,
+            pos_difference_ned_m=np.array([0.001, 0.0, -0.002]),
+            yaw_difference_rad=0.01,
+            vel_difference_frd_m_s=np.zeros(3),
+            ratio=0.1,
+            disagrees=False,
+        ),
         aids=(aid,) if t_us % 100_000 == 0 else (),
         goal=goal,
         control=control,

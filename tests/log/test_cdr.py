@@ -13,10 +13,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from autopilot.core.errors import LogError
 from autopilot.core.messages import (
+    AID_SENSORS,
     AhrsSample,
     AidState,
     AidStatus,
+    DepthSample,
     Event,
+    ExternalFrame,
+    ExternalPoseSample,
     Fallback,
     Goal,
     Inputs,
@@ -25,6 +29,7 @@ from autopilot.core.messages import (
     MarkerSighting,
     MissionProgress,
     ModeState,
+    NavCounters,
     NavHealth,
     NavState,
     NmpcStatus,
@@ -32,8 +37,11 @@ from autopilot.core.messages import (
     PoseSample,
     PowerSample,
     ProgressState,
+    ShadowStatus,
     SolveStatus,
     ThrusterCommand,
+    VelocityLock,
+    VelocitySample,
 )
 from autopilot.log import packing, topics, visuals
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer, decode, fixed_layout, parse_definition
@@ -241,6 +249,27 @@ def test_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> No
     read = read_back("autopilot_msgs/LaserRaw", packing.laser_raw(stamp, laser))
     assert (read.range_m, read.sigma_m) == (x, y)
     assert read_back("sensor_msgs/Range", packing.laser_range(stamp, laser)).range == np.float32(x)
+    depth = DepthSample(t_us=0, depth_m=x, sigma_m=y)
+    read = read_back("autopilot_msgs/DepthRaw", packing.depth_raw(stamp, depth))
+    assert (read.depth_m, read.sigma_m) == (x, y)
+    velocity = VelocitySample(t_us=0, vel_frd_m_s=v, sigma_m_s=-v, lock=VelocityLock.WATER)
+    read = read_back("autopilot_msgs/VelocityRaw", packing.velocity_raw(stamp, velocity))
+    np.testing.assert_array_equal(read.vel_frd_m_s, v)
+    np.testing.assert_array_equal(read.sigma_m_s, -v)
+    assert read.lock == 0
+    for covariance in (None, np.outer([1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 3.0, 4.0])):
+        external = ExternalPoseSample(
+            t_us=0, pos_m=v, yaw_rad=x, covariance=covariance, frame=ExternalFrame.FRD, reset_counter=3
+        )
+        read = read_back("autopilot_msgs/ExternalPose", packing.external_pose(stamp, external))
+        np.testing.assert_array_equal(read.pos_m, v)
+        np.testing.assert_array_equal(read.covariance, 0.0 if covariance is None else covariance.ravel())
+        assert (read.yaw_rad, read.covariance_known, read.frame, read.reset_counter) == (
+            x,
+            covariance is not None,
+            1,
+            3,
+        )
     track = ObstacleTrack(t_us=0, track_id=7, pos_ned_m=v[:2], vel_ned_m_s=-v[:2], radius_m=x)
     read = read_back("autopilot_msgs/ObstacleTrack", packing.obstacle_track(stamp, track))
     np.testing.assert_array_equal(read.pos_ned_m, v[:2])
@@ -252,6 +281,27 @@ def test_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> No
     battery = STORE.deserialize_cdr(visuals.battery_state(stamp, power), "sensor_msgs/msg/BatteryState")
     assert (battery.voltage, battery.current, battery.percentage) == (np.float32(x), np.float32(-y), 0.5)
     assert battery.present and math.isnan(battery.temperature)
+
+
+@given(stamps, vec(3), finite, finite, u32, st.booleans())
+@settings(max_examples=25, deadline=None)
+def test_estimator_watch(stamp: int, v: Any, x: float, y: float, count: int, flag: bool) -> None:
+    counts = {"ahrs.stuck": count, "depth.rejected": count, "laser.resets": 2, "unknown": 9}
+    counters = NavCounters(t_us=0, counts=counts)
+    read = read_back("autopilot_msgs/NavCounters", packing.nav_counters(stamp, counters))
+    assert (read.ahrs_stuck, read.rejected[AID_SENSORS.index("depth")], read.aid_resets[6]) == (count, count, 2)
+    assert read.ahrs_good == read.received.sum() == 0
+    shadow = ShadowStatus(
+        t_us=0,
+        pos_difference_ned_m=v,
+        yaw_difference_rad=x,
+        vel_difference_frd_m_s=-v,
+        ratio=y,
+        disagrees=flag,
+    )
+    read = read_back("autopilot_msgs/ShadowStatus", packing.shadow_status(stamp, shadow))
+    np.testing.assert_array_equal(read.pos_difference_ned_m, v)
+    assert (read.yaw_difference_rad, read.ratio, read.disagrees) == (x, y, flag)
 
 
 @given(stamps, st.integers(0, 80), st.booleans(), u32)

@@ -1,0 +1,103 @@
+"""External poses: VISION_POSITION_ESTIMATE and ODOMETRY become samples for the estimator.
+
+Both carry a covariance of x, y, z, roll, pitch, yaw as the upper triangle by rows; NaN in its first place means that it
+is not known (https://mavlink.io/en/messages/common.html). Bad numbers are passed on: the estimator counts them.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.frames import FloatArray, rpy_from_quat
+from autopilot.core.messages import ExternalFrame, ExternalPoseSample, Severity
+from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.wire import Message
+
+OLDEST_US = 1_000_000
+"""A time stamp that lies this little in the past is taken as one of our clock."""
+FAILED_QUALITY = -1
+"""ODOMETRY.quality of an estimate that has failed."""
+SAMPLES_MAX = 256
+"""Poses that may come in one tick; what is beyond them is dropped."""
+
+_FRAMES = {mav.MAV_FRAME_LOCAL_NED: ExternalFrame.NED, mav.MAV_FRAME_LOCAL_FRD: ExternalFrame.FRD}
+_PLACES = (0, 1, 2, 5)
+"""x, y, z, yaw among the six."""
+
+
+class ExternalPoses:
+    """Takes poses of clients."""
+
+    def __init__(self, ctx: Context, utc_offset_us: Callable[[], int | None]) -> None:
+        """``utc_offset_us``: Unix time minus service time, None while it is not known."""
+        self._ctx = ctx
+        self._utc_offset_us = utc_offset_us
+        self._told: set[Peer] = set()
+
+    def on_vision_position_estimate(self, peer: Peer, msg: Message) -> None:
+        """VISION_POSITION_ESTIMATE: local NED, radians."""
+        reset_counter = getattr(msg, "reset_counter", 0)
+        self._add(msg.usec, (msg.x, msg.y, msg.z), msg.yaw, msg.covariance, ExternalFrame.NED, reset_counter)
+
+    def on_odometry(self, peer: Peer, msg: Message) -> None:
+        """ODOMETRY: its pose; the velocity is not used."""
+        frame = _FRAMES.get(msg.frame_id)
+        if frame is None:
+            if peer not in self._told and len(self._told) < SAMPLES_MAX:
+                self._told.add(peer)
+                text = f"ODOMETRY in frame {msg.frame_id} is not used: send MAV_FRAME_LOCAL_NED (1) or LOCAL_FRD (20)"
+                self._ctx.say(Severity.WARNING, text, peer.link)
+            return
+        if getattr(msg, "quality", 0) == FAILED_QUALITY:
+            return
+        self._add(msg.time_usec, (msg.x, msg.y, msg.z), _yaw(msg.q), msg.pose_covariance, frame, msg.reset_counter)
+
+    def _add(
+        self,
+        stamp_us: int,
+        pos_m: Sequence[float],
+        yaw_rad: float,
+        triangle: Sequence[float],
+        frame: ExternalFrame,
+        reset_counter: int,
+    ) -> None:
+        if len(self._ctx.samples) >= SAMPLES_MAX:
+            return
+        self._ctx.samples.append(
+            ExternalPoseSample(
+                t_us=self._time_us(stamp_us),
+                pos_m=np.array(pos_m, dtype=float),
+                yaw_rad=float(yaw_rad),
+                covariance=_covariance(triangle),
+                frame=frame,
+                reset_counter=reset_counter,
+            )
+        )
+
+    def _time_us(self, stamp_us: int) -> int:
+        """When the pose was valid: the stamp if it is of our clock or of a known Unix time, else by its arrival."""
+        now_us, offset_us = self._ctx.t_us, self._utc_offset_us()
+        for time_us in (stamp_us, stamp_us - offset_us if offset_us is not None else -1):
+            if 0 <= now_us - time_us <= OLDEST_US:
+                return time_us
+        return now_us - round(1e6 * self._ctx.params["EST_EXT_DELAY"])
+
+
+def _covariance(triangle: Sequence[float]) -> FloatArray | None:
+    """(4, 4) of x, y, z, yaw; None if the source does not know it."""
+    if math.isnan(triangle[0]):
+        return None
+    full = np.zeros((6, 6))
+    full[np.triu_indices(6)] = triangle
+    full = np.triu(full) + np.triu(full, 1).T
+    return full[np.ix_(_PLACES, _PLACES)]
+
+
+def _yaw(quat: Sequence[float]) -> float:
+    """Yaw of a quaternion [w, x, y, z] of any length; NaN if it is none."""
+    length = math.sqrt(sum(a * a for a in quat))
+    if not (math.isfinite(length) and length > 1e-3):
+        return math.nan
+    return float(rpy_from_quat([a / length for a in quat])[2])

@@ -1,0 +1,111 @@
+"""A second estimator in the shadow of the flown one: the same sensors, another filter, and a look at the difference.
+
+Poses are made of pictures once, by the flown estimator; its shadow gets them as a pose sensor's. What the two have in
+common (association of markers, the marker map, the AHRS) is therefore not checked; what each makes of it is: gates,
+biases, the vehicle model, covariances, history.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.messages import (
+    AidStatus,
+    LaserSample,
+    MarkerSighting,
+    NavHealth,
+    NavState,
+    PoseSample,
+    Sample,
+    ShadowStatus,
+)
+from estimator.protocol import Estimator
+
+SIGMAS = 3.0
+"""Of the difference of two estimates, taken as independent."""
+POS_FLOOR_M = 0.1
+YAW_FLOOR_RAD = math.radians(5.0)
+"""What is allowed beyond the sigmas: the observer's variances know no correlations."""
+AFTER_US = 1_000_000
+"""So long the difference must be too large, or within its bounds again."""
+
+
+class Solving(Estimator, Protocol):
+    """An estimator that also hands out what it made of pictures."""
+
+    def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
+        """Poses and ranges from pictures since the last call, stamped as the pictures were."""
+        ...
+
+
+class Shadowed:
+    """:class:`estimator.protocol.Estimator`: says what the flown one says, and how far the other is from it."""
+
+    def __init__(self, flown: Solving, other: Estimator) -> None:
+        self._flown = flown
+        self._other = other
+        self._status: ShadowStatus | None = None
+        self._disagrees = False
+        self._changed_us: int | None = None
+        self._disagreements = 0
+
+    def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
+        """See :class:`estimator.protocol.Estimator`."""
+        nav = self._flown.step(t_us, samples, thrust_n)
+        rest: list[Sample] = [sample for sample in samples if not isinstance(sample, MarkerSighting)]
+        rest += self._flown.take_made()
+        other = self._other.step(t_us, rest, thrust_n)
+        self._other.take_aids()
+        self._status = None if nav is None or other is None else self._compared(nav, other)
+        return nav
+
+    def take_aids(self) -> tuple[AidStatus, ...]:
+        """Of the flown estimator."""
+        return self._flown.take_aids()
+
+    def counters(self) -> Mapping[str, int]:
+        """Of the flown estimator, and how often the two disagreed."""
+        return {**self._flown.counters(), "shadow.disagreements": self._disagreements}
+
+    @property
+    def ahrs_us(self) -> int | None:
+        """See :class:`estimator.protocol.Estimator`."""
+        return self._flown.ahrs_us
+
+    @property
+    def shadow(self) -> ShadowStatus | None:
+        """See :class:`estimator.protocol.Estimator`. None while one of the two is lost: nothing to compare then."""
+        return self._status
+
+    def _compared(self, nav: NavState, other: NavState) -> ShadowStatus | None:
+        if NavHealth.INVALID in (nav.health, other.health):
+            self._disagrees, self._changed_us = False, None
+            return None
+        apart = nav.pos_ned_m - other.pos_ned_m
+        yaw = wrap_pi(float(nav.rpy_rad[2] - other.rpy_rad[2]))
+        sigma = np.sqrt(nav.variance[[0, 1, 2, 5]] + other.variance[[0, 1, 2, 5]])
+        bound = SIGMAS * sigma + np.array([POS_FLOOR_M, POS_FLOOR_M, POS_FLOOR_M, YAW_FLOOR_RAD])
+        ratio = float((np.abs([*apart.tolist(), yaw]) / bound).max())
+        self._judge(nav.t_us, too_much=ratio > 1.0)
+        return ShadowStatus(
+            t_us=nav.t_us,
+            pos_difference_ned_m=apart,
+            yaw_difference_rad=yaw,
+            vel_difference_frd_m_s=nav.vel_frd_m_s - other.vel_frd_m_s,
+            ratio=ratio,
+            disagrees=self._disagrees,
+        )
+
+    def _judge(self, t_us: int, *, too_much: bool) -> None:
+        """Change the verdict once the opposite has held for :data:`AFTER_US`."""
+        if too_much is self._disagrees:
+            self._changed_us = None
+            return
+        if self._changed_us is None:
+            self._changed_us = t_us
+        if t_us - self._changed_us >= AFTER_US:
+            self._disagrees, self._changed_us = too_much, None
+            self._disagreements += too_much
