@@ -15,6 +15,8 @@ from drivers.thruster_output import SafeThrusterOutput
 from sitl.ahrs import Ig500Emulator
 from sitl.camera import SimCamera, true_camera
 from sitl.camera_feed import CameraFeed
+from sitl.depth_sensor import SimDepthSensor
+from sitl.dvl import SimDvl
 from sitl.floor import build_floor
 from sitl.obstacle_sensor import SimObstacleSensor
 from sitl.plant import Truth, build_plant
@@ -151,8 +153,12 @@ class SimulatedVehicle(Closing):
         self._obstacles = SimObstacleSensor(sensors.obstacles, scenario.obstacle, seed)
         if not self._obstacles.blind:
             self._observers.append(self._obstacles)
+        depth_m = None if scenario.tank is None else scenario.tank.depth_m
+        pressure, dvl = sensors.depth, sensors.dvl
+        self._depth = None if pressure is None else SimDepthSensor(pressure, vehicle.depth_sensor, faults, seed)
+        self._dvl = None if dvl is None else SimDvl(dvl, vehicle.dvl, depth_m, faults, seed)
+        self._observers += [sensor for sensor in (self._depth, self._dvl) if sensor is not None]
         if position == "pose":
-            depth_m = None if scenario.tank is None else scenario.tank.depth_m
             self._pose = SimPoseSensor(sensors.pose, sensors.laser, vehicle, depth_m, faults, seed)
             self._observers.append(self._pose)
         else:
@@ -213,7 +219,9 @@ class SimulatedVehicle(Closing):
         samples: list[Sample] = [*self._ahrs.poll(t_us), *self._power.poll(t_us)]
         if self._pose is not None:
             samples.extend(self._pose.poll(t_us))
-        samples.extend(self._obstacles.poll(t_us))
+        for sensor in (self._obstacles, self._depth, self._dvl):
+            if sensor is not None:
+                samples.extend(sensor.poll(t_us))
         return tuple(samples)
 
     def frames(self, t_us: int) -> list[CameraFrame]:

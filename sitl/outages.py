@@ -4,16 +4,22 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from sitl.scenario import CameraBlackout, Fault, Outages
+from sitl.scenario import CameraBlackout, Fault, Outages, SensorSilence
 
 
 class OutageClock:
     """Tells whether a sensor is silent. Asked with times that never go back."""
 
-    def __init__(self, outages: Outages, faults: Iterable[Fault], rng: np.random.Generator) -> None:
+    def __init__(
+        self, outages: Outages, faults: Iterable[Fault], rng: np.random.Generator, *, sensor: str = "camera"
+    ) -> None:
+        """``sensor``: whose gaps they are; faults of others do not count."""
         self._outages = outages
         self._faults = [
-            (fault.at_s, fault.at_s + fault.duration_s) for fault in faults if isinstance(fault, CameraBlackout)
+            (fault.at_s, fault.at_s + fault.duration_s)
+            for fault in faults
+            if (isinstance(fault, CameraBlackout) and sensor == "camera")
+            or (isinstance(fault, SensorSilence) and fault.sensor == sensor)
         ]
         self._rng = rng
         self._start_s = self._end_s = 0.0

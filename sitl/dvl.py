@@ -1,0 +1,75 @@
+"""A simulated Doppler velocity log: velocity of the place where it sits, over ground or through the water."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from autopilot.core.frames import r_ned_from_frd
+from autopilot.core.messages import VelocityLock, VelocitySample
+from autopilot.core.vehicle import DvlMount
+from drivers.base import AlwaysOpen
+from sitl.delayed import DelayedSamples
+from sitl.plant import Truth
+from sitl.scenario import DvlSensor, Fault
+
+
+class SimDvl(AlwaysOpen):
+    """Takes samples of the truth and delivers them after their latency."""
+
+    def __init__(
+        self, sensor: DvlSensor, mount: DvlMount, floor_depth_m: float | None, faults: Iterable[Fault], seed: int
+    ) -> None:
+        """``floor_depth_m`` None: the floor is always in reach."""
+        self._sensor = sensor
+        self._mount_frd_m = np.array(mount.position_frd_m)
+        self._floor_depth_m = floor_depth_m
+        self._rng = np.random.default_rng((seed, 50))
+        self._line: DelayedSamples[VelocitySample] = DelayedSamples(
+            rate_hz=sensor.rate_hz or mount.rate_hz,
+            latency_s=mount.latency_s if sensor.latency_s is None else sensor.latency_s,
+            jitter_s=sensor.latency_jitter_s,
+            drop_probability=sensor.drop_probability,
+            outages=sensor.outages,
+            faults=faults,
+            sensor="dvl",
+            rng=np.random.default_rng((seed, 51)),
+        )
+        self._bias_m_s = sensor.bias_m_s * self._rng.standard_normal(3)
+        self._scale = 1.0 + sensor.scale_error * float(self._rng.standard_normal())
+
+    @property
+    def next_us(self) -> int:
+        """When the next sample is taken."""
+        return self._line.next_us
+
+    def observe(self, truth: Truth) -> None:
+        """Take the sample that is due at ``truth.t_us``."""
+        self._line.advance()
+        noise, chance = self._rng.standard_normal(4), self._rng.random(5)
+        if self._line.lost(truth.t_us, float(chance[0])):
+            return
+        bottom = self._sensor.lock == "bottom"
+        if bottom and not self._in_reach(truth):
+            return
+        vel = truth.vel_frd_m_s if bottom else truth.vel_water_frd_m_s
+        vel = vel + np.cross(truth.rate_frd_rad_s, self._mount_frd_m)
+        vel = self._scale * vel + self._bias_m_s + self._sensor.sigma_m_s * noise[:3]
+        if chance[1] < self._sensor.outlier_probability:
+            vel = vel + self._sensor.outlier_m_s * (2.0 * chance[2:5] - 1.0)
+        sample = VelocitySample(
+            t_us=truth.t_us,
+            vel_frd_m_s=vel,
+            sigma_m_s=np.full(3, self._sensor.sigma_m_s),
+            lock=VelocityLock.BOTTOM if bottom else VelocityLock.WATER,
+        )
+        self._line.send(truth.t_us, float(noise[3]), sample)
+
+    def poll(self, t_us: int) -> Sequence[VelocitySample]:
+        """What has arrived up to ``t_us``."""
+        return self._line.poll(t_us)
+
+    def _in_reach(self, truth: Truth) -> bool:
+        if self._floor_depth_m is None:
+            return True
+        depth_m = float(truth.pos_ned_m[2] + r_ned_from_frd(truth.rpy_rad)[2] @ self._mount_frd_m)
+        return self._sensor.least_altitude_m <= self._floor_depth_m - depth_m <= self._sensor.most_altitude_m
