@@ -16,6 +16,9 @@ MIN_SIGMA_YAW_RAD = 5e-5
 rendered flights 0.05 mm of the height and 0.004 degrees stay alike for a second. Errors of a vehicle's calibration and
 of its map come on top: they are constant, no floor of the noise describes them."""
 
+MAX_DISTANCE_M = 1e5
+"""From the local origin, which lies near the vehicle."""
+MAX_YAW_RAD = 1e3
 MAX_SIGMA_POS_M = 1.0
 """A fix that is worse than this says nothing worth having."""
 
@@ -62,10 +65,10 @@ def fix_from_sample(sample: PoseSample, sensor: str) -> PoseFix | None:
     sigma = np.asarray(sample.sigma_pos_m, dtype=float)
     if pos.shape != (3,) or sigma.shape != (3,):
         return None
-    values = (*pos.tolist(), *sigma.tolist(), sample.yaw_rad, sample.sigma_yaw_rad)
-    if not all(map(math.isfinite, values)) or sigma.min() < 0.0 or sample.sigma_yaw_rad < 0.0:
+    # Comparisons with NaN are false, so a NaN anywhere is malformed as well.
+    if not (abs(pos) <= MAX_DISTANCE_M).all() or not abs(sample.yaw_rad) <= MAX_YAW_RAD:
         return None
-    if sigma.max() > MAX_SIGMA_POS_M:
+    if not ((sigma >= 0.0) & (sigma <= MAX_SIGMA_POS_M)).all() or not 0.0 <= sample.sigma_yaw_rad <= math.pi:
         return None
     noise = np.zeros((4, 4))
     for i in range(3):
