@@ -7,7 +7,7 @@ runs as fast as the machine allows and time is what the tick says.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from autopilot.core.clock import TICK_US, Clock
@@ -195,7 +195,7 @@ class Runtime:
             overruns=self.counters.overruns,
             cpu_load=self.counters.cpu_load,
         )
-        outputs = self._step(inputs)
+        outputs = self._with_frames(self._step(inputs))
         self._device.write(t_us, outputs.command)
         self._send(t_us, outputs.mavlink_tx)
         self._recorder.record(inputs, outputs, frames)
@@ -228,6 +228,13 @@ class Runtime:
             index = len(self._links) + offset
             mine = [frame.data for frame in frames if frame.link in (index, -1)]
             self._peer_rx += [MavlinkFrame(link=index, data=data) for data in peer.step(t_us, mine)]
+
+    def _with_frames(self, outputs: Outputs) -> Outputs:
+        """The estimator's counters with those of the frames beside them."""
+        if outputs.counters is None or self._vision is None:
+            return outputs
+        counts = {**outputs.counters.counts, **self._vision.counters()}
+        return replace(outputs, counters=replace(outputs.counters, counts=counts))
 
     def _account(self, t_us: int, tick_s: float) -> None:
         counters = self.counters

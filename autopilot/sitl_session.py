@@ -43,6 +43,7 @@ from autopilot.service import Autopilot, Parts
 from autopilot.vision import VisionWorker
 from drivers.links import open_link
 from drivers.protocols import Link
+from estimator.frame_door import FrameDoor
 from estimator.vision import MarkerDetector
 from mission.geodesy import Origin
 from mission.plan_files import read_plan
@@ -261,8 +262,9 @@ def _vision(world: _World) -> VisionWorker | None:
     """Detection beside the loop, None when there are no pictures."""
     if world.simulated.markers is None:
         return None
-    detector = MarkerDetector(CameraModel.of(world.vehicle.camera, world.vehicle.laser), world.simulated.markers)
-    return VisionWorker(detector, delay_s=0.5 * world.vehicle.camera.latency_s)
+    camera = world.vehicle.camera
+    detector = MarkerDetector(CameraModel.of(camera, world.vehicle.laser), world.simulated.markers)
+    return VisionWorker(detector, delay_s=0.5 * camera.latency_s, door=FrameDoor(camera.width_px, camera.height_px))
 
 
 def _knowledge(settings: Settings, scenario: Scenario) -> str:

@@ -6,11 +6,13 @@ not depend on how fast the machine is.
 
 import time
 from collections import deque
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from autopilot.core.messages import CameraFrame, MarkerSighting, NavHealth, NavState
+from estimator.frame_door import FrameDoor, FrameVerdict
 from estimator.vision import Hint
 
 ACQUISITION_EVERY = 6
@@ -37,8 +39,9 @@ class _Pending:
 class VisionWorker:
     """One thread of detection."""
 
-    def __init__(self, detector: Detector, *, delay_s: float) -> None:
+    def __init__(self, detector: Detector, *, delay_s: float, door: FrameDoor) -> None:
         self._detector = detector
+        self._door = door
         self._delay_us = round(delay_s * 1e6)
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vision")
         self._pending: deque[_Pending] = deque()
@@ -46,7 +49,9 @@ class VisionWorker:
         self.dropped = 0
 
     def submit(self, t_us: int, frame: CameraFrame, nav: NavState | None) -> None:
-        """Start the detection of a frame that came in at ``t_us``."""
+        """Start the detection of a frame that came in at ``t_us``; one that is no picture of a floor is dropped."""
+        if self._door.judge(frame) is not FrameVerdict.OK:
+            return
         hint = None
         if nav is not None and nav.health is not NavHealth.INVALID:
             hint = Hint(pos_ned_m=nav.pos_ned_m, rpy_rad=nav.rpy_rad)
@@ -71,6 +76,12 @@ class VisionWorker:
         while self._pending and self._pending[0].due_us <= t_us:
             found.append(self._pending.popleft().sighting.result())
         return found
+
+    def counters(self) -> Mapping[str, int]:
+        """Frames so far by what became of them: ``frames.ok``, ``frames.dark`` ..., ``frames.dropped``."""
+        result = {f"frames.{verdict.value}": count for verdict, count in self._door.counts.items()}
+        result["frames.dropped"] = self.dropped
+        return result
 
     def close(self) -> None:
         """Stop the thread."""

@@ -52,8 +52,8 @@ from estimator.tilt import TiltTrim
 
 HEADING_EVERY = 20
 """AHRS samples per heading measurement: 5 Hz, its errors are slow."""
-MODEL_EVERY = 5
-"""AHRS samples per look at the vehicle model: 20 Hz."""
+MODEL_EVERY = 2
+"""AHRS samples per look at the vehicle model: 50 Hz."""
 AHRS_WAIT_US = 60_000
 """After so long without AHRS data the filter goes on without."""
 IDLE_THRUST_N = 0.3
@@ -145,6 +145,7 @@ class Engine:
         result["thrust.malformed"] = self._thrust.malformed
         for aid in self._sources.aids:
             result.update(aid.named_counts())
+        result.update(self._sources.solver_counts())
         return result
 
     def take_made(self) -> tuple[PoseSample | LaserSample, ...]:

@@ -45,18 +45,25 @@ LASER_SIGMA_PX = 0.7
 LASER_OFF_LINE_PX = 6.0
 """How far the dot may lie off the line on which it must lie."""
 LASER_MIN_RANGE_M = 0.1
+MISFIT_RMS_PX = 0.5
+"""Corners are this far from where they belong on average only in thick haze, or when intrinsics or map are wrong."""
+LEANING_RAD = math.radians(1.5)
+"""Three standard deviations of the AHRS's tilt: if the image shows a larger difference, principal point, focal length
+or mounting are wrong, or the AHRS."""
 MAX_PIXEL = 1e5
 """Pixels farther out than any image is large are garbage."""
 
 
 class MarkerSolver:
-    """Poses from sightings for one camera over one floor. Pure functions of their arguments."""
+    """Poses from sightings for one camera over one floor. Functions of their arguments, which are counted."""
 
     def __init__(self, camera: CameraModel, markers: MarkerMap) -> None:
         self._camera = camera
         self._corners_ned_m = markers.corners_ned_m
         self._plane_m = markers.corners_ned_m[..., 0] + 1j * markers.corners_ned_m[..., 1]
         self._depth_m = markers.centers_ned_m[:, 2]
+        self.counts = {"unknown": 0, "misfit": 0, "leaning": 0}
+        """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
         self._level = markers.level
         self._floor_m = markers.floor_m
         lean_m = np.ptp(markers.corners_ned_m[..., 2], axis=1)
@@ -78,6 +85,7 @@ class MarkerSolver:
     def track(self, sighting: MarkerSighting, pos_ned_m: FloatArray, rpy_rad: FloatArray) -> PoseFix | None:
         """Fix near a predicted pose, None if the markers do not fit to it."""
         known = [k for k, i in enumerate(sighting.ids) if i in self._by_id]
+        self.counts["unknown"] += len(sighting.ids) - len(known)
         if not known:
             return None
         r_ned = r_ned_from_frd(rpy_rad)
@@ -222,6 +230,7 @@ class MarkerSolver:
                 max_rms_px=FINAL_RMS_PX if round_left == 0 else FIRST_RMS_PX,
             )
             if best is None:
+                self.counts["misfit"] += 1
                 return None
             worst = np.sqrt((best.residual_px.reshape(-1, 4, 2) ** 2).sum(axis=2)).max(axis=1)
             fits = worst <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * _median(worst.tolist()))
@@ -229,7 +238,10 @@ class MarkerSolver:
                 break
             good[np.flatnonzero(good)[~fits]] = False
         if best is None or best.rms_px > FINAL_RMS_PX:
+            self.counts["misfit"] += 1
             return None
+        self.counts["misfit"] += best.rms_px > MISFIT_RMS_PX
+        self.counts["leaning"] += float(np.abs(best.rpy_rad[:2] - rpy[:2]).max()) > LEANING_RAD
         z = np.append(best.pos_ned_m, best.rpy_rad[2])
         return PoseFix(
             sensor="markers",

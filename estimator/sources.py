@@ -147,6 +147,10 @@ class Sources:
         laser = range_from_sample(sample, self._floor_depth_m, self._laser_frd_m, self._beam_frd)
         return self._counted(laser, self.laser), self.laser
 
+    def solver_counts(self) -> dict[str, int]:
+        """What was odd about markers, as ``markers.what``."""
+        return {} if self._solver is None else {f"markers.{what}": n for what, n in self._solver.counts.items()}
+
     def _solve(self, node: Node, sighting: MarkerSighting, solver: MarkerSolver) -> PoseFix | None:
         """Fix by the predicted pose; after some that do not fit, by a search over the whole floor."""
         if not sighting.ids:

@@ -5,12 +5,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from autopilot.core.camera import CameraModel
 from autopilot.core.markers import MarkerMap, grid_floor
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from estimator.complementary import create_complementary
 from estimator.ekf import create_ekf
 from estimator.engine import Engine
 from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from estimator.vision import MarkerDetector
+from sitl.floor import Floor, build_floor
+from sitl.scenario import load_scenario
 
 Make = Callable[..., Engine]
 
@@ -25,6 +29,19 @@ def floor() -> MarkerMap:
     """A tank floor with the layout of the shipped scenario."""
     polygon = np.array([[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]])
     return grid_floor(polygon_m=polygon, depth_m=1.5, pitch_m=0.08, size_m=0.06, seed=7)
+
+
+@pytest.fixture(scope="session")
+def tank() -> Floor:
+    """The printed floor of the shipped scenario."""
+    printed = build_floor(load_scenario("paper-tank"))
+    assert printed is not None
+    return printed
+
+
+@pytest.fixture(scope="session")
+def detector(tank: Floor, vehicle: Vehicle) -> MarkerDetector:
+    return MarkerDetector(CameraModel.of(vehicle.camera, vehicle.laser), tank.markers)
 
 
 @pytest.fixture

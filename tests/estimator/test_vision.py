@@ -16,21 +16,9 @@ from estimator.laser_dot import find_dot
 from estimator.markers_pose import MarkerSolver
 from estimator.vision import Hint, MarkerDetector
 from sitl.camera import SimCamera
-from sitl.floor import Floor, build_floor
+from sitl.floor import Floor
 from sitl.plant import Truth, build_plant
 from sitl.scenario import CameraLook, load_scenario
-
-
-@pytest.fixture(scope="module")
-def tank() -> Floor:
-    floor = build_floor(load_scenario("paper-tank"))
-    assert floor is not None
-    return floor
-
-
-@pytest.fixture(scope="module")
-def detector(tank: Floor) -> MarkerDetector:
-    return MarkerDetector(CAMERA, tank.markers)
 
 
 def truth_at(pos: FloatArray, rpy: FloatArray) -> Truth:

@@ -1,0 +1,75 @@
+"""The door for pictures: what cannot be a picture of the floor is refused by name before anybody looks for markers.
+
+A refused picture costs nothing else: the filter gets no fix, and says that it is blind when that lasts.
+"""
+
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.core.messages import CameraFrame
+
+STEP_PX = 8
+"""Every eighth pixel of every eighth row is looked at: 4800 of an image of 640 x 480."""
+DARK_LEVEL, BRIGHT_LEVEL = 6.0, 249.0
+"""Grey levels: if nine tenths of the pixels lie below (above), the lens is covered or the exposure is lost."""
+MOST = 0.9
+FLAT_LEVELS = 3
+"""An image whose levels all lie within so many shows nothing, not even noise."""
+TORN_SHARE = 0.05
+"""An image of which this share of rows, up from the bottom, is one single colour has not arrived whole."""
+
+
+class FrameVerdict(Enum):
+    """Why a picture is refused; ``OK`` = it is not."""
+
+    OK = "ok"
+    WRONG_SIZE = "wrong_size"
+    """Not (rows, columns, 3) of the camera: another camera, or another camera's intrinsics."""
+    WRONG_TYPE = "wrong_type"
+    """Not 8 bits per channel."""
+    DARK = "dark"
+    BRIGHT = "bright"
+    FLAT = "flat"
+    """One grey level all over."""
+    TORN = "torn"
+    """The lower part is missing."""
+    FROZEN = "frozen"
+    """The same picture as before under a new time: noise never repeats, so the camera hangs."""
+
+
+class FrameDoor:
+    """Looks at each picture once, in the order in which they come."""
+
+    def __init__(self, width_px: int, height_px: int) -> None:
+        self._shape = (height_px, width_px, 3)
+        self._before: NDArray[np.uint8] | None = None
+        self.counts = dict.fromkeys(FrameVerdict, 0)
+
+    def judge(self, frame: CameraFrame) -> FrameVerdict:
+        """Verdict of one picture, counted."""
+        verdict = self._verdict(frame)
+        self.counts[verdict] += 1
+        return verdict
+
+    def _verdict(self, frame: CameraFrame) -> FrameVerdict:
+        image = frame.image_bgr
+        if not isinstance(image, np.ndarray) or image.shape != self._shape:
+            return FrameVerdict.WRONG_SIZE
+        if image.dtype != np.uint8:
+            return FrameVerdict.WRONG_TYPE
+        sparse = image[::STEP_PX, ::STEP_PX, 1]
+        low, high = np.percentile(sparse, (100.0 * (1.0 - MOST), 100.0 * MOST))
+        if float(high) < DARK_LEVEL:
+            return FrameVerdict.DARK
+        if float(low) > BRIGHT_LEVEL:
+            return FrameVerdict.BRIGHT
+        if int(sparse.max()) - int(sparse.min()) <= FLAT_LEVELS:
+            return FrameVerdict.FLAT
+        tail = image[-max(2, round(TORN_SHARE * self._shape[0])) :: 2, ::STEP_PX]
+        if (tail == tail[-1, -1]).all():
+            return FrameVerdict.TORN
+        alike = self._before is not None and np.array_equal(self._before, sparse)
+        self._before = sparse.copy()
+        return FrameVerdict.FROZEN if alike else FrameVerdict.OK
