@@ -50,8 +50,8 @@ K_BIAS = 6.0 * FIX_PERIOD_S
 """1/s^3"""
 K_GYRO_BIAS = 1.0 * FIX_PERIOD_S
 """1/s^2"""
-K_CURRENT_S = 0.06
-"""m/s per m/s^2 of every look at the model (20 Hz): time constant 0.4 s at cruise speed, 3 s at rest."""
+K_CURRENT_S = 0.024
+"""m/s per m/s^2 of every look at the model (50 Hz): time constant 0.4 s at cruise speed, 3 s at rest."""
 
 FIX_FLOOR = (0.008, 0.004)
 """m, rad: fixes are never taken as better than this, which sets k1 to about 8 /s in steady state."""

@@ -23,7 +23,7 @@ from estimator.measurement import Moment
 from estimator.states import CURRENT_DOWN, DRAG_EXCESS, GYRO_BIAS, NX, YAW
 
 SIGMA_M_S2 = 0.06
-"""Error of the modelled acceleration: tether, drag and thrust coefficients. For 20 looks per second that share it."""
+"""Error of the modelled acceleration: tether, drag and thrust coefficients. For 50 looks per second that share it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

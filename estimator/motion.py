@@ -32,7 +32,7 @@ def moved(x: FloatArray, step: Step) -> list[float]:
     fx, fy = ax - bx, ay - by
     an, ae, ad = c * fx - s * fy, s * fx + c * fy, az - bz
     half = 0.5 * dt * dt
-    fade = math.exp(-dt / CURRENT_RATE_TIME_S)
+    fade = math.exp(-dt / CURRENT_RATE_TIME_S[step.mode])
     return [
         n + vn * dt + half * an,
         e + ve * dt + half * ae,
@@ -67,7 +67,7 @@ def fill_jacobian(jac: FloatArray, x: FloatArray, step: Step) -> None:
     an, ae = c * fx - s * fy, s * fx + c * fy
     half = 0.5 * dt * dt
     cdt, sdt, chalf, shalf = c * dt, s * dt, c * half, s * half
-    fade = math.exp(-dt / CURRENT_RATE_TIME_S)
+    fade = math.exp(-dt / CURRENT_RATE_TIME_S[step.mode])
     jac.put(_PLACES, (
         dt, -half * ae, -chalf, shalf,
         dt, half * an, -shalf, -chalf,

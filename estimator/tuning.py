@@ -30,17 +30,18 @@ ACCEL_NOISE_DOWN = 0.005
 """m/s^2/sqrt(Hz), down: tilt errors leak in squared only."""
 GYRO_BIAS_WALK = 1e-4
 """rad/s/sqrt(s)"""
-ACCEL_BIAS_WALK = 0.03
-"""m/s^2/sqrt(s): gravity leaking in through slow tilt errors, 0.09 m/s^2 for 0.5 degrees in 20 s."""
-ACCEL_BIAS_WALK_TRIMMED = 0.006
-"""The same when vision trims the tilt."""
+ACCEL_BIAS_WALK = {Mode.NOMINAL: 0.03, Mode.TRIMMED: 0.006, Mode.COASTING: 0.05, Mode.BLIND: 0.03}
+"""m/s^2/sqrt(s): gravity leaking in through slow tilt errors, 0.09 m/s^2 for 0.5 degrees in 20 s. Little when vision
+trims the tilt. More without fixes: the vehicle model then knows the acceleration better than an accelerometer that is
+not level."""
 CURRENT_WALK = 0.02
 """m/s/sqrt(s): eddies that CURRENT_RATE does not describe."""
 CURRENT_RATE_WALK = 0.04
 """m/s^2/sqrt(s): with CURRENT_RATE_TIME_S a stationary 0.04 m/s^2. The jet crossed at cruise speed does twice that
 for a moment, but a larger value lets errors of the drag pass for current."""
-CURRENT_RATE_TIME_S = 2.0
-"""Correlation time of the current's rate of change: the jet's width at cruise speed."""
+CURRENT_RATE_TIME_S = {Mode.NOMINAL: 2.0, Mode.TRIMMED: 2.0, Mode.COASTING: 0.25, Mode.BLIND: 0.25}
+"""Correlation time of the current's rate of change by mode: the jet's width at cruise speed. Without fixes an error of
+the rate would be carried on for two seconds, into most of the drift at the end of a gap: there it is soon forgotten."""
 HEADING_OFFSET_WALK = 0.0087
 """rad/sqrt(s), 0.5 degrees: steel of a tank."""
 LASER_BIAS_WALK = 1e-3
@@ -51,7 +52,7 @@ BLIND_GYRO_NOISE = 0.2
 BLIND_ACCEL_NOISE = 0.15
 """m/s^2/sqrt(Hz) when the vehicle model stands in for the accelerometer."""
 
-COAST_CURRENT_SHARE = 0.2
+COAST_CURRENT_SHARE = 0.5
 """Without vision the current cannot be told from the accelerometer's bias: its states wander by this share only."""
 DRAG_WALK = 0.004
 """1/sqrt(s): drag changes over minutes."""
@@ -70,7 +71,7 @@ def process_noise(mode: Mode, *, current_3d: bool = False) -> FloatArray:
     sigma[YAW] = BLIND_GYRO_NOISE if blind else GYRO_NOISE
     sigma[VEL] = BLIND_ACCEL_NOISE if blind else (ACCEL_NOISE, ACCEL_NOISE, ACCEL_NOISE_DOWN)
     sigma[GYRO_BIAS] = GYRO_BIAS_WALK
-    sigma[ACCEL_BIAS] = ACCEL_BIAS_WALK_TRIMMED if mode is Mode.TRIMMED else ACCEL_BIAS_WALK
+    sigma[ACCEL_BIAS] = ACCEL_BIAS_WALK[mode]
     sigma[CURRENT] = coast * CURRENT_WALK
     sigma[CURRENT_RATE] = coast * CURRENT_RATE_WALK
     sigma[HEADING_OFFSET] = HEADING_OFFSET_WALK
