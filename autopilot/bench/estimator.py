@@ -106,6 +106,7 @@ PLAN: dict[str, tuple[dict[str, Any], float, str, tuple[str, ...]]] = {
     "compass": ({"sensors": {"ahrs": {"yaw_field_rad": 10.0 / DEG}}}, STEADY_S[1], "pose", (SAME,)),
     "gaps": (*_gapped(JET_GAPS_S), "pose", (SAME,)),
     "gaps uniform": (*_gapped(UNIFORM_GAPS_S, current=UNIFORM), "pose", (SAME, NO_MODEL)),
+    "gaps dvl": (*_gapped(JET_GAPS_S, sensors={"depth": {}, "dvl": {}}), "pose", (SAME,)),
     "gaps drag": (*_gapped(DRAG_GAPS_S, current=UNIFORM, vehicle=LESS_DRAG), "pose", (SAME,)),
 }
 """Name -> what differs from the paper's tank, duration [s], sensors, estimators that watch."""
@@ -260,6 +261,12 @@ def _gaps(runs: Runs) -> list[EstimatorBenchRow]:
             rows.append(drift(f"gap of {end_s - start_s:g} s, {name}", flown, end_s, bar, goal))
         inside = inside_share(flown, gaps_s)
         rows.append(_whole(f"gaps, {name}: inside 3 sigma", inside, "%", len(flown), Limit(low=95.0)))
+    aided = by_name(runs["gaps dvl"], SAME)
+    for start_s, end_s in JET_GAPS_S:
+        figure = f"gap of {end_s - start_s:g} s, jet, Doppler log and depth"
+        rows.append(drift(figure, aided, end_s, 40.0, 20.0))
+    inside = inside_share(aided, JET_GAPS_S)
+    rows.append(_whole("gaps, jet, Doppler log and depth: inside 3 sigma", inside, "%", len(aided), Limit(low=95.0)))
     less_drag, no_model = by_name(runs["gaps drag"], SAME), by_name(runs["gaps uniform"], NO_MODEL)
     return [
         *rows,
