@@ -17,6 +17,7 @@ from autopilot.core.messages import (
     AID_SENSORS,
     MAX_THRUSTERS,
     ControlOutput,
+    EstimatorInputs,
     Event,
     Fallback,
     Goal,
@@ -103,7 +104,8 @@ class Autopilot:
         parts = self._parts
         t_us = inputs.t_us
         self._note(inputs)
-        nav = parts.estimator.step(t_us, inputs.samples + parts.server.take_samples(), self._applied_n)
+        given = EstimatorInputs(thrust_n=self._applied_n, samples=parts.server.take_samples())
+        nav = parts.estimator.step(t_us, inputs.samples + given.samples, given.thrust_n)
         self._nav = nav
         ahrs_us, aids, shadow = parts.estimator.ahrs_us, parts.estimator.take_aids(), parts.estimator.shadow
         self._aid_ratio.update((aid.sensor, aid.test_ratio) for aid in aids)
@@ -149,6 +151,7 @@ class Autopilot:
             ),
             mavlink_tx=tx,
             aids=aids,
+            estimated_from=given,
             counters=counters,
             shadow=shadow,
             goal=decision.goal,

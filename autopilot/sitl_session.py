@@ -39,6 +39,7 @@ from autopilot.operator import ScriptedOperator
 from autopilot.param_file import PersistentParams
 from autopilot.recorder import NullRecorder, RunRecorder
 from autopilot.runtime import Peer, Runtime, make_clock
+from autopilot.replay_setup import estimator_attachments
 from autopilot.service import Autopilot, Parts
 from autopilot.vision import VisionWorker
 from drivers.links import open_link
@@ -226,14 +227,13 @@ def _service(
     settings: Settings, world: _World, params: ParamSet, instance: int, *, links: int
 ) -> tuple[Autopilot, Parts]:
     """The service for that world: it learns marker map, floor depth and origin, and nothing of the truth."""
-    tank = world.scenario.tank
     return build_service(
         ServiceSetup(
             vehicle=world.vehicle,
             params=params,
             origin=world.origin,
             markers=world.simulated.markers,
-            floor_depth_m=None if tank is None else tank.depth_m,
+            floor_depth_m=_floor_depth_m(world.scenario),
             estimator=settings["estimator"],
             profile=settings["profile"],
             instance=instance,
@@ -244,6 +244,11 @@ def _service(
             waits_for_plans=world.speed == 0.0,
         )
     )
+
+
+def _floor_depth_m(scenario: Scenario) -> float | None:
+    """Depth of the floor that the vehicle is told, None in open water."""
+    return None if scenario.tank is None else scenario.tank.depth_m
 
 
 def _plan(settings: Settings, scenario: Scenario) -> Path | None:
@@ -369,6 +374,9 @@ def _recorder(settings: Settings, world: _World, parts: Parts, device: Simulated
                 "config.json": msgspec.json.encode(settings.values(), enc_hook=str),
                 "scenario.json": msgspec.json.encode(world.scenario),
                 "vehicle.json": msgspec.json.encode(parts.vehicle),
+                **estimator_attachments(
+                    str(settings["estimator"]), parts.params, world.simulated.markers, _floor_depth_m(world.scenario)
+                ),
                 **plans,
             },
             lossless=True,

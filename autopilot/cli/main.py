@@ -17,7 +17,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "config": ("autopilot.cli.config:config", "Show the effective configuration and where it comes from."),
     "currents": ("autopilot.cli.currents:currents", "Check current maps, make the benchmark's."),
     "demo": ("autopilot.cli.demo:demo", "Fly the paper's mission in the simulated tank and judge it."),
-    "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot."),
+    "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot, replay."),
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
     "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),
     "sitl": ("autopilot.cli.sitl:sitl", "Run the service on a simulated vehicle."),

@@ -497,6 +497,16 @@ class LoopStats:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class EstimatorInputs:
+    """What the estimator was given in one tick beside ``Inputs.samples``: with them, all that it went by."""
+
+    thrust_n: FloatArray
+    """(4,) port, starboard, vertical, lateral: what acted since the last tick, as far as the service knew."""
+    samples: tuple[ExternalPoseSample, ...] = ()
+    """Poses that came over MAVLink."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Outputs:
     """All that should happen, and all that was decided, in one tick."""
 
@@ -507,6 +517,7 @@ class Outputs:
     mode: ModeState
     mavlink_tx: tuple[MavlinkFrame, ...] = ()
     aids: tuple[AidStatus, ...] = ()
+    estimated_from: EstimatorInputs | None = None
     goal: Goal | None = None
     control: ControlOutput | None = None
     """Set on the ticks on which the controller ran."""

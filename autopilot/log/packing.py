@@ -76,6 +76,7 @@ _vehicle_state = layout("autopilot_msgs/VehicleState").packer.pack
 _thruster_state = layout("autopilot_msgs/ThrusterState").packer.pack
 _contact_state = layout("autopilot_msgs/ContactState").packer.pack
 _nav_covariance = layout("autopilot_msgs/NavCovariance").packer.pack
+_acting_thrust = layout("autopilot_msgs/ActingThrust").packer.pack
 _nav_status = layout("autopilot_msgs/NavStatus").packer.pack
 _nav_counters = layout("autopilot_msgs/NavCounters").packer.pack
 _shadow_status = layout("autopilot_msgs/ShadowStatus").packer.pack
@@ -168,6 +169,11 @@ def contact_state(stamp_ns: int, count: int, penetration_m: float) -> bytes:
 def nav_covariance(stamp_ns: int, nav: NavState) -> bytes:
     """NavCovariance."""
     return _nav_covariance(ENCAPSULATION, *divmod(stamp_ns, _NS), *_NED, *nav.variance.tolist())
+
+
+def acting_thrust(stamp_ns: int, thrust_n: FloatArray) -> bytes:
+    """ActingThrust."""
+    return _acting_thrust(ENCAPSULATION, *divmod(stamp_ns, _NS), *_FRD, *_eight(thrust_n))
 
 
 def nav_status(stamp_ns: int, nav: NavState) -> bytes:

@@ -42,6 +42,10 @@ float64 penetration_m  # deepest now, 0 = none
 std_msgs/Header header
 float64[12] variance  # of pos_ned, rpy, vel_water_frd, current_ned
 """,
+    "autopilot_msgs/ActingThrust": """
+std_msgs/Header header
+float64[8] thrust_n  # that the estimator was told, unused = 0
+""",
     "autopilot_msgs/NavStatus": """
 std_msgs/Header header
 uint8 health  # 0 invalid, 1 dead reckoning, 2 good

@@ -167,6 +167,11 @@ class RunLog:
         stamp_ns = self._ns(t_us)
         if outputs.nav is not None:
             self._nav(t_us, stamp_ns, outputs.nav)
+        if outputs.estimated_from is not None:
+            given = outputs.estimated_from
+            self._on_change("/nav/thrust", t_us, packing.acting_thrust(stamp_ns, given.thrust_n))
+            for pose in given.samples:
+                self._write("/nav/external", pose.t_us, packing.external_pose(self._ns(pose.t_us), pose))
         for aid in outputs.aids:
             self._write(AID_PREFIX + aid.sensor, aid.t_us, packing.aid_status(self._ns(aid.t_us), aid))
         if outputs.counters is not None:

@@ -11,6 +11,8 @@ TOPICS: dict[str, str] = {
     "/nav/state": "autopilot_msgs/VehicleState",
     "/nav/covariance": "autopilot_msgs/NavCovariance",
     "/nav/status": "autopilot_msgs/NavStatus",
+    "/nav/thrust": "autopilot_msgs/ActingThrust",
+    "/nav/external": "autopilot_msgs/ExternalPose",
     "/nav/counters": "autopilot_msgs/NavCounters",
     "/nav/shadow": "autopilot_msgs/ShadowStatus",
     "/ctl/goal": "autopilot_msgs/Goal",
