@@ -70,6 +70,7 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
         "connect": default_connections(instance),
         "estimator": "ekf",
         "sensors": None,
+        "markers": None,
         "currents": None,
         "currents_map": None,
         "currents_start": None,

@@ -27,6 +27,8 @@ from autopilot.control.currents import (
 )
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError, LogError
+from autopilot.core.marker_files import load_marker_map, marker_file_text
+from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import CameraFrame, Outputs, Sample, ThrusterCommand
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
@@ -38,8 +40,8 @@ from autopilot.map_check import MapCheck, open_map
 from autopilot.operator import ScriptedOperator
 from autopilot.param_file import PersistentParams
 from autopilot.recorder import NullRecorder, RunRecorder
-from autopilot.runtime import Peer, Runtime, make_clock
 from autopilot.replay_setup import estimator_attachments
+from autopilot.runtime import Peer, Runtime, make_clock
 from autopilot.service import Autopilot, Parts
 from autopilot.vision import VisionWorker
 from drivers.links import open_link
@@ -138,6 +140,8 @@ class _World:
     """Of the local frame at the start."""
     water: CurrentMap | None
     """The map that the controller is told, None without a file."""
+    markers: MarkerMap | None
+    """The marker map that the vehicle is told, None when there are no pictures."""
 
 
 def open_sitl(
@@ -220,7 +224,17 @@ def _world(settings: Settings, scenario: Scenario, params: ParamSet) -> _World:
         speed=float(settings["speed"]),
         origin=origin,
         water=_map(settings, scenario, origin),
+        markers=_told_markers(settings, simulated.markers),
     )
+
+
+def _told_markers(settings: Settings, true: MarkerMap | None) -> MarkerMap | None:
+    """The map of ``--markers``, else the true one. ConfigError if there is no use for it."""
+    if settings["markers"] is None:
+        return true
+    if true is None:
+        raise ConfigError("--markers needs pictures, and this run has none; use --sensors camera or leave it out")
+    return load_marker_map(Path(settings["markers"]))
 
 
 def _service(
@@ -232,7 +246,7 @@ def _service(
             vehicle=world.vehicle,
             params=params,
             origin=world.origin,
-            markers=world.simulated.markers,
+            markers=world.markers,
             floor_depth_m=_floor_depth_m(world.scenario),
             estimator=settings["estimator"],
             profile=settings["profile"],
@@ -265,10 +279,10 @@ def _plan(settings: Settings, scenario: Scenario) -> Path | None:
 
 def _vision(world: _World) -> VisionWorker | None:
     """Detection beside the loop, None when there are no pictures."""
-    if world.simulated.markers is None:
+    if world.markers is None:
         return None
     camera = world.vehicle.camera
-    detector = MarkerDetector(CameraModel.of(camera, world.vehicle.laser), world.simulated.markers)
+    detector = MarkerDetector(CameraModel.of(camera, world.vehicle.laser), world.markers)
     return VisionWorker(detector, delay_s=0.5 * camera.latency_s, door=FrameDoor(camera.width_px, camera.height_px))
 
 
@@ -338,6 +352,14 @@ def _make_folder(folder: Path) -> None:
         raise LogError(f"log folder {folder}: cannot be made ({error.strerror}); choose another place") from error
 
 
+def _marker_file(settings: Settings, world: _World) -> dict[str, bytes]:
+    """The marker map as an attachment, if it came from a file; else the scenario says all."""
+    from_file = settings["markers"] is not None or world.scenario.markers.file is not None
+    if world.markers is None or not from_file:
+        return {}
+    return {"markers.toml": marker_file_text(world.markers).encode()}
+
+
 def _recorder(settings: Settings, world: _World, parts: Parts, device: SimulatedDevice) -> RunRecorder:
     """The log: one file where ``--log`` says, else one per arming in the log folder."""
     fixed = settings["log"]
@@ -375,8 +397,9 @@ def _recorder(settings: Settings, world: _World, parts: Parts, device: Simulated
                 "scenario.json": msgspec.json.encode(world.scenario),
                 "vehicle.json": msgspec.json.encode(parts.vehicle),
                 **estimator_attachments(
-                    str(settings["estimator"]), parts.params, world.simulated.markers, _floor_depth_m(world.scenario)
+                    str(settings["estimator"]), parts.params, world.markers, _floor_depth_m(world.scenario)
                 ),
+                **_marker_file(settings, world),
                 **plans,
             },
             lossless=True,

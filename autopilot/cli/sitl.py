@@ -20,6 +20,7 @@ from autopilot.config import CURRENTS, ESTIMATORS, PROFILES, SENSORS
 @click.option("--connect", multiple=True, help="MAVLink connection; repeatable, replaces the defaults.")
 @click.option("--estimator", type=click.Choice(ESTIMATORS), help="Default: ekf.")
 @click.option("--sensors", type=click.Choice(SENSORS), help="Rendered camera, or a noisy pose (default: scenario's).")
+@click.option("--markers", type=click.Path(dir_okay=False), help="Marker map that it is told (default: the true one).")
 @click.option(
     "--currents", type=click.Choice(CURRENTS), help="What the controller knows of them (default: scenario's)."
 )
