@@ -12,12 +12,15 @@ from autopilot.core.errors import AutopilotError
 
 _COMMANDS: dict[str, tuple[str, str]] = {
     "bench": ("autopilot.cli.bench:bench", "Benchmarks, side by side with their baselines."),
+    "calibrate": ("autopilot.cli.calibrate:calibrate", "Calibrate camera, laser, mounting and latency."),
     "campaign": ("autopilot.cli.campaign:campaign", "Monte Carlo over seeds and spreads of a scenario, resumable."),
     "certify": ("autopilot.cli.certify:certify", "Margins, Lipschitz sets and terminal regions of a plan."),
     "config": ("autopilot.cli.config:config", "Show the effective configuration and where it comes from."),
     "currents": ("autopilot.cli.currents:currents", "Check current maps, make the benchmark's."),
     "demo": ("autopilot.cli.demo:demo", "Fly the paper's mission in the simulated tank and judge it."),
+    "identify": ("autopilot.cli.identify:identify", "Masses and drags of a vehicle from logs of its flights."),
     "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot, replay."),
+    "markers": ("autopilot.cli.markers:markers", "Print marker boards, check and survey marker maps."),
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
     "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),
     "sitl": ("autopilot.cli.sitl:sitl", "Run the service on a simulated vehicle."),

@@ -1,0 +1,1 @@
+"""Calibration of camera, laser, mounting and latency (docs/calibration.md)."""

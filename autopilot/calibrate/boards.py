@@ -1,0 +1,157 @@
+"""Calibration boards: ChArUco and plain marker boards, how OpenCV finds them, and sheets to print at true scale.
+
+Works with OpenCV 4.10 to 5.x, whose arrays differ in shape (ids and matched points are flattened here).
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+from autopilot.core.errors import ConfigError
+from autopilot.core.frames import FloatArray
+
+MIN_CORNERS = 8
+"""A view with fewer says little: a homography has eight unknowns already with four."""
+REFINE_CELLS = 0.7
+"""Half width of the refinement window in cells of a marker: OpenCV's 0.3 leaves 0.7 px of noise on small markers, more
+than 1 would take in the next cell's corner."""
+QUIET_MM = 8.0
+"""White round the pattern on the sheet."""
+SCALE_BAR_MM = 100.0
+"""A line to measure after printing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardSpec:
+    """A flat board of ``columns`` x ``rows`` squares (ChArUco) or markers (grid)."""
+
+    kind: Literal["charuco", "grid"] = "charuco"
+    columns: int = 9
+    rows: int = 6
+    pitch_m: float = 0.030
+    """Side of a chess square; of a grid, from marker to marker."""
+    marker_m: float = 0.022
+    """Side of a marker's black square."""
+    dictionary: str = "DICT_5X5_100"
+    legacy: bool = False
+    """ChArUco as OpenCV drew it before 4.6 (differs for an even number of rows)."""
+
+    def __post_init__(self) -> None:
+        smallest = 3 if self.kind == "charuco" else 1
+        if min(self.columns, self.rows) < smallest:
+            raise ConfigError(f"board of {self.columns} x {self.rows}: too small; use at least {smallest} x {smallest}")
+        if not 0.0 < self.marker_m < self.pitch_m:
+            raise ConfigError(
+                f"marker of {self.marker_m:g} m must lie between 0 and the pitch, {self.pitch_m:g} m; measure the print"
+            )
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height of the pattern."""
+        if self.kind == "charuco":
+            return self.columns * self.pitch_m, self.rows * self.pitch_m
+        gap_m = self.pitch_m - self.marker_m
+        return self.columns * self.pitch_m - gap_m, self.rows * self.pitch_m - gap_m
+
+
+def parse_shape(text: str) -> tuple[int, int]:
+    """``9x6`` as (columns, rows). ConfigError for anything else."""
+    columns, _, rows = text.lower().partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise ConfigError(f"board shape {text!r} is not COLUMNSxROWS; write for example 9x6")
+    return int(columns), int(rows)
+
+
+class Board:
+    """A board that can be found in images."""
+
+    def __init__(self, spec: BoardSpec) -> None:
+        """ConfigError if OpenCV does not know the dictionary or it has too few markers."""
+        if not spec.dictionary.startswith("DICT_") or not hasattr(cv2.aruco, spec.dictionary):
+            raise ConfigError(f"dictionary {spec.dictionary!r} is not known to OpenCV; use e.g. DICT_5X5_100")
+        self.spec = spec
+        self.dictionary: Any = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, spec.dictionary))
+        needed = spec.columns * spec.rows // (2 if spec.kind == "charuco" else 1)
+        if needed > len(self.dictionary.bytesList):
+            raise ConfigError(
+                f"board of {spec.columns} x {spec.rows} needs {needed} markers, {spec.dictionary} has"
+                f" {len(self.dictionary.bytesList)}; use a larger dictionary"
+            )
+        shape = (spec.columns, spec.rows)
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        parameters.relativeCornerRefinmentWinSize = REFINE_CELLS
+        if spec.kind == "charuco":
+            self.pattern: Any = cv2.aruco.CharucoBoard(shape, spec.pitch_m, spec.marker_m, self.dictionary)
+            self.pattern.setLegacyPattern(spec.legacy)
+            self._detector: Any = cv2.aruco.CharucoDetector(self.pattern)
+            self._detector.setDetectorParameters(parameters)
+        else:
+            gap_m = spec.pitch_m - spec.marker_m
+            self.pattern = cv2.aruco.GridBoard(shape, spec.marker_m, gap_m, self.dictionary)
+            self._detector = cv2.aruco.ArucoDetector(self.dictionary, parameters)
+
+    def find(self, grey: Any) -> tuple[FloatArray, FloatArray] | None:
+        """Board points (n, 3) [m] and their pixels (n, 2) in a grey image; None if fewer than MIN_CORNERS are seen."""
+        if self.spec.kind == "charuco":
+            pixels, ids, _, _ = self._detector.detectBoard(grey)
+            if ids is None or len(ids) < MIN_CORNERS:
+                return None
+            points = np.asarray(self.pattern.getChessboardCorners(), dtype=float)[np.asarray(ids).ravel()]
+        else:
+            corners, ids, _ = self._detector.detectMarkers(grey)
+            if ids is None or len(ids) == 0:
+                return None
+            points, pixels = self.pattern.matchImagePoints(corners, ids)
+            if points is None or len(points) < MIN_CORNERS:
+                return None
+        return np.asarray(points, dtype=float).reshape(-1, 3), np.asarray(pixels, dtype=float).reshape(-1, 2)
+
+    def black_rectangles_m(self) -> list[tuple[float, float, float, float]]:
+        """Everything black: left, top, width, height, from the pattern's top left corner, y down."""
+        spec, cells = self.spec, int(self.dictionary.markerSize) + 2
+        cell_m = spec.marker_m / cells
+        out = []
+        corners = [np.asarray(quad, dtype=float).reshape(4, 3) for quad in self.pattern.getObjPoints()]
+        if spec.kind == "charuco":
+            taken = {tuple(int(v) for v in quad.mean(axis=0)[:2] // spec.pitch_m) for quad in corners}
+            for row in range(spec.rows):
+                for column in range(spec.columns):
+                    if (column, row) not in taken:
+                        square = (column * spec.pitch_m, row * spec.pitch_m, spec.pitch_m, spec.pitch_m)
+                        out.append(square)
+        for quad, number in zip(corners, np.asarray(self.pattern.getIds()).ravel(), strict=True):
+            left, top = quad[:, :2].min(axis=0)
+            black = cv2.aruco.generateImageMarker(self.dictionary, int(number), cells) == 0
+            for row in range(cells):
+                edges = np.flatnonzero(np.diff(np.concatenate(([0], black[row].astype(int), [0]))))
+                for start, end in edges.reshape(-1, 2).tolist():
+                    out.append((left + start * cell_m, top + row * cell_m, (end - start) * cell_m, cell_m))
+        return out
+
+    def svg(self) -> str:
+        """The board as a sheet that prints at true scale, with a line to check that."""
+        width_mm, height_mm = (1e3 * side + 2.0 * QUIET_MM for side in self.spec.size_m)
+        page_mm = max(width_mm, SCALE_BAR_MM + 2.0 * QUIET_MM)
+        path = "".join(
+            f"M{1e3 * x + QUIET_MM:.4f} {1e3 * y + QUIET_MM:.4f}h{1e3 * w:.4f}v{1e3 * h:.4f}h{-1e3 * w:.4f}z"
+            for x, y, w, h in self.black_rectangles_m()
+        )
+        spec = self.spec
+        label = (
+            f"{spec.kind} {spec.columns}x{spec.rows}, pitch {1e3 * spec.pitch_m:g} mm, marker {1e3 * spec.marker_m:g}"
+            f" mm, {spec.dictionary}{' legacy' if spec.legacy else ''}; at 100 % this line is {SCALE_BAR_MM:g} mm"
+        )
+        bar_mm = height_mm + 3.0
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{page_mm:.3f}mm" height="{height_mm + 12.0:.3f}mm"'
+            f' viewBox="0 0 {page_mm:.3f} {height_mm + 12.0:.3f}">\n'
+            '<rect width="100%" height="100%" fill="white"/>\n'
+            f'<path d="{path}" fill="black" shape-rendering="crispEdges"/>\n'
+            f'<path d="M{QUIET_MM} {bar_mm - 2}v4m0-2h{SCALE_BAR_MM}m0-2v4" stroke="black" stroke-width="0.2"'
+            ' fill="none"/>\n'
+            f'<text x="{QUIET_MM}" y="{bar_mm + 5}" font-family="sans-serif" font-size="3">{label}</text>\n'
+            "</svg>\n"
+        )

@@ -1,0 +1,207 @@
+"""What a log tells for calibration: camera poses from the recorded corners alone, the AHRS's samples, the laser dot."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from autopilot.calibrate.pose_fit import CameraPose, fit_pose
+from autopilot.core.camera import CameraModel
+from autopilot.core.errors import LogError
+from autopilot.core.frames import FloatArray, r_ned_from_frd
+from autopilot.core.marker_files import load_marker_map
+from autopilot.core.markers import MarkerMap
+from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.log.reader import Log, Table, open_log
+from sitl.floor import build_markers
+from sitl.scenario import Scenario
+
+NEAREST_M = 0.4
+"""A marker is taken for one no farther than this from where the logged estimate puts it: ids repeat after a metre."""
+MIN_MARKERS = 3
+"""One or two markers leave the tilt open."""
+MIN_FRAMES = 60
+"""2 s at 30 Hz."""
+MAX_STATE_AGE_US = 50_000
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Ahrs:
+    """The AHRS's samples in order."""
+
+    t_s: FloatArray
+    """(m,) rising."""
+    rpy_rad: FloatArray
+    """(m, 3)"""
+    rate_frd_rad_s: FloatArray
+    """(m, 3)"""
+    accel_frd_m_s2: FloatArray
+    """(m, 3) specific force"""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Flight:
+    """A log's camera poses and AHRS samples."""
+
+    vehicle: Vehicle
+    """What the service believed, or the vehicle file given instead."""
+    camera: CameraModel
+    t_s: FloatArray
+    """(n,) rising; the stamps of the sightings with the vehicle file's ``camera.time_offset_s`` added."""
+    eye_ned_m: FloatArray
+    """(n, 3)"""
+    r_ned_from_cam: FloatArray
+    """(n, 3, 3)"""
+    rms_px: FloatArray
+    """(n,) of the corners."""
+    laser_px: FloatArray
+    """(n, 2), NaN where no dot was found."""
+    ahrs: Ahrs
+    floor_m: float
+    """Depth of the floor on which the markers lie."""
+    sightings: int
+    """In the log, usable or not."""
+
+
+def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = None) -> Flight:
+    """Poses of all sightings in a log. LogError if there are too few; ConfigError for a wrong vehicle or map file.
+
+    ``vehicle``: another vehicle file than the one attached to the log; ``markers``: the marker map, needed for logs
+    that are not of the simulator."""
+    log = open_log(path)
+    known = load_vehicle(vehicle) if vehicle is not None else attached_vehicle(log)
+    camera = CameraModel.of(known.camera, known.laser)
+    floor = marker_map(log, markers)
+    sightings = _table(log, "/in/markers", "it needs a camera: fly with --sensors camera")
+    poses, used = [], []
+    finder = _Finder(camera, floor, log.get("/nav/state"))
+    for n, row in enumerate(sightings):
+        pose = finder.pose(row)
+        if pose is not None:
+            poses.append(pose)
+            used.append(n)
+    if len(poses) < MIN_FRAMES:
+        raise LogError(
+            f"{path}: {len(poses)} of {len(sightings)} sightings give a pose, at least {MIN_FRAMES} are needed; fly"
+            f" where {MIN_MARKERS} markers and more are in view, and check the marker map"
+        )
+    rows = sightings[used]
+    laser_px = np.where(rows["laser_found"][:, None] == 1, rows["laser_px"], np.nan)
+    t_s = rows["t_us"] * 1e-6 + known.camera.time_offset_s
+    order = np.argsort(t_s, kind="stable")
+    order = order[np.diff(t_s[order], prepend=-math.inf) > 0.0]
+    return Flight(
+        vehicle=known,
+        camera=camera,
+        t_s=t_s[order],
+        eye_ned_m=np.array([pose.eye_ned_m for pose in poses])[order],
+        r_ned_from_cam=np.array([pose.r_ned_from_cam for pose in poses])[order],
+        rms_px=np.array([pose.rms_px for pose in poses])[order],
+        laser_px=laser_px[order],
+        ahrs=_ahrs(log, known),
+        floor_m=floor.floor_m,
+        sightings=len(sightings),
+    )
+
+
+def attached_vehicle(log: Log) -> Vehicle:
+    """The vehicle file that the service flew with. LogError if it is not in the log."""
+    data = log.attachments.get("vehicle.json")
+    if data is None:
+        raise LogError(f"{log.path}: has no vehicle.json; give the vehicle file with --vehicle")
+    try:
+        return msgspec.json.decode(data, type=Vehicle)
+    except (msgspec.DecodeError, msgspec.ValidationError) as error:
+        raise LogError(f"{log.path}: vehicle.json: {error}; give the vehicle file with --vehicle") from error
+
+
+def marker_map(log: Log, file: Path | None) -> MarkerMap:
+    """The markers that were flown over: a map file, else the scenario's floor. LogError if there is neither."""
+    if file is not None:
+        return load_marker_map(file)
+    data = log.attachments.get("scenario.json")
+    floor = None
+    if data is not None:
+        try:
+            floor = build_markers(msgspec.json.decode(data, type=Scenario))
+        except (msgspec.DecodeError, msgspec.ValidationError) as error:
+            raise LogError(f"{log.path}: scenario.json: {error}; give the marker map with --map") from error
+    if floor is None:
+        raise LogError(f"{log.path}: does not tell where the markers lie; give the marker map with --map")
+    return floor
+
+
+def _table(log: Log, topic: str, remedy: str) -> Table:
+    table = log.get(topic)
+    if table is None:
+        raise LogError(f"{log.path}: holds no {topic}; {remedy}")
+    return table
+
+
+def _ahrs(log: Log, vehicle: Vehicle) -> Ahrs:
+    rows = _table(log, "/in/ahrs_raw", "it needs an AHRS")
+    good = np.isfinite(rows["rpy_rad"]).all(axis=1) & np.isfinite(rows["rate_frd_rad_s"]).all(axis=1)
+    good &= np.isfinite(rows["accel_frd_m_s2"]).all(axis=1)
+    rows = rows[good]
+    t_s = rows["t_us"] * 1e-6 + vehicle.ahrs.time_offset_s
+    rising = np.diff(np.maximum.accumulate(t_s), prepend=-math.inf) > 0.0
+    if int(rising.sum()) < 2 * MIN_FRAMES:
+        raise LogError(f"{log.path}: holds {int(rising.sum())} good AHRS samples; at least {2 * MIN_FRAMES} are needed")
+    rows, t_s = rows[rising], t_s[rising]
+    return Ahrs(
+        t_s=t_s,
+        rpy_rad=np.array(rows["rpy_rad"]),
+        rate_frd_rad_s=np.array(rows["rate_frd_rad_s"]),
+        accel_frd_m_s2=np.array(rows["accel_frd_m_s2"]),
+    )
+
+
+class _Finder:
+    """Which marker is which, from the logged estimate, and the pose that the corners give."""
+
+    def __init__(self, camera: CameraModel, markers: MarkerMap, states: Table | None) -> None:
+        self._camera, self._markers, self._states = camera, markers, states
+        self._by_id: dict[int, list[int]] = {}
+        for place, code in enumerate(markers.ids.tolist()):
+            self._by_id.setdefault(code, []).append(place)
+
+    def pose(self, row: np.void) -> CameraPose | None:
+        """The camera's pose of one logged sighting, None if there is no good one."""
+        count = int(row["count"])
+        guess = self._guess(int(row["t_us"]))
+        if count < MIN_MARKERS or guess is None:
+            return None
+        corners = np.asarray(row["corners_px"], dtype=float).reshape(-1, 4, 2)[:count]
+        if not np.isfinite(corners).all():
+            return None
+        eye, r = guess
+        rays = np.ones((count, 3))
+        rays[:, :2] = self._camera.normalized(corners.mean(axis=1))
+        rays_ned = rays @ r.T
+        seen, placed = [], []
+        for k, code in enumerate(row["ids"][:count].tolist()):
+            for place in self._by_id.get(code, ()):
+                centre = self._markers.centers_ned_m[place]
+                reach = (centre[2] - eye[2]) / max(float(rays_ned[k, 2]), 0.1)
+                if float(np.hypot(*(eye + reach * rays_ned[k] - centre)[:2])) < NEAREST_M:
+                    seen.append(k)
+                    placed.append(place)
+                    break
+        if len(seen) < MIN_MARKERS:
+            return None
+        points = self._markers.corners_ned_m[placed].reshape(-1, 3)
+        return fit_pose(self._camera, points, corners[seen].reshape(-1, 2), eye, r)
+
+    def _guess(self, t_us: int) -> tuple[FloatArray, FloatArray] | None:
+        """Rough camera place and attitude from the logged estimate."""
+        if self._states is None:
+            return None
+        n = int(np.clip(np.searchsorted(self._states["t_us"], t_us), 0, len(self._states) - 1))
+        state = self._states[n]
+        if abs(int(state["t_us"]) - t_us) > MAX_STATE_AGE_US:
+            return None
+        r = r_ned_from_frd(np.asarray(state["rpy_rad"], dtype=float))
+        eye = np.asarray(state["pos_ned_m"], dtype=float) + r @ self._camera.position_frd_m
+        return eye, r @ self._camera.r_frd_from_cam

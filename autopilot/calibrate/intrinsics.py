@@ -1,0 +1,232 @@
+"""Intrinsics of a camera from views of a board: least squares with views that do not fit left out, and how well the
+views covered the image and the angles."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from autopilot.calibrate.views import View, Views
+from autopilot.core.errors import ConfigError
+from autopilot.core.frames import FloatArray
+from autopilot.core.vehicle import Camera
+
+MIN_VIEWS = 8
+"""Each view brings six unknowns of its own; fewer leave focal length and distortion to chance."""
+REJECT_FACTOR = 2.5
+REJECT_FLOOR_PX = 0.3
+"""A view whose rms is above both the factor times the median and this is left out."""
+REJECT_SHARE = 0.4
+"""No more views than these are left out for their misfit."""
+CELLS = (8, 6)
+"""The image is divided so for the coverage."""
+WATER_INDEX = 1.333
+"""Fresh water at 20 degC, green light."""
+GOOD_COVERAGE = 0.7
+GOOD_RADIUS = 0.85
+"""Share of the half diagonal that corners should reach."""
+GOOD_TILT_RAD = math.radians(15.0)
+GOOD_TILTED_SHARE = 0.3
+FOCAL_BAND = 0.1
+"""A focal length this far from the expected one is worth a word."""
+GOOD_RMS_PX = 0.6
+
+NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Intrinsics:
+    """A calibrated camera."""
+
+    width_px: int
+    height_px: int
+    values: FloatArray
+    """(9,) in the order of :data:`NAMES`."""
+    sigma: FloatArray
+    """(9,) standard deviations."""
+    rms_px: float
+    views: tuple[View, ...]
+    """Those that were used."""
+    residual_px: tuple[FloatArray, ...]
+    """Per view (n, 2): found minus projected."""
+    normals_cam: FloatArray
+    """(v, 3) the board's normal in each view, camera frame, pointing away from the camera."""
+    left_out: tuple[tuple[str, str], ...]
+    """Image and why."""
+
+    @property
+    def view_rms_px(self) -> FloatArray:
+        """(v,)"""
+        return np.array([math.sqrt(float((r**2).sum(axis=1).mean())) for r in self.residual_px])
+
+    @property
+    def field_of_view_deg(self) -> tuple[float, float]:
+        """Horizontal and vertical, distortion left out."""
+        fx, fy = self.values[:2].tolist()
+        across, down = 2.0 * math.atan(0.5 * self.width_px / fx), 2.0 * math.atan(0.5 * self.height_px / fy)
+        return math.degrees(across), math.degrees(down)
+
+
+def calibrate(found: Views, *, fix_k3: bool = False) -> Intrinsics:
+    """Pinhole with k1 k2 p1 p2 k3. ConfigError if there are too few views or they do not determine the camera."""
+    views, left_out = list(found.views), list(found.left_out)
+    most = round(REJECT_SHARE * len(views))
+    while True:
+        if len(views) < MIN_VIEWS:
+            raise ConfigError(
+                f"{len(views)} usable views of the board, at least {MIN_VIEWS} are needed ({len(left_out)} images left"
+                " out); take 20 or more from different places and angles"
+            )
+        result = _fit(found, views, tuple(left_out), fix_k3)
+        rms = result.view_rms_px
+        worst = int(rms.argmax())
+        if most == 0 or rms[worst] <= max(REJECT_FLOOR_PX, REJECT_FACTOR * float(np.median(rms))):
+            return result
+        # One at a time: a view that is wrong spoils others, which fit when it is gone.
+        left_out.append((views[worst].name, f"does not fit: {rms[worst]:.2f} px rms"))
+        del views[worst]
+        most -= 1
+
+
+def _fit(found: Views, views: list[View], left_out: tuple[tuple[str, str], ...], fix_k3: bool) -> Intrinsics:
+    flags = cv2.CALIB_FIX_K3 if fix_k3 else 0
+    size = (found.width_px, found.height_px)
+    points: Any = [view.points_m.astype(np.float32).reshape(-1, 1, 3) for view in views]
+    pixels: Any = [view.pixels.astype(np.float32).reshape(-1, 1, 2) for view in views]
+    try:
+        rms, matrix, distortion, turns, shifts, sigma, _, _ = cv2.calibrateCameraExtended(
+            points, pixels, size, None, None, flags=flags
+        )
+    except cv2.error as error:
+        raise ConfigError(
+            f"the {len(views)} views do not determine the camera ({' '.join(str(error.err).split())}); tilt the board"
+            " more and vary its distance"
+        ) from error
+    coefficients = np.asarray(distortion, dtype=float).ravel()[:5]
+    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *coefficients])
+    residuals, normals = [], []
+    for view, turn, shift in zip(views, turns, shifts, strict=True):
+        projected, _ = cv2.projectPoints(view.points_m, turn, shift, matrix, distortion)
+        residuals.append(view.pixels - np.asarray(projected, dtype=float).reshape(-1, 2))
+        normal = np.asarray(cv2.Rodrigues(turn)[0], dtype=float)[:, 2]
+        normals.append(normal * math.copysign(1.0, normal[2]))
+    if not (np.isfinite(values).all() and values[:2].min() > 0.0):
+        raise ConfigError("the views do not determine the camera; tilt the board more and vary its distance")
+    return Intrinsics(
+        width_px=found.width_px,
+        height_px=found.height_px,
+        values=values,
+        sigma=np.asarray(sigma, dtype=float).ravel()[:9],
+        rms_px=float(rms),
+        views=tuple(views),
+        residual_px=tuple(residuals),
+        normals_cam=np.array(normals),
+        left_out=left_out,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Coverage:
+    """What the views showed of the camera."""
+
+    cells: FloatArray
+    """(rows, columns) corners found in each cell of the image."""
+    radius_share: float
+    """Distance of the outermost corner from the image centre over half the diagonal (99th percentile)."""
+    tilt_rad: FloatArray
+    """(v,) angle between the board's normal and the optical axis."""
+    tilt_spread_rad: tuple[float, float]
+    """Standard deviation of the tilt about the image's x and y axes."""
+
+    @property
+    def share(self) -> float:
+        """Of the cells in which corners were found."""
+        return float((self.cells > 0).mean())
+
+
+def coverage(result: Intrinsics) -> Coverage:
+    """How the used views are spread."""
+    pixels = np.concatenate([view.pixels for view in result.views])
+    size = np.array([result.width_px, result.height_px], dtype=float)
+    cells, _, _ = np.histogram2d(
+        pixels[:, 1], pixels[:, 0], bins=(CELLS[1], CELLS[0]), range=((0, size[1]), (0, size[0]))
+    )
+    radius = np.hypot(*(pixels - size / 2).T) / float(np.hypot(*(size / 2)))
+    normal = result.normals_cam
+    about_x, about_y = np.arctan2(normal[:, 1], normal[:, 2]), np.arctan2(normal[:, 0], normal[:, 2])
+    return Coverage(
+        cells=cells,
+        radius_share=float(np.percentile(radius, 99.0)),
+        tilt_rad=np.arccos(np.clip(normal[:, 2], -1.0, 1.0)),
+        tilt_spread_rad=(float(about_x.std()), float(about_y.std())),
+    )
+
+
+def remarks(result: Intrinsics, spread: Coverage, expected: Camera | None, medium: str) -> list[str]:
+    """What an operator should know before the result is used; ``medium``: "water" or "air", where it was taken."""
+    out = []
+    if spread.share < GOOD_COVERAGE:
+        out.append(f"corners in {spread.share:.0%} of the image's {CELLS[0]} x {CELLS[1]} cells: fill the empty ones")
+    if spread.radius_share < GOOD_RADIUS:
+        out.append(f"nothing beyond {spread.radius_share:.0%} of the half diagonal: the corners' distortion is a guess")
+    tilted = float((spread.tilt_rad > GOOD_TILT_RAD).mean())
+    if tilted < GOOD_TILTED_SHARE or min(spread.tilt_spread_rad) < 0.5 * GOOD_TILT_RAD:
+        out.append(
+            f"{tilted:.0%} of the views tilted by more than {math.degrees(GOOD_TILT_RAD):.0f} deg: tilt the board about"
+            " both axes, or focal length and distance cannot be told apart"
+        )
+    if result.rms_px > GOOD_RMS_PX:
+        out.append(f"rms {result.rms_px:.2f} px: blurred views, a board that is not flat, or a wrong --shape or size")
+    return out + _medium_remarks(result, expected, medium)
+
+
+def _medium_remarks(result: Intrinsics, expected: Camera | None, medium: str) -> list[str]:
+    """Water or air: what the focal length says about it."""
+    out = []
+    behind_port = expected is not None and expected.model == "flat_port"
+    if medium == "air" and not behind_port:
+        out.append(
+            f"taken in air: the focal length was multiplied by {WATER_INDEX}, which leaves errors of 3 to 5 % of the"
+            " height (8 to 55 mm at 0.3 to 1.2 m); calibrate in water"
+        )
+    if medium == "water" and behind_port:
+        out.append('the vehicle file has model = "flat_port", which wants a calibration in air: use --medium air')
+    if expected is None:
+        return out
+    if (expected.width_px, expected.height_px) != (result.width_px, result.height_px):
+        out.append(
+            f"images are {result.width_px} x {result.height_px}, the vehicle's camera {expected.width_px} x"
+            f" {expected.height_px}: not the mode it flies with"
+        )
+    wanted = math.sqrt(expected.focal_px[0] * expected.focal_px[1]) * result.width_px / expected.width_px
+    ratio = math.sqrt(float(result.values[0] * result.values[1])) / wanted
+    if medium == "air" and not behind_port:
+        ratio *= WATER_INDEX
+    if abs(ratio * WATER_INDEX - 1.0) < FOCAL_BAND and medium == "water":
+        out.append(
+            f"focal length {ratio:.3f} of the vehicle file's, which is 1/{WATER_INDEX}: these look like images taken in"
+            " air; calibrate in water, or say --medium air"
+        )
+    elif abs(ratio - 1.0) > FOCAL_BAND:
+        out.append(
+            f"focal length {ratio:.3f} of the vehicle file's: another lens or zoom, or a wrong --square? If neither,"
+            " the vehicle file is wrong"
+        )
+    return out
+
+
+def camera_values(result: Intrinsics, *, into_water: bool = False) -> dict[str, Any]:
+    """The keys of ``[camera]``; ``into_water`` turns a calibration in air into what it would be under water, for rays
+    near the axis: they leave the port n times flatter, so that x becomes n x in the air's formulas."""
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = result.values.tolist()
+    n = WATER_INDEX if into_water else 1.0
+    distortion = [k1 * n**2, k2 * n**4, p1 * n, p2 * n, k3 * n**6]
+    return {
+        "camera.width_px": result.width_px,
+        "camera.height_px": result.height_px,
+        "camera.focal_px": [round(n * fx, 3), round(n * fy, 3)],
+        "camera.center_px": [round(cx, 3), round(cy, 3)],
+        "camera.distortion": [round(k, 6) for k in distortion],
+    }

@@ -1,0 +1,157 @@
+"""Green dots anywhere in a picture, for a laser of which nothing is known yet.
+
+The detector that flies (:mod:`estimator.laser_dot`) looks along the calibrated beam only.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from autopilot.calibrate.boards import Board
+from autopilot.calibrate.flight import Flight
+from autopilot.calibrate.laser_fit import Dots, floor_depths
+from autopilot.calibrate.views import image_files, read_images
+from autopilot.core.camera import CameraModel
+from autopilot.core.errors import ConfigError, LogError
+from autopilot.core.frames import FloatArray
+from autopilot.log.reader import Log, open_log
+
+PER_PICTURE = 3
+SMOOTH_PX = 1.5
+APART_PX = 12
+CENTROID_PX = 3
+MIN_SIGMAS = 7.0
+MIN_EXCESS = 6.0
+EDGE_PX = 6
+STAMP_SLACK_S = 0.002
+OWN_SHARE = 0.7
+"""A detector that finds the dot less often looks in the wrong place."""
+MOVED_M = 0.01
+"""What is printed under the dot draws it aside: a vehicle that stands still would say the same again and again."""
+
+
+def green_dots(image_bgr: Any) -> FloatArray:
+    """Pixels (k, 2) of the most conspicuous green dots, at most PER_PICTURE.
+
+    Under one light print differs in brightness alone: green follows blue along a straight line, which tint and haze
+    only shift. What lies above that line, small and round, may be the laser's."""
+    picture = image_bgr.astype(np.float32)
+    blue, green = picture[:, :, 0], picture[:, :, 1]
+    blue_off, green_off = blue - blue.mean(), green - green.mean()
+    slope = float((blue_off * green_off).sum()) / max(float((blue_off * blue_off).sum()), 1.0)
+    excess = green_off - slope * blue_off
+    smooth = cv2.GaussianBlur(excess, (0, 0), SMOOTH_PX) - cv2.GaussianBlur(excess, (0, 0), 6.0 * SMOOTH_PX)
+    spread = max(1.4826 * float(np.median(np.abs(smooth))), 0.3)
+    limit = max(MIN_EXCESS, MIN_SIGMAS * spread)
+    work = smooth.copy()
+    work[:EDGE_PX], work[-EDGE_PX:], work[:, :EDGE_PX], work[:, -EDGE_PX:] = 0.0, 0.0, 0.0, 0.0
+    out = []
+    for _ in range(PER_PICTURE):
+        row, column = (int(v) for v in np.unravel_index(int(work.argmax()), work.shape))
+        peak = float(work[row, column])
+        if peak < limit:
+            break
+        rows = slice(max(row - CENTROID_PX, 0), row + CENTROID_PX + 1)
+        columns = slice(max(column - CENTROID_PX, 0), column + CENTROID_PX + 1)
+        weight = np.maximum(smooth[rows, columns] - 0.3 * peak, 0.0)
+        down, across = np.mgrid[rows.start : rows.start + len(weight), columns.start : columns.start + weight.shape[1]]
+        total = float(weight.sum())
+        out.append((float((weight * across).sum()) / total, float((weight * down).sum()) / total))
+        work[max(row - APART_PX, 0) : row + APART_PX + 1, max(column - APART_PX, 0) : column + APART_PX + 1] = 0.0
+    return np.array(out).reshape(-1, 2)
+
+
+def logged_dots(flight: Flight) -> Dots:
+    """The dots that the flight's own detector found."""
+    found = np.flatnonzero(np.isfinite(flight.laser_px[:, 0]))
+    found = found[_moved(flight.eye_ned_m[found])]
+    depth = [
+        floor_depths(
+            flight.camera, flight.laser_px[n : n + 1], flight.r_ned_from_cam[n], flight.eye_ned_m[n], flight.floor_m
+        )
+        for n in found
+    ]
+    ideal = flight.camera.normalized(flight.laser_px[found])
+    return Dots(picture=found, ideal=ideal, depth_m=np.array(depth).reshape(-1))
+
+
+def picture_dots(log: Log, flight: Flight) -> Dots:
+    """Dots in the pictures of a log, wherever they are; empty if the log holds no pictures."""
+    parts: list[tuple[int, FloatArray, FloatArray]] = []
+    if "/in/camera" not in log:
+        return _joined(parts)
+    before = np.full(3, np.inf)
+    offset_s = flight.vehicle.camera.time_offset_s
+    for number, message in enumerate(log.messages("/in/camera")):
+        t_s = message.t_us * 1e-6 + offset_s
+        n = int(np.argmin(np.abs(flight.t_s - t_s)))
+        here = flight.eye_ned_m[n]
+        if abs(float(flight.t_s[n]) - t_s) > STAMP_SLACK_S or float(np.linalg.norm(here - before)) < MOVED_M:
+            continue
+        before = here
+        image = cv2.imdecode(np.frombuffer(bytes(message.value["data"]), np.uint8), cv2.IMREAD_COLOR)
+        if image is None or image.shape[:2] != (flight.camera.height_px, flight.camera.width_px):
+            raise LogError(f"{log.path}: a picture on /in/camera is broken or not of the size of the vehicle's camera")
+        pixels = green_dots(image)
+        depth = floor_depths(flight.camera, pixels, flight.r_ned_from_cam[n], flight.eye_ned_m[n], flight.floor_m)
+        parts.append((number, flight.camera.normalized(pixels), depth))
+    return _joined(parts)
+
+
+def board_dots(board: Board, camera: CameraModel, folder: Path) -> Dots:
+    """Dots on a calibration board in colour pictures from different distances. ConfigError if the sizes do not fit."""
+    if camera.port is not None or camera.fisheye:
+        raise ConfigError('calibration from pictures needs camera.model = "pinhole"; use a log instead')
+    parts = []
+    for number, (name, image) in enumerate(read_images(image_files(folder), cv2.IMREAD_COLOR)):
+        if image is None:
+            continue
+        if image.shape[:2] != (camera.height_px, camera.width_px):
+            raise ConfigError(
+                f"{folder}: {name} has {image.shape[1]} x {image.shape[0]} pixels, the vehicle's camera"
+                f" {camera.width_px} x {camera.height_px}; use images of the mode that it flies with"
+            )
+        found = board.find(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+        if found is None:
+            continue
+        ok, turn, shift = cv2.solvePnP(
+            found[0], found[1], camera.matrix, camera.distortion_coefficients, flags=cv2.SOLVEPNP_ITERATIVE
+        )
+        pixels = green_dots(image)
+        if not ok or not len(pixels):
+            continue
+        normal = np.asarray(cv2.Rodrigues(turn)[0], dtype=float)[:, 2]
+        _, rays = camera.rays(pixels)
+        depth = float(normal @ np.asarray(shift, dtype=float).ravel()) / (rays @ normal)
+        parts.append((number, camera.normalized(pixels), depth))
+    if not parts:
+        raise ConfigError(f"{folder}: no image shows both the board and a green dot; check --board and the laser")
+    return _joined(parts)
+
+
+def _moved(places_m: FloatArray) -> np.ndarray:
+    """Indices of places (n, 3) that are MOVED_M from the one chosen before."""
+    chosen = []
+    before = np.full(3, np.inf)
+    for n, place in enumerate(places_m):
+        if float(np.linalg.norm(place - before)) >= MOVED_M:
+            chosen.append(n)
+            before = place
+    return np.array(chosen, dtype=np.int64)
+
+
+def _joined(parts: list[tuple[int, FloatArray, FloatArray]]) -> Dots:
+    picture = np.concatenate([np.full(len(depth), n) for n, _, depth in parts] or [np.empty(0, dtype=np.int64)])
+    ideal = np.concatenate([ideal for _, ideal, _ in parts] or [np.empty((0, 2))])
+    depth_m = np.concatenate([depth for _, _, depth in parts] or [np.empty(0)])
+    good = np.isfinite(depth_m) & (depth_m > 0.05)
+    return Dots(picture=picture[good].astype(np.int64), ideal=ideal[good], depth_m=depth_m[good])
+
+
+def log_dots(path: Path, flight: Flight) -> Dots:
+    """The dots of a log: the flight's own if its detector found them most of the time, else those in its pictures."""
+    if float(np.isfinite(flight.laser_px[:, 0]).mean()) > OWN_SHARE:
+        return logged_dots(flight)
+    return picture_dots(open_log(path), flight)

@@ -1,0 +1,191 @@
+"""Camera against gyros: mounting rotation, time offset and gyro bias from how both saw the vehicle turn.
+
+For frames i and j some tenths of a second apart the camera turned by d_cam = log(R_i^T R_j) in its own frame, the gyros
+by d_frd, and (AX = XB, the hand-eye equation for rotations, Park and Martin 1994)
+
+    M d_cam = d_frd(t_i - tau, t_j - tau) - b (t_j - t_i)
+
+with the mounting M = R_frd_from_cam, the lateness tau of the pictures' stamps against the AHRS's, and the gyro bias b.
+The unknown heading of the magnetic compass and the AHRS's slow tilt errors drop out.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from autopilot.calibrate.flight import Flight
+from autopilot.calibrate.gyro_path import GyroPath
+from autopilot.calibrate.least_squares import covariance, huber_weights, robust_sigma, solve_weighted
+from autopilot.core.errors import LogError
+from autopilot.core.frames import FloatArray
+
+BASELINE_S = 0.35
+"""Long enough for the turn to stand out of the noise of two poses, short enough for the gyro noise."""
+BASELINE_SLACK_S = 0.12
+SEARCH_S = 0.4
+"""Lateness is looked for within this."""
+SEARCH_STEP_S = 0.005
+DERIVATIVE_S = 0.002
+CONVERGED = 1e-6
+ROUNDS = 8
+OUT_OF_RANGE = f"the lateness of the pictures is not between -{SEARCH_S:g} and {SEARCH_S:g} s; check the clocks"
+BIAS_MOVED_RAD_S = 2e-5
+"""By so much the bias may change before the gyros are integrated again."""
+MIN_PAIRS = 50
+MIN_TURN_RATE_RAD_S = 0.05
+"""Standard deviation of the yaw rate: less is the noise of the poses."""
+MOUNTING_PRIOR_RAD = 0.35
+"""Keeps what the flight does not show where the vehicle file has it."""
+BIAS_PRIOR_RAD_S = 0.05
+SIGMA_FACTOR = 2.0
+"""By which the residuals' own standard deviations fall short: a flight turns a dozen times, not a thousand, and gyro
+bias and stamps wander. Simulated flights with known errors gave up to 2.5 of them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MotionFit:
+    """Result of :func:`fit_motion`."""
+
+    r_frd_from_cam: FloatArray
+    """(3, 3)"""
+    late_s: float
+    """By how much the stamps of pictures are later than those of the AHRS for the same moment."""
+    gyro_bias_rad_s: FloatArray
+    """(3,)"""
+    sigma_mounting_rad: FloatArray
+    """(3,) standard deviations about the body's axes."""
+    sigma_late_s: float
+    sigma_bias_rad_s: FloatArray
+    """(3,)"""
+    residual_rad: FloatArray
+    """(n, 3) of the increments, body frame."""
+    pair_t_s: FloatArray
+    """(n,) where each increment begins."""
+    turned_rad: FloatArray
+    """(n, 3) increments that the gyros saw, bias taken off."""
+    correlation: FloatArray
+    """(m, 2) lateness [s] and correlation of the yaw rates, the scan that the fit began with."""
+
+
+def fit_motion(flight: Flight) -> MotionFit:
+    """Mounting and lateness together. LogError if the vehicle hardly turned or pictures and AHRS do not overlap."""
+    path = GyroPath(flight.ahrs, np.zeros(3))
+    first, second = _pairs(flight.t_s)
+    begin_s, end_s = flight.t_s[first], flight.t_s[second]
+    good = path.covers(begin_s - SEARCH_S, end_s + SEARCH_S)
+    first, second, begin_s, end_s = first[good], second[good], begin_s[good], end_s[good]
+    if len(first) < MIN_PAIRS:
+        raise LogError(
+            f"{len(first)} pairs of pictures with AHRS samples over their whole time, at least {MIN_PAIRS} are needed;"
+            " fly longer with markers in view"
+        )
+    pose = Rotation.from_matrix(flight.r_ned_from_cam)
+    seen_cam = (pose[first].inv() * pose[second]).as_rotvec()
+    mounting = flight.camera.r_frd_from_cam
+    span_s = (end_s - begin_s)[:, None]
+    scan = _scan(path, begin_s, end_s, (seen_cam @ mounting.T)[:, 2] / span_s[:, 0])
+    late_s = _peak(scan)
+    bias = integrated = np.zeros(3)
+    prior = np.array([MOUNTING_PRIOR_RAD**-2] * 3 + [BIAS_PRIOR_RAD_S**-2] * 3 + [0.0])
+    jacobian = np.zeros((len(first), 3, 7))
+    for _ in range(ROUNDS):
+        if float(np.abs(bias - integrated).max()) > BIAS_MOVED_RAD_S:
+            path, integrated = GyroPath(flight.ahrs, bias), bias
+        seen = seen_cam @ mounting.T
+        turned = path.increments(begin_s - late_s, end_s - late_s)
+        residual = turned - (bias - integrated) * span_s - seen
+        later = path.increments(begin_s - late_s - DERIVATIVE_S, end_s - late_s - DERIVATIVE_S)
+        earlier = path.increments(begin_s - late_s + DERIVATIVE_S, end_s - late_s + DERIVATIVE_S)
+        # residual - J step: turning the mounting by theta adds theta x seen to what the camera saw.
+        jacobian[:, :, :3] = -_cross_matrices(seen)
+        jacobian[:, :, 3:6] = span_s[:, :, None] * np.eye(3)
+        jacobian[:, :, 6] = -(later - earlier) / (2.0 * DERIVATIVE_S)
+        weights = huber_weights(residual, robust_sigma(residual))
+        step, inverse = solve_weighted(jacobian, residual, weights, prior)
+        mounting = Rotation.from_rotvec(step[:3]).as_matrix() @ mounting
+        bias = bias + step[3:6]
+        late_s += float(np.clip(step[6], -0.02, 0.02))
+        if float(np.abs(step).max()) < CONVERGED:
+            break
+        if not abs(late_s) < SEARCH_S:
+            raise LogError(
+                f"the lateness of the pictures is not between -{SEARCH_S:g} and {SEARCH_S:g} s; check the log"
+            )
+    turned = GyroPath(flight.ahrs, bias).increments(begin_s - late_s, end_s - late_s)
+    residual = turned - seen_cam @ mounting.T
+    lags = 2 * round(BASELINE_S / float(np.median(np.diff(flight.t_s))))
+    sigma = SIGMA_FACTOR * np.sqrt(np.diag(covariance(jacobian, residual, weights, inverse, lags)))
+    # What the prior holds was not shown: its share of the information is not the flight's.
+    held = prior * np.diag(inverse)
+    sigma = np.where(held > 0.5, 1.0 / np.sqrt(np.maximum(prior, 1e-12)), sigma)
+    return MotionFit(
+        r_frd_from_cam=mounting,
+        late_s=late_s,
+        gyro_bias_rad_s=bias,
+        sigma_mounting_rad=sigma[:3],
+        sigma_late_s=float(sigma[6]),
+        sigma_bias_rad_s=sigma[3:6],
+        residual_rad=residual,
+        pair_t_s=begin_s,
+        turned_rad=turned,
+        correlation=scan,
+    )
+
+
+def _pairs(t_s: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of frames that are about BASELINE_S apart."""
+    second = np.searchsorted(t_s, t_s + BASELINE_S)
+    first = np.arange(len(t_s))
+    inside = second < len(t_s)
+    first, second = first[inside], second[inside]
+    close = np.abs(t_s[second] - t_s[first] - BASELINE_S) < BASELINE_SLACK_S
+    return first[close], second[close]
+
+
+def _scan(path: GyroPath, begin_s: FloatArray, end_s: FloatArray, yaw_rate: FloatArray) -> FloatArray:
+    """Correlation (m, 2) of the camera's yaw rate with the gyros' for each lateness."""
+    if float(yaw_rate.std()) < MIN_TURN_RATE_RAD_S:
+        raise LogError(
+            f"the vehicle hardly turned (yaw rate {yaw_rate.std():.3f} rad/s rms, {MIN_TURN_RATE_RAD_S:g} are needed);"
+            " fly a mission that turns to and fro, or turn it by hand over the markers"
+        )
+    span_s = end_s - begin_s
+    out = []
+    for late_s in np.arange(-SEARCH_S, SEARCH_S + 0.5 * SEARCH_STEP_S, SEARCH_STEP_S).tolist():
+        gyro = path.increments(begin_s - late_s, end_s - late_s)[:, 2] / span_s
+        out.append((late_s, float(np.corrcoef(gyro, yaw_rate)[0, 1])))
+    return np.array(out)
+
+
+def _peak(scan: FloatArray) -> float:
+    """Where the correlation is largest, by a parabola through the three largest. LogError if it is nowhere high."""
+    n = int(np.argmax(scan[:, 1]))
+    if not scan[n, 1] > 0.5:
+        raise LogError(
+            f"camera and gyros do not turn alike (correlation {scan[n, 1]:.2f}); check axes and mounting of"
+            " camera and AHRS"
+        )
+    if n in (0, len(scan) - 1):
+        raise LogError(
+            f"the lateness of the pictures is not between -{SEARCH_S:g} and {SEARCH_S:g} s; check the clocks"
+        )
+    low, mid, high = scan[n - 1 : n + 2, 1].tolist()
+    beside: float = 0.5 * (low - high) / min(low - 2.0 * mid + high, -1e-15)
+    return float(scan[n, 0]) + SEARCH_STEP_S * beside
+
+
+def _cross_matrices(vectors: FloatArray) -> FloatArray:
+    """(n, 3, 3) matrices that make v x w of w."""
+    out = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    out[:, 0, 1], out[:, 0, 2] = -z, y
+    out[:, 1, 0], out[:, 1, 2] = z, -x
+    out[:, 2, 0], out[:, 2, 1] = -y, x
+    return out
+
+
+def degrees(values: FloatArray) -> list[float]:
+    """Radians as a list of degrees."""
+    return [math.degrees(v) for v in values.tolist()]

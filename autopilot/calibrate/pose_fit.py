@@ -1,0 +1,81 @@
+"""Pose of the camera from one sighting, by itself: no attitude prior, no filter.
+
+Least squares over position, rotation and the distance by which blur draws corners into their markers (see
+:mod:`estimator.pnp`, which leans on the AHRS where it has to; a calibration of the AHRS against the camera must not).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from autopilot.core.camera import CameraModel
+from autopilot.core.frames import FloatArray
+
+STEPS = 8
+CONVERGED = 1e-7
+SHRINK_PX, SHRINK_SIGMA_PX = 0.25, 0.1
+"""Prior of the distance by which corners are found inside of the true ones, as in :mod:`estimator.pnp`."""
+CORNER_SIGMA_PX = 0.12
+"""Only against the weight of that prior."""
+MAX_RMS_PX = 2.0
+CORNER_SIGMAS, CORNER_FLOOR_PX = 4.0, 0.5
+"""Corners further off than both are left out."""
+MIN_CORNERS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraPose:
+    """Where the camera was."""
+
+    eye_ned_m: FloatArray
+    """(3,)"""
+    r_ned_from_cam: FloatArray
+    """(3, 3)"""
+    rms_px: float
+    corners: int
+
+
+def fit_pose(
+    camera: CameraModel, points_ned_m: FloatArray, pixels: FloatArray, eye_ned_m: FloatArray, r_ned_from_cam: FloatArray
+) -> CameraPose | None:
+    """Pose from corners (4n, 3) of n markers and their pixels (4n, 2) from a rough pose; None without a good fit."""
+    squares = pixels.reshape(-1, 4, 2)
+    inward = squares.mean(axis=1, keepdims=True) - squares
+    inward /= np.maximum(np.linalg.norm(inward, axis=2, keepdims=True), 1e-9)
+    inward = inward.reshape(-1, 2)
+    keep = np.ones(len(pixels), dtype=bool)
+    eye, r = np.array(eye_ned_m, dtype=float), np.array(r_ned_from_cam, dtype=float)
+    shrink = SHRINK_PX
+    weight = (CORNER_SIGMA_PX / SHRINK_SIGMA_PX) ** 2
+    off = np.zeros(len(pixels))
+    for step in range(STEPS):
+        cam = (points_ned_m - eye) @ r
+        seen, slopes = camera.linearise(cam)
+        residual = pixels - shrink * inward - seen
+        if not np.isfinite(residual).all():
+            return None
+        off = np.linalg.norm(residual, axis=1)
+        if step >= 3:
+            keep = off <= max(CORNER_FLOOR_PX, CORNER_SIGMAS * float(np.median(off)) / 1.1774)
+        jac = np.empty((len(pixels), 2, 7))
+        jac[:, :, :3] = -slopes @ r.T
+        jac[:, :, 3:6] = np.cross(slopes, cam[:, None, :])
+        jac[:, :, 6] = inward
+        flat, error = jac[keep].reshape(-1, 7), residual[keep].reshape(-1)
+        normal, gradient = flat.T @ flat, flat.T @ error
+        normal[6, 6] += weight
+        gradient[6] += weight * (SHRINK_PX - shrink)
+        try:
+            delta = np.linalg.solve(normal, gradient)
+        except np.linalg.LinAlgError:
+            return None
+        eye, shrink = eye + delta[:3], shrink + float(delta[6])
+        r = r @ Rotation.from_rotvec(delta[3:6]).as_matrix()
+        if step > 3 and float(np.abs(delta[:6]).max()) < CONVERGED:
+            break
+    rms_px = math.sqrt(float((off[keep] ** 2).mean()))
+    if not rms_px < MAX_RMS_PX or 4 * int(keep.sum()) < 3 * len(keep) or int(keep.sum()) < MIN_CORNERS:
+        return None
+    return CameraPose(eye_ned_m=eye, r_ned_from_cam=r, rms_px=rms_px, corners=int(keep.sum()))

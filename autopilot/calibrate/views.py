@@ -1,0 +1,140 @@
+"""Views of a calibration board: from a folder of images, or from a camera or film while somebody moves the board."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from autopilot.calibrate.boards import Board
+from autopilot.core.errors import ConfigError, DriverError
+from autopilot.core.frames import FloatArray
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
+NEW_VIEW_SHARE = 0.06
+"""A live view is taken when the board's corners have moved by this share of the image's width since every other one."""
+STILL_PX = 2.0
+"""... and have moved by less than this since the frame before: no motion blur."""
+MAX_LIVE_FRAMES = 9000
+"""5 minutes at 30 Hz."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class View:
+    """One image of the board."""
+
+    name: str
+    points_m: FloatArray
+    """(n, 3) on the board."""
+    pixels: FloatArray
+    """(n, 2)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Views:
+    """All images of one calibration."""
+
+    width_px: int
+    height_px: int
+    views: tuple[View, ...]
+    left_out: tuple[tuple[str, str], ...]
+    """Image and why."""
+
+
+def image_files(folder: Path) -> list[Path]:
+    """The images of a folder by name. ConfigError if there is none."""
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: is not a folder; give the folder that holds the images")
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    if not files:
+        raise ConfigError(f"{folder}: holds no images; put {', '.join(SUFFIXES[:3])} files there")
+    return files
+
+
+def read_images(files: Iterable[Path], flag: int = cv2.IMREAD_GRAYSCALE) -> Iterable[tuple[str, Any]]:
+    """Name and pixels of each file, None for one that OpenCV cannot read."""
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    for path in files:
+        yield path.name, cv2.imread(str(path), flag)
+
+
+def collect_views(board: Board, images: Iterable[tuple[str, Any]], origin: str) -> Views:
+    """Find the board in images. ConfigError if their sizes differ or no image shows the board."""
+    size: tuple[int, int] | None = None
+    first = ""
+    views, left_out = [], []
+    for name, grey in images:
+        if grey is None:
+            left_out.append((name, "cannot be read"))
+            continue
+        height, width = grey.shape[:2]
+        if size is None:
+            size, first = (width, height), name
+        elif size != (width, height):
+            raise ConfigError(
+                f"{origin}: {name} has {width} x {height} pixels, {first} has {size[0]} x {size[1]};"
+                " use images of one camera mode only"
+            )
+        found = board.find(grey)
+        if found is None:
+            left_out.append((name, "board not found"))
+        else:
+            views.append(View(name=name, points_m=found[0], pixels=found[1]))
+    if size is None or not views:
+        shape = f"{board.spec.kind} {board.spec.columns}x{board.spec.rows} {board.spec.dictionary}"
+        raise ConfigError(
+            f"{origin}: the board ({shape}) is seen in none of {len(left_out)} images; check --board, --shape,"
+            " --dictionary and --legacy against the print"
+        )
+    return Views(width_px=size[0], height_px=size[1], views=tuple(views), left_out=tuple(left_out))
+
+
+def live_images(board: Board, source: str, wanted: int, folder: Path | None) -> Iterable[tuple[str, Any]]:
+    """Different, unblurred views from a V4L2 device (``/dev/video0``) or a film; saved into ``folder`` if given.
+
+    DriverError if it cannot be opened."""
+    capture = cv2.VideoCapture(source, cv2.CAP_V4L2 if source.startswith("/dev/") else cv2.CAP_ANY)
+    if not capture.isOpened():
+        raise DriverError(f"camera {source}: cannot be opened; check the name (ls /dev/video*) and who else uses it")
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    taken: list[FloatArray] = []
+    before: FloatArray | None = None
+    try:
+        for number in range(MAX_LIVE_FRAMES):
+            ok, frame = capture.read()
+            if not ok or len(taken) >= wanted:
+                return
+            grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
+            found = board.find(grey)
+            place = None if found is None else _place(board, *found)
+            if place is not None and before is not None and _apart(place, before) < STILL_PX:
+                far = NEW_VIEW_SHARE * grey.shape[1]
+                if all(_apart(place, other) > far for other in taken):
+                    taken.append(place)
+                    name = f"frame{number:05d}.png"
+                    if folder is not None:
+                        cv2.imwrite(str(folder / name), grey)
+                    yield name, grey
+            before = place
+    finally:
+        capture.release()
+
+
+def _place(board: Board, points_m: FloatArray, pixels: FloatArray) -> FloatArray | None:
+    """Pixels (4, 2) of the board's four corners by a homography, None if it is degenerate."""
+    matrix, _ = cv2.findHomography(points_m[:, :2], pixels)
+    if matrix is None:
+        return None
+    width_m, height_m = board.spec.size_m
+    corners = np.array([[0.0, 0.0, 1.0], [width_m, 0.0, 1.0], [width_m, height_m, 1.0], [0.0, height_m, 1.0]])
+    homogeneous = corners @ np.asarray(matrix, dtype=float).T
+    result: FloatArray = homogeneous[:, :2] / homogeneous[:, 2:]
+    return result
+
+
+def _apart(a: FloatArray, b: FloatArray) -> float:
+    """Largest distance between corresponding corners [px]."""
+    return float(np.hypot(*(a - b).T).max())

@@ -1,0 +1,360 @@
+"""``autopilot calibrate``: camera, laser, extrinsics, latency. Each prints what it found and writes a vehicle file."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from autopilot.cli.output import emit_json, make_console, print_table
+
+if TYPE_CHECKING:
+    from autopilot.calibrate.boards import Board
+    from autopilot.calibrate.flight import Flight
+
+EXIT_REMARKS = 3
+
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+_OUT = click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), help="Vehicle file to write (default: print the keys)."
+)
+_LOG = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
+_VEHICLE = click.option("--vehicle", help="Vehicle (shipped name or file) instead of the log's own.")
+_MAP = click.option("--map", "map_file", type=click.Path(path_type=Path), help="Marker map (default: the scenario's).")
+
+
+def _board_options(command: Any) -> Any:
+    """The options that say what board it is."""
+    for option in reversed(
+        [
+            click.option("--board", type=click.Choice(["charuco", "grid"]), default="charuco", show_default=True),
+            click.option("--shape", default="9x6", show_default=True, help="Squares (or markers) across and down."),
+            click.option("--square", type=float, default=0.030, show_default=True, help="Pitch of squares [m]."),
+            click.option("--marker", type=float, default=0.022, show_default=True, help="Side of a marker [m]."),
+            click.option("--dictionary", default="DICT_5X5_100", show_default=True),
+            click.option("--legacy", is_flag=True, help="ChArUco drawn by OpenCV before 4.6."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+def _board(board: str, shape: str, square: float, marker: float, dictionary: str, legacy: bool) -> "Board":
+    from autopilot.calibrate.boards import Board, BoardSpec, parse_shape
+
+    columns, rows = parse_shape(shape)
+    kind: Any = board
+    return Board(
+        BoardSpec(
+            kind=kind,
+            columns=columns,
+            rows=rows,
+            pitch_m=square,
+            marker_m=marker,
+            dictionary=dictionary,
+            legacy=legacy,
+        )
+    )
+
+
+@click.group()
+def calibrate() -> None:
+    """Calibrate camera, laser, mounting and latency (docs/calibration.md)."""
+
+
+@calibrate.command()
+@_board_options
+@click.argument("sheet", type=click.Path(path_type=Path, dir_okay=False))
+def board(sheet: Path, board: str, **spec: Any) -> None:
+    """Write SHEET (.svg): a calibration board to print at true scale."""
+    made = _board(board, **spec)
+    _write(sheet, made.svg())
+    width_m, height_m = made.spec.size_m
+    click.echo(f"{sheet}: {1e3 * width_m:g} x {1e3 * height_m:g} mm; print at 100 % and measure the line below it")
+
+
+@calibrate.command()
+@_board_options
+@click.argument("source")
+@click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle whose camera it is.")
+@click.option("--medium", type=click.Choice(["water", "air"]), default="water", show_default=True)
+@click.option("--fix-k3", is_flag=True, help="k3 = 0: for narrow lenses.")
+@click.option("--views", type=click.IntRange(8, 200), default=30, show_default=True, help="Live: views to take.")
+@click.option("--save", type=click.Path(path_type=Path, file_okay=False), help="Live: folder to keep the views in.")
+@click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), help="Picture of the residuals (PNG).")
+@_OUT
+@_JSON
+@click.pass_context
+def camera(
+    ctx: click.Context,
+    /,
+    source: str,
+    vehicle: str,
+    medium: str,
+    fix_k3: bool,
+    views: int,
+    save: Path | None,
+    plot: Path | None,
+    out: Path | None,
+    as_json: bool,
+    board: str,
+    **spec: Any,
+) -> None:
+    """Intrinsics from SOURCE: a folder of images of a board, a camera (/dev/video0) or a film. Exit 3 with remarks."""
+    from autopilot.calibrate.intrinsics import NAMES, calibrate, camera_values, coverage, remarks
+    from autopilot.calibrate.views import collect_views, image_files, live_images, read_images
+    from autopilot.core.vehicle import load_vehicle
+
+    expected = load_vehicle(vehicle).camera
+    made = _board(board, **spec)
+    live = source.startswith("/dev/") or Path(source).is_file()
+    images = live_images(made, source, views, save) if live else read_images(image_files(Path(source)))
+    result = calibrate(collect_views(made, images, source), fix_k3=fix_k3)
+    spread = coverage(result)
+    said = remarks(result, spread, expected, medium)
+    into_water = medium == "air" and expected.model != "flat_port"
+    values = camera_values(result, into_water=into_water)
+    if plot is not None:
+        from autopilot.calibrate.intrinsics_plot import write_plot
+
+        write_plot(result, spread, plot)
+    facts = {
+        "views": len(result.views),
+        "left_out": dict(result.left_out),
+        "rms_px": result.rms_px,
+        "view_rms_px": dict(zip((view.name for view in result.views), result.view_rms_px.tolist(), strict=True)),
+        "values": dict(zip(NAMES, result.values.tolist(), strict=True)),
+        "sigma": dict(zip(NAMES, result.sigma.tolist(), strict=True)),
+        "coverage": spread.share,
+        "remarks": said,
+        "keys": values,
+    }
+    if as_json:
+        emit_json(facts)
+    else:
+        rows = [
+            (name, f"{value:.5g}", f"{sigma:.2g}")
+            for name, value, sigma in zip(NAMES, result.values.tolist(), result.sigma.tolist(), strict=True)
+        ]
+        across, down = result.field_of_view_deg
+        print_table(
+            f"{source}: {len(result.views)} views, {len(result.left_out)} left out, rms {result.rms_px:.3f} px,"
+            f" view {across:.1f} x {down:.1f} deg in {medium}, corners in {spread.share:.0%} of the image",
+            ("", "value", "sigma"),
+            rows,
+        )
+        print_table("Views", ("image", "corners", "rms px", "tilt deg"), _view_rows(result, spread))
+        for name, why in result.left_out:
+            click.echo(f"left out: {name}: {why}")
+        for remark in said:
+            click.echo(f"remark: {remark}")
+    origin = f"autopilot calibrate camera: {len(result.views)} views in {medium}, rms {result.rms_px:.2f} px"
+    _keep(values, origin, vehicle, out, as_json)
+    ctx.exit(EXIT_REMARKS if said else 0)
+
+
+def _view_rows(result: Any, spread: Any) -> list[tuple[str, str, str, str]]:
+    return [
+        (view.name, str(len(view.pixels)), f"{rms:.3f}", f"{math.degrees(tilt):.0f}")
+        for view, rms, tilt in zip(result.views, result.view_rms_px.tolist(), spread.tilt_rad.tolist(), strict=True)
+    ]
+
+
+@calibrate.command()
+@_LOG
+@_VEHICLE
+@_MAP
+@_OUT
+@_JSON
+def latency(log_file: Path, vehicle: str | None, map_file: Path | None, out: Path | None, as_json: bool) -> None:
+    """How late pictures are stamped, from how camera and gyros saw the vehicle turn."""
+    from autopilot.calibrate.flight import read_flight
+    from autopilot.calibrate.motion_fit import fit_motion
+
+    flight = read_flight(log_file, vehicle, map_file)
+    fit = fit_motion(flight)
+    offset_s = flight.vehicle.camera.time_offset_s - fit.late_s
+    total_s = flight.vehicle.camera.latency_s + fit.late_s
+    values = {"camera.time_offset_s": round(offset_s, 5)}
+    if as_json:
+        emit_json({"late_s": fit.late_s, "sigma_s": fit.sigma_late_s, "latency_s": total_s, "keys": values})
+    else:
+        peak = fit.correlation[:, 1].max()
+        rows = [
+            ("stamps of pictures late by", f"{1e3 * fit.late_s:.2f}", f"{1e3 * fit.sigma_late_s:.2f}", "ms"),
+            ("camera.time_offset_s", f"{1e3 * offset_s:.2f}", f"{1e3 * fit.sigma_late_s:.2f}", "ms"),
+            ("exposure to arrival, if stamped by it", f"{1e3 * total_s:.2f}", f"{1e3 * fit.sigma_late_s:.2f}", "ms"),
+            ("correlation of the yaw rates", f"{peak:.4f}", "", ""),
+        ]
+        print_table(_title(log_file, flight), ("", "value", "sigma", "unit"), rows)
+    _keep(values, f"autopilot calibrate latency: {log_file.name}", vehicle or flight.vehicle.name, out, as_json)
+
+
+@calibrate.command()
+@_LOG
+@_VEHICLE
+@_MAP
+@_OUT
+@_JSON
+def extrinsics(log_file: Path, vehicle: str | None, map_file: Path | None, out: Path | None, as_json: bool) -> None:
+    """Rotation of the camera against the AHRS, and its lever arm where the flight shows it."""
+    from autopilot.calibrate.extrinsics import check_attitude, extrinsic_values, fit_lever_arm, mounting_rpy_rad
+    from autopilot.calibrate.flight import read_flight
+    from autopilot.calibrate.motion_fit import degrees, fit_motion
+
+    flight = read_flight(log_file, vehicle, map_file)
+    fit = fit_motion(flight)
+    attitude, arm = check_attitude(flight, fit), fit_lever_arm(flight, fit)
+    values = extrinsic_values(flight, fit, arm)
+    mounting = degrees(mounting_rpy_rad(fit.r_frd_from_cam))
+    sigma = degrees(fit.sigma_mounting_rad)
+    facts = {
+        "mounting_deg": mounting,
+        "mounting_sigma_deg": sigma,
+        "position_frd_m": None if arm is None else flight_place(flight, arm),
+        "position_sigma_m": None if arm is None else arm.sigma_m.tolist(),
+        "gyro_bias_rad_s": fit.gyro_bias_rad_s.tolist(),
+        "late_s": fit.late_s,
+        "attitude_mean_deg": degrees(attitude.mean_rad),
+        "attitude_spread_deg": degrees(attitude.spread_rad),
+        "keys": values,
+    }
+    if as_json:
+        emit_json(facts)
+    else:
+        rows = [
+            (f"mounting {name}", f"{value:.3f}", f"{s:.3f}", "deg", "")
+            for name, value, s in zip(("roll", "pitch", "yaw"), mounting, sigma, strict=True)
+        ]
+        if arm is not None:
+            place = flight_place(flight, arm)
+            for name, value, s, seen in zip("xyz", place, arm.sigma_m.tolist(), arm.observable.tolist(), strict=True):
+                note = "" if seen else "not observable in this flight: kept as it was"
+                rows.append((f"camera {name} (frd)", f"{1e3 * value:.1f}", f"{1e3 * s:.1f}", "mm", note))
+        print_table(_title(log_file, flight), ("", "value", "sigma", "unit", ""), rows)
+        residual = degrees(fit.residual_rad.std(axis=0))
+        turned = degrees(fit.turned_rad.std(axis=0))
+        table = [
+            (name, f"{a:.3f}", f"{b:.3f}", f"{c:.2f}", f"{d:.2f}", f"{e:.2f}")
+            for name, a, b, c, d, e in zip(
+                ("roll", "pitch", "yaw"), turned, residual, degrees(attitude.mean_rad), degrees(attitude.spread_rad),
+                degrees(attitude.sigma_mean_rad), strict=True,
+            )
+        ]  # fmt: skip
+        print_table(
+            "Residuals [deg]: turns between pictures; AHRS minus camera attitude (yaw: heading offset of the AHRS)",
+            ("axis", "turned rms", "residual rms", "AHRS - camera", "spread", "sigma of mean"),
+            table,
+        )
+    _keep(values, f"autopilot calibrate extrinsics: {log_file.name}", vehicle or flight.vehicle.name, out, as_json)
+
+
+@calibrate.command()
+@click.argument("source", metavar="SOURCE", type=click.Path(path_type=Path))
+@_board_options
+@_VEHICLE
+@_MAP
+@_OUT
+@_JSON
+def laser(
+    source: Path,
+    vehicle: str | None,
+    map_file: Path | None,
+    out: Path | None,
+    as_json: bool,
+    board: str,
+    **spec: Any,
+) -> None:
+    """Offset and direction of the beam from SOURCE: a log, or a folder of pictures of a board with the dot on it.
+
+    Uses the pictures of the log (dots anywhere), or the dots that the flight found if they are more.
+    """
+    from autopilot.calibrate.flight import read_flight
+    from autopilot.calibrate.laser_dots import board_dots, log_dots
+    from autopilot.calibrate.laser_fit import beam_values, fit_beam
+    from autopilot.core.camera import CameraModel
+    from autopilot.core.vehicle import load_vehicle
+
+    if source.is_dir():
+        known = load_vehicle(vehicle or "lbv150")
+        model = CameraModel.of(known.camera, known.laser)
+        dots = board_dots(_board(board, **spec), model, source)
+        title = f"{source}: {dots.pictures} pictures with green dots"
+    else:
+        flight = read_flight(source, vehicle, map_file)
+        known, model = flight.vehicle, flight.camera
+        dots = log_dots(source, flight)
+        title = _title(source, flight)
+    beam = fit_beam(dots, model)
+    values = beam_values(beam, model, known)
+    facts = {
+        "slope_cam": beam.slope.tolist(),
+        "slope_sigma": beam.sigma_slope.tolist(),
+        "base_cam_m": beam.base_m.tolist(),
+        "base_sigma_m": beam.sigma_base_m.tolist(),
+        "rms_px": beam.rms_px,
+        "used": beam.used,
+        "dots": beam.dots,
+        "depth_m": beam.depth_m,
+        "keys": values,
+    }
+    if as_json:
+        emit_json(facts)
+    else:
+        rows = []
+        for axis, slope, s, base, b in zip(
+            "xy", beam.slope.tolist(), beam.sigma_slope.tolist(), beam.base_m.tolist(), beam.sigma_base_m.tolist(),
+            strict=True,
+        ):  # fmt: skip
+            rows.append(
+                (
+                    f"angle towards image {axis}",
+                    f"{math.degrees(math.atan(slope)):.3f}",
+                    f"{math.degrees(s):.3f}",
+                    "deg",
+                )
+            )
+            rows.append((f"offset along image {axis}", f"{1e3 * base:.2f}", f"{1e3 * b:.2f}", "mm"))
+        left_mm = {depth_m: 1e3 * beam.sigma_range_m(depth_m) for depth_m in (0.4, 0.8, 1.2)}
+        rows += [(f"range error left at {depth_m:g} m", "", f"{left:.2f}", "mm") for depth_m, left in left_mm.items()]
+        print_table(
+            f"{title}; {beam.used} of {beam.dots} dots on the beam, {beam.depth_m[0]:.2f} to {beam.depth_m[1]:.2f} m,"
+            f" rms {beam.rms_px:.2f} px",
+            ("", "value", "sigma", "unit"),
+            rows,
+        )
+    _keep(values, f"autopilot calibrate laser: {source.name}", vehicle or known.name, out, as_json)
+
+
+def flight_place(flight: "Flight", arm: Any) -> list[float]:
+    """Camera in the body frame."""
+    return [a + b for a, b in zip(arm.arm_frd_m.tolist(), flight.vehicle.ahrs.position_frd_m, strict=True)]
+
+
+def _title(log_file: Path, flight: "Flight") -> str:
+    return (
+        f"{log_file}: {len(flight.t_s)} of {flight.sightings} sightings, {flight.t_s[-1] - flight.t_s[0]:.0f} s,"
+        f" corners {float(sorted(flight.rms_px)[len(flight.rms_px) // 2]):.2f} px"
+    )
+
+
+def _keep(values: Mapping[str, Any], origin: str, vehicle: str, out: Path | None, quiet: bool) -> None:
+    """Write a copy of the vehicle file with the new values, or print them."""
+    from autopilot.calibrate.vehicle_edit import snippet, write_updated
+
+    if out is not None:
+        write_updated(vehicle, values, origin, out)
+        if not quiet:
+            click.echo(f"{out}: {vehicle} with {', '.join(values)}")
+    elif not quiet:
+        make_console().print(snippet(values), markup=False, highlight=False)
+
+
+def _write(path: Path, text: str) -> None:
+    from autopilot.core.errors import ConfigError
+
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; choose another place") from error
