@@ -1,0 +1,1 @@
+"""Coefficients of the 4-DoF model from logs of flights: ``autopilot identify``."""
