@@ -13,6 +13,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import (
+    AhrsSample,
     AidStatus,
     LaserSample,
     MarkerSighting,
@@ -29,6 +30,8 @@ SIGMAS = 3.0
 POS_FLOOR_M = 0.1
 YAW_FLOOR_RAD = math.radians(5.0)
 """What is allowed beyond the sigmas: the observer's variances know no correlations."""
+AHRS_EVERY_US = 15_000
+"""The shadow gets AHRS samples that are at least so far apart, every second one at 100 Hz: half the cost."""
 AFTER_US = 1_000_000
 """So long the difference must be too large, or within its bounds again."""
 
@@ -51,11 +54,12 @@ class Shadowed:
         self._disagrees = False
         self._changed_us: int | None = None
         self._disagreements = 0
+        self._ahrs_us = -AHRS_EVERY_US
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
         """See :class:`estimator.protocol.Estimator`."""
         nav = self._flown.step(t_us, samples, thrust_n)
-        rest: list[Sample] = [sample for sample in samples if not isinstance(sample, MarkerSighting)]
+        rest = [sample for sample in samples if self._wanted(sample)]
         rest += self._flown.take_made()
         other = self._other.step(t_us, rest, thrust_n)
         self._other.take_aids()
@@ -79,6 +83,14 @@ class Shadowed:
     def shadow(self) -> ShadowStatus | None:
         """See :class:`estimator.protocol.Estimator`. None while one of the two is lost: nothing to compare then."""
         return self._status
+
+    def _wanted(self, sample: Sample) -> bool:
+        """Whether the shadow gets a sample as it came."""
+        if isinstance(sample, AhrsSample):
+            if 0 <= sample.t_us - self._ahrs_us < AHRS_EVERY_US:
+                return False
+            self._ahrs_us = sample.t_us
+        return not isinstance(sample, MarkerSighting)
 
     def _compared(self, nav: NavState, other: NavState) -> ShadowStatus | None:
         if NavHealth.INVALID in (nav.health, other.health):
