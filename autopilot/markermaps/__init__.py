@@ -1,0 +1,1 @@
+"""Marker maps around the vehicle: printed sheets, checks, and surveys by bundle adjustment."""

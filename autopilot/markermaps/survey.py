@@ -1,0 +1,265 @@
+"""A survey: views and a rough map in, the map as it is out, with how sure each marker's place is."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from autopilot.core.camera import CameraModel
+from autopilot.core.errors import ConfigError
+from autopilot.core.frames import FloatArray
+from autopilot.core.marker_files import AMBIGUITY_M, PlacedMarker, make_map, placed_markers
+from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
+from autopilot.markermaps.adjustment import Adjusted, Network, adjust
+from autopilot.markermaps.bootstrap import Bootstrap, Placed, network_indices, recognise, tie_together
+from autopilot.markermaps.sightings import View
+
+MIN_SIGHTS = 2
+"""A marker that fewer views show is left out of the map: nothing checks it."""
+FIXED_SIGMA = (1e-4, 5e-4)
+"""Place [m] and angle [rad] of markers whose pose is given."""
+BELIEVED = 0.25
+"""A sight whose corners weigh less than this on average was not believed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurveyedMarker:
+    """One row of the report."""
+
+    id: int
+    dictionary: str
+    fixed: bool
+    sights: int
+    rms_px: float
+    """Of its corners' residuals, those not believed left out."""
+    sigma_m: float
+    """Larger one of the standard deviations of its place north and east (and down, if that was free)."""
+    sigma_yaw_rad: float
+    moved_m: float
+    """Distance from where the rough map has it; NaN where that has none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Survey:
+    """What came out."""
+
+    markers: MarkerMap
+    rows: list[SurveyedMarker]
+    """One for each marker of the map."""
+    views: int
+    """Views that were used,"""
+    left_out_views: int
+    """and those that could not be tied to the rest."""
+    unseen: list[str]
+    """Markers of the rough map that no two views show; not in the map."""
+    disbelieved: int
+    """Sights of markers that did not fit."""
+    sights: int
+    sigma_px: float
+    shrink_px: float
+    steps: int
+    converged: bool
+
+
+def survey_map(
+    camera: CameraModel,
+    views: Sequence[View],
+    rough: MarkerMap,
+    *,
+    fixed: IntArray,
+    rough_sigma: tuple[float, float] = (math.inf, math.inf),
+) -> Survey:
+    """Survey the markers of ``rough``, which has all ids and sizes that may be seen.
+
+    ``fixed`` are the indices of markers whose poses are right as they stand there. The places of the others are known
+    to ``rough_sigma`` (metres, radians); infinite: not at all. Without any fixed marker and without rough places the
+    marker that most views show stays where it is. ConfigError if too little hangs together.
+    """
+    ids, count = np.unique(rough.ids, return_counts=True)
+    unique = set(ids[count == 1].tolist())
+    sizes = {int(i): float(s) for i, s in zip(rough.ids[::-1], rough.sizes_m[::-1], strict=True)}
+    of_map = [
+        Placed(id=int(i), center_ned_m=p.center_ned_m, r_ned_from_marker=p.r_ned_from_marker, size_m=p.size_m)
+        for i, p in zip(rough.ids, placed_markers(rough), strict=True)
+    ]
+    seeds, start = _seeds(views, rough, fixed, unique), None
+    if not seeds:
+        found = recognise(camera, views, of_map, sizes, rough.level)
+        if found is None:
+            raise ConfigError(
+                "all ids of the rough map are there several times and no view fits it anywhere; give a better map or"
+                " fix two markers that one view shows"
+            )
+        start, seeds = found[0], [found[1]]
+    first = [replace(of_map[n]) for n in seeds]
+    bootstrap = tie_together(camera, views, first, sizes, rough.level, unique, start)
+    if len(bootstrap.views) < MIN_SIGHTS:
+        raise ConfigError(
+            f"only {len(bootstrap.views)} of {len(views)} views show marker {first[0].id % ID_SPAN} together with"
+            " others; fix a marker that was seen, or record views that overlap"
+        )
+    return _adjusted(camera, bootstrap, rough, fixed, list(seeds), rough_sigma)
+
+
+def _seeds(views: Sequence[View], rough: MarkerMap, fixed: IntArray, unique: set[int]) -> list[int]:
+    """Indices of the markers to start from: the fixed ones that were seen, else the one that was seen most among those
+    whose id is there once; empty if all ids are there several times."""
+    ids, times = np.unique(np.concatenate([view.ids for view in views]), return_counts=True)
+    seen = dict(zip(ids.tolist(), times.tolist(), strict=True))
+    chosen = [int(n) for n in fixed if int(rough.ids[n]) in seen]
+    if chosen:
+        return chosen
+    if len(fixed):
+        names = ", ".join(str(int(rough.ids[n]) % ID_SPAN) for n in fixed)
+        raise ConfigError(f"no view shows a fixed marker ({names}); fix one that was seen")
+    if not any(int(i) in seen for i in rough.ids):
+        raise ConfigError("no view shows a marker of the map; check dictionary and sizes")
+    options = [(seen[int(i)], -n) for n, i in enumerate(rough.ids) if int(i) in unique and int(i) in seen]
+    return [-max(options)[1]] if options else []
+
+
+def _adjusted(
+    camera: CameraModel,
+    bootstrap: Bootstrap,
+    rough: MarkerMap,
+    fixed: IntArray,
+    seeds: list[int],
+    rough_sigma: tuple[float, float],
+) -> Survey:
+    """Bundle adjustment of what hangs together, and the report."""
+    placed = bootstrap.markers
+    centers = np.array([m.center_ned_m for m in placed])
+    nominal = _match(rough, placed, centers, fixed, seeds)
+    known = nominal >= 0
+    view, marker, corners = network_indices(bootstrap)
+    network = Network(
+        camera=camera,
+        level=rough.level,
+        eyes_ned_m=np.array([v.eye_ned_m for v in bootstrap.views]),
+        r_ned_from_cam=np.array([v.r_ned_from_cam for v in bootstrap.views]),
+        centers_ned_m=centers,
+        r_ned_from_marker=np.array([m.r_ned_from_marker for m in placed]),
+        sizes_m=np.array([m.size_m for m in placed]),
+        view=view,
+        marker=marker,
+        corners_px=corners,
+        prior_centers_ned_m=centers.copy(),
+        prior_r_ned_from_marker=np.array([m.r_ned_from_marker for m in placed]),
+        prior_sigma=np.full((len(placed), 2), np.inf),
+    )
+    of_rough = placed_markers(rough)
+    for k in np.flatnonzero(known):
+        network.prior_centers_ned_m[k] = of_rough[nominal[k]].center_ned_m
+        network.prior_r_ned_from_marker[k] = of_rough[nominal[k]].r_ned_from_marker
+        network.prior_sigma[k] = rough_sigma
+    anchors = [k for k in range(len(seeds)) if len(fixed) or not math.isfinite(rough_sigma[0])]
+    network.prior_sigma[anchors] = FIXED_SIGMA
+    if rough.level and not anchors:
+        _align(network, known)
+    result = adjust(network)
+    return _report(network, result, bootstrap, rough, nominal, set(anchors))
+
+
+def _match(
+    rough: MarkerMap, placed: Sequence[Placed], centers: FloatArray, fixed: IntArray, seeds: list[int]
+) -> IntArray:
+    """Marker of the rough map (-1 none) that each placed one is: the nearest of its id, within half the ambiguity."""
+    result = np.full(len(placed), -1, dtype=np.int64)
+    result[: len(seeds)] = seeds
+    by_id: dict[int, list[int]] = {}
+    for n, i in enumerate(rough.ids.tolist()):
+        by_id.setdefault(i, []).append(n)
+    for k in range(len(seeds), len(placed)):
+        options = by_id.get(placed[k].id, [])
+        apart = [float(np.linalg.norm(rough.centers_ned_m[n] - centers[k])) for n in options]
+        if apart and min(apart) < 0.5 * AMBIGUITY_M:
+            result[k] = options[int(np.argmin(apart))]
+    return result
+
+
+def _align(network: Network, known: np.ndarray) -> None:
+    """Turn and move everything in the plane to where the rough map has it: the seed's own heading was a guess."""
+    have = network.centers_ned_m[known, 0] + 1j * network.centers_ned_m[known, 1]
+    want = network.prior_centers_ned_m[known, 0] + 1j * network.prior_centers_ned_m[known, 1]
+    if len(have) < 3:
+        return
+    turn = np.vdot(have - have.mean(), want - want.mean())
+    turn /= max(abs(turn), 1e-12)
+    shift = want.mean() - turn * have.mean()
+    r = np.array([[turn.real, -turn.imag, 0.0], [turn.imag, turn.real, 0.0], [0.0, 0.0, 1.0]])
+    move = np.array([shift.real, shift.imag, 0.0])
+    network.eyes_ned_m = network.eyes_ned_m @ r.T + move
+    network.centers_ned_m = network.centers_ned_m @ r.T + move
+    network.r_ned_from_cam = r @ network.r_ned_from_cam
+    network.r_ned_from_marker = r @ network.r_ned_from_marker
+
+
+def _report(
+    network: Network, result: Adjusted, bootstrap: Bootstrap, rough: MarkerMap, nominal: IntArray, anchors: set[int]
+) -> Survey:
+    placed = bootstrap.markers
+    trust = result.weight.mean(axis=1) >= BELIEVED
+    sights = np.bincount(network.marker[trust], minlength=len(placed))
+    square = np.where(trust, (result.residual_px**2).mean(axis=(1, 2)), 0.0)
+    rms = np.sqrt(np.bincount(network.marker, square, len(placed)) / np.maximum(sights, 1))
+    rows, kept = [], []
+    for k in sorted(
+        _without_conflicts(network, placed, sights), key=lambda k: (int(nominal[k]) < 0, int(nominal[k]), k)
+    ):
+        kind, marker_id = divmod(placed[k].id, ID_SPAN)
+        one = PlacedMarker(
+            place="",
+            dictionary=rough.dictionaries[kind],
+            id=marker_id,
+            size_m=placed[k].size_m,
+            center_ned_m=network.centers_ned_m[k],
+            r_ned_from_marker=network.r_ned_from_marker[k],
+        )
+        kept.append(one)
+        moved = math.nan
+        if nominal[k] >= 0:
+            moved = float(np.linalg.norm(rough.centers_ned_m[nominal[k]] - network.centers_ned_m[k]))
+        rows.append(
+            SurveyedMarker(
+                id=marker_id,
+                dictionary=one.dictionary,
+                fixed=k in anchors,
+                sights=int(sights[k]),
+                rms_px=float(rms[k]),
+                sigma_m=float(result.sigma_m[k].max()),
+                sigma_yaw_rad=float(result.sigma_turn_rad[k]),
+                moved_m=moved,
+            )
+        )
+    in_map = {(row.dictionary, row.id) for row in rows}
+    unseen = [f"{m.dictionary} {m.id}" for m in placed_markers(rough) if (m.dictionary, m.id) not in in_map]
+    return Survey(
+        markers=make_map(kept, "survey"),
+        rows=rows,
+        views=len(bootstrap.views),
+        left_out_views=bootstrap.left_out,
+        unseen=unseen,
+        disbelieved=int((~trust).sum()),
+        sights=len(trust),
+        sigma_px=result.sigma_px,
+        shrink_px=network.shrink_px,
+        steps=result.steps,
+        converged=result.converged,
+    )
+
+
+def _without_conflicts(network: Network, placed: Sequence[Placed], sights: IntArray) -> list[int]:
+    """Markers seen often enough; of two in one place the one that more views show."""
+    chosen: list[int] = []
+    for k in np.argsort(-sights, kind="stable").tolist():
+        if sights[k] < MIN_SIGHTS:
+            break
+        if chosen:
+            apart = np.linalg.norm(network.centers_ned_m[chosen] - network.centers_ned_m[k], axis=1)
+            same = np.array([placed[c].id == placed[k].id for c in chosen])
+            reach = np.where(same, AMBIGUITY_M, 0.5 * (network.sizes_m[chosen] + network.sizes_m[k]))
+            if (apart < reach).any():
+                continue
+        chosen.append(k)
+    return chosen
