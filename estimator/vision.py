@@ -24,8 +24,9 @@ from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.messages import CameraFrame, MarkerSighting
 from estimator.laser_dot import find_dot
 
-HINT_MARGIN_PX = 60.0
-"""Markers so far outside of the predicted image may be in view: some centimetres and degrees of error."""
+HINT_MARGIN_PX, HINT_MARGIN_M = 60.0, 0.06
+"""Markers so far outside of the predicted image (the larger one, seen on the floor) may be in view: some centimetres
+and degrees of error. Close to the floor a centimetre is many pixels."""
 WINDOW_PX = 13
 """The one adaptive threshold window while tracking: about a quarter to a half of a marker's side."""
 ACQUIRE_WINDOWS_PX = (7, 31, 8)
@@ -102,8 +103,10 @@ class MarkerDetector:
         """Ids that can be in view, one group for each dictionary, and how long markers' sides are at least and at
         most [px]."""
         r = r_ned_from_frd(hint.rpy_rad)
-        seen = self._markers.visible(self._camera, hint.pos_ned_m, r, -HINT_MARGIN_PX)
         eye_m = float((hint.pos_ned_m + r @ self._camera.position_frd_m)[2])
+        above_m = max(self._floor_m - eye_m, 0.05)
+        margin_px = max(HINT_MARGIN_PX, HINT_MARGIN_M * self._camera.focal_water_px / above_m)
+        seen = self._markers.visible(self._camera, hint.pos_ned_m, r, -margin_px)
         height_m = np.maximum(self._markers.centers_ned_m[seen, 2] - eye_m, 0.05)
         side_px = np.maximum(self._markers.sizes_m[seen] * self._camera.focal_water_px / height_m, MIN_SIDE_PX)
         ids = self._markers.ids[seen]

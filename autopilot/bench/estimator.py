@@ -7,12 +7,12 @@ are against the plant's truth. Rows with neither are there for comparison.
 import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from autopilot.bench.estimator_figures import (
+    EstimatorBenchRow,
     Flights,
     Limit,
     Watched,
@@ -67,23 +67,6 @@ XY, Z, YAW, VELOCITY = slice(0, 2), slice(2, 3), slice(3, 4), slice(4, 7)
 
 Runs = Mapping[str, Sequence[Mapping[str, Watched]]]
 """Flight -> one entry per seed: estimator -> what it said."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EstimatorBenchRow:
-    """One figure."""
-
-    figure: str
-    measured: float
-    """Over all seeds."""
-    worst: float | None
-    """Of one seed, farthest to the side of the bar; None for figures that only exist over all seeds."""
-    unit: str
-    bar: str
-    goal: str
-    verdict: str
-    """``goal`` or ``bar`` = reached, ``missed``, empty = for comparison."""
-    seeds: int
 
 
 def _gapped(gaps_s: Sequence[tuple[float, float]], **changes: Any) -> tuple[dict[str, Any], float]:

@@ -66,6 +66,23 @@ class Limit:
         return f">= {self.low:g}" if self.high == np.inf else f"{self.low:.3g} to {self.high:.3g}"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimatorBenchRow:
+    """One figure."""
+
+    figure: str
+    measured: float
+    """Over all seeds."""
+    worst: float | None
+    """Of one seed, farthest to the side of the bar; None for figures that only exist over all seeds."""
+    unit: str
+    bar: str
+    goal: str
+    verdict: str
+    """``goal`` or ``bar`` = reached, ``missed``, empty = for comparison."""
+    seeds: int
+
+
 def verdict(measured: float, bar: Limit | None, goal: Limit | None) -> str:
     """``goal``, ``bar`` or ``missed``; empty for a figure that is only shown for comparison."""
     if goal is not None and goal.holds(measured):

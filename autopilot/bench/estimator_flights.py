@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -60,6 +60,8 @@ class FlightSpec:
     seed: int
     sensors: str = "pose"
     watchers: tuple[str, ...] = (SAME,)
+    speed: float = 0.0
+    """Simulated over real time, 0 = as fast as it goes."""
 
 
 def overlaid(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -84,6 +86,17 @@ class _OpenCore(KalmanCore):
         """As the filter."""
         self.covariance = state.p[:7, :7].copy()
         return super().variance(state, cos_yaw, sin_yaw)
+
+
+class Watching(Protocol):
+    """What flies along."""
+
+    nav: NavState | None
+    """What it says now."""
+
+    def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray, *, keep: bool) -> None:
+        """One tick; ``keep`` = record the state."""
+        ...
 
 
 class _Watcher:
@@ -140,22 +153,22 @@ def fly(spec: FlightSpec, on_tick: Callable[[Outputs, NavState | None], None] | 
     poses: dict[int, FloatArray] = {}
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "flight.mcap"
-        session = _session(spec, Path(folder), log)
+        session = open_flight(spec, Path(folder), log)
         watchers = {name: _Watcher(name, session, spec.sensors) for name in spec.watchers}
-        _watch(session, list(watchers.values()), poses, on_tick)
+        watch(session, list(watchers.values()), poses, on_tick)
         session.run()
         truth = load_flight(open_log(log)).truth
     assert truth is not None, "simulated flights have a truth"
     return {name: watcher.watched(truth, poses) for name, watcher in watchers.items()}
 
 
-def _session(spec: FlightSpec, folder: Path, log: Path) -> SitlSession:
+def open_flight(spec: FlightSpec, folder: Path, log: Path) -> SitlSession:
     """The paper's tour in the varied scenario, with a scripted operator and no sockets."""
     tables = overlaid(tomllib.loads(scenario_path(BASE).read_text(encoding="utf-8")), spec.changes)
     scenario, plan = folder / "scenario.toml", folder / "tour.plan"
     scenario.write_text(toml_text(tables), encoding="utf-8")
     write_plan(plan, paper_plan())
-    given = {"scenario": str(scenario), "speed": 0.0, "sensors": spec.sensors, "duration": spec.duration_s}
+    given = {"scenario": str(scenario), "speed": spec.speed, "sensors": spec.sensors, "duration": spec.duration_s}
     settings = gather(sitl_defaults(0), {**given, "seed": spec.seed, "plan": str(plan), "start": True}, {})
     settings.put("connect", (), "bench")
     settings.put("state_dir", str(folder), "bench")
@@ -163,9 +176,9 @@ def _session(spec: FlightSpec, folder: Path, log: Path) -> SitlSession:
     return open_sitl(settings, {})
 
 
-def _watch(
+def watch(
     session: SitlSession,
-    watchers: Sequence[_Watcher],
+    watchers: Sequence[Watching],
     poses: dict[int, FloatArray],
     on_tick: Callable[[Outputs, NavState | None], None] | None,
 ) -> None:

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.bench import estimator as bench
+from autopilot.bench import estimator_cost as cost
 from autopilot.bench.estimator import PLAN, STEADY_S, flight_specs, judged
 from autopilot.bench.estimator_figures import (
     Limit,
@@ -234,6 +235,7 @@ def test_command_prints_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
         return judged(runs)
 
     monkeypatch.setattr(bench, "bench_estimator", fake)
+    monkeypatch.setattr(cost, "bench_cost", lambda duration_s: [])
     done = CliRunner().invoke(bench_command, ["estimator", "--short"])
     assert done.exit_code == 0, done.output
     assert "NEES" in done.output
