@@ -40,6 +40,8 @@ class Conditions:
     """What each thruster gives of its thrust, in the order of the vehicle file; empty = not known."""
     thruster_problem: str = ""
     """What the thrusters that are left cannot do any more."""
+    command_delay_s: float = 0.0
+    """So late commands reach the thrusters, beyond doubt."""
 
 
 class FailsafeRules:
@@ -127,6 +129,8 @@ class FailsafeRules:
             self._thrusters_good_us = conditions.t_us
         elif conditions.t_us - self._thrusters_good_us > THRUSTER_TIMEOUT_S * 1e6:
             found[Failsafe.THRUSTER] = (conditions.thruster_problem, soft_actions[int(p["FS_THR_ACT"])])
+        if conditions.command_delay_s > p["FS_LAT_MAX"]:
+            found[Failsafe.LATENCY] = ("commands act too late", soft_actions[int(p["FS_LAT_ACT"])])
         power = conditions.power
         if power is not None and power.remaining < p["FS_BATT_LOW"]:
             text = f"battery below {100.0 * p['FS_BATT_LOW']:.0f} %"

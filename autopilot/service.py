@@ -35,6 +35,7 @@ from autopilot.core.messages import (
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.failsafes import Conditions
+from autopilot.latency import LatencyCare
 from autopilot.mavlink.api import GeoPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.thrusters import ThrusterCare
@@ -80,8 +81,8 @@ class Autopilot:
         self._tick = 0
         self._thrust_n: FloatArray = np.zeros(4)
         self._pulse_n: FloatArray = np.zeros(4)
-        self._applied_n: FloatArray = np.zeros(4)
         self._care = ThrusterCare(parts.vehicle, parts.params)
+        self._latency = LatencyCare(parts.vehicle, parts.params)
         self._aid_ratio: dict[str, float] = {}
         self._nav_errors = (0, 0, 0, 0)
         self._power: PowerSample | None = None
@@ -104,7 +105,8 @@ class Autopilot:
         parts = self._parts
         t_us = inputs.t_us
         self._note(inputs)
-        given = EstimatorInputs(thrust_n=self._applied_n, samples=parts.server.take_samples())
+        acting_n = self._latency.send(t_us, self._pulse_n)
+        given = EstimatorInputs(thrust_n=self._care.share * acting_n, samples=parts.server.take_samples())
         nav = parts.estimator.step(t_us, inputs.samples + given.samples, given.thrust_n)
         self._nav = nav
         ahrs_us, aids, shadow = parts.estimator.ahrs_us, parts.estimator.take_aids(), parts.estimator.shadow
@@ -118,7 +120,16 @@ class Autopilot:
             () if self._decision is None else self._decision.reached,
         )
         capability_n = parts.allocation.capability_n(self._supply_v())
-        thrusters = self._care.step(t_us, nav, self._pulse_n, capability_n, self._goal, armed=parts.commander.armed)
+        armed = parts.commander.armed
+        self._latency.step(t_us, nav, armed=armed)
+        thrusters = self._care.step(
+            t_us,
+            nav,
+            acting_n,
+            capability_n,
+            self._goal,
+            armed=armed and self._latency.prompt,
+        )
         decision = parts.commander.step(
             Conditions(
                 t_us=t_us,
@@ -130,6 +141,7 @@ class Autopilot:
                 nav_disagrees=shadow is not None and shadow.disagrees,
                 thruster_share=tuple(self._care.share.tolist()),
                 thruster_problem=self._care.problem,
+                command_delay_s=self._latency.delay_s,
             )
         )
         control = self._control(t_us, nav, decision)
@@ -204,9 +216,10 @@ class Autopilot:
             parts.params,
             self._thrust_limit_n(),
             self._tracks.at(t_us),
+            delay_s=None if self._latency.doubtful else self._latency.delay_s,
         )
         solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
-        self._solver_failures = 0 if solved else self._solver_failures + 1
+        self._solver_failures = 0 if solved or self._latency.doubtful else self._solver_failures + 1
         self._thrust_n, self._status = control.thrust_n, control.status
         return control
 
@@ -222,14 +235,13 @@ class Autopilot:
         thrust_n = np.zeros(MAX_THRUSTERS)
         unused = (0,) * (MAX_THRUSTERS - count)
         if not armed:
-            self._pulse_n = self._applied_n = np.zeros(count)
+            self._pulse_n = np.zeros(count)
             return ThrusterCommand(t_us=t_us, thrust_n=thrust_n, pwm_us=allocation.neutral(count) + unused)
         thrust_n[:count] = self._thrust_n
         supply_v, share = self._supply_v(), self._care.share
         pulses_us = allocation.pulses_us(self._thrust_n, supply_v, share)
         # What the pulses will give, deadband and saturation included: the estimator's model lives on it.
         self._pulse_n = allocation.thrusts_n(pulses_us, supply_v)
-        self._applied_n = share * self._pulse_n
         return ThrusterCommand(t_us=t_us, thrust_n=thrust_n, pwm_us=pulses_us + unused)
 
     def _view(self, inputs: Inputs, nav: NavState | None) -> VehicleView:

@@ -17,6 +17,10 @@ SHARE_NEWS = 0.15
 """A change of a thruster's effectiveness that is worth a message."""
 
 
+DELAY_NEWS_S = 0.25
+"""A change of the commands' delay that is worth a message."""
+
+
 class Watch:
     """Remembers how things were on the last tick and says what has changed."""
 
@@ -29,6 +33,7 @@ class Watch:
         self._unreachable = False
         self._thrusters = tuple(thruster.name for thruster in vehicle.thruster)
         self._share: dict[str, float] = {}
+        self._delay_s = 0.0
 
     def look(self, conditions: Conditions, *, armed: bool) -> list[tuple[Severity, str]]:
         """Severity and text of what is new on this tick."""
@@ -39,12 +44,23 @@ class Watch:
             texts.append(_HEALTH_TEXTS[health])
         if armed and conditions.unreachable and not self._unreachable:
             texts.append((Severity.WARNING, "No free way to the goal: holding; move the goal or open the fence"))
+        texts += self._of_commands(conditions.command_delay_s) if armed else []
         self._health, self._unreachable = health, conditions.unreachable
         texts += self._of_thrusters(conditions.thruster_share)
         if self._goals.fence is not self._fence:
             self._fence = self._goals.fence
             texts += self._of_fence(nav if armed and health is not NavHealth.INVALID else None)
         return texts
+
+    def _of_commands(self, delay_s: float) -> list[tuple[Severity, str]]:
+        """Commands that act late, or again at once."""
+        said_s = self._delay_s
+        if abs(delay_s - said_s) < DELAY_NEWS_S and not (delay_s == 0.0 != said_s):
+            return []
+        self._delay_s = delay_s
+        if delay_s == 0.0:
+            return [(Severity.NOTICE, "Commands act at once again")]
+        return [(Severity.WARNING, f"Commands act {delay_s:.1f} s late: look at tether and telemetry")]
 
     def _of_thrusters(self, shares: tuple[float, ...]) -> list[tuple[Severity, str]]:
         """A thruster that gives less than it should, or again what it should."""

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,6 +53,9 @@ LONGEST_SHIFT_S = 1.0
 
 PLAUSIBLE = 4.0
 """m/s, rad/s: no vehicle that this controller is for moves or turns faster."""
+
+BLIND_WAY_M = 0.15
+"""Way over ground that guidance asks for within the delay of late commands."""
 
 SLOWEST_CAP_M_S = 0.05
 """Margins do not lower the cap of the planar speed below this."""
@@ -146,10 +150,13 @@ class MotionController:
         params: ParamSet,
         thruster_limit_n: FloatArray | None = None,
         tracks: Sequence[ObstacleTrack] = (),
+        *,
+        delay_s: float | None = 0.0,
     ) -> ControlOutput:
         """Thrust for the next interval. ``thruster_limit_n`` (4,) lowers THR_LIMIT per thruster (derating, failure).
 
-        ``tracks`` are obstacles beside the fence, seen at or before ``t_us``.
+        ``tracks`` are obstacles beside the fence, seen at or before ``t_us``. Commands reach the thrusters ``delay_s``
+        late; None = it is in doubt whether they do at all: no thrust.
         """
         began = self._cpu_clock()
         limit_n = np.full(NU, params["THR_LIMIT"])
@@ -160,13 +167,17 @@ class MotionController:
         self._follow_lag(t_us)
         nav = self._forecast.view(nav)
         x, current = self._state(nav), nav.current_ned_m_s
-        if nav.health is NavHealth.INVALID or not math.isfinite(float(x.sum() + current.sum())):
+        if nav.health is NavHealth.INVALID or not math.isfinite(float(x.sum() + current.sum())) or delay_s is None:
             return self._neutral(t_us, nav, began)
-
-        guidance = self._guidances[int(params["MPC_COST"])]
+        if delay_s:
+            goal = replace(goal, speed_m_s=min(goal.speed_m_s, BLIND_WAY_M / delay_s))
+        self._lag.act_late(delay_s)
+        # A leg of least energy is flown at the limits, and with late commands the limits are not kept that closely.
+        guidance = self._guidances[0 if delay_s else int(params["MPC_COST"])]
         if nav.reset_count != self._reset_count or guidance is not self._guidance:
             self._reset_count, self._guidance = nav.reset_count, guidance
             guidance.reset()
+            self._lag.jumped()
         if fence is not self._told_fence:
             self._told_fence = fence
             self._forecast.within(fence)
@@ -188,7 +199,7 @@ class MotionController:
         reference = self._guidance.reference(now)
         qps = self._warm_start(now.x0, reference, elapsed_s)
         result, margin_m = self._solve(qps, now, reference, fence, limit_n)
-        thrust, fallback = self._choose(result, now, x, limit_n, elapsed_s)
+        thrust, fallback = self._choose(result, now, now.x0 if delay_s else x, limit_n, elapsed_s)
         self._command = thrust
         self._penalty.watch(result.penalty_use if result.status is SolveStatus.OK else 0.0)
         return ControlOutput(
@@ -208,7 +219,7 @@ class MotionController:
             horizon_ned_m=self.nmpc.x[:, :3].copy(),
             route_ned_m=self._guidance.ahead(np.array(nav.pos_ned_m[:2], dtype=float)),
             nominal=self.nmpc.x.copy(),
-            nominal_t_s=self._nominal_t_s,
+            nominal_t_s=self._nominal_t_s + delay_s,
             tube_m=self._tube_m.copy(),
             plan=reference.plan,
             restarted=qps > 1,

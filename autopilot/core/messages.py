@@ -458,6 +458,7 @@ class Failsafe(IntEnum):
     BATTERY = 2
     AHRS_STALE = 3
     THRUSTER = 4
+    LATENCY = 5
     NAV_CHECK = 6
 
 

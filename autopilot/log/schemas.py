@@ -140,7 +140,7 @@ uint8 state  # MISSION_STATE
 std_msgs/Header header
 uint8 armed
 uint32 custom_mode
-uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale, 4 thruster lost, 6 estimators disagree
+uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale, 4 thruster, 5 late, 6 estimators disagree
 """,
     "autopilot_msgs/LoopStats": """
 std_msgs/Header header

@@ -37,6 +37,7 @@ class Bench:
         self.unreachable = False
         self.thruster_share: tuple[float, ...] = (1.0,) * 4
         self.thruster_problem = ""
+        self.command_delay_s = 0.0
         self.texts: list[str] = []
 
     def nav(self) -> NavState | None:
@@ -70,6 +71,7 @@ class Bench:
                     unreachable=self.unreachable,
                     thruster_share=self.thruster_share,
                     thruster_problem=self.thruster_problem,
+                    command_delay_s=self.command_delay_s,
                 )
             )
             self.texts += [event.text for event in self.commander.drain_events()]
