@@ -18,7 +18,9 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.messages import CameraFrame, MarkerSighting
 from autopilot.core.vehicle import load_vehicle
 from estimator.markers_pose import MarkerSolver
+from estimator.measure_laser import MIN_SIGMA_M
 from estimator.measure_pose import PoseFix
+from estimator.measurement import CHI2_999
 from estimator.vision import Hint, MarkerDetector
 from sitl.camera import SimCamera
 from sitl.floor import Floor, build_floor
@@ -74,8 +76,11 @@ class ImageRow:
     nees: float
     """Mean squared distance of the fixes over their covariance, 4 = as sure as it should be."""
     laser_mm: float
+    """Of the ranges that meet the filter's gate."""
     laser_pct: float
-    """Share of the pictures with a range."""
+    """Share of the pictures with such a range."""
+    laser_bad_pct: float
+    """Share of the pictures with a range that does not meet it: a false dot."""
     found_pct: float
     """Share of the pictures that gave the right place without a prediction (start-up)."""
     cpu_ms: float
@@ -99,6 +104,7 @@ class _Shot:
     markers: int
     false_ids: int
     laser_error_m: float | None
+    laser_ok: bool
     found: bool
     cpu_s: float
     search_s: float
@@ -141,25 +147,30 @@ class ImageBench:
         markers = self._floor.markers
         possible = markers.ids[markers.visible(self._camera, pos, r, -FALSE_MARGIN_PX)].tolist()
         error = None if fix is None else _error(fix, pos, rpy)
+        laser = self._laser_error_m(sighting, pos, r)
         return _Shot(
             error=error,
             nees=0.0 if fix is None or error is None else float(error @ np.linalg.solve(fix.noise, error)),
             visible=len(markers.visible(self._camera, pos, r, WHOLE_MARGIN_PX)),
             markers=len(sighting.ids),
             false_ids=len(set(sighting.ids) - set(possible)),
-            laser_error_m=self._laser_error_m(sighting, pos, r),
+            laser_error_m=laser[0],
+            laser_ok=laser[1],
             found=anywhere is not None and float(np.linalg.norm(anywhere.z[:3] - pos)) < FAR_FIX_M,
             cpu_s=cpu_s,
             search_s=search_s,
         )
 
-    def _laser_error_m(self, sighting: MarkerSighting, pos_ned_m: FloatArray, r: FloatArray) -> float | None:
-        """Measured minus true range along the beam."""
+    def _laser_error_m(
+        self, sighting: MarkerSighting, pos_ned_m: FloatArray, r: FloatArray
+    ) -> tuple[float | None, bool]:
+        """Measured minus true range along the beam, and whether the filter's gate lets it in."""
         found = self._solver.laser_range(sighting)
         if found is None:
-            return None
+            return None, False
         true_m = (self._floor.depth_m - float((pos_ned_m + r @ self._laser_frd_m)[2])) / float(r[2, 2])
-        return found[0] - true_m
+        error_m = found[0] - true_m
+        return error_m, error_m**2 <= CHI2_999[1] * max(found[1], MIN_SIGMA_M) ** 2
 
 
 def bench_images(short: bool = False) -> Iterator[ImageRow]:
@@ -188,7 +199,8 @@ def _row(turbidity_1_m: float, height_m: float, shots: Sequence[_Shot], slow: fl
     fixed = [shot for shot in shots if shot.error is not None]
     errors = np.array([shot.error for shot in fixed]).reshape(-1, 4)
     good = errors[np.linalg.norm(errors[:, :3], axis=1) <= FAR_FIX_M]
-    ranges = np.array([shot.laser_error_m for shot in shots if shot.laser_error_m is not None])
+    ranges = np.array([shot.laser_error_m for shot in shots if shot.laser_ok])
+    dots = sum(shot.laser_error_m is not None for shot in shots)
     cpu_s = float(np.median([shot.cpu_s for shot in shots]))
     some = len(good) > 0
     row = ImageRow(
@@ -205,6 +217,7 @@ def _row(turbidity_1_m: float, height_m: float, shots: Sequence[_Shot], slow: fl
         nees=float(np.mean([shot.nees for shot in fixed])) if fixed else math.nan,
         laser_mm=1e3 * rms(ranges) if len(ranges) else math.nan,
         laser_pct=100.0 * len(ranges) / len(shots),
+        laser_bad_pct=100.0 * (dots - len(ranges)) / len(shots),
         found_pct=100.0 * sum(shot.found for shot in shots) / len(shots),
         cpu_ms=1e3 * cpu_s,
         search_ms=1e3 * float(np.median([shot.search_s for shot in shots])),

@@ -153,6 +153,7 @@ HEADS = {
     "false_fixes": "bad fix",
     "laser_mm": "las. mm",
     "laser_pct": "las. %",
+    "laser_bad_pct": "las. bad",
     "found_pct": "start %",
     "cpu_ms": "cpu ms",
     "search_ms": "start ms",

@@ -27,6 +27,7 @@ GOOD = ImageRow(
     nees=4.0,
     laser_mm=2.0,
     laser_pct=100.0,
+    laser_bad_pct=0.0,
     found_pct=100.0,
     cpu_ms=7.0,
     search_ms=50.0,
