@@ -15,6 +15,7 @@ from autopilot.core.messages import (
     ControlOutput,
     DepthSample,
     EnergyPlan,
+    EstimatorInputs,
     Event,
     ExternalPoseSample,
     Fallback,
@@ -283,6 +284,10 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         nav=nav_of(t_us, truth, run.nav_error_m),
         mode=ModeState(t_us=t_us, armed=True, custom_mode=1, failsafes=0),
         mavlink_tx=(MavlinkFrame(link=-1, data=heartbeat(t_us // STEP_US)),) if t_us % 1_000_000 == 0 else (),
+        estimated_from=EstimatorInputs(
+            thrust_n=thrust[:4],
+            samples=(ExternalPoseSample(t_us=t_us, pos_m=np.zeros(3), yaw_rad=0.1, covariance=None),),
+        ),
         counters=NavCounters(t_us=t_us, counts={"markers.fused": 7}) if t_us % 1_000_000 == 0 else None,
         shadow=ShadowStatus(
             t_us=t_us,
