@@ -1,15 +1,15 @@
 """Bundle adjustment: poses of markers and of the camera that explain all corners best, and how sure they are.
 
 Unknown are the camera's pose in every view, the pose of every marker (on a level floor: north, east and heading) and
-how far blur draws corners towards their markers' centres, the same for all views (see :mod:`estimator.pnp`). Minimised
-is the sum of Cauchy's loss of the reprojection errors and of the squared distances from what is known of markers
-beforehand. That knowledge also holds the whole in place: a free network has no origin, no heading, and its scale is
-only the markers' printed size. Levenberg and Marquardt's method, normal equations sparse and factorised, all
-derivatives analytic; steps at first order in small rotations, applied as rotations.
+how far blur draws corners towards their markers' centres, on the whole and in every view (motion and window differ; see
+:mod:`estimator.pnp`). Minimised is the sum of Cauchy's loss of the reprojection errors and of the squared distances
+from what is known of markers beforehand. That knowledge also holds the whole in place: a free network has no origin, no
+heading, and its scale is only the markers' printed size. Levenberg and Marquardt's method, normal equations sparse and
+factorised, all derivatives analytic; steps at first order in small rotations, applied as rotations.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -18,10 +18,17 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.markers import CORNER_SIGNS, IntArray
 
 STEPS = 40
+FIRST_DAMPING, LAST_DAMPING = 1e-10, 1e-13
+"""Shares of the diagonal that are added to it. Scale and bending of a whole floor are worth a billionth of what a
+single corner is: more damping would hold them where the first guess has them."""
 CONVERGED = 1e-7
 """Share of the cost that a step must win for another one to be tried."""
 SHRINK_PX, SHRINK_SIGMA_PX = 0.25, 0.15
-"""What is known of the corners' draw towards the centre."""
+"""What is known of the corners' draw towards the centre, on the whole,"""
+VIEW_SHRINK_SIGMA_PX = 0.1
+"""and of what a view adds to it."""
+OF_VIEW = 7
+"""Unknowns of a view: place, turn, shrink."""
 MIN_SIGMA_PX = 0.03
 LOSS_SIGMAS = 2.5
 """Residuals of more than this count less and less (Cauchy)."""
@@ -59,6 +66,16 @@ class Network:
     prior_sigma: FloatArray
     """(m, 2) and how well: places [m], angles [rad]; infinite = not at all."""
     shrink_px: float = SHRINK_PX
+    view_shrink_px: FloatArray = field(init=False)
+    """(v,) what each view adds."""
+
+    def __post_init__(self) -> None:
+        self.view_shrink_px = np.zeros(len(self.eyes_ned_m))
+
+    @property
+    def drawn_px(self) -> FloatArray:
+        """(k, 1, 1) by how much corners of the observations are drawn inwards."""
+        return (self.shrink_px + self.view_shrink_px)[self.view][:, None, None]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -82,7 +99,7 @@ class Adjusted:
 def adjust(network: Network) -> Adjusted:
     """Improve ``network`` in place. Deterministic."""
     sigma_px = max(MIN_SIGMA_PX, _robust_sigma(_residuals(network)))
-    damping, steps, converged = 1e-4, 0, False
+    damping, steps, converged = FIRST_DAMPING, 0, False
     cost, weight = _cost(network, sigma_px)
     normal, gradient = _normal_equations(network, weight, sigma_px)
     while steps < STEPS and not converged:
@@ -96,11 +113,11 @@ def adjust(network: Network) -> Adjusted:
             damping *= 10.0
             converged = damping > 1e8
             continue
-        converged = cost - new_cost < CONVERGED * cost
+        converged = cost - new_cost < CONVERGED * cost and damping <= 10.0 * LAST_DAMPING
         # The scale of the loss follows the fit, so costs before and after that cannot be compared.
         sigma_px = max(MIN_SIGMA_PX, _robust_sigma(_residuals(network)))
         cost, weight = _cost(network, sigma_px)
-        damping = max(damping / 10.0, 1e-12)
+        damping = max(damping / 10.0, LAST_DAMPING)
         normal, gradient = _normal_equations(network, weight, sigma_px)
     sigma_m, sigma_turn = _marker_sigmas(network, normal)
     return Adjusted(
@@ -133,7 +150,7 @@ def _geometry(network: Network) -> tuple[FloatArray, FloatArray, FloatArray]:
 def _residuals(network: Network) -> FloatArray:
     """(k, 4, 2) seen minus predicted pixels; large where a point is behind the camera."""
     _, _, points = _geometry(network)
-    predicted = network.camera.project(points) + network.shrink_px * _inward(network.corners_px)
+    predicted = network.camera.project(points) + network.drawn_px * _inward(network.corners_px)
     return np.nan_to_num(network.corners_px - predicted, nan=1e4)
 
 
@@ -149,7 +166,8 @@ def _cost(network: Network, sigma_px: float) -> tuple[float, FloatArray]:
     loss = limit * np.log1p(square / limit)
     off, known = _prior_errors(network)
     shrink = (network.shrink_px - SHRINK_PX) / SHRINK_SIGMA_PX
-    return float(loss.sum() + (known * off**2).sum() + shrink**2), 1.0 / (1.0 + square / limit)
+    of_views = np.square(network.view_shrink_px / VIEW_SHRINK_SIGMA_PX).sum()
+    return float(loss.sum() + (known * off**2).sum() + of_views + shrink**2), 1.0 / (1.0 + square / limit)
 
 
 def _prior_errors(network: Network) -> tuple[FloatArray, FloatArray]:
@@ -169,13 +187,14 @@ def _normal_equations(network: Network, weight: FloatArray, sigma_px: float) -> 
     offsets, arms, points = _geometry(network)
     predicted, by_cam = network.camera.linearise(points)
     inward = _inward(network.corners_px)
-    residual = network.corners_px - predicted - network.shrink_px * inward
+    residual = network.corners_px - predicted - network.drawn_px * inward
     ok = np.isfinite(residual).all(axis=2) & np.isfinite(by_cam).all(axis=(2, 3))
     root = np.where(ok, np.sqrt(weight), 0.0)[..., None] / sigma_px
     residual, by_cam = np.nan_to_num(residual) * root, np.nan_to_num(by_cam) * root[..., None]
     by_point = by_cam @ np.swapaxes(network.r_ned_from_cam[network.view], 1, 2)[:, None]
     # A view that turns by t moves points, as seen from it, by -t x arm; a turning marker moves corners by t x offset.
-    view_part = np.concatenate((-by_point, np.cross(by_point, arms[:, :, None])), axis=3)
+    shrink = inward * root
+    view_part = np.concatenate((-by_point, np.cross(by_point, arms[:, :, None]), shrink[..., None]), axis=3)
     marker_part = np.concatenate((by_point, np.cross(offsets[:, :, None], by_point)), axis=3)
     if network.level:
         marker_part = marker_part[..., [0, 1, 5]]
@@ -183,13 +202,12 @@ def _normal_equations(network: Network, weight: FloatArray, sigma_px: float) -> 
     views, markers = len(network.eyes_ned_m), len(network.sizes_m)
     k = len(network.view)
     rows = np.arange(8 * k).reshape(k, 4, 2, 1)
-    view_columns = (6 * network.view)[:, None, None, None] + np.arange(6)
-    marker_columns = (6 * views + per * network.marker)[:, None, None, None] + np.arange(per)
-    last = 6 * views + per * markers
-    shrink = inward * root
+    view_columns = (OF_VIEW * network.view)[:, None, None, None] + np.arange(OF_VIEW)
+    marker_columns = (OF_VIEW * views + per * network.marker)[:, None, None, None] + np.arange(per)
+    last = OF_VIEW * views + per * markers
     data = np.concatenate((view_part.ravel(), marker_part.ravel(), shrink.ravel()))
     where = (
-        np.concatenate((np.repeat(rows.ravel(), 6), np.repeat(rows.ravel(), per), rows.ravel())),
+        np.concatenate((np.repeat(rows.ravel(), OF_VIEW), np.repeat(rows.ravel(), per), rows.ravel())),
         np.concatenate(
             (
                 np.broadcast_to(view_columns, view_part.shape).ravel(),
@@ -202,9 +220,13 @@ def _normal_equations(network: Network, weight: FloatArray, sigma_px: float) -> 
     off, known = _prior_errors(network)
     if network.level:
         off, known = off[:, [0, 1, 5]], known[:, [0, 1, 5]]
-    information = np.concatenate((np.zeros(6 * views), known.ravel(), [1.0 / SHRINK_SIGMA_PX**2]))
+    of_view = np.zeros((views, OF_VIEW))
+    of_view[:, 6] = 1.0 / VIEW_SHRINK_SIGMA_PX**2
+    added = of_view.copy()
+    added[:, 6] = network.view_shrink_px
+    information = np.concatenate((of_view.ravel(), known.ravel(), [1.0 / SHRINK_SIGMA_PX**2]))
     gradient = jac.T @ residual.ravel()
-    gradient -= information * np.concatenate((np.zeros(6 * views), off.ravel(), [network.shrink_px - SHRINK_PX]))
+    gradient -= information * np.concatenate((added.ravel(), off.ravel(), [network.shrink_px - SHRINK_PX]))
     normal = (jac.T @ jac + sparse.diags(information)).tocsc()
     return normal, gradient
 
@@ -215,7 +237,7 @@ def _factor(normal: Any, damping: float) -> Any:
 
     # A view or marker that every observation has been taken from still needs a number on the diagonal.
     diagonal = normal.diagonal()
-    more = damping * diagonal + 1e-9
+    more = damping * diagonal + 1e-12
     return splu((normal + sparse.diags(more)).tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
 
@@ -229,7 +251,7 @@ def _marker_sigmas(network: Network, normal: Any) -> tuple[FloatArray, FloatArra
     factor = _factor(normal, 0.0)
     markers = len(network.sizes_m)
     per = 3 if network.level else 6
-    start, size = 6 * len(network.eyes_ned_m), normal.shape[0]
+    start, size = OF_VIEW * len(network.eyes_ned_m), normal.shape[0]
     wanted = np.arange(start, start + per * markers)
     variance = np.empty(len(wanted))
     for first in range(0, len(wanted), CHUNK):
@@ -243,28 +265,34 @@ def _marker_sigmas(network: Network, normal: Any) -> tuple[FloatArray, FloatArra
     return sigma[:, :3], sigma[:, 5]
 
 
-def _poses(network: Network) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
+Poses: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]
+
+
+def _poses(network: Network) -> Poses:
     return (
         network.eyes_ned_m,
         network.r_ned_from_cam,
         network.centers_ned_m,
         network.r_ned_from_marker,
+        network.view_shrink_px,
         network.shrink_px,
     )
 
 
-def _restore(network: Network, poses: tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]) -> None:
+def _restore(network: Network, poses: Poses) -> None:
     network.eyes_ned_m, network.r_ned_from_cam = poses[0], poses[1]
-    network.centers_ned_m, network.r_ned_from_marker, network.shrink_px = poses[2], poses[3], poses[4]
+    network.centers_ned_m, network.r_ned_from_marker = poses[2], poses[3]
+    network.view_shrink_px, network.shrink_px = poses[4], poses[5]
 
 
 def _apply(network: Network, step: FloatArray) -> None:
     """Move all poses by a step; new arrays, so that the old ones can be put back."""
     views = len(network.eyes_ned_m)
-    of_view = step[: 6 * views].reshape(-1, 6)
+    of_view = step[: OF_VIEW * views].reshape(-1, OF_VIEW)
     network.eyes_ned_m = network.eyes_ned_m + of_view[:, :3]
-    network.r_ned_from_cam = _turns(of_view[:, 3:]) @ network.r_ned_from_cam
-    of_marker = step[6 * views : -1].reshape(len(network.sizes_m), -1)
+    network.r_ned_from_cam = _turns(of_view[:, 3:6]) @ network.r_ned_from_cam
+    network.view_shrink_px = network.view_shrink_px + of_view[:, 6]
+    of_marker = step[OF_VIEW * views : -1].reshape(len(network.sizes_m), -1)
     move, turn = np.zeros((len(of_marker), 3)), np.zeros((len(of_marker), 3))
     if network.level:
         move[:, :2], turn[:, 2] = of_marker[:, :2], of_marker[:, 2]

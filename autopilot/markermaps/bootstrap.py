@@ -26,6 +26,8 @@ MOST_HYPOTHESES = 12
 """Markers of a view whose own poses are tried."""
 ENOUGH_SHARE = 0.6
 """No more are tried when so many of the known markers agree."""
+CERTAIN = 4
+"""So many markers that fit together are no coincidence; fewer are enough with an id that is there once."""
 MAX_PASSES = 6
 RECOGNISED_VIEWS = 24
 """Views, evenly among all, in which a rough map is looked for."""
@@ -193,8 +195,8 @@ class _World:
                 best = agree
             if len(best) >= enough:
                 break
-        # One marker alone may be another one with its id.
-        if not best or (len(best) == 1 and int(view.ids[next(iter(best))]) not in unique):
+        # Markers of repeated ids may fit somewhere else by chance: on a grid, one more for each of them in a hundred.
+        if len(best) < CERTAIN and not any(int(view.ids[k]) in unique for k in best):
             return None, {}
         pose = self._pose(view, best)
         if pose is not None:

@@ -153,7 +153,9 @@ def cost(network: Network) -> float:
     """Half the sum of squares that the normal equations are of."""
     off, known = adjustment._prior_errors(network)
     shrink = (network.shrink_px - adjustment.SHRINK_PX) / adjustment.SHRINK_SIGMA_PX
-    return 0.5 * float(np.square(adjustment._residuals(network)).sum() + (known * off**2).sum() + shrink**2)
+    added = np.square(network.view_shrink_px / adjustment.VIEW_SHRINK_SIGMA_PX).sum()
+    residuals = adjustment._residuals(network)
+    return 0.5 * float(np.square(residuals).sum() + (known * off**2).sum() + added + shrink**2)
 
 
 @pytest.mark.parametrize("level", [True, False])
@@ -162,7 +164,7 @@ def test_derivatives_of_the_adjustment(level: bool) -> None:
     network = network_of(level)
     _, gradient = adjustment._normal_equations(network, np.ones((len(network.view), 4)), 1.0)
     poses = adjustment._poses(network)
-    for k in (0, 2, 3, 5, 6, 8, len(gradient) - 2, len(gradient) - 1):
+    for k in (0, 2, 3, 5, 6, 7, 9, len(gradient) - 2, len(gradient) - 1):
         costs = []
         for sign in (1.0, -1.0):
             step = np.zeros(len(gradient))
