@@ -26,7 +26,7 @@ PANELS = (
     ("yaw_deg", "heading error, rms [deg]", True),
     ("lost_pct", "lost of the pictures with a marker [%]", False),
     ("laser_mm", "laser range, rms [mm]", True),
-    ("normal_ms", "detection, median CPU time at reference speed [ms]", False),
+    ("normal_ms", "detection at reference speed, median [ms]", False),
 )
 """Field, label, logarithmic."""
 
@@ -50,6 +50,8 @@ def draw_images(rows: Sequence[ImageRow], folder: str) -> str:
             )
         if logarithmic:
             axis.set_yscale("log")
+        else:
+            axis.set_ylim(0.0, max(10.0, *(1.1 * getattr(row, field) for row in rows)))
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
     _bars(axes)
