@@ -24,8 +24,8 @@ STEP_S = 0.01
 """Accelerations are integrated with this step."""
 ACCEL_BIAS_PRIOR_M_S2 = 0.3
 ARM_PRIOR_M = 0.5
-MAX_SIGMA_ARM_M = 0.010
-"""A component that is known worse than this is not written."""
+MAX_SIGMA_ARM_M = 0.005
+"""A component that is known worse than this is not written: a ruler does better."""
 MAX_SIGMA_MOUNTING_RAD = math.radians(1.0)
 ROUNDS = 5
 

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from autopilot.calibrate.pose_fit import CameraPose, fit_pose
@@ -15,8 +14,7 @@ from autopilot.core.marker_files import load_marker_map
 from autopilot.core.markers import MarkerMap
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.reader import Log, Table, open_log
-from sitl.floor import build_markers
-from sitl.scenario import Scenario
+from autopilot.replay_setup import read_markers, read_vehicle
 
 NEAREST_M = 0.4
 """A marker is taken for one no farther than this from where the logged estimate puts it: ids repeat after a metre."""
@@ -68,10 +66,9 @@ class Flight:
 def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = None) -> Flight:
     """Poses of all sightings in a log. LogError if there are too few; ConfigError for a wrong vehicle or map file.
 
-    ``vehicle``: another vehicle file than the one attached to the log; ``markers``: the marker map, needed for logs
-    that are not of the simulator."""
+    ``vehicle``: another vehicle file than the one attached to the log; ``markers``: another marker map."""
     log = open_log(path)
-    known = load_vehicle(vehicle) if vehicle is not None else attached_vehicle(log)
+    known = load_vehicle(vehicle) if vehicle is not None else read_vehicle(log)
     camera = CameraModel.of(known.camera, known.laser)
     floor = marker_map(log, markers)
     sightings = _table(log, "/in/markers", "it needs a camera: fly with --sensors camera")
@@ -106,31 +103,12 @@ def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = N
     )
 
 
-def attached_vehicle(log: Log) -> Vehicle:
-    """The vehicle file that the service flew with. LogError if it is not in the log."""
-    data = log.attachments.get("vehicle.json")
-    if data is None:
-        raise LogError(f"{log.path}: has no vehicle.json; give the vehicle file with --vehicle")
-    try:
-        return msgspec.json.decode(data, type=Vehicle)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
-        raise LogError(f"{log.path}: vehicle.json: {error}; give the vehicle file with --vehicle") from error
-
-
 def marker_map(log: Log, file: Path | None) -> MarkerMap:
-    """The markers that were flown over: a map file, else the scenario's floor. LogError if there is neither."""
-    if file is not None:
-        return load_marker_map(file)
-    data = log.attachments.get("scenario.json")
-    floor = None
-    if data is not None:
-        try:
-            floor = build_markers(msgspec.json.decode(data, type=Scenario))
-        except (msgspec.DecodeError, msgspec.ValidationError) as error:
-            raise LogError(f"{log.path}: scenario.json: {error}; give the marker map with --map") from error
-    if floor is None:
+    """The markers that were flown over: a map file, else what the service was told. LogError if there is neither."""
+    markers = load_marker_map(file) if file is not None else read_markers(log.attachments)
+    if markers is None:
         raise LogError(f"{log.path}: does not tell where the markers lie; give the marker map with --map")
-    return floor
+    return markers
 
 
 def _table(log: Log, topic: str, remedy: str) -> Table:

@@ -26,7 +26,7 @@ BASELINE_S = 0.35
 BASELINE_SLACK_S = 0.12
 SEARCH_S = 0.4
 """Lateness is looked for within this."""
-SEARCH_STEP_S = 0.005
+SEARCH_STEP_S = 0.01
 DERIVATIVE_S = 0.002
 CONVERGED = 1e-6
 ROUNDS = 8

@@ -21,7 +21,7 @@ _OUT = click.option(
 )
 _LOG = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
 _VEHICLE = click.option("--vehicle", help="Vehicle (shipped name or file) instead of the log's own.")
-_MAP = click.option("--map", "map_file", type=click.Path(path_type=Path), help="Marker map (default: the scenario's).")
+_MAP = click.option("--map", "map_file", type=click.Path(path_type=Path), help="Marker map instead of the log's own.")
 
 
 def _board_options(command: Any) -> Any:
