@@ -204,6 +204,7 @@ class Autopilot:
                 parts.controller.reset()
                 self._solver_failures, self._status = 0, None
             return None
+        nav = self._latency.believed(t_us, nav)
         if self._tick % CONTROL_EVERY_TICKS and self._goal is not None:
             between = parts.controller.tick(t_us, nav)
             self._thrust_n = self._thrust_n if between is None else between

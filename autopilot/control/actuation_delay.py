@@ -115,6 +115,11 @@ class ActuationDelay:
         """Whether thrust that should have shown has not, and it is not known yet why."""
 
     @property
+    def current_ned_m_s(self) -> FloatArray:
+        """(3,) the current as it is believed slowly: thrust that has not acted yet is not in it."""
+        return np.zeros(3) if self._current is None else self._current.copy()
+
+    @property
     def shortest_s(self) -> float:
         """The shortest delay that fits what has been seen: grows while a response is waited for."""
         return float(self.delays_s[int(np.argmax(self._evidence > -self._tuning.fits))])
