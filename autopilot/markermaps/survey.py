@@ -108,8 +108,8 @@ def _seeds(views: Sequence[View], rough: MarkerMap, fixed: IntArray, unique: set
     ids, times = np.unique(np.concatenate([view.ids for view in views]), return_counts=True)
     seen = dict(zip(ids.tolist(), times.tolist(), strict=True))
     chosen = [int(n) for n in fixed if int(rough.ids[n]) in seen]
-    if chosen:
-        return chosen
+    if chosen:  # ids that are there several times say nothing of where a view is
+        return [n for n in chosen if int(rough.ids[n]) in unique]
     if len(fixed):
         names = ", ".join(str(int(rough.ids[n]) % ID_SPAN) for n in fixed)
         raise ConfigError(f"no view shows a fixed marker ({names}); fix one that was seen")
@@ -153,7 +153,10 @@ def _adjusted(
         network.prior_centers_ned_m[k] = of_rough[nominal[k]].center_ned_m
         network.prior_r_ned_from_marker[k] = of_rough[nominal[k]].r_ned_from_marker
         network.prior_sigma[k] = rough_sigma
-    anchors = [k for k in range(len(seeds)) if len(fixed) or not math.isfinite(rough_sigma[0])]
+    if len(fixed):
+        anchors = np.flatnonzero(np.isin(nominal, fixed)).tolist()
+    else:
+        anchors = [] if math.isfinite(rough_sigma[0]) else list(range(len(seeds)))
     network.prior_sigma[anchors] = FIXED_SIGMA
     if rough.level and not anchors:
         _align(network, known)
