@@ -20,8 +20,8 @@ from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.readiness import MarginCheck
+from autopilot.replay_setup import options_of
 from autopilot.service import Autopilot, Parts
-from estimator.options import EstimatorOptions
 from estimator.protocol import create_estimator
 from mission.geodesy import Origin
 from mission.plan_files import PlanFile
@@ -99,7 +99,7 @@ def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
             vehicle,
             setup.markers,
             floor_depth_m=setup.floor_depth_m,
-            options=EstimatorOptions(current_3d=params["EST_CURRENT_3D"] > 0.0),
+            options=options_of(params),
             shadow=params["EST_SHADOW"] > 0.0,
         ),
         controller=controller,

@@ -5,11 +5,12 @@ import math
 import numpy as np
 
 from autopilot.core.frames import rpy_from_quat
-from autopilot.core.messages import AhrsSample
+from autopilot.core.messages import AhrsSample, ImuSample
 from drivers.base import Closing
 from drivers.ig500_protocol import (
     AHRS_MASK,
     CONTINUOUS_OUTPUT,
+    RAW_MASK,
     Field,
     FrameParser,
     OutputCodec,
@@ -65,13 +66,16 @@ class DeviceClock:
 class Ig500(Closing):
     """The driver. Frames of the body: the device is mounted with its axes forward, right, down."""
 
-    def __init__(self, port: BytePort, latency_s: float, divider: int = 1) -> None:
+    def __init__(self, port: BytePort, latency_s: float, divider: int = 1, *, attitude: bool = True) -> None:
+        """``attitude`` False: ask for the raw sensors only, magnetometer included."""
         self._port = port
         self._latency_us = round(latency_s * 1e6)
         self._divider = divider
-        self._codec = OutputCodec(AHRS_MASK)
+        self._mask = AHRS_MASK if attitude else RAW_MASK
+        self._codec = OutputCodec(self._mask)
         parts = self._codec.parts
-        self._quaternion, self._gyro, self._accel = parts[Field.QUATERNION], parts[Field.GYRO], parts[Field.ACCEL]
+        self._quaternion, self._magnet = parts.get(Field.QUATERNION), parts.get(Field.MAG)
+        self._gyro, self._accel = parts[Field.GYRO], parts[Field.ACCEL]
         self._time = parts[Field.TIME_SINCE_RESET].start
         self._parser = FrameParser()
         self._clock = DeviceClock()
@@ -97,9 +101,9 @@ class Ig500(Closing):
         """Close the port; the device goes on sending to nobody."""
         self._port.close()
 
-    def poll(self, t_us: int) -> list[AhrsSample]:
+    def poll(self, t_us: int) -> list[AhrsSample | ImuSample]:
         """The samples that have arrived, stamped with their time of validity."""
-        samples = []
+        samples: list[AhrsSample | ImuSample] = []
         for arrival_us, data in self._port.read(t_us):
             for frame in self._parser.feed(data):
                 if frame.command == CONTINUOUS_OUTPUT:
@@ -115,16 +119,16 @@ class Ig500(Closing):
         return samples
 
     def _configure(self) -> None:
-        self._port.write(encode_output_mask(AHRS_MASK))
+        self._port.write(encode_output_mask(self._mask))
         self._port.write(encode_continuous_mode(self._divider))
         self.configured_count += 1
 
-    def _sample(self, arrival_us: int, data: bytes) -> AhrsSample | None:
+    def _sample(self, arrival_us: int, data: bytes) -> AhrsSample | ImuSample | None:
         numbers = self._codec.numbers(data)
         if numbers is None:
             return None
-        w, x, y, z = numbers[self._quaternion]
-        norm = math.sqrt(w * w + x * x + y * y + z * z)
+        quaternion = (1.0, 0.0, 0.0, 0.0) if self._quaternion is None else numbers[self._quaternion]
+        norm = math.sqrt(sum(part * part for part in quaternion))
         if abs(norm - 1.0) > QUATERNION_TOLERANCE:
             return None
         device_us = int(numbers[self._time]) * 1000
@@ -135,9 +139,9 @@ class Ig500(Closing):
         if t_us <= self._last_us:
             return None
         self._last_us = t_us
-        return AhrsSample(
-            t_us=t_us,
-            rpy_rad=rpy_from_quat((w / norm, x / norm, y / norm, z / norm)),
-            rate_frd_rad_s=np.array(numbers[self._gyro]),
-            accel_frd_m_s2=np.array(numbers[self._accel]),
-        )
+        rate, accel = np.array(numbers[self._gyro]), np.array(numbers[self._accel])
+        if self._magnet is not None:
+            magnet = np.array(numbers[self._magnet])
+            return ImuSample(t_us=t_us, rate_frd_rad_s=rate, accel_frd_m_s2=accel, mag_frd=magnet)
+        rpy_rad = rpy_from_quat([part / norm for part in quaternion])
+        return AhrsSample(t_us=t_us, rpy_rad=rpy_rad, rate_frd_rad_s=rate, accel_frd_m_s2=accel)

@@ -62,6 +62,9 @@ AHRS_MASK = (
 )
 """What the driver asks the device for."""
 
+RAW_MASK = Field.GYRO | Field.ACCEL | Field.MAG | Field.TIME_SINCE_RESET | Field.STATUS
+"""What it asks for when the attitude is to be made on board."""
+
 _REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 
 

@@ -20,6 +20,7 @@ from autopilot.core.messages import (
     AidStatus,
     DepthSample,
     ExternalPoseSample,
+    ImuSample,
     LaserSample,
     MarkerSighting,
     NavState,
@@ -31,6 +32,7 @@ from autopilot.core.messages import (
 )
 from autopilot.core.vehicle import Vehicle
 from estimator.aiding import Aid
+from estimator.attitude import AttitudeSource
 from estimator.core import FilterCore, Innovation
 from estimator.history import History, Node, Reopening
 from estimator.inertial import AhrsDoor, AhrsMount, Inertial, Mode, level, made_up, step_between
@@ -95,6 +97,7 @@ class Engine:
         self._sources = Sources(vehicle, solver, floor_depth_m)
         self._intake = Intake(self._sources.aid_of)
         self._door = AhrsDoor()
+        self._attitude = AttitudeSource()
         self._mount = AhrsMount(vehicle.ahrs.position_frd_m)
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
         self._thrust = ThrustLag(vehicle.drive.time_constant_s, vehicle.drive.limit_n)
@@ -142,6 +145,7 @@ class Engine:
         """See :class:`estimator.protocol.Estimator`."""
         result = dict(self._counts)
         result.update({f"ahrs.{verdict.value}": count for verdict, count in self._door.counts.items()})
+        result["ahrs.tilt_disagreements"] = self._attitude.disagreements
         result["thrust.malformed"] = self._thrust.malformed
         for aid in self._sources.aids:
             result.update(aid.named_counts())
@@ -165,15 +169,19 @@ class Engine:
     # Samples in.
 
     def _take_in(self, samples: Sequence[Sample]) -> None:
-        ahrs = [s for s in samples if isinstance(s, AhrsSample)]
-        if len(ahrs) > 1:
-            ahrs.sort(key=lambda s: s.t_us)
-        for sample in ahrs:
+        inertial_samples = [s for s in samples if isinstance(s, AhrsSample | ImuSample)]
+        if len(inertial_samples) > 1:
+            inertial_samples.sort(key=lambda s: s.t_us)
+        for given in inertial_samples:
+            own = isinstance(given, AhrsSample)
+            sample = given if isinstance(given, AhrsSample) else self._attitude.attitude(given)
             if self._ahrs_offset_us:
                 sample = replace(sample, t_us=sample.t_us + self._ahrs_offset_us)
             newest_us = self._recent[-1].t_us if self._recent else -1
             if self._door.let_in(sample, self._now_us, newest_us):
                 self._ahrs_us = self._now_us
+                if own:
+                    self._attitude.watch(sample)
                 sample = self._mount.at_center(sample)
                 inertial = level(sample, self._trim.at(sample))
                 self._recent.append(inertial)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from autopilot.core.frames import FloatArray, quat_from_rpy
+from autopilot.core.frames import FloatArray, quat_from_rpy, r_ned_from_frd
 from autopilot.core.vehicle import Ahrs
 from drivers.base import AlwaysOpen
 from drivers.ig500_protocol import (
@@ -31,6 +31,8 @@ from sitl.scenario import AhrsFreeze, AhrsSensor, Fault
 POWER_UP_MASK = Field.EULER | Field.GYRO | Field.ACCEL
 """What the device would send before it is told otherwise."""
 STATUS_GOOD = 0
+DIP_RAD = math.radians(55.0)
+"""Of the magnetic field below the horizontal, as in southern Europe. The field's horizontal part has size 1."""
 ACCURACY_RAD = 0.02
 """What the device says of its own attitude."""
 NOISE_NUMBERS = 16
@@ -128,12 +130,15 @@ class Ig500Emulator(AlwaysOpen):
         roll, pitch, yaw = truth.rpy_rad.tolist()
         roll += self._roll.step(noise[12])
         pitch += self._pitch.step(noise[13])
-        yaw += self._yaw.step(noise[14]) + self._yaw_offset_rad + self._field_rad(truth.pos_ned_m)
+        off = self._yaw.step(noise[14]) + self._yaw_offset_rad + self._field_rad(truth.pos_ned_m)
+        field = r_ned_from_frd(truth.rpy_rad).T @ np.array([math.cos(off), -math.sin(off), math.tan(DIP_RAD)])
+        yaw += off
         return {
             Field.QUATERNION: tuple(quat_from_rpy((roll, pitch, yaw)).tolist()),
             Field.EULER: (roll, pitch, yaw),
             Field.GYRO: tuple(felt[0:3]),
             Field.ACCEL: tuple(felt[3:6]),
+            Field.MAG: tuple(field.tolist()),
             Field.STATUS: (STATUS_GOOD,),
             Field.ATTITUDE_ACCURACY: (ACCURACY_RAD,),
         }

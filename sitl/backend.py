@@ -143,7 +143,7 @@ class SimulatedVehicle(Closing):
         """A :class:`drivers.protocols.ThrusterOutput`."""
         self._line = CommandLine(scenario.vehicle.command_latency_s, self.output.pwm_us)
         emulator = Ig500Emulator(sensors.ahrs, vehicle.ahrs, faults, seed)
-        self._ahrs = Ig500(emulator, vehicle.ahrs.latency_s)
+        self._ahrs = Ig500(emulator, vehicle.ahrs.latency_s, attitude=sensors.ahrs.attitude)
         self._power = PowerMonitor()
         self._pose: SimPoseSensor | None = None
         self._camera: CameraFeed | None = None

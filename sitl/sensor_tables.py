@@ -19,6 +19,8 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class AhrsSensor(_Table, frozen=True, kw_only=True):
     """``[sensors.ahrs]``. Defaults: an attitude reference of the SBG IG-500 class in a steel tank, all assumed."""
 
+    attitude: bool = True
+    """False: gyros, accelerometers and magnetometer only, the attitude is made on board."""
     rate_hz: Positive | None = None
     """None = as the vehicle file."""
     latency_s: NonNegative | None = None

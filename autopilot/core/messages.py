@@ -34,6 +34,19 @@ class AhrsSample:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ImuSample:
+    """One frame of a device that gives no attitude. ``t_us`` is the time of validity."""
+
+    t_us: int
+    rate_frd_rad_s: FloatArray
+    """(3,)"""
+    accel_frd_m_s2: FloatArray
+    """(3,) specific force: at rest about (0, 0, -9.81)."""
+    mag_frd: FloatArray | None = None
+    """(3,) magnetic field in any unit, None without a (new) reading."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraFrame:
     """One image. ``t_us`` is the time of exposure; pixels are BGR uint8 (rows, columns, 3)."""
 
@@ -159,6 +172,7 @@ class ObstacleTrack:
 
 Sample: TypeAlias = (
     AhrsSample
+    | ImuSample
     | MarkerSighting
     | PoseSample
     | LaserSample

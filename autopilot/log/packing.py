@@ -20,6 +20,7 @@ from autopilot.core.messages import (
     EnergyPlan,
     ExternalPoseSample,
     Goal,
+    ImuSample,
     Inputs,
     LaserSample,
     LoopStats,
@@ -94,6 +95,7 @@ _mode_state = layout("autopilot_msgs/ModeState").packer.pack
 _loop_stats = layout("autopilot_msgs/LoopStats").packer.pack
 _input_tick = layout("autopilot_msgs/InputTick").packer.pack
 _ahrs_raw = layout("autopilot_msgs/AhrsRaw").packer.pack
+_imu_raw = layout("autopilot_msgs/ImuRaw").packer.pack
 _imu = layout("sensor_msgs/Imu").packer.pack
 _pose_fix = layout("autopilot_msgs/PoseFix").packer.pack
 _obstacle_track = layout("autopilot_msgs/ObstacleTrack").packer.pack
@@ -122,6 +124,7 @@ _OF_THE_FILTER = (
     "ahrs.old",
     "ahrs.stuck",
     "ahrs.blind_steps",
+    "ahrs.tilt_disagreements",
 )
 _OF_AN_AID = ("received", "fused", "rejected", "late", "duplicate", "future", "malformed", "resets")
 """Names of counts, in the order of the fields of NavCounters."""
@@ -346,6 +349,19 @@ def ahrs_raw(stamp_ns: int, sample: AhrsSample) -> bytes:
         *sample.rpy_rad.tolist(),
         *sample.rate_frd_rad_s.tolist(),
         *sample.accel_frd_m_s2.tolist(),
+    )
+
+
+def imu_raw(stamp_ns: int, sample: ImuSample) -> bytes:
+    """ImuRaw; without a magnetometer's reading zeros with ``mag_known`` 0."""
+    return _imu_raw(
+        ENCAPSULATION,
+        *divmod(stamp_ns, _NS),
+        *_FRD,
+        *sample.rate_frd_rad_s.tolist(),
+        *sample.accel_frd_m_s2.tolist(),
+        int(sample.mag_frd is not None),
+        *((0.0, 0.0, 0.0) if sample.mag_frd is None else sample.mag_frd.tolist()),
     )
 
 

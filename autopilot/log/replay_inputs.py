@@ -13,6 +13,7 @@ from autopilot.core.messages import (
     DepthSample,
     ExternalFrame,
     ExternalPoseSample,
+    ImuSample,
     LaserSample,
     MarkerSighting,
     PoseSample,
@@ -44,6 +45,16 @@ def ahrs_sample(row: Any) -> AhrsSample:
         rpy_rad=row["rpy_rad"].copy(),
         rate_frd_rad_s=row["rate_frd_rad_s"].copy(),
         accel_frd_m_s2=row["accel_frd_m_s2"].copy(),
+    )
+
+
+def imu_sample(row: Any) -> ImuSample:
+    """From a row of ``/in/imu``."""
+    return ImuSample(
+        t_us=int(row["t_us"]),
+        rate_frd_rad_s=row["rate_frd_rad_s"].copy(),
+        accel_frd_m_s2=row["accel_frd_m_s2"].copy(),
+        mag_frd=row["mag_frd"].copy() if row["mag_known"] else None,
     )
 
 
@@ -105,6 +116,7 @@ def external_sample(row: Any) -> ExternalPoseSample:
 
 READERS: dict[str, Callable[[Any], Sample]] = {
     "/in/ahrs_raw": ahrs_sample,
+    "/in/imu": imu_sample,
     "/in/markers": marker_sighting,
     "/in/pose": pose_sample,
     "/in/laser_raw": laser_sample,

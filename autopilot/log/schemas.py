@@ -62,6 +62,7 @@ uint32 ahrs_future
 uint32 ahrs_old
 uint32 ahrs_stuck
 uint32 ahrs_blind_steps
+uint32 ahrs_tilt_disagreements
 uint32[8] received  # by sensor: 0 heading, 1 model, 2 markers, 3 external, 4 velocity, 5 depth, 6 laser
 uint32[8] fused
 uint32[8] rejected
@@ -161,6 +162,13 @@ std_msgs/Header header
 float64[3] rpy_rad
 float64[3] rate_frd_rad_s
 float64[3] accel_frd_m_s2
+""",
+    "autopilot_msgs/ImuRaw": """
+std_msgs/Header header
+float64[3] rate_frd_rad_s
+float64[3] accel_frd_m_s2
+uint8 mag_known
+float64[3] mag_frd  # any unit
 """,
     "autopilot_msgs/MarkerSighting": """
 std_msgs/Header header

@@ -15,6 +15,7 @@ from autopilot.core.messages import (
     DepthSample,
     Event,
     ExternalPoseSample,
+    ImuSample,
     Inputs,
     LaserSample,
     LoopStats,
@@ -232,6 +233,8 @@ class RunLog:
             case AhrsSample():
                 self._write("/in/ahrs_raw", t_us, packing.ahrs_raw(stamp_ns, sample))
                 self._write("/in/ahrs", t_us, packing.imu(stamp_ns, sample))
+            case ImuSample():
+                self._write("/in/imu", t_us, packing.imu_raw(stamp_ns, sample))
             case MarkerSighting():
                 self._write("/in/markers", t_us, packing.marker_sighting(stamp_ns, sample))
             case PoseSample():

@@ -29,6 +29,7 @@ TOPICS: dict[str, str] = {
     "/in/tick": "autopilot_msgs/InputTick",
     "/in/ahrs": "sensor_msgs/Imu",
     "/in/ahrs_raw": "autopilot_msgs/AhrsRaw",
+    "/in/imu": "autopilot_msgs/ImuRaw",
     "/in/camera": "sensor_msgs/CompressedImage",
     "/in/markers": "autopilot_msgs/MarkerSighting",
     "/in/pose": "autopilot_msgs/PoseFix",

@@ -20,6 +20,7 @@ from autopilot.core.messages import (
     ExternalPoseSample,
     Fallback,
     Goal,
+    ImuSample,
     Inputs,
     LaserSample,
     LoopStats,
@@ -231,9 +232,10 @@ def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
     depth = DepthSample(t_us=t_us, depth_m=0.5, sigma_m=0.003)
     velocity = VelocitySample(t_us=t_us, vel_frd_m_s=np.zeros(3), sigma_m_s=np.full(3, 0.01))
     external = ExternalPoseSample(t_us=t_us, pos_m=np.zeros(3), yaw_rad=0.1, covariance=None)
+    imu = ImuSample(t_us=t_us, rate_frd_rad_s=truth.rate_frd_rad_s, accel_frd_m_s2=np.array([0.0, 0.0, -9.81]))
     return Inputs(
         t_us=t_us,
-        samples=(ahrs, sighting, fix, laser, depth, velocity, external, track, power),
+        samples=(ahrs, imu, sighting, fix, laser, depth, velocity, external, track, power),
         mavlink_rx=(frame,),
         overruns=2,
         cpu_load=0.25,
