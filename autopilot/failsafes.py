@@ -7,8 +7,9 @@ over after the condition has gone.
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, PowerSample, Severity
+from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, Severity
 from autopilot.core.params import ParamSet
+from autopilot.core.samples import PowerSample
 
 Action: TypeAlias = Literal["hold", "surface", "disarm"]
 

@@ -7,7 +7,8 @@ plan comes while armed; readers take the last one.
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
-from autopilot.core.messages import CameraFrame, Inputs, LoopStats, Outputs
+from autopilot.core.messages import Inputs, LoopStats, Outputs
+from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
 from autopilot.log.packing import TruthLike
 from autopilot.log.session import RunLog

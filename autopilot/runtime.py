@@ -11,15 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from autopilot.core.clock import TICK_US, Clock
-from autopilot.core.messages import (
-    CameraFrame,
-    Inputs,
-    LoopStats,
-    MavlinkFrame,
-    Outputs,
-    Sample,
-    ThrusterCommand,
-)
+from autopilot.core.messages import Inputs, LoopStats, MavlinkFrame, Outputs, ThrusterCommand
+from autopilot.core.samples import CameraFrame, Sample
 from autopilot.service import Autopilot
 from autopilot.vision import VisionWorker
 from drivers.protocols import Link

@@ -26,13 +26,12 @@ from autopilot.core.messages import (
     NavCounters,
     NavState,
     NmpcStatus,
-    ObstacleTrack,
     Outputs,
-    PowerSample,
     SolveStatus,
     ThrusterCommand,
 )
 from autopilot.core.params import ParamSet
+from autopilot.core.samples import ObstacleTrack, PowerSample
 from autopilot.core.vehicle import Vehicle
 from autopilot.failsafes import Conditions
 from autopilot.latency import LatencyCare

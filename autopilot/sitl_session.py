@@ -29,8 +29,9 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.marker_files import load_marker_map, marker_file_text
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import CameraFrame, Outputs, Sample, ThrusterCommand
+from autopilot.core.messages import Outputs, ThrusterCommand
 from autopilot.core.params import ParamSet
+from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.describe import describe_run, plans_json
 from autopilot.log.description import RunDescription

@@ -11,7 +11,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from autopilot.core.messages import CameraFrame, MarkerSighting, NavHealth, NavState
+from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.samples import CameraFrame, MarkerSighting
 from estimator.frame_door import FrameDoor, FrameVerdict
 from estimator.vision import Hint
 

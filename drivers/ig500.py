@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from autopilot.core.frames import rpy_from_quat
-from autopilot.core.messages import AhrsSample, ImuSample
+from autopilot.core.samples import AhrsSample, ImuSample
 from drivers.base import Closing
 from drivers.ig500_protocol import (
     AHRS_MASK,

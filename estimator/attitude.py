@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import AhrsSample, ImuSample
+from autopilot.core.samples import AhrsSample, ImuSample
 from estimator.inertial import GRAVITY_M_S2, MAX_ACCEL_M_S2, MAX_RATE_RAD_S, cross
 
 Three = tuple[float, float, float]

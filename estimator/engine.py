@@ -15,18 +15,16 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import (
+from autopilot.core.messages import AidStatus, NavState, ShadowStatus
+from autopilot.core.samples import (
     AhrsSample,
-    AidStatus,
     DepthSample,
     ExternalPoseSample,
     ImuSample,
     LaserSample,
     MarkerSighting,
-    NavState,
     PoseSample,
     Sample,
-    ShadowStatus,
     VelocityLock,
     VelocitySample,
 )

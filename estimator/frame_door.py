@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.core.messages import CameraFrame
+from autopilot.core.samples import CameraFrame
 
 STEP_PX = 8
 """Every eighth pixel of every eighth row is looked at: 4800 of an image of 640 x 480."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import AhrsSample
+from autopilot.core.samples import AhrsSample
 
 GRAVITY_M_S2 = 9.81
 """At rest the AHRS reads (0, 0, -9.81), see AhrsSample."""

@@ -4,8 +4,8 @@ from collections import deque
 from collections.abc import Iterable
 from typing import TypeAlias
 
-from autopilot.core.messages import (
-    AID_SENSORS,
+from autopilot.core.messages import AID_SENSORS
+from autopilot.core.samples import (
     DepthSample,
     ExternalPoseSample,
     LaserSample,

@@ -13,7 +13,7 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import IntArray, MarkerMap
-from autopilot.core.messages import MarkerSighting
+from autopilot.core.samples import MarkerSighting
 from estimator.measure_pose import PoseFix
 from estimator.pnp import solve_pose
 

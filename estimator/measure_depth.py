@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import DepthSample
+from autopilot.core.samples import DepthSample
 from estimator.inertial import down_of
 from estimator.measurement import Moment
 from estimator.states import DEPTH_OFFSET, NX

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
-from autopilot.core.messages import ExternalFrame, ExternalPoseSample
+from autopilot.core.samples import ExternalFrame, ExternalPoseSample
 from estimator.inertial import Inertial
 from estimator.measure_pose import PoseFix
 

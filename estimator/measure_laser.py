@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import LaserSample
+from autopilot.core.samples import LaserSample
 from estimator.inertial import Inertial, down_of
 from estimator.measurement import Moment
 from estimator.states import LASER_BIAS, NX

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import PoseSample
+from autopilot.core.samples import PoseSample
 from estimator.measurement import Moment
 from estimator.states import GYRO_BIAS, NX, POS, VEL, YAW
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd
-from autopilot.core.messages import VelocityLock, VelocitySample
+from autopilot.core.samples import VelocityLock, VelocitySample
 from estimator.inertial import Inertial, cross
 from estimator.measurement import Moment
 from estimator.states import ACCEL_BIAS, CURRENT, CURRENT_DOWN, GYRO_BIAS, NX, VEL, YAW

@@ -11,7 +11,8 @@ from typing import Protocol
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import AidStatus, NavState, Sample, ShadowStatus
+from autopilot.core.messages import AidStatus, NavState, ShadowStatus
+from autopilot.core.samples import Sample
 from autopilot.core.vehicle import Vehicle
 from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 

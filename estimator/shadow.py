@@ -12,17 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import (
-    AhrsSample,
-    AidStatus,
-    LaserSample,
-    MarkerSighting,
-    NavHealth,
-    NavState,
-    PoseSample,
-    Sample,
-    ShadowStatus,
-)
+from autopilot.core.messages import AidStatus, NavHealth, NavState, ShadowStatus
+from autopilot.core.samples import AhrsSample, LaserSample, MarkerSighting, PoseSample, Sample
 from estimator.protocol import Estimator
 
 SIGMAS = 3.0

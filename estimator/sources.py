@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from autopilot.core.messages import (
+from autopilot.core.samples import (
     DepthSample,
     ExternalFrame,
     ExternalPoseSample,

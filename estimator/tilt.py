@@ -7,7 +7,7 @@ degree. The difference is followed slowly and taken off the samples that come la
 
 import math
 
-from autopilot.core.messages import AhrsSample
+from autopilot.core.samples import AhrsSample
 from estimator.inertial import Inertial
 
 GAIN = 0.1

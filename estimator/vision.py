@@ -21,7 +21,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
-from autopilot.core.messages import CameraFrame, MarkerSighting
+from autopilot.core.samples import CameraFrame, MarkerSighting
 from estimator.laser_dot import find_dot
 
 HINT_MARGIN_PX, HINT_MARGIN_M = 60.0, 0.06

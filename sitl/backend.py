@@ -7,7 +7,7 @@ from typing import Literal, Protocol
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import CameraFrame, PowerSample, Sample
+from autopilot.core.samples import CameraFrame, PowerSample, Sample
 from autopilot.core.vehicle import Vehicle
 from drivers.base import AlwaysOpen, Closing
 from drivers.ig500 import Ig500

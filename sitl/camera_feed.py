@@ -6,7 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from autopilot.core.messages import CameraFrame
+from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Camera
 from drivers.base import Closing
 from sitl.camera import SimCamera

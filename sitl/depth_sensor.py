@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from autopilot.core.frames import r_ned_from_frd
-from autopilot.core.messages import DepthSample
+from autopilot.core.samples import DepthSample
 from autopilot.core.vehicle import DepthMount
 from drivers.base import AlwaysOpen
 from sitl.delayed import DelayedSamples

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from autopilot.core.frames import r_ned_from_frd
-from autopilot.core.messages import VelocityLock, VelocitySample
+from autopilot.core.samples import VelocityLock, VelocitySample
 from autopilot.core.vehicle import DvlMount
 from drivers.base import AlwaysOpen
 from sitl.delayed import DelayedSamples

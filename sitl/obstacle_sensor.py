@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from autopilot.core.messages import ObstacleTrack
+from autopilot.core.samples import ObstacleTrack
 from drivers.base import AlwaysOpen
 from sitl.moving import Motion, MovingPath
 from sitl.plant import Truth

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
-from autopilot.core.messages import LaserSample, PoseSample
+from autopilot.core.samples import LaserSample, PoseSample
 from autopilot.core.vehicle import Vehicle
 from drivers.base import AlwaysOpen
 from sitl.outages import OutageClock

@@ -9,7 +9,8 @@ from autopilot.bench.estimator_figures import EstimatorBenchRow, Limit, verdict
 from autopilot.bench.estimator_flights import FlightSpec, open_flight, watch
 from autopilot.bench.machine import slowness
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import MarkerSighting, NavState, Sample
+from autopilot.core.messages import NavState
+from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.sitl_session import SitlSession
 from estimator.protocol import create_estimator
 from sitl.floor import build_markers

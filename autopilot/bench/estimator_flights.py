@@ -16,7 +16,8 @@ import numpy as np
 from autopilot.bench.estimator_figures import Watched
 from autopilot.config import gather, sitl_defaults
 from autopilot.core.frames import FloatArray, r_ned_from_frd
-from autopilot.core.messages import AidStatus, Inputs, NavState, Outputs, PoseSample, PowerSample, Sample
+from autopilot.core.messages import AidStatus, Inputs, NavState, Outputs
+from autopilot.core.samples import PoseSample, PowerSample, Sample
 from autopilot.log.analysis import Track, load_flight, wrap
 from autopilot.log.reader import open_log
 from autopilot.sitl_session import SitlSession, open_sitl

@@ -15,7 +15,7 @@ from autopilot.bench.estimator_figures import Limit, rms
 from autopilot.bench.machine import slowness
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
-from autopilot.core.messages import CameraFrame, MarkerSighting
+from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.core.vehicle import load_vehicle
 from estimator.markers_pose import MarkerSolver
 from estimator.measure_laser import MIN_SIGMA_M

@@ -37,12 +37,12 @@ from autopilot.core.messages import (
     NavHealth,
     NavState,
     NmpcStatus,
-    ObstacleTrack,
     Severity,
     SolveStatus,
 )
 from autopilot.core.model4 import NU, NX, YAW, U, Z
 from autopilot.core.params import ParamSet
+from autopilot.core.samples import ObstacleTrack
 from autopilot.core.vehicle import Vehicle
 
 BURST_QPS = 3

@@ -16,7 +16,7 @@ from autopilot.control.chords import Movers
 from autopilot.control.features import BoolArray
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
-from autopilot.core.messages import ObstacleTrack
+from autopilot.core.samples import ObstacleTrack
 
 STANDING_M_S = 0.03
 """What is slower stands."""

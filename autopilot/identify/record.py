@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from autopilot.calibrate.flight import attached_vehicle
 from autopilot.control.allocation import Allocation
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NU
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.reader import Log, Table, open_log
+from autopilot.replay_setup import read_vehicle
 
 STEP_S = 0.05
 """Interval of the prediction: thrust is averaged over it."""
@@ -54,7 +54,7 @@ def read_windows(paths: list[Path], vehicle: Vehicle | None = None) -> tuple[Win
     parts: list[Windows] = []
     for index, path in enumerate(paths):
         log = open_log(path)
-        known = vehicle or attached_vehicle(log)
+        known = vehicle or read_vehicle(log)
         vehicle = known
         parts.append(_of_log(log, known, index))
     if vehicle is None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import (
+from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
     ExternalFrame,

@@ -9,21 +9,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from autopilot.core.errors import LogError
-from autopilot.core.messages import (
+from autopilot.core.messages import Event, Inputs, LoopStats, MavlinkFrame, NavState, Outputs
+from autopilot.core.samples import (
     AhrsSample,
     CameraFrame,
     DepthSample,
-    Event,
     ExternalPoseSample,
     ImuSample,
-    Inputs,
     LaserSample,
-    LoopStats,
     MarkerSighting,
-    MavlinkFrame,
-    NavState,
     ObstacleTrack,
-    Outputs,
     PoseSample,
     PowerSample,
     Sample,

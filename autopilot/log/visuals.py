@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from autopilot.core.frames import FloatArray, quat_from_rpy
-from autopilot.core.messages import Event, NavState, PowerSample
+from autopilot.core.messages import Event, NavState
+from autopilot.core.samples import PowerSample
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer
 from autopilot.log.schemas import layout
 

@@ -12,7 +12,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import IntArray, MarkerMap
-from autopilot.core.messages import CameraFrame
+from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.reader import Log, open_log
 from estimator.vision import MarkerDetector

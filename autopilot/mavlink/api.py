@@ -9,7 +9,8 @@ from enum import IntEnum
 from typing import Protocol
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import MissionProgress, NavState, NmpcStatus, PowerSample, ThrusterCommand
+from autopilot.core.messages import MissionProgress, NavState, NmpcStatus, ThrusterCommand
+from autopilot.core.samples import PowerSample
 
 
 class CommandResult(IntEnum):

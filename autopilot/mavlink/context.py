@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import Event, ExternalPoseSample, MavlinkFrame
+from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
+from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import VehicleCommands, VehicleView
 from autopilot.mavlink.geo import TangentPlane
 from autopilot.mavlink.profiles import Profile

@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import Event, ExternalPoseSample, MavlinkFrame, Severity
+from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
+from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, VehicleCommands, VehicleView
 from autopilot.mavlink.commands import Commands
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer

@@ -11,7 +11,8 @@ import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.frames import FloatArray, rpy_from_quat
-from autopilot.core.messages import ExternalFrame, ExternalPoseSample, Severity
+from autopilot.core.messages import Severity
+from autopilot.core.samples import ExternalFrame, ExternalPoseSample
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.wire import Message
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from autopilot.core.messages import Event, ExternalPoseSample, MavlinkFrame
+from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
+from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import FlightMode, GeoPoint, VehicleCommands, VehicleView
 from autopilot.mavlink.profiles import profile_by_name
 

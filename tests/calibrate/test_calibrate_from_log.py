@@ -14,8 +14,8 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.errors import LogError
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.markers import grid_floor
-from autopilot.core.messages import AhrsSample, MarkerSighting
 from autopilot.core.params import ParamSet
+from autopilot.core.samples import AhrsSample, MarkerSighting
 from autopilot.core.vehicle import load_vehicle
 from autopilot.log import packing
 from autopilot.log.writer import LogWriter

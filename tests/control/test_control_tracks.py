@@ -21,7 +21,8 @@ from autopilot.control.tracks import (
     movers_of,
 )
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Fallback, ObstacleTrack
+from autopilot.core.messages import Fallback
+from autopilot.core.samples import ObstacleTrack
 
 
 def track(

@@ -8,7 +8,7 @@ from autopilot.core.camera import R_FRD_FROM_CAM, CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.markers import grid_floor
-from autopilot.core.messages import MarkerSighting
+from autopilot.core.samples import MarkerSighting
 from autopilot.core.vehicle import Laser, convert, load_vehicle
 from estimator.markers_pose import MarkerSolver
 

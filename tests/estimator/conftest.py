@@ -1,9 +1,8 @@
 """What the estimator tests share: the vehicle, and both estimators by name."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
+from makers import Make
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.markers import MarkerMap, grid_floor
@@ -15,8 +14,6 @@ from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from estimator.vision import MarkerDetector
 from sitl.floor import Floor, build_floor
 from sitl.scenario import load_scenario
-
-Make = Callable[..., Engine]
 
 
 @pytest.fixture(scope="session")

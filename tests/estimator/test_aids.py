@@ -7,18 +7,16 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 import pytest
-from conftest import Make
+from makers import Make
 from truth import Faults, World, no_current, uniform_current
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
-from autopilot.core.messages import (
+from autopilot.core.messages import AidState, NavHealth, NavState
+from autopilot.core.samples import (
     AhrsSample,
-    AidState,
     DepthSample,
     ExternalFrame,
     ExternalPoseSample,
-    NavHealth,
-    NavState,
     PoseSample,
     Sample,
     VelocityLock,

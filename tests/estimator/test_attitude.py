@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Make
+from makers import Make
 from truth import Faults, World, fly, rms, uniform_current
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
-from autopilot.core.messages import AhrsSample, ImuSample, Sample
+from autopilot.core.samples import AhrsSample, ImuSample, Sample
 from estimator.attitude import APART_RAD, AttitudeFilter, AttitudeSource
 from estimator.protocol import Estimator
 

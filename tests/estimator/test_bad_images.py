@@ -6,9 +6,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from conftest import Make
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from makers import Make
 from test_markers_pose import CAMERA, sight
 from test_vision import truth_at
 from truth import Faults, World, no_current
@@ -16,7 +16,8 @@ from truth import Faults, World, no_current
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import CameraFrame, MarkerSighting, NavHealth
+from autopilot.core.messages import NavHealth
+from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.vision import VisionWorker
 from estimator.frame_door import FrameDoor, FrameVerdict
 from estimator.markers_pose import MarkerSolver

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import Make
+from makers import Make
 from truth import CurrentField, Faults, World, fly, no_current, rms, tank_jet, uniform_current
 
 from estimator.options import EstimatorOptions

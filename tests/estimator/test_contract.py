@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import Make
+from makers import Make
 from truth import Faults, Track, World, fly, no_current, rms, tank_jet, uniform_current
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.messages import AhrsSample, AidState, LaserSample, MarkerSighting, NavHealth, PoseSample, Sample
+from autopilot.core.messages import AidState, NavHealth
+from autopilot.core.samples import AhrsSample, LaserSample, MarkerSighting, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle
 from estimator.protocol import create_estimator
 

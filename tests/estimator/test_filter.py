@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from conftest import Make
 from filterpy.kalman import ExtendedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from makers import Make
 from truth import Faults, World, fly, no_current, tank_jet
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import VelocityLock
+from autopilot.core.samples import VelocityLock
 from autopilot.core.vehicle import load_vehicle
 from estimator.inertial import Inertial, Mode, Step
 from estimator.kalman import KalmanCore

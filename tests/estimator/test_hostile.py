@@ -13,15 +13,14 @@ from test_aids import depth_of, external_of, look, velocity_of
 from truth import Faults, World, uniform_current
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import (
-    AID_SENSORS,
+from autopilot.core.messages import AID_SENSORS, NavState
+from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
     ExternalFrame,
     ExternalPoseSample,
     LaserSample,
     MarkerSighting,
-    NavState,
     PoseSample,
     Sample,
     VelocityLock,

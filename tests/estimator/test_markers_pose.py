@@ -5,15 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import Make
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from makers import Make
 from truth import Faults, World, no_current, tank_jet
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import MarkerSighting, NavHealth, Sample
+from autopilot.core.messages import NavHealth
+from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from estimator.markers_pose import MarkerSolver
 from estimator.pnp import solve_pose

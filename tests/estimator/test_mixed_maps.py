@@ -13,7 +13,7 @@ from autopilot.core.flat_port import FlatPort
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.marker_files import PlacedMarker, make_map
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import MarkerSighting
+from autopilot.core.samples import MarkerSighting
 from estimator.markers_pose import MarkerSolver
 from estimator.pnp import solve_pose
 

@@ -14,7 +14,7 @@ from test_markers_pose import CAMERA
 from autopilot.core.camera import R_FRD_FROM_CAM, CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import CameraFrame, MarkerSighting
+from autopilot.core.samples import CameraFrame, MarkerSighting
 from estimator.pnp import solve_pose
 from estimator.vision import MarkerDetector
 

@@ -10,7 +10,8 @@ from truth import Faults, World, fly, tank_jet, uniform_current
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import AidStatus, LaserSample, MarkerSighting, NavState, PoseSample, Sample, ShadowStatus
+from autopilot.core.messages import AidStatus, NavState, ShadowStatus
+from autopilot.core.samples import LaserSample, MarkerSighting, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle
 from estimator import engine
 from estimator.complementary import create_complementary

@@ -11,7 +11,7 @@ from test_markers_pose import CAMERA, VEHICLE
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import CameraFrame
+from autopilot.core.samples import CameraFrame
 from estimator.laser_dot import find_dot
 from estimator.markers_pose import MarkerSolver
 from estimator.vision import Hint, MarkerDetector

@@ -14,7 +14,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from autopilot.core.errors import LogError
-from autopilot.core.messages import CameraFrame, Event, Inputs, LoopStats, MavlinkFrame
+from autopilot.core.messages import Event, Inputs, LoopStats, MavlinkFrame
+from autopilot.core.samples import CameraFrame
 from autopilot.log import packing
 from autopilot.log.compare import compare_logs
 from autopilot.log.description import from_json

@@ -15,12 +15,12 @@ from autopilot.core.messages import (
     MissionProgress,
     NavHealth,
     NavState,
-    PowerSample,
     ProgressState,
     ThrusterCommand,
 )
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection
+from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
 

@@ -8,7 +8,7 @@ import pytest
 from mavlink_harness import NAN, World
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import ExternalFrame, ExternalPoseSample
+from autopilot.core.samples import ExternalFrame, ExternalPoseSample
 
 TRIANGLE = [float(k + 1) for k in range(21)]
 """1 to 21: the diagonal of x, y, z, yaw is 1, 7, 12, 21."""

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from mavlink_harness import NAN, ORIGIN, World, base_view, mav, nav_state
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.messages import Event, Fallback, MavlinkFrame, NavHealth, NmpcStatus, PowerSample, SolveStatus
+from autopilot.core.messages import Event, Fallback, MavlinkFrame, NavHealth, NmpcStatus, SolveStatus
 from autopilot.core.params import ParamSet
+from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import FlightMode, GeoPoint
 from autopilot.mavlink.geo import TangentPlane
 from autopilot.mavlink.server import MavlinkServer

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 
 from autopilot.commander import Commander, Decision
-from autopilot.core.messages import NavHealth, NavState, PowerSample
+from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
+from autopilot.core.samples import PowerSample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.failsafes import Conditions
 from autopilot.mavlink.api import CommandResult

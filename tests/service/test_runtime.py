@@ -6,16 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autopilot.core.messages import (
-    CameraFrame,
-    Inputs,
-    LoopStats,
-    MavlinkFrame,
-    ModeState,
-    Outputs,
-    Sample,
-    ThrusterCommand,
-)
+from autopilot.core.messages import Inputs, LoopStats, MavlinkFrame, ModeState, Outputs, ThrusterCommand
+from autopilot.core.samples import CameraFrame, Sample
 from autopilot.runtime import LockstepClock, Runtime
 
 

@@ -7,7 +7,7 @@ import pytest
 from sensor_helpers import VEHICLE, truth_at
 
 from autopilot.core.frames import wrap_pi
-from autopilot.core.messages import AhrsSample
+from autopilot.core.samples import AhrsSample
 from drivers.ig500 import Ig500
 from drivers.ig500_protocol import ACKNOWLEDGE, CONTINUOUS_OUTPUT, FrameParser, encode_continuous_mode
 from sitl.ahrs import Ig500Emulator

@@ -10,7 +10,7 @@ import pytest
 from sensor_helpers import SCENARIO, VEHICLE, truth_at
 
 from autopilot.core.errors import ConfigError, DriverError
-from autopilot.core.messages import AhrsSample, CameraFrame, LaserSample, PoseSample, PowerSample, Sample
+from autopilot.core.samples import AhrsSample, CameraFrame, LaserSample, PoseSample, PowerSample, Sample
 from drivers.protocols import BytePort, Sensor, ThrusterOutput
 from sitl.ahrs import Ig500Emulator
 from sitl.backend import PowerMonitor, SimulatedVehicle, simulated_vehicle

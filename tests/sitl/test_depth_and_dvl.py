@@ -8,7 +8,7 @@ import pytest
 from sensor_helpers import FLOOR_M, truth_at
 
 from autopilot.core.frames import r_ned_from_frd
-from autopilot.core.messages import VelocityLock
+from autopilot.core.samples import VelocityLock
 from autopilot.core.vehicle import DepthMount, DvlMount
 from sitl.depth_sensor import SimDepthSensor
 from sitl.dvl import SimDvl

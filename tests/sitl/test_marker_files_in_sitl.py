@@ -12,7 +12,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.markers import ID_SPAN
-from autopilot.core.messages import CameraFrame
+from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Port
 from estimator.markers_pose import MarkerSolver
 from estimator.vision import Hint, MarkerDetector

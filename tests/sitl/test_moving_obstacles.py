@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.core.messages import ObstacleTrack
+from autopilot.core.samples import ObstacleTrack
 from autopilot.core.vehicle import load_vehicle
 from autopilot.log.analysis import obstacle_position
 from autopilot.log.description import Obstacle

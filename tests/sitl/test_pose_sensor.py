@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sensor_helpers import FLOOR_M, VEHICLE, height, truth_at
 
-from autopilot.core.messages import LaserSample, PoseSample
+from autopilot.core.samples import LaserSample, PoseSample
 from sitl.outages import OutageClock
 from sitl.pose_sensor import SimPoseSensor
 from sitl.scenario import CameraBlackout, LaserSensor, Outages, PoseSensor

@@ -1,0 +1,174 @@
+"""What the outside world says: samples of sensors, as drivers and the simulator deliver them.
+
+Conventions as in :mod:`autopilot.core.messages`. ``t_us`` is the time of validity.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, TypeAlias
+
+from autopilot.core.frames import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AhrsSample:
+    """One AHRS frame. ``t_us`` is the time of validity as the driver knows it (arrival minus declared latency)."""
+
+    t_us: int
+    rpy_rad: FloatArray
+    """(3,) roll, pitch, yaw (yaw magnetic, with an unknown slow offset)."""
+    rate_frd_rad_s: FloatArray
+    """(3,)"""
+    accel_frd_m_s2: FloatArray
+    """(3,) specific force: at rest about (0, 0, -9.81)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ImuSample:
+    """One frame of a device that gives no attitude. ``t_us`` is the time of validity."""
+
+    t_us: int
+    rate_frd_rad_s: FloatArray
+    """(3,)"""
+    accel_frd_m_s2: FloatArray
+    """(3,) specific force: at rest about (0, 0, -9.81)."""
+    mag_frd: FloatArray | None = None
+    """(3,) magnetic field in any unit, None without a (new) reading."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraFrame:
+    """One image. ``t_us`` is the time of exposure; pixels are BGR uint8 (rows, columns, 3)."""
+
+    t_us: int
+    image_bgr: Any
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MarkerSighting:
+    """What the vision front end found in one image. ``t_us`` is the time of exposure."""
+
+    t_us: int
+    ids: tuple[int, ...]
+    """Dictionary ids, one per marker (ids may repeat on the floor)."""
+    corners_px: FloatArray
+    """(n, 4, 2) image points in OpenCV's corner order, as seen (distorted)."""
+    laser_px: FloatArray | None
+    """(2,) the laser dot, None if not found."""
+    decode_us: int = 0
+    """Time that detection took, for the log."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PoseSample:
+    """A measured pose of the vehicle (marker-pose sensor, external vision). ``t_us`` is the time of validity."""
+
+    t_us: int
+    pos_ned_m: FloatArray
+    """(3,)"""
+    yaw_rad: float
+    sigma_pos_m: FloatArray
+    """(3,) standard deviations."""
+    sigma_yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LaserSample:
+    """Range along the laser beam to the floor (for sensors that deliver a range and not a picture)."""
+
+    t_us: int
+    range_m: float
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DepthSample:
+    """Depth by pressure. ``t_us`` is the time of validity."""
+
+    t_us: int
+    depth_m: float
+    """Of the sensor below the surface, positive down."""
+    sigma_m: float
+
+
+class VelocityLock(IntEnum):
+    """What a velocity is measured against."""
+
+    WATER = 0
+    BOTTOM = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class VelocitySample:
+    """Velocity of the sensor in the body frame (DVL). ``t_us`` is the time of validity."""
+
+    t_us: int
+    vel_frd_m_s: FloatArray
+    """(3,)"""
+    sigma_m_s: FloatArray
+    """(3,) standard deviations."""
+    lock: VelocityLock = VelocityLock.BOTTOM
+
+
+class ExternalFrame(IntEnum):
+    """Local frame of an external pose."""
+
+    NED = 0
+    """Ours: north, east, down from the local origin at the surface."""
+    FRD = 1
+    """Level, down is down, but origin and direction of its x axis are the source's own."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ExternalPoseSample:
+    """A pose from outside of the vehicle's own sensors. ``t_us`` is the time of validity."""
+
+    t_us: int
+    pos_m: FloatArray
+    """(3,) of the tracked point, in ``frame``."""
+    yaw_rad: float
+    covariance: FloatArray | None
+    """(4, 4) of position and yaw, None = the source does not know."""
+    frame: ExternalFrame = ExternalFrame.NED
+    reset_counter: int = 0
+    """Changes when the source's pose has jumped."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PowerSample:
+    """Battery terminals."""
+
+    t_us: int
+    voltage_v: float
+    current_a: float
+    energy_used_j: float
+    remaining: float
+    """0..1"""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ObstacleTrack:
+    """An obstacle that something on board or outside has seen, as an upright cylinder. ``t_us``: time of validity."""
+
+    t_us: int
+    track_id: int
+    """Same obstacle, same number."""
+    pos_ned_m: FloatArray
+    """(2,) north, east of its axis."""
+    vel_ned_m_s: FloatArray
+    """(2,) over ground; zero for one that stands."""
+    radius_m: float
+
+
+Sample: TypeAlias = (
+    AhrsSample
+    | ImuSample
+    | MarkerSighting
+    | PoseSample
+    | LaserSample
+    | DepthSample
+    | VelocitySample
+    | ExternalPoseSample
+    | PowerSample
+    | ObstacleTrack
+)

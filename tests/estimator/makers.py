@@ -1,0 +1,8 @@
+"""The type of what makes estimators in tests."""
+
+from collections.abc import Callable
+
+from estimator.engine import Engine
+
+Make = Callable[..., Engine]
+"""(options, markers) -> estimator; both may be left out."""
