@@ -30,7 +30,7 @@ def _thrust(t_s: float) -> FloatArray:
 
 
 def _fly(
-    plant: Model4, gain: FloatArray, *, seconds: float = 45.0, seed: int = 1
+    plant: Model4, gain: FloatArray, *, seconds: float = 45.0, pull_ned_n: FloatArray | None = None
 ) -> tuple[ThrusterHealth, float | None]:
     """The estimator beside a plant that thrusts with ``gain`` from FAULT_S on; when it first declared something."""
     rng = np.random.default_rng(1)
@@ -42,6 +42,11 @@ def _fly(
         thrust = _thrust(t_s)
         acting += (1.0 - math.exp(-dt / LAG_S)) * (thrust - acting)
         x = rk4(plant, x, acting * (gain if t_s >= FAULT_S else 1.0), lambda _: CURRENT, dt)
+        if pull_ned_n is not None:
+            c, s = math.cos(x[3]), math.sin(x[3])
+            north, east, down = pull_ned_n
+            pull = np.array([c * north + s * east, c * east - s * north, down])
+            x[4:7] += dt * pull / np.array(plant.mass_kg[:3])
         changed = health.step(round((tick + 1) * dt * 1e6), _nav(x, rng, tick * dt), thrust)
         if changed and first is None:
             first = t_s
@@ -100,6 +105,19 @@ def test_errors_of_mass_drag_and_thrust_are_no_loss(mass: float, drag: float, th
         allocation=tuple((thrust * a, thrust * b, thrust * c, thrust * d) for a, b, c, d in MODEL.allocation),
     )
     health, first = _fly(plant, np.ones(4))
+    assert first is None
+    assert health.found.tolist() == [1.0] * 4
+
+
+@pytest.mark.parametrize("pull_ned_n", [(1.5, 0.0, 1.2), (-1.0, 1.1, -1.2)])
+@pytest.mark.parametrize(("surge", "sway"), [(1.2, 0.8), (0.8, 1.2)])
+def test_a_tether_that_pulls_and_a_wrong_munk_moment_are_no_loss(
+    surge: float, sway: float, pull_ned_n: tuple[float, float, float]
+) -> None:
+    m11, m22, m33, m44 = MODEL.mass_kg
+    plant = replace(MODEL, mass_kg=(surge * m11, sway * m22, m33, m44))
+    pull = np.array(pull_ned_n)
+    health, first = _fly(plant, np.ones(4), pull_ned_n=pull)
     assert first is None
     assert health.found.tolist() == [1.0] * 4
 
