@@ -21,9 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.control.unexplained import push_sigma, thrustless_motion
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
-from autopilot.core.model4 import NU, Model4, body_acceleration, steady_force
+from autopilot.core.model4 import NU, Model4, steady_force
 from autopilot.core.params import ParamSet
 
 HEALTH_PARAMS = ("THR1_HEALTH", "THR2_HEALTH", "THR3_HEALTH", "THR4_HEALTH")
@@ -137,7 +138,7 @@ class ThrusterHealth:
             return False
         if self._current is None:
             self._current = nav.current_ned_m_s.copy()
-        nu, drift = self._motion(nav, self._current)
+        nu, drift = thrustless_motion(self._model, nav, self._current)
         if self._t_us is None:
             self._t_us = self._looked_us = t_us
             self._acting[:] = self._thrust[:] = thrust_n
@@ -157,7 +158,11 @@ class ThrusterHealth:
         if look_s < self._tuning.interval_s - 1e-9 or self._moving_s < 4.0 * self._tuning.filter_s:
             return False
         self._looked_us = t_us
-        self._look(min(look_s, 1.0), self._push(nav), (nu - self._nu) / self._tuning.filter_s - self._drift)
+        self._look(
+            min(look_s, 1.0),
+            push_sigma(self._model, nav, self._tuning.push, self._tuning.flow_m_s),
+            (nu - self._nu) / self._tuning.filter_s - self._drift,
+        )
         return self._declare(min(look_s, 1.0))
 
     def _forget_motion(self) -> None:
@@ -167,27 +172,6 @@ class ThrusterHealth:
         self._moving_s = 0.0
         self._acting, self._thrust = np.zeros(NU), np.zeros(NU)
         self._nu, self._drift = np.zeros(4), np.zeros(4)
-
-    def _motion(self, nav: NavState, current_ned_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Velocity over ground and yaw rate (4,), and their rate of change without thrust (4,) in that current."""
-        ground_u, ground_v, ground_w = (float(value) for value in nav.vel_frd_m_s)
-        north, east, down = (float(value) for value in current_ned_m_s)
-        c, s, r = math.cos(nav.rpy_rad[2]), math.sin(nav.rpy_rad[2]), float(nav.rate_frd_rad_s[2])
-        flow_u, flow_v = c * north + s * east, c * east - s * north
-        nu = (ground_u - flow_u, ground_v - flow_v, ground_w - down, r)
-        du, dv, dw, dr = body_acceleration(self._model, nu, (0.0,) * NU, math)
-        # A steady current turns in the body frame.
-        drift = np.array([du + r * flow_v, dv - r * flow_u, dw, dr])
-        return np.array([ground_u, ground_v, ground_w, r]), drift
-
-    def _push(self, nav: NavState) -> FloatArray:
-        """(4,) standard deviation of d at the speed of now."""
-        model, flow = self._model, self._tuning.flow_m_s
-        m11, m22, _, m44 = model.mass_kg
-        speed = np.abs(nav.vel_frd_m_s)
-        slope = [(model.linear_drag[i] + 2.0 * model.quadratic_drag[i] * speed[i]) / model.mass_kg[i] for i in range(2)]
-        munk = abs(m11 - m22) / m44 * math.hypot(speed[0], speed[1])
-        return np.hypot(self._tuning.push, np.array([slope[0], slope[1], 0.0, munk]) * flow)
 
     def _look(self, dt_s: float, push: FloatArray, residual: FloatArray) -> None:
         """Predict and update: ``residual`` (4,) is the filtered acceleration that thrust and d have to explain."""
