@@ -23,6 +23,8 @@ YAW_FLOOR_RAD = math.radians(5.0)
 """What is allowed beyond the sigmas: the observer's variances know no correlations."""
 AHRS_EVERY_US = 15_000
 """The shadow gets AHRS samples that are at least so far apart, every second one at 100 Hz: half the cost."""
+EVERY_TICKS = 2
+"""The shadow is stepped this often (with the thrust of the last tick): nobody needs its estimate in between."""
 AFTER_US = 1_000_000
 """So long the difference must be too large, or within its bounds again."""
 
@@ -46,15 +48,20 @@ class Shadowed:
         self._changed_us: int | None = None
         self._disagreements = 0
         self._ahrs_us = -AHRS_EVERY_US
+        self._waiting: list[Sample] = []
+        self._ticks = 0
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
         """See :class:`estimator.protocol.Estimator`."""
         nav = self._flown.step(t_us, samples, thrust_n)
-        rest = [sample for sample in samples if self._wanted(sample)]
-        rest += self._flown.take_made()
-        other = self._other.step(t_us, rest, thrust_n)
-        self._other.take_aids()
-        self._status = None if nav is None or other is None else self._compared(nav, other)
+        self._waiting += (sample for sample in samples if self._wanted(sample))
+        self._waiting += self._flown.take_made()
+        self._ticks += 1
+        if self._ticks % EVERY_TICKS == 0:
+            other = self._other.step(t_us, self._waiting, thrust_n)
+            self._waiting = []
+            self._other.take_aids()
+            self._status = None if nav is None or other is None else self._compared(nav, other)
         return nav
 
     def take_aids(self) -> tuple[AidStatus, ...]:
