@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.log_tlog import tlog
 from autopilot.cli.output import emit_json, make_console, print_table
 from autopilot.config import ESTIMATORS
 
@@ -22,7 +23,10 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead
 
 @click.group()
 def log() -> None:
-    """Look into a log: info, check, report, plot, replay."""
+    """Look into a log: info, check, report, plot, replay, tlog."""
+
+
+log.add_command(tlog)
 
 
 @log.command()

@@ -1,0 +1,41 @@
+"""``autopilot log tlog``: how regular the attitude in a ground station's file is."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from autopilot.cli.output import emit_json, print_table
+
+
+@click.command()
+@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+def tlog(file: Path, as_json: bool) -> None:
+    """Attitude in a .tlog of any MAVLink vehicle: rate, gaps and their causes, and what the AHRS door makes of it.
+
+    Exit codes: 0 every gap is explained by what the file shows, 1 not.
+    """
+    from autopilot.tlog_replay import replay_tlog
+
+    found = replay_tlog(file)
+    if as_json:
+        emit_json({**asdict(found), "unexplained": len(found.unexplained)})
+    else:
+        rate = 1.0 / found.median_s if found.median_s else 0.0
+        click.echo(
+            f"{found.attitudes} attitudes in {found.duration_s:.1f} s, {rate:.1f} Hz; {found.damaged} damaged pieces"
+        )
+        rows = [
+            [
+                f"{gap.at_s:.2f}",
+                f"{gap.arrival_s:.3f}",
+                f"{gap.sender_s:.3f}",
+                gap.reason(found.median_s) or "not explained",
+            ]
+            for gap in found.gaps
+        ]
+        print_table("Gaps between attitudes", ["at s", "arrival s", "sender's clock s", "cause"], rows)
+        click.echo(", ".join(f"{name} {count}" for name, count in found.counters.items()))
+    if found.unexplained:
+        raise click.exceptions.Exit(1)
