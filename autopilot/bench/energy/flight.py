@@ -233,7 +233,8 @@ def _sequence(case: Case, laps: int) -> list[tuple[int, EnergyGoal]]:
 def _goal(goal: EnergyGoal, case: Case, index: int, cruise_m_s: float) -> Goal:
     if len(case.goals) == 1:
         return _plain(goal, cruise_m_s)
-    return _plain(goal, cruise_m_s, _plain(case.goals[(index + 1) % len(case.goals)], cruise_m_s))
+    after = [_plain(case.goals[(index + k) % len(case.goals)], cruise_m_s) for k in (1, 2)]
+    return _plain(goal, cruise_m_s, replace(after[0], following=after[1]))
 
 
 def _plain(goal: EnergyGoal, cruise_m_s: float, following: Goal | None = None) -> Goal:

@@ -10,7 +10,7 @@ import numpy as np
 from autopilot.control.energy.desk import PlanningDesk
 from autopilot.control.energy.flow import Flow, FlowSamples, area_of, sample_flow
 from autopilot.control.energy.search import Plan, Request, shifted
-from autopilot.control.energy.track import Track, still
+from autopilot.control.energy.track import Track, joined, still
 from autopilot.control.grid import TimeGrid
 from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, Situation, SteadyThrust
 from autopilot.control.ocp import TERMINAL_STAGES
@@ -37,10 +37,13 @@ RETRY_STEPS = 20
 NEXT_LEG_S = 5.0
 """The next leg is planned when this one has so much left."""
 
+PASSED_S = 0.0
+"""A vehicle that far beyond the end of a trajectory has missed its goal's region and turns to the goal itself."""
+
 RUNNING_OUT_S = 20.0
 """A trajectory that does not reach its goal is continued when it has less than this left."""
 
-FOLLOWING_THRUST_WEIGHT = 1.0
+FOLLOWING_THRUST_WEIGHT = 0.2
 """Least weight on the difference to the planned thrust while a trajectory is followed: to be a little off it costs less
 than to correct it at once. (In the paper's tank 2 % of a lap against 0.02; the limits are kept by other means.)"""
 
@@ -94,9 +97,11 @@ class EnergyGuidance:
             self._hold = None
             if self._track.rest_s > 0.0:
                 weight_u = max(weight_u, FOLLOWING_THRUST_WEIGHT)
-            x, thrust = self._track.sample(self._t_s, current)
-            after = self._t_s[:-1] >= self._track.rest_s
-            thrust[after] = self._steady(x[:-1][after][:, U : R + 1])
+            then = self._next if self._track.rest_s > -PASSED_S else None
+            x, thrust = self._track.sample(self._t_s, current, then)
+            if then is None:
+                after = self._t_s[:-1] >= self._track.rest_s
+                thrust[after] = self._steady(x[:-1][after][:, U : R + 1])
         params = now.params
         q = params["MPC_Q_POS"]
         weight_x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
@@ -130,15 +135,16 @@ class EnergyGuidance:
 
     def _new_goal(self, now: Situation, key: tuple[float, ...]) -> bool:
         """Take the plan that was made ahead for this goal, or begin without one."""
-        ahead, same_fence = self._next, now.planner is self._planner
+        left, ahead, same_fence = self._track, self._next, now.planner is self._planner
         self._goal_key, self._planner = key, now.planner
         self._track = self._next = None
         self._desk.clear()
         self._asked_step = -REPLAN_STEPS
         self.unreachable = False
         if ahead is not None and same_fence and _key(ahead.goal) == key:
-            self._track = ahead
-            self._track.goal = now.goal
+            # The region is entered a little before the trajectory ends: that much of it is still flown.
+            onward = ahead.trajectory if left is None else joined(left.trajectory, left.clock_s, ahead.trajectory)
+            self._track = Track(onward, now.goal, ahead.complete)
             return False
         return True
 

@@ -28,8 +28,8 @@ SUBSTEPS = (1, 2, 4)
 LONGER, LONGER_S = 1.3, 3.0
 """A solution takes at most so many times as long as its guess, and so much more: RK4 steps must not grow unstable."""
 
-RADIUS_SHARE = 0.98
-YAW_SHARE = 0.96
+RADIUS_SHARE = 0.95
+YAW_SHARE = 0.92
 """Shares of the acceptance region that a trajectory aims at, so that it is surely reached in spite of small errors."""
 
 GATE_RADIUS_M = 0.5
@@ -49,6 +49,9 @@ KEEP_WITHIN = 1.15
 """Ways whose energy is beyond so many times the best one's are not looked at."""
 
 MAX_OTHER_WAYS = 2
+
+TIE_WITHIN, MAX_TIES = 1.15, 3
+"""Among so many trajectories within so many times the best one's cost the leg after this one decides."""
 
 BOTH_TURNS_RAD = 0.4 * math.pi
 """A turn longer than this is tried both ways round."""
@@ -119,24 +122,55 @@ class EnergyPlanner:
         best = None if to_go is None else to_go.way(start)
         if to_go is None or best is None:
             return Plan(goal=request.goal, trajectory=None, energy_j=math.inf, eta_s=math.inf, complete=False)
-        end_slope = _slope_beyond(field, request.goal)
+        beyond = _field_beyond(field, request.goal)
+        end_slope = _slope_beyond(beyond, request.goal)
         task = _Task(request, features, flow, table, to_go, end_slope, self._program, self._steady)
         warm = None if request.warm is None else task.refine(request.warm, UPDATE_ROUNDS)
         if warm is not None and warm.solved and task.energy_along(warm) < STAY_WITHIN * best.energy_j:
             return task.plan(warm)
+        candidates = self._candidates(task, field, to_go, best, features)
+        if warm is not None:
+            candidates.insert(0, warm)
+        solved = sorted((one for one in candidates if one.solved), key=lambda one: one.cost_j)
+        if not solved:
+            return task.plan(task.guesses(best)[0])
+        winner = solved[0]
+        close = [one for one in solved if one.cost_j < TIE_WITHIN * winner.cost_j][:MAX_TIES]
+        if len(close) > 1 and beyond is not None and task.complete:
+            onward = self._onward(task, close, field, beyond, features)
+            winner = close[int(np.argmin(onward))]
+        polished = task.refine(winner, POLISH_ROUNDS)
+        return task.plan(polished if polished.solved else winner)
+
+    def _candidates(
+        self, task: "_Task", field: EnergyField, to_go: EnergyToGo, best: Way, features: Features
+    ) -> list[Trajectory]:
+        """A trajectory along every way that is worth a look, for every way of turning."""
         ways = [best, *other_ways(field, to_go, best, features, MAX_OTHER_WAYS)]
-        candidates = [
+        return [
             task.refine(guess, SCREEN_ROUNDS)
             for way in ways
             if way.energy_j <= KEEP_WITHIN * best.energy_j
             for guess in task.guesses(way)
         ]
-        solved = [candidate for candidate in (warm, *candidates) if candidate is not None and candidate.solved]
-        if not solved:
-            return task.plan(task.guesses(best)[0])
-        winner = min(solved, key=lambda candidate: candidate.cost_j)
-        polished = task.refine(winner, POLISH_ROUNDS)
-        return task.plan(polished if polished.solved else winner)
+
+    def _onward(
+        self, task: "_Task", ends: Sequence[Trajectory], field: EnergyField, beyond: EnergyToGo, features: Features
+    ) -> FloatArray:
+        """(len(ends),) energy of each trajectory and of the best leg after it, inf where none was found.
+
+        Trajectories that arrive by different ways or turns differ more in what the next leg takes than in themselves.
+        """
+        totals = np.full(len(ends), np.inf)
+        for i, end in enumerate(ends):
+            way = beyond.way(end.x[-1, :2])
+            if way is None:
+                continue
+            after = task.following(end, beyond)
+            legs = [leg for leg in self._candidates(after, field, beyond, way, features) if leg.solved]
+            if legs:
+                totals[i] = end.energy_j + min(leg.cost_j for leg in legs)
+        return totals if np.isfinite(totals).any() else np.array([end.cost_j for end in ends])
 
     def _features_of(self, fence: Fence) -> Features:
         key = fence_key(fence)
@@ -153,11 +187,13 @@ class EnergyPlanner:
         return self._programs[substeps]
 
 
-def _slope_beyond(field: EnergyField, goal: Goal) -> FloatArray:
+def _field_beyond(field: EnergyField, goal: Goal) -> EnergyToGo | None:
+    """The energy to go of the leg after ``goal``."""
+    return None if goal.following is None else field.to(np.asarray(goal.following.pos_ned_m[:2], dtype=float))
+
+
+def _slope_beyond(beyond: EnergyToGo | None, goal: Goal) -> FloatArray:
     """(2,) slope [J/m] at the goal of the energy that it takes to go on from there."""
-    if goal.following is None:
-        return np.zeros(2)
-    beyond = field.to(np.asarray(goal.following.pos_ned_m[:2], dtype=float))
     if beyond is None:
         return np.zeros(2)
     return beyond.slope(np.asarray(goal.pos_ned_m[:2], dtype=float), SLOPE_REACH_M)
@@ -182,6 +218,18 @@ class _Task:
         self._to_go, self._end_slope, self._program = to_go, end_slope, program
         self._gate: FloatArray | None = None
         """(3,) where the trajectory ends when the goal is too far away."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the trajectories of the last guesses end in the goal's region."""
+        return self._gate is None
+
+    def following(self, end: Trajectory, beyond: EnergyToGo) -> "_Task":
+        """The task of the leg after this one, from where ``end`` ends."""
+        goal = self._request.goal.following
+        assert goal is not None
+        request = replace(self._request, x0=end.x[-1], goal=goal, warm=None)
+        return _Task(request, self._features, self._flow, self._table, beyond, np.zeros(2), self._program, self._steady)
 
     def guesses(self, way: Way) -> list[Trajectory]:
         """First trajectories along a way, one per way of turning: at the cheapest steady speed and its thrust."""
@@ -338,11 +386,11 @@ class _Task:
 
 
 def shifted(trajectory: Trajectory, by_s: float, x0: FloatArray) -> Trajectory:
-    """What is left of a trajectory after ``by_s``, on the same number of intervals, from the state ``x0``."""
-    n = len(trajectory.thrust_n)
+    """What is left of a trajectory after ``by_s``, on INTERVALS intervals, from the state ``x0``."""
+    n = INTERVALS
     t = np.linspace(min(by_s, 0.98 * float(trajectory.t_s[-1])), float(trajectory.t_s[-1]), n + 1)
     x = np.stack([np.interp(t, trajectory.t_s, column) for column in trajectory.x.T], axis=1)
     x[:, YAW] += unwrap_near(float(x[0, YAW]), float(x0[YAW])) - x[0, YAW]
-    index = np.clip(np.searchsorted(trajectory.t_s, 0.5 * (t[1:] + t[:-1])) - 1, 0, n - 1)
+    index = np.clip(np.searchsorted(trajectory.t_s, 0.5 * (t[1:] + t[:-1])) - 1, 0, len(trajectory.thrust_n) - 1)
     x[0] = x0
     return replace(trajectory, t_s=t - t[0], x=x, thrust_n=trajectory.thrust_n[index], solved=False)

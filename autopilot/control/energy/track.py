@@ -1,6 +1,7 @@
 """A planned trajectory as a reference: where on it the vehicle is, what comes next, what comes after its end."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,21 +68,30 @@ class Track:
         own = self.trajectory
         return np.stack([np.interp(t_s, own.t_s, column) for column in own.x.T], axis=1)
 
-    def sample(self, t_s: FloatArray, current_ned_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def sample(
+        self, t_s: FloatArray, current_ned_m_s: FloatArray, then: "Track | None" = None
+    ) -> tuple[FloatArray, FloatArray]:
         """References (N+1, 8) and mean thrust (N, 4) at times ``t_s`` (N+1,) from now.
 
-        After the end the vehicle comes to rest at the goal's centre; thrust there is zero, to be filled in by the
-        caller for the velocities of the reference.
+        After the end ``then`` is followed, which begins where this one ends. Without it the vehicle comes to rest at
+        the goal's centre; thrust there is zero, to be filled in by the caller for the velocities of the reference.
         """
         at = self.clock_s + t_s
-        own = self.trajectory
-        x = self._states(at)
-        impulse = np.stack([np.interp(at, own.t_s, column) for column in self._impulse.T], axis=1)
-        thrust = np.diff(impulse, axis=0) / np.diff(t_s)[:, None]
-        late = np.flatnonzero(at > own.t_s[-1])
-        if len(late) and self.complete:
+        end_s = float(self.trajectory.t_s[-1])
+        x, impulse = self._states(at), self._impulse_at(at)
+        late = np.flatnonzero(at > end_s)
+        if len(late) and then is not None:
+            x[late] = then._states(at[late] - end_s)
+            x[late, YAW] += unwrap_near(float(then.trajectory.x[0, YAW]), float(self.trajectory.x[-1, YAW]))
+            x[late, YAW] -= then.trajectory.x[0, YAW]
+            impulse[late] += then._impulse_at(at[late] - end_s)
+        elif len(late) and self.complete:
             self._settle(x, at, late, current_ned_m_s)
-        return x, thrust
+        return x, np.diff(impulse, axis=0) / np.diff(t_s)[:, None]
+
+    def _impulse_at(self, t_s: FloatArray) -> FloatArray:
+        """Thrust integrated (m, 4) [N s] from the beginning."""
+        return np.stack([np.interp(t_s, self.trajectory.t_s, column) for column in self._impulse.T], axis=1)
 
     def _settle(self, x: FloatArray, at: FloatArray, late: NDArray[np.intp], current_ned_m_s: FloatArray) -> None:
         """Fill the states after the end: exponentially to the goal's centre and heading."""
@@ -101,6 +111,24 @@ class Track:
         """(m, 2) what is still to come."""
         later = self.trajectory.t_s > self.clock_s
         return np.vstack([self.trajectory.x[later, :2], np.asarray(self.goal.pos_ned_m[:2], dtype=float)[None]])
+
+
+def joined(first: Trajectory, from_s: float, second: Trajectory) -> Trajectory:
+    """What is left of ``first`` after ``from_s``, and then ``second``, which begins where it ends."""
+    end_s = float(first.t_s[-1])
+    if from_s >= end_s:
+        return second
+    later = first.t_s > from_s
+    here = np.array([np.interp(from_s, first.t_s, column) for column in first.x.T])
+    onward = second.x[1:].copy()
+    turn = unwrap_near(float(second.x[0, YAW]), float(first.x[-1, YAW])) - float(second.x[0, YAW])
+    onward[:, YAW] += turn
+    return replace(
+        second,
+        t_s=np.concatenate([[0.0], first.t_s[later] - from_s, second.t_s[1:] + end_s - from_s]),
+        x=np.vstack([here, first.x[later], onward]),
+        thrust_n=np.vstack([first.thrust_n[later[1:]], second.thrust_n]),
+    )
 
 
 def still(x0: FloatArray, t_s: FloatArray, current_ned_m_s: FloatArray) -> FloatArray:
