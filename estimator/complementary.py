@@ -152,7 +152,7 @@ class ObserverCore:
 
 
 def _fix_gain(gain: FloatArray, x: FloatArray) -> FloatArray:
-    """The adaptive gain (20, 4) with the fixed rows for velocity and biases; the position's share sets their size."""
+    """The adaptive gain (21, 4) with the fixed rows for velocity and biases; the position's share sets their size."""
     c, s = np.cos(x[YAW]), np.sin(x[YAW])
     gain[VEL] = 0.0
     gain[4, 0] = gain[5, 1] = gain[6, 2] = K_VEL
@@ -166,7 +166,7 @@ def _fix_gain(gain: FloatArray, x: FloatArray) -> FloatArray:
 
 
 def _model_gain(x: FloatArray) -> FloatArray:
-    """Gain (20, 2): an acceleration that the model does not explain is water that pushes."""
+    """Gain (21, 2): an acceleration that the model does not explain is water that pushes."""
     c, s = float(np.cos(x[YAW])), float(np.sin(x[YAW]))
     gain = np.zeros((NX, 2))
     gain[CURRENT] = K_CURRENT_S * np.array([[c, -s], [s, c]])

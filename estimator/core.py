@@ -18,16 +18,16 @@ class Innovation(NamedTuple):
     test_ratio: float
     """Squared distance over its gate, > 1 = to be rejected."""
     gain: FloatArray
-    """(20, m) what a unit of residual moves."""
+    """(21, m) what a unit of residual moves."""
     spread: FloatArray
-    """(20, m) covariance between state and residual (the observer: unused)."""
+    """(21, m) covariance between state and residual (the observer: unused)."""
 
 
 class FilterCore(Protocol):
     """Pure functions of a filter state: nothing is remembered between calls, so that history can be replayed."""
 
     def start(self, x: FloatArray) -> FilterState:
-        """First state around ``x`` (20,)."""
+        """First state around ``x`` (21,)."""
         ...
 
     def predict(self, state: FilterState, step: Step) -> FilterState:

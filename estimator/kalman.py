@@ -124,7 +124,7 @@ class KalmanCore:
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """From the covariance; velocity relative to the water with its correlation between ground and current."""
         p = state.p
-        pn, pe, pd, yaw, vn, ve, vd, _, _, _, _, cn, ce, _, _, _, _, _, cd, _ = p.diagonal().tolist()
+        pn, pe, pd, yaw, vn, ve, vd, _, _, _, _, cn, ce, _, _, _, _, _, cd, _, _ = p.diagonal().tolist()
         nn = vn + cn - 2.0 * p.item(4, 11)
         ee = ve + ce - 2.0 * p.item(5, 12)
         ne = p.item(4, 5) + p.item(11, 12) - p.item(4, 12) - p.item(5, 11)

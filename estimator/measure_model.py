@@ -11,6 +11,7 @@ Roll and pitch are left out: the level frame stands for the body's planar axes. 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,7 @@ from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
 from autopilot.core.vehicle import Vehicle
 from estimator.inertial import Inertial
 from estimator.measurement import Moment
-from estimator.states import CURRENT_DOWN, DRAG_EXCESS, GYRO_BIAS, NX, YAW
+from estimator.states import CURRENT_DOWN, DRAG_EXCESS, GYRO_BIAS, NX, THRUST_EXCESS, YAW
 
 SIGMA_M_S2 = 0.06
 """Error of the modelled acceleration: tether, drag and thrust coefficients. For 50 looks per second that share it."""
@@ -70,6 +71,7 @@ class ModelAid:
         jac[0, 8] = jac[1, 9] = 1.0
         drag_u, drag_v = _drag(self.model, u, v)
         jac[0, DRAG_EXCESS], jac[1, DRAG_EXCESS] = -drag_u, -drag_v
+        jac[0, THRUST_EXCESS], jac[1, THRUST_EXCESS] = _push(self.model, moment.thrust_n)
         jac[0, 13], jac[0, 14] = k0 * c, k0 * s
         jac[1, 13], jac[1, 14] = -k1 * s, k1 * c
         if len(self.z) == 3:
@@ -90,11 +92,12 @@ def expected_acceleration(
     """Acceleration over ground forward, right, down in the level frame [m/s^2], and of the yaw rate [rad/s^2]."""
     u, v, r, c, s = _relative(x, moment)
     du, dv, dw, dr = body_acceleration(model, (u, v, x.item(6) - x.item(CURRENT_DOWN), r), moment.thrust_n, math)
-    gn, ge, excess = float(x[13]), float(x[14]), float(x[DRAG_EXCESS])
+    gn, ge, excess, more = float(x[13]), float(x[14]), float(x[DRAG_EXCESS]), float(x[THRUST_EXCESS])
     drag_u, drag_v = _drag(model, u, v)
+    push_u, push_v = _push(model, moment.thrust_n)
     return (
-        du - r * v - excess * drag_u + follow[0] * (c * gn + s * ge),
-        dv + r * u - excess * drag_v + follow[1] * (c * ge - s * gn),
+        du - r * v - excess * drag_u + more * push_u + follow[0] * (c * gn + s * ge),
+        dv + r * u - excess * drag_v + more * push_v + follow[1] * (c * ge - s * gn),
         dw,
         dr,
     )
@@ -106,6 +109,15 @@ def _drag(model: Model4, u: float, v: float) -> tuple[float, float]:
     return (
         (lin[0] + quad[0] * math.sqrt(u * u + ABS_SMOOTHING_M2_S2)) * u / model.mass_kg[0],
         (lin[1] + quad[1] * math.sqrt(v * v + ABS_SMOOTHING_M2_S2)) * v / model.mass_kg[1],
+    )
+
+
+def _push(model: Model4, thrust_n: Sequence[float]) -> tuple[float, float]:
+    """Acceleration by the model's thrust in surge and sway [m/s^2]."""
+    surge, sway = model.allocation[:2]
+    return (
+        sum(a * f for a, f in zip(surge, thrust_n, strict=True)) / model.mass_kg[0],
+        sum(a * f for a, f in zip(sway, thrust_n, strict=True)) / model.mass_kg[1],
     )
 
 

@@ -24,8 +24,8 @@ _PLACES = np.array([NX * row + column for row, column in _ENTRIES])
 
 
 def moved(x: FloatArray, step: Step) -> list[float]:
-    """State (20) after the step: the accelerometer moves the velocity, the gyro the heading."""
-    n, e, d, yaw, vn, ve, vd, bg, bx, by, bz, cn, ce, gn, ge, off, laser, drag, cd, depth = x.tolist()
+    """State (21) after the step: the accelerometer moves the velocity, the gyro the heading."""
+    n, e, d, yaw, vn, ve, vd, bg, bx, by, bz, cn, ce, gn, ge, off, laser, drag, cd, depth, thrust = x.tolist()
     dt = step.dt_s
     ax, ay, az = step.accel_level_m_s2
     c, s = math.cos(yaw), math.sin(yaw)
@@ -54,11 +54,12 @@ def moved(x: FloatArray, step: Step) -> list[float]:
         drag,
         cd,
         depth,
+        thrust,
     ]
 
 
 def fill_jacobian(jac: FloatArray, x: FloatArray, step: Step) -> None:
-    """Write d moved / dx into ``jac`` (20, 20), which must be the identity or a matrix filled by this function."""
+    """Write d moved / dx into ``jac`` (21, 21), which must be the identity or a matrix filled by this function."""
     dt = step.dt_s
     yaw = x.item(3)
     c, s = math.cos(yaw), math.sin(yaw)

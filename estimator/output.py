@@ -26,7 +26,7 @@ def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets
     inertial = node.moment.inertial
     after_s = 1e-6 * (t_us - node.t_us)
     x = node.state.x.tolist() if after_s <= 0.0 else moved(node.state.x, hold(inertial, t_us, Mode.NOMINAL))
-    n, e, d, yaw, vn, ve, vd, gyro_bias, _, _, _, cn, ce, _, _, _, _, _, cd, _ = x
+    n, e, d, yaw, vn, ve, vd, gyro_bias, _, _, _, cn, ce, _, _, _, _, _, cd, _, _ = x
     p, q, r = inertial.rate_frd_rad_s.tolist()
     roll, pitch = inertial.roll_rad + p * after_s, inertial.pitch_rad + q * after_s
     sr, cr, sp, cp, sy, cy = (

@@ -6,7 +6,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 
-NX = 20
+NX = 21
 """Number of states."""
 
 POS = slice(0, 3)
@@ -35,6 +35,8 @@ CURRENT_DOWN = 18
 """Velocity of the water, down [m/s]; held at zero unless ``EstimatorOptions.current_3d``."""
 DEPTH_OFFSET = 19
 """Depth that the pressure sensor shows minus true depth [m]: air pressure, water level, its own zero."""
+THRUST_EXCESS = 20
+"""Share by which the acceleration that a newton gives in surge and sway exceeds the model's: mass, propellers."""
 
 INITIAL_SIGMA_CURRENT_DOWN_M_S = 0.05
 """Of the vertical current at start-up, when it is a state."""
@@ -44,20 +46,21 @@ class FilterState(NamedTuple):
     """Estimate at one moment. The arrays are never changed in place, only replaced."""
 
     x: FloatArray
-    """(20,)"""
+    """(21,)"""
     p: FloatArray
-    """Covariance (20, 20) in the Kalman filter, variances (20,) in the observer."""
+    """Covariance (21, 21) in the Kalman filter, variances (21,) in the observer."""
 
 
-INITIAL_SIGMA: FloatArray = np.array(
-    [0.03, 0.03, 0.03, 0.03, 0.3, 0.3, 0.1, 0.02, 0.15, 0.15, 0.1, 0.2, 0.2, 0.05, 0.05, 0.05, 0.02, 0.15, 0.0, 0.1]
-)
-"""(20,) standard deviations at start-up: position from one fix, moderate speed, current and biases not known."""
+INITIAL_SIGMA: FloatArray = np.array([
+    0.03, 0.03, 0.03, 0.03, 0.3, 0.3, 0.1, 0.02, 0.15, 0.15, 0.1,
+    0.2, 0.2, 0.05, 0.05, 0.05, 0.02, 0.15, 0.0, 0.1, 0.1,
+])  # fmt: skip
+"""(21,) standard deviations at start-up: position from one fix, moderate speed, current and biases not known."""
 INITIAL_SIGMA.flags.writeable = False
 
 
 def initial_state(pos_ned_m: FloatArray, yaw_rad: float, heading_offset_rad: float) -> FloatArray:
-    """State (20,) of a vehicle at rest at that pose."""
+    """State (21,) of a vehicle at rest at that pose."""
     x = np.zeros(NX)
     x[POS] = pos_ned_m
     x[YAW] = yaw_rad

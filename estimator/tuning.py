@@ -16,6 +16,7 @@ from estimator.states import (
     LASER_BIAS,
     NX,
     POS,
+    THRUST_EXCESS,
     VEL,
     YAW,
 )
@@ -56,6 +57,8 @@ COAST_CURRENT_SHARE = 0.5
 """Without vision the current cannot be told from the accelerometer's bias: its states wander by this share only."""
 DRAG_WALK = 0.004
 """1/sqrt(s): drag changes over minutes."""
+THRUST_WALK = 0.002
+"""1/sqrt(s): mass and propellers change over longer still."""
 CURRENT_DOWN_WALK = 0.01
 """m/s/sqrt(s), when the vertical current is a state: half of the horizontal ones."""
 DEPTH_OFFSET_WALK = 3e-4
@@ -63,7 +66,7 @@ DEPTH_OFFSET_WALK = 3e-4
 
 
 def process_noise(mode: Mode, *, current_3d: bool = False) -> FloatArray:
-    """Covariance per second (20, 20), diagonal."""
+    """Covariance per second (21, 21), diagonal."""
     coast = 1.0 if mode in (Mode.NOMINAL, Mode.TRIMMED) else COAST_CURRENT_SHARE
     blind = mode is Mode.BLIND
     sigma = np.zeros(NX)
@@ -77,6 +80,7 @@ def process_noise(mode: Mode, *, current_3d: bool = False) -> FloatArray:
     sigma[HEADING_OFFSET] = HEADING_OFFSET_WALK
     sigma[LASER_BIAS] = LASER_BIAS_WALK
     sigma[DRAG_EXCESS] = coast * DRAG_WALK
+    sigma[THRUST_EXCESS] = coast * THRUST_WALK
     sigma[CURRENT_DOWN] = coast * CURRENT_DOWN_WALK if current_3d else 0.0
     sigma[DEPTH_OFFSET] = DEPTH_OFFSET_WALK
     return np.diag(sigma**2)

@@ -3,7 +3,8 @@
 Water that goes one way comes back another: the flow is taken as the curl of a random streamfunction (a Gaussian process
 with a squared exponential kernel), so that whatever is predicted between and beyond the places visited is free of
 divergence. A vehicle that has felt a jet expects the return flow beside it before it has been there. Far from all
-places visited the prediction falls back to a uniform flow.
+places visited the prediction falls back to a uniform flow. How much of the flow varies at all is judged by the evidence
+(marginal likelihood) of what was estimated so far.
 """
 
 import math
@@ -16,8 +17,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import NavHealth, NavState
 
-FLOW_M_S = 0.2
-"""Standard deviation of the varying part of the flow before anything is known."""
+FLOW_M_S = (0.2, 0.1, 0.03)
+"""Standard deviations of the varying part of the flow that are tried, the one before anything is known first."""
 
 CLOSED_MEAN_M_S = 0.03
 OPEN_MEAN_M_S = 0.3
@@ -31,6 +32,9 @@ LENGTH_SHARE = 0.25
 
 OPEN_LENGTH_M = 6.0
 """Without a workspace: eddies and jets that a small vehicle meets within minutes."""
+
+EVIDENCE_LEAD = 2.0
+"""Another standard deviation is taken when what was estimated is e to this many times as likely with it."""
 
 SHORTEST_M, LONGEST_M = 0.3, 50.0
 
@@ -61,6 +65,7 @@ class LearnedCurrent:
 
     def __init__(self) -> None:
         self._length_m, self._mean_m_s = OPEN_LENGTH_M, OPEN_MEAN_M_S
+        self._flow_m_s = FLOW_M_S[0]
         self._last_us: int | None = None
         self._revision = Revision()
         self._forget()
@@ -68,6 +73,7 @@ class LearnedCurrent:
     def _forget(self) -> None:
         self._cells: dict[tuple[int, int], _Cell] = {}
         self._fitted_us: int | None = None
+        self._flow_m_s = FLOW_M_S[0]
         self._places: FloatArray = np.zeros((0, 2))
         self._alpha: FloatArray = np.zeros(0)
 
@@ -130,11 +136,28 @@ class LearnedCurrent:
         weight = np.array(
             [cell.weight_s * math.exp((cell.seen_us - now_us) * 1e-6 / FORGET_S) / FULL_WEIGHT_S for cell in cells]
         )
-        noise = NOISE_M_S**2 / np.minimum(weight, 1.0)
+        noise = np.tile(NOISE_M_S**2 / np.minimum(weight, 1.0), 2)
+        seen = np.concatenate([rows[:, 2], rows[:, 3]])
         self._places = np.ascontiguousarray(rows[:, :2])
-        k = self._kernel(self._places, self._places)
-        k[np.diag_indices_from(k)] += np.tile(noise, 2)
-        self._alpha = np.linalg.solve(k, np.concatenate([rows[:, 2], rows[:, 3]]))
+        varying, mean = self._parts(self._places, self._places)
+        found = {each: self._weights(each, varying, mean, noise, seen) for each in FLOW_M_S}
+        best = max(found, key=lambda each: found[each][0])
+        if found[best][0] > found[self._flow_m_s][0] + EVIDENCE_LEAD:
+            self._flow_m_s = best
+        self._alpha = found[self._flow_m_s][1]
+
+    @staticmethod
+    def _weights(
+        flow_m_s: float, varying: FloatArray, mean: FloatArray, noise: FloatArray, seen: FloatArray
+    ) -> tuple[float, FloatArray]:
+        """Logarithm of how likely the estimates are (Rasmussen and Williams 2006, eq. 5.8), and alpha."""
+        k = varying.copy()
+        k *= flow_m_s**2
+        k += mean
+        k[np.diag_indices_from(k)] += noise
+        root = np.linalg.cholesky(k)
+        alpha: FloatArray = np.asarray(np.linalg.solve(k, seen), dtype=np.float64)
+        return float(-0.5 * seen @ alpha - np.log(root.diagonal()).sum()), alpha
 
     def _flow(self, places: FloatArray) -> FloatArray:
         """(n, 2) mean of the process at places (n, 2)."""
@@ -146,15 +169,22 @@ class LearnedCurrent:
     def _kernel(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(2 n, 2 m) covariance of north and east components at places (n, 2) and (m, 2): the curl of a streamfunction
         of variance (FLOW_M_S length)^2, plus a uniform part."""
+        varying, mean = self._parts(a, b)
+        k: FloatArray = self._flow_m_s**2 * varying + mean
+        return k
+
+    def _parts(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The covariance of a varying part of 1 m/s, and that of the uniform part."""
         n, m, scale = len(a), len(b), 1.0 / self._length_m
         dx = (a[:, 0, None] - b[None, :, 0]) * scale
         dy = (a[:, 1, None] - b[None, :, 1]) * scale
-        bell = FLOW_M_S**2 * np.exp(-0.5 * (dx * dx + dy * dy))
-        k = np.empty((2 * n, 2 * m))
-        k[:n, :m] = bell * (1.0 - dy * dy) + self._mean_m_s**2
-        k[n:, m:] = bell * (1.0 - dx * dx) + self._mean_m_s**2
-        k[:n, m:] = k[n:, :m] = bell * dx * dy
-        return k
+        bell = np.exp(-0.5 * (dx * dx + dy * dy))
+        varying, mean = np.empty((2 * n, 2 * m)), np.zeros((2 * n, 2 * m))
+        varying[:n, :m] = bell * (1.0 - dy * dy)
+        varying[n:, m:] = bell * (1.0 - dx * dx)
+        varying[:n, m:] = varying[n:, :m] = bell * dx * dy
+        mean[:n, :m] = mean[n:, m:] = self._mean_m_s**2
+        return varying, mean
 
 
 def narrowest_width_m(fence: Fence) -> float | None:

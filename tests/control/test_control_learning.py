@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.current_learning import MAX_CELLS, LearnedCurrent, narrowest_width_m
+from autopilot.control.current_learning import FLOW_M_S, MAX_CELLS, LearnedCurrent, narrowest_width_m
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import NavHealth
 from tests.control.control_loop import TANK, jet, nav_state
@@ -51,6 +51,19 @@ def test_the_flow_is_free_of_divergence(x: float, y: float) -> None:
     places = np.array([[x + h, y], [x - h, y], [x, y + h], [x, y - h]])
     flow = forecast._flow(places)
     assert abs(flow[0, 0] - flow[1, 0] + flow[2, 1] - flow[3, 1]) / (2.0 * h) < 1e-3
+
+
+def test_water_that_does_not_vary_is_expected_to_go_on_so() -> None:
+    """Tens of metres ahead the forecast is what was felt so far; a jet makes it careful again."""
+    forecast = LearnedCurrent()
+    everywhere = np.array([0.08, 0.13, 0.0])
+    for k in range(400):
+        nav = along(0.05 * k, 0.0, 0.1 * k, everywhere)
+        forecast.view(nav)
+    assert np.allclose(ask(forecast, nav, np.array([[45.0, 0.0]]))[0, :2], everywhere[:2], atol=0.01)
+    assert forecast._flow_m_s == FLOW_M_S[-1]
+    swept, _ = taught()
+    assert swept._flow_m_s > FLOW_M_S[-1]
 
 
 def test_the_estimate_rules_here_and_now() -> None:

@@ -14,7 +14,7 @@ from autopilot.control.energy.desk import ANSWER_STEPS, PlanningDesk
 from autopilot.control.energy.flow import area_of, sample_flow
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.search import EnergyPlanner, Plan, Request, shifted
-from autopilot.control.energy.track import Track
+from autopilot.control.energy.track import Track, joined
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
@@ -140,6 +140,52 @@ def test_the_clock_of_a_track_waits_for_the_vehicle_and_settles_at_the_goal() ->
     rest = shifted(trajectory, float(trajectory.t_s[10]), trajectory.x[10])
     assert np.allclose(rest.x[0], trajectory.x[10])
     assert rest.t_s[-1] == pytest.approx(trajectory.t_s[-1] - trajectory.t_s[10])
+
+
+def test_a_track_runs_on_into_the_next_one() -> None:
+    """Where one trajectory ends the next begins: no jump of the state, the same turn, the next one's thrust."""
+    first = PLANNER.plan(request(AT_A, B)).trajectory
+    assert first is not None
+    end = first.x[-1].copy()
+    end[3] += 2.0 * math.pi
+    second = PLANNER.plan(request(end, A)).trajectory
+    assert second is not None
+    track, then = Track(first, B, complete=True), Track(second, A, complete=True)
+    track.locate(first.x[-6], float(first.t_s[-6]))
+    x, thrust = track.sample(np.linspace(0.0, 3.0, 61), np.zeros(3), then)
+    assert np.abs(np.diff(x[:, :4], axis=0)).max() < 0.06
+    late = 3.0 + track.clock_s - float(first.t_s[-1])
+    k = int(np.searchsorted(second.t_s, late - 0.025)) - 1
+    assert np.allclose(thrust[-1], second.thrust_n[k], atol=1e-6)
+    whole = joined(first, float(first.t_s[40]), second)
+    assert whole.t_s[-1] == pytest.approx(float(first.t_s[-1] - first.t_s[40] + second.t_s[-1]))
+    assert len(whole.t_s) == len(whole.x) == len(whole.thrust_n) + 1
+    assert (np.diff(whole.t_s) > 0.0).all()
+    assert np.allclose(whole.x[0], first.x[40])
+    assert np.abs(np.diff(whole.x[:, 3])).max() < 0.5
+    assert np.allclose(whole.thrust_n[0], first.thrust_n[40])
+    assert joined(first, float(first.t_s[-1]) + 0.1, second) is second
+
+
+def test_the_leg_after_decides_between_ways_that_cost_about_the_same() -> None:
+    """B is reached round either side of the second cylinder for nearly the same energy; the ways back differ."""
+    x0 = np.array([-1.36, -0.5, 0.39, -0.14, -0.1, 0.11, -0.03, 0.26])
+
+    def asked(start: FloatArray, to: Goal) -> Request:
+        nav = nav_state(0, start)
+        area = area_of(TANK, np.stack([start[:2], to.pos_ned_m[:2]]))
+        return replace(request(start, to), flow=sample_flow(JET, nav, area, 0.4), radius_m=0.32)
+
+    def both_legs_j(first: Goal) -> float:
+        there = PLANNER.plan(asked(x0, first))
+        assert there.trajectory is not None
+        back = PLANNER.plan(asked(there.trajectory.x[-1], A))
+        return there.energy_j + back.energy_j
+
+    assert both_legs_j(replace(B, following=A)) < both_legs_j(B) - 5.0
+
+
+JET = MappedCurrent(PointwiseField(lambda p, _: tuple(jet(np.array(p)).tolist())))
 
 
 def test_energy_mode_rides_the_jet() -> None:

@@ -74,6 +74,17 @@ def test_wrong_drag_and_a_tether_are_borne(make_ekf: Make) -> None:
     assert rms(track.current_error()[:, :2]) < 0.08
 
 
+@pytest.mark.parametrize(("mass", "drag"), [(1.2, 1.2), (1.2, 0.8), (0.8, 0.8), (0.8, 1.2)])
+@pytest.mark.parametrize("field", [uniform_current, tank_jet], ids=["uniform", "jet"])
+def test_another_mass_and_drag_are_found_and_not_taken_for_current(
+    make_ekf: Make, field: CurrentField, mass: float, drag: float
+) -> None:
+    """As good as with the right model (11 mm/s); with the drag alone as a state it was 27 to 45 mm/s."""
+    faults = Faults(mass_factor=mass, drag_factor=drag, seed=3)
+    track = fly(make_ekf(), World(field, faults), 60.0).after(20.0)
+    assert rms(track.current_error()[:, :2]) < 0.022
+
+
 def test_magnetic_disturbance_stays_out_of_the_yaw(make_ekf: Make) -> None:
     faults = Faults(yaw_offset=math.radians(20.0), yaw_offset_swing=math.radians(10.0))
     track = fly(make_ekf(), World(tank_jet, faults), 25.0).after(5.0)

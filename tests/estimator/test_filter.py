@@ -27,7 +27,7 @@ from estimator.states import NX, YAW, FilterState
 
 VEHICLE = load_vehicle("lbv150")
 unit = st.floats(-1.0, 1.0, allow_subnormal=False)
-SCALE = np.array([2, 2, 1, 4, 0.5, 0.5, 0.2, 0.05, 0.1, 0.1, 0.1, 0.3, 0.3, 0.1, 0.1, 0.2, 0.02, 0.3, 0.1, 0.1])
+SCALE = np.array([2, 2, 1, 4, 0.5, 0.5, 0.2, 0.05, 0.1, 0.1, 0.1, 0.3, 0.3, 0.1, 0.1, 0.2, 0.02, 0.3, 0.1, 0.1, 0.3])
 
 
 @st.composite
