@@ -30,6 +30,9 @@ def _mismatch(drag: float) -> str:
 SHIPPED = _mismatch(DRAGS[0])
 """As the scenarios ship; the bench flies other drags too."""
 
+ESTIMATE = 'currents = "estimate"'
+"""As the scenarios ship; the bench flies with a map too."""
+
 
 class _Score:
     """Energy and legs from the plant's truth, from the first thrust on."""
@@ -70,12 +73,15 @@ class _Score:
             self._before_j, self._begin_s = self.spent_j, now_s
 
 
-def fly_service(case: Case, scenario: str, drag: float) -> Flight:
-    """The scenario ``scenario`` with 20 % more mass and ``drag`` times the drag."""
+def fly_service(case: Case, scenario: str, drag: float, currents: str = "estimate") -> Flight:
+    """The scenario ``scenario`` with 20 % more mass and ``drag`` times the drag.
+
+    ``currents``: what it knows of the flow, "estimate" or "map" (a map of the true flow, corrected by the estimate).
+    """
     score = _Score(case)
     with tempfile.TemporaryDirectory() as folder:
         source = scenario_path(scenario)
-        text = source.read_text().replace(SHIPPED, _mismatch(drag))
+        text = source.read_text().replace(SHIPPED, _mismatch(drag)).replace(ESTIMATE, f'currents = "{currents}"')
         for plan in (*source.parent.glob("*.plan"), *source.parent.glob("*.mission.toml")):
             (Path(folder) / plan.name).write_text(plan.read_text())
         altered = Path(folder) / source.name
@@ -91,7 +97,7 @@ def fly_service(case: Case, scenario: str, drag: float) -> Flight:
     way = np.array(score.track)
     return Flight(
         case=case.name,
-        pilot=f"service, drag {drag:g}",
+        pilot=f"service, {currents}, drag {drag:g}",
         finished=score.finished,
         energy_j=score.spent_j,
         leg_j=tuple(score.leg_j),
