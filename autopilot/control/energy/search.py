@@ -28,8 +28,8 @@ SUBSTEPS = (1, 2, 4)
 LONGER, LONGER_S = 1.3, 3.0
 """A solution takes at most so many times as long as its guess, and so much more: RK4 steps must not grow unstable."""
 
-RADIUS_SHARE = 0.95
-YAW_SHARE = 0.92
+RADIUS_SHARE = 0.93
+YAW_SHARE = 0.8
 """Shares of the acceptance region that a trajectory aims at, so that it is surely reached in spite of small errors."""
 
 GATE_RADIUS_M = 0.5
