@@ -14,19 +14,16 @@ from autopilot.control.energy.guidance import EnergyGuidance
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.grid import TimeGrid, geometric_grid
-from autopilot.control.guidance import VELOCITY_WEIGHTS, Guidance, Reference, RouteGuidance, Situation
+from autopilot.control.guidance import Guidance, Reference, RouteGuidance, Situation
 from autopilot.control.lag import ThrusterLag
-from autopilot.control.nmpc import Nmpc, NmpcProblem, NmpcResult
-from autopilot.control.obstacles import FAR_M, Movers, fence_key
+from autopilot.control.nmpc import NmpcResult
+from autopilot.control.obstacles import Movers, fence_key
 from autopilot.control.planner import Planner
 from autopilot.control.robust.inner import InnerLoop, plan_error
-from autopilot.control.robust.margins import Margins, Tighten
+from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
-from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.station import StationKeeper
-from autopilot.control.robust.terminal import TerminalLimits
-from autopilot.control.robust.tube import LARGEST_THRUST_SHARE
-from autopilot.control.tightening import BackOffs
+from autopilot.control.step_program import BURST_QPS, StepProgram
 from autopilot.control.tracks import Obstructions, Way
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
@@ -40,25 +37,16 @@ from autopilot.core.messages import (
     Severity,
     SolveStatus,
 )
-from autopilot.core.model4 import NU, NX, YAW, U, Z
+from autopilot.core.model4 import NU, NX, YAW, U
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import ObstacleTrack
 from autopilot.core.vehicle import Vehicle
 
-BURST_QPS = 3
-"""The step that makes a new route solves so many QPs: the plan starts from the reference and converges at once."""
-
 LONGEST_SHIFT_S = 1.0
 """A plan older than this is not continued."""
 
-PLAUSIBLE = 4.0
-"""m/s, rad/s: no vehicle that this controller is for moves or turns faster."""
-
 BLIND_WAY_M = 0.15
 """Way over ground that guidance asks for within the delay of late commands."""
-
-SLOWEST_CAP_M_S = 0.05
-"""Margins do not lower the cap of the planar speed below this."""
 
 
 class MotionController:
@@ -87,19 +75,13 @@ class MotionController:
         self._model = vehicle.model4.to_model()
         self._cpu_clock = cpu_clock
         grid = grid or geometric_grid(n, horizon_s)
-        self.nmpc = Nmpc(self._model, grid, backends=backends)
+        self._program = StepProgram(self._model, grid, vehicle.radius_m, backends)
+        self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
         self._lag = ThrusterLag(self._model, vehicle.drive.time_constant_s)
-        self._plane_n = np.zeros((grid.n - 1, self.nmpc.planes, 2))
-        self._plane_d = np.zeros((grid.n - 1, self.nmpc.planes))
-        self._limits = np.zeros((grid.n - 1, ocp.N_LIMITS))
         self._forecast = currents or EstimatedCurrent()
-        self._currents = np.zeros((grid.n, 3))
-        self.margins = Margins(self._model, grid)
         self._inner = InnerLoop(self.margins.ancillary, grid)
         self._station = StationKeeper(self._model)
-        self.regions = TerminalRegions(self._model)
         self._penalty = PenaltyWatch()
-        self._tube_m = np.zeros(grid.n + 1)
         self._nominal_t_s = vehicle.drive.time_constant_s + grid.t_s
         self._plan_current = np.zeros(3)
         desk = desk or PlanningDesk(EnergyPlanner(self._model, PowerModel.of(vehicle)).plan)
@@ -114,7 +96,6 @@ class MotionController:
         self._told_fence: Fence | None = None
         self._obstructions = Obstructions()
         self._movers: Movers | None = None
-        self._cleared: tuple[Planner, FloatArray, float] | None = None
         self.reset()
 
     @property
@@ -132,12 +113,11 @@ class MotionController:
         self._planned: FloatArray | None = None
         self._command = np.zeros(NU)
         self._limit_n = np.zeros(NU)
-        self._speed_back_off = 0.0
         self._penalty.reset()
         self._lag.reset()
         self._inner.stop()
         self._station.release()
-        self.regions.reset()
+        self._program.reset()
         self._guidance.reset()
         self._obstructions.reset()
 
@@ -193,12 +173,12 @@ class MotionController:
             planner=planner,
             radius_m=self._vehicle.radius_m + self.margins.clearance_m(params),
             forecast=self._forecast,
-            speed_cap_m_s=self._speed_cap(params),
+            speed_cap_m_s=self._program.speed_cap_m_s(params),
             thrust_limit_n=limit_n,
         )
         reference = self._guidance.reference(now)
         qps = self._warm_start(now.x0, reference, elapsed_s)
-        result, margin_m = self._solve(qps, now, reference, fence, limit_n)
+        result, margin_m = self._program.solve(qps, now, reference, self._movers)
         thrust, fallback = self._choose(result, now, now.x0 if delay_s else x, limit_n, elapsed_s)
         self._command = thrust
         self._penalty.watch(result.penalty_use if result.status is SolveStatus.OK else 0.0)
@@ -213,14 +193,14 @@ class MotionController:
                 cost=result.cost if math.isfinite(result.cost) else 0.0,
                 slack_max=result.slack_max if math.isfinite(result.slack_max) else 0.0,
                 margin_m=margin_m,
-                tube_m=float(self._tube_m.max()),
+                tube_m=float(self._program.tube_m.max()),
                 penalty_use=result.penalty_use if math.isfinite(result.penalty_use) else 0.0,
             ),
             horizon_ned_m=self.nmpc.x[:, :3].copy(),
             route_ned_m=self._guidance.ahead(np.array(nav.pos_ned_m[:2], dtype=float)),
             nominal=self.nmpc.x.copy(),
             nominal_t_s=self._nominal_t_s + delay_s,
-            tube_m=self._tube_m.copy(),
+            tube_m=self._program.tube_m.copy(),
             plan=reference.plan,
             restarted=qps > 1,
         )
@@ -247,11 +227,6 @@ class MotionController:
         elapsed_s = 0.0 if self._followed_us is None else (t_us - self._followed_us) * 1e-6
         self._followed_us = t_us
         self._lag.follow(self._command, elapsed_s)
-
-    def _speed_cap(self, params: ParamSet) -> float:
-        """Planar speed that guidance may ask for: what the margins of the last step leave, in steps of 1 cm/s."""
-        back_off = max(params["MPC_SPEED_MARGIN"], math.ceil(100.0 * self._speed_back_off - 1e-6) / 100.0)
-        return max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - back_off)
 
     def _state(self, nav: NavState) -> FloatArray:
         yaw = float(nav.rpy_rad[2])
@@ -309,103 +284,6 @@ class MotionController:
             self._planned[YAW] += turn
         return 1
 
-    def _solve(
-        self,
-        qps: int,
-        now: Situation,
-        reference: Reference,
-        fence: Fence,
-        limit_n: FloatArray,
-    ) -> tuple[NmpcResult, float]:
-        """The QPs of this step: result of the last, and the smallest clearance of the plan."""
-        nmpc, n, x0 = self.nmpc, self.nmpc.grid.n, now.x0
-        now.forecast.fill(now.nav, nmpc.x[:n, :3], nmpc.grid.t_s[:n], self._currents)
-        back_off = self.margins.back_offs(now.nav, nmpc.x, nmpc.u, now.params)
-        self._fill_limits(back_off, x0, fence, now.params)
-        self._speed_back_off = float(back_off.planar_speed_m_s[-1])
-        self._tube_m[1:-1] = back_off.clearance_m
-        self._tube_m[0], self._tube_m[-1] = back_off.clearance_m[0], back_off.clearance_m[-1]
-        terminal = self._terminal(now, reference, back_off)
-        problem = NmpcProblem(
-            x0=x0,
-            x_ref=reference.x,
-            thrust_ref_n=reference.thrust_n,
-            current_ned_m_s=self._currents,
-            weight_x=reference.weight_x,
-            weight_u=reference.weight_u,
-            terminal=terminal,
-            limits=self._limits,
-            thrust_limit_n=_left(limit_n, back_off.thrust_n),
-            plane_n=self._plane_n,
-            plane_d_m=self._plane_d,
-        )
-        keep_m = self._vehicle.radius_m + back_off.clearance_m
-        states, thrusts = nmpc.x.copy(), nmpc.u.copy()
-        result, margin = self._iterate(qps, problem, now.planner, keep_m)
-        if qps < BURST_QPS and not (result.status is SolveStatus.OK and _plausible(nmpc.x)):
-            # Around a guess that has run away no step is any good: once more from the reference, and at once.
-            nmpc.set_plan(reference.x, np.zeros_like(thrusts))
-            result, margin = self._iterate(BURST_QPS, problem, now.planner, keep_m)
-            if result.status is not SolveStatus.OK:
-                nmpc.set_plan(states, thrusts)
-        return result, margin
-
-    def _iterate(
-        self, qps: int, problem: NmpcProblem, planner: Planner, keep_m: FloatArray
-    ) -> tuple[NmpcResult, float]:
-        """QPs around the plan, each with the half-planes of the one before."""
-        nmpc, n, margin = self.nmpc, self.nmpc.grid.n, FAR_M
-        path, t_s = nmpc.x[:n, :2], nmpc.grid.t_s[:n]
-        for _ in range(qps):
-            nmpc.x[0] = problem.x0
-            margin = planner.features.half_planes(
-                path, t_s, keep_m, nmpc.planes, self._plane_n, self._plane_d, self._movers
-            )
-            result = nmpc.solve(problem)
-            if result.status is not SolveStatus.OK:
-                return result, margin
-        # The half-planes certify the new plan, chords included; only where they do not it is looked at again.
-        room = self._plane_n[..., 0] * path[1:, :1] + self._plane_n[..., 1] * path[1:, 1:] - self._plane_d
-        margin = min(margin, float(room.min()))
-        return result, margin if margin >= 0.0 else planner.features.margin_m(path, t_s, keep_m, self._movers)
-
-    def _fill_limits(self, back_off: BackOffs, x0: FloatArray, fence: Fence, params: ParamSet) -> None:
-        """Limits (N-1, 5) of the prediction."""
-        limits = self._limits
-        limits[:, 0] = np.maximum(params["SPD_PLANAR_MAX"] - back_off.planar_speed_m_s, SLOWEST_CAP_M_S)
-        limits[:, 1] = np.maximum(params["SPD_HEAVE_MAX"] - back_off.heave_m_s, 0.0)
-        limits[:, 2] = np.maximum(params["SPD_YAW_MAX"] - back_off.yaw_rate_rad_s, 0.0)
-        limits[:, 3] = np.minimum(x0[Z], max(fence.depth_min_m, params["DEPTH_MIN"]) + back_off.depth_m)
-        limits[:, 4] = np.maximum(x0[Z], min(fence.depth_max_m, params["DEPTH_MAX"]) - back_off.depth_m)
-
-    def _terminal(self, now: Situation, reference: Reference, back_off: BackOffs) -> FloatArray:
-        """Terminal Hessian (8, 8): the goal's own where the reference ends there, else what guidance gives."""
-        goal, params = now.goal, now.params
-        q = params["MPC_Q_POS"]
-        place = goal.pos_ned_m[:2]
-        if self._cleared is None or self._cleared[0] is not now.planner or not (self._cleared[1] == place).all():
-            room = float(now.planner.features.clearance_m(place[None])[0])
-            self._cleared = (now.planner, place.copy(), room - self._vehicle.radius_m - params["MPC_MARGIN"])
-        self.regions.follow(
-            goal,
-            float(reference.x[-1, YAW]),
-            now.nav.current_ned_m_s,
-            TerminalLimits(
-                thrust_n=now.thrust_limit_n
-                - np.minimum(back_off.thrust_n[-1], LARGEST_THRUST_SHARE * now.thrust_limit_n),
-                planar_speed_m_s=params["SPD_PLANAR_MAX"] - float(back_off.planar_speed_m_s[-1]),
-                heave_m_s=params["SPD_HEAVE_MAX"] - float(back_off.heave_m_s[-1]),
-                yaw_rate_rad_s=params["SPD_YAW_MAX"] - float(back_off.yaw_rate_rad_s[-1]),
-                depth_min_m=max(now.fence.depth_min_m, params["DEPTH_MIN"]) + float(back_off.depth_m[-1]),
-                depth_max_m=min(now.fence.depth_max_m, params["DEPTH_MAX"]) - float(back_off.depth_m[-1]),
-                clearance_m=self._cleared[2],
-            ),
-            np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS]),
-            np.full(NU, params["MPC_R_THRUST"]),
-        )
-        cost = None if int(params["MPC_COST"]) else self.regions.cost_at(reference.x[-1], goal)
-        return reference.terminal if cost is None else cost
-
     def _choose(
         self, result: NmpcResult, now: Situation, x: FloatArray, limit_n: FloatArray, elapsed_s: float
     ) -> tuple[FloatArray, Fallback]:
@@ -452,14 +330,3 @@ class MotionController:
         return ControlOutput(
             thrust_n=np.zeros(NU), status=status, horizon_ned_m=here.copy(), route_ned_m=here[:, :2].copy()
         )
-
-
-def _plausible(x: FloatArray) -> bool:
-    """Whether a plan (N+1, 8) moves as a vehicle can: a step of the iteration may run away with an unstable plant."""
-    return float(np.abs(x[:, U:]).max()) < PLAUSIBLE
-
-
-def _left(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
-    """What the margins leave of thrust limits (4,)."""
-    left: FloatArray = limit_n - np.minimum(back_off_n, LARGEST_THRUST_SHARE * limit_n)
-    return left
