@@ -10,7 +10,7 @@ from typing import Protocol
 from autopilot.core.messages import Inputs, LoopStats, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
-from autopilot.log.packing import TruthLike
+from autopilot.log.packing.vehicle import TruthLike
 from autopilot.log.session import RunLog
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavState
-from autopilot.log import packing
+from autopilot.log.packing import estimate, vehicle
 from autopilot.log.reader import Log, Table
 from autopilot.log.replay_inputs import estimator_ticks
 from autopilot.log.writer import LogWriter
@@ -230,9 +230,9 @@ def write_replay(path: Path, log: Log, states: Sequence[NavState]) -> Path:
     ) as writer:
         for state in states:
             stamp_ns = log.epoch_ns + state.t_us * 1000
-            writer.write("/nav/state", state.t_us, packing.vehicle_state(stamp_ns, state))
-            writer.write("/nav/covariance", state.t_us, packing.nav_covariance(stamp_ns, state))
-            writer.write("/nav/status", state.t_us, packing.nav_status(stamp_ns, state))
+            writer.write("/nav/state", state.t_us, vehicle.vehicle_state(stamp_ns, state))
+            writer.write("/nav/covariance", state.t_us, estimate.nav_covariance(stamp_ns, state))
+            writer.write("/nav/status", state.t_us, estimate.nav_status(stamp_ns, state))
     return path
 
 

@@ -24,9 +24,10 @@ from autopilot.core.samples import (
     Sample,
     VelocitySample,
 )
-from autopilot.log import packing, visuals
+from autopilot.log import visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import StreamCutter
+from autopilot.log.packing import decisions, estimate, sensors, service, vehicle
 from autopilot.log.scene import moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.writer import LogWriter
@@ -124,7 +125,7 @@ class RunLog:
     def inputs(self, inputs: Inputs) -> None:
         """Everything that goes into ``step``, in its order."""
         t_us = inputs.t_us
-        self._write("/in/tick", t_us, packing.input_tick(self._ns(t_us), inputs))
+        self._write("/in/tick", t_us, service.input_tick(self._ns(t_us), inputs))
         for sample in inputs.samples:
             self._sample(sample)
         for frame in inputs.mavlink_rx:
@@ -137,21 +138,21 @@ class RunLog:
         pixels, stamp_ns = frame.image_bgr.copy(), self._ns(frame.t_us)
         self._writer.write("/in/camera", frame.t_us, _jpeg_maker(pixels, stamp_ns), size=pixels.nbytes)
 
-    def truth(self, t_us: int, truth: packing.TruthLike) -> None:
+    def truth(self, t_us: int, truth: vehicle.TruthLike) -> None:
         """The simulated vehicle, once per tick."""
         if self._due("/sim/truth", t_us, TRUTH_US):
-            self._write("/sim/truth", t_us, packing.vehicle_state(self._ns(t_us), truth))
+            self._write("/sim/truth", t_us, vehicle.vehicle_state(self._ns(t_us), truth))
         if self._due("/sim/thrusters", t_us, THRUSTERS_US):
-            self._write("/sim/thrusters", t_us, packing.thruster_state(self._ns(t_us), truth))
+            self._write("/sim/thrusters", t_us, vehicle.thruster_state(self._ns(t_us), truth))
 
     def contact(self, t_us: int, count: int, penetration_m: float) -> None:
         """Contacts of the simulated hull begun so far and the deepest penetration of now, once per tick."""
         if self._changed("/sim/contact", t_us, (count, penetration_m)):
-            self._on_change("/sim/contact", t_us, packing.contact_state(self._ns(t_us), count, penetration_m))
+            self._on_change("/sim/contact", t_us, vehicle.contact_state(self._ns(t_us), count, penetration_m))
 
     def loop(self, stats: LoopStats) -> None:
         """Health of the loop, once per second."""
-        self._write("/sys/loop", stats.t_us, packing.loop_stats(self._ns(stats.t_us), stats))
+        self._write("/sys/loop", stats.t_us, service.loop_stats(self._ns(stats.t_us), stats))
 
     def event(self, event: Event) -> None:
         """A line that does not come from ``step`` (``Outputs.events`` are written by ``outputs``)."""
@@ -165,30 +166,30 @@ class RunLog:
             self._nav(t_us, stamp_ns, outputs.nav)
         if outputs.estimated_from is not None:
             given = outputs.estimated_from
-            self._on_change("/nav/thrust", t_us, packing.acting_thrust(stamp_ns, given.thrust_n))
+            self._on_change("/nav/thrust", t_us, estimate.acting_thrust(stamp_ns, given.thrust_n))
             for pose in given.samples:
-                self._write("/nav/external", pose.t_us, packing.external_pose(self._ns(pose.t_us), pose))
+                self._write("/nav/external", pose.t_us, sensors.external_pose(self._ns(pose.t_us), pose))
         for aid in outputs.aids:
-            self._write(AID_PREFIX + aid.sensor, aid.t_us, packing.aid_status(self._ns(aid.t_us), aid))
+            self._write(AID_PREFIX + aid.sensor, aid.t_us, estimate.aid_status(self._ns(aid.t_us), aid))
         if outputs.counters is not None:
-            self._write("/nav/counters", t_us, packing.nav_counters(stamp_ns, outputs.counters))
+            self._write("/nav/counters", t_us, estimate.nav_counters(stamp_ns, outputs.counters))
         if outputs.shadow is not None and self._due("/nav/shadow", t_us, SHADOW_US):
-            self._write("/nav/shadow", t_us, packing.shadow_status(stamp_ns, outputs.shadow))
+            self._write("/nav/shadow", t_us, estimate.shadow_status(stamp_ns, outputs.shadow))
         mode, done = outputs.mode, outputs.progress
         if self._changed("/sys/mode", t_us, (mode.armed, mode.custom_mode, mode.failsafes)):
-            self._on_change("/sys/mode", t_us, packing.mode_state(stamp_ns, mode))
+            self._on_change("/sys/mode", t_us, decisions.mode_state(stamp_ns, mode))
         if done is not None and self._changed(
             "/mission/progress", t_us, (done.current_seq, done.reached_seq, done.lap, done.state)
         ):
-            self._on_change("/mission/progress", t_us, packing.mission_progress(stamp_ns, done))
+            self._on_change("/mission/progress", t_us, decisions.mission_progress(stamp_ns, done))
         if outputs.goal is not None and self._changed("/ctl/goal", t_us, outputs.goal):
-            self._on_change("/ctl/goal", t_us, packing.goal(stamp_ns, outputs.goal))
+            self._on_change("/ctl/goal", t_us, decisions.goal(stamp_ns, outputs.goal))
         if outputs.control is not None:
             self._control(t_us, stamp_ns, outputs)
-        command = packing.thruster_command(stamp_ns, outputs.command)
+        command = decisions.thruster_command(stamp_ns, outputs.command)
         self._on_change("/out/thrusters", t_us, command, always=outputs.control is not None)
         if outputs.thrusters is not None:
-            self._write("/ctl/thrusters", t_us, packing.thruster_health(stamp_ns, outputs.thrusters))
+            self._write("/ctl/thrusters", t_us, decisions.thruster_health(stamp_ns, outputs.thrusters))
         for frame in outputs.mavlink_tx:
             self._mavlink("/out/mavlink", t_us, frame)
         for event in outputs.events:
@@ -226,43 +227,43 @@ class RunLog:
         t_us, stamp_ns = sample.t_us, self._ns(sample.t_us)
         match sample:
             case AhrsSample():
-                self._write("/in/ahrs_raw", t_us, packing.ahrs_raw(stamp_ns, sample))
-                self._write("/in/ahrs", t_us, packing.imu(stamp_ns, sample))
+                self._write("/in/ahrs_raw", t_us, sensors.ahrs_raw(stamp_ns, sample))
+                self._write("/in/ahrs", t_us, sensors.imu(stamp_ns, sample))
             case ImuSample():
-                self._write("/in/imu", t_us, packing.imu_raw(stamp_ns, sample))
+                self._write("/in/imu", t_us, sensors.imu_raw(stamp_ns, sample))
             case MarkerSighting():
-                self._write("/in/markers", t_us, packing.marker_sighting(stamp_ns, sample))
+                self._write("/in/markers", t_us, sensors.marker_sighting(stamp_ns, sample))
             case PoseSample():
-                self._write("/in/pose", t_us, packing.pose_fix(stamp_ns, sample))
+                self._write("/in/pose", t_us, sensors.pose_fix(stamp_ns, sample))
             case LaserSample():
-                self._write("/in/laser_raw", t_us, packing.laser_raw(stamp_ns, sample))
-                self._write("/in/laser", t_us, packing.laser_range(stamp_ns, sample))
+                self._write("/in/laser_raw", t_us, sensors.laser_raw(stamp_ns, sample))
+                self._write("/in/laser", t_us, sensors.laser_range(stamp_ns, sample))
             case DepthSample():
-                self._write("/in/depth", t_us, packing.depth_raw(stamp_ns, sample))
+                self._write("/in/depth", t_us, sensors.depth_raw(stamp_ns, sample))
             case VelocitySample():
-                self._write("/in/velocity", t_us, packing.velocity_raw(stamp_ns, sample))
+                self._write("/in/velocity", t_us, sensors.velocity_raw(stamp_ns, sample))
             case ExternalPoseSample():
-                self._write("/in/external", t_us, packing.external_pose(stamp_ns, sample))
+                self._write("/in/external", t_us, sensors.external_pose(stamp_ns, sample))
             case ObstacleTrack():
-                self._write("/in/tracks", t_us, packing.obstacle_track(stamp_ns, sample))
+                self._write("/in/tracks", t_us, sensors.obstacle_track(stamp_ns, sample))
             case PowerSample():
-                self._write("/in/power_raw", t_us, packing.power_raw(stamp_ns, sample))
+                self._write("/in/power_raw", t_us, sensors.power_raw(stamp_ns, sample))
                 self._write("/in/power", t_us, visuals.battery_state(stamp_ns, sample))
 
     def _mavlink(self, topic: str, t_us: int, frame: MavlinkFrame) -> None:
         cutter = self._cutters.setdefault((topic, frame.link), StreamCutter())
         stamp_ns = self._ns(t_us)
         for piece in cutter.cut(frame.data):
-            self._write(topic, t_us, packing.mavlink_frame(stamp_ns, piece.data, frame.link))
+            self._write(topic, t_us, service.mavlink_frame(stamp_ns, piece.data, frame.link))
             if piece.is_packet:
                 self._writer.write_packet(t_us, piece.data)
 
     def _nav(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
-        self._write("/nav/state", t_us, packing.vehicle_state(stamp_ns, nav))
+        self._write("/nav/state", t_us, vehicle.vehicle_state(stamp_ns, nav))
         if self._changed("/nav/status", t_us, (nav.health, nav.reset_count)):
-            self._on_change("/nav/status", t_us, packing.nav_status(stamp_ns, nav))
+            self._on_change("/nav/status", t_us, estimate.nav_status(stamp_ns, nav))
         if self._due("/nav/covariance", t_us, COVARIANCE_US):
-            self._write("/nav/covariance", t_us, packing.nav_covariance(stamp_ns, nav))
+            self._write("/nav/covariance", t_us, estimate.nav_covariance(stamp_ns, nav))
         if self._due("/viz/pose", t_us, VIZ_US):
             self._write("/viz/pose", t_us, visuals.pose_stamped(stamp_ns, nav))
             self._write("/viz/tf", t_us, visuals.transforms(stamp_ns, nav))
@@ -277,9 +278,9 @@ class RunLog:
     def _control(self, t_us: int, stamp_ns: int, outputs: Outputs) -> None:
         control = outputs.control
         assert control is not None
-        self._write("/ctl/nmpc", t_us, packing.nmpc_status(stamp_ns, control.status))
+        self._write("/ctl/nmpc", t_us, decisions.nmpc_status(stamp_ns, control.status))
         if control.plan is not None:
-            self._write("/ctl/plan", t_us, packing.energy_plan(stamp_ns, control.plan))
+            self._write("/ctl/plan", t_us, decisions.energy_plan(stamp_ns, control.plan))
         if not self._due("/ctl/horizon", t_us, HORIZON_US):
             return
         self._write("/ctl/horizon", t_us, visuals.path(stamp_ns, control.horizon_ned_m.tolist()))

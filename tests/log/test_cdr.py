@@ -45,8 +45,9 @@ from autopilot.core.samples import (
     VelocityLock,
     VelocitySample,
 )
-from autopilot.log import packing, topics, visuals
+from autopilot.log import topics, visuals
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer, decode, fixed_layout, parse_definition
+from autopilot.log.packing import decisions, estimate, sensors, service, vehicle
 from autopilot.log.schemas import definition, layout, ros_name, type_names, types_of
 
 STORE = get_typestore(Stores.LATEST)
@@ -128,13 +129,13 @@ def test_nav(stamp: int, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, var: An
         variance=var,
         reset_count=resets,
     )
-    state = read_back("autopilot_msgs/VehicleState", packing.vehicle_state(stamp, nav))
+    state = read_back("autopilot_msgs/VehicleState", vehicle.vehicle_state(stamp, nav))
     assert stamp_of(state.header) == stamp and state.header.frame_id == "ned"
     for field in ("pos_ned_m", "rpy_rad", "vel_frd_m_s", "vel_water_frd_m_s", "rate_frd_rad_s", "current_ned_m_s"):
         np.testing.assert_array_equal(getattr(state, field), getattr(nav, field))
-    covariance = read_back("autopilot_msgs/NavCovariance", packing.nav_covariance(stamp, nav))
+    covariance = read_back("autopilot_msgs/NavCovariance", estimate.nav_covariance(stamp, nav))
     np.testing.assert_array_equal(covariance.variance, var)
-    status = read_back("autopilot_msgs/NavStatus", packing.nav_status(stamp, nav))
+    status = read_back("autopilot_msgs/NavStatus", estimate.nav_status(stamp, nav))
     assert (status.health, status.reset_count) == (health % 3, resets)
 
 
@@ -152,10 +153,10 @@ def test_truth_thrusters_and_contact(stamp: int, thrust: list[float], power: flo
         thrust_n=np.array(thrust),
         power_w=power,
     )
-    state = read_back("autopilot_msgs/ThrusterState", packing.thruster_state(stamp, truth))
+    state = read_back("autopilot_msgs/ThrusterState", vehicle.thruster_state(stamp, truth))
     np.testing.assert_array_equal(state.thrust_n, thrust + [0.0] * (8 - len(thrust)))
     assert state.power_w == power
-    contact = read_back("autopilot_msgs/ContactState", packing.contact_state(stamp, count, depth))
+    contact = read_back("autopilot_msgs/ContactState", vehicle.contact_state(stamp, count, depth))
     assert (contact.count, contact.penetration_m) == (count, depth)
 
 
@@ -163,7 +164,7 @@ def test_truth_thrusters_and_contact(stamp: int, thrust: list[float], power: flo
 @settings(max_examples=25, deadline=None)
 def test_goal(stamp: int, pos: Any, yaw: float | None, speed: float, radius: float, band: float, seq: int) -> None:
     goal = Goal(pos_ned_m=pos, yaw_rad=yaw, speed_m_s=speed, accept_radius_m=radius, accept_yaw_rad=band, seq=seq)
-    read = read_back("autopilot_msgs/Goal", packing.goal(stamp, goal))
+    read = read_back("autopilot_msgs/Goal", decisions.goal(stamp, goal))
     np.testing.assert_array_equal(read.pos_ned_m, pos)
     assert (read.yaw_free, read.yaw_rad) == ((1, 0.0) if yaw is None else (0, yaw))
     assert (read.speed_m_s, read.accept_radius_m, read.accept_yaw_rad, read.seq) == (speed, radius, band, seq)
@@ -182,7 +183,7 @@ def test_control_and_system(
     a: int,
     b: int,
 ) -> None:
-    command = packing.thruster_command(stamp, ThrusterCommand(t_us=0, thrust_n=thrust, pwm_us=tuple(pwm)))
+    command = decisions.thruster_command(stamp, ThrusterCommand(t_us=0, thrust_n=thrust, pwm_us=tuple(pwm)))
     read = read_back("autopilot_msgs/ThrusterCommand", command)
     np.testing.assert_array_equal(read.thrust_n, thrust)
     assert read.pwm_us.tolist() == pwm + [0] * (8 - len(pwm))
@@ -198,20 +199,20 @@ def test_control_and_system(
         tube_m=x,
         penalty_use=y,
     )
-    read = read_back("autopilot_msgs/NmpcStatus", packing.nmpc_status(stamp, nmpc))
+    read = read_back("autopilot_msgs/NmpcStatus", decisions.nmpc_status(stamp, nmpc))
     assert (read.status, read.fallback, read.iterations, read.solve_s, read.cost) == (3, 1, count, x, y)
     assert (read.slack_max, read.margin_m, read.tube_m, read.penalty_use) == (x, y, x, y)
     progress = MissionProgress(t_us=0, current_seq=-1, reached_seq=3, lap=count, state=ProgressState.ACTIVE)
-    read = read_back("autopilot_msgs/MissionProgress", packing.mission_progress(stamp, progress))
+    read = read_back("autopilot_msgs/MissionProgress", decisions.mission_progress(stamp, progress))
     assert (read.current_seq, read.reached_seq, read.lap, read.state) == (-1, 3, count, 3)
     mode = ModeState(t_us=0, armed=flag, custom_mode=a, failsafes=b)
-    read = read_back("autopilot_msgs/ModeState", packing.mode_state(stamp, mode))
+    read = read_back("autopilot_msgs/ModeState", decisions.mode_state(stamp, mode))
     assert (read.armed, read.custom_mode, read.failsafes) == (flag, a, b)
     stats = LoopStats(t_us=0, tick_s=x, cpu_s=y, overruns=a, dropped_log=b)
-    read = read_back("autopilot_msgs/LoopStats", packing.loop_stats(stamp, stats))
+    read = read_back("autopilot_msgs/LoopStats", service.loop_stats(stamp, stats))
     assert (read.tick_s, read.cpu_s, read.overruns, read.dropped_log) == (x, y, a, b)
     inputs = Inputs(t_us=0, overruns=a, cpu_load=x)
-    read = read_back("autopilot_msgs/InputTick", packing.input_tick(stamp, inputs))
+    read = read_back("autopilot_msgs/InputTick", service.input_tick(stamp, inputs))
     assert (read.samples, read.frames, read.overruns, read.cpu_load) == (0, 0, a, x)
     aid = AidStatus(
         t_us=0,
@@ -223,7 +224,7 @@ def test_control_and_system(
         state=AidState.REJECTING,
         age_s=y,
     )
-    read = read_back("autopilot_msgs/AidStatus", packing.aid_status(stamp, aid))
+    read = read_back("autopilot_msgs/AidStatus", estimate.aid_status(stamp, aid))
     np.testing.assert_array_equal(read.innovation, thrust[:3])
     np.testing.assert_array_equal(read.innovation_var, thrust[3:6])
     assert (read.test_ratio, read.fused, read.state, read.age_s) == (x, flag, 3, y)
@@ -233,29 +234,29 @@ def test_control_and_system(
 @settings(max_examples=25, deadline=None)
 def test_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> None:
     ahrs = AhrsSample(t_us=0, rpy_rad=np.array(rpy), rate_frd_rad_s=v, accel_frd_m_s2=-v)
-    raw = read_back("autopilot_msgs/AhrsRaw", packing.ahrs_raw(stamp, ahrs))
+    raw = read_back("autopilot_msgs/AhrsRaw", sensors.ahrs_raw(stamp, ahrs))
     np.testing.assert_array_equal(raw.rpy_rad, rpy)
     np.testing.assert_array_equal(raw.rate_frd_rad_s, v)
     np.testing.assert_array_equal(raw.accel_frd_m_s2, -v)
-    imu = read_back("sensor_msgs/Imu", packing.imu(stamp, ahrs))
+    imu = read_back("sensor_msgs/Imu", sensors.imu(stamp, ahrs))
     q = imu.orientation
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     assert yaw == pytest.approx(rpy[2], abs=1e-9)
     assert (imu.linear_acceleration.x, imu.linear_acceleration.z) == (-v[0], -v[2])
     fix = PoseSample(t_us=0, pos_ned_m=v, yaw_rad=x, sigma_pos_m=-v, sigma_yaw_rad=y)
-    read = read_back("autopilot_msgs/PoseFix", packing.pose_fix(stamp, fix))
+    read = read_back("autopilot_msgs/PoseFix", sensors.pose_fix(stamp, fix))
     np.testing.assert_array_equal(read.pos_ned_m, v)
     np.testing.assert_array_equal(read.sigma_pos_m, -v)
     assert (read.yaw_rad, read.sigma_yaw_rad) == (x, y)
     laser = LaserSample(t_us=0, range_m=x, sigma_m=y)
-    read = read_back("autopilot_msgs/LaserRaw", packing.laser_raw(stamp, laser))
+    read = read_back("autopilot_msgs/LaserRaw", sensors.laser_raw(stamp, laser))
     assert (read.range_m, read.sigma_m) == (x, y)
-    assert read_back("sensor_msgs/Range", packing.laser_range(stamp, laser)).range == np.float32(x)
+    assert read_back("sensor_msgs/Range", sensors.laser_range(stamp, laser)).range == np.float32(x)
     depth = DepthSample(t_us=0, depth_m=x, sigma_m=y)
-    read = read_back("autopilot_msgs/DepthRaw", packing.depth_raw(stamp, depth))
+    read = read_back("autopilot_msgs/DepthRaw", sensors.depth_raw(stamp, depth))
     assert (read.depth_m, read.sigma_m) == (x, y)
     velocity = VelocitySample(t_us=0, vel_frd_m_s=v, sigma_m_s=-v, lock=VelocityLock.WATER)
-    read = read_back("autopilot_msgs/VelocityRaw", packing.velocity_raw(stamp, velocity))
+    read = read_back("autopilot_msgs/VelocityRaw", sensors.velocity_raw(stamp, velocity))
     np.testing.assert_array_equal(read.vel_frd_m_s, v)
     np.testing.assert_array_equal(read.sigma_m_s, -v)
     assert read.lock == 0
@@ -263,7 +264,7 @@ def test_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> No
         external = ExternalPoseSample(
             t_us=0, pos_m=v, yaw_rad=x, covariance=covariance, frame=ExternalFrame.FRD, reset_counter=3
         )
-        read = read_back("autopilot_msgs/ExternalPose", packing.external_pose(stamp, external))
+        read = read_back("autopilot_msgs/ExternalPose", sensors.external_pose(stamp, external))
         np.testing.assert_array_equal(read.pos_m, v)
         np.testing.assert_array_equal(read.covariance, 0.0 if covariance is None else covariance.ravel())
         assert (read.yaw_rad, read.covariance_known, read.frame, read.reset_counter) == (
@@ -273,12 +274,12 @@ def test_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> No
             3,
         )
     track = ObstacleTrack(t_us=0, track_id=7, pos_ned_m=v[:2], vel_ned_m_s=-v[:2], radius_m=x)
-    read = read_back("autopilot_msgs/ObstacleTrack", packing.obstacle_track(stamp, track))
+    read = read_back("autopilot_msgs/ObstacleTrack", sensors.obstacle_track(stamp, track))
     np.testing.assert_array_equal(read.pos_ned_m, v[:2])
     np.testing.assert_array_equal(read.vel_ned_m_s, -v[:2])
     assert (read.radius_m, read.track_id) == (x, 7)
     power = PowerSample(t_us=0, voltage_v=x, current_a=y, energy_used_j=x, remaining=0.5)
-    read = read_back("autopilot_msgs/PowerRaw", packing.power_raw(stamp, power))
+    read = read_back("autopilot_msgs/PowerRaw", sensors.power_raw(stamp, power))
     assert (read.voltage_v, read.current_a, read.energy_used_j, read.remaining) == (x, y, x, 0.5)
     battery = STORE.deserialize_cdr(visuals.battery_state(stamp, power), "sensor_msgs/msg/BatteryState")
     assert (battery.voltage, battery.current, battery.percentage) == (np.float32(x), np.float32(-y), 0.5)
@@ -290,7 +291,7 @@ def test_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> No
 def test_estimator_watch(stamp: int, v: Any, x: float, y: float, count: int, flag: bool) -> None:
     counts = {"ahrs.stuck": count, "depth.rejected": count, "laser.resets": 2, "unknown": 9}
     counters = NavCounters(t_us=0, counts=counts)
-    read = read_back("autopilot_msgs/NavCounters", packing.nav_counters(stamp, counters))
+    read = read_back("autopilot_msgs/NavCounters", estimate.nav_counters(stamp, counters))
     assert (read.ahrs_stuck, read.rejected[AID_SENSORS.index("depth")], read.aid_resets[6]) == (count, count, 2)
     assert read.ahrs_good == read.received.sum() == 0
     shadow = ShadowStatus(
@@ -301,7 +302,7 @@ def test_estimator_watch(stamp: int, v: Any, x: float, y: float, count: int, fla
         ratio=y,
         disagrees=flag,
     )
-    read = read_back("autopilot_msgs/ShadowStatus", packing.shadow_status(stamp, shadow))
+    read = read_back("autopilot_msgs/ShadowStatus", estimate.shadow_status(stamp, shadow))
     np.testing.assert_array_equal(read.pos_difference_ned_m, v)
     assert (read.yaw_difference_rad, read.ratio, read.disagrees) == (x, y, flag)
 
@@ -317,8 +318,8 @@ def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) ->
         laser_px=np.array([1.5, 2.5]) if laser else None,
         decode_us=decode_us,
     )
-    read = read_back("autopilot_msgs/MarkerSighting", packing.marker_sighting(stamp, sighting))
-    kept = min(count, packing.MAX_MARKERS)
+    read = read_back("autopilot_msgs/MarkerSighting", sensors.marker_sighting(stamp, sighting))
+    kept = min(count, sensors.MAX_MARKERS)
     assert (read.count, read.laser_found, read.decode_us) == (kept, int(laser), decode_us)
     assert read.ids[:kept].tolist() == list(range(kept)) and not read.ids[kept:].any()
     np.testing.assert_array_equal(read.corners_px[: 8 * kept], corners[:kept].ravel())
@@ -329,7 +330,7 @@ def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) ->
 @given(stamps, st.binary(min_size=0, max_size=280), st.integers(-1, 20))
 @settings(max_examples=25, deadline=None)
 def test_mavlink_frame(stamp: int, data: bytes, link: int) -> None:
-    read = read_back("autopilot_msgs/MavlinkFrame", packing.mavlink_frame(stamp, data, link))
+    read = read_back("autopilot_msgs/MavlinkFrame", service.mavlink_frame(stamp, data, link))
     assert read.data.tobytes()[: read.length] == data
     assert read.link == (255 if link < 0 else link)
 
@@ -390,7 +391,7 @@ def test_decoder_survives_anything(name: str, data: bytes) -> None:
 
 
 def test_decoder_names_the_type_of_a_short_message() -> None:
-    data = packing.contact_state(0, 1, 0.0)
+    data = vehicle.contact_state(0, 1, 0.0)
     for length in range(len(data)):
         with pytest.raises(LogError, match="ContactState"):
             decode(types_of("autopilot_msgs/ContactState"), "autopilot_msgs/ContactState", data[:length])

@@ -230,12 +230,12 @@ def test_only_the_armed_time_is_judged(tmp_path: Path) -> None:
 
 
 def test_a_log_without_description_or_track(tmp_path: Path) -> None:
-    from autopilot.log import packing
+    from autopilot.log.packing import vehicle
     from autopilot.log.writer import LogWriter
 
     path = tmp_path / "bare.mcap"
     with LogWriter(path, epoch_ns=EPOCH_NS, metadata={}, attachments={}) as log:
-        log.write("/sim/contact", 0, packing.contact_state(EPOCH_NS, 1, 0.0))
+        log.write("/sim/contact", 0, vehicle.contact_state(EPOCH_NS, 1, 0.0))
     for bare in (path, write_bare(tmp_path / "d.mcap", to_json(DESCRIPTION))):
         with pytest.raises(LogError, match="neither /sim/truth nor /nav/state"):
             acceptance_table(open_log(bare))

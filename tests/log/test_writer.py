@@ -16,9 +16,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Event, Inputs, LoopStats, MavlinkFrame
 from autopilot.core.samples import CameraFrame
-from autopilot.log import packing
 from autopilot.log.compare import compare_logs
 from autopilot.log.description import from_json
+from autopilot.log.packing import vehicle
 from autopilot.log.reader import open_log
 from autopilot.log.session import RunLog, log_path, open_run_log
 from autopilot.log.topics import TOPICS
@@ -31,7 +31,7 @@ def full_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contact(t_us: int) -> bytes:
-    return packing.contact_state(EPOCH_NS + t_us * 1000, t_us, 0.5)
+    return vehicle.contact_state(EPOCH_NS + t_us * 1000, t_us, 0.5)
 
 
 def small(path: Path, **options: object) -> LogWriter:

@@ -1,0 +1,82 @@
+"""What the estimator says beside the state: how good it is, and what it was made from."""
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import AID_SENSORS, AidStatus, NavCounters, NavState, ShadowStatus
+from autopilot.log.cdr import ENCAPSULATION
+from autopilot.log.packing.parts import FRD, NED, NS, UINT32, clip, eight
+from autopilot.log.schemas import layout
+
+_nav_covariance = layout("autopilot_msgs/NavCovariance").packer.pack
+_acting_thrust = layout("autopilot_msgs/ActingThrust").packer.pack
+_nav_status = layout("autopilot_msgs/NavStatus").packer.pack
+_nav_counters = layout("autopilot_msgs/NavCounters").packer.pack
+_shadow_status = layout("autopilot_msgs/ShadowStatus").packer.pack
+_aid_status = layout("autopilot_msgs/AidStatus").packer.pack
+
+_OF_THE_FILTER = (
+    "resets",
+    "clock.backwards",
+    "thrust.malformed",
+    "ahrs.good",
+    "ahrs.malformed",
+    "ahrs.future",
+    "ahrs.old",
+    "ahrs.stuck",
+    "ahrs.blind_steps",
+    "ahrs.tilt_disagreements",
+)
+_OF_AN_AID = ("received", "fused", "rejected", "late", "duplicate", "future", "malformed", "resets")
+"""Names of counts, in the order of the fields of NavCounters."""
+
+
+def nav_covariance(stamp_ns: int, nav: NavState) -> bytes:
+    """NavCovariance."""
+    return _nav_covariance(ENCAPSULATION, *divmod(stamp_ns, NS), *NED, *nav.variance.tolist())
+
+
+def acting_thrust(stamp_ns: int, thrust_n: FloatArray) -> bytes:
+    """ActingThrust."""
+    return _acting_thrust(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *eight(thrust_n))
+
+
+def nav_status(stamp_ns: int, nav: NavState) -> bytes:
+    """NavStatus."""
+    return _nav_status(ENCAPSULATION, *divmod(stamp_ns, NS), *NED, int(nav.health), clip(nav.reset_count, UINT32))
+
+
+def nav_counters(stamp_ns: int, value: NavCounters) -> bytes:
+    """NavCounters; what was not counted is 0."""
+    names = [*_OF_THE_FILTER]
+    for what in _OF_AN_AID:
+        names += [f"{sensor}.{what}" for sensor in AID_SENSORS] + [""] * (8 - len(AID_SENSORS))
+    counts = [clip(value.counts.get(name, 0), UINT32) for name in names]
+    return _nav_counters(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *counts)
+
+
+def shadow_status(stamp_ns: int, status: ShadowStatus) -> bytes:
+    """ShadowStatus."""
+    return _shadow_status(
+        ENCAPSULATION,
+        *divmod(stamp_ns, NS),
+        *NED,
+        *status.pos_difference_ned_m.tolist(),
+        status.yaw_difference_rad,
+        *status.vel_difference_frd_m_s.tolist(),
+        status.ratio,
+        int(status.disagrees),
+    )
+
+
+def aid_status(stamp_ns: int, aid: AidStatus) -> bytes:
+    """AidStatus."""
+    return _aid_status(
+        ENCAPSULATION,
+        *divmod(stamp_ns, NS),
+        *NED,
+        *aid.innovation.tolist(),
+        *aid.innovation_var.tolist(),
+        aid.test_ratio,
+        int(aid.fused),
+        int(aid.state),
+        aid.age_s,
+    )
