@@ -157,6 +157,11 @@ def test_a_track_runs_on_into_the_next_one() -> None:
     late = 3.0 + track.clock_s - float(first.t_s[-1])
     k = int(np.searchsorted(second.t_s, late - 0.025)) - 1
     assert np.allclose(thrust[-1], second.thrust_n[k], atol=1e-6)
+    track.locate(first.x[-1], float(first.t_s[-1]))
+    held, rest = track.sample(np.linspace(0.0, 3.0, 61), np.array([0.1, 0.0, 0.0]), then)
+    assert np.allclose(held[:, :4], first.x[-1, :4])
+    assert np.allclose(np.hypot(held[:, 4], held[:, 5]), 0.1)
+    assert not rest.any()
     whole = joined(first, float(first.t_s[40]), second)
     assert whole.t_s[-1] == pytest.approx(float(first.t_s[-1] - first.t_s[40] + second.t_s[-1]))
     assert len(whole.t_s) == len(whole.x) == len(whole.thrust_n) + 1

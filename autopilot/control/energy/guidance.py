@@ -37,8 +37,9 @@ RETRY_STEPS = 20
 NEXT_LEG_S = 5.0
 """The next leg is planned when this one has so much left."""
 
-PASSED_S = 0.0
-"""A vehicle that far beyond the end of a trajectory has missed its goal's region and turns to the goal itself."""
+END_HOLD_S = 0.5
+"""At the end of a trajectory the vehicle, which lags a little, is held where the next one begins until the goal counts
+as reached: for so long by the trajectory's clock (1.7 s), then it turns to the goal's centre."""
 
 RUNNING_OUT_S = 20.0
 """A trajectory that does not reach its goal is continued when it has less than this left."""
@@ -97,9 +98,9 @@ class EnergyGuidance:
             self._hold = None
             if self._track.rest_s > 0.0:
                 weight_u = max(weight_u, FOLLOWING_THRUST_WEIGHT)
-            then = self._next if self._track.rest_s > -PASSED_S else None
+            then = self._next if self._track.rest_s > -END_HOLD_S else None
             x, thrust = self._track.sample(self._t_s, current, then)
-            if then is None:
+            if then is None or self._track.rest_s <= 0.0:
                 after = self._t_s[:-1] >= self._track.rest_s
                 thrust[after] = self._steady(x[:-1][after][:, U : R + 1])
         params = now.params
@@ -159,6 +160,8 @@ class EnergyGuidance:
         if track is None and self._track is not None:
             return False
         self._track = track
+        # The next leg was planned from where the last trajectory ended.
+        self._next = None
         if track is not None:
             track.locate(now.x0, 0.0)
         self._flow = request.flow

@@ -73,14 +73,17 @@ class Track:
     ) -> tuple[FloatArray, FloatArray]:
         """References (N+1, 8) and mean thrust (N, 4) at times ``t_s`` (N+1,) from now.
 
-        After the end ``then`` is followed, which begins where this one ends. Without it the vehicle comes to rest at
-        the goal's centre; thrust there is zero, to be filled in by the caller for the velocities of the reference.
+        After the end ``then`` is followed, which begins where this one ends; a vehicle that is at the end already is
+        held there. Without it the vehicle comes to rest at the goal's centre. Thrust at rest is zero, to be filled in
+        by the caller for the velocities of the reference.
         """
         at = self.clock_s + t_s
         end_s = float(self.trajectory.t_s[-1])
         x, impulse = self._states(at), self._impulse_at(at)
         late = np.flatnonzero(at > end_s)
-        if len(late) and then is not None:
+        if then is not None and self.clock_s >= end_s:
+            x = still(self.trajectory.x[-1], t_s, current_ned_m_s)
+        elif len(late) and then is not None:
             x[late] = then._states(at[late] - end_s)
             x[late, YAW] += unwrap_near(float(then.trajectory.x[0, YAW]), float(self.trajectory.x[-1, YAW]))
             x[late, YAW] -= then.trajectory.x[0, YAW]
