@@ -57,8 +57,9 @@ def _map(axes: Any, case: Case, record: Record, flights: Sequence[Flight]) -> No
         for x, y, radius in CYLINDERS:
             axes.add_patch(Circle((y, x), radius, color="0.4"))
     for index, flight in enumerate(flights):
-        colour = COLOURS[index % len(COLOURS)]
-        axes.plot(flight.track[:, 1], flight.track[:, 0], color=colour, lw=1.2, label=flight.pilot)
+        again, place = divmod(index, len(COLOURS))
+        style = "-." if again else "-"
+        axes.plot(flight.track[:, 1], flight.track[:, 0], style, color=COLOURS[place], lw=1.2, label=flight.pilot)
     axes.plot(
         record.track_ned_m[:, 1], record.track_ned_m[:, 0], "k--", lw=1.8, label=f"optimum {record.energy_j:.0f} J"
     )
