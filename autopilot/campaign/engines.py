@@ -11,14 +11,12 @@ from contextlib import contextmanager
 from multiprocessing.synchronize import Event
 from typing import Any, Protocol
 
+from autopilot import THREAD_VARIABLES
 from autopilot.campaign.results import RunResult, Task, failure
 from autopilot.core.errors import AutopilotError, ConfigError
 
 LOOK_S = 0.2
 """How often a waiting engine looks whether it is to stop."""
-
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""One core per run: matrices are small, and threads of several runs would only wait for each other."""
 
 Stop = Callable[[], bool]
 
@@ -126,7 +124,7 @@ def _fly_in_worker(task: Task) -> RunResult | None:
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Processes that begin meanwhile use one thread for linear algebra."""
+    """Processes that begin meanwhile use one thread for linear algebra: several runs would only wait for each other."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:
