@@ -133,8 +133,7 @@ class StepProgram:
             float(reference.x[-1, YAW]),
             now.nav.current_ned_m_s,
             TerminalLimits(
-                thrust_n=now.thrust_limit_n
-                - np.minimum(back_off.thrust_n[-1], LARGEST_THRUST_SHARE * now.thrust_limit_n),
+                thrust_n=_left(now.thrust_limit_n, back_off.thrust_n[-1]),
                 planar_speed_m_s=params["SPD_PLANAR_MAX"] - float(back_off.planar_speed_m_s[-1]),
                 heave_m_s=params["SPD_HEAVE_MAX"] - float(back_off.heave_m_s[-1]),
                 yaw_rate_rad_s=params["SPD_YAW_MAX"] - float(back_off.yaw_rate_rad_s[-1]),

@@ -85,8 +85,7 @@ class Track:
             x = still(self.trajectory.x[-1], t_s, current_ned_m_s)
         elif len(late) and then is not None:
             x[late] = then._states(at[late] - end_s)
-            x[late, YAW] += unwrap_near(float(then.trajectory.x[0, YAW]), float(self.trajectory.x[-1, YAW]))
-            x[late, YAW] -= then.trajectory.x[0, YAW]
+            x[late, YAW] += _turn_rad(self.trajectory, then.trajectory)
             impulse[late] += then._impulse_at(at[late] - end_s)
         elif len(late) and self.complete:
             self._settle(x, at, late, current_ned_m_s)
@@ -124,14 +123,19 @@ def joined(first: Trajectory, from_s: float, second: Trajectory) -> Trajectory:
     later = first.t_s > from_s
     here = np.array([np.interp(from_s, first.t_s, column) for column in first.x.T])
     onward = second.x[1:].copy()
-    turn = unwrap_near(float(second.x[0, YAW]), float(first.x[-1, YAW])) - float(second.x[0, YAW])
-    onward[:, YAW] += turn
+    onward[:, YAW] += _turn_rad(first, second)
     return replace(
         second,
         t_s=np.concatenate([[0.0], first.t_s[later] - from_s, second.t_s[1:] + end_s - from_s]),
         x=np.vstack([here, first.x[later], onward]),
         thrust_n=np.vstack([first.thrust_n[later[1:]], second.thrust_n]),
     )
+
+
+def _turn_rad(first: Trajectory, second: Trajectory) -> float:
+    """Whole turns that bring the heading with which ``second`` begins to the one with which ``first`` ends."""
+    begin = float(second.x[0, YAW])
+    return unwrap_near(begin, float(first.x[-1, YAW])) - begin
 
 
 def still(x0: FloatArray, t_s: FloatArray, current_ned_m_s: FloatArray) -> FloatArray:
