@@ -1,0 +1,112 @@
+"""Slow work beside the loop: a request is pure data, its answer comes a counted time after it.
+
+Everything that does not fit into a tick (validation of plans, route search, energy plans, certificates, disk) goes over
+a desk. A desk is one lane: its requests are worked off one after the other, a cancelled one that has not begun is never
+begun. What a run does must not depend on how fast the machine is, so in lockstep the loop waits at a *patient* desk for
+an answer that is due; in real time the loop goes on and takes the answer when it is ready, late ones are counted.
+Without an executor the work is done at the moment it is due (tests, studies).
+"""
+
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures import TimeoutError as NotReadyError
+from dataclasses import dataclass
+from typing import Generic, TypeVar, cast
+
+IDLE_S = 0.05
+"""A loop that waits for an answer attends to what cannot wait (heartbeats) this often."""
+
+Q = TypeVar("Q")
+A = TypeVar("A")
+
+
+class Cancel:
+    """Whether an answer is still wanted; long work looks at it between its steps and may return anything then."""
+
+    __slots__ = ("requested",)
+
+    def __init__(self) -> None:
+        self.requested = False
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Answer(Generic[A]):
+    """What became of a request: a value, or the exception that ended the work."""
+
+    value: A | None
+    error: Exception | None = None
+
+    def get(self) -> A:
+        """The value, or the work's exception."""
+        if self.error is not None:
+            raise self.error
+        return cast(A, self.value)
+
+
+class Ticket(Generic[A]):
+    """A request that has been handed in. ``poll`` gives its answer once; after ``cancel`` there is none."""
+
+    def __init__(self, desk: "Desk", due: int, work: Callable[[], A], cancel: Cancel) -> None:
+        self._desk, self._work, self._cancel = desk, work, cancel
+        self._late = False
+        self._future: Future[A] | None = None if desk.executor is None else desk.executor.submit(work)
+        self.due = due
+        """When the answer is to be taken, in the caller's counts."""
+        self.open = True
+        """Until it is answered or cancelled."""
+
+    def poll(self, now: int) -> Answer[A] | None:
+        """The answer, once, when it is due (and, at a desk that is not patient, ready)."""
+        if not self.open or now < self.due:
+            return None
+        future = self._future
+        if future is not None and not self._desk.patient and not future.done():
+            self._desk.late += not self._late
+            self._late = True
+            return None
+        self.open = False
+        try:
+            return Answer(value=self._work() if future is None else self._wait(future))
+        except CancelledError:  # the desk was closed
+            return None
+        except Exception as error:  # noqa: BLE001 - the work's own; whoever asked decides what it means
+            return Answer(value=None, error=error)
+
+    def cancel(self) -> None:
+        """The answer is not wanted any more."""
+        self.open = False
+        self._cancel.requested = True
+        if self._future is not None:
+            self._future.cancel()
+
+    def _wait(self, future: "Future[A]") -> A:
+        while not future.done():
+            try:
+                return future.result(IDLE_S)
+            except NotReadyError:
+                self._desk.idle()
+        return future.result()
+
+
+class Desk:
+    """One lane of slow work."""
+
+    def __init__(self, executor: Executor | None = None, *, patient: bool = True) -> None:
+        self.executor, self.patient = executor, patient
+        self.late = 0
+        """Answers that were not there when they were due."""
+        self.idle: Callable[[], None] = lambda: None
+        """Called now and then while the loop waits for an answer."""
+
+    def submit(self, due: int, work: Callable[[Q, Cancel], A], request: Q) -> Ticket[A]:
+        """Ask for ``work(request, cancel)``; the answer is taken when the caller's count has reached ``due``.
+
+        ``request`` must not change any more, and ``work`` may touch nothing else that does.
+        """
+        cancel = Cancel()
+        return Ticket(self, due, lambda: work(request, cancel), cancel)
+
+    def close(self) -> None:
+        """Begin nothing any more; what is being worked on is left to end."""
+        if self.executor is not None:
+            self.executor.shutdown(wait=False, cancel_futures=True)
