@@ -6,7 +6,7 @@ import click
 
 from autopilot.cli.output import emit_json, print_table
 
-NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy")
+NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "faults")
 LONG = ("estimator", "pockets", "energy")
 """Short when all are run."""
 
@@ -19,8 +19,19 @@ LONG = ("estimator", "pockets", "energy")
 @click.option(
     "--figures", type=click.Path(file_okay=False), help="energy, estimator --images: write figures into this folder."
 )
+@click.option("--part", help="faults: only the findings of this part (loop, plans ...).")
+@click.option("--markdown", is_flag=True, help="faults: print the table as docs/reliability.md has it.")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
-def bench(name: str | None, short: bool, recompute: bool, images: bool, figures: str | None, as_json: bool) -> None:
+def bench(
+    name: str | None,
+    short: bool,
+    recompute: bool,
+    images: bool,
+    figures: str | None,
+    part: str | None,
+    markdown: bool,
+    as_json: bool,
+) -> None:
     """Run the benchmark NAME, or all.
 
     nmpc: CPU time of one control step for several grids, beside IPOPT and fatrop on the same problems in the same run;
@@ -33,6 +44,8 @@ def bench(name: str | None, short: bool, recompute: bool, images: bool, figures:
     6 starts with --short, or when no NAME is given).
     energy: energy of closed loops beside the offline optimum (known flow; estimated flow and a wrong model) and
     beside rivals; a quarter of an hour, one minute with --short, or when no NAME is given.
+    faults: what clients, wires, disks and sensors can do to the service: what happened once, what is promised, what
+    happens now (some minutes; exit code 1 if a promise is not kept).
 
     Times depend on the machine and on what else it does: each table says how slow the machine is just now.
     """
@@ -42,9 +55,14 @@ def bench(name: str | None, short: bool, recompute: bool, images: bool, figures:
         raise click.UsageError("--images belongs to the benchmark estimator")
     if figures is not None and name != "energy" and not images:
         raise click.UsageError("--figures belongs to the benchmarks energy and estimator --images")
+    if (part is not None or markdown) and name != "faults":
+        raise click.UsageError("--part and --markdown belong to the benchmark faults")
     if recompute:
         _recompute()
-    chosen = NAMES if name is None else (name,)
+    if name == "faults":
+        _faults(part, as_json=as_json, as_markdown=markdown)
+        return
+    chosen = [each for each in NAMES if each != "faults"] if name is None else [name]
     results: dict[str, object] = {}
     for each in chosen:
         slow = _slowness()
@@ -62,6 +80,24 @@ def bench(name: str | None, short: bool, recompute: bool, images: bool, figures:
             click.echo(f"the machine was {slow:.1f} times slower during this than when the asked figures were set")
     if as_json:
         emit_json(results)
+
+
+def _faults(part: str | None, *, as_json: bool, as_markdown: bool) -> None:
+    """Print the table of faults; exit code 1 if a promise is not kept."""
+    from autopilot.bench.faults.bench import PARTS, bench_faults, markdown
+
+    if part is not None and part not in PARTS:
+        raise click.UsageError(f"--part {part}: there is {', '.join(PARTS)}")
+    rows = bench_faults(part, lambda line: click.echo(line, err=True))
+    if as_json:
+        emit_json([asdict(row) for row in rows])
+    elif as_markdown:
+        click.echo(markdown(rows), nl=False)
+    else:
+        columns = ("part", "finding", "before", "promise", "now", "kept")
+        print_table(TITLES["faults"], list(columns), [[str(getattr(row, c)) for c in columns] for row in rows])
+    if not all(row.kept for row in rows):
+        raise SystemExit(1)
 
 
 def _slowness() -> float:
@@ -127,6 +163,7 @@ def _energy(short: bool, figures: str | None) -> list[dict[str, object]]:
 
 
 TITLES = {
+    "faults": "What comes from outside, and what the service makes of it; before = at revision 0501193",
     "nmpc": "One control step, CPU time; normal_ms = the median at the reference speed, bar and goal are for that",
     "sitl": "The paper's mission with its log; speed = simulated over wall time, asked = what the project asks for",
     "estimator": "Estimate against truth in the paper's tank, rms unless said otherwise; worst = of one seed",
