@@ -91,6 +91,8 @@ class Commander:
         self._events: list[Event] = []
         self._t_us = 0
         self._ticks = 0
+        self.orders = 0
+        """Grows whenever the vehicle is told to do something else."""
 
     @property
     def armed(self) -> bool:
@@ -233,6 +235,11 @@ class Commander:
         if answer.result is CommandResult.ACCEPTED:
             self._hold = self._goals.at(target_ned_m, yaw_rad)
         return answer
+
+    def fall_back(self) -> None:
+        """Something inside has failed: hold here until somebody decides anew. A failsafe's action goes on."""
+        if self._armed and self._override is None:
+            self._enter(FlightMode.HOLD)
 
     def change_speed(self, speed_m_s: float) -> Answer:
         """Cruise speed for what runs now."""
@@ -387,6 +394,7 @@ class Commander:
 
     def _enter(self, mode: FlightMode) -> None:
         """Begin a mode where the vehicle is."""
+        self.orders += 1
         if mode is FlightMode.MISSION:
             self._load_mission()
             self._sequencer.start()

@@ -14,6 +14,7 @@ from autopilot.control.energy.desk import PlanningDesk
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.core.errors import ConfigError, PlanError
+from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
@@ -90,7 +91,9 @@ def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
     controller = MotionController(vehicle, currents=setup.currents, desk=desk)
     check = MarginCheck(controller.margins, vehicle, params, plans)
     commander = Commander(vehicle, params, plans, controller_check=check)
+    guard = Guard()
     parts = Parts(
+        guard=guard,
         vehicle=vehicle,
         params=params,
         plans=plans,
@@ -116,6 +119,7 @@ def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
             uid=setup.instance + 1,
             links=range(setup.links),
             patience=setup.patience,
+            guard=guard,
         ),
     )
     return Autopilot(parts), parts

@@ -43,6 +43,8 @@ class Conditions:
     """What the thrusters that are left cannot do any more."""
     command_delay_s: float = 0.0
     """So late commands reach the thrusters, beyond doubt."""
+    fault: str = ""
+    """What has failed inside the service of late."""
 
 
 class FailsafeRules:
@@ -85,6 +87,8 @@ class FailsafeRules:
             reasons.append("position is not good: markers must be in view")
         if conditions.thruster_problem:
             reasons.append(f"{conditions.thruster_problem}: repair it, or correct THRn_HEALTH")
+        if conditions.fault:
+            reasons.append(f"{conditions.fault}: see the log, restart the service")
         power = conditions.power
         if power is not None and power.remaining < self._params["FS_BATT_LOW"]:
             reasons.append(f"battery at {100.0 * power.remaining:.0f} %: charge it")
@@ -132,6 +136,8 @@ class FailsafeRules:
             found[Failsafe.THRUSTER] = (conditions.thruster_problem, soft_actions[int(p["FS_THR_ACT"])])
         if conditions.command_delay_s > p["FS_LAT_MAX"]:
             found[Failsafe.LATENCY] = ("commands act too late", soft_actions[int(p["FS_LAT_ACT"])])
+        if conditions.fault:
+            found[Failsafe.FAULT] = (conditions.fault, None)
         power = conditions.power
         if power is not None and power.remaining < p["FS_BATT_LOW"]:
             text = f"battery below {100.0 * p['FS_BATT_LOW']:.0f} %"

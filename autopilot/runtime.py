@@ -5,13 +5,24 @@ all that lockstep needs. With a speed the loop waits for its clock and counts th
 runs as fast as the machine allows and time is what the tick says.
 """
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from autopilot.core.clock import TICK_US, Clock
-from autopilot.core.messages import Inputs, LoopStats, MavlinkFrame, Outputs, ThrusterCommand
+from autopilot.core.errors import DriverError
+from autopilot.core.guard import Guard
+from autopilot.core.messages import (
+    DeviceRole,
+    DeviceTrouble,
+    Inputs,
+    LoopStats,
+    MavlinkFrame,
+    Outputs,
+    ThrusterCommand,
+)
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.service import Autopilot
 from autopilot.vision import VisionWorker
@@ -19,6 +30,14 @@ from drivers.protocols import Link
 
 STATS_EVERY_TICKS = 100
 """Loop statistics once per second."""
+
+NO_SAMPLES: Sequence[Sample] = ()
+NO_PICTURES: Sequence[CameraFrame] = ()
+
+MAX_SHOWN_FAULTS = 20
+"""Kinds of internal faults that are shown on the console; all are in the log."""
+
+T = TypeVar("T")
 
 
 class Device(Protocol):
@@ -39,6 +58,8 @@ class Device(Protocol):
     def write(self, t_us: int, command: ThrusterCommand) -> None:
         """Drive the thrusters."""
         ...
+
+    # What cannot be had raises DriverError or OSError, is told to the service, and tried again on the next tick.
 
     def close(self) -> None:
         """Thrusters to neutral, devices closed."""
@@ -147,6 +168,10 @@ class Runtime:
         self._peers = tuple(peers)
         self._on_tick = on_tick
         self._paced = paced
+        self._troubles: list[DeviceTrouble] = []
+        self._guard = Guard()
+        self._shown_faults: set[tuple[str, str]] = set()
+        self._rest: ThrusterCommand | None = None
         self._peer_rx: list[MavlinkFrame] = []
         self._cpu_mark_s = time.process_time()
         self._busy_s = 0.0
@@ -174,11 +199,15 @@ class Runtime:
         if late_us > TICK_US:
             self.counters.overruns += 1
         begin_s = time.perf_counter()
-        self._device.advance(t_us)
-        frames = self._device.frames(t_us)
-        samples = list(self._device.poll(t_us))
+        self._try(t_us, DeviceRole.SENSORS, lambda: self._device.advance(t_us), None)
+        frames = self._try(t_us, DeviceRole.CAMERA, lambda: self._device.frames(t_us), NO_PICTURES)
+        samples = list(self._try(t_us, DeviceRole.SENSORS, lambda: self._device.poll(t_us), NO_SAMPLES))
         if self._vision is not None:
+            failed = self._vision.failed
             samples += self._vision.collect(t_us)
+            if self._vision.failed > failed:
+                text = "detection fails at its pictures"
+                self._troubles.append(DeviceTrouble(t_us=t_us, device=DeviceRole.CAMERA, text=text))
             for frame in frames:
                 self._vision.submit(t_us, frame, self._service.nav)
         inputs = Inputs(
@@ -187,9 +216,12 @@ class Runtime:
             mavlink_rx=self._receive(),
             overruns=self.counters.overruns,
             cpu_load=self.counters.cpu_load,
+            troubles=tuple(self._troubles),
         )
+        self._troubles = []
         outputs = self._with_frames(self._step(inputs))
-        self._device.write(t_us, outputs.command)
+        self._drive(t_us, outputs)
+        outputs = self._with_faults(outputs)
         self._send(t_us, outputs.mavlink_tx)
         self._recorder.record(inputs, outputs, frames)
         self._on_tick(outputs)
@@ -203,6 +235,41 @@ class Runtime:
             self._vision.close()
         for link in self._links:
             link.close()
+
+    # Devices
+
+    def _try(self, t_us: int, device: DeviceRole, work: Callable[[], T], otherwise: T) -> T:
+        """Use a device; one that fails is told to the service with the next tick, which goes on without it."""
+        try:
+            return work()
+        except (DriverError, OSError) as error:
+            text = str(error)
+        except Exception as error:  # noqa: BLE001 - a driver's own fault: kept, or raised again where the guard is set to
+            self._guard.t_us = t_us
+            self._guard.note(f"device {device.name.lower()}", error)
+            text = f"internal fault ({type(error).__name__})"
+        self._troubles.append(DeviceTrouble(t_us=t_us, device=device, text=text))
+        return otherwise
+
+    def _drive(self, t_us: int, outputs: Outputs) -> None:
+        """Command the thrusters; when that fails, neutral at least is tried."""
+        if not outputs.mode.armed:
+            self._rest = outputs.command
+        before = len(self._troubles)
+        self._try(t_us, DeviceRole.THRUSTERS, lambda: self._device.write(t_us, outputs.command), None)
+        rest = self._rest
+        if len(self._troubles) > before and rest is not None:
+            self._try(t_us, DeviceRole.THRUSTERS, lambda: self._device.write(t_us, rest), None)
+            del self._troubles[before + 1 :]
+
+    def _with_faults(self, outputs: Outputs) -> Outputs:
+        """Faults of drivers join the service's; the first of each kind is shown where the service was started."""
+        faults = outputs.faults + self._guard.take() + (() if self._vision is None else self._vision.guard.take())
+        for fault in faults:
+            if fault.key not in self._shown_faults and len(self._shown_faults) < MAX_SHOWN_FAULTS:
+                self._shown_faults.add(fault.key)
+                print(f"{fault.line}\n{fault.traceback}", file=sys.stderr)
+        return replace(outputs, faults=faults) if faults else outputs
 
     def _receive(self) -> tuple[MavlinkFrame, ...]:
         received = [

@@ -1,10 +1,13 @@
 """The autopilot as one function: ``Outputs = Autopilot.step(Inputs)``, once per tick of 10 ms.
 
 Order within a tick: estimate -> MAVLink -> decide -> control (every fifth tick) -> allocate. No clock, socket, file or
-random number lives here; real vehicle, simulation and replay differ only in who makes the inputs.
+random number lives here; real vehicle, simulation and replay differ only in who makes the inputs. Every part runs under
+a guard (:mod:`autopilot.core.guard`): what one that fails means for the others stands in :mod:`autopilot.fault_care`.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,27 +16,38 @@ from autopilot.control.allocation import Allocation
 from autopilot.control.controller import MotionController
 from autopilot.control.tracks import Tracks
 from autopilot.core.frames import FloatArray
+from autopilot.core.guard import Fault, Guard
 from autopilot.core.messages import (
     AID_SENSORS,
     MAX_THRUSTERS,
+    AidStatus,
     ControlOutput,
     EstimatorInputs,
     Event,
+    Failsafe,
     Fallback,
     Goal,
     Inputs,
+    MavlinkFrame,
+    MissionProgress,
     ModeState,
     NavCounters,
+    NavHealth,
     NavState,
     NmpcStatus,
     Outputs,
+    ProgressState,
+    Severity,
+    ShadowStatus,
     SolveStatus,
     ThrusterCommand,
+    ThrusterHealthState,
 )
 from autopilot.core.params import ParamSet
-from autopilot.core.samples import ObstacleTrack, PowerSample
+from autopilot.core.samples import ExternalPoseSample, ObstacleTrack, PowerSample
 from autopilot.core.vehicle import Vehicle
 from autopilot.failsafes import Conditions
+from autopilot.fault_care import DeviceCare, FaultCare
 from autopilot.latency import LatencyCare
 from autopilot.mavlink.api import GeoPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
@@ -57,6 +71,15 @@ BLIND_ASCENT_SHARE = 0.35
 VERTICAL = 2
 """Index of the vertical thruster."""
 
+LAST_ESTIMATE_US = 200_000
+"""So long the last estimate stands in for an estimator that fails; then there is none."""
+
+NO_EVENTS: tuple[Event, ...] = ()
+NO_POSES: tuple[ExternalPoseSample, ...] = ()
+NO_FRAMES: tuple[MavlinkFrame, ...] = ()
+
+T = TypeVar("T")
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Parts:
@@ -70,6 +93,17 @@ class Parts:
     allocation: Allocation
     commander: Commander
     server: MavlinkServer
+    guard: Guard
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Estimated:
+    """What the estimator said on this tick."""
+
+    nav: NavState | None
+    ahrs_us: int | None
+    aids: tuple[AidStatus, ...] = ()
+    shadow: ShadowStatus | None = None
 
 
 class Autopilot:
@@ -92,7 +126,17 @@ class Autopilot:
         self._command: ThrusterCommand | None = None
         self._goal: Goal | None = None
         self._nav: NavState | None = None
+        self._nav_us = 0
+        self._ahrs_us: int | None = None
         self._events: tuple[Event, ...] = ()
+        self._shown: VehicleView | None = None
+        self._given: Inputs | None = None
+        self._fault_care = FaultCare(parts.vehicle, parts.params)
+        self._devices = DeviceCare()
+        self._faults: list[Fault] = []
+        self._fault_events: list[Event] = []
+        self._stopped = False
+        """Disarmed by a fault though the commander does not know: for good."""
 
     @property
     def nav(self) -> NavState | None:
@@ -100,77 +144,235 @@ class Autopilot:
         return self._nav
 
     def step(self, inputs: Inputs) -> Outputs:
-        """One tick."""
+        """One tick. Raises only where the guard is set to."""
+        guard = self._parts.guard
+        guard.t_us = inputs.t_us
+        self._given = inputs
+        outputs = guard.run("tick", lambda: self._step(inputs), None, lambda: inputs)
+        self._tick += 1
+        if outputs is None:
+            outputs = self._without_parts(inputs.t_us)
+        return replace(outputs, faults=self._take_faults()) if self._faults else outputs
+
+    def _step(self, inputs: Inputs) -> Outputs:
         parts = self._parts
         t_us = inputs.t_us
-        self._note(inputs)
-        acting_n = self._latency.send(t_us, self._pulse_n)
-        given = EstimatorInputs(thrust_n=self._care.share * acting_n, samples=parts.server.take_samples())
-        nav = parts.estimator.step(t_us, inputs.samples + given.samples, given.thrust_n)
-        self._nav = nav
-        ahrs_us, aids, shadow = parts.estimator.ahrs_us, parts.estimator.take_aids(), parts.estimator.shadow
-        self._aid_ratio.update((aid.sensor, aid.test_ratio) for aid in aids)
-        counters = self._counted(t_us) if self._tick % COUNTERS_EVERY_TICKS == 0 else None
-        tx = parts.server.step(
-            t_us,
-            inputs.mavlink_rx,
-            self._view(inputs, nav),
-            self._events,
-            () if self._decision is None else self._decision.reached,
-        )
-        capability_n = parts.allocation.capability_n(self._supply_v())
-        armed = parts.commander.armed
-        self._latency.step(t_us, nav, armed=armed)
-        thrusters = self._care.step(
-            t_us,
-            nav,
-            acting_n,
-            capability_n,
-            self._goal,
-            armed=armed and self._latency.prompt,
-        )
-        decision = parts.commander.step(
-            Conditions(
-                t_us=t_us,
-                nav=nav,
-                power=self._power,
-                ahrs_age_s=None if ahrs_us is None else (t_us - ahrs_us) * 1e-6,
-                solver_failures=self._solver_failures,
-                unreachable=parts.controller.unreachable,
-                nav_disagrees=shadow is not None and shadow.disagrees,
-                thruster_share=tuple(self._care.share.tolist()),
-                thruster_problem=self._care.problem,
-                command_delay_s=self._latency.delay_s,
-            )
-        )
-        control = self._control(t_us, nav, decision)
-        command = self._allocate(t_us, decision.armed)
+        self._run("inputs", lambda: self._note(inputs), None)
+        acting_n = self._run("thrusters", lambda: self._latency.send(t_us, self._pulse_n), np.zeros_like(self._pulse_n))
+        poses = self._run("message", parts.server.take_samples, NO_POSES)
+        given = EstimatorInputs(thrust_n=self._care.share * acting_n, samples=poses)
+        estimated = self._estimate(inputs, given)
+        nav = self._nav = estimated.nav
+        counters = None
+        if self._tick % COUNTERS_EVERY_TICKS == 0:
+            counters = self._run("counters", lambda: self._counted(t_us), None)
+        tx = self._serve(inputs, nav)
+        thrusters = self._watch_thrusters(t_us, nav, acting_n)
+        decision = self._decide(t_us, estimated)
+        control = self._run("controller", lambda: self._control(t_us, nav, decision), None, lambda: (nav, decision))
+        self._judge_faults()
+        if self._fault_care.holding:
+            self._hold_station(t_us, nav)
+        command = self._command_of(t_us, decision.armed)
         self._decision, self._command, self._goal = decision, command, decision.goal
-        self._events = parts.commander.drain_events() + tuple(
-            Event(t_us=t_us, severity=severity, text=text) for severity, text in parts.controller.take_news()
-        )
-        self._tick += 1
+        events = self._run("commander", parts.commander.drain_events, NO_EVENTS)
+        events += self._run("controller", lambda: self._news(t_us), NO_EVENTS)
+        self._judge_faults()
+        self._events = (*events, *self._fault_events)
+        self._fault_events = []
         return Outputs(
             t_us=t_us,
             command=command,
             nav=nav,
             mode=ModeState(
                 t_us=t_us,
-                armed=decision.armed,
+                armed=decision.armed and parts.commander.armed and not self._stopped,
                 custom_mode=parts.server.custom_mode(decision.mode),
                 failsafes=decision.failsafes,
             ),
             mavlink_tx=tx,
-            aids=aids,
+            aids=estimated.aids,
             estimated_from=given,
             counters=counters,
-            shadow=shadow,
+            shadow=estimated.shadow,
             goal=decision.goal,
             control=control,
             progress=decision.progress,
             thrusters=thrusters,
-            events=self._events + parts.server.take_notices(),
+            events=self._events + self._run("telemetry", parts.server.take_notices, NO_EVENTS),
         )
+
+    # Parts of a tick, each under the guard
+
+    def _run(self, part: str, work: Callable[[], T], otherwise: T, given: Callable[[], object] | None = None) -> T:
+        return self._parts.guard.run(part, work, otherwise, given or self._inputs)
+
+    def _news(self, t_us: int) -> tuple[Event, ...]:
+        """What the controller tells the operator."""
+        news = self._parts.controller.take_news()
+        return tuple(Event(t_us=t_us, severity=severity, text=text) for severity, text in news)
+
+    def _inputs(self) -> object:
+        return self._given
+
+    def _estimate(self, inputs: Inputs, given: EstimatorInputs) -> _Estimated:
+        """Estimate of this tick; when the estimator fails the last one for a moment, then none that is valid."""
+
+        def estimate() -> _Estimated:
+            estimator = self._parts.estimator
+            nav = estimator.step(inputs.t_us, inputs.samples + given.samples, given.thrust_n)
+            self._nav_us = inputs.t_us
+            return _Estimated(nav=nav, ahrs_us=estimator.ahrs_us, aids=estimator.take_aids(), shadow=estimator.shadow)
+
+        last = self._nav
+        if last is not None:
+            stale = inputs.t_us - self._nav_us > LAST_ESTIMATE_US
+            last = replace(last, t_us=inputs.t_us, health=NavHealth.INVALID if stale else last.health)
+        otherwise = _Estimated(nav=last, ahrs_us=self._ahrs_us)
+        estimated = self._run("estimator", estimate, otherwise, lambda: (inputs, given))
+        self._ahrs_us = estimated.ahrs_us
+        self._aid_ratio.update((aid.sensor, aid.test_ratio) for aid in estimated.aids)
+        return estimated
+
+    def _serve(self, inputs: Inputs, nav: NavState | None) -> tuple[MavlinkFrame, ...]:
+        """Requests of clients and telemetry."""
+        reached = () if self._decision is None else self._decision.reached
+        self._shown = view = self._run("view", lambda: self._view(inputs, nav), self._shown)
+        if view is None:
+            return ()
+        return self._run(
+            "mavlink",
+            lambda: self._parts.server.step(inputs.t_us, inputs.mavlink_rx, view, self._events, reached),
+            NO_FRAMES,
+        )
+
+    def _watch_thrusters(self, t_us: int, nav: NavState | None, acting_n: FloatArray) -> ThrusterHealthState | None:
+        """Late commands and lost thrust."""
+        parts = self._parts
+
+        def watch() -> ThrusterHealthState | None:
+            capability_n = parts.allocation.capability_n(self._supply_v())
+            armed = parts.commander.armed
+            self._latency.step(t_us, nav, armed=armed)
+            prompt = armed and self._latency.prompt
+            return self._care.step(t_us, nav, acting_n, capability_n, self._goal, armed=prompt)
+
+        return self._run("thrusters", watch, None, lambda: (nav, acting_n, self._goal))
+
+    def _decide(self, t_us: int, estimated: _Estimated) -> Decision:
+        parts, ahrs_us, shadow = self._parts, estimated.ahrs_us, estimated.shadow
+        self._judge_faults()
+        conditions = Conditions(
+            t_us=t_us,
+            nav=estimated.nav,
+            power=self._power,
+            ahrs_age_s=None if ahrs_us is None else (t_us - ahrs_us) * 1e-6,
+            solver_failures=self._solver_failures,
+            unreachable=parts.controller.unreachable,
+            nav_disagrees=shadow is not None and shadow.disagrees,
+            thruster_share=tuple(self._care.share.tolist()),
+            thruster_problem=self._devices.thruster_problem or self._care.problem,
+            command_delay_s=self._latency.delay_s,
+            fault=self._fault_care.problem(t_us),
+        )
+        decision = self._run("commander", lambda: parts.commander.step(conditions), None, lambda: conditions)
+        self._judge_faults()
+        if decision is None:
+            decision = self._undecided(t_us)
+        self._fault_care.step(self._order(), armed=parts.commander.armed)
+        return replace(decision, armed=False, goal=None, blind_ascent=False) if self._stopped else decision
+
+    def _undecided(self, t_us: int) -> Decision:
+        """Stands in for a commander that fails: hold, as far as the fallback does."""
+        commander, last = self._parts.commander, self._decision
+        blank = MissionProgress(t_us=t_us, current_seq=-1, reached_seq=-1, lap=0, state=ProgressState.UNKNOWN)
+        return Decision(
+            armed=commander.armed,
+            mode=commander.mode,
+            goal=self._goal if commander.armed else None,
+            blind_ascent=False,
+            progress=blank if last is None else replace(last.progress, t_us=t_us),
+            reached=(),
+            failsafes=(0 if last is None else last.failsafes) | 1 << Failsafe.FAULT,
+        )
+
+    def _command_of(self, t_us: int, armed: bool) -> ThrusterCommand:
+        """Pulses for this tick; neutral when they cannot be made, or when something that failed has disarmed."""
+        command = self._run(
+            "allocation", lambda: self._allocate(t_us, armed), None, lambda: (self._thrust_n, self._power)
+        )
+        self._judge_faults()
+        return command if command is not None and (not armed or self._parts.commander.armed) else self._neutral(t_us)
+
+    # What faults mean
+
+    def _order(self) -> tuple[object, ...]:
+        commander = self._parts.commander
+        return commander.mode, commander.orders
+
+    def _judge_faults(self) -> None:
+        """Act upon what has failed since the last call: hold, or disarm."""
+        faults = self._parts.guard.take()
+        if not faults:
+            return
+        care, commander, guard = self._fault_care, self._parts.commander, self._parts.guard
+        self._faults += faults
+        held = care.holding
+        events, disarms = care.take(faults, armed=commander.armed)
+        self._fault_events += events
+        if disarms:
+            text = f"Disarmed: {faults[-1].part} failed twice the same way"
+            self._fault_events.append(Event(t_us=guard.t_us, severity=Severity.CRITICAL, text=text))
+            guard.run("disarming", lambda: commander.disarm(True), None)
+            self._stopped = commander.armed
+        elif care.holding and not held:
+            guard.run("holding", commander.fall_back, None)
+            guard.run("controller", self._parts.controller.reset, None)
+            self._solver_failures, self._status = 0, None
+            care.ordered(self._order())
+
+    def _hold_station(self, t_us: int, nav: NavState | None) -> None:
+        """The fallback's thrust instead of the controller's."""
+        self._thrust_n = np.zeros(4)
+        limit_n = self._run("allocation", self._thrust_limit_n, np.zeros(4))
+        self._thrust_n = self._run(
+            "fallback", lambda: self._fault_care.thrust_n(t_us, nav, limit_n), np.zeros(4), lambda: nav
+        )
+
+    def _without_parts(self, t_us: int) -> Outputs:
+        """A tick of which nothing can be used: thrusters neutral, everything else as it was."""
+        guard = self._parts.guard
+        self._thrust_n = np.zeros(4)
+        guard.run("tick", self._judge_faults, None)
+        events, self._fault_events = tuple(self._fault_events), []
+        self._events = events
+        last = self._decision
+        return Outputs(
+            t_us=t_us,
+            command=self._neutral(t_us),
+            nav=self._nav,
+            mode=ModeState(
+                t_us=t_us,
+                armed=self._parts.commander.armed and not self._stopped,
+                custom_mode=0 if last is None else self._parts.server.custom_mode(last.mode),
+                failsafes=(0 if last is None else last.failsafes) | 1 << Failsafe.FAULT,
+            ),
+            events=events,
+        )
+
+    def _neutral(self, t_us: int) -> ThrusterCommand:
+        """No thrust; needs nothing that could fail."""
+        drive, count = self._parts.vehicle.drive, len(self._pulse_n)
+        self._pulse_n = np.zeros(count)
+        return ThrusterCommand(
+            t_us=t_us,
+            thrust_n=np.zeros(MAX_THRUSTERS),
+            pwm_us=(drive.neutral_us,) * count + (0,) * (MAX_THRUSTERS - count),
+        )
+
+    def _take_faults(self) -> tuple[Fault, ...]:
+        faults, self._faults = tuple(self._faults), []
+        return faults
 
     def _counted(self, t_us: int) -> NavCounters:
         """The estimator's counts, for the log and in short for ground stations."""
@@ -183,9 +385,12 @@ class Autopilot:
             sum(unused.values()) - fixes,
             counts.get("resets", 0),
         )
-        return NavCounters(t_us=t_us, counts=counts)
+        faults = {f"faults.{part}": count for part, count in self._parts.guard.counts.items()}
+        troubles = {f"devices.{role.name.lower()}": count for role, count in self._devices.counts.items() if count}
+        return NavCounters(t_us=t_us, counts={**counts, **faults, **troubles})
 
     def _note(self, inputs: Inputs) -> None:
+        self._fault_events += self._devices.step(inputs.t_us, inputs.troubles)
         for sample in inputs.samples:
             if isinstance(sample, PowerSample):
                 self._power = sample
@@ -195,6 +400,8 @@ class Autopilot:
     def _control(self, t_us: int, nav: NavState | None, decision: Decision) -> ControlOutput | None:
         """Run the controller on its ticks, its inner loop in between; neutral when there is nothing to follow."""
         parts = self._parts
+        if self._fault_care.holding:
+            return None
         if decision.goal is None or nav is None:
             self._thrust_n = np.zeros(4)
             if decision.blind_ascent:

@@ -11,6 +11,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+import cv2
+
+from autopilot.core.guard import Guard
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from estimator.frame_door import FrameDoor, FrameVerdict
@@ -48,6 +51,10 @@ class VisionWorker:
         self._pending: deque[_Pending] = deque()
         self._blind_frames = 0
         self.dropped = 0
+        self.guard = Guard()
+        """Keeps exceptions of the detector that a picture does not explain."""
+        self.failed = 0
+        """Pictures at which detection raised an exception: no sighting."""
 
     def submit(self, t_us: int, frame: CameraFrame, nav: NavState | None) -> None:
         """Start the detection of a frame that came in at ``t_us``; one that is no picture of a floor is dropped."""
@@ -75,13 +82,20 @@ class VisionWorker:
         """Sightings that are due, waiting for those that are not ready."""
         found = []
         while self._pending and self._pending[0].due_us <= t_us:
-            found.append(self._pending.popleft().sighting.result())
+            try:
+                found.append(self._pending.popleft().sighting.result())
+            except Exception as error:  # noqa: BLE001 - what is not OpenCV's word on a picture goes to the guard
+                self.failed += 1
+                if not isinstance(error, cv2.error):
+                    self.guard.t_us = t_us
+                    self.guard.note("vision", error)
         return found
 
     def counters(self) -> Mapping[str, int]:
-        """Frames so far by what became of them: ``frames.ok``, ``frames.dark`` ..., ``frames.dropped``."""
+        """Frames so far by what became of them: ``frames.ok``, ``frames.dark``, ..., ``frames.failed``."""
         result = {f"frames.{verdict.value}": count for verdict, count in self._door.counts.items()}
         result["frames.dropped"] = self.dropped
+        result["frames.failed"] = self.failed
         return result
 
     def close(self) -> None:

@@ -1,4 +1,6 @@
-"""For all tests: examples of property tests are the same in every run, and a slow machine is no failure."""
+"""For all tests: property tests always take the same examples, a slow machine is no failure, faults are raised."""
+
+import os
 
 from hypothesis import HealthCheck, settings
 
@@ -6,3 +8,6 @@ import autopilot  # noqa: F401 - before any test imports numpy: it says how many
 
 settings.register_profile("repeatable", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
+
+os.environ["AUTOPILOT_GUARD"] = "raise"
+"""Exceptions inside the service end a test, in this process and in those that it starts."""

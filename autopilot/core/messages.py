@@ -11,6 +11,7 @@ from enum import IntEnum
 import numpy as np
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.guard import Fault
 from autopilot.core.samples import ExternalPoseSample, Sample
 
 MAX_THRUSTERS = 8
@@ -37,6 +38,26 @@ class Inputs:
     """Ticks that began late so far (real time only), counted by the runtime."""
     cpu_load: float = 0.0
     """Share of the last second that the loop was busy, 0..1; 0 when nobody measures (lockstep)."""
+    troubles: tuple["DeviceTrouble", ...] = ()
+    """Devices that failed since the last tick."""
+
+
+class DeviceRole(IntEnum):
+    """What a device does for the vehicle."""
+
+    SENSORS = 0
+    CAMERA = 1
+    THRUSTERS = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DeviceTrouble:
+    """A device that could not be used on this tick; it is tried again on the next."""
+
+    t_us: int
+    device: DeviceRole
+    text: str
+    """What it says, and what to do."""
 
 
 # Estimate.
@@ -307,6 +328,7 @@ class Failsafe(IntEnum):
     THRUSTER = 4
     LATENCY = 5
     NAV_CHECK = 6
+    FAULT = 7
 
 
 class Severity(IntEnum):
@@ -377,3 +399,5 @@ class Outputs:
     thrusters: ThrusterHealthState | None = None
     """Twice per second and when a thruster's health changes."""
     events: tuple[Event, ...] = field(default=())
+    faults: tuple[Fault, ...] = ()
+    """Exceptions inside the service on this tick."""

@@ -51,6 +51,9 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _int("FENCE_GAP_CHK", 1, 0, 1, "1 = refuse a fence with a gap that is narrower than the vehicle, 0 = only warn."),
     _int("FS_BATT_ACT", 2, 0, 2, "Battery below FS_BATT_LOW: 0 = warn, 1 = hold, 2 = surface."),
     _real("FS_BATT_LOW", 0.1, 0.0, 1.0, "", "Share of the battery below which the battery failsafe acts."),
+    _real(
+        "FS_FAULT_TIME", 10.0, 0.0, 300.0, "s", "Station keeping after an internal fault; then thrusters are neutral."
+    ),
     _int("FS_LAT_ACT", 1, 0, 2, "Commands act later than FS_LAT_MAX: 0 = warn, 1 = hold, 2 = surface."),
     _real("FS_LAT_MAX", 0.4, 0.0, 1.5, "s", "Delay of commands above which the latency failsafe acts."),
     _int("FS_NAV_ACT", 2, 0, 2, "Estimate invalid for FS_NAV_TIMEOUT: 0 = warn, 1 = disarm, 2 = surface."),

@@ -141,7 +141,7 @@ uint8 state  # MISSION_STATE
 std_msgs/Header header
 uint8 armed
 uint32 custom_mode
-uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale, 4 thruster, 5 late, 6 estimators disagree
+uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale, 4 thruster, 5 late, 6 nav check, 7 fault
 """,
     "autopilot_msgs/LoopStats": """
 std_msgs/Header header

@@ -9,7 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from autopilot.core.errors import LogError
-from autopilot.core.messages import Event, Inputs, LoopStats, MavlinkFrame, NavState, Outputs
+from autopilot.core.guard import Fault
+from autopilot.core.messages import Event, Inputs, LoopStats, MavlinkFrame, NavState, Outputs, Severity
 from autopilot.core.samples import (
     AhrsSample,
     CameraFrame,
@@ -45,6 +46,8 @@ TRAIL_POINTS = 600
 """Points of /viz/path: five minutes of trail."""
 CAMERA_US = 500_000
 JPEG_QUALITY = 80
+MAX_FAULTS = 32
+"""Internal faults that a log keeps with all they had; of the others it has the line."""
 _BODY = 12
 """Bytes of a message in front of its content: encapsulation and stamp."""
 
@@ -96,6 +99,7 @@ class RunLog:
         self._last_body: dict[str, bytes] = {}
         self._cutters: dict[tuple[str, int], StreamCutter] = {}
         self._trail: list[tuple[float, float, float]] = []
+        self._faults = 0
 
     @property
     def path(self) -> Path:
@@ -194,6 +198,17 @@ class RunLog:
             self._mavlink("/out/mavlink", t_us, frame)
         for event in outputs.events:
             self.event(event)
+        for fault in outputs.faults:
+            self._fault(fault)
+
+    def _fault(self, fault: Fault) -> None:
+        """An exception inside the service: a line, and an attachment with all that it had."""
+        text = f"{fault.line}: {fault.text} ({fault.place})"
+        self.event(Event(t_us=fault.t_us, severity=Severity.ERROR, text=text))
+        if self._faults < MAX_FAULTS:
+            self._faults += 1
+            body = f"{fault.t_us} us, {fault.part}\n\n{fault.traceback}\ninputs:\n{fault.inputs}\n"
+            self._writer.attach(f"fault-{self._faults:02d}.txt", fault.t_us, body.encode(errors="replace"))
 
     def _ns(self, t_us: int) -> int:
         return self._writer.epoch_ns + t_us * 1000

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
@@ -66,6 +67,7 @@ class Context:
     view: VehicleView
     patience: float
     """Factor on the time that protocol partners get (they live in real time, a fast simulation does not)."""
+    guard: Guard
     t_us: int = 0
     links: dict[int, Link] = field(default_factory=dict)
     tx: list[MavlinkFrame] = field(default_factory=list)

@@ -1,9 +1,11 @@
 """Puts the microservices together and hands every message to the one that it belongs to."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
@@ -51,6 +53,7 @@ class Dispatcher:
         vehicle: VehicleCommands,
         view: VehicleView,
         patience: float,
+        guard: Guard,
     ) -> None:
         self._ctx = ctx = Context(
             sysid=sysid,
@@ -61,6 +64,7 @@ class Dispatcher:
             vehicle=vehicle,
             view=view,
             patience=patience,
+            guard=guard,
         )
         self.parameters = Parameters(ctx)
         self.missions = Missions(ctx)
@@ -160,16 +164,17 @@ class Dispatcher:
         ctx.t_us, ctx.view, ctx.tx = t_us, view, []
         if ctx.announce_place:
             ctx.announce_place, self._place_shown = False, None
+        run = ctx.guard.run
         for frame in rx:
-            self._receive(frame)
-        self._say_heartbeat()
+            run("message", partial(self._receive, frame), None, partial(repr, frame))
+        run("heartbeat", self._say_heartbeat, None, lambda: view)
         for event in events:
-            ctx.text(event.severity, event.text)
-        self._say_place()
-        self._progress.tick(reached)
-        self.parameters.tick()
-        self.missions.tick()
-        self._streams.tick()
+            run("telemetry", partial(ctx.text, event.severity, event.text), None, partial(repr, event))
+        run("telemetry", self._say_place, None, lambda: view)
+        run("progress", lambda: self._progress.tick(reached), None, lambda: view)
+        run("parameters", self.parameters.tick, None)
+        run("plans", self.missions.tick, None)
+        run("telemetry", self._streams.tick, None, lambda: view)
         return tuple(ctx.tx)
 
     def _receive(self, frame: MavlinkFrame) -> None:
@@ -183,7 +188,19 @@ class Dispatcher:
                 continue
             peer = Peer(frame.link, sysid, msg.get_srcComponent())
             self._greet(peer)
+            self._handle(handler, peer, msg)
+
+    def _handle(self, handler: Handler, peer: Peer, msg: Message) -> None:
+        """One message. What fails at it costs this message only; a command is answered FAILED."""
+        try:
             handler(peer, msg)
+        except Exception as error:  # noqa: BLE001 - a guard: counted, said and kept by it, or raised again
+            self._ctx.guard.note("message", error, lambda: (peer, msg.to_dict()))
+            if msg.get_msgId() in (mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT):
+                failed = mav.MAVLink_command_ack_message(
+                    msg.command, CommandResult.FAILED, 0, 0, peer.sysid, peer.compid
+                )
+                self._ctx.send(peer.link, failed)
 
     def _for_us(self, msg: Message) -> bool:
         """Addressed to us, to all, or to nobody."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
@@ -46,6 +47,7 @@ class MavlinkServer:
         uid: int = 0,
         links: Sequence[int] = (0,),
         patience: float = 1.0,
+        guard: Guard | None = None,
     ) -> None:
         identity = profile_by_name(profile)
         from autopilot.mavlink.dispatch import Dispatcher, Identity
@@ -60,6 +62,7 @@ class MavlinkServer:
             vehicle=vehicle,
             view=_blank_view(),
             patience=patience,
+            guard=guard or Guard(),
         )
         for link in links:
             self._dispatcher.add_link(link)

@@ -1,6 +1,7 @@
 """Which message goes out how often on which link: default rates, SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM."""
 
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 
 from pymavlink.dialects.v20 import development as mav
@@ -162,11 +163,15 @@ class Streams:
             if streams.next_us > t_us:
                 continue
             for msg_id in streams.take_due(t_us):
-                if msg_id not in built:
-                    built[msg_id] = self._builders[msg_id]()
-                message = built[msg_id]
-                if message is not None:
-                    self._ctx.send(link, message)
+                self._ctx.guard.run("telemetry", partial(self._send, link, msg_id, built), None, lambda: self._ctx.view)
+
+    def _send(self, link: int, msg_id: int, built: dict[int, Message | None]) -> None:
+        if msg_id not in built:
+            built[msg_id] = None
+            built[msg_id] = self._builders[msg_id]()
+        message = built[msg_id]
+        if message is not None:
+            self._ctx.send(link, message)
 
     def forget(self, link: int) -> None:
         """Drop the schedule of a closed link."""

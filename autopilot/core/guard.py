@@ -1,0 +1,123 @@
+"""Runs the parts of a tick so that one that fails does not take the others with it.
+
+An exception inside a part is a :class:`Fault`: kept with its traceback and with what the part was given, counted, and
+handed to whoever decides what it means (:mod:`autopilot.fault_care`). Nothing is hidden: where the guard is set to
+raise (tests, continuous integration), the exception goes on.
+"""
+
+import os
+import traceback
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+VARIABLE = "AUTOPILOT_GUARD"
+"""Environment variable: ``raise`` lets exceptions through. Anything else, or none, guards."""
+
+MAX_PENDING = 16
+"""Faults of one tick that are kept with all they had; the rest is only counted."""
+
+MAX_TEXT = 32_768
+"""Longest traceback and longest description of inputs that is kept, in characters."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Fault:
+    """An exception inside the service."""
+
+    t_us: int
+    part: str
+    """Which part of the tick: estimator, commander, controller, allocation, message, ..."""
+    kind: str
+    """Name of the exception's class."""
+    place: str
+    """File, line and function that raised it."""
+    text: str
+    """The exception's message."""
+    traceback: str
+    inputs: str
+    """What the part was given, as far as it fits."""
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Faults of the same kind: the same exception from the same place."""
+        return self.kind, self.place
+
+    @property
+    def line(self) -> str:
+        """For the operator."""
+        return f"Internal fault: {self.part}: {self.kind}"[:50]
+
+
+class Guard:
+    """One per service."""
+
+    def __init__(self, *, raises: bool | None = None) -> None:
+        """``raises``: let exceptions through; None = as the environment says."""
+        self.raises = os.environ.get(VARIABLE) == "raise" if raises is None else raises
+        self.t_us = 0
+        """Time of the tick, set by the service."""
+        self._counts: Counter[str] = Counter()
+        self._pending: list[Fault] = []
+
+    def run(self, part: str, work: Callable[[], T], otherwise: T, given: Callable[[], object] = lambda: "") -> T:
+        """``work()``, or ``otherwise`` when it raises. ``given`` describes what it worked on, asked for only then."""
+        try:
+            return work()
+        except Exception as error:  # noqa: BLE001 - the loop's one blanket; the fault is kept and acted upon
+            self.note(part, error, given)
+            return otherwise
+
+    def note(self, part: str, error: Exception, given: Callable[[], object] = lambda: "") -> None:
+        """An exception that was caught. Raises it again where the guard is set to."""
+        if self.raises:
+            raise error
+        self._counts[part] += 1
+        if len(self._pending) < MAX_PENDING:
+            self._pending.append(_fault(self.t_us, part, error, given))
+
+    def take(self) -> tuple[Fault, ...]:
+        """Faults since the last call."""
+        if not self._pending:
+            return ()
+        faults, self._pending = tuple(self._pending), []
+        return faults
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Faults so far, by part."""
+        return self._counts
+
+
+def _fault(t_us: int, part: str, error: Exception, given: Callable[[], object]) -> Fault:
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno} in {frames[-1].name}" if frames else "unknown"
+    return Fault(
+        t_us=t_us,
+        part=part,
+        kind=type(error).__name__,
+        place=place,
+        text=_bounded(lambda: str(error)),
+        traceback="".join(traceback.format_exception(error))[-MAX_TEXT:],
+        inputs=_bounded(lambda: _described(given)),
+    )
+
+
+def _described(given: Callable[[], object]) -> str:
+    """All digits, so that the numbers can be given again."""
+    with np.printoptions(precision=17, floatmode="unique", threshold=2_000):
+        return repr(given())
+
+
+def _bounded(make: Callable[[], str]) -> str:
+    """A text that is not allowed to fail: it describes what has failed already."""
+    try:
+        return make()[:MAX_TEXT]
+    except Exception as error:  # noqa: BLE001 - see above
+        return f"cannot be described ({type(error).__name__})"
