@@ -1,0 +1,289 @@
+"""Something inside the service fails: the real service on the simulated vehicle, with one part broken on purpose."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.config import gather, sitl_defaults
+from autopilot.core.errors import DriverError
+from autopilot.core.messages import Failsafe, Outputs
+from autopilot.log.reader import open_log
+from autopilot.sitl_session import SitlSession, open_sitl
+
+OpenSession = Callable[..., SitlSession]
+NEUTRAL_US = 1500
+
+
+class Client:
+    """A ground station in the vehicle's time."""
+
+    def __init__(self) -> None:
+        self._mav = mav.MAVLink(None, srcSystem=255, srcComponent=190)
+        self._mav.robust_parsing = True
+        self.out: list[bytes] = []
+        self.heard: list[Any] = []
+
+    def send(self, message: Any) -> None:
+        self.out.append(bytes(message.pack(self._mav)))
+
+    def command(self, command: int, *params: float) -> None:
+        self.send(mav.MAVLink_command_long_message(1, 1, command, 0, *(*params, *(0.0,) * 7)[:7]))
+
+    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        for data in received:
+            self.heard += self._mav.parse_buffer(data) or ()
+        out, self.out = self.out, []
+        return out
+
+    def texts(self) -> list[str]:
+        whole: list[str] = []
+        for m in self.heard:
+            if m.get_type() == "STATUSTEXT" and m.chunk_seq:
+                whole[-1] += m.text
+            elif m.get_type() == "STATUSTEXT":
+                whole.append(m.text)
+        return whole
+
+    def count(self, kind: str) -> int:
+        return sum(m.get_type() == kind for m in self.heard)
+
+
+class Flight:
+    """A vehicle that has been armed and is on its mission."""
+
+    def __init__(self, session: SitlSession, client: Client) -> None:
+        self.session, self.client = session, client
+        self.t_us = 0
+        self.outputs: list[Outputs] = []
+
+    def fly(self, seconds: float) -> list[Outputs]:
+        begin = len(self.outputs)
+        for _ in range(round(seconds * 100)):
+            self.t_us += 10_000
+            self.outputs.append(self.session.runtime.tick(self.t_us))
+        return self.outputs[begin:]
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Iterator[Callable[..., Flight]]:
+    """Makes flights that are on their way, with the guard as in production."""
+    opened: list[SitlSession] = []
+
+    def make(log: Path | None = None, under_way: bool = True) -> Flight:
+        settings = gather(
+            sitl_defaults(0), {"scenario": "paper-tank", "speed": 0.0, "sensors": "pose", "start": under_way}, {}
+        )
+        settings.put("connect", (), "test")
+        settings.put("state_dir", str(tmp_path / "state"), "test")
+        settings.put("log", None if log is None else str(log), "test")
+        client = Client()
+        session = open_sitl(settings, {"FS_FAULT_TIME": 2.0}, log=log is not None, peers=(client,))
+        session.parts.guard.raises = False
+        session.runtime._guard.raises = False
+        opened.append(session)
+        made = Flight(session, client)
+        made.fly(6.0 if under_way else 1.5)
+        assert made.outputs[-1].mode.armed is under_way
+        return made
+
+    yield make
+    for session in opened:
+        session.runtime.close()
+        session.recorder.close()
+
+
+def broken(*_: object, **__: object) -> Any:
+    """Stands where a part of the service was."""
+    raise ZeroDivisionError("broken on purpose")
+
+
+def at_rest(outputs: Outputs) -> bool:
+    return set(outputs.command.pwm_us[:4]) == {NEUTRAL_US}
+
+
+def test_a_controller_that_fails_is_replaced_by_station_keeping_then_by_neutral(flight: Callable[..., Flight]) -> None:
+    made = flight()
+    made.session.parts.controller.step = broken  # type: ignore[method-assign]
+    here = made.session.device.truth.pos_ned_m.copy()
+    held = made.fly(1.8)
+    assert all(tick.mode.armed for tick in held)
+    assert np.linalg.norm(made.session.device.truth.pos_ned_m - here) < 0.5
+    assert sum(not at_rest(tick) for tick in held) > 100
+    last = held[-1]
+    assert last.mode.failsafes >> Failsafe.FAULT & 1
+    rest = made.fly(2.0)
+    assert all(at_rest(tick) for tick in rest[60:])
+    assert all(tick.mode.armed for tick in rest)
+    assert made.client.texts().count("Internal fault: controller: ZeroDivisionError") == 1
+    assert made.client.count("HEARTBEAT") >= 9
+
+
+def test_the_operator_tries_again_and_the_second_fault_disarms(flight: Callable[..., Flight]) -> None:
+    made = flight()
+    sound = made.session.parts.controller.step
+    made.session.parts.controller.step = broken  # type: ignore[method-assign]
+    made.fly(0.5)
+    made.session.parts.controller.step = sound  # type: ignore[method-assign]
+    made.client.command(mav.MAV_CMD_MISSION_START)
+    again = made.fly(1.0)
+    assert again[-1].control is not None or any(tick.control is not None for tick in again[-5:])
+    assert not any(tick.faults for tick in again)
+    made.session.parts.controller.step = broken  # type: ignore[method-assign]
+    stopped = made.fly(0.3)
+    assert not stopped[-1].mode.armed
+    assert all(at_rest(tick) for tick in stopped[6:])
+    assert any("failed twice" in text for text in made.client.texts())
+
+
+@pytest.mark.parametrize("part", ["estimator", "commander", "allocation"])
+def test_a_part_that_goes_on_failing_disarms_and_the_rest_goes_on(flight: Callable[..., Flight], part: str) -> None:
+    made = flight()
+    parts, beats = made.session.parts, made.client.count("HEARTBEAT")
+    method = {"estimator": "step", "commander": "step", "allocation": "pulses_us"}[part]
+    target = getattr(parts, part)
+    sound = getattr(target, method)
+    setattr(target, method, broken)
+    after = made.fly(2.5)
+    assert not after[-1].mode.armed
+    assert all(at_rest(tick) for tick in after[10:])
+    assert made.client.count("HEARTBEAT") >= beats + 2
+    assert any(part in text for text in made.client.texts())
+    if part != "estimator":
+        assert after[-1].nav is not None and after[-1].nav.t_us == made.t_us
+    setattr(target, method, sound)
+    made.client.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+    assert not made.fly(0.1)[-1].mode.armed
+    assert any("Arming denied" in text and "internal fault" in text for text in made.client.texts())
+
+
+def test_a_message_that_cannot_be_handled_is_answered_and_nothing_else_happens(flight: Callable[..., Flight]) -> None:
+    made = flight()
+    made.session.parts.commander.change_speed = broken  # type: ignore[method-assign]
+    for _ in range(3):
+        made.client.command(mav.MAV_CMD_DO_CHANGE_SPEED, 1.0, 0.2)
+        made.fly(0.3)
+    acks = [m.result for m in made.client.heard if m.get_type() == "COMMAND_ACK" and m.command == 178]
+    assert acks == [mav.MAV_RESULT_FAILED] * 3
+    assert made.outputs[-1].mode.armed
+    assert made.outputs[-1].control is not None or any(tick.control is not None for tick in made.outputs[-5:])
+    assert any("message" in text for text in made.client.texts())
+
+
+def test_telemetry_that_cannot_be_built_costs_that_message(flight: Callable[..., Flight]) -> None:
+    made = flight()
+    streams = made.session.parts.server._dispatcher._streams
+    streams._builders = {**streams._builders, mav.MAVLINK_MSG_ID_VFR_HUD: broken}
+    made.client.heard.clear()
+    made.fly(2.2)
+    kinds = {m.get_type() for m in made.client.heard}
+    assert "VFR_HUD" not in kinds
+    assert {"HEARTBEAT", "ATTITUDE", "SYS_STATUS", "ESTIMATOR_STATUS", "BATTERY_STATUS"} <= kinds
+    assert made.outputs[-1].mode.armed
+
+
+def test_what_no_part_catches_ends_in_neutral(flight: Callable[..., Flight]) -> None:
+    made = flight()
+    made.session.service._decide = broken  # type: ignore[method-assign]
+    after = made.fly(1.5)
+    assert all(at_rest(tick) for tick in after)
+    assert not after[-1].mode.armed
+
+
+def test_a_fault_is_in_the_log_with_its_inputs(flight: Callable[..., Flight], tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    made = flight(log=path)
+    made.session.parts.controller.step = broken  # type: ignore[method-assign]
+    made.fly(0.3)
+    made.session.recorder.close()
+    rows = open_log(path).messages("/rosout")
+    assert any("broken on purpose" in str(text) and "test_guard.py" in str(text) for text in rows)
+    attached = {name: data for name, data in open_log(path).attachments.items() if name.startswith("fault-")}
+    assert list(attached) == ["fault-01.txt"]
+    text = attached["fault-01.txt"].decode()
+    assert "Traceback" in text and "NavState(" in text and "goal=Goal(" in text
+
+
+def test_a_guard_that_is_set_to_raise_raises(flight: Callable[..., Flight]) -> None:
+    made = flight()
+    made.session.parts.guard.raises = True
+    made.session.parts.controller.step = broken  # type: ignore[method-assign]
+    with pytest.raises(ZeroDivisionError):
+        made.fly(0.1)
+
+
+# Devices
+
+
+class Unplugged:
+    """A device between runtime and vehicle of which some calls fail for a while."""
+
+    def __init__(self, flight: Flight, **failing: Exception) -> None:
+        self._inner, self.failing = flight.session.device, failing
+        self.written: list[tuple[int, ...]] = []
+        flight.session.runtime._device = self  # type: ignore[assignment]
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self.failing:
+
+            def fail(*_: object) -> Any:
+                raise self.failing[name]
+
+            return fail
+        return getattr(self._inner, name)
+
+
+@pytest.mark.parametrize(
+    "error", [DriverError("serial line is gone; check the cable"), OSError(5, "Input/output error")]
+)
+def test_sensors_that_disappear_are_said_and_come_back(flight: Callable[..., Flight], error: Exception) -> None:
+    made = flight()
+    device = Unplugged(made, poll=error)
+    made.client.heard.clear()
+    after = made.fly(1.5)
+    assert after[-1].mode.failsafes >> Failsafe.AHRS_STALE & 1
+    texts = made.client.texts()
+    assert sum(text.startswith("Sensors failed") for text in texts) == 1
+    assert made.client.count("HEARTBEAT") >= 1
+    device.failing.clear()
+    made.fly(2.0)
+    assert "Sensors: working again" in made.client.texts()
+    assert made.outputs[-1].nav is not None and made.outputs[-1].nav.t_us == made.t_us
+
+
+def test_one_failed_thruster_write_is_said_and_the_next_succeeds(flight: Callable[..., Flight]) -> None:
+    made = flight()
+    device = Unplugged(made, write=DriverError("thruster output failed: no answer; check cable and power"))
+    made.fly(0.02)
+    device.failing.clear()
+    after = made.fly(1.0)
+    assert all(tick.mode.armed for tick in after)
+    assert sum(text.startswith("Thrusters failed") for text in made.client.texts()) == 1
+    assert not any(tick.mode.failsafes >> Failsafe.THRUSTER & 1 for tick in after)
+
+
+def test_a_thruster_output_that_stays_away_is_a_failsafe(flight: Callable[..., Flight]) -> None:
+    made = flight()
+    Unplugged(made, write=OSError(5, "Input/output error"))
+    after = made.fly(3.5)
+    assert after[-1].mode.failsafes >> Failsafe.THRUSTER & 1
+
+
+def test_after_a_failed_write_neutral_is_tried(flight: Callable[..., Flight]) -> None:
+    made = flight()
+    written: list[tuple[int, ...]] = []
+    inner = made.session.device.write
+
+    def first_fails(t_us: int, command: Any) -> None:
+        written.append(command.pwm_us)
+        if len(written) == 1:
+            raise DriverError("no answer")
+        inner(t_us, command)
+
+    made.session.device.write = first_fails  # type: ignore[method-assign]
+    made.fly(0.02)
+    assert set(written[1][:4]) == {NEUTRAL_US}
+    assert len(written) == 3
