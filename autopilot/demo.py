@@ -5,17 +5,15 @@ watches the laps and then judges the log by the plant's truth.
 """
 
 import contextlib
-import os
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from autopilot.children import Child, autopilot_command
 from autopilot.client.session import CommandRefusedError, MissionStatus, Session
-from autopilot.core.errors import AutopilotError, ConfigError, DriverError
+from autopilot.core.errors import AutopilotError, ConfigError
 from autopilot.core.messages import ProgressState
 from autopilot.core.plan import PlanKind
 from autopilot.log.check import Row, Verdict, acceptance_table
@@ -29,11 +27,14 @@ from mission.plan_model import PlanFile
 FLIGHTS = (("paper-tank", ""), ("paper-tank-still", "still"))
 """Scenario and sub-folder of each flight: jet of 0.25 m/s, still water."""
 
-START_TIMEOUT_S = 60.0
-"""Wall time that the service gets to speak and to find its position."""
+READY_S = 60.0
+"""Vehicle time in which it has to find its position."""
 
-FLIGHT_TIMEOUT_S = 420.0
-"""Wall time that one flight may take."""
+LAP_S = 200.0
+"""Vehicle time that a lap may take, and the way to the first waypoint: five times what it does take."""
+
+SILENCE_S = 10.0
+"""Silence of a service that is not at work."""
 
 Show = Callable[[str, int, int], None]
 """Called with what is going on, waypoints reached, waypoints in all."""
@@ -69,11 +70,11 @@ def fly(scenario: str, folder: Path, *, laps: int, speed: float, seed: int | Non
     port = _free_port()
     with (
         _service(scenario, log, port, folder, speed=speed, seed=seed) as service,
-        Session(f"udpout:127.0.0.1:{port}") as session,
+        Session(f"udpout:127.0.0.1:{port}", at_work=service.at_work) as session,
     ):
         show("waiting for the vehicle", 0, 1 + 2 * laps)
-        _connect(session, service)
-        _operate(session, plan, total=1 + 2 * laps, show=show)
+        session.connect(SILENCE_S)
+        _operate(session, plan, laps=laps, show=show)
     show("drawing figures and report", 0, 0)
     opened = open_log(log)
     figures = write_figures(opened, folder)
@@ -89,24 +90,9 @@ def fly(scenario: str, folder: Path, *, laps: int, speed: float, seed: int | Non
     )
 
 
-def _connect(session: Session, service: subprocess.Popen[bytes]) -> None:
-    """Wait for the vehicle's heartbeat for as long as the service lives."""
-    end_s = time.monotonic() + START_TIMEOUT_S
-    while True:
-        try:
-            session.connect(1.0)
-        except DriverError:
-            code = service.poll()
-            if code is not None:
-                raise AutopilotError(f"the service ended with exit code {code}; its message is above") from None
-            if time.monotonic() > end_s:
-                raise
-        else:
-            return
-
-
-def _operate(session: Session, plan: PlanFile, *, total: int, show: Show) -> None:
+def _operate(session: Session, plan: PlanFile, *, laps: int, show: Show) -> None:
     """What an operator does: upload, arm, start, watch, disarm."""
+    total = 1 + 2 * laps
     for kind in (PlanKind.FENCE, PlanKind.MISSION):
         show(f"uploading {kind.name.lower()}", 0, total)
         session.upload(kind, plan.items(kind))
@@ -117,7 +103,7 @@ def _operate(session: Session, plan: PlanFile, *, total: int, show: Show) -> Non
     def on_status(status: MissionStatus) -> None:
         show(f"mission {status.state.name.lower()}", min(len(status.reached), total), total)
 
-    status = session.watch_mission(on_status, timeout_s=FLIGHT_TIMEOUT_S)
+    status = session.watch_mission(on_status, timeout_s=LAP_S * (1 + laps), silence_s=SILENCE_S)
     if status.state is not ProgressState.COMPLETE:
         raise AutopilotError(f"the mission ended as {status.state.name}; look at /rosout in the log")
     session.disarm()
@@ -125,43 +111,33 @@ def _operate(session: Session, plan: PlanFile, *, total: int, show: Show) -> Non
 
 def _arm(session: Session) -> None:
     """Arm as soon as the vehicle knows where it is."""
-    end_s = time.monotonic() + START_TIMEOUT_S
+    end_s = session.vehicle_s + READY_S
     while True:
         try:
             session.arm()
         except CommandRefusedError:
-            if time.monotonic() > end_s:
+            if session.vehicle_s > end_s:
                 raise
-            time.sleep(0.2)
+            session.poll(0.2)
         else:
             return
 
 
 @contextlib.contextmanager
-def _service(
-    scenario: str, log: Path, port: int, folder: Path, *, speed: float, seed: int | None
-) -> Iterator[subprocess.Popen[bytes]]:
+def _service(scenario: str, log: Path, port: int, folder: Path, *, speed: float, seed: int | None) -> Iterator[Child]:
     """The service as its own process, ended by SIGTERM."""
-    command = [
-        *(sys.executable, "-m", "autopilot", "sitl", scenario, "--quiet", "--speed", f"{speed:g}"),
-        *("--log", str(log), "--connect", f"udpin:127.0.0.1:{port}", "--param", "MPC_COST=1"),
-    ]
-    if seed is not None:
-        command += ["--seed", str(seed)]
-    environment = {**os.environ, "AUTOPILOT_STATE_DIR": str(folder / "state")}
+    command = autopilot_command(
+        *("sitl", scenario, "--quiet", "--speed", f"{speed:g}", "--log", str(log)),
+        *("--connect", f"udpin:127.0.0.1:{port}", "--param", "MPC_COST=1"),
+        *(() if seed is None else ("--seed", str(seed))),
+    )
     # Parameters of an earlier demo are not those of this one.
     (folder / "state" / "sitl-0" / "parameters.params").unlink(missing_ok=True)
-    process = subprocess.Popen(command, env=environment)
+    service = Child(command, {"AUTOPILOT_STATE_DIR": str(folder / "state")})
     try:
-        yield process
+        yield service
     finally:
-        if process.poll() is None:
-            process.terminate()
-        try:
-            process.wait(timeout=START_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        service.end()
 
 
 def _free_port() -> int:

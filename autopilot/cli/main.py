@@ -95,7 +95,7 @@ def _one_line(error: click.ClickException) -> str:
 
 def main() -> None:
     """Entry point of the console script."""
-    sys.exit(run(lambda: cli(standalone_mode=False)))
+    sys.exit(run(lambda: cli(prog_name="autopilot", standalone_mode=False)))
 
 
 if __name__ == "__main__":

@@ -89,7 +89,7 @@ def download(file: Path, connection: str, patience: float, as_json: bool) -> Non
 @click.argument("file", type=click.Path(path_type=Path), required=False)
 @click.option("--clear", is_flag=True, help="Remove the vehicle's old plans before FILE is sent.")
 @click.option("--wait", is_flag=True, help="Watch the mission until it is complete.")
-@click.option("--timeout", default=3600.0, show_default=True, metavar="S", help="Longest time to watch.")
+@click.option("--timeout", default=3600.0, show_default=True, metavar="S", help="Longest vehicle time to watch.")
 @_connect
 @_patience
 @_json

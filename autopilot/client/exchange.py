@@ -74,6 +74,10 @@ class Exchange(Protocol):
         """Repetitions that are due."""
         ...
 
+    def grant(self, held_up_s: float) -> None:
+        """The vehicle could not get on for so long: that is no silence of its own."""
+        ...
+
 
 class BaseExchange:
     """Silence, refusals and their reasons: common to all exchanges."""
@@ -91,6 +95,10 @@ class BaseExchange:
 
     def _start(self, t_s: float) -> None:
         self._heard_s = self._sent_s = t_s
+
+    def grant(self, held_up_s: float) -> None:
+        """The vehicle could not get on for so long: that is no silence of its own."""
+        self._heard_s += held_up_s
 
     def _listens(self, message: Message, t_s: float) -> bool:
         """Keep what the vehicle says in words; True while its answers still matter."""

@@ -23,7 +23,15 @@ SYSTEM_ID, COMPONENT_ID = 254, 190
 HEARTBEAT_S = 1.0
 _POLL_S = 0.02
 _SHOWN_S = 3.0
-"""Time that the vehicle's telemetry may lag behind its answer to a command."""
+"""Vehicle time by which its telemetry may lag behind its answer to a command."""
+SILENCE_S = 30.0
+"""Silence after which a vehicle is given up."""
+_ASK_S = 1.0
+"""Silence after which it is asked whether the vehicle is at work."""
+_STANDSTILL_S = 300.0
+"""Longest standstill of the vehicle's clock that its heartbeats excuse."""
+_LATE_MS = 10_000
+"""A time stamp that is older than the last one by less is a late datagram, by more a vehicle that started anew."""
 _FORCE_DISARM = 21196.0
 _FORCE_ARM = 2989.0
 """Magic numbers of MAV_CMD_COMPONENT_ARM_DISARM param2 (common.xml)."""
@@ -60,18 +68,31 @@ class MissionStatus:
 
 
 class Session:
-    """One connection to one vehicle. Use as a context manager; DriverError when the vehicle is not there."""
+    """One connection to one vehicle. Use as a context manager; DriverError when the vehicle is not there.
+
+    How long it waits follows the vehicle and not the wall: while the vehicle's own clock (``time_boot_ms`` of its
+    telemetry) goes slower than ours, because its machine is busy, only the vehicle's time counts. ``at_work`` says of a
+    vehicle in a process of ours whether that process gets on: its silence does not count either then.
+    """
 
     def __init__(
         self,
         connection: str | Link,
         timers: Timers | None = None,
         clock_s: Callable[[], float] = time.monotonic,
+        at_work: Callable[[], bool] | None = None,
     ) -> None:
         self._link = open_link(connection) if isinstance(connection, str) else connection
         self._name = connection if isinstance(connection, str) else "link"
         self._timers = timers or Timers()
         self._clock_s = clock_s
+        self._at_work = at_work
+        self._heard_s = clock_s()
+        self._stamp: tuple[int, float] | None = None
+        """The vehicle's last time_boot_ms and when it came."""
+        self._held_up_s = self._stood_s = 0.0
+        self.vehicle_s = 0.0
+        """Vehicle time that has passed while it was listened to [s]; stays 0 for a vehicle that does not tell it."""
         self._codec = mav.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
         self._codec.robust_parsing = True
         self._beat_s = -math.inf
@@ -99,14 +120,18 @@ class Session:
         self._link.close()
 
     def connect(self, timeout_s: float = 10.0, system: int | None = None) -> VehicleInfo:
-        """Wait for the heartbeat of an autopilot (component 1). DriverError when none comes."""
+        """Wait for the heartbeat of an autopilot (component 1) that has started. DriverError when none comes."""
         end_s = self._clock_s() + timeout_s
         while self._clock_s() < end_s:
             for message in self.poll():
                 is_autopilot = message.get_type() == "HEARTBEAT" and message.autopilot != mav.MAV_AUTOPILOT_INVALID
                 if is_autopilot and message.get_srcComponent() == 1 and system in (None, message.get_srcSystem()):
+                    if message.system_status == mav.MAV_STATE_BOOT:
+                        end_s = self._clock_s() + timeout_s
+                        continue
                     self._target = Target(system=message.get_srcSystem(), component=1)
                     return self._note_heartbeat(message)
+            end_s += self._take_held_up()
         raise DriverError(f"no vehicle heard on {self._name} within {timeout_s:g} s; is it running and reachable?")
 
     def poll(self, wait_s: float = _POLL_S) -> list[Message]:
@@ -120,12 +145,60 @@ class Session:
         while data:
             messages += [m for m in self._codec.parse_buffer(data) or [] if self._is_for_us(m)]
             data = self._link.receive(0.0)
+        self._note_life(messages)
         for message in messages:
             self._note(message, now_s)
         if self.on_text is not None:
             for text in self._collector.flush(now_s):
                 self.on_text(text)
         return messages
+
+    def _note_life(self, messages: Sequence[Message]) -> None:
+        """Keep when the vehicle was heard, its clock, and how long it was held up."""
+        now_s = self._clock_s()
+        if messages:
+            self._heard_s = now_s
+        elif self._at_work is not None and now_s - self._heard_s > _ASK_S and self._at_work():
+            silent_s = now_s - self._heard_s
+            self._heard_s = now_s
+            self._held_up_s += silent_s
+            if self._stamp is not None:
+                self._stamp = (self._stamp[0], self._stamp[1] + silent_s)
+        for message in messages:
+            boot_ms = getattr(message, "time_boot_ms", None)
+            if boot_ms is None or self._target is None:
+                continue
+            last = self._stamp
+            if last is not None and last[0] - _LATE_MS < boot_ms <= last[0]:
+                continue
+            if last is not None and boot_ms > last[0]:
+                passed_s = (boot_ms - last[0]) * 1e-3
+                self.vehicle_s += passed_s
+                self._held_up_s += max(0.0, now_s - last[1] - passed_s)
+            self._stamp, self._stood_s = (boot_ms, now_s), 0.0
+        self._note_standstill(bool(messages), now_s)
+
+    def _note_standstill(self, heard: bool, now_s: float) -> None:
+        """A vehicle that speaks while its clock stands still is held up, but not for ever."""
+        last = self._stamp
+        if heard and last is not None and now_s - last[1] > _ASK_S and self._stood_s < _STANDSTILL_S:
+            self._stood_s += now_s - last[1]
+            self._held_up_s += now_s - last[1]
+            self._stamp = (last[0], now_s)
+
+    def _take_held_up(self) -> float:
+        """Time since the last call in which the vehicle could not get on [s]."""
+        held_up_s, self._held_up_s = self._held_up_s, 0.0
+        return held_up_s
+
+    def _since(self, vehicle_s: float, clock_s: float) -> float:
+        """Time since then: the vehicle's, ours if it does not tell its own."""
+        return self._clock_s() - clock_s if self._stamp is None else self.vehicle_s - vehicle_s
+
+    @property
+    def _silent_s(self) -> float:
+        """How long nothing has been heard."""
+        return self._clock_s() - self._heard_s
 
     def _note(self, message: Message, now_s: float) -> None:
         """Keep what may come at any time: liveness, progress, texts."""
@@ -177,6 +250,7 @@ class Session:
 
     def run(self, exchange: Exchange, on_progress: Progress | None = None) -> Outcome:
         """Carry an exchange to its end."""
+        self._take_held_up()
         pending = exchange.begin(self._clock_s())
         shown: tuple[int, int] | None = None
         while True:
@@ -188,6 +262,7 @@ class Session:
             if exchange.outcome is not None:
                 return exchange.outcome
             pending = [answer for m in self.poll() for answer in exchange.handle(m, self._clock_s())]
+            exchange.grant(self._take_held_up())
             pending += exchange.tick(self._clock_s())
 
     @property
@@ -227,8 +302,10 @@ class Session:
     def arm(self, force: bool = False) -> None:
         """Arm and wait until the heartbeat shows it. CommandRefusedError with the reasons when it is not ready."""
         self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, _FORCE_ARM if force else 0.0)
-        end_s = self._clock_s() + _SHOWN_S
-        while not (self.vehicle is not None and self.vehicle.armed) and self._clock_s() < end_s:
+        begun = self.vehicle_s, self._clock_s()
+        while not (self.vehicle is not None and self.vehicle.armed) and self._since(*begun) < _SHOWN_S:
+            if self._silent_s > self._timers.give_up_s:
+                return
             self.poll()
 
     def disarm(self, force: bool = False) -> None:
@@ -244,20 +321,20 @@ class Session:
         self,
         on_status: Callable[[MissionStatus], None] | None = None,
         timeout_s: float = math.inf,
-        silence_s: float = 10.0,
+        silence_s: float = SILENCE_S,
     ) -> MissionStatus:
         """Watch until the mission is complete or the vehicle is disarmed; gives the last status.
 
-        DriverError when the vehicle falls silent, or the mission takes longer than ``timeout_s``.
+        DriverError when the vehicle falls silent, or the mission takes longer than ``timeout_s`` of vehicle time.
         """
         self._address()
-        begun_s = heard_s = self._clock_s()
+        since = self.vehicle_s, self._clock_s()
+        self._heard_s = since[1]
         shown: MissionStatus | None = None
         begun = False
         while True:
-            now_s = self._clock_s()
-            if self.poll():
-                heard_s = now_s
+            self.poll()
+            passed_s = self._since(*since)
             current = self._current
             seq, total = (0, 0) if current is None else (current.seq, current.total)
             state = ProgressState.UNKNOWN if current is None else _state(current.mission_state)
@@ -267,12 +344,12 @@ class Session:
                 on_status(status)
             shown = status
             # What stands there from before the start counts only when it stays.
-            begun |= state in (ProgressState.ACTIVE, ProgressState.PAUSED) or now_s - begun_s > _SHOWN_S
+            begun |= state in (ProgressState.ACTIVE, ProgressState.PAUSED) or passed_s > _SHOWN_S
             if begun and (state is ProgressState.COMPLETE or not armed):
                 return status
-            if now_s - heard_s > silence_s:
+            if self._silent_s > silence_s:
                 raise DriverError(f"the vehicle on {self._name} has been silent for {silence_s:g} s; check the link")
-            if now_s - begun_s > timeout_s:
+            if passed_s > timeout_s:
                 raise DriverError(f"the mission is at item {seq} after {timeout_s:g} s; give it more time (--timeout)")
 
 

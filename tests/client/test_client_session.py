@@ -1,16 +1,15 @@
 """Plan transfer, commands and watching over good and bad links, against the service's own server."""
 
 import random
-from collections.abc import Callable
 
 import pytest
-from client_world import Loss, MemoryLink
+from client_world import TICK_US, Loss, MemoryLink
 
 from autopilot.client.exchange import Timers
 from autopilot.client.plan_client import same_on_the_wire
 from autopilot.client.session import CommandRefusedError, MissionStatus, Session
 from autopilot.core.errors import DriverError, PlanError
-from autopilot.core.messages import ProgressState
+from autopilot.core.messages import Event, ProgressState
 from autopilot.core.plan import PlanItem, PlanKind
 from mission.paper import paper_plan
 
@@ -117,22 +116,21 @@ def test_no_vehicle_at_all() -> None:
         Session(link, clock_s=link.clock_s).connect(2.0)
 
 
-def _drop_acks(link: MemoryLink) -> Callable[[bytes], None]:
-    """Make the link swallow every MISSION_ACK (message 47) of the vehicle."""
+def _swallow(link: MemoryLink, message_id: int) -> None:
+    """Make the link lose every message of one kind on its way from the vehicle."""
     receive = link.receive
 
-    def without_acks(timeout_s: float) -> bytes:
+    def without(timeout_s: float) -> bytes:
         data = receive(timeout_s)
-        return b"" if data[7:10] == b"\x2f\x00\x00" else data
+        return b"" if data[7:10] == message_id.to_bytes(3, "little") else data
 
-    link.receive = without_acks  # type: ignore[method-assign]
-    return link.send
+    link.receive = without  # type: ignore[method-assign]
 
 
 def test_an_upload_whose_final_answer_is_lost_for_good_is_checked_by_reading_back() -> None:
     link = MemoryLink()
     client = session(link)
-    _drop_acks(link)
+    _swallow(link, 47)  # MISSION_ACK
     client.upload(PlanKind.MISSION, long_mission(4))
     assert len(link.plans.items(PlanKind.MISSION)) == 4
 
@@ -212,3 +210,68 @@ def test_timers_can_be_patient() -> None:
     with pytest.raises(PlanError, match="for 1 s"):
         client.download(PlanKind.MISSION)
     assert link.clock_s() - begun == pytest.approx(1.0, abs=0.1)
+
+
+class StarvedLink(MemoryLink):
+    """A vehicle whose machine is busy: its clock goes ``slower`` times slower than the client's."""
+
+    slower = 1.0
+    wall_us = 0
+
+    def wall_s(self) -> float:
+        return self.wall_us * 1e-6
+
+    def tick(self, events: tuple[Event, ...] = ()) -> None:
+        self.wall_us += round(self.slower * TICK_US)
+        super().tick(events)
+
+
+@pytest.mark.parametrize("slower", [1.0, 30.0, 300.0])
+def test_waiting_follows_the_vehicles_clock(slower: float) -> None:
+    """30: the client's 20 ms are a fraction of a tick. 300: a tick takes 3 s, a heartbeat comes every five minutes."""
+    link = StarvedLink()
+    client = Session(link, clock_s=link.wall_s)
+    client.connect()
+    client.poll(0.5)
+    link.slower = slower
+    client.upload(PlanKind.MISSION, (*long_mission(1), _far(1)))
+    client.arm()
+    client.start_mission()
+    begun_us = link.t_us
+    with pytest.raises(DriverError, match="after 8 s"):
+        client.watch_mission(timeout_s=8.0, silence_s=400.0)
+    assert (link.t_us - begun_us) * 1e-6 == pytest.approx(8.0, abs=0.5)
+
+
+def test_an_exchange_is_given_up_in_the_vehicles_time() -> None:
+    link = StarvedLink()
+    client = Session(link, clock_s=link.wall_s)
+    client.connect()
+    client.poll(0.5)
+    link.slower = 40.0
+    _swallow(link, 77)  # COMMAND_ACK
+    begun_us = link.t_us
+    with pytest.raises(CommandRefusedError, match="did not answer for 10 s"):
+        client.command(31999)
+    assert (link.t_us - begun_us) * 1e-6 > 5.0
+
+
+def test_silence_of_a_process_that_is_at_work_is_waited_out() -> None:
+    link = MemoryLink()
+    asked: list[float] = []
+
+    def at_work() -> bool:
+        asked.append(link.clock_s())
+        link.cut = link.clock_s() < 60.0
+        return True
+
+    client = Session(link, clock_s=link.clock_s, at_work=at_work)
+    client.connect()
+    link.cut = True
+    client.upload(PlanKind.MISSION, long_mission(3))
+    assert link.clock_s() > 60.0
+    assert len(asked) < 200
+    link.cut = True
+    client = Session(link, clock_s=link.clock_s, at_work=lambda: False)
+    with pytest.raises(DriverError, match="within 3 s"):
+        client.connect(3.0)
