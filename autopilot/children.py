@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import IO
 
 import psutil
 
@@ -31,7 +32,7 @@ LOOK_S = 0.5
 def python_command(code: str) -> list[str]:
     """Command that runs ``code`` with our packages and nothing from the current folder."""
     root = str(ROOT)
-    door = f"import os, sys; sys.path[:0] = [] if {root!r} in map(os.path.realpath, sys.path) else [{root!r}]; "
+    door = f"import os, sys; sys.path[:0] = [] if {root!r} in map(os.path.realpath, sys.path) else [{root!r}]\n"
     return [sys.executable, "-P", "-c", door + code]
 
 
@@ -43,8 +44,10 @@ def autopilot_command(*arguments: str) -> list[str]:
 class Child:
     """A child process and how it gets on."""
 
-    def __init__(self, command: Sequence[str], environment: dict[str, str] | None = None) -> None:
-        self.process = subprocess.Popen(command, env={**os.environ, **(environment or {})})
+    def __init__(
+        self, command: Sequence[str], environment: dict[str, str] | None = None, stderr: IO[str] | None = None
+    ) -> None:
+        self.process = subprocess.Popen(command, env={**os.environ, **(environment or {})}, stderr=stderr)
         self._mark = (time.monotonic(), 0.0)
         """When it was last seen to compute, and its CPU time then."""
 

@@ -1,4 +1,4 @@
-"""What the controller needs in a process of its own: ``python -m autopilot.bench.controller_process`` prints it."""
+"""What the controller needs in a process of its own."""
 
 import json
 import time
@@ -26,5 +26,6 @@ def measure() -> dict[str, float]:
     }
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print them as JSON."""
     print(json.dumps(measure()))

@@ -9,7 +9,6 @@ own.
 import json
 import math
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ import numpy as np
 
 from autopilot.bench.ipopt import IpoptNmpc
 from autopilot.bench.nmpc_flight import TANK, WAYPOINTS, Flight, basin, fly
+from autopilot.children import python_command
 from autopilot.control import ocp
 from autopilot.control.controller import MotionController
 from autopilot.control.grid import TimeGrid, geometric_grid, uniform_grid
@@ -233,8 +233,8 @@ def _random_starts(vehicle: Vehicle, starts: int, seed: int = 42) -> NmpcBenchRo
 
 def _process(slowness: float) -> NmpcBenchRow:
     """Start-up and memory of a process that holds nothing but the controller (and the model it flies)."""
-    command = [sys.executable, "-m", "autopilot.bench.controller_process"]
-    values = json.loads(subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout)
+    command = python_command("from autopilot.bench.controller_process import main; main()")
+    values = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     return NmpcBenchRow(
         what="start-up, controller alone",
         n=20,

@@ -32,7 +32,8 @@ from autopilot.core.model4 import NU, NX, Model4
 COMPILER_VARIABLE = "AUTOPILOT_COMPILER"
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O2", "-march=native", "-std=c99", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
-COMPILE_TIMEOUT_S = 60.0
+COMPILE_TIMEOUT_S = 1800.0
+"""Against a compiler that hangs: it needs a second, on a busy machine a minute."""
 PLANES = 8
 """Half-plane slots that the C code is written for."""
 

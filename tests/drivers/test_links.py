@@ -17,6 +17,8 @@ from drivers.tcp import MAX_CLIENTS, RECONNECT_AFTER_CALLS
 from drivers.udp import FORGET_AFTER_CALLS, MAX_PEERS, UdpIn
 
 LOCAL = "127.0.0.1"
+PATIENT_S = 600.0
+"""Against a hang only: what is waited for has been sent."""
 KINDS = ("udpin", "udpout", "tcpin", "tcp", "serial")
 
 
@@ -51,7 +53,7 @@ class Peer:
 
 
 def socket_peer(end: socket.socket) -> Peer:
-    end.settimeout(2.0)
+    end.settimeout(PATIENT_S)
     return Peer(end.send, lambda: end.recv(4096))
 
 
@@ -68,7 +70,7 @@ def connected(kind: str) -> Iterator[tuple[Link, Peer]]:
         elif kind == "udpout":
             end = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             end.bind((LOCAL, 0))
-            end.settimeout(2.0)
+            end.settimeout(PATIENT_S)
             link = open_link(f"udpout:{LOCAL}:{end.getsockname()[1]}")
             link.send(b"hello")
             _, address = end.recvfrom(100)
@@ -181,7 +183,7 @@ def test_udpin_answers_everyone_it_has_heard_up_to_a_limit() -> None:
     with contextlib.ExitStack() as stack:
         ends = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(MAX_PEERS + 2)]
         for number, end in enumerate(ends):
-            end.settimeout(2.0)
+            end.settimeout(PATIENT_S)
             end.sendto(frame(number), (LOCAL, port))
             assert receive(link, 1) == [frame(number)]
         assert len(link.peers) == MAX_PEERS
@@ -215,8 +217,8 @@ def test_udpin_forgets_who_is_silent_and_keeps_who_speaks() -> None:
 def test_tcp_clients_do_not_mix_and_all_get_everything() -> None:
     link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
     with socket.create_connection((LOCAL, port)) as one, socket.create_connection((LOCAL, port)) as two:
-        one.settimeout(2.0)
-        two.settimeout(2.0)
+        one.settimeout(PATIENT_S)
+        two.settimeout(PATIENT_S)
         one.send(frame(1)[:5])
         two.send(frame(2)[:7])
         assert receive(link, 1) == []
@@ -241,7 +243,7 @@ def test_tcp_server_turns_further_clients_away() -> None:
             client.send(frame(number))
             assert receive(link, 1) == [frame(number)]
         late = stack.enter_context(socket.create_connection((LOCAL, port)))
-        late.settimeout(2.0)
+        late.settimeout(PATIENT_S)
         for _ in range(20):
             link.recv()
             select.select([], [], [], 0.002)
@@ -264,7 +266,7 @@ def test_tcp_server_cuts_off_a_client_that_does_not_read() -> None:
 
 def test_tcp_client_connects_again() -> None:
     with socket.create_server((LOCAL, 0)) as server:
-        server.settimeout(2.0)
+        server.settimeout(PATIENT_S)
         link = open_link(f"tcp:{LOCAL}:{server.getsockname()[1]}")
         first, _ = server.accept()
         first.send(frame(1))
@@ -276,7 +278,7 @@ def test_tcp_client_connects_again() -> None:
         second.send(frame(2))
         assert receive(link, 1) == [frame(2)]
         link.send(frame(3))
-        second.settimeout(2.0)
+        second.settimeout(PATIENT_S)
         assert second.recv(100) == frame(3)
         second.close()
         link.close()

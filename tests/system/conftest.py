@@ -1,10 +1,6 @@
 """The whole service, in this process with virtual time or as a process of its own."""
 
 import contextlib
-import os
-import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +8,7 @@ from typing import Any
 import pytest
 from system_harness import OpenSession, RunningService, free_port
 
+from autopilot.children import Child, autopilot_command
 from autopilot.config import gather, sitl_defaults
 from autopilot.core.messages import Outputs
 from autopilot.sitl_session import SitlSession, open_sitl
@@ -52,19 +49,16 @@ def service(tmp_path: Path) -> Iterator[Callable[..., RunningService]]:
 
         def start(*arguments: str, scenario: str = "paper-tank", speed: float = 0.0) -> RunningService:
             port, log = free_port(), tmp_path / "service.mcap"
-            command = [
-                *(sys.executable, "-m", "autopilot", "sitl", scenario, "--quiet", "--sensors", "pose"),
-                *("--speed", str(speed), "--log", str(log), "--connect", f"udpin:127.0.0.1:{port}", *arguments),
-            ]
-            environment = {**os.environ, "AUTOPILOT_STATE_DIR": str(tmp_path / "state")}
-            process = subprocess.Popen(command, env=environment)
+            command = autopilot_command(
+                *("sitl", scenario, "--quiet", "--sensors", "pose", "--speed", str(speed), "--log", str(log)),
+                *("--connect", f"udpin:127.0.0.1:{port}", *arguments),
+            )
+            child = Child(command, {"AUTOPILOT_STATE_DIR": str(tmp_path / "state")})
 
             def end() -> None:
-                if process.poll() is None:
-                    process.send_signal(signal.SIGTERM)
-                assert process.wait(timeout=60) == 0
+                assert child.end() == 0
 
             stack.callback(end)
-            return RunningService(process=process, port=port, log=log)
+            return RunningService(child=child, port=port, log=log)
 
         yield start

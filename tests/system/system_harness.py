@@ -1,11 +1,11 @@
 """What the whole-system tests share."""
 
 import socket
-import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from autopilot.children import Child
 from autopilot.sitl_session import SitlSession
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -18,9 +18,18 @@ OpenSession = Callable[..., SitlSession]
 class RunningService:
     """A service in its own process."""
 
-    process: subprocess.Popen[bytes]
+    child: Child
     port: int
     log: Path
+
+    def keep_waiting(self, cpu_s: float = 60.0) -> None:
+        """Fails when the service has ended, is stuck, or has computed so much more than it should that it never ends.
+
+        A limit for what tests wait for: on a busy machine everything takes longer, but no more work.
+        """
+        assert self.child.at_work(), "the service hangs"
+        spent_s = self.child.cpu_s()
+        assert spent_s is None or spent_s < cpu_s, f"the service has used {spent_s:.0f} s of CPU time"
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:

@@ -1,10 +1,8 @@
 """The command line: bad input gets one line on stderr that names the thing and the remedy, and leaves nothing."""
 
-import os
 import re
 import signal
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -14,6 +12,7 @@ from pathlib import Path
 import pytest
 from system_harness import PAPER_PLAN, ROOT, OpenSession, RunningService, free_port
 
+from autopilot.children import Child, autopilot_command
 from autopilot.cli.main import cli, run
 from autopilot.param_file import read_param_file
 from mission.plan_files import read_plan
@@ -365,21 +364,20 @@ def test_interrupt_ends_well(tmp_path: Path) -> None:
     from autopilot.log.reader import open_log
 
     log, port = tmp_path / "run.mcap", free_port()
-    command = [
-        *(sys.executable, "-m", "autopilot", "sitl", "--quiet", "--sensors", "pose", "--speed", "0", "--start"),
+    command = autopilot_command(
+        *("sitl", "--quiet", "--sensors", "pose", "--speed", "0", "--start"),
         *("--plan", str(PAPER_PLAN), "--log", str(log), "--connect", f"udpin:127.0.0.1:{port}"),
-    ]
-    environment = {**os.environ, "AUTOPILOT_STATE_DIR": str(tmp_path / "state")}
-    process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
-    end_s = time.monotonic() + 60.0
+    )
+    said = tmp_path / "stderr"
+    with said.open("w") as stderr:
+        child = Child(command, {"AUTOPILOT_STATE_DIR": str(tmp_path / "state")}, stderr)
+    service = RunningService(child=child, port=port, log=log)
     while not (log.exists() and log.stat().st_size > 100_000):
-        assert process.poll() is None
-        assert time.monotonic() < end_s
+        service.keep_waiting()
         time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert err == "interrupted\n"
+    child.process.send_signal(signal.SIGINT)
+    assert child.process.wait() == 130
+    assert said.read_text() == "interrupted\n"
     opened = open_log(log)
     opened.verify()
     assert opened.problems == ()
@@ -387,16 +385,16 @@ def test_interrupt_ends_well(tmp_path: Path) -> None:
 
 def test_refused_upload_is_one_line(service: Callable[..., RunningService], autopilot: Command, tmp_path: Path) -> None:
     """Against a vehicle in another process: exit code 1, the vehicle's reason once, its plan as before."""
-    vehicle = f"udpout:127.0.0.1:{service().port}"
-    assert autopilot("mission", "upload", str(PAPER_PLAN), "--connect", vehicle) == Done(
+    vehicle = ("--connect", f"udpout:127.0.0.1:{service().port}", "--patience", "600")
+    assert autopilot("mission", "upload", str(PAPER_PLAN), *vehicle) == Done(
         0, "accepted: fence 6 items, rally 0 items, mission 4 items\n", ""
     )
     bad = tmp_path / "bad.plan"
     bad.write_text(re.sub(r"37\.97551\d*", "37.9755084", PLAN_TEXT))
-    done = autopilot("mission", "upload", str(bad), "--connect", vehicle)
+    done = autopilot("mission", "upload", str(bad), *vehicle)
     _assert_refused(done, "Mission upload refused", "item 1", "inside exclusion circle", "move it by")
     copy = tmp_path / "copy.plan"
-    assert autopilot("mission", "download", str(copy), "--connect", vehicle).code == 0
+    assert autopilot("mission", "download", str(copy), *vehicle).code == 0
     assert read_plan(copy).mission[1].x == read_plan(PAPER_PLAN).mission[1].x
 
 
@@ -407,24 +405,21 @@ def test_parameters_survive_a_restart(service: Callable[..., RunningService], tm
     first = service()
     client = mavutil.mavlink_connection(f"udpout:127.0.0.1:{first.port}", source_system=255, dialect="development")
     try:
-        end_s = time.monotonic() + 60.0
         while not saved.exists():
-            assert time.monotonic() < end_s
+            first.keep_waiting()
             client.mav.heartbeat_send(6, 8, 0, 0, 4)
             client.mav.param_set_send(1, 1, b"SPD_CRUISE", 0.25, 9)
             time.sleep(0.2)
     finally:
         client.close()
-    first.process.send_signal(signal.SIGTERM)
-    assert first.process.wait(timeout=60) == 0
+    assert first.child.end() == 0
     assert read_param_file(saved) == {"SPD_CRUISE": pytest.approx(0.25)}
     second = service()
     client = mavutil.mavlink_connection(f"udpout:127.0.0.1:{second.port}", source_system=255, dialect="development")
     try:
-        end_s = time.monotonic() + 60.0
         value = None
         while value is None:
-            assert time.monotonic() < end_s
+            second.keep_waiting()
             client.mav.heartbeat_send(6, 8, 0, 0, 4)
             client.mav.param_request_read_send(1, 1, b"SPD_CRUISE", -1)
             value = client.recv_match(type="PARAM_VALUE", blocking=True, timeout=0.5)

@@ -1,0 +1,87 @@
+"""Processes that the project starts: they run our code wherever they are started, and are judged by what they do."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from system_harness import PAPER_PLAN, ROOT
+
+from autopilot.children import Child, autopilot_command, python_command
+from autopilot.core.errors import AutopilotError
+
+HOSTILE = ("mission", "drivers", "sitl", "estimator", "autopilot", "click", "numpy", "psutil", "logging")
+"""Modules of a user's own in the folder in which he works."""
+
+
+@pytest.fixture
+def hostile(tmp_path: Path) -> Path:
+    folder = tmp_path / "project"
+    folder.mkdir()
+    for name in HOSTILE:
+        (folder / f"{name}.py").write_text(f"raise SystemExit('the {name}.py of the current folder was imported')\n")
+    return folder
+
+
+def _without_python_path() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+
+def test_a_service_is_started_in_a_folder_with_modules_of_our_names(hostile: Path, tmp_path: Path) -> None:
+    command = autopilot_command(
+        *("sitl", "--sensors", "pose", "--speed", "0", "--duration", "0.05", "--connect", "udpout:127.0.0.1:9"),
+        *("--log", str(tmp_path / "run.mcap")),
+    )
+    environment = {**_without_python_path(), "AUTOPILOT_STATE_DIR": str(tmp_path / "state")}
+    done = subprocess.run(command, cwd=hostile, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_child_runs_the_code_of_its_parent(hostile: Path) -> None:
+    command = python_command("import autopilot, mission; print(autopilot.__file__, mission.__file__)")
+    done = subprocess.run(command, cwd=hostile, env=_without_python_path(), capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [str(ROOT / "autopilot/__init__.py"), str(ROOT / "mission/__init__.py")]
+
+
+def test_python_m_does_not_import_from_the_current_folder(hostile: Path) -> None:
+    """Only the package itself is looked for there, by Python: that is what -m means."""
+    (hostile / "autopilot.py").unlink()
+    command = [sys.executable, "-m", "autopilot", "mission", "check", str(PAPER_PLAN)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=hostile, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "fit to fly" in done.stdout
+
+
+def test_no_process_is_started_in_another_way() -> None:
+    """``-m`` and a bare ``-c`` put the current folder first."""
+    for path in (ROOT / "autopilot").rglob("*.py"):
+        if path.name != "children.py":
+            assert "sys.executable" not in path.read_text(encoding="utf-8"), path
+
+
+def test_a_child_that_has_ended_is_named_with_its_exit_code() -> None:
+    child = Child(python_command("raise SystemExit(7)"))
+    child.process.wait()
+    assert child.cpu_s() is None
+    assert not child.works()
+    with pytest.raises(AutopilotError, match="ended with exit code 7"):
+        child.at_work()
+    assert child.end() == 7
+
+
+def test_a_child_that_only_sleeps_is_stuck_and_one_that_computes_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("autopilot.children.STUCK_S", 2.0)
+    monkeypatch.setattr("autopilot.children.LOOK_S", 0.05)
+    deaf = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(flush=True); "
+    busy, asleep = Child(python_command("while True: pass")), Child(python_command(deaf + "time.sleep(1e6)"))
+    try:
+        while asleep.works():
+            time.sleep(0.05)
+        assert busy.works()
+        assert asleep.end() == -signal.SIGKILL
+    finally:
+        assert busy.end() == -signal.SIGTERM
