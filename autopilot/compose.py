@@ -1,9 +1,7 @@
 """The composition root: puts the service and, for SITL, its simulated world together."""
 
-import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 
 from autopilot import __version__
 from autopilot.commander import Commander
@@ -20,6 +18,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.server import MavlinkServer
+from autopilot.provenance import revision
 from autopilot.readiness import MarginCheck
 from autopilot.replay_setup import options_of
 from autopilot.service import Autopilot, Parts
@@ -67,18 +66,6 @@ def system_id(params: ParamSet, instance: int) -> int:
             f"SYSID_THISMAV {sysid - instance} plus instance {instance} is {sysid}; it may be {MAX_SYSTEM_ID} at most"
         )
     return sysid
-
-
-def revision() -> str:
-    """Git revision of the running code, empty when it is not a checkout."""
-    root = Path(__file__).resolve().parent.parent
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(root), "rev-parse", "--short=8", "HEAD"], capture_output=True, text=True, check=False
-        )
-    except OSError:
-        return ""
-    return done.stdout.strip() if done.returncode == 0 else ""
 
 
 def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:

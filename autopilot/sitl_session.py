@@ -11,7 +11,7 @@ from typing import Literal, cast
 import msgspec
 
 from autopilot import __version__
-from autopilot.compose import ServiceSetup, build_service, load_plan, revision, system_id
+from autopilot.compose import ServiceSetup, build_service, load_plan, system_id
 from autopilot.config import Settings
 from autopilot.control.current_learning import LearnedCurrent
 from autopilot.control.current_map import CurrentMap
@@ -40,6 +40,7 @@ from autopilot.log.session import RunLog, log_path, open_run_log
 from autopilot.map_check import MapCheck, open_map
 from autopilot.operator import ScriptedOperator
 from autopilot.param_file import PersistentParams
+from autopilot.provenance import revision
 from autopilot.recorder import NullRecorder, RunRecorder
 from autopilot.replay_setup import estimator_attachments
 from autopilot.runtime import Peer, Runtime, make_clock

@@ -7,7 +7,7 @@ import msgspec
 
 from autopilot import __version__
 from autopilot.campaign.results import Task
-from autopilot.compose import revision
+from autopilot.provenance import revision
 from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
 from mission.plan_files import read_plan
