@@ -1,6 +1,5 @@
 """The composition root: puts the service and, for SITL, its simulated world together."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from autopilot import __version__
@@ -8,9 +7,8 @@ from autopilot.commander import Commander
 from autopilot.control.allocation import Allocation
 from autopilot.control.controller import MotionController
 from autopilot.control.currents import CurrentForecast
-from autopilot.control.energy.desk import PlanningDesk
-from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.search import EnergyPlanner
+from autopilot.control.desks import Desks
+from autopilot.control.energy.search import TrajectoryPlanner
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
@@ -68,14 +66,18 @@ def system_id(params: ParamSet, instance: int) -> int:
     return sysid
 
 
-def build_service(setup: ServiceSetup) -> tuple[Autopilot, Parts]:
-    """The service and its parts (the runtime needs some of them for persistence and the log)."""
+def build_service(
+    setup: ServiceSetup, *, desks: Desks | None = None, trajectories: TrajectoryPlanner | None = None
+) -> tuple[Autopilot, Parts]:
+    """The service and its parts (the runtime needs some of them for persistence and the log).
+
+    ``desks``: where the controller has its slow work done, a thread per kind of work without any; ``trajectories``:
+    who plans by energy, the shipped planner without any.
+    """
     params, vehicle = setup.params, setup.vehicle
     plans = Plans(params, vehicle.radius_m, setup.origin, setup.water)
-    energy = EnergyPlanner(vehicle.model4.to_model(), PowerModel.of(vehicle))
-    beside = ThreadPoolExecutor(1, thread_name_prefix="planner")
-    desk = PlanningDesk(energy.plan, beside, patient=setup.waits_for_plans)
-    controller = MotionController(vehicle, currents=setup.currents, desk=desk)
+    desks = desks or Desks.beside(patient=setup.waits_for_plans)
+    controller = MotionController(vehicle, currents=setup.currents, desks=desks, trajectories=trajectories)
     check = MarginCheck(controller.margins, vehicle, params, plans)
     commander = Commander(vehicle, params, plans, controller_check=check)
     guard = Guard()

@@ -85,7 +85,6 @@ def fly(
         (solve_s if output.status.iterations == 1 else planning_s).append(output.status.solve_s)
         failures += output.status.status.name != "OK" or not bool(np.isfinite(output.thrust_n).all())
         watch(step, output)
-        controller.regions.advance()  # as the service does between two steps
         acting += (output.thrust_n - acting) * (1.0 - math.exp(-STEP_US * 1e-6 / vehicle.drive.time_constant_s))
         x = move(x, acting, CURRENT_NED_M_S)[0].full().ravel()
         states.append(x)

@@ -9,10 +9,10 @@ import numpy as np
 
 from autopilot.control import ocp
 from autopilot.control.currents import CurrentForecast, EstimatedCurrent
-from autopilot.control.energy.desk import PlanningDesk
+from autopilot.control.desks import Desks
 from autopilot.control.energy.guidance import EnergyGuidance
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.search import EnergyPlanner
+from autopilot.control.energy.search import EnergyPlanner, TrajectoryPlanner
 from autopilot.control.grid import TimeGrid, geometric_grid
 from autopilot.control.guidance import Guidance, Reference, RouteGuidance, Situation
 from autopilot.control.lag import ThrusterLag
@@ -53,10 +53,11 @@ class MotionController:
     """Called every 50 ms (any other interval works). One instance per vehicle; :meth:`step` is deterministic.
 
     The parameter MPC_COST chooses between the guidances. The horizon is a geometric grid of ``n`` intervals over
-    ``horizon_s``, or any other ``grid``. ``desk`` is where trajectories of least energy are planned. ``cpu_clock``
-    measures what a step costs (reported, never acted upon). The current estimate holds over the whole horizon: it
-    carries what the model lacks as well (drag, tether), which does not fade with distance, a faded current would give
-    every goal an offset, and what lies beyond the first seconds is planned again before it is flown.
+    ``horizon_s``, or any other ``grid``. ``desks`` are where everything is done that does not fit into a step: routes,
+    trajectories of least energy (by ``trajectories``) and certificates. ``cpu_clock`` measures what a step costs
+    (reported, never acted upon). The current estimate holds over the whole horizon: it carries what the model lacks as
+    well (drag, tether), which does not fade with distance, a faded current would give every goal an offset, and what
+    lies beyond the first seconds is planned again before it is flown.
     """
 
     def __init__(
@@ -67,7 +68,8 @@ class MotionController:
         horizon_s: float = 8.0,
         grid: TimeGrid | None = None,
         currents: CurrentForecast | None = None,
-        desk: PlanningDesk | None = None,
+        desks: Desks | None = None,
+        trajectories: TrajectoryPlanner | None = None,
         cpu_clock: Callable[[], float] = time.thread_time,
         backends: tuple[ocp.QpBackend, ...] = ocp.BACKENDS,
     ) -> None:
@@ -75,7 +77,8 @@ class MotionController:
         self._model = vehicle.model4.to_model()
         self._cpu_clock = cpu_clock
         grid = grid or geometric_grid(n, horizon_s)
-        self._program = StepProgram(self._model, grid, vehicle.radius_m, backends)
+        desks = desks or Desks()
+        self._program = StepProgram(self._model, grid, vehicle.radius_m, backends, desks.certificates)
         self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
         self._lag = ThrusterLag(self._model, vehicle.drive.time_constant_s)
         self._forecast = currents or EstimatedCurrent()
@@ -84,11 +87,10 @@ class MotionController:
         self._penalty = PenaltyWatch()
         self._nominal_t_s = vehicle.drive.time_constant_s + grid.t_s
         self._plan_current = np.zeros(3)
-        desk = desk or PlanningDesk(EnergyPlanner(self._model, PowerModel.of(vehicle)).plan)
-        self._guidances: tuple[Guidance, ...] = (
-            RouteGuidance(self._model, grid),
-            EnergyGuidance(self._model, grid, desk),
-        )
+        trajectories = trajectories or EnergyPlanner(self._model, PowerModel.of(vehicle))
+        route = RouteGuidance(self._model, grid, desks.routes)
+        energy = EnergyGuidance(self._model, grid, desks.trajectories, trajectories, route)
+        self._guidances: tuple[Guidance, ...] = (route, energy)
         self._guidance: Guidance = self._guidances[0]
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
@@ -209,7 +211,6 @@ class MotionController:
         """Thrust (4,) between two steps: the last plan with the ancillary feedback. None = keep what was commanded
         (no plan, no estimate, or margins that credit no feedback)."""
         self._follow_lag(t_us)
-        self.regions.advance()
         if not self._inner.active or nav.health is NavHealth.INVALID or nav.reset_count != self._reset_count:
             return None
         nav = self._forecast.view(nav)
@@ -221,7 +222,8 @@ class MotionController:
 
     def take_news(self) -> list[tuple[Severity, str]]:
         """Severity and text of what the operator should know since the last call."""
-        return self.margins.take_news() + self.regions.take_news() + self._penalty.take_news()
+        parts = (self.margins, self.regions, self._penalty, self._guidance)
+        return [news for part in parts for news in part.take_news()]
 
     def _follow_lag(self, t_us: int) -> None:
         elapsed_s = 0.0 if self._followed_us is None else (t_us - self._followed_us) * 1e-6

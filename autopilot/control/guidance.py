@@ -11,14 +11,16 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.control.currents import CurrentForecast
+from autopilot.control.desks import Mishaps
 from autopilot.control.grid import TimeGrid
 from autopilot.control.ocp import TERMINAL_STAGES
 from autopilot.control.planner import Planner
 from autopilot.control.reference import TURN_AHEAD_M, Route, Target, build_reference, turn_target
 from autopilot.core import model4
+from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import EnergyPlan, Goal, NavState
+from autopilot.core.messages import EnergyPlan, Goal, NavState, Severity
 from autopilot.core.model4 import NU, YAW, Model4, R, U
 from autopilot.core.params import ParamSet
 
@@ -28,6 +30,13 @@ VELOCITY_WEIGHTS = (8.0, 8.0, 8.0, 0.5)
 REPLAN_DISTANCE_M = 0.3
 REPLAN_INTERVAL_US = 1_000_000
 """A vehicle that has been pushed this far off its route gets a new one, at most once a second."""
+
+ANSWER_STEPS = 2
+"""A route that is not a straight line comes so many control steps after it was asked for: 0.1 s at 20 Hz."""
+
+PATIENCE_STEPS = 20
+"""Goals and fences that change faster than routes are found: after so many steps (1 s) without an answer the open
+search is left to end, and its route is taken if it is free."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -75,8 +84,10 @@ class Reference:
 class Guidance(Protocol):
     """One instance per vehicle; deterministic."""
 
-    unreachable: bool
-    """True while there is no way to the goal; the vehicle holds its place."""
+    @property
+    def unreachable(self) -> bool:
+        """True while there is no way to the goal; the vehicle holds its place."""
+        ...
 
     def reset(self) -> None:
         """Forget everything (after disarming, a jump of the estimate)."""
@@ -88,6 +99,10 @@ class Guidance(Protocol):
 
     def ahead(self, here: FloatArray) -> FloatArray:
         """(m, 2) the way from ``here`` (2,) to the goal, first row here, for display."""
+        ...
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """Severity and text of what the operator or the log should know since the last call."""
         ...
 
 
@@ -106,25 +121,58 @@ class SteadyThrust:
         return thrust
 
 
-class RouteGuidance:
-    """Marches along the shortest free path at cruise speed over ground."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RouteRequest:
+    """A way that is to be looked for."""
 
-    def __init__(self, model: Model4, grid: TimeGrid) -> None:
+    planner: Planner
+    start_ned_m: FloatArray
+    """(2,)"""
+    goal_ned_m: FloatArray
+    """(2,)"""
+    goal_key: tuple[float, ...]
+
+
+def search_route(request: RouteRequest, cancel: Cancel) -> FloatArray | None:
+    """(m, 2) a free path, None if there is none."""
+    return request.planner.path(request.start_ned_m, request.goal_ned_m, cancel)
+
+
+class RouteGuidance:
+    """Marches along the shortest free path at cruise speed over ground.
+
+    A straight way is taken at once. Another one is looked for beside the loop; until it is there the vehicle goes on
+    with the route that it has, if that is free, or else holds its place.
+    """
+
+    def __init__(self, model: Model4, grid: TimeGrid, desk: Desk) -> None:
         self._t_s = grid.t_s
         self._steady = SteadyThrust(model)
+        self._desk = desk
+        self._ticket: Ticket[FloatArray | None] | None = None
+        self._mishaps = Mishaps("route search", "Route search failed: holding, send another goal")
         self.unreachable = False
         self.reset()
 
     def reset(self) -> None:
         """See :class:`Guidance`."""
+        self._withdraw()
+        self._step = 0
+        self._asked: RouteRequest | None = None
+        self._asked_first = 0
         self._goal_key: tuple[float, ...] | None = None
         self._planner: Planner | None = None
         self._route: Route | None = None
+        self._route_planner: Planner | None = None
         self._s = 0.0
         self._routed_us = 0
         self._yaw_target: float | None = None
         self._hold: FloatArray | None = None
         self.unreachable = False
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """See :class:`Guidance`."""
+        return self._mishaps.take_news()
 
     def reference(self, situation: Situation) -> Reference:
         """See :class:`Guidance`."""
@@ -150,34 +198,100 @@ class RouteGuidance:
     def _update(self, now: Situation) -> tuple[bool, Route]:
         """Whether the route is another one, and the route."""
         goal, x0 = now.goal, now.x0
-        goal_key = (
+        self._step += 1
+        key = (
             *(float(p) for p in goal.pos_ned_m),
             0.0 if goal.yaw_rad is None else goal.yaw_rad,
             float(goal.yaw_rad is None),
         )
-        route = self._route
-        changed = goal_key != self._goal_key or route is None or now.planner is not self._planner
-        if self._goal_key is None or goal_key[3:] != self._goal_key[3:]:
+        if self._goal_key is None or key[3:] != self._goal_key[3:]:
             self._yaw_target = None
-        self._goal_key, self._planner = goal_key, now.planner
-        if not changed and route is not None:
+        if key != self._goal_key:
+            self.unreachable = False
+        changed = key != self._goal_key or now.planner is not self._planner
+        self._goal_key, self._planner = key, now.planner
+        fresh = self._answered(now)
+        route = self._route
+        if route is not None and not fresh:
             self._s, off = route.project(x0[:2], self._s)
-            pushed = off > REPLAN_DISTANCE_M or self.unreachable
-            if not pushed or now.t_us - self._routed_us < REPLAN_INTERVAL_US:
-                return False, route
-        path = now.planner.path(x0[:2], np.asarray(goal.pos_ned_m, dtype=float))
+            pushed = (off > REPLAN_DISTANCE_M or self.unreachable) and self._ticket is None
+            if not changed and pushed and now.t_us - self._routed_us >= REPLAN_INTERVAL_US:
+                fresh = self._look(now)
+        if changed:
+            fresh |= self._look(now) or self._make_do(now)
+        assert self._route is not None
+        return fresh, self._route
+
+    def _look(self, now: Situation) -> bool:
+        """Go straight to the goal if that is free (True), else ask for a way."""
+        start, goal = now.x0[:2].copy(), np.array(now.goal.pos_ned_m[:2], dtype=float)
         self._routed_us = now.t_us
-        was_unreachable, self.unreachable = self.unreachable, path is None
-        if path is None:
-            if was_unreachable and not changed and route is not None:
-                return False, route
-            self._hold = x0.copy()
-            path = np.stack([x0[:2], x0[:2]])
+        if now.planner.sees(start, goal):
+            self._withdraw()
+            self._take(now, np.stack([start, goal]), now.planner)
+            return True
+        if self._ticket is None:
+            self._asked_first = self._step
+        elif self._step - self._asked_first >= PATIENCE_STEPS:
+            return False
+        self._withdraw()
+        assert self._goal_key is not None
+        asked = RouteRequest(planner=now.planner, start_ned_m=start, goal_ned_m=goal, goal_key=self._goal_key)
+        self._asked = asked
+        self._ticket = self._desk.submit(self._step + ANSWER_STEPS, search_route, asked)
+        return False
+
+    def _answered(self, now: Situation) -> bool:
+        """Put the answer into force, if there is one. Whether the route is another one then."""
+        answer = None if self._ticket is None else self._ticket.poll(self._step)
+        asked = self._asked
+        if answer is None or asked is None:
+            return False
+        self._ticket = self._asked = None
+        path = answer.value
+        if answer.error is None:
+            self._mishaps.succeeded()
         else:
-            self._hold = None
-        route = Route(path)
-        self._route, self._s = route, 0.0
-        return True, route
+            self._mishaps.failed(answer.error)
+        if asked.planner is now.planner and asked.goal_key == self._goal_key:
+            return self._take(now, path, asked.planner)
+        # It has been overtaken, but it is the newest that there is.
+        usable = path is not None and now.planner.free(path)
+        fresh = usable and self._take(now, path, now.planner)
+        return self._look(now) or fresh
+
+    def _take(self, now: Situation, path: FloatArray | None, planner: Planner) -> bool:
+        """Go along a path, or hold the place without one. Whether the route is another one."""
+        self.unreachable = path is None
+        if path is None:
+            return self._stay(now)
+        self._hold = None
+        self._route, self._route_planner = Route(path), planner
+        self._s, _ = self._route.project(now.x0[:2], 0.0)
+        return True
+
+    def _make_do(self, now: Situation) -> bool:
+        """Until there is a way: the route in force if it is free, else the place. Whether the route is another one."""
+        route, same = self._route, now.planner is self._route_planner
+        if route is None or self._hold is not None:
+            return self._stay(now)
+        if not (same or now.planner.free(route.ahead(now.x0[:2], self._s))):
+            return self._stay(now)
+        self._route_planner = now.planner
+        return False
+
+    def _stay(self, now: Situation) -> bool:
+        """Hold the place, or go on holding it. Whether the route is another one."""
+        if self._hold is not None and self._route is not None:
+            return False
+        self._hold = now.x0.copy()
+        self._route, self._route_planner, self._s = Route(np.stack([now.x0[:2]] * 2)), now.planner, 0.0
+        return True
+
+    def _withdraw(self) -> None:
+        if self._ticket is not None:
+            self._ticket.cancel()
+        self._ticket = None
 
     def _march(self, now: Situation, route: Route) -> FloatArray:
         """References (N+1, 8) along the route; chooses the way round to the heading."""

@@ -2,7 +2,10 @@
 
 A grid over the workspace, its geodesic distance from the goal (Dijkstra, 16 neighbours), descent from the vehicle, and
 line-of-sight short cuts. The grid belongs to a fence, the distance field to a goal; both are made only when that
-changes, and not at all while the straight line is free.
+changes, and not at all while the straight line is free. What is kept saves time and changes no answer: a path is a
+function of fence, radius, start and goal.
+
+:meth:`Planner.path` takes up to half a second and is for a desk; everything else fits into a control step.
 """
 
 import math
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 
 from autopilot.control.obstacles import Features
 from autopilot.control.shortest import lengths_from
+from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 
@@ -36,7 +40,13 @@ TILE_CELLS = 8
 """Side of the tiles in which cells are looked at together."""
 
 OPEN_WATER_BORDER_M = 3.0
-"""Without a workspace the grid covers start, goal and obstacles and this much beyond."""
+"""Without a workspace the grid covers start, goal and obstacles and this much beyond ..."""
+
+OPEN_WATER_STEP_M = 2.0
+"""... up to the next multiple of this: a start that has moved a little has the same grid."""
+
+LOOK_BACK_M = 10.0
+"""So much of a path that was made for another fence is looked at before it is gone on with."""
 
 GOAL_SNAP_M = 0.3
 """A goal this near to free ground is approached as far as the constraints allow."""
@@ -63,10 +73,8 @@ class _Grid:
     """Free cells of the workspace and their connections."""
 
     origin_m: FloatArray
+    high_m: FloatArray
     cell_m: float
-    shape: tuple[int, int]
-    node_of_cell: NDArray[np.intp]
-    """(rows * columns,) node number, -1 where not free."""
     position_m: FloatArray
     """(nodes, 2)"""
     edges: Edges
@@ -92,14 +100,26 @@ class Planner:
             _Look(fence, self.features, radius_m, 0.0, TIGHT_CELL_M, squeeze=True),
         )
 
-    def path(self, start_ned_m: FloatArray, goal_ned_m: FloatArray) -> FloatArray | None:
-        """Corner points (m, 2) of a free path, first row the start, last the goal; None if there is no way."""
+    def path(self, start_ned_m: FloatArray, goal_ned_m: FloatArray, cancel: Cancel | None = None) -> FloatArray | None:
+        """Corner points (m, 2) of a free path, first row the start, last the goal; None if there is no way.
+
+        Ends with WithdrawnError once ``cancel`` is requested.
+        """
         start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
         for look in self._looks:
-            path = look.path(start, goal)
+            path = look.path(start, goal, cancel or Cancel())
             if path is not None:
                 return path
         return None
+
+    def sees(self, start_ned_m: FloatArray, goal_ned_m: FloatArray) -> bool:
+        """Whether the straight line is such a path (and a comfortable one)."""
+        start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
+        return self._looks[0].sees(start, goal)
+
+    def free(self, path_ned_m: FloatArray) -> bool:
+        """Whether a path (m, 2) that was made for another fence can be gone on with for the next metres."""
+        return self._looks[1].free(path_ned_m)
 
 
 class _Look:
@@ -119,16 +139,19 @@ class _Look:
         self._grid: _Grid | None = None
         self._field: _Field | None = None
 
-    def path(self, start: FloatArray, goal: FloatArray) -> FloatArray | None:
+    def path(self, start: FloatArray, goal: FloatArray, cancel: Cancel) -> FloatArray | None:
         """:meth:`Planner.path` of points (2,)."""
         if self.sees(start, goal):
             return np.stack([start, goal])
+        cancel.check()
         grid = self._grid_for(start, goal)
         if len(grid.position_m) == 0:
             return None
+        cancel.check()
         field = self._field_for(grid, goal)
         if field is None:
             return None
+        cancel.check()
         node = int(((grid.position_m - start) ** 2).sum(axis=1).argmin())
         if not math.isfinite(field.distance_m[node]):
             return None
@@ -157,6 +180,18 @@ class _Look:
         if clearance[0] < 0.0 or clearance[-1] < 0.0:
             return False
         return bool((clearance >= need).all())
+
+    def free(self, path: FloatArray) -> bool:
+        """:meth:`Planner.free`."""
+        if self.features.count == 0:
+            return True
+        s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
+        at = np.arange(0.0, min(float(s[-1]), LOOK_BACK_M) + FINEST_CELL_M, FINEST_CELL_M)
+        points = np.stack([np.interp(at, s, path[:, 0]), np.interp(at, s, path[:, 1])], axis=1)
+        clearance = self.features.clearance_up_to_m(points, 2.0 * self.radius_m)
+        # Where the vehicle is it may be nearer.
+        need = np.where(at < ENDPOINT_RELIEF_M, min(self._allowed_m, float(clearance[0]) - 1e-3), self._allowed_m)
+        return bool(clearance[0] >= 0.0 and (clearance >= need).all())
 
     def _shortcut(self, points: FloatArray) -> FloatArray:
         kept, i = [0], 0
@@ -193,10 +228,10 @@ class _Look:
         return bool((self.features.clearance_up_to_m(between, self.radius_m) >= needed).all())
 
     def _grid_for(self, start: FloatArray, goal: FloatArray) -> _Grid:
-        grid = self._grid
-        if grid is not None and (self.fence.inclusions or (_covers(grid, start) and _covers(grid, goal))):
-            return grid
         low, high = self._bounds(start, goal)
+        grid = self._grid
+        if grid is not None and bool((grid.origin_m == low).all() and (grid.high_m == high).all()):
+            return grid
         size = high - low
         cell = max(self._cell_m, math.sqrt(float(size[0] * size[1]) / MAX_CELLS))
         shape = (int(size[0] / cell) + 1, int(size[1] / cell) + 1)
@@ -220,9 +255,8 @@ class _Look:
             edges = self._keep_clear(edges, centers[free], tight[free], cell)
         self._grid = _Grid(
             origin_m=low,
+            high_m=high,
             cell_m=cell,
-            shape=shape,
-            node_of_cell=node_of_cell,
             position_m=centers[free],
             edges=edges,
         )
@@ -260,19 +294,23 @@ class _Look:
         return begin[keep], end[keep], length[keep]
 
     def _bounds(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
-        corners = [start[None], goal[None]]
-        border = 0.0
         shapes = self.fence.inclusions
-        if not shapes:
-            shapes, border = self.fence.exclusions, OPEN_WATER_BORDER_M
-        for shape in shapes:
+        corners = [] if shapes else [start[None], goal[None]]
+        for shape in shapes or self.fence.exclusions:
             if isinstance(shape, Circle):
                 c = np.asarray(shape.center_ned_m, dtype=float)
                 corners.append(np.stack([c - shape.radius_m, c + shape.radius_m]))
             else:
                 corners.append(np.asarray(shape.vertices_ned_m, dtype=float))
         points = np.concatenate(corners)
-        return points.min(axis=0) - border, points.max(axis=0) + border
+        low, high = points.min(axis=0), points.max(axis=0)
+        if shapes:
+            return low, high
+        step = OPEN_WATER_STEP_M
+        return (
+            step * np.floor((low - OPEN_WATER_BORDER_M) / step),
+            step * np.ceil((high + OPEN_WATER_BORDER_M) / step),
+        )
 
     def _field_for(self, grid: _Grid, goal: FloatArray) -> _Field | None:
         if self._field is not None and np.array_equal(self._field.goal_m, goal):
@@ -290,11 +328,6 @@ def _tile_order(shape: tuple[int, int]) -> NDArray[np.intp]:
     """Numbers of all cells (rows * columns,), tile by tile of 8 x 8, so that neighbours stand together."""
     row, column = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
     return np.lexsort((column, row, column // TILE_CELLS, row // TILE_CELLS))
-
-
-def _covers(grid: _Grid, point: FloatArray) -> bool:
-    high = grid.origin_m + grid.cell_m * np.array(grid.shape)
-    return bool((point >= grid.origin_m).all() and (point <= high).all())
 
 
 def _connect(node: NDArray[np.intp], cell_m: float) -> Edges:

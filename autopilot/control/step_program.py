@@ -15,6 +15,7 @@ from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.terminal import TerminalLimits
 from autopilot.control.robust.tube import LARGEST_THRUST_SHARE
 from autopilot.control.tightening import BackOffs
+from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus
 from autopilot.core.model4 import NU, YAW, Model4, U, Z
@@ -33,10 +34,12 @@ SLOWEST_CAP_M_S = 0.05
 class StepProgram:
     """Keeps the optimiser with its plan, the margins, the terminal regions and the arrays of the program."""
 
-    def __init__(self, model: Model4, grid: TimeGrid, radius_m: float, backends: tuple[ocp.QpBackend, ...]) -> None:
+    def __init__(
+        self, model: Model4, grid: TimeGrid, radius_m: float, backends: tuple[ocp.QpBackend, ...], certificates: Desk
+    ) -> None:
         self.nmpc = Nmpc(model, grid, backends=backends)
         self.margins = Margins(model, grid)
-        self.regions = TerminalRegions(model)
+        self.regions = TerminalRegions(model, certificates)
         self.tube_m: FloatArray = np.zeros(grid.n + 1)
         """(N+1,) distance that every node of the last plan keeps from boundaries beyond the body."""
         self._radius_m = radius_m

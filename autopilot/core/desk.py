@@ -20,6 +20,10 @@ Q = TypeVar("Q")
 A = TypeVar("A")
 
 
+class WithdrawnError(Exception):
+    """Ends work whose answer nobody wants any more; nobody hears of it either."""
+
+
 class Cancel:
     """Whether an answer is still wanted; long work looks at it between its steps and may return anything then."""
 
@@ -27,6 +31,11 @@ class Cancel:
 
     def __init__(self) -> None:
         self.requested = False
+
+    def check(self) -> None:
+        """Raise WithdrawnError if the answer is not wanted any more."""
+        if self.requested:
+            raise WithdrawnError
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

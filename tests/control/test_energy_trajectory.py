@@ -1,19 +1,16 @@
 """Trajectories of least energy, when they are answered, and how they are followed."""
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from threading import Event
 
 import numpy as np
 import pytest
 
 from autopilot.control.controller import MotionController
 from autopilot.control.currents import EstimatedCurrent, MappedCurrent, PointwiseField
-from autopilot.control.energy.desk import ANSWER_STEPS, PlanningDesk
 from autopilot.control.energy.flow import area_of, sample_flow
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.search import EnergyPlanner, Plan, Request, shifted
+from autopilot.control.energy.search import EnergyPlanner, Request, shifted
 from autopilot.control.energy.track import Track, joined
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
@@ -96,33 +93,6 @@ def test_a_goal_that_no_way_reaches_is_an_answer() -> None:
     plan = PLANNER.plan(request(AT_A, away))
     assert plan.trajectory is None
     assert math.isinf(plan.energy_j)
-
-
-def test_answers_come_after_a_counted_number_of_steps() -> None:
-    plan = Plan(goal=B, trajectory=None, energy_j=1.0, eta_s=1.0, complete=True)
-    asked = request(AT_A, B)
-    desk = PlanningDesk(lambda _: plan)
-    desk.submit(3, asked)
-    assert [desk.poll(step) is not None for step in range(4, 3 + ANSWER_STEPS + 2)] == [False] * (ANSWER_STEPS - 1) + [
-        True,
-        False,
-    ]
-    gate = Event()
-
-    def slow(_: Request) -> Plan:
-        gate.wait(10.0)
-        return plan
-
-    with ThreadPoolExecutor(1) as executor:
-        hasty = PlanningDesk(slow, executor, patient=False)
-        hasty.submit(0, asked)
-        assert hasty.poll(ANSWER_STEPS) is None
-        assert hasty.poll(ANSWER_STEPS + 1) is None
-        assert hasty.late == 1
-        gate.set()
-        patient = PlanningDesk(slow, executor)
-        patient.submit(0, asked)
-        assert patient.poll(ANSWER_STEPS) == (asked, plan)
 
 
 def test_the_clock_of_a_track_waits_for_the_vehicle_and_settles_at_the_goal() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
-from autopilot.control.robust.regions import SAMPLES_PER_STEP, TerminalRegions
+from autopilot.control.robust.regions import ANSWER_STEPS, TerminalRegions
 from autopilot.control.robust.riccati import discretise
 from autopilot.control.robust.terminal import (
     KAPPA,
@@ -26,6 +26,7 @@ from autopilot.control.robust.terminal import (
     violations,
 )
 from autopilot.core import model4
+from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal, Severity
@@ -153,17 +154,19 @@ def test_region_error_turns_into_the_frame_of_the_goal() -> None:
     assert np.allclose(error, [0.1, -0.05, 0.05, 0.02, 0.0, 0.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_regions_are_made_slice_by_slice_and_tell_once() -> None:
-    regions = TerminalRegions(MODEL)
+def test_regions_are_certified_beside_the_loop_and_told_to_the_log_once() -> None:
+    regions = TerminalRegions(MODEL, Desk())
     still = np.zeros(3)
     steps = 0
     while regions.certificate is None:
         regions.follow(B, math.pi, still, limits(), Q, R)
+        assert regions.law is not None, "the law is there at once"
         steps += 1
         assert steps < 200
-    assert steps == SAMPLES // SAMPLES_PER_STEP + 1
+    assert steps == ANSWER_STEPS + 1
+    assert regions.certificate.samples == SAMPLES
     news = regions.take_news()
-    assert len(news) == 1 and news[0][0] is Severity.NOTICE and "Item 0: alpha" in news[0][1]
+    assert len(news) == 1 and news[0][0] is Severity.DEBUG and "Item 0: alpha" in news[0][1]
     for _ in range(2 * steps):
         regions.follow(B, math.pi, np.array([0.07, 0.0, 0.0]), limits(), Q, R)
     assert regions.take_news() == [], "another current, the same story"
@@ -181,7 +184,15 @@ def test_the_controller_certifies_its_goal_while_it_flies() -> None:
         controller.step(step * 50_000, nav_state(step * 50_000, x), A, fence, params)
     certificate = controller.regions.certificate
     assert certificate is not None and certificate.violations == 0 and certificate.samples == SAMPLES
-    assert any("alpha" in text for _, text in controller.take_news())
+    assert [severity for severity, text in controller.take_news() if "alpha" in text] == [Severity.DEBUG]
+
+
+def test_a_goal_without_a_region_is_something_to_mend() -> None:
+    regions = TerminalRegions(MODEL, Desk())
+    for _ in range(2 * ANSWER_STEPS):
+        regions.follow(B, math.pi, np.zeros(3), limits(clearance_m=-0.01), Q, R)
+    told = [text for severity, text in regions.take_news() if severity <= Severity.INFO]
+    assert told == ["Item 0: beyond the clearance limit, move it"]
 
 
 def test_zero_order_hold_of_the_goal_is_that_of_the_law() -> None:

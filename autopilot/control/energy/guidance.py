@@ -2,21 +2,26 @@
 
 A leg is planned when its goal appears; the leg after it is planned while this one is flown, so that there is no wait at
 a waypoint. A plan is brought up to date when the water differs from what it was made for, when the vehicle has been
-pushed off it, and when it ends before the goal. Without a plan the vehicle stays where it is.
+pushed off it, and when it ends before the goal. Until there is a plan the vehicle stays where it is; when planning ends
+with an exception, a leg without a plan is flown by the route guidance.
 """
 
 import numpy as np
 
-from autopilot.control.energy.desk import PlanningDesk
-from autopilot.control.energy.flow import Flow, FlowSamples, area_of, sample_flow
-from autopilot.control.energy.search import Plan, Request, shifted
+from autopilot.control.desks import Mishaps
+from autopilot.control.energy.flow import Flow, area_of, sample_flow
+from autopilot.control.energy.search import Plan, Request, TrajectoryPlanner, shifted
 from autopilot.control.energy.track import Track, joined, still
 from autopilot.control.grid import TimeGrid
-from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, Situation, SteadyThrust
+from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, RouteGuidance, Situation, SteadyThrust
 from autopilot.control.ocp import TERMINAL_STAGES
+from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import EnergyPlan, Goal
+from autopilot.core.messages import EnergyPlan, Goal, Severity
 from autopilot.core.model4 import NU, Model4, R, U
+
+ANSWER_STEPS = 3
+"""A plan is taken so many control steps after it was asked for: 0.15 s at 20 Hz."""
 
 OFF_TRACK_M = 0.15
 """A vehicle this far from its trajectory gets a new one."""
@@ -58,12 +63,28 @@ SPEED_SHARE = 0.98
 class EnergyGuidance:
     """See :class:`autopilot.control.guidance.Guidance`."""
 
-    def __init__(self, model: Model4, grid: TimeGrid, desk: PlanningDesk) -> None:
+    def __init__(
+        self, model: Model4, grid: TimeGrid, desk: Desk, planner: TrajectoryPlanner, route: RouteGuidance
+    ) -> None:
+        """``route`` flies what ``planner`` cannot."""
         self._t_s = grid.t_s
         self._steady = SteadyThrust(model)
-        self._desk = desk
-        self.unreachable = False
+        self._desk, self._trajectories, self._route = desk, planner, route
+        self._ticket: Ticket[Plan] | None = None
+        self._request: Request | None = None
+        self._mishaps = Mishaps("energy planner", "No energy plan: this leg goes by the plain route")
+        self._no_way = False
         self.reset()
+
+    @property
+    def unreachable(self) -> bool:
+        """See :class:`autopilot.control.guidance.Guidance`."""
+        return self._route.unreachable if self._by_route else self._no_way
+
+    @property
+    def failures(self) -> int:
+        """Plans so far that ended with an exception."""
+        return self._mishaps.count
 
     def reset(self) -> None:
         """See :class:`Guidance`."""
@@ -73,12 +94,17 @@ class EnergyGuidance:
         self._planner: object = None
         self._track: Track | None = None
         self._next: Track | None = None
-        self._flow: FlowSamples | None = None
+        self._asked_next = False
+        self._flow: Flow | None = None
         self._asked_step = -REPLAN_STEPS
         self._hold: FloatArray | None = None
-        self._desk.clear()
-        self.unreachable = False
+        self._withdraw()
+        self._no_way = self._by_route = False
         self._news: EnergyPlan | None = None
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """See :class:`autopilot.control.guidance.Guidance`."""
+        return self._mishaps.take_news() + self._route.take_news()
 
     def reference(self, situation: Situation) -> Reference:
         """See :class:`Guidance`."""
@@ -87,6 +113,8 @@ class EnergyGuidance:
         self._last_us = now.t_us
         self._step += 1
         fresh = self._update(now, elapsed_s)
+        if self._by_route:
+            return self._route.reference(now)
         current = now.nav.current_ned_m_s
         weight_u = now.params["MPC_R_THRUST"]
         if self._track is None:
@@ -118,6 +146,8 @@ class EnergyGuidance:
 
     def ahead(self, here: FloatArray) -> FloatArray:
         """See :class:`Guidance`."""
+        if self._by_route:
+            return self._route.ahead(here)
         return here[None] if self._track is None else np.vstack([here, self._track.ahead()])
 
     def _update(self, now: Situation, elapsed_s: float) -> bool:
@@ -126,22 +156,34 @@ class EnergyGuidance:
         key = _key(now.goal)
         if key != self._goal_key or now.planner is not self._planner:
             fresh = self._new_goal(now, key)
-        answer = self._desk.poll(self._step)
-        if answer is not None:
-            fresh |= self._take(*answer, now)
+        answer, request = None if self._ticket is None else self._ticket.poll(self._step), self._request
+        if answer is not None and request is not None:
+            self._ticket = self._request = None
+            if answer.error is None:
+                self._mishaps.succeeded()
+                fresh |= self._take(request, answer.get(), now)
+            else:
+                self._fail(request, answer.error)
         off_m = 0.0 if self._track is None else self._track.advance(elapsed_s, now.x0)
-        if self._desk.open is None:
+        if self._ticket is None and not self._by_route:
             self._ask_if_needed(now, off_m)
         return fresh
+
+    def _fail(self, request: Request, error: Exception) -> None:
+        """Planning has failed: a leg that has no trajectory is flown by the route guidance, to its end."""
+        self._mishaps.failed(error)
+        if self._track is None and _key(request.goal) == self._goal_key:
+            self._by_route, self._hold = True, None
+            self._route.reset()
 
     def _new_goal(self, now: Situation, key: tuple[float, ...]) -> bool:
         """Take the plan that was made ahead for this goal, or begin without one."""
         left, ahead, same_fence = self._track, self._next, now.planner is self._planner
         self._goal_key, self._planner = key, now.planner
-        self._track = self._next = None
-        self._desk.clear()
+        self._track, self._next, self._asked_next = None, None, False
+        self._withdraw()
         self._asked_step = -REPLAN_STEPS
-        self.unreachable = False
+        self._no_way = self._by_route = False
         if ahead is not None and same_fence and _key(ahead.goal) == key:
             # The region is entered a little before the trajectory ends: that much of it is still flown.
             onward = ahead.trajectory if left is None else joined(left.trajectory, left.clock_s, ahead.trajectory)
@@ -156,15 +198,15 @@ class EnergyGuidance:
             self._next = track
             return False
         fresh = self._track is None
-        self.unreachable = track is None
+        self._no_way = track is None
         if track is None and self._track is not None:
             return False
         self._track = track
         # The next leg was planned from where the last trajectory ended.
-        self._next = None
+        self._next, self._asked_next = None, False
         if track is not None:
             track.locate(now.x0, 0.0)
-        self._flow = request.flow
+        self._flow = plan.flow
         if plan.trajectory is not None:
             self._news = EnergyPlan(
                 seq=plan.goal.seq,
@@ -193,9 +235,11 @@ class EnergyGuidance:
                 warm = None if running_out or off_m > 2.0 * OFF_TRACK_M else track
                 self._ask(now, now.goal, now.x0, warm)
                 return
-        if self._next is None and track.complete and now.goal.following is not None and track.rest_s < NEXT_LEG_S:
+        following = now.goal.following
+        if following is not None and not self._asked_next and track.complete and track.rest_s < NEXT_LEG_S:
+            self._asked_next = True
             end = track.trajectory.x[-1].copy()
-            self._ask(now, now.goal.following, end, None)
+            self._ask(now, following, end, None)
 
     def _water_changed(self, now: Situation, track: Track) -> bool:
         """Whether the forecast along the next seconds is another one than the plan was made with."""
@@ -205,7 +249,7 @@ class EnergyGuidance:
         x, _ = track.sample(ahead, now.nav.current_ned_m_s)
         forecast = np.empty((len(x), 3))
         now.forecast.fill(now.nav, x[:, :3], ahead, forecast)
-        assumed = Flow(self._flow).current(x[:, :2])
+        assumed = self._flow.current(x[:, :2])
         return float(np.sqrt(((forecast - assumed)[:, :2] ** 2).sum(axis=1).mean())) > CHANGED_M_S
 
     def _ask(self, now: Situation, goal: Goal, x0: FloatArray, warm: Track | None) -> None:
@@ -236,7 +280,21 @@ class EnergyGuidance:
         )
         if _key(goal) == self._goal_key:
             self._asked_step = self._step
-        self._desk.submit(self._step, request)
+        self._request = request
+        self._ticket = self._desk.submit(self._step + ANSWER_STEPS, self._planned, request)
+
+    def _planned(self, request: Request, cancel: Cancel) -> Plan:
+        """What the planner says, if that makes sense."""
+        plan = self._trajectories.plan(request, cancel)
+        found = plan.trajectory
+        if found is not None and not bool(np.isfinite(found.x).all() and np.isfinite(found.thrust_n).all()):
+            raise ValueError("a trajectory that is not finite")
+        return plan
+
+    def _withdraw(self) -> None:
+        if self._ticket is not None:
+            self._ticket.cancel()
+        self._ticket = self._request = None
 
 
 def _key(goal: Goal) -> tuple[float, ...]:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from autopilot.control.energy.power import PowerModel, SpeedTable, energy_per_me
 from autopilot.control.energy.trajectory import PLANES, SUBSTEP_S, Ask, Program, Trajectory
 from autopilot.control.guidance import SteadyThrust
 from autopilot.control.obstacles import Features, fence_key
+from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
@@ -96,10 +98,20 @@ class Plan:
     eta_s: float
     complete: bool
     """The trajectory ends in the goal's region."""
+    flow: Flow | None = None
+    """The water that it was made for."""
+
+
+class TrajectoryPlanner(Protocol):
+    """Makes plans beside the loop; an exception means that there is none."""
+
+    def plan(self, request: Request, cancel: Cancel) -> Plan:
+        """Answer one request; once ``cancel`` is requested anything will do."""
+        ...
 
 
 class EnergyPlanner:
-    """Keeps the built programs and the last field; otherwise a function of the request."""
+    """Keeps the built programs and the last features; otherwise a function of the request."""
 
     def __init__(self, model: Model4, power: PowerModel) -> None:
         self._model, self._power = model, power
@@ -107,8 +119,10 @@ class EnergyPlanner:
         self._programs: dict[int, Program] = {}
         self._features: tuple[tuple[object, ...], Features] | None = None
 
-    def plan(self, request: Request) -> Plan:
-        """Answer one request."""
+    def plan(self, request: Request, cancel: Cancel | None = None) -> Plan:
+        """See :class:`TrajectoryPlanner`. Ends with WithdrawnError soon after ``cancel`` is requested."""
+        cancel = cancel or Cancel()
+        cancel.check()
         features = self._features_of(request.fence)
         flow = Flow(request.flow)
         table = speed_table(self._model, self._power, float(request.limits[0]))
@@ -122,9 +136,10 @@ class EnergyPlanner:
         best = None if to_go is None else to_go.way(start)
         if to_go is None or best is None:
             return Plan(goal=request.goal, trajectory=None, energy_j=math.inf, eta_s=math.inf, complete=False)
+        cancel.check()
         beyond = _field_beyond(field, request.goal)
         end_slope = _slope_beyond(beyond, request.goal)
-        task = _Task(request, features, flow, table, to_go, end_slope, self._program, self._steady)
+        task = _Task(request, features, flow, table, to_go, end_slope, self._program, self._steady, cancel)
         warm = None if request.warm is None else task.refine(request.warm, UPDATE_ROUNDS)
         if warm is not None and warm.solved and task.energy_along(warm) < STAY_WITHIN * best.energy_j:
             return task.plan(warm)
@@ -212,8 +227,9 @@ class _Task:
         end_slope: FloatArray,
         program: Callable[[float], Program],
         steady: SteadyThrust,
+        cancel: Cancel,
     ) -> None:
-        self._steady = steady
+        self._steady, self._cancel = steady, cancel
         self._request, self._features, self._flow, self._table = request, features, flow, table
         self._to_go, self._end_slope, self._program = to_go, end_slope, program
         self._gate: FloatArray | None = None
@@ -229,7 +245,8 @@ class _Task:
         goal = self._request.goal.following
         assert goal is not None
         request = replace(self._request, x0=end.x[-1], goal=goal, warm=None)
-        return _Task(request, self._features, self._flow, self._table, beyond, np.zeros(2), self._program, self._steady)
+        rest = (np.zeros(2), self._program, self._steady, self._cancel)
+        return _Task(request, self._features, self._flow, self._table, beyond, *rest)
 
     def guesses(self, way: Way) -> list[Trajectory]:
         """First trajectories along a way, one per way of turning: at the cheapest steady speed and its thrust."""
@@ -326,10 +343,13 @@ class _Task:
         request, trajectory = self._request, guess
         program = self._program(1.1 * float(guess.t_s[-1]))
         for _ in range(rounds):
+            self._cancel.check()
+            end_s = float(trajectory.t_s[-1])
             trajectory = program.solve(
-                self._ask(trajectory, request), trajectory.x, trajectory.thrust_n, float(trajectory.t_s[-1])
+                self._ask(trajectory, request), trajectory.x, trajectory.thrust_n, end_s, self._cancel
             )
             if not trajectory.solved:
+                self._cancel.check()
                 break
         return trajectory
 
@@ -381,7 +401,12 @@ class _Task:
                 energy += way.energy_j
                 eta += float(self._timed(way)[1][-1])
         return Plan(
-            goal=self._request.goal, trajectory=trajectory, energy_j=energy, eta_s=eta, complete=self._gate is None
+            goal=self._request.goal,
+            trajectory=trajectory,
+            energy_j=energy,
+            eta_s=eta,
+            complete=self._gate is None,
+            flow=self._flow,
         )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from autopilot.control.energy.power import PowerModel
 from autopilot.core import model4
+from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NU, NX, YAW, Model4, R, U, V, W, Z
 
@@ -97,11 +98,16 @@ class Program:
             "limits": (5, 1),
             "end": (2, 1),
         }
-        self._solver, self._lbg, self._ubg = _build(model, power, n, substeps, self._shapes)
+        program, self._lbg, self._ubg = _build(model, power, n, substeps, self._shapes)
+        self._stop = _Stop(program)
+        self._solver = ca.nlpsol("energy", "ipopt", program, {**OPTIONS, "iteration_callback": self._stop})
 
-    def solve(self, ask: Ask, x: FloatArray, thrust_n: FloatArray, end_s: float) -> Trajectory:
-        """From a guess: states (n + 1, 8), thrust (n, 4), end time."""
+    def solve(
+        self, ask: Ask, x: FloatArray, thrust_n: FloatArray, end_s: float, cancel: Cancel | None = None
+    ) -> Trajectory:
+        """From a guess: states (n + 1, 8), thrust (n, 4), end time. Given up once ``cancel`` is requested."""
         n = self.n
+        self._stop.cancel = cancel or Cancel()
         arguments = (
             ask.x0,
             ask.goal_ned_m,
@@ -146,11 +152,63 @@ class Program:
         return end_s * (self._power.hotel_w + float(self._power.thrust_w(thrust_n).sum()) / self.n)
 
 
+class _Stop(ca.Callback):
+    """IPOPT asks it after every iteration whether to go on: they take up to 12 ms, a solution up to 150 of them."""
+
+    def __init__(self, program: dict[str, Any]) -> None:
+        ca.Callback.__init__(self)
+        self.cancel = Cancel()
+        count, rows, parameters = (program[name].shape[0] for name in ("x", "g", "p"))
+        self._sizes = {"x": count, "f": 1, "g": rows, "lam_x": count, "lam_g": rows, "lam_p": parameters}
+        self.construct("stop", {})
+
+    def get_n_in(self) -> int:
+        """What a solver gives out."""
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        """One flag."""
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        """As the solver names them."""
+        return str(ca.nlpsol_out(i))
+
+    def get_name_out(self, i: int) -> str:
+        """As the solver wants it."""
+        return "ret"
+
+    def get_sparsity_in(self, i: int) -> Any:
+        """Columns."""
+        return ca.Sparsity.dense(self._sizes[self.get_name_in(i)])
+
+    def eval(self, arg: Any) -> list[int]:
+        """1 = stop."""
+        return [int(self.cancel.requested)]
+
+
 MIN_INTERVAL_S = 0.005
 COST_SCALE = 1e-2
 
+OPTIONS: dict[str, Any] = {
+    "print_time": False,
+    # A trial step may leave the domain; IPOPT takes a shorter one.
+    "show_eval_warnings": False,
+    "ipopt": {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": 1e-5,
+        "acceptable_tol": 1e-4,
+        "max_iter": 150,
+        "mu_strategy": "adaptive",
+    },
+}
 
-def _build(model: Model4, power: PowerModel, n: int, substeps: int, shapes: dict[str, tuple[int, int]]) -> Any:
+
+def _build(
+    model: Model4, power: PowerModel, n: int, substeps: int, shapes: dict[str, tuple[int, int]]
+) -> tuple[dict[str, Any], FloatArray, FloatArray]:
+    """The nonlinear program and the bounds of its constraints."""
     w = [ca.SX.sym(f"w{k}", NU + NX) for k in range(n)]
     end_s = ca.SX.sym("T")
     p = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
@@ -190,20 +248,7 @@ def _build(model: Model4, power: PowerModel, n: int, substeps: int, shapes: dict
         "g": ca.vertcat(*g),
         "p": ca.vertcat(*(ca.vec(v) for v in p.values())),
     }
-    options: dict[str, Any] = {
-        "print_time": False,
-        # A trial step may leave the domain; IPOPT takes a shorter one.
-        "show_eval_warnings": False,
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": 1e-5,
-            "acceptable_tol": 1e-4,
-            "max_iter": 150,
-            "mu_strategy": "adaptive",
-        },
-    }
-    return ca.nlpsol("energy", "ipopt", program, options), np.array(low), np.array(high)
+    return program, np.array(low), np.array(high)
 
 
 def _interval(model: Model4, substeps: int) -> ca.Function:

@@ -1,26 +1,30 @@
-"""The terminal region of the goal in force: made when the goal or its water changes, verified a slice per control step.
+"""The terminal region of the goal in force: made when the goal or its water changes, certified beside the loop.
 
-The law (steady input, gain, cost) is there at once and costs a millisecond; the 20,000 samples of its certificate are
-looked at in the pauses between steps, 250 at a time, four seconds long: no step is held up, every run counts the same.
+The law (steady input, gain, cost) is there at once and costs half a millisecond; the 20,000 samples of its certificate
+are looked at elsewhere. What was verified goes to the log; an operator hears of it only when there is no region at all.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from autopilot.control.robust.terminal import (
     Certificate,
-    CertificateJob,
     Terminal,
     TerminalLimits,
+    certify,
     terminal_law,
     unit_samples,
 )
+from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, Severity
 from autopilot.core.model4 import Model4
 
-SAMPLES_PER_STEP = 250
+ANSWER_STEPS = 20
+"""A certificate is taken so many control steps after it was asked for (1 s at 20 Hz): nothing waits for it."""
+
 CURRENT_STEP_M_S = 0.06
 """A goal is certified anew when the current there has changed by this."""
 
@@ -29,22 +33,38 @@ AT_GOAL_RAD = 0.05
 """The end of a reference counts as the goal within these."""
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Request:
+    """What is to be certified."""
+
+    model: Model4
+    law: Terminal
+    goal: Goal
+    limits: TerminalLimits
+
+
+def _certified(request: _Request, cancel: Cancel) -> Certificate:
+    """The whole certificate."""
+    cancel.check()
+    return certify(request.model, request.law, request.goal, request.limits, unit_samples())
+
+
 class TerminalRegions:
     """Law and certificate of the present goal."""
 
-    def __init__(self, model: Model4) -> None:
-        self._model = model
-        self._samples = unit_samples()
+    def __init__(self, model: Model4, desk: Desk) -> None:
+        self._model, self._desk = model, desk
+        self._ticket: Ticket[Certificate] | None = None
         self.reset()
 
     def reset(self) -> None:
         """There is no goal."""
+        self._withdraw()
+        self._step = 0
         self._key: tuple[float, ...] = ()
         self._goal: Goal | None = None
         self._told = ""
         self._current = np.zeros(3)
-        self._job: CertificateJob | None = None
-        self._owed = False
         self._cost: FloatArray | None = None
         self._news: list[tuple[Severity, str]] = []
         self.law: Terminal | None = None
@@ -66,28 +86,31 @@ class TerminalRegions:
         r: FloatArray,
     ) -> None:
         """One control step with this goal; ``yaw_rad`` is the heading in which the vehicle will stay there."""
+        self._step += 1
         yaw = goal.yaw_rad if goal.yaw_rad is not None else round(yaw_rad, 1)
         key = (*goal.pos_ned_m.tolist(), yaw, goal.accept_radius_m, limits.clearance_m, *q.tolist(), *r.tolist())
         moved = float(np.abs(current_ned_m_s - self._current).max()) > CURRENT_STEP_M_S
-        if key != self._key or (moved and self._job is None):
+        if key != self._key or (moved and self._ticket is None):
             self._key, self._goal, self._current = key, goal, current_ned_m_s.copy()
             self.law = terminal_law(self._model, yaw, current_ned_m_s, q, r)
             self._cost = self.law.cost_ned()
             self.certificate = None
-            self._job = CertificateJob(self._model, self.law, goal, limits, self._samples)
-        elif self._owed:
-            self.advance()
-        self._owed = self._job is not None
-
-    def advance(self) -> None:
-        """Look at the next slice of samples, if the last step left one: between two steps, or else in the next one."""
-        if self._job is None or self._goal is None or not self._owed:
+            self._withdraw()
+            request = _Request(model=self._model, law=self.law, goal=goal, limits=limits)
+            self._ticket = self._desk.submit(self._step + ANSWER_STEPS, _certified, request)
+        answer = None if self._ticket is None else self._ticket.poll(self._step)
+        if answer is None:
             return
-        self._owed = False
-        self.certificate = self._job.advance(SAMPLES_PER_STEP)
-        if self.certificate is not None:
-            self._job = None
-            self._tell(self._goal, self.certificate)
+        self._ticket, self.certificate = None, answer.value
+        if answer.value is not None:
+            self._tell(goal, answer.value)
+        else:
+            self._news.append((Severity.DEBUG, f"{_name(goal)}: no certificate: {answer.error}"))
+
+    def _withdraw(self) -> None:
+        if self._ticket is not None:
+            self._ticket.cancel()
+        self._ticket = None
 
     def cost_at(self, x_end: FloatArray, goal: Goal) -> FloatArray | None:
         """(8, 8) terminal Hessian for a reference that ends in ``x_end`` (8,): that of the goal if it ends there."""
@@ -101,12 +124,17 @@ class TerminalRegions:
         return self._cost if at_goal else None
 
     def _tell(self, goal: Goal, certificate: Certificate) -> None:
-        name = f"Item {goal.seq}" if goal.seq >= 0 else "Goal"
-        text = f"{name}: {certificate.text}"
-        severity = Severity.INFO if certificate.fits else Severity.NOTICE
-        severity = Severity.WARNING if certificate.alpha <= 0.0 else severity
+        """For the log; what an operator can do about it, for the operator."""
+        name = _name(goal)
         # A current that changes a little makes another certificate; what it says is only news when it is another story.
         story = f"{name} {certificate.binding} {certificate.fits} {goal.pos_ned_m.tolist()}"
-        if story != self._told:
-            self._told = story
-            self._news.append((severity, text))
+        if story == self._told:
+            return
+        self._told = story
+        self._news.append((Severity.DEBUG, f"{name}: {certificate.text}"))
+        if certificate.alpha <= 0.0:
+            self._news.append((Severity.WARNING, f"{name}: beyond the {certificate.binding} limit, move it"))
+
+
+def _name(goal: Goal) -> str:
+    return f"Item {goal.seq}" if goal.seq >= 0 else "Goal"

@@ -10,6 +10,7 @@ decrease.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -206,17 +207,19 @@ def violations(model: Model4, law: Terminal, error: FloatArray) -> int:
     return int((change > -cost).sum())
 
 
+@lru_cache(maxsize=4)
 def unit_samples(count: int = SAMPLES, seed: int = SEED) -> FloatArray:
     """(count, 8) points of the unit ball: half on its surface, half inside (radius uniform)."""
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(count, NX))
     points /= np.linalg.norm(points, axis=1)[:, None]
     points[1::2] *= rng.uniform(0.02, 1.0, size=(len(points[1::2]), 1))
+    points.setflags(write=False)
     return points
 
 
 class CertificateJob:
-    """The sampling of one goal, a slice at a time, so that no control step is held up."""
+    """The sampling of one goal, a slice at a time."""
 
     def __init__(self, model: Model4, law: Terminal, goal: Goal, limits: TerminalLimits, samples: FloatArray) -> None:
         self._model, self._law, self._goal, self._limits, self._samples = model, law, goal, limits, samples

@@ -1,0 +1,72 @@
+"""Where the controller has its slow work done, and what it says when that ends with an exception."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+from autopilot.core.desk import Desk
+from autopilot.core.messages import Severity
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Desks:
+    """One lane per kind of work, so that a route never waits for a trajectory. Without executors (the default) work is
+    done when it is due, by the caller."""
+
+    routes: Desk = field(default_factory=Desk)
+    trajectories: Desk = field(default_factory=Desk)
+    certificates: Desk = field(default_factory=Desk)
+
+    @classmethod
+    def beside(cls, *, patient: bool) -> "Desks":
+        """A thread each. ``patient``: the loop waits for answers that are due."""
+        routes, trajectories, certificates = (
+            Desk(ThreadPoolExecutor(1, thread_name_prefix=name), patient=patient)
+            for name in ("routes", "trajectories", "certificates")
+        )
+        return cls(routes=routes, trajectories=trajectories, certificates=certificates)
+
+    @property
+    def lanes(self) -> tuple[Desk, ...]:
+        """All of them."""
+        return self.routes, self.trajectories, self.certificates
+
+    def on_wait(self, idle: Callable[[], None]) -> None:
+        """What the loop attends to while it waits for an answer."""
+        for lane in self.lanes:
+            lane.idle = idle
+
+    def close(self) -> None:
+        """Begin nothing any more."""
+        for lane in self.lanes:
+            lane.close()
+
+
+class Mishaps:
+    """Work that ended with an exception: counted, told the operator once until some succeeds, in full in the log."""
+
+    def __init__(self, work: str, told: str) -> None:
+        """``work``: what it is, for the log; ``told``: what the operator is told."""
+        self._work, self._text = work, told
+        self._told = False
+        self._news: list[tuple[Severity, str]] = []
+        self.count = 0
+
+    def failed(self, error: Exception) -> None:
+        """Take note of one."""
+        self.count += 1
+        if not self._told:
+            self._told = True
+            self._news += [
+                (Severity.WARNING, self._text),
+                (Severity.DEBUG, f"{self._work}: {type(error).__name__}: {error}"),
+            ]
+
+    def succeeded(self) -> None:
+        """The next one is news again."""
+        self._told = False
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """What has not been told yet."""
+        news, self._news = self._news, []
+        return news
