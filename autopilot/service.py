@@ -5,7 +5,7 @@ random number lives here; real vehicle, simulation and replay differ only in who
 a guard (:mod:`autopilot.core.guard`): what one that fails means for the others stands in :mod:`autopilot.fault_care`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -143,6 +143,14 @@ class Autopilot:
         """The estimate of the last tick (what the vision front end predicts from)."""
         return self._nav
 
+    def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:
+        """What is received between two ticks: plan transfers are answered at once, the rest waits for the next tick."""
+        return self._run("mavlink", lambda: self._parts.server.serve(t_us, rx), NO_FRAMES, lambda: rx)
+
+    def beat(self) -> tuple[MavlinkFrame, ...]:
+        """A HEARTBEAT for every link, of the last tick's state; changes nothing."""
+        return self._run("heartbeat", self._parts.server.beat, NO_FRAMES)
+
     def step(self, inputs: Inputs) -> Outputs:
         """One tick. Raises only where the guard is set to."""
         guard = self._parts.guard
@@ -199,7 +207,7 @@ class Autopilot:
             control=control,
             progress=decision.progress,
             thrusters=thrusters,
-            events=self._events + self._run("telemetry", parts.server.take_notices, NO_EVENTS),
+            events=self._events + inputs.notes + self._run("telemetry", parts.server.take_notices, NO_EVENTS),
         )
 
     # Parts of a tick, each under the guard
@@ -242,7 +250,9 @@ class Autopilot:
             return ()
         return self._run(
             "mavlink",
-            lambda: self._parts.server.step(inputs.t_us, inputs.mavlink_rx, view, self._events, reached),
+            lambda: self._parts.server.step(
+                inputs.t_us, inputs.mavlink_rx, view, (*self._events, *inputs.notes), reached
+            ),
             NO_FRAMES,
         )
 

@@ -25,6 +25,10 @@ class MavlinkFrame:
     link: int
     """Index of the link it came from or goes to; -1 = all links."""
     data: bytes
+    client: int = 0
+    """Who of the link: one number per address or connection; 0 = everyone there, or a link that has one other end."""
+    sender: str = ""
+    """What operators call the client it came from, "" when it goes out or nobody knows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -38,6 +42,8 @@ class Inputs:
     """Ticks that began late so far (real time only), counted by the runtime."""
     cpu_load: float = 0.0
     """Share of the last second that the loop was busy, 0..1; 0 when nobody measures (lockstep)."""
+    notes: tuple["Event", ...] = ()
+    """What the runtime has to tell operators (a link that broke)."""
     troubles: tuple["DeviceTrouble", ...] = ()
     """Devices that failed since the last tick."""
 

@@ -163,12 +163,12 @@ class Commands:
     def _reply(self, peer: Peer, command: int, reply: Reply) -> None:
         self._ack(peer, command, reply.answer)
         for message in reply.messages:
-            self._ctx.send(peer.link, message)
+            self._ctx.send(peer, message)
         if reply.answer.reason and reply.answer.result is not CommandResult.ACCEPTED:
-            self._ctx.say(Severity.WARNING, reply.answer.reason, peer.link)
+            self._ctx.say(Severity.WARNING, reply.answer.reason, peer)
 
     def _ack(self, peer: Peer, command: int, answer: Answer) -> None:
         self._ctx.send(
-            peer.link,
+            peer,
             mav.MAVLink_command_ack_message(command, answer.result, 0, 0, peer.sysid, peer.compid),
         )

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from pymavlink.dialects.v20 import development as mav
 
@@ -14,7 +14,7 @@ from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import VehicleCommands, VehicleView
 from autopilot.mavlink.geo import TangentPlane
 from autopilot.mavlink.profiles import Profile
-from autopilot.mavlink.wire import LinkEncoder, LinkParser, Message
+from autopilot.mavlink.wire import LinkEncoder, Message
 
 COMPID = 1
 """MAV_COMP_ID_AUTOPILOT1."""
@@ -26,19 +26,16 @@ _CHUNK_CHARS = 50
 
 
 class Peer(NamedTuple):
-    """A client: the link it speaks on and its MAVLink address there."""
+    """A client: the link it speaks on, its MAVLink address there, and which of those who speak on that link it is."""
 
     link: int
     sysid: int
     compid: int
+    client: int = 0
 
 
-@dataclass(slots=True)
-class Link:
-    """One link's parser and encoder."""
-
-    parser: LinkParser
-    encoder: LinkEncoder
+Receiver: TypeAlias = int | Peer
+"""Who gets something: everyone on a link, or one client."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,11 +66,14 @@ class Context:
     """Factor on the time that protocol partners get (they live in real time, a fast simulation does not)."""
     guard: Guard
     t_us: int = 0
-    links: dict[int, Link] = field(default_factory=dict)
+    links: dict[int, LinkEncoder] = field(default_factory=dict)
+    """Every open link's encoder: sequence numbers count per link."""
     tx: list[MavlinkFrame] = field(default_factory=list)
     notices: list[Event] = field(default_factory=list)
     samples: list[ExternalPoseSample] = field(default_factory=list)
     """Poses that clients sent, for the estimator."""
+    received: int = 0
+    """Good frames so far, all links."""
     announce_place: bool = False
     """Send origin and home on all links once the vehicle's view is fresh."""
     _text_id: int = 0
@@ -94,35 +94,36 @@ class Context:
     def add_link(self, index: int) -> None:
         """Make sure that a link exists."""
         if index not in self.links:
-            self.links[index] = Link(parser=LinkParser(), encoder=LinkEncoder(self.sysid, COMPID))
+            self.links[index] = LinkEncoder(self.sysid, COMPID)
 
-    def send(self, link: int, message: Message) -> None:
-        """Queue a message on one link."""
-        known = self.links.get(link)
-        if known is not None:
-            self.tx.append(MavlinkFrame(link=link, data=known.encoder.pack(message)))
+    def send(self, to: Receiver, message: Message) -> None:
+        """Queue a message to one client, or to everyone on one link."""
+        link, client = (to, 0) if isinstance(to, int) else (to.link, to.client)
+        encoder = self.links.get(link)
+        if encoder is not None:
+            self.tx.append(MavlinkFrame(link=link, client=client, data=encoder.pack(message)))
 
     def broadcast(self, message: Message) -> None:
         """Queue a message on every link."""
         for index in self.links:
             self.send(index, message)
 
-    def say(self, severity: int, text: str, link: int | None = None) -> None:
-        """Tell the operator something of our own (STATUSTEXT on one link or on all, and a line for the log)."""
+    def say(self, severity: int, text: str, to: Receiver | None = None) -> None:
+        """Tell the operator something of our own (STATUSTEXT to a client, a link or all, and a line for the log)."""
         self.log(severity, text)
-        self.text(severity, text, link)
+        self.text(severity, text, to)
 
     def log(self, severity: int, text: str) -> None:
         """A line for the log only."""
         self.notices.append(Event(t_us=self.t_us, severity=severity, text=text))
 
-    def text(self, severity: int, text: str, link: int | None = None) -> None:
+    def text(self, severity: int, text: str, to: Receiver | None = None) -> None:
         """STATUSTEXT, in chunks if it is long."""
         for message in self._chunks(min(max(severity, 0), 7), text):
-            if link is None:
+            if to is None:
                 self.broadcast(message)
             else:
-                self.send(link, message)
+                self.send(to, message)
 
     def _chunks(self, severity: int, text: str) -> Iterable[Message]:
         data = text.replace("\0", " ")[:MAX_TEXT_CHARS].encode("ascii", errors="replace")

@@ -14,6 +14,7 @@ from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, V
 from autopilot.mavlink.commands import Commands
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
 from autopilot.mavlink.external import ExternalPoses
+from autopilot.mavlink.inbox import Address, Inbox, Intake
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.parameters import Parameters
 from autopilot.mavlink.profiles import Profile
@@ -26,6 +27,8 @@ from autopilot.mavlink.utility import Utility
 from autopilot.mavlink.vehicle_commands import VehicleService
 from autopilot.mavlink.wire import Message
 
+FLOOD_SAY_US = 5_000_000
+"""A client that floods is named this often."""
 HEARTBEAT_US = 1_000_000
 """HEARTBEAT at 1 Hz (https://mavlink.io/en/services/heartbeat.html)."""
 MAX_PEERS = 64
@@ -35,6 +38,33 @@ MISSION_COMPONENT = 190
 
 _OPERATORS = frozenset((mav.MAV_TYPE_GCS, mav.MAV_TYPE_ONBOARD_CONTROLLER))
 _OUR_COMPONENTS = frozenset((0, COMPID, MISSION_COMPONENT))
+
+_URGENT = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_MISSION_COUNT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST,
+        mav.MAVLINK_MSG_ID_MISSION_ACK,
+        mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
+        mav.MAVLINK_MSG_ID_PING,
+        mav.MAVLINK_MSG_ID_TIMESYNC,
+    )
+)
+"""Answered between ticks: a transfer goes as fast as its client. The message that ends an upload is not among them."""
+_HEAVY = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_COMMAND_LONG,
+        mav.MAVLINK_MSG_ID_COMMAND_INT,
+        mav.MAVLINK_MSG_ID_SET_MODE,
+        mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN,
+        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
+        mav.MAVLINK_MSG_ID_PARAM_SET,
+    )
+)
 
 Handler = Callable[[Peer, Message], None]
 
@@ -86,12 +116,13 @@ class Dispatcher:
         requests = Requests(ctx, self._streams, self._status)
         self._commands = Commands(ctx, {**self._vehicle.table(), **requests.table()})
         self._handlers = self._table()
+        self._intake = Intake(self._handlers.keys(), _HEAVY, self._handle)
+        self._flood_us: int | None = None
         self._greeted: dict[Peer, None] = {}
         self._heartbeat_us = 0
         self._mode_shown: tuple[bool, FlightMode, FlightMode] | None = None
         self._place_shown: tuple[GeoPoint, GeoPoint] | None = None
         self.last_gcs_t_us: int | None = None
-        self._dropped_of_closed = 0
 
     def _table(self) -> Mapping[int, Handler]:
         missions, parameters, utility = self.missions, self.parameters, self.utility
@@ -132,9 +163,8 @@ class Dispatcher:
 
     def remove_link(self, link: int) -> None:
         """Close a link."""
-        closed = self._ctx.links.pop(link, None)
-        if closed is not None:
-            self._dropped_of_closed += closed.parser.dropped
+        self._ctx.links.pop(link, None)
+        self._intake.forget_link(link)
         self._streams.forget(link)
         for peer in [peer for peer in self._greeted if peer.link == link]:
             del self._greeted[peer]
@@ -142,7 +172,7 @@ class Dispatcher:
     @property
     def dropped_rx(self) -> int:
         """Damaged stretches of input so far."""
-        return self._dropped_of_closed + sum(link.parser.dropped for link in self._ctx.links.values())
+        return self._intake.dropped
 
     def take_notices(self) -> tuple[Event, ...]:
         """Lines for the log since the last call."""
@@ -166,7 +196,10 @@ class Dispatcher:
             ctx.announce_place, self._place_shown = False, None
         run = ctx.guard.run
         for frame in rx:
-            run("message", partial(self._receive, frame), None, partial(repr, frame))
+            self._push(frame)
+        run("message", self._intake.work, None)
+        ctx.received = self._intake.received
+        run("telemetry", self._say_flood, None)
         run("heartbeat", self._say_heartbeat, None, lambda: view)
         for event in events:
             run("telemetry", partial(ctx.text, event.severity, event.text), None, partial(repr, event))
@@ -177,30 +210,67 @@ class Dispatcher:
         run("telemetry", self._streams.tick, None, lambda: view)
         return tuple(ctx.tx)
 
-    def _receive(self, frame: MavlinkFrame) -> None:
-        if frame.link < 0:
-            return
-        self._ctx.add_link(frame.link)
-        for msg in self._ctx.links[frame.link].parser.feed(frame.data):
-            handler = self._handlers.get(msg.get_msgId())
-            sysid = msg.get_srcSystem()
-            if handler is None or sysid in (0, self._ctx.sysid) or not self._for_us(msg):
-                continue
-            peer = Peer(frame.link, sysid, msg.get_srcComponent())
-            self._greet(peer)
-            self._handle(handler, peer, msg)
+    def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:
+        """Receive between ticks: what is urgent is answered, the rest waits for the tick in its order."""
+        ctx = self._ctx
+        ctx.t_us, ctx.tx = t_us, []
+        for frame in rx:
+            inbox = self._push(frame)
+            if inbox is not None:
+                self._intake.serve(inbox, self._is_urgent)
+        return tuple(ctx.tx)
 
-    def _handle(self, handler: Handler, peer: Peer, msg: Message) -> None:
+    def beat(self) -> tuple[MavlinkFrame, ...]:
+        """HEARTBEAT for all links, beside the ticks: nothing counts it, so a run is the same with it or without."""
+        message = self._status.heartbeat()
+        return tuple(
+            MavlinkFrame(link=link, data=encoder.pack(message, counted=False))
+            for link, encoder in self._ctx.links.items()
+        )
+
+    def _push(self, frame: MavlinkFrame) -> Inbox | None:
+        if frame.link < 0:
+            return None
+        self._ctx.add_link(frame.link)
+        return self._intake.push(frame)
+
+    def _is_urgent(self, address: Address, msg: Message) -> bool:
+        link, client = address
+        peer = Peer(link, msg.get_srcSystem(), msg.get_srcComponent(), client)
+        return msg.get_msgId() in _URGENT and not self.missions.concludes(peer, msg)
+
+    def _handle(self, address: Address, msg: Message) -> None:
         """One message. What fails at it costs this message only; a command is answered FAILED."""
+        sysid = msg.get_srcSystem()
+        if sysid in (0, self._ctx.sysid) or not self._for_us(msg):
+            return
+        link, client = address
+        peer = Peer(link, sysid, msg.get_srcComponent(), client)
+        self._greet(peer)
         try:
-            handler(peer, msg)
+            self._handlers[msg.get_msgId()](peer, msg)
         except Exception as error:  # noqa: BLE001 - a guard: counted, said and kept by it, or raised again
             self._ctx.guard.note("message", error, lambda: (peer, msg.to_dict()))
             if msg.get_msgId() in (mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT):
                 failed = mav.MAVLink_command_ack_message(
                     msg.command, CommandResult.FAILED, 0, 0, peer.sysid, peer.compid
                 )
-                self._ctx.send(peer.link, failed)
+                self._ctx.send(peer, failed)
+
+    def _say_flood(self) -> None:
+        """Name who sends more than is taken, now and then."""
+        ctx = self._ctx
+        if self._flood_us is not None and ctx.t_us < self._flood_us + FLOOD_SAY_US:
+            return
+        flood = self._intake.take_flood()
+        if flood is None:
+            return
+        self._flood_us = ctx.t_us
+        ctx.say(Severity.WARNING, f"{flood.sender} floods its link: throttled")
+        ctx.log(
+            Severity.WARNING,
+            f"{flood.sender} on link {flood.link}: {flood.lost} bytes dropped, {flood.lost_in_all} in all",
+        )
 
     def _for_us(self, msg: Message) -> bool:
         """Addressed to us, to all, or to nobody."""
@@ -216,7 +286,7 @@ class Dispatcher:
             del self._greeted[next(iter(self._greeted))]
         self._greeted[peer] = None
         identity = self._ctx.identity
-        self._ctx.text(Severity.INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer.link)
+        self._ctx.text(Severity.INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer)
 
     def _say_heartbeat(self) -> None:
         """1 Hz, and at once when armed state or mode change."""
@@ -260,7 +330,7 @@ class Dispatcher:
     def _explain(self, peer: Peer, answer: Answer) -> None:
         """Messages without acknowledgement say a refusal as text."""
         if answer.result is not CommandResult.ACCEPTED and answer.reason:
-            self._ctx.say(Severity.WARNING, answer.reason, peer.link)
+            self._ctx.say(Severity.WARNING, answer.reason, peer)
 
 
 __all__ = ["Dispatcher", "Identity"]

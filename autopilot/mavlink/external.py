@@ -49,7 +49,7 @@ class ExternalPoses:
             if peer not in self._told and len(self._told) < SAMPLES_MAX:
                 self._told.add(peer)
                 text = f"ODOMETRY in frame {msg.frame_id} is not used: send MAV_FRAME_LOCAL_NED (1) or LOCAL_FRD (20)"
-                self._ctx.say(Severity.WARNING, text, peer.link)
+                self._ctx.say(Severity.WARNING, text, peer)
             return
         if getattr(msg, "quality", 0) == FAILED_QUALITY:
             return

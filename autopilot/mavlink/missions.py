@@ -93,6 +93,18 @@ class Missions:
         """Whether a transfer is open."""
         return self._upload is not None
 
+    def concludes(self, peer: Peer, msg: Message) -> bool:
+        """Whether a message would end its client's upload, so that the plan in force could change."""
+        kind, upload = msg.get_msgId(), self._upload
+        if kind == mav.MAVLINK_MSG_ID_MISSION_COUNT:
+            return bool(msg.count == 0)
+        return (
+            kind == mav.MAVLINK_MSG_ID_MISSION_ITEM_INT
+            and upload is not None
+            and upload.peer == peer
+            and len(upload.items) == upload.count - 1
+        )
+
     # Upload
 
     def on_count(self, peer: Peer, msg: Message) -> None:
@@ -110,7 +122,7 @@ class Missions:
         if msg.count > MAX_ITEMS + home_item.shift(ctx, kind):
             self._ack(peer, MissionResult.NO_SPACE, kind)
             reason = f"{msg.count} items, at most {MAX_ITEMS} fit; send a shorter plan"
-            ctx.say(Severity.WARNING, f"{kind.name.capitalize()} upload refused: {reason}", peer.link)
+            ctx.say(Severity.WARNING, f"{kind.name.capitalize()} upload refused: {reason}", peer)
             return
         self._upload = Upload(peer, kind, msg.count, ctx.t_us, ctx.t_us)
         if msg.count == 0:
@@ -170,7 +182,7 @@ class Missions:
             self._end(upload, MissionResult.UNSUPPORTED, reason)
         else:
             self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
-            self._ctx.say(Severity.WARNING, reason, peer.link)
+            self._ctx.say(Severity.WARNING, reason, peer)
 
     def _item_out_of_turn(self, upload: Upload, msg: Message) -> None:
         """A repeated item is passed over; one from the future makes us ask again for the one that is due."""
@@ -201,7 +213,7 @@ class Missions:
         upload.asked_us = self._ctx.t_us
         peer = upload.peer
         self._ctx.send(
-            peer.link,
+            peer,
             mav.MAVLink_mission_request_int_message(peer.sysid, peer.compid, len(upload.items), upload.kind),
         )
 
@@ -226,7 +238,7 @@ class Missions:
         self._ack(upload.peer, result, upload.kind)
         if reason:
             text = f"{upload.kind.name.capitalize()} upload refused: {reason}"
-            self._ctx.say(Severity.WARNING, text, upload.peer.link)
+            self._ctx.say(Severity.WARNING, text, upload.peer)
 
     def _denied(self, peer: Peer, kind: PlanKind) -> bool:
         """Whether another client's open upload keeps this one out; it is told so."""
@@ -238,12 +250,12 @@ class Missions:
             Severity.WARNING,
             f"{kind.name.capitalize()} change denied: client {upload.peer.sysid}/{upload.peer.compid} is uploading, "
             "try again later",
-            peer.link,
+            peer,
         )
         return True
 
     def _ack(self, peer: Peer, result: MissionResult, mission_type: int) -> None:
-        self._ctx.send(peer.link, mav.MAVLink_mission_ack_message(peer.sysid, peer.compid, result, int(mission_type)))
+        self._ctx.send(peer, mav.MAVLink_mission_ack_message(peer.sysid, peer.compid, result, int(mission_type)))
 
     # Clear
 
@@ -263,7 +275,7 @@ class Missions:
             refusal = self._ctx.plans.replace(kind, ())
             if refusal is not None:
                 self._ack(peer, refusal.result, msg.mission_type)
-                self._ctx.say(Severity.WARNING, f"{kind.name.capitalize()} not cleared: {refusal.reason}", peer.link)
+                self._ctx.say(Severity.WARNING, f"{kind.name.capitalize()} not cleared: {refusal.reason}", peer)
                 return
             self.revision += 1
         self._ack(peer, MissionResult.ACCEPTED, msg.mission_type)
@@ -282,7 +294,7 @@ class Missions:
         while len(self._downloads) >= MAX_DOWNLOADS:
             self._downloads.pop(next(iter(self._downloads)))
         self._downloads[peer, kind] = Download(items, self._ctx.t_us)
-        self._ctx.send(peer.link, mav.MAVLink_mission_count_message(peer.sysid, peer.compid, len(items), kind))
+        self._ctx.send(peer, mav.MAVLink_mission_count_message(peer.sysid, peer.compid, len(items), kind))
 
     def on_request(self, peer: Peer, msg: Message) -> None:
         """MISSION_REQUEST_INT, and MISSION_REQUEST answered with MISSION_ITEM_INT too."""
@@ -301,7 +313,7 @@ class Missions:
         item = items[msg.seq]
         current = int(kind is PlanKind.MISSION and item.seq == self.current_wire_seq)
         self._ctx.send(
-            peer.link,
+            peer,
             mav.MAVLink_mission_item_int_message(
                 peer.sysid,
                 peer.compid,

@@ -13,7 +13,9 @@ from autopilot.mavlink.profiles import ParamEncoding
 from autopilot.mavlink.wire import Message
 
 PER_TICK = 4
-"""PARAM_VALUEs of a list that go out per tick and link: 400/s, 13 kB/s."""
+"""PARAM_VALUEs of a list that go out per tick and client: 400/s, 13 kB/s."""
+MAX_LISTS = 8
+"""Clients that read the list at the same time; one more has to ask again."""
 
 HASH_CHECK = "_HASH_CHECK"
 """PX4's cache check, asked by QGroundControl. Silence means "no cache" (parameter protocol)."""
@@ -59,7 +61,7 @@ class Parameters:
         self._ctx = ctx
         self._names = tuple(ctx.params)
         self._index = {name: i for i, name in enumerate(self._names)}
-        self._lists: dict[int, int] = {}
+        self._lists: dict[Peer, int] = {}
         self.changed = False
         """A client has changed a value; the runtime saves the set and clears the flag."""
 
@@ -77,7 +79,8 @@ class Parameters:
 
     def on_request_list(self, peer: Peer) -> None:
         """PARAM_REQUEST_LIST: the list goes out over the next ticks."""
-        self._lists[peer.link] = 0
+        if peer in self._lists or len(self._lists) < MAX_LISTS:
+            self._lists[peer] = 0
 
     def on_request_read(self, peer: Peer, msg: Message) -> None:
         """PARAM_REQUEST_READ by index, or by name when the index is -1."""
@@ -92,7 +95,7 @@ class Parameters:
         if name not in self._index:
             self._refuse(peer, msg.param_id, msg.param_index, _MISSING)
             return
-        self._ctx.send(peer.link, self.value(name))
+        self._ctx.send(peer, self.value(name))
 
     def on_set(self, peer: Peer, msg: Message) -> None:
         """PARAM_SET: the value in force goes to everyone, a refusal also says why."""
@@ -105,7 +108,7 @@ class Parameters:
         spec = ctx.params.spec(name)
         if not self._type_fits(spec, msg.param_type):
             self._refuse(peer, name, self._index[name], _TYPE_MISMATCH)
-            ctx.say(Severity.WARNING, f"parameter {name} is {spec.type.value}: other types are refused", peer.link)
+            ctx.say(Severity.WARNING, f"parameter {name} is {spec.type.value}: other types are refused", peer)
         else:
             self._change(peer, name, decode(msg.param_value, spec.type, ctx.profile.param_encoding))
         ctx.broadcast(self.value(name))
@@ -122,7 +125,7 @@ class Parameters:
             ctx.params.set(name, value)
         except ConfigError as error:
             self._refuse(peer, name, self._index[name], _OUT_OF_RANGE)
-            ctx.say(Severity.WARNING, str(error), peer.link)
+            ctx.say(Severity.WARNING, str(error), peer)
             return
         if ctx.params[name] != before:
             self.changed = True
@@ -130,7 +133,7 @@ class Parameters:
 
     def _refuse(self, peer: Peer, name: str, index: int, error: int) -> None:
         self._ctx.send(
-            peer.link,
+            peer,
             mav.MAVLink_param_error_message(
                 peer.sysid, peer.compid, name.encode("ascii", errors="replace")[:16], index, error
             ),
@@ -140,11 +143,11 @@ class Parameters:
         """Go on with lists that were asked for."""
         if not self._lists:
             return
-        for link, start in tuple(self._lists.items()):
+        for peer, start in tuple(self._lists.items()):
             stop = min(start + PER_TICK, len(self._names))
             for name in self._names[start:stop]:
-                self._ctx.send(link, self.value(name))
+                self._ctx.send(peer, self.value(name))
             if stop < len(self._names):
-                self._lists[link] = stop
+                self._lists[peer] = stop
             else:
-                del self._lists[link]
+                del self._lists[peer]

@@ -64,7 +64,7 @@ class Progress:
         if answer.result is CommandResult.ACCEPTED:
             self._chosen_us = self._ctx.t_us
         else:
-            self._ctx.say(Severity.WARNING, answer.reason or f"mission item {msg.seq} refused", peer.link)
+            self._ctx.say(Severity.WARNING, answer.reason or f"mission item {msg.seq} refused", peer)
 
     def tick(self, reached: Sequence[int]) -> None:
         """Tell every link what has been reached, and what has changed."""

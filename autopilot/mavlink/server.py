@@ -78,6 +78,15 @@ class MavlinkServer:
         """Handle what was received, then heartbeats, news, retries and telemetry. Never raises on received bytes."""
         return self._dispatcher.step(t_us, rx, view, events, reached)
 
+    def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:
+        """Receive between two ticks. Plan transfers, parameter reads and time requests are answered at once; anything
+        else waits for :meth:`step`, and with it whatever its client sends after it."""
+        return self._dispatcher.serve(t_us, rx)
+
+    def beat(self) -> tuple[MavlinkFrame, ...]:
+        """A HEARTBEAT for every link while the loop waits; changes nothing, may be called at any moment of a tick."""
+        return self._dispatcher.beat()
+
     def custom_mode(self, mode: FlightMode) -> int:
         """The profile's custom_mode number of a mode."""
         return self._profile.custom_modes[mode]

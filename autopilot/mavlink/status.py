@@ -131,8 +131,7 @@ class Status:
                 health &= ~mav.MAV_SYS_STATUS_SENSOR_BATTERY
         else:
             health &= ~mav.MAV_SYS_STATUS_SENSOR_BATTERY
-        received = sum(link.parser.received for link in ctx.links.values())
-        lost = 1e4 * view.dropped_rx / max(received + view.dropped_rx, 1)
+        lost = 1e4 * view.dropped_rx / max(ctx.received + view.dropped_rx, 1)
         return mav.MAVLink_sys_status_message(
             _SENSORS,
             _SENSORS,

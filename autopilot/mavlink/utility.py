@@ -24,12 +24,12 @@ class Utility:
     def on_ping(self, peer: Peer, msg: Message) -> None:
         """PING: target 0/0 is a request; an addressed one is an answer and must not be answered."""
         if msg.target_system == 0 and msg.target_component == 0:
-            self._ctx.send(peer.link, mav.MAVLink_ping_message(msg.time_usec, msg.seq, peer.sysid, peer.compid))
+            self._ctx.send(peer, mav.MAVLink_ping_message(msg.time_usec, msg.seq, peer.sysid, peer.compid))
 
     def on_timesync(self, peer: Peer, msg: Message) -> None:
         """TIMESYNC: tc1 = 0 is a request, answered with our time in nanoseconds."""
         if msg.tc1 == 0:
-            self._ctx.send(peer.link, mav.MAVLink_timesync_message(self._ctx.t_us * 1000, msg.ts1))
+            self._ctx.send(peer, mav.MAVLink_timesync_message(self._ctx.t_us * 1000, msg.ts1))
 
     def on_system_time(self, msg: Message) -> None:
         """SYSTEM_TIME of a ground station: kept for boards without a clock."""
@@ -57,8 +57,8 @@ class Utility:
         if not ok:
             reply[4] = 1
             reply[_FTP_HEADER_BYTES] = errors.get(opcode, _FTP_UNKNOWN_COMMAND)
-        self._ctx.send(peer.link, mav.MAVLink_file_transfer_protocol_message(0, peer.sysid, peer.compid, list(reply)))
+        self._ctx.send(peer, mav.MAVLink_file_transfer_protocol_message(0, peer.sysid, peer.compid, list(reply)))
 
     def on_log_request_list(self, peer: Peer) -> None:
         """LOG_REQUEST_LIST: no logs by this way."""
-        self._ctx.send(peer.link, mav.MAVLink_log_entry_message(0, 0, 0, 0, 0))
+        self._ctx.send(peer, mav.MAVLink_log_entry_message(0, 0, 0, 0, 0))

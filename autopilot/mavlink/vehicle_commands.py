@@ -129,9 +129,9 @@ class VehicleService:
             )
         if view.prearm_reasons:
             for reason in view.prearm_reasons:
-                self._ctx.say(Severity.WARNING, f"Arming check: {reason}", call.peer.link)
+                self._ctx.say(Severity.WARNING, f"Arming check: {reason}", call.peer)
         else:
-            self._ctx.say(Severity.INFO, "Arming checks passed", call.peer.link)
+            self._ctx.say(Severity.INFO, "Arming checks passed", call.peer)
         return Reply(ACCEPTED)
 
     # Mission
@@ -182,7 +182,7 @@ class VehicleService:
         if answer.result is CommandResult.ACCEPTED and speed_m_s > 0.0:
             speed = ctx.vehicle.change_speed(speed_m_s)
             if speed.reason:
-                ctx.say(Severity.WARNING, speed.reason, call.peer.link)
+                ctx.say(Severity.WARNING, speed.reason, call.peer)
         return Reply(answer)
 
     def change_speed(self, call: Call) -> Reply:

@@ -1,9 +1,16 @@
-"""Bytes to messages and back: MAVLink 1 and 2 in, MAVLink 2 out. One parser per link; input never raises.
+"""Bytes to messages and back: MAVLink 1 and 2 in, MAVLink 2 out. One parser per client; input never raises.
 
 Framing is done here and not by pymavlink's stream parser, because that one skips a whole bogus frame length after a
 checksum error and so loses the good message behind it. Decoding a complete frame is pymavlink's.
+
+What comes in is worked off against an allowance of work (:class:`Work`): what does not fit waits, what finds no place
+to wait is dropped and counted. Work is counted and not timed, so that a run does not depend on the machine. Junk is
+cheap to reject: a frame is believed by its header first, then by its checksum, and decoded last.
 """
 
+import binascii
+from collections import deque
+from collections.abc import Container
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -14,9 +21,37 @@ Message: TypeAlias = Any
 
 MAX_CHUNK_BYTES = 65_536
 """Longest piece of input taken at once: one UDP datagram or one socket read. What is beyond is dropped."""
+MAX_BACKLOG_BYTES = 16_384
+"""What one client may have waiting: half a second of a fast serial line, 300 messages."""
+
+JUNK_WORK = 1
+"""Work of a byte that belongs to no frame; about a microsecond when it looks like the start of one."""
+CHECKSUM_WORK = 2
+"""Work of a frame's checksum."""
+DECODE_WORK = 8
+"""Work of decoding a message that somebody wants."""
 
 _V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
 _CRC_BYTES = 2
+_V1_OVERHEAD = mav.HEADER_LEN_V1 + _CRC_BYTES
+_V2_OVERHEAD = mav.HEADER_LEN_V2 + _CRC_BYTES
+_KNOWN = {msg_id: (kind.crc_extra, kind.unpacker.size) for msg_id, kind in mav.mavlink_map.items()}
+"""Message id -> CRC_EXTRA, longest payload. MAVLink 1 knows no longer one; in MAVLink 2 newer fields may follow."""
+_MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
+"""Every byte with its bits in the other order."""
+
+
+def checksum(data: bytes) -> int:
+    """MAVLink's CRC-16/MCRF4XX: the standard library's CRC-CCITT of the same polynomial, bits in the other order."""
+    crc = binascii.crc_hqx(data.translate(_MIRRORED), 0xFFFF)
+    return _MIRRORED[crc & 0xFF] << 8 | _MIRRORED[crc >> 8]
+
+
+@dataclass(slots=True)
+class Work:
+    """How much may still be done."""
+
+    left: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,77 +73,148 @@ class RawMessage:
 
 
 class LinkParser:
-    """Cuts one link's bytes into messages. Damaged bytes are counted in ``dropped`` and skipped."""
+    """Cuts one client's bytes into messages. Damaged bytes are counted in ``dropped`` and skipped.
 
-    def __init__(self) -> None:
+    ``wanted`` are the ids of messages worth decoding (None = all): others are checked and passed over.
+    """
+
+    def __init__(self, wanted: Container[int] | None = None) -> None:
         self._decoder = mav.MAVLink(None)
-        self._pending = b""
+        self._wanted = wanted
+        self._queue: deque[bytes] = deque()
+        """What has not been looked at."""
+        self._queued = 0
+        """Its bytes."""
+        self._data, self._pos = b"", 0
+        """What is being looked at, and how far."""
         self.dropped = 0
         """Stretches of damaged input so far."""
+        self.overflow = 0
+        """Bytes that found no place to wait so far."""
         self.received = 0
         """Good frames so far."""
         self._in_junk = False
 
+    @property
+    def backlog(self) -> int:
+        """Bytes that wait."""
+        return self._queued + len(self._data) - self._pos
+
+    def push(self, data: bytes) -> bool:
+        """Take a datagram or any piece of a stream to be worked off; False when there is no room for it."""
+        if self.backlog + len(data) > MAX_BACKLOG_BYTES:
+            self.overflow += len(data)
+            return False
+        self._queue.append(data)
+        self._queued += len(data)
+        return True
+
+    def take(self, work: Work) -> Message | None:
+        """The next message; None when none is complete, or ``work`` is used up."""
+        while True:
+            data, size = self._data, len(self._data)
+            while self._pos < size:
+                if work.left <= 0:
+                    return None
+                pos = self._pos
+                used = _frame_at(data, pos, work)
+                if used > 0:
+                    self._pos = pos + used
+                    self._in_junk = False
+                    self.received += 1
+                    message = self._decoded(data[pos : pos + used], work)
+                    if message is not None:
+                        return message
+                elif used < 0:
+                    if not self._in_junk:
+                        self.dropped += 1
+                        self._in_junk = True
+                    # No further than the work reaches, in steps of a byte counted.
+                    self._pos = _next_marker(data, pos + 1, min(size, pos + max(work.left, 1)))
+                    work.left -= JUNK_WORK * (self._pos - pos)
+                else:
+                    break
+            if not self._queue:
+                return None
+            self._next_piece()
+
     def feed(self, data: bytes) -> list[Message]:
-        """Messages completed by ``data`` (a datagram or any piece of a stream)."""
+        """All messages completed by ``data``, at once, whatever the work."""
         if len(data) > MAX_CHUNK_BYTES:
             self.dropped += 1
             data = data[:MAX_CHUNK_BYTES]
-        if self._pending and self._decode_at(data, 0)[0] is not None:
-            # A whole good frame at the start: what was pending is a truncated datagram, never to be completed.
-            self._pending = b""
-            self.dropped += 1
-        data = self._pending + data
-        out: list[Message] = []
-        pos, size = 0, len(data)
-        while pos < size:
-            message, used = self._decode_at(data, pos)
-            if message is not None:
-                self._in_junk = False
-                self.received += 1
-                out.append(message)
-                pos += used
-            elif used:
-                if not self._in_junk:
-                    self.dropped += 1
-                    self._in_junk = True
-                pos = _next_marker(data, pos + 1)
-            else:
-                break
-        self._pending = data[pos:]
+        self._queue.append(data)
+        self._queued += len(data)
+        work, out = Work(1 << 62), []
+        while (message := self.take(work)) is not None:
+            out.append(message)
         return out
 
-    def _decode_at(self, data: bytes, pos: int) -> tuple[Message | None, int]:
-        """(message, its length), (None, 1) when there is no good frame here, (None, 0) when more bytes are needed."""
-        left = len(data) - pos
-        if left == 0 or data[pos] not in (_V1, _V2):
-            return None, min(left, 1)
-        if left < 3:
-            return None, 0
-        is_v2 = data[pos] == _V2
-        flags = data[pos + 2] if is_v2 else 0
-        if flags & ~mav.MAVLINK_IFLAG_SIGNED:
-            return None, 1
-        size = data[pos + 1] + _CRC_BYTES + (mav.HEADER_LEN_V2 if is_v2 else mav.HEADER_LEN_V1)
-        if flags:
-            size += mav.MAVLINK_SIGNATURE_BLOCK_LEN
-        if left < size:
-            return None, 0
+    def _next_piece(self) -> None:
+        """Put the next piece behind what is incomplete."""
+        piece = self._queue.popleft()
+        self._queued -= len(piece)
+        if self._pos < len(self._data):
+            if _frame_at(piece, 0, Work(0)) > 0:
+                # A whole good frame at the start: what was pending is a truncated datagram, never to be completed.
+                self.dropped += 1
+            else:
+                piece = self._data[self._pos :] + piece
+        self._data, self._pos = piece, 0
+
+    def _decoded(self, frame: bytes, work: Work) -> Message | None:
+        """The message of a good frame; None if nobody wants it."""
+        if self._wanted is not None and _id_of(frame) not in self._wanted:
+            return None
+        work.left -= DECODE_WORK
         try:
-            message = self._decoder.decode(bytearray(data[pos : pos + size]))
+            return self._decoder.decode(bytearray(frame))
         except mav.MAVError:
-            return None, 1
-        end = pos + size
-        if message.get_msgId() < 0 and end < len(data) and data[end] not in (_V1, _V2):
-            # An id without known checksum seed: believe it only if the next frame follows right behind.
-            return None, 1
-        return message, size
+            return None
 
 
-def _next_marker(data: bytes, start: int) -> int:
-    """Index of the next possible start of a frame, or the end."""
-    found = [i for i in (data.find(_V1, start), data.find(_V2, start)) if i >= 0]
-    return min(found, default=len(data))
+def _id_of(frame: bytes) -> int:
+    return frame[5] if frame[0] == _V1 else int.from_bytes(frame[7:10], "little")
+
+
+def _frame_at(data: bytes, pos: int, work: Work) -> int:
+    """Length of the good frame at ``pos``; 0 when more bytes are needed to tell, -1 when there is none."""
+    left = len(data) - pos
+    if left == 0:
+        return 0
+    if data[pos] == _V2:
+        if left >= 3 and data[pos + 2] & ~mav.MAVLINK_IFLAG_SIGNED:
+            return -1
+        if left < mav.HEADER_LEN_V2:
+            return 0
+        signature = mav.MAVLINK_SIGNATURE_BLOCK_LEN if data[pos + 2] else 0
+        size = data[pos + 1] + _V2_OVERHEAD + signature
+        known = _KNOWN.get(data[pos + 7] | data[pos + 8] << 8 | data[pos + 9] << 16)
+    elif data[pos] == _V1:
+        if left < mav.HEADER_LEN_V1:
+            return 0
+        signature, size = 0, data[pos + 1] + _V1_OVERHEAD
+        known = _KNOWN.get(data[pos + 5])
+        if known is not None and data[pos + 1] > known[1]:
+            return -1
+    else:
+        return -1
+    if left < size:
+        return 0
+    end = pos + size
+    if known is None:
+        # An id without known checksum seed: believe it only if the next frame follows right behind.
+        return size if left == size or data[end] in (_V1, _V2) else -1
+    work.left -= CHECKSUM_WORK
+    crc_at = end - signature - _CRC_BYTES
+    good = checksum(data[pos + 1 : crc_at] + bytes((known[0],))) == data[crc_at] | data[crc_at + 1] << 8
+    return size if good else -1
+
+
+def _next_marker(data: bytes, start: int, stop: int) -> int:
+    """Index of the next possible start of a frame before ``stop``, or ``stop``."""
+    found = [i for i in (data.find(_V1, start, stop), data.find(_V2, start, stop)) if i >= 0]
+    return min(found, default=stop)
 
 
 class LinkEncoder:
@@ -117,8 +223,9 @@ class LinkEncoder:
     def __init__(self, sysid: int, compid: int) -> None:
         self._state = mav.MAVLink(None, srcSystem=sysid, srcComponent=compid)
 
-    def pack(self, message: Message) -> bytes:
-        """One MAVLink 2 frame."""
+    def pack(self, message: Message, *, counted: bool = True) -> bytes:
+        """One MAVLink 2 frame; one that is not counted has the number of the frame after it."""
         frame: bytes = message.pack(self._state)
-        self._state.seq = (self._state.seq + 1) & 0xFF
+        if counted:
+            self._state.seq = (self._state.seq + 1) & 0xFF
         return frame

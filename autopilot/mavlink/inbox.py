@@ -1,0 +1,171 @@
+"""What clients have sent and what of it is handled when: fair between clients, bounded per tick, in each one's order.
+
+Every client (an address or connection of a link) has an inbox with a parser of its own, so that nobody's junk gets into
+another's messages. A tick has an allowance of work (:mod:`autopilot.mavlink.wire`), shared out in turns; what is left
+waits for the next tick in a bounded backlog, and who overfills it loses the rest and is named. Between ticks messages
+that are urgent and change nothing of the vehicle are handled at once, until one comes that is not.
+"""
+
+from collections import deque
+from collections.abc import Callable, Container
+from dataclasses import dataclass, field
+
+from autopilot.core.messages import MavlinkFrame
+from autopilot.mavlink.wire import LinkParser, Message, Work
+
+HANDLE_WORK = 30
+"""Work of handling a message."""
+HEAVY_WORK = 120
+"""The same of one that makes the vehicle check itself or write."""
+TURN_WORK = 100
+"""A client's turn: about two messages."""
+CLIENT_WORK = 600
+"""Most that one client gets of a tick: 15 messages, or 600 bytes of junk."""
+TICK_WORK = 1800
+"""Most that all clients get of a tick: 2 to 3 ms."""
+SERVE_WORK = 800
+"""Most that one client gets between two ticks: 20 messages. All together get TICK_WORK."""
+MAX_INBOXES = 64
+"""Clients that are remembered; the one silent for longest goes."""
+
+Address = tuple[int, int]
+"""Link and client."""
+Handle = Callable[[Address, Message], None]
+
+
+@dataclass(slots=True)
+class Inbox:
+    """One client's."""
+
+    address: Address
+    parser: LinkParser
+    sender: str = ""
+    """What operators call the client."""
+    head: Message | None = None
+    """A message that has been cut out and not been handled."""
+    spent: int = 0
+    """Work of this tick."""
+    served: int = 0
+    """Work since the last tick."""
+    waiting: bool = False
+    """Whether it has asked for a turn."""
+    told: int = 0
+    """Lost bytes that operators have been told of."""
+
+    def next(self, work: Work) -> Message | None:
+        """The next message in order, None when there is none, or no work left to find it."""
+        if self.head is None:
+            self.head = self.parser.take(work)
+        return self.head
+
+
+@dataclass(frozen=True, slots=True)
+class Flood:
+    """A client that sends more than is taken."""
+
+    sender: str
+    link: int
+    lost: int
+    """Bytes since it was last named."""
+    lost_in_all: int
+
+
+@dataclass(slots=True)
+class Intake:
+    """All inboxes. ``wanted`` are the messages that have a handler, ``heavy`` those of them that cost more."""
+
+    wanted: Container[int]
+    heavy: Container[int]
+    handle: Handle
+    _inboxes: dict[Address, Inbox] = field(default_factory=dict)
+    """The one silent for longest first."""
+    _turns: deque[Inbox] = field(default_factory=deque)
+    _served: int = 0
+    _dropped_of_gone: int = 0
+    _received_of_gone: int = 0
+
+    @property
+    def dropped(self) -> int:
+        """Damaged stretches of input so far."""
+        return self._dropped_of_gone + sum(inbox.parser.dropped for inbox in self._inboxes.values())
+
+    @property
+    def received(self) -> int:
+        """Good frames so far."""
+        return self._received_of_gone + sum(inbox.parser.received for inbox in self._inboxes.values())
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that wait, of all clients."""
+        return sum(inbox.parser.backlog for inbox in self._inboxes.values())
+
+    def push(self, frame: MavlinkFrame) -> Inbox:
+        """Put a datagram into its client's inbox."""
+        address = (frame.link, frame.client)
+        inbox = self._inboxes.pop(address, None)
+        if inbox is None:
+            while len(self._inboxes) >= MAX_INBOXES:
+                self._forget(next(iter(self._inboxes)))
+            inbox = Inbox(address, LinkParser(self.wanted), frame.sender or f"client {frame.client}")
+        self._inboxes[address] = inbox
+        if inbox.parser.push(frame.data) and not inbox.waiting:
+            inbox.waiting = True
+            self._turns.append(inbox)
+        return inbox
+
+    def forget_link(self, link: int) -> None:
+        """Drop the inboxes of a closed link."""
+        for address in [address for address in self._inboxes if address[0] == link]:
+            self._forget(address)
+
+    def work(self) -> None:
+        """A tick: turn by turn, until everything is handled or the tick's work is done."""
+        for inbox in self._inboxes.values():
+            inbox.spent = inbox.served = 0
+        left, self._served = TICK_WORK, 0
+        later: list[Inbox] = []
+        while self._turns and left > 0:
+            inbox = self._turns.popleft()
+            work = Work(min(TURN_WORK, CLIENT_WORK - inbox.spent))
+            given = work.left
+            while work.left > 0 and (message := inbox.next(work)) is not None:
+                self._handle(inbox, message, work)
+            done = work.left > 0
+            inbox.spent += given - work.left
+            left -= given - work.left
+            if done:
+                inbox.waiting = False
+            elif inbox.spent < CLIENT_WORK:
+                self._turns.append(inbox)
+            else:
+                later.append(inbox)
+        self._turns.extend(later)
+
+    def serve(self, inbox: Inbox, urgent: Callable[[Address, Message], bool]) -> None:
+        """Between ticks: what is urgent, until something comes that is not."""
+        work = Work(min(SERVE_WORK - inbox.served, TICK_WORK - self._served))
+        given = work.left
+        while work.left > 0 and (message := inbox.next(work)) is not None and urgent(inbox.address, message):
+            self._handle(inbox, message, work)
+        inbox.served += given - work.left
+        self._served += given - work.left
+
+    def take_flood(self) -> Flood | None:
+        """The client that has lost most since it was last named, None if nobody has lost anything."""
+        worst = max(self._inboxes.values(), key=lambda inbox: inbox.parser.overflow - inbox.told, default=None)
+        if worst is None or worst.parser.overflow == worst.told:
+            return None
+        lost, worst.told = worst.parser.overflow - worst.told, worst.parser.overflow
+        return Flood(worst.sender, worst.address[0], lost, worst.parser.overflow)
+
+    def _handle(self, inbox: Inbox, message: Message, work: Work) -> None:
+        inbox.head = None
+        work.left -= HEAVY_WORK if message.get_msgId() in self.heavy else HANDLE_WORK
+        self.handle(inbox.address, message)
+
+    def _forget(self, address: Address) -> None:
+        gone = self._inboxes.pop(address)
+        self._dropped_of_gone += gone.parser.dropped
+        self._received_of_gone += gone.parser.received
+        if gone.waiting:
+            self._turns.remove(gone)
