@@ -25,9 +25,12 @@ from autopilot.core.messages import (
 )
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.service import Autopilot
+from autopilot.transport import Transport
 from autopilot.vision import VisionWorker
 from drivers.protocols import Link
 
+SERVE_MARGIN_S = 0.0005
+"""Serving ends so long before a tick."""
 STATS_EVERY_TICKS = 100
 """Loop statistics once per second."""
 
@@ -104,10 +107,12 @@ class PacedClock:
 
     def wait_until(self, t_us: int) -> int:
         """Sleep until ``t_us``."""
-        remaining_s = (t_us - self.now_us()) * 1e-6 / self._speed
-        if remaining_s > 0.0:
-            time.sleep(remaining_s)
+        time.sleep(self.left_s(t_us))
         return self.now_us()
+
+    def left_s(self, t_us: int) -> float:
+        """Real seconds until ``t_us``."""
+        return max(0.0, (t_us - self.now_us()) * 1e-6 / self._speed)
 
 
 class LockstepClock:
@@ -124,6 +129,10 @@ class LockstepClock:
         """Jump."""
         self._t_us = t_us
         return t_us
+
+    def left_s(self, t_us: int) -> float:
+        """Nothing to wait for."""
+        return 0.0
 
 
 def make_clock(speed: float) -> Clock:
@@ -162,7 +171,9 @@ class Runtime:
         self._step: Callable[[Inputs], Outputs] = service.step
         self._device = device
         self._vision = vision
-        self._links = tuple(links)
+        self._transport = Transport(links)
+        self._between_rx: list[MavlinkFrame] = []
+        self._between_tx: list[MavlinkFrame] = []
         self._recorder = recorder
         self._clock = clock
         self._peers = tuple(peers)
@@ -195,11 +206,12 @@ class Runtime:
 
     def tick(self, t_us: int) -> Outputs:
         """One tick: wait, gather, step, act, record."""
-        late_us = self._clock.wait_until(t_us) - t_us
+        late_us = self._wait(t_us) - t_us
         if late_us > TICK_US:
             self.counters.overruns += 1
         begin_s = time.perf_counter()
         self._try(t_us, DeviceRole.SENSORS, lambda: self._device.advance(t_us), None)
+        self.attend()
         frames = self._try(t_us, DeviceRole.CAMERA, lambda: self._device.frames(t_us), NO_PICTURES)
         samples = list(self._try(t_us, DeviceRole.SENSORS, lambda: self._device.poll(t_us), NO_SAMPLES))
         if self._vision is not None:
@@ -213,17 +225,18 @@ class Runtime:
         inputs = Inputs(
             t_us=t_us,
             samples=tuple(samples),
-            mavlink_rx=self._receive(),
+            mavlink_rx=self._receive(t_us),
             overruns=self.counters.overruns,
             cpu_load=self.counters.cpu_load,
             troubles=tuple(self._troubles),
+            notes=self._transport.take_notes(t_us),
         )
         self._troubles = []
         outputs = self._with_frames(self._step(inputs))
         self._drive(t_us, outputs)
         outputs = self._with_faults(outputs)
         self._send(t_us, outputs.mavlink_tx)
-        self._recorder.record(inputs, outputs, frames)
+        self._recorder.record(*self._with_between(inputs, outputs), frames)
         self._on_tick(outputs)
         self._account(t_us, time.perf_counter() - begin_s)
         return outputs
@@ -233,8 +246,7 @@ class Runtime:
         self._device.close()
         if self._vision is not None:
             self._vision.close()
-        for link in self._links:
-            link.close()
+        self._transport.close()
 
     # Devices
 
@@ -271,23 +283,58 @@ class Runtime:
                 print(f"{fault.line}\n{fault.traceback}", file=sys.stderr)
         return replace(outputs, faults=faults) if faults else outputs
 
-    def _receive(self) -> tuple[MavlinkFrame, ...]:
-        received = [
-            MavlinkFrame(link=index, data=data) for index, link in enumerate(self._links) for data in link.recv()
-        ]
-        received += self._peer_rx
+    # Links
+
+    def attend(self) -> None:
+        """What cannot wait while the loop does: a HEARTBEAT, when none has gone out for too long in real time."""
+        if self._transport.beat_due:
+            beat = self._service.beat()
+            self._transport.send(beat)
+            if self._paced:  # else the log would depend on how fast the machine is
+                self._between_tx += beat
+
+    def _wait(self, t_us: int) -> int:
+        """Until the tick begins. What comes meanwhile over the links is served when time is real."""
+        self.attend()
+        if self._paced:
+            while (left_s := self._clock.left_s(t_us) - SERVE_MARGIN_S) > 0.0:
+                self._serve(t_us, left_s)
+                self.attend()
+        return self._clock.wait_until(t_us)
+
+    def _serve(self, t_us: int, left_s: float) -> None:
+        """Wait for the links and let the service answer what is urgent; it is logged with the tick that follows."""
+        received = self._transport.wait(t_us, left_s)
+        if not received:
+            return
+        begin_s = time.perf_counter()
+        now_us = min(max(self._clock.now_us(), t_us - TICK_US), t_us - 1)
+        answers = self._service.serve(now_us, received)
+        self._transport.send(answers)
+        self._between_rx += received
+        self._between_tx += answers
+        self._busy_s += time.perf_counter() - begin_s
+
+    def _receive(self, t_us: int) -> tuple[MavlinkFrame, ...]:
+        received = self._transport.receive(t_us) + self._peer_rx
         self._peer_rx = []
         return tuple(received)
 
     def _send(self, t_us: int, frames: Sequence[MavlinkFrame]) -> None:
-        for index, link in enumerate(self._links):
-            for frame in frames:
-                if frame.link in (index, -1):
-                    link.send(frame.data)
+        self._transport.send(frames)
         for offset, peer in enumerate(self._peers):
-            index = len(self._links) + offset
-            mine = [frame.data for frame in frames if frame.link in (index, -1)]
+            index = len(self._transport) + offset
+            mine = [frame.data for frame in (*self._between_tx, *frames) if frame.link in (index, -1)]
             self._peer_rx += [MavlinkFrame(link=index, data=data) for data in peer.step(t_us, mine)]
+
+    def _with_between(self, inputs: Inputs, outputs: Outputs) -> tuple[Inputs, Outputs]:
+        """A tick for the log: with what was received and sent since the tick before."""
+        rx, tx, self._between_rx, self._between_tx = self._between_rx, self._between_tx, [], []
+        if rx:
+            inputs = replace(inputs, mavlink_rx=(*rx, *inputs.mavlink_rx))
+        if tx:
+            outputs = replace(outputs, mavlink_tx=(*tx, *outputs.mavlink_tx))
+        return inputs, outputs
 
     def _with_frames(self, outputs: Outputs) -> Outputs:
         """The estimator's counters with those of the frames beside them."""

@@ -23,8 +23,8 @@ class FrameCutter:
         buffer, frames, at = self._buffer, [], 0
         while at < len(buffer):
             if buffer[at] not in (_V1, _V2):
-                at += 1
-                self.skipped += 1
+                start, at = at, _next_start(buffer, at)
+                self.skipped += at - start
                 continue
             size = _frame_size(buffer, at)
             if size is None or at + size > len(buffer):
@@ -37,6 +37,12 @@ class FrameCutter:
             at += size
         del buffer[:at]
         return frames
+
+
+def _next_start(buffer: bytearray, at: int) -> int:
+    """Where a frame may begin next, or the end."""
+    found = [i for i in (buffer.find(_V1, at), buffer.find(_V2, at)) if i >= 0]
+    return min(found, default=len(buffer))
 
 
 def _frame_size(buffer: bytearray, at: int) -> int | None:

@@ -8,7 +8,8 @@
 | ``tcp:HOST:PORT``, ``tcp://HOST:PORT``, ``tcpout://HOST:PORT`` | connect to a server, again when it went away |
 | ``/dev/ttyX``, ``/dev/ttyX:57600``, ``/dev/ttyX,57600``, ``serial:///dev/ttyX:57600`` | serial line |
 
-The first column's first spellings are pymavlink's, those with ``://`` MAVSDK's. An empty host listens everywhere.
+The first column's first spellings are pymavlink's, those with ``://`` MAVSDK's. MAVLink knows no passwords: an empty
+host listens on the loopback interface only, 0.0.0.0 has to be written to let the network in.
 """
 
 from dataclasses import dataclass
@@ -20,6 +21,9 @@ from drivers.registry import load_backend
 DEFAULT_BAUD = 57600
 """Telemetry radios and pymavlink alike."""
 
+LOOPBACK = "127.0.0.1"
+"""What an empty host means."""
+
 _KINDS = {
     "udp": "udpin",
     "udpin": "udpin",
@@ -30,7 +34,7 @@ _KINDS = {
 }
 
 _REMEDY = (
-    "use e.g. udpout:127.0.0.1:14550, udpin:0.0.0.0:14540, tcp:127.0.0.1:5760, tcpin:0.0.0.0:5760, /dev/ttyUSB0:57600"
+    "use e.g. udpout:127.0.0.1:14550, udpin:127.0.0.1:14540, tcp:127.0.0.1:5760, tcpin:0.0.0.0:5760, /dev/ttyUSB0:57600"
 )
 
 
@@ -59,7 +63,7 @@ def parse_connection(text: str) -> Connection:
             raise ConfigError(f"connection {text!r} has no port between 1 and 65535; {_REMEDY}")
         if not host and kind in ("udpout", "tcpout"):
             raise ConfigError(f"connection {text!r} names no host to send to; {_REMEDY}")
-        return Connection(text=text, kind=kind, address=host or "0.0.0.0", number=int(port))
+        return Connection(text=text, kind=kind, address=host or LOOPBACK, number=int(port))
     if scheme == "serial" or text.startswith("/") or text.upper().startswith("COM"):
         device = rest.removeprefix("//") if scheme == "serial" else text
         for separator in (",", ":"):

@@ -6,7 +6,7 @@ Opening may raise DriverError; bad data from a device never raises, it is counte
 
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Protocol, Self, TypeVar
+from typing import NamedTuple, Protocol, Self, TypeVar
 
 T = TypeVar("T")
 
@@ -65,20 +65,52 @@ class ThrusterOutput(Device, Protocol):
         ...
 
 
+EVERYONE = 0
+"""The client number of all who are at the other end of a link."""
+
+
+class Received(NamedTuple):
+    """A datagram or frame, and who sent it."""
+
+    data: bytes
+    client: int
+    """A number per address or connection, never used again for another; EVERYONE on a link with one other end."""
+    sender: str
+    """The client as operators know it: address and port, or device."""
+
+
 class Link(Protocol):
-    """A MAVLink connection. Whole datagrams or whole frames, never a part of one. Open from construction on."""
+    """A MAVLink connection. Whole datagrams or whole frames, never a part of one. Open from construction on.
+
+    Nothing raises after construction: what breaks is counted, shown in ``problem``, and mended when that is possible.
+    """
+
+    dropped_tx: int
+    """What could not be sent so far: frames, or clients that were lost."""
+    dropped_rx: int
+    """Bytes that came and were not handed on."""
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong now and what to do, for operators; None while all is well."""
+        ...
 
     @property
     def name(self) -> str:
         """The connection string that opened it."""
         ...
 
-    def recv(self) -> list[bytes]:
-        """What has come since the last call, oldest first, bounded in number. Never blocks, never raises."""
+    def recv(self, t_us: int) -> list[Received]:
+        """What has come up to ``t_us``, oldest first per client, bounded in bytes per client. Never blocks."""
         ...
 
-    def send(self, data: bytes) -> None:
-        """Send to everyone at the other end. Never blocks, never raises: what cannot be sent is dropped and counted."""
+    def send(self, data: bytes, client: int = EVERYONE) -> None:
+        """Send to everyone at the other end, or to one client. Never blocks: what cannot be sent is dropped and
+        counted."""
+        ...
+
+    def filenos(self) -> list[int]:
+        """File descriptors that become readable when ``recv`` has something to do; none while nothing is open."""
         ...
 
     def close(self) -> None:

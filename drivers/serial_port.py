@@ -1,5 +1,6 @@
 """A serial line through the operating system's terminal interface (POSIX termios), without a further library."""
 
+import contextlib
 import os
 import sys
 from types import ModuleType
@@ -7,9 +8,12 @@ from types import ModuleType
 from autopilot.core.errors import DriverError
 from drivers.base import Closing
 from drivers.framing import FrameCutter
+from drivers.protocols import EVERYONE, Received
 
 CHUNK = 4096
 """Bytes per system call; 115200 baud brings 115 per tick."""
+REOPEN_US = 1_000_000
+"""Between attempts to open a device that has gone."""
 
 
 def _termios() -> ModuleType:
@@ -28,6 +32,13 @@ class SerialPort(Closing):
         self._device = device
         self._baud = baud
         self._fd: int | None = None
+        self.lost = False
+        """Whether the device has gone since it was opened; it may be opened again."""
+
+    @property
+    def fd(self) -> int | None:
+        """File descriptor, None when closed."""
+        return self._fd
 
     def open(self) -> None:
         """Open and configure the line; DriverError says why that fails."""
@@ -47,11 +58,13 @@ class SerialPort(Closing):
             ) from error
         try:
             control = termios.CS8 | termios.CREAD | termios.CLOCAL
-            termios.tcsetattr(fd, termios.TCSANOW, [0, 0, control, 0, speed, speed, [b"\0"] * termios.NCCS])
+            special: list[bytes | int] = [b"\0"] * termios.NCCS
+            special[termios.VMIN] = 1  # an empty read means that the line is gone, not that nothing has come
+            termios.tcsetattr(fd, termios.TCSANOW, [0, 0, control, 0, speed, speed, special])
         except termios.error as error:
             os.close(fd)
             raise DriverError(f"{self._device} is not a serial line; check the name") from error
-        self._fd = fd
+        self._fd, self.lost = fd, False
 
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
         """What is in the system's buffer, stamped with ``t_us``."""
@@ -61,9 +74,12 @@ class SerialPort(Closing):
             data = os.read(self._fd, CHUNK)
         except BlockingIOError:
             return []
-        except OSError:  # unplugged: the silence is noticed by whoever waits for data
+        except OSError:  # unplugged
+            data = b""
+        if not data:
+            self._lose()
             return []
-        return [(t_us, data)] if data else []
+        return [(t_us, data)]
 
     def write(self, data: bytes) -> None:
         """Send; what the system's buffer does not take is lost (commands are repeated by their senders)."""
@@ -74,36 +90,64 @@ class SerialPort(Closing):
         except BlockingIOError:
             return
         except OSError as error:
+            self._lose()
             raise DriverError(f"serial line {self._device} failed ({error.strerror}); check the cable") from error
+
+    def _lose(self) -> None:
+        """The device has gone: nothing may hold on to it, or it could not come back under its name."""
+        self.close()
+        self.lost = True
 
     def close(self) -> None:
         """Close the line."""
+        self.lost = False
         if self._fd is not None:
             os.close(self._fd)
             self._fd = None
 
 
 class SerialLink:
-    """MAVLink on a serial line."""
+    """MAVLink on a serial line. A device that goes is opened again when it comes back under its name."""
 
     def __init__(self, name: str, device: str, baud: int) -> None:
-        self._name = name
+        self._name, self._device = name, device
         self._cutter = FrameCutter()
+        self._attempt_us = 0
         self._port = SerialPort(device, baud)
         self._port.open()
         self.dropped_tx = 0
         """Frames that the line did not take."""
+        self.dropped_rx = 0
+        """Nothing: what the line brings is little."""
 
     @property
     def name(self) -> str:
         """The connection string."""
         return self._name
 
-    def recv(self) -> list[bytes]:
-        """Frames since the last call."""
-        return [frame for _, data in self._port.read(0) for frame in self._cutter.feed(data)]
+    @property
+    def problem(self) -> str | None:
+        """Whether the device is away."""
+        return "device gone, check the cable" if self._port.lost else None
 
-    def send(self, data: bytes) -> None:
+    def filenos(self) -> list[int]:
+        """The line, while it is open."""
+        return [] if self._port.fd is None else [self._port.fd]
+
+    def recv(self, t_us: int) -> list[Received]:
+        """Frames since the last call."""
+        if self._port.lost and t_us - self._attempt_us >= REOPEN_US:
+            self._attempt_us = t_us
+            with contextlib.suppress(DriverError):
+                self._port.open()
+                self._cutter = FrameCutter()
+        return [
+            Received(frame, EVERYONE, self._device)
+            for _, data in self._port.read(t_us)
+            for frame in self._cutter.feed(data)
+        ]
+
+    def send(self, data: bytes, client: int = EVERYONE) -> None:
         """Send one frame."""
         try:
             self._port.write(data)

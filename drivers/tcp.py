@@ -4,32 +4,40 @@ import socket
 
 from autopilot.core.errors import DriverError
 from drivers.framing import FrameCutter
+from drivers.protocols import EVERYONE, Received
 from drivers.udp import bind_error, resolve
 
-CHUNK = 65536
-"""Bytes per system call."""
+CHUNK = 4096
+"""Bytes taken of one connection per call: who sends more is slowed down by TCP itself."""
+MAX_ACCEPTED = 4
+"""Connections accepted per call."""
 MAX_CLIENTS = 8
 """Further clients are turned away."""
 MAX_PENDING = 262_144
 """Bytes that may wait for a slow client before it is cut off (2 s of dense telemetry would be 100 kB)."""
 CONNECT_TIMEOUT_S = 3.0
 """For the first connection."""
-RECONNECT_AFTER_CALLS = 100
-"""Receive calls between attempts to reconnect (1 s at the 100 Hz tick)."""
+RECONNECT_US = 1_000_000
+"""Between attempts to reconnect."""
 
 
 class _Stream:
-    """One open connection."""
+    """One open connection. OSError when it is gone already."""
 
-    def __init__(self, connection: socket.socket) -> None:
+    def __init__(self, connection: socket.socket, client: int, sender: str) -> None:
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = connection
         self._cutter = FrameCutter()
+        self.client, self.sender = client, sender
         self._pending = bytearray()
         self.open = True
 
-    def recv(self) -> list[bytes]:
+    def fileno(self) -> int:
+        """File descriptor, negative when closed."""
+        return self._socket.fileno()
+
+    def recv(self) -> list[Received]:
         """Frames that have become complete."""
         self._flush()
         try:
@@ -41,7 +49,7 @@ class _Stream:
         if not data:
             self.close()
             return []
-        return self._cutter.feed(data)
+        return [Received(frame, self.client, self.sender) for frame in self._cutter.feed(data)]
 
     def send(self, data: bytes) -> bool:
         """Queue and send what the other side takes; False if it is gone or too far behind."""
@@ -70,13 +78,19 @@ class _Stream:
 
 
 class TcpServer:
-    """Listens; every client gets everything that is sent."""
+    """Listens; every connection is a client of its own."""
+
+    problem: str | None = None
+    """A port that listens has none: clients come and go."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self._name = name
         self._clients: list[_Stream] = []
+        self._numbers = 0
         self.dropped_tx = 0
         """Clients lost while sending to them."""
+        self.dropped_rx = 0
+        """Nothing: a client that sends too much is not read from."""
         address = resolve(name, host, port)
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listener.setblocking(False)
@@ -98,17 +112,22 @@ class TcpServer:
         """How many are connected."""
         return len(self._clients)
 
-    def recv(self) -> list[bytes]:
+    def filenos(self) -> list[int]:
+        """The listening socket and all connections."""
+        numbers = [self._listener.fileno(), *(client.fileno() for client in self._clients)]
+        return [number for number in numbers if number >= 0]
+
+    def recv(self, t_us: int) -> list[Received]:
         """Frames since the last call, client by client."""
         self._accept()
         frames = [frame for client in self._clients for frame in client.recv()]
         self._clients = [client for client in self._clients if client.open]
         return frames
 
-    def send(self, data: bytes) -> None:
-        """Send to every client."""
-        for client in self._clients:
-            if not client.send(data):
+    def send(self, data: bytes, client: int = EVERYONE) -> None:
+        """Send to every client, or to one."""
+        for stream in self._clients:
+            if client in (EVERYONE, stream.client) and not stream.send(data):
                 self.dropped_tx += 1
         self._clients = [client for client in self._clients if client.open]
 
@@ -120,14 +139,19 @@ class TcpServer:
         self._listener.close()
 
     def _accept(self) -> None:
-        try:
-            connection, _ = self._listener.accept()
-        except OSError:  # nobody there, or closed
-            return
-        if len(self._clients) < MAX_CLIENTS:
-            self._clients.append(_Stream(connection))
-        else:
-            connection.close()
+        for _ in range(MAX_ACCEPTED):
+            try:
+                connection, address = self._listener.accept()
+            except OSError:  # nobody there, or closed
+                return
+            if len(self._clients) >= MAX_CLIENTS:
+                connection.close()
+                continue
+            self._numbers += 1
+            try:
+                self._clients.append(_Stream(connection, self._numbers, f"{address[0]}:{address[1]}"))
+            except OSError:  # gone again
+                connection.close()
 
 
 class TcpClient:
@@ -136,11 +160,13 @@ class TcpClient:
     def __init__(self, name: str, host: str, port: int) -> None:
         self._name = name
         self._address = resolve(name, host, port)
-        self._calls = 0
+        self._attempt_us = 0
         self._attempt: socket.socket | None = None
         self._closed = False
         self.dropped_tx = 0
         """Sends without a connection."""
+        self.dropped_rx = 0
+        """Nothing: a server that sends too much is not read from."""
         try:
             connection = socket.create_connection(self._address, timeout=CONNECT_TIMEOUT_S)
         except OSError as error:
@@ -148,25 +174,35 @@ class TcpClient:
             raise DriverError(
                 f"link {name}: nobody answers at {host}:{port} ({reason}); start the server or correct the address"
             ) from error
-        self._stream = _Stream(connection)
+        self._stream = _Stream(connection, EVERYONE, name)
+
+    @property
+    def problem(self) -> str | None:
+        """Whether the server is away."""
+        return None if self._closed or self._stream.open else "server gone, connecting again"
 
     @property
     def name(self) -> str:
         """The connection string."""
         return self._name
 
-    def recv(self) -> list[bytes]:
+    def filenos(self) -> list[int]:
+        """The connection, while there is one."""
+        number = self._stream.fileno()
+        return [] if number < 0 else [number]
+
+    def recv(self, t_us: int) -> list[Received]:
         """Frames since the last call."""
         if self._closed:
             return []
         if self._stream.open:
             return self._stream.recv()
-        self._calls += 1
-        if self._calls % RECONNECT_AFTER_CALLS == 0:
+        if t_us - self._attempt_us >= RECONNECT_US:
+            self._attempt_us = t_us
             self._reconnect()
         return []
 
-    def send(self, data: bytes) -> None:
+    def send(self, data: bytes, client: int = EVERYONE) -> None:
         """Send, or drop when there is no connection."""
         if self._closed or not self._stream.open or not self._stream.send(data):
             self.dropped_tx += 1
@@ -184,11 +220,13 @@ class TcpClient:
             attempt, self._attempt = self._attempt, None
             try:
                 attempt.getpeername()
+                self._stream = _Stream(attempt, EVERYONE, self._name)
+                return
             except OSError:
                 attempt.close()
-            else:
-                self._stream = _Stream(attempt)
-                return
-        self._attempt = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        self._attempt.setblocking(False)
-        self._attempt.connect_ex(self._address)
+        try:
+            self._attempt = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            self._attempt.setblocking(False)
+            self._attempt.connect_ex(self._address)
+        except OSError:  # no descriptors left: the next attempt will show
+            return

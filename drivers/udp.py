@@ -1,18 +1,29 @@
-"""MAVLink over UDP: one datagram, one entry. Sockets are non-blocking; an idle receive is one system call."""
+"""MAVLink over UDP: one datagram, one entry. Sockets are non-blocking; an idle receive is one system call.
+
+Every address is a client of its own. A flood is read and thrown away, so that others on the same socket are heard.
+"""
 
 import errno
 import socket
+from dataclasses import dataclass
 
 from autopilot.core.errors import DriverError
+from drivers.protocols import EVERYONE, Received
 
 MAX_DATAGRAM = 2048
 """Bytes; several MAVLink frames may share a datagram, none is longer than 280."""
-MAX_PER_CALL = 256
-"""Datagrams taken per call, so that a flood cannot hold up the caller."""
+MAX_PER_CALL = 128
+"""Datagrams taken from the socket per call, so that a flood cannot hold up the caller (below a millisecond)."""
+MAX_CLIENT_BYTES = 4096
+"""Bytes per call that one client may hand in; what is beyond is dropped and counted."""
 MAX_PEERS = 16
-"""Peers that a listening port answers; the one silent for longest makes room."""
-FORGET_AFTER_CALLS = 10_000
-"""Receive calls without a word after which a peer is forgotten (100 s at the 100 Hz tick)."""
+"""Clients that a port knows; one more has to wait until another has been silent for KEEP_US."""
+KEEP_US = 5_000_000
+"""A client that has spoken within this time is not displaced by another."""
+FORGET_US = 100_000_000
+"""A client is forgotten after so much silence."""
+LOOPBACK = "127.0.0.1"
+LOOPBACK_NET = "127."
 
 Address = tuple[str, int]
 
@@ -36,35 +47,112 @@ def bind_error(name: str, port: int, error: OSError) -> DriverError:
     return DriverError(f"link {name}: port {port} cannot be opened ({error.strerror}); check host and rights")
 
 
+@dataclass(slots=True)
+class _Peer:
+    """One address that has spoken."""
+
+    client: int
+    sender: str
+    heard_us: int
+
+
 class _Udp:
     """What both directions share."""
+
+    problem: str | None = None
+    """A datagram socket has none: what is sent may always get lost."""
 
     def __init__(self, name: str) -> None:
         self._name = name
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        self._known: dict[Address, _Peer] = {}
+        """The one silent for longest first."""
+        self._addresses: dict[int, Address] = {}
+        self._numbers = 0
         self.dropped_tx = 0
         """Datagrams that could not be sent."""
+        self.dropped_rx = 0
+        """Bytes that were not handed on: a flood, a stranger, or no place for one more client."""
 
     @property
     def name(self) -> str:
         """The connection string."""
         return self._name
 
+    @property
+    def peers(self) -> tuple[Address, ...]:
+        """Who is known, the one silent for longest first."""
+        return tuple(self._known)
+
+    def filenos(self) -> list[int]:
+        """The socket, while it is open."""
+        number = self._socket.fileno()
+        return [] if number < 0 else [number]
+
     def close(self) -> None:
         """Let go of the port."""
         self._socket.close()
 
+    def recv(self, t_us: int) -> list[Received]:
+        """Datagrams since the last call, with who sent them."""
+        received: list[Received] = []
+        bytes_of: dict[int, int] = {}
+        for data, address in self._receive():
+            peer = self._peer(t_us, address) if self._welcome(address) else None
+            if peer is not None:
+                taken = bytes_of[peer.client] = bytes_of.get(peer.client, 0) + len(data)
+                if taken <= MAX_CLIENT_BYTES:
+                    received.append(Received(data=data, client=peer.client, sender=peer.sender))
+                    continue
+            self.dropped_rx += len(data)
+        self._forget(t_us)
+        return received
+
+    def _welcome(self, address: Address) -> bool:
+        """Whether an address may speak here at all."""
+        return True
+
+    def _peer(self, t_us: int, address: Address) -> _Peer | None:
+        """The client of an address, now the last to have spoken; None when there is no place for another."""
+        peer = self._known.pop(address, None)
+        if peer is None:
+            if len(self._known) >= MAX_PEERS and not self._displace(t_us):
+                return None
+            self._numbers += 1
+            peer = _Peer(self._numbers, f"{address[0]}:{address[1]}", t_us)
+            self._addresses[peer.client] = address
+        peer.heard_us = t_us
+        self._known[address] = peer
+        return peer
+
+    def _displace(self, t_us: int) -> bool:
+        oldest = next(iter(self._known))
+        if t_us - self._known[oldest].heard_us < KEEP_US:
+            return False
+        self._drop(oldest)
+        return True
+
+    def _forget(self, t_us: int) -> None:
+        while self._known:
+            oldest = next(iter(self._known))
+            if t_us - self._known[oldest].heard_us <= FORGET_US:
+                break
+            self._drop(oldest)
+
+    def _drop(self, address: Address) -> None:
+        del self._addresses[self._known.pop(address).client]
+
     def _receive(self) -> list[tuple[bytes, Address]]:
         received: list[tuple[bytes, Address]] = []
-        while len(received) < MAX_PER_CALL:
+        for _ in range(MAX_PER_CALL):
             try:
                 received.append(self._socket.recvfrom(MAX_DATAGRAM))
             except BlockingIOError:
                 break
             except ConnectionError:  # an earlier datagram found nobody: says nothing about this direction
                 continue
-            except OSError:  # closed
+            except OSError:  # closed, or the network is down
                 break
         return received
 
@@ -74,21 +162,33 @@ class _Udp:
         except OSError:  # full buffer, no route, closed: a datagram may always get lost
             self.dropped_tx += 1
 
+    def _send_one(self, data: bytes, client: int) -> None:
+        address = self._addresses.get(client)
+        if address is None:
+            self.dropped_tx += 1
+        else:
+            self._send_to(data, address)
+
 
 class UdpOut(_Udp):
-    """Sends to one address and takes whatever comes back to the socket."""
+    """Sends to one address, and takes what its host sends to the socket (from whatever port); others are not heard."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self._target = resolve(name, host, port)
         super().__init__(name)
+        if self._target[0].startswith(LOOPBACK_NET):
+            # A socket that is bound to no address would be open to the network.
+            self._socket.bind((LOOPBACK, 0))
 
-    def recv(self) -> list[bytes]:
-        """Datagrams since the last call."""
-        return [data for data, _ in self._receive()]
+    def send(self, data: bytes, client: int = EVERYONE) -> None:
+        """Send one datagram: to the target, or to one client that has spoken."""
+        if client == EVERYONE:
+            self._send_to(data, self._target)
+        else:
+            self._send_one(data, client)
 
-    def send(self, data: bytes) -> None:
-        """Send one datagram."""
-        self._send_to(data, self._target)
+    def _welcome(self, address: Address) -> bool:
+        return address[0] == self._target[0]
 
 
 class UdpIn(_Udp):
@@ -102,29 +202,11 @@ class UdpIn(_Udp):
         except OSError as error:
             self._socket.close()
             raise bind_error(name, port, error) from error
-        self._calls = 0
-        self._peers: dict[Address, int] = {}
 
-    @property
-    def peers(self) -> tuple[Address, ...]:
-        """Who is answered, the one silent for longest first."""
-        return tuple(self._peers)
-
-    def recv(self) -> list[bytes]:
-        """Datagrams since the last call."""
-        self._calls += 1
-        received = self._receive()
-        for _, address in received:
-            self._peers.pop(address, None)
-            self._peers[address] = self._calls
-        while self._peers:
-            oldest = next(iter(self._peers))
-            if len(self._peers) <= MAX_PEERS and self._calls - self._peers[oldest] <= FORGET_AFTER_CALLS:
-                break
-            del self._peers[oldest]
-        return [data for data, _ in received]
-
-    def send(self, data: bytes) -> None:
-        """Send one datagram to every peer."""
-        for address in self._peers:
+    def send(self, data: bytes, client: int = EVERYONE) -> None:
+        """Send one datagram to every client, or to one."""
+        if client != EVERYONE:
+            self._send_one(data, client)
+            return
+        for address in self._known:
             self._send_to(data, address)

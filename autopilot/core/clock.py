@@ -13,6 +13,10 @@ class Clock(Protocol):
         """Microseconds since the clock started, never going back."""
         ...
 
+    def left_s(self, t_us: int) -> float:
+        """Real seconds until ``t_us``, 0 when it has passed or time does not wait."""
+        ...
+
     def wait_until(self, t_us: int) -> int:
         """Return at ``t_us`` (at once when it has passed); the result is now_us()."""
         ...

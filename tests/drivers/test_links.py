@@ -7,14 +7,16 @@ import select
 import socket
 import tty
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
 from autopilot.core.errors import DriverError
 from drivers.links import open_link
-from drivers.protocols import Link
-from drivers.tcp import MAX_CLIENTS, RECONNECT_AFTER_CALLS
-from drivers.udp import FORGET_AFTER_CALLS, MAX_PEERS, UdpIn
+from drivers.protocols import Link, Received
+from drivers.serial_port import REOPEN_US
+from drivers.tcp import MAX_CLIENTS, RECONNECT_US
+from drivers.udp import FORGET_US, KEEP_US, MAX_CLIENT_BYTES, MAX_PEERS, UdpIn
 
 LOCAL = "127.0.0.1"
 PATIENT_S = 600.0
@@ -33,15 +35,20 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
         return int(probe.getsockname()[1])
 
 
-def receive(link: Link, count: int) -> list[bytes]:
+def entries(link: Link, count: int, t_us: int = 0) -> list[Received]:
     """Poll until ``count`` entries came or nothing comes any more."""
-    out: list[bytes] = []
+    out: list[Received] = []
     for _ in range(200):
-        out += link.recv()
+        out += link.recv(t_us)
         if len(out) >= count:
             break
-        select.select([], [], [], 0.005)
+        select.select(link.filenos(), [], [], 0.005)
     return out
+
+
+def receive(link: Link, count: int, t_us: int = 0) -> list[bytes]:
+    """What came, whoever sent it."""
+    return [entry.data for entry in entries(link, count, t_us)]
 
 
 class Peer:
@@ -108,7 +115,7 @@ def test_frames_arrive_whole_and_in_order(ends: tuple[Link, Peer]) -> None:
     for number in range(1, 20):
         peer.send(frame(number))
     assert receive(link, 19) == [frame(number) for number in range(1, 20)]
-    assert link.recv() == []
+    assert link.recv(0) == []
 
 
 def test_what_is_sent_arrives(ends: tuple[Link, Peer]) -> None:
@@ -133,9 +140,9 @@ def test_closed_links_are_silent(ends: tuple[Link, Peer]) -> None:
     link, _ = ends
     link.close()
     link.close()
-    assert link.recv() == []
+    assert link.recv(0) == []
     link.send(frame(1))
-    assert link.recv() == []
+    assert link.recv(0) == []
 
 
 @pytest.mark.parametrize("kind", ["udpin", "tcpin"])
@@ -174,7 +181,7 @@ def test_udpout_survives_a_receiver_that_is_not_there() -> None:
     link = open_link(f"udpout:{LOCAL}:{free_port()}")
     for number in range(5):
         link.send(frame(number))
-        assert link.recv() == []
+        assert link.recv(0) == []
     link.close()
 
 
@@ -185,13 +192,19 @@ def test_udpin_answers_everyone_it_has_heard_up_to_a_limit() -> None:
         for number, end in enumerate(ends):
             end.settimeout(PATIENT_S)
             end.sendto(frame(number), (LOCAL, port))
-            assert receive(link, 1) == [frame(number)]
-        assert len(link.peers) == MAX_PEERS
+            known = number < MAX_PEERS
+            assert receive(link, 1) == ([frame(number)] if known else [])
         link.send(frame(99))
-        assert [end.recv(100) for end in ends[2:]] == [frame(99)] * MAX_PEERS
-        ends[0].setblocking(False)
-        with pytest.raises(BlockingIOError):
-            ends[0].recv(100)
+        assert [end.recv(100) for end in ends[:MAX_PEERS]] == [frame(99)] * MAX_PEERS
+        assert link.dropped_rx == 2 * len(frame(0))
+        # Who has been silent makes room, who speaks stays: any number of others cannot push him out.
+        ends[0].sendto(frame(1), (LOCAL, port))
+        assert receive(link, 1, KEEP_US) == [frame(1)]
+        ends[-1].sendto(frame(2), (LOCAL, port))
+        assert receive(link, 1, KEEP_US) == [frame(2)]
+        ports = [number for _, number in link.peers]
+        assert ends[-1].getsockname()[1] in ports and ends[0].getsockname()[1] in ports
+        assert ends[1].getsockname()[1] not in ports
     link.close()
 
 
@@ -204,14 +217,148 @@ def test_udpin_forgets_who_is_silent_and_keeps_who_speaks() -> None:
         silent.sendto(b"1", (LOCAL, port))
         lively.sendto(b"2", (LOCAL, port))
         receive(link, 2)
-        for _ in range(FORGET_AFTER_CALLS // 2):
-            link.recv()
         lively.sendto(b"3", (LOCAL, port))
-        receive(link, 1)
-        for _ in range(FORGET_AFTER_CALLS // 2 + 1):
-            link.recv()
+        receive(link, 1, FORGET_US // 2)
+        link.recv(FORGET_US + 1)
         assert [port for _, port in link.peers] == [lively.getsockname()[1]]
     link.close()
+
+
+@pytest.mark.parametrize("kind", ["udpin", "tcpin"])
+def test_clients_of_a_port_are_told_apart_and_answered_apart(kind: str) -> None:
+    udp = kind == "udpin"
+    port = free_port(socket.SOCK_DGRAM if udp else socket.SOCK_STREAM)
+    link = open_link(f"{kind}:{LOCAL}:{port}")
+    with contextlib.ExitStack() as stack:
+        ends = []
+        for _ in range(3):
+            if udp:
+                end = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                end.connect((LOCAL, port))
+            else:
+                end = stack.enter_context(socket.create_connection((LOCAL, port)))
+            end.settimeout(2.0)
+            ends.append(end)
+        numbers = []
+        for n, end in enumerate(ends):
+            end.send(frame(n))
+            (entry,) = entries(link, 1)
+            assert entry.sender == f"{LOCAL}:{end.getsockname()[1]}"
+            numbers.append(entry.client)
+        assert len(set(numbers)) == 3 and 0 not in numbers
+        ends[1].send(frame(5))
+        assert [entry.client for entry in entries(link, 1)] == [numbers[1]]
+        for n in (2, 0, 1):
+            link.send(frame(10 + n), numbers[n])
+        link.send(frame(20))
+        link.send(frame(21), 999)  # nobody
+        for n, end in enumerate(ends):
+            got = b""
+            while len(got) < 2 * len(frame(0)):
+                got += end.recv(2048)
+            assert got == frame(10 + n) + frame(20)
+    link.close()
+
+
+def test_a_flood_on_one_address_leaves_room_for_the_others() -> None:
+    link = UdpIn("test", LOCAL, port := free_port())
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as loud,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as quiet,
+    ):
+        for _ in range(20):
+            loud.sendto(b"\xfe" * 1024, (LOCAL, port))
+        quiet.sendto(frame(1), (LOCAL, port))
+        got = entries(link, 1 + MAX_CLIENT_BYTES // 1024)
+        assert got[-1].data == frame(1)
+        assert sum(len(entry.data) for entry in got[:-1]) == MAX_CLIENT_BYTES
+        assert link.dropped_rx == 20 * 1024 - MAX_CLIENT_BYTES
+    link.close()
+
+
+def open_ports(kind: str) -> set[tuple[str, int]]:
+    """Local addresses of this machine's sockets, as the system shows them."""
+    lines = Path(f"/proc/net/{kind}").read_text().splitlines()[1:]
+    pairs = [line.split()[1].split(":") for line in lines]
+    return {(socket.inet_ntoa(bytes.fromhex(host)[::-1]), int(port, 16)) for host, port in pairs}
+
+
+@pytest.mark.skipif(not Path("/proc/net/udp").exists(), reason="needs Linux's list of sockets")
+@pytest.mark.parametrize("text", ["udpout:127.0.0.1:{}", "udpin::{}", "udpin:127.0.0.1:{}", "tcpin::{}", "udp://:{}"])
+def test_nothing_is_open_beyond_the_loopback_unless_it_is_asked_for(text: str) -> None:
+    kind = "tcp" if text.startswith("tcp") else "udp"
+    port = free_port(socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM)
+    before = open_ports(kind)
+    link = open_link(text.format(port))
+    link.send(frame(1))
+    opened = open_ports(kind) - before
+    link.close()
+    assert (LOCAL, port) in opened or text.startswith("udpout")
+    assert not any(host == "0.0.0.0" for host, _ in opened), opened
+
+
+def test_udpout_hears_its_target_and_no_other_host() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as target,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sibling,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        target.bind((LOCAL, 0))
+        target.settimeout(2.0)
+        sibling.settimeout(2.0)
+        try:
+            stranger.bind(("127.0.0.9", 0))
+        except OSError:
+            pytest.skip("one loopback address only")
+        link = open_link(f"udpout:{LOCAL}:{target.getsockname()[1]}")
+        link.send(frame(1))
+        _, vehicle = target.recvfrom(100)
+        stranger.sendto(frame(2), vehicle)
+        target.sendto(frame(3), vehicle)
+        sibling.sendto(frame(4), vehicle)
+        first, second = entries(link, 2)
+        assert (first.data, second.data) == (frame(3), frame(4))
+        assert link.dropped_rx == len(frame(2))
+        # The same host on another port is a client of its own: it is answered, and gets nothing else.
+        link.send(frame(5), second.client)
+        link.send(frame(6))
+        assert sibling.recv(100) == frame(5)
+        assert target.recv(100) == frame(6)
+        link.close()
+
+
+def test_a_serial_device_that_goes_is_named_and_opened_again(tmp_path: Path) -> None:
+    """The device's name is a link, as udev makes one: it is gone while the device is."""
+    name = tmp_path / "ttyROV"
+    device, line = pty.openpty()
+    tty.setraw(device)
+    name.symlink_to(os.ttyname(line))
+    link = open_link(f"{name}:115200")
+    os.close(line)
+    os.write(device, frame(1))
+    assert receive(link, 1) == [frame(1)]
+    assert link.problem is None
+    os.close(device)
+    name.unlink()
+    for n in range(300):
+        link.send(frame(2))
+        assert link.recv(n * 10_000) == []
+    assert link.problem == "device gone, check the cable"
+    assert link.filenos() == []
+    assert link.dropped_tx > 0
+    device, line = pty.openpty()
+    tty.setraw(device)
+    name.symlink_to(os.ttyname(line))
+    assert link.recv(3_000_000 + REOPEN_US) == []
+    assert link.problem is None
+    os.write(device, frame(3))
+    assert receive(link, 1) == [frame(3)]
+    link.send(frame(4))
+    assert os.read(device, 100) == frame(4)
+    link.close()
+    assert link.problem is None and link.recv(10**9) == []
+    os.close(line)
+    os.close(device)
 
 
 def test_tcp_clients_do_not_mix_and_all_get_everything() -> None:
@@ -245,7 +392,7 @@ def test_tcp_server_turns_further_clients_away() -> None:
         late = stack.enter_context(socket.create_connection((LOCAL, port)))
         late.settimeout(PATIENT_S)
         for _ in range(20):
-            link.recv()
+            link.recv(0)
             select.select([], [], [], 0.002)
         assert late.recv(10) == b""
     link.close()
@@ -258,7 +405,7 @@ def test_tcp_server_cuts_off_a_client_that_does_not_read() -> None:
         receive(link, 1)
         for _ in range(20_000):
             link.send(bytes(280))
-            if link.dropped_tx:  # type: ignore[attr-defined]
+            if link.dropped_tx:
                 break
         assert link.clients == 0  # type: ignore[attr-defined]
     link.close()
@@ -272,8 +419,11 @@ def test_tcp_client_connects_again() -> None:
         first.send(frame(1))
         assert receive(link, 1) == [frame(1)]
         first.close()
-        for _ in range(3 * RECONNECT_AFTER_CALLS):
-            link.recv()
+        assert entries(link, 1) == []
+        assert link.problem == "server gone, connecting again"
+        for n in range(300):
+            link.recv(RECONNECT_US + n * 10_000)
+        assert link.problem is None
         second, _ = server.accept()
         second.send(frame(2))
         assert receive(link, 1) == [frame(2)]

@@ -9,6 +9,7 @@ import pytest
 from autopilot.core.messages import Inputs, LoopStats, MavlinkFrame, ModeState, Outputs, ThrusterCommand
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.runtime import LockstepClock, Runtime
+from drivers.protocols import Received
 
 
 class Service:
@@ -53,18 +54,23 @@ class Device:
 
 class Link:
     name = "memory"
+    problem = None
+    dropped_tx = dropped_rx = 0
 
     def __init__(self) -> None:
         self.inbox: list[bytes] = []
         self.sent: list[bytes] = []
         self.closed = False
 
-    def recv(self) -> list[bytes]:
+    def recv(self, t_us: int) -> list[Received]:
         received, self.inbox = self.inbox, []
-        return received
+        return [Received(data, 7, "memory") for data in received]
 
-    def send(self, data: bytes) -> None:
+    def send(self, data: bytes, client: int = 0) -> None:
         self.sent.append(data)
+
+    def filenos(self) -> list[int]:
+        return []
 
     def close(self) -> None:
         self.closed = True
@@ -126,7 +132,8 @@ def test_frames_reach_their_links() -> None:
     runtime.run(duration_s=0.01, stop=lambda: False)
     assert links[0].sent == [b"all"]
     assert links[1].sent == [b"all", b"second"]
-    assert [(frame.link, frame.data) for frame in service.inputs[0].mavlink_rx] == [(1, b"hello")]
+    (came,) = service.inputs[0].mavlink_rx
+    assert (came.link, came.client, came.sender, came.data) == (1, 7, "memory", b"hello")
     assert all(link.closed for link in links)
 
 

@@ -1,0 +1,128 @@
+"""The links of a service: receiving, sending, waiting for them, and what operators have to know of them.
+
+Nothing here blocks longer than it was told to, and nothing raises: a link that breaks is counted, named once, and
+looked after by its driver.
+"""
+
+import select
+import time
+from collections.abc import Callable, Sequence
+
+from autopilot.core.errors import DriverError
+from autopilot.core.messages import Event, MavlinkFrame, Severity
+from drivers.protocols import Link
+
+POLL_S = 0.002
+"""Links without a file descriptor are looked at this often."""
+BEAT_S = 1.1
+"""Real time after which a HEARTBEAT is due, whatever the vehicle's time says (a second of it, as a rule)."""
+NOTE_US = 5_000_000
+"""A link that comes and goes is named this often."""
+LOOK_S = 0.05
+"""A wait ends at least this often, for heartbeats."""
+MAX_BETWEEN_BYTES = 16_384
+"""What one link may bring between two ticks; then it has to wait for the tick."""
+MAX_BETWEEN_CALLS = 64
+"""How often one link is read between two ticks."""
+
+_HEARTBEAT_START = (0xFD, b"\0\0\0")
+"""First byte of a MAVLink 2 frame, and the id of HEARTBEAT in its header."""
+
+
+class Transport:
+    """All links of a run. ``now_s`` is real time."""
+
+    def __init__(self, links: Sequence[Link], now_s: Callable[[], float] = time.monotonic) -> None:
+        self._links = tuple(links)
+        self._now_s = now_s
+        self._beat_s = now_s()
+        self._between_bytes = [0] * len(self._links)
+        self._between_calls = [0] * len(self._links)
+        self._problems: list[str | None] = [None] * len(self._links)
+        self._silent_until_us = [0] * len(self._links)
+        self._failed: list[str | None] = [None] * len(self._links)
+        """What a driver raised although it must not."""
+        self.errors = 0
+        """How often that happened."""
+
+    def __len__(self) -> int:
+        return len(self._links)
+
+    @property
+    def beat_due(self) -> bool:
+        """Whether the links have not seen a HEARTBEAT for so long that one has to go out now."""
+        return bool(self._links) and self._now_s() - self._beat_s >= BEAT_S
+
+    def receive(self, t_us: int) -> list[MavlinkFrame]:
+        """What all links have for a tick. What they may bring until the next one counts anew."""
+        self._between_bytes = [0] * len(self._links)
+        self._between_calls = [0] * len(self._links)
+        return [frame for index in range(len(self._links)) for frame in self._receive(index, t_us)]
+
+    def wait(self, t_us: int, seconds: float) -> list[MavlinkFrame]:
+        """Wait for the links, ``seconds`` at most; what has come, or nothing when the time is over."""
+        open_links = [index for index in range(len(self._links)) if self._may_bring(index)]
+        doors: dict[int, int] = {}
+        polled = []
+        for index in open_links:
+            numbers = self._links[index].filenos()
+            doors.update(dict.fromkeys(numbers, index))
+            if not numbers and self._links[index].problem is None:
+                polled.append(index)
+        ready, _, _ = select.select(list(doors), [], [], min(seconds, POLL_S if polled else LOOK_S))
+        called = dict.fromkeys([doors[number] for number in ready] + polled)
+        received = []
+        for index in called:
+            frames = self._receive(index, t_us)
+            self._between_calls[index] += index not in polled
+            self._between_bytes[index] += sum(len(frame.data) for frame in frames)
+            received += frames
+        return received
+
+    def send(self, frames: Sequence[MavlinkFrame]) -> None:
+        """Send what goes to these links."""
+        for frame in frames:
+            if frame.data[7:10] == _HEARTBEAT_START[1] and frame.data[0] == _HEARTBEAT_START[0]:
+                self._beat_s = self._now_s()
+        for index, link in enumerate(self._links):
+            for frame in frames:
+                if frame.link in (index, -1):
+                    try:
+                        link.send(frame.data, frame.client)
+                    except (DriverError, OSError) as error:
+                        self._fail(index, error)
+
+    def take_notes(self, t_us: int) -> tuple[Event, ...]:
+        """What operators have to know of the links since the last call: one that broke, one that is back."""
+        notes = []
+        for index, link in enumerate(self._links):
+            problem = self._failed[index] or link.problem
+            if problem == self._problems[index] or t_us < self._silent_until_us[index]:
+                continue
+            self._problems[index], self._silent_until_us[index] = problem, t_us + NOTE_US
+            if problem is None:
+                notes.append(Event(t_us=t_us, severity=Severity.NOTICE, text=f"{link.name}: back"))
+            else:
+                notes.append(Event(t_us=t_us, severity=Severity.WARNING, text=f"{link.name}: {problem}"))
+        return tuple(notes)
+
+    def close(self) -> None:
+        """Let go of all ports."""
+        for link in self._links:
+            link.close()
+
+    def _may_bring(self, index: int) -> bool:
+        return self._between_bytes[index] < MAX_BETWEEN_BYTES and self._between_calls[index] < MAX_BETWEEN_CALLS
+
+    def _receive(self, index: int, t_us: int) -> list[MavlinkFrame]:
+        try:
+            received = self._links[index].recv(t_us)
+        except (DriverError, OSError) as error:
+            self._fail(index, error)
+            return []
+        return [MavlinkFrame(link=index, data=got.data, client=got.client, sender=got.sender) for got in received]
+
+    def _fail(self, index: int, error: Exception) -> None:
+        """No driver of a link ends the loop."""
+        self.errors += 1
+        self._failed[index] = str(error)
