@@ -83,6 +83,7 @@ def build_service(
     guard = Guard()
     parts = Parts(
         guard=guard,
+        desks=desks.lanes,
         vehicle=vehicle,
         params=params,
         plans=plans,

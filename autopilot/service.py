@@ -15,6 +15,7 @@ from autopilot.commander import Commander, Decision
 from autopilot.control.allocation import Allocation
 from autopilot.control.controller import MotionController
 from autopilot.control.tracks import Tracks
+from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault, Guard
 from autopilot.core.messages import (
@@ -94,6 +95,8 @@ class Parts:
     commander: Commander
     server: MavlinkServer
     guard: Guard
+    desks: tuple[Desk, ...] = ()
+    """Where slow work is asked for: while the loop waits there it attends to its links."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

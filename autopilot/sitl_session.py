@@ -193,6 +193,8 @@ def open_sitl(
         on_tick=each_tick,
         paced=world.speed > 0.0,
     )
+    for desk in parts.desks:
+        desk.idle = runtime.attend
     given_s = settings["duration"]
     return SitlSession(
         scenario=world.scenario,

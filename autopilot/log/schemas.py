@@ -230,6 +230,7 @@ std_msgs/Header header
 uint8[280] data
 uint16 length
 uint8 link  # 255 = all links
+uint16 client  # of the link: one number per address or connection, 0 = everyone
 """,
     # Standard types.
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",

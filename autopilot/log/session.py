@@ -44,6 +44,8 @@ VIZ_US = 100_000
 TRAIL_US = 500_000
 TRAIL_POINTS = 600
 """Points of /viz/path: five minutes of trail."""
+MAX_STREAMS = 256
+"""MAVLink streams that are being cut; the oldest goes."""
 CAMERA_US = 500_000
 JPEG_QUALITY = 80
 MAX_FAULTS = 32
@@ -97,7 +99,7 @@ class RunLog:
         self._last_us: dict[str, int] = {}
         self._last_key: dict[str, Hashable] = {}
         self._last_body: dict[str, bytes] = {}
-        self._cutters: dict[tuple[str, int], StreamCutter] = {}
+        self._cutters: dict[tuple[str, int, int], StreamCutter] = {}
         self._trail: list[tuple[float, float, float]] = []
         self._faults = 0
 
@@ -266,10 +268,13 @@ class RunLog:
                 self._write("/in/power", t_us, visuals.battery_state(stamp_ns, sample))
 
     def _mavlink(self, topic: str, t_us: int, frame: MavlinkFrame) -> None:
-        cutter = self._cutters.setdefault((topic, frame.link), StreamCutter())
+        stream = (topic, frame.link, frame.client)
+        if stream not in self._cutters and len(self._cutters) >= MAX_STREAMS:
+            del self._cutters[next(iter(self._cutters))]
+        cutter = self._cutters.setdefault(stream, StreamCutter())
         stamp_ns = self._ns(t_us)
         for piece in cutter.cut(frame.data):
-            self._write(topic, t_us, service.mavlink_frame(stamp_ns, piece.data, frame.link))
+            self._write(topic, t_us, service.mavlink_frame(stamp_ns, piece.data, frame.link, frame.client))
             if piece.is_packet:
                 self._writer.write_packet(t_us, piece.data)
 

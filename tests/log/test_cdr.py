@@ -327,12 +327,13 @@ def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) ->
     assert read.header.frame_id == "cam"
 
 
-@given(stamps, st.binary(min_size=0, max_size=280), st.integers(-1, 20))
+@given(stamps, st.binary(min_size=0, max_size=280), st.integers(-1, 20), st.integers(0, 0xFFFF))
 @settings(max_examples=25, deadline=None)
-def test_mavlink_frame(stamp: int, data: bytes, link: int) -> None:
-    read = read_back("autopilot_msgs/MavlinkFrame", service.mavlink_frame(stamp, data, link))
+def test_mavlink_frame(stamp: int, data: bytes, link: int, client: int) -> None:
+    read = read_back("autopilot_msgs/MavlinkFrame", service.mavlink_frame(stamp, data, link, client))
     assert read.data.tobytes()[: read.length] == data
     assert read.link == (255 if link < 0 else link)
+    assert read.client == client
 
 
 @given(stamps, st.lists(st.tuples(finite, finite, finite), max_size=5), st.text(max_size=40), st.binary(max_size=50))

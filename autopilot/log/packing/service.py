@@ -41,7 +41,7 @@ def loop_stats(stamp_ns: int, stats: LoopStats) -> bytes:
     )
 
 
-def mavlink_frame(stamp_ns: int, data: bytes, link: int) -> bytes:
-    """MavlinkFrame of at most MAVLINK_MAX_BYTES bytes; link -1 = all links."""
+def mavlink_frame(stamp_ns: int, data: bytes, link: int, client: int = 0) -> bytes:
+    """MavlinkFrame of at most MAVLINK_MAX_BYTES bytes; link -1 = all links, client 0 = everyone there."""
     number = link if 0 <= link < ALL_LINKS else ALL_LINKS
-    return _mavlink_frame(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, data, len(data), number)
+    return _mavlink_frame(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, data, len(data), number, client & UINT16)
