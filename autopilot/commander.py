@@ -4,7 +4,7 @@ The commander answers MAVLink requests at once (:class:`autopilot.mavlink.api.Ve
 turns mode, mission and estimate into a goal for the controller. It never touches thrusters itself.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,16 +21,19 @@ from autopilot.core.messages import (
     Severity,
 )
 from autopilot.core.params import ParamSet
-from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan import MissionResult, PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
 from autopilot.failsafes import Conditions, FailsafeRules
 from autopilot.goals import Goals
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
 from autopilot.watch import Watch
 from mission.geodesy import Origin
-from mission.items import ChangeSpeed, Jump, SetHeading, SetHome
+from mission.items import ChangeSpeed, Jump, SetHeading, SetHome, Step
+from mission.judgement import Verdict
+from mission.room import Room
 from mission.sequencer import Action, Sequencer
-from mission.store import Plans
+from mission.store import Plans, plan_checksum
+from mission.validation import PLACE_TOLERANCE_M
 
 READINESS_EVERY_TICKS = 50
 """Arming checks are looked at twice per second for telemetry, and anew at every request."""
@@ -38,10 +41,17 @@ READINESS_EVERY_TICKS = 50
 SURFACED_M = 0.05
 """The vehicle counts as surfaced within this distance of where it floats."""
 
-SUBMERGED_M = 0.2
-"""Centre deeper than this: under water (half the hull's height and a margin)."""
+CHECKING = "plan check is running, try again"
+"""What is said when parameters or origin have changed and the answer about the plans is not there yet."""
+
+REPEAT_US = 5_000_000
+"""The same problem of another upload is told again after this time at the earliest."""
 
 _ACCEPTED = Answer(result=CommandResult.ACCEPTED)
+
+
+def _denied(reason: str) -> Answer:
+    return Answer(result=CommandResult.DENIED, reason=reason)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -83,16 +93,19 @@ class Commander:
         self._override: FlightMode | None = None
         self._hold: Goal | None = None
         self._conditions: Conditions | None = None
-        self._mission: tuple[PlanItem, ...] = ()
-        self._origin = plans.origin
-        self._problem_key: tuple[int, int] = (-1, -1)
-        self._problem = ""
+        self._steps: tuple[Step, ...] = ()
+        self._checked: tuple[Verdict, bool] | None = None
+        self._told = ""
+        self._told_us = 0
+        self._told_revision = 0
+        self._under_way = False
         self._readiness: tuple[str, ...] = ("service is starting",)
         self._events: list[Event] = []
         self._t_us = 0
         self._ticks = 0
         self.orders = 0
         """Grows whenever the vehicle is told to do something else."""
+        plans.guard = self._guard_plans
 
     @property
     def armed(self) -> bool:
@@ -110,10 +123,9 @@ class Commander:
         return self._goals.fence
 
     @property
-    def submerged(self) -> bool:
-        """Whether the hull is under water, as far as is known."""
-        nav = self._nav()
-        return nav is not None and float(nav.pos_ned_m[2]) > SUBMERGED_M
+    def under_way(self) -> bool:
+        """Whether a mode other than holding, or a go-to, has been entered since arming: what "flying" means here."""
+        return self._armed and self._under_way
 
     @property
     def intended_mode(self) -> FlightMode:
@@ -129,8 +141,10 @@ class Commander:
 
     @property
     def readiness(self) -> tuple[str, ...]:
-        """:meth:`prearm_reasons` as of the last half second, for telemetry; empty while armed."""
-        return () if self._armed else self._readiness
+        """:meth:`prearm_reasons` as of the last half second, for telemetry; only that of the plans while armed."""
+        if not self._armed:
+            return self._readiness
+        return (f"plan: {self._plans.problem}",) if self._plans.problem else ()
 
     def prearm_reasons(self) -> tuple[str, ...]:
         """Why arming would be refused now; empty when ready."""
@@ -142,19 +156,23 @@ class Commander:
             reasons.append("vehicle is outside the fence or inside an obstacle: check fence and origin")
         if self._params["DEPTH_MIN"] >= self._params["DEPTH_MAX"]:
             reasons.append("the depth band is empty: set DEPTH_MIN below DEPTH_MAX")
-        problem = self._plan_problem()
-        reasons += [problem] if problem else []
+        if self._plans.checking:
+            reasons.append(CHECKING)
+        elif self._plans.problem:
+            reasons.append(f"plan: {self._plans.problem}")
         if nav is not None and nav.health is not NavHealth.INVALID:
             reasons += self._controller_check(nav)
         return tuple(reasons)
 
     def arm(self, force: bool) -> Answer:
-        """Arm unless a check fails; ``force`` skips the checks and says so in the log."""
+        """Arm unless a check fails; ``force`` skips the checks and says so in the log. It does not start anything."""
         if self._armed:
             return _ACCEPTED
         reasons = self.prearm_reasons()
-        if reasons and not force:
-            return Answer(result=CommandResult.DENIED, reason="Arming denied: " + "; ".join(reasons))
+        if reasons and (not force or not self._plans.placed):
+            waits = reasons == (CHECKING,) or force
+            result = CommandResult.TEMPORARILY_REJECTED if waits else CommandResult.DENIED
+            return Answer(result=result, reason="Arming denied: " + (CHECKING if force else "; ".join(reasons)))
         if reasons:
             self._say(Severity.WARNING, "Forced arming despite: " + "; ".join(reasons))
         self._armed = True
@@ -162,7 +180,8 @@ class Commander:
         nav = self._nav()
         if nav is not None:
             self._set_home_ned(nav.pos_ned_m)
-        self._enter(FlightMode.HOLD if self._refuse_mode(self._mode) else self._mode)
+        self._under_way = False
+        self._enter(self._mode if self._refuse_mode(self._mode) is None else FlightMode.HOLD)
         self._say(Severity.INFO, "Armed")
         return _ACCEPTED
 
@@ -177,9 +196,9 @@ class Commander:
 
     def set_mode(self, mode: FlightMode) -> Answer:
         """Change the mode, or say why not."""
-        reason = self._refuse_mode(mode)
-        if reason:
-            return Answer(result=CommandResult.DENIED, reason=reason)
+        refusal = self._refuse_mode(mode)
+        if refusal is not None:
+            return refusal
         if mode is not self._mode:
             self._say(Severity.INFO, f"Mode {mode.name}")
         if self._override is not None and mode is not FlightMode.SURFACE:
@@ -192,9 +211,9 @@ class Commander:
 
     def start_mission(self, first_seq: int | None) -> Answer:
         """Enter MISSION at an item, None = where it is."""
-        reason = self._refuse_mode(FlightMode.MISSION) if self._armed else "Mission start denied: arm first"
-        if reason:
-            return Answer(result=CommandResult.DENIED, reason=reason)
+        refusal = self._refuse_mode(FlightMode.MISSION) if self._armed else _denied("Mission start denied: arm first")
+        if refusal is not None:
+            return refusal
         if first_seq is not None and first_seq > 0:
             answer = self.set_current_item(first_seq)
             if answer.result is not CommandResult.ACCEPTED:
@@ -234,6 +253,7 @@ class Commander:
         answer = self.set_mode(FlightMode.HOLD)
         if answer.result is CommandResult.ACCEPTED:
             self._hold = self._goals.at(target_ned_m, yaw_rad)
+            self._under_way = True
         return answer
 
     def fall_back(self) -> None:
@@ -272,9 +292,9 @@ class Commander:
             origin = Origin(lat_deg=point.lat_deg, lon_deg=point.lon_deg, alt_m=point.alt_m)
         except ConfigError as error:
             return Answer(result=CommandResult.DENIED, reason=f"Origin denied: {error}")
-        problem = self._plans.set_origin(origin)
-        if problem is not None:
-            return Answer(result=CommandResult.DENIED, reason=f"Origin denied, clear the plan first: {problem.reason}")
+        rejection = self._plans.set_origin(origin)
+        if rejection is not None:
+            return _denied(f"Origin denied, clear the plan first: {rejection.reason}")
         return _ACCEPTED
 
     # One tick
@@ -283,7 +303,9 @@ class Commander:
         """Advance by one tick."""
         self._t_us = conditions.t_us
         self._conditions = conditions
+        self._plans.tick()
         self._watch_plan()
+        self._watch_check()
         for severity, text in self._watch.look(conditions, armed=self._armed):
             self._say(severity, text)
         self._apply_failsafes(conditions)
@@ -356,12 +378,67 @@ class Commander:
 
     def _load_mission(self) -> bool:
         """Bring the sequencer in line with the plan in force; True if the plan was another one."""
-        items = self._plans.items(PlanKind.MISSION)
-        if items is self._mission and self._origin is self._plans.origin:
+        steps = self._plans.steps()
+        if steps is self._steps:
             return False
-        self._mission, self._origin = items, self._plans.origin
-        self._sequencer.load(self._plans.steps())
+        self._steps = steps
+        self._sequencer.load(steps)
         return True
+
+    def _watch_check(self) -> None:
+        """Tell what a new answer to the plans' check means, and end a mission that it forbids."""
+        checked = (self._plans.verdict, self._plans.checking)
+        if checked == self._checked:
+            return
+        self._checked = checked
+        self._readiness = self.prearm_reasons()
+        if self._plans.checking:
+            return
+        problem, revision = self._plans.problem, self._plans.revision
+        if problem and self._mode is FlightMode.MISSION:
+            if self._override is None:
+                self._enter(FlightMode.HOLD)
+            self._mode = FlightMode.HOLD
+            self._say(Severity.WARNING, f"Holding: {problem}")
+        elif problem and (
+            problem != self._told or (revision != self._told_revision and self._t_us - self._told_us >= REPEAT_US)
+        ):
+            self._say(Severity.WARNING, f"No start: {problem}")
+        elif self._told and not problem:
+            self._say(Severity.INFO, "Plan ok")
+        else:
+            return
+        self._told, self._told_us, self._told_revision = problem, self._t_us, revision
+
+    def _guard_plans(self, kinds: Sequence[PlanKind], verdict: Verdict) -> PlanRejection | None:
+        """While armed: no fence that the vehicle or its mission would break, and none removed."""
+        allowed = not self._armed or self._params["FENCE_ARMED_CHG"] or PlanKind.FENCE not in kinds
+        fence = verdict.question.plans[PlanKind.FENCE]
+        if allowed or plan_checksum(fence) == self._plans.checksum(PlanKind.FENCE):
+            return None
+        reason = ""
+        if not fence:
+            reason = "the vehicle is armed: disarm before the fence is removed"
+        elif verdict.joint:
+            reason = f"the vehicle is armed and {verdict.joint[0].reason}"
+        else:
+            reason = self._fence_lack(Room([(s.shape, s.inclusion) for s in verdict.shapes]))
+        if not reason:
+            return None
+        return PlanRejection(seq=0, result=MissionResult.DENIED, reason=f"{reason}; FENCE_ARMED_CHG 1 allows it")
+
+    def _fence_lack(self, room: Room) -> str:
+        """What another workspace has against where the vehicle is and where it goes, "" if nothing."""
+        nav = self._nav()
+        places = [] if nav is None else [("vehicle", nav.pos_ned_m)]
+        places += [] if self._hold is None else [("vehicle's goal", self._hold.pos_ned_m)]
+        for name, pos_ned_m in places:
+            have_m = float(room.clearance_m(pos_ned_m[None, :2])[0])
+            # Not worse than it is: a vehicle that was pushed to a boundary may get its fence again.
+            need_m = min(self._vehicle.radius_m, self._goals.clearance_m(pos_ned_m)) - PLACE_TOLERANCE_M
+            if have_m < need_m:
+                return f"the {name} would be {need_m - have_m:.2f} m too near or inside: move it, or the fence"
+        return ""
 
     def _apply_failsafes(self, conditions: Conditions) -> None:
         for event in self._failsafes.update(conditions, armed=self._armed):
@@ -383,18 +460,31 @@ class Commander:
 
     # Modes
 
-    def _refuse_mode(self, mode: FlightMode) -> str:
-        """Why a mode cannot be entered, "" if it can."""
+    def _refuse_mode(self, mode: FlightMode) -> Answer | None:
+        """The refusal of a mode that cannot be entered, None if it can."""
         if self._override is not None and mode is not FlightMode.SURFACE and self._failsafes.acting:
-            return f"Mode change denied: failsafe active ({self._failsafes.describe()})"
-        if mode is FlightMode.MISSION and not self._plans.items(PlanKind.MISSION):
-            return "No mission: upload one first"
+            return _denied(f"Mode change denied: failsafe active ({self._failsafes.describe()})")
+        if mode is FlightMode.MISSION:
+            return self._refuse_mission()
         refusal = self._goals.refuse_home() if mode is FlightMode.RETURN else ""
-        return f"Return denied: {refusal}" if refusal else ""
+        return _denied(f"Return denied: {refusal}") if refusal else None
+
+    def _refuse_mission(self) -> Answer | None:
+        """The refusal of the mission, however it is to be begun."""
+        if not self._plans.items(PlanKind.MISSION):
+            return _denied("No mission: upload one first")
+        if self._plans.checking:
+            return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason=f"Mission denied: {CHECKING}")
+        reason = self._plans.problem
+        nav = self._nav()
+        if not reason and self._armed and nav is not None and self._goals.clearance_m(nav.pos_ned_m) < 0.0:
+            reason = "the vehicle is outside the fence or inside an obstacle: go to a free place first"
+        return _denied(f"Mission denied: {reason}") if reason else None
 
     def _enter(self, mode: FlightMode) -> None:
         """Begin a mode where the vehicle is."""
         self.orders += 1
+        self._under_way |= mode is not FlightMode.HOLD
         if mode is FlightMode.MISSION:
             self._load_mission()
             self._sequencer.start()
@@ -413,14 +503,6 @@ class Commander:
     def _nav(self) -> NavState | None:
         nav = None if self._conditions is None else self._conditions.nav
         return None if nav is None or nav.health is NavHealth.INVALID else nav
-
-    def _plan_problem(self) -> str:
-        """What the parameters, as they are now, forbid of the plans in force; looked at only when one changed."""
-        key = (self._plans.revision, self._params.revision)
-        if key != self._problem_key:
-            problem = self._plans.recheck()
-            self._problem_key, self._problem = key, "" if problem is None else problem.reason
-        return self._problem
 
     def _set_home_ned(self, pos_ned_m: FloatArray) -> None:
         """Home is a place on the surface: relative altitudes count from there."""

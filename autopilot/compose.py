@@ -1,5 +1,6 @@
 """The composition root: puts the service and, for SITL, its simulated world together."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from autopilot import __version__
@@ -9,6 +10,7 @@ from autopilot.control.controller import MotionController
 from autopilot.control.currents import CurrentForecast
 from autopilot.control.desks import Desks
 from autopilot.control.energy.search import TrajectoryPlanner
+from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
@@ -75,10 +77,11 @@ def build_service(
     who plans by energy, the shipped planner without any.
     """
     params, vehicle = setup.params, setup.vehicle
-    plans = Plans(params, vehicle.radius_m, setup.origin, setup.water)
     desks = desks or Desks.beside(patient=setup.waits_for_plans)
+    checks = Desk(ThreadPoolExecutor(1, thread_name_prefix="plans"), patient=setup.waits_for_plans)
+    plans = Plans(params, vehicle.radius_m, setup.origin, setup.water, checks)
     controller = MotionController(vehicle, currents=setup.currents, desks=desks, trajectories=trajectories)
-    check = MarginCheck(controller.margins, vehicle, params, plans)
+    check = MarginCheck(controller.margins, params, plans)
     commander = Commander(vehicle, params, plans, controller_check=check)
     guard = Guard()
     parts = Parts(
@@ -115,10 +118,12 @@ def build_service(
     return Autopilot(parts), parts
 
 
-def load_plan(plans: Plans, plan: PlanFile, origin: str) -> None:
-    """Take fence, mission and rally of a plan file, or raise PlanError with the reason of the first refusal."""
+def load_plan(plans: Plans, plan: PlanFile, origin: str) -> str:
+    """Take fence, mission and rally of a plan file, before the loop runs. The result is why they cannot be flown yet,
+    "" if they can. PlanError with the reason when a plan is wrong by itself."""
     for kind, items in ((PlanKind.FENCE, plan.fence), (PlanKind.MISSION, plan.mission), (PlanKind.RALLY, plan.rally)):
         if items:
             rejection = plans.replace(kind, items)
             if rejection is not None:
                 raise PlanError(f"{origin}: {kind.name.lower()}: {rejection.reason}")
+    return plans.problem

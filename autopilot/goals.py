@@ -9,7 +9,7 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
-from mission.fence import fence_clearance_m
+from mission.room import Room
 from mission.store import Plans
 
 STOP_DECELERATION_M_S2 = 0.25
@@ -23,6 +23,11 @@ ACCEPT_YAW_RAD = 0.15
 """Acceptance band of the heading."""
 
 
+def digits(length_m: float) -> int:
+    """Decimals of a length for the operator: centimetres near by, decimetres farther off."""
+    return 2 if abs(length_m) < 10.0 else 1
+
+
 class Goals:
     """Makes goals from where the vehicle is, from home and from requests. All positions NED [m]."""
 
@@ -31,6 +36,7 @@ class Goals:
         self._params = params
         self._plans = plans
         self._fence = plans.fence()
+        self._room = Room.of(self._fence)
         self._fence_key = self._key()
 
     @property
@@ -39,7 +45,14 @@ class Goals:
         key = self._key()
         if key != self._fence_key:
             self._fence_key, self._fence = key, self._plans.fence()
+            self._room = Room.of(self._fence)
         return self._fence
+
+    @property
+    def room(self) -> Room:
+        """The workspace in force, prepared for asking how far places are from its boundaries."""
+        _ = self.fence
+        return self._room
 
     @property
     def top_m(self) -> float:
@@ -48,7 +61,7 @@ class Goals:
 
     def clearance_m(self, pos_ned_m: FloatArray) -> float:
         """Distance of a place (3,) to the nearest forbidden one: negative = in it, inf = open water."""
-        return float(fence_clearance_m(self.fence, pos_ned_m[None, :2])[0])
+        return float(self.room.clearance_m(pos_ned_m[None, :2])[0])
 
     def at(self, pos_ned_m: FloatArray, yaw_rad: float | None) -> Goal:
         """A place (3,) at cruise speed, with a heading or without."""
@@ -93,7 +106,9 @@ class Goals:
             return f"depth {pos_ned_m[2]:.2f} m is outside {low:g} to {high:g} m"
         clearance_m = self.clearance_m(pos_ned_m)
         if clearance_m < self._keep_m():
-            return f"target is {clearance_m:.2f} m from the fence, needs {self._keep_m():.2f} m"
+            where = "from" if clearance_m >= 0.0 else "outside of"
+            length = f"{abs(clearance_m):.{digits(clearance_m)}f} m"
+            return f"target is {length} {where} the fence, needs {self._keep_m():.2f} m"
         return ""
 
     def _key(self) -> tuple[float, ...]:
@@ -111,7 +126,7 @@ class Goals:
         vel_ned_m_s = r_ned_from_frd(nav.rpy_rad) @ nav.vel_frd_m_s
         way_m = vel_ned_m_s * (math.hypot(*vel_ned_m_s) / (2.0 * STOP_DECELERATION_M_S2))
         places = nav.pos_ned_m + np.linspace(0.0, 1.0, STOP_SAMPLES + 1)[:, None] * way_m
-        forbidden = np.flatnonzero(fence_clearance_m(self.fence, places[1:, :2]) < self._keep_m())
+        forbidden = np.flatnonzero(self.room.clearance_m(places[1:, :2]) < self._keep_m())
         last = int(forbidden[0]) if len(forbidden) else STOP_SAMPLES
         place: FloatArray = places[last].copy()
         return place

@@ -14,15 +14,18 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence, Polygon, Shape
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
-from mission.fence import fence_clearance_m
 from mission.geodesy import Origin, ned_from_geodetic
 from mission.items import GoTo, Step
 from mission.plan_files import read_plan
+from mission.room import Room
 from mission.store import Plans
 
 CIRCLE_PLACES = 36
 LATTICE = 120
 """Places per axis at which a workspace is looked at, beside the cells that hold gaps."""
+
+EDGE_M = 1e-3
+"""As near to a boundary it has to be looked at closely whether a place is inside."""
 
 SAME_ORIGIN_DEG = 1e-6
 """A map of latitudes lies where it belongs while the origin stays within this (0.1 m)."""
@@ -56,10 +59,9 @@ def parse_utc(text: str) -> datetime:
 class MapCheck:
     """Judges a map against workspaces, as :class:`mission.store.Plans` asks."""
 
-    def __init__(self, water: CurrentMap, params: Mapping[str, float], origin: Origin) -> None:
+    def __init__(self, water: CurrentMap, origin: Origin) -> None:
         """``origin``: the local origin that the map was read with."""
         self._water = water
-        self._params = params
         self._origin = origin
 
     def problem(self, fence: Fence, steps: Sequence[Step], origin: Origin) -> str:
@@ -77,17 +79,18 @@ class MapCheck:
             return f"current map {name}: fill values at {_at(gaps[0])} in the workspace; exclude it or fill the map"
         return ""
 
-    def warning(self, fence: Fence, steps: Sequence[Step]) -> str:
-        """What the operator should know, "" if nothing."""
+    def warning(self, fence: Fence, steps: Sequence[Step], limit_m_s: float) -> str:
+        """What the operator should know of a vehicle that swims so fast at most, "" if nothing."""
         places = workspace_places(fence, steps)
         if not len(places):
             return ""
         fastest = _fastest_m_s(self._water, places, fence)
-        limit = self._params["SPD_PLANAR_MAX"]
-        if fastest < limit:
+        if fastest < limit_m_s:
             return ""
         name = self._water.name
-        return f"Current map {name}: up to {fastest:.2f} m/s, the vehicle swims {limit:g}: goals may be out of reach"
+        return (
+            f"Current map {name}: up to {fastest:.2f} m/s, the vehicle swims {limit_m_s:g}: goals may be out of reach"
+        )
 
     def _in_gaps(self, fence: Fence, places: FloatArray) -> FloatArray:
         """(n, 2) places of the workspace in cells that are not known at all corners."""
@@ -103,7 +106,7 @@ class MapCheck:
         middles = np.stack(
             (0.5 * (nodes.north_m[i] + nodes.north_m[i + 1]), 0.5 * (nodes.east_m[j] + nodes.east_m[j + 1])), axis=1
         )
-        return middles[fence_clearance_m(fence, middles) > 0.0]
+        return middles[Room.of(fence).near(middles, EDGE_M)[0] > 0.0]
 
 
 def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
@@ -117,7 +120,7 @@ def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
     axes = [np.linspace(corners[:, k].min(), corners[:, k].max(), LATTICE) for k in range(2)]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     candidates = np.vstack((places, corners, lattice))
-    return candidates[fence_clearance_m(fence, candidates) >= -1e-9]
+    return candidates[Room.of(fence).near(candidates, EDGE_M)[0] >= -1e-9]
 
 
 def describe_map(water: CurrentMap) -> list[tuple[str, object]]:
@@ -162,8 +165,9 @@ def plan_findings(water: CurrentMap, path: Path, origin: Origin | None) -> tuple
         rejection = plans.replace(kind, items) if items else None
         if rejection is not None:
             raise PlanError(f"{path}: {kind.name.lower()}: {rejection.reason}")
-    check = MapCheck(water, params, where)
-    return check.problem(plans.fence(), plans.steps(), where), check.warning(plans.fence(), plans.steps())
+    check = MapCheck(water, where)
+    fence, steps = plans.fence(), plans.steps()
+    return check.problem(fence, steps, where), check.warning(fence, steps, params["SPD_PLANAR_MAX"])
 
 
 def _at(place: FloatArray) -> str:

@@ -482,7 +482,7 @@ class Autopilot:
             prearm_reasons=commander.readiness,
             failsafes=0 if decision is None else decision.failsafes,
             cpu_load=inputs.cpu_load,
-            submerged=commander.submerged,
+            under_way=commander.under_way,
             dropped_rx=parts.server.dropped_rx,
             aid_ratio=self._aid_ratio,
             nav_errors=self._nav_errors,

@@ -26,7 +26,7 @@ from autopilot.control.currents import (
     RememberedCurrent,
 )
 from autopilot.core.camera import CameraModel
-from autopilot.core.errors import ConfigError, LogError
+from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.core.marker_files import load_marker_map, marker_file_text
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import Outputs, ThrusterCommand
@@ -165,7 +165,11 @@ def open_sitl(
     service, parts = _service(settings, world, params, instance, links=len(settings["connect"]) + len(all_peers))
     plan = _plan(settings, world.scenario)
     if plan is not None:
-        load_plan(parts.plans, read_plan(plan), str(plan))
+        problem = load_plan(parts.plans, read_plan(plan), str(plan))
+        if problem and operator is not None:
+            raise PlanError(f"{plan}: cannot be flown: {problem}; mend the plan, or start without --start")
+        if problem:
+            print(f"warning: {plan}: {problem}; the vehicle will not arm before that is mended", file=sys.stderr)
     device = SimulatedDevice(world.simulated, len(world.vehicle.thruster))
     links: list[Link] = []
     try:
@@ -256,7 +260,7 @@ def _service(
             profile=settings["profile"],
             instance=instance,
             currents=_currents(settings, world),
-            water=None if world.water is None else MapCheck(world.water, params, world.origin),
+            water=None if world.water is None else MapCheck(world.water, world.origin),
             links=links,
             patience=FASTEST if world.speed == 0.0 else max(1.0, world.speed),
             waits_for_plans=world.speed == 0.0,

@@ -15,7 +15,8 @@ from autopilot.core.plan import MissionResult, PlanItem, PlanRejection
 from mission.decode import ItemRefusedError, horizontal_ned_m, number, refuse
 from mission.geodesy import Origin
 from mission.items import Command
-from mission.shapes import clearance_m, crossing_edges, signed_area_m2
+from mission.room import Room
+from mission.shapes import crossing_edges, signed_area_m2
 
 LABEL = "fence item"
 MIN_VERTICES = 3
@@ -145,9 +146,4 @@ def build_fence(shapes: Sequence[FenceShape], params: Mapping[str, float]) -> Fe
 
 def fence_clearance_m(fence: Fence, points_ned_m: FloatArray) -> FloatArray:
     """(n,) distance of points (n, 2) to the nearest forbidden place: negative = in it, inf = open water."""
-    clearance = np.full(len(points_ned_m), np.inf)
-    for shape in fence.inclusions:
-        clearance = np.minimum(clearance, -clearance_m(shape, points_ned_m))
-    for shape in fence.exclusions:
-        clearance = np.minimum(clearance, clearance_m(shape, points_ned_m))
-    return clearance
+    return Room.of(fence).clearance_m(points_ned_m)

@@ -4,12 +4,10 @@ The controller keeps the vehicle's ball out of every shape, so such a gap looks 
 that touch or overlap are one obstacle; what lies between parts of one obstacle is a pocket and not a gap.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle
@@ -31,25 +29,47 @@ class Gap:
     """(2,)"""
 
 
-def narrow_gaps(shapes: Sequence[FenceShape], width_m: float) -> tuple[Gap, ...]:
-    """All gaps narrower than ``width_m`` between shapes that are not joined, in the order of the plan."""
-    joined: list[tuple[int, int]] = []
+def narrow_gaps(shapes: Sequence[FenceShape], width_m: float, look: Callable[[], None] = lambda: None) -> Iterator[Gap]:
+    """Gaps narrower than ``width_m`` between shapes that are not joined, in the order of the plan.
+
+    ``look`` is called between the steps (it may raise, to end the work).
+    """
+    obstacle = _Union(len(shapes))
     found: list[tuple[int, int, float, FloatArray]] = []
     for i, j in _near_pairs(shapes, width_m):
+        if obstacle.of(i) == obstacle.of(j):
+            continue
+        look()
         relation = _relate(shapes[i], shapes[j])
         if relation is None:
             continue
         gap, middle = relation
         if gap <= TOUCH_M:
-            joined.append((i, j))
+            obstacle.join(i, j)
         elif gap < width_m:
             found.append((i, j, gap, middle))
-    cluster = _clusters(len(shapes), joined)
-    return tuple(
-        Gap(first=shapes[i], second=shapes[j], width_m=gap, middle_ned_m=middle)
-        for i, j, gap, middle in found
-        if cluster[i] != cluster[j] and _is_open(shapes, i, j, middle)
-    )
+    boxes = [bounding_box(s.shape) for s in shapes]
+    for i, j, gap, middle in found:
+        if obstacle.of(i) != obstacle.of(j) and _is_open(shapes, boxes, i, j, middle):
+            yield Gap(first=shapes[i], second=shapes[j], width_m=gap, middle_ned_m=middle)
+
+
+class _Union:
+    """Which shapes are one obstacle."""
+
+    def __init__(self, count: int) -> None:
+        self._parent = list(range(count))
+
+    def of(self, k: int) -> int:
+        """The shape that stands for the obstacle that shape ``k`` is part of."""
+        while self._parent[k] != k:
+            self._parent[k] = self._parent[self._parent[k]]
+            k = self._parent[k]
+        return k
+
+    def join(self, i: int, j: int) -> None:
+        """Two shapes touch."""
+        self._parent[self.of(j)] = self.of(i)
 
 
 def _near_pairs(shapes: Sequence[FenceShape], width_m: float) -> list[tuple[int, int]]:
@@ -84,20 +104,18 @@ def _relate(a: FenceShape, b: FenceShape) -> tuple[float, FloatArray] | None:
     return (0.0, middle) if a_in_b or b_in_a else (gap, middle)
 
 
-def _clusters(count: int, joined: Sequence[tuple[int, int]]) -> list[int]:
-    """Number of the obstacle that each shape is part of."""
-    if not joined:
-        return list(range(count))
-    rows, columns = zip(*joined, strict=True)
-    graph = coo_array((np.ones(len(joined)), (rows, columns)), shape=(count, count))
-    labels = connected_components(graph, directed=False)[1]
-    return [int(label) for label in labels]
-
-
-def _is_open(shapes: Sequence[FenceShape], i: int, j: int, middle: FloatArray) -> bool:
+def _is_open(
+    shapes: Sequence[FenceShape],
+    boxes: Sequence[tuple[FloatArray, FloatArray]],
+    i: int,
+    j: int,
+    middle: FloatArray,
+) -> bool:
     """Whether the middle of a gap is inside the workspace and not covered by a third obstacle."""
     for k, other in enumerate(shapes):
-        if k in (i, j):
+        low, high = boxes[k]
+        boxed = low[0] <= middle[0] <= high[0] and low[1] <= middle[1] <= high[1]
+        if k in (i, j) or (not boxed and not other.inclusion):
             continue
         outside = clearance_m(other.shape, middle[None, :])[0] > 0.0
         if outside == other.inclusion:

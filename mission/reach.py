@@ -5,7 +5,8 @@ doors count from the width on that the route planner finds, to a few millimetres
 what the vehicle keeps (a workspace of up to some 60 m).
 """
 
-from collections.abc import Sequence
+import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +15,18 @@ from scipy import ndimage
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from mission.fence import fence_clearance_m
+from mission.room import Room
 from mission.shapes import bounding_box
 
 MIN_CELL_M = 0.025
 """Finer than what 1e-7 degrees can draw is of no use."""
-SLOPE_M = 2.5e-4
+BEYOND_M = 2.5e-4
 TOLERANCE_M = 5e-4
 UPHILL_STEPS = 3
 MAX_CELLS = 40_000
-"""Keeps the check at some 10 ms for a handful of shapes; more edges mean fewer cells."""
-MAX_CELL_EDGES = 4_000_000
-"""Bound on cells times polygon edges."""
+"""Some 40 ms for fifty polygons."""
+WIDEST_GRID = 24
+"""Places per axis at which the widest part of a workspace is looked for."""
 
 
 def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tuple[int, ...] | None:
@@ -32,52 +34,71 @@ def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tup
 
     ``radius_m``: what the vehicle's centre keeps from every boundary.
     """
+    grid = _free_cells(fence, points_ned_m, radius_m)
+    if grid is None or not grid.free.any():
+        return None
+    labels = np.asarray(ndimage.label(grid.free, structure=np.ones((3, 3)))[0])
+    index = np.clip(((points_ned_m - grid.low) / grid.cell_m).astype(int), 0, np.array(grid.free.shape) - 1)
+    if not grid.free[tuple(index.T)].all():
+        nearest = ndimage.distance_transform_edt(~grid.free, return_distances=False, return_indices=True)
+        index = nearest[:, index[:, 0], index[:, 1]].T
+    return tuple(int(label) for label in labels[tuple(index.T)])
+
+
+def has_room(fence: Fence, radius_m: float) -> bool:
+    """Whether there is any place in the workspace of a fence that keeps ``radius_m`` from every boundary."""
+    grid = _free_cells(fence, np.zeros((0, 2)), radius_m)
+    return grid is not None and bool(grid.free.any())
+
+
+def widest_m(fence: Fence) -> float:
+    """Largest clearance on a grid over the workspace; inf in open water."""
+    if not fence.inclusions:
+        return math.inf
+    boxes = [bounding_box(shape) for shape in fence.inclusions]
+    low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
+    axes = [np.linspace(low[i], high[i], WIDEST_GRID) for i in range(2)]
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    return float(fence_clearance_m(fence, grid).max())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """Free space in cells."""
+
+    free: NDArray[np.bool_]
+    """(north, east)"""
+    low: FloatArray
+    """(2,) the corner where it begins."""
+    cell_m: float
+
+
+def _free_cells(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> _Grid | None:
+    """Which cells of the area have a place that keeps the radius; None when there is no area."""
     low, high = _area(fence, points_ned_m, radius_m)
     if np.any(high <= low):
         return None
-    edges = sum(_edge_count(s) for s in (*fence.inclusions, *fence.exclusions))
-    cells = min(MAX_CELLS, MAX_CELL_EDGES // max(1, edges))
     size = high - low
-    cell_m = max(MIN_CELL_M, float(np.sqrt(size[0] * size[1] / cells)), float(np.max(size)) / cells)
+    cell_m = max(MIN_CELL_M, float(np.sqrt(size[0] * size[1] / MAX_CELLS)), float(np.max(size)) / MAX_CELLS)
     shape = np.maximum(1, np.ceil(size / cell_m).astype(int))
     north = low[0] + (np.arange(shape[0]) + 0.5) * cell_m
     east = low[1] + (np.arange(shape[1]) + 0.5) * cell_m
     centers = np.stack(np.meshgrid(north, east, indexing="ij"), axis=-1).reshape(-1, 2)
     half_diagonal = cell_m * float(np.sqrt(0.5))
-    clearance = fence_clearance_m(fence, centers)
+    room, reach_m = Room.of(fence), radius_m + 2.0 * half_diagonal
+    clearance, slope = room.near(centers, reach_m)
     free = clearance >= radius_m
     maybe = np.flatnonzero(~free & (clearance >= radius_m - half_diagonal))
-    free[maybe] = _has_room(fence, centers[maybe], clearance[maybe], radius_m, 0.5 * cell_m)
-    free = free.reshape(shape[0], shape[1])
-    labels = np.asarray(ndimage.label(free, structure=np.ones((3, 3)))[0])
-    if not free.any():
-        return None
-    index = np.clip(((points_ned_m - low) / cell_m).astype(int), 0, shape - 1)
-    nearest = ndimage.distance_transform_edt(~free, return_distances=False, return_indices=True)
-    return tuple(int(labels[tuple(nearest[:, i, j])]) for i, j in index)
-
-
-def _has_room(
-    fence: Fence, centers: FloatArray, clearance_m: FloatArray, radius_m: float, half_m: float
-) -> NDArray[np.bool_]:
-    """Which cells (n,) have a place that keeps the radius: a few steps uphill from their centers (n, 2)."""
-    if not len(centers):
-        return np.zeros(0, dtype=bool)
-    place, room, best = centers, clearance_m, clearance_m
-    for _ in range(UPHILL_STEPS):
-        slope = np.stack(
-            [
-                fence_clearance_m(fence, place + offset) - fence_clearance_m(fence, place - offset)
-                for offset in (np.array([SLOPE_M, 0.0]), np.array([0.0, SLOPE_M]))
-            ],
-            axis=1,
-        ) / (2.0 * SLOPE_M)
+    place, have, best = centers[maybe], clearance[maybe], clearance[maybe]
+    slope = slope[maybe]
+    for _ in range(UPHILL_STEPS if len(maybe) else 0):
         # A quarter of a millimetre beyond, for the slope is only that of the nearest boundary.
-        place = np.clip(place + slope * (radius_m + SLOPE_M - room)[:, None], centers - half_m, centers + half_m)
-        room = fence_clearance_m(fence, place)
-        best = np.maximum(best, room)
-    found: NDArray[np.bool_] = best >= radius_m - TOLERANCE_M
-    return found
+        uphill = place + slope * (radius_m + BEYOND_M - have)[:, None]
+        place = np.clip(uphill, centers[maybe] - 0.5 * cell_m, centers[maybe] + 0.5 * cell_m)
+        have, slope = room.near(place, reach_m)
+        best = np.maximum(best, have)
+    free[maybe] = best >= radius_m - TOLERANCE_M
+    return _Grid(free.reshape(shape[0], shape[1]), low, cell_m)
 
 
 def _area(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray]:
@@ -90,8 +111,3 @@ def _area(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tuple[Floa
     everything = np.concatenate([c.reshape(-1, 2) for c in corners])
     margin = 4.0 * radius_m
     return np.min(everything, axis=0) - margin, np.max(everything, axis=0) + margin
-
-
-def _edge_count(shape: object) -> int:
-    vertices: Sequence[object] | FloatArray = getattr(shape, "vertices_ned_m", (None,))
-    return len(vertices)

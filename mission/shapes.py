@@ -8,6 +8,9 @@ from autopilot.core.geometry import Circle, Polygon, Shape
 
 BoolArray = NDArray[np.bool_]
 
+PAIRS = 100_000
+"""Pairs of edges that are looked at at once: some megabytes."""
+
 
 def signed_area_m2(vertices: FloatArray) -> float:
     """Shoelace area of a polygon (n, 2), positive when it runs north to east (clockwise on a map)."""
@@ -78,12 +81,15 @@ def crossing_edges(vertices: FloatArray) -> tuple[int, int] | None:
     if folds.any():
         first = int(np.argmax(folds))
         return first, (first + 1) % n
-    for i in range(n - 2):
-        last = n - 1 if i == 0 else n
-        others = slice(i + 2, last)
-        hit = _segments_meet(starts[i], ends[i], starts[others], ends[others])
+    block = max(1, PAIRS // n)
+    for first in range(0, n - 2, block):
+        rows = np.arange(first, min(first + block, n - 2))
+        apart = np.arange(n)[None, :] >= rows[:, None] + 2
+        apart &= (rows[:, None] > 0) | (np.arange(n)[None, :] < n - 1)
+        hit = apart & _segments_meet(starts[rows, None], ends[rows, None], starts[None], ends[None])
         if hit.any():
-            return i, i + 2 + int(np.argmax(hit))
+            row, column = np.argwhere(hit)[0]
+            return first + int(row), int(column)
     return None
 
 
@@ -163,9 +169,12 @@ def _circle_polygon_gap(circle: Circle, vertices: FloatArray) -> tuple[float, Fl
 
 def _polygon_gap(a: FloatArray, b: FloatArray) -> tuple[float, FloatArray]:
     a_ends, b_ends = np.roll(a, -1, axis=0), np.roll(b, -1, axis=0)
-    for start, end in zip(a, a_ends, strict=True):
-        if _segments_meet(start, end, b, b_ends).any():
-            return 0.0, start
+    block = max(1, PAIRS // len(b))
+    for first in range(0, len(a), block):
+        part = slice(first, first + block)
+        meets = _segments_meet(a[part, None], a_ends[part, None], b[None], b_ends[None]).any(axis=1)
+        if meets.any():
+            return 0.0, a[first + int(np.argmax(meets))]
     best, middle = np.inf, a[0]
     for points, other in ((a, b), (b, a)):
         distance = segment_distance_m(other, np.roll(other, -1, axis=0), points)

@@ -1,34 +1,37 @@
-"""The three plans in force: mission, fence, rally. Replaced as a whole or not at all."""
+"""The three plans in force: mission, fence, rally. Replaced as a whole or not at all.
+
+A plan that is wrong by itself is refused. What is wrong only between the plans is kept, and :attr:`Plans.problem` says
+that nothing may be flown, until it is mended. The check takes a while, so it is asked for at a desk: the plans in force
+stay until its answer is there, and a change of the parameters asks anew. Without a desk everything is judged at once.
+"""
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection, PlanStore
-from mission.decode import horizontal_ned_m, parse_step
-from mission.fence import FenceShape, build_fence, read_fence
-from mission.gaps import narrow_gaps
+from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, PlanProblem, PlanRejection, PlanStore
+from mission.decode import horizontal_ned_m
+from mission.fence import FenceShape, build_fence
 from mission.geodesy import Origin, geodetic_from_ned, ned_from_geodetic
 from mission.items import Step
-from mission.validation import PlanContext, check_item, gap_text, plan_problems
+from mission.judgement import EMPTY, PLAN_PARAMETERS, Plans3, Question, Verdict, WaterCheck, judge
+from mission.validation import check_item
 
+__all__ = ["Change", "Plans", "WaterCheck", "plan_checksum"]
 
-class WaterCheck(Protocol):
-    """What is known of the water, as a judge of workspaces (a current map has to cover them)."""
+CHECK_TICKS = 5
+"""The answer to a check is taken so many ticks after it was asked for: 50 ms, which a plan of fifty polygons needs."""
+MAX_ASKED = 10
+"""A change whose parameters change under it again and again is refused after so many checks."""
 
-    def problem(self, fence: Fence, steps: Sequence[Step], origin: Origin) -> str:
-        """Why nothing may be flown there, "" if it may."""
-        ...
-
-    def warning(self, fence: Fence, steps: Sequence[Step]) -> str:
-        """What the operator should know, "" if nothing."""
-        ...
-
+Guard = Callable[[Sequence[PlanKind], Verdict], PlanRejection | None]
+"""Why plans of these kinds must not be taken now, None if they may."""
 
 _ITEM = struct.Struct("<HBH4f2ifB")
 """What identifies an item, as wide as on the wire (MISSION_ITEM_INT)."""
@@ -45,10 +48,40 @@ def plan_checksum(items: tuple[PlanItem, ...]) -> int:
     return crc if not items else max(1, crc)
 
 
+class Change(PlanChange):
+    """Plans that are to replace those of the same kind."""
+
+    def __init__(self, plans: Mapping[PlanKind, tuple[PlanItem, ...]]) -> None:
+        self.plans = dict(plans)
+        self.asked = 0
+        self._done = False
+        self._rejection: PlanRejection | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether it has been taken or refused."""
+        return self._done
+
+    @property
+    def rejection(self) -> PlanRejection | None:
+        """Why it was refused; None when it was taken, or is not done."""
+        return self._rejection
+
+    def end(self, rejection: PlanRejection | None) -> None:
+        """Taken (None) or refused; the first word counts."""
+        if not self._done:
+            self._done, self._rejection = True, rejection
+
+    def cancel(self) -> None:
+        """It is not wanted any more: the plans in force stay, unless it was done before."""
+        text = "another change came before this one was checked; send it again"
+        self.end(PlanRejection(seq=0, result=MissionResult.OPERATION_CANCELLED, reason=text))
+
+
 class Plans(PlanStore):
     """Implements :class:`PlanStore`; also gives the plans in local metres.
 
-    ``params`` is read live: what a parameter allows is judged at upload and again by :meth:`recheck`.
+    ``params`` is read live. :meth:`tick` has to be called once per tick when there is a ``desk``.
     """
 
     def __init__(
@@ -57,6 +90,7 @@ class Plans(PlanStore):
         radius_m: float,
         origin: Origin | None = None,
         water: WaterCheck | None = None,
+        desk: Desk | None = None,
     ) -> None:
         self._params = params
         self._water = water
@@ -66,9 +100,15 @@ class Plans(PlanStore):
         )
         self._home_ned_m: FloatArray = np.zeros(3)
         self._home: Origin | None = None
-        self._plans: dict[PlanKind, tuple[PlanItem, ...]] = dict.fromkeys(PlanKind, ())
-        self._steps: tuple[Step, ...] = ()
-        self._shapes: tuple[FenceShape, ...] = ()
+        self._plans: Plans3 = EMPTY
+        self._desk = desk
+        self._now = 0
+        self._ticket: Ticket[Verdict] | None = None
+        self._asked: Question | None = None
+        self._change: Change | None = None
+        self._verdict = Verdict(question=self._question())
+        self.guard: Guard = lambda kinds, verdict: None
+        """Asked before plans are taken that came by :meth:`propose`."""
         self.revision = 0
         """Grows by one whenever a plan or the origin changes."""
 
@@ -103,13 +143,39 @@ class Plans(PlanStore):
         """Opaque id of a plan (MAVLink mission protocol), 0 = empty."""
         return plan_checksum(self._plans[kind])
 
+    @property
+    def verdict(self) -> Verdict:
+        """The newest answer about the plans in force: the same object until there is another one."""
+        if self._desk is None and not self._is_current():
+            self._take(judge(self._question(), Cancel()))
+        return self._verdict
+
+    @property
+    def problem(self) -> str:
+        """Why the plans in force must not be flown, "" if they may; as far as :attr:`checking` allows to say."""
+        return self.verdict.problem
+
+    @property
+    def checking(self) -> bool:
+        """Whether parameters or origin have changed and it is not known yet what that means for the plans."""
+        return self._desk is not None and not self._is_current()
+
+    @property
+    def placed(self) -> bool:
+        """Whether fence and mission in local metres are those of the origin in force."""
+        return self.verdict.question.origin == self._origin
+
     def steps(self) -> tuple[Step, ...]:
-        """The mission in local metres, one step per item."""
-        return self._steps
+        """The mission in local metres, one step per item; the same object until mission or origin change."""
+        return self.verdict.steps
+
+    def shapes(self) -> tuple[FenceShape, ...]:
+        """The fence in local metres."""
+        return self.verdict.shapes
 
     def fence(self) -> Fence:
         """The workspace in local metres with the depth band of the parameters; open water when there is no fence."""
-        return build_fence(self._shapes, self._params)
+        return build_fence(self.shapes(), self._params)
 
     def rally_ned_m(self) -> FloatArray:
         """(n, 2) rally points."""
@@ -118,62 +184,145 @@ class Plans(PlanStore):
 
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the fence but tolerated by FENCE_GAP_CHK = 0, and what the water is like there."""
-        texts: list[str] = []
-        if not self._params["FENCE_GAP_CHK"]:
-            texts += [gap_text(gap, self._radius_m) for gap in narrow_gaps(self._shapes, 2.0 * self._radius_m)]
-        warning = "" if self._water is None else self._water.warning(self.fence(), self._steps)
-        return (*texts, warning) if warning else tuple(texts)
+        return self.verdict.warnings
 
     def check_item(self, kind: PlanKind, item: PlanItem) -> PlanRejection | None:
         """The cheap check of one item as it arrives."""
         return check_item(kind, item, self._origin)
 
+    def propose(self, plans: Mapping[PlanKind, tuple[PlanItem, ...]]) -> Change:
+        """Have plans checked and take all of them, or refuse and keep those in force. Replaces an open change."""
+        if self._change is not None:
+            self._change.cancel()
+        change = self._change = Change(plans)
+        if self._desk is None:
+            self._decide(change, judge(self._question(change), Cancel()))
+        else:
+            self._ask()
+        return change
+
     def replace(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> PlanRejection | None:
-        """Check a whole plan, also against the other plans, and take it; or refuse it and keep the one in force."""
-        rejection = next(self._problems(kind, {**self._plans, kind: items}, self._origin), None)
-        if rejection is None:
-            self._plans[kind] = items
-            self._derive()
-        return rejection
+        """Take a plan at once, or refuse what is wrong with it by itself: before the loop runs, and for studies."""
+        self._drop()
+        verdict = judge(self._question(Change({kind: items})), Cancel())
+        refusal = verdict.refusal((kind,))
+        if refusal is None:
+            self._take(verdict)
+        return refusal
 
     def set_origin(self, origin: Origin) -> PlanRejection | None:
-        """Move the local origin. Refused when a plan in force would not fit it. Home stays the same local point."""
-        rejection = next(self._all_problems(origin), None)
-        if rejection is None:
-            self._origin = origin
-            self._home = None
-            self._derive()
-        return rejection
+        """Move the local origin. Refused when an item in force would not fit it. Home stays the same local point."""
+        for kind in PlanKind:
+            for item in self._plans[kind]:
+                rejection = check_item(kind, item, origin)
+                if rejection is not None:
+                    return rejection
+        self._origin = origin
+        self._home = None
+        return None
 
-    def recheck(self) -> PlanRejection | None:
-        """Whether the plans in force still satisfy the parameters (depth band, speed, gap check): for arming."""
-        return next(self._all_problems(self._origin), None)
+    def recheck(self) -> str:
+        """Bring the verdict up to date at once: :attr:`problem`."""
+        if not self._is_current():
+            self._drop()
+            self._take(judge(self._question(), Cancel()))
+        return self._verdict.problem
 
     def local_ned_m(self, lat_deg: float, lon_deg: float, alt_m: float) -> FloatArray:
         """A geodetic position in local metres (3,)."""
         return ned_from_geodetic(self._origin, lat_deg, lon_deg, alt_m)
 
-    def _derive(self) -> None:
-        self._steps = tuple(parse_step(item, self._origin) for item in self._plans[PlanKind.MISSION])
-        self._shapes = read_fence(self._plans[PlanKind.FENCE], self._origin)[0]
-        self.revision += 1
+    # Beside the loop
 
-    def _all_problems(self, origin: Origin) -> Iterator[PlanRejection]:
-        for kind in PlanKind:
-            yield from self._problems(kind, self._plans, origin)
+    def tick(self) -> None:
+        """Once per tick: take an answer that is due, ask when something has changed."""
+        self._now += 1
+        if self._desk is None:
+            return
+        if self._change is not None and self._change.done:
+            self._drop()
+        if self._ticket is not None:
+            answer = self._ticket.poll(self._now)
+            if answer is not None:
+                self._ticket = None
+                if answer.error is None:
+                    self._hear(answer.get())
+                else:
+                    self._hear(_failed(self._asked or self._question(self._change), answer.error))
+        wanted = self._question(self._change)
+        needed = self._change is not None or not wanted.same(self._verdict.question)
+        if not needed or (self._ticket is not None and self._asked is not None and wanted.same(self._asked)):
+            return
+        if self._change is not None and self._change.asked >= MAX_ASKED:
+            text = "parameters or origin change faster than plans are checked; try again"
+            self._change.end(PlanRejection(seq=0, result=MissionResult.ERROR, reason=text))
+            self._drop()
+        else:
+            self._ask()
 
-    def _problems(
-        self, kind: PlanKind, plans: Mapping[PlanKind, tuple[PlanItem, ...]], origin: Origin
-    ) -> Iterator[PlanRejection]:
-        """What is wrong with one plan among the others, lazily: the first finding is enough to refuse."""
-        ctx = PlanContext(origin=origin, params=self._params, radius_m=self._radius_m)
-        found = False
-        for problem in plan_problems(kind, plans, ctx):
-            found = True
-            yield problem
-        if self._water is not None and not found and plans[kind] and kind is not PlanKind.RALLY:
-            steps = [parse_step(item, origin) for item in plans[PlanKind.MISSION]]
-            fence = build_fence(read_fence(plans[PlanKind.FENCE], origin)[0], self._params)
-            reason = self._water.problem(fence, steps, origin)
-            if reason:
-                yield PlanRejection(seq=0, result=MissionResult.INVALID, reason=reason)
+    def _ask(self) -> None:
+        """Ask about the plans as they are to be, instead of what was asked before."""
+        assert self._desk is not None
+        if self._ticket is not None:
+            self._ticket.cancel()
+        if self._change is not None:
+            self._change.asked += 1
+        self._asked = self._question(self._change)
+        self._ticket = self._desk.submit(self._now + CHECK_TICKS, judge, self._asked)
+
+    def _hear(self, verdict: Verdict) -> None:
+        """An answer: to the open change, or about the plans in force."""
+        change = self._change
+        if not verdict.question.same(self._question(change)):
+            return
+        if change is None:
+            self._take(verdict)
+        else:
+            self._decide(change, verdict)
+
+    def _decide(self, change: Change, verdict: Verdict) -> None:
+        """Take a change, or refuse it for what is wrong with it by itself or must not be now."""
+        self._change = None
+        rejection = verdict.refusal(tuple(change.plans)) or self.guard(tuple(change.plans), verdict)
+        if rejection is None:
+            self._take(verdict)
+        change.end(rejection)
+
+    def _take(self, verdict: Verdict) -> None:
+        before, now = self._verdict.question, verdict.question
+        moved = now.origin != before.origin
+        changed = [kind for kind in PlanKind if now.plans[kind] is not before.plans[kind]]
+        if moved or changed:
+            self.revision += 1
+        if not moved and PlanKind.MISSION not in changed:
+            verdict = replace(verdict, steps=self._verdict.steps)
+        if not moved and PlanKind.FENCE not in changed:
+            verdict = replace(verdict, shapes=self._verdict.shapes)
+        self._verdict, self._plans = verdict, now.plans
+
+    def _drop(self) -> None:
+        """Forget what has been asked for."""
+        if self._ticket is not None:
+            self._ticket.cancel()
+        if self._change is not None:
+            self._change.cancel()
+        self._ticket = self._asked = self._change = None
+
+    def _is_current(self) -> bool:
+        return self._verdict.question.same(self._question())
+
+    def _question(self, change: Change | None = None) -> Question:
+        return Question(
+            plans=self._plans if change is None else {**self._plans, **change.plans},
+            origin=self._origin,
+            limits=tuple(self._params[name] for name in PLAN_PARAMETERS),
+            radius_m=self._radius_m,
+            water=self._water,
+        )
+
+
+def _failed(question: Question, error: Exception) -> Verdict:
+    """The check itself has failed: nothing may be flown, and the plans asked about are not taken."""
+    text = f"the plan check failed ({type(error).__name__}): send the plan again, and report this with the log"
+    own = tuple(PlanProblem(kind=kind, seq=0, result=MissionResult.ERROR, reason=text) for kind in PlanKind)
+    return Verdict(question=question, own=own)

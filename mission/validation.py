@@ -1,22 +1,24 @@
-"""Is a plan fit to be flown? Items alone, the plan as a whole, and plan and fence against each other.
+"""Is a plan fit to be flown? Items alone, a plan as a whole, and the plans against each other.
 
-Every finding is a :class:`PlanRejection`: where, the MAV_MISSION_RESULT, and a line with what to do.
+What is wrong with a plan by itself (:func:`mission_problems`, :func:`fence_problems`, :func:`rally_problems`) refuses
+it. What is wrong only between plans (:func:`joint_problems`) does not, for operators send them one after the other: it
+forbids to fly. Every finding is a :class:`PlanRejection`: where, the MAV_MISSION_RESULT, and a line whose first 75
+characters say what is wrong and what to do (ground stations cut at 100).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind, PlanRejection
+from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
 from mission.decode import ItemRefusedError, depth_m, horizontal_ned_m, parse_step, refuse
 from mission.fence import FenceShape, build_fence, check_fence_item, read_fence
 from mission.gaps import Gap, narrow_gaps
 from mission.geodesy import Origin
 from mission.items import ChangeSpeed, Command, GoTo, Jump, ReturnHome, SetHome, Step, Surface, Wait
-from mission.plan_model import PlanFile
-from mission.reach import free_regions
-from mission.shapes import clearance_m
+from mission.reach import free_regions, has_room
+from mission.room import Room
 
 DEPTH_TOLERANCE_M = 1e-3
 """Altitudes arrive as 32-bit floats."""
@@ -46,16 +48,6 @@ class PlanContext:
     def keep_m(self) -> float:
         """What the controller keeps from every boundary."""
         return self.radius_m + self.params["MPC_MARGIN"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Conflict:
-    """A step of the mission that the fence forbids."""
-
-    step_seq: int
-    fence_seq: int
-    text: str
-    """From the step's point of view."""
 
 
 def check_item(kind: PlanKind, item: PlanItem, origin: Origin) -> PlanRejection | None:
@@ -102,18 +94,24 @@ def sequence_problems(kind: PlanKind, items: Sequence[PlanItem]) -> Iterator[Pla
 def mission_problems(items: Sequence[PlanItem], ctx: PlanContext) -> Iterator[PlanRejection]:
     """What is wrong with a mission by itself."""
     yield from sequence_problems(PlanKind.MISSION, items)
-    steps: list[Step] = []
-    broken = False
-    for item in items:
-        try:
-            steps.append(parse_step(item, ctx.origin))
-        except ItemRefusedError as error:
-            broken = True
-            yield error.rejection
+    steps, broken = read_mission(items, ctx.origin)
+    yield from broken
     for step in steps:
         yield from _limit_problems(step, ctx.params)
     if not broken:
         yield from _jump_problems(steps)
+
+
+def read_mission(items: Sequence[PlanItem], origin: Origin) -> tuple[tuple[Step, ...], tuple[PlanRejection, ...]]:
+    """All steps that can be read, and all that is wrong with the others."""
+    steps: list[Step] = []
+    broken: list[PlanRejection] = []
+    for item in items:
+        try:
+            steps.append(parse_step(item, origin))
+        except ItemRefusedError as error:
+            broken.append(error.rejection)
+    return tuple(steps), tuple(broken)
 
 
 def _limit_problems(step: Step, params: Mapping[str, float]) -> Iterator[PlanRejection]:
@@ -123,8 +121,8 @@ def _limit_problems(step: Step, params: Mapping[str, float]) -> Iterator[PlanRej
         if not low - DEPTH_TOLERANCE_M <= depth <= high + DEPTH_TOLERANCE_M:
             bound = f"DEPTH_MIN {low:g}" if depth < low else f"DEPTH_MAX {high:g}"
             text = (
-                f"item {step.seq}: depth {depth:.2f} m (altitude {-depth:.2f}) is outside the depth band, {bound} m; "
-                f"use {low:g} to {high:g} m of depth or change the parameter"
+                f"item {step.seq}: depth {depth:.2f} m, {bound} m: use {low:g} to {high:g} m or change the parameter "
+                f"(altitude {-depth:.2f} is outside the depth band)"
             )
             yield PlanRejection(seq=step.seq, result=MissionResult.INVALID_PARAM7, reason=text)
     if isinstance(step, ChangeSpeed) and step.speed_m_s is not None:
@@ -169,19 +167,22 @@ def _spins(steps: Sequence[Step], start: Jump) -> bool:
     return False
 
 
-def fence_problems(items: Sequence[PlanItem], ctx: PlanContext) -> Iterator[PlanRejection]:
-    """What is wrong with a fence by itself."""
+def fence_problems(
+    items: Sequence[PlanItem], ctx: PlanContext, look: Callable[[], None] = lambda: None
+) -> Iterator[PlanRejection]:
+    """What is wrong with a fence by itself. ``look`` is called between the steps (it may raise, to end the work)."""
     yield from sequence_problems(PlanKind.FENCE, items)
     shapes, problems = read_fence(items, ctx.origin)
     yield from problems
     if ctx.params["FENCE_GAP_CHK"]:
-        yield from (_gap_rejection(gap, ctx.radius_m) for gap in narrow_gaps(shapes, 2.0 * ctx.radius_m))
+        yield from (_gap_rejection(gap, ctx.radius_m) for gap in narrow_gaps(shapes, 2.0 * ctx.radius_m, look))
+    look()
     fence = build_fence(shapes, ctx.params)
-    if fence.inclusions and free_regions(fence, np.zeros((0, 2)), ctx.keep_m - PLACE_TOLERANCE_M) is None:
+    if fence.inclusions and not has_room(fence, ctx.keep_m - PLACE_TOLERANCE_M):
         first = next(s for s in shapes if s.inclusion)
         text = (
-            f"fence item {first.seq}: the workspace has no room for the vehicle, which keeps {ctx.keep_m:g} m from "
-            "every boundary; make it larger or remove exclusions"
+            f"fence item {first.seq}: no room for the vehicle, which keeps {ctx.keep_m:g} m: enlarge it or remove "
+            "exclusions"
         )
         yield PlanRejection(seq=first.seq, result=MissionResult.INVALID, reason=text)
 
@@ -190,8 +191,8 @@ def gap_text(gap: Gap, radius_m: float) -> str:
     """One line about a narrow gap."""
     north, east = gap.middle_ned_m
     return (
-        f"fence item {gap.second.seq}: the gap of {gap.width_m:.2f} m at north {north:.2f}, east {east:.2f} m to "
-        f"{gap.first.name} is narrower than the vehicle ({2.0 * radius_m:.2f} m); widen or close it"
+        f"fence item {gap.second.seq}: gap of {gap.width_m:.2f} m to item {gap.first.seq}, vehicle is "
+        f"{2.0 * radius_m:.2f} m: widen or close it (at north {north:.2f}, east {east:.2f} m)"
     )
 
 
@@ -200,56 +201,83 @@ def _gap_rejection(gap: Gap, radius_m: float) -> PlanRejection:
     return PlanRejection(seq=gap.second.seq, result=MissionResult.INVALID, reason=text)
 
 
-def rally_problems(
-    items: Sequence[PlanItem], shapes: Sequence[FenceShape], ctx: PlanContext
-) -> Iterator[PlanRejection]:
-    """What is wrong with rally points, by themselves and against the fence."""
+def rally_problems(items: Sequence[PlanItem], ctx: PlanContext) -> Iterator[PlanRejection]:
+    """What is wrong with rally points by themselves."""
     yield from sequence_problems(PlanKind.RALLY, items)
+    yield from read_rally(items, ctx.origin)[1]
+
+
+def read_rally(
+    items: Sequence[PlanItem], origin: Origin
+) -> tuple[tuple[tuple[int, float, float], ...], tuple[PlanRejection, ...]]:
+    """Number, north and east [m] of all rally points that can be read, and all that is wrong with the others."""
+    points: list[tuple[int, float, float]] = []
+    broken: list[PlanRejection] = []
     for item in items:
         try:
-            point = _rally_position(item, ctx.origin)
+            points.append((item.seq, *_rally_position(item, origin)))
         except ItemRefusedError as error:
-            yield error.rejection
-            continue
-        name = f"{RALLY_LABEL} {item.seq}"
-        place = _Place(seq=item.seq, name=name, north_m=point[0], east_m=point[1], need_m=ctx.radius_m)
-        for conflict in _place_conflicts([place], shapes):
-            yield PlanRejection(seq=item.seq, result=MissionResult.INVALID_PARAM5_X, reason=conflict.text)
+            broken.append(error.rejection)
+    return tuple(points), tuple(broken)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Place:
     """A point of a plan that has to be free."""
 
+    kind: PlanKind
     seq: int
     name: str
-    """For the operator: "item 3: waypoint"."""
+    """For the operator: "item 3"."""
     north_m: float
     east_m: float
     need_m: float
     """Distance from every boundary that it has to have."""
 
 
-def conflicts(steps: Sequence[Step], shapes: Sequence[FenceShape], ctx: PlanContext) -> Iterator[Conflict]:
-    """Steps whose place the fence forbids; if there is none, legs without a free path."""
+def joint_problems(
+    steps: Sequence[Step],
+    shapes: Sequence[FenceShape],
+    rally: Sequence[tuple[int, float, float]],
+    ctx: PlanContext,
+    look: Callable[[], None] = lambda: None,
+) -> Iterator[PlanProblem]:
+    """What the fence forbids of mission and rally points: places; if there is none, legs without a free path."""
+    if not shapes:
+        return
     places: list[_Place] = []
     route: list[_Place] = []
     for step in steps:
         if isinstance(step, GoTo | Surface | SetHome) and step.pos_ned_m is not None:
-            name = "home" if isinstance(step, SetHome) else "waypoint"
-            north, east = float(step.pos_ned_m[0]), float(step.pos_ned_m[1])
-            name = f"item {step.seq}: {name}"
-            need_m = _room_needed_m(step, ctx)
-            place = _Place(seq=step.seq, name=name, north_m=north, east_m=east, need_m=need_m)
+            place = _Place(
+                kind=PlanKind.MISSION,
+                seq=step.seq,
+                name=f"home of item {step.seq}" if isinstance(step, SetHome) else f"item {step.seq}",
+                north_m=float(step.pos_ned_m[0]),
+                east_m=float(step.pos_ned_m[1]),
+                need_m=_room_needed_m(step, ctx),
+            )
             places.append(place)
             if not isinstance(step, SetHome):
                 route.append(place)
-    if not places or not shapes:
-        return
     found = _place_conflicts(places, shapes)
     yield from found
+    look()
     if not found and route:
         yield from _path_conflicts(route, shapes, ctx)
+    look()
+    points = [
+        _Place(
+            kind=PlanKind.RALLY,
+            seq=seq,
+            name=f"{RALLY_LABEL} {seq}",
+            north_m=north,
+            east_m=east,
+            need_m=ctx.radius_m,
+        )
+        for seq, north, east in rally
+    ]
+    yield from _place_conflicts(points, shapes)
 
 
 def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
@@ -260,32 +288,33 @@ def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:
     return max(ctx.radius_m, ctx.keep_m - min(APPROACH_SHARE * accept_m, APPROACH_M))
 
 
-def _place_conflicts(places: Sequence[_Place], shapes: Sequence[FenceShape]) -> list[Conflict]:
-    """Places in an inflated obstacle or outside the shrunk workspace, in the order of the plan."""
-    if not shapes:
+def _place_conflicts(places: Sequence[_Place], shapes: Sequence[FenceShape]) -> list[PlanProblem]:
+    """Places in an inflated obstacle or outside the shrunk workspace, in the order of the plan, each with its worst."""
+    if not places:
         return []
-    points = np.array([(p.north_m, p.east_m) for p in places]).reshape(-1, 2)
-    signs = np.array([-1.0 if s.inclusion else 1.0 for s in shapes])
-    room = np.array([clearance_m(s.shape, points) for s in shapes]).reshape(len(shapes), -1) * signs[:, None]
+    points = np.array([(p.north_m, p.east_m) for p in places])
+    room = Room([(s.shape, s.inclusion) for s in shapes]).of_shapes_m(points)
     need_m = np.array([p.need_m for p in places])
-    bad = np.argwhere((room < need_m - PLACE_TOLERANCE_M).T)
-    return [_place_conflict(places[i], shapes[k], float(room[k, i])) for i, k in bad]
+    worst = np.argmin(room, axis=1)
+    least = room[np.arange(len(places)), worst]
+    bad = np.flatnonzero(least < need_m - PLACE_TOLERANCE_M)
+    return [_place_conflict(places[i], shapes[int(worst[i])], float(least[i])) for i in bad.tolist()]
 
 
-def _place_conflict(place: _Place, shape: FenceShape, room_m: float) -> Conflict:
+def _place_conflict(place: _Place, shape: FenceShape, room_m: float) -> PlanProblem:
     """One line about a place that has ``room_m`` between itself and a boundary, less than it needs."""
     if shape.inclusion:
         state = f"{-room_m:.2f} m outside" if room_m < 0.0 else f"only {room_m:.2f} m inside"
     else:
         state = f"{-room_m:.2f} m inside" if room_m < 0.0 else f"only {room_m:.2f} m from"
     text = (
-        f"{place.name} at north {place.north_m:.2f}, east {place.east_m:.2f} m is {state} {shape.name}; "
-        f"the vehicle keeps {place.need_m:.2f} m, move it by {place.need_m - room_m:.2f} m"
+        f"{place.name} is {state} {shape.name}: move it {place.need_m - room_m:.2f} m "
+        f"(at north {place.north_m:.2f}, east {place.east_m:.2f} m; the vehicle keeps {place.need_m:.2f} m)"
     )
-    return Conflict(step_seq=place.seq, fence_seq=shape.seq, text=text)
+    return PlanProblem(kind=place.kind, seq=place.seq, result=MissionResult.INVALID_PARAM5_X, reason=text)
 
 
-def _path_conflicts(route: Sequence[_Place], shapes: Sequence[FenceShape], ctx: PlanContext) -> Iterator[Conflict]:
+def _path_conflicts(route: Sequence[_Place], shapes: Sequence[FenceShape], ctx: PlanContext) -> Iterator[PlanProblem]:
     """Neighbours in the order of the plan that stand in different parts of the free space."""
     fence = build_fence(shapes, ctx.params)
     points = np.array([(p.north_m, p.east_m) for p in route])
@@ -295,59 +324,7 @@ def _path_conflicts(route: Sequence[_Place], shapes: Sequence[FenceShape], ctx: 
     for before, after, a, b in zip(regions, regions[1:], route, route[1:], strict=False):
         if before != after:
             text = (
-                f"item {b.seq}: no free path from item {a.seq} to item {b.seq} for a vehicle that keeps "
-                f"{ctx.keep_m:.2f} m from every boundary; move the waypoint or open the fence"
+                f"no free path from item {a.seq} to item {b.seq}: move item {b.seq} or open the fence "
+                f"(the vehicle keeps {ctx.keep_m:.2f} m from every boundary)"
             )
-            yield Conflict(step_seq=b.seq, fence_seq=shapes[0].seq, text=text)
-
-
-def mission_conflict(conflict: Conflict) -> PlanRejection:
-    """The answer when the mission comes second."""
-    return PlanRejection(seq=conflict.step_seq, result=MissionResult.INVALID_PARAM5_X, reason=conflict.text)
-
-
-def fence_conflict(conflict: Conflict) -> PlanRejection:
-    """The answer when the fence comes second."""
-    text = f"fence item {conflict.fence_seq} forbids the mission in force, {conflict.text}; or clear the mission first"
-    return PlanRejection(seq=conflict.fence_seq, result=MissionResult.INVALID, reason=text)
-
-
-def plan_problems(
-    kind: PlanKind, plans: Mapping[PlanKind, tuple[PlanItem, ...]], ctx: PlanContext
-) -> Iterator[PlanRejection]:
-    """All that is wrong with the plan of one kind, by itself and against the others."""
-    items = plans[kind]
-    if not items:
-        return
-    if kind is PlanKind.MISSION:
-        found = list(mission_problems(items, ctx))
-        yield from found
-        if not found:
-            steps = [parse_step(item, ctx.origin) for item in items]
-            shapes = read_fence(plans[PlanKind.FENCE], ctx.origin)[0]
-            yield from map(mission_conflict, conflicts(steps, shapes, ctx))
-    elif kind is PlanKind.RALLY:
-        yield from rally_problems(items, read_fence(plans[PlanKind.FENCE], ctx.origin)[0], ctx)
-    else:
-        found = list(fence_problems(items, ctx))
-        yield from found
-        if not found:
-            yield from _fence_against_others(plans, ctx)
-
-
-def _fence_against_others(plans: Mapping[PlanKind, tuple[PlanItem, ...]], ctx: PlanContext) -> Iterator[PlanRejection]:
-    shapes = read_fence(plans[PlanKind.FENCE], ctx.origin)[0]
-    steps = [parse_step(item, ctx.origin) for item in plans[PlanKind.MISSION]]
-    yield from map(fence_conflict, conflicts(steps, shapes, ctx))
-    for rejection in rally_problems(plans[PlanKind.RALLY], shapes, ctx):
-        text = f"fence forbids a rally point in force: {rejection.reason}; or clear the rally points first"
-        yield PlanRejection(seq=0, result=rejection.result, reason=text)
-
-
-def file_problems(plan: PlanFile, ctx: PlanContext) -> Iterator[tuple[PlanKind, PlanRejection]]:
-    """All that is wrong with a plan file, each finding once."""
-    plans = {kind: plan.items(kind) for kind in PlanKind}
-    alone = {PlanKind.FENCE: plans[PlanKind.FENCE]}
-    for kind in PlanKind:
-        against = {**dict.fromkeys(PlanKind, ()), **alone} if kind is PlanKind.FENCE else plans
-        yield from ((kind, problem) for problem in plan_problems(kind, against, ctx))
+            yield PlanProblem(kind=PlanKind.MISSION, seq=b.seq, result=MissionResult.INVALID_PARAM5_X, reason=text)

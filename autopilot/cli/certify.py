@@ -48,7 +48,7 @@ def certify(
     from autopilot.config import parse_overrides
     from autopilot.core.params import ParamSet
     from autopilot.core.vehicle import load_vehicle
-    from autopilot.readiness import widest_m
+    from mission.reach import widest_m
 
     params, body = ParamSet(parse_overrides(overrides)), load_vehicle(vehicle)
     goals, fence = _goals(plan, params, body)
@@ -95,7 +95,9 @@ def _goals(path: Path | None, params: "ParamSet", vehicle: "Vehicle") -> "tuple[
     plan = paper_plan() if path is None else read_plan(path)
     name = "the paper's plan" if path is None else str(path)
     plans = Plans(params, vehicle.radius_m, plan.drawing_origin())
-    load_plan(plans, plan, name)
+    problem = load_plan(plans, plan, name)
+    if problem:
+        raise PlanError(f"{name}: {problem}")
     goals: dict[tuple[float, ...], Goal] = {}
     for step in plans.steps():
         if isinstance(step, GoTo) and step.pos_ned_m is not None:

@@ -47,16 +47,24 @@ def mission() -> None:
 @_patience
 @_json
 def upload(file: Path, clear: bool, connection: str, patience: float, as_json: bool) -> None:
-    """Send FILE's fence, rally points and mission to the vehicle."""
+    """Send FILE's fence, rally points and mission to the vehicle.
+
+    Exit code 1: refused, the vehicle keeps what it had. 3: stored, but mission, fence and rally points do not fit each
+    other, and the vehicle does not fly before that is mended.
+    """
     from mission.plan_files import read_plan
 
     plan = read_plan(file)
     with _session(connection, patience, as_json) as session:
         counts = _upload(session, plan, file, clear, quiet=as_json)
+        problem = session.plan_problem()
         if as_json:
-            emit_json({"vehicle": _vehicle(session), **counts})
+            emit_json({"vehicle": _vehicle(session), **counts, "problem": problem})
         else:
             click.echo("accepted: " + ", ".join(f"{name} {count} items" for name, count in counts.items()))
+    if problem:
+        click.echo(f"stored, but the vehicle neither arms nor starts: {problem}", err=True)
+        raise click.exceptions.Exit(3)
 
 
 @mission.command()
@@ -130,45 +138,50 @@ def start(
 @click.option("--param", "overrides", multiple=True, metavar="NAME=VALUE", help="Judge with another parameter value.")
 @_json
 def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -> None:
-    """Show everything that is wrong with FILE, without a vehicle."""
+    """Show everything that is wrong with FILE, without a vehicle.
+
+    Exit code 1: a vehicle would refuse it. 3: it would be stored, but could not be flown.
+    """
     from autopilot.config import parse_overrides
     from autopilot.core.params import ParamSet
     from autopilot.core.plan import PlanKind
     from autopilot.core.vehicle import load_vehicle
+    from mission.judgement import judge_file
     from mission.plan_files import read_plan
-    from mission.validation import PlanContext, file_problems
 
     params = ParamSet(parse_overrides(overrides))
     radius_m = load_vehicle(vehicle).radius_m
     plan = read_plan(file)
-    origin = plan.drawing_origin()
-    problems = list(file_problems(plan, PlanContext(origin=origin, params=params, radius_m=radius_m)))
+    verdict = judge_file(plan, plan.drawing_origin(), params, radius_m)
+    problems = [(p, "refused") for p in verdict.own] + [(p, "not flown") for p in verdict.joint]
     counts = {kind.name.lower(): len(plan.items(kind)) for kind in PlanKind}
     if as_json:
         found = [
-            {"plan": kind.name.lower(), "item": p.seq, "result": p.result.name, "reason": p.reason}
-            for kind, p in problems
+            {"plan": p.kind.name.lower(), "item": p.seq, "result": p.result.name, "means": means, "reason": p.reason}
+            for p, means in problems
         ]
         emit_json({"file": str(file), "ok": not found, "items": counts, "problems": found})
     elif problems:
-        rows = [(kind.name.lower(), p.seq, p.result.name, p.reason) for kind, p in problems]
-        print_table(f"{file}: {len(problems)} problems", ("plan", "item", "result", "what is wrong"), rows)
+        rows = [(p.kind.name.lower(), p.seq, p.result.name, means, p.reason) for p, means in problems]
+        print_table(f"{file}: {len(problems)} problems", ("plan", "item", "result", "means", "what is wrong"), rows)
     else:
         click.echo(f"{file}: fit to fly: " + ", ".join(f"{name} {count} items" for name, count in counts.items()))
     if problems:
-        raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(1 if verdict.own else 3)
 
 
 @contextmanager
 def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[Session]:
     """A session with a vehicle that has been heard; warnings of the vehicle go to stderr."""
-    from autopilot.client.session import Session
+    from autopilot.client.session import PLAN_NEWS, Session
     from autopilot.client.texts import WARNING
 
     with Session(connection) as session:
         if not quiet:
             session.on_text = lambda text: (
-                click.echo(f"vehicle: {text.text}", err=True) if text.severity <= WARNING else None
+                click.echo(f"vehicle: {text.text}", err=True)
+                if text.severity <= WARNING and not text.text.startswith(PLAN_NEWS)
+                else None
             )
         session.connect(patience_s)
         yield session
@@ -195,7 +208,8 @@ def _said_once(session: Session) -> Iterator[None]:
 
 
 def _upload(session: Session, plan: PlanFile, file: Path, clear: bool, quiet: bool) -> dict[str, int]:
-    """Fence, rally points, mission: each is checked against those before it. A .waypoints file holds a mission only."""
+    """Fence, rally points, mission, so that the last word of the vehicle is about all. A .waypoints file holds a
+    mission only."""
     from autopilot.core.plan import PlanKind
 
     kinds: tuple[PlanKind, ...] = (PlanKind.FENCE, PlanKind.RALLY, PlanKind.MISSION)

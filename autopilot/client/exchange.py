@@ -93,6 +93,16 @@ class BaseExchange:
         self._complaints: list[Text] = []
         self._refused: tuple[int, float] | None = None
 
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """Warnings and worse that the vehicle has said meanwhile."""
+        return tuple(text.text for text in self._complaints)
+
+    @property
+    def hears_half_a_text(self) -> bool:
+        """Whether chunks of a text are still to come."""
+        return self._texts.waiting
+
     def _start(self, t_s: float) -> None:
         self._heard_s = self._sent_s = t_s
 

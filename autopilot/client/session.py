@@ -10,7 +10,7 @@ from typing import Self
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.command_client import CommandSend
-from autopilot.client.exchange import Exchange, Message, Outcome, Target, Timers
+from autopilot.client.exchange import BaseExchange, Exchange, Message, Outcome, Target, Timers
 from autopilot.client.links import Link, open_link
 from autopilot.client.plan_client import PlanDownload, PlanUpload, same_on_the_wire
 from autopilot.client.texts import Text, TextCollector
@@ -35,6 +35,11 @@ _LATE_MS = 10_000
 _FORCE_DISARM = 21196.0
 _FORCE_ARM = 2989.0
 """Magic numbers of MAV_CMD_COMPONENT_ARM_DISARM param2 (common.xml)."""
+
+PLAN_NEWS = "No start: "
+"""What our vehicles say of plans that are stored and must not be flown ..."""
+_PLAN_CHECK = "Arming check: plan: "
+"""... and when they are asked."""
 
 Progress = Callable[[int, int], None]
 """Called with items done and items in all."""
@@ -101,6 +106,7 @@ class Session:
         self._reached: list[int] = []
         self._reached_marks: set[tuple[int, int]] = set()
         self._current: Message | None = None
+        self._plan_news = ""
         self.vehicle: VehicleInfo | None = None
         self.on_text: Callable[[Text], None] | None = None
         """Called with every STATUSTEXT."""
@@ -278,10 +284,35 @@ class Session:
             wire = (_home_placeholder(wire[0]), *(_renumbered(item, 1) for item in wire))
         upload = PlanUpload(kind, wire, target, self._timers)
         outcome = self.run(upload, on_progress)
+        self._hear_plan_news(upload)
         if outcome.result is None and upload.all_sent and same_on_the_wire(self.download(kind), items):
             return
         if not outcome.accepted:
             raise PlanError(outcome.reason)
+
+    def _hear_plan_news(self, exchange: BaseExchange) -> None:
+        """Keep what the vehicle has said of its plans by itself, for when it is armed and does not answer checks."""
+        for text in exchange.complaints:
+            if text.startswith(PLAN_NEWS):
+                self._plan_news = text.removeprefix(PLAN_NEWS)
+
+    def plan_problem(self) -> str:
+        """Why the vehicle does not fly the plans that it has stored, "" if it says nothing against them."""
+        show, self.on_text = self.on_text, None
+        try:
+            check = CommandSend(mav.MAV_CMD_RUN_PREARM_CHECKS, (), self._address(), self._timers)
+            outcome = self.run(check)
+            end_s = self._clock_s() + self._timers.reason_s
+            while check.hears_half_a_text and self._clock_s() < end_s:
+                for message in self.poll():
+                    check.handle(message, self._clock_s())
+                check.tick(self._clock_s())
+        finally:
+            self.on_text = show
+        self._hear_plan_news(check)
+        if not outcome.accepted:
+            return self._plan_news
+        return next((t.removeprefix(_PLAN_CHECK) for t in check.complaints if t.startswith(_PLAN_CHECK)), "")
 
     def download(self, kind: PlanKind, on_progress: Progress | None = None) -> tuple[PlanItem, ...]:
         """Read a plan. PlanError when the vehicle does not give it."""

@@ -34,6 +34,11 @@ class TextCollector:
         self._partial: dict[int, _Partial] = {}
         self._done: dict[int, float] = {}
 
+    @property
+    def waiting(self) -> bool:
+        """Whether a text has begun whose other chunks are missing."""
+        return bool(self._partial)
+
     def feed(self, message: Any, t_s: float) -> list[Text]:
         """Texts that are complete with this message."""
         text = str(message.text)

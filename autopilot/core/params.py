@@ -48,6 +48,13 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _int("EST_CURRENT_3D", 0, 0, 1, "1 = the estimator looks for a vertical current too, 0 = taken as zero (restart)."),
     _real("EST_EXT_DELAY", 0.0, 0.0, 0.5, "s", "Age on arrival of external poses with stamps of another clock."),
     _int("EST_SHADOW", 1, 0, 1, "1 = the other estimator runs in the shadow of the flown one as a check (restart)."),
+    _int(
+        "FENCE_ARMED_CHG",
+        0,
+        0,
+        1,
+        "While armed: 0 = no fence that vehicle or mission would break, and none removed, 1 = allowed.",
+    ),
     _int("FENCE_GAP_CHK", 1, 0, 1, "1 = refuse a fence with a gap that is narrower than the vehicle, 0 = only warn."),
     _int("FS_BATT_ACT", 2, 0, 2, "Battery below FS_BATT_LOW: 0 = warn, 1 = hold, 2 = surface."),
     _real("FS_BATT_LOW", 0.1, 0.0, 1.0, "", "Share of the battery below which the battery failsafe acts."),

@@ -1,5 +1,6 @@
 """Plans as they travel on the wire: items, kinds, and the answer to an upload."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
@@ -65,8 +66,34 @@ class PlanRejection:
     reason: str
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanProblem(PlanRejection):
+    """Something wrong with the plans in force, or between them: nothing may be flown until it is mended."""
+
+    kind: PlanKind
+    """The plan whose item ``seq`` is."""
+
+
 MAX_ITEMS = 1000
 """Items that one plan may hold."""
+
+
+class PlanChange(Protocol):
+    """A change of plans that has been asked for; it is judged beside the loop."""
+
+    @property
+    def done(self) -> bool:
+        """Whether it has been taken or refused."""
+        ...
+
+    @property
+    def rejection(self) -> PlanRejection | None:
+        """Why it was refused; None when it was taken, or is not done."""
+        ...
+
+    def cancel(self) -> None:
+        """It is not wanted any more: the plans in force stay, unless it was done before."""
+        ...
 
 
 class PlanStore(Protocol):
@@ -80,6 +107,6 @@ class PlanStore(Protocol):
         """The cheap check of one item as it arrives (frame, command, ranges, NaN)."""
         ...
 
-    def replace(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> PlanRejection | None:
-        """Check the whole plan against the other plans and take it, or refuse it and keep the one in force."""
+    def propose(self, plans: Mapping[PlanKind, tuple[PlanItem, ...]]) -> PlanChange:
+        """Have plans checked and take all of them, or refuse and keep those in force. Replaces an open change."""
         ...

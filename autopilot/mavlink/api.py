@@ -79,7 +79,8 @@ class VehicleView:
     failsafes: int
     cpu_load: float
     """0..1 of one tick."""
-    submerged: bool
+    under_way: bool
+    """Armed and sent somewhere since (mission, go-to, return, surface), also when it has been stopped on the way."""
     dropped_rx: int
     """Malformed frames so far."""
     aid_ratio: Mapping[str, float] = field(default_factory=dict)

@@ -1,7 +1,8 @@
 """Mission protocol for the three plan types: upload, download, clear. https://mavlink.io/en/services/mission.html
 
 An upload is atomic: items are collected aside and the plan in force changes only when the last one has come and the
-whole plan has been accepted. One upload at a time; a second client is DENIED and the first goes on. Downloads read a
+whole plan has been accepted. The store checks it beside the loop; the final answer goes out when it has, and nothing
+else is begun until then. One upload at a time; a second client is DENIED and the first goes on. Downloads read a
 snapshot, so that a plan that changes meanwhile cannot mix.
 """
 
@@ -10,7 +11,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.messages import Severity
-from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
+from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanChange, PlanItem, PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.wire import Message
@@ -54,6 +55,18 @@ class Upload:
 
 
 @dataclass(slots=True)
+class Checking:
+    """What waits for the plan store's answer."""
+
+    peer: Peer
+    change: PlanChange
+    kinds: tuple[PlanKind, ...]
+    mission_type: int
+    upload: Upload | None
+    """None = these plans are cleared."""
+
+
+@dataclass(slots=True)
 class Finished:
     """The last upload's outcome."""
 
@@ -79,6 +92,7 @@ class Missions:
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
         self._upload: Upload | None = None
+        self._checking: Checking | None = None
         self._finished: Finished | None = None
         self._downloads: dict[tuple[Peer, PlanKind], Download] = {}
         self._counts: dict[tuple[Peer, int, int], int] = {}
@@ -90,8 +104,8 @@ class Missions:
 
     @property
     def uploading(self) -> bool:
-        """Whether a transfer is open."""
-        return self._upload is not None
+        """Whether a transfer is open, or its plan being checked."""
+        return self._upload is not None or self._checking is not None
 
     def concludes(self, peer: Peer, msg: Message) -> bool:
         """Whether a message would end its client's upload, so that the plan in force could change."""
@@ -118,11 +132,12 @@ class Missions:
         mark = (peer, msg.get_seq(), msg.get_crc())
         if self._is_late_duplicate(mark):
             return
+        self._give_up_check()
         self._upload = self._finished = None
         if msg.count > MAX_ITEMS + home_item.shift(ctx, kind):
             self._ack(peer, MissionResult.NO_SPACE, kind)
             reason = f"{msg.count} items, at most {MAX_ITEMS} fit; send a shorter plan"
-            ctx.say(Severity.WARNING, f"{kind.name.capitalize()} upload refused: {reason}", peer)
+            ctx.say(Severity.WARNING, f"{kind.name.capitalize()} refused: {reason}", peer)
             return
         self._upload = Upload(peer, kind, msg.count, ctx.t_us, ctx.t_us)
         if msg.count == 0:
@@ -199,7 +214,9 @@ class Missions:
             self._ask(upload)
 
     def _stray_item(self, peer: Peer, msg: Message) -> None:
-        """An item outside an upload: late (repeat the answer), or nobody asked for it."""
+        """An item outside an upload: late (repeat the answer, if there is one yet), or nobody asked for it."""
+        if self._checking is not None and self._checking.peer == peer:
+            return
         done, now_us = self._finished, self._ctx.t_us
         late_us = REPEAT_US * self._ctx.patience
         if done is None or done.peer != peer or done.kind != msg.mission_type or now_us - done.at_us > late_us:
@@ -218,17 +235,50 @@ class Missions:
         )
 
     def _finish(self, upload: Upload) -> None:
-        """All items are there: hand the plan over, or say why not."""
-        ctx = self._ctx
-        by = home_item.shift(ctx, upload.kind)
+        """All items are there: hand the plan over."""
+        by = home_item.shift(self._ctx, upload.kind)
         items = tuple(home_item.stored(item, by) for item in upload.items[by:])
-        refusal = ctx.plans.replace(upload.kind, items)
-        if refusal is not None:
-            self._end(upload, refusal.result, refusal.reason)
+        self._upload = None
+        self._check(upload.peer, {upload.kind: items}, upload.kind, upload)
+
+    def _check(
+        self, peer: Peer, plans: dict[PlanKind, tuple[PlanItem, ...]], mission_type: int, upload: Upload | None
+    ) -> None:
+        """Ask the store to take plans, and pass its answer on when it comes."""
+        change = self._ctx.plans.propose(plans)
+        self._checking = Checking(peer, change, tuple(plans), mission_type, upload)
+        self._answer()
+
+    def _give_up_check(self) -> None:
+        """The client begins something else."""
+        if self._checking is not None:
+            self._checking.change.cancel()
+            self._checking = None
+
+    def _answer(self) -> None:
+        """Pass the store's answer on, if it is there."""
+        checking = self._checking
+        if checking is None or not checking.change.done:
             return
-        self.revision += 1
-        self._end(upload, MissionResult.ACCEPTED, "")
-        ctx.say(Severity.INFO, f"{upload.kind.name.capitalize()} plan accepted: {len(items)} items")
+        self._checking = None
+        ctx, refusal, upload = self._ctx, checking.change.rejection, checking.upload
+        if refusal is None:
+            self.revision += len(checking.kinds)
+        if upload is not None and refusal is not None:
+            self._end(upload, refusal.result, refusal.reason)
+        elif upload is not None:
+            self._end(upload, MissionResult.ACCEPTED, "")
+            count = len(ctx.plans.items(upload.kind))
+            ctx.say(Severity.INFO, f"{upload.kind.name.capitalize()} plan accepted: {count} items")
+        else:
+            names = ", ".join(kind.name.lower() for kind in checking.kinds)
+            self._ack(
+                checking.peer, MissionResult.ACCEPTED if refusal is None else refusal.result, checking.mission_type
+            )
+            if refusal is None:
+                ctx.log(Severity.INFO, f"cleared: {names}")
+            else:
+                ctx.say(Severity.WARNING, f"Not cleared ({names}): {refusal.reason}", checking.peer)
 
     def _end(self, upload: Upload, result: MissionResult, reason: str) -> None:
         """Close the transfer with its answer; a refusal leaves the plan in force."""
@@ -237,18 +287,18 @@ class Missions:
         self._finished = Finished(upload.peer, upload.kind, upload.count, result, now_us, now_us)
         self._ack(upload.peer, result, upload.kind)
         if reason:
-            text = f"{upload.kind.name.capitalize()} upload refused: {reason}"
+            text = f"{upload.kind.name.capitalize()} refused: {reason}"
             self._ctx.say(Severity.WARNING, text, upload.peer)
 
     def _denied(self, peer: Peer, kind: PlanKind) -> bool:
         """Whether another client's open upload keeps this one out; it is told so."""
-        upload = self._upload
-        if upload is None or upload.peer == peer:
+        open_ = self._upload or self._checking
+        if open_ is None or open_.peer == peer:
             return False
         self._ack(peer, MissionResult.DENIED, kind)
         self._ctx.say(
             Severity.WARNING,
-            f"{kind.name.capitalize()} change denied: client {upload.peer.sysid}/{upload.peer.compid} is uploading, "
+            f"{kind.name.capitalize()} change denied: client {open_.peer.sysid}/{open_.peer.compid} is uploading, "
             "try again later",
             peer,
         )
@@ -270,16 +320,12 @@ class Missions:
             return
         if self._denied(peer, kinds[0]):
             return
+        checking = self._checking
+        if checking is not None and checking.upload is None and checking.mission_type == msg.mission_type:
+            return  # sent again while it is looked at
+        self._give_up_check()
         self._upload = None
-        for kind in kinds:
-            refusal = self._ctx.plans.replace(kind, ())
-            if refusal is not None:
-                self._ack(peer, refusal.result, msg.mission_type)
-                self._ctx.say(Severity.WARNING, f"{kind.name.capitalize()} not cleared: {refusal.reason}", peer)
-                return
-            self.revision += 1
-        self._ack(peer, MissionResult.ACCEPTED, msg.mission_type)
-        self._ctx.log(Severity.INFO, "cleared: " + ", ".join(kind.name.lower() for kind in kinds))
+        self._check(peer, dict.fromkeys(kinds, ()), msg.mission_type, None)
 
     # Download
 
@@ -338,6 +384,12 @@ class Missions:
         kind = _KINDS.get(msg.mission_type)
         if kind is None:
             return
+        checking = self._checking
+        if checking is not None and checking.peer == peer and checking.upload is not None:
+            if checking.upload.kind is kind and msg.type != MissionResult.ACCEPTED:
+                self._give_up_check()
+                self._ctx.log(Severity.INFO, f"{kind.name.lower()} upload cancelled by the client")
+            return
         upload = self._upload
         if upload is not None and upload.peer == peer and upload.kind is kind:
             if msg.type != MissionResult.ACCEPTED:
@@ -353,7 +405,8 @@ class Missions:
     # Time
 
     def tick(self) -> None:
-        """Ask again, give up, forget."""
+        """Answer, ask again, give up, forget."""
+        self._answer()
         ctx = self._ctx
         now_us = ctx.t_us
         upload = self._upload

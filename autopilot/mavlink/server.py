@@ -154,6 +154,6 @@ def _blank_view() -> VehicleView:
         prearm_reasons=(),
         failsafes=0,
         cpu_load=0.0,
-        submerged=False,
+        under_way=False,
         dropped_rx=0,
     )

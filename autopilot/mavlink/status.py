@@ -146,12 +146,17 @@ class Status:
         )
 
     def extended_sys_state(self) -> Message | None:
-        """EXTENDED_SYS_STATE: "in air" is what ground stations offer pause, return and go-to for."""
+        """EXTENDED_SYS_STATE: "on the ground" until the vehicle is sent somewhere, however deep it is.
+
+        Ground stations offer arm, disarm and start of the mission on the ground, pause, go-to and return in the air.
+        """
         view = self._ctx.view
-        under_way = view.armed or view.submerged
-        return mav.MAVLink_extended_sys_state_message(
-            mav.MAV_VTOL_STATE_UNDEFINED, mav.MAV_LANDED_STATE_IN_AIR if under_way else mav.MAV_LANDED_STATE_ON_GROUND
-        )
+        state = mav.MAV_LANDED_STATE_ON_GROUND
+        if view.armed and view.mode is FlightMode.SURFACE:
+            state = mav.MAV_LANDED_STATE_LANDING
+        elif view.under_way:
+            state = mav.MAV_LANDED_STATE_IN_AIR
+        return mav.MAVLink_extended_sys_state_message(mav.MAV_VTOL_STATE_UNDEFINED, state)
 
     def battery_status(self) -> Message | None:
         """BATTERY_STATUS of the one pack: its voltage in the first cell's place (cells are not measured)."""

@@ -103,10 +103,10 @@ class StraightVehicle:
             target_ned_m=None,
             origin=_POINT,
             home=_POINT,
-            prearm_reasons=(),
+            prearm_reasons=(f"plan: {self.plans.problem}",) if self.plans.problem and not self.armed else (),
             failsafes=0,
             cpu_load=0.0,
-            submerged=True,
+            under_way=True,
             dropped_rx=0,
         )
         return out.reached, view

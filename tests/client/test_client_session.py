@@ -87,14 +87,16 @@ def test_a_refusal_comes_with_the_vehicles_reason(loss: dict[str, float]) -> Non
     assert same_on_the_wire(link.plans.items(PlanKind.MISSION), good)
 
 
-def test_a_refusal_of_the_whole_plan_names_the_obstacle() -> None:
+def test_a_plan_that_is_stored_and_not_flown_names_the_obstacle() -> None:
     link = MemoryLink()
     client = session(link)
     client.upload(PlanKind.FENCE, paper_plan().fence)
     circle = paper_plan().fence[5]
     inside = PlanItem(seq=0, frame=3, command=16, x=circle.x, y=circle.y, z=-0.5)
-    with pytest.raises(PlanError, match=r"item 0: waypoint .* exclusion circle \(fence item 5\)"):
-        client.upload(PlanKind.MISSION, (inside,))
+    assert client.plan_problem() == ""
+    client.upload(PlanKind.MISSION, (inside,))
+    assert client.plan_problem().startswith("item 0 is 0.16 m inside exclusion circle (fence item 5): move it")
+    assert same_on_the_wire(link.plans.items(PlanKind.MISSION), (inside,))
 
 
 def test_a_vehicle_that_falls_silent_is_reported() -> None:

@@ -75,6 +75,7 @@ def test_upload_then_download_gives_the_same_plan(link: MemoryLink, tmp_path: Pa
         "fence": 6,
         "rally": 0,
         "mission": 4,
+        "problem": "",
     }
     copy = tmp_path / "copy.plan"
     assert run("download", copy).exit_code == 0
@@ -82,22 +83,52 @@ def test_upload_then_download_gives_the_same_plan(link: MemoryLink, tmp_path: Pa
         assert plan_checksum(read_plan(copy).items(kind)) == plan_checksum(paper_plan().items(kind))
 
 
+OTHER = """[origin]
+lat_deg = 37.9755
+lon_deg = 23.7790
+[[fence.circle]]
+x_m = 1.75
+y_m = 0.0
+radius_m = 0.5
+[[waypoint]]
+x_m = {x_m}
+y_m = 0.0
+depth_m = {depth_m}
+"""
+
+
 def test_a_refused_upload_gives_the_reason(link: MemoryLink, tmp_path: Path) -> None:
     assert run("upload", PAPER).exit_code == 0
     other = tmp_path / "other.toml"
-    other.write_text(
-        "[origin]\nlat_deg = 37.9755\nlon_deg = 23.7790\n"
-        "[[fence.circle]]\nx_m = 1.75\ny_m = 0.0\nradius_m = 0.5\n"
-        "[[waypoint]]\nx_m = -3.0\ny_m = 0.0\ndepth_m = 0.5\n",
-        encoding="utf-8",
-    )
+    other.write_text(OTHER.format(x_m=-3.0, depth_m=3.0), encoding="utf-8")
     refused = run("upload", other)
     assert isinstance(refused.exception, PlanError)
-    assert "clear the mission first" in str(refused.exception)
-    assert "clear the mission first" not in refused.output, "the reason is said once: as the error"
-    assert len(link.plans.items(PlanKind.FENCE)) == 6
-    assert run("upload", other, "--clear").exit_code == 0
-    assert len(link.plans.items(PlanKind.FENCE)) == 1
+    assert "DEPTH_MAX 1.2 m: use" in str(refused.exception)
+    assert "DEPTH_MAX" not in refused.output, "the reason is said once: as the error"
+    assert len(link.plans.items(PlanKind.MISSION)) == 4
+    assert run("check", other).exit_code == 1
+
+
+def test_a_plan_that_does_not_fit_together_is_stored_and_the_exit_code_says_so(
+    link: MemoryLink, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text(OTHER.format(x_m=1.5, depth_m=0.5), encoding="utf-8")
+    stored = run("upload", other)
+    assert stored.exit_code == 3
+    assert stored.output.count("item 0 is 0.24 m inside exclusion circle (fence item 0): move it 0.54 m") == 1
+    assert "neither arms nor starts" in stored.output
+    assert [len(link.plans.items(kind)) for kind in (PlanKind.MISSION, PlanKind.FENCE)] == [1, 1]
+    told = run("upload", other, "--json")
+    assert told.exit_code == 3
+    assert "item 0 is 0.24 m inside" in told.output
+    offline = run("check", other, "--json")
+    assert offline.exit_code == 3
+    assert [(p["plan"], p["item"], p["means"]) for p in json.loads(offline.output)["problems"]] == [
+        ("mission", 0, "not flown")
+    ]
+    other.write_text(OTHER.format(x_m=-3.0, depth_m=0.5), encoding="utf-8")
+    assert run("upload", other).exit_code == 0
 
 
 def test_a_waypoints_file_leaves_the_fence_alone(link: MemoryLink, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import random
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection
 from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
+from mission.store import Change
 
 TICK_US = 10_000
 ORIGIN = GeoPoint(lat_deg=37.9755, lon_deg=23.7790, alt_m=12.0)
@@ -37,6 +38,9 @@ class MemoryPlans:
         self.stored: dict[PlanKind, tuple[PlanItem, ...]] = dict.fromkeys(PlanKind, ())
         self.replaced: list[tuple[PlanKind, int]] = []
         self.veto: PlanRejection | None = None
+        self.slow = False
+        """Changes wait for :meth:`decide`."""
+        self.waiting: list[Change] = []
 
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
         return self.stored[kind]
@@ -52,12 +56,21 @@ class MemoryPlans:
             )
         return None
 
-    def replace(self, kind: PlanKind, items: tuple[PlanItem, ...]) -> PlanRejection | None:
-        if self.veto is not None:
-            return self.veto
-        self.stored[kind] = items
-        self.replaced.append((kind, len(items)))
-        return None
+    def propose(self, plans: Mapping[PlanKind, tuple[PlanItem, ...]]) -> Change:
+        change = Change(plans)
+        if self.slow:
+            self.waiting.append(change)
+        else:
+            self.decide(change)
+        return change
+
+    def decide(self, change: Change) -> None:
+        """Take a change or refuse it."""
+        if self.veto is None and not change.done:
+            for kind, items in change.plans.items():
+                self.stored[kind] = items
+                self.replaced.append((kind, len(items)))
+        change.end(self.veto)
 
 
 class RecordingVehicle:
@@ -142,7 +155,7 @@ def base_view(**changes: Any) -> VehicleView:
         "prearm_reasons": (),
         "failsafes": 0,
         "cpu_load": 0.25,
-        "submerged": True,
+        "under_way": True,
         "dropped_rx": 0,
     }
     return VehicleView(**{**values, **changes})

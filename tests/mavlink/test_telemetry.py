@@ -281,9 +281,19 @@ def test_battery(world: World) -> None:
     assert battery.charge_state == mav.MAV_BATTERY_CHARGE_STATE_LOW and battery.voltages[0] == 0xFFFE
 
 
-@pytest.mark.parametrize(("armed", "submerged", "state"), [(True, False, 2), (False, True, 2), (False, False, 1)])
-def test_landed_state(world: World, armed: bool, submerged: bool, state: int) -> None:
-    world.show(armed=armed, submerged=submerged)
+@pytest.mark.parametrize(
+    ("armed", "under_way", "mode", "state"),
+    [
+        (False, False, FlightMode.HOLD, mav.MAV_LANDED_STATE_ON_GROUND),
+        (False, False, FlightMode.MISSION, mav.MAV_LANDED_STATE_ON_GROUND),
+        (True, False, FlightMode.HOLD, mav.MAV_LANDED_STATE_ON_GROUND),
+        (True, True, FlightMode.MISSION, mav.MAV_LANDED_STATE_IN_AIR),
+        (True, True, FlightMode.HOLD, mav.MAV_LANDED_STATE_IN_AIR),
+        (True, True, FlightMode.SURFACE, mav.MAV_LANDED_STATE_LANDING),
+    ],
+)
+def test_landed_state(world: World, armed: bool, under_way: bool, mode: FlightMode, state: int) -> None:
+    world.show(armed=armed, under_way=under_way, mode=mode)
     assert one(world, "EXTENDED_SYS_STATE").landed_state == state
 
 

@@ -1,4 +1,5 @@
-"""Whole plans: the paper's is taken, bad ones are refused with item, reason and remedy, and the old one stays."""
+"""Whole plans: the paper's is taken. What is wrong by itself is refused with item, reason and remedy, and the old plan
+stays; what is wrong only between plans is stored, and said to forbid flying."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -59,20 +60,42 @@ def test_mission_and_fence_in_the_other_order() -> None:
     store = plans()
     assert store.replace(PlanKind.MISSION, paper_plan().mission) is None
     assert store.replace(PlanKind.FENCE, paper_plan().fence) is None
+    assert store.problem == ""
+
+
+@pytest.mark.parametrize(
+    ("mission", "words"),
+    [
+        (
+            [waypoint(0, -1.6, 0), waypoint(1, 0.9, 0.1)],
+            "item 1 is 0.05 m inside exclusion circle (fence item 5): move it 0.35 m (at north 0.90, east 0.10 m",
+        ),
+        ([waypoint(0, -0.625, -0.25)], "item 0 is only 0.21 m from exclusion circle (fence item 4): move it 0.09 m"),
+        ([waypoint(0, 3.0, 0)], "item 0 is 0.50 m outside inclusion polygon (fence item 0): move it 0.80 m"),
+        ([waypoint(0, 2.3, 0)], "item 0 is only 0.20 m inside inclusion polygon (fence item 0): move it 0.10 m"),
+        ([local(0, 21, 3.0, 0.0)], "item 0 is 0.50 m outside"),
+        ([local(0, 179, 0.9375, 0.0, 0, (0, 0, 0, 0))], "home of item 0 is 0.15 m inside"),
+    ],
+)
+@pytest.mark.parametrize("fence_first", [True, False])
+def test_a_mission_that_the_fence_forbids_is_stored_and_not_flown(
+    mission: list[PlanItem], words: str, fence_first: bool
+) -> None:
+    store = plans()
+    new = {PlanKind.MISSION: tuple(mission), PlanKind.FENCE: paper_plan().fence}
+    for kind in (PlanKind.FENCE, PlanKind.MISSION) if fence_first else new:
+        assert store.problem == ""
+        assert store.replace(kind, new[kind]) is None
+        assert store.items(kind) is new[kind]
+    assert store.problem.startswith(words), store.problem
+    assert "\n" not in store.problem
+    assert store.replace(PlanKind.MISSION, paper_plan().mission) is None
+    assert store.problem == ""
 
 
 @pytest.mark.parametrize(
     ("mission", "seq", "result", "words"),
     [
-        (
-            [waypoint(0, -1.6, 0), waypoint(1, 0.9, 0.1)],
-            1,
-            R.INVALID_PARAM5_X,
-            "inside exclusion circle (fence item 5)",
-        ),
-        ([waypoint(0, -0.625, -0.25)], 0, R.INVALID_PARAM5_X, "only 0.2"),
-        ([waypoint(0, 3.0, 0)], 0, R.INVALID_PARAM5_X, "0.50 m outside inclusion polygon (fence item 0)"),
-        ([waypoint(0, 2.3, 0)], 0, R.INVALID_PARAM5_X, "only 0.20 m inside"),
         ([waypoint(0, 0, 0.9, depth=1.3)], 0, R.INVALID_PARAM7, "DEPTH_MAX 1.2"),
         ([waypoint(0, 0, 0.9, depth=0.0)], 0, R.INVALID_PARAM7, "DEPTH_MIN 0.05"),
         ([waypoint(0, 0, 0.9, depth=-0.5)], 0, R.INVALID_PARAM7, "above the surface"),
@@ -82,8 +105,6 @@ def test_mission_and_fence_in_the_other_order() -> None:
         ([plain(0, 178, 1, 0.3), plain(1, 177, 0, -1)], 1, R.INVALID, "for ever without a waypoint"),
         ([plain(0, 177, 1, -1), plain(1, 177, 0, -1), waypoint(2, 0, 0.9)], 0, R.INVALID, "for ever"),
         ([waypoint(0, 0, 0.9), waypoint(2, 0, 0.9)], 2, R.INVALID_SEQUENCE, "number the items"),
-        ([local(0, 21, 3.0, 0.0)], 0, R.INVALID_PARAM5_X, "outside"),
-        ([local(0, 179, 0.9375, 0.0, 0, (0, 0, 0, 0))], 0, R.INVALID_PARAM5_X, "home"),
     ],
 )
 def test_bad_missions_are_refused_and_the_old_one_stays(
@@ -118,8 +139,13 @@ def test_too_many_items() -> None:
         (polygon(0, [(0, 0), (2, 2), (2, 0), (0, 2)]), 0, R.INVALID, "intersects itself"),
         (polygon(0, [(0, 0), (0, 0), (2, 2)]), 0, R.INVALID, "intersects itself"),
         (polygon(0, [(0, 0), (1, 1), (1, 1.0005)]), 0, R.INVALID, "no area"),
-        ([*tank(), circle(4, 0.0, 1.0, 0.16)], 4, R.INVALID, "narrower than the vehicle"),
-        ([circle(0, 0, 0, 0.5), circle(1, 1.4, 0, 0.5)], 1, R.INVALID, "gap of 0.40 m at north 0.70, east 0.00"),
+        ([*tank(), circle(4, 0.0, 1.0, 0.16)], 4, R.INVALID, "vehicle is 0.60 m"),
+        (
+            [circle(0, 0, 0, 0.5), circle(1, 1.4, 0, 0.5)],
+            1,
+            R.INVALID,
+            "gap of 0.40 m to item 0, vehicle is 0.60 m: widen",
+        ),
         ([*box(0, 0, 0, 1, 1, False), *box(4, 2.5, 0, 1, 1, False)], 4, R.INVALID, "gap of 0.50 m"),
         (box(0, 0, 0, 0.25, 0.25, True), 0, R.INVALID, "no room"),
         ([*tank(), circle(4, 0, 0, 3.5)], 0, R.INVALID, "no room"),
@@ -143,7 +169,8 @@ def test_bad_fences_are_refused_and_the_old_one_stays(
 def test_narrow_gaps_only_warn_when_the_parameter_says_so() -> None:
     store = fenced([circle(0, 0, 0, 0.5), circle(1, 1.4, 0, 0.5)], FENCE_GAP_CHK=0)
     (warning,) = store.warnings()
-    assert "narrower than the vehicle" in warning
+    assert "gap of 0.40 m to item 0, vehicle is 0.60 m" in warning
+    assert "at north 0.70, east 0.00 m" in warning
 
 
 @pytest.mark.parametrize(
@@ -167,37 +194,40 @@ def test_what_is_no_gap_is_taken(fence: list[PlanItem]) -> None:
 def test_a_fence_that_forbids_the_mission_in_force_names_the_waypoint() -> None:
     store = plans()
     assert store.replace(PlanKind.MISSION, paper_plan().mission) is None
-    rejection = store.replace(PlanKind.FENCE, tuple(numbered(tank(), circle(0, 1.55, 0.0, 0.2))))
-    assert rejection is not None
-    assert (rejection.seq, rejection.result) == (4, R.INVALID)
-    assert "item 1: waypoint" in rejection.reason
-    assert "clear the mission" in rejection.reason
-    assert store.items(PlanKind.FENCE) == ()
+    fence = tuple(numbered(tank(), circle(0, 1.55, 0.0, 0.2)))
+    assert store.replace(PlanKind.FENCE, fence) is None
+    assert store.problem.startswith("item 1 is ")
+    assert "exclusion circle (fence item 4): move it" in store.problem
+    assert store.items(PlanKind.FENCE) is fence
+    assert store.replace(PlanKind.FENCE, ()) is None
+    assert store.problem == ""
 
 
 def test_a_wall_across_the_tank_leaves_no_path() -> None:
     wall = box(4, 0.0, 0.0, 0.1, 1.6, False)
     store = fenced([*tank(), *wall])
-    rejection = store.replace(PlanKind.MISSION, (waypoint(0, -1.5, 0), waypoint(1, -1, 0.5), waypoint(2, 1.5, 0)))
-    assert rejection is not None
-    assert rejection.seq == 2
-    assert "no free path from item 1 to item 2" in rejection.reason
+    assert store.replace(PlanKind.MISSION, (waypoint(0, -1.5, 0), waypoint(1, -1, 0.5), waypoint(2, 1.5, 0))) is None
+    (problem,) = store.verdict.joint
+    assert (problem.kind, problem.seq) == (PlanKind.MISSION, 2)
+    assert problem.reason.startswith("no free path from item 1 to item 2: move item 2 or open the fence")
     assert store.replace(PlanKind.MISSION, (waypoint(0, -1.5, 0), waypoint(1, -1, 0.5))) is None
+    assert store.problem == ""
     door = box(4, 0.0, -0.4, 0.1, 1.2, False)
     open_ = fenced([*tank(), *door])
     assert open_.replace(PlanKind.MISSION, (waypoint(0, -1.5, 0), waypoint(1, 1.5, 0))) is None
+    assert open_.problem == ""
 
 
 def test_rally_points_are_checked_against_the_fence() -> None:
     store = fenced(tank())
-    outside = store.replace(PlanKind.RALLY, (local(0, 5100, 5.0, 0.0),))
-    assert outside is not None
-    assert "rally point 0" in outside.reason
+    assert store.replace(PlanKind.RALLY, (local(0, 5100, 5.0, 0.0),)) is None
+    assert store.problem.startswith("rally point 0 is 2.50 m outside")
     assert store.replace(PlanKind.RALLY, (local(0, 5100, 1.0, 0.0),)) is None
     assert np.array_equal(store.rally_ned_m(), [[1.0, 0.0]])
-    moved = store.replace(PlanKind.FENCE, tuple(box(0, -5, 0, 2, 2, True)))
-    assert moved is not None
-    assert "rally point 0" in moved.reason
+    assert store.problem == ""
+    assert store.replace(PlanKind.FENCE, tuple(box(0, -5, 0, 2, 2, True))) is None
+    assert store.problem.startswith("rally point 0 is 4.00 m outside")
+    assert store.replace(PlanKind.RALLY, (local(0, 16, 1.0, 0.0, 0.5),)) is not None
 
 
 def test_clearing_is_always_possible_and_changes_the_id() -> None:
@@ -239,11 +269,12 @@ def test_parameters_that_change_later_are_noticed() -> None:
     params = ParamSet()
     store = Plans(params, RADIUS_M, ORIGIN)
     assert store.replace(PlanKind.MISSION, (waypoint(0, 0, 0, depth=1.0),)) is None
-    assert store.recheck() is None
+    assert store.recheck() == ""
     params.set("DEPTH_MAX", 0.8)
-    problem = store.recheck()
-    assert problem is not None
-    assert "DEPTH_MAX 0.8" in problem.reason
+    assert "DEPTH_MAX 0.8" in store.recheck()
+    assert store.items(PlanKind.MISSION) != ()
+    params.set("DEPTH_MAX", 1.0)
+    assert store.problem == ""
 
 
 def test_home_in_both_coordinates() -> None:
@@ -260,10 +291,10 @@ def test_a_place_that_the_margin_keeps_the_vehicle_from_is_refused() -> None:
     store = fenced(tank())
     near = waypoint(0, -2.2, 0.0)
     assert store.replace(PlanKind.MISSION, (near,)) is None
-    rejection = store.replace(PlanKind.MISSION, (replace(near, param2=0.02),))
-    assert rejection is not None
-    assert "only 0.30 m inside" in rejection.reason
-    assert "keeps 0.32 m" in rejection.reason
+    assert store.problem == ""
+    assert store.replace(PlanKind.MISSION, (replace(near, param2=0.02),)) is None
+    assert "only 0.30 m inside" in store.problem
+    assert "keeps 0.32 m" in store.problem
 
 
 def test_a_door_that_the_margin_closes_is_no_way() -> None:
@@ -274,11 +305,12 @@ def test_a_door_that_the_margin_closes_is_no_way() -> None:
         return fenced(polygon(0, [*west, *east], True))
 
     mission = (waypoint(0, -1.0, 0.0), waypoint(1, 1.0, 0.0))
-    assert rooms(0.75).replace(PlanKind.MISSION, mission) is None
-    rejection = rooms(0.58).replace(PlanKind.MISSION, mission)
-    assert rejection is not None
-    assert "no free path from item 0 to item 1" in rejection.reason
-    assert "keeps 0.33 m" in rejection.reason
+    wide, narrow = rooms(0.75), rooms(0.58)
+    assert wide.replace(PlanKind.MISSION, mission) is None
+    assert wide.problem == ""
+    assert narrow.replace(PlanKind.MISSION, mission) is None
+    assert "no free path from item 0 to item 1" in narrow.problem
+    assert "keeps 0.33 m" in narrow.problem
 
 
 @settings(max_examples=40)
@@ -286,7 +318,7 @@ def test_a_door_that_the_margin_closes_is_no_way() -> None:
     st.lists(st.tuples(coordinate, coordinate, st.floats(0.05, 1.0)), max_size=6),
     st.lists(st.tuples(coordinate, coordinate), min_size=1, max_size=5),
 )
-def test_whatever_is_taken_keeps_the_vehicle_clear(
+def test_whatever_may_be_flown_keeps_the_vehicle_clear(
     obstacles: list[tuple[float, float, float]], route: list[tuple[float, float]]
 ) -> None:
     store = plans()
@@ -294,7 +326,8 @@ def test_whatever_is_taken_keeps_the_vehicle_clear(
     if store.replace(PlanKind.FENCE, tuple(fence)) is not None:
         return
     mission = tuple(waypoint(k, x, y) for k, (x, y) in enumerate(route))
-    if store.replace(PlanKind.MISSION, mission) is None:
+    assert store.replace(PlanKind.MISSION, mission) is None
+    if not store.problem:
         points = np.array([s.pos_ned_m[:2] for s in store.steps()])  # type: ignore[union-attr]
         assert float(np.min(fence_clearance_m(store.fence(), points))) >= RADIUS_M - 0.0121
 
@@ -306,6 +339,7 @@ def test_a_full_plan_is_taken() -> None:
     store = plans()
     assert store.replace(PlanKind.FENCE, tuple(fence)) is None
     assert store.replace(PlanKind.MISSION, mission) is None
+    assert store.problem == ""
     assert len(store.steps()) == MAX_ITEMS
 
 

@@ -12,7 +12,8 @@ from autopilot.control.grid import geometric_grid
 from autopilot.control.robust.margins import Margins
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.vehicle import load_vehicle
-from autopilot.readiness import MarginCheck, widest_m
+from autopilot.readiness import MarginCheck
+from mission.reach import widest_m
 
 VEHICLE = load_vehicle("lbv150")
 
@@ -20,7 +21,7 @@ VEHICLE = load_vehicle("lbv150")
 def checked(**params: float) -> tuple[Bench, MarginCheck]:
     """A commander that asks the margins, with the paper's plan."""
     bench = Bench(**params)
-    check = MarginCheck(Margins(VEHICLE.model4.to_model(), geometric_grid()), VEHICLE, bench.params, bench.plans)
+    check = MarginCheck(Margins(VEHICLE.model4.to_model(), geometric_grid()), bench.params, bench.plans)
     bench.commander = Commander(VEHICLE, bench.params, bench.plans, controller_check=check)
     bench.load()
     return bench, check

@@ -37,6 +37,15 @@ def _circle(seq: int, north_m: float, east_m: float, radius_m: float) -> PlanIte
     )
 
 
+def _box(north_m: float, east_m: float, half_north_m: float, half_east_m: float) -> list[PlanItem]:
+    """MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION, four of them."""
+    corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    return [
+        replace(_circle(seq, north_m + a * half_north_m, east_m + b * half_east_m, 4.0), command=5002, param4=0.0)
+        for seq, (a, b) in enumerate(corners)
+    ]
+
+
 def _key(item: PlanItem) -> tuple[object, ...]:
     """Comparable, with NaN equal to NaN, as wide as on the wire."""
     numbers = (item.param1, item.param2, item.param3, item.param4, item.z)
@@ -83,22 +92,6 @@ def _assert_unchanged(made: Harbour, client: WireClient) -> None:
 GOOD = _local(0, -1.6, -0.35)
 
 BAD_WAYPOINTS = {
-    "inside an obstacle": (
-        _local(1, 0.9375, 0.1),
-        MissionResult.INVALID_PARAM5_X,
-        ("item 1", "north 0.94, east 0.10 m", "inside", "circle"),
-    ),
-    "too near to an obstacle": (
-        _local(1, 0.9375, 0.4),
-        MissionResult.INVALID_PARAM5_X,
-        ("item 1", "only 0.24 m", "circle"),
-    ),
-    "outside the workspace": (
-        _local(1, 3.2, 0.0),
-        MissionResult.INVALID_PARAM5_X,
-        ("item 1", "north 3.20", "0.70 m outside"),
-    ),
-    "too near to a wall": (_local(1, 2.4, 0.0), MissionResult.INVALID_PARAM5_X, ("item 1", "only 0.10 m inside")),
     "kilometres away": (
         replace(PLAN.mission[0], seq=1, x=PLAN.mission[0].x + 10**7),
         MissionResult.INVALID_PARAM5_X,
@@ -160,8 +153,46 @@ def test_bad_waypoint(harbour: MakeHarbour, name: str) -> None:
     item, result, named = BAD_WAYPOINTS[name]
     made, client = harbour()
     assert made.offer(client, PlanKind.MISSION, (GOOD, item, _local(2, 1.75, 0.0))) == result
-    _assert_one_line(client, "Mission upload refused", *named)
+    _assert_one_line(client, "Mission refused", *named)
     _assert_unchanged(made, client)
+
+
+FORBIDDEN_WAYPOINTS = {
+    "inside an obstacle": (_local(1, 0.9375, 0.1), ("item 1", "north 0.94, east 0.10 m", "inside", "circle")),
+    "too near to an obstacle": (_local(1, 0.9375, 0.4), ("item 1", "only 0.24 m", "circle")),
+    "outside the workspace": (_local(1, 3.2, 0.0), ("item 1", "north 3.20", "0.70 m outside")),
+    "too near to a wall": (_local(1, 2.4, 0.0), ("item 1", "only 0.10 m inside")),
+}
+
+
+def _assert_not_flown(made: Harbour, client: WireClient, *named: str) -> None:
+    """The plans in force are told to be unfit, and nothing arms or starts the vehicle."""
+    _assert_one_line(client, "No start: ", *named)
+    (line,) = client.texts()
+    assert any(remedy in line[:90] for remedy in REMEDIES), line
+    made.run(1.0)
+    assert made.command(client, mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == mav.MAV_RESULT_DENIED
+    _assert_one_line(client, "Arming denied: plan: ", *named)
+    assert not client.heard("SYS_STATUS") or not _ready(client)
+    assert made.command(client, mav.MAV_CMD_MISSION_START) == mav.MAV_RESULT_DENIED
+
+
+def _ready(client: WireClient) -> bool:
+    return bool(client.heard("SYS_STATUS")[-1].onboard_control_sensors_health & mav.MAV_SYS_STATUS_PREARM_CHECK)
+
+
+@pytest.mark.parametrize("name", FORBIDDEN_WAYPOINTS)
+def test_waypoint_that_the_fence_forbids(harbour: MakeHarbour, name: str) -> None:
+    item, named = FORBIDDEN_WAYPOINTS[name]
+    made, client = harbour()
+    mission = (GOOD, item, _local(2, 1.75, 0.0))
+    assert made.offer(client, PlanKind.MISSION, mission) == MissionResult.ACCEPTED
+    _assert_not_flown(made, client, *named)
+    assert _keys(made.download(client, PlanKind.MISSION)) == _keys(mission)
+    assert made.offer(client, PlanKind.MISSION, PLAN.mission) == MissionResult.ACCEPTED
+    assert "Plan ok" in client.texts(least=mav.MAV_SEVERITY_INFO)
+    made.run(1.0)
+    assert made.command(client, mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == mav.MAV_RESULT_ACCEPTED
 
 
 def test_no_path_between_waypoints(harbour: MakeHarbour) -> None:
@@ -176,17 +207,19 @@ def test_no_path_between_waypoints(harbour: MakeHarbour) -> None:
         for pool, corners in enumerate(pools)
         for i, corner in enumerate(corners)
     )
-    result = made.offer(client, PlanKind.FENCE, fence)
-    assert result != MissionResult.ACCEPTED
-    _assert_one_line(client, "Fence upload refused")
+    assert made.offer(client, PlanKind.FENCE, fence) == MissionResult.INVALID
+    _assert_one_line(client, "Fence refused")
     _assert_unchanged(made, client)
+    door = tuple(replace(corner, seq=4 + i) for i, corner in enumerate(_box(0.0, 0.0, 0.1, 1.6)))
+    assert made.offer(client, PlanKind.FENCE, (*FENCE[:4], *door)) == MissionResult.ACCEPTED
+    _assert_not_flown(made, client, "no free path from item 0 to item 1", "open the fence")
 
 
 def test_too_many_items(harbour: MakeHarbour) -> None:
     made, client = harbour()
     for kind in PlanKind:
         assert made.offer(client, kind, (), count=MAX_ITEMS + 1) == MissionResult.NO_SPACE
-        _assert_one_line(client, f"{kind.name.capitalize()} upload refused", f"{MAX_ITEMS + 1} items", f"{MAX_ITEMS}")
+        _assert_one_line(client, f"{kind.name.capitalize()} refused", f"{MAX_ITEMS + 1} items", f"{MAX_ITEMS}")
         _assert_unchanged(made, client)
 
 
@@ -205,17 +238,12 @@ BAD_FENCES = {
     "a gap narrower than the vehicle": (
         (*FENCE, _circle(len(FENCE), 0.3, 0.45, 0.1)),
         MissionResult.INVALID,
-        ("fence item 6", "gap of", "north", "east", "narrower than the vehicle (0.60 m)"),
+        ("fence item 6", "gap of", "north", "east", "vehicle is 0.60 m: widen or close it"),
     ),
     "no room at all": (
         tuple(replace(corner, x=FENCE[0].x + (corner.x - FENCE[0].x) // 20) for corner in FENCE[:4]),
         MissionResult.INVALID,
         ("fence item 0", "no room for the vehicle"),
-    ),
-    "over a waypoint of the mission in force": (
-        (*FENCE[:4], _circle(4, 1.75, 0.0, 0.1)),
-        MissionResult.INVALID,
-        ("fence item 4", "item 1: waypoint"),
     ),
     "a polygon of two points": (
         tuple(replace(item, param1=2.0) for item in FENCE[:2]),
@@ -243,16 +271,21 @@ def test_bad_fence(harbour: MakeHarbour, name: str) -> None:
     fence, result, named = BAD_FENCES[name]
     made, client = harbour()
     assert made.offer(client, PlanKind.FENCE, fence) == result
-    _assert_one_line(client, "Fence upload refused", *named)
+    _assert_one_line(client, "Fence refused", *named)
     _assert_unchanged(made, client)
 
 
 def test_rally_point_in_an_obstacle(harbour: MakeHarbour) -> None:
     made, client = harbour()
     rally = replace(_local(0, 0.9375, 0.0), command=5100)
-    assert made.offer(client, PlanKind.RALLY, (rally,)) == MissionResult.INVALID_PARAM5_X
-    _assert_one_line(client, "Rally upload refused", "rally point 0", "inside")
-    _assert_unchanged(made, client)
+    assert made.offer(client, PlanKind.RALLY, (rally,)) == MissionResult.ACCEPTED
+    _assert_not_flown(made, client, "rally point 0", "inside")
+
+
+def test_fence_over_a_waypoint_of_the_mission_in_force(harbour: MakeHarbour) -> None:
+    made, client = harbour()
+    assert made.offer(client, PlanKind.FENCE, (*FENCE[:4], _circle(4, 1.75, 0.0, 0.1))) == MissionResult.ACCEPTED
+    _assert_not_flown(made, client, "fence item 4", "item 1 is")
 
 
 def test_second_client_uploads_at_the_same_time(harbour: MakeHarbour) -> None:
@@ -279,16 +312,16 @@ def test_second_client_uploads_at_the_same_time(harbour: MakeHarbour) -> None:
     assert made.offer(second, PlanKind.MISSION, PLAN.mission) == MissionResult.ACCEPTED
 
 
-def test_bad_mission_while_flying_changes_nothing(harbour: MakeHarbour) -> None:
+def test_bad_plans_while_flying_change_nothing(harbour: MakeHarbour) -> None:
     made, client = harbour()
     made.run(1.0)
     assert made.command(client, mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == mav.MAV_RESULT_ACCEPTED
     assert made.command(client, mav.MAV_CMD_MISSION_START) == mav.MAV_RESULT_ACCEPTED
     made.run(2.0)
-    assert made.offer(client, PlanKind.MISSION, (GOOD, _local(1, 0.9375, 0.0))) == MissionResult.INVALID_PARAM5_X
-    _assert_one_line(client, "Mission upload refused", "item 1")
-    assert made.offer(client, PlanKind.FENCE, (*FENCE[:4], _circle(4, 1.75, 0.0, 0.1))) == MissionResult.INVALID
-    _assert_one_line(client, "Fence upload refused", "item 4")
+    assert made.offer(client, PlanKind.MISSION, (GOOD, _local(1, 0.9375, 0.0, 9.0))) == MissionResult.INVALID_PARAM7
+    _assert_one_line(client, "Mission refused", "item 1")
+    assert made.offer(client, PlanKind.FENCE, (*FENCE[:4], _circle(4, 1.75, 0.0, 0.1))) == MissionResult.DENIED
+    _assert_one_line(client, "Fence refused", "armed", "item 1", "item 4")
     _assert_unchanged(made, client)
     commander = made.session.parts.commander
     assert commander.armed

@@ -1,6 +1,7 @@
 """The margins in force: fixed, tube or Lipschitz (parameter MPC_TIGHTEN), and what is refused because of them."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import IntEnum
 
@@ -64,7 +65,7 @@ class Margins:
         return params["MPC_MARGIN"]
 
     def refusals(
-        self, nav: NavState, goals: list[tuple[str, float]], fence_half_m: float, params: ParamSet
+        self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet
     ) -> tuple[str, ...]:
         """Why the vehicle must not be armed: limits of which the margins leave nothing at node 1 or at a goal.
 
