@@ -1,8 +1,10 @@
 """What a log says of its run: scenario, geometry, plan, bounds and parameters (``run.json``)."""
 
+from collections.abc import Mapping
+
 import msgspec
 
-from autopilot.core.plan import PlanKind
+from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.log.description import AcceptBounds, Obstacle, RunDescription, Waypoint, fence_shapes
 from autopilot.mavlink.api import FlightMode
 from autopilot.service import Parts
@@ -76,9 +78,14 @@ def _obstacle(obstacle: CylinderObstacle | SphereObstacle | MovingObstacle, numb
     return Obstacle(center_m=tuple(obstacle.center_m), radius_m=obstacle.radius_m, name=f"{kind} {number}")
 
 
-def plans_json(plans: Plans) -> bytes:
+def plan_items(plans: Plans) -> dict[PlanKind, tuple[PlanItem, ...]]:
+    """The plans in force; what is given does not change any more."""
+    return {kind: plans.items(kind) for kind in PlanKind}
+
+
+def plans_json(items: Mapping[PlanKind, tuple[PlanItem, ...]]) -> bytes:
     """Mission, fence and rally points as they came over the wire, NaN as null (attachment ``plans.json``)."""
-    return msgspec.json.encode({kind.name.lower(): plans.items(kind) for kind in PlanKind})
+    return msgspec.json.encode({kind.name.lower(): items[kind] for kind in PlanKind})
 
 
 def _tour(parts: Parts) -> tuple[tuple[Waypoint, ...], int | None]:

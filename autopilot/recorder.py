@@ -2,16 +2,24 @@
 
 A log describes its run (``run.json``, :mod:`autopilot.log.description`) at its start, at every arming and whenever a
 plan comes while armed; readers take the last one.
+
+A log that cannot be written is not the end of a run: the vehicle goes on without it, the operator is told at once and
+at every arming it is tried anew.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
-from autopilot.core.messages import Inputs, LoopStats, Outputs
+from autopilot.core.errors import LogError
+from autopilot.core.messages import Inputs, LoopStats, Outputs, Severity
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
 from autopilot.log.packing.vehicle import TruthLike
 from autopilot.log.session import RunLog
+from autopilot.log.writer import Payload, cause_of
+
+CLOSE_S = 30.0
+"""How long the end of a run waits for a disk that does not answer."""
 
 
 class LoggedTruth(TruthLike, Protocol):
@@ -41,6 +49,11 @@ class NullRecorder:
     """Logs nothing."""
 
     dropped = 0
+    failure: str | None = None
+
+    def take_notices(self) -> tuple[tuple[Severity, str], ...]:
+        """Nothing to say."""
+        return ()
 
     def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
         """Ignore a tick."""
@@ -53,30 +66,56 @@ class NullRecorder:
 
 
 class RunRecorder:
-    """One log per session (``path`` fixed) or one per arming (``open_log`` called at every arming)."""
+    """One log per session (``path`` fixed) or one per arming (``open_log`` called at every arming).
+
+    ``waits``: in lockstep a log is finished at the disarming; where time does not wait, beside the loop.
+    """
 
     def __init__(
         self,
         open_log: Callable[[], RunLog],
-        describe: Callable[[], tuple[RunDescription, Mapping[str, bytes]]],
+        describe: Callable[[], tuple[RunDescription, Mapping[str, Payload]]],
         *,
         plan_revision: Callable[[], int],
         truth: TruthSource | None,
         per_arming: bool,
+        waits: bool = True,
     ) -> None:
+        """LogError if the session's log cannot be made: nothing runs yet."""
         self._open_log = open_log
         self._describe = describe
         self._truth = truth
         self._per_arming = per_arming
+        self._waits = waits
         self._armed = False
         self._log: RunLog | None = None if per_arming else open_log()
+        self._ending: list[tuple[RunLog, bool]] = []
+        """Logs that are being finished, and whether the operator knows what was wrong with them."""
+        self._dropped_before = 0
+        self._told_slow = False
+        self._notices: list[tuple[Severity, str]] = []
         self._plan_revision = plan_revision
         self._described = plan_revision()
-        self.dropped = 0
+        self.failure: str | None = None
+        """Why a log of this run is not whole, the last reason; None while all is well."""
+
+    @property
+    def dropped(self) -> int:
+        """Messages of all logs that were lost so far."""
+        now = 0 if self._log is None else self._log.dropped
+        return self._dropped_before + now + sum(log.dropped for log, _ in self._ending)
+
+    def take_notices(self) -> tuple[tuple[Severity, str], ...]:
+        """What the operator should know of the log since the last call: severity and text."""
+        if not self._notices:
+            return ()
+        notices, self._notices = tuple(self._notices), []
+        return notices
 
     def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
         """Log one tick."""
         self._describe_news(inputs.t_us, outputs.mode.armed)
+        self._look_after_ending()
         log = self._log
         if log is None:
             return
@@ -88,10 +127,13 @@ class RunRecorder:
             log.truth(inputs.t_us, truth)
             log.contact(inputs.t_us, truth.contact_count, truth.contact_depth_m)
         log.outputs(outputs)
-        self.dropped = log.dropped
+        if log.failure is not None:
+            self._failed(log)
+        elif log.dropped and not self._told_slow:
+            self._told_slow = True
+            self._tell("Log loses messages: disk too slow", f"log {log.path}: messages lost, the disk is too slow")
         if self._per_arming and not self._armed:
-            log.close()
-            self._log = None
+            self._end()
 
     def loop_stats(self, stats: LoopStats) -> None:
         """Log the health of the loop."""
@@ -99,10 +141,11 @@ class RunRecorder:
             self._log.loop(stats)
 
     def close(self) -> None:
-        """Finish the file."""
-        if self._log is not None:
-            self._log.close()
-            self._log = None
+        """Finish all files, waiting for the disk as long as it makes sense. ``failure`` says what is missing."""
+        logs = self._ending + ([] if self._log is None else [(self._log, False)])
+        self._log, self._ending = None, []
+        for log, told in logs:
+            self._close(log, CLOSE_S, told=told)
 
     def _describe_news(self, t_us: int, armed: bool) -> None:
         """A description at every arming, and of every plan that comes while armed."""
@@ -112,7 +155,54 @@ class RunRecorder:
         if not begins and not (armed and revision != self._described):
             return
         self._described = revision
-        if self._log is None:
-            self._log = self._open_log()
-        else:
+        if self._log is not None:
             self._log.describe(t_us, *self._describe())
+        elif begins:
+            self._begin()
+
+    def _begin(self) -> None:
+        """A new log, if the disk allows."""
+        self._told_slow = False
+        try:
+            self._log = self._open_log()
+        except (LogError, OSError) as error:
+            self._tell(f"Log stopped: {cause_of(error)}", str(error))
+
+    def _end(self) -> None:
+        """The log is complete: finish it at once, or beside the loop where time does not wait."""
+        log, self._log = self._log, None
+        if log is None:
+            return
+        if self._waits:
+            self._close(log, None, told=False)
+        else:
+            log.end()
+            self._ending.append((log, False))
+
+    def _look_after_ending(self) -> None:
+        """Logs that were being finished beside the loop."""
+        if not any(log.finished for log, _ in self._ending):
+            return
+        done = [(log, told) for log, told in self._ending if log.finished]
+        self._ending = [(log, told) for log, told in self._ending if not log.finished]
+        for log, told in done:
+            self._close(log, None, told=told)
+
+    def _failed(self, log: RunLog) -> None:
+        """Go on without a log that has stopped; the next arming tries again."""
+        self._tell(f"Log stopped: {log.cause}", f"log {log.path}: {log.failure}")
+        self._log = None
+        log.end()
+        self._ending.append((log, True))
+
+    def _close(self, log: RunLog, timeout_s: float | None, *, told: bool) -> None:
+        try:
+            log.close(timeout_s)
+        except LogError as error:
+            if not told:
+                self._tell(f"Log stopped: {log.cause or 'disk does not answer'}", str(error))
+        self._dropped_before += log.dropped
+
+    def _tell(self, text: str, reason: str) -> None:
+        self.failure = reason
+        self._notices.append((Severity.WARNING, text))

@@ -17,10 +17,12 @@ from autopilot.core.guard import Guard
 from autopilot.core.messages import (
     DeviceRole,
     DeviceTrouble,
+    Event,
     Inputs,
     LoopStats,
     MavlinkFrame,
     Outputs,
+    Severity,
     ThrusterCommand,
 )
 from autopilot.core.samples import CameraFrame, Sample
@@ -166,7 +168,10 @@ class Runtime:
         peers: Sequence[Peer] = (),
         on_tick: Callable[[Outputs], None] = lambda _: None,
         paced: bool = False,
+        notices: Callable[[], Sequence[tuple[Severity, str]]] = lambda: (),
     ) -> None:
+        """``notices``: what operators should know of the outside world (severity, text), asked for once per tick."""
+        self._notices = notices
         self._service = service
         self._step: Callable[[Inputs], Outputs] = service.step
         self._device = device
@@ -229,7 +234,10 @@ class Runtime:
             overruns=self.counters.overruns,
             cpu_load=self.counters.cpu_load,
             troubles=tuple(self._troubles),
-            notes=self._transport.take_notes(t_us),
+            notices=(
+                *self._transport.take_notices(t_us),
+                *(Event(t_us=t_us, severity=severity, text=text) for severity, text in self._notices()),
+            ),
         )
         self._troubles = []
         outputs = self._with_frames(self._step(inputs))

@@ -210,7 +210,7 @@ class Autopilot:
             control=control,
             progress=decision.progress,
             thrusters=thrusters,
-            events=self._events + inputs.notes + self._run("telemetry", parts.server.take_notices, NO_EVENTS),
+            events=inputs.notices + self._events + self._run("telemetry", parts.server.take_notices, NO_EVENTS),
         )
 
     # Parts of a tick, each under the guard
@@ -251,11 +251,10 @@ class Autopilot:
         self._shown = view = self._run("view", lambda: self._view(inputs, nav), self._shown)
         if view is None:
             return ()
+        events = self._events + inputs.notices
         return self._run(
             "mavlink",
-            lambda: self._parts.server.step(
-                inputs.t_us, inputs.mavlink_rx, view, (*self._events, *inputs.notes), reached
-            ),
+            lambda: self._parts.server.step(inputs.t_us, inputs.mavlink_rx, view, events, reached),
             NO_FRAMES,
         )
 

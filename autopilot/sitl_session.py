@@ -33,10 +33,11 @@ from autopilot.core.messages import Outputs, ThrusterCommand
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.describe import describe_run, plans_json
+from autopilot.describe import describe_run, plan_items, plans_json
 from autopilot.log.description import RunDescription
 from autopilot.log.recover import recover_unfinished
-from autopilot.log.session import RunLog, log_path, open_run_log
+from autopilot.log.session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
+from autopilot.log.writer import LogHead, Payload
 from autopilot.map_check import MapCheck, open_map
 from autopilot.operator import ScriptedOperator
 from autopilot.param_file import PersistentParams
@@ -196,6 +197,7 @@ def open_sitl(
         peers=all_peers,
         on_tick=each_tick,
         paced=world.speed > 0.0,
+        notices=recorder.take_notices,
     )
     for desk in parts.desks:
         desk.idle = runtime.attend
@@ -222,14 +224,15 @@ def _world(settings: Settings, scenario: Scenario, params: ParamSet) -> _World:
     seed = scenario.scenario.seed if settings["seed"] is None else settings["seed"]
     sensors = scenario.sensors.position if settings["sensors"] is None else settings["sensors"]
     position = cast(Literal["camera", "pose"], sensors)
-    simulated = simulated_vehicle(scenario, vehicle, seed=seed, position=position)
+    speed = float(settings["speed"])
+    simulated = simulated_vehicle(scenario, vehicle, seed=seed, position=position, paced=speed > 0.0)
     origin = Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"])
     return _World(
         scenario=scenario,
         vehicle=vehicle,
         simulated=simulated,
         seed=seed,
-        speed=float(settings["speed"]),
+        speed=speed,
         origin=origin,
         water=_map(settings, scenario, origin),
         markers=_told_markers(settings, simulated.markers),
@@ -291,7 +294,12 @@ def _vision(world: _World) -> VisionWorker | None:
         return None
     camera = world.vehicle.camera
     detector = MarkerDetector(CameraModel.of(camera, world.vehicle.laser), world.markers)
-    return VisionWorker(detector, delay_s=0.5 * camera.latency_s, door=FrameDoor(camera.width_px, camera.height_px))
+    return VisionWorker(
+        detector,
+        delay_s=0.5 * camera.latency_s,
+        door=FrameDoor(camera.width_px, camera.height_px),
+        paced=world.speed > 0.0,
+    )
 
 
 def _knowledge(settings: Settings, scenario: Scenario) -> str:
@@ -369,50 +377,94 @@ def _marker_file(settings: Settings, world: _World) -> dict[str, bytes]:
 
 
 def _recorder(settings: Settings, world: _World, parts: Parts, device: SimulatedDevice) -> RunRecorder:
-    """The log: one file where ``--log`` says, else one per arming in the log folder."""
-    fixed = settings["log"]
+    """The log: one file where ``--log`` says, else one per arming in the log folder.
+
+    In lockstep it is made and finished in the tick, which is the same on every machine; at a speed beside the loop, but
+    for a file that is there from the start.
+    """
+    fixed = None if settings["log"] is None else Path(settings["log"])
     folder = Path(settings["log_dir"])
     if fixed is None:
         _make_folder(folder)
         recover_unfinished(folder)
-
-    def describe() -> tuple[RunDescription, dict[str, bytes]]:
-        description = describe_run(world.scenario, parts, seed=world.seed, speed=world.speed)
-        return description, {"plans.json": plans_json(parts.plans)}
+    lockstep = world.speed == 0.0
+    contents = _LogContents(settings, world, parts)
+    opened = 0
 
     def open_log() -> RunLog:
-        path = Path(fixed) if fixed is not None else log_path(folder, time.time_ns())
-        description, plans = describe()
+        nonlocal opened
+        opened += 1
+        at_start = opened == 1 and fixed is not None
+
+        def path() -> Path:
+            if fixed is None:
+                return log_path(folder, time.time_ns())
+            return fixed if at_start else free_path(fixed)
+
+        head, description = contents.head(path), contents.description()
+        if not (lockstep or at_start):
+            return open_run_log_beside(head, epoch_ns=SITL_EPOCH_NS, description=description)
+        given = head()
         return open_run_log(
-            path,
+            given.path,
             epoch_ns=SITL_EPOCH_NS,
             description=description,
-            metadata={
-                "version": __version__,
-                "revision": revision(),
-                "scenario": world.scenario.scenario.name,
-                "seed": str(world.seed),
-                "speed": f"{world.speed:g}",
-                "vehicle": parts.vehicle.name,
-                "estimator": str(settings["estimator"]),
-                "currents": _knowledge(settings, world.scenario),
-                "currents_map": "" if world.water is None else world.water.name,
-                "currents_map_sha256": "" if world.water is None else world.water.nodes.digest,
-                "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            },
-            attachments={
-                "config.json": msgspec.json.encode(settings.values(), enc_hook=str),
-                "scenario.json": msgspec.json.encode(world.scenario),
-                "vehicle.json": msgspec.json.encode(parts.vehicle),
-                **estimator_attachments(
-                    str(settings["estimator"]), parts.params, world.markers, _floor_depth_m(world.scenario)
-                ),
-                **_marker_file(settings, world),
-                **plans,
-            },
-            lossless=True,
+            metadata=given.metadata,
+            attachments=given.attachments,
+            lossless=lockstep,
         )
 
     return RunRecorder(
-        open_log, describe, plan_revision=lambda: parts.plans.revision, truth=device, per_arming=fixed is None
+        open_log,
+        lambda: (contents.description(), contents.plans()),
+        plan_revision=lambda: parts.plans.revision,
+        truth=device,
+        per_arming=fixed is None,
+        waits=lockstep,
     )
+
+
+class _LogContents:
+    """What the logs of a session begin with. What does not change is made once, at the start and not in a tick."""
+
+    def __init__(self, settings: Settings, world: _World, parts: Parts) -> None:
+        self._world, self._parts = world, parts
+        self._metadata = {
+            "version": __version__,
+            "revision": revision(),
+            "scenario": world.scenario.scenario.name,
+            "seed": str(world.seed),
+            "speed": f"{world.speed:g}",
+            "vehicle": parts.vehicle.name,
+            "estimator": str(settings["estimator"]),
+            "currents": _knowledge(settings, world.scenario),
+            "currents_map": "" if world.water is None else world.water.name,
+            "currents_map_sha256": "" if world.water is None else world.water.nodes.digest,
+        }
+        self._attachments = {
+            "config.json": msgspec.json.encode(settings.values(), enc_hook=str),
+            "scenario.json": msgspec.json.encode(world.scenario),
+            "vehicle.json": msgspec.json.encode(parts.vehicle),
+            **estimator_attachments(
+                str(settings["estimator"]), parts.params, world.markers, _floor_depth_m(world.scenario)
+            ),
+            **_marker_file(settings, world),
+        }
+
+    def description(self) -> RunDescription:
+        """The run as things stand now."""
+        return describe_run(self._world.scenario, self._parts, seed=self._world.seed, speed=self._world.speed)
+
+    def plans(self) -> dict[str, Payload]:
+        """The plans in force now, to be encoded by whoever writes them."""
+        items = plan_items(self._parts.plans)
+        return {"plans.json": lambda: plans_json(items)}
+
+    def head(self, path: Callable[[], Path]) -> Callable[[], LogHead]:
+        """What a log that begins now starts with, to be made by whoever writes it."""
+        items = plan_items(self._parts.plans)
+        return lambda: LogHead(
+            path=path(),
+            metadata={**self._metadata, "started": datetime.now(UTC).isoformat(timespec="seconds")},
+            attachments={**self._attachments, "plans.json": plans_json(items)},
+        )

@@ -92,19 +92,19 @@ class Transport:
                     except (DriverError, OSError) as error:
                         self._fail(index, error)
 
-    def take_notes(self, t_us: int) -> tuple[Event, ...]:
+    def take_notices(self, t_us: int) -> tuple[Event, ...]:
         """What operators have to know of the links since the last call: one that broke, one that is back."""
-        notes = []
+        notices = []
         for index, link in enumerate(self._links):
             problem = self._failed[index] or link.problem
             if problem == self._problems[index] or t_us < self._silent_until_us[index]:
                 continue
             self._problems[index], self._silent_until_us[index] = problem, t_us + NOTE_US
             if problem is None:
-                notes.append(Event(t_us=t_us, severity=Severity.NOTICE, text=f"{link.name}: back"))
+                notices.append(Event(t_us=t_us, severity=Severity.NOTICE, text=f"{link.name}: back"))
             else:
-                notes.append(Event(t_us=t_us, severity=Severity.WARNING, text=f"{link.name}: {problem}"))
-        return tuple(notes)
+                notices.append(Event(t_us=t_us, severity=Severity.WARNING, text=f"{link.name}: {problem}"))
+        return tuple(notices)
 
     def close(self) -> None:
         """Let go of all ports."""

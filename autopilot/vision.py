@@ -1,7 +1,9 @@
 """Runs the marker detector beside the loop: frames go in, sightings come out as samples of a later tick.
 
 In lockstep a sighting is due a fixed time after its frame came in and the loop waits for it then, so that a run does
-not depend on how fast the machine is.
+not depend on how fast the machine is. In a paced run nobody waits: one frame is in work, the newest one waits behind it
+and takes the place of an older one, and a sighting that comes late is handed on with the time of its frame (the
+estimator fuses it where it belongs).
 """
 
 import time
@@ -23,7 +25,7 @@ ACQUISITION_EVERY = 6
 """Without a prediction the whole dictionary is searched, which is slow: every sixth frame, 5 Hz."""
 
 MAX_PENDING = 4
-"""Frames that may wait; a newer one is dropped and counted when detection cannot follow."""
+"""Frames that may wait in lockstep; a newer one is dropped and counted when detection cannot follow."""
 
 
 class Detector(Protocol):
@@ -35,22 +37,41 @@ class Detector(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Request:
+    """A frame that somebody should look at."""
+
+    due_us: int
+    frame: CameraFrame
+    hint: Hint | None
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
 class _Pending:
+    """A frame that is being looked at, or has been."""
+
     due_us: int
     sighting: "Future[MarkerSighting]"
+    late: bool = False
 
 
 class VisionWorker:
     """One thread of detection."""
 
-    def __init__(self, detector: Detector, *, delay_s: float, door: FrameDoor) -> None:
+    def __init__(self, detector: Detector, *, delay_s: float, door: FrameDoor, paced: bool = False) -> None:
+        """``paced``: time does not wait for the detector, so the newest frame wins."""
         self._detector = detector
         self._door = door
         self._delay_us = round(delay_s * 1e6)
+        self._paced = paced
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vision")
         self._pending: deque[_Pending] = deque()
+        self._waiting: _Request | None = None
+        """Paced only: the newest frame, behind the one that is in work."""
         self._blind_frames = 0
         self.dropped = 0
+        """Frames that were never looked at because detection did not follow."""
+        self.late = 0
+        """Sightings that were not there when they were due (paced only)."""
         self.guard = Guard()
         """Keeps exceptions of the detector that a picture does not explain."""
         self.failed = 0
@@ -67,11 +88,26 @@ class VisionWorker:
             self._blind_frames += 1
             if self._blind_frames % ACQUISITION_EVERY != 1:
                 return
-        if len(self._pending) >= MAX_PENDING:
+        request = _Request(due_us=t_us + self._delay_us, frame=frame, hint=hint)
+        if self._paced:
+            self.dropped += self._waiting is not None
+            self._waiting = request
+            self._begin_waiting()
+        elif len(self._pending) >= MAX_PENDING:
             self.dropped += 1
-            return
-        sighting = self._pool.submit(self._timed, frame, hint)
-        self._pending.append(_Pending(due_us=t_us + self._delay_us, sighting=sighting))
+        else:
+            self._begin(request)
+
+    def _begin(self, request: _Request) -> None:
+        sighting = self._pool.submit(self._timed, request.frame, request.hint)
+        self._pending.append(_Pending(due_us=request.due_us, sighting=sighting))
+
+    def _begin_waiting(self) -> None:
+        """Give the newest frame to the thread if it has nothing to do."""
+        idle = not self._pending or self._pending[-1].sighting.done()
+        if self._waiting is not None and idle:
+            self._begin(self._waiting)
+            self._waiting = None
 
     def _timed(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
         begin_s = time.thread_time()
@@ -79,9 +115,14 @@ class VisionWorker:
         return replace(sighting, decode_us=round(1e6 * (time.thread_time() - begin_s)))
 
     def collect(self, t_us: int) -> list[MarkerSighting]:
-        """Sightings that are due, waiting for those that are not ready."""
+        """Sightings that are due. In lockstep those that are not ready are waited for, in a paced run never."""
         found = []
         while self._pending and self._pending[0].due_us <= t_us:
+            first = self._pending[0]
+            if self._paced and not first.sighting.done():
+                self.late += not first.late
+                first.late = True
+                break
             try:
                 found.append(self._pending.popleft().sighting.result())
             except Exception as error:  # noqa: BLE001 - what is not OpenCV's word on a picture goes to the guard
@@ -89,6 +130,7 @@ class VisionWorker:
                 if not isinstance(error, cv2.error):
                     self.guard.t_us = t_us
                     self.guard.note("vision", error)
+        self._begin_waiting()
         return found
 
     def counters(self) -> Mapping[str, int]:
@@ -96,8 +138,11 @@ class VisionWorker:
         result = {f"frames.{verdict.value}": count for verdict, count in self._door.counts.items()}
         result["frames.dropped"] = self.dropped
         result["frames.failed"] = self.failed
+        if self._paced:
+            result["frames.late"] = self.late
         return result
 
     def close(self) -> None:
         """Stop the thread."""
+        self._waiting = None
         self._pool.shutdown(wait=True, cancel_futures=True)

@@ -133,6 +133,7 @@ class SimulatedVehicle(Closing):
         *,
         seed: int,
         position: Literal["camera", "pose"],
+        paced: bool = False,
     ) -> None:
         """``position``: localised by rendered pictures or by pose samples. ConfigError if the scenario has no floor."""
         sensors, faults = scenario.sensors, scenario.fault
@@ -171,6 +172,7 @@ class SimulatedVehicle(Closing):
             model = true_camera(CameraModel.of(vehicle.camera, vehicle.laser), scenario.camera, sensors.laser)
             renderer = SimCamera(model, floor, scenario.camera, seed, laser=sensors.laser.enabled)
             self._camera = CameraFeed(renderer, sensors.camera, vehicle.camera, faults, seed)
+            self._camera.paced = paced
             self._observers.append(self._camera)
             self.markers = floor.markers
         self._due_us = 0
@@ -247,12 +249,17 @@ def simulated_vehicle(
     *,
     seed: int | None = None,
     position: Literal["camera", "pose"] | None = None,
+    paced: bool = False,
 ) -> SimulatedVehicle:
-    """The vehicle of a scenario with its plant; ``seed`` and ``position`` None = as the scenario says."""
+    """The vehicle of a scenario with its plant; ``seed`` and ``position`` None = as the scenario says.
+
+    ``paced``: whoever asks does not wait for pictures, they come when they are ready.
+    """
     return SimulatedVehicle(
         scenario,
         vehicle,
         build_plant(scenario, vehicle),
         seed=scenario.scenario.seed if seed is None else seed,
         position=scenario.sensors.position if position is None else position,
+        paced=paced,
     )

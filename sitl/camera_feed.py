@@ -23,8 +23,12 @@ class CameraFeed(Closing):
     """A :class:`drivers.protocols.Sensor` of pictures.
 
     Rendering starts at the exposure on one thread of its own and is waited for when the picture is due, so that the
-    result does not depend on how fast the machine is.
+    result does not depend on how fast the machine is. A ``paced`` feed never waits: a picture comes when it is ready,
+    and where rendering does not follow, the picture that waits longest is lost for the next one.
     """
+
+    paced = False
+    """Whether time goes on without a picture that is due."""
 
     def __init__(
         self, renderer: SimCamera, settings: CameraSensor, camera: Camera, faults: Iterable[Fault], seed: int
@@ -41,6 +45,8 @@ class CameraFeed(Closing):
         self._last_due_us = 0
         self._queue: deque[tuple[int, int, Future[Image]]] = deque()
         self._worker: ThreadPoolExecutor | None = None
+        self.dropped = 0
+        """Pictures that were never rendered because the machine did not follow (paced only)."""
 
     @property
     def next_us(self) -> int:
@@ -70,12 +76,15 @@ class CameraFeed(Closing):
         delay_s = self._transport_s + self._settings.latency_jitter_s * jitter
         due_us = max(self._last_due_us, truth.t_us + max(0, round(delay_s * 1e6)))
         self._last_due_us = due_us
+        if self.paced and len(self._queue) > 1 and self._queue[-1][2].cancel():
+            self._queue.pop()
+            self.dropped += 1
         self._queue.append((due_us, truth.t_us, self._worker.submit(self._renderer.render, truth, index)))
 
     def poll(self, t_us: int) -> list[CameraFrame]:
         """The pictures that have arrived up to ``t_us``."""
         frames = []
-        while self._queue and self._queue[0][0] <= t_us:
+        while self._queue and self._queue[0][0] <= t_us and (self._queue[0][2].done() or not self.paced):
             _, exposure_us, picture = self._queue.popleft()
             frames.append(CameraFrame(t_us=exposure_us + self._stamp_error_us, image_bgr=picture.result()))
         return frames

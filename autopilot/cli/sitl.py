@@ -9,6 +9,8 @@ import click
 
 from autopilot.config import CURRENTS, ESTIMATORS, PROFILES, SENSORS
 
+EXIT_LOSS = 3
+
 
 @click.command()
 @click.argument("scenario", required=False)
@@ -63,5 +65,10 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
         )
     if session.persistent.failure:
         click.echo(f"warning: {session.persistent.failure}", err=True)
+    if session.recorder.failure:
+        lost = f"{session.recorder.dropped} messages lost"
+        click.echo(f"warning: the log is not whole, {lost}: {session.recorder.failure}", err=True)
     if signal.SIGINT in stopped_by:
         raise click.Abort
+    if session.recorder.failure:
+        click.get_current_context().exit(EXIT_LOSS)

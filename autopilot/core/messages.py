@@ -42,8 +42,8 @@ class Inputs:
     """Ticks that began late so far (real time only), counted by the runtime."""
     cpu_load: float = 0.0
     """Share of the last second that the loop was busy, 0..1; 0 when nobody measures (lockstep)."""
-    notes: tuple["Event", ...] = ()
-    """What the runtime has to tell operators (a link that broke)."""
+    notices: tuple["Event", ...] = ()
+    """What the runtime has to tell operators (a broken link, a log that cannot be written), as the service's own."""
     troubles: tuple["DeviceTrouble", ...] = ()
     """Devices that failed since the last tick."""
 

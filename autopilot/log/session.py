@@ -5,6 +5,7 @@ with their time of validity; ``/in/tick`` opens the group of inputs that one cal
 """
 
 from collections.abc import Callable, Hashable, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -31,7 +32,7 @@ from autopilot.log.mavlink_frames import StreamCutter
 from autopilot.log.packing import decisions, estimate, sensors, service, vehicle
 from autopilot.log.scene import moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
-from autopilot.log.writer import LogWriter
+from autopilot.log.writer import LogHead, LogWriter, Payload
 
 TRUTH_US = 10_000
 THRUSTERS_US = 20_000
@@ -57,12 +58,16 @@ _BODY = 12
 def log_path(folder: Path, start_ns: int) -> Path:
     """``<folder>/YYYY-MM-DD/HH_MM_SS.mcap`` (UTC) for a log that starts then; a free name if that is taken."""
     start = datetime.fromtimestamp(start_ns // 1_000_000_000, UTC)
-    base = folder / start.strftime("%Y-%m-%d") / start.strftime("%H_%M_%S")
-    path, number = base.with_suffix(".mcap"), 1
-    while path.exists():
+    return free_path(folder / start.strftime("%Y-%m-%d") / f"{start.strftime('%H_%M_%S')}.mcap")
+
+
+def free_path(path: Path) -> Path:
+    """``path``, or with a number behind its stem if that is taken."""
+    free, number = path, 1
+    while free.exists():
         number += 1
-        path = base.with_name(f"{base.name}_{number}.mcap")
-    return path
+        free = path.with_name(f"{path.stem}_{number}{path.suffix}")
+    return free
 
 
 def open_run_log(
@@ -83,6 +88,26 @@ def open_run_log(
         attachments={ATTACHMENT: to_json(description), **attachments},
         lossless=lossless,
     )
+    return RunLog(writer, description, camera_period_us=camera_period_us)
+
+
+def open_run_log_beside(
+    head: Callable[[], LogHead],
+    *,
+    epoch_ns: int,
+    description: RunDescription,
+    camera_period_us: int | None = CAMERA_US,
+) -> "RunLog":
+    """The same where time does not wait: ``head()`` and the file are made beside the loop, failures show later.
+
+    ``head()`` leaves ``run.json`` out. Where the disk does not follow, messages are dropped and counted.
+    """
+
+    def described() -> LogHead:
+        given = head()
+        return replace(given, attachments={ATTACHMENT: to_json(description), **given.attachments})
+
+    writer = LogWriter.beside(described, epoch_ns=epoch_ns)
     return RunLog(writer, description, camera_period_us=camera_period_us)
 
 
@@ -118,14 +143,28 @@ class RunLog:
         """Why nothing is written any more, None while all is well."""
         return self._writer.failure
 
-    def close(self) -> None:
-        """Finish the file. LogError if the disk failed on the way."""
-        self._writer.close()
+    @property
+    def cause(self) -> str:
+        """The failure in two or three words for an operator, "" while all is well."""
+        return self._writer.cause
 
-    def describe(self, t_us: int, description: RunDescription, attachments: Mapping[str, bytes]) -> None:
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left to write after ``end``."""
+        return self._writer.finished
+
+    def end(self) -> None:
+        """Nothing more comes: the file is finished beside the loop."""
+        self._writer.end()
+
+    def close(self, timeout_s: float | None = None) -> None:
+        """Finish the file and wait for it. LogError if the disk failed on the way or does not answer in time."""
+        self._writer.close(timeout_s)
+
+    def describe(self, t_us: int, description: RunDescription, attachments: Mapping[str, Payload]) -> None:
         """A newer description and what belongs to it (plans have come since the log began); readers take the last."""
         self._description, self._scene = description, scene_markers(description)
-        for name, data in {ATTACHMENT: to_json(description), **attachments}.items():
+        for name, data in {ATTACHMENT: lambda: to_json(description), **attachments}.items():
             self._writer.attach(name, t_us, data)
 
     def inputs(self, inputs: Inputs) -> None:

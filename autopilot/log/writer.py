@@ -1,17 +1,19 @@
 """The MCAP writer: a bounded queue in front of one thread, so that the control loop never sees a disk.
 
 ``write`` only appends to the queue. The thread packs chunks, compresses, flushes every second and calls fsync every
-five; it is the one place here that looks at the wall clock. On a real vehicle a full queue drops messages and counts
-them; in lockstep simulation (``lossless``) the caller waits instead and the chunks end at seconds of log time, so that
-the same run gives the same file, byte for byte.
+five; it is the one place here that looks at the wall clock. Where time does not wait a full queue drops messages and
+counts them, and even the file is made by the thread (``beside``); in lockstep simulation (``lossless``) the caller
+waits instead and the chunks end at seconds of log time, so that the same run gives the same file, byte for byte.
 """
 
+import errno
 import os
 import struct
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TypeAlias
 
@@ -48,6 +50,19 @@ QOS_PROFILES = (
 
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".txt": "text/plain", ".plan": "text/plain"}
 
+_CAUSES = {
+    errno.ENOSPC: "disk full",
+    errno.EDQUOT: "disk full",
+    errno.EFBIG: "file too large",
+    errno.EROFS: "disk read-only",
+    errno.EACCES: "no right to write",
+    errno.EPERM: "no right to write",
+    errno.ENOENT: "folder gone",
+    errno.ENOTDIR: "folder gone",
+    errno.EIO: "disk broken",
+}
+"""What a failure of the disk is called in front of an operator."""
+
 Payload: TypeAlias = bytes | Callable[[], bytes]
 _Item: TypeAlias = tuple[str, int, Payload, int, int]
 """Topic, time [us], payload, sequence number, bytes in memory."""
@@ -55,6 +70,14 @@ _TLOG = ""
 """Stands for the topic of a packet that goes to the ``.tlog``."""
 _ATTACHMENT = "attachment:"
 """Stands, with a name behind it, for the topic of an attachment that comes while the log is running."""
+
+
+def cause_of(error: OSError | LogError) -> str:
+    """A failure of the disk in two or three words for an operator."""
+    found = error if isinstance(error, OSError) else error.__cause__
+    if isinstance(found, OSError):
+        return _CAUSES.get(found.errno or 0, str(found.strerror).lower())
+    return str(error)
 
 
 def _open_locked(path: Path) -> IO[bytes]:
@@ -65,6 +88,15 @@ def _open_locked(path: Path) -> IO[bytes]:
         raise LogError(f"log {path}: another service is writing it; choose another name")
     file.truncate(0)
     return file
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LogHead:
+    """Where a log goes and what it begins with."""
+
+    path: Path
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, bytes]
 
 
 class LogWriter:
@@ -85,10 +117,42 @@ class LogWriter:
 
         ``epoch_ns`` is the Unix time [ns] at which the service's clock read zero. LogError if the file cannot be made.
         """
+        self._prepare(path, epoch_ns, lossless, queue_messages, queue_bytes)
+        try:
+            self._open(LogHead(path=path, metadata=metadata, attachments=attachments))
+        except OSError as error:
+            raise LogError(f"log {path}: cannot be written ({error.strerror}); choose another place") from error
+        self._thread.start()
+
+    @classmethod
+    def beside(
+        cls,
+        head: Callable[[], LogHead],
+        *,
+        epoch_ns: int,
+        queue_messages: int = QUEUE_MESSAGES,
+        queue_bytes: int = QUEUE_BYTES,
+    ) -> "LogWriter":
+        """A log whose file is made by the thread, ``head()`` included: what is written meanwhile is queued.
+
+        A file that cannot be made shows as ``failure``.
+        """
+        writer = cls.__new__(cls)
+        writer._prepare(Path(), epoch_ns, False, queue_messages, queue_bytes)
+        writer._head = head
+        writer._thread.start()
+        return writer
+
+    def _prepare(self, path: Path, epoch_ns: int, lossless: bool, queue_messages: int, queue_bytes: int) -> None:
+        """Everything but the file."""
         if not FIRST_EPOCH_NS <= epoch_ns < LAST_EPOCH_NS:
             raise LogError(f"log {path}: epoch_ns = {epoch_ns} is not a Unix time in nanoseconds that ROS can hold")
         self.path = path
+        """Of a log that is made beside the loop: known once it is made."""
         self.epoch_ns = epoch_ns
+        self._head: Callable[[], LogHead] | None = None
+        self._file: IO[bytes] | None = None
+        self._mcap: McapFile
         self._lossless = lossless
         self._limit_messages, self._limit_bytes = queue_messages, queue_bytes
         self._queue: deque[_Item] = deque()
@@ -96,25 +160,26 @@ class LogWriter:
         self._count_in = self._count_out = self._bytes_in = self._bytes_out = 0
         self._dropped = self._lost = 0
         self._failure: str | None = None
+        self._cause = ""
         self._closing = self._stopped = self._waiting = False
         self._wake, self._room = threading.Event(), threading.Event()
         self._tlog: IO[bytes] | None = None
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = _open_locked(path)
-            path.with_suffix(".tlog").unlink(missing_ok=True)
-            self._mcap = McapFile(self._file, CHUNK_BYTES)
-            self._mcap.start(PROFILE, LIBRARY)
-            self._mcap.add_metadata(RUN_RECORD, {**metadata, "epoch_ns": str(epoch_ns)})
-            for name, data in attachments.items():
-                self._add_attachment(name, epoch_ns, data)
-            self._mcap.flush()
-        except OSError as error:
-            raise LogError(f"log {path}: cannot be written ({error.strerror}); choose another place") from error
         self._thread = threading.Thread(target=self._run, name="log-writer", daemon=True)
-        self._thread.start()
+
+    def _open(self, head: LogHead) -> None:
+        """Make the file and write what it begins with."""
+        self.path = head.path
+        head.path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = _open_locked(head.path)
+        head.path.with_suffix(".tlog").unlink(missing_ok=True)
+        self._mcap = McapFile(self._file, CHUNK_BYTES)
+        self._mcap.start(PROFILE, LIBRARY)
+        self._mcap.add_metadata(RUN_RECORD, {**head.metadata, "epoch_ns": str(self.epoch_ns)})
+        for name, data in head.attachments.items():
+            self._add_attachment(name, self.epoch_ns, data)
+        self._mcap.flush()
 
     @property
     def dropped(self) -> int:
@@ -125,6 +190,16 @@ class LogWriter:
     def failure(self) -> str | None:
         """Why nothing is written any more, None while all is well."""
         return self._failure
+
+    @property
+    def cause(self) -> str:
+        """The failure in two or three words for an operator, "" while all is well."""
+        return self._cause
+
+    @property
+    def finished(self) -> bool:
+        """Whether the thread has ended: after ``close`` or ``end``, once everything is on disk."""
+        return self._stopped
 
     def write(self, topic: str, t_us: int, payload: Payload, size: int | None = None) -> None:
         """Queue one CDR message. Never touches the disk.
@@ -151,16 +226,21 @@ class LogWriter:
         """Queue one MAVLink packet for the ``.tlog``."""
         self.write(_TLOG, t_us, packet)
 
-    def attach(self, name: str, t_us: int, data: bytes) -> None:
+    def attach(self, name: str, t_us: int, data: Payload) -> None:
         """Queue an attachment; one of the same name later takes the place of an earlier one for readers."""
         self.write(_ATTACHMENT + name, t_us, data)
 
-    def close(self) -> None:
-        """Write what is queued, the index and the footer. LogError if the disk failed. May be called again."""
-        if not self._closing:
-            self._closing = True
-            self._wake.set()
-            self._thread.join()
+    def end(self) -> None:
+        """Nothing more comes: let the thread write what is queued, the index and the footer. Does not wait."""
+        self._closing = True
+        self._wake.set()
+
+    def close(self, timeout_s: float | None = None) -> None:
+        """``end`` and wait for it. LogError if the disk failed, or did not answer in time. May be called again."""
+        self.end()
+        self._thread.join(timeout_s)
+        if not self._stopped:
+            raise LogError(f"log {self.path}: the disk does not answer; the log is not finished")
         if self._failure is not None:
             raise LogError(f"log {self.path}: {self._failure}; {self._lost} messages are lost")
 
@@ -191,10 +271,16 @@ class LogWriter:
     def _run(self) -> None:
         try:
             self._write_until_closed()
+        except Exception as error:
+            self._fail(LogError(f"{type(error).__name__}: {error}"))
+            raise
         finally:
             self._stopped = True
 
     def _write_until_closed(self) -> None:
+        head = self._head
+        if head is not None:
+            self._guard(lambda: self._open(head()))
         flushed = synced = time.monotonic_ns()
         second: int = 0
         while True:
@@ -203,15 +289,16 @@ class LogWriter:
             self._wake.clear()
             second = self._drain(second)
             now = time.monotonic_ns()
-            if not self._lossless and now - flushed >= FLUSH_NS:
+            if not self._lossless and now - flushed >= FLUSH_NS and self._failure is None:
                 flushed = now
                 self._guard(self._flush)
-            if now - synced >= FSYNC_NS:
+            if now - synced >= FSYNC_NS and self._failure is None:
                 synced = now
                 self._guard(self._sync)
             if last:
                 self._guard(self._finish)
-                self._guard(self._file.close)
+                if self._file is not None:
+                    self._guard(self._file.close)
                 return
 
     def _drain(self, second: int) -> int:
@@ -244,6 +331,7 @@ class LogWriter:
     def _fail(self, error: OSError | LogError) -> None:
         """The first failure of the disk ends writing and is reported by ``close``."""
         if self._failure is None:
+            self._cause = cause_of(error)
             if isinstance(error, OSError):
                 self._failure = f"cannot be written ({error.strerror}); free or change the disk"
             else:
@@ -286,8 +374,11 @@ class LogWriter:
             self._tlog.flush()
 
     def _sync(self) -> None:
+        assert self._file is not None
         self._file.flush()
         os.fsync(self._file.fileno())
+        if os.name == "posix" and os.fstat(self._file.fileno()).st_nlink == 0:
+            raise FileNotFoundError(errno.ENOENT, "its file was deleted")
 
     def _finish(self) -> None:
         if self._failure is None:
