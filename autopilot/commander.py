@@ -4,6 +4,7 @@ The commander answers MAVLink requests at once (:class:`autopilot.mavlink.api.Ve
 turns mode, mission and estimate into a goal for the controller. It never touches thrusters itself.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -27,7 +28,7 @@ from autopilot.failsafes import Conditions, FailsafeRules
 from autopilot.goals import Goals
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
 from autopilot.watch import Watch
-from mission.geodesy import Origin
+from mission.geodesy import MAX_RANGE_M, Origin, far_text, refuse_place
 from mission.items import ChangeSpeed, Jump, SetHeading, SetHome, Step
 from mission.judgement import Verdict
 from mission.room import Room
@@ -154,6 +155,8 @@ class Commander:
         nav = self._conditions.nav
         if nav is not None and self._goals.clearance_m(nav.pos_ned_m) < 0.0:
             reasons.append("vehicle is outside the fence or inside an obstacle: check fence and origin")
+        if nav is not None and not math.hypot(*nav.pos_ned_m[:2].tolist()) <= MAX_RANGE_M:
+            reasons.append(f"position is {far_text(math.hypot(*nav.pos_ned_m[:2].tolist()))}")
         if self._params["DEPTH_MIN"] >= self._params["DEPTH_MAX"]:
             reasons.append("the depth band is empty: set DEPTH_MIN below DEPTH_MAX")
         if self._plans.checking:
@@ -179,7 +182,7 @@ class Commander:
         self._failsafes.clear()
         nav = self._nav()
         if nav is not None:
-            self._set_home_ned(nav.pos_ned_m)
+            self._move_home(nav.pos_ned_m)
         self._under_way = False
         self._enter(self._mode if self._refuse_mode(self._mode) is None else FlightMode.HOLD)
         self._say(Severity.INFO, "Armed")
@@ -246,8 +249,9 @@ class Commander:
             return answer
         if not self._armed:
             return Answer(result=CommandResult.DENIED, reason="Go-to denied: arm first")
+        refusal = refuse_place(self._plans.origin, point.lat_deg, point.lon_deg)
         target_ned_m = self._plans.local_ned_m(point.lat_deg, point.lon_deg, point.alt_m)
-        refusal = self._goals.refuse(target_ned_m)
+        refusal = refusal or self._goals.refuse(target_ned_m)
         if refusal:
             return Answer(result=CommandResult.DENIED, reason=f"Go-to denied: {refusal}")
         answer = self.set_mode(FlightMode.HOLD)
@@ -275,19 +279,25 @@ class Commander:
 
     def set_home(self, point: GeoPoint | None) -> Answer:
         """Home (None = here)."""
-        if point is not None:
-            self._set_home_ned(self._plans.local_ned_m(point.lat_deg, point.lon_deg, point.alt_m))
-            return _ACCEPTED
         nav = self._nav()
-        if nav is None:
-            return Answer(result=CommandResult.DENIED, reason="Home denied: no position yet")
-        self._set_home_ned(nav.pos_ned_m)
-        return _ACCEPTED
+        if point is not None:
+            refusal = refuse_place(self._plans.origin, point.lat_deg, point.lon_deg)
+            place = np.zeros(3) if refusal else self._plans.local_ned_m(point.lat_deg, point.lon_deg, point.alt_m)
+        elif nav is None:
+            refusal, place = "no position yet", np.zeros(3)
+        else:
+            refusal, place = "", nav.pos_ned_m
+        refusal = refusal or self._set_home_ned(place)
+        return Answer(result=CommandResult.DENIED, reason=f"Home denied: {refusal}") if refusal else _ACCEPTED
 
     def set_origin(self, point: GeoPoint) -> Answer:
         """Move the local origin. Plans drawn on the map move with the map, so only while disarmed."""
         if self._armed:
             return Answer(result=CommandResult.DENIED, reason="Origin denied: disarm first")
+        altitude = self._params.spec("ORIGIN_ALT")
+        if not altitude.minimum <= point.alt_m <= altitude.maximum:
+            reason = f"altitude {point.alt_m:g} m: use {altitude.minimum:g} to {altitude.maximum:g}"
+            return Answer(result=CommandResult.DENIED, reason=f"Origin denied: {reason}")
         try:
             origin = Origin(lat_deg=point.lat_deg, lon_deg=point.lon_deg, alt_m=point.alt_m)
         except ConfigError as error:
@@ -340,7 +350,7 @@ class Commander:
             if out.goal is not None:
                 self._hold = out.goal
             if out.home_ned_m is not None:
-                self._set_home_ned(out.home_ned_m)
+                self._move_home(out.home_ned_m)
             if out.action is Action.SURFACE:
                 self.set_mode(FlightMode.SURFACE)
             elif out.action is Action.HOLD:
@@ -504,11 +514,19 @@ class Commander:
         nav = None if self._conditions is None else self._conditions.nav
         return None if nav is None or nav.health is NavHealth.INVALID else nav
 
-    def _set_home_ned(self, pos_ned_m: FloatArray) -> None:
-        """Home is a place on the surface: relative altitudes count from there."""
+    def _set_home_ned(self, pos_ned_m: FloatArray) -> str:
+        """Home is a place on the surface: relative altitudes count from there. Why not, "" when it is taken."""
         home_ned_m = np.array([pos_ned_m[0], pos_ned_m[1], 0.0])
-        self._plans.set_home(home_ned_m)
-        self._sequencer.set_home(home_ned_m)
+        refusal = self._plans.set_home(home_ned_m)
+        if not refusal:
+            self._sequencer.set_home(home_ned_m)
+        return refusal
+
+    def _move_home(self, pos_ned_m: FloatArray) -> None:
+        """The same where nobody is asked."""
+        refusal = self._set_home_ned(pos_ned_m)
+        if refusal:
+            self._say(Severity.WARNING, f"Home stays where it was: {refusal}")
 
     def _say(self, severity: Severity, text: str) -> None:
         self._events.append(Event(t_us=self._t_us, severity=severity, text=text))

@@ -54,7 +54,7 @@ from autopilot.mavlink.api import GeoPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.thrusters import ThrusterCare
 from estimator.protocol import Estimator
-from mission.geodesy import Origin
+from mission.geodesy import Place
 from mission.store import Plans
 
 CONTROL_EVERY_TICKS = 5
@@ -489,5 +489,5 @@ class Autopilot:
         )
 
 
-def _geo(point: Origin) -> GeoPoint:
+def _geo(point: Place) -> GeoPoint:
     return GeoPoint(lat_deg=point.lat_deg, lon_deg=point.lon_deg, alt_m=point.alt_m)

@@ -18,7 +18,7 @@ from autopilot.core.geometry import Fence
 from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, PlanProblem, PlanRejection, PlanStore
 from mission.decode import horizontal_ned_m
 from mission.fence import FenceShape, build_fence
-from mission.geodesy import Origin, geodetic_from_ned, ned_from_geodetic
+from mission.geodesy import MAX_RANGE_M, Origin, Place, far_text, geodetic_from_ned, ned_from_geodetic
 from mission.items import Step
 from mission.judgement import EMPTY, PLAN_PARAMETERS, Plans3, Question, Verdict, WaterCheck, judge
 from mission.validation import check_item
@@ -99,7 +99,7 @@ class Plans(PlanStore):
             lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"]
         )
         self._home_ned_m: FloatArray = np.zeros(3)
-        self._home: Origin | None = None
+        self._home: Place | None = None
         self._plans: Plans3 = EMPTY
         self._desk = desk
         self._now = 0
@@ -123,17 +123,21 @@ class Plans(PlanStore):
         return self._home_ned_m
 
     @property
-    def home(self) -> Origin:
+    def home(self) -> Place:
         """Home in geodetic coordinates; the same object until home or origin change."""
         if self._home is None:
             lat, lon, alt = geodetic_from_ned(self._origin, self._home_ned_m)
-            self._home = Origin(lat_deg=lat, lon_deg=lon, alt_m=alt)
+            self._home = Place(lat_deg=lat, lon_deg=lon, alt_m=alt)
         return self._home
 
-    def set_home(self, pos_ned_m: FloatArray) -> None:
-        """New home (3,)."""
+    def set_home(self, pos_ned_m: FloatArray) -> str:
+        """New home (3,), or why it is not taken."""
+        away_m = float(np.hypot(pos_ned_m[0], pos_ned_m[1]))
+        if not (away_m <= MAX_RANGE_M and np.isfinite(pos_ned_m).all()):
+            return far_text(away_m)
         self._home_ned_m = np.array(pos_ned_m, dtype=np.float64)
         self._home = None
+        return ""
 
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
         """The plan in force."""

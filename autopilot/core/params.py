@@ -86,7 +86,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("MPC_W_FORCE", 1.0, 0.0, 100.0, "N", "Bound on unmodelled force per axis (slow ones count as current)."),
     _real("MPC_W_MOMENT", 0.1, 0.0, 50.0, "N m", "Bound on unmodelled yaw moment."),
     _real("ORIGIN_ALT", 0.0, -500.0, 9000.0, "m", "Altitude of the water surface at the local origin (AMSL)."),
-    _real("ORIGIN_LAT", 37.9755, -90.0, 90.0, "deg", "Latitude of the local origin, used until one is set by message."),
+    _real("ORIGIN_LAT", 37.9755, -89.0, 89.0, "deg", "Latitude of the local origin, used until one is set by message."),
     _real("ORIGIN_LON", 23.7790, -180.0, 180.0, "deg", "Longitude of the local origin."),
     _real("SPD_CRUISE", 0.35, 0.02, 2.0, "m/s", "Speed over ground that missions ask for (DO_CHANGE_SPEED overrides)."),
     _real("SPD_HEAVE_MAX", 0.25, 0.02, 2.0, "m/s", "Limit of heave speed relative to the water (exact penalty)."),

@@ -1,5 +1,6 @@
 """What the microservices share: the outgoing queue, who talks to us, and the state of this tick."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
@@ -142,6 +143,20 @@ def limited(value: float, low: int, high: int) -> int:
     if value != value:
         value = 0.0
     return round(min(max(value, low), high))
+
+
+FLOAT32_MAX = 3.4028234e38
+"""Nothing larger fits a float field."""
+
+
+def f32(value: float) -> float:
+    """For a float field: beyond its range the largest that fits; infinite and not-a-number are numbers there."""
+    return value if not FLOAT32_MAX < abs(value) < math.inf else math.copysign(FLOAT32_MAX, value)
+
+
+def u64(value: int) -> int:
+    """For a uint64 field of microseconds."""
+    return min(max(value, 0), 0xFFFF_FFFF_FFFF_FFFF)
 
 
 def u16(value: float) -> int:

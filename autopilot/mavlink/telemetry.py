@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.mavlink.api import GeoPoint
-from autopilot.mavlink.context import Context, i16, i32, limited, u16
+from autopilot.mavlink.context import Context, f32, i16, i32, limited, u16
 from autopilot.mavlink.wire import Message
 
 Builder = Callable[[], Message | None]
@@ -177,7 +177,7 @@ class Telemetry:
             math.hypot(m.vn, m.ve),
             limited(m.heading_deg, 0, 360) % 360,
             limited(throttle, 0, 100),
-            view.origin.alt_m - m.down,
+            f32(view.origin.alt_m - m.down),
             -m.vd,
         )
 
@@ -187,7 +187,7 @@ class Telemetry:
         if m is None:
             return None
         return mav.MAVLink_altitude_message(
-            self._ctx.t_us, -m.down, self._ctx.view.origin.alt_m - m.down, -m.down, -m.down, NAN, NAN
+            self._ctx.t_us, -m.down, f32(self._ctx.view.origin.alt_m - m.down), -m.down, -m.down, NAN, NAN
         )
 
     def servo_output_raw(self) -> Message | None:
@@ -217,7 +217,7 @@ class Telemetry:
         ratio = self._ctx.view.aid_ratio
         fix = ratio.get("markers", ratio.get("external", 0.0))
         found = (ratio.get("velocity", 0.0), fix, ratio.get("depth", fix), ratio.get("heading", 0.0))
-        vel, horizontal, vertical, mag, above = (min(value, SANE) for value in (*found, ratio.get("laser", 0.0)))
+        vel, horizontal, vertical, mag, above = (f32(min(value, SANE)) for value in (*found, ratio.get("laser", 0.0)))
         return vel, horizontal, vertical, mag, above, 0.0
 
     def position_target_local_ned(self) -> Message | None:
@@ -226,7 +226,7 @@ class Telemetry:
         if target is None:
             return None
         return mav.MAVLink_position_target_local_ned_message(
-            self._ctx.boot_ms, mav.MAV_FRAME_LOCAL_NED, POSITION_ONLY_MASK, *target.tolist(), *(0.0,) * 8
+            self._ctx.boot_ms, mav.MAV_FRAME_LOCAL_NED, POSITION_ONLY_MASK, *map(f32, target.tolist()), *(0.0,) * 8
         )
 
     def nav_controller_output(self) -> Message | None:
@@ -242,7 +242,7 @@ class Telemetry:
             limited(m.heading_deg, 0, 360) % 360,
             limited(bearing_deg, 0, 360) % 360,
             u16(math.hypot(east - m.east, north - m.north)),
-            m.down - down,
+            f32(m.down - down),
             0.0,
             0.0,
         )
@@ -255,9 +255,9 @@ class Telemetry:
             i32(home.lat_deg * 1e7),
             i32(home.lon_deg * 1e7),
             i32(home.alt_m * 1e3),
-            north,
-            east,
-            down,
+            f32(north),
+            f32(east),
+            f32(down),
             [1.0, 0.0, 0.0, 0.0],
             NAN,
             NAN,
@@ -286,7 +286,7 @@ class Telemetry:
             *current,
             0.5 * (variance[0] + variance[1]),
             variance[2],
-            self._ctx.view.origin.alt_m - m.down,
+            f32(self._ctx.view.origin.alt_m - m.down),
             NAN,
             NAN,
         )
@@ -297,5 +297,5 @@ class Telemetry:
         if control is None:
             return None
         return mav.MAVLink_debug_vect_message(
-            b"margin", self._ctx.t_us, control.margin_m, control.tube_m, control.penalty_use
+            b"margin", self._ctx.t_us, f32(control.margin_m), f32(control.tube_m), f32(control.penalty_use)
         )

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.geodesy import MAX_ORIGIN_LAT_DEG, far_text
 from autopilot.core.messages import Severity
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
@@ -24,8 +25,6 @@ CHANGE_MODE = 1
 _GLOBAL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
 _RELATIVE = frozenset((mav.MAV_FRAME_GLOBAL_RELATIVE_ALT, mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
 
-MAX_LAT_DEG = 89.0
-"""Nearer to a pole the local east axis loses its meaning."""
 
 INT_ONLY = Answer(
     result=CommandResult.COMMAND_INT_ONLY, reason="COMMAND_LONG rounds positions to 0.5 m: send COMMAND_INT"
@@ -240,7 +239,8 @@ class VehicleService:
         if given and not call.exact:
             return Reply(INT_ONLY)
         if call.frame == mav.MAV_FRAME_LOCAL_NED and given and math.isfinite(call.z):
-            return ctx.plane.geo_from_ned(call.x, call.y, call.z)
+            place = ctx.plane.geo_from_ned(call.x, call.y, call.z)
+            return denied(f"{what}: {far_text(math.hypot(call.x, call.y))}") if place is None else place
         if call.frame not in _GLOBAL and call.frame not in _RELATIVE:
             reason = f"{what}: frame {call.frame} is not supported, use 0, 3 or (with a whole position) 1"
             return Reply(Answer(result=CommandResult.UNSUPPORTED_FRAME, reason=reason))
@@ -261,10 +261,10 @@ class VehicleService:
 
 def _no_place(what: str, lat_deg: float, lon_deg: float) -> Reply:
     """Refuse a position that no local axes can be put at."""
-    text = f"{lat_deg:.7f}, {lon_deg:.7f} is no usable position; latitude goes to {MAX_LAT_DEG:g} deg, longitude to 180"
-    return denied(f"{what}: {text}")
+    limits = f"latitude goes to {MAX_ORIGIN_LAT_DEG:g} deg, longitude to 180"
+    return denied(f"{what}: {lat_deg:.7f}, {lon_deg:.7f} is no usable position; {limits}")
 
 
 def _usable(lat_deg: float, lon_deg: float) -> bool:
     """Whether a latitude and longitude can be meant: in range, and not the 0, 0 of fields left empty."""
-    return abs(lat_deg) <= MAX_LAT_DEG and abs(lon_deg) <= 180.0 and (lat_deg != 0.0 or lon_deg != 0.0)
+    return abs(lat_deg) <= MAX_ORIGIN_LAT_DEG and abs(lon_deg) <= 180.0 and (lat_deg != 0.0 or lon_deg != 0.0)
