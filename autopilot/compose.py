@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 from autopilot import __version__
 from autopilot.commander import Commander
+from autopilot.config import system_id
 from autopilot.control.allocation import Allocation
 from autopilot.control.controller import MotionController
 from autopilot.control.currents import CurrentForecast
 from autopilot.control.desks import Desks
 from autopilot.control.energy.search import TrajectoryPlanner
 from autopilot.core.desk import Desk
-from autopilot.core.errors import ConfigError, PlanError
+from autopilot.core.errors import PlanError
 from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSet
@@ -52,20 +53,6 @@ class ServiceSetup:
     """How much faster than a client's clock this service's time may run (plan transfers wait so much longer)."""
     waits_for_plans: bool
     """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
-
-
-MAX_SYSTEM_ID = 254
-"""MAVLink system ids are 1 to 255; 255 is the ground station's by custom."""
-
-
-def system_id(params: ParamSet, instance: int) -> int:
-    """MAVLink system id of an instance. ConfigError when there is no such id."""
-    sysid = int(params["SYSID_THISMAV"]) + instance
-    if sysid > MAX_SYSTEM_ID:
-        raise ConfigError(
-            f"SYSID_THISMAV {sysid - instance} plus instance {instance} is {sysid}; it may be {MAX_SYSTEM_ID} at most"
-        )
-    return sysid
 
 
 def build_service(

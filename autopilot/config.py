@@ -13,6 +13,7 @@ from typing import Any
 import platformdirs
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.params import ParamSet
 
 ENVIRONMENT_PREFIX = "AUTOPILOT_"
 """AUTOPILOT_STATE_DIR and so on: every setting's name in capitals."""
@@ -138,3 +139,17 @@ def parse_overrides(texts: tuple[str, ...]) -> dict[str, float]:
         except ValueError as error:
             raise ConfigError(f"--param {text!r}: write NAME=VALUE with a number") from error
     return values
+
+
+MAX_SYSTEM_ID = 254
+"""MAVLink system ids are 1 to 255; 255 is the ground station's by custom."""
+
+
+def system_id(params: ParamSet, instance: int) -> int:
+    """MAVLink system id of an instance. ConfigError when there is no such id."""
+    sysid = int(params["SYSID_THISMAV"]) + instance
+    if sysid > MAX_SYSTEM_ID:
+        raise ConfigError(
+            f"SYSID_THISMAV {sysid - instance} plus instance {instance} is {sysid}; it may be {MAX_SYSTEM_ID} at most"
+        )
+    return sysid

@@ -11,8 +11,8 @@ from typing import Literal, cast
 import msgspec
 
 from autopilot import __version__
-from autopilot.compose import ServiceSetup, build_service, load_plan, system_id
-from autopilot.config import Settings
+from autopilot.compose import ServiceSetup, build_service, load_plan
+from autopilot.config import Settings, system_id
 from autopilot.control.current_learning import LearnedCurrent
 from autopilot.control.current_map import CurrentMap
 from autopilot.control.currents import (
@@ -34,6 +34,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.describe import describe_run, plan_items, plans_json
+from autopilot.doorstep import sitl_params
 from autopilot.log.description import RunDescription
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
@@ -153,13 +154,17 @@ def open_sitl(
     *,
     instance: int = 0,
     log: bool = True,
+    links: Sequence[Link] | None = None,
     peers: Sequence[Peer] = (),
     on_tick: Callable[[Outputs], None] = lambda _: None,
 ) -> SitlSession:
-    """Everything of a SITL run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then."""
+    """Everything of a SITL run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
+
+    ``links``: the connections of the settings if they are already open (:mod:`autopilot.doorstep`).
+    """
     sys.setswitchinterval(THREAD_SWITCH_S)
     scenario = load_scenario(settings["scenario"])
-    params, persistent = _params(settings, scenario, overrides, instance)
+    params, persistent = sitl_params(settings, scenario, overrides, instance)
     world = _world(settings, scenario, params)
     operator = ScriptedOperator(system_id(params, instance)) if settings["start"] else None
     all_peers = (*peers, operator) if operator is not None else tuple(peers)
@@ -172,13 +177,14 @@ def open_sitl(
         if problem:
             print(f"warning: {plan}: {problem}; the vehicle will not arm before that is mended", file=sys.stderr)
     device = SimulatedDevice(world.simulated, len(world.vehicle.thruster))
-    links: list[Link] = []
+    opened: list[Link] = [] if links is None else list(links)
     try:
-        links.extend(open_link(connection) for connection in settings["connect"])
+        if links is None:
+            opened.extend(open_link(connection) for connection in settings["connect"])
         recorder = _recorder(settings, world, parts, device) if log else NullRecorder()
     except BaseException:
         device.close()
-        for link in links:
+        for link in opened:
             link.close()
         raise
     persistent.mark()
@@ -191,7 +197,7 @@ def open_sitl(
         service,
         device,
         _vision(world),
-        links,
+        opened,
         recorder,
         make_clock(world.speed),
         peers=all_peers,
@@ -337,27 +343,6 @@ def _currents(settings: Settings, world: _World) -> CurrentForecast:
             return EstimatedCurrent()
         case _:
             return LearnedCurrent()
-
-
-def _params(
-    settings: Settings, scenario: Scenario, overrides: dict[str, float], instance: int
-) -> tuple[ParamSet, PersistentParams]:
-    """Defaults < scenario's origin, disturbance bounds and parameters < saved by earlier runs < command line."""
-    params = ParamSet()
-    params.set("ORIGIN_LAT", scenario.origin.lat_deg)
-    params.set("ORIGIN_LON", scenario.origin.lon_deg)
-    params.set("ORIGIN_ALT", scenario.origin.alt_m)
-    told = scenario.controller
-    for bound, value in (("MPC_W_FORCE", told.disturbance_n), ("MPC_W_MOMENT", told.disturbance_n_m)):
-        if value is not None:
-            params.set(bound, value)
-    for name, value in scenario.params.items():
-        params.set(name, value)
-    persistent = PersistentParams(Path(settings["state_dir"]) / f"sitl-{instance}" / "parameters.params", params)
-    persistent.load()
-    for name, value in overrides.items():
-        params.set(name, value)
-    return params, persistent
 
 
 def _make_folder(folder: Path) -> None:

@@ -36,7 +36,7 @@ EXIT_LOSS = 3
 def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the simulated vehicle of SCENARIO (a shipped name or a TOML file; default paper-tank)."""
     from autopilot.config import gather, parse_overrides, sitl_defaults
-    from autopilot.sitl_session import open_sitl
+    from autopilot.doorstep import open_doorstep
 
     settings = gather(sitl_defaults(instance), {"scenario": scenario, **given})
     stopped_by: list[int] = []
@@ -48,13 +48,17 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    session = open_sitl(settings, parse_overrides(param), instance=instance)
+    overrides = parse_overrides(param)
+    with open_doorstep(settings, overrides, instance=instance) as doorstep:
+        from autopilot.sitl_session import open_sitl
+
+        session = open_sitl(settings, overrides, instance=instance, links=doorstep.links)
+        # A full garbage collection over all that was imported would take five ticks: it leaves out what there is now.
+        gc.collect()
+        gc.freeze()
     if not quiet:
         name = session.scenario.scenario.name
         click.echo(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
-    # A full garbage collection over all that was imported would take five ticks: it leaves out what there is by now.
-    gc.collect()
-    gc.freeze()
     wall_s = session.run(stop=lambda: bool(stopped_by))
     if not quiet:
         counters = session.runtime.counters

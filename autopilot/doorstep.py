@@ -1,0 +1,106 @@
+"""The service's links while everything behind them is still being loaded.
+
+Loading takes a second or two of CPU time, ten times that on a busy machine; a ground station sees the vehicle at once,
+in MAV_STATE_BOOT. The vehicle's own time begins when all is there.
+"""
+
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from autopilot.config import Settings, system_id
+from autopilot.core.params import ParamSet
+from autopilot.mavlink.boot import BootLink
+from autopilot.param_file import PersistentParams
+from drivers.links import open_link
+from drivers.protocols import Link
+from sitl.scenario import Scenario, load_scenario
+
+HEARTBEAT_S = 1.0
+TURN_S = 0.05
+
+
+class Doorstep:
+    """Answers on open links from ``with`` to its end; then they are the service's. An error closes them."""
+
+    def __init__(self, links: Sequence[Link], sysid: int, profile: str) -> None:
+        self.links = tuple(links)
+        self._boot = [BootLink(sysid, profile) for _ in self.links]
+        self._beat_s = [-HEARTBEAT_S] * len(self.links)
+        """When each link got its last heartbeat."""
+        self._spoken_to: set[int] = set()
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="doorstep", daemon=True)
+
+    def __enter__(self) -> Self:
+        """The first heartbeats are out when this returns."""
+        self._turn()
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop answering; after an error close the links."""
+        self._end.set()
+        self._thread.join()
+        if kind is not None:
+            for link in self.links:
+                link.close()
+
+    def _run(self) -> None:
+        while not self._end.wait(TURN_S):
+            self._turn()
+
+    def _turn(self) -> None:
+        now_s = time.monotonic()
+        for index, (link, boot) in enumerate(zip(self.links, self._boot, strict=True)):
+            received = link.recv()
+            for data in received:
+                for answer in boot.answer(data):
+                    link.send(answer)
+            # Who listens for the vehicle on a port of ours hears it when he has spoken, and not a second later.
+            first_word = bool(received) and index not in self._spoken_to
+            if first_word:
+                self._spoken_to.add(index)
+            if first_word or now_s - self._beat_s[index] >= HEARTBEAT_S:
+                self._beat_s[index] = now_s
+                link.send(boot.heartbeat())
+
+
+def open_doorstep(settings: Settings, overrides: dict[str, float], *, instance: int) -> Doorstep:
+    """Open a SITL run's links. ConfigError and DriverError name what is wrong; nothing is open then."""
+    params, _ = sitl_params(settings, load_scenario(settings["scenario"]), overrides, instance)
+    sysid = system_id(params, instance)
+    links: list[Link] = []
+    try:
+        links.extend(open_link(connection) for connection in settings["connect"])
+        return Doorstep(links, sysid, settings["profile"])
+    except BaseException:
+        for link in links:
+            link.close()
+        raise
+
+
+def sitl_params(
+    settings: Settings, scenario: Scenario, overrides: dict[str, float], instance: int
+) -> tuple[ParamSet, PersistentParams]:
+    """Defaults < scenario's origin, disturbance bounds and parameters < saved by earlier runs < command line."""
+    params = ParamSet()
+    params.set("ORIGIN_LAT", scenario.origin.lat_deg)
+    params.set("ORIGIN_LON", scenario.origin.lon_deg)
+    params.set("ORIGIN_ALT", scenario.origin.alt_m)
+    told = scenario.controller
+    for bound, value in (("MPC_W_FORCE", told.disturbance_n), ("MPC_W_MOMENT", told.disturbance_n_m)):
+        if value is not None:
+            params.set(bound, value)
+    for name, value in scenario.params.items():
+        params.set(name, value)
+    persistent = PersistentParams(Path(settings["state_dir"]) / f"sitl-{instance}" / "parameters.params", params)
+    persistent.load()
+    for name, value in overrides.items():
+        params.set(name, value)
+    return params, persistent
