@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.geometry import Circle, Fence, Polygon
+from autopilot.core.geometry import Circle, Fence
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 IntArray: TypeAlias = NDArray[np.intp]
@@ -85,62 +85,104 @@ class Seen:
 
 def features_of(fence: Fence) -> tuple[Edges, Rounds]:
     """The boundaries of a fence."""
-    polygons: list[tuple[ComplexArray, bool]] = []
+    polygons: list[tuple[FloatArray, bool]] = []
     circles: list[tuple[Circle, float]] = []
     for shapes, inside in ((fence.inclusions, True), (fence.exclusions, False)):
         for shape in shapes:
             if isinstance(shape, Circle):
                 circles.append((shape, -1.0 if inside else 1.0))
             else:
-                polygons.append((_counter_clockwise(shape), inside))
+                corners = np.asarray(shape.vertices_ned_m, dtype=float).reshape(-1, 2)
+                if len(corners):
+                    polygons.append((corners, inside))
     edges = _edges(polygons)
     stand_out = ~edges.begin_hides
-    corners = edges.a[stand_out]
+    standing = edges.a[stand_out]
     centers = np.array([complex(*np.asarray(c.center_ned_m, dtype=float)[:2]) for c, _ in circles], dtype=complex)
     rounds = Rounds(
-        center=np.concatenate([centers, corners]),
-        radius=np.concatenate([[float(c.radius_m) for c, _ in circles], np.zeros(len(corners))]),
-        side=np.concatenate([[side for _, side in circles], np.ones(len(corners))]),
+        center=np.concatenate([centers, standing]),
+        radius=np.concatenate([[float(c.radius_m) for c, _ in circles], np.zeros(len(standing))]),
+        side=np.concatenate([[side for _, side in circles], np.ones(len(standing))]),
         polygon=np.concatenate([np.full(len(circles), -1), edges.polygon[stand_out]]).astype(np.intp),
         circles=len(circles),
     )
     return edges, rounds
 
 
-def _edges(polygons: list[tuple[ComplexArray, bool]]) -> Edges:
-    nothing = np.zeros(0, dtype=complex)
-    corners = np.concatenate([nothing, *(v for v, _ in polygons)])
-    ab = np.concatenate([nothing, *(np.roll(v, -1) - v for v, _ in polygons)])
-    free_left = np.concatenate([np.zeros(0), *(np.full(len(v), 1.0 if inside else -1.0) for v, inside in polygons)])
-    before = np.concatenate([nothing, *(v - np.roll(v, 1) for v, _ in polygons)])
+def _edges(polygons: list[tuple[FloatArray, bool]]) -> Edges:
+    """All polygons at once: a new fence is for the control step in which it comes."""
+    inside = np.array([each for _, each in polygons], dtype=bool)
+    v, ring = _counter_clockwise([corners for corners, _ in polygons])
+    following = v[ring.after]
+    ab, before = following - v, v - v[ring.before]
+    free_left = np.where(inside, 1.0, -1.0)[ring.number]
     # A corner hides what is behind it where the boundary turns towards the free side.
     begin_hides = (np.conj(before) * ab).imag * free_left > 0.0
-    ends, at = [np.zeros(0, dtype=bool)], 0
-    for v, _ in polygons:
-        ends.append(np.roll(begin_hides[at : at + len(v)], -1))
-        at += len(v)
     length = np.abs(ab)
-    middle = [0.5 * complex(v.real.min() + v.real.max(), v.imag.min() + v.imag.max()) for v, _ in polygons]
+    center: ComplexArray = np.zeros(0, dtype=complex)
+    reach: FloatArray = np.zeros(0)
+    if len(v):
+        low = ring.least(v.real) + 1j * ring.least(v.imag)
+        high = -(ring.least(-v.real) + 1j * ring.least(-v.imag))
+        center = 0.5 * (low + high)
+        reach = -ring.least(-np.abs(v - center[ring.number]))
     return Edges(
-        a=corners,
+        a=v,
         ab=ab,
         along=np.conj(ab) / np.maximum(length, TINY_M) ** 2,
         normal=1j * ab / np.maximum(length, TINY_M) * free_left,
         begin_hides=begin_hides,
-        end_hides=np.concatenate(ends),
-        polygon=np.repeat(np.arange(len(polygons)), [len(v) for v, _ in polygons]).astype(np.intp),
-        keep_outside=np.array([not inside for _, inside in polygons], dtype=bool),
-        center=np.array(middle, dtype=complex),
-        reach=np.array([float(np.abs(v - m).max()) for (v, _), m in zip(polygons, middle, strict=True)]),
+        end_hides=begin_hides[ring.after],
+        polygon=ring.number,
+        keep_outside=~inside,
+        center=center,
+        reach=reach,
     )
 
 
-def _counter_clockwise(polygon: Polygon) -> ComplexArray:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rings:
+    """Corners of polygons that stand one after the other in one array."""
+
+    first: IntArray
+    """(P,) where each begins."""
+    number: IntArray
+    """(E,) the polygon of every corner."""
+    before: IntArray
+    after: IntArray
+    """(E,) the neighbours of every corner."""
+
+    @classmethod
+    def of(cls, counts: IntArray) -> "_Rings":
+        """Of so many corners each (none without any)."""
+        first = np.cumsum(counts) - counts
+        number = np.repeat(np.arange(len(counts)), counts)
+        before, after = np.arange(len(number)) - 1, np.arange(len(number)) + 1
+        before[first], after[first + counts - 1] = first + counts - 1, first
+        return cls(first, number, before, after)
+
+    def least(self, values: FloatArray) -> FloatArray:
+        """(P,) the least of (E,) per polygon."""
+        result: FloatArray = np.minimum.reduceat(values, self.first)
+        return result
+
+
+def _counter_clockwise(polygons: list[FloatArray]) -> tuple[ComplexArray, _Rings]:
     """Corners in the order that has the inside at +90 degrees from every edge; repeated ones once."""
-    v = as_complex(np.array(polygon.vertices_ned_m, dtype=float).reshape(-1, 2))
-    different = np.abs(v - np.roll(v, 1)) > TINY_M
-    v = v[different] if different.sum() > 2 else v
-    return v if float((np.conj(v) * np.roll(v, -1)).imag.sum()) > 0.0 else v[::-1].copy()
+    counts = np.array([len(corners) for corners in polygons], dtype=np.intp)
+    ring = _Rings.of(counts)
+    if not len(counts):
+        return np.zeros(0, dtype=complex), ring
+    v = as_complex(np.concatenate(polygons))
+    different = np.abs(v - v[ring.before]) > TINY_M
+    if not different.all():
+        enough = np.add.reduceat(different.astype(np.intp), ring.first) > 2
+        kept = different | ~enough[ring.number]
+        counts = np.add.reduceat(kept.astype(np.intp), ring.first)
+        v, ring = v[kept], _Rings.of(counts)
+    area = np.add.reduceat((np.conj(v) * v[ring.after]).imag, ring.first)
+    mirrored = ring.first[ring.number] + (ring.first + counts - 1)[ring.number] - np.arange(len(v))
+    return np.where((area > 0.0)[ring.number], v, v[mirrored]), ring
 
 
 def as_complex(points_ned_m: FloatArray) -> ComplexArray:
