@@ -160,25 +160,30 @@ class LearnedCurrent:
         return float(-0.5 * seen @ alpha - np.log(root.diagonal()).sum()), alpha
 
     def _flow(self, places: FloatArray) -> FloatArray:
-        """(n, 2) mean of the process at places (n, 2)."""
+        """(n, 2) mean of the process at places (n, 2): the covariance of :meth:`_parts` times alpha."""
+        out = np.zeros((len(places), 2))
         if len(self._places) == 0:
-            return np.zeros((len(places), 2))
-        both: FloatArray = (self._kernel(places, self._places) @ self._alpha).reshape(2, -1).T
-        return both
+            return out
+        north, east = self._alpha.reshape(2, -1)
+        dx, dy, bell = self._bell(places, self._places)
+        across = bell * dx * dy
+        flow, mean = self._flow_m_s**2, self._mean_m_s**2
+        out[:, 0] = flow * ((bell * (1.0 - dy * dy)) @ north + across @ east) + mean * float(north.sum())
+        out[:, 1] = flow * ((bell * (1.0 - dx * dx)) @ east + across @ north) + mean * float(east.sum())
+        return out
 
-    def _kernel(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """(2 n, 2 m) covariance of north and east components at places (n, 2) and (m, 2): the curl of a streamfunction
-        of variance (FLOW_M_S length)^2, plus a uniform part."""
-        varying, mean = self._parts(a, b)
-        k: FloatArray = self._flow_m_s**2 * varying + mean
-        return k
-
-    def _parts(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The covariance of a varying part of 1 m/s, and that of the uniform part."""
-        n, m, scale = len(a), len(b), 1.0 / self._length_m
+    def _bell(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(n, m) distances north and east in correlation lengths, and their Gaussian."""
+        scale = 1.0 / self._length_m
         dx = (a[:, 0, None] - b[None, :, 0]) * scale
         dy = (a[:, 1, None] - b[None, :, 1]) * scale
-        bell = np.exp(-0.5 * (dx * dx + dy * dy))
+        return dx, dy, np.exp(-0.5 * (dx * dx + dy * dy))
+
+    def _parts(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(2 n, 2 m) covariance of north and east components at places (n, 2) and (m, 2): of a varying part of 1 m/s,
+        the curl of a streamfunction of variance length^2, and of the uniform part."""
+        n, m = len(a), len(b)
+        dx, dy, bell = self._bell(a, b)
         varying, mean = np.empty((2 * n, 2 * m)), np.zeros((2 * n, 2 * m))
         varying[:n, :m] = bell * (1.0 - dy * dy)
         varying[n:, m:] = bell * (1.0 - dx * dx)

@@ -122,9 +122,9 @@ def _edges(polygons: list[tuple[FloatArray, bool]]) -> Edges:
     center: ComplexArray = np.zeros(0, dtype=complex)
     reach: FloatArray = np.zeros(0)
     if len(v):
-        low = ring.least(v.real) + 1j * ring.least(v.imag)
-        high = -(ring.least(-v.real) + 1j * ring.least(-v.imag))
-        center = 0.5 * (low + high)
+        center = np.zeros(len(polygons), dtype=complex)
+        center.real = 0.5 * (ring.least(v.real) - ring.least(-v.real))
+        center.imag = 0.5 * (ring.least(v.imag) - ring.least(-v.imag))
         reach = -ring.least(-np.abs(v - center[ring.number]))
     return Edges(
         a=v,
