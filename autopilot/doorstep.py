@@ -58,10 +58,10 @@ class Doorstep:
     def _turn(self) -> None:
         now_s = time.monotonic()
         for index, (link, boot) in enumerate(zip(self.links, self._boot, strict=True)):
-            received = link.recv()
-            for data in received:
+            received = link.recv(0)  # the vehicle's time has not begun
+            for data, client, _ in received:
                 for answer in boot.answer(data):
-                    link.send(answer)
+                    link.send(answer, client)
             # Who listens for the vehicle on a port of ours hears it when he has spoken, and not a second later.
             first_word = bool(received) and index not in self._spoken_to
             if first_word:
