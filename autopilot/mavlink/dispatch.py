@@ -27,8 +27,8 @@ from autopilot.mavlink.utility import Utility
 from autopilot.mavlink.vehicle_commands import VehicleService
 from autopilot.mavlink.wire import Message
 
-FLOOD_SAY_US = 5_000_000
-"""A client that floods is named this often."""
+FLOOD_SAY_US = 1_000_000
+"""Operators hear of floods no more often than this, however many clients take part."""
 HEARTBEAT_US = 1_000_000
 """HEARTBEAT at 1 Hz (https://mavlink.io/en/services/heartbeat.html)."""
 MAX_PEERS = 64
@@ -262,7 +262,7 @@ class Dispatcher:
         ctx = self._ctx
         if self._flood_us is not None and ctx.t_us < self._flood_us + FLOOD_SAY_US:
             return
-        flood = self._intake.take_flood()
+        flood = self._intake.take_flood(ctx.t_us)
         if flood is None:
             return
         self._flood_us = ctx.t_us

@@ -19,12 +19,14 @@ HEAVY_WORK = 120
 """The same of one that makes the vehicle check itself or write."""
 TURN_WORK = 100
 """A client's turn: about two messages."""
-CLIENT_WORK = 600
-"""Most that one client gets of a tick: 15 messages, or 600 bytes of junk."""
-TICK_WORK = 1800
-"""Most that all clients get of a tick: 2 to 3 ms."""
-SERVE_WORK = 800
-"""Most that one client gets between two ticks: 20 messages. All together get TICK_WORK."""
+CLIENT_WORK = 500
+"""Most that one client gets of a tick: 12 messages, or 500 bytes of junk."""
+TICK_WORK = 1500
+"""Most that all clients get of a tick: about 2 ms."""
+SERVE_WORK = 500
+"""Most that one client gets between two ticks: another 12 messages. All together get TICK_WORK."""
+FLOOD_AGAIN_US = 5_000_000
+"""A client that goes on flooding is named again after this time."""
 MAX_INBOXES = 64
 """Clients that are remembered; the one silent for longest goes."""
 
@@ -51,6 +53,8 @@ class Inbox:
     """Whether it has asked for a turn."""
     told: int = 0
     """Lost bytes that operators have been told of."""
+    told_us: int | None = None
+    """When."""
 
     def next(self, work: Work) -> Message | None:
         """The next message in order, None when there is none, or no work left to find it."""
@@ -150,12 +154,16 @@ class Intake:
         inbox.served += given - work.left
         self._served += given - work.left
 
-    def take_flood(self) -> Flood | None:
-        """The client that has lost most since it was last named, None if nobody has lost anything."""
-        worst = max(self._inboxes.values(), key=lambda inbox: inbox.parser.overflow - inbox.told, default=None)
-        if worst is None or worst.parser.overflow == worst.told:
+    def take_flood(self, t_us: int) -> Flood | None:
+        """Of the clients not named lately the one that has lost most since; None if none has lost anything."""
+        worst, lost = None, 0
+        for inbox in self._inboxes.values():
+            since = inbox.parser.overflow - inbox.told
+            if since > lost and (inbox.told_us is None or t_us - inbox.told_us >= FLOOD_AGAIN_US):
+                worst, lost = inbox, since
+        if worst is None:
             return None
-        lost, worst.told = worst.parser.overflow - worst.told, worst.parser.overflow
+        worst.told, worst.told_us = worst.parser.overflow, t_us
         return Flood(worst.sender, worst.address[0], lost, worst.parser.overflow)
 
     def _handle(self, inbox: Inbox, message: Message, work: Work) -> None:

@@ -1,0 +1,179 @@
+"""A service in a process of its own in real time, and what a client needs to do things to it over a socket."""
+
+import contextlib
+import itertools
+import math
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.children import Child, autopilot_command
+from autopilot.core.errors import AutopilotError
+from autopilot.mavlink.wire import LinkParser, Message
+
+LOCAL = "127.0.0.1"
+MAX_BYTES = 4096
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
+    """A port that nobody uses now."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind((LOCAL, 0))
+        return int(probe.getsockname()[1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveService:
+    """Where it is reached."""
+
+    child: Child
+    udp: int
+    tcp: int
+    log: Path
+
+
+@contextlib.contextmanager
+def live_service(
+    *connections: str, arguments: Sequence[str] = (), scenario: str = "open-water", speed: float = 1.0
+) -> Iterator[LiveService]:
+    """``autopilot sitl`` on a UDP and a TCP port and on further ``connections``, until the block ends."""
+    udp, tcp = free_port(), free_port(socket.SOCK_STREAM)
+    with tempfile.TemporaryDirectory(prefix="autopilot-") as folder:
+        log = Path(folder) / "run.mcap"
+        links = (f"udpin:{LOCAL}:{udp}", f"tcpin:{LOCAL}:{tcp}", *connections)
+        child = Child(
+            autopilot_command(
+                *("sitl", scenario, "--quiet", "--sensors", "pose", "--speed", f"{speed:g}", "--log", str(log)),
+                *(part for link in links for part in ("--connect", link)),
+                *arguments,
+            ),
+            {"AUTOPILOT_STATE_DIR": folder},
+        )
+        try:
+            yield LiveService(child=child, udp=udp, tcp=tcp, log=log)
+        finally:
+            code = child.end()
+        if code != 0:
+            raise AutopilotError(f"the service ended with exit code {code}")
+
+
+@dataclass(slots=True)
+class Station:
+    """A ground station on a socket of its own. It keeps when heartbeats came, and what operators were told."""
+
+    socket: socket.socket
+    sysid: int = 255
+    compid: int = 190
+    beats_s: list[float] = field(default_factory=list)
+    """Real times of heartbeats."""
+    texts: list[str] = field(default_factory=list)
+    _seq: int = 0
+    _parser: LinkParser = field(default_factory=LinkParser)
+
+    @classmethod
+    def udp(cls, port: int, sysid: int = 255, compid: int = 190) -> "Station":
+        """On UDP."""
+        end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        end.connect((LOCAL, port))
+        return cls(end, sysid, compid)
+
+    @classmethod
+    def tcp(cls, port: int, sysid: int = 255, compid: int = 190) -> "Station":
+        """On TCP."""
+        return cls(socket.create_connection((LOCAL, port)), sysid, compid)
+
+    def send(self, message: Message) -> None:
+        """One message."""
+        codec = mav.MAVLink(None, srcSystem=self.sysid, srcComponent=self.compid)
+        codec.seq, self._seq = self._seq, (self._seq + 1) & 0xFF
+        with contextlib.suppress(ConnectionError, BlockingIOError):
+            self.socket.send(message.pack(codec))
+
+    def beat(self) -> None:
+        """A ground station's HEARTBEAT."""
+        self.send(mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3))
+
+    def receive(self, seconds: float = 0.05) -> list[Message]:
+        """What comes first within the time."""
+        self.socket.settimeout(max(seconds, 1e-4))
+        try:
+            data = self.socket.recv(MAX_BYTES)
+        except (TimeoutError, ConnectionError):
+            return []
+        now_s, found = time.monotonic(), self._parser.feed(data)
+        for message in found:
+            if message.get_type() == "HEARTBEAT":
+                self.beats_s.append(now_s)
+            elif message.get_type() == "STATUSTEXT":
+                self.texts.append(message.text)
+        return found
+
+    def wait(self, service: LiveService, *names: str, ask: Message | None = None) -> Message:
+        """The next message of these names, as long as the service works; ``ask`` is repeated until it comes."""
+        asked_s, working = 0.0, True
+        while working:
+            if ask is not None and time.monotonic() - asked_s > 1.0:
+                asked_s = time.monotonic()
+                self.send(ask)
+            found = self.receive(0.2)
+            for message in found:
+                if message.get_type() in names:
+                    return message
+            working = bool(found) or service.child.at_work()
+        raise AutopilotError(f"no {' or '.join(names)} from the service")
+
+    def meet(self, service: LiveService) -> None:
+        """Until the service has answered."""
+        hello = mav.MAVLink_ping_message(0, 0, 0, 0)
+        self.wait(service, "PING", ask=hello)
+        self.beat()
+
+    def watch(self, seconds: float, meanwhile: Callable[[float], None] = lambda _: None) -> float:
+        """Listen; ``meanwhile`` gets the seconds that have passed. The longest time without a heartbeat [s]."""
+        begin_s = time.monotonic()
+        self.beats_s.clear()
+        while (passed_s := time.monotonic() - begin_s) < seconds:
+            meanwhile(passed_s)
+            self.receive(0.002)
+        times = [begin_s, *self.beats_s, time.monotonic()]
+        return max(after - before for before, after in itertools.pairwise(times))
+
+    def close(self) -> None:
+        """Free the socket."""
+        self.socket.close()
+
+
+def waypoint(seq: int, total: int) -> Message:
+    """Item ``seq`` of a circle of waypoints, radius 2 m, depth 0.5 m."""
+    angle = 2.0 * math.pi * seq / total
+    x, y = round(2e4 * math.cos(angle)), round(2e4 * math.sin(angle))
+    return mav.MAVLink_mission_item_int_message(1, 1, seq, 1, 16, 0, 1, 0.0, 0.3, 0.0, math.nan, x, y, 0.5, 0)
+
+
+def upload(station: Station, service: LiveService, count: int) -> tuple[int, float]:
+    """Upload a mission item by item, as the service asks. Its answer, and the real time that took [s]."""
+    begin_s = time.perf_counter()
+    announce = mav.MAVLink_mission_count_message(1, 1, count, 0)
+    wanted = ("MISSION_REQUEST_INT", "MISSION_ACK")
+    message = station.wait(service, *wanted, ask=announce)
+    while message.get_type() != "MISSION_ACK":
+        item = waypoint(message.seq, count)
+        station.send(item)
+        message = station.wait(service, *wanted)
+    return int(message.type), time.perf_counter() - begin_s
+
+
+def download(station: Station, service: LiveService) -> tuple[int, float]:
+    """Read the mission. How many items, and the real time that took [s]."""
+    begin_s = time.perf_counter()
+    count = station.wait(service, "MISSION_COUNT", ask=mav.MAVLink_mission_request_list_message(1, 1, 0)).count
+    for seq in range(count):
+        request = mav.MAVLink_mission_request_int_message(1, 1, seq, 0)
+        station.wait(service, "MISSION_ITEM_INT", ask=request)
+    station.send(mav.MAVLink_mission_ack_message(1, 1, 0, 0))
+    return int(count), time.perf_counter() - begin_s
