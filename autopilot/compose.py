@@ -73,7 +73,7 @@ def build_service(
     guard = Guard()
     parts = Parts(
         guard=guard,
-        desks=desks.lanes,
+        desks=(*desks.lanes, checks),
         vehicle=vehicle,
         params=params,
         plans=plans,

@@ -196,7 +196,7 @@ class World:
         rx = [frame for client in self.clients for frame in client.take_tx()]
         tx = self.server.step(self.t_us, rx, self.view, events, reached)
         for client in self.clients:
-            client.deliver([frame.data for frame in tx if frame.link == client.link])
+            client.deliver([frame.data for frame in tx if client.gets(frame)])
         return tx
 
     def run(self, seconds: float) -> None:
@@ -246,7 +246,10 @@ class Client:
         compid: int = 190,
         to_vehicle: Lossy | None = None,
         from_vehicle: Lossy | None = None,
+        number: int = 0,
     ) -> None:
+        """``number``: which of those who share the link."""
+        self.number = number
         self.world, self.link, self.sysid, self.compid = world, link, sysid, compid
         self._mav = mav.MAVLink(None, srcSystem=sysid, srcComponent=compid)
         self._parser = mav.MAVLink(None)
@@ -271,7 +274,11 @@ class Client:
         """What reaches the vehicle this tick."""
         out = self._up.pass_on(list(self._tx))
         self._tx.clear()
-        return [MavlinkFrame(link=self.link, data=data) for data in out]
+        return [MavlinkFrame(link=self.link, data=data, client=self.number) for data in out]
+
+    def gets(self, frame: MavlinkFrame) -> bool:
+        """Whether the link brings a frame to this client."""
+        return frame.link == self.link and frame.client in (0, self.number)
 
     def deliver(self, datagrams: list[bytes]) -> None:
         """What the vehicle sent this tick."""
