@@ -154,7 +154,7 @@ class Commander:
         reasons = list(self._failsafes.prearm_reasons(self._conditions))
         nav = self._conditions.nav
         if nav is not None and self._goals.clearance_m(nav.pos_ned_m) < 0.0:
-            reasons.append("vehicle is outside the fence or inside an obstacle: check fence and origin")
+            reasons.append("outside the fence or in an obstacle: check fence and origin")
         if nav is not None and not math.hypot(*nav.pos_ned_m[:2].tolist()) <= MAX_RANGE_M:
             reasons.append(f"position is {far_text(math.hypot(*nav.pos_ned_m[:2].tolist()))}")
         if self._params["DEPTH_MIN"] >= self._params["DEPTH_MAX"]:

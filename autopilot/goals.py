@@ -96,7 +96,7 @@ class Goals:
         """Why home cannot be returned to, "" if it can. Near a boundary it is approached as far as that allows."""
         clearance_m = self.clearance_m(self._plans.home_ned_m)
         if clearance_m < 0.0:
-            return f"home is {-clearance_m:.2f} m inside what the fence forbids: set another home"
+            return f"home is {-clearance_m:.2f} m beyond the fence: set another"
         return ""
 
     def refuse(self, pos_ned_m: FloatArray) -> str:
@@ -108,7 +108,7 @@ class Goals:
         if clearance_m < self._keep_m():
             where = "from" if clearance_m >= 0.0 else "outside of"
             length = f"{abs(clearance_m):.{digits(clearance_m)}f} m"
-            return f"target is {length} {where} the fence, needs {self._keep_m():.2f} m"
+            return f"target {length} {where} the fence, keep {self._keep_m():.2f} m"
         return ""
 
     def _key(self) -> tuple[float, ...]:

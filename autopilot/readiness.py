@@ -21,8 +21,6 @@ class MarginCheck:
         current = float(np.hypot(*nav.current_ned_m_s[:2]))
         limit = self._params["SPD_PLANAR_MAX"]
         if current >= limit:
-            fast = (
-                f"the water flows at {current:.2f} m/s, the vehicle may swim at {limit:g}: wait or raise SPD_PLANAR_MAX"
-            )
+            fast = f"current {current:.2f} m/s, speed limit {limit:g}: wait or raise SPD_PLANAR_MAX"
             reasons = (*reasons, fast)
         return reasons

@@ -9,7 +9,7 @@ from mission.store import Plans
 _HEALTH_TEXTS = {
     NavHealth.GOOD: (Severity.NOTICE, "Position is good again"),
     NavHealth.DEAD_RECKONING: (Severity.WARNING, "Dead reckoning: no position fix, look for markers"),
-    NavHealth.INVALID: (Severity.ERROR, "Position lost: the vehicle drifts until it is found again"),
+    NavHealth.INVALID: (Severity.ERROR, "Position lost, drifting: bring markers into view"),
 }
 
 
@@ -43,7 +43,7 @@ class Watch:
         if armed and health is not self._health:
             texts.append(_HEALTH_TEXTS[health])
         if armed and conditions.unreachable and not self._unreachable:
-            texts.append((Severity.WARNING, "No free way to the goal: holding; move the goal or open the fence"))
+            texts.append((Severity.WARNING, "No free way to the goal: holding; move the goal"))
         texts += self._of_commands(conditions.command_delay_s) if armed else []
         self._health, self._unreachable = health, conditions.unreachable
         texts += self._of_thrusters(conditions.thruster_share)
@@ -60,7 +60,7 @@ class Watch:
         self._delay_s = delay_s
         if delay_s == 0.0:
             return [(Severity.NOTICE, "Commands act at once again")]
-        return [(Severity.WARNING, f"Commands act {delay_s:.1f} s late: look at tether and telemetry")]
+        return [(Severity.WARNING, f"Commands act {delay_s:.1f} s late: check the tether")]
 
     def _of_thrusters(self, shares: tuple[float, ...]) -> list[tuple[Severity, str]]:
         """A thruster that gives less than it should, or again what it should."""
@@ -81,5 +81,5 @@ class Watch:
         texts = [(Severity.WARNING, text) for text in self._plans.warnings()]
         lack_m = 0.0 if nav is None else self._radius_m - self._goals.clearance_m(nav.pos_ned_m)
         if lack_m > 0.0:
-            texts.append((Severity.WARNING, f"New fence: the vehicle is {lack_m:.2f} m too near or inside, moving out"))
+            texts.append((Severity.WARNING, f"New fence: {lack_m:.2f} m too near, moving out"))
         return texts

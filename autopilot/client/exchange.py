@@ -134,9 +134,10 @@ class BaseExchange:
         return spoken[-1] if spoken else ""
 
     def _finish_refusal(self, result: int) -> None:
+        """A vehicle does not say the same again at once, so there may be no reason."""
+        unknown = f"{self._what} refused by the vehicle with result {result}; ask again in 5 s for its reason"
         others = self._complaints[-1].text if self._complaints else ""
-        reason = self._best_reason() or others or f"{self._what} refused by the vehicle with result {result}"
-        self.outcome = Outcome(result=result, reason=reason)
+        self.outcome = Outcome(result=result, reason=self._best_reason() or others or unknown)
 
     def _waits(self, t_s: float) -> bool:
         """True when nothing has to be sent now: ended, waiting for a reason, or given up."""

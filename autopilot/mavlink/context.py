@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.guard import Guard
-from autopilot.core.messages import Event, MavlinkFrame
+from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
@@ -24,6 +24,8 @@ MAX_TEXT_CHARS = 600
 """Longest text that is sent (12 chunks)."""
 _CHUNK_CHARS = 50
 """STATUSTEXT.text."""
+SAME_TEXT_US = 5_000_000
+"""The same text does not go out twice on a link within this time."""
 
 
 class Peer(NamedTuple):
@@ -34,6 +36,9 @@ class Peer(NamedTuple):
     compid: int
     client: int = 0
 
+
+_EVERYONE = 0
+"""Client number of all clients of a link."""
 
 Receiver: TypeAlias = int | Peer
 """Who gets something: everyone on a link, or one client."""
@@ -77,6 +82,8 @@ class Context:
     """Good frames so far, all links."""
     announce_place: bool = False
     """Send origin and home on all links once the vehicle's view is fresh."""
+    _said: dict[tuple[int, int, str], int] = field(default_factory=dict)
+    """Texts of the last seconds by link and client, and when they went out."""
     _text_id: int = 0
     _plane: TangentPlane | None = None
 
@@ -119,12 +126,27 @@ class Context:
         self.notices.append(Event(t_us=self.t_us, severity=severity, text=text))
 
     def text(self, severity: int, text: str, to: Receiver | None = None) -> None:
-        """STATUSTEXT, in chunks if it is long."""
-        for message in self._chunks(min(max(severity, 0), 7), text):
-            if to is None:
-                self.broadcast(message)
-            else:
-                self.send(to, message)
+        """STATUSTEXT, in chunks if it is long. Not for DEBUG, which is for the log, and not again within 5 s."""
+        if severity >= Severity.DEBUG:
+            return
+        receivers: Iterable[Receiver] = self.links if to is None else (to,)
+        news = [receiver for receiver in receivers if self._is_news(receiver, text)]
+        for message in self._chunks(max(severity, 0), text) if news else ():
+            for receiver in news:
+                self.send(receiver, message)
+
+    def _is_news(self, to: Receiver, text: str) -> bool:
+        """Whether a receiver has not been told this lately, alone or with its whole link; it is told now."""
+        link, client = (to, _EVERYONE) if isinstance(to, int) else (to.link, to.client)
+        self._said = {key: when_us for key, when_us in self._said.items() if 0 <= self.t_us - when_us < SAME_TEXT_US}
+        if (link, client, text) in self._said or (link, _EVERYONE, text) in self._said:
+            return False
+        self._said[link, client, text] = self.t_us
+        return True
+
+    def begin_anew(self) -> None:
+        """Another plan: what is said of it now is news, even in the words that were used for the one before."""
+        self._said.clear()
 
     def _chunks(self, severity: int, text: str) -> Iterable[Message]:
         data = text.replace("\0", " ")[:MAX_TEXT_CHARS].encode("ascii", errors="replace")

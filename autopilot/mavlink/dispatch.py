@@ -1,5 +1,6 @@
 """Puts the microservices together and hands every message to the one that it belongs to."""
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
@@ -31,6 +32,8 @@ FLOOD_SAY_US = 1_000_000
 """Operators hear of floods no more often than this, however many clients take part."""
 HEARTBEAT_US = 1_000_000
 """HEARTBEAT at 1 Hz (https://mavlink.io/en/services/heartbeat.html)."""
+GREET_AFTER_US = 2_000_000
+"""A ground station does not listen yet at the moment in which it has found a vehicle (QGroundControl)."""
 MAX_PEERS = 64
 """Clients that are remembered as greeted; the oldest goes."""
 MISSION_COMPONENT = 190
@@ -119,6 +122,8 @@ class Dispatcher:
         self._intake = Intake(self._handlers.keys(), _HEAVY, self._handle)
         self._flood_us: int | None = None
         self._greeted: dict[Peer, None] = {}
+        self._to_greet: deque[tuple[int, Peer]] = deque()
+        """When a greeting is due, and whose."""
         self._heartbeat_us = 0
         self._mode_shown: tuple[bool, FlightMode, FlightMode] | None = None
         self._place_shown: tuple[GeoPoint, GeoPoint] | None = None
@@ -201,6 +206,7 @@ class Dispatcher:
         ctx.received = self._intake.received
         run("telemetry", self._say_flood, None)
         run("heartbeat", self._say_heartbeat, None, lambda: view)
+        run("telemetry", self._say_greetings, None)
         for event in events:
             run("telemetry", partial(ctx.text, event.severity, event.text), None, partial(repr, event))
         run("telemetry", self._say_place, None, lambda: view)
@@ -279,14 +285,21 @@ class Dispatcher:
         )
 
     def _greet(self, peer: Peer) -> None:
-        """The true name, once to every client."""
+        """The true name, once to every client, a moment after its first word."""
         if peer in self._greeted:
             return
         while len(self._greeted) >= MAX_PEERS:
             del self._greeted[next(iter(self._greeted))]
         self._greeted[peer] = None
+        if len(self._to_greet) < MAX_PEERS:
+            self._to_greet.append((self._ctx.t_us + round(GREET_AFTER_US * self._ctx.patience), peer))
+
+    def _say_greetings(self) -> None:
+        """Greet whose time has come."""
         identity = self._ctx.identity
-        self._ctx.text(Severity.INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer)
+        while self._to_greet and self._ctx.t_us >= self._to_greet[0][0]:
+            _, peer = self._to_greet.popleft()
+            self._ctx.text(Severity.INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer)
 
     def _say_heartbeat(self) -> None:
         """1 Hz, and at once when armed state or mode change."""

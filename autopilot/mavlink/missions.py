@@ -285,6 +285,7 @@ class Missions:
         now_us = self._ctx.t_us
         self._upload = None
         self._finished = Finished(upload.peer, upload.kind, upload.count, result, now_us, now_us)
+        self._ctx.begin_anew()
         self._ack(upload.peer, result, upload.kind)
         if reason:
             text = f"{upload.kind.name.capitalize()} refused: {reason}"

@@ -124,7 +124,7 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
             param_encoding=ParamEncoding.BYTEWISE,
             home_is_item_0=False,
             least_version=(1, 4, 1),
-            note="px4 profile: speaks PX4's modes, is not PX4",
+            note="px4 profile, not PX4",
         ),
         "ardusub": Profile(
             name="ardusub",
@@ -136,7 +136,7 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
             param_encoding=ParamEncoding.C_CAST,
             home_is_item_0=True,
             least_version=(0, 0, 0),
-            note="ardusub profile: speaks ArduSub's modes, is not ArduSub",
+            note="ardusub profile",
         ),
     }
 )

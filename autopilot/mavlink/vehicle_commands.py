@@ -26,9 +26,7 @@ _GLOBAL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
 _RELATIVE = frozenset((mav.MAV_FRAME_GLOBAL_RELATIVE_ALT, mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
 
 
-INT_ONLY = Answer(
-    result=CommandResult.COMMAND_INT_ONLY, reason="COMMAND_LONG rounds positions to 0.5 m: send COMMAND_INT"
-)
+INT_ONLY = Answer(result=CommandResult.COMMAND_INT_ONLY, reason="send COMMAND_INT: COMMAND_LONG rounds to 0.5 m")
 
 
 class VehicleService:
@@ -83,25 +81,23 @@ class VehicleService:
         """DO_FLIGHTTERMINATION: stop the thrusters now. There is nothing that could be taken back."""
         if call.params[0] == 1.0:
             return Reply(self._ctx.vehicle.disarm(True))
-        return denied("flight termination: param1 must be 1; arm again to go on")
+        return denied("flight termination: send param1 = 1")
 
     def do_set_mode(self, call: Call) -> Reply:
         """DO_SET_MODE: base mode with the custom flag, then the profile's numbers."""
         base = call.whole(1)
         if base is None or not base & CUSTOM_MODE_FLAG:
-            return denied(
-                "set mode: base mode without the custom-mode flag is not supported; send 1 plus a custom mode"
-            )
+            return denied("set mode: send the custom-mode flag (1) and a mode")
         mode = self._ctx.profile.mode_of_command(call.param(2), call.param(3))
         if mode is None:
-            return denied(f"set mode: there is no mode {call.param(2):g}/{call.param(3):g}; AVAILABLE_MODES lists them")
+            return denied(f"no mode {call.param(2):g}/{call.param(3):g}: use Hold, Mission, Return, Surface")
         return Reply(self._ctx.vehicle.set_mode(mode))
 
     def set_mode_message(self, base_mode: int, custom_mode: int) -> Answer:
         """Legacy SET_MODE."""
         mode = self._ctx.profile.mode_of(custom_mode) if base_mode & CUSTOM_MODE_FLAG else None
         if mode is None:
-            return denied(f"set mode: there is no mode {base_mode}/{custom_mode}; AVAILABLE_MODES lists them").answer
+            return denied(f"no mode {base_mode}/{custom_mode}: use Hold, Mission, Return, Surface").answer
         return self._ctx.vehicle.set_mode(mode)
 
     def do_set_standard_mode(self, call: Call) -> Reply:
@@ -116,7 +112,7 @@ class VehicleService:
     def mode_here(self, call: Call, mode: FlightMode) -> Reply:
         """RETURN, SURFACE and HOLD by command: they begin where the vehicle is."""
         if (call.x or call.y) and call.x == call.x and call.y == call.y and mode is not FlightMode.RETURN:
-            return denied(f"{mode.name.lower()} begins where the vehicle is: go there first (DO_REPOSITION)")
+            return denied(f"{mode.name.lower()} begins here: go there first")
         return Reply(self._ctx.vehicle.set_mode(mode))
 
     def run_prearm_checks(self, call: Call) -> Reply:
@@ -167,7 +163,7 @@ class VehicleService:
         ctx = self._ctx
         flags = call.whole(2) or 0
         if not flags & CHANGE_MODE and ctx.view.mode is not FlightMode.HOLD:
-            return denied("go-to: not in hold mode; set the change-mode flag (param2 = 1)")
+            return denied("go-to: set the change-mode flag (param2 = 1)")
         yaw = call.params[3]
         yaw_rad = yaw if math.isfinite(yaw) else None
         if not (math.isfinite(call.x) and math.isfinite(call.y)) and not math.isfinite(call.z):

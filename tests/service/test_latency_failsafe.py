@@ -12,7 +12,7 @@ def test_a_delay_that_is_allowed_for_is_only_told() -> None:
     bench.command_delay_s = 0.32
     decision = bench.run(5.0)
     assert decision.failsafes == 0
-    assert [text for text in bench.texts if "late" in text] == ["Commands act 0.3 s late: look at tether and telemetry"]
+    assert [text for text in bench.texts if "late" in text] == ["Commands act 0.3 s late: check the tether"]
     bench.command_delay_s = 0.0
     bench.run(1.0)
     assert bench.texts[-1] == "Commands act at once again"
