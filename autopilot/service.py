@@ -60,6 +60,9 @@ from mission.store import Plans
 CONTROL_EVERY_TICKS = 5
 """The NMPC runs at 20 Hz: counted in ticks, not timed."""
 
+WARM_AT_TICK = 100
+"""A second after the start, when the links are served, the controller has prepared what its first routes need."""
+
 COUNTERS_EVERY_TICKS = 100
 """The estimator's counts go to the log once per second."""
 

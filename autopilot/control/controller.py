@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from autopilot.control import ocp
+from autopilot.control import ocp, shortest
 from autopilot.control.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.desks import Desks
 from autopilot.control.energy.guidance import EnergyGuidance
@@ -77,7 +77,8 @@ class MotionController:
         self._model = vehicle.model4.to_model()
         self._cpu_clock = cpu_clock
         grid = grid or geometric_grid(n, horizon_s)
-        desks = desks or Desks()
+        self.desks = desks = desks or Desks()
+        """Whoever owns the loop closes them, and says what is attended to while an answer is waited for."""
         self._program = StepProgram(self._model, grid, vehicle.radius_m, backends, desks.certificates)
         self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
         self._lag = ThrusterLag(self._model, vehicle.drive.time_constant_s)
@@ -87,7 +88,7 @@ class MotionController:
         self._penalty = PenaltyWatch()
         self._nominal_t_s = vehicle.drive.time_constant_s + grid.t_s
         self._plan_current = np.zeros(3)
-        trajectories = trajectories or EnergyPlanner(self._model, PowerModel.of(vehicle))
+        self._trajectories = trajectories = trajectories or EnergyPlanner(self._model, PowerModel.of(vehicle))
         route = RouteGuidance(self._model, grid, desks.routes)
         energy = EnergyGuidance(self._model, grid, desks.trajectories, trajectories, route)
         self._guidances: tuple[Guidance, ...] = (route, energy)
@@ -104,6 +105,14 @@ class MotionController:
     def unreachable(self) -> bool:
         """True while the planner finds no way to the goal; the vehicle holds its place."""
         return self._guidance.unreachable
+
+    def warm(self, params: ParamSet) -> None:
+        """Have imported and built beside the loop what first answers need: else they would come a second late."""
+        routes, trajectories = self.desks.routes, self.desks.trajectories
+        if not routes.patient:
+            routes.submit(0, lambda _, __: shortest.warm(), None)
+        if not trajectories.patient and int(params["MPC_COST"]):
+            trajectories.submit(0, lambda planner, _: planner.warm(), self._trajectories)
 
     def reset(self) -> None:
         """Forget the plan (after disarming, before a new start)."""

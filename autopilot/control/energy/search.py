@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.control.energy.field import EnergyField, EnergyToGo, Way, other_ways
-from autopilot.control.energy.flow import Flow, FlowSamples, area_of
+from autopilot.control.energy.flow import LEAST_SAMPLES, Flow, FlowSamples, area_of
 from autopilot.control.energy.power import PowerModel, SpeedTable, energy_per_metre, speed_table
 from autopilot.control.energy.trajectory import PLANES, SUBSTEP_S, Ask, Program, Trajectory
 from autopilot.control.guidance import SteadyThrust
@@ -109,6 +109,10 @@ class TrajectoryPlanner(Protocol):
         """Answer one request; once ``cancel`` is requested anything will do."""
         ...
 
+    def warm(self) -> None:
+        """Import and build what the first plan needs."""
+        ...
+
 
 class EnergyPlanner:
     """Keeps the built programs and the last features; otherwise a function of the request."""
@@ -118,6 +122,14 @@ class EnergyPlanner:
         self._steady = SteadyThrust(model)
         self._programs: dict[int, Program] = {}
         self._features: tuple[tuple[object, ...], Features] | None = None
+
+    def warm(self) -> None:
+        """See :class:`TrajectoryPlanner`."""
+        self._program(0.0)
+        still = np.zeros((LEAST_SAMPLES, LEAST_SAMPLES, 3))
+        still[0] = 1.0
+        axis = np.arange(float(LEAST_SAMPLES))
+        Flow(FlowSamples(north_m=axis, east_m=axis, current_ned_m_s=still))
 
     def plan(self, request: Request, cancel: Cancel | None = None) -> Plan:
         """See :class:`TrajectoryPlanner`. Ends with WithdrawnError soon after ``cancel`` is requested."""
