@@ -1,0 +1,92 @@
+"""The real service in flight: what is planned beside its loop, what is not planned at all, and planners that fail."""
+
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+
+from autopilot.bench.faults.pilot import PilotedFlight, piloted
+from autopilot.control.energy.search import EnergyPlanner
+from autopilot.control.planner import Planner
+from autopilot.control.robust import regions
+from autopilot.core.messages import Outputs, Severity
+from autopilot.core.plan import PlanKind
+from mission.geodesy import geodetic_from_ned
+from mission.paper import paper_plan
+
+WARNING = "No energy plan: this leg goes by the plain route"
+
+
+def on_its_way(flight: PilotedFlight, seconds: float) -> None:
+    plan = paper_plan(1)
+    flight.upload(PlanKind.FENCE, plan.fence)
+    flight.upload(PlanKind.MISSION, plan.mission)
+    flight.start()
+    flight.fly(seconds)
+
+
+def go_to(flight: PilotedFlight, place_ned_m: tuple[float, float, float]) -> None:
+    lat, lon, _ = geodetic_from_ned(flight.session.parts.plans.origin, np.array(place_ned_m))
+    flight.pilot.go_to(lat, lon, place_ned_m[2])
+
+
+@pytest.mark.parametrize("cost", [0.0, 1.0])
+def test_nothing_slow_runs_on_the_thread_of_the_loop(monkeypatch: pytest.MonkeyPatch, cost: float) -> None:
+    threads: dict[str, list[int]] = {"route": [], "trajectory": [], "certificate": []}
+
+    def note(owner: Any, name: str, kind: str) -> None:
+        sound = getattr(owner, name)
+
+        def noted(*args: Any, **kwargs: Any) -> Any:
+            threads[kind].append(threading.get_ident())
+            return sound(*args, **kwargs)
+
+        monkeypatch.setattr(owner, name, noted)
+
+    note(Planner, "path", "route")
+    note(EnergyPlanner, "plan", "trajectory")
+    note(regions, "certify", "certificate")
+    with piloted("paper-tank", {"MPC_COST": cost}) as flight:
+        on_its_way(flight, 2.0 if cost else 4.0)
+    assert threads["trajectory" if cost else "route"] and threads["certificate"]
+    assert threading.get_ident() not in {ident for idents in threads.values() for ident in idents}
+
+
+def test_of_many_go_tos_only_the_last_is_planned_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    sound, done = EnergyPlanner.plan, []
+
+    def plan(self: EnergyPlanner, request: Any, *args: Any) -> Any:
+        made = sound(self, request, *args)
+        done.append(request.goal.pos_ned_m)
+        return made
+
+    monkeypatch.setattr(EnergyPlanner, "plan", plan)
+    with piloted("paper-tank", {"MPC_COST": 1.0}) as flight:
+        on_its_way(flight, 1.0)
+        done.clear()
+        for i in range(12):
+            go_to(flight, (1.2 + 0.02 * i, 0.9, 0.4))
+            flight.fly(0.1)
+        flight.fly(0.5)
+        assert flight.outputs is not None and flight.outputs.goal is not None
+        assert np.allclose(flight.outputs.goal.pos_ned_m, (1.42, 0.9, 0.4), atol=0.01)
+        assert len(done) == 1 and np.allclose(done[0], flight.outputs.goal.pos_ned_m)
+
+
+def test_a_planner_that_fails_costs_the_trajectory_and_not_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
+    def plan(*_: Any, **__: Any) -> Any:
+        raise MemoryError("IPOPT")
+
+    monkeypatch.setattr(EnergyPlanner, "plan", plan)
+    seen: list[Outputs] = []
+    with piloted("paper-tank", {"MPC_COST": 1.0}) as flight:
+        flight.on_tick = seen.append
+        on_its_way(flight, 1.0)
+        begin = flight.session.device.truth.pos_ned_m.copy()
+        flight.fly(6.0)
+        assert np.linalg.norm(flight.session.device.truth.pos_ned_m - begin) > 0.5, "it flies by the plain route"
+        assert flight.session.parts.commander.armed
+        assert flight.pilot.texts().count(WARNING) == 1
+    logged = [event for outputs in seen for event in outputs.events]
+    assert sum(event.severity == Severity.DEBUG and "MemoryError: IPOPT" in event.text for event in logged) == 1
