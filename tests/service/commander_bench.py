@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from autopilot.commander import Commander, Decision
+from autopilot.core.desk import Desk
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
@@ -22,10 +23,10 @@ OK = CommandResult.ACCEPTED
 class Bench:
     """Runs the commander tick by tick."""
 
-    def __init__(self, **params: float) -> None:
+    def __init__(self, *, desk: Desk | None = None, **params: float) -> None:
         self.params = ParamSet(params)
         vehicle = load_vehicle("lbv150")
-        self.plans = Plans(self.params, vehicle.radius_m)
+        self.plans = Plans(self.params, vehicle.radius_m, desk=desk)
         self.commander = Commander(vehicle, self.params, self.plans)
         self.t_us = 0
         self.pos = np.array([-1.0, 0.5, 0.5])
