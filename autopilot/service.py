@@ -45,7 +45,7 @@ from autopilot.core.messages import (
     ThrusterHealthState,
 )
 from autopilot.core.params import ParamSet
-from autopilot.core.samples import ExternalPoseSample, ObstacleTrack, PowerSample
+from autopilot.core.samples import ExternalPoseSample, ObstacleTrack, PowerSample, plausible
 from autopilot.core.vehicle import Vehicle
 from autopilot.failsafes import Conditions
 from autopilot.fault_care import DeviceCare, FaultCare
@@ -125,6 +125,7 @@ class Autopilot:
         self._aid_ratio: dict[str, float] = {}
         self._nav_errors = (0, 0, 0, 0)
         self._power: PowerSample | None = None
+        self._bad_power = 0
         self._tracks = Tracks()
         self._solver_failures = 0
         self._status: NmpcStatus | None = None
@@ -402,13 +403,17 @@ class Autopilot:
         )
         faults = {f"faults.{part}": count for part, count in self._parts.guard.counts.items()}
         troubles = {f"devices.{role.name.lower()}": count for role, count in self._devices.counts.items() if count}
-        return NavCounters(t_us=t_us, counts={**counts, **faults, **troubles})
+        power = {"power.malformed": self._bad_power} if self._bad_power else {}
+        return NavCounters(t_us=t_us, counts={**counts, **faults, **troubles, **power})
 
     def _note(self, inputs: Inputs) -> None:
         self._fault_events += self._devices.step(inputs.t_us, inputs.troubles)
         for sample in inputs.samples:
             if isinstance(sample, PowerSample):
-                self._power = sample
+                if plausible(sample):
+                    self._power = sample
+                else:
+                    self._bad_power += 1
             elif isinstance(sample, ObstacleTrack):
                 self._tracks.note(inputs.t_us, sample)
 

@@ -16,6 +16,10 @@ from autopilot.core.vehicle import Drive
 ROUNDING = 1e-9
 """Keeps a duty that is a whole pulse in exact arithmetic on that pulse."""
 
+CREDIBLE_SUPPLY = 10.0
+"""A supply of more than so many times the nominal one is a broken wire: the nominal one is taken. Less than that part of
+it counts as that part: pulses are at their limits long before."""
+
 
 class Allocation:
     """Inverse and forward curve of one drive. ``supply_v`` is the measured voltage; None = nominal."""
@@ -35,9 +39,9 @@ class Allocation:
         return (self.drive.neutral_us,) * count
 
     def _supply(self, supply_v: float | None) -> float:
-        if supply_v is None or not math.isfinite(supply_v) or supply_v <= 0.0:
+        if supply_v is None or not 0.0 < supply_v <= CREDIBLE_SUPPLY * self.drive.nominal_supply_v:
             return self.drive.nominal_supply_v
-        return supply_v
+        return max(supply_v, self.drive.nominal_supply_v / CREDIBLE_SUPPLY)
 
     def pulse_us(self, thrust_n: float, supply_v: float | None = None) -> int:
         """Pulse [us] for one thrust [N]; neutral for anything that is not a number."""

@@ -146,6 +146,20 @@ class PowerSample:
     """0..1"""
 
 
+MAX_VOLTAGE_V, MAX_CURRENT_A, MAX_ENERGY_J = 1e3, 1e4, 1e12
+"""Beyond these no battery is read, a wire is broken."""
+
+
+def plausible(power: PowerSample) -> bool:
+    """Whether a battery can say that."""
+    return (
+        0.0 <= power.voltage_v <= MAX_VOLTAGE_V
+        and abs(power.current_a) <= MAX_CURRENT_A
+        and abs(power.energy_used_j) <= MAX_ENERGY_J
+        and 0.0 <= power.remaining <= 1.0
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ObstacleTrack:
     """An obstacle that something on board or outside has seen, as an upright cylinder. ``t_us``: time of validity."""

@@ -1,0 +1,269 @@
+"""MAVLink traffic of clients that are sensible, mistaken, broken and hostile by turns, all from one seed."""
+
+import math
+import random
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.params import PARAMETERS
+
+HANDLED_NAMES = """
+    HEARTBEAT COMMAND_LONG COMMAND_INT SET_MODE SET_GPS_GLOBAL_ORIGIN PARAM_REQUEST_LIST PARAM_REQUEST_READ PARAM_SET
+    MISSION_COUNT MISSION_ITEM_INT MISSION_ITEM MISSION_CLEAR_ALL MISSION_REQUEST_LIST MISSION_REQUEST_INT
+    MISSION_REQUEST MISSION_ACK MISSION_WRITE_PARTIAL_LIST MISSION_SET_CURRENT PING TIMESYNC SYSTEM_TIME
+    FILE_TRANSFER_PROTOCOL LOG_REQUEST_LIST REQUEST_DATA_STREAM VISION_POSITION_ESTIMATE ODOMETRY
+"""
+HANDLED = tuple(sorted(getattr(mav, f"MAVLINK_MSG_ID_{name}") for name in HANDLED_NAMES.split()))
+"""Messages that the server has a handler for."""
+
+COMMANDS = (400, 176, 262, 300, 193, 192, 20, 21, 17, 178, 179, 410, 611, 224, 512, 511, 510, 520, 401, 185, 519)
+"""Commands that the server knows."""
+ALL_COMMANDS = tuple(sorted(number for number in mav.enums["MAV_CMD"] if number < 0x1_0000))
+
+ODD_FLOATS = (
+    *(0.0, 1.0, -1.0, 0.5, 2.0, 3.0, 129.0, 2989.0, 21196.0, 1e-45, 2.0**31, -(2.0**31), 2.0**32, 1e9, 360.0, 90.0),
+    *(math.nan, math.inf, -math.inf, 3.4e38, -3.4e38),
+)
+ODD_WORDS = (0, 1, 2, 3, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFF)
+
+LAT_E7, LON_E7 = 379_755_000, 237_790_000
+"""The simulated tank."""
+M_PER_E7_LAT, M_PER_E7_LON = 0.0111, 0.00877
+
+CONVERSATIONS = 0.25
+COMMAND_SHARE = 0.2
+PARAM_SHARE = 0.1
+DAMAGED_SHARE = 0.08
+UNKNOWN_SHARE = 0.05
+"""Shares of the traffic; the rest are messages of any content."""
+MUTATED = 0.12
+"""Share of plan items and command fields that are not what they should be."""
+
+
+class Traffic:
+    """An endless supply of frames."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = random.Random(seed)
+        self._encoders: dict[tuple[int, int], Any] = {}
+        self._talk: list[Any] = []
+        self._names = [spec.name for spec in PARAMETERS]
+
+    def frame(self) -> bytes:
+        """One datagram: mostly one message."""
+        rng = self._rng
+        if rng.random() < DAMAGED_SHARE:
+            return self._damaged()
+        return self._pack(self._message())
+
+    def _message(self) -> Any:
+        rng, dice = self._rng, self._rng.random()
+        kinds: tuple[tuple[float, Callable[[], Any]], ...] = (
+            (CONVERSATIONS, self._plan_step),
+            (COMMAND_SHARE, self._command),
+            (PARAM_SHARE, self._param_set),
+            (UNKNOWN_SHARE, lambda: self._any(rng.choice(list(mav.mavlink_map)))),
+        )
+        for share, make in kinds:
+            if dice < share:
+                return make()
+            dice -= share
+        return self._any(rng.choice(HANDLED))
+
+    def _pack(self, message: Any) -> bytes:
+        """As one of a few clients would send it; the plan conversation has one of its own."""
+        rng = self._rng
+        address = (
+            (255, 190) if getattr(message, "_spoken", False) else rng.choice(((255, 190), (254, 1), (7, 9), (1, 1)))
+        )
+        encoder = self._encoders.get(address)
+        if encoder is None:
+            encoder = self._encoders[address] = mav.MAVLink(None, srcSystem=address[0], srcComponent=address[1])
+        data = bytes(message.pack(encoder)) if not isinstance(message, bytes) else message
+        encoder.seq = (encoder.seq + 1) & 0xFF
+        return data
+
+    def _damaged(self) -> bytes:
+        """Cut off, bits turned, two run together, or nothing that ever was a frame."""
+        rng = self._rng
+        data = bytearray(self._pack(self._message()))
+        way = rng.randrange(5)
+        if way == 0:
+            return bytes(data[: rng.randrange(len(data))])
+        if way == 1:
+            for _ in range(rng.randint(1, 8)):
+                data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+            return bytes(data)
+        if way == 2:
+            return bytes(data[rng.randrange(len(data)) :]) + self._pack(self._message())
+        return rng.randbytes(rng.randrange(300)) if way == 3 else b"\xfd" * rng.randrange(300)
+
+    def _any(self, msg_id: int) -> bytes:
+        """A well-formed frame of a type, its fields of any content; most are addressed to the vehicle."""
+        rng = self._rng
+        kind = mav.mavlink_map[msg_id]
+        payload = bytearray()
+        names = kind.ordered_fieldnames
+        for name, length, code in zip(names, kind.array_lengths, _codes(kind.unpacker.format), strict=True):
+            payload += self._field(name, length, code)
+        body = bytes((len(payload), 0, 0, rng.randrange(256), rng.choice((255, 254, 7, 1, 0)), rng.choice((190, 1))))
+        body += msg_id.to_bytes(3, "little") + bytes(payload)
+        crc = mav.x25crc(body + bytes((kind.crc_extra,))).crc
+        return b"\xfd" + body + int(crc).to_bytes(2, "little")
+
+    def _field(self, name: str, length: int, code: str) -> bytes:
+        rng = self._rng
+        size = struct.calcsize("<" + code)
+        if name in ("target_system", "target_component") and rng.random() < 0.93:
+            return bytes((rng.choice((0, 1)),))
+        if name == "mission_type" and rng.random() < 0.9:
+            return bytes((rng.choice((0, 1, 2, 255)),))
+        if name in ("seq", "count", "start_index", "end_index") and size == 2 and rng.random() < 0.9:
+            return struct.pack("<H", rng.randrange(5))
+        if name == "command" and size == 2:
+            return struct.pack("<H", rng.choice(COMMANDS if rng.random() < 0.6 else ALL_COMMANDS))
+        if name == "frame" and rng.random() < 0.8:
+            return bytes((rng.choice((0, 1, 2, 3, 5, 6, 20)),))
+        if code[-1] in "fd":
+            count = max(length, 1)
+            values = [rng.choice(ODD_FLOATS) if rng.random() < 0.7 else rng.uniform(-10.0, 10.0) for _ in range(count)]
+            return struct.pack(f"<{count}{code[-1]}", *values)
+        if length == 0 and code[-1] in "bBhHiIqQ" and rng.random() < 0.6:
+            return (rng.choice(ODD_WORDS) & ((1 << 8 * size) - 1)).to_bytes(size, "little")
+        return rng.choice((rng.randbytes(size), bytes(size)))
+
+    # Sensible requests, now and then with a mistake
+
+    def _param_set(self) -> Any:
+        """Every parameter from limit to limit, beyond them, and names that do not exist."""
+        rng = self._rng
+        spec = rng.choice(PARAMETERS)
+        inside = rng.uniform(spec.minimum, spec.maximum)
+        edges = (spec.minimum, spec.maximum, spec.default, inside, float(round(inside)))
+        value = rng.choice(edges) if rng.random() < 0.85 else rng.choice(ODD_FLOATS)
+        name = spec.name if rng.random() < 0.95 else spec.name[:-1] + "?"
+        return mav.MAVLink_param_set_message(1, 1, name.encode(), value, rng.choice((9, 9, 6, 1, 10)))
+
+    def _command(self) -> Any:
+        """What operators send."""
+        rng = self._rng
+        lat, lon = LAT_E7 + round(rng.gauss(0, 300)), LON_E7 + round(rng.gauss(0, 300))
+        command, params, z = rng.choice(
+            (
+                (400, (1, rng.choice((0, 0, 21196))), 0.0),
+                (400, (rng.random() < 0.9, 0), 0.0),
+                (300, (0, 0), 0.0),
+                (176, (rng.choice((1, 209)), rng.randrange(8), rng.randrange(8)), 0.0),
+                (193, (rng.randrange(2),), 0.0),
+                (192, (-1, 1, 0, rng.choice((math.nan, 1.0))), rng.uniform(-1.2, 0.0)),
+                (178, (rng.randrange(2), rng.uniform(0.0, 0.6)), 0.0),
+                (179, (rng.randrange(2),), 0.0),
+                (224, (rng.randrange(6),), 0.0),
+                (20, (), 0.0),
+                (21, (), 0.0),
+                (17, (), 0.0),
+                (512, (rng.choice((1, 24, 30, 32, 33, 147, 148, 242, 435, 436)),), 0.0),
+                (511, (rng.randrange(300), rng.choice((-1, 0, 10_000, 1e6))), 0.0),
+                (401, (), 0.0),
+                (410, (), 0.0),
+                (611, (), 0.0),
+            )
+        )
+        fields = [float(value) for value in (*params, 0, 0, 0, 0)[:4]]
+        if rng.random() < MUTATED:
+            fields[rng.randrange(4)] = rng.choice(ODD_FLOATS)
+        if rng.random() < MUTATED:
+            lat, lon = rng.choice(((rng.randrange(-(2**31), 2**31),) * 2, (2**31 - 1, lon), (lat + 10**8, lon), (0, 0)))
+            z = rng.choice(ODD_FLOATS)
+        if rng.random() < 0.5:
+            return mav.MAVLink_command_long_message(1, 1, command, 0, *fields, 0.0, 0.0, z)
+        frame = rng.choice((0, 3, 5, 6, 1))
+        if frame == 1:
+            lat, lon = round(rng.gauss(0, 2e4)), round(rng.gauss(0, 1e4))
+        return mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, *fields, lat, lon, z)
+
+    def _plan_step(self) -> Any:
+        """The next message of an upload, or the first of the next one."""
+        if not self._talk:
+            self._talk = self._upload()
+        message = self._talk.pop(0)
+        if not isinstance(message, bytes):
+            message._spoken = True
+        return message
+
+    def _upload(self) -> list[Any]:
+        rng = self._rng
+        kind = rng.choice((0, 0, 1, 1, 2))
+        items = (self._mission, self._fence, self._rally)[kind]()
+        if rng.random() < MUTATED:
+            items = items[: rng.randrange(len(items) + 1)]
+        if rng.random() < 0.1:
+            return [mav.MAVLink_mission_clear_all_message(1, 1, rng.choice((0, 1, 2, 255)))]
+        talk: list[Any] = [mav.MAVLink_mission_count_message(1, 1, len(items), kind)]
+        for seq, (command, frame, params, x, y, z) in enumerate(items):
+            fields = list(params)
+            if rng.random() < MUTATED / 3:
+                fields[rng.randrange(4)] = rng.choice(ODD_FLOATS)
+            if rng.random() < MUTATED / 3:
+                x, y = rng.randrange(-(2**31), 2**31), rng.choice((y, rng.randrange(-(2**31), 2**31)))
+            if rng.random() < MUTATED / 3:
+                z = rng.choice(ODD_FLOATS)
+            talk.append(mav.MAVLink_mission_item_int_message(1, 1, seq, frame, command, 0, 1, *fields, x, y, z, kind))
+        return talk
+
+    def _place(self, spread_m: float = 1.0) -> tuple[int, int]:
+        rng = self._rng
+        north, east = rng.uniform(-2.2, 2.2) * spread_m, rng.uniform(-1.2, 1.2) * spread_m
+        return LAT_E7 + round(north / M_PER_E7_LAT), LON_E7 + round(east / M_PER_E7_LON)
+
+    def _mission(self) -> list[tuple[int, int, Sequence[float], int, int, float]]:
+        rng = self._rng
+        items: list[tuple[int, int, Sequence[float], int, int, float]] = []
+        for _ in range(rng.randint(1, 8)):
+            way = rng.random()
+            if way < 0.75:
+                yaw = rng.choice((math.nan, rng.uniform(-180.0, 180.0)))
+                items.append((16, 3, (rng.choice((0.0, 0.5)), 0.3, 0.0, yaw), *self._place(), -rng.uniform(0.1, 1.1)))
+            elif way < 0.9:
+                items.append((178, 2, (1.0, rng.uniform(0.05, 0.5), -1.0, 0.0), 0, 0, 0.0))
+            else:
+                target = float(rng.randrange(max(len(items), 1)))
+                items.append((177, 2, (target, float(rng.randrange(-1, 3)), 0.0, 0.0), 0, 0, 0.0))
+        return items
+
+    def _fence(self) -> list[tuple[int, int, Sequence[float], int, int, float]]:
+        rng = self._rng
+        items: list[tuple[int, int, Sequence[float], int, int, float]] = []
+        for _ in range(rng.randint(1, 3)):
+            if rng.random() < 0.5:
+                command = rng.choice((5004, 5004, 5003))
+                radius = rng.uniform(0.1, 0.5) if command == 5004 else rng.uniform(3.0, 10.0)
+                items.append((command, 3, (radius, 0.0, 0.0, 0.0), *self._place(), 0.0))
+                continue
+            count, command = rng.randint(3, 8), rng.choice((5001, 5001, 5002))
+            size = rng.uniform(2.0, 4.0) if command == 5001 else rng.uniform(0.1, 0.4)
+            middle = (0, 0) if command == 5001 else (rng.uniform(-2, 2), rng.uniform(-1, 1))
+            for k in range(count):
+                angle = 2.0 * math.pi * k / count
+                x = LAT_E7 + round((middle[0] + size * math.cos(angle)) / M_PER_E7_LAT)
+                y = LON_E7 + round((middle[1] + size * math.sin(angle)) / M_PER_E7_LON)
+                items.append((command, 3, (float(count), 0.0, 0.0, 0.0), x, y, 0.0))
+        return items
+
+    def _rally(self) -> list[tuple[int, int, Sequence[float], int, int, float]]:
+        return [(5100, 3, (0.0, 0.0, 0.0, 0.0), *self._place(), -0.4) for _ in range(self._rng.randint(1, 3))]
+
+
+def _codes(text: str) -> list[str]:
+    """A struct format cut into its fields."""
+    out, number = [], ""
+    for char in text.lstrip("<"):
+        if char.isdigit():
+            number += char
+        else:
+            out.append(number + char)
+            number = ""
+    return out
