@@ -9,6 +9,7 @@ correlations), so that a fix counts for more after a gap, and a sensor's noise c
 difference between measured and modelled acceleration.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -86,9 +87,9 @@ class ObserverCore:
 
     def predict(self, state: FilterState, step: Step) -> FilterState:
         """Variances grow; without vision that of the position as if the velocity were wrong in one direction."""
-        blind = 10.0 if step.mode is Mode.BLIND else 1.0
-        p = state.p + (blind * step.dt_s) * self._growth
-        if step.mode in (Mode.COASTING, Mode.BLIND):
+        made_up = step.mode not in (Mode.NOMINAL, Mode.TRIMMED, Mode.COASTING)
+        p = state.p + ((10.0 if made_up else 1.0) * step.dt_s) * self._growth
+        if made_up or step.mode is Mode.COASTING:
             p[POS] += 2.0 * step.dt_s * np.sqrt(p[POS] * p[VEL])
         return FilterState(np.array(moved(state.x, step)), p)
 
@@ -133,11 +134,16 @@ class ObserverCore:
         p[VEL] = RELOCATED_SIGMA_VEL_M_S**2
         return FilterState(x, p)
 
-    def reopen(self, state: FilterState, part: slice, variance: float) -> FilterState:
+    def reopen(
+        self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
+    ) -> FilterState:
         """See :class:`estimator.core.FilterCore`."""
-        p = state.p.copy()
+        x, p = state.x, state.p.copy()
         p[part] = variance
-        return FilterState(state.x, p)
+        if value is not None:
+            x = x.copy()
+            x[part] = value
+        return FilterState(x, p)
 
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """Of the current a constant is told: the observer does not know it."""

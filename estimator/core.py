@@ -1,5 +1,6 @@
 """What differs between the estimators: how the state is predicted and corrected. Everything else is the engine's."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from autopilot.core.frames import FloatArray
@@ -48,8 +49,12 @@ class FilterCore(Protocol):
         The heading offset moves along with the yaw."""
         ...
 
-    def reopen(self, state: FilterState, part: slice, variance: float) -> FilterState:
-        """State whose components ``part`` have that variance, uncorrelated: what was known of them is forgotten."""
+    def reopen(
+        self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
+    ) -> FilterState:
+        """State whose components ``part`` have that variance, uncorrelated: what was known of them is forgotten.
+
+        ``value``: what they are from now on, None = as they were."""
         ...
 
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:

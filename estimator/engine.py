@@ -15,7 +15,7 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import AidStatus, NavState, ShadowStatus
+from autopilot.core.messages import AidStatus, NavDoubt, NavState, ShadowStatus
 from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
@@ -32,21 +32,23 @@ from autopilot.core.vehicle import Vehicle
 from estimator.aiding import Aid
 from estimator.attitude import AttitudeSource
 from estimator.core import FilterCore, Innovation
+from estimator.doubt import CONTRADICTIONS, STEADY_M_S2, STEADY_RAD_S
 from estimator.history import History, Node, Reopening
+from estimator.imu_watch import GYRO_STATE, HEADING_STATES, NOTHING_NEW, ImuWatch
 from estimator.inertial import AhrsDoor, AhrsMount, Inertial, Mode, level, made_up, step_between
 from estimator.intake import Intake
 from estimator.markers_pose import MarkerSolver
 from estimator.measure_heading import heading_of
-from estimator.measure_model import added_share, expected_acceleration, model_aid_of
+from estimator.measure_model import added_share, expected_acceleration, idle, model_aid_of
 from estimator.measure_pose import PoseFix
 from estimator.measure_velocity import BodyVelocity
-from estimator.measurement import Measurement, Moment
+from estimator.measurement import CHI2_999, Measurement, Moment
 from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from estimator.output import judge_health, nav_state
 from estimator.relocation import Relocation
 from estimator.sources import Sources
 from estimator.startup import StartUp
-from estimator.states import CURRENT, INITIAL_SIGMA, YAW, initial_state
+from estimator.states import ACCEL_BIAS, CURRENT, INITIAL_SIGMA, LASER_BIAS, YAW, initial_state
 from estimator.thrust import ThrustLag
 from estimator.tilt import TiltTrim
 
@@ -56,9 +58,6 @@ MODEL_EVERY = 2
 """AHRS samples per look at the vehicle model: 50 Hz."""
 AHRS_WAIT_US = 60_000
 """After so long without AHRS data the filter goes on without."""
-IDLE_THRUST_N = 0.3
-IDLE_SPEED_M_S = 0.03
-"""Below both the vehicle may be moored, held or aground: the model has nothing to say."""
 BLIND_STEP_US = 20_000
 BLIND_STEPS_MAX = 500
 """At most so many steps without AHRS data per tick; they get longer when the gap is longer."""
@@ -72,6 +71,22 @@ FIXES = PoseSample | MarkerSighting | ExternalPoseSample
 SCALARS = LaserSample | DepthSample | VelocitySample | MarkerSighting
 AIDING = FIXES | SCALARS
 """Kinds of samples that give a pose, that give something else, and all of them."""
+REDRIVEN_US = 800_000
+"""A sensor that ceases to be believed has been wrong for up to so long."""
+DENIED_AFTER = 6
+"""Fixes rejected in a row (0.2 s) after which the estimate is not called good."""
+DOUBT_US = 1_000_000
+"""At least so long an estimate is not called good after a sensor has ceased to be believed."""
+ANCHORED_US = 500_000
+"""With a sensor that is not believed the estimate is good only when fixes have been used for so long."""
+JUMP_M, JUMP_RAD = 0.05, 0.05
+"""Smaller steps are what a filter does that has been a little wrong."""
+JUMP_US = 5_000_000
+"""So long an estimate is not called good after fixes have jumped."""
+JUMP_FADE_S = 10.0
+"""A jump that nothing on board felt fades from the variance with this: what the fixes say now may be as wrong."""
+RANGE_MISS_M = 0.04
+"""A laser that needs a larger offset denies the height: twice what a mounted laser is off by."""
 RELOCATED_VARIANCE = 1e-3
 """Added to the variance of the fix that a reset goes to (m^2, rad^2): it has been carried on to now."""
 
@@ -99,6 +114,11 @@ class Engine:
         self._mount = AhrsMount(vehicle.ahrs.position_frd_m)
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
         self._thrust = ThrustLag(vehicle.drive.time_constant_s, vehicle.drive.limit_n)
+        self._imu = ImuWatch(self._model, self._follow)
+        self._heading_denied = False
+        self._anchored_since_us: int | None = None
+        self._jump_us: int | None = None
+        self._jump_m_rad = np.zeros(4)
         self._startup = StartUp()
         self._trim = TiltTrim()
         self._relocations = {"markers": Relocation(), "external": Relocation()}
@@ -110,7 +130,7 @@ class Engine:
         self._samples_since = 0
         self._ground_us: int | None = None
         self._ahrs_us: int | None = None
-        self._counts = {"resets": 0, "clock.backwards": 0, "ahrs.blind_steps": 0}
+        self._counts = {"resets": 0, "clock.backwards": 0, "ahrs.blind_steps": 0, "doubt.jumps": 0}
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
         """See :class:`estimator.protocol.Estimator`."""
@@ -129,8 +149,12 @@ class Engine:
         self._fuse_due(self._history)
         newest = self._history.newest
         tracked = self._ground_us is not None and t_us - self._ground_us <= TRACKED_US
-        health = judge_health(newest, self._core, self._fix_age_us(t_us), self._options, tracked=tracked)
-        self._last = nav_state(self._core, newest, t_us, health, self._counts["resets"])
+        doubted = bool(self._doubts(t_us)) and not self._harmless(t_us)
+        health = judge_health(
+            newest, self._core, self._fix_age_us(t_us), self._options, tracked=tracked, doubted=doubted
+        )
+        more = self._unexplained_variance(newest, t_us)
+        self._last = nav_state(self._core, newest, t_us, health, self._counts["resets"], more)
         return self._last
 
     def take_aids(self) -> tuple[AidStatus, ...]:
@@ -144,6 +168,8 @@ class Engine:
         result = dict(self._counts)
         result.update({f"ahrs.{verdict.value}": count for verdict, count in self._door.counts.items()})
         result["ahrs.tilt_disagreements"] = self._attitude.disagreements
+        result["doubt.accel"], result["doubt.gyro"] = self._imu.accel.count, self._imu.gyro.count
+        result["doubt.compass_jumps"] = self._imu.gyro.jumps
         result["thrust.malformed"] = self._thrust.malformed
         for aid in self._sources.aids:
             result.update(aid.named_counts())
@@ -153,6 +179,11 @@ class Engine:
     def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
         """Poses and ranges from pictures since the last call, stamped as the pictures were."""
         return self._sources.take_made()
+
+    @property
+    def doubts(self) -> frozenset[NavDoubt]:
+        """See :class:`estimator.protocol.Estimator`."""
+        return self._doubts(self._now_us) if self._history is not None else frozenset()
 
     @property
     def ahrs_us(self) -> int | None:
@@ -193,26 +224,106 @@ class Engine:
         """One node more, with the measurements that every so many AHRS samples bring."""
         newest = history.newest
         moment = Moment(inertial, self._thrust.at(inertial.t_us))
-        idle = not self._options.model_aid or _idle(moment, newest.state.x)
+        still = not self._options.model_aid or idle(moment, newest.state.x)
+        anchored = self._anchor_age_us(inertial.t_us) <= COAST_AFTER_US
         mode = Mode.NOMINAL
         if not inertial.real:
             mode = Mode.BLIND
-        elif idle or self._anchor_age_us(inertial.t_us) > COAST_AFTER_US:
+        elif still or not anchored:
             mode = Mode.COASTING
         elif self._trim.fresh(inertial.t_us):
             mode = Mode.TRIMMED
-        node = history.append(inertial.t_us, moment, step_between(newest.moment.inertial, inertial, mode))
+        if inertial.real and self._imu.since_us is not None:
+            driven, step = self._imu.drive(newest, inertial)
+            node = history.append(inertial.t_us, moment._replace(inertial=driven), step)
+        else:
+            node = history.append(inertial.t_us, moment, step_between(newest.moment.inertial, inertial, mode))
         if not inertial.real:
             return
+        if self._options.model_aid:
+            self._watch_imu(history, newest, node, inertial, anchored=anchored)
         self._samples_since += 1
         if self._samples_since % HEADING_EVERY == 0:
             heading = heading_of(inertial)
             missed = self._fuse(history, node, heading, self._sources.heading)
             if missed is not None:
                 self._reopen(history, node, heading, self._sources.heading, missed)
-        if not idle and self._samples_since % MODEL_EVERY == 0:
+        if not still and self._imu.accel.since_us is None and self._samples_since % MODEL_EVERY == 0:
             model = model_aid_of(inertial, self._model, self._follow, vertical=self._options.current_3d)
             self._fuse(history, node, model, self._sources.model)
+
+    def _watch_imu(self, history: History, before: Node, node: Node, raw: Inertial, *, anchored: bool) -> None:
+        """Cease to believe a sensor that the evidence denies, and believe it again when it has mended."""
+        if not anchored:
+            self._anchored_since_us = None
+        elif self._anchored_since_us is None:
+            self._anchored_since_us = node.t_us
+        found = self._imu.look(
+            before,
+            node,
+            raw,
+            anchored=anchored,
+            denied=self._fixes_denied >= CONTRADICTIONS,
+            heading_denied=self._fixes_denied >= CONTRADICTIONS and self._heading_denied,
+            model_rejected=self._sources.model.rejected_in_row,
+            compass_rejected=self._sources.heading.rejected_in_row,
+        )
+        if found is NOTHING_NEW:
+            return
+        if found.doubted:
+            history.redrive(node.t_us - REDRIVEN_US, self._imu.drive, self._sources.model.sensor)
+        forgotten: list[tuple[slice, float, tuple[float, ...] | None]] = []
+        if found.apart_rad:
+            forgotten += [(part, found.apart_rad**2, None) for part in HEADING_STATES]
+        if found.jump_rad:
+            forgotten.append((HEADING_STATES[1], found.jump_rad**2, None))
+        if found.accel_offset is not None:
+            self._imu.accel.believe()
+            forgotten.append((ACCEL_BIAS, STEADY_M_S2**2, found.accel_offset))
+        if found.gyro_offset is not None:
+            self._imu.gyro.believe()
+            forgotten.append((GYRO_STATE, STEADY_RAD_S**2, found.gyro_offset))
+        for part, variance, value in forgotten:
+            history.reopen(node, Reopening("imu", node.t_us, part, variance, value))
+
+    @property
+    def _fixes_denied(self) -> int:
+        """Fixes rejected in a row by the source that holds the vehicle."""
+        markers, external = self._sources.markers, self._sources.external
+        return external.rejected_in_row if markers.last_fused_us is None else markers.rejected_in_row
+
+    def _doubts(self, t_us: int) -> frozenset[NavDoubt]:
+        """What speaks against the estimate or its sensors."""
+        found = set()
+        if self._imu.accel.since_us is not None:
+            found.add(NavDoubt.ACCELEROMETER)
+        if self._imu.gyro.since_us is not None:
+            found.add(NavDoubt.GYRO)
+        if self._fixes_denied >= DENIED_AFTER or (self._jump_us is not None and t_us - self._jump_us <= JUMP_US):
+            found.add(NavDoubt.FIXES)
+        if self._history is not None and abs(self._history.newest.state.x.item(LASER_BIAS)) > RANGE_MISS_M:
+            found.add(NavDoubt.RANGE)
+        return frozenset(found)
+
+    def _harmless(self, t_us: int) -> bool:
+        """Whether fixes hold the position in spite of the doubts: only inertial sensors or the range are concerned."""
+        if NavDoubt.FIXES in self._doubts(t_us):
+            return False
+        since_us = self._imu.since_us
+        if since_us is None:
+            return True
+        held_us = self._anchored_since_us
+        return held_us is not None and t_us - held_us >= ANCHORED_US and t_us - since_us >= DOUBT_US
+
+    def _unexplained_variance(self, newest: Node, t_us: int) -> FloatArray:
+        """(4,) on top of the filter's, north, east, down, yaw: what sensors deny each other and no state explains."""
+        more = np.zeros(4)
+        if self._jump_us is not None:
+            more += self._jump_m_rad**2 * math.exp(-1e-6 * (t_us - self._jump_us) / JUMP_FADE_S)
+        miss_m = newest.state.x.item(LASER_BIAS)
+        if abs(miss_m) > RANGE_MISS_M:
+            more[2] += miss_m * miss_m
+        return more
 
     def _fix_age_us(self, t_us: int) -> int:
         """How long ago, at ``t_us``, the newest fix was that has been used. There is one since the start."""
@@ -298,6 +409,7 @@ class Engine:
         """True if ``node`` has changed."""
         relocation = self._relocations[aid.sensor]
         missed = self._fuse(history, node, fix, aid)
+        self._heading_denied = missed is not None and float(missed.y[3] ** 2) > CHI2_999[1] * float(missed.variance[3])
         if missed is None:
             relocation.accepted()
             if aid is self._sources.external:
@@ -306,6 +418,7 @@ class Engine:
                 self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
             return True
         lost = self._fix_age_us(fix.t_us) > 1e6 * self._options.dead_reckoning_after_s
+        lost = lost or self._imu.since_us is not None
         if aid is self._sources.external:
             seen_us = self._sources.markers.last_fused_us
             if seen_us is not None and fix.t_us - seen_us <= 1e6 * self._options.dead_reckoning_after_s:
@@ -313,8 +426,16 @@ class Engine:
             lost = lost or self._sources.external_jumped
         velocity = relocation.rejected(fix, lost)
         if velocity is not None:
+            if not lost:
+                self._note_jump(np.abs(missed.y))
             self._relocate(history, fix, float(missed.y[3]), velocity)
         return False
+
+    def _note_jump(self, miss: FloatArray) -> None:
+        """Fixes that were used without a break have moved by ``miss`` (4,) [m, rad], and no sensor has felt it."""
+        if float(np.linalg.norm(miss[:3])) > JUMP_M or float(miss[3]) > JUMP_RAD:
+            self._jump_us, self._jump_m_rad = self._now_us, miss
+            self._counts["doubt.jumps"] += 1
 
     def _use_scalar(self, history: History, node: Node, measurement: Measurement, aid: Aid) -> bool:
         """True if ``node`` has changed."""
@@ -364,10 +485,3 @@ class Engine:
         aid.last_fused_us = fix.t_us
         self._sources.external_jumped = False
         self._counts["resets"] += 1
-
-
-def _idle(moment: Moment, x: FloatArray) -> bool:
-    """No thrust and no motion."""
-    if max(map(abs, moment.thrust_n)) > IDLE_THRUST_N:
-        return False
-    return math.hypot(x.item(4), x.item(5)) < IDLE_SPEED_M_S

@@ -1,12 +1,13 @@
 """The last second of the filter, kept so that a late measurement can be put where it belongs."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from autopilot.core.messages import AID_SENSORS
 from estimator.core import FilterCore, Innovation
-from estimator.inertial import Step
+from estimator.inertial import Inertial, Step
 from estimator.measurement import Measurement, Moment
 from estimator.states import FilterState
 
@@ -21,6 +22,8 @@ class Reopening(NamedTuple):
     t_us: int
     part: slice
     variance: float
+    value: tuple[float, ...] | None = None
+    """What they are from then on, None = as they were."""
 
 
 @dataclass(slots=True, eq=False)
@@ -75,7 +78,7 @@ class History:
     def reopen(self, node: Node, reopening: Reopening) -> None:
         """Forget states at ``node``, without telling the later nodes: call :meth:`replay` when done."""
         if self._place(node, reopening):
-            node.state = self._core.reopen(node.state, reopening.part, reopening.variance)
+            node.state = self._core.reopen(node.state, reopening.part, reopening.variance, reopening.value)
 
     def replay(self, node: Node) -> None:
         """Compute all nodes after ``node`` again, with the measurements that they have."""
@@ -89,6 +92,20 @@ class History:
             assert other.step is not None
             other.prior = self._core.predict(state, other.step)
             state = other.state = self._corrected(other, other.prior)
+
+    def redrive(self, from_us: int, drive: Callable[[Node, Inertial], tuple[Inertial, Step]], without: str) -> None:
+        """Compute the nodes after ``from_us`` again with other steps, and without the measurements of one sensor.
+
+        ``drive`` gives the inertial moment of a node and the step to it from the node before."""
+        before: Node | None = None
+        for node in self._nodes:
+            if before is not None and node.t_us > from_us:
+                inertial, node.step = drive(before, node.moment.inertial)
+                node.moment = node.moment._replace(inertial=inertial)
+                node.used = [item for item in node.used if item.sensor != without]
+                node.prior = self._core.predict(before.state, node.step)
+                node.state = self._corrected(node, node.prior)
+            before = node
 
     def _place(self, node: Node, new: Measurement | Reopening) -> bool:
         """Put it among what the node has used. True if it comes last, else the node has been computed again.
@@ -108,7 +125,7 @@ class History:
     def _corrected(self, node: Node, state: FilterState) -> FilterState:
         for item in node.used:
             if isinstance(item, Reopening):
-                state = self._core.reopen(state, item.part, item.variance)
+                state = self._core.reopen(state, item.part, item.variance, item.value)
                 continue
             after_s = 1e-6 * (item.t_us - node.t_us)
             state = self._core.correct(state, self._core.innovation(state, item, node.moment, after_s))

@@ -41,6 +41,12 @@ class Mode(IntEnum):
     """No AHRS: the acceleration is the vehicle model's."""
     TRIMMED = 3
     """Vision, and its tilt keeps gravity out of the acceleration."""
+    MODEL = 4
+    """The accelerometer is not believed: the acceleration is the vehicle model's."""
+    COMPASS = 5
+    """The gyro is not believed: the turning is the AHRS heading's."""
+    MODEL_COMPASS = 6
+    """Neither is believed."""
 
 
 class Inertial(NamedTuple):
@@ -69,6 +75,8 @@ class Step(NamedTuple):
     yaw_rate_rad_s: float
     accel_level_m_s2: tuple[float, float, float]
     mode: Mode
+    slope: FloatArray | None = None
+    """(3, 21) d acceleration / d state when the vehicle model makes it, None when it is measured."""
 
 
 class Verdict(Enum):
@@ -130,7 +138,7 @@ def made_up(
     )
 
 
-def step_between(a: Inertial, b: Inertial, mode: Mode) -> Step:
+def step_between(a: Inertial, b: Inertial, mode: Mode, slope: FloatArray | None = None) -> Step:
     """The step from ``a`` to ``b`` with the means of both ends."""
     (ax, ay, az), (bx, by, bz) = a.accel_level_m_s2, b.accel_level_m_s2
     return Step(
@@ -138,6 +146,7 @@ def step_between(a: Inertial, b: Inertial, mode: Mode) -> Step:
         yaw_rate_rad_s=0.5 * (a.yaw_rate_rad_s + b.yaw_rate_rad_s),
         accel_level_m_s2=(0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)),
         mode=mode,
+        slope=slope,
     )
 
 

@@ -1,5 +1,6 @@
 """The extended Kalman filter on filterpy, with a gate and a leaner update."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from autopilot.core.frames import FloatArray
 from estimator.core import Innovation
 from estimator.inertial import Mode, Step
 from estimator.measurement import CHI2_999, Measurement, Moment
-from estimator.motion import fill_jacobian, moved, new_jacobian
+from estimator.motion import add_model, fill_jacobian, moved, new_jacobian, reset_model
 from estimator.states import (
     CURRENT_DOWN,
     HEADING_OFFSET,
@@ -35,6 +36,8 @@ class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no ty
     """filterpy's filter with our motion: ``u`` of predict() is the step."""
 
     P: FloatArray
+    driven = False
+    """Whether F is that of a step that the vehicle model made."""
 
     def predict(self, u: Any = 0) -> None:
         """filterpy's predict() without its copies of the prior, which nobody reads here."""
@@ -43,7 +46,13 @@ class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no ty
 
     def predict_x(self, u: Any = 0) -> None:
         """Move the state and linearise about where it was."""
+        if self.driven:
+            reset_model(self.F)
+            self.driven = False
         fill_jacobian(self.F, self.x, u)
+        if u.slope is not None:
+            add_model(self.F, self.x, u, u.slope)
+            self.driven = True
         self.x = np.array(moved(self.x, u))
 
 
@@ -113,13 +122,18 @@ class KalmanCore:
         p[VEL, VEL] = np.eye(3) * RELOCATED_SIGMA_VEL_M_S**2
         return FilterState(x, p)
 
-    def reopen(self, state: FilterState, part: slice, variance: float) -> FilterState:
+    def reopen(
+        self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
+    ) -> FilterState:
         """See :class:`estimator.core.FilterCore`."""
-        p = state.p.copy()
+        x, p = state.x, state.p.copy()
         p[part, :] = 0.0
         p[:, part] = 0.0
         p[part, part] = np.eye(part.stop - part.start) * variance
-        return FilterState(state.x, p)
+        if value is not None:
+            x = x.copy()
+            x[part] = value
+        return FilterState(x, p)
 
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """From the covariance; velocity relative to the water with its correlation between ground and current."""

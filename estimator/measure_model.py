@@ -21,7 +21,11 @@ from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
 from autopilot.core.vehicle import Vehicle
 from estimator.inertial import Inertial
 from estimator.measurement import Moment
-from estimator.states import CURRENT_DOWN, DRAG_EXCESS, GYRO_BIAS, NX, THRUST_EXCESS, YAW
+from estimator.states import ACCEL_BIAS, CURRENT_DOWN, DRAG_EXCESS, GYRO_BIAS, NX, THRUST_EXCESS, YAW
+
+IDLE_THRUST_N = 0.3
+IDLE_SPEED_M_S = 0.03
+"""Below both the vehicle may be moored, held or aground: the model has nothing to say."""
 
 SIGMA_M_S2 = 0.06
 """Error of the modelled acceleration: tether, drag and thrust coefficients. For 50 looks per second that share it."""
@@ -101,6 +105,21 @@ def expected_acceleration(
         dw,
         dr,
     )
+
+
+def model_slope(model: Model4, follow: tuple[float, float], x: FloatArray, moment: Moment) -> FloatArray:
+    """d :func:`expected_acceleration` / dx (3, 21), of the accelerations."""
+    aid = ModelAid(sensor="model", t_us=0, z=np.zeros(3), noise=_NOISE, model=model, follow=follow)
+    slope = aid.jacobian(x, moment, 0.0)
+    slope[:, ACCEL_BIAS] = 0.0
+    return slope
+
+
+def idle(moment: Moment, x: FloatArray) -> bool:
+    """No thrust and no motion."""
+    if max(map(abs, moment.thrust_n)) > IDLE_THRUST_N:
+        return False
+    return math.hypot(x.item(4), x.item(5)) < IDLE_SPEED_M_S
 
 
 def _drag(model: Model4, u: float, v: float) -> tuple[float, float]:

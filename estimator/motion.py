@@ -81,6 +81,25 @@ def fill_jacobian(jac: FloatArray, x: FloatArray, step: Step) -> None:
     ))  # fmt: skip
 
 
+def add_model(jac: FloatArray, x: FloatArray, step: Step, slope: FloatArray) -> None:
+    """Turn a Jacobian of :func:`fill_jacobian` into that of a step that the vehicle model drives.
+
+    ``slope`` (3, 21) is d acceleration / d state in the level frame. The offset of the accelerometer plays no part.
+    Call :func:`reset_model` before the matrix is filled for another step."""
+    yaw, dt = x.item(3), step.dt_s
+    c, s = math.cos(yaw), math.sin(yaw)
+    jac[0:7, 8:11] = 0.0
+    turned = np.vstack((c * slope[0] - s * slope[1], s * slope[0] + c * slope[1], slope[2]))
+    jac[4:7] += dt * turned
+    jac[0:3] += 0.5 * dt * dt * turned
+
+
+def reset_model(jac: FloatArray) -> None:
+    """Undo :func:`add_model`: the identity again."""
+    jac[:] = 0.0
+    jac.flat[:: NX + 1] = 1.0
+
+
 def new_jacobian() -> FloatArray:
     """An identity for :func:`fill_jacobian`."""
     return np.eye(NX)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from autopilot.core.frames import wrap_pi
+from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavHealth, NavState
 from estimator.core import FilterCore
 from estimator.history import Node
@@ -17,12 +17,18 @@ TILT_VARIANCE_RAD2 = {
     Mode.COASTING: math.radians(0.5) ** 2,
     Mode.TRIMMED: math.radians(0.1) ** 2,
     Mode.BLIND: math.radians(5.0) ** 2,
+    Mode.MODEL: math.radians(5.0) ** 2,
+    Mode.COMPASS: math.radians(0.5) ** 2,
+    Mode.MODEL_COMPASS: math.radians(5.0) ** 2,
 }
-"""Roll and pitch: of the AHRS, trimmed by vision, or without AHRS level as the righting moment keeps the vehicle."""
+"""Roll and pitch: of the AHRS, trimmed by vision, or without AHRS level as the righting moment keeps the vehicle. An
+accelerometer that is not believed may be right, and the tilt wrong."""
 
 
-def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets: int) -> NavState:
-    """The newest node carried on to ``t_us`` with the last rates."""
+def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets: int, more: FloatArray) -> NavState:
+    """The newest node carried on to ``t_us`` with the last rates.
+
+    ``more`` (4,): variance of north, east, down and yaw beyond the filter's."""
     inertial = node.moment.inertial
     after_s = 1e-6 * (t_us - node.t_us)
     x = node.state.x.tolist() if after_s <= 0.0 else moved(node.state.x, hold(inertial, t_us, Mode.NOMINAL))
@@ -45,6 +51,7 @@ def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets
         return [cp * forward - sp * down, cr * right + sr * below, cr * below - sr * right]
 
     pn, pe, pd, pyaw, pu, pv, pw, pcn, pce, pcd = core.variance(node.state, cy, sy)
+    more_n, more_e, more_d, more_yaw = more.tolist()
     tilt = TILT_VARIANCE_RAD2[node.step.mode if node.step is not None else Mode.NOMINAL]
     return NavState(
         t_us=t_us,
@@ -55,21 +62,24 @@ def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets
         vel_water_frd_m_s=np.array(body(vn - cn, ve - ce, vd - cd)),
         rate_frd_rad_s=np.array([p, q, r - gyro_bias]),
         current_ned_m_s=np.array([cn, ce, cd]),
-        variance=np.array([pn, pe, pd, tilt, tilt, pyaw, pu, pv, pw, pcn, pce, pcd]),
+        variance=np.array(
+            [pn + more_n, pe + more_e, pd + more_d, tilt, tilt, pyaw + more_yaw, pu, pv, pw, pcn, pce, pcd]
+        ),
         reset_count=resets,
     )
 
 
 def judge_health(
-    node: Node, core: FilterCore, fix_age_us: int, options: EstimatorOptions, *, tracked: bool
+    node: Node, core: FilterCore, fix_age_us: int, options: EstimatorOptions, *, tracked: bool, doubted: bool
 ) -> NavHealth:
     """Good, dead reckoning (no fix or no AHRS for a while), or invalid.
 
-    ``tracked``: the velocity over ground is being measured, so that only the growing variance ends the reckoning."""
+    ``tracked``: the velocity over ground is being measured, so that only the growing variance ends the reckoning.
+    ``doubted``: the evidence is against the estimate, or against a sensor that it now lives on."""
     age_s = 1e-6 * fix_age_us
     timed_out = age_s > options.invalid_after_s and not tracked
     if timed_out or core.planar_variance(node.state) > options.sigma_limit_m**2:
         return NavHealth.INVALID
-    if age_s > options.dead_reckoning_after_s or not node.moment.inertial.real:
+    if doubted or age_s > options.dead_reckoning_after_s or not node.moment.inertial.real:
         return NavHealth.DEAD_RECKONING
     return NavHealth.GOOD

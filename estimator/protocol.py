@@ -11,7 +11,7 @@ from typing import Protocol
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import AidStatus, NavState, ShadowStatus
+from autopilot.core.messages import AidStatus, NavDoubt, NavState, ShadowStatus
 from autopilot.core.samples import Sample
 from autopilot.core.vehicle import Vehicle
 from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
@@ -35,6 +35,11 @@ class Estimator(Protocol):
     @property
     def ahrs_us(self) -> int | None:
         """Time of the tick at which an AHRS sample was last good (well-formed, new, not stuck), None before."""
+        ...
+
+    @property
+    def doubts(self) -> frozenset[NavDoubt]:
+        """What speaks against the estimate or its sensors, as of the last step."""
         ...
 
     @property

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import AidStatus, NavHealth, NavState, ShadowStatus
+from autopilot.core.messages import AidStatus, NavDoubt, NavHealth, NavState, ShadowStatus
 from autopilot.core.samples import AhrsSample, LaserSample, MarkerSighting, PoseSample, Sample
 from estimator.protocol import Estimator
 
@@ -76,6 +76,11 @@ class Shadowed:
     def ahrs_us(self) -> int | None:
         """See :class:`estimator.protocol.Estimator`."""
         return self._flown.ahrs_us
+
+    @property
+    def doubts(self) -> frozenset[NavDoubt]:
+        """Of the flown estimator."""
+        return self._flown.doubts
 
     @property
     def shadow(self) -> ShadowStatus | None:

@@ -31,7 +31,15 @@ ACCEL_NOISE_DOWN = 0.005
 """m/s^2/sqrt(Hz), down: tilt errors leak in squared only."""
 GYRO_BIAS_WALK = 1e-4
 """rad/s/sqrt(s)"""
-ACCEL_BIAS_WALK = {Mode.NOMINAL: 0.03, Mode.TRIMMED: 0.006, Mode.COASTING: 0.05, Mode.BLIND: 0.03}
+ACCEL_BIAS_WALK = {
+    Mode.NOMINAL: 0.03,
+    Mode.TRIMMED: 0.006,
+    Mode.COASTING: 0.05,
+    Mode.BLIND: 0.03,
+    Mode.MODEL: 0.03,
+    Mode.COMPASS: 0.03,
+    Mode.MODEL_COMPASS: 0.03,
+}
 """m/s^2/sqrt(s): gravity leaking in through slow tilt errors, 0.09 m/s^2 for 0.5 degrees in 20 s. Little when vision
 trims the tilt. More without fixes: the vehicle model then knows the acceleration better than an accelerometer that is
 not level."""
@@ -40,7 +48,15 @@ CURRENT_WALK = 0.02
 CURRENT_RATE_WALK = 0.04
 """m/s^2/sqrt(s): with CURRENT_RATE_TIME_S a stationary 0.04 m/s^2. The jet crossed at cruise speed does twice that
 for a moment, but a larger value lets errors of the drag pass for current."""
-CURRENT_RATE_TIME_S = {Mode.NOMINAL: 2.0, Mode.TRIMMED: 2.0, Mode.COASTING: 0.25, Mode.BLIND: 0.25}
+CURRENT_RATE_TIME_S = {
+    Mode.NOMINAL: 2.0,
+    Mode.TRIMMED: 2.0,
+    Mode.COASTING: 0.25,
+    Mode.BLIND: 0.25,
+    Mode.MODEL: 0.25,
+    Mode.COMPASS: 0.25,
+    Mode.MODEL_COMPASS: 0.25,
+}
 """Correlation time of the current's rate of change by mode: the jet's width at cruise speed. Without fixes an error of
 the rate would be carried on for two seconds, into most of the drift at the end of a gap: there it is soon forgotten."""
 HEADING_OFFSET_WALK = 0.0087
@@ -52,6 +68,11 @@ BLIND_GYRO_NOISE = 0.2
 """rad/s/sqrt(Hz) when there is no gyro."""
 BLIND_ACCEL_NOISE = 0.15
 """m/s^2/sqrt(Hz) when the vehicle model stands in for the accelerometer."""
+
+MODEL_ACCEL_NOISE = 0.08
+"""m/s^2/sqrt(Hz) when the vehicle model is all there is: 0.06 m/s^2 that changes within a second, tether and jet."""
+COMPASS_NOISE = 0.03
+"""rad/s/sqrt(Hz) when the turning is the AHRS heading's: its slow error of a degree and the steel of the tank."""
 
 COAST_CURRENT_SHARE = 0.5
 """Without vision the current cannot be told from the accelerometer's bias: its states wander by this share only."""
@@ -69,10 +90,15 @@ def process_noise(mode: Mode, *, current_3d: bool = False) -> FloatArray:
     """Covariance per second (21, 21), diagonal."""
     coast = 1.0 if mode in (Mode.NOMINAL, Mode.TRIMMED) else COAST_CURRENT_SHARE
     blind = mode is Mode.BLIND
+    by_model = mode in (Mode.MODEL, Mode.MODEL_COMPASS)
     sigma = np.zeros(NX)
     sigma[POS] = POS_NOISE
     sigma[YAW] = BLIND_GYRO_NOISE if blind else GYRO_NOISE
+    if mode in (Mode.COMPASS, Mode.MODEL_COMPASS):
+        sigma[YAW] = COMPASS_NOISE
     sigma[VEL] = BLIND_ACCEL_NOISE if blind else (ACCEL_NOISE, ACCEL_NOISE, ACCEL_NOISE_DOWN)
+    if by_model:
+        sigma[VEL] = MODEL_ACCEL_NOISE
     sigma[GYRO_BIAS] = GYRO_BIAS_WALK
     sigma[ACCEL_BIAS] = ACCEL_BIAS_WALK[mode]
     sigma[CURRENT] = coast * CURRENT_WALK

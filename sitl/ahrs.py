@@ -27,6 +27,7 @@ from drivers.ig500_protocol import (
 )
 from sitl.plant import Truth
 from sitl.scenario import AhrsFreeze, AhrsSensor, Fault
+from sitl.sensor_faults import ImuFaults
 
 POWER_UP_MASK = Field.EULER | Field.GYRO | Field.ACCEL
 """What the device would send before it is told otherwise."""
@@ -64,6 +65,7 @@ class Ig500Emulator(AlwaysOpen):
         self._rate_hz = settings.rate_hz or ahrs.rate_hz
         self._latency_s = ahrs.latency_s if settings.latency_s is None else settings.latency_s
         self._freezes = [fault for fault in faults if isinstance(fault, AhrsFreeze)]
+        self._faults = ImuFaults(faults)
         self._parser = FrameParser()
         self._codec = OutputCodec(POWER_UP_MASK)
         self._sending = False
@@ -127,10 +129,12 @@ class Ig500Emulator(AlwaysOpen):
         self._bias = [b + w * n for b, w, n in zip(self._bias, self._walk, noise[0:6], strict=True)]
         true = truth.rate_frd_rad_s.tolist() + truth.accel_frd_m_s2.tolist()
         felt = [t + b + w * n for t, b, w, n in zip(true, self._bias, self._white, noise[6:12], strict=True)]
+        felt = self._faults.felt(truth.t_us, felt)
+        more_roll, more_pitch, more_yaw = self._faults.attitude_rad(truth.t_us)
         roll, pitch, yaw = truth.rpy_rad.tolist()
-        roll += self._roll.step(noise[12])
-        pitch += self._pitch.step(noise[13])
-        off = self._yaw.step(noise[14]) + self._yaw_offset_rad + self._field_rad(truth.pos_ned_m)
+        roll += self._roll.step(noise[12]) + more_roll
+        pitch += self._pitch.step(noise[13]) + more_pitch
+        off = self._yaw.step(noise[14]) + self._yaw_offset_rad + self._field_rad(truth.pos_ned_m) + more_yaw
         field = r_ned_from_frd(truth.rpy_rad).T @ np.array([math.cos(off), -math.sin(off), math.tan(DIP_RAD)])
         yaw += off
         return {

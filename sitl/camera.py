@@ -8,6 +8,7 @@ and the laser dot. Obstacles are not drawn. A picture is a function of truth, fr
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from autopilot.core.camera import NEAR_M, CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
+from sitl.fault_tables import Lens, Mounting
 from sitl.floor import Floor, Image
 from sitl.plant import Truth
 from sitl.scenario import CameraLook, LaserSensor
@@ -89,6 +91,10 @@ class SimCamera:
     def camera(self) -> CameraModel:
         """The true camera."""
         return self._camera
+
+    def with_faults(self, faults: Sequence[Lens | Mounting]) -> "SimCamera":
+        """The same camera with these faults beside those that it has."""
+        return SimCamera(faulty(self._camera, faults), self._floor, self._look, self._seed, self._laser)
 
     def render(self, truth: Truth, index: int) -> Image:
         """The picture number ``index``, BGR (rows, columns, 3), exposed around ``truth.t_us``."""
@@ -217,6 +223,26 @@ def camera_of(model: CameraModel, focal_factor: float) -> CameraModel:
     """The true camera: the calibrated one with its focal length off by a factor."""
     fx, fy = model.focal_px
     return replace(model, focal_px=(fx * focal_factor, fy * focal_factor))
+
+
+def faulty(camera: CameraModel, faults: Sequence[Lens | Mounting]) -> CameraModel:
+    """The camera with another lens or mounting; the laser stays where it is on the body."""
+    for fault in faults:
+        if isinstance(fault, Lens):
+            camera = camera_of(camera, fault.focal_factor)
+            continue
+        laser_frd_m = camera.position_frd_m + camera.r_frd_from_cam @ camera.laser_offset_cam_m
+        beam_frd = camera.r_frd_from_cam @ camera.laser_direction_cam
+        r_frd_from_cam = r_ned_from_frd(np.array(fault.rpy_rad)) @ camera.r_frd_from_cam
+        position_frd_m = camera.position_frd_m + np.array(fault.position_m)
+        camera = replace(
+            camera,
+            position_frd_m=position_frd_m,
+            r_frd_from_cam=r_frd_from_cam,
+            laser_offset_cam_m=r_frd_from_cam.T @ (laser_frd_m - position_frd_m),
+            laser_direction_cam=r_frd_from_cam.T @ beam_frd,
+        )
+    return camera
 
 
 def true_camera(model: CameraModel, look: CameraLook, laser: LaserSensor) -> CameraModel:

@@ -10,10 +10,12 @@ from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Camera
 from drivers.base import Closing
 from sitl.camera import SimCamera
+from sitl.fault_tables import Lens, Mounting
 from sitl.floor import Image
 from sitl.outages import OutageClock
 from sitl.plant import Truth
 from sitl.scenario import CameraSensor, Fault
+from sitl.sensor_faults import OpticalFaults
 
 TRANSPORT_SHARE = 0.5
 """Part of the camera's latency that passes before the picture arrives; the rest is for finding the markers in it."""
@@ -33,7 +35,9 @@ class CameraFeed(Closing):
     def __init__(
         self, renderer: SimCamera, settings: CameraSensor, camera: Camera, faults: Iterable[Fault], seed: int
     ) -> None:
-        self._renderer = renderer
+        self._renderers: dict[tuple[Lens | Mounting, ...], SimCamera] = {(): renderer}
+        faults = list(faults)
+        self._faults = OpticalFaults(faults)
         self._settings = settings
         self._rate_hz = settings.rate_hz or camera.rate_hz
         latency_s = camera.latency_s if settings.latency_s is None else settings.latency_s
@@ -79,7 +83,15 @@ class CameraFeed(Closing):
         if self.paced and len(self._queue) > 1 and self._queue[-1][2].cancel():
             self._queue.pop()
             self.dropped += 1
-        self._queue.append((due_us, truth.t_us, self._worker.submit(self._renderer.render, truth, index)))
+        seen = self._faults.seen(truth)
+        self._queue.append((due_us, truth.t_us, self._worker.submit(self._renderer(truth.t_us).render, seen, index)))
+
+    def _renderer(self, t_us: int) -> SimCamera:
+        """The camera as it is then: one per combination of faults."""
+        active = self._faults.camera_at(t_us)
+        if active not in self._renderers:
+            self._renderers[active] = self._renderers[()].with_faults(active)
+        return self._renderers[active]
 
     def poll(self, t_us: int) -> list[CameraFrame]:
         """The pictures that have arrived up to ``t_us``."""

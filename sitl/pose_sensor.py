@@ -16,6 +16,7 @@ from drivers.base import AlwaysOpen
 from sitl.outages import OutageClock
 from sitl.plant import Truth
 from sitl.scenario import Fault, LaserSensor, PoseSensor
+from sitl.sensor_faults import OpticalFaults
 
 REFERENCE_HEIGHT_M = 1.0
 """Height of the camera above the floor at which the scenario's standard deviations hold."""
@@ -47,6 +48,7 @@ class SimPoseSensor(AlwaysOpen):
         self._beam_frd = beam_frd / np.linalg.norm(beam_frd)
         self._rate_hz = pose.rate_hz or vehicle.camera.rate_hz
         self._latency_s = vehicle.camera.latency_s if pose.latency_s is None else pose.latency_s
+        self._faults = OpticalFaults(faults)
         self._rng = np.random.default_rng((seed, 20))
         self._outages = OutageClock(pose.outages, faults, np.random.default_rng((seed, 21)))
         self._count = 0
@@ -83,14 +85,15 @@ class SimPoseSensor(AlwaysOpen):
         scale = self._scale(truth, r)
         sigma_pos = scale * np.array([self._pose.sigma_xy_m, self._pose.sigma_xy_m, self._pose.sigma_z_m])
         sigma_yaw = scale * self._pose.sigma_yaw_rad
-        position = truth.pos_ned_m + sigma_pos * noise[0:3]
+        seen_ned_m, seen_yaw_rad = self._faults.pose(truth, self._camera_frd_m, self._floor_depth_m)
+        position = seen_ned_m + sigma_pos * noise[0:3]
         if chance[1] < self._pose.outlier_probability:
             angle = 2.0 * np.pi * chance[2]
             position = position + self._pose.outlier_m * np.array([np.cos(angle), np.sin(angle), 0.0])
         return PoseSample(
             t_us=truth.t_us,
             pos_ned_m=position,
-            yaw_rad=wrap_pi(float(truth.rpy_rad[2] + sigma_yaw * noise[3])),
+            yaw_rad=wrap_pi(float(seen_yaw_rad + sigma_yaw * noise[3])),
             sigma_pos_m=sigma_pos,
             sigma_yaw_rad=sigma_yaw,
         )

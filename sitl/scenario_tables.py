@@ -6,6 +6,7 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 
 from autopilot.core.vehicle import NonNegative, Positive, Vec2, Vec3
+from sitl.fault_tables import SensorFault
 from sitl.sensor_tables import CameraLook, Probability, Sensors
 
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
@@ -255,7 +256,7 @@ class SensorSilence(_Table, frozen=True, kw_only=True, tag_field="kind", tag="se
     sensor: Literal["depth", "dvl"]
 
 
-Fault: TypeAlias = ThrusterLoss | CameraBlackout | AhrsFreeze | SensorSilence
+Fault: TypeAlias = ThrusterLoss | CameraBlackout | AhrsFreeze | SensorSilence | SensorFault
 
 
 class Accept(_Table, frozen=True, kw_only=True):

@@ -16,6 +16,7 @@ all delays that are longer than the wait: first it is known that commands are la
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,9 @@ from autopilot.core.model4 import NU, Model4
 
 LATERAL = 3
 """Index of the lateral thruster."""
+
+UNLEARNED_LOOKS = 10
+"""So many looks (1 s) are taken back when the estimate ceases to be good."""
 
 STATES = NU + 5
 """e of four thrusters, d of four axes, what the lateral thruster turns."""
@@ -102,6 +106,7 @@ class ActuationDelay:
         prior = np.diag([tuning.prior**2] * NU + [s * s for s in tuning.push] + [tuning.arm**2])
         self._p = np.tile(prior, (n, 1, 1))
         self._evidence = np.zeros(n)
+        self._known: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque(maxlen=UNLEARNED_LOOKS)
         self._past = np.zeros((n, NU))
         self._acting, self._thrust = np.zeros(NU), np.zeros(NU)
         self._nu: FloatArray | None = None
@@ -151,6 +156,7 @@ class ActuationDelay:
             self._past[0] = self._thrust
         if nav is None or nav.health is not NavHealth.GOOD:
             self._nu = None
+            self._unlearn()
             return False
         if self._current is None:
             self._current = nav.current_ned_m_s.copy()
@@ -165,12 +171,21 @@ class ActuationDelay:
         self._nu += share * (nu - self._nu)
         if not due or self._wait_s > 0.0:
             return False
+        self._known.append((self._x, self._p, self._evidence))
         self._look(
             look_s,
             push_sigma(self._model, nav, self._tuning.push, self._tuning.flow_m_s),
             (nu - self._nu) / self._tuning.filter_s - self._drift,
         )
         return self._declare(look_s)
+
+    def _unlearn(self) -> None:
+        """Back to what was known before the last looks: an estimate is bad for a moment before it is called bad."""
+        if self._known:
+            self._x, self._p, self._evidence = self._known[0]
+            self._known.clear()
+            self._certain_s = 0.0
+            self.doubtful = False
 
     def _look(self, dt_s: float, push: FloatArray, residual: FloatArray) -> None:
         """Predict and update all filters; ``residual`` (4,) is the acceleration that thrust and d have to explain."""

@@ -17,6 +17,7 @@ is told and what is found are combined by the smaller.
 
 import math
 import statistics
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,10 @@ SHORT_N = 0.3
 
 DEAD = 0.2
 """Below this a thruster is not used at all: five times the pulse for what little it gives, and that uncertain."""
+
+
+UNLEARNED_LOOKS = 10
+"""So many looks (1 s) are taken back when the estimate ceases to be good."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,6 +111,9 @@ class ThrusterHealth:
         self._x = np.concatenate([np.ones(NU), np.zeros(5)])
         self._p = np.diag([tuning.prior**2] * NU + [s * s for s in tuning.push] + [tuning.arm**2])
         self._current: FloatArray | None = None
+        self._known: deque[tuple[FloatArray, FloatArray, FloatArray, FloatArray, tuple[bool, ...]]] = deque(
+            maxlen=UNLEARNED_LOOKS
+        )
         self._below_s = np.zeros(NU)
         self.found = np.ones(NU)
         """(4,) effectiveness as declared: 1 while a thruster is not beyond doubt lossy."""
@@ -133,6 +141,7 @@ class ThrusterHealth:
         True when the declared effectiveness has changed.
         """
         if nav.health is not NavHealth.GOOD or nav.reset_count != self._reset_count:
+            self._unlearn()
             self._forget_motion()
             self._reset_count = nav.reset_count
             return False
@@ -158,6 +167,7 @@ class ThrusterHealth:
         if look_s < self._tuning.interval_s - 1e-9 or self._moving_s < 4.0 * self._tuning.filter_s:
             return False
         self._looked_us = t_us
+        self._known.append((self._x.copy(), self._p, self._below_s, self.found.copy(), self.lost))
         self._look(
             min(look_s, 1.0),
             push_sigma(self._model, nav, self._tuning.push, self._tuning.flow_m_s),
@@ -165,7 +175,13 @@ class ThrusterHealth:
         )
         return self._declare(min(look_s, 1.0))
 
+    def _unlearn(self) -> None:
+        """Back to what was known before the last looks: an estimate is bad for a moment before it is called bad."""
+        if self._known:
+            self._x, self._p, self._below_s, self.found, self.lost = self._known[0]
+
     def _forget_motion(self) -> None:
+        self._known.clear()
         self._t_us = None
         self._looked_us = 0
         self._reset_count = -1

@@ -6,7 +6,7 @@ field comments. A field that may be absent is None. Samples of sensors: :mod:`au
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import Enum, IntEnum
 
 import numpy as np
 
@@ -75,6 +75,19 @@ class NavHealth(IntEnum):
     INVALID = 0
     DEAD_RECKONING = 1
     GOOD = 2
+
+
+class NavDoubt(Enum):
+    """What the evidence speaks against while the estimate is being made."""
+
+    ACCELEROMETER = "accelerometer"
+    """Not believed: thrust and fixes say another acceleration (or the AHRS's tilt is wrong)."""
+    GYRO = "gyro"
+    """Not believed: compass and fixes say another turning."""
+    FIXES = "fixes"
+    """They deny the estimate, or have jumped as no vehicle can."""
+    RANGE = "range"
+    """Laser and markers say another height."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

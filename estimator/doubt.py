@@ -1,0 +1,185 @@
+"""Which inertial sensor is not believed: what it says against what thrust, compass and fixes say.
+
+The vehicle model and the accelerometer say the same of the acceleration within 0.1 m/s^2, thruster losses, tether and
+jets included; gyro and AHRS heading the same of the turn within two degrees per second. A sensor that breaks, is hit or
+runs into its range is off by far more. Which of the two is wrong is told by the fixes while there are any: when they
+pass, the sensor is right, whatever the model says (a hull that is held, a lost thruster). Without fixes the one that
+cannot be bounded goes: an accelerometer's error grows with the square of time, a model's does not.
+
+A sensor that is not believed is still watched. It is believed again, with the offset that it then has, when it has been
+steady against its witness for a while and fixes were there to tell.
+"""
+
+import math
+from collections.abc import Sequence
+
+from autopilot.core.frames import wrap_pi
+
+RESIDUAL_TIME_S = 0.2
+"""The accelerometer's residual is smoothed over this: longer than its noise, shorter than it takes to drift away."""
+RESIDUAL_LIMIT_M_S2 = 0.25
+"""Three times what models were wrong by in healthy flights, a quarter of what six degrees of tilt let in."""
+ABSURD_M_S2 = 2.0
+"""Beyond what thrusters and a bump at cruise speed make of a hull, smoothed: whatever the fixes say so far."""
+USUAL_TIME_S = 3.0
+"""What the residual is while fixes agree with the accelerometer is the model's own error, learned this slowly."""
+REJECTIONS = 12
+"""Looks at the model rejected in a row (0.24 s) that count like a residual beyond its limit."""
+
+TURN_TIME_S = 1.0
+TURN_LIMIT_RAD = math.radians(4.5)
+"""Gyro against compass, forgotten within the time: healthy flights in a steel tank show two degrees."""
+SLOW_TURN_TIME_S = 3.0
+SLOW_TURN_LIMIT_RAD = math.radians(4.0)
+"""The same over longer, when the compass is rejected as well."""
+QUICK_TURN_LIMIT_RAD = math.radians(0.8)
+QUICK_TURN_TIME_S = 0.3
+"""The same over a shorter time, when fixes deny the heading as well."""
+JUMP_RAD = 0.1
+"""From one sample to the next a compass that turns by so much more than the gyro has jumped."""
+
+CONTRADICTIONS = 3
+"""Fixes rejected in a row that deny the estimate: 1 in 10^9 by chance."""
+
+STEADY_TIME_S = 1.0
+STEADY_S = 3.0
+"""A sensor is believed again after so long of steadiness with fixes ..."""
+STEADY_M_S2 = 0.12
+STEADY_RAD_S = 0.06
+"""... within these, smoothed absolute deviations from its mean."""
+
+
+class AccelDoubt:
+    """Accelerometer against vehicle model."""
+
+    def __init__(self) -> None:
+        self.since_us: int | None = None
+        """When it ceased to be believed, None = it is believed."""
+        self.count = 0
+        self._smooth = [0.0, 0.0, 0.0]
+        self._usual = [0.0, 0.0, 0.0]
+        self._return = _Return(3, STEADY_M_S2)
+
+    def look(
+        self, t_us: int, dt_s: float, residual: Sequence[float], *, anchored: bool, denied: bool, rejected: int
+    ) -> bool:
+        """True when it ceases to be believed now. ``residual`` (3,): reading, offset taken off, minus the model's.
+
+        ``anchored``: fixes or velocities over ground are being used; ``denied``: they are being rejected.
+        """
+        share, slow = min(1.0, dt_s / RESIDUAL_TIME_S), min(1.0, dt_s / USUAL_TIME_S)
+        self._smooth = [s + share * (r - s) for s, r in zip(self._smooth, residual, strict=True)]
+        if self.since_us is not None:
+            return False
+        absurd = max(map(abs, self._smooth)) > ABSURD_M_S2
+        if anchored and not denied and not absurd:
+            self._usual = [u + slow * (s - u) for u, s in zip(self._usual, self._smooth, strict=True)]
+            return False
+        over = max(abs(s - u) for s, u in zip(self._smooth, self._usual, strict=True)) > RESIDUAL_LIMIT_M_S2
+        if not (absurd or over or (rejected >= REJECTIONS and not anchored)):
+            return False
+        self.since_us = t_us
+        self.count += 1
+        self._return.begin(residual)
+        return True
+
+    def steady_offset(self, dt_s: float, unexplained: Sequence[float], *, anchored: bool) -> list[float] | None:
+        """The offset (3,) to believe it with again. ``unexplained`` (3,): reading minus the model's acceleration."""
+        return self._return.look(dt_s, unexplained, anchored)
+
+    def believe(self) -> None:
+        """It is believed again."""
+        self.since_us = None
+        self._smooth, self._usual = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+
+
+class GyroDoubt:
+    """Gyro against the AHRS's heading."""
+
+    def __init__(self) -> None:
+        self.since_us: int | None = None
+        """When it ceased to be believed, None = it is believed."""
+        self.count = 0
+        self.jumps = 0
+        self._quick = self._apart = self._slow = 0.0
+        self._return = _Return(1, STEADY_RAD_S)
+
+    @property
+    def apart_rad(self) -> float:
+        """How far gyro and compass have come apart lately."""
+        return max(abs(self._apart), abs(self._slow))
+
+    def jumped_rad(self, dt_s: float, turn_rad: float, rate_rad_s: float) -> float:
+        """How far the compass has jumped in one sample: ``turn_rad`` by the compass, ``rate_rad_s`` by the gyro."""
+        jump = wrap_pi(turn_rad - rate_rad_s * dt_s)
+        if abs(jump) > JUMP_RAD:
+            self.jumps += 1
+            return jump
+        return 0.0
+
+    def look(
+        self,
+        t_us: int,
+        dt_s: float,
+        turn_rad: float,
+        rate_rad_s: float,
+        *,
+        anchored: bool,
+        heading_denied: bool,
+        compass_rejected: int,
+    ) -> bool:
+        """True when it ceases to be believed now. Rates without the gyro's known bias.
+
+        ``heading_denied``: fixes are being rejected for their heading."""
+        apart = wrap_pi(turn_rad - rate_rad_s * dt_s)
+        self._quick += apart - min(1.0, dt_s / QUICK_TURN_TIME_S) * self._quick
+        self._apart += apart - min(1.0, dt_s / TURN_TIME_S) * self._apart
+        self._slow += apart - min(1.0, dt_s / SLOW_TURN_TIME_S) * self._slow
+        if self.since_us is not None:
+            return False
+        if anchored:
+            wrong = heading_denied and abs(self._quick) > QUICK_TURN_LIMIT_RAD
+        else:
+            wrong = abs(self._apart) > TURN_LIMIT_RAD
+            wrong = wrong or (compass_rejected >= 2 and abs(self._slow) > SLOW_TURN_LIMIT_RAD)
+        if not wrong:
+            return False
+        self.since_us = t_us
+        self.count += 1
+        self._return.begin((rate_rad_s,))
+        return True
+
+    def steady_offset(self, dt_s: float, unexplained_rad_s: float, *, anchored: bool) -> list[float] | None:
+        """The bias (1,) to believe it with again. ``unexplained_rad_s``: gyro minus the compass's turning."""
+        return self._return.look(dt_s, (unexplained_rad_s,), anchored)
+
+    def believe(self) -> None:
+        """It is believed again."""
+        self.since_us = None
+        self._quick = self._apart = self._slow = 0.0
+
+
+class _Return:
+    """Mean and scatter of what a doubted sensor says beyond its witness."""
+
+    def __init__(self, size: int, limit: float) -> None:
+        self._limit = limit
+        self._mean = [0.0] * size
+        self._scatter = [limit * 10.0] * size
+        self._steady_s = 0.0
+
+    def begin(self, first: Sequence[float]) -> None:
+        """The sensor has just ceased to be believed."""
+        self._mean = list(first)
+        self._scatter = [self._limit * 10.0] * len(self._mean)
+        self._steady_s = 0.0
+
+    def look(self, dt_s: float, values: Sequence[float], anchored: bool) -> list[float] | None:
+        """The mean once it is known and steady."""
+        share = min(1.0, dt_s / STEADY_TIME_S)
+        for i, value in enumerate(values):
+            self._mean[i] += share * (value - self._mean[i])
+            self._scatter[i] += share * (abs(value - self._mean[i]) - self._scatter[i])
+        steady = anchored and max(self._scatter) < self._limit
+        self._steady_s = self._steady_s + dt_s if steady else 0.0
+        return list(self._mean) if self._steady_s >= STEADY_S else None

@@ -1,0 +1,141 @@
+"""Watches accelerometer and gyro, and stands in for the one that is not believed.
+
+The vehicle model, driven by the commanded thrust, gives the acceleration; the AHRS's heading gives the turning. When a
+sensor ceases to be believed, the last moments are computed again without it: it was wrong for a while before it showed.
+"""
+
+import math
+from typing import NamedTuple
+
+from autopilot.core.frames import wrap_pi
+from autopilot.core.model4 import Model4
+from estimator.doubt import AccelDoubt, GyroDoubt
+from estimator.history import Node
+from estimator.inertial import Inertial, Mode, Step, step_between
+from estimator.measure_model import expected_acceleration, idle, model_slope
+from estimator.states import ACCEL_BIAS, GYRO_BIAS, HEADING_OFFSET, YAW
+
+TURN_MAX_RAD_S = 2.0
+"""No vehicle of this class turns faster: beyond it the compass has jumped."""
+
+
+class Verdicts(NamedTuple):
+    """What one sample has changed."""
+
+    doubted: bool = False
+    """A sensor is not believed any more: compute the last moments again."""
+    apart_rad: float = 0.0
+    """So far have gyro and compass come apart, and which of them is wrong is not known; 0 = no news."""
+    jump_rad: float = 0.0
+    """So far has the compass jumped; 0 = no news."""
+    accel_offset: tuple[float, ...] | None = None
+    gyro_offset: tuple[float, ...] | None = None
+    """Not None: believed again with this offset."""
+
+
+NOTHING_NEW = Verdicts()
+
+
+class ImuWatch:
+    """Both doubts of one estimator."""
+
+    def __init__(self, model: Model4, follow: tuple[float, float]) -> None:
+        self._model = model
+        self._follow = follow
+        self.accel = AccelDoubt()
+        self.gyro = GyroDoubt()
+
+    @property
+    def since_us(self) -> int | None:
+        """When the younger of the doubts began, None without any."""
+        return max((s for s in (self.accel.since_us, self.gyro.since_us) if s is not None), default=None)
+
+    def drive(self, before: Node, inertial: Inertial) -> tuple[Inertial, Step]:
+        """The moment after ``before`` without the sensors that are not believed, and the step to it."""
+        last = before.moment.inertial
+        if not inertial.real:
+            return inertial, step_between(last, inertial, Mode.BLIND)
+        x, slope = before.state.x, None
+        by_model, by_compass = self.accel.since_us is not None, self.gyro.since_us is not None
+        if by_compass:
+            rate = self._compass_rate(last, inertial) + x.item(GYRO_BIAS)
+            rates = inertial.rate_frd_rad_s.copy()
+            rates[2] = rate
+            inertial = inertial._replace(yaw_rate_rad_s=rate, rate_frd_rad_s=rates)
+        if by_model:
+            bias = x[ACCEL_BIAS].tolist()
+            if idle(before.moment, x):
+                ax, ay, az = 0.0, 0.0, 0.0
+            else:
+                ax, ay, az, _ = expected_acceleration(self._model, self._follow, x, before.moment)
+                slope = model_slope(self._model, self._follow, x, before.moment)
+            inertial = inertial._replace(accel_level_m_s2=(ax + bias[0], ay + bias[1], az + bias[2]))
+        mode = Mode.MODEL_COMPASS if by_model and by_compass else Mode.MODEL if by_model else Mode.COMPASS
+        return inertial, step_between(last, inertial, mode, slope)
+
+    def look(
+        self,
+        before: Node,
+        node: Node,
+        raw: Inertial,
+        *,
+        anchored: bool,
+        denied: bool,
+        heading_denied: bool,
+        model_rejected: int,
+        compass_rejected: int,
+    ) -> Verdicts:
+        """Judge the sample ``raw`` that led from ``before`` to ``node``; see :class:`AccelDoubt` and GyroDoubt."""
+        last, x, dt_s = before.moment.inertial, node.state.x, 1e-6 * (node.t_us - before.t_us)
+        if not last.real:
+            return NOTHING_NEW
+        turn = wrap_pi(raw.ahrs_yaw_rad - last.ahrs_yaw_rad)
+        rate = raw.yaw_rate_rad_s - x.item(GYRO_BIAS)
+        jump = self.gyro.jumped_rad(dt_s, turn, rate)
+        gyro = jump == 0.0 and self.gyro.look(
+            node.t_us,
+            dt_s,
+            turn,
+            rate,
+            anchored=anchored,
+            heading_denied=heading_denied,
+            compass_rejected=compass_rejected,
+        )
+        apart = self.gyro.apart_rad if gyro and not anchored else 0.0
+        accel = False
+        accel_offset = gyro_offset = None
+        if not idle(node.moment, x):
+            expected = expected_acceleration(self._model, self._follow, x, node.moment)
+            over = [a - e for a, e in zip(raw.accel_level_m_s2, expected, strict=False)]
+            bias = x[ACCEL_BIAS].tolist()
+            accel = self.accel.look(
+                node.t_us,
+                dt_s,
+                [o - b for o, b in zip(over, bias, strict=True)],
+                anchored=anchored,
+                denied=denied,
+                rejected=model_rejected,
+            )
+            if self.accel.since_us is not None and not accel:
+                accel_offset = self.accel.steady_offset(dt_s, over, anchored=anchored and not denied)
+        if self.gyro.since_us is not None and not gyro:
+            unexplained = raw.yaw_rate_rad_s - (turn / dt_s if jump == 0.0 else rate)
+            gyro_offset = self.gyro.steady_offset(dt_s, unexplained, anchored=anchored and not denied)
+        return Verdicts(
+            doubted=accel or gyro,
+            apart_rad=apart,
+            jump_rad=jump,
+            accel_offset=None if accel_offset is None else tuple(accel_offset),
+            gyro_offset=None if gyro_offset is None else tuple(gyro_offset),
+        )
+
+    def _compass_rate(self, last: Inertial, inertial: Inertial) -> float:
+        """Turning by the AHRS's heading [rad/s]; none when it jumps."""
+        dt_s = 1e-6 * (inertial.t_us - last.t_us)
+        rate = wrap_pi(inertial.ahrs_yaw_rad - last.ahrs_yaw_rad) / dt_s
+        return rate if math.fabs(rate) < TURN_MAX_RAD_S else 0.0
+
+
+HEADING_STATES = (slice(YAW, YAW + 1), slice(HEADING_OFFSET, HEADING_OFFSET + 1))
+"""What is not known any more when gyro and compass have come apart."""
+GYRO_STATE = slice(GYRO_BIAS, GYRO_BIAS + 1)

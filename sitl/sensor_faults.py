@@ -1,0 +1,92 @@
+"""What the faults of :mod:`sitl.fault_tables` make of readings, poses and pictures."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, r_ned_from_frd
+from sitl.fault_tables import AhrsAttitude, ImuClip, ImuOffset, ImuScale, ImuStuck, Lens, MarkersMoved, Mounting
+from sitl.plant import Truth
+from sitl.scenario_tables import Fault
+
+AXES = {"x": 0, "y": 1, "z": 2}
+SENSORS = {"gyro": 0, "accel": 3}
+"""Where a sensor's three values stand among the six."""
+
+
+class ImuFaults:
+    """Faults of gyros, accelerometers and attitude, in the order of the scenario file."""
+
+    def __init__(self, faults: Iterable[Fault]) -> None:
+        faults = list(faults)
+        self._inertial = [f for f in faults if isinstance(f, ImuOffset | ImuScale | ImuStuck | ImuClip)]
+        self._attitude = [f for f in faults if isinstance(f, AhrsAttitude)]
+        self._stuck: dict[int, float] = {}
+
+    def felt(self, t_us: int, six: list[float]) -> list[float]:
+        """What is read instead of these gyro and accelerometer values."""
+        for index, fault in enumerate(self._inertial):
+            if not fault.holds(t_us):
+                self._stuck.pop(index, None)
+                continue
+            first = SENSORS[fault.sensor]
+            for axis in range(3):
+                place = first + axis
+                if isinstance(fault, ImuOffset):
+                    six[place] += fault.offset[axis]
+                elif isinstance(fault, ImuScale):
+                    six[place] *= fault.factor[axis]
+                elif isinstance(fault, ImuClip):
+                    six[place] = min(max(six[place], -fault.limit), fault.limit)
+                elif axis == AXES[fault.axis]:
+                    six[place] = self._stuck.setdefault(index, six[place])
+        return six
+
+    def attitude_rad(self, t_us: int) -> tuple[float, float, float]:
+        """Added to roll, pitch, yaw."""
+        active = [fault for fault in self._attitude if fault.holds(t_us)]
+        return sum(f.roll_rad for f in active), sum(f.pitch_rad for f in active), sum(f.yaw_rad for f in active)
+
+
+class OpticalFaults:
+    """Faults of lens, mounting and markers."""
+
+    def __init__(self, faults: Iterable[Fault]) -> None:
+        self._faults = [fault for fault in faults if isinstance(fault, Lens | Mounting | MarkersMoved)]
+
+    def camera_at(self, t_us: int) -> tuple[Lens | Mounting, ...]:
+        """Faults of the camera itself that hold then."""
+        return tuple(f for f in self._faults if isinstance(f, Lens | Mounting) and f.holds(t_us))
+
+    def seen(self, truth: Truth) -> Truth:
+        """Where the vehicle would be if the markers, as they lie now, were where the map says."""
+        for fault in self._faults:
+            if isinstance(fault, MarkersMoved) and fault.holds(truth.t_us):
+                c, s = math.cos(fault.yaw_rad), math.sin(fault.yaw_rad)
+                north, east, down = (truth.pos_ned_m - np.array(fault.offset_m)).tolist()
+                truth = replace(
+                    truth,
+                    pos_ned_m=np.array([c * north + s * east, c * east - s * north, down]),
+                    rpy_rad=truth.rpy_rad - np.array([0.0, 0.0, fault.yaw_rad]),
+                )
+        return truth
+
+    def pose(self, truth: Truth, camera_frd_m: FloatArray, floor_depth_m: float | None) -> tuple[FloatArray, float]:
+        """Position (3,) and heading that pictures would give, without noise."""
+        truth = self.seen(truth)
+        position, yaw = truth.pos_ned_m, float(truth.rpy_rad[2])
+        for fault in self.camera_at(truth.t_us):
+            r = r_ned_from_frd(truth.rpy_rad)
+            if isinstance(fault, Lens):
+                if floor_depth_m is not None:
+                    height_m = floor_depth_m - float(position[2] + r[2] @ camera_frd_m)
+                    position = position + np.array([0.0, 0.0, height_m * (1.0 - 1.0 / fault.focal_factor)])
+                continue
+            # The camera's own pose is seen right; the vehicle hangs on it by the mounting that is believed.
+            lens = camera_frd_m + np.array(fault.position_m)
+            believed = r @ r_ned_from_frd(np.array(fault.rpy_rad))
+            position = position + r @ lens - believed @ camera_frd_m
+            yaw = math.atan2(believed[1, 0], believed[0, 0])
+        return position, yaw
