@@ -17,8 +17,8 @@ ROUNDING = 1e-9
 """Keeps a duty that is a whole pulse in exact arithmetic on that pulse."""
 
 CREDIBLE_SUPPLY = 10.0
-"""A supply of more than so many times the nominal one is a broken wire: the nominal one is taken. Less than that part of
-it counts as that part: pulses are at their limits long before."""
+"""A supply of more than so many times the nominal one is a broken wire: the nominal one is taken. Less than that part
+of it counts as that part: pulses are at their limits long before."""
 
 
 class Allocation:
