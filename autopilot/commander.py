@@ -32,7 +32,7 @@ from mission.geodesy import MAX_RANGE_M, Origin, far_text, refuse_place
 from mission.items import ChangeSpeed, Jump, SetHeading, SetHome, Step
 from mission.judgement import Verdict
 from mission.room import Room
-from mission.sequencer import Action, Sequencer
+from mission.sequencer import Action, Position, Sequencer
 from mission.store import Plans, plan_checksum
 from mission.validation import PLACE_TOLERANCE_M
 
@@ -239,6 +239,16 @@ class Commander:
             return Answer(result=CommandResult.DENIED, reason=f"Mission item {seq} does not exist: plan has {count}")
         self._sequencer.set_current(seq)
         return _ACCEPTED
+
+    @property
+    def mission_position(self) -> Position | None:
+        """Where the mission stands, None when there is nothing to go on with."""
+        return self._sequencer.position
+
+    def stand_at(self, position: Position) -> None:
+        """After a restart: the mission of the plan in force stands where it stood. PlanError if it has no such item."""
+        self._load_mission()
+        self._sequencer.stand_at(position)
 
     def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
         """Reposition and hold there; None = hold here."""

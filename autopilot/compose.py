@@ -18,6 +18,7 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import Vehicle
+from autopilot.mavlink.api import ParamSaving
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.provenance import revision
 from autopilot.readiness import MarginCheck
@@ -51,6 +52,8 @@ class ServiceSetup:
     """Number of MAVLink links that are open from the start."""
     patience: float
     """How much faster than a client's clock this service's time may run (plan transfers wait so much longer)."""
+    saving: ParamSaving | None = None
+    """Where parameters are kept that operators set, None = nowhere."""
     waits_for_plans: bool
     """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
 
@@ -100,6 +103,7 @@ def build_service(
             links=range(setup.links),
             patience=setup.patience,
             guard=guard,
+            saving=setup.saving,
         ),
     )
     return Autopilot(parts), parts

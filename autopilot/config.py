@@ -77,6 +77,7 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
         "currents_start": None,
         "profile": "px4",
         "start": False,
+        "keep_plans": False,
         "state_dir": platformdirs.user_state_dir("underwater-autopilot", appauthor=False),
         "log_dir": str(Path(platformdirs.user_data_dir("underwater-autopilot", appauthor=False)) / "logs"),
     }
@@ -88,6 +89,7 @@ _FROM_TEXT: dict[str, Any] = {
     "duration": float,
     "connect": lambda text: tuple(text.split(",")),
     "start": lambda text: text.lower() in ("1", "true", "yes"),
+    "keep_plans": lambda text: text.lower() in ("1", "true", "yes"),
 }
 
 

@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from autopilot.config import Settings, system_id
+from autopilot.core.desk import Desk
 from autopilot.core.params import ParamSet
 from autopilot.mavlink.boot import BootLink
 from autopilot.param_file import PersistentParams
@@ -73,7 +74,7 @@ class Doorstep:
 
 def open_doorstep(settings: Settings, overrides: dict[str, float], *, instance: int) -> Doorstep:
     """Open a SITL run's links. ConfigError and DriverError name what is wrong; nothing is open then."""
-    params, _ = sitl_params(settings, load_scenario(settings["scenario"]), overrides, instance)
+    params, *_ = sitl_params(settings, load_scenario(settings["scenario"]), overrides, instance)
     sysid = system_id(params, instance)
     links: list[Link] = []
     try:
@@ -86,9 +87,13 @@ def open_doorstep(settings: Settings, overrides: dict[str, float], *, instance: 
 
 
 def sitl_params(
-    settings: Settings, scenario: Scenario, overrides: dict[str, float], instance: int
-) -> tuple[ParamSet, PersistentParams]:
-    """Defaults < scenario's origin, disturbance bounds and parameters < saved by earlier runs < command line."""
+    settings: Settings, scenario: Scenario, overrides: dict[str, float], instance: int, disk: Desk | None = None
+) -> tuple[ParamSet, PersistentParams, tuple[str, ...]]:
+    """Defaults < scenario's origin, disturbance bounds and parameters < saved by earlier runs < command line.
+
+    The last of the result is what is wrong with the saved ones. Without the lane of the ``disk`` they are only looked
+    at: nothing is cleaned up, nothing set aside.
+    """
     params = ParamSet()
     params.set("ORIGIN_LAT", scenario.origin.lat_deg)
     params.set("ORIGIN_LON", scenario.origin.lon_deg)
@@ -99,8 +104,13 @@ def sitl_params(
             params.set(bound, value)
     for name, value in scenario.params.items():
         params.set(name, value)
-    persistent = PersistentParams(Path(settings["state_dir"]) / f"sitl-{instance}" / "parameters.params", params)
-    persistent.load()
+    persistent = PersistentParams(state_folder(settings, instance) / "parameters.params", params, disk)
+    warnings = persistent.load(mend=disk is not None)
     for name, value in overrides.items():
         params.set(name, value)
-    return params, persistent
+    return params, persistent, warnings
+
+
+def state_folder(settings: Settings, instance: int) -> Path:
+    """What an instance keeps between runs."""
+    return Path(settings["state_dir"]) / f"sitl-{instance}"

@@ -10,13 +10,14 @@ at every arming it is tried anew.
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
+from autopilot.core.disk import cause_of
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs, LoopStats, Outputs, Severity
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
 from autopilot.log.packing.vehicle import TruthLike
 from autopilot.log.session import RunLog
-from autopilot.log.writer import Payload, cause_of
+from autopilot.log.writer import Payload
 
 CLOSE_S = 30.0
 """How long the end of a run waits for a disk that does not answer."""

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,20 +27,23 @@ from autopilot.control.currents import (
     RememberedCurrent,
 )
 from autopilot.core.camera import CameraModel
+from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.core.marker_files import load_marker_map, marker_file_text
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import Outputs, ThrusterCommand
+from autopilot.core.messages import Outputs, Severity, ThrusterCommand
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.describe import describe_run, plan_items, plans_json
-from autopilot.doorstep import sitl_params
+from autopilot.doorstep import sitl_params, state_folder
+from autopilot.kept_plans import KeptPlans
 from autopilot.log.description import RunDescription
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
 from autopilot.log.writer import LogHead, Payload
 from autopilot.map_check import MapCheck, open_map
+from autopilot.mavlink.api import ParamSaving
 from autopilot.operator import ScriptedOperator
 from autopilot.param_file import PersistentParams
 from autopilot.provenance import revision
@@ -115,6 +119,10 @@ class SitlSession:
     runtime: Runtime
     recorder: RunRecorder | NullRecorder
     persistent: PersistentParams
+    kept: KeptPlans | None
+    """Where the plans are kept, None when they are not."""
+    warnings: tuple[str, ...]
+    """What the operator should know of what was kept by earlier runs."""
     operator: ScriptedOperator | None
     duration_s: float | None
     seed: int
@@ -127,7 +135,9 @@ class SitlSession:
             self.runtime.run(duration_s=self.duration_s, stop=stop)
         finally:
             self.recorder.close()
-            self.persistent.save_changes()
+            self.persistent.finish()
+            if self.kept is not None:
+                self.kept.finish()
         return time.monotonic() - begin_s
 
 
@@ -164,18 +174,25 @@ def open_sitl(
     """
     sys.setswitchinterval(THREAD_SWITCH_S)
     scenario = load_scenario(settings["scenario"])
-    params, persistent = sitl_params(settings, scenario, overrides, instance)
+    disk = Desk(ThreadPoolExecutor(1, thread_name_prefix="disk"), patient=float(settings["speed"]) == 0.0)
+    params, persistent, warnings = sitl_params(settings, scenario, overrides, instance, disk)
     world = _world(settings, scenario, params)
     operator = ScriptedOperator(system_id(params, instance)) if settings["start"] else None
     all_peers = (*peers, operator) if operator is not None else tuple(peers)
-    service, parts = _service(settings, world, params, instance, links=len(settings["connect"]) + len(all_peers))
+    links_count = len(settings["connect"]) + len(all_peers)
+    service, parts = _service(settings, world, params, instance, links=links_count, saving=persistent)
     plan = _plan(settings, world.scenario)
+    kept = _kept_plans(settings, parts, instance, disk)
     if plan is not None:
         problem = load_plan(parts.plans, read_plan(plan), str(plan))
         if problem and operator is not None:
             raise PlanError(f"{plan}: cannot be flown: {problem}; mend the plan, or start without --start")
         if problem:
             print(f"warning: {plan}: {problem}; the vehicle will not arm before that is mended", file=sys.stderr)
+        if kept is not None:
+            kept.skip()
+    elif kept is not None:
+        warnings += kept.load()
     device = SimulatedDevice(world.simulated, len(world.vehicle.thruster))
     opened: list[Link] = [] if links is None else list(links)
     try:
@@ -187,11 +204,17 @@ def open_sitl(
         for link in opened:
             link.close()
         raise
-    persistent.mark()
+    news: list[tuple[Severity, str]] = [(Severity.WARNING, text) for text in warnings]
 
     def each_tick(outputs: Outputs) -> None:
-        persistent.save_changes()
+        if kept is not None:
+            kept.tick(outputs.t_us)
         on_tick(outputs)
+
+    def notices() -> Sequence[tuple[Severity, str]]:
+        told = (*news, *recorder.take_notices(), *(() if kept is None else kept.take_notices()))
+        news.clear()
+        return told
 
     runtime = Runtime(
         service,
@@ -203,9 +226,9 @@ def open_sitl(
         peers=all_peers,
         on_tick=each_tick,
         paced=world.speed > 0.0,
-        notices=recorder.take_notices,
+        notices=notices,
     )
-    for desk in parts.desks:
+    for desk in (*parts.desks, disk):
         desk.idle = runtime.attend
     given_s = settings["duration"]
     return SitlSession(
@@ -217,6 +240,8 @@ def open_sitl(
         runtime=runtime,
         recorder=recorder,
         persistent=persistent,
+        kept=kept,
+        warnings=warnings,
         operator=operator,
         duration_s=world.scenario.scenario.duration_s if given_s is None else given_s,
         seed=world.seed,
@@ -255,7 +280,7 @@ def _told_markers(settings: Settings, true: MarkerMap | None) -> MarkerMap | Non
 
 
 def _service(
-    settings: Settings, world: _World, params: ParamSet, instance: int, *, links: int
+    settings: Settings, world: _World, params: ParamSet, instance: int, *, links: int, saving: ParamSaving
 ) -> tuple[Autopilot, Parts]:
     """The service for that world: it learns marker map, floor depth and origin, and nothing of the truth."""
     return build_service(
@@ -273,6 +298,7 @@ def _service(
             links=links,
             patience=FASTEST if world.speed == 0.0 else max(1.0, world.speed),
             waits_for_plans=world.speed == 0.0,
+            saving=saving,
         )
     )
 
@@ -343,6 +369,13 @@ def _currents(settings: Settings, world: _World) -> CurrentForecast:
             return EstimatedCurrent()
         case _:
             return LearnedCurrent()
+
+
+def _kept_plans(settings: Settings, parts: Parts, instance: int, disk: Desk) -> KeptPlans | None:
+    """Where plans are kept, None without --keep-plans: a simulation begins anew each time unless it is told to."""
+    if not settings["keep_plans"]:
+        return None
+    return KeptPlans(state_folder(settings, instance) / "plans.json", parts, disk)
 
 
 def _make_folder(folder: Path) -> None:

@@ -47,6 +47,20 @@ class SequencerOutput:
     """(3,) new home, on the tick on which a DO_SET_HOME ran."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Position:
+    """Where a mission stands: all that it takes to go on with it after a restart."""
+
+    cursor: int
+    """Step that runs next."""
+    reached_seq: int
+    lap: int
+    jumps_done: tuple[tuple[int, int], ...]
+    """(step of a jump, how often it was made)."""
+    speed_m_s: float | None
+    default_yaw_rad: float | None
+
+
 @dataclass(slots=True, eq=False, kw_only=True)
 class _Run:
     """What is remembered of one run of the mission."""
@@ -128,6 +142,29 @@ class Sequencer:
             self._clear(seq)
         self._run.cursor = seq
         self._run.entered = False
+
+    @property
+    def position(self) -> Position | None:
+        """Where the mission stands, None when there is nothing to go on with."""
+        run = self._run
+        if run.state not in (ProgressState.ACTIVE, ProgressState.PAUSED, ProgressState.NOT_STARTED):
+            return None
+        return Position(
+            cursor=run.cursor,
+            reached_seq=run.reached_seq,
+            lap=run.lap,
+            jumps_done=tuple(run.jumps_done.items()),
+            speed_m_s=run.speed_m_s,
+            default_yaw_rad=run.default_yaw_rad,
+        )
+
+    def stand_at(self, position: Position) -> None:
+        """Stand where this mission stood once, not started. PlanError when it has no such item."""
+        self._check_seq(position.cursor)
+        self._clear(position.cursor)
+        run = self._run
+        run.reached_seq, run.lap, run.jumps_done = position.reached_seq, position.lap, dict(position.jumps_done)
+        run.speed_m_s, run.default_yaw_rad = position.speed_m_s, position.default_yaw_rad
 
     def set_home(self, pos_ned_m: FloatArray) -> None:
         """Where NAV_RETURN_TO_LAUNCH goes (3,), at the depth of the goal before it."""

@@ -32,6 +32,7 @@ EXIT_LOSS = 3
 @click.option("--profile", type=click.Choice(PROFILES), help="MAVLink identity (default: px4).")
 @click.option("--instance", type=click.IntRange(0, 99), default=0, show_default=True, help="Instance number.")
 @click.option("--start", is_flag=True, default=None, help="Arm and start the preloaded plan by an operator in-process.")
+@click.option("--keep-plans", is_flag=True, default=None, help="Keep plans, fence, home and progress between runs.")
 @click.option("--quiet", is_flag=True, help="Print only errors.")
 def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the simulated vehicle of SCENARIO (a shipped name or a TOML file; default paper-tank)."""
@@ -56,6 +57,8 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
         # A full garbage collection over all that was imported would take five ticks: it leaves out what there is now.
         gc.collect()
         gc.freeze()
+    for warning in session.warnings:
+        click.echo(f"warning: {warning}", err=True)
     if not quiet:
         name = session.scenario.scenario.name
         click.echo(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
@@ -69,6 +72,8 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
         )
     if session.persistent.failure:
         click.echo(f"warning: {session.persistent.failure}", err=True)
+    if session.kept is not None and session.kept.failure:
+        click.echo(f"warning: {session.kept.failure}", err=True)
     if session.recorder.failure:
         lost = f"{session.recorder.dropped} messages lost"
         click.echo(f"warning: the log is not whole, {lost}: {session.recorder.failure}", err=True)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TypeAlias
 
+from autopilot.core.disk import cause_of
 from autopilot.core.errors import LogError
 from autopilot.log.description import RUN_RECORD
 from autopilot.log.lock import lock_exclusive
@@ -50,19 +51,6 @@ QOS_PROFILES = (
 
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".txt": "text/plain", ".plan": "text/plain"}
 
-_CAUSES = {
-    errno.ENOSPC: "disk full",
-    errno.EDQUOT: "disk full",
-    errno.EFBIG: "file too large",
-    errno.EROFS: "disk read-only",
-    errno.EACCES: "no right to write",
-    errno.EPERM: "no right to write",
-    errno.ENOENT: "folder gone",
-    errno.ENOTDIR: "folder gone",
-    errno.EIO: "disk broken",
-}
-"""What a failure of the disk is called in front of an operator."""
-
 Payload: TypeAlias = bytes | Callable[[], bytes]
 _Item: TypeAlias = tuple[str, int, Payload, int, int]
 """Topic, time [us], payload, sequence number, bytes in memory."""
@@ -70,14 +58,6 @@ _TLOG = ""
 """Stands for the topic of a packet that goes to the ``.tlog``."""
 _ATTACHMENT = "attachment:"
 """Stands, with a name behind it, for the topic of an attachment that comes while the log is running."""
-
-
-def cause_of(error: OSError | LogError) -> str:
-    """A failure of the disk in two or three words for an operator."""
-    found = error if isinstance(error, OSError) else error.__cause__
-    if isinstance(found, OSError):
-        return _CAUSES.get(found.errno or 0, str(found.strerror).lower())
-    return str(error)
 
 
 def _open_locked(path: Path) -> IO[bytes]:

@@ -12,7 +12,7 @@ from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
-from autopilot.mavlink.api import VehicleCommands, VehicleView
+from autopilot.mavlink.api import ParamSaving, VehicleCommands, VehicleView
 from autopilot.mavlink.geo import TangentPlane
 from autopilot.mavlink.profiles import Profile
 from autopilot.mavlink.wire import LinkEncoder, Message
@@ -71,6 +71,8 @@ class Context:
     patience: float
     """Factor on the time that protocol partners get (they live in real time, a fast simulation does not)."""
     guard: Guard
+    saving: ParamSaving | None = None
+    """Where parameters are kept, None = nowhere."""
     t_us: int = 0
     links: dict[int, LinkEncoder] = field(default_factory=dict)
     """Every open link's encoder: sequence numbers count per link."""

@@ -11,7 +11,7 @@ from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, VehicleCommands, VehicleView
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, ParamSaving, VehicleCommands, VehicleView
 from autopilot.mavlink.commands import Commands
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
 from autopilot.mavlink.external import ExternalPoses
@@ -87,6 +87,7 @@ class Dispatcher:
         view: VehicleView,
         patience: float,
         guard: Guard,
+        saving: ParamSaving | None = None,
     ) -> None:
         self._ctx = ctx = Context(
             sysid=sysid,
@@ -98,6 +99,7 @@ class Dispatcher:
             view=view,
             patience=patience,
             guard=guard,
+            saving=saving,
         )
         self.parameters = Parameters(ctx)
         self.missions = Missions(ctx)

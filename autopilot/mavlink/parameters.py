@@ -2,9 +2,11 @@
 
 import math
 import struct
+from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.clock import TICK_US
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import Severity
 from autopilot.core.params import ParamSpec, ParamType
@@ -16,6 +18,9 @@ PER_TICK = 4
 """PARAM_VALUEs of a list that go out per tick and client: 400/s, 13 kB/s."""
 MAX_LISTS = 8
 """Clients that read the list at the same time; one more has to ask again."""
+
+SLOW_DISK_US = 3_000_000
+"""A parameter that is so long on its way to the disk is spoken of."""
 
 HASH_CHECK = "_HASH_CHECK"
 """PX4's cache check, asked by QGroundControl. Silence means "no cache" (parameter protocol)."""
@@ -54,6 +59,15 @@ def decode(param_value: float, kind: ParamType, encoding: ParamEncoding) -> floa
     return shortest_decimal(param_value)
 
 
+@dataclass(slots=True, kw_only=True)
+class _Request:
+    """A parameter on its way to the disk."""
+
+    number: int
+    since_us: int
+    told: bool = False
+
+
 class Parameters:
     """The parameter microservice."""
 
@@ -62,8 +76,8 @@ class Parameters:
         self._names = tuple(ctx.params)
         self._index = {name: i for i, name in enumerate(self._names)}
         self._lists: dict[Peer, int] = {}
-        self.changed = False
-        """A client has changed a value; the runtime saves the set and clears the flag."""
+        self._saving: dict[str, _Request] = {}
+        """Parameters that are being kept; they are told when they are."""
 
     def value(self, name: str) -> Message:
         """PARAM_VALUE of a parameter that exists."""
@@ -98,27 +112,32 @@ class Parameters:
         self._ctx.send(peer, self.value(name))
 
     def on_set(self, peer: Peer, msg: Message) -> None:
-        """PARAM_SET: the value in force goes to everyone, a refusal also says why."""
+        """PARAM_SET: the value in force goes to everyone once it is on disk, a refusal at once and with its reason."""
         ctx, name = self._ctx, msg.param_id
         if name == HASH_CHECK:
             return
         if name not in self._index:
             self._refuse(peer, name, -1, _MISSING)
             return
+        number: int | None = None
         spec = ctx.params.spec(name)
         if not self._type_fits(spec, msg.param_type):
             self._refuse(peer, name, self._index[name], _TYPE_MISMATCH)
             ctx.say(Severity.WARNING, f"parameter {name} is {spec.type.value}: other types are refused", peer)
+        elif self._change(peer, name, decode(msg.param_value, spec.type, ctx.profile.param_encoding)):
+            number = None if ctx.saving is None else ctx.saving.save(ctx.t_us // TICK_US, name)
+        if number is None:
+            ctx.broadcast(self.value(name))
         else:
-            self._change(peer, name, decode(msg.param_value, spec.type, ctx.profile.param_encoding))
-        ctx.broadcast(self.value(name))
+            self._saving[name] = _Request(number=number, since_us=ctx.t_us)
 
     def _type_fits(self, spec: ParamSpec, wire_type: int) -> bool:
         if self._ctx.profile.param_encoding is ParamEncoding.C_CAST:
             return bool(mav.MAV_PARAM_TYPE_UINT8 <= wire_type <= mav.MAV_PARAM_TYPE_REAL64)
         return bool(wire_type == (_INT32 if spec.type is ParamType.INT32 else _REAL32))
 
-    def _change(self, peer: Peer, name: str, value: float) -> None:
+    def _change(self, peer: Peer, name: str, value: float) -> bool:
+        """False = refused."""
         ctx = self._ctx
         before = ctx.params[name]
         try:
@@ -126,10 +145,10 @@ class Parameters:
         except ConfigError as error:
             self._refuse(peer, name, self._index[name], _OUT_OF_RANGE)
             ctx.say(Severity.WARNING, str(error), peer)
-            return
+            return False
         if ctx.params[name] != before:
-            self.changed = True
             ctx.log(Severity.INFO, f"parameter {name} = {ctx.params[name]:g} (was {before:g})")
+        return True
 
     def _refuse(self, peer: Peer, name: str, index: int, error: int) -> None:
         self._ctx.send(
@@ -139,8 +158,26 @@ class Parameters:
             ),
         )
 
+    def _tell_saved(self) -> None:
+        """The values that are on disk now go to everyone, also those of which the operator hears that they are not."""
+        ctx = self._ctx
+        saved = None if ctx.saving is None else ctx.saving.saved(ctx.t_us // TICK_US)
+        if saved is not None:
+            done = [name for name, request in self._saving.items() if request.number <= saved.number]
+            for name in done:
+                del self._saving[name]
+                ctx.broadcast(self.value(name))
+            if saved.failure:
+                ctx.say(Severity.WARNING, f"Not saved ({saved.failure}), lost at restart: {', '.join(done)}")
+        for name, request in self._saving.items():
+            if not request.told and ctx.t_us - request.since_us > SLOW_DISK_US * ctx.patience:
+                request.told = True
+                ctx.say(Severity.WARNING, f"{name} in force, not on disk yet")
+
     def tick(self) -> None:
-        """Go on with lists that were asked for."""
+        """Tell what has been kept, go on with lists that were asked for."""
+        if self._saving:
+            self._tell_saved()
         if not self._lists:
             return
         for peer, start in tuple(self._lists.items()):

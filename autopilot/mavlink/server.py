@@ -13,7 +13,7 @@ from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
-from autopilot.mavlink.api import FlightMode, GeoPoint, VehicleCommands, VehicleView
+from autopilot.mavlink.api import FlightMode, GeoPoint, ParamSaving, VehicleCommands, VehicleView
 from autopilot.mavlink.profiles import profile_by_name
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ class MavlinkServer:
         links: Sequence[int] = (0,),
         patience: float = 1.0,
         guard: Guard | None = None,
+        saving: ParamSaving | None = None,
     ) -> None:
         identity = profile_by_name(profile)
         from autopilot.mavlink.dispatch import Dispatcher, Identity
@@ -63,6 +64,7 @@ class MavlinkServer:
             view=_blank_view(),
             patience=patience,
             guard=guard or Guard(),
+            saving=saving,
         )
         for link in links:
             self._dispatcher.add_link(link)
@@ -116,15 +118,6 @@ class MavlinkServer:
     def last_gcs_t_us(self) -> int | None:
         """When a ground station or companion computer last sent a HEARTBEAT; None before the first."""
         return self._dispatcher.last_gcs_t_us
-
-    @property
-    def params_changed(self) -> bool:
-        """A client has changed a parameter since the flag was last cleared: save the set, then set this to False."""
-        return self._dispatcher.parameters.changed
-
-    @params_changed.setter
-    def params_changed(self, value: bool) -> None:
-        self._dispatcher.parameters.changed = value
 
     @property
     def uploading(self) -> bool:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from mavlink_harness import NAN, Client, World, mav
 
 from autopilot.core.params import PARAMETERS, ParamType
+from autopilot.mavlink.api import Saved
 from autopilot.mavlink.parameters import shortest_decimal
 
 INT32, REAL32 = mav.MAV_PARAM_TYPE_INT32, mav.MAV_PARAM_TYPE_REAL32
@@ -92,17 +93,54 @@ def test_the_hash_check_is_met_with_silence(world: World) -> None:
     assert not client.got("PARAM_VALUE") and not client.got("PARAM_ERROR")
 
 
-def test_setting_tells_everyone_and_marks_the_set_as_changed() -> None:
+def test_setting_tells_everyone() -> None:
     world = World(links=(0, 1))
     client, other = world.client(), world.client(link=1, sysid=254)
     (value,) = set_param(client, "SPD_CRUISE", 0.3)
     assert value.param_value == struct.unpack("<f", struct.pack("<f", 0.3))[0]
     assert world.params["SPD_CRUISE"] == 0.3
     assert [m.param_id for m in other.got("PARAM_VALUE")] == ["SPD_CRUISE"]
-    assert world.server.params_changed
-    world.server.params_changed = False
+
+
+class Disk:
+    """Keeps parameters whenever it is told to."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+        self.answers: list[Saved] = []
+
+    def save(self, tick: int, name: str) -> int | None:
+        self.asked.append(name)
+        return len(self.asked)
+
+    def saved(self, tick: int) -> Saved | None:
+        return self.answers.pop(0) if self.answers else None
+
+
+def test_a_value_is_told_when_it_is_on_disk_and_not_before() -> None:
+    disk = Disk()
+    world = World(saving=disk)
+    client = world.client()
+    assert set_param(client, "SPD_CRUISE", 0.3) == []
+    assert set_param(client, "THR_LIMIT", 9.0) == []
+    assert world.params["SPD_CRUISE"] == 0.3 and disk.asked == ["SPD_CRUISE", "THR_LIMIT"]
+    disk.answers.append(Saved(number=1, failure=""))
+    world.run(0.05)
+    assert [m.param_id for m in client.got("PARAM_VALUE")] == ["SPD_CRUISE"]
+    disk.answers.append(Saved(number=2, failure="disk full"))
+    world.run(0.05)
+    assert [m.param_id for m in client.got("PARAM_VALUE")] == ["SPD_CRUISE", "THR_LIMIT"]
+    assert "Not saved (disk full), lost at restart: THR_LIMIT" in client.texts()
+    assert set_param(client, "SPD_CRUISE", 99.0)[-1].param_value == pytest.approx(0.3)
+    assert disk.asked == ["SPD_CRUISE", "THR_LIMIT"]
+
+
+def test_a_disk_that_does_not_answer_is_spoken_of_once() -> None:
+    world = World(saving=Disk())
+    client = world.client()
     set_param(client, "SPD_CRUISE", 0.3)
-    assert not world.server.params_changed
+    world.run(10.0)
+    assert client.texts().count("SPD_CRUISE in force, not on disk yet") == 1
 
 
 def test_integers_travel_as_the_profile_says(world: World) -> None:
@@ -131,7 +169,6 @@ def test_a_refusal_says_the_value_in_force_and_why(world: World, name: str, valu
     assert error.error == mav.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE and error.param_id == name
     assert from_wire(world, shown) == pytest.approx(before) and world.params[name] == before
     assert name in client.texts()
-    assert not world.server.params_changed
 
 
 def test_setting_what_does_not_exist(world: World) -> None:

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.keeper import KEEP_TICKS
 from autopilot.core.params import PARAMETERS, ParamSet, ParamType
 from autopilot.param_file import PersistentParams, read_param_file, write_param_file
 
@@ -39,26 +40,54 @@ def test_other_tools_forms_are_read(tmp_path: Path) -> None:
     assert read_param_file(path) == {"THR_LIMIT": 9.5, "SPD_CRUISE": 0.2, "FS_BATT_ACT": 1.0}
 
 
-@pytest.mark.parametrize(
-    ("line", "named"),
-    [
-        ("NO_SUCH_PARAM 1", "NO_SUCH_PARAM"),
-        ("THR_LIMIT 1e9", "THR_LIMIT"),
-        ("THR_LIMIT nan", "THR_LIMIT"),
-        ("THR_LIMIT many", "many"),
-        ("FS_BATT_ACT 0.5", "FS_BATT_ACT"),
-        ("THR_LIMIT", "THR_LIMIT"),
-    ],
-)
-def test_a_bad_file_changes_nothing(tmp_path: Path, line: str, named: str) -> None:
-    folder = tmp_path / "p.params"
-    folder.write_text(f"SPD_CRUISE 0.2\n{line}\n")
-    params = ParamSet()
+BAD_LINES = [
+    ("THR_LIMIT 1e9", "THR_LIMIT"),
+    ("THR_LIMIT nan", "THR_LIMIT"),
+    ("THR_LIMIT many", "many"),
+    ("FS_BATT_ACT 0.5", "FS_BATT_ACT"),
+    ("THR_LIMIT", "THR_LIMIT"),
+]
+
+
+@pytest.mark.parametrize(("line", "named"), BAD_LINES)
+def test_a_bad_file_that_somebody_gives_is_an_error(tmp_path: Path, line: str, named: str) -> None:
+    path = tmp_path / "p.params"
+    path.write_text(f"SPD_CRUISE 0.2\n{line}\n")
     with pytest.raises(ConfigError, match=named) as caught:
-        PersistentParams(folder, params).load()
+        read_param_file(path)
     assert ":2:" in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert dict(params) == dict(ParamSet())
+
+
+@pytest.mark.parametrize(("line", "named"), [*BAD_LINES, ("NO_SUCH_PARAM 1", "NO_SUCH_PARAM")])
+def test_a_bad_line_does_not_keep_a_vehicle_from_starting(tmp_path: Path, line: str, named: str) -> None:
+    """Everything else in the file is used; the line is named."""
+    path = tmp_path / "p.params"
+    path.write_text(f"SPD_CRUISE 0.2\n{line}\nDEPTH_MAX 1.5\n")
+    params = ParamSet()
+    (warning,) = PersistentParams(path, params).load()
+    assert f"{path}:2: " in warning and named in warning and "\n" not in warning
+    assert dict(params) == dict(ParamSet({"SPD_CRUISE": 0.2, "DEPTH_MAX": 1.5}))
+
+
+def test_a_name_of_another_version_stays_in_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "p.params"
+    path.write_text("1\t1\tFROM_TOMORROW\t7\t6\nSPD_CRUISE 0.2\n")
+    params = ParamSet()
+    persistent = PersistentParams(path, params)
+    persistent.load()
+    params.set("THR_LIMIT", 9.0)
+    persistent.save(0, "THR_LIMIT")
+    persistent.finish()
+    assert "1\t1\tFROM_TOMORROW\t7\t6" in path.read_text().splitlines()
+    assert read_param_file(path) == {"SPD_CRUISE": 0.2, "THR_LIMIT": 9.0}
+
+
+@given(st.binary(max_size=300))
+def test_no_content_keeps_a_vehicle_from_starting(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    path = tmp_path_factory.mktemp("params") / "p.params"
+    path.write_bytes(data)
+    PersistentParams(path, ParamSet()).load()
 
 
 def test_missing_and_binary_files_are_named(tmp_path: Path) -> None:
@@ -70,18 +99,59 @@ def test_missing_and_binary_files_are_named(tmp_path: Path) -> None:
         read_param_file(path)
 
 
+def _set(persistent: PersistentParams, params: ParamSet, name: str, value: float) -> None:
+    """As a client does, with the disk's answer."""
+    params.set(name, value)
+    number = persistent.save(0, name)
+    if number is not None:
+        saved = persistent.saved(KEEP_TICKS)
+        assert saved is not None and saved.number == number
+
+
 def test_only_changes_at_run_time_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "state" / "p.params"
     params = ParamSet()
     persistent = PersistentParams(path, params)
     params.set("THR_LIMIT", 8.0)  # as the command line would
-    persistent.mark()
-    persistent.save_changes()
+    persistent.finish()
     assert not path.exists()
-    params.set("SPD_CRUISE", 0.3)  # as a client would
-    persistent.save_changes()
+    _set(persistent, params, "SPD_CRUISE", 0.3)
     assert read_param_file(path) == {"SPD_CRUISE": 0.3}
     again = ParamSet()
     PersistentParams(path, again).load()
     assert again["SPD_CRUISE"] == 0.3
     assert again["THR_LIMIT"] == 12.0
+
+
+def test_nothing_is_written_that_is_on_disk_already_and_a_failure_is_tried_again(tmp_path: Path) -> None:
+    folder = tmp_path / "state"
+    folder.write_bytes(b"in the way")
+    params = ParamSet()
+    persistent = PersistentParams(folder / "p.params", params)
+    params.set("SPD_CRUISE", 0.3)
+    assert persistent.save(0, "SPD_CRUISE") == 1
+    assert persistent.saved(KEEP_TICKS - 1) is None
+    failed = persistent.saved(KEEP_TICKS)
+    assert failed is not None and failed.failure == "folder gone" and persistent.failure is not None
+    folder.unlink()
+    assert persistent.save(10, "SPD_CRUISE") == 2
+    done = persistent.saved(10 + KEEP_TICKS)
+    assert done is not None and done.failure == "" and persistent.failure is None
+    assert persistent.save(30, "SPD_CRUISE") is None
+    assert read_param_file(folder / "p.params") == {"SPD_CRUISE": 0.3}
+
+
+def test_a_killed_service_leaves_nothing_behind_and_the_copy_before_helps(tmp_path: Path) -> None:
+    path = tmp_path / "p.params"
+    params = ParamSet()
+    persistent = PersistentParams(path, params)
+    _set(persistent, params, "SPD_CRUISE", 0.3)
+    _set(persistent, params, "SPD_CRUISE", 0.4)
+    (tmp_path / "p.params.new").write_bytes(b"1\t1\tSPD_")
+    (tmp_path / "p.paramsab3_x9zz").write_bytes(b"as earlier versions left them")
+    path.write_bytes(b"")
+    again = ParamSet()
+    (warning,) = PersistentParams(path, again).load()
+    assert "is empty" in warning
+    assert again["SPD_CRUISE"] == 0.3
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["p.params.damaged", "p.params.previous"]

@@ -1,0 +1,84 @@
+"""Has the newest of a state written, beside the loop: one write at a time, and one that waits for it.
+
+A state that came while another was being written takes the place of one that still waits: only the newest is of use
+after a restart, and a slow disk must not gather a queue.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from autopilot.core.desk import Cancel, Desk, Ticket
+
+KEEP_TICKS = 5
+"""In lockstep a write is done so many ticks after it was asked for: 50 ms, what a flash disk needs for an fsync."""
+
+Q = TypeVar("Q")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kept:
+    """What became of a write."""
+
+    number: int
+    """Every state up to this one is settled."""
+    error: Exception | None
+    """Why it is not on disk, None when it is."""
+
+
+class Keeper(Generic[Q]):
+    """``write`` gets states that do not change any more and may raise OSError."""
+
+    def __init__(self, desk: Desk, write: Callable[[Q], None], ticks: int = KEEP_TICKS) -> None:
+        self._desk, self._write, self._ticks = desk, write, ticks
+        self._number = self._asked = self._done = 0
+        self._newest: Q | None = None
+        self._ticket: Ticket[int] | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being written or waits for it."""
+        return self._ticket is not None
+
+    def put(self, tick: int, state: Q) -> int:
+        """Ask for ``state`` to be written; the result is its number."""
+        self._number += 1
+        self._newest = state
+        if self._ticket is None:
+            self._ask(tick)
+        return self._number
+
+    def poll(self, tick: int) -> Kept | None:
+        """What became of the write that has ended, once."""
+        answer = None if self._ticket is None else self._ticket.poll(tick)
+        if answer is None:
+            return None
+        number, self._ticket = self._asked, None
+        if self._asked < self._number:
+            self._ask(tick)
+        return Kept(number=number, error=answer.error)
+
+    def finish(self) -> Exception | None:
+        """The end of a run: wait for what is being written, and write what is newer. Why it is not on disk, or None."""
+        if self._desk.executor is not None:
+            self._desk.executor.shutdown(wait=True, cancel_futures=True)
+        if self._newest is None or self._done == self._number:
+            return None
+        try:
+            self._write(self._newest)
+        except OSError as error:
+            return error
+        self._done = self._number
+        return None
+
+    def _ask(self, tick: int) -> None:
+        assert self._newest is not None
+        number, state = self._number, self._newest
+
+        def work(request: Q, _: Cancel) -> int:
+            self._write(request)
+            self._done = number
+            return number
+
+        self._asked = number
+        self._ticket = self._desk.submit(tick + self._ticks, work, state)

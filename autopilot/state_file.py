@@ -1,0 +1,91 @@
+"""Files that must survive whatever ends a service: written whole, with the copy before kept.
+
+At every moment there is one whole file: the new content is on disk under another name before it takes the old one's
+place, and the old one has got its second name by then. What is found damaged is set aside and not overwritten.
+"""
+
+import os
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+T = TypeVar("T")
+
+_LEFT_OVER = re.compile(r"[a-z0-9_]{8}")
+"""What earlier versions' temporary names ended with."""
+
+
+class StateFile:
+    """One file and its copy. Not thread-safe: one writer."""
+
+    def __init__(self, path: Path, *, copies: bool = True) -> None:
+        """``copies``: keep the content before the last."""
+        self.path = path
+        self._copies = copies
+        self.previous = path.with_name(path.name + ".previous")
+        """The content before the last."""
+        self.damaged = path.with_name(path.name + ".damaged")
+        """The last content that could not be used."""
+        self._new = path.with_name(path.name + ".new")
+
+    def clean(self) -> None:
+        """Remove what a killed service left half written."""
+        self._new.unlink(missing_ok=True)
+        for found in self.path.parent.glob(f"{self.path.name}????????"):
+            if _LEFT_OVER.fullmatch(found.name.removeprefix(self.path.name)):
+                found.unlink(missing_ok=True)
+
+    def read(self, parse: Callable[[bytes], T], *, set_aside: bool = True) -> tuple[T | None, list[str]]:
+        """The content, else that of the copy before; None when there is neither. Beside it what was wrong.
+
+        ``parse`` raises ValueError, with the reason, for what it cannot use.
+        """
+        problems: list[str] = []
+        for path in (self.path, self.previous):
+            try:
+                return parse(path.read_bytes()), problems
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                problems.append(f"{path}: cannot be read ({error.strerror})")
+            except ValueError as error:
+                problems.append(f"{path}: {error}")
+                if path is self.path and set_aside:
+                    os.replace(path, self.damaged)
+        return None, problems
+
+    def write(self, data: bytes) -> None:
+        """Replace the content. OSError leaves what was there."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with self._new.open("wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            if self._copies and self.path.exists():
+                self._keep_previous()
+            os.replace(self._new, self.path)
+        except OSError:
+            self._new.unlink(missing_ok=True)
+            raise
+        _sync_folder(self.path.parent)
+
+    def _keep_previous(self) -> None:
+        self.previous.unlink(missing_ok=True)
+        try:
+            os.link(self.path, self.previous)
+        except OSError:  # a file system without links
+            shutil.copyfile(self.path, self.previous)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a rename last, where folders can be synced."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,170 @@
+"""What a vehicle keeps of its plans: read as it was written, or not at all and said so."""
+
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from autopilot.config import gather, sitl_defaults
+from autopilot.core.desk import Desk
+from autopilot.core.keeper import KEEP_TICKS, Keeper
+from autopilot.core.plan import PlanKind
+from autopilot.kept_plans import KeptPlans
+from autopilot.service import Parts
+from autopilot.sitl_session import open_sitl
+from autopilot.state_file import StateFile
+from mission.paper import paper_plan
+from mission.sequencer import Position
+from mission.store import Plans
+
+
+def _parts(folder: Path) -> Parts:
+    values = gather(sitl_defaults(0), {"speed": 0.0, "sensors": "pose"}, {})
+    for name, value in {"connect": (), "state_dir": str(folder / "state"), "log_dir": str(folder / "logs")}.items():
+        values.put(name, value, "test")
+    return open_sitl(values, {}, log=False).parts
+
+
+def _upload(plans: Plans) -> None:
+    plan = paper_plan()
+    for kind in (PlanKind.FENCE, PlanKind.MISSION, PlanKind.RALLY):
+        assert plans.replace(kind, plan.items(kind)) is None
+
+
+def _written(folder: Path) -> tuple[Path, Parts]:
+    """A file with the paper's plan, home and a position in the second lap."""
+    path, parts = folder / "plans.json", _parts(folder)
+    kept = KeptPlans(path, parts)
+    assert kept.load() == ()
+    _upload(parts.plans)
+    parts.plans.set_home(parts.plans.home_ned_m + np.array([1.25, -0.5, 0.0]))
+    parts.commander.stand_at(
+        Position(cursor=2, reached_seq=1, lap=1, jumps_done=((3, 1),), speed_m_s=0.2, default_yaw_rad=None)
+    )
+    kept.tick(10_000)
+    kept.tick((KEEP_TICKS + 1) * 10_000)
+    assert kept.failure is None
+    return path, parts
+
+
+def _same(a: Parts, b: Parts) -> bool:
+    kinds = all(a.plans.checksum(kind) == b.plans.checksum(kind) for kind in PlanKind)
+    items = all(repr(a.plans.items(kind)) == repr(b.plans.items(kind)) for kind in PlanKind)
+    home = (a.plans.home_ned_m == b.plans.home_ned_m).all()
+    return kinds and items and bool(home) and a.plans.origin == b.plans.origin
+
+
+def test_everything_comes_back(tmp_path: Path) -> None:
+    path, before = _written(tmp_path)
+    after = _parts(tmp_path)
+    assert KeptPlans(path, after).load() == ()
+    assert _same(before, after)
+    assert after.commander.mission_position == before.commander.mission_position
+    assert not after.commander.armed
+    assert [p.name for p in tmp_path.glob("plans.json*")] == ["plans.json"]
+
+
+def test_any_damage_is_found_and_the_copy_before_is_used(tmp_path: Path) -> None:
+    path, before = _written(tmp_path)
+    kept = KeptPlans(path, before)
+    before.plans.set_home(before.plans.home_ned_m + np.array([0.0, 0.0, 0.0]))
+    kept.tick(10_000)
+    kept.finish()
+    whole = path.read_bytes()
+    previous = StateFile(path).previous.read_bytes()
+    parts = _parts(tmp_path)
+    spoilt = [whole[:n] for n in range(0, len(whole), 97)]
+    spoilt += [whole[:n] + bytes([whole[n] ^ 1]) + whole[n + 1 :] for n in range(0, len(whole) - 1, 83)]
+    for data in spoilt:
+        path.write_bytes(data)
+        (warning,) = KeptPlans(path, parts).load()
+        assert str(path) in warning
+        assert _same(before, parts)
+        assert not path.exists() and StateFile(path).previous.read_bytes() == previous
+
+
+def test_without_a_whole_copy_there_is_no_plan_and_that_is_said(tmp_path: Path) -> None:
+    path, _ = _written(tmp_path)
+    for data in (b"", b"{}", path.read_bytes().replace(b'"version":1', b'"version":2')):
+        path.write_bytes(data)
+        parts = _parts(tmp_path)
+        warnings = KeptPlans(path, parts).load()
+        assert "no plan on board" in warnings[-1]
+        assert not any(parts.plans.items(kind) for kind in PlanKind)
+        assert StateFile(path).damaged.read_bytes() == data
+
+
+def test_a_plan_that_is_wrong_today_leaves_none_behind(tmp_path: Path) -> None:
+    """The depth band has been changed meanwhile: the mission is not taken, and nothing is flown without it."""
+    path, before = _written(tmp_path)
+    parts = _parts(tmp_path)
+    parts.params.set("DEPTH_MAX", 0.2)
+    warnings = KeptPlans(path, parts).load()
+    if parts.plans.items(PlanKind.MISSION):
+        assert parts.commander.arm(force=False).result != 0
+    else:
+        assert any("upload them again" in warning for warning in warnings)
+        assert not any(parts.plans.items(kind) for kind in PlanKind)
+    assert before.plans.items(PlanKind.MISSION)
+
+
+def test_a_disk_that_fails_is_told_once_and_tried_with_the_next_change(tmp_path: Path) -> None:
+    folder, parts = tmp_path / "gone", _parts(tmp_path)
+    folder.write_bytes(b"in the way")
+    kept = KeptPlans(folder / "plans.json", parts)
+    assert len(kept.load()) <= 1
+    for k in range(4):
+        parts.plans.set_home(parts.plans.home_ned_m + np.array([1.0, 0.0, 0.0]))
+        for tick in range(10 * k, 10 * k + 10):
+            kept.tick(tick * 10_000)
+    assert [text for _, text in kept.take_notices()] == ["Plans not saved: folder gone"]
+    folder.unlink()
+    parts.plans.set_home(parts.plans.home_ned_m + np.array([1.0, 0.0, 0.0]))
+    kept.tick(1_000_000)
+    kept.finish()
+    assert (folder / "plans.json").exists()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=40))
+def test_the_newest_state_is_always_the_one_that_is_written(steps: list[tuple[bool, bool]]) -> None:
+    """Whatever comes while the disk is busy, and whichever writes fail."""
+    written: list[int] = []
+    failing = False
+    settled = 0
+
+    def write(state: int) -> None:
+        if failing:
+            raise OSError(28, "full")
+        written.append(state)
+
+    keeper: Keeper[int] = Keeper(Desk(), write)
+    states = itertools.count(1)
+    newest = 0
+    for tick, (put, fails) in enumerate(steps):
+        failing = fails
+        if put:
+            newest = next(states)
+            assert keeper.put(tick, newest) == newest
+        kept = keeper.poll(tick)
+        if kept is not None:
+            assert kept.number > settled
+            settled = kept.number
+            assert kept.error is not None or written[-1] == settled
+    failing = False
+    assert keeper.finish() is None
+    assert (written[-1] if written else 0) == newest
+    assert written == sorted(written)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 0.1 + 0.2, -0.0])
+def test_numbers_come_back_bit_for_bit(value: float) -> None:
+    from autopilot.core.plan import PlanItem
+    from autopilot.kept_plans import _item, _plan_item
+
+    item = PlanItem(seq=0, frame=3, command=16, param1=value, param4=value, z=value)
+    assert repr(_plan_item(_item(item))) == repr(item)
