@@ -17,7 +17,7 @@ from autopilot.mavlink.api import CommandResult, FlightMode, GeoPoint
 from mission import reach
 from mission.fence import fence_clearance_m
 from mission.judgement import judge
-from mission.store import CHECK_TICKS, Change
+from mission.store import CHECK_TICKS, Change, plan_checksum
 
 HALF_N, HALF_E = 3.0, 2.0
 
@@ -178,7 +178,7 @@ def coarse() -> Iterator[None]:
         yield
 
 
-@settings(max_examples=250, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(st.lists(st.tuples(orders, ticks), min_size=4, max_size=16), coordinate, st.integers(0, 3))
 def test_in_any_order_nothing_unfit_is_flown_and_what_is_told_is_true(
     coarse: None, steps: list[tuple[tuple[str, Any], int]], place: tuple[float, float], begun: int
@@ -204,7 +204,7 @@ def test_in_any_order_nothing_unfit_is_flown_and_what_is_told_is_true(
             yard.run()
             yard.watch()
             after = yard.plans.items(PlanKind.FENCE)
-            if armed and not allowed and after is not before:
+            if armed and not allowed and plan_checksum(after) != plan_checksum(before):
                 assert after or not before, "the fence of an armed vehicle was removed"
                 assert not yard.plans.verdict.joint
             if any(change.done and change.rejection is not None for change in waiting):

@@ -1,0 +1,297 @@
+"""Plans that do not fit each other, against the whole service: stored, told, and flown by no route."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import development as mav
+from system_harness import OpenSession
+from wire_client import Harbour, WireClient, item_message
+
+from autopilot.core.plan import MissionResult, PlanItem, PlanKind
+from mission.paper import paper_plan
+
+PLAN = paper_plan(1)
+ACCEPTED, DENIED = mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_DENIED
+ARM, START, PAUSE_CONTINUE = mav.MAV_CMD_COMPONENT_ARM_DISARM, mav.MAV_CMD_MISSION_START, mav.MAV_CMD_DO_PAUSE_CONTINUE
+FORCE = 2989.0
+INTO_THE_PILLAR = replace(PLAN.mission[1], frame=1, x=9375, y=0, z=0.5)
+BAD_MISSION = (PLAN.mission[0], INTO_THE_PILLAR, *PLAN.mission[2:])
+PX4_MISSION = (1.0, 4.0, 4.0)
+"""DO_SET_MODE of the default profile: AUTO MISSION."""
+
+Open = Callable[..., tuple[Harbour, WireClient]]
+
+
+@pytest.fixture
+def harbour(session: OpenSession) -> Open:
+    """A vehicle without plans in the tank, and a client."""
+
+    def make(**params: float) -> tuple[Harbour, WireClient]:
+        client = WireClient()
+        made = Harbour(session(sensors="pose", peers=(client,), params=params))
+        made.run(1.5)
+        return made, client
+
+    return make
+
+
+def _upload(made: Harbour, client: WireClient, *plans: tuple[PlanKind, tuple[PlanItem, ...]]) -> list[str]:
+    """Offer plans one after the other as QGroundControl does; what was said."""
+    texts: list[str] = []
+    for kind, items in plans:
+        assert made.offer(client, kind, items) == MissionResult.ACCEPTED, client.texts()
+        texts += client.texts()
+    return texts
+
+
+def _state(client: WireClient) -> tuple[bool, int, bool, int]:
+    """Armed, custom mode, whether the arming checks pass, landed state: as telemetry says."""
+    beat = client.heard("HEARTBEAT")[-1]
+    checks = client.heard("SYS_STATUS")[-1].onboard_control_sensors_health & mav.MAV_SYS_STATUS_PREARM_CHECK
+    landed = client.heard("EXTENDED_SYS_STATE")[-1].landed_state
+    return bool(beat.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED), beat.custom_mode, bool(checks), landed
+
+
+def _every_way_to_start(made: Harbour, client: WireClient) -> dict[str, Any]:
+    """Result of each request that could begin the mission."""
+    results: dict[str, Any] = {}
+    results["start"] = made.command(client, START)
+    results["start at an item"] = made.command(client, START, 1.0)
+    results["mode"] = made.command(client, mav.MAV_CMD_DO_SET_MODE, *PX4_MISSION)
+    results["standard mode"] = made.command(
+        client, mav.MAV_CMD_DO_SET_STANDARD_MODE, float(mav.MAV_STANDARD_MODE_MISSION)
+    )
+    results["continue"] = made.command(client, PAUSE_CONTINUE, 1.0)
+    made.command(client, mav.MAV_CMD_DO_SET_MISSION_CURRENT, 1.0)
+    results["item, then mode"] = made.command(client, mav.MAV_CMD_DO_SET_MODE, *PX4_MISSION)
+    client.inbox.clear()
+    client.send(mav.MAVLink_set_mode_message(1, 1, 4 << 24 | 4 << 16))
+    made.run(0.2)
+    results["old mode message"] = DENIED if client.texts() else ACCEPTED
+    return results
+
+
+def test_a_mission_into_an_obstacle_in_the_order_of_a_ground_station(harbour: Open) -> None:
+    """Mission, fence, rally. At one time the fence was refused and the vehicle flew into the pillar, unfenced."""
+    made, client = harbour()
+    kinds = ((PlanKind.MISSION, BAD_MISSION), (PlanKind.FENCE, PLAN.fence), (PlanKind.RALLY, ()))
+    (text,) = _upload(made, client, *kinds)
+    assert text.startswith("No start: item 1 is 0.1") and "exclusion circle (fence item 5): move it" in text[:90]
+    made.run(1.1)
+    assert _state(client)[:3] == (False, _state(client)[1], False)
+    assert made.command(client, ARM, 1.0) == DENIED
+    assert client.texts()[0].startswith("Arming denied: plan: item 1 is")
+    assert set(_every_way_to_start(made, client).values()) == {DENIED}
+    # Forced arming is the operator's right; what he forces is a vehicle that holds, not the mission.
+    assert made.command(client, ARM, 1.0, FORCE) == ACCEPTED
+    assert set(_every_way_to_start(made, client).values()) == {DENIED}
+    made.run(2.0)
+    commander = made.session.parts.commander
+    assert commander.armed and commander.mode.name == "HOLD"
+    assert not _state(client)[2]
+    # Mended in flight: the mission is replaced, and may be started.
+    assert made.offer(client, PlanKind.MISSION, PLAN.mission) == MissionResult.ACCEPTED
+    assert "Plan ok" in client.texts(least=mav.MAV_SEVERITY_INFO)
+    assert made.command(client, START) == ACCEPTED
+    made.run(0.5)
+    assert commander.mode.name == "MISSION"
+
+
+def test_mode_chosen_before_arming_does_not_start_what_became_unfit(harbour: Open) -> None:
+    made, client = harbour()
+    _upload(made, client, (PlanKind.FENCE, PLAN.fence), (PlanKind.MISSION, PLAN.mission))
+    assert made.command(client, mav.MAV_CMD_DO_SET_MODE, *PX4_MISSION) == ACCEPTED
+    (text,) = _upload(made, client, (PlanKind.FENCE, (*PLAN.fence[:4], replace(PLAN.fence[4], param1=1.0))))
+    assert "item 0 is" in text
+    assert made.command(client, ARM, 1.0) == DENIED
+    assert made.command(client, ARM, 1.0, FORCE) == ACCEPTED
+    made.run(0.5)
+    assert made.session.parts.commander.mode.name == "HOLD"
+
+
+def test_a_paused_mission_does_not_go_on_when_its_fence_has_changed(harbour: Open) -> None:
+    made, client = harbour(FENCE_ARMED_CHG=1.0)
+    _upload(made, client, (PlanKind.FENCE, PLAN.fence), (PlanKind.MISSION, PLAN.mission))
+    assert made.command(client, ARM, 1.0) == ACCEPTED
+    assert made.command(client, START) == ACCEPTED
+    made.run(1.0)
+    assert made.command(client, PAUSE_CONTINUE, 0.0) == ACCEPTED
+    over_item_1 = replace(PLAN.mission[1], seq=4, command=5004, param1=0.1, z=0.0)
+    (text,) = _upload(made, client, (PlanKind.FENCE, (*PLAN.fence[:4], over_item_1)))
+    assert "item 1 is" in text
+    assert set(_every_way_to_start(made, client).values()) == {DENIED}
+    assert made.offer(client, PlanKind.FENCE, PLAN.fence) == MissionResult.ACCEPTED
+    assert "Plan ok" in client.texts(least=mav.MAV_SEVERITY_INFO)
+    assert made.command(client, PAUSE_CONTINUE, 1.0) == ACCEPTED
+
+
+def test_parameters_in_flight_and_on_the_ground(harbour: Open) -> None:
+    """DEPTH_MAX above the mission: a running mission holds, then nothing arms, and mending it is told."""
+    made, client = harbour()
+    _upload(made, client, (PlanKind.FENCE, PLAN.fence), (PlanKind.MISSION, PLAN.mission))
+    assert made.command(client, ARM, 1.0) == ACCEPTED
+    assert made.command(client, START) == ACCEPTED
+    made.run(0.5)
+    client.inbox.clear()
+    client.send(mav.MAVLink_param_set_message(1, 1, b"DEPTH_MAX", 0.4, 9))
+    made.run(0.3)
+    assert made.session.parts.commander.mode.name == "HOLD"
+    (text,) = client.texts()
+    assert text.startswith("Holding: item 0: depth 0.45 m, DEPTH_MAX 0.4 m: use 0.05 to 0.4 m")
+    assert set(_every_way_to_start(made, client).values()) == {DENIED}
+    assert made.command(client, ARM, 0.0) == ACCEPTED
+    assert made.command(client, ARM, 1.0) == DENIED
+    client.inbox.clear()
+    client.send(mav.MAVLink_param_set_message(1, 1, b"DEPTH_MAX", 1.2, 9))
+    made.run(0.3)
+    assert client.texts(least=mav.MAV_SEVERITY_INFO) == ["Plan ok"]
+    assert made.command(client, ARM, 1.0) == ACCEPTED
+
+
+def test_an_armed_vehicle_keeps_its_fence(harbour: Open) -> None:
+    made, client = harbour(FENCE_GAP_CHK=0.0)
+    _upload(made, client, (PlanKind.FENCE, PLAN.fence), (PlanKind.MISSION, PLAN.mission))
+    assert made.command(client, ARM, 1.0) == ACCEPTED
+    assert made.command(client, START) == ACCEPTED
+    made.run(1.0)
+    commander, plans = made.session.parts.commander, made.session.parts.plans
+    in_force = plans.items(PlanKind.FENCE)
+    north, east, _ = made.session.service.nav.pos_ned_m  # type: ignore[union-attr]
+    at_vehicle = PlanItem(seq=4, frame=1, command=5004, param1=0.2, x=round(north * 1e4), y=round(east * 1e4))
+    for fence in ((), (*PLAN.fence[:4], at_vehicle), (*PLAN.fence[:4], replace(PLAN.fence[4], param1=1.0))):
+        assert made.offer(client, PlanKind.FENCE, fence) == MissionResult.DENIED
+        (text,) = client.texts()
+        assert text.startswith("Fence refused: the ") and "FENCE_ARMED_CHG 1 allows it" in text
+        assert plans.items(PlanKind.FENCE) is in_force
+    for kind in (int(PlanKind.FENCE), 255):
+        client.inbox.clear()
+        client.send(mav.MAVLink_mission_clear_all_message(1, 1, kind))
+        made.until(lambda: bool(client.heard("MISSION_ACK")))
+        assert client.heard("MISSION_ACK")[0].type == MissionResult.DENIED
+        made.run(0.1)
+        assert client.texts()[0].startswith("Not cleared (")
+    assert plans.items(PlanKind.FENCE) is in_force and plans.items(PlanKind.MISSION)
+    assert commander.armed and commander.mode.name == "MISSION"
+
+
+def test_a_long_check_is_waited_for_and_its_answer_is_given_once(
+    harbour: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The client sends its last item again while the plan is checked: no second upload, no error, one answer."""
+    made, client = harbour()
+    monkeypatch.setattr("mission.store.CHECK_TICKS", 300)
+    client.send(mav.MAVLink_mission_count_message(1, 1, len(PLAN.fence), 1))
+    for item in PLAN.fence:
+        made.run(0.1)
+        client.send(item_message(item, PlanKind.FENCE))
+    for _ in range(5):
+        made.run(0.5)
+        assert not client.heard("MISSION_ACK")
+        client.send(item_message(PLAN.fence[-1], PlanKind.FENCE))
+        client.send(mav.MAVLink_mission_request_list_message(1, 1, 1))
+    assert [m.count for m in client.heard("MISSION_COUNT")] == [0] * 4, "the plan in force is still the old one"
+    made.run(1.0)
+    assert [m.type for m in client.heard("MISSION_ACK")] == [MissionResult.ACCEPTED]
+    assert len(client.heard("MISSION_REQUEST_INT")) == len(PLAN.fence)
+    client.send(item_message(PLAN.fence[-1], PlanKind.FENCE))
+    made.run(0.1)
+    assert [m.type for m in client.heard("MISSION_ACK")] == [MissionResult.ACCEPTED] * 2, "said again when asked again"
+
+
+def test_go_to_outside_of_the_fence_says_how_far(harbour: Open) -> None:
+    made, client = harbour()
+    _upload(made, client, (PlanKind.FENCE, PLAN.fence))
+    assert made.command(client, ARM, 1.0) == ACCEPTED
+    client.inbox.clear()
+    frame, command = mav.MAV_FRAME_LOCAL_NED, mav.MAV_CMD_DO_REPOSITION
+    client.send(mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, -1, 1, 0, 0, 164_400, 0, 0.5))
+    made.run(0.1)
+    assert [m.result for m in client.heard("COMMAND_ACK")] == [DENIED]
+    assert client.texts() == ["Go-to denied: target is 13.9 m outside of the fence, needs 0.33 m"]
+
+
+class GroundStation:
+    """What QGroundControl offers its operator, by HEARTBEAT, SYS_STATUS and EXTENDED_SYS_STATE alone.
+
+    GuidedActionsController.qml and Vehicle.cc of the releases up to 2025: "flying" is a landed state of IN_AIR, TAKEOFF
+    or LANDING, and disarmed vehicles that fly cannot be armed; PREARM_CHECK gates arm and start.
+    """
+
+    def __init__(self, client: WireClient, missions: int) -> None:
+        self._client, self._missions = client, missions
+
+    def offers(self) -> set[str]:
+        armed, mode, ready, landed = _state(self._client)
+        flying = landed in (mav.MAV_LANDED_STATE_IN_AIR, mav.MAV_LANDED_STATE_TAKEOFF, mav.MAV_LANDED_STATE_LANDING)
+        mission, hold, home, land = (mode == 4 << 16 | sub << 24 for sub in (4, 3, 5, 6))
+        active = armed and (mission or home or land)
+        allowed = {
+            "arm": not armed and not flying and ready,
+            "disarm": armed and not flying,
+            "emergency stop": armed and flying,
+            "start": bool(self._missions) and not active and not flying and (ready or armed),
+            "continue": bool(self._missions) and not active and armed and flying,
+            "pause": armed and flying and not hold,
+            "go to": armed and flying,
+            "return": armed and flying and not home,
+            "land": armed and not land,
+        }
+        return {name for name, shown in allowed.items() if shown}
+
+
+def test_a_submerged_vehicle_from_arming_to_landing_with_what_a_ground_station_offers(harbour: Open) -> None:
+    made, client = harbour()
+    assert float(made.session.service.nav.pos_ned_m[2]) > 0.2, "under water"  # type: ignore[union-attr]
+    _upload(made, client, (PlanKind.MISSION, PLAN.mission), (PlanKind.FENCE, PLAN.fence), (PlanKind.RALLY, ()))
+    station = GroundStation(client, len(PLAN.mission))
+
+    def press(button: str, *command: float) -> None:
+        made.run(1.1)
+        assert button in station.offers(), (button, station.offers())
+        assert made.command(client, int(command[0]), *command[1:]) == ACCEPTED, client.texts()
+        made.run(1.1)
+
+    made.run(1.1)
+    assert station.offers() == {"arm", "start"}
+    press("arm", ARM, 1.0)
+    assert station.offers() == {"disarm", "start", "land"}
+    press("disarm", ARM, 0.0)
+    press("arm", ARM, 1.0)
+    press("start", mav.MAV_CMD_DO_SET_MODE, *PX4_MISSION)
+    assert {"pause", "go to", "return", "land", "emergency stop"} == station.offers()
+    press("pause", mav.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 3.0)
+    assert "continue" in station.offers() and "start" not in station.offers() and "disarm" not in station.offers()
+    press("continue", mav.MAV_CMD_DO_SET_MODE, *PX4_MISSION)
+    made.run(1.1)
+    assert "go to" in station.offers()
+    client.inbox.clear()
+    frame, command = mav.MAV_FRAME_LOCAL_NED, mav.MAV_CMD_DO_REPOSITION
+    client.send(mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, -1, 1, 0, 0, -15_000, -3_000, 0.5))
+    made.run(1.5)
+    assert [m.result for m in client.heard("COMMAND_ACK")] == [ACCEPTED]
+    assert "continue" in station.offers()
+    press("return", mav.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 5.0)
+    press("land", mav.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 6.0)
+    assert _state(client)[3] == mav.MAV_LANDED_STATE_LANDING or not _state(client)[0]
+    made.until(lambda: not _state(client)[0], 40.0)
+    made.run(1.1)
+    assert station.offers() == {"arm", "start"}
+
+
+def test_starting_a_disarmed_vehicle_the_way_a_ground_station_does(harbour: Open) -> None:
+    """Start Mission of a disarmed vehicle: QGroundControl arms, waits for the heartbeat, and sets the mode."""
+    made, client = harbour()
+    _upload(made, client, (PlanKind.MISSION, PLAN.mission), (PlanKind.FENCE, PLAN.fence))
+    made.run(1.1)
+    assert "start" in GroundStation(client, len(PLAN.mission)).offers()
+    assert made.command(client, ARM, 1.0) == ACCEPTED
+    made.until(lambda: bool(client.heard("HEARTBEAT")) and _armed(client))
+    client.send(mav.MAVLink_set_mode_message(1, 1 | mav.MAV_MODE_FLAG_SAFETY_ARMED, 4 << 24 | 4 << 16))
+    made.run(0.5)
+    assert made.session.parts.commander.mode.name == "MISSION"
+
+
+def _armed(client: WireClient) -> bool:
+    return bool(client.heard("HEARTBEAT")[-1].base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)
