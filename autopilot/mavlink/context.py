@@ -147,7 +147,7 @@ class Context:
         return True
 
     def begin_anew(self) -> None:
-        """Another plan: what is said of it now is news, even in the words that were used for the one before."""
+        """Another plan, or a question: what is said now is news, even in the words that were used before."""
         self._said.clear()
 
     def _chunks(self, severity: int, text: str) -> Iterable[Message]:

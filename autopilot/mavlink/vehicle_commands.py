@@ -122,6 +122,7 @@ class VehicleService:
             return Reply(
                 Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="arming checks: the vehicle is armed")
             )
+        self._ctx.begin_anew()  # who asks is answered, however lately it has been said
         if view.prearm_reasons:
             for reason in view.prearm_reasons:
                 self._ctx.say(Severity.WARNING, f"Arming check: {reason}", call.peer)
