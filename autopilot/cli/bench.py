@@ -6,7 +6,7 @@ import click
 
 from autopilot.cli.output import emit_json, print_table
 
-NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "faults")
+NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "faults", "fuzz")
 LONG = ("estimator", "pockets", "energy")
 """Short when all are run."""
 
@@ -21,6 +21,8 @@ LONG = ("estimator", "pockets", "energy")
 )
 @click.option("--part", help="faults: only the findings of this part (loop, plans ...).")
 @click.option("--markdown", is_flag=True, help="faults: print the table as docs/reliability.md has it.")
+@click.option("--messages", type=click.IntRange(1), help="fuzz: how many (default 1000000, with --short 20000).")
+@click.option("--seed", type=int, help="fuzz: where the messages come from (default 1).")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def bench(
     name: str | None,
@@ -30,6 +32,8 @@ def bench(
     figures: str | None,
     part: str | None,
     markdown: bool,
+    messages: int | None,
+    seed: int | None,
     as_json: bool,
 ) -> None:
     """Run the benchmark NAME, or all.
@@ -46,6 +50,8 @@ def bench(
     beside rivals; a quarter of an hour, one minute with --short, or when no NAME is given.
     faults: what clients, wires, disks and sensors can do to the service: what happened once, what is promised, what
     happens now (some minutes; exit code 1 if a promise is not kept).
+    fuzz: a million hostile messages and wild samples into the service on the simulated vehicle: messages per second,
+    exceptions and broken rules, growth of memory (half an hour, one minute with --short; exit code 1 if any is found).
 
     Times depend on the machine and on what else it does: each table says how slow the machine is just now.
     """
@@ -57,12 +63,17 @@ def bench(
         raise click.UsageError("--figures belongs to the benchmarks energy and estimator --images")
     if (part is not None or markdown) and name != "faults":
         raise click.UsageError("--part and --markdown belong to the benchmark faults")
+    if (messages is not None or seed is not None) and name != "fuzz":
+        raise click.UsageError("--messages and --seed belong to the benchmark fuzz")
     if recompute:
         _recompute()
+    if name == "fuzz":
+        _fuzz(messages or (20_000 if short else 1_000_000), 1 if seed is None else seed, as_json=as_json)
+        return
     if name == "faults":
         _faults(part, as_json=as_json, as_markdown=markdown)
         return
-    chosen = [each for each in NAMES if each != "faults"] if name is None else [name]
+    chosen = [each for each in NAMES if each not in ("faults", "fuzz")] if name is None else [name]
     results: dict[str, object] = {}
     for each in chosen:
         slow = _slowness()
@@ -97,6 +108,22 @@ def _faults(part: str | None, *, as_json: bool, as_markdown: bool) -> None:
         columns = ("part", "finding", "before", "promise", "now", "kept")
         print_table(TITLES["faults"], list(columns), [[str(getattr(row, c)) for c in columns] for row in rows])
     if not all(row.kept for row in rows):
+        raise SystemExit(1)
+
+
+def _fuzz(messages: int, seed: int, *, as_json: bool) -> None:
+    """Run the fuzzer; exit code 1 if it finds anything."""
+    from autopilot.bench.fuzz.run import Result, run_fuzz
+
+    def show(result: Result) -> None:
+        click.echo(f"{result.messages} messages, {result.per_second:.0f}/s, {len(result.failures)} failures", err=True)
+
+    result = run_fuzz(messages, seed, show)
+    if as_json:
+        emit_json({**asdict(result), "per_second": result.per_second})
+    else:
+        print_table(TITLES["fuzz"], ["figure", "value"], [[name, value] for name, value in result.rows()])
+    if result.failures:
         raise SystemExit(1)
 
 
@@ -163,6 +190,7 @@ def _energy(short: bool, figures: str | None) -> list[dict[str, object]]:
 
 
 TITLES = {
+    "fuzz": "Hostile messages and samples into the service on the simulated vehicle, in lockstep",
     "faults": "What comes from outside, and what the service makes of it; before = at revision 0501193",
     "nmpc": "One control step, CPU time; normal_ms = the median at the reference speed, bar and goal are for that",
     "sitl": "The paper's mission with its log; speed = simulated over wall time, asked = what the project asks for",

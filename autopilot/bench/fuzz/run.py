@@ -7,6 +7,8 @@ pulses within the drive's range, a heartbeat every second, what is refused chang
 import os
 import tempfile
 import time
+import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -64,6 +66,18 @@ class Result:
     def per_second(self) -> float:
         """Messages per second of wall time."""
         return self.messages / self.seconds if self.seconds > 0.0 else 0.0
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Name and value of every figure."""
+        answers = ", ".join(f"{name} {count}" for name, count in sorted(self.accepted.items()))
+        return [
+            ("messages", f"{self.messages}, {self.per_second:.0f} per second of wall time"),
+            ("ticks", f"{self.ticks}, armed on {self.armed_ticks}; {self.samples} samples"),
+            ("answers", answers),
+            ("exceptions and broken rules", str(len(self.failures))),
+            ("memory", f"{self.rss_start_mb:.0f} MB warm, {self.rss_end_mb - self.rss_start_mb:+.0f} MB at the end"),
+            *(("found", line) for line in dict.fromkeys(self.failures)),
+        ]
 
 
 class _Witness:
@@ -225,18 +239,30 @@ def _session(seed: int, folder: Path) -> SitlSession:
 def run_fuzz(messages: int, seed: int = 1, show: Callable[[Result], None] = lambda _: None) -> Result:
     """Throw ``messages`` at the service. A failure is kept and a fresh service goes on from there."""
     process = psutil.Process()
+    guarded = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = "raise"
+    try:
+        return _run(messages, seed, show, process)
+    finally:
+        os.environ.pop(VARIABLE)
+        if guarded is not None:
+            os.environ[VARIABLE] = guarded
+
+
+def _run(messages: int, seed: int, show: Callable[[Result], None], process: psutil.Process) -> Result:
     total = Result(seed=seed)
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         attempt = 0
         while total.messages < messages:
             fuzzer = Fuzzer(seed + 1000 * attempt, Path(folder) / str(attempt))
-            before = replace_counts(total)
+            before = _counts_of(total)
             attempt += 1
             try:
                 while total.messages < messages:
-                    fuzzer.episode()
+                    with warnings.catch_warnings():
+                        warnings.simplefilter("ignore")  # overflow in what is made of nonsense is no finding
+                        fuzzer.episode()
                     _add(total, before, fuzzer.result)
                     total.seconds = time.monotonic() - began_s
                     total.rss_end_mb = process.memory_info().rss / 1e6
@@ -254,7 +280,7 @@ def run_fuzz(messages: int, seed: int = 1, show: Callable[[Result], None] = lamb
     return total
 
 
-def replace_counts(total: Result) -> Result:
+def _counts_of(total: Result) -> Result:
     """The counts as they are now."""
     return replace(total, accepted=Counter(total.accepted), failures=list(total.failures))
 
@@ -268,7 +294,5 @@ def _add(total: Result, before: Result, now: Result) -> None:
 
 
 def _place(error: BaseException) -> str:
-    import traceback
-
     frame = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__} at {Path(frame.filename).name}:{frame.lineno} in {frame.name}"

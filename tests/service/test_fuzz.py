@@ -1,0 +1,117 @@
+"""Hostile messages and samples into the real service: the short form of ``autopilot bench fuzz``, and what it found."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import development as mav
+from service_world import ServiceWorld
+
+from autopilot.bench.fuzz.messages import ALL_COMMANDS, COMMANDS, HANDLED, ODD_FLOATS
+from autopilot.bench.fuzz.run import BrokenRuleError, Fuzzer, run_fuzz
+from autopilot.bench.fuzz.samples import ODD
+from autopilot.core.params import PARAMETERS
+from autopilot.core.samples import PowerSample
+
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+
+@pytest.fixture(scope="module")
+def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fuzzer]:
+    made = Fuzzer(11, tmp_path_factory.mktemp("fuzz"))
+    yield made
+    made.close()
+
+
+def test_the_fuzzer_knows_every_message_that_is_handled(fuzzer: Fuzzer) -> None:
+    inside = fuzzer.session.parts.server._dispatcher
+    assert set(inside._handlers) == set(HANDLED)
+    assert set(inside._commands._table) == set(COMMANDS)
+
+
+def test_a_few_minutes_of_everything(fuzzer: Fuzzer) -> None:
+    for _ in range(7):
+        fuzzer.episode(150)
+    result = fuzzer.result
+    assert result.messages > 2000
+    assert result.armed_ticks > 100
+    assert min(result.accepted[f"{kind} {how}"] for kind in ("command", "plan") for how in ("accepted", "refused")) > 10
+
+
+def test_the_fuzzer_finds_what_is_broken(fuzzer: Fuzzer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Guards the others: an exception, and thrust without arming, are findings."""
+    monkeypatch.setattr(fuzzer.session.parts.commander, "change_speed", lambda speed: 1 / 0)
+    command = mav.MAVLink_command_long_message(1, 1, 178, 0, 1.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
+    with pytest.raises(ZeroDivisionError):
+        fuzzer.step([bytes(command.pack(mav.MAVLink(None, srcSystem=9, srcComponent=1)))], wild=False)
+    monkeypatch.setattr(fuzzer, "_neutral", (0,) * 4)
+    with pytest.raises(BrokenRuleError, match="disarmed"):
+        for _ in range(3):
+            fuzzer._calm()
+
+
+def test_the_same_seed_is_the_same_traffic() -> None:
+    runs = [run_fuzz(300, seed=5) for _ in range(2)]
+    assert runs[0].accepted == runs[1].accepted
+    assert runs[0].failures == runs[1].failures == []
+
+
+WORLD = ServiceWorld()
+WORLD.run(2.0)
+numbers = st.sampled_from(ODD_FLOATS) | st.floats(width=32)
+whole32 = st.sampled_from((0, 1, -1, 2**31 - 1, -(2**31))) | st.integers(-(2**31), 2**31 - 1)
+
+
+def _digest(world: ServiceWorld) -> tuple[object, ...]:
+    plans = world.parts.plans
+    armed, mode = world.parts.commander.armed, world.parts.commander.intended_mode
+    return tuple(world.params.values()), plans.home_ned_m.tolist(), plans.origin, armed, mode
+
+
+@given(
+    command=st.sampled_from(COMMANDS) | st.sampled_from(ALL_COMMANDS),
+    params=st.lists(numbers, min_size=4, max_size=4),
+    frame=st.sampled_from((0, 1, 2, 3, 5, 6, 20, 255)),
+    place=st.tuples(whole32, whole32, numbers),
+)
+@settings(max_examples=300)
+def test_any_command_is_answered_and_a_refused_one_changes_nothing(
+    command: int, params: list[float], frame: int, place: tuple[int, int, float]
+) -> None:
+    before = _digest(WORLD)
+    WORLD.heard.clear()
+    WORLD.tick([WORLD.pack(mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, *params, *place))])
+    acks = [m for m in WORLD.heard if m.get_type() == "COMMAND_ACK"]
+    assert [ack.command for ack in acks] == [command]
+    if acks[0].result != mav.MAV_RESULT_ACCEPTED:
+        assert _digest(WORLD) == before
+
+
+@given(spec=st.sampled_from(PARAMETERS), where=st.floats(-0.2, 1.2))
+@settings(max_examples=200)
+def test_parameters_in_their_whole_range(spec: object, where: float) -> None:
+    low, high = spec.minimum, spec.maximum  # type: ignore[attr-defined]
+    value = low + where * (high - low)
+    WORLD.tick([WORLD.pack(mav.MAVLink_param_set_message(1, 1, spec.name.encode(), value, 9))])  # type: ignore[attr-defined]
+    WORLD.run(0.05)
+    assert all(s.minimum <= WORLD.params[s.name] <= s.maximum for s in PARAMETERS)
+    WORLD.params.set(spec.name, spec.default)  # type: ignore[attr-defined]
+
+
+# Found by the fuzzer
+
+
+@pytest.mark.parametrize("volts", [v for v in ODD if v != 10.0])
+def test_a_battery_that_cannot_be_is_not_believed(volts: float) -> None:
+    """OverflowError in the allocation: a supply of 1e308 V and one of 1e-308 V."""
+    world = ServiceWorld()
+    world.run(2.0)
+    assert world.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == mav.MAV_RESULT_ACCEPTED
+    power = PowerSample(t_us=world.t_us, voltage_v=volts, current_a=math.nan, energy_used_j=0.0, remaining=0.9)
+    world.tick(samples=(*world.samples(), power))
+    world.pos_ned_m = np.array([0.4, 0.0, 0.4])
+    outputs = world.run(0.5)
+    assert all(1000 <= pulse <= 2000 for pulse in outputs.command.pwm_us[:4])
