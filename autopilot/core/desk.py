@@ -75,7 +75,7 @@ class Ticket(Generic[A]):
             return None
         self.open = False
         try:
-            return Answer(value=self._work() if future is None else self._wait(future))
+            return Answer(value=self._work() if future is None else self._desk.wait(future))
         except CancelledError:  # the desk was closed
             return None
         except Exception as error:  # noqa: BLE001 - the work's own; whoever asked decides what it means
@@ -87,14 +87,6 @@ class Ticket(Generic[A]):
         self._cancel.requested = True
         if self._future is not None:
             self._future.cancel()
-
-    def _wait(self, future: "Future[A]") -> A:
-        while not future.done():
-            try:
-                return future.result(IDLE_S)
-            except NotReadyError:
-                self._desk.idle()
-        return future.result()
 
 
 class Desk:
@@ -114,6 +106,15 @@ class Desk:
         """
         cancel = Cancel()
         return Ticket(self, due, lambda: work(request, cancel), cancel)
+
+    def wait(self, future: "Future[A]") -> A:
+        """The result of ``future``, whatever time that takes."""
+        while not future.done():
+            try:
+                return future.result(IDLE_S)
+            except NotReadyError:
+                self.idle()
+        return future.result()
 
     def close(self) -> None:
         """Begin nothing any more; what is being worked on is left to end."""

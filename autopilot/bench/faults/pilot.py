@@ -102,6 +102,8 @@ class PilotedFlight:
     """CPU time of the loop's thread in every ``Autopilot.step``."""
     control_s: list[float] = field(default_factory=list)
     """The controller's part of it."""
+    waited_s: float = 0.0
+    """CPU time that the loop has spent on waiting for answers."""
     on_tick: Callable[[Outputs], None] = lambda _: None
 
     def tick(self) -> Outputs:
@@ -184,21 +186,36 @@ def _measure(flight: PilotedFlight) -> None:
     step = service.step
 
     def timed_step(inputs: Inputs) -> Outputs:
-        began = time.thread_time()
+        began = time.thread_time() - flight.waited_s
         outputs = step(inputs)
-        flight.step_s.append(time.thread_time() - began)
+        flight.step_s.append(time.thread_time() - flight.waited_s - began)
         return outputs
 
     flight.session.runtime.wrap_step(timed_step)
     for name in ("step", "tick"):
-        setattr(controller, name, _timed(getattr(controller, name), flight.control_s))
+        setattr(controller, name, _timed(getattr(controller, name), flight))
+    for desk in controller.desks.lanes:
+        desk.wait = _not_counted(desk.wait, flight)  # type: ignore[method-assign, assignment]
 
 
-def _timed(call: Callable[..., Any], spent: list[float]) -> Callable[..., Any]:
-    def timed(*args: Any, **kwargs: Any) -> Any:
+def _not_counted(wait: Callable[[Any], Any], flight: PilotedFlight) -> Callable[[Any], Any]:
+    """Waiting for an answer that is due happens in lockstep only and is no work of the tick."""
+
+    def waited(future: Any) -> Any:
         began = time.thread_time()
+        try:
+            return wait(future)
+        finally:
+            flight.waited_s += time.thread_time() - began
+
+    return waited
+
+
+def _timed(call: Callable[..., Any], flight: PilotedFlight) -> Callable[..., Any]:
+    def timed(*args: Any, **kwargs: Any) -> Any:
+        began = time.thread_time() - flight.waited_s
         result = call(*args, **kwargs)
-        spent[-1] += time.thread_time() - began
+        flight.control_s[-1] += time.thread_time() - flight.waited_s - began
         return result
 
     return timed
