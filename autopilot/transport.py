@@ -16,7 +16,7 @@ POLL_S = 0.002
 """Links without a file descriptor are looked at this often."""
 BEAT_S = 1.1
 """Real time after which a HEARTBEAT is due, whatever the vehicle's time says (a second of it, as a rule)."""
-NOTE_US = 5_000_000
+NOTICE_US = 5_000_000
 """A link that comes and goes is named this often."""
 LOOK_S = 0.05
 """A wait ends at least this often, for heartbeats."""
@@ -99,7 +99,7 @@ class Transport:
             problem = self._failed[index] or link.problem
             if problem == self._problems[index] or t_us < self._silent_until_us[index]:
                 continue
-            self._problems[index], self._silent_until_us[index] = problem, t_us + NOTE_US
+            self._problems[index], self._silent_until_us[index] = problem, t_us + NOTICE_US
             if problem is None:
                 notices.append(Event(t_us=t_us, severity=Severity.NOTICE, text=f"{link.name}: back"))
             else:

@@ -1,0 +1,349 @@
+"""The whole service on real sockets and lines: floods, transfers between ticks, waiting at a desk, what unplugs."""
+
+import os
+import pty
+import random
+import socket
+import threading
+import tty
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import development as mav
+from system_harness import free_port
+
+from autopilot.bench.faults.wire import Station, waypoint
+from autopilot.config import gather, sitl_defaults
+from autopilot.core.clock import TICK_US
+from autopilot.core.desk import Cancel
+from autopilot.core.errors import DriverError
+from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
+from autopilot.core.samples import CameraFrame
+from autopilot.log.reader import open_log
+from autopilot.recorder import NullRecorder
+from autopilot.runtime import LockstepClock, Runtime
+from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.transport import Transport
+from drivers.links import open_link
+from drivers.protocols import Received
+
+LOCAL = "127.0.0.1"
+PATIENCE_S = 60.0
+"""For threads: only a test that fails waits so long."""
+
+Open = Callable[..., SitlSession]
+
+
+@pytest.fixture(name="opened")
+def opened_fixture(tmp_path: Path) -> Iterator[Open]:
+    """Sessions on real links."""
+    made: list[SitlSession] = []
+
+    def make(*connections: str, speed: float = 0.0, log: Path | None = None) -> SitlSession:
+        given = {"scenario": "open-water", "speed": speed, "sensors": "pose", "connect": connections}
+        settings = gather(sitl_defaults(0), given, {})
+        settings.put("state_dir", str(tmp_path / "state"), "test")
+        settings.put("log", None if log is None else str(log), "test")
+        made.append(open_sitl(settings, {}, log=log is not None))
+        return made[-1]
+
+    yield make
+    for session in made:
+        session.runtime.close()
+        session.recorder.close()
+
+
+class Ticks:
+    """Lets a session's time go on."""
+
+    def __init__(self, runtime: Runtime) -> None:
+        self._runtime = runtime
+        self.count = 0
+
+    def __call__(self, count: int = 1) -> None:
+        for _ in range(count):
+            self.count += 1
+            self._runtime.tick(self.count * TICK_US)
+
+
+def drain(station: Station) -> list[Any]:
+    """All that has come."""
+    found: list[Any] = []
+    while more := station.receive(0.0):
+        found += more
+    return found
+
+
+class TurnClock(LockstepClock):
+    """Vehicle time in which a client is as quick as it likes: a tick begins when the client has nothing to say."""
+
+    def __init__(self, client: Callable[[], bool]) -> None:
+        super().__init__()
+        self._client = client
+
+    def left_s(self, t_us: int) -> float:
+        return 0.01 if self._client() else 0.0
+
+
+class Frames(NullRecorder):
+    """Keeps what the log would get."""
+
+    def __init__(self) -> None:
+        self.rx: list[MavlinkFrame] = []
+        self.tx: list[MavlinkFrame] = []
+
+    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
+        self.rx += inputs.mavlink_rx
+        self.tx += outputs.mavlink_tx
+
+
+@pytest.mark.parametrize("kind", ["udpin", "udpout", "tcpin"])
+def test_a_transfer_goes_on_between_ticks_and_is_logged(opened: Open, kind: str) -> None:
+    """At revision 0501193 every item cost a tick each way."""
+    session, count = opened(speed=1.0), 500 if kind == "udpin" else 120
+    if kind == "udpout":
+        end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        end.bind((LOCAL, 0))
+        link = open_link(f"udpout:{LOCAL}:{end.getsockname()[1]}")
+        link.send(b"hello")
+        end.connect(end.recvfrom(10)[1])
+        station = Station(end)
+    else:
+        port = free_port(socket.SOCK_DGRAM if kind == "udpin" else socket.SOCK_STREAM)
+        link = open_link(f"{kind}:{LOCAL}:{port}")
+        station = Station.udp(port) if kind == "udpin" else Station.tcp(port)
+    sent: list[int] = []
+    got: list[int] = []
+    acks: list[int] = []
+
+    def client() -> bool:
+        """Answer what is there; whether there was anything to answer."""
+        before = len(sent) + len(got)
+        for message in drain(station):
+            if message.get_type() == "MISSION_REQUEST_INT":
+                sent.append(message.seq)
+                station.send(waypoint(message.seq, count))
+            elif message.get_type() == "MISSION_ACK":
+                acks.append(message.type)
+            elif message.get_type() == "MISSION_COUNT" or (message.get_type() == "MISSION_ITEM_INT"):
+                got.append(getattr(message, "seq", -1))
+                if len(got) <= count:
+                    station.send(mav.MAVLink_mission_request_int_message(1, 1, len(got) - 1, 0))
+        return len(sent) + len(got) > before
+
+    frames = Frames()
+    runtime = Runtime(session.service, session.device, None, [link], frames, TurnClock(client), paced=True)
+    ticks = Ticks(runtime)
+    ticks(5)
+    station.send(mav.MAVLink_mission_count_message(1, 1, count, 0))
+    while len(sent) < count and ticks.count < 300:
+        ticks()
+    assert sent == list(range(count))
+    assert ticks.count < 100
+    while not acks:  # the check of the plan takes its time beside the loop
+        ticks()
+    assert acks == [mav.MAV_MISSION_ACCEPTED]
+    begin = ticks.count
+    station.send(mav.MAVLink_mission_request_list_message(1, 1, 0))
+    while len(got) <= count and ticks.count < begin + 300:
+        ticks()
+    assert got == list(range(-1, count))
+    assert ticks.count < begin + 100
+
+    def logged(found: list[MavlinkFrame], message_id: int) -> int:
+        number = message_id.to_bytes(3, "little")
+        return sum(frame.data[7:10] == number for frame in found)
+
+    assert logged(frames.rx, mav.MAVLINK_MSG_ID_MISSION_ITEM_INT) == count
+    assert logged(frames.tx, mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT) == count
+    assert logged(frames.rx, mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT) == count
+    assert logged(frames.tx, mav.MAVLINK_MSG_ID_MISSION_ITEM_INT) == count
+    link.close()
+    station.close()
+
+
+@pytest.mark.parametrize("kind", ["udpin", "tcpin", "serial"])
+def test_a_flood_is_named_to_the_others_and_they_are_served(opened: Open, kind: str, tmp_path: Path) -> None:
+    port, tcp, log = free_port(), free_port(socket.SOCK_STREAM), tmp_path / "flood.mcap"
+    connections, close = [f"udpin:{LOCAL}:{port}", f"tcpin:{LOCAL}:{tcp}"], []
+    if kind == "serial":
+        device, line = pty.openpty()
+        tty.setraw(device)
+        os.set_blocking(device, False)
+        connections.append(f"{os.ttyname(line)}:921600")
+        close = [device, line]
+    session = opened(*connections, log=log)
+    ticks, station = Ticks(session.runtime), Station.udp(port)
+    rng = random.Random(3)
+    if kind == "serial":
+        name = os.ttyname(line)
+
+        def send(data: bytes) -> object:
+            return os.write(device, data)
+    else:
+        loud = (Station.udp(port) if kind == "udpin" else Station.tcp(tcp)).socket
+        loud.setblocking(False)
+        name, send = "{}:{}".format(*loud.getsockname()), loud.send
+    station.beat()
+    answered = 0
+    for n in range(150):
+        for _ in range(4):
+            try:
+                send(rng.choice((b"\xfe", b"\xfd", b"\xfe\x09\x00")) * 680 if n % 2 else rng.randbytes(2048))
+            except BlockingIOError:
+                continue
+        station.send(mav.MAVLink_ping_message(n, n, 0, 0))
+        ticks()
+        answered += sum(message.get_type() == "PING" for message in drain(station))
+    ticks(5)
+    answered += sum(message.get_type() == "PING" for message in drain(station))
+    assert answered == 150
+    named = [text for text in station.texts if text == f"{name} floods its link: throttled"]
+    assert len(named) == 1, station.texts
+    session.runtime.close()
+    session.recorder.close()
+    lines = [message.value["msg"] for message in open_log(log).messages("/rosout")]
+    assert any(line.startswith(name) and "bytes dropped" in line for line in lines), lines
+    for number in close:
+        os.close(number)
+
+
+def test_a_loop_that_waits_at_a_desk_is_not_silent(opened: Open) -> None:
+    """The work ends when the ground station has heard the vehicle twice while the loop was waiting for it."""
+    session = opened(f"udpin:{LOCAL}:{(port := free_port())}")
+    ticks, station = Ticks(session.runtime), Station.udp(port)
+    station.beat()
+    ticks(3)
+    drain(station)
+    heard, stop = threading.Event(), threading.Event()
+
+    def listen() -> None:
+        begin = len(station.beats_s)
+        while not stop.is_set():
+            station.receive(0.05)
+            if len(station.beats_s) >= begin + 2:
+                heard.set()
+                return
+
+    listener = threading.Thread(target=listen)
+
+    def work(_: None, cancel: Cancel) -> bool:
+        return heard.wait(PATIENCE_S)
+
+    for desk in session.parts.desks:
+        assert desk.patient
+    ticket = session.parts.desks[0].submit(0, work, None)
+    listener.start()
+    answer = ticket.poll(0)
+    stop.set()
+    listener.join()
+    assert answer is not None and answer.get()
+
+
+def test_a_serial_link_that_goes_is_named_once_and_comes_back(opened: Open, tmp_path: Path) -> None:
+    name = tmp_path / "ttyROV"
+
+    def plug() -> tuple[int, int]:
+        device, line = pty.openpty()
+        tty.setraw(device)
+        name.unlink(missing_ok=True)
+        name.symlink_to(os.ttyname(line))
+        return device, line
+
+    device, line = plug()
+    session = opened(f"udpin:{LOCAL}:{(port := free_port())}", f"{name}:115200")
+    os.close(line)
+    ticks, station = Ticks(session.runtime), Station.udp(port)
+    station.beat()
+    ticks(30)
+    os.close(device)
+    name.unlink()
+    ticks(200)
+    drain(station)
+    told = [text for text in station.texts if "device gone" in text]
+    assert len(told) == 1
+    device, line = plug()
+    ticks(250)
+    drain(station)
+    assert len(os.read(device, 4096)) > 0
+    assert sum("device gone" in text for text in station.texts) == 1
+    os.close(line)
+    os.close(device)
+
+
+def test_a_stranger_is_not_heard_on_udpout(opened: Open) -> None:
+    """A forced disarm from another address than the target's is no command."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as target,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end,
+    ):
+        target.bind((LOCAL, 0))
+        target.settimeout(PATIENCE_S)
+        try:
+            end.bind(("127.0.0.9", 0))
+        except OSError:
+            pytest.skip("one loopback address only")
+        session = opened(f"udpout:{LOCAL}:{target.getsockname()[1]}")
+        ticks = Ticks(session.runtime)
+        ticks(2)
+        _, vehicle = target.recvfrom(4096)
+        assert vehicle[0] == LOCAL
+        commands: dict[str, list[int]] = {}
+        for who, own in (("stranger", end), ("target", target)):
+            own.connect(vehicle)
+            station = Station(own)
+            station.send(mav.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0))
+            ticks(5)
+            commands[who] = [m.result for m in drain(station) if m.get_type() == "COMMAND_ACK"]
+        assert commands == {"stranger": [], "target": [0]}
+
+
+class Broken:
+    """A link whose driver breaks its promise never to raise."""
+
+    name = "broken"
+    problem = None
+    dropped_tx = dropped_rx = 0
+
+    def recv(self, t_us: int) -> list[Received]:
+        raise DriverError("no such device")
+
+    def send(self, data: bytes, client: int = 0) -> None:
+        raise OSError("no such device")
+
+    def filenos(self) -> list[int]:
+        return []
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_driver_that_raises_ends_nothing_and_is_named_once() -> None:
+    now_s = [0.0]
+    transport = Transport([Broken(), open_link(f"udpin:{LOCAL}:{free_port()}")], now_s=lambda: now_s[0])
+    notices = []
+    for tick in range(1000):
+        assert transport.receive(tick * TICK_US) == []
+        transport.send([MavlinkFrame(link=-1, data=b"anything")])
+        notices += transport.take_notices(tick * TICK_US)
+    assert [notice.text for notice in notices] == ["broken: no such device"]
+    assert transport.errors == 2000
+    transport.close()
+
+
+def test_a_heartbeat_is_due_by_real_time() -> None:
+    now_s = [0.0]
+    transport = Transport([Broken()], now_s=lambda: now_s[0])
+    beat = MavlinkFrame(link=0, data=bytes((0xFD, 9, 0, 0, 0, 1, 1, 0, 0, 0)) + bytes(11))
+    other = MavlinkFrame(link=0, data=bytes((0xFD, 9, 0, 0, 0, 1, 1, 30, 0, 0)) + bytes(11))
+    assert not transport.beat_due
+    now_s[0] = 1.15
+    transport.send([other])
+    assert transport.beat_due
+    transport.send([beat])
+    assert not transport.beat_due
+    now_s[0] = 2.3
+    assert transport.beat_due
+    assert not Transport([], now_s=lambda: now_s[0]).beat_due
