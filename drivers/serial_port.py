@@ -8,6 +8,7 @@ from types import ModuleType
 from autopilot.core.errors import DriverError
 from drivers.base import Closing
 from drivers.framing import FrameCutter
+from drivers.numbering import Numbering
 from drivers.protocols import EVERYONE, Received
 
 CHUNK = 4096
@@ -113,6 +114,7 @@ class SerialLink:
         self._name, self._device = name, device
         self._cutter = FrameCutter()
         self._attempt_us = 0
+        self._numbering = Numbering()
         self._port = SerialPort(device, baud)
         self._port.open()
         self.dropped_tx = 0
@@ -150,7 +152,7 @@ class SerialLink:
     def send(self, data: bytes, client: int = EVERYONE) -> None:
         """Send one frame."""
         try:
-            self._port.write(data)
+            self._port.write(self._numbering(data))
         except DriverError:
             self.dropped_tx += 1
 

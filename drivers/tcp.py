@@ -4,6 +4,7 @@ import socket
 
 from autopilot.core.errors import DriverError
 from drivers.framing import FrameCutter
+from drivers.numbering import Numbering
 from drivers.protocols import EVERYONE, Received
 from drivers.udp import bind_error, resolve
 
@@ -29,6 +30,7 @@ class _Stream:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = connection
         self._cutter = FrameCutter()
+        self._numbering = Numbering()
         self.client, self.sender = client, sender
         self._pending = bytearray()
         self.open = True
@@ -53,7 +55,7 @@ class _Stream:
 
     def send(self, data: bytes) -> bool:
         """Queue and send what the other side takes; False if it is gone or too far behind."""
-        self._pending += data
+        self._pending += self._numbering(data)
         self._flush()
         if len(self._pending) > MAX_PENDING:
             self.close()

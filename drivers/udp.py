@@ -5,9 +5,10 @@ Every address is a client of its own. A flood is read and thrown away, so that o
 
 import errno
 import socket
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from autopilot.core.errors import DriverError
+from drivers.numbering import Numbering
 from drivers.protocols import EVERYONE, Received
 
 MAX_DATAGRAM = 2048
@@ -54,6 +55,7 @@ class _Peer:
     client: int
     sender: str
     heard_us: int
+    numbering: Numbering = field(default_factory=Numbering)
 
 
 class _Udp:
@@ -167,7 +169,7 @@ class _Udp:
         if address is None:
             self.dropped_tx += 1
         else:
-            self._send_to(data, address)
+            self._send_to(self._known[address].numbering(data), address)
 
 
 class UdpOut(_Udp):
@@ -179,11 +181,13 @@ class UdpOut(_Udp):
         if self._target[0].startswith(LOOPBACK_NET):
             # A socket that is bound to no address would be open to the network.
             self._socket.bind((LOOPBACK, 0))
+        self._numbering = Numbering()
+        """Of the target, heard or not."""
 
     def send(self, data: bytes, client: int = EVERYONE) -> None:
         """Send one datagram: to the target, or to one client that has spoken."""
-        if client == EVERYONE:
-            self._send_to(data, self._target)
+        if client == EVERYONE or self._addresses.get(client) == self._target:
+            self._send_to(self._numbering(data), self._target)
         else:
             self._send_one(data, client)
 
@@ -208,5 +212,5 @@ class UdpIn(_Udp):
         if client != EVERYONE:
             self._send_one(data, client)
             return
-        for address in self._known:
-            self._send_to(data, address)
+        for address, peer in self._known.items():
+            self._send_to(peer.numbering(data), address)

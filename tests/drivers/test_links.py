@@ -25,8 +25,8 @@ KINDS = ("udpin", "udpout", "tcpin", "tcp", "serial")
 
 
 def frame(number: int) -> bytes:
-    """Bytes with the shape of a MAVLink 2 frame."""
-    return bytes([0xFD, 1, 0, 0, number % 256, 1, 1, 0, 0, 0, number % 256, 0x12, 0x34])
+    """Bytes with the shape of a MAVLink frame (of version 1: links do not number those)."""
+    return bytes([0xFE, 1, 0, 1, 1, 0, number % 256, 0x12, 0x34])
 
 
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:

@@ -1,0 +1,48 @@
+"""Sequence numbers of what one client gets.
+
+The service numbers its frames per link. Of a link that several clients share each gets what goes to all and what goes
+to it alone, and would count the rest as lost. So every frame is renumbered on its way to a client.
+"""
+
+import binascii
+
+_STX = 0xFD
+_OVERHEAD = 12
+"""Bytes of a MAVLink 2 frame round its payload, without a signature."""
+_FLAGS_AT, _NUMBER_AT, _CRC_BYTES = 2, 4, 2
+_MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
+
+
+class Numbering:
+    """One client's. The first frame keeps its number."""
+
+    __slots__ = ("_next",)
+
+    def __init__(self) -> None:
+        self._next: int | None = None
+
+    def __call__(self, frame: bytes) -> bytes:
+        """The frame as the client gets it; what is no unsigned MAVLink 2 frame stays as it is."""
+        if len(frame) < _OVERHEAD or frame[0] != _STX or frame[_FLAGS_AT] or len(frame) != frame[1] + _OVERHEAD:
+            return frame
+        number = frame[_NUMBER_AT] if self._next is None else self._next
+        self._next = (number + 1) & 0xFF
+        return renumbered(frame, number)
+
+
+def renumbered(frame: bytes, number: int) -> bytes:
+    """An unsigned MAVLink 2 frame with another sequence number.
+
+    A CRC is linear: the change of the checksum is the checksum (from zero) of the change of the bytes, so that
+    CRC_EXTRA need not be known.
+    """
+    change = frame[_NUMBER_AT] ^ number
+    if not change:
+        return frame
+    unchanged = len(frame) - _CRC_BYTES - _NUMBER_AT  # what follows the number, and CRC_EXTRA
+    # The standard library has MAVLink's polynomial with the bits in the other order.
+    mirrored = binascii.crc_hqx(_MIRRORED[change : change + 1] + bytes(unchanged), 0)
+    low, high = _MIRRORED[mirrored >> 8], _MIRRORED[mirrored & 0xFF]
+    return (
+        frame[:_NUMBER_AT] + bytes((number,)) + frame[_NUMBER_AT + 1 : -2] + bytes((frame[-2] ^ low, frame[-1] ^ high))
+    )
