@@ -21,6 +21,7 @@ ENVIRONMENT_PREFIX = "AUTOPILOT_"
 PROFILES = ("generic", "px4", "ardusub")
 ESTIMATORS = ("ekf", "complementary")
 SENSORS = ("camera", "pose")
+UNTIL = ("complete",)
 CURRENTS = ("estimate", "map", "memory", "none", "uniform")
 
 
@@ -78,6 +79,7 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
         "profile": "px4",
         "start": False,
         "keep_plans": False,
+        "until": None,
         "state_dir": platformdirs.user_state_dir("underwater-autopilot", appauthor=False),
         "log_dir": str(Path(platformdirs.user_data_dir("underwater-autopilot", appauthor=False)) / "logs"),
     }
@@ -100,6 +102,7 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "estimator": (lambda value: value in ESTIMATORS, " or ".join(ESTIMATORS)),
     "sensors": (lambda value: value in SENSORS, " or ".join(SENSORS)),
     "currents": (lambda value: value in CURRENTS, ", ".join(CURRENTS)),
+    "until": (lambda value: value in UNTIL, " or ".join(UNTIL)),
     "profile": (lambda value: value in PROFILES, ", ".join(PROFILES)),
 }
 """Which values a setting may have, and how to say so."""

@@ -3,13 +3,19 @@
 import gc
 import signal
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from autopilot.config import CURRENTS, ESTIMATORS, PROFILES, SENSORS
+from autopilot.config import CURRENTS, ESTIMATORS, PROFILES, SENSORS, UNTIL
+from autopilot.core.errors import AutopilotError
+
+if TYPE_CHECKING:
+    from autopilot.sitl_console import RunWatch
+    from autopilot.sitl_session import SitlSession
 
 EXIT_LOSS = 3
+"""Done, with contacts or with losses in the log."""
 
 
 @click.command()
@@ -33,6 +39,7 @@ EXIT_LOSS = 3
 @click.option("--instance", type=click.IntRange(0, 99), default=0, show_default=True, help="Instance number.")
 @click.option("--start", is_flag=True, default=None, help="Arm and start the preloaded plan by an operator in-process.")
 @click.option("--keep-plans", is_flag=True, default=None, help="Keep plans, fence, home and progress between runs.")
+@click.option("--until", type=click.Choice(UNTIL), help="End with the mission; exit code 1 if it ends otherwise.")
 @click.option("--quiet", is_flag=True, help="Print only errors.")
 def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the simulated vehicle of SCENARIO (a shipped name or a TOML file; default paper-tank)."""
@@ -51,25 +58,40 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     signal.signal(signal.SIGINT, stop)
     overrides = parse_overrides(param)
     with open_doorstep(settings, overrides, instance=instance) as doorstep:
+        from autopilot.sitl_console import Console, RunWatch
         from autopilot.sitl_session import open_sitl
 
-        session = open_sitl(settings, overrides, instance=instance, links=doorstep.links)
+        session = open_sitl(
+            settings, overrides, instance=instance, links=doorstep.links, on_tick=lambda outputs: watch.step(outputs)
+        )
         # A full garbage collection over all that was imported would take five ticks: it leaves out what there is now.
         gc.collect()
         gc.freeze()
     for warning in session.warnings:
         click.echo(f"warning: {warning}", err=True)
-    if not quiet:
-        name = session.scenario.scenario.name
-        click.echo(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
-    wall_s = session.run(stop=lambda: bool(stopped_by))
-    if not quiet:
+    console = None if quiet else Console()
+    show = (lambda _: None) if console is None else console.print
+    watch = RunWatch(session, show)
+    name = session.scenario.scenario.name
+    show(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
+    to_the_end = settings["until"] == "complete"
+    try:
+        wall_s = session.run(stop=lambda: bool(stopped_by) or (to_the_end and watch.ended))
         counters = session.runtime.counters
         ran_s = counters.ticks * 0.01
-        click.echo(
+        show(
             f"{ran_s:.1f} s simulated in {wall_s:.1f} s ({ran_s / max(wall_s, 1e-9):.1f} x real time), "
-            f"{counters.overruns} overruns, longest tick {1e3 * counters.worst_tick_s:.0f} ms"
+            f"{counters.overruns} overruns, longest tick {1e3 * counters.worst_tick_s:.0f} ms, "
+            f"{watch.contacts} contact{'' if watch.contacts == 1 else 's'}"
         )
+    finally:
+        if console is not None:
+            console.close()
+    _conclude(session, watch, interrupted=signal.SIGINT in stopped_by, to_the_end=to_the_end)
+
+
+def _conclude(session: "SitlSession", watch: "RunWatch", *, interrupted: bool, to_the_end: bool) -> None:
+    """Warnings on stderr, and the exit code."""
     if session.persistent.failure:
         click.echo(f"warning: {session.persistent.failure}", err=True)
     if session.kept is not None and session.kept.failure:
@@ -77,7 +99,11 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     if session.recorder.failure:
         lost = f"{session.recorder.dropped} messages lost"
         click.echo(f"warning: the log is not whole, {lost}: {session.recorder.failure}", err=True)
-    if signal.SIGINT in stopped_by:
+    if watch.contacts:
+        click.echo(f"warning: {watch.contacts} contacts with walls, floor or obstacles", err=True)
+    if interrupted:
         raise click.Abort
-    if session.recorder.failure:
+    if to_the_end and not watch.complete:
+        raise AutopilotError("the run ended before its mission was complete; look at the messages above, or at /rosout")
+    if session.recorder.failure or watch.contacts:
         click.get_current_context().exit(EXIT_LOSS)
