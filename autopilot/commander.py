@@ -438,7 +438,7 @@ class Commander:
             return None
         reason = ""
         if not fence:
-            reason = "the vehicle is armed: disarm before the fence is removed"
+            reason = "disarm before the fence is removed"
         elif verdict.joint:
             reason = f"the vehicle is armed and {verdict.joint[0].reason}"
         else:
@@ -498,7 +498,7 @@ class Commander:
         reason = self._plans.problem
         nav = self._nav()
         if not reason and self._armed and nav is not None and self._goals.clearance_m(nav.pos_ned_m) < 0.0:
-            reason = "the vehicle is outside the fence or inside an obstacle: go to a free place first"
+            reason = "outside the fence or in an obstacle: go to a free place first"
         return _denied(f"Mission denied: {reason}") if reason else None
 
     def _enter(self, mode: FlightMode) -> None:

@@ -142,8 +142,8 @@ def _jump_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
     for step in steps:
         if isinstance(step, Jump) and step.count is None and _spins(steps, step):
             text = (
-                f"item {step.seq}: jumps to item {step.target_seq} for ever without a waypoint in between; "
-                "put a waypoint into the loop or limit the count (param2)"
+                f"item {step.seq}: jumps to item {step.target_seq} for ever; "
+                "put a waypoint in between, or limit the count (param2)"
             )
             yield PlanRejection(seq=step.seq, result=MissionResult.INVALID, reason=text)
 

@@ -102,7 +102,7 @@ def test_a_mission_that_the_fence_forbids_is_stored_and_not_flown(
         ([waypoint(0, 0, 0.9, depth=NAN)], 0, R.INVALID_PARAM7, "nan"),
         ([plain(0, 178, 1, 0.7), waypoint(1, 0, 0.9)], 0, R.INVALID_PARAM2, "SPD_PLANAR_MAX"),
         ([waypoint(0, 0, 0.9), plain(1, 177, 2, 1)], 1, R.INVALID_PARAM1, "does not exist"),
-        ([plain(0, 178, 1, 0.3), plain(1, 177, 0, -1)], 1, R.INVALID, "for ever without a waypoint"),
+        ([plain(0, 178, 1, 0.3), plain(1, 177, 0, -1)], 1, R.INVALID, "for ever; put a waypoint in between"),
         ([plain(0, 177, 1, -1), plain(1, 177, 0, -1), waypoint(2, 0, 0.9)], 0, R.INVALID, "for ever"),
         ([waypoint(0, 0, 0.9), waypoint(2, 0, 0.9)], 2, R.INVALID_SEQUENCE, "number the items"),
     ],
