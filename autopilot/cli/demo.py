@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,6 +31,8 @@ def demo(out: Path, laps: int, speed: float, seed: int | None, as_json: bool) ->
     """
     from autopilot.demo import FLIGHTS, fly
 
+    # Whoever ends the demo ends its service too.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     results = []
     for scenario, sub in FLIGHTS:
         with _progress(scenario, quiet=as_json) as show:

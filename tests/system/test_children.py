@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 from system_harness import PAPER_PLAN, ROOT
 
@@ -84,4 +85,19 @@ def test_a_child_that_only_sleeps_is_stuck_and_one_that_computes_is_not(monkeypa
         assert busy.works()
         assert asleep.end() == -signal.SIGKILL
     finally:
+        asleep.process.kill()
         assert busy.end() == -signal.SIGTERM
+
+
+def test_a_demo_that_is_ended_ends_its_service(tmp_path: Path) -> None:
+    child = Child(autopilot_command("demo", "--laps", "1", "--out", str(tmp_path), "--speed", "1"))
+    try:
+        log = tmp_path / "run.mcap"
+        while not log.exists():
+            assert child.at_work()
+            time.sleep(0.05)
+        (service,) = psutil.Process(child.process.pid).children()
+        assert child.end() == 128 + signal.SIGTERM
+        assert not service.is_running()
+    finally:
+        child.process.kill()
