@@ -17,8 +17,9 @@ from autopilot.core.frames import wrap_pi
 
 RESIDUAL_TIME_S = 0.2
 """The accelerometer's residual is smoothed over this: longer than its noise, shorter than it takes to drift away."""
-RESIDUAL_LIMIT_M_S2 = 0.25
-"""Three times what models were wrong by in healthy flights, a quarter of what six degrees of tilt let in."""
+RESIDUAL_LIMIT_M_S2 = (0.15, 0.15, 0.09)
+"""Forward, right, down: twice what models were wrong by in healthy flights, thruster losses among them. Six degrees of
+tilt let in 1."""
 ABSURD_M_S2 = 2.0
 """Beyond what thrusters and a bump at cruise speed make of a hull, smoothed: whatever the fixes say so far."""
 USUAL_TIME_S = 3.0
@@ -32,14 +33,14 @@ TURN_LIMIT_RAD = math.radians(4.5)
 SLOW_TURN_TIME_S = 3.0
 SLOW_TURN_LIMIT_RAD = math.radians(4.0)
 """The same over longer, when the compass is rejected as well."""
-QUICK_TURN_LIMIT_RAD = math.radians(0.8)
+QUICK_TURN_LIMIT_RAD = math.radians(0.5)
 QUICK_TURN_TIME_S = 0.3
 """The same over a shorter time, when fixes deny the heading as well."""
 JUMP_RAD = 0.1
 """From one sample to the next a compass that turns by so much more than the gyro has jumped."""
 
 CONTRADICTIONS = 3
-"""Fixes rejected in a row that deny the estimate: 1 in 10^9 by chance."""
+"""Fixes rejected in a row, and agreeing among themselves, that deny the estimate: 1 in 10^9 by chance."""
 
 STEADY_TIME_S = 1.0
 STEADY_S = 3.0
@@ -75,7 +76,8 @@ class AccelDoubt:
         if anchored and not denied and not absurd:
             self._usual = [u + slow * (s - u) for u, s in zip(self._usual, self._smooth, strict=True)]
             return False
-        over = max(abs(s - u) for s, u in zip(self._smooth, self._usual, strict=True)) > RESIDUAL_LIMIT_M_S2
+        pairs = zip(self._smooth, self._usual, RESIDUAL_LIMIT_M_S2, strict=True)
+        over = any(abs(smooth - usual) > limit for smooth, usual, limit in pairs)
         if not (absurd or over or (rejected >= REJECTIONS and not anchored)):
             return False
         self.since_us = t_us

@@ -73,6 +73,12 @@ AIDING = FIXES | SCALARS
 """Kinds of samples that give a pose, that give something else, and all of them."""
 REDRIVEN_US = 800_000
 """A sensor that ceases to be believed has been wrong for up to so long."""
+RATIO_SHARE = 0.2
+RATIO_MOST = 2.0
+RATIO_SHOWS = 0.35
+RATIO_DENIES = 0.5
+"""Squared distance of the fixes over its gate, smoothed over five of them: 0.2 with a filter that is right. From the
+first limit on their mean miss counts as error of the estimate, from the second on they deny it."""
 DENIED_AFTER = 6
 """Fixes rejected in a row (0.2 s) after which the estimate is not called good."""
 DOUBT_US = 1_000_000
@@ -115,7 +121,10 @@ class Engine:
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
         self._thrust = ThrustLag(vehicle.drive.time_constant_s, vehicle.drive.limit_n)
         self._imu = ImuWatch(self._model, self._follow)
-        self._heading_denied = False
+        self._denied = 0
+        self._judged: Innovation | None = None
+        self._fix_ratio = self._heading_ratio = 0.0
+        self._fix_miss = np.zeros(4)
         self._anchored_since_us: int | None = None
         self._jump_us: int | None = None
         self._jump_m_rad = np.zeros(4)
@@ -263,8 +272,8 @@ class Engine:
             node,
             raw,
             anchored=anchored,
-            denied=self._fixes_denied >= CONTRADICTIONS,
-            heading_denied=self._fixes_denied >= CONTRADICTIONS and self._heading_denied,
+            denied=self._denied >= CONTRADICTIONS or self._fix_ratio > RATIO_DENIES,
+            heading_denied=self._heading_ratio > RATIO_DENIES,
             model_rejected=self._sources.model.rejected_in_row,
             compass_rejected=self._sources.heading.rejected_in_row,
         )
@@ -286,12 +295,6 @@ class Engine:
         for part, variance, value in forgotten:
             history.reopen(node, Reopening("imu", node.t_us, part, variance, value))
 
-    @property
-    def _fixes_denied(self) -> int:
-        """Fixes rejected in a row by the source that holds the vehicle."""
-        markers, external = self._sources.markers, self._sources.external
-        return external.rejected_in_row if markers.last_fused_us is None else markers.rejected_in_row
-
     def _doubts(self, t_us: int) -> frozenset[NavDoubt]:
         """What speaks against the estimate or its sensors."""
         found = set()
@@ -299,7 +302,7 @@ class Engine:
             found.add(NavDoubt.ACCELEROMETER)
         if self._imu.gyro.since_us is not None:
             found.add(NavDoubt.GYRO)
-        if self._fixes_denied >= DENIED_AFTER or (self._jump_us is not None and t_us - self._jump_us <= JUMP_US):
+        if self._denied >= DENIED_AFTER or (self._jump_us is not None and t_us - self._jump_us <= JUMP_US):
             found.add(NavDoubt.FIXES)
         if self._history is not None and abs(self._history.newest.state.x.item(LASER_BIAS)) > RANGE_MISS_M:
             found.add(NavDoubt.RANGE)
@@ -320,6 +323,8 @@ class Engine:
         more = np.zeros(4)
         if self._jump_us is not None:
             more += self._jump_m_rad**2 * math.exp(-1e-6 * (t_us - self._jump_us) / JUMP_FADE_S)
+        if self._fix_ratio > RATIO_SHOWS:
+            more += self._fix_miss**2
         miss_m = newest.state.x.item(LASER_BIAS)
         if abs(miss_m) > RANGE_MISS_M:
             more[2] += miss_m * miss_m
@@ -409,7 +414,8 @@ class Engine:
         """True if ``node`` has changed."""
         relocation = self._relocations[aid.sensor]
         missed = self._fuse(history, node, fix, aid)
-        self._heading_denied = missed is not None and float(missed.y[3] ** 2) > CHI2_999[1] * float(missed.variance[3])
+        if aid is self._sources.markers or self._sources.markers.last_fused_us is None:
+            self._weigh(fix, missed, relocation)
         if missed is None:
             relocation.accepted()
             if aid is self._sources.external:
@@ -431,6 +437,17 @@ class Engine:
             self._relocate(history, fix, float(missed.y[3]), velocity)
         return False
 
+    def _weigh(self, fix: PoseFix, missed: Innovation | None, relocation: Relocation) -> None:
+        """How much the fixes deny the estimate. Outliers do not count: they do not agree with each other."""
+        self._denied = 0 if missed is None else relocation.agreeing_with(fix) + 1
+        judged = self._judged
+        if judged is None or self._denied == 1:
+            return
+        heading = float(judged.y[3] ** 2 / judged.variance[3]) / CHI2_999[1]
+        self._fix_ratio += RATIO_SHARE * (min(judged.test_ratio, RATIO_MOST) - self._fix_ratio)
+        self._fix_miss = self._fix_miss + RATIO_SHARE * (judged.y - self._fix_miss)
+        self._heading_ratio += RATIO_SHARE * (min(heading, RATIO_MOST) - self._heading_ratio)
+
     def _note_jump(self, miss: FloatArray) -> None:
         """Fixes that were used without a break have moved by ``miss`` (4,) [m, rad], and no sensor has felt it."""
         if float(np.linalg.norm(miss[:3])) > JUMP_M or float(miss[3]) > JUMP_RAD:
@@ -449,6 +466,7 @@ class Engine:
     def _fuse(self, history: History, node: Node, measurement: Measurement, aid: Aid) -> Innovation | None:
         """Gate and use one measurement. None if it was used, else what spoke against it."""
         innovation = self._core.innovation(node.state, measurement, node.moment, 1e-6 * (measurement.t_us - node.t_us))
+        self._judged = innovation
         fused = innovation.test_ratio <= 1.0
         if fused:
             history.correct(node, measurement, innovation)

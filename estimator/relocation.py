@@ -18,6 +18,15 @@ class Relocation:
         """A fix passed the gate."""
         self._fixes.clear()
 
+    def agreeing_with(self, fix: PoseFix) -> int:
+        """How many of the last rejected fixes agree with this one, in a row: outliers do not."""
+        count = 0
+        for other in reversed(self._fixes):
+            if not agree(fix, other):
+                break
+            count += 1
+        return count
+
     def rejected(self, fix: PoseFix, lost: bool) -> FloatArray | None:
         """A fix did not pass. Not None: believe it and move there, at this velocity (3,) NED over ground.
 

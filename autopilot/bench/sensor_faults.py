@@ -159,6 +159,7 @@ def _tables(flight: FaultFlight) -> dict[str, Any]:
     """The scenario with the faults and the gap."""
     path = scenario_path(flight.scenario)
     tables = overlaid(tomllib.loads(path.read_text(encoding="utf-8")), flight.changes or {})
+    tables.pop("spread", None)
     plan = tables["scenario"].get("plan")
     if plan is not None:
         tables["scenario"] = {**tables["scenario"], "plan": str((path.parent / plan).resolve())}
