@@ -7,7 +7,7 @@ over after the condition has gone.
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from autopilot.core.messages import Event, Failsafe, NavHealth, NavState, Severity
+from autopilot.core.messages import Event, Failsafe, NavDoubt, NavHealth, NavState, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import PowerSample
 
@@ -35,6 +35,8 @@ class Conditions:
     """NMPC steps in a row without a solution."""
     unreachable: bool = False
     """The controller finds no way to its goal."""
+    nav_doubts: frozenset[NavDoubt] = frozenset()
+    """What speaks against the estimate or its sensors."""
     nav_disagrees: bool = False
     """The estimator in the shadow of the flown one has been somewhere else for a while."""
     thruster_share: tuple[float, ...] = ()
@@ -85,6 +87,8 @@ class FailsafeRules:
             reasons.append("no position yet: markers must be in view")
         elif conditions.nav.health is not NavHealth.GOOD:
             reasons.append("position is not good: markers must be in view")
+        if NavDoubt.ACCELEROMETER in conditions.nav_doubts or NavDoubt.GYRO in conditions.nav_doubts:
+            reasons.append("AHRS readings are wrong: check range and mounting, restart it")
         if conditions.thruster_problem:
             reasons.append(f"{conditions.thruster_problem}: repair it, or correct THRn_HEALTH")
         if conditions.fault:

@@ -33,6 +33,7 @@ from autopilot.core.messages import (
     MissionProgress,
     ModeState,
     NavCounters,
+    NavDoubt,
     NavHealth,
     NavState,
     NmpcStatus,
@@ -110,6 +111,7 @@ class _Estimated:
     ahrs_us: int | None
     aids: tuple[AidStatus, ...] = ()
     shadow: ShadowStatus | None = None
+    doubts: frozenset[NavDoubt] = frozenset()
 
 
 class Autopilot:
@@ -118,6 +120,7 @@ class Autopilot:
     def __init__(self, parts: Parts) -> None:
         self._parts = parts
         self._tick = 0
+        self._doubts: frozenset[NavDoubt] = frozenset()
         self._thrust_n: FloatArray = np.zeros(4)
         self._pulse_n: FloatArray = np.zeros(4)
         self._care = ThrusterCare(parts.vehicle, parts.params)
@@ -237,13 +240,20 @@ class Autopilot:
             estimator = self._parts.estimator
             nav = estimator.step(inputs.t_us, inputs.samples + given.samples, given.thrust_n)
             self._nav_us = inputs.t_us
-            return _Estimated(nav=nav, ahrs_us=estimator.ahrs_us, aids=estimator.take_aids(), shadow=estimator.shadow)
+            self._doubts = estimator.doubts
+            return _Estimated(
+                nav=nav,
+                ahrs_us=estimator.ahrs_us,
+                aids=estimator.take_aids(),
+                shadow=estimator.shadow,
+                doubts=self._doubts,
+            )
 
         last = self._nav
         if last is not None:
             stale = inputs.t_us - self._nav_us > LAST_ESTIMATE_US
             last = replace(last, t_us=inputs.t_us, health=NavHealth.INVALID if stale else last.health)
-        otherwise = _Estimated(nav=last, ahrs_us=self._ahrs_us)
+        otherwise = _Estimated(nav=last, ahrs_us=self._ahrs_us, doubts=self._doubts)
         estimated = self._run("estimator", estimate, otherwise, lambda: (inputs, given))
         self._ahrs_us = estimated.ahrs_us
         self._aid_ratio.update((aid.sensor, aid.test_ratio) for aid in estimated.aids)
@@ -286,6 +296,7 @@ class Autopilot:
             solver_failures=self._solver_failures,
             unreachable=parts.controller.unreachable,
             nav_disagrees=shadow is not None and shadow.disagrees,
+            nav_doubts=estimated.doubts,
             thruster_share=tuple(self._care.share.tolist()),
             thruster_problem=self._devices.thruster_problem or self._care.problem,
             command_delay_s=self._latency.delay_s,
@@ -493,6 +504,7 @@ class Autopilot:
             dropped_rx=parts.server.dropped_rx,
             aid_ratio=self._aid_ratio,
             nav_errors=self._nav_errors,
+            nav_doubts=self._doubts,
             control=self._status,
         )
 

@@ -1,6 +1,6 @@
 """What the operator is told without having asked: position lost or found, no way to the goal, a new fence."""
 
-from autopilot.core.messages import NavHealth, NavState, Severity
+from autopilot.core.messages import NavDoubt, NavHealth, NavState, Severity
 from autopilot.core.vehicle import Vehicle
 from autopilot.failsafes import Conditions
 from autopilot.goals import Goals
@@ -12,6 +12,13 @@ _HEALTH_TEXTS = {
     NavHealth.INVALID: (Severity.ERROR, "Position lost, drifting: bring markers into view"),
 }
 
+_DOUBT_TEXTS = {
+    NavDoubt.ACCELEROMETER: "Accelerometer wrong: keep markers in view",
+    NavDoubt.GYRO: "Gyro wrong: keep markers in view, check AHRS",
+    NavDoubt.FIXES: "Fixes deny the estimate: check markers, camera",
+    NavDoubt.RANGE: "Laser denies the height: calibrate camera",
+}
+"""What to do about a sensor that the evidence denies."""
 
 SHARE_NEWS = 0.15
 """A change of a thruster's effectiveness that is worth a message."""
@@ -30,6 +37,8 @@ class Watch:
         self._goals = goals
         self._fence = goals.fence
         self._health = NavHealth.INVALID
+        self._doubts: frozenset[NavDoubt] = frozenset()
+        """Those that have been told since arming."""
         self._unreachable = False
         self._thrusters = tuple(thruster.name for thruster in vehicle.thruster)
         self._share: dict[str, float] = {}
@@ -40,7 +49,11 @@ class Watch:
         nav = conditions.nav
         texts: list[tuple[Severity, str]] = []
         health = NavHealth.INVALID if nav is None else nav.health
-        if armed and health is not self._health:
+        new = conditions.nav_doubts - self._doubts if armed else frozenset()
+        texts += [(Severity.WARNING, _DOUBT_TEXTS[doubt]) for doubt in NavDoubt if doubt in new]
+        self._doubts = self._doubts | new if armed else frozenset()
+        told = health is NavHealth.DEAD_RECKONING and bool(conditions.nav_doubts)
+        if armed and health is not self._health and not told:
             texts.append(_HEALTH_TEXTS[health])
         if armed and conditions.unreachable and not self._unreachable:
             texts.append((Severity.WARNING, "No free way to the goal: holding; move the goal"))

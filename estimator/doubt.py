@@ -17,7 +17,7 @@ from autopilot.core.frames import wrap_pi
 
 RESIDUAL_TIME_S = 0.2
 """The accelerometer's residual is smoothed over this: longer than its noise, shorter than it takes to drift away."""
-RESIDUAL_LIMIT_M_S2 = (0.15, 0.15, 0.09)
+RESIDUAL_LIMIT_M_S2 = (0.15, 0.15, 0.12)
 """Forward, right, down: twice what models were wrong by in healthy flights, thruster losses among them. Six degrees of
 tilt let in 1."""
 ABSURD_M_S2 = 2.0

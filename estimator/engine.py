@@ -76,7 +76,7 @@ REDRIVEN_US = 800_000
 RATIO_SHARE = 0.2
 RATIO_MOST = 2.0
 RATIO_SHOWS = 0.35
-RATIO_DENIES = 0.5
+RATIO_DENIES = 0.6
 """Squared distance of the fixes over its gate, smoothed over five of them: 0.2 with a filter that is right. From the
 first limit on their mean miss counts as error of the estimate, from the second on they deny it."""
 DENIED_AFTER = 6

@@ -9,7 +9,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import MissionProgress, NavState, NmpcStatus, ThrusterCommand
+from autopilot.core.messages import MissionProgress, NavDoubt, NavState, NmpcStatus, ThrusterCommand
 from autopilot.core.samples import PowerSample
 
 
@@ -109,6 +109,8 @@ class VehicleView:
     """Test ratio of the newest measurement of each aiding sensor, by name; above 1 it was rejected."""
     nav_errors: tuple[int, int, int, int] = (0, 0, 0, 0)
     """AHRS samples refused, fixes not used, other aiding measurements not used, resets of the estimator."""
+    nav_doubts: frozenset[NavDoubt] = frozenset()
+    """What speaks against the estimate or its sensors."""
     control: NmpcStatus | None = None
     """Of the last control step, None while nothing is controlled."""
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import Failsafe, NavHealth
+from autopilot.core.messages import Failsafe, NavDoubt, NavHealth
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.context import Context, i16, i32, limited, u16
 from autopilot.mavlink.profiles import STANDARD_MODE_OF, ParamEncoding
@@ -115,6 +115,8 @@ class Status:
         health = _SENSORS
         nav_health = NavHealth.INVALID if view.nav is None else view.nav.health
         if view.nav is None or view.failsafes >> Failsafe.AHRS_STALE & 1:
+            health &= ~mav.MAV_SYS_STATUS_AHRS
+        if {NavDoubt.ACCELEROMETER, NavDoubt.GYRO} & view.nav_doubts:
             health &= ~mav.MAV_SYS_STATUS_AHRS
         if nav_health is not NavHealth.GOOD or view.failsafes >> Failsafe.NAV_CHECK & 1:
             health &= ~mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION

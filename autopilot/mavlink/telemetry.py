@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from autopilot.mavlink.api import GeoPoint
 from autopilot.mavlink.context import Context, f32, i16, i32, limited, u16
 from autopilot.mavlink.wire import Message
@@ -206,6 +206,10 @@ class Telemetry:
         flags, horizontal_m, vertical_m = 0, NAN, NAN
         if self.motion() is not None:
             flags = _FLAGS_GOOD if nav.health is NavHealth.GOOD else _FLAGS_DEAD_RECKONING
+            if NavDoubt.ACCELEROMETER in self._ctx.view.nav_doubts:
+                flags |= mav.ESTIMATOR_ACCEL_ERROR
+            if NavDoubt.FIXES in self._ctx.view.nav_doubts:
+                flags |= mav.ESTIMATOR_GPS_GLITCH
             var = [min(max(x, 0.0), SANE) for x in nav.variance[:3].tolist()]
             horizontal_m, vertical_m = math.sqrt(var[0] + var[1]), math.sqrt(var[2])
         return mav.MAVLink_estimator_status_message(
