@@ -69,8 +69,8 @@ BLIND_GYRO_NOISE = 0.2
 BLIND_ACCEL_NOISE = 0.15
 """m/s^2/sqrt(Hz) when the vehicle model stands in for the accelerometer."""
 
-MODEL_ACCEL_NOISE = 0.06
-"""m/s^2/sqrt(Hz) when the vehicle model is all there is: 0.05 m/s^2 that changes within a second, tether and jet."""
+MODEL_ACCEL_NOISE = 0.04
+"""m/s^2/sqrt(Hz) when the vehicle model is all there is: 0.03 m/s^2 that changes within a second, tether and jet."""
 COMPASS_NOISE = 0.03
 """rad/s/sqrt(Hz) when the turning is the AHRS heading's: its slow error of a degree and the steel of the tank."""
 
