@@ -237,7 +237,7 @@ def test_clients_of_a_port_are_told_apart_and_answered_apart(kind: str) -> None:
                 end.connect((LOCAL, port))
             else:
                 end = stack.enter_context(socket.create_connection((LOCAL, port)))
-            end.settimeout(2.0)
+            end.settimeout(PATIENT_S)
             ends.append(end)
         numbers = []
         for n, end in enumerate(ends):
@@ -304,8 +304,8 @@ def test_udpout_hears_its_target_and_no_other_host() -> None:
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
     ):
         target.bind((LOCAL, 0))
-        target.settimeout(2.0)
-        sibling.settimeout(2.0)
+        target.settimeout(PATIENT_S)
+        sibling.settimeout(PATIENT_S)
         try:
             stranger.bind(("127.0.0.9", 0))
         except OSError:
