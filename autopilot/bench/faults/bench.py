@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from autopilot.bench.faults.finding import Finding, Measured
 
-PARTS: tuple[str, ...] = ("link", "plans", "beside", "estimator", "machine")
+PARTS: tuple[str, ...] = ("link", "plans", "beside", "estimator", "machine", "guard")
 """Modules of this package, in the table's order."""
 
 
