@@ -122,8 +122,14 @@ def _fuzz(messages: int, seed: int, *, as_json: bool) -> None:
     """Run the fuzzer; exit code 1 if it finds anything."""
     from autopilot.bench.fuzz.run import Result, run_fuzz
 
+    shown = 0
+
     def show(result: Result) -> None:
+        nonlocal shown
         click.echo(f"{result.messages} messages, {result.per_second:.0f}/s, {len(result.failures)} failures", err=True)
+        for line in result.failures[shown:]:
+            click.echo(line, err=True)
+        shown = len(result.failures)
 
     result = run_fuzz(messages, seed, show)
     if as_json:
