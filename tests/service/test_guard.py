@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import development as mav
@@ -11,8 +12,12 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.config import gather, sitl_defaults
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import Failsafe, Outputs
+from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.log.reader import open_log
 from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.vision import VisionWorker
+from estimator.frame_door import FrameDoor
+from estimator.vision import Hint
 
 OpenSession = Callable[..., SitlSession]
 NEUTRAL_US = 1500
@@ -287,3 +292,26 @@ def test_after_a_failed_write_neutral_is_tried(flight: Callable[..., Flight]) ->
     made.fly(0.02)
     assert set(written[1][:4]) == {NEUTRAL_US}
     assert len(written) == 3
+
+
+class Blind:
+    """A detector that fails at its pictures."""
+
+    def __init__(self, error: Exception) -> None:
+        self._error = error
+
+    def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
+        raise self._error
+
+
+@pytest.mark.parametrize("error", [cv2.error("bad picture"), ValueError("a bug")])
+def test_a_picture_that_detection_fails_at_is_no_sighting(error: Exception) -> None:
+    worker = VisionWorker(Blind(error), delay_s=0.05, door=FrameDoor(64, 48))
+    worker.guard.raises = False
+    picture = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    worker.submit(10_000, CameraFrame(t_us=10_000, image_bgr=picture), None)
+    assert worker.collect(100_000) == []
+    assert worker.counters()["frames.failed"] == 1
+    faults = worker.guard.take()
+    assert [fault.kind for fault in faults] == ([] if isinstance(error, cv2.error) else ["ValueError"])
+    worker.close()
