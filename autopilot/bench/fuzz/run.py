@@ -135,7 +135,8 @@ class _Witness:
             self.accepted[f"plan {'accepted' if message.type == 0 else 'refused'}"] += 1
             name = {0: "mission", 1: "fence", 2: "rally"}.get(message.mission_type)
             # An answer may come ticks after what it is about: only the plan that it names is judged by it.
-            watched = (name,) if message.type and name is not None else ()
+            taken = any(other.get_type() == kind and other.type == 0 for other in self.heard)
+            watched = (name,) if message.type and name is not None and not taken else ()
         elif kind in ("PARAM_ERROR", "PARAM_VALUE"):
             self.accepted[f"parameter {'refused' if kind == 'PARAM_ERROR' else 'told'}"] += 1
             watched = ("params",) if kind == "PARAM_ERROR" else ()
