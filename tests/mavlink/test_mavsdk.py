@@ -125,7 +125,9 @@ def test_mavsdk_gets_along(link: tuple[World, Any]) -> None:
     action.kill()
     world.vehicle.on_set_current = lambda seq: world.show(progress=progress_at(seq))
     raw.set_current_mission_item(3)
-    assert [call for call in world.vehicle.calls if call[0] != "change_speed"] == [
+    calls = [call for call in world.vehicle.calls if call[0] != "change_speed"]
+    # A choice of item has no acknowledgement: MAVSDK sends it again when this machine is slow.
+    assert [call for n, call in enumerate(calls) if n == 0 or call != calls[n - 1]] == [
         ("arm", False),
         ("set_mode", FlightMode.MISSION),
         ("set_mode", FlightMode.HOLD),
