@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync, ActionError
-from mavsdk.asyncio.plugins.mission_raw import MissionItem, MissionRawAsync
+from mavsdk.asyncio.plugins.mission_raw import MissionItem, MissionRawAsync, MissionRawError
 from system_harness import RunningService
 
 from autopilot.core.plan import PlanItem, PlanKind
@@ -48,7 +48,14 @@ async def _fly(service: RunningService) -> None:
         raw, action = MissionRawAsync(vehicle), ActionAsync(vehicle)
         plan = paper_plan(1)
         fence, items = _raw(PlanKind.FENCE, plan.fence), _raw(PlanKind.MISSION, plan.mission)
-        await raw.upload_geofence(fence)
+        # While it is being loaded the service answers no transfer, and MAVSDK gives one up after two seconds.
+        while True:
+            try:
+                await raw.upload_geofence(fence)
+                break
+            except MissionRawError as error:
+                assert "TIMEOUT" in str(error)
+                service.keep_waiting()
         await raw.upload_mission(items)
         assert [_key(item) for item in await raw.download_geofence()] == [_key(item) for item in fence]
         assert [_key(item) for item in await raw.download_mission()] == [_key(item) for item in items]

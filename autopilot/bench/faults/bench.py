@@ -8,6 +8,8 @@ from autopilot.bench.faults.finding import Finding, Measured
 
 PARTS: tuple[str, ...] = ("link", "plans", "beside", "estimator", "machine", "guard")
 """Modules of this package, in the table's order."""
+MAX_TEXT = 120
+"""Of an exception, in characters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +38,7 @@ def bench_faults(part: str | None = None, show: Callable[[str], None] = lambda _
         try:
             now = finding.measure()
         except Exception as error:  # noqa: BLE001 - the table has to say so, and go on
-            now = Measured(text=f"{type(error).__name__}: {error}", kept=False)
+            now = Measured(text=f"{type(error).__name__}: {error}"[:MAX_TEXT], kept=False)
         rows.append(
             FaultRow(
                 part=finding.part,

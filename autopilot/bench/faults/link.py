@@ -126,6 +126,9 @@ def _mavsdk_transfer() -> Measured:
         return ups, downs
 
     with live_service() as service:
+        station = Station.udp(service.udp)
+        station.meet(service)  # MAVSDK gives an upload up after two seconds, and a service takes that long to load
+        station.close()
         ups, downs = asyncio.run(transfer(service.udp))
     return Measured(
         text=f"up {', '.join(f'{s:.2f}' for s in ups)} s, down {', '.join(f'{s:.2f}' for s in downs)} s",
