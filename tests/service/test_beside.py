@@ -90,3 +90,25 @@ def test_a_planner_that_fails_costs_the_trajectory_and_not_the_service(monkeypat
         assert flight.pilot.texts().count(WARNING) == 1
     logged = [event for outputs in seen for event in outputs.events]
     assert sum(event.severity == Severity.DEBUG and "MemoryError: IPOPT" in event.text for event in logged) == 1
+
+
+def test_withdrawn_requests_leave_no_trace_in_a_run() -> None:
+    """Which of the overtaken plans and routes were begun depends on the machine; what is flown does not."""
+
+    def flown() -> bytes:
+        trace: list[bytes] = []
+        with piloted("paper-tank", {"MPC_COST": 1.0}) as flight:
+            on_its_way(flight, 0.5)
+            flight.on_tick = lambda outputs: trace.append(repr(outputs.command.pwm_us).encode())
+            for i in range(4):
+                go_to(flight, (1.2 + 0.05 * i, 0.9, 0.4))
+                flight.fly(0.08)
+            flight.fly(0.3)
+            flight.session.parts.params.set("MPC_COST", 0.0)
+            for i in range(4):
+                go_to(flight, (1.75 - 0.05 * i, -0.9, 0.4))
+                flight.fly(0.06)
+            flight.fly(0.5)
+        return b"".join(trace)
+
+    assert flown() == flown()

@@ -49,7 +49,7 @@ class Margins:
         if mode is Tighten.LIPSCHITZ:
             if not self._told:
                 self._told = True
-                self._news.append((Severity.NOTICE, self.lipschitz.report(nav, params).text))
+                self._news.append((Severity.DEBUG, self.lipschitz.report(nav, params).text))
             return self.lipschitz.back_offs(nav, x, thrust_n, params)
         self._told = False
         return self._fixed.back_offs(nav, x, thrust_n, params)
