@@ -271,6 +271,7 @@ class Engine:
             before,
             node,
             raw,
+            model_dt_s=1e-6 * MODEL_EVERY * (node.t_us - before.t_us) * (self._samples_since % MODEL_EVERY == 0),
             anchored=anchored,
             denied=self._denied >= CONTRADICTIONS or self._fix_ratio > RATIO_DENIES,
             heading_denied=self._heading_ratio > RATIO_DENIES,

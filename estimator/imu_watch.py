@@ -79,13 +79,16 @@ class ImuWatch:
         node: Node,
         raw: Inertial,
         *,
+        model_dt_s: float,
         anchored: bool,
         denied: bool,
         heading_denied: bool,
         model_rejected: int,
         compass_rejected: int,
     ) -> Verdicts:
-        """Judge the sample ``raw`` that led from ``before`` to ``node``; see :class:`AccelDoubt` and GyroDoubt."""
+        """Judge the sample ``raw`` that led from ``before`` to ``node``; see :class:`AccelDoubt` and GyroDoubt.
+
+        ``model_dt_s``: time since the last look at the model, 0 = this sample is not held against it."""
         last, x, dt_s = before.moment.inertial, node.state.x, 1e-6 * (node.t_us - before.t_us)
         if not last.real:
             return NOTHING_NEW
@@ -104,20 +107,20 @@ class ImuWatch:
         apart = self.gyro.apart_rad if gyro and not anchored else 0.0
         accel = False
         accel_offset = gyro_offset = None
-        if not idle(node.moment, x):
+        if model_dt_s > 0.0 and not idle(node.moment, x):
             expected = expected_acceleration(self._model, self._follow, x, node.moment)
             over = [a - e for a, e in zip(raw.accel_level_m_s2, expected, strict=False)]
             bias = x[ACCEL_BIAS].tolist()
             accel = self.accel.look(
                 node.t_us,
-                dt_s,
+                model_dt_s,
                 [o - b for o, b in zip(over, bias, strict=True)],
                 anchored=anchored,
                 denied=denied,
                 rejected=model_rejected,
             )
             if self.accel.since_us is not None and not accel:
-                accel_offset = self.accel.steady_offset(dt_s, over, anchored=anchored and not denied)
+                accel_offset = self.accel.steady_offset(model_dt_s, over, anchored=anchored and not denied)
         if self.gyro.since_us is not None and not gyro:
             unexplained = raw.yaw_rate_rad_s - (turn / dt_s if jump == 0.0 else rate)
             gyro_offset = self.gyro.steady_offset(dt_s, unexplained, anchored=anchored and not denied)

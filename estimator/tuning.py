@@ -71,6 +71,8 @@ BLIND_ACCEL_NOISE = 0.15
 
 MODEL_ACCEL_NOISE = 0.04
 """m/s^2/sqrt(Hz) when the vehicle model is all there is: 0.03 m/s^2 that changes within a second, tether and jet."""
+TILTED_GYRO_NOISE = 0.01
+"""rad/s/sqrt(Hz) when the accelerometer is not believed: its tilt may be wrong, and with it the axis of turning."""
 COMPASS_NOISE = 0.03
 """rad/s/sqrt(Hz) when the turning is the AHRS heading's: its slow error of a degree and the steel of the tank."""
 
@@ -99,6 +101,7 @@ def process_noise(mode: Mode, *, current_3d: bool = False) -> FloatArray:
     sigma[VEL] = BLIND_ACCEL_NOISE if blind else (ACCEL_NOISE, ACCEL_NOISE, ACCEL_NOISE_DOWN)
     if by_model:
         sigma[VEL] = MODEL_ACCEL_NOISE
+        sigma[YAW] = max(sigma[YAW], TILTED_GYRO_NOISE)
     sigma[GYRO_BIAS] = GYRO_BIAS_WALK
     sigma[ACCEL_BIAS] = ACCEL_BIAS_WALK[mode]
     sigma[CURRENT] = coast * CURRENT_WALK

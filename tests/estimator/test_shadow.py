@@ -10,7 +10,7 @@ from truth import Faults, World, fly, tank_jet, uniform_current
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import AidStatus, NavState, ShadowStatus
+from autopilot.core.messages import AidStatus, NavDoubt, NavState, ShadowStatus
 from autopilot.core.samples import LaserSample, MarkerSighting, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle
 from estimator import engine
@@ -42,6 +42,10 @@ class Displaced:
 
     def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
         return ()
+
+    @property
+    def doubts(self) -> frozenset[NavDoubt]:
+        return self._inner.doubts
 
     @property
     def ahrs_us(self) -> int | None:
