@@ -167,6 +167,7 @@ class KeptPlans:
         self._configured = parts.plans.origin
         self._revision = parts.plans.revision
         self._home: FloatArray = parts.plans.home_ned_m
+        self._origin = parts.plans.origin
         self._position = parts.commander.mission_position
         self._notices: list[tuple[Severity, str]] = []
         self.failure: str | None = None
@@ -200,8 +201,8 @@ class KeptPlans:
         """Have written what changed since the last tick; cheap when nothing did."""
         tick, plans = t_us // TICK_US, self._parts.plans
         position = self._parts.commander.mission_position
-        changed = plans.revision != self._revision or plans.home_ned_m is not self._home or position != self._position
-        if changed:
+        same_places = plans.home_ned_m is self._home and plans.origin is self._origin
+        if plans.revision != self._revision or not same_places or position != self._position:
             self._note()
             self._keeper.put(tick, self._snapshot())
         kept = self._keeper.poll(tick)
@@ -227,7 +228,7 @@ class KeptPlans:
 
     def _note(self) -> None:
         plans = self._parts.plans
-        self._revision, self._home = plans.revision, plans.home_ned_m
+        self._revision, self._home, self._origin = plans.revision, plans.home_ned_m, plans.origin
         self._position = self._parts.commander.mission_position
 
     def _snapshot(self) -> _Snapshot:

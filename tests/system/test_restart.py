@@ -87,8 +87,7 @@ def test_a_killed_service_comes_up_with_what_it_had(tmp_path: Path) -> None:
     stood = json.loads((tmp_path / "state" / "sitl-0" / "plans.json").read_text().splitlines()[1])["position"]
     assert stood["reached_seq"] >= 1 and stood["cursor"] >= 1
     with vehicle(tmp_path) as after:
-        current = after.wait_for("MISSION_CURRENT")
-        assert current.seq == stood["cursor"]
+        after.wait_for("MISSION_CURRENT", seq=stood["cursor"])
         assert not after.wait_for("HEARTBEAT").base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED
         for kind in PlanKind:
             assert repr(after.session.download(kind)) == repr(had[kind])
