@@ -14,6 +14,7 @@ from typing import Protocol, TypeVar
 from autopilot.core.clock import TICK_US, Clock
 from autopilot.core.errors import DriverError
 from autopilot.core.guard import Guard
+from autopilot.core.marks import LoopPart, Stopwatch
 from autopilot.core.messages import (
     DeviceRole,
     DeviceTrouble,
@@ -192,6 +193,8 @@ class Runtime:
         self._cpu_mark_s = time.process_time()
         self._busy_s = 0.0
         self._worst_tick_s = 0.0
+        self._watch = Stopwatch()
+        service.marks = self._watch
         self.counters = LoopCounters()
 
     def wrap_step(self, step: Callable[[Inputs], Outputs]) -> None:
@@ -211,14 +214,17 @@ class Runtime:
 
     def tick(self, t_us: int) -> Outputs:
         """One tick: wait, gather, step, act, record."""
+        in_time = self._clock.now_us() <= t_us
         late_us = self._wait(t_us) - t_us
         if late_us > TICK_US:
             self.counters.overruns += 1
-        begin_s = time.perf_counter()
+        watch = self._watch
+        watch.begin(1e-6 * late_us if in_time else 0.0)
         self._try(t_us, DeviceRole.SENSORS, lambda: self._device.advance(t_us), None)
         self.attend()
         frames = self._try(t_us, DeviceRole.CAMERA, lambda: self._device.frames(t_us), NO_PICTURES)
         samples = list(self._try(t_us, DeviceRole.SENSORS, lambda: self._device.poll(t_us), NO_SAMPLES))
+        watch.mark(LoopPart.DEVICE)
         if self._vision is not None:
             failed = self._vision.failed
             samples += self._vision.collect(t_us)
@@ -227,6 +233,7 @@ class Runtime:
                 self._troubles.append(DeviceTrouble(t_us=t_us, device=DeviceRole.CAMERA, text=text))
             for frame in frames:
                 self._vision.submit(t_us, frame, self._service.nav)
+            watch.mark(LoopPart.VISION)
         inputs = Inputs(
             t_us=t_us,
             samples=tuple(samples),
@@ -240,13 +247,18 @@ class Runtime:
             ),
         )
         self._troubles = []
+        watch.mark(LoopPart.RECEIVE)
         outputs = self._with_frames(self._step(inputs))
+        watch.mark(LoopPart.ALLOCATE)
         self._drive(t_us, outputs)
+        watch.mark(LoopPart.WRITE)
         outputs = self._with_faults(outputs)
         self._send(t_us, outputs.mavlink_tx)
+        watch.mark(LoopPart.SEND)
         self._recorder.record(*self._with_between(inputs, outputs), frames)
         self._on_tick(outputs)
-        self._account(t_us, time.perf_counter() - begin_s)
+        watch.mark(LoopPart.RECORD)
+        self._account(t_us, watch.end())
         return outputs
 
     def close(self) -> None:
@@ -359,6 +371,7 @@ class Runtime:
         if counters.ticks % STATS_EVERY_TICKS:
             return
         cpu_s = time.process_time()
+        part_s, part_cpu_s = self._watch.take_slowest()
         self._recorder.loop_stats(
             LoopStats(
                 t_us=t_us,
@@ -366,6 +379,9 @@ class Runtime:
                 cpu_s=cpu_s - self._cpu_mark_s,
                 overruns=counters.overruns,
                 dropped_log=self._recorder.dropped,
+                dropped_frames=0 if self._vision is None else self._vision.dropped,
+                part_s=part_s,
+                part_cpu_s=part_cpu_s,
             )
         )
         if self._paced:

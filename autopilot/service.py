@@ -18,6 +18,7 @@ from autopilot.control.tracks import Tracks
 from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault, Guard
+from autopilot.core.marks import LoopPart, Marks, NoMarks
 from autopilot.core.messages import (
     AID_SENSORS,
     MAX_THRUSTERS,
@@ -119,6 +120,8 @@ class Autopilot:
 
     def __init__(self, parts: Parts) -> None:
         self._parts = parts
+        self.marks: Marks = NoMarks()
+        """Takes the time of the parts of a tick, for the loop's statistics; nothing in here looks at it."""
         self._tick = 0
         self._doubts: frozenset[NavDoubt] = frozenset()
         self._thrust_n: FloatArray = np.zeros(4)
@@ -181,13 +184,17 @@ class Autopilot:
         given = EstimatorInputs(thrust_n=self._care.share * acting_n, samples=poses)
         estimated = self._estimate(inputs, given)
         nav = self._nav = estimated.nav
+        self.marks.mark(LoopPart.ESTIMATE)
         counters = None
         if self._tick % COUNTERS_EVERY_TICKS == 0:
             counters = self._run("counters", lambda: self._counted(t_us), None)
         tx = self._serve(inputs, nav)
+        self.marks.mark(LoopPart.MAVLINK)
         thrusters = self._watch_thrusters(t_us, nav, acting_n)
         decision = self._decide(t_us, estimated)
+        self.marks.mark(LoopPart.DECIDE)
         control = self._run("controller", lambda: self._control(t_us, nav, decision), None, lambda: (nav, decision))
+        self.marks.mark(LoopPart.CONTROL)
         self._judge_faults()
         if self._fault_care.holding:
             self._hold_station(t_us, nav)

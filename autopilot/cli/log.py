@@ -192,8 +192,22 @@ def _facts(opened: "Log") -> dict[str, Any]:
             }
             for topic, entry in opened.topics.items()
         },
+        "slowest_tick": _slowest_tick(opened),
         "problems": list(opened.problems),
     }
+
+
+def _slowest_tick(opened: "Log") -> dict[str, float]:
+    """Milliseconds by part of the loop's slowest tick, empty without loop statistics."""
+    from autopilot.core.marks import LoopPart
+
+    if "/sys/loop" not in opened.topics:
+        return {}
+    loop = opened["/sys/loop"]
+    if "part_s" not in (loop.dtype.names or ()) or not len(loop):
+        return {}
+    slowest = loop["part_s"][int(loop["part_s"].sum(axis=1).argmax())]
+    return {part.name.lower(): round(1000.0 * float(slowest[part]), 3) for part in LoopPart}
 
 
 def _print_facts(opened: "Log", facts: dict[str, Any]) -> None:
@@ -208,6 +222,9 @@ def _print_facts(opened: "Log", facts: dict[str, Any]) -> None:
         head.add_row(Text(name), Text(value))
     attached = ", ".join(f"{name} ({size} B)" for name, size in facts["attachments"].items())
     head.add_row("attachments", Text(attached))
+    if facts["slowest_tick"]:
+        parts = sorted(facts["slowest_tick"].items(), key=lambda part: -part[1])[:4]
+        head.add_row("slowest tick", Text(", ".join(f"{name} {ms:.1f} ms" for name, ms in parts)))
     console.print(head)
     table = Table("topic", "type")
     table.add_column("messages", justify="right")

@@ -12,6 +12,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
+from autopilot.core.marks import LoopPart
 from autopilot.core.samples import ExternalPoseSample, Sample
 
 MAX_THRUSTERS = 8
@@ -383,6 +384,17 @@ class LoopStats:
     """CPU seconds of the last second."""
     overruns: int
     dropped_log: int
+    dropped_frames: int = 0
+    """Pictures that detection did not follow, so far."""
+    part_s: tuple[float, ...] = (0.0,) * len(LoopPart)
+    """Wall time of the slowest tick of the last second by :class:`LoopPart`."""
+    part_cpu_s: tuple[float, ...] = (0.0,) * len(LoopPart)
+    """CPU time of the same."""
+
+    @property
+    def late_part(self) -> LoopPart:
+        """What most of the slowest tick went into."""
+        return LoopPart(max(range(len(self.part_s)), key=self.part_s.__getitem__))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

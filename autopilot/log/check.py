@@ -14,6 +14,7 @@ import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
+from autopilot.core.marks import LoopPart
 from autopilot.core.messages import ProgressState
 from autopilot.core.model4 import NU
 from autopilot.log.analysis import (
@@ -32,7 +33,7 @@ from autopilot.log.analysis import (
     visits,
 )
 from autopilot.log.description import AcceptBounds, RunDescription
-from autopilot.log.reader import Log
+from autopilot.log.reader import Log, Table
 
 
 class Verdict(Enum):
@@ -309,12 +310,21 @@ def _health_rows(flight: Flight) -> list[Row]:
         # The counter runs since the service started, which may have been long before this log.
         earlier = int(loop["overruns"][0]) if seconds(loop)[0] > FIRST_STATS_S else 0
         rows.append(_count("loop overruns", int(loop["overruns"].max()) - earlier))
-        rows.append(_info("longest tick", "ms", 1000.0 * float(loop["tick_s"].max())))
+        rows.append(_info("longest tick", "ms", 1000.0 * float(loop["tick_s"].max()), slowest_part(loop)))
     dropped = int(loop["dropped_log"].max()) if loop is not None else 0
     rows.append(_count("log messages lost", max(dropped, sequence_gaps(flight.log))))
     if flight.log.problems:
         rows.append(_count("log damage", len(flight.log.problems), "; ".join(flight.log.problems)))
     return rows
+
+
+def slowest_part(loop: Table) -> str:
+    """What the slowest tick of a log went into, "" where it does not say."""
+    if "part_s" not in (loop.dtype.names or ()):
+        return ""
+    by_part_s = loop["part_s"][int(np.argmax(loop["part_s"].sum(axis=1)))]
+    part = int(np.argmax(by_part_s))
+    return f"{1000.0 * float(by_part_s[part]):.1f} ms of it {LoopPart(part).name.lower()}"
 
 
 def _count(name: str, value: int, note: str = "") -> Row:

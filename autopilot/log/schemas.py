@@ -149,6 +149,10 @@ float64 tick_s  # longest tick of the last second
 float64 cpu_s  # CPU seconds of the last second
 uint32 overruns
 uint32 dropped_log
+uint32 dropped_frames  # pictures that detection did not follow
+uint8 late_part  # what most of the slowest tick of the second went into: 0 wait, 1 device, 2 vision, 3 receive
+float64[12] part_s  # its wall time: as late_part, 4 estimate, 5 mavlink, 6 decide, 7 control
+float64[12] part_cpu_s  # its CPU time: as part_s, 8 allocate, 9 write, 10 send, 11 record
 """,
     "autopilot_msgs/InputTick": """
 std_msgs/Header header

@@ -12,6 +12,7 @@ from log_synthetic import Truth
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from autopilot.core.errors import LogError
+from autopilot.core.marks import LoopPart
 from autopilot.core.messages import (
     AID_SENSORS,
     AidState,
@@ -208,9 +209,11 @@ def test_control_and_system(
     mode = ModeState(t_us=0, armed=flag, custom_mode=a, failsafes=b)
     read = read_back("autopilot_msgs/ModeState", decisions.mode_state(stamp, mode))
     assert (read.armed, read.custom_mode, read.failsafes) == (flag, a, b)
-    stats = LoopStats(t_us=0, tick_s=x, cpu_s=y, overruns=a, dropped_log=b)
+    parts = tuple(x if part == LoopPart.RECORD else 0.0 for part in LoopPart)
+    stats = LoopStats(t_us=0, tick_s=x, cpu_s=y, overruns=a, dropped_log=b, dropped_frames=b, part_s=parts)
     read = read_back("autopilot_msgs/LoopStats", service.loop_stats(stamp, stats))
-    assert (read.tick_s, read.cpu_s, read.overruns, read.dropped_log) == (x, y, a, b)
+    assert (read.tick_s, read.cpu_s, read.overruns, read.dropped_log, read.dropped_frames) == (x, y, a, b, b)
+    assert read.late_part == int(stats.late_part) and tuple(read.part_s) == parts
     inputs = Inputs(t_us=0, overruns=a, cpu_load=x)
     read = read_back("autopilot_msgs/InputTick", service.input_tick(stamp, inputs))
     assert (read.samples, read.frames, read.overruns, read.cpu_load) == (0, 0, a, x)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from autopilot.core.marks import LoopPart, Stopwatch
 from autopilot.core.messages import Inputs, LoopStats, MavlinkFrame, ModeState, Outputs, ThrusterCommand
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.runtime import LockstepClock, Runtime
@@ -123,6 +124,37 @@ def test_lockstep_is_never_late() -> None:
     runtime, *_ = _runtime()
     runtime.run(duration_s=1.0, stop=lambda: False)
     assert runtime.counters.overruns == 0
+
+
+def test_the_loop_names_the_part_that_made_a_tick_late() -> None:
+    """Each part in turn takes 50 ms of the 30th tick of its second."""
+    now_s = [0.0]
+
+    def slow(*_: Any, **__: Any) -> Any:
+        if len(service.inputs) % 100 == 30:
+            now_s[0] += 0.05
+        return ()
+
+    link = Link()
+    runtime, service, device, recorder = _runtime(links=[link])
+    watch = runtime._watch = Stopwatch(wall_s=lambda: now_s[0], cpu_s=lambda: 0.0)
+    service.marks = watch  # type: ignore[attr-defined]
+    places: dict[LoopPart, tuple[Any, str]] = {
+        LoopPart.DEVICE: (device, "poll"),
+        LoopPart.RECEIVE: (runtime, "_receive"),
+        LoopPart.WRITE: (device, "write"),
+        LoopPart.SEND: (runtime, "_send"),
+        LoopPart.RECORD: (recorder, "record"),
+    }
+    for tick, (part, (owner, name)) in enumerate(places.items()):
+        whole = getattr(owner, name)
+        setattr(owner, name, slow)
+        for k in range(100):
+            runtime.tick((100 * tick + k + 1) * 10_000)
+        setattr(owner, name, whole)
+        assert recorder.stats[-1].late_part is part
+        assert recorder.stats[-1].part_s[part] == pytest.approx(0.05)
+        assert recorder.stats[-1].tick_s == pytest.approx(0.05)
 
 
 def test_frames_reach_their_links() -> None:

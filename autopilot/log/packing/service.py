@@ -38,6 +38,10 @@ def loop_stats(stamp_ns: int, stats: LoopStats) -> bytes:
         stats.cpu_s,
         clip(stats.overruns, UINT32),
         clip(stats.dropped_log, UINT32),
+        clip(stats.dropped_frames, UINT32),
+        int(stats.late_part),
+        *stats.part_s,
+        *stats.part_cpu_s,
     )
 
 

@@ -1,0 +1,88 @@
+"""The parts of a tick, and how long each takes. Reported, never acted upon: whoever measures is put in from outside."""
+
+import time
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Protocol
+
+
+class LoopPart(IntEnum):
+    """What a tick goes into, in the order in which it is done."""
+
+    WAIT = 0
+    """It began late although the one before had ended in time: the machine, or links that were served in between."""
+    DEVICE = 1
+    """Sensors read; in simulation the plant as well."""
+    VISION = 2
+    """Pictures handed to detection, sightings taken from it."""
+    RECEIVE = 3
+    ESTIMATE = 4
+    MAVLINK = 5
+    """Requests and telemetry."""
+    DECIDE = 6
+    """Commander, failsafes, health of the thrusters."""
+    CONTROL = 7
+    ALLOCATE = 8
+    """Thrust to pulses, and what the tick's outputs are put together of."""
+    WRITE = 9
+    """Thrusters commanded."""
+    SEND = 10
+    RECORD = 11
+    """Log, plans on their way to the disk, whoever looks on."""
+
+
+class Marks(Protocol):
+    """Takes the time between the parts of a tick."""
+
+    def mark(self, part: LoopPart) -> None:
+        """All since the last mark was ``part``."""
+        ...
+
+
+class NoMarks:
+    """Nobody measures."""
+
+    def mark(self, part: LoopPart) -> None:
+        """Nothing."""
+
+
+class Stopwatch:
+    """Wall and CPU time of the parts of one tick [s], and of the slowest tick since it was last asked."""
+
+    def __init__(
+        self,
+        wall_s: Callable[[], float] = time.perf_counter,
+        cpu_s: Callable[[], float] = time.thread_time,
+    ) -> None:
+        self._wall_s, self._cpu_s = wall_s, cpu_s
+        self._at_s, self._at_cpu_s = wall_s(), cpu_s()
+        self.part_s = [0.0] * len(LoopPart)
+        self.part_cpu_s = [0.0] * len(LoopPart)
+        self._slowest = (self.part_s, self.part_cpu_s)
+        self._slowest_s = -1.0
+
+    def begin(self, late_s: float) -> None:
+        """A tick begins, so much late through no fault of the one before."""
+        self.part_s, self.part_cpu_s = [0.0] * len(LoopPart), [0.0] * len(LoopPart)
+        self.part_s[LoopPart.WAIT] = late_s
+        self._at_s, self._at_cpu_s = self._wall_s(), self._cpu_s()
+
+    def mark(self, part: LoopPart) -> None:
+        """All since the last mark was ``part``."""
+        now_s, now_cpu_s = self._wall_s(), self._cpu_s()
+        self.part_s[part] += now_s - self._at_s
+        self.part_cpu_s[part] += now_cpu_s - self._at_cpu_s
+        self._at_s, self._at_cpu_s = now_s, now_cpu_s
+
+    def end(self) -> float:
+        """The tick is over: how long it took without its late beginning [s]."""
+        total_s = sum(self.part_s)
+        if total_s > self._slowest_s:
+            self._slowest, self._slowest_s = (self.part_s, self.part_cpu_s), total_s
+        return total_s - self.part_s[LoopPart.WAIT]
+
+    def take_slowest(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Wall and CPU time by part of the slowest tick since the last call."""
+        self._slowest_s = -1.0
+        part_s, part_cpu_s = self._slowest
+        return tuple(part_s), tuple(part_cpu_s)
