@@ -193,8 +193,9 @@ class Runtime:
         self._cpu_mark_s = time.process_time()
         self._busy_s = 0.0
         self._worst_tick_s = 0.0
-        self._watch = Stopwatch()
-        service.marks = self._watch
+        self.watch = Stopwatch()
+        """What the parts of the present tick have cost so far."""
+        service.marks = self.watch
         self.counters = LoopCounters()
 
     def wrap_step(self, step: Callable[[Inputs], Outputs]) -> None:
@@ -218,7 +219,7 @@ class Runtime:
         late_us = self._wait(t_us) - t_us
         if late_us > TICK_US:
             self.counters.overruns += 1
-        watch = self._watch
+        watch = self.watch
         watch.begin(1e-6 * late_us if in_time else 0.0)
         self._try(t_us, DeviceRole.SENSORS, lambda: self._device.advance(t_us), None)
         self.attend()
@@ -371,7 +372,7 @@ class Runtime:
         if counters.ticks % STATS_EVERY_TICKS:
             return
         cpu_s = time.process_time()
-        part_s, part_cpu_s = self._watch.take_slowest()
+        part_s, part_cpu_s = self.watch.take_slowest()
         self._recorder.loop_stats(
             LoopStats(
                 t_us=t_us,

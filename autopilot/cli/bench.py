@@ -6,7 +6,7 @@ import click
 
 from autopilot.cli.output import emit_json, print_table
 
-NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "faults", "sensor-faults", "fuzz")
+NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "loop", "faults", "sensor-faults", "fuzz")
 APART = ("faults", "sensor-faults", "fuzz")
 """Only when they are named."""
 LONG = ("estimator", "pockets", "energy")
@@ -50,6 +50,8 @@ def bench(
     6 starts with --short, or when no NAME is given).
     energy: energy of closed loops beside the offline optimum (known flow; estimated flow and a wrong model) and
     beside rivals; a quarter of an hour, one minute with --short, or when no NAME is given.
+    loop: CPU time of the loop's ticks in real time with a camera, heartbeats and upload times, while 500 items and a
+    fence of 50 octagons are uploaded in flight (half a minute).
     faults: what clients, wires, disks and sensors can do to the service: what happened once, what is promised, what
     happens now (some minutes; exit code 1 if a promise is not kept).
     fuzz: a million hostile messages and wild samples into the service on the simulated vehicle: messages per second,
@@ -86,7 +88,7 @@ def bench(
         slow = _slowness()
         brief = short or (each in LONG and name is None)
         title = "images" if images else each
-        runs = {"nmpc": _nmpc, "sitl": _sitl, "estimator": _estimator, "pockets": _pockets}
+        runs = {"nmpc": _nmpc, "sitl": _sitl, "estimator": _estimator, "pockets": _pockets, "loop": _loop}
         if each == "energy":
             rows = _energy(brief, figures)
         else:
@@ -180,6 +182,12 @@ def _estimator(short: bool) -> list[dict[str, object]]:
     return [asdict(row) for row in (*rows, *bench_cost(SHORT_COST_S if short else COST_S))]
 
 
+def _loop(short: bool) -> list[dict[str, object]]:
+    from autopilot.bench.loop import bench_loop
+
+    return [{**asdict(row), "kept": row.kept} for row in bench_loop()]
+
+
 def _images(short: bool, figures: str | None) -> list[dict[str, object]]:
     from autopilot.bench.estimator_images import bench_images
 
@@ -216,6 +224,7 @@ def _energy(short: bool, figures: str | None) -> list[dict[str, object]]:
 
 
 TITLES = {
+    "loop": "The loop in real time with a camera, 500 items and 50 octagons uploaded in flight; asked = at most",
     "fuzz": "Hostile messages and samples into the service on the simulated vehicle, in lockstep",
     "faults": "What comes from outside, and what the service makes of it; before = at revision 0501193",
     "sensor-faults": "Worst of the seeds from the beginning of the fault on; kept: inside 3 sigma in 95 % of the ticks,"

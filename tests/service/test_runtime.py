@@ -137,7 +137,7 @@ def test_the_loop_names_the_part_that_made_a_tick_late() -> None:
 
     link = Link()
     runtime, service, device, recorder = _runtime(links=[link])
-    watch = runtime._watch = Stopwatch(wall_s=lambda: now_s[0], cpu_s=lambda: 0.0)
+    watch = runtime.watch = Stopwatch(wall_s=lambda: now_s[0], cpu_s=lambda: 0.0)
     service.marks = watch  # type: ignore[attr-defined]
     places: dict[LoopPart, tuple[Any, str]] = {
         LoopPart.DEVICE: (device, "poll"),
