@@ -6,8 +6,10 @@ that touch or overlap are one obstacle; what lies between parts of one obstacle 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from heapq import merge
 
 import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle
@@ -32,11 +34,18 @@ class Gap:
 def narrow_gaps(shapes: Sequence[FenceShape], width_m: float, look: Callable[[], None] = lambda: None) -> Iterator[Gap]:
     """Gaps narrower than ``width_m`` between shapes that are not joined, in the order of the plan.
 
-    ``look`` is called between the steps (it may raise, to end the work).
+    Found one after the other, so who needs the first few does not pay for all. ``look`` is called between the steps (it
+    may raise, to end the work).
     """
     obstacle = _Union(len(shapes))
+    pairs = _near_pairs(shapes, width_m)
+    pillar = np.array([isinstance(s.shape, Circle) and not s.inclusion for s in shapes], dtype=bool)
+    both = pillar[pairs[:, 0]] & pillar[pairs[:, 1]]
+    pillars = _pillar_pairs(shapes, pairs[both], width_m)
+    for i, j in pillars.touching.tolist():
+        obstacle.join(i, j)
     found: list[tuple[int, int, float, FloatArray]] = []
-    for i, j in _near_pairs(shapes, width_m):
+    for i, j in pairs[~both].tolist():
         if obstacle.of(i) == obstacle.of(j):
             continue
         look()
@@ -49,9 +58,48 @@ def narrow_gaps(shapes: Sequence[FenceShape], width_m: float, look: Callable[[],
         elif gap < width_m:
             found.append((i, j, gap, middle))
     boxes = [bounding_box(s.shape) for s in shapes]
-    for i, j, gap, middle in found:
-        if obstacle.of(i) != obstacle.of(j) and _is_open(shapes, boxes, i, j, middle):
+    low, high = (np.array([box[k] for box in boxes]).reshape(-1, 2) for k in range(2))
+    always = np.array([s.inclusion for s in shapes], dtype=bool)
+    for i, j, gap, middle in merge(found, pillars.gaps(), key=lambda each: each[:2]):
+        if obstacle.of(i) == obstacle.of(j):
+            continue
+        look()
+        others = np.flatnonzero(always | np.all((low <= middle) & (middle <= high), axis=1)).tolist()
+        if _is_open([shapes[k] for k in others if k not in (i, j)], middle):
             yield Gap(first=shapes[i], second=shapes[j], width_m=gap, middle_ned_m=middle)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PillarPairs:
+    """Circle exclusions two by two."""
+
+    touching: NDArray[np.intp]
+    """(n, 2)"""
+    near: NDArray[np.intp]
+    """(m, 2) with a gap between them, in the order of the plan."""
+    gap_m: FloatArray
+    middle_ned_m: FloatArray
+    """(m, 2)"""
+
+    def gaps(self) -> Iterator[tuple[int, int, float, FloatArray]]:
+        """The gaps one by one."""
+        for (i, j), gap, middle in zip(self.near, self.gap_m, self.middle_ned_m, strict=True):
+            yield int(i), int(j), float(gap), middle
+
+
+def _pillar_pairs(shapes: Sequence[FenceShape], pairs: NDArray[np.intp], width_m: float) -> _PillarPairs:
+    """Gaps between circles, all at once."""
+    circles = [s.shape if isinstance(s.shape, Circle) else None for s in shapes]
+    center = np.array([(0.0, 0.0) if c is None else c.center_ned_m for c in circles]).reshape(-1, 2)
+    radius = np.array([0.0 if c is None else c.radius_m for c in circles])
+    first, second = pairs[:, 0], pairs[:, 1]
+    off = center[second] - center[first]
+    distance = np.hypot(off[:, 0], off[:, 1])
+    gap = distance - radius[first] - radius[second]
+    near = (gap > TOUCH_M) & (gap < width_m)
+    share = (radius[first] + 0.5 * gap)[near] / distance[near]
+    middle = center[first[near]] + off[near] * share[:, None]
+    return _PillarPairs(pairs[gap <= TOUCH_M], pairs[near], gap[near], middle)
 
 
 class _Union:
@@ -72,10 +120,10 @@ class _Union:
         self._parent[self.of(j)] = self.of(i)
 
 
-def _near_pairs(shapes: Sequence[FenceShape], width_m: float) -> list[tuple[int, int]]:
-    """Pairs i < j that may have a narrow gap: not two inclusions, and bounding boxes (circles: rims) near enough."""
+def _near_pairs(shapes: Sequence[FenceShape], width_m: float) -> NDArray[np.intp]:
+    """(n, 2) pairs i < j that may have a narrow gap: not two inclusions; boxes (of circles: rims) near enough."""
     if not shapes:
-        return []
+        return np.zeros((0, 2), dtype=np.intp)
     boxes = [bounding_box(s.shape) for s in shapes]
     low, high = np.array([b[0] for b in boxes]), np.array([b[1] for b in boxes])
     apart = np.maximum(low[:, None, :] - high[None, :, :], low[None, :, :] - high[:, None, :])
@@ -88,8 +136,7 @@ def _near_pairs(shapes: Sequence[FenceShape], width_m: float) -> list[tuple[int,
     off = center[:, None, :] - center[None, :, :]
     rims = np.hypot(off[:, :, 0], off[:, :, 1]) - radius[:, None] - radius[None, :]
     near &= ~(round_[:, None] & round_[None, :] & (rims >= width_m))
-    rows, columns = np.nonzero(np.triu(near, 1))
-    return list(zip(rows.tolist(), columns.tolist(), strict=True))
+    return np.argwhere(np.triu(near, 1))
 
 
 def _relate(a: FenceShape, b: FenceShape) -> tuple[float, FloatArray] | None:
@@ -104,19 +151,9 @@ def _relate(a: FenceShape, b: FenceShape) -> tuple[float, FloatArray] | None:
     return (0.0, middle) if a_in_b or b_in_a else (gap, middle)
 
 
-def _is_open(
-    shapes: Sequence[FenceShape],
-    boxes: Sequence[tuple[FloatArray, FloatArray]],
-    i: int,
-    j: int,
-    middle: FloatArray,
-) -> bool:
-    """Whether the middle of a gap is inside the workspace and not covered by a third obstacle."""
-    for k, other in enumerate(shapes):
-        low, high = boxes[k]
-        boxed = low[0] <= middle[0] <= high[0] and low[1] <= middle[1] <= high[1]
-        if k in (i, j) or (not boxed and not other.inclusion):
-            continue
+def _is_open(others: Sequence[FenceShape], middle: FloatArray) -> bool:
+    """Whether the middle of a gap is inside the workspace and not covered by another obstacle."""
+    for other in others:
         outside = clearance_m(other.shape, middle[None, :])[0] > 0.0
         if outside == other.inclusion:
             return False

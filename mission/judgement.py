@@ -20,6 +20,7 @@ from mission.plan_model import PlanFile
 from mission.reach import widest_m
 from mission.room import Room
 from mission.validation import (
+    MAX_GAPS,
     PlanContext,
     fence_problems,
     gap_text,
@@ -32,8 +33,6 @@ from mission.validation import (
 
 PLAN_PARAMETERS = ("DEPTH_MAX", "DEPTH_MIN", "FENCE_GAP_CHK", "MPC_MARGIN", "SPD_PLANAR_MAX", "WP_ACCEPT_RADIUS")
 """What of the parameters plans are judged by."""
-MAX_GAPS = 20
-"""Gaps that are only warned of are named up to this number."""
 
 Plans3 = Mapping[PlanKind, tuple[PlanItem, ...]]
 """All three plans."""

@@ -28,8 +28,8 @@ class _Edges:
 
     start_n: FloatArray
     start_e: FloatArray
-    along_n: FloatArray
-    along_e: FloatArray
+    end_n: FloatArray
+    end_e: FloatArray
 
     @classmethod
     def of(cls, polygons: Sequence[FloatArray]) -> "_Edges":
@@ -38,23 +38,26 @@ class _Edges:
             nothing = np.zeros(0)
             return cls(nothing, nothing, nothing, nothing)
         starts = np.concatenate(polygons)
-        along = np.concatenate([np.roll(vertices, -1, axis=0) for vertices in polygons]) - starts
-        return cls(starts[:, 0], starts[:, 1], along[:, 0], along[:, 1])
+        ends = np.concatenate([np.roll(vertices, -1, axis=0) for vertices in polygons])
+        return cls(starts[:, 0], starts[:, 1], ends[:, 0], ends[:, 1])
 
     def offsets(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n, m) from the nearest point of each edge to each place: north, east."""
         rel_n = places[:, :1] - self.start_n
         rel_e = places[:, 1:] - self.start_e
-        length_sq = np.maximum(self.along_n**2 + self.along_e**2, _TINY)
-        share = np.clip((rel_n * self.along_n + rel_e * self.along_e) / length_sq, 0.0, 1.0)
-        return rel_n - share * self.along_n, rel_e - share * self.along_e
+        along_n, along_e = self.end_n - self.start_n, self.end_e - self.start_e
+        length_sq = np.maximum(along_n**2 + along_e**2, _TINY)
+        share = np.clip((rel_n * along_n + rel_e * along_e) / length_sq, 0.0, 1.0)
+        return rel_n - share * along_n, rel_e - share * along_e
 
     def crossed(self, places: FloatArray) -> BoolArray:
         """(n, m) whether the ray from each place to the north crosses each edge (even-odd rule)."""
-        off_e = places[:, 1:] - self.start_e
-        spans = (off_e < 0.0) != (off_e < self.along_e)
+        # Coordinates are compared, not differences: a corner has to be on the same side for both of its edges.
+        north, east = places[:, :1], places[:, 1:]
+        spans = (self.start_e > east) != (self.end_e > east)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            hit = places[:, :1] - self.start_n < off_e * (self.along_n / self.along_e)
+            slant = (self.end_n - self.start_n) / (self.end_e - self.start_e)
+            hit = north < self.start_n + (east - self.start_e) * slant
         result: BoolArray = spans & hit
         return result
 
@@ -163,14 +166,14 @@ def _blocks(edges: _Edges, places: FloatArray, reach_m: float | None) -> Iterato
         yield everywhere, edges
         return
     for k in range(count):
-        one = _Edges(*(a[k : k + 1] for a in (edges.start_n, edges.start_e, edges.along_n, edges.along_e)))
+        one = _Edges(*(a[k : k + 1] for a in (edges.start_n, edges.start_e, edges.end_n, edges.end_e)))
         if reach_m is None:
-            low, high = np.sort((one.start_e[0], one.start_e[0] + one.along_e[0]))
+            low, high = np.sort((one.start_e[0], one.end_e[0]))
             near = (places[:, 1] >= low) & (places[:, 1] <= high)
         else:
             near = np.ones(len(places), dtype=bool)
-            for axis, start, along in ((0, one.start_n[0], one.along_n[0]), (1, one.start_e[0], one.along_e[0])):
-                low, high = np.sort((start, start + along))
+            for axis, start, end in ((0, one.start_n[0], one.end_n[0]), (1, one.start_e[0], one.end_e[0])):
+                low, high = np.sort((start, end))
                 near &= (places[:, axis] >= low - reach_m) & (places[:, axis] <= high + reach_m)
         at = everywhere[near]
         if len(at):

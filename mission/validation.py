@@ -8,6 +8,7 @@ characters say what is wrong and what to do (ground stations cut at 100).
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -32,6 +33,8 @@ APPROACH_M = 0.15
 PASSAGE_M = 2.5e-3
 """A passage has to have this much more than the controller keeps on both sides, for the route planner to find it. What
 is narrower is refused here: the controller would not enter it."""
+MAX_GAPS = 20
+"""Narrow gaps of a fence are named up to this number."""
 RALLY_LABEL = "rally point"
 
 
@@ -175,7 +178,8 @@ def fence_problems(
     shapes, problems = read_fence(items, ctx.origin)
     yield from problems
     if ctx.params["FENCE_GAP_CHK"]:
-        yield from (_gap_rejection(gap, ctx.radius_m) for gap in narrow_gaps(shapes, 2.0 * ctx.radius_m, look))
+        gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, look)
+        yield from (_gap_rejection(gap, ctx.radius_m) for gap in islice(gaps, MAX_GAPS))
     look()
     fence = build_fence(shapes, ctx.params)
     if fence.inclusions and not has_room(fence, ctx.keep_m - PLACE_TOLERANCE_M):
