@@ -6,6 +6,8 @@ import click
 
 from autopilot.cli.output import emit_json, print_table
 
+EXIT_LOSS = 3
+
 
 @click.group()
 def params() -> None:
@@ -46,21 +48,29 @@ def list_(as_json: bool) -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def check(file: Path, as_json: bool) -> None:
-    """Check a parameter file and show what differs from the defaults."""
+    """Check a parameter file and show what differs from the defaults. Exit 3 if it has names that do not exist."""
+    from autopilot.core.errors import ConfigError
     from autopilot.core.params import ParamSet
-    from autopilot.param_file import read_param_file
+    from autopilot.param_file import scan_param_file
 
-    values = read_param_file(file)
+    found = scan_param_file(file)
+    if found.errors:
+        raise ConfigError(found.errors[0])
+    values = found.values
+    for unknown in found.unknown:
+        click.echo(f"warning: {unknown}; the line is not used", err=True)
     defaults = ParamSet()
     different = {name: value for name, value in values.items() if defaults[name] != value}
     if as_json:
-        emit_json({"read": len(values), "different": different})
-        return
-    print_table(
-        f"{file}: {len(values)} parameters, {len(different)} differ from the default",
-        ("name", "value", "default"),
-        [(name, f"{value:g}", f"{defaults[name]:g}") for name, value in sorted(different.items())],
-    )
+        emit_json({"read": len(values), "different": different, "unknown": list(found.unknown)})
+    else:
+        print_table(
+            f"{file}: {len(values)} parameters, {len(different)} differ from the default",
+            ("name", "value", "default"),
+            [(name, f"{value:g}", f"{defaults[name]:g}") for name, value in sorted(different.items())],
+        )
+    if found.unknown:
+        click.get_current_context().exit(EXIT_LOSS)
 
 
 @params.command()

@@ -1,6 +1,7 @@
 """The loop and what works beside it: a slow detector, slow and full disks, a kill in the middle of a run."""
 
 import contextlib
+import json
 import os
 import re
 import subprocess
@@ -163,6 +164,12 @@ def _keeping(folder: str) -> Iterator[tuple[Child, Session]]:
         child.process.wait()
 
 
+def _stored_items(folder: Path) -> int:
+    """Items of the mission that are on disk."""
+    path = folder / "sitl-0" / "plans.json"
+    return len(json.loads(path.read_text().splitlines()[1])["mission"]) if path.exists() else 0
+
+
 def _killed() -> Measured:
     plan = paper_plan()
     with tempfile.TemporaryDirectory() as folder:
@@ -170,11 +177,8 @@ def _killed() -> Measured:
             client.upload(PlanKind.FENCE, plan.fence)
             client.upload(PlanKind.MISSION, plan.mission)
             had = [repr(client.download(kind)) for kind in PlanKind]
-            kept_file = Path(folder) / "sitl-0" / "plans.json"
-            while not kept_file.exists() or len(plan.mission) > kept_file.read_text().count("[") - 8:
+            while _stored_items(Path(folder)) < len(plan.mission) and child.at_work():
                 client.poll()
-                if not child.at_work():
-                    break
         with _keeping(folder) as (_, client):
             has = [repr(client.download(kind)) for kind in PlanKind]
     same = sum(a == b for a, b in zip(had, has, strict=True))
