@@ -87,9 +87,12 @@ class _Witness:
         self._server: MavlinkServer = session.parts.server
         self._session = session
         self._reader = mav.MAVLink(None)
-        self._reader.robust_parsing = True
+        self._answers = mav.MAVLink(None)
+        self._reader.robust_parsing = self._answers.robust_parsing = True
         self.accepted: Counter[str] = Counter()
         self.heard: list[Any] = []
+        inside = self._server._dispatcher
+        inside._handlers = {number: self._watched(handler) for number, handler in inside._handlers.items()}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._server, name)
@@ -102,14 +105,26 @@ class _Witness:
         events: Sequence[Event] = (),
         reached: Sequence[int] = (),
     ) -> tuple[MavlinkFrame, ...]:
-        """As the server's; one message alone is judged by its answer."""
-        before = self._state()
+        """As the server's; what it sends is read."""
         sent = self._server.step(t_us, rx, view, events, reached)
         self.heard = [message for frame in sent for message in self._reader.parse_buffer(frame.data) or ()]
-        after = self._state()
         for message in self.heard:
-            self._judge(message, before, after, alone=len(rx) == 1)
+            self._count(message)
         return sent
+
+    def _watched(self, handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
+        """A message's handler between two looks at the state: by its answers it is judged."""
+        ctx = self._server._dispatcher._ctx
+
+        def handle(peer: Any, message: Any) -> None:
+            before, sent = self._state(), len(ctx.tx)
+            handler(peer, message)
+            answers = [a for frame in ctx.tx[sent:] for a in self._answers.parse_buffer(frame.data) or ()]
+            after = self._state() if answers else before
+            for answer in answers:
+                self._judge(message, answer, before, after)
+
+        return handle
 
     def _state(self) -> dict[str, object]:
         parts = self._session.parts
@@ -125,24 +140,22 @@ class _Witness:
             "mode": commander.intended_mode,
         }
 
-    def _judge(self, message: Any, before: dict[str, object], after: dict[str, object], *, alone: bool) -> None:
+    def _count(self, message: Any) -> None:
         kind = message.get_type()
-        watched: tuple[str, ...] = ()
         if kind == "COMMAND_ACK":
             self.accepted[f"command {'accepted' if message.result == 0 else 'refused'}"] += 1
-            watched = ("params", "home", "origin", "armed", "mode") if message.result not in (0, 5) else ()
         elif kind == "MISSION_ACK":
             self.accepted[f"plan {'accepted' if message.type == 0 else 'refused'}"] += 1
-            name = {0: "mission", 1: "fence", 2: "rally"}.get(message.mission_type)
-            # An answer may come ticks after what it is about: only the plan that it names is judged by it.
-            taken = any(other.get_type() == kind and other.type == 0 for other in self.heard)
-            watched = (name,) if message.type and name is not None and not taken else ()
         elif kind in ("PARAM_ERROR", "PARAM_VALUE"):
             self.accepted[f"parameter {'refused' if kind == 'PARAM_ERROR' else 'told'}"] += 1
-            watched = ("params",) if kind == "PARAM_ERROR" else ()
-        for name in watched if alone else ():
-            if before[name] != after[name]:
-                raise BrokenRuleError(f"refused by {message}, and yet {name} is {after[name]} (was {before[name]})")
+
+    def _judge(self, message: Any, answer: Any, before: dict[str, object], after: dict[str, object]) -> None:
+        kind = answer.get_type()
+        refused = (kind == "COMMAND_ACK" and answer.result not in (0, 5)) or (kind == "MISSION_ACK" and answer.type)
+        if refused or kind == "PARAM_ERROR":
+            changed = [name for name in before if before[name] != after[name]]
+            if changed:
+                raise BrokenRuleError(f"{message} is refused by {answer}, and yet it has changed {changed}")
 
 
 class Fuzzer:
