@@ -43,16 +43,16 @@ def test_a_few_minutes_of_everything(fuzzer: Fuzzer) -> None:
 
 def test_the_fuzzer_finds_what_is_broken(fuzzer: Fuzzer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Guards the others: an exception, and thrust without arming, are findings."""
+    with monkeypatch.context() as patch, pytest.raises(BrokenRuleError, match="disarmed"):
+        patch.setattr(fuzzer, "_neutral", (0,) * 4)
+        for _ in range(3):
+            fuzzer._calm()
     for _ in range(3):
         fuzzer._calm()  # what is left of floods before is worked off
     monkeypatch.setattr(fuzzer.session.parts.commander, "change_speed", lambda speed: 1 / 0)
     command = mav.MAVLink_command_long_message(1, 1, 178, 0, 1.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
     with pytest.raises(ZeroDivisionError):
         fuzzer.step([bytes(command.pack(mav.MAVLink(None, srcSystem=9, srcComponent=1)))], wild=False)
-    monkeypatch.setattr(fuzzer, "_neutral", (0,) * 4)
-    with pytest.raises(BrokenRuleError, match="disarmed"):
-        for _ in range(3):
-            fuzzer._calm()
 
 
 def test_the_same_seed_is_the_same_traffic() -> None:
