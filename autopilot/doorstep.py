@@ -6,6 +6,7 @@ in MAV_STATE_BOOT. The vehicle's own time begins when all is there.
 
 import threading
 import time
+from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -13,6 +14,7 @@ from typing import Self
 
 from autopilot.config import Settings, system_id
 from autopilot.core.desk import Desk
+from autopilot.core.messages import MavlinkFrame
 from autopilot.core.params import ParamSet
 from autopilot.mavlink.boot import BootLink
 from autopilot.param_file import PersistentParams
@@ -22,6 +24,10 @@ from sitl.scenario import Scenario, load_scenario
 
 HEARTBEAT_S = 1.0
 TURN_S = 0.05
+KEPT_S = 2.0
+"""Requests are kept for the service for so long: a client that has waited longer has given up or asked again."""
+MAX_KEPT = 256
+"""Datagrams that are kept."""
 
 
 class Doorstep:
@@ -33,6 +39,7 @@ class Doorstep:
         self._beat_s = [-HEARTBEAT_S] * len(self.links)
         """When each link got its last heartbeat."""
         self._spoken_to: set[int] = set()
+        self._kept: deque[tuple[float, MavlinkFrame]] = deque(maxlen=MAX_KEPT)
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="doorstep", daemon=True)
 
@@ -52,6 +59,13 @@ class Doorstep:
             for link in self.links:
                 link.close()
 
+    def take_unanswered(self) -> tuple[MavlinkFrame, ...]:
+        """What the service has to answer: requests of the last seconds. What was refused is not among them."""
+        now_s = time.monotonic()
+        frames = tuple(frame for kept_s, frame in self._kept if now_s - kept_s < KEPT_S)
+        self._kept.clear()
+        return frames
+
     def _run(self) -> None:
         while not self._end.wait(TURN_S):
             self._turn()
@@ -60,9 +74,13 @@ class Doorstep:
         now_s = time.monotonic()
         for index, (link, boot) in enumerate(zip(self.links, self._boot, strict=True)):
             received = link.recv(0)  # the vehicle's time has not begun
-            for data, client, _ in received:
-                for answer in boot.answer(data):
+            for data, client, sender in received:
+                answers = boot.answer(data)
+                for answer in answers:
                     link.send(answer, client)
+                if not answers:
+                    frame = MavlinkFrame(link=index, client=client, sender=sender, data=data)
+                    self._kept.append((now_s, frame))
             # Who listens for the vehicle on a port of ours hears it when he has spoken, and not a second later.
             first_word = bool(received) and index not in self._spoken_to
             if first_word:

@@ -198,6 +198,10 @@ class Runtime:
         service.marks = self.watch
         self.counters = LoopCounters()
 
+    def take_over(self, frames: Sequence[MavlinkFrame]) -> None:
+        """What came over the links before the first tick; it is received with that."""
+        self._peer_rx += frames
+
     def wrap_step(self, step: Callable[[Inputs], Outputs]) -> None:
         """Put something round ``Autopilot.step`` (benchmarks that time it)."""
         self._step = step

@@ -67,6 +67,7 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
         # A full garbage collection over all that was imported would take five ticks: it leaves out what there is now.
         gc.collect()
         gc.freeze()
+    session.runtime.take_over(doorstep.take_unanswered())
     for warning in session.warnings:
         click.echo(f"warning: {warning}", err=True)
     console = None if quiet else Console()

@@ -19,7 +19,7 @@ _REQUESTS = frozenset(
         mav.MAV_CMD_GET_HOME_POSITION,
     )
 )
-"""What every client asks for at its connect. They go unanswered: a client asks again, and gets the service's answer."""
+"""What every client asks for at its connect. They go unanswered until the service answers them."""
 
 
 class BootLink:

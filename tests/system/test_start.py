@@ -100,3 +100,13 @@ def test_what_cannot_start_lets_go_of_its_port(argument: tuple[str, str]) -> Non
     assert child.process.wait() in (1, 2)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", port))
+
+
+def test_a_plan_that_is_announced_while_the_service_starts_is_asked_for(service: Callable[..., RunningService]) -> None:
+    """Once, by a client that does not repeat itself."""
+    running = service()
+    station = Station(running)
+    assert station.hear(_heartbeat()).system_status == mav.MAV_STATE_BOOT
+    station.send(mav.MAVLink_mission_count_message(1, 1, 3, 0))
+    request = station.hear(lambda m: m.get_type() in ("MISSION_REQUEST_INT", "MISSION_ACK"))
+    assert (request.get_type(), request.seq, request.mission_type) == ("MISSION_REQUEST_INT", 0, 0)
