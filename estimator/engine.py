@@ -499,6 +499,7 @@ class Engine:
         self._history = History(self._core, Node(newest.t_us, newest.moment, None, state))
         for relocation in self._relocations.values():
             relocation.accepted()
+        self._denied, self._fix_ratio, self._heading_ratio, self._fix_miss = 0, 0.0, 0.0, np.zeros(4)
         aid = self._positions(fix)
         aid.reset(self._now_us)
         aid.last_fused_us = fix.t_us
