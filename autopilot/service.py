@@ -24,6 +24,7 @@ from autopilot.core.messages import (
     MAX_THRUSTERS,
     AidStatus,
     ControlOutput,
+    DeviceRole,
     EstimatorInputs,
     Event,
     Failsafe,
@@ -193,6 +194,8 @@ class Autopilot:
         thrusters = self._watch_thrusters(t_us, nav, acting_n)
         decision = self._decide(t_us, estimated)
         self.marks.mark(LoopPart.DECIDE)
+        if self._tick == WARM_AT_TICK:
+            self._run("warming", lambda: parts.controller.warm(parts.params), None)
         control = self._run("controller", lambda: self._control(t_us, nav, decision), None, lambda: (nav, decision))
         self.marks.mark(LoopPart.CONTROL)
         self._judge_faults()
@@ -287,7 +290,8 @@ class Autopilot:
             capability_n = parts.allocation.capability_n(self._supply_v())
             armed = parts.commander.armed
             self._latency.step(t_us, nav, armed=armed)
-            prompt = armed and self._latency.prompt
+            # What never reached the thrusters says nothing about them.
+            prompt = armed and self._latency.prompt and not self._devices.thruster_problem
             return self._care.step(t_us, nav, acting_n, capability_n, self._goal, armed=prompt)
 
         return self._run("thrusters", watch, None, lambda: (nav, acting_n, self._goal))
@@ -336,7 +340,8 @@ class Autopilot:
             "allocation", lambda: self._allocate(t_us, armed), None, lambda: (self._thrust_n, self._power)
         )
         self._judge_faults()
-        return command if command is not None and (not armed or self._parts.commander.armed) else self._neutral(t_us)
+        drives = self._parts.commander.armed and not self._stopped
+        return command if command is not None and (not armed or drives) else self._neutral(t_us)
 
     # What faults mean
 
@@ -426,6 +431,8 @@ class Autopilot:
 
     def _note(self, inputs: Inputs) -> None:
         self._fault_events += self._devices.step(inputs.t_us, inputs.troubles)
+        if any(trouble.device is DeviceRole.THRUSTERS for trouble in inputs.troubles):
+            self._pulse_n = np.zeros_like(self._pulse_n)  # the last command was not taken
         for sample in inputs.samples:
             if isinstance(sample, PowerSample):
                 if plausible(sample):

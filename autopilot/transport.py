@@ -69,7 +69,12 @@ class Transport:
             doors.update(dict.fromkeys(numbers, index))
             if not numbers and self._links[index].problem is None:
                 polled.append(index)
-        ready, _, _ = select.select(list(doors), [], [], min(seconds, POLL_S if polled else LOOK_S))
+        patience_s = min(seconds, POLL_S if polled else LOOK_S)
+        try:
+            ready, _, _ = select.select(list(doors), [], [], patience_s)
+        except (OSError, ValueError):  # a descriptor that has just gone, or one beyond what select can take
+            time.sleep(patience_s)
+            ready = []
         called = dict.fromkeys([doors[number] for number in ready] + polled)
         received = []
         for index in called:

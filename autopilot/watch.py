@@ -52,7 +52,8 @@ class Watch:
         new = conditions.nav_doubts - self._doubts if armed else frozenset()
         texts += [(Severity.WARNING, _DOUBT_TEXTS[doubt]) for doubt in NavDoubt if doubt in new]
         self._doubts = self._doubts | new if armed else frozenset()
-        told = health is NavHealth.DEAD_RECKONING and bool(conditions.nav_doubts)
+        # The text of a doubt says already why the fixes do not count.
+        told = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in conditions.nav_doubts)
         if armed and health is not self._health and not told:
             texts.append(_HEALTH_TEXTS[health])
         if armed and conditions.unreachable and not self._unreachable:

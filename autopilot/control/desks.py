@@ -1,6 +1,5 @@
 """Where the controller has its slow work done, and what it says when that ends with an exception."""
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -31,40 +30,29 @@ class Desks:
         """All of them."""
         return self.routes, self.trajectories, self.certificates
 
-    def on_wait(self, idle: Callable[[], None]) -> None:
-        """What the loop attends to while it waits for an answer."""
-        for lane in self.lanes:
-            lane.idle = idle
-
-    def close(self) -> None:
-        """Begin nothing any more."""
-        for lane in self.lanes:
-            lane.close()
-
 
 class Mishaps:
-    """Work that ended with an exception: counted, told the operator once until some succeeds, in full in the log."""
+    """Work that ended with an exception: told the operator once until some succeeds, in full in the log."""
 
     def __init__(self, work: str, told: str) -> None:
         """``work``: what it is, for the log; ``told``: what the operator is told."""
         self._work, self._text = work, told
         self._told = False
+        self._logged = False
         self._news: list[tuple[Severity, str]] = []
-        self.count = 0
 
-    def failed(self, error: Exception) -> None:
-        """Take note of one."""
-        self.count += 1
-        if not self._told:
+    def failed(self, error: Exception, *, felt: bool = True) -> None:
+        """Take note of one; the operator is told when the vehicle does something else because of it (``felt``)."""
+        if not self._logged:
+            self._logged = True
+            self._news.append((Severity.DEBUG, f"{self._work}: {type(error).__name__}: {error}"))
+        if felt and not self._told:
             self._told = True
-            self._news += [
-                (Severity.WARNING, self._text),
-                (Severity.DEBUG, f"{self._work}: {type(error).__name__}: {error}"),
-            ]
+            self._news.append((Severity.WARNING, self._text))
 
     def succeeded(self) -> None:
         """The next one is news again."""
-        self._told = False
+        self._told = self._logged = False
 
     def take_news(self) -> list[tuple[Severity, str]]:
         """What has not been told yet."""

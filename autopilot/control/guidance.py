@@ -249,11 +249,12 @@ class RouteGuidance:
             return False
         self._ticket = self._asked = None
         path = answer.value
+        newest = asked.planner is now.planner and asked.goal_key == self._goal_key
         if answer.error is None:
             self._mishaps.succeeded()
         else:
-            self._mishaps.failed(answer.error)
-        if asked.planner is now.planner and asked.goal_key == self._goal_key:
+            self._mishaps.failed(answer.error, felt=newest)
+        if newest:
             return self._take(now, path, asked.planner)
         # It has been overtaken, but it is the newest that there is.
         usable = path is not None and now.planner.free(path)

@@ -167,7 +167,7 @@ class ThrusterHealth:
         if look_s < self._tuning.interval_s - 1e-9 or self._moving_s < 4.0 * self._tuning.filter_s:
             return False
         self._looked_us = t_us
-        self._known.append((self._x.copy(), self._p, self._below_s, self.found.copy(), self.lost))
+        self._known.append((self._x.copy(), self._p.copy(), self._below_s, self.found.copy(), self.lost))
         self._look(
             min(look_s, 1.0),
             push_sigma(self._model, nav, self._tuning.push, self._tuning.flow_m_s),

@@ -171,8 +171,9 @@ class EnergyGuidance:
 
     def _fail(self, request: Request, error: Exception) -> None:
         """Planning has failed: a leg that has no trajectory is flown by the route guidance, to its end."""
-        self._mishaps.failed(error)
-        if self._track is None and _key(request.goal) == self._goal_key:
+        by_route = self._track is None and _key(request.goal) == self._goal_key
+        self._mishaps.failed(error, felt=by_route)
+        if by_route:
             self._by_route, self._hold = True, None
             self._route.reset()
 
