@@ -26,7 +26,7 @@ SAY_EVERY_US = 5_000_000
 """The same fault is said again after so long; it is counted every time."""
 
 SHOWN_US = 5_000_000
-"""So long after the last fault the failsafe bit stays, and arming is refused."""
+"""So long after the last fault that thrust depends on the failsafe bit stays, and arming is refused."""
 
 MAX_KINDS = 64
 """Kinds of fault that are remembered; with more of them the oldest goes."""
@@ -60,7 +60,7 @@ class FaultCare:
         return self._since_us is not None
 
     def problem(self, t_us: int) -> str:
-        """What has failed of late, "" when nothing has."""
+        """What has failed of late of what thrust comes from, "" when nothing has."""
         if self._last is None or (self._since_us is None and t_us - self._last.t_us > SHOWN_US):
             return ""
         return f"internal fault in {self._last.part}"
@@ -70,7 +70,8 @@ class FaultCare:
         events: list[Event] = []
         disarms = False
         for fault in faults:
-            self._last = fault
+            if fault.part in FLIGHT_PARTS:
+                self._last = fault
             said_us = self._said_us.get(fault.key)
             if said_us is None or fault.t_us - said_us >= SAY_EVERY_US:
                 self._said_us.pop(fault.key, None)

@@ -5,10 +5,13 @@ all that lockstep needs. With a speed the loop waits for its clock and counts th
 runs as fast as the machine allows and time is what the tick says.
 """
 
+import contextlib
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol, TypeVar
 
 from autopilot.core.clock import TICK_US, Clock
@@ -223,7 +226,7 @@ class Runtime:
         late_us = self._wait(t_us) - t_us
         if late_us > TICK_US:
             self.counters.overruns += 1
-        watch = self.watch
+        watch, self._guard.t_us = self.watch, t_us
         watch.begin(1e-6 * late_us if in_time else 0.0)
         self._try(t_us, DeviceRole.SENSORS, lambda: self._device.advance(t_us), None)
         self.attend()
@@ -231,13 +234,7 @@ class Runtime:
         samples = list(self._try(t_us, DeviceRole.SENSORS, lambda: self._device.poll(t_us), NO_SAMPLES))
         watch.mark(LoopPart.DEVICE)
         if self._vision is not None:
-            failed = self._vision.failed
-            samples += self._vision.collect(t_us)
-            if self._vision.failed > failed:
-                text = "detection fails at its pictures"
-                self._troubles.append(DeviceTrouble(t_us=t_us, device=DeviceRole.CAMERA, text=text))
-            for frame in frames:
-                self._vision.submit(t_us, frame, self._service.nav)
+            samples += self._try(t_us, DeviceRole.CAMERA, partial(self._look, self._vision, t_us, frames), NO_SAMPLES)
             watch.mark(LoopPart.VISION)
         inputs = Inputs(
             t_us=t_us,
@@ -260,20 +257,34 @@ class Runtime:
         outputs = self._with_faults(outputs)
         self._send(t_us, outputs.mavlink_tx)
         watch.mark(LoopPart.SEND)
-        self._recorder.record(*self._with_between(inputs, outputs), frames)
-        self._on_tick(outputs)
+        guard = self._guard
+        guard.run("log", lambda: self._recorder.record(*self._with_between(inputs, outputs), frames), None)
+        guard.run("outside", lambda: self._on_tick(outputs), None)
         watch.mark(LoopPart.RECORD)
         self._account(t_us, watch.end())
         return outputs
 
     def close(self) -> None:
         """Thrusters neutral first, then links and threads."""
-        self._device.close()
-        if self._vision is not None:
-            self._vision.close()
-        self._transport.close()
+        try:
+            self._device.close()
+        finally:
+            if self._vision is not None:
+                self._vision.close()
+            self._transport.close()
 
     # Devices
+
+    def _look(self, vision: VisionWorker, t_us: int, frames: Sequence[CameraFrame]) -> list[Sample]:
+        """Sightings that are there, and the new pictures handed in."""
+        failed = vision.failed
+        found: list[Sample] = [*vision.collect(t_us)]
+        if vision.failed > failed:
+            text = "detection fails at its pictures"
+            self._troubles.append(DeviceTrouble(t_us=t_us, device=DeviceRole.CAMERA, text=text))
+        for frame in frames:
+            vision.submit(t_us, frame, self._service.nav)
+        return found
 
     def _try(self, t_us: int, device: DeviceRole, work: Callable[[], T], otherwise: T) -> T:
         """Use a device; one that fails is told to the service with the next tick, which goes on without it."""
@@ -282,7 +293,6 @@ class Runtime:
         except (DriverError, OSError) as error:
             text = str(error)
         except Exception as error:  # noqa: BLE001 - a driver's own fault: kept, or raised again where the guard is set to
-            self._guard.t_us = t_us
             self._guard.note(f"device {device.name.lower()}", error)
             text = f"internal fault ({type(error).__name__})"
         self._troubles.append(DeviceTrouble(t_us=t_us, device=device, text=text))
@@ -305,7 +315,7 @@ class Runtime:
         for fault in faults:
             if fault.key not in self._shown_faults and len(self._shown_faults) < MAX_SHOWN_FAULTS:
                 self._shown_faults.add(fault.key)
-                print(f"{fault.line}\n{fault.traceback}", file=sys.stderr)
+                _show(f"{fault.line}\n{fault.traceback}")
         return replace(outputs, faults=faults) if faults else outputs
 
     # Links
@@ -393,3 +403,13 @@ class Runtime:
             counters.cpu_load = min(1.0, self._busy_s / (STATS_EVERY_TICKS * TICK_US * 1e-6))
         counters.worst_tick_s = max(counters.worst_tick_s, self._worst_tick_s)
         self._cpu_mark_s, self._busy_s, self._worst_tick_s = cpu_s, 0.0, 0.0
+
+
+def _show(text: str) -> None:
+    """On the console, from a thread: a held terminal or a pipe that nobody reads must not stop the loop."""
+
+    def write() -> None:
+        with contextlib.suppress(OSError, ValueError):
+            print(text, file=sys.stderr)
+
+    threading.Thread(target=write, name="fault", daemon=True).start()

@@ -415,7 +415,7 @@ class Engine:
         """True if ``node`` has changed."""
         relocation = self._relocations[aid.sensor]
         missed = self._fuse(history, node, fix, aid)
-        if aid is self._sources.markers or self._sources.markers.last_fused_us is None:
+        if aid is self._sources.markers or not self._markers_in_view(fix.t_us):
             self._weigh(fix, missed, relocation)
         if missed is None:
             relocation.accepted()
@@ -427,9 +427,8 @@ class Engine:
         lost = self._fix_age_us(fix.t_us) > 1e6 * self._options.dead_reckoning_after_s
         lost = lost or self._imu.since_us is not None
         if aid is self._sources.external:
-            seen_us = self._sources.markers.last_fused_us
-            if seen_us is not None and fix.t_us - seen_us <= 1e6 * self._options.dead_reckoning_after_s:
-                return False  # markers are in view: they know better
+            if self._markers_in_view(fix.t_us):
+                return False  # they know better
             lost = lost or self._sources.external_jumped
         velocity = relocation.rejected(fix, lost)
         if velocity is not None:
@@ -437,6 +436,11 @@ class Engine:
                 self._note_jump(np.abs(missed.y))
             self._relocate(history, fix, float(missed.y[3]), velocity)
         return False
+
+    def _markers_in_view(self, t_us: int) -> bool:
+        """Whether markers have been used of late."""
+        seen_us = self._sources.markers.last_fused_us
+        return seen_us is not None and t_us - seen_us <= 1e6 * self._options.dead_reckoning_after_s
 
     def _weigh(self, fix: PoseFix, missed: Innovation | None, relocation: Relocation) -> None:
         """How much the fixes deny the estimate. Outliers do not count: they do not agree with each other."""

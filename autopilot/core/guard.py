@@ -21,6 +21,12 @@ VARIABLE = "AUTOPILOT_GUARD"
 MAX_PENDING = 16
 """Faults of one tick that are kept with all they had; the rest is only counted."""
 
+DESCRIBE_EVERY_US = 5_000_000
+"""A fault that comes again and again is described in full this often; in between it is counted and acted upon."""
+
+MAX_DESCRIBED = 64
+"""Kinds of fault whose last description is remembered; the oldest goes."""
+
 MAX_TEXT = 32_768
 """Longest traceback and longest description of inputs that is kept, in characters."""
 
@@ -41,8 +47,9 @@ class Fault:
     text: str
     """The exception's message."""
     traceback: str
+    """"" where the same fault has been described of late."""
     inputs: str
-    """What the part was given, as far as it fits."""
+    """What the part was given, as far as it fits; "" like the traceback."""
 
     @property
     def key(self) -> tuple[str, str]:
@@ -65,6 +72,7 @@ class Guard:
         """Time of the tick, set by the service."""
         self._counts: Counter[str] = Counter()
         self._pending: list[Fault] = []
+        self._described_us: dict[tuple[str, str], int] = {}
 
     def run(self, part: str, work: Callable[[], T], otherwise: T, given: Callable[[], object] = lambda: "") -> T:
         """``work()``, or ``otherwise`` when it raises. ``given`` describes what it worked on, asked for only then."""
@@ -80,7 +88,26 @@ class Guard:
             raise error
         self._counts[part] += 1
         if len(self._pending) < MAX_PENDING:
-            self._pending.append(_fault(self.t_us, part, error, given))
+            self._pending.append(self._fault(part, error, given))
+
+    def _fault(self, part: str, error: Exception, given: Callable[[], object]) -> Fault:
+        kind, place = type(error).__name__, _place(error)
+        said_us = self._described_us.get((kind, place))
+        brief = said_us is not None and 0 <= self.t_us - said_us < DESCRIBE_EVERY_US
+        if not brief:
+            self._described_us.pop((kind, place), None)
+            while len(self._described_us) >= MAX_DESCRIBED:
+                del self._described_us[next(iter(self._described_us))]
+            self._described_us[kind, place] = self.t_us
+        return Fault(
+            t_us=self.t_us,
+            part=part,
+            kind=kind,
+            place=place,
+            text=_bounded(lambda: str(error)),
+            traceback="" if brief else "".join(traceback.format_exception(error))[-MAX_TEXT:],
+            inputs="" if brief else _bounded(lambda: _described(given)),
+        )
 
     def take(self) -> tuple[Fault, ...]:
         """Faults since the last call."""
@@ -95,18 +122,10 @@ class Guard:
         return self._counts
 
 
-def _fault(t_us: int, part: str, error: Exception, given: Callable[[], object]) -> Fault:
+def _place(error: Exception) -> str:
+    """File, line and function that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
-    place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno} in {frames[-1].name}" if frames else "unknown"
-    return Fault(
-        t_us=t_us,
-        part=part,
-        kind=type(error).__name__,
-        place=place,
-        text=_bounded(lambda: str(error)),
-        traceback="".join(traceback.format_exception(error))[-MAX_TEXT:],
-        inputs=_bounded(lambda: _described(given)),
-    )
+    return f"{Path(frames[-1].filename).name}:{frames[-1].lineno} in {frames[-1].name}" if frames else "unknown"
 
 
 def _described(given: Callable[[], object]) -> str:

@@ -243,7 +243,10 @@ class RunLog:
             self._fault(fault)
 
     def _fault(self, fault: Fault) -> None:
-        """An exception inside the service: a line, and an attachment with all that it had."""
+        """An exception inside the service: a line, and an attachment with all that it had; one that goes on, now and
+        then."""
+        if not fault.traceback:
+            return
         text = f"{fault.line}: {fault.text} ({fault.place})"
         self.event(Event(t_us=fault.t_us, severity=Severity.ERROR, text=text))
         if self._faults < MAX_FAULTS:

@@ -81,11 +81,6 @@ class EnergyGuidance:
         """See :class:`autopilot.control.guidance.Guidance`."""
         return self._route.unreachable if self._by_route else self._no_way
 
-    @property
-    def failures(self) -> int:
-        """Plans so far that ended with an exception."""
-        return self._mishaps.count
-
     def reset(self) -> None:
         """See :class:`Guidance`."""
         self._step = 0
