@@ -23,9 +23,9 @@ ROOT = Path(__file__).resolve().parent.parent
 _MAIN = "from autopilot.cli.main import main; main()"
 
 STUCK_S = 120.0
-"""A child that has hardly computed for so long is stuck. Beside ten busy processes per core it still gets a tenth."""
+"""A child that has hardly computed for so long is stuck."""
 LEAST_SHARE = 0.002
-"""Of a core, over :data:`STUCK_S`: less is a process that only sleeps."""
+"""Of a core, over :data:`STUCK_S`: less only sleeps. Beside ten busy processes it gets thirty times that."""
 LOOK_S = 0.5
 
 

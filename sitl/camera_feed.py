@@ -49,8 +49,6 @@ class CameraFeed(Closing):
         self._last_due_us = 0
         self._queue: deque[tuple[int, int, Future[Image]]] = deque()
         self._worker: ThreadPoolExecutor | None = None
-        self.dropped = 0
-        """Pictures that were never rendered because the machine did not follow (paced only)."""
 
     @property
     def next_us(self) -> int:
@@ -81,8 +79,7 @@ class CameraFeed(Closing):
         due_us = max(self._last_due_us, truth.t_us + max(0, round(delay_s * 1e6)))
         self._last_due_us = due_us
         if self.paced and len(self._queue) > 1 and self._queue[-1][2].cancel():
-            self._queue.pop()
-            self.dropped += 1
+            self._queue.pop()  # the machine does not follow: the newer picture takes its place
         seen = self._faults.seen(truth)
         self._queue.append((due_us, truth.t_us, self._worker.submit(self._renderer(truth.t_us).render, seen, index)))
 

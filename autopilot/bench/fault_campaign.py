@@ -3,6 +3,7 @@
 Every flight is one of the whole service (:mod:`autopilot.bench.sensor_faults`). A row sums up one fault with one gap.
 """
 
+import math
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -144,7 +145,7 @@ def _summed(name: str, gap_s: float, sensors: str, results: Sequence[FaultResult
         flights=len(results),
         inside_pct=100.0 * min(result.inside for result in results),
         error_m=max(result.worst_m for result in results),
-        yaw_deg=max(result.worst_yaw_rad for result in results) * 57.29578,
+        yaw_deg=math.degrees(max(result.worst_yaw_rad for result in results)),
         unflagged_s=max(result.unflagged_s for result in results),
         contacts=sum(result.contacts for result in results),
         resets=sum(result.resets for result in results),

@@ -26,6 +26,7 @@ from autopilot.core.errors import AutopilotError
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.mavlink.vehicle_commands import FORCE_ARM
 from autopilot.sitl_session import SitlSession, open_sitl
 from mission.local_plan import FenceTable, LocalPlan, OriginTable, PolygonTable, WaypointTable, plan_of_local
 from mission.paper import ORIGIN
@@ -38,8 +39,6 @@ QUIET_S = 3.0
 """Before, between and after the uploads."""
 PATIENCE_S = 120.0
 """Vehicle time after which the flight ends whatever the client does."""
-FORCE = 21196.0
-"""Param2 of a forced arming (MAV_CMD_COMPONENT_ARM_DISARM)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +191,7 @@ def _arm(station: Station) -> None:
         now_s = time.monotonic()
         if now_s - asked_s > 1.0:
             asked_s = now_s
-            force = FORCE if now_s - begin_s > 20.0 else 0.0
+            force = FORCE_ARM if now_s - begin_s > 20.0 else 0.0
             arm = mav.MAV_CMD_COMPONENT_ARM_DISARM
             station.send(mav.MAVLink_command_long_message(1, 1, arm, 0, 1.0, force, 0, 0, 0, 0, 0))
 

@@ -13,13 +13,12 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.faults.finding import Finding, Measured
 from autopilot.bench.faults.wire import LOCAL, LiveService, Station, download, live_service, upload
+from autopilot.mavlink.vehicle_commands import FORCE_DISARM
 
 GAP_S = 1.2
 """Longest silence of HEARTBEAT that is promised."""
 FLOOD_S = 5.0
 ITEMS = 500
-FORCE = 21196.0
-"""Param2 of a forced disarm."""
 
 
 def _flood(send: Callable[[bytes], object], make: Callable[[], bytes], rate_hz: float) -> Callable[[float], None]:
@@ -190,7 +189,7 @@ def _asks(service: LiveService, vehicle: tuple[str, int], host: str) -> bool:
         station = Station(end)
         names = set()
         for _ in range(20):
-            station.send(mav.MAVLink_command_long_message(1, 1, 400, 0, 0.0, FORCE, 0, 0, 0, 0, 0))
+            station.send(mav.MAVLink_command_long_message(1, 1, 400, 0, 0.0, FORCE_DISARM, 0, 0, 0, 0, 0))
             names |= {message.get_type() for message in station.receive(0.05)}
         return "COMMAND_ACK" in names
 

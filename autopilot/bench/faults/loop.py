@@ -22,6 +22,7 @@ from autopilot.config import gather, sitl_defaults
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.log import writer
+from autopilot.mavlink.vehicle_commands import FORCE_ARM
 from autopilot.sitl_session import SitlSession, open_sitl
 from estimator.vision import Hint, MarkerDetector
 from mission.paper import paper_plan
@@ -57,7 +58,7 @@ class _Operator:
             return []
         self._armed = True
         self._spoil()
-        arm = self._codec.command_long_encode(1, 1, mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 21196, 0, 0, 0, 0, 0)
+        arm = self._codec.command_long_encode(1, 1, mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, FORCE_ARM, 0, 0, 0, 0, 0)
         return [bytes(arm.pack(self._codec))]
 
 

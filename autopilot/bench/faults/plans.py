@@ -16,10 +16,10 @@ from autopilot.core.messages import Outputs
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG, profile_by_name
+from autopilot.mavlink.vehicle_commands import FORCE_ARM
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
 
-FORCE_ARM = 2989.0
 ARM, START, SET_MODE, CONTINUE, ITEM = 400, 300, 176, 193, 224
 """MAV_CMD_COMPONENT_ARM_DISARM, MISSION_START, DO_SET_MODE, DO_PAUSE_CONTINUE, DO_SET_MISSION_CURRENT (common.xml)."""
 LONGEST_TICK_MS = 50.0

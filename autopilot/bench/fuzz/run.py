@@ -27,6 +27,7 @@ from autopilot.core.messages import Event, Inputs, MavlinkFrame, Outputs
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink.api import VehicleView
 from autopilot.mavlink.server import MavlinkServer
+from autopilot.mavlink.vehicle_commands import FORCE_ARM, FORCE_DISARM
 from autopilot.service import Autopilot
 from autopilot.sitl_session import SitlSession, open_sitl
 
@@ -232,10 +233,10 @@ class Fuzzer:
         parts.params.set("ORIGIN_LAT", 37.9755)
         encoder = mav.MAVLink(None, srcSystem=250, srcComponent=190)
         wanted = (
-            mav.MAVLink_command_long_message(1, 1, 400, 0, 0.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mav.MAVLink_command_long_message(1, 1, 400, 0, 0.0, FORCE_DISARM, 0.0, 0.0, 0.0, 0.0, 0.0),
             mav.MAVLink_mission_clear_all_message(1, 1, 255),
             mav.MAVLink_set_gps_global_origin_message(1, 379_755_000, 237_790_000, 0),
-            mav.MAVLink_command_long_message(1, 1, 400, 0, 1.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            mav.MAVLink_command_long_message(1, 1, 400, 0, 1.0, FORCE_ARM, 0.0, 0.0, 0.0, 0.0, 0.0),
         )
         for message in wanted:
             self.step([bytes(message.pack(encoder))], wild=False)

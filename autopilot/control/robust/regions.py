@@ -15,7 +15,6 @@ from autopilot.control.robust.terminal import (
     TerminalLimits,
     certify,
     terminal_law,
-    unit_samples,
 )
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
@@ -45,8 +44,7 @@ class _Request:
 
 def _certified(request: _Request, cancel: Cancel) -> Certificate:
     """The whole certificate."""
-    cancel.check()
-    return certify(request.model, request.law, request.goal, request.limits, unit_samples())
+    return certify(request.model, request.law, request.goal, request.limits, look=cancel.check)
 
 
 class TerminalRegions:

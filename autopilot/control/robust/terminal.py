@@ -9,6 +9,7 @@ decrease.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -275,11 +276,17 @@ class CertificateJob:
 
 
 def certify(
-    model: Model4, law: Terminal, goal: Goal, limits: TerminalLimits, samples: FloatArray | None = None
+    model: Model4,
+    law: Terminal,
+    goal: Goal,
+    limits: TerminalLimits,
+    samples: FloatArray | None = None,
+    look: Callable[[], None] = lambda: None,
 ) -> Certificate:
-    """The whole certificate at once."""
+    """The whole certificate at once. ``look`` is called between slices and may end the work by raising."""
     job = CertificateJob(model, law, goal, limits, unit_samples() if samples is None else samples)
     while job.certificate is None:
+        look()
         job.advance(2_000)
     return job.certificate
 
