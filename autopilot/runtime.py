@@ -180,7 +180,6 @@ class Runtime:
         self._step: Callable[[Inputs], Outputs] = service.step
         self._device = device
         self._vision = vision
-        self._transport = Transport(links)
         self._between_rx: list[MavlinkFrame] = []
         self._between_tx: list[MavlinkFrame] = []
         self._recorder = recorder
@@ -190,6 +189,7 @@ class Runtime:
         self._paced = paced
         self._troubles: list[DeviceTrouble] = []
         self._guard = Guard()
+        self._transport = Transport(links, guard=self._guard)
         self._shown_faults: set[tuple[str, str]] = set()
         self._rest: ThrusterCommand | None = None
         self._peer_rx: list[MavlinkFrame] = []

@@ -1,14 +1,16 @@
 """The links of a service: receiving, sending, waiting for them, and what operators have to know of them.
 
 Nothing here blocks longer than it was told to, and nothing raises: a link that breaks is counted, named once, and
-looked after by its driver.
+looked after by its driver. An exception that no driver may raise is a fault for the guard as well.
 """
 
 import select
 import time
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from autopilot.core.errors import DriverError
+from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
 from drivers.protocols import Link
 
@@ -25,23 +27,31 @@ MAX_BETWEEN_BYTES = 16_384
 MAX_BETWEEN_CALLS = 64
 """How often one link is read between two ticks."""
 
-_HEARTBEAT_START = (0xFD, b"\0\0\0")
-"""First byte of a MAVLink 2 frame, and the id of HEARTBEAT in its header."""
+_MAVLINK2 = 0xFD
+"""First byte of a MAVLink 2 frame."""
+_HEARTBEAT_ID = b"\0\0\0"
+"""Message id of HEARTBEAT, as in the header."""
+
+T = TypeVar("T")
 
 
 class Transport:
-    """All links of a run. ``now_s`` is real time."""
+    """All links of a run. ``now_s`` is real time; ``guard`` keeps the faults of drivers."""
 
-    def __init__(self, links: Sequence[Link], now_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, links: Sequence[Link], now_s: Callable[[], float] = time.monotonic, guard: Guard | None = None
+    ) -> None:
         self._links = tuple(links)
+        self._names = [link.name for link in self._links]
+        self._guard = guard or Guard()
         self._now_s = now_s
         self._beat_s = now_s()
         self._between_bytes = [0] * len(self._links)
         self._between_calls = [0] * len(self._links)
         self._problems: list[str | None] = [None] * len(self._links)
         self._silent_until_us = [0] * len(self._links)
-        self._failed: list[str | None] = [None] * len(self._links)
-        """What a driver raised although it must not."""
+        self._failed: list[dict[str, str]] = [{} for _ in self._links]
+        """What a driver raised although it must not, by what it was asked to do; until it does that again."""
         self.errors = 0
         """How often that happened."""
 
@@ -65,9 +75,11 @@ class Transport:
         doors: dict[int, int] = {}
         polled = []
         for index in open_links:
-            numbers = self._links[index].filenos()
+            numbers = self._try(index, "wait", self._links[index].filenos, None)
+            if numbers is None:
+                continue
             doors.update(dict.fromkeys(numbers, index))
-            if not numbers and self._links[index].problem is None:
+            if not numbers and self._problem(index) is None:
                 polled.append(index)
         patience_s = min(seconds, POLL_S if polled else LOOK_S)
         try:
@@ -87,47 +99,63 @@ class Transport:
     def send(self, frames: Sequence[MavlinkFrame]) -> None:
         """Send what goes to these links."""
         for frame in frames:
-            if frame.data[7:10] == _HEARTBEAT_START[1] and frame.data[0] == _HEARTBEAT_START[0]:
+            if frame.data[7:10] == _HEARTBEAT_ID and frame.data[0] == _MAVLINK2:
                 self._beat_s = self._now_s()
-        for index, link in enumerate(self._links):
+        for index in range(len(self._links)):
             for frame in frames:
                 if frame.link in (index, -1):
-                    try:
-                        link.send(frame.data, frame.client)
-                    except (DriverError, OSError) as error:
-                        self._fail(index, error)
+                    self._send(index, frame)
 
     def take_notices(self, t_us: int) -> tuple[Event, ...]:
         """What operators have to know of the links since the last call: one that broke, one that is back."""
         notices = []
-        for index, link in enumerate(self._links):
-            problem = self._failed[index] or link.problem
+        for index in range(len(self._links)):
+            problem, name = self._problem(index), self._names[index]
             if problem == self._problems[index] or t_us < self._silent_until_us[index]:
                 continue
             self._problems[index], self._silent_until_us[index] = problem, t_us + NOTICE_US
             if problem is None:
-                notices.append(Event(t_us=t_us, severity=Severity.NOTICE, text=f"{link.name}: back"))
+                notices.append(Event(t_us=t_us, severity=Severity.NOTICE, text=f"{name}: back"))
             else:
-                notices.append(Event(t_us=t_us, severity=Severity.WARNING, text=f"{link.name}: {problem}"))
+                notices.append(Event(t_us=t_us, severity=Severity.WARNING, text=f"{name}: {problem}"))
         return tuple(notices)
 
     def close(self) -> None:
         """Let go of all ports."""
-        for link in self._links:
-            link.close()
+        for index, link in enumerate(self._links):
+            self._try(index, "close", link.close, None)
 
     def _may_bring(self, index: int) -> bool:
         return self._between_bytes[index] < MAX_BETWEEN_BYTES and self._between_calls[index] < MAX_BETWEEN_CALLS
 
     def _receive(self, index: int, t_us: int) -> list[MavlinkFrame]:
-        try:
+        def work() -> list[MavlinkFrame]:
             received = self._links[index].recv(t_us)
-        except (DriverError, OSError) as error:
-            self._fail(index, error)
-            return []
-        return [MavlinkFrame(link=index, data=got.data, client=got.client, sender=got.sender) for got in received]
+            return [MavlinkFrame(link=index, data=got.data, client=got.client, sender=got.sender) for got in received]
 
-    def _fail(self, index: int, error: Exception) -> None:
-        """No driver of a link ends the loop."""
+        self._guard.t_us = t_us
+        return self._try(index, "receive", work, [])
+
+    def _send(self, index: int, frame: MavlinkFrame) -> None:
+        self._try(index, "send", lambda: self._links[index].send(frame.data, frame.client), None)
+
+    def _problem(self, index: int) -> str | None:
+        """What is wrong with a link now: what its driver failed at, else what the driver says itself."""
+        said = self._try(index, "tell", lambda: self._links[index].problem, None)
+        return next(iter(self._failed[index].values()), said)
+
+    def _try(self, index: int, what: str, work: Callable[[], T], otherwise: T) -> T:
+        """Use a link; no driver of a link ends the loop. A success takes back an earlier failure at the same."""
+        try:
+            result = work()
+        except (DriverError, OSError) as error:
+            text = str(error) or type(error).__name__
+        except Exception as error:  # noqa: BLE001 - a driver's own fault: kept, or raised again where the guard is set to
+            self._guard.note(f"link {self._names[index]}", error)
+            text = f"internal fault ({type(error).__name__})"
+        else:
+            self._failed[index].pop(what, None)
+            return result
         self.errors += 1
-        self._failed[index] = str(error)
+        self._failed[index][what] = text
+        return otherwise

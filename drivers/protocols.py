@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import NamedTuple, Protocol, Self, TypeVar
 
+from autopilot.core.messages import EVERYONE
+
 T = TypeVar("T")
 
 
@@ -63,10 +65,6 @@ class ThrusterOutput(Device, Protocol):
     def neutral(self) -> None:
         """Stop all thrusters now."""
         ...
-
-
-EVERYONE = 0
-"""The client number of all who are at the other end of a link."""
 
 
 class Received(NamedTuple):

@@ -6,10 +6,11 @@ import sys
 from types import ModuleType
 
 from autopilot.core.errors import DriverError
+from autopilot.core.messages import EVERYONE
 from drivers.base import Closing
 from drivers.framing import FrameCutter
 from drivers.numbering import Numbering
-from drivers.protocols import EVERYONE, Received
+from drivers.protocols import Received
 
 CHUNK = 4096
 """Bytes per system call; 115200 baud brings 115 per tick."""
@@ -102,9 +103,10 @@ class SerialPort(Closing):
     def close(self) -> None:
         """Close the line."""
         self.lost = False
-        if self._fd is not None:
-            os.close(self._fd)
-            self._fd = None
+        fd, self._fd = self._fd, None
+        if fd is not None:
+            with contextlib.suppress(OSError):  # a line that is unplugged may complain; its number is free all the same
+                os.close(fd)
 
 
 class SerialLink:

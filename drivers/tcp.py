@@ -3,9 +3,10 @@
 import socket
 
 from autopilot.core.errors import DriverError
+from autopilot.core.messages import EVERYONE
 from drivers.framing import FrameCutter
 from drivers.numbering import Numbering
-from drivers.protocols import EVERYONE, Received
+from drivers.protocols import Received
 from drivers.udp import bind_error, resolve
 
 CHUNK = 4096

@@ -8,8 +8,9 @@ import socket
 from dataclasses import dataclass, field
 
 from autopilot.core.errors import DriverError
+from autopilot.core.messages import EVERYONE
 from drivers.numbering import Numbering
-from drivers.protocols import EVERYONE, Received
+from drivers.protocols import Received
 
 MAX_DATAGRAM = 2048
 """Bytes; several MAVLink frames may share a datagram, none is longer than 280."""

@@ -19,6 +19,10 @@ MAX_THRUSTERS = 8
 """Width of the thruster arrays in logs and outputs."""
 
 
+EVERYONE = 0
+"""The client number of all who are at the other end of a link."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MavlinkFrame:
     """Raw bytes of one datagram or packet on one link."""
@@ -26,8 +30,8 @@ class MavlinkFrame:
     link: int
     """Index of the link it came from or goes to; -1 = all links."""
     data: bytes
-    client: int = 0
-    """Who of the link: one number per address or connection; 0 = everyone there, or a link that has one other end."""
+    client: int = EVERYONE
+    """Who of the link: one number per address or connection; EVERYONE also on a link that has one other end."""
     sender: str = ""
     """What operators call the client it came from, "" when it goes out or nobody knows."""
 

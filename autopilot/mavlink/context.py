@@ -8,13 +8,14 @@ from typing import NamedTuple, TypeAlias
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.guard import Guard
-from autopilot.core.messages import Event, MavlinkFrame, Severity
+from autopilot.core.messages import EVERYONE, Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import ParamSaving, VehicleCommands, VehicleView
 from autopilot.mavlink.geo import TangentPlane
 from autopilot.mavlink.profiles import Profile
+from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.wire import LinkEncoder, Message
 
 COMPID = 1
@@ -36,9 +37,6 @@ class Peer(NamedTuple):
     compid: int
     client: int = 0
 
-
-_EVERYONE = 0
-"""Client number of all clients of a link."""
 
 Receiver: TypeAlias = int | Peer
 """Who gets something: everyone on a link, or one client."""
@@ -84,8 +82,8 @@ class Context:
     """Good frames so far, all links."""
     announce_place: bool = False
     """Send origin and home on all links once the vehicle's view is fresh."""
-    _said: dict[tuple[int, int, str], int] = field(default_factory=dict)
-    """Texts of the last seconds by link and client, and when they went out."""
+    _said: Recent[tuple[int, int, str]] = field(default_factory=lambda: Recent(SAME_TEXT_US))
+    """Texts of the last seconds by link and client."""
     _text_id: int = 0
     _plane: TangentPlane | None = None
 
@@ -108,7 +106,7 @@ class Context:
 
     def send(self, to: Receiver, message: Message) -> None:
         """Queue a message to one client, or to everyone on one link."""
-        link, client = (to, 0) if isinstance(to, int) else (to.link, to.client)
+        link, client = (to, EVERYONE) if isinstance(to, int) else (to.link, to.client)
         encoder = self.links.get(link)
         if encoder is not None:
             self.tx.append(MavlinkFrame(link=link, client=client, data=encoder.pack(message)))
@@ -139,11 +137,10 @@ class Context:
 
     def _is_news(self, to: Receiver, text: str) -> bool:
         """Whether a receiver has not been told this lately, alone or with its whole link; it is told now."""
-        link, client = (to, _EVERYONE) if isinstance(to, int) else (to.link, to.client)
-        self._said = {key: when_us for key, when_us in self._said.items() if 0 <= self.t_us - when_us < SAME_TEXT_US}
-        if (link, client, text) in self._said or (link, _EVERYONE, text) in self._said:
+        link, client = (to, EVERYONE) if isinstance(to, int) else (to.link, to.client)
+        if any(self._said.knows((link, who, text), self.t_us) for who in (client, EVERYONE)):
             return False
-        self._said[link, client, text] = self.t_us
+        self._said.add((link, client, text), self.t_us)
         return True
 
     def begin_anew(self) -> None:
@@ -176,11 +173,6 @@ FLOAT32_MAX = 3.4028234e38
 def f32(value: float) -> float:
     """For a float field: beyond its range the largest that fits; infinite and not-a-number are numbers there."""
     return value if not FLOAT32_MAX < abs(value) < math.inf else math.copysign(FLOAT32_MAX, value)
-
-
-def u64(value: int) -> int:
-    """For a uint64 field of microseconds."""
-    return min(max(value, 0), 0xFFFF_FFFF_FFFF_FFFF)
 
 
 def u16(value: float) -> int:

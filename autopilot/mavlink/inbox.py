@@ -98,11 +98,6 @@ class Intake:
         """Good frames so far."""
         return self._received_of_gone + sum(inbox.parser.received for inbox in self._inboxes.values())
 
-    @property
-    def backlog(self) -> int:
-        """Bytes that wait, of all clients."""
-        return sum(inbox.parser.backlog for inbox in self._inboxes.values())
-
     def push(self, frame: MavlinkFrame) -> Inbox:
         """Put a datagram into its client's inbox."""
         address = (frame.link, frame.client)

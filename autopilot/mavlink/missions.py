@@ -14,6 +14,7 @@ from autopilot.core.messages import Severity
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanChange, PlanItem, PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.wire import Message
 
 RETRY_US = 300_000
@@ -95,8 +96,7 @@ class Missions:
         self._checking: Checking | None = None
         self._finished: Finished | None = None
         self._downloads: dict[tuple[Peer, PlanKind], Download] = {}
-        self._counts: dict[tuple[Peer, int, int], int] = {}
-        self._duplicate_us = DUPLICATE_US * ctx.patience
+        self._counts: Recent[tuple[Peer, int, int]] = Recent(DUPLICATE_US * ctx.patience)
         self.current_wire_seq = 0
         """What downloads mark as current."""
         self.revision = 0
@@ -147,10 +147,9 @@ class Missions:
 
     def _is_late_duplicate(self, mark: tuple[Peer, int, int]) -> bool:
         """Whether the network delivers a COUNT again, of whatever plan; a client's own retry has another number."""
-        now_us = self._ctx.t_us
-        self._counts = {known: at_us for known, at_us in self._counts.items() if now_us - at_us <= self._duplicate_us}
-        seen = mark in self._counts
-        self._counts.setdefault(mark, now_us)
+        seen = self._counts.knows(mark, self._ctx.t_us)
+        if not seen:
+            self._counts.add(mark, self._ctx.t_us)
         return seen
 
     def on_item(self, peer: Peer, msg: Message) -> None:

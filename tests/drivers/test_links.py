@@ -361,6 +361,38 @@ def test_a_serial_device_that_goes_is_named_and_opened_again(tmp_path: Path) -> 
     os.close(device)
 
 
+def test_a_serial_line_whose_close_fails_is_let_go_of_and_opened_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device, line = pty.openpty()
+    tty.setraw(device)
+    name = tmp_path / "ttyROV"
+    name.symlink_to(os.ttyname(line))
+    link = open_link(f"{name}:115200")
+    (opened,) = link.filenos()
+    really_close, closed = os.close, []
+
+    def unplugged(fd: int) -> None:
+        really_close(fd)
+        closed.append(fd)
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "close", unplugged)
+        patch.setattr(os, "read", lambda *_: b"")
+        assert link.recv(0) == []
+        assert link.problem is not None and link.filenos() == []
+        assert link.recv(1) == []
+    assert closed == [opened], "once: the number may be another file's by now"
+    assert link.recv(2 * REOPEN_US) == []
+    assert link.problem is None
+    os.write(device, frame(1))
+    assert receive(link, 1) == [frame(1)]
+    link.close()
+    os.close(line)
+    os.close(device)
+
+
 def test_tcp_clients_do_not_mix_and_all_get_everything() -> None:
     link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
     with socket.create_connection((LOCAL, port)) as one, socket.create_connection((LOCAL, port)) as two:

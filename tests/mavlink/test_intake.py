@@ -11,6 +11,7 @@ from autopilot.core.clock import TICK_US
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.plan import MissionResult, PlanKind
 from autopilot.mavlink.inbox import CLIENT_WORK, FLOOD_AGAIN_US, MAX_INBOXES
+from autopilot.mavlink.recent import MAX_RECENT, Recent
 from autopilot.mavlink.wire import MAX_BACKLOG_BYTES, LinkParser, Work, checksum
 
 LOUD, QUIET = 3, 4
@@ -61,7 +62,7 @@ def test_a_flood_is_throttled_and_named_and_others_are_served_at_once(kind: str,
     assert len(named) == 1 + (6_000_000 - TICK_US) // FLOOD_AGAIN_US
     assert all(message.severity == mav.MAV_SEVERITY_WARNING and len(message.text) <= 50 for message in named)
     intake = world.server._dispatcher._intake
-    assert intake.backlog <= MAX_BACKLOG_BYTES
+    assert sum(inbox.parser.backlog for inbox in intake._inboxes.values()) <= MAX_BACKLOG_BYTES
     assert any("bytes dropped" in event.text for event in world.server.take_notices())
 
 
@@ -279,3 +280,31 @@ def test_a_client_that_comes_back_on_another_port_is_not_locked_out() -> None:
     after = world.client(number=2, sysid=245)
     world.run(PATIENT_S)
     assert upload(after, [waypoint(n) for n in range(5)]) == MissionResult.ACCEPTED
+
+
+@pytest.mark.parametrize("told", ["a text each", "a datagram each"])
+def test_a_client_that_is_different_every_time_is_remembered_up_to_a_limit(told: str) -> None:
+    """Neither the texts that it is told nor the marks of what it sends pile up, and a tick costs what it did."""
+    world = World()
+    client = world.client(number=QUIET)
+    context, missions = world.server._dispatcher._ctx, world.server._dispatcher.missions
+    for n in range(3 * MAX_RECENT):
+        client.send(mav.MAVLink_mission_count_message(1, 1, 10_000 + n if told == "a text each" else 1 + n % 200, 0))
+        if n % 16 == 15:
+            world.run(TICK_US * 1e-6)
+        assert len(context._said) <= MAX_RECENT and len(missions._counts) <= MAX_RECENT
+    assert len(context._said if told == "a text each" else missions._counts) > 100
+
+
+def test_what_was_said_lately_is_known_and_what_was_said_before_is_not() -> None:
+    recent: Recent[str] = Recent(100)
+    recent.add("a", 0)
+    recent.add("b", 50)
+    assert recent.knows("a", 99) and recent.knows("b", 99)
+    assert not recent.knows("a", 100) and recent.knows("b", 100)
+    recent.add("a", 120)
+    assert not recent.knows("b", 150) and recent.knows("a", 150)
+    for n in range(2 * MAX_RECENT):
+        recent.add(str(n), 150)
+    assert len(recent) == MAX_RECENT
+    assert recent.knows(str(2 * MAX_RECENT - 1), 150) and not recent.knows("a", 150)

@@ -19,6 +19,7 @@ from autopilot.config import gather, sitl_defaults
 from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Cancel
 from autopilot.core.errors import DriverError
+from autopilot.core.guard import Guard
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.log.reader import open_log
@@ -331,6 +332,69 @@ def test_a_driver_that_raises_ends_nothing_and_is_named_once() -> None:
     assert [notice.text for notice in notices] == ["broken: no such device"]
     assert transport.errors == 2000
     transport.close()
+
+
+class Fickle(Broken):
+    """Raises what it is told to, at everything."""
+
+    name = "fickle"
+    error: Exception | None = None
+
+    def _work(self) -> None:
+        if self.error is not None:
+            raise self.error
+
+    @property
+    def problem(self) -> None:  # type: ignore[override]
+        return self._work()
+
+    def recv(self, t_us: int) -> list[Received]:
+        self._work()
+        return [Received(b"data", 1, "somebody")]
+
+    def send(self, data: bytes, client: int = 0) -> None:
+        self._work()
+
+    def filenos(self) -> list[int]:
+        self._work()
+        return []
+
+    def close(self) -> None:
+        self._work()
+
+
+@pytest.mark.parametrize("error", [OSError(), DriverError("no such device"), ValueError("a fault"), IndexError()])
+def test_whatever_a_driver_raises_ends_nothing_and_the_link_may_come_back(error: Exception) -> None:
+    link, guard = Fickle(), Guard(raises=False)
+    transport = Transport([link, Fickle()], guard=guard)
+    notices: list[str] = []
+    for tick in range(1, 2001):
+        link.error = error if 100 <= tick < 1000 else None
+        frames = transport.receive(tick * TICK_US) + (transport.wait(tick * TICK_US, 0.0) if tick % 100 == 0 else [])
+        assert (0 in {frame.link for frame in frames}) is (link.error is None)
+        assert 1 in {frame.link for frame in frames}, "the other link goes on"
+        transport.send([MavlinkFrame(link=-1, data=b"anything")])
+        notices += [notice.text for notice in transport.take_notices(tick * TICK_US)]
+    ours = isinstance(error, OSError | DriverError)
+    text = (str(error) or "OSError") if ours else f"internal fault ({type(error).__name__})"
+    assert notices == [f"fickle: {text}", "fickle: back"]
+    faults = guard.take()
+    assert bool(faults) is not ours and all(fault.part == "link fickle" for fault in faults)
+    link.error = error
+    transport.close()
+
+
+def test_a_link_that_hears_but_cannot_send_stays_named() -> None:
+    class Mute(Fickle):
+        def send(self, data: bytes, client: int = 0) -> None:
+            raise OSError("no route")
+
+    transport, notices = Transport([Mute()]), []
+    for tick in range(1, 2001):
+        assert transport.receive(tick * TICK_US)
+        transport.send([MavlinkFrame(link=-1, data=b"anything")])
+        notices += [notice.text for notice in transport.take_notices(tick * TICK_US)]
+    assert notices == ["fickle: no route"]
 
 
 def test_a_heartbeat_is_due_by_real_time() -> None:
