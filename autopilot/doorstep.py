@@ -4,8 +4,10 @@ Loading takes a second or two of CPU time, ten times that on a busy machine; a g
 in MAV_STATE_BOOT. The vehicle's own time begins when all is there.
 """
 
+import sys
 import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +16,7 @@ from typing import Self
 
 from autopilot.config import Settings, system_id
 from autopilot.core.desk import Desk
+from autopilot.core.errors import DriverError
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.params import ParamSet
 from autopilot.mavlink.boot import BootLink
@@ -39,6 +42,8 @@ class Doorstep:
         self._beat_s = [-HEARTBEAT_S] * len(self.links)
         """When each link got its last heartbeat."""
         self._spoken_to: set[int] = set()
+        self._shown: set[int] = set()
+        """Links whose driver's fault has been shown."""
         self._kept: deque[tuple[float, MavlinkFrame]] = deque(maxlen=MAX_KEPT)
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="doorstep", daemon=True)
@@ -60,7 +65,7 @@ class Doorstep:
                 link.close()
 
     def take_unanswered(self) -> tuple[MavlinkFrame, ...]:
-        """What the service has to answer: requests of the last seconds. What was refused is not among them."""
+        """What the service has to answer: requests of the last seconds. Actions that were refused are not in them."""
         now_s = time.monotonic()
         frames = tuple(frame for kept_s, frame in self._kept if now_s - kept_s < KEPT_S)
         self._kept.clear()
@@ -71,23 +76,33 @@ class Doorstep:
             self._turn()
 
     def _turn(self) -> None:
-        now_s = time.monotonic()
-        for index, (link, boot) in enumerate(zip(self.links, self._boot, strict=True)):
-            received = link.recv(0)  # the vehicle's time has not begun
-            for data, client, sender in received:
-                answers = boot.answer(data)
-                for answer in answers:
-                    link.send(answer, client)
-                if not answers:
-                    frame = MavlinkFrame(link=index, client=client, sender=sender, data=data)
-                    self._kept.append((now_s, frame))
-            # Who listens for the vehicle on a port of ours hears it when he has spoken, and not a second later.
-            first_word = bool(received) and index not in self._spoken_to
-            if first_word:
-                self._spoken_to.add(index)
-            if first_word or now_s - self._beat_s[index] >= HEARTBEAT_S:
-                self._beat_s[index] = now_s
-                link.send(boot.heartbeat())
+        for index in range(len(self.links)):
+            try:
+                self._attend(index, time.monotonic())
+            except (DriverError, OSError):  # the service tells it, which asks the same link in a moment
+                continue
+            except Exception:  # noqa: BLE001 - a driver's own fault: the other links go on
+                if index not in self._shown:
+                    self._shown.add(index)
+                    print(f"link {index}:\n{traceback.format_exc()}", file=sys.stderr)
+
+    def _attend(self, index: int, now_s: float) -> None:
+        """A link's turn."""
+        link, boot = self.links[index], self._boot[index]
+        received = link.recv(0)  # the vehicle's time has not begun
+        for data, client, sender in received:
+            answers, rest = boot.answer(data, client)
+            if rest:
+                self._kept.append((now_s, MavlinkFrame(link=index, client=client, sender=sender, data=rest)))
+            for answer in answers:
+                link.send(answer, client)
+        # Who listens for the vehicle on a port of ours hears it when he has spoken, and not a second later.
+        first_word = bool(received) and index not in self._spoken_to
+        if first_word:
+            self._spoken_to.add(index)
+        if first_word or now_s - self._beat_s[index] >= HEARTBEAT_S:
+            self._beat_s[index] = now_s
+            link.send(boot.heartbeat())
 
 
 def open_doorstep(settings: Settings, overrides: dict[str, float], *, instance: int) -> Doorstep:

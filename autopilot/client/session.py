@@ -28,6 +28,8 @@ SILENCE_S = 30.0
 """Silence after which a vehicle is given up."""
 _ASK_S = 1.0
 """Silence after which it is asked whether the vehicle is at work."""
+_START_S = 300.0
+"""Longest start of the vehicle that is waited for."""
 _STANDSTILL_S = 300.0
 """Longest standstill of the vehicle's clock that its heartbeats excuse."""
 _LATE_MS = 10_000
@@ -128,16 +130,19 @@ class Session:
     def connect(self, timeout_s: float = 10.0, system: int | None = None) -> VehicleInfo:
         """Wait for the heartbeat of an autopilot (component 1) that has started. DriverError when none comes."""
         end_s = self._clock_s() + timeout_s
+        latest_s, starting = end_s + _START_S, False
         while self._clock_s() < end_s:
             for message in self.poll():
                 is_autopilot = message.get_type() == "HEARTBEAT" and message.autopilot != mav.MAV_AUTOPILOT_INVALID
                 if is_autopilot and message.get_srcComponent() == 1 and system in (None, message.get_srcSystem()):
                     if message.system_status == mav.MAV_STATE_BOOT:
-                        end_s = self._clock_s() + timeout_s
+                        end_s, starting = min(self._clock_s() + timeout_s, latest_s), True
                         continue
                     self._target = Target(system=message.get_srcSystem(), component=1)
                     return self._note_heartbeat(message)
             end_s += self._take_held_up()
+        if starting:
+            raise DriverError(f"the vehicle on {self._name} starts and does not get ready; look at its own messages")
         raise DriverError(f"no vehicle heard on {self._name} within {timeout_s:g} s; is it running and reachable?")
 
     def poll(self, wait_s: float = _POLL_S) -> list[Message]:

@@ -2,11 +2,14 @@
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.messages import EVERYONE
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.context import COMPID
 from autopilot.mavlink.profiles import profile_by_name
-from autopilot.mavlink.wire import LinkEncoder, LinkParser
+from autopilot.mavlink.wire import LinkEncoder, LinkParser, Message
 
+MAX_PARSERS = 64
+"""Clients of a link whose unfinished messages are kept."""
 STARTING = "Service is starting; try again in a few seconds"
 
 _REQUESTS = frozenset(
@@ -31,7 +34,8 @@ class BootLink:
     def __init__(self, sysid: int, profile: str) -> None:
         self._sysid = sysid
         self._profile = profile_by_name(profile)
-        self._parser = LinkParser()
+        self._parsers: dict[int, LinkParser] = {}
+        """Of each client, the one silent for longest first."""
         self._encoder = LinkEncoder(sysid, COMPID)
 
     def heartbeat(self) -> bytes:
@@ -47,16 +51,40 @@ class BootLink:
             )
         )
 
-    def answer(self, data: bytes) -> list[bytes]:
-        """Answers to what was received: actions are temporarily rejected, with a text that says why."""
+    def answer(self, data: bytes, client: int = EVERYONE) -> tuple[list[bytes], bytes]:
+        """Answers to what a client sent, and what of it is left for the service.
+
+        Actions are temporarily rejected, with a text that says why; they are not left.
+        """
+        messages = self._parser_of(client).feed(data)
+        refused = [msg for msg in messages if self._is_action(msg)]
+        if not refused:
+            return [], data
         out: list[bytes] = []
-        for msg in self._parser.feed(data):
-            if msg.get_type() not in ("COMMAND_LONG", "COMMAND_INT") or msg.command in _REQUESTS:
-                continue
-            if msg.target_system not in (0, self._sysid) or msg.target_component not in (0, COMPID):
-                continue
-            later = mav.MAV_RESULT_TEMPORARILY_REJECTED
-            asker = msg.get_srcSystem(), msg.get_srcComponent()
+        for msg in refused:
             out.append(self._encoder.pack(mav.MAVLink_statustext_message(mav.MAV_SEVERITY_WARNING, STARTING.encode())))
-            out.append(self._encoder.pack(mav.MAVLink_command_ack_message(msg.command, later, 0, 0, *asker)))
-        return out
+            if msg.get_type() != "SET_MODE":  # that one knows no acknowledgement
+                asker = msg.get_srcSystem(), msg.get_srcComponent()
+                later = mav.MAV_RESULT_TEMPORARILY_REJECTED
+                out.append(self._encoder.pack(mav.MAVLink_command_ack_message(msg.command, later, 0, 0, *asker)))
+        return out, b"".join(bytes(msg.get_msgbuf()) for msg in messages if msg not in refused)
+
+    def _parser_of(self, client: int) -> LinkParser:
+        """Every client has its own: half a message of one must not meet another's."""
+        parser = self._parsers.pop(client, None) or LinkParser()
+        if len(self._parsers) >= MAX_PARSERS:
+            del self._parsers[next(iter(self._parsers))]
+        self._parsers[client] = parser
+        return parser
+
+    def _is_action(self, msg: Message) -> bool:
+        """Whether a message wants the vehicle to do something that it cannot do yet."""
+        kind = msg.get_type()
+        if kind == "SET_MODE":
+            return msg.target_system in (0, self._sysid)
+        return (
+            kind in ("COMMAND_LONG", "COMMAND_INT")
+            and msg.command not in _REQUESTS
+            and msg.target_system in (0, self._sysid)
+            and msg.target_component in (0, COMPID)
+        )

@@ -4,6 +4,7 @@ import random
 
 import pytest
 from client_world import TICK_US, Loss, MemoryLink
+from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.exchange import Timers
 from autopilot.client.plan_client import same_on_the_wire
@@ -278,3 +279,18 @@ def test_silence_of_a_process_that_is_at_work_is_waited_out() -> None:
     client = Session(link, clock_s=link.clock_s, at_work=lambda: False)
     with pytest.raises(DriverError, match="within 3 s"):
         client.connect(3.0)
+
+
+def test_a_vehicle_that_never_ends_its_start_is_given_up() -> None:
+    class Starting(MemoryLink):
+        def receive(self, timeout_s: float) -> bytes:
+            super().receive(timeout_s)
+            self.turn = not getattr(self, "turn", False)
+            beat = mav.MAVLink_heartbeat_message(12, 12, 1, 0, mav.MAV_STATE_BOOT, 3)
+            return bytes(beat.pack(mav.MAVLink(None, srcSystem=1, srcComponent=1))) if self.turn else b""
+
+    link = Starting()
+    client = Session(link, clock_s=link.clock_s)
+    with pytest.raises(DriverError, match="starts and does not get ready"):
+        client.connect(3.0)
+    assert 100.0 < link.clock_s() < 400.0
