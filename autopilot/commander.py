@@ -37,7 +37,7 @@ from mission.store import Plans, plan_checksum
 from mission.validation import PLACE_TOLERANCE_M
 
 READINESS_EVERY_TICKS = 50
-"""Arming checks are looked at twice per second for telemetry, and anew at every request."""
+"""Arming checks are looked at twice per second for telemetry, and anew when arming is asked for."""
 
 SURFACED_M = 0.05
 """The vehicle counts as surfaced within this distance of where it floats."""

@@ -12,6 +12,9 @@ from autopilot.core.messages import EVERYONE
 
 T = TypeVar("T")
 
+LOOPBACK = "127.0.0.1"
+"""This machine, for itself only: what an empty host means."""
+
 
 class Device(Protocol):
     """Something that is opened, used inside a ``with`` block, and closed."""
@@ -85,8 +88,6 @@ class Link(Protocol):
 
     dropped_tx: int
     """What could not be sent so far: frames, or clients that were lost."""
-    dropped_rx: int
-    """Bytes that came and were not handed on."""
 
     @property
     def problem(self) -> str | None:

@@ -121,8 +121,6 @@ class SerialLink:
         self._port.open()
         self.dropped_tx = 0
         """Frames that the line did not take."""
-        self.dropped_rx = 0
-        """Nothing: what the line brings is little."""
 
     @property
     def name(self) -> str:

@@ -92,8 +92,6 @@ class TcpServer:
         self._numbers = 0
         self.dropped_tx = 0
         """Clients lost while sending to them."""
-        self.dropped_rx = 0
-        """Nothing: a client that sends too much is not read from."""
         address = resolve(name, host, port)
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listener.setblocking(False)
@@ -168,8 +166,6 @@ class TcpClient:
         self._closed = False
         self.dropped_tx = 0
         """Sends without a connection."""
-        self.dropped_rx = 0
-        """Nothing: a server that sends too much is not read from."""
         try:
             connection = socket.create_connection(self._address, timeout=CONNECT_TIMEOUT_S)
         except OSError as error:

@@ -10,21 +10,20 @@ from dataclasses import dataclass, field
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import EVERYONE
 from drivers.numbering import Numbering
-from drivers.protocols import Received
+from drivers.protocols import LOOPBACK, Received
 
 MAX_DATAGRAM = 2048
 """Bytes; several MAVLink frames may share a datagram, none is longer than 280."""
 MAX_PER_CALL = 128
 """Datagrams taken from the socket per call, so that a flood cannot hold up the caller (below a millisecond)."""
 MAX_CLIENT_BYTES = 4096
-"""Bytes per call that one client may hand in; what is beyond is dropped and counted."""
+"""Bytes per call that one client may hand in; what is beyond is dropped."""
 MAX_PEERS = 16
 """Clients that a port knows; one more has to wait until another has been silent for KEEP_US."""
 KEEP_US = 5_000_000
 """A client that has spoken within this time is not displaced by another."""
 FORGET_US = 100_000_000
 """A client is forgotten after so much silence."""
-LOOPBACK = "127.0.0.1"
 LOOPBACK_NET = "127."
 
 Address = tuple[str, int]
@@ -75,8 +74,6 @@ class _Udp:
         self._numbers = 0
         self.dropped_tx = 0
         """Datagrams that could not be sent."""
-        self.dropped_rx = 0
-        """Bytes that were not handed on: a flood, a stranger, or no place for one more client."""
 
     @property
     def name(self) -> str:
@@ -103,12 +100,11 @@ class _Udp:
         bytes_of: dict[int, int] = {}
         for data, address in self._receive():
             peer = self._peer(t_us, address) if self._welcome(address) else None
-            if peer is not None:
-                taken = bytes_of[peer.client] = bytes_of.get(peer.client, 0) + len(data)
-                if taken <= MAX_CLIENT_BYTES:
-                    received.append(Received(data=data, client=peer.client, sender=peer.sender))
-                    continue
-            self.dropped_rx += len(data)
+            if peer is None:
+                continue
+            taken = bytes_of[peer.client] = bytes_of.get(peer.client, 0) + len(data)
+            if taken <= MAX_CLIENT_BYTES:
+                received.append(Received(data=data, client=peer.client, sender=peer.sender))
         self._forget(t_us)
         return received
 

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autopilot.cli.output import emit_json, make_console, print_table
+from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
 
 if TYPE_CHECKING:
     from autopilot.calibrate.boards import Board
     from autopilot.calibrate.flight import Flight
 
-EXIT_REMARKS = 3
 
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 _OUT = click.option(
@@ -151,7 +150,7 @@ def camera(
             click.echo(f"remark: {remark}")
     origin = f"autopilot calibrate camera: {len(result.views)} views in {medium}, rms {result.rms_px:.2f} px"
     _keep(values, origin, vehicle, out, as_json)
-    ctx.exit(EXIT_REMARKS if said else 0)
+    ctx.exit(EXIT_LOSS if said else 0)
 
 
 def _view_rows(result: Any, spread: Any) -> list[tuple[str, str, str, str]]:

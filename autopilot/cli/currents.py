@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 
 @click.group()
@@ -36,7 +36,7 @@ def check(file: str, plan: str | None, origin: tuple[float, float] | None, as_js
             if text:
                 click.echo(f"{kind}: {text}", err=True)
     if problem or warning:
-        raise click.exceptions.Exit(1 if problem else 3)
+        raise click.exceptions.Exit(1 if problem else EXIT_LOSS)
 
 
 @currents.command()

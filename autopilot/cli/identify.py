@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
     from autopilot.core.vehicle import Vehicle
@@ -61,7 +61,7 @@ def identify(logs: tuple[Path, ...], vehicle: str | None, out: Path | None, comp
         if out is not None:
             click.echo(f"written: {out}")
     if any(row.kept for row in rows):
-        raise click.exceptions.Exit(3)
+        raise click.exceptions.Exit(EXIT_LOSS)
 
 
 def _print(rows: "list[Row]", truth: dict[str, float] | None) -> None:

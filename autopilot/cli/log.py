@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.log_tlog import tlog
-from autopilot.cli.output import emit_json, make_console, print_table
+from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
 from autopilot.config import ESTIMATORS
 
 if TYPE_CHECKING:
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from autopilot.log.reader import Log
 
 EXIT_FAILED = 1
-EXIT_LOSS = 3
 
 _LOG = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")

@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
     from autopilot.core.camera import CameraModel
     from autopilot.core.markers import MarkerMap
     from autopilot.markermaps.survey import Survey
-
-EXIT_WARNINGS = 3
 
 
 @click.group()
@@ -166,7 +164,7 @@ def check(file: str, vehicle: str, as_json: bool) -> None:
     for text in warnings:
         click.echo(f"warning: {text}", err=True)
     if warnings:
-        raise click.exceptions.Exit(EXIT_WARNINGS)
+        raise click.exceptions.Exit(EXIT_LOSS)
 
 
 @markers.command()
@@ -228,7 +226,7 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
     for text in warnings:
         click.echo(f"warning: {text}", err=True)
     if warnings:
-        raise click.exceptions.Exit(EXIT_WARNINGS)
+        raise click.exceptions.Exit(EXIT_LOSS)
 
 
 def _rough_map(**options: Any) -> "MarkerMap":

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 from autopilot.core.errors import AutopilotError
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def upload(file: Path, clear: bool, connection: str, patience: float, as_json: b
             click.echo("accepted: " + ", ".join(f"{name} {count} items" for name, count in counts.items()))
     if problem:
         click.echo(f"stored, but the vehicle neither arms nor starts: {problem}", err=True)
-        raise click.exceptions.Exit(3)
+        raise click.exceptions.Exit(EXIT_LOSS)
 
 
 @mission.command()
@@ -167,7 +167,7 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
     else:
         click.echo(f"{file}: fit to fly: " + ", ".join(f"{name} {count} items" for name, count in counts.items()))
     if problems:
-        raise click.exceptions.Exit(1 if verdict.own else 3)
+        raise click.exceptions.Exit(1 if verdict.own else EXIT_LOSS)
 
 
 @contextmanager

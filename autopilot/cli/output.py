@@ -10,6 +10,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
+EXIT_LOSS = 3
+"""Exit code: done, with warnings, remarks, contacts or losses."""
+
+
 def emit_json(value: Any) -> None:
     """Print a value as JSON."""
     click.echo(json.dumps(value, indent=2, sort_keys=True, default=str))

@@ -4,9 +4,7 @@ from pathlib import Path
 
 import click
 
-from autopilot.cli.output import emit_json, print_table
-
-EXIT_LOSS = 3
+from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 
 @click.group()

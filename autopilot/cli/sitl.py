@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.output import EXIT_LOSS
 from autopilot.config import CURRENTS, ESTIMATORS, PROFILES, SENSORS, UNTIL
 from autopilot.core.errors import AutopilotError
 
 if TYPE_CHECKING:
     from autopilot.sitl_console import RunWatch
     from autopilot.sitl_session import SitlSession
-
-EXIT_LOSS = 3
-"""Done, with contacts or with losses in the log."""
 
 
 @click.command()

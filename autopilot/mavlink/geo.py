@@ -2,7 +2,7 @@
 
 import math
 
-from autopilot.core.geodesy import lat_dlon_rad, north_east_m, place_problem, wrap_rad
+from autopilot.core.geodesy import lat_dlon_rad, north_east_m, wrap_rad
 from autopilot.mavlink.api import GeoPoint
 
 
@@ -30,7 +30,3 @@ class TangentPlane:
         dlon_rad = wrap_rad(math.radians(point.lon_deg) - self._lon_rad)
         north_m, east_m = north_east_m(self._lat_rad, self.origin.alt_m, math.radians(point.lat_deg), dlon_rad)
         return north_m, east_m, self.origin.alt_m - point.alt_m
-
-    def refuse(self, point: GeoPoint) -> str:
-        """Why a place cannot be used with this origin, "" if it can."""
-        return place_problem(self.origin.lat_deg, self.origin.lon_deg, point.lat_deg, point.lon_deg)

@@ -20,7 +20,7 @@ Message: TypeAlias = Any
 """A generated pymavlink message (the dialect is untyped)."""
 
 MAX_CHUNK_BYTES = 65_536
-"""Longest piece of input taken at once: one UDP datagram or one socket read. What is beyond is dropped."""
+"""Longest piece of input that is fed at once: one UDP datagram or one socket read. What is beyond is dropped."""
 MAX_BACKLOG_BYTES = 16_384
 """What one client may have waiting: half a second of a fast serial line, 300 messages."""
 
@@ -68,8 +68,8 @@ class RawMessage:
         body = bytes((len(payload), 0, 0, link.seq, link.srcSystem, link.srcComponent)) + self.msg_id.to_bytes(
             3, "little"
         )
-        crc = mav.x25crc(body + payload + bytes((self.crc_extra,))).crc
-        return bytes((_V2,)) + body + payload + int(crc).to_bytes(2, "little")
+        crc = checksum(body + payload + bytes((self.crc_extra,)))
+        return bytes((_V2,)) + body + payload + crc.to_bytes(_CRC_BYTES, "little")
 
 
 class LinkParser:

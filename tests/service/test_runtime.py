@@ -56,7 +56,7 @@ class Device:
 class Link:
     name = "memory"
     problem = None
-    dropped_tx = dropped_rx = 0
+    dropped_tx = 0
 
     def __init__(self) -> None:
         self.inbox: list[bytes] = []

@@ -306,7 +306,7 @@ class Broken:
 
     name = "broken"
     problem = None
-    dropped_tx = dropped_rx = 0
+    dropped_tx = 0
 
     def recv(self, t_us: int) -> list[Received]:
         raise DriverError("no such device")
