@@ -51,10 +51,6 @@ class WaterCheck(Protocol):
         ...
 
 
-class SupersededError(Exception):
-    """The answer is not wanted any more."""
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Question:
     """Everything that an answer depends on."""
@@ -111,12 +107,8 @@ class Verdict:
 
 
 def judge(question: Question, cancel: Cancel) -> Verdict:
-    """Look at all plans. Raises :class:`SupersededError` soon after ``cancel``."""
-
-    def look() -> None:
-        if cancel.requested:
-            raise SupersededError
-
+    """Look at all plans. Raises :class:`autopilot.core.desk.WithdrawnError` soon after ``cancel``."""
+    look = cancel.check
     ctx, plans = question.context, question.plans
     own = tuple(_own_problems(plans, ctx, look))
     look()

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Shape
-from mission.shapes import bounding_box
+from mission.shapes import PAIRS, bounding_box
 
 BoolArray = NDArray[np.bool_]
 
-PAIRS = 100_000
-"""Places times edges that are computed at once: some megabytes."""
 _TINY = 1e-300
 
 

@@ -9,7 +9,7 @@ from autopilot.core.geometry import Circle, Polygon, Shape
 BoolArray = NDArray[np.bool_]
 
 PAIRS = 100_000
-"""Pairs of edges that are looked at at once: some megabytes."""
+"""Pairs of edges, or of places and edges, that are computed at once: some megabytes."""
 
 
 def signed_area_m2(vertices: FloatArray) -> float:

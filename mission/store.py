@@ -287,9 +287,15 @@ class Plans(PlanStore):
     def _decide(self, change: Change, verdict: Verdict) -> None:
         """Take a change, or refuse it for what is wrong with it by itself or must not be now."""
         self._change = None
-        rejection = verdict.refusal(tuple(change.plans)) or self.guard(tuple(change.plans), verdict)
-        if rejection is None:
-            self._take(verdict)
+        try:
+            rejection = verdict.refusal(tuple(change.plans)) or self.guard(tuple(change.plans), verdict)
+            if rejection is None:
+                self._take(verdict)
+        except Exception as error:
+            # Whoever waits for the answer must not wait for ever.
+            text = f"the decision failed ({type(error).__name__}): send the plan again, and report this with the log"
+            change.end(PlanRejection(seq=0, result=MissionResult.ERROR, reason=text))
+            raise
         change.end(rejection)
 
     def _take(self, verdict: Verdict) -> None:
@@ -303,6 +309,10 @@ class Plans(PlanStore):
         if not moved and PlanKind.FENCE not in changed:
             verdict = replace(verdict, shapes=self._verdict.shapes)
         self._verdict, self._plans = verdict, now.plans
+
+    def close(self) -> None:
+        """The end of a run: no answer is wanted any more."""
+        self._drop()
 
     def _drop(self) -> None:
         """Forget what has been asked for."""

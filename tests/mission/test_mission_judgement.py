@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mission_helpers import ORIGIN, RADIUS_M, box, circle, context, local, plain, polygon, tank, waypoint
 
-from autopilot.core.desk import Cancel
+from autopilot.core.desk import Cancel, WithdrawnError
 from autopilot.core.geometry import Circle, Polygon, Shape
 from autopilot.core.params import ParamSet
-from autopilot.core.plan import MAX_ITEMS, PlanItem, PlanKind
+from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
 from mission.fence import read_fence
 from mission.gaps import narrow_gaps
-from mission.judgement import PLAN_PARAMETERS, Question, SupersededError, Verdict, judge
+from mission.judgement import PLAN_PARAMETERS, Question, Verdict, judge
 from mission.room import Room
 from mission.shapes import boundary_gap_m, clearance_m
-from mission.store import Plans
+from mission.store import CHECK_TICKS, Plans
 
 
 def question(mission: list[PlanItem], fence: list[PlanItem], rally: list[PlanItem], **params: float) -> Question:
@@ -71,7 +71,7 @@ def test_a_check_that_is_not_wanted_any_more_ends_at_its_next_step(looks: int) -
 
     cancel = object.__new__(After)
     cancel.left = looks  # type: ignore[attr-defined]
-    with pytest.raises(SupersededError):
+    with pytest.raises(WithdrawnError):
         judge(question([waypoint(0, -1.0, 0.0)], octagons(4), []), cancel)
 
 
@@ -220,3 +220,27 @@ def test_a_change_that_is_called_off_is_not_taken() -> None:
     assert third.done and third.rejection is None and store.revision == 1
     third.cancel()
     assert third.rejection is None, "what is done is done"
+
+
+def test_a_decision_that_fails_is_an_answer_and_not_the_end_of_all_uploads() -> None:
+    """What the guard of the plans raises goes on up; whoever waits for the change hears of it."""
+    from autopilot.core.desk import Desk
+
+    store = Plans(ParamSet(), RADIUS_M, ORIGIN, desk=Desk())
+
+    def broken(kinds: object, verdict: Verdict) -> None:
+        raise ZeroDivisionError
+
+    fine, store.guard = store.guard, broken
+    plan = tuple(tank())
+    change = store.propose({PlanKind.FENCE: plan})
+    with pytest.raises(ZeroDivisionError):
+        for _ in range(2 * CHECK_TICKS):
+            store.tick()
+    assert change.done and change.rejection is not None and change.rejection.result is MissionResult.ERROR
+    assert "send the plan again" in change.rejection.reason
+    store.guard = fine
+    change = store.propose({PlanKind.FENCE: plan})
+    for _ in range(2 * CHECK_TICKS):
+        store.tick()
+    assert change.done and change.rejection is None and store.items(PlanKind.FENCE) is plan
