@@ -22,6 +22,7 @@ from autopilot.core.messages import (
     Severity,
 )
 from autopilot.core.params import ParamSet
+from autopilot.core.phrases import NO_START, PLAN_REASON
 from autopilot.core.plan import MissionResult, PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
 from autopilot.failsafes import Conditions, FailsafeRules
@@ -145,7 +146,7 @@ class Commander:
         """:meth:`prearm_reasons` as of the last half second, for telemetry; only that of the plans while armed."""
         if not self._armed:
             return self._readiness
-        return (f"plan: {self._plans.problem}",) if self._plans.problem else ()
+        return (PLAN_REASON + self._plans.problem,) if self._plans.problem else ()
 
     def prearm_reasons(self) -> tuple[str, ...]:
         """Why arming would be refused now; empty when ready."""
@@ -162,7 +163,7 @@ class Commander:
         if self._plans.checking:
             reasons.append(CHECKING)
         elif self._plans.problem:
-            reasons.append(f"plan: {self._plans.problem}")
+            reasons.append(PLAN_REASON + self._plans.problem)
         if nav is not None and nav.health is not NavHealth.INVALID:
             reasons += self._controller_check(nav)
         return tuple(reasons)
@@ -249,6 +250,10 @@ class Commander:
         """After a restart: the mission of the plan in force stands where it stood. PlanError if it has no such item."""
         self._load_mission()
         self._sequencer.stand_at(position)
+
+    def restore_home(self, pos_ned_m: FloatArray) -> str:
+        """After a restart: home (3,) is where it was, for the mission too. Why it is not taken, "" when it is."""
+        return self._set_home_ned(pos_ned_m)
 
     def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
         """Reposition and hold there; None = hold here."""
@@ -423,7 +428,7 @@ class Commander:
         elif problem and (
             problem != self._told or (revision != self._told_revision and self._t_us - self._told_us >= REPEAT_US)
         ):
-            self._say(Severity.WARNING, f"No start: {problem}")
+            self._say(Severity.WARNING, NO_START + problem)
         elif self._told and not problem:
             self._say(Severity.INFO, "Plan ok")
         else:

@@ -173,14 +173,15 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
 @contextmanager
 def _session(connection: str, patience_s: float, quiet: bool) -> Iterator[Session]:
     """A session with a vehicle that has been heard; warnings of the vehicle go to stderr."""
-    from autopilot.client.session import PLAN_NEWS, Session
+    from autopilot.client.session import Session
     from autopilot.client.texts import WARNING
+    from autopilot.core.phrases import NO_START
 
     with Session(connection) as session:
         if not quiet:
             session.on_text = lambda text: (
                 click.echo(f"vehicle: {text.text}", err=True)
-                if text.severity <= WARNING and not text.text.startswith(PLAN_NEWS)
+                if text.severity <= WARNING and not text.text.startswith(NO_START)
                 else None
             )
         session.connect(patience_s)

@@ -10,12 +10,13 @@ from typing import Self
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.command_client import CommandSend
-from autopilot.client.exchange import BaseExchange, Exchange, Message, Outcome, Target, Timers
+from autopilot.client.exchange import Exchange, Message, Outcome, Target, Timers
 from autopilot.client.links import Link, open_link
 from autopilot.client.plan_client import PlanDownload, PlanUpload, same_on_the_wire
 from autopilot.client.texts import Text, TextCollector
 from autopilot.core.errors import AutopilotError, DriverError, PlanError
 from autopilot.core.messages import ProgressState
+from autopilot.core.phrases import ARMING_CHECK, PLAN_REASON
 from autopilot.core.plan import PlanItem, PlanKind
 
 SYSTEM_ID, COMPONENT_ID = 254, 190
@@ -38,10 +39,8 @@ _FORCE_DISARM = 21196.0
 _FORCE_ARM = 2989.0
 """Magic numbers of MAV_CMD_COMPONENT_ARM_DISARM param2 (common.xml)."""
 
-PLAN_NEWS = "No start: "
-"""What our vehicles say of plans that are stored and must not be flown ..."""
-_PLAN_CHECK = "Arming check: plan: "
-"""... and when they are asked."""
+_PLAN_CHECK = ARMING_CHECK + PLAN_REASON
+"""How our vehicles begin what is wrong with plans that are stored, when they are asked."""
 
 Progress = Callable[[int, int], None]
 """Called with items done and items in all."""
@@ -108,7 +107,6 @@ class Session:
         self._reached: list[int] = []
         self._reached_marks: set[tuple[int, int]] = set()
         self._current: Message | None = None
-        self._plan_news = ""
         self.vehicle: VehicleInfo | None = None
         self.on_text: Callable[[Text], None] | None = None
         """Called with every STATUSTEXT."""
@@ -128,7 +126,10 @@ class Session:
         self._link.close()
 
     def connect(self, timeout_s: float = 10.0, system: int | None = None) -> VehicleInfo:
-        """Wait for the heartbeat of an autopilot (component 1) that has started. DriverError when none comes."""
+        """Wait for the heartbeat of an autopilot (component 1) that has started. DriverError when none comes.
+
+        One that says that it is starting is waited for longer, but not for ever.
+        """
         end_s = self._clock_s() + timeout_s
         latest_s, starting = end_s + _START_S, False
         while self._clock_s() < end_s:
@@ -289,24 +290,20 @@ class Session:
             wire = (_home_placeholder(wire[0]), *(_renumbered(item, 1) for item in wire))
         upload = PlanUpload(kind, wire, target, self._timers)
         outcome = self.run(upload, on_progress)
-        self._hear_plan_news(upload)
         if outcome.result is None and upload.all_sent and same_on_the_wire(self.download(kind), items):
             return
         if not outcome.accepted:
             raise PlanError(outcome.reason)
 
-    def _hear_plan_news(self, exchange: BaseExchange) -> None:
-        """Keep what the vehicle has said of its plans by itself, for when it is armed and does not answer checks."""
-        for text in exchange.complaints:
-            if text.startswith(PLAN_NEWS):
-                self._plan_news = text.removeprefix(PLAN_NEWS)
-
     def plan_problem(self) -> str:
-        """Why the vehicle does not fly the plans that it has stored, "" if it says nothing against them."""
+        """Why the vehicle does not fly the plans that it has stored, "" if it says nothing against them.
+
+        It is asked. An armed vehicle refuses the arming checks, and says what is wrong with its plans all the same.
+        """
         show, self.on_text = self.on_text, None
         try:
             check = CommandSend(mav.MAV_CMD_RUN_PREARM_CHECKS, (), self._address(), self._timers)
-            outcome = self.run(check)
+            self.run(check)
             end_s = self._clock_s() + self._timers.reason_s
             while check.hears_half_a_text and self._clock_s() < end_s:
                 for message in self.poll():
@@ -314,9 +311,6 @@ class Session:
                 check.tick(self._clock_s())
         finally:
             self.on_text = show
-        self._hear_plan_news(check)
-        if not outcome.accepted:
-            return self._plan_news
         return next((t.removeprefix(_PLAN_CHECK) for t in check.complaints if t.startswith(_PLAN_CHECK)), "")
 
     def download(self, kind: PlanKind, on_progress: Progress | None = None) -> tuple[PlanItem, ...]:

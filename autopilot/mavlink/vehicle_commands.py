@@ -7,6 +7,7 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.geodesy import MAX_ORIGIN_LAT_DEG, far_text
 from autopilot.core.messages import Severity
+from autopilot.core.phrases import ARMING_CHECK
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
@@ -116,18 +117,18 @@ class VehicleService:
         return Reply(self._ctx.vehicle.set_mode(mode))
 
     def run_prearm_checks(self, call: Call) -> Reply:
-        """RUN_PREARM_CHECKS: the result comes as text."""
+        """RUN_PREARM_CHECKS: the result comes as text; of an armed vehicle only what is wrong with its plans."""
         view = self._ctx.view
+        self._ctx.begin_anew()  # who asks is answered, however lately it has been said
+        if view.prearm_reasons:
+            for reason in view.prearm_reasons:
+                self._ctx.say(Severity.WARNING, ARMING_CHECK + reason, call.peer)
+        elif not view.armed:
+            self._ctx.say(Severity.INFO, "Arming checks passed", call.peer)
         if view.armed:
             return Reply(
                 Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="arming checks: the vehicle is armed")
             )
-        self._ctx.begin_anew()  # who asks is answered, however lately it has been said
-        if view.prearm_reasons:
-            for reason in view.prearm_reasons:
-                self._ctx.say(Severity.WARNING, f"Arming check: {reason}", call.peer)
-        else:
-            self._ctx.say(Severity.INFO, "Arming checks passed", call.peer)
         return Reply(ACCEPTED)
 
     # Mission

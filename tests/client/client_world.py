@@ -103,7 +103,7 @@ class StraightVehicle:
             target_ned_m=None,
             origin=_POINT,
             home=_POINT,
-            prearm_reasons=(f"plan: {self.plans.problem}",) if self.plans.problem and not self.armed else (),
+            prearm_reasons=(f"plan: {self.plans.problem}",) if self.plans.problem else (),
             failsafes=0,
             cpu_load=0.0,
             under_way=True,
