@@ -5,6 +5,7 @@ checked like an upload; what fails (damage, another version, a fence that the pa
 vehicle without any plan, because a mission is not to be flown without its fence. It always comes up disarmed and holds.
 """
 
+import contextlib
 import math
 import zlib
 from collections.abc import Mapping, Sequence
@@ -180,21 +181,23 @@ class KeptPlans:
             content, problems = self._file.read(_decode)
         except OSError as error:
             return (f"{self._file.path}: cannot be read ({error.strerror}); there is no plan on board",)
+        home_ned_m = self._parts.plans.home_ned_m
+        self._note()
         if content is not None:
             try:
                 problems += self._take(content)
+                self._note()
             except (PlanError, ConfigError) as error:
-                for kind in _CLEAR_ORDER:
-                    self._parts.plans.replace(kind, ())
-                problems.append(f"stored plans are not loaded, upload them again: {error}")
+                self._take_none(home_ned_m)
+                problems.append(f"stored plans are not loaded{self._set_aside()}, upload them again: {error}")
         elif problems:
             problems.append("there is no plan on board, upload it again")
-        self._note()
         return tuple(problems)
 
     def skip(self) -> None:
         """Other plans have been loaded: they are what is kept from now on."""
-        self._file.clean()
+        with contextlib.suppress(OSError):  # the first write finds out, and says so
+            self._file.clean()
         self._revision = -1
 
     def tick(self, t_us: int) -> None:
@@ -223,8 +226,23 @@ class KeptPlans:
     def finish(self) -> None:
         """Write what is not yet on disk."""
         error = self._keeper.finish()
-        if error is not None:
-            self.failure = f"plans are not saved: {self._file.path}: {error}"
+        self.failure = None if error is None else f"plans are not saved: {self._file.path}: {error}"
+
+    def _take_none(self, home_ned_m: FloatArray) -> None:
+        """Back to what a service without stored plans has; that is what is kept from the first tick on."""
+        plans = self._parts.plans
+        for kind in _CLEAR_ORDER:
+            plans.replace(kind, ())
+        plans.set_origin(self._configured)
+        self._parts.commander.restore_home(home_ned_m)
+        self._revision = -1
+
+    def _set_aside(self) -> str:
+        """Keep the file that is not in force, so that nothing overwrites it; the words for it."""
+        try:
+            return f" (they are in {self._file.set_aside().name} now)"
+        except OSError as error:
+            return f" (they stay in {self._file.path.name}: {cause_of(error)})"
 
     def _note(self) -> None:
         plans = self._parts.plans
@@ -257,7 +275,8 @@ class KeptPlans:
         if problem:
             problems.append(f"stored plans cannot be flown: {problem}")
         if same_place and all(math.isfinite(value) for value in content.home_ned_m):
-            plans.set_home(np.array(content.home_ned_m))
+            refusal = self._parts.commander.restore_home(np.array(content.home_ned_m))
+            problems += [f"stored home is not taken, set it anew: {refusal}"] if refusal else []
         if content.position is not None and mission:
             self._parts.commander.stand_at(content.position)
         return problems

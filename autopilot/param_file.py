@@ -86,14 +86,6 @@ def scan_param_file(path: Path) -> ParamText:
         raise ConfigError(f"{path}: is not UTF-8 text; export the parameters again") from error
 
 
-def read_param_file(path: Path) -> dict[str, float]:
-    """Name -> value. ConfigError names the first line that cannot be used; names that do not exist are left out."""
-    found = scan_param_file(path)
-    if found.errors:
-        raise ConfigError(found.errors[0])
-    return found.values
-
-
 def param_text(values: Mapping[str, float], *, sysid: int = 1, more: tuple[str, ...] = ()) -> str:
     """A file in QGroundControl's form; ``more``: lines that go in as they are."""
     table = ParamSet()
@@ -175,8 +167,7 @@ class PersistentParams:
     def finish(self) -> None:
         """Write what is not yet on disk."""
         error = self._keeper.finish()
-        if error is not None:
-            self.failure = f"parameters are not saved: {self._file.path}: {error}"
+        self.failure = None if error is None else f"parameters are not saved: {self._file.path}: {error}"
 
     def _parse(self, data: bytes) -> ParamText:
         if not data.strip():

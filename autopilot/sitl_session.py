@@ -1,9 +1,9 @@
 """One SITL run: settings -> scenario, simulated vehicle, service, links, log, loop."""
 
+import contextlib
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,6 +29,7 @@ from autopilot.control.currents import (
 from autopilot.core.camera import CameraModel
 from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError, LogError, PlanError
+from autopilot.core.lane import DaemonLane
 from autopilot.core.marker_files import load_marker_map, marker_file_text
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import Outputs, Severity, ThrusterCommand
@@ -119,6 +120,8 @@ class SitlSession:
     runtime: Runtime
     recorder: RunRecorder | NullRecorder
     persistent: PersistentParams
+    disk: Desk
+    """The lane on which both write."""
     kept: KeptPlans | None
     """Where the plans are kept, None when they are not."""
     warnings: tuple[str, ...]
@@ -131,14 +134,23 @@ class SitlSession:
     def run(self, stop: Callable[[], bool] = lambda: False) -> float:
         """Run to the end; the result is the wall time it took [s]."""
         begin_s = time.monotonic()
-        try:
-            self.runtime.run(duration_s=self.duration_s, stop=stop)
-        finally:
-            self.recorder.close()
-            self.persistent.finish()
+        with contextlib.ExitStack() as end:  # whatever one of them raises, the others are done
+            end.callback(self._end_slow_work)
             if self.kept is not None:
-                self.kept.finish()
+                end.callback(self.kept.finish)
+            end.callback(self.persistent.finish)
+            end.callback(self.recorder.close)
+            self.runtime.run(duration_s=self.duration_s, stop=stop)
         return time.monotonic() - begin_s
+
+    def _end_slow_work(self) -> None:
+        """Nobody wants routes, plans and checks any more: what has not begun does not begin."""
+        try:
+            self.parts.plans.close()
+            self.parts.controller.reset()
+        finally:
+            for desk in (*self.parts.desks, self.disk):
+                desk.close()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -174,7 +186,7 @@ def open_sitl(
     """
     sys.setswitchinterval(THREAD_SWITCH_S)
     scenario = load_scenario(settings["scenario"])
-    disk = Desk(ThreadPoolExecutor(1, thread_name_prefix="disk"), patient=float(settings["speed"]) == 0.0)
+    disk = Desk(DaemonLane("disk"), patient=float(settings["speed"]) == 0.0)
     params, persistent, warnings = sitl_params(settings, scenario, overrides, instance, disk)
     world = _world(settings, scenario, params)
     operator = ScriptedOperator(system_id(params, instance)) if settings["start"] else None
@@ -240,6 +252,7 @@ def open_sitl(
         runtime=runtime,
         recorder=recorder,
         persistent=persistent,
+        disk=disk,
         kept=kept,
         warnings=warnings,
         operator=operator,

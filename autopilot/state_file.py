@@ -56,6 +56,11 @@ class StateFile:
                     os.replace(path, self.damaged)
         return None, problems
 
+    def set_aside(self) -> Path:
+        """Give what :meth:`read` has given another name, because it is not in force; the result is that name."""
+        os.replace(self.path if self.path.exists() else self.previous, self.damaged)
+        return self.damaged
+
     def write(self, data: bytes) -> None:
         """Replace the content. OSError leaves what was there."""
         self.path.parent.mkdir(parents=True, exist_ok=True)

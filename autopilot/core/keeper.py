@@ -5,6 +5,7 @@ after a restart, and a slow disk must not gather a queue.
 """
 
 from collections.abc import Callable
+from concurrent.futures import wait
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -12,6 +13,10 @@ from autopilot.core.desk import Cancel, Desk, Ticket
 
 KEEP_TICKS = 5
 """In lockstep a write is done so many ticks after it was asked for: 50 ms, what a flash disk needs for an fsync."""
+RETRY_TICKS = 500
+"""A write that failed is tried again so many ticks later (5 s), unless a newer state comes before."""
+FINISH_S = 10.0
+"""How long the end of a run waits for a disk that does not answer."""
 
 Q = TypeVar("Q")
 
@@ -27,13 +32,15 @@ class Kept:
 
 
 class Keeper(Generic[Q]):
-    """``write`` gets states that do not change any more and may raise OSError."""
+    """``write`` gets states that do not change any more and may raise; what failed is tried again."""
 
     def __init__(self, desk: Desk, write: Callable[[Q], None], ticks: int = KEEP_TICKS) -> None:
         self._desk, self._write, self._ticks = desk, write, ticks
         self._number = self._asked = self._done = 0
         self._newest: Q | None = None
         self._ticket: Ticket[int] | None = None
+        self._again_at: int | None = None
+        """When a write that failed is tried again."""
 
     @property
     def busy(self) -> bool:
@@ -50,25 +57,42 @@ class Keeper(Generic[Q]):
 
     def poll(self, tick: int) -> Kept | None:
         """What became of the write that has ended, once."""
+        if self._again_at is not None and tick >= self._again_at:
+            self._ask(tick)
         answer = None if self._ticket is None else self._ticket.poll(tick)
         if answer is None:
             return None
         number, self._ticket = self._asked, None
         if self._asked < self._number:
             self._ask(tick)
+        elif answer.error is not None:
+            self._again_at = tick + RETRY_TICKS
         return Kept(number=number, error=answer.error)
 
-    def finish(self) -> Exception | None:
-        """The end of a run: wait for what is being written, and write what is newer. Why it is not on disk, or None."""
-        if self._desk.executor is not None:
-            self._desk.executor.shutdown(wait=True, cancel_futures=True)
-        if self._newest is None or self._done == self._number:
+    def finish(self, timeout_s: float = FINISH_S) -> Exception | None:
+        """The end of a run: have written what is not on disk, in its turn. Why it is not there, or None.
+
+        It is waited for ``timeout_s`` at most: a disk that hangs must not keep a service from ending.
+        """
+        state, number = self._newest, self._number
+        if state is None or self._done == number:
             return None
+
+        def work() -> None:
+            if self._done != number:
+                self._write(state)
+                self._done = number
+
         try:
-            self._write(self._newest)
-        except OSError as error:
+            if self._desk.executor is None:
+                work()
+                return None
+            future = self._desk.executor.submit(work)
+            if not wait((future,), timeout_s).done:
+                return TimeoutError("disk does not answer")
+            future.result()
+        except Exception as error:  # noqa: BLE001 - whatever keeps it from the disk, the end of the run goes on
             return error
-        self._done = self._number
         return None
 
     def _ask(self, tick: int) -> None:
@@ -80,5 +104,5 @@ class Keeper(Generic[Q]):
             self._done = number
             return number
 
-        self._asked = number
+        self._asked, self._again_at = number, None
         self._ticket = self._desk.submit(tick + self._ticks, work, state)

@@ -167,7 +167,7 @@ class Parameters:
             for name in done:
                 del self._saving[name]
                 ctx.broadcast(self.value(name))
-            if saved.failure:
+            if saved.failure and done:
                 ctx.say(Severity.WARNING, f"Not saved ({saved.failure}), lost at restart: {', '.join(done)}")
         for name, request in self._saving.items():
             if not request.told and ctx.t_us - request.since_us > SLOW_DISK_US * ctx.patience:
@@ -176,8 +176,7 @@ class Parameters:
 
     def tick(self) -> None:
         """Tell what has been kept, go on with lists that were asked for."""
-        if self._saving:
-            self._tell_saved()
+        self._tell_saved()
         if not self._lists:
             return
         for peer, start in tuple(self._lists.items()):

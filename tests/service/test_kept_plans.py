@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from autopilot.config import gather, sitl_defaults
 from autopilot.core.desk import Desk
-from autopilot.core.keeper import KEEP_TICKS, Keeper
+from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS, Keeper
 from autopilot.core.plan import PlanKind
 from autopilot.kept_plans import KeptPlans
 from autopilot.service import Parts
 from autopilot.sitl_session import open_sitl
 from autopilot.state_file import StateFile
+from mission.geodesy import Origin
 from mission.paper import paper_plan
 from mission.sequencer import Position
 from mission.store import Plans
@@ -110,6 +111,57 @@ def test_a_plan_that_is_wrong_today_leaves_none_behind(tmp_path: Path) -> None:
         assert any("upload them again" in warning for warning in warnings)
         assert not any(parts.plans.items(kind) for kind in PlanKind)
     assert before.plans.items(PlanKind.MISSION)
+
+
+def test_plans_that_are_refused_today_are_set_aside_and_nothing_of_them_is_in_force(tmp_path: Path) -> None:
+    """The origin was moved before they were kept: it is not in force without them either."""
+    parts = _parts(tmp_path)
+    path, configured = tmp_path / "plans.json", parts.plans.origin
+    kept = KeptPlans(path, parts)
+    moved = Origin(lat_deg=configured.lat_deg + 1e-5, lon_deg=configured.lon_deg, alt_m=configured.alt_m)
+    assert parts.plans.set_origin(moved) is None
+    _upload(parts.plans)
+    kept.tick(10_000)
+    kept.finish()
+    whole = path.read_bytes()
+    after = _parts(tmp_path)
+    after.params.set("DEPTH_MAX", 0.2)
+    kept = KeptPlans(path, after)
+    (warning,) = kept.load()
+    assert "plans.json.damaged" in warning and "upload them again" in warning
+    assert not any(after.plans.items(kind) for kind in PlanKind)
+    assert after.plans.origin == configured
+    kept.tick(10_000)
+    kept.tick((KEEP_TICKS + 1) * 10_000)
+    assert StateFile(path).damaged.read_bytes() == whole
+    third = _parts(tmp_path)
+    assert KeptPlans(path, third).load() == ()
+    assert not any(third.plans.items(kind) for kind in PlanKind)
+
+
+def test_the_mission_goes_home_to_where_home_was_before_the_restart(tmp_path: Path) -> None:
+    path, before = _written(tmp_path)
+    after = _parts(tmp_path)
+    KeptPlans(path, after).load()
+    assert (after.commander._sequencer._home_ned_m == before.plans.home_ned_m).all()
+
+
+def test_a_disk_that_fails_once_is_tried_again_without_a_change(tmp_path: Path) -> None:
+    folder, parts = tmp_path / "gone", _parts(tmp_path)
+    folder.write_bytes(b"in the way")
+    kept = KeptPlans(folder / "plans.json", parts)
+    kept.load()
+    _upload(parts.plans)
+    for tick in range(RETRY_TICKS):
+        kept.tick(tick * 10_000)
+    assert kept.failure is not None
+    folder.unlink()
+    for tick in range(RETRY_TICKS, 2 * RETRY_TICKS):
+        kept.tick(tick * 10_000)
+    assert kept.failure is None
+    again = _parts(tmp_path)
+    assert KeptPlans(folder / "plans.json", again).load() == ()
+    assert _same(parts, again)
 
 
 def test_a_disk_that_fails_is_told_once_and_tried_with_the_next_change(tmp_path: Path) -> None:

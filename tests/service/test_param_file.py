@@ -1,16 +1,20 @@
 """Parameters on disk: both forms are read, bad files change nothing, only run-time changes are kept."""
 
 import math
+import re
+import threading
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
-from autopilot.core.keeper import KEEP_TICKS
+from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS, Keeper
+from autopilot.core.lane import DaemonLane
 from autopilot.core.params import PARAMETERS, ParamSet, ParamType
-from autopilot.param_file import PersistentParams, read_param_file, write_param_file
+from autopilot.param_file import PersistentParams, scan_param_file, write_param_file
 
 
 @st.composite
@@ -28,7 +32,7 @@ def param_values(draw: st.DrawFn) -> dict[str, float]:
 def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, values: dict[str, float]) -> None:
     path = tmp_path_factory.mktemp("params") / "p.params"
     write_param_file(path, values)
-    back = read_param_file(path)
+    back = scan_param_file(path).values
     assert back.keys() == values.keys()
     for name, value in values.items():
         assert math.isclose(back[name], value, rel_tol=1e-8, abs_tol=1e-12)
@@ -37,7 +41,7 @@ def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, value
 def test_other_tools_forms_are_read(tmp_path: Path) -> None:
     path = tmp_path / "p.parm"
     path.write_text("# a comment\nTHR_LIMIT 9.5\nSPD_CRUISE,0.2\n\n1\t1\tFS_BATT_ACT\t1\t6\n")
-    assert read_param_file(path) == {"THR_LIMIT": 9.5, "SPD_CRUISE": 0.2, "FS_BATT_ACT": 1.0}
+    assert scan_param_file(path).values == {"THR_LIMIT": 9.5, "SPD_CRUISE": 0.2, "FS_BATT_ACT": 1.0}
 
 
 BAD_LINES = [
@@ -53,10 +57,9 @@ BAD_LINES = [
 def test_a_bad_file_that_somebody_gives_is_an_error(tmp_path: Path, line: str, named: str) -> None:
     path = tmp_path / "p.params"
     path.write_text(f"SPD_CRUISE 0.2\n{line}\n")
-    with pytest.raises(ConfigError, match=named) as caught:
-        read_param_file(path)
-    assert ":2:" in str(caught.value)
-    assert "\n" not in str(caught.value)
+    (error,) = scan_param_file(path).errors
+    assert ":2:" in error and re.search(named, error)
+    assert "\n" not in error
 
 
 @pytest.mark.parametrize(("line", "named"), [*BAD_LINES, ("NO_SUCH_PARAM 1", "NO_SUCH_PARAM")])
@@ -80,7 +83,7 @@ def test_a_name_of_another_version_stays_in_the_file(tmp_path: Path) -> None:
     persistent.save(0, "THR_LIMIT")
     persistent.finish()
     assert "1\t1\tFROM_TOMORROW\t7\t6" in path.read_text().splitlines()
-    assert read_param_file(path) == {"SPD_CRUISE": 0.2, "THR_LIMIT": 9.0}
+    assert scan_param_file(path).values == {"SPD_CRUISE": 0.2, "THR_LIMIT": 9.0}
 
 
 @given(st.binary(max_size=300))
@@ -92,11 +95,11 @@ def test_no_content_keeps_a_vehicle_from_starting(tmp_path_factory: pytest.TempP
 
 def test_missing_and_binary_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="nowhere"):
-        read_param_file(tmp_path / "nowhere.params")
+        scan_param_file(tmp_path / "nowhere.params")
     path = tmp_path / "binary.params"
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="UTF-8"):
-        read_param_file(path)
+        scan_param_file(path)
 
 
 def _set(persistent: PersistentParams, params: ParamSet, name: str, value: float) -> None:
@@ -116,7 +119,7 @@ def test_only_changes_at_run_time_are_kept(tmp_path: Path) -> None:
     persistent.finish()
     assert not path.exists()
     _set(persistent, params, "SPD_CRUISE", 0.3)
-    assert read_param_file(path) == {"SPD_CRUISE": 0.3}
+    assert scan_param_file(path).values == {"SPD_CRUISE": 0.3}
     again = ParamSet()
     PersistentParams(path, again).load()
     assert again["SPD_CRUISE"] == 0.3
@@ -138,7 +141,7 @@ def test_nothing_is_written_that_is_on_disk_already_and_a_failure_is_tried_again
     done = persistent.saved(10 + KEEP_TICKS)
     assert done is not None and done.failure == "" and persistent.failure is None
     assert persistent.save(30, "SPD_CRUISE") is None
-    assert read_param_file(folder / "p.params") == {"SPD_CRUISE": 0.3}
+    assert scan_param_file(folder / "p.params").values == {"SPD_CRUISE": 0.3}
 
 
 def test_a_killed_service_leaves_nothing_behind_and_the_copy_before_helps(tmp_path: Path) -> None:
@@ -155,3 +158,47 @@ def test_a_killed_service_leaves_nothing_behind_and_the_copy_before_helps(tmp_pa
     assert "is empty" in warning
     assert again["SPD_CRUISE"] == 0.3
     assert sorted(p.name for p in tmp_path.iterdir()) == ["p.params.damaged", "p.params.previous"]
+
+
+def test_a_write_that_failed_is_tried_again_by_itself(tmp_path: Path) -> None:
+    """The disk was full for a while: nobody has to change a parameter for it to be kept."""
+    folder = tmp_path / "state"
+    folder.write_bytes(b"in the way")
+    params = ParamSet()
+    persistent = PersistentParams(folder / "p.params", params)
+    params.set("SPD_CRUISE", 0.3)
+    persistent.save(0, "SPD_CRUISE")
+    outcomes = []
+    for tick in range(3 * RETRY_TICKS):
+        if tick == RETRY_TICKS + 100:
+            folder.unlink()
+        saved = persistent.saved(tick)
+        if saved is not None:
+            outcomes.append(saved.failure)
+    assert outcomes == ["folder gone", "folder gone", ""]
+    assert persistent.failure is None
+    assert scan_param_file(folder / "p.params").values == {"SPD_CRUISE": 0.3}
+
+
+def test_a_disk_that_hangs_does_not_keep_a_service_from_ending() -> None:
+    """The write never returns; the thread that does it is left behind."""
+    stuck = threading.Event()
+    keeper: Keeper[int] = Keeper(Desk(DaemonLane("stuck"), patient=False), lambda _: bool(stuck.wait()))
+    keeper.put(0, 1)
+    keeper.put(0, 2)
+    error = keeper.finish(0.05)
+    assert str(error) == "disk does not answer"
+    stuck.set()
+    assert keeper.finish() is None
+    assert all(thread.daemon for thread in threading.enumerate() if thread.name == "stuck")
+
+
+def test_whatever_a_write_raises_the_run_ends() -> None:
+    def write(state: int) -> None:
+        raise ValueError(f"{state} has no bytes")
+
+    for desk in (Desk(), Desk(DaemonLane("odd"), patient=False)):
+        keeper: Keeper[int] = Keeper(desk, write)
+        keeper.put(0, 1)
+        assert isinstance(keeper.finish(), ValueError)
+        desk.close()

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from pymavlink.dialects.v20 import development as mav
 from system_harness import PAPER_PLAN, ROOT, OpenSession, RunningService, free_port
+from wire_client import WireClient
 
 from autopilot.children import Child, autopilot_command
 from autopilot.cli.main import cli, run
-from autopilot.param_file import read_param_file
+from autopilot.param_file import scan_param_file
 from mission.plan_files import read_plan
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
@@ -69,6 +71,13 @@ def _assert_refused(done: Done, *named: str, code: int = 1) -> None:
     assert any(word in lines[0] for word in (";", "check", "use", "write")), f"no remedy in {lines[0]!r}"
     for word in named:
         assert word in lines[0], lines[0]
+
+
+def _assert_warned(done: Done, *named: str) -> None:
+    (line,) = done.err.splitlines()
+    assert line.startswith("warning: ")
+    for word in named:
+        assert word in line, line
 
 
 def _sitl(autopilot: Command, scenario: str | Path, *more: str) -> Done:
@@ -216,7 +225,7 @@ def test_bad_plan_file(autopilot: Command, tmp_path: Path, name: str) -> None:
 
 
 def test_plan_with_a_waypoint_in_an_obstacle(autopilot: Command, tmp_path: Path) -> None:
-    """As a preloaded plan it stops the start; `mission check` lists what is wrong."""
+    """As a preloaded plan it is on board and warned of, and never started; `mission check` lists what is wrong."""
     file = tmp_path / "bad.toml"
     file.write_text(
         "[origin]\nlat_deg = 37.9755\nlon_deg = 23.7790\n"
@@ -224,9 +233,13 @@ def test_plan_with_a_waypoint_in_an_obstacle(autopilot: Command, tmp_path: Path)
         "[[fence.polygon]]\npoints_m = [[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]]\ninclusion = true\n"
         "[[fence.circle]]\nx_m = 0.9375\ny_m = 0.0\nradius_m = 0.16\n"
     )
-    _assert_refused(_sitl(autopilot, "paper-tank", "--plan", str(file)), str(file), "item 0", "inside", "move it by")
+    named = (str(file), "item 0", "inside", "move it 0.43 m")
+    loaded = _sitl(autopilot, "paper-tank", "--plan", str(file))
+    assert loaded.code == 0
+    _assert_warned(loaded, *named, "will not arm before that is mended")
+    _assert_refused(_sitl(autopilot, "paper-tank", "--plan", str(file), "--start"), *named, "mend the plan")
     checked = autopilot("mission", "check", str(file), "--json")
-    assert checked.code == 1
+    assert checked.code == 3
     assert '"INVALID_PARAM5_X"' in checked.out
     assert checked.err == ""
 
@@ -261,18 +274,25 @@ def test_missing_things(autopilot: Command, tmp_path: Path, arguments: tuple[str
 
 
 def test_bad_parameter_file(autopilot: Command, tmp_path: Path) -> None:
-    """Parameters that were saved by hand: nothing starts with half of them."""
+    """Lines that cannot be used do not keep a vehicle from starting, stay in the file and are warned of by name."""
     saved = tmp_path / "state/sitl-0/parameters.params"
     saved.parent.mkdir(parents=True)
     for text, named in (
-        ("SPD_CRUISE much\n", "'much' is not a number"),
-        ("SPD_CRUISE 0.3\nSPD 3\n", "parameters.params:2"),
+        ("SPD_CRUISE much\n", "parameters.params:1: SPD_CRUISE = 'much' is not a number"),
+        ("SPD_CRUISE 0.3\nDEPTH_MAX 1 2\n", "parameters.params:2: "),
         ("SPD_CRUISE 99\n", "use 0.02 to 2 m/s"),
     ):
         saved.write_text(text)
-        _assert_refused(_sitl(autopilot, "paper-tank"), "parameters.params:", named)
-        _assert_refused(autopilot("params", "check", str(saved)), "parameters.params:", named)
+        started = _sitl(autopilot, "paper-tank")
+        assert started.code == 0
+        _assert_warned(started, named, "its default is used")
+        _assert_refused(autopilot("params", "check", str(saved)), named)
         assert saved.read_text() == text
+    saved.write_text("SPD_CRUISE 0.3\nSPD 3\n")
+    started, checked = _sitl(autopilot, "paper-tank"), autopilot("params", "check", str(saved))
+    assert (started.code, checked.code) == (0, 3)
+    for done in (started, checked):
+        _assert_warned(done, "parameters.params:2: parameter SPD does not exist")
 
 
 @pytest.mark.parametrize(("kind", "text"), [(socket.SOCK_DGRAM, "udpin"), (socket.SOCK_STREAM, "tcpin")])
@@ -418,7 +438,7 @@ def test_parameters_survive_a_restart(service: Callable[..., RunningService], tm
     finally:
         client.close()
     assert first.child.end() == 0
-    assert read_param_file(saved) == {"SPD_CRUISE": pytest.approx(0.25)}
+    assert scan_param_file(saved).values == {"SPD_CRUISE": pytest.approx(0.25)}
     second = service()
     client = mavutil.mavlink_connection(f"udpout:127.0.0.1:{second.port}", source_system=255, dialect="development")
     try:
@@ -435,13 +455,16 @@ def test_parameters_survive_a_restart(service: Callable[..., RunningService], tm
 
 def test_full_disk_for_parameters_does_not_stop_the_vehicle(session: OpenSession, tmp_path: Path) -> None:
     """The state folder cannot be written: the parameter holds for this run, and the run says so at its end."""
-    run_ = session(sensors="pose")
+    client = WireClient()
+    run_ = session(sensors="pose", peers=(client,), duration=2.0)
     (tmp_path / "state").write_text("a file where a folder should be")
-    run_.parts.params.set("SPD_CRUISE", 0.2)
-    for tick in range(1, 20):
-        run_.runtime.tick(tick * 10_000)
+    client.send(mav.MAVLink_param_set_message(1, 1, b"SPD_CRUISE", 0.2, mav.MAV_PARAM_TYPE_REAL32))
+    run_.run()
+    assert run_.parts.params["SPD_CRUISE"] == pytest.approx(0.2)
     assert run_.persistent.failure is not None
-    assert "cannot be written" in run_.persistent.failure
+    assert "parameters are not saved: " in run_.persistent.failure
+    told = [text for text in client.texts() if text.startswith("Not saved")]
+    assert told == ["Not saved (folder gone), lost at restart: SPD_CRUISE"]
 
 
 def test_help_names_every_command(autopilot: Command) -> None:
