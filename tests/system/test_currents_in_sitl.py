@@ -73,10 +73,15 @@ def test_truth_and_map_are_two_files_and_the_log_names_the_map(
         compare_forecasts(tmp_path / "run.mcap")
 
 
-def test_what_does_not_fit_is_refused_before_anything_runs(tmp_path: Path, opened: Callable[..., SitlSession]) -> None:
+def test_what_does_not_fit_is_refused_before_anything_runs(
+    tmp_path: Path, opened: Callable[..., SitlSession], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A map that is too small for the plan forbids only to fly it: without --start it is a warning."""
     plan = str(scenario_path("paper-tank").parent / "paper.plan")
     with pytest.raises(PlanError, match=r"current map small\.npz: does not cover"):
-        opened(plan=plan, currents_map=str(tmp_path / "small.npz"))
+        opened(plan=plan, currents_map=str(tmp_path / "small.npz"), start=True)
+    assert opened(plan=plan, currents_map=str(tmp_path / "small.npz")).parts.plans.problem
+    assert "current map small.npz: does not cover" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="--currents-map needs --currents map, not memory"):
         opened(currents="memory", currents_map=str(tmp_path / "small.npz"))
     with pytest.raises(ConfigError, match="cannot be read"):
