@@ -77,6 +77,8 @@ class Parameters:
         self._index = {name: i for i, name in enumerate(self._names)}
         self._lists: dict[Peer, int] = {}
         self._saving: dict[str, _Request] = {}
+        self._unsaved = False
+        """Whether the operator believes that something is lost at restart."""
         """Parameters that are being kept; they are told when they are."""
 
     def value(self, name: str) -> Message:
@@ -167,7 +169,11 @@ class Parameters:
             for name in done:
                 del self._saving[name]
                 ctx.broadcast(self.value(name))
+            if not saved.failure and self._unsaved:
+                self._unsaved = False
+                ctx.say(Severity.INFO, "Parameters are saved now")
             if saved.failure and done:
+                self._unsaved = True
                 ctx.say(Severity.WARNING, f"Not saved ({saved.failure}), lost at restart: {', '.join(done)}")
         for name, request in self._saving.items():
             if not request.told and ctx.t_us - request.since_us > SLOW_DISK_US * ctx.patience:

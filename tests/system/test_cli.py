@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import development as mav
 from system_harness import PAPER_PLAN, ROOT, OpenSession, RunningService, free_port
-from wire_client import WireClient
+from wire_client import Harbour, WireClient
 
 from autopilot.children import Child, autopilot_command
 from autopilot.cli.main import cli, run
@@ -472,3 +472,32 @@ def test_help_names_every_command(autopilot: Command) -> None:
     assert done.code == 0
     for name in ("bench", "config", "demo", "log", "mission", "params", "sitl"):
         assert re.search(rf"^  {name} ", done.out, re.MULTILINE)
+
+
+def test_a_log_that_cannot_be_closed_does_not_lose_the_parameters(
+    session: OpenSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each thing that is to be done at the end of a run is done, whatever another one raises."""
+    client = WireClient()
+    run_ = session(sensors="pose", peers=(client,), duration=0.05)
+    client.send(mav.MAVLink_param_set_message(1, 1, b"SPD_CRUISE", 0.2, mav.MAV_PARAM_TYPE_REAL32))
+    with monkeypatch.context() as patch:
+        patch.setattr(run_.recorder, "close", lambda: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            run_.run()
+    assert scan_param_file(tmp_path / "state/sitl-0/parameters.params").values == {"SPD_CRUISE": pytest.approx(0.2)}
+    with pytest.raises(RuntimeError, match="disk"):
+        run_.disk.submit(0, lambda request, _: request, None)
+
+
+def test_a_disk_that_recovers_has_the_parameters_and_the_operator_knows(session: OpenSession, tmp_path: Path) -> None:
+    """Nobody has to set them again."""
+    client = WireClient()
+    harbour = Harbour(session(sensors="pose", peers=(client,)))
+    (tmp_path / "state").write_text("a file where a folder should be")
+    client.send(mav.MAVLink_param_set_message(1, 1, b"SPD_CRUISE", 0.2, mav.MAV_PARAM_TYPE_REAL32))
+    harbour.until(lambda: any(text.startswith("Not saved") for text in client.texts()))
+    (tmp_path / "state").unlink()
+    harbour.until(lambda: "Parameters are saved now" in client.texts(least=mav.MAV_SEVERITY_INFO), 6.0)
+    assert scan_param_file(tmp_path / "state/sitl-0/parameters.params").values == {"SPD_CRUISE": pytest.approx(0.2)}
+    assert len([text for text in client.texts() if text.startswith("Not saved")]) == 1
