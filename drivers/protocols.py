@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import NamedTuple, Protocol, Self, TypeVar
 
-from autopilot.core.messages import EVERYONE
+from autopilot.core.clients import EVERYONE
 
 T = TypeVar("T")
 

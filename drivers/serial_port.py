@@ -5,8 +5,8 @@ import os
 import sys
 from types import ModuleType
 
+from autopilot.core.clients import EVERYONE
 from autopilot.core.errors import DriverError
-from autopilot.core.messages import EVERYONE
 from drivers.base import Closing
 from drivers.framing import FrameCutter
 from drivers.numbering import Numbering

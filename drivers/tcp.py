@@ -2,8 +2,8 @@
 
 import socket
 
+from autopilot.core.clients import EVERYONE
 from autopilot.core.errors import DriverError
-from autopilot.core.messages import EVERYONE
 from drivers.framing import FrameCutter
 from drivers.numbering import Numbering
 from drivers.protocols import Received

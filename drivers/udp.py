@@ -7,8 +7,8 @@ import errno
 import socket
 from dataclasses import dataclass, field
 
+from autopilot.core.clients import EVERYONE
 from autopilot.core.errors import DriverError
-from autopilot.core.messages import EVERYONE
 from drivers.numbering import Numbering
 from drivers.protocols import LOOPBACK, Received
 

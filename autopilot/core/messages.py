@@ -10,6 +10,7 @@ from enum import Enum, IntEnum
 
 import numpy as np
 
+from autopilot.core.clients import EVERYONE
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.marks import LoopPart
@@ -17,10 +18,6 @@ from autopilot.core.samples import ExternalPoseSample, Sample
 
 MAX_THRUSTERS = 8
 """Width of the thruster arrays in logs and outputs."""
-
-
-EVERYONE = 0
-"""The client number of all who are at the other end of a link."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

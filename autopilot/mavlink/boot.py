@@ -2,7 +2,7 @@
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.messages import EVERYONE
+from autopilot.core.clients import EVERYONE
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.context import COMPID
 from autopilot.mavlink.profiles import profile_by_name

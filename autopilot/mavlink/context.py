@@ -7,8 +7,9 @@ from typing import NamedTuple, TypeAlias
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.clients import EVERYONE
 from autopilot.core.guard import Guard
-from autopilot.core.messages import EVERYONE, Event, MavlinkFrame, Severity
+from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample

@@ -116,31 +116,6 @@ def test_an_armed_vehicle_says_what_is_wrong_with_its_plans_to_every_client_and_
     assert client.plan_problem() == ""
 
 
-def test_a_vehicle_that_is_starting_for_ever_is_given_up() -> None:
-    class Starting:
-        """Nothing but heartbeats of a vehicle that boots."""
-
-        def __init__(self) -> None:
-            self.t_s = 0.0
-            self._mav = mav.MAVLink(None, srcSystem=1, srcComponent=1)
-
-        def receive(self, wait_s: float) -> bytes:
-            self.t_s += wait_s + 0.5
-            beat = mav.MAVLink_heartbeat_message(12, 12, 0, 0, mav.MAV_STATE_BOOT, 3)
-            return bytes(beat.pack(self._mav)) if wait_s else b""
-
-        def send(self, data: bytes) -> None:
-            pass
-
-        def close(self) -> None:
-            pass
-
-    link = Starting()
-    with pytest.raises(DriverError, match="no vehicle heard"):
-        Session(link, clock_s=lambda: link.t_s).connect(10.0)
-    assert 60.0 < link.t_s < 400.0
-
-
 def test_a_vehicle_that_falls_silent_is_reported() -> None:
     link = MemoryLink()
     client = session(link)
