@@ -8,8 +8,7 @@ import sys
 import threading
 import time
 import traceback
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -27,10 +26,10 @@ from sitl.scenario import Scenario, load_scenario
 
 HEARTBEAT_S = 1.0
 TURN_S = 0.05
-KEPT_S = 2.0
-"""Requests are kept for the service for so long: a client that has waited longer has given up or asked again."""
+KEPT_S = 15.0
+"""Requests are kept for the service for so long: a client that has waited longer has given up."""
 MAX_KEPT = 256
-"""Datagrams that are kept."""
+"""Requests that are kept; one that is asked again takes the place of the one before."""
 
 
 class Doorstep:
@@ -44,7 +43,8 @@ class Doorstep:
         self._spoken_to: set[int] = set()
         self._shown: set[int] = set()
         """Links whose driver's fault has been shown."""
-        self._kept: deque[tuple[float, MavlinkFrame]] = deque(maxlen=MAX_KEPT)
+        self._kept: dict[Hashable, tuple[float, MavlinkFrame]] = {}
+        """By link, client and what is asked, the oldest first."""
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="doorstep", daemon=True)
 
@@ -67,7 +67,7 @@ class Doorstep:
     def take_unanswered(self) -> tuple[MavlinkFrame, ...]:
         """What the service has to answer: requests of the last seconds. Actions that were refused are not in them."""
         now_s = time.monotonic()
-        frames = tuple(frame for kept_s, frame in self._kept if now_s - kept_s < KEPT_S)
+        frames = tuple(frame for kept_s, frame in self._kept.values() if now_s - kept_s < KEPT_S)
         self._kept.clear()
         return frames
 
@@ -91,9 +91,9 @@ class Doorstep:
         link, boot = self.links[index], self._boot[index]
         received = link.recv(0)  # the vehicle's time has not begun
         for data, client, sender in received:
-            answers, rest = boot.answer(data, client)
-            if rest:
-                self._kept.append((now_s, MavlinkFrame(link=index, client=client, sender=sender, data=rest)))
+            answers, left = boot.answer(data, client)
+            for asked, message in left.items():
+                self._keep(asked, now_s, MavlinkFrame(link=index, client=client, sender=sender, data=message))
             for answer in answers:
                 link.send(answer, client)
         # Who listens for the vehicle on a port of ours hears it when he has spoken, and not a second later.
@@ -103,6 +103,13 @@ class Doorstep:
         if first_word or now_s - self._beat_s[index] >= HEARTBEAT_S:
             self._beat_s[index] = now_s
             link.send(boot.heartbeat())
+
+    def _keep(self, asked: Hashable, now_s: float, frame: MavlinkFrame) -> None:
+        key = (frame.link, frame.client, asked)
+        self._kept.pop(key, None)
+        while len(self._kept) >= MAX_KEPT:
+            del self._kept[next(iter(self._kept))]
+        self._kept[key] = (now_s, frame)
 
 
 def open_doorstep(settings: Settings, overrides: dict[str, float], *, instance: int) -> Doorstep:

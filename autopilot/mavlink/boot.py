@@ -1,5 +1,7 @@
 """What a service says before it can do anything: that it is there, and starting."""
 
+from collections.abc import Hashable
+
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.clients import EVERYONE
@@ -51,23 +53,23 @@ class BootLink:
             )
         )
 
-    def answer(self, data: bytes, client: int = EVERYONE) -> tuple[list[bytes], bytes]:
-        """Answers to what a client sent, and what of it is left for the service.
+    def answer(self, data: bytes, client: int = EVERYONE) -> tuple[list[bytes], dict[Hashable, bytes]]:
+        """Answers to what a client sent, and what of it is left for the service: what it asks -> the message.
 
         Actions are temporarily rejected, with a text that says why; they are not left.
         """
-        messages = self._parser_of(client).feed(data)
-        refused = [msg for msg in messages if self._is_action(msg)]
-        if not refused:
-            return [], data
         out: list[bytes] = []
-        for msg in refused:
+        left: dict[Hashable, bytes] = {}
+        for msg in self._parser_of(client).feed(data):
+            if not self._is_action(msg):
+                left[_asked(msg)] = bytes(msg.get_msgbuf())
+                continue
             out.append(self._encoder.pack(mav.MAVLink_statustext_message(mav.MAV_SEVERITY_WARNING, STARTING.encode())))
             if msg.get_type() != "SET_MODE":  # that one knows no acknowledgement
                 asker = msg.get_srcSystem(), msg.get_srcComponent()
                 later = mav.MAV_RESULT_TEMPORARILY_REJECTED
                 out.append(self._encoder.pack(mav.MAVLink_command_ack_message(msg.command, later, 0, 0, *asker)))
-        return out, b"".join(bytes(msg.get_msgbuf()) for msg in messages if msg not in refused)
+        return out, left
 
     def _parser_of(self, client: int) -> LinkParser:
         """Every client has its own: half a message of one must not meet another's."""
@@ -88,3 +90,9 @@ class BootLink:
             and msg.target_system in (0, self._sysid)
             and msg.target_component in (0, COMPID)
         )
+
+
+def _asked(msg: Message) -> Hashable:
+    """Who asks for what: the same again takes the place of what has been asked before."""
+    what = (getattr(msg, field, None) for field in ("mission_type", "command", "param1", "param_id", "seq"))
+    return msg.get_srcSystem(), msg.get_srcComponent(), msg.get_msgId(), *what
