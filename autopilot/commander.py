@@ -280,16 +280,17 @@ class Commander:
         if self._armed and self._override is None:
             self._enter(FlightMode.HOLD)
 
-    def change_speed(self, speed_m_s: float) -> Answer:
-        """Cruise speed for what runs now."""
+    def change_speed(self, speed_m_s: float | None) -> Answer:
+        """Speed for what runs now, None = no longer one that was asked for."""
         limit = self._params["SPD_PLANAR_MAX"]
-        if not 0.0 < speed_m_s <= limit:
+        if speed_m_s is not None and not 0.0 < speed_m_s <= limit:
             return Answer(
                 result=CommandResult.DENIED, reason=f"Speed {speed_m_s:g} m/s denied: use above 0 up to {limit:g}"
             )
         self._sequencer.set_speed(speed_m_s)
         if self._hold is not None:
-            self._hold = replace(self._hold, speed_m_s=speed_m_s)
+            cruise = self._params["SPD_CRUISE"] if speed_m_s is None else speed_m_s
+            self._hold = replace(self._hold, speed_m_s=cruise, speed_asked=speed_m_s is not None)
         return _ACCEPTED
 
     def set_home(self, point: GeoPoint | None) -> Answer:

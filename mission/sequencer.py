@@ -366,6 +366,7 @@ class Sequencer:
             accept_radius_m=self._params["WP_ACCEPT_RADIUS"] if radius_m is None else radius_m,
             accept_yaw_rad=self._params["WP_ACCEPT_YAW"],
             seq=seq,
+            speed_asked=self._run.speed_m_s is not None,
         )
 
     def _leading_on(self, goal: Goal) -> Goal:
@@ -395,7 +396,7 @@ class Sequencer:
         """The running goal with a new speed."""
         if self._run.goal is not None:
             speed = self._params["SPD_CRUISE"] if self._run.speed_m_s is None else self._run.speed_m_s
-            self._run.goal = replace(self._run.goal, speed_m_s=speed)
+            self._run.goal = replace(self._run.goal, speed_m_s=speed, speed_asked=self._run.speed_m_s is not None)
 
 
 SURE_SIGMAS = 3.0

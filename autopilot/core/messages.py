@@ -190,6 +190,8 @@ class Goal:
     accept_yaw_rad: float
     seq: int
     """Mission item, -1 when the goal is not of a mission."""
+    speed_asked: bool = False
+    """True = the mission or a command asks for that speed and gets it; False = it is a bound."""
     following: "Goal | None" = None
     """Where it goes on to from here without a stop, None = it stays."""
 

@@ -150,8 +150,8 @@ class VehicleCommands(Protocol):
         """Reposition and hold there (None = here). Checked against the fence."""
         ...
 
-    def change_speed(self, speed_m_s: float) -> Answer:
-        """Cruise speed for what runs now."""
+    def change_speed(self, speed_m_s: float | None) -> Answer:
+        """Speed for what runs now, None = the default again."""
         ...
 
     def set_home(self, point: GeoPoint | None) -> Answer:

@@ -190,7 +190,7 @@ class VehicleService:
         if speed_m_s == -1.0:
             return Reply(ACCEPTED)
         if speed_m_s == -2.0:
-            speed_m_s = self._ctx.params["SPD_CRUISE"]
+            return Reply(self._ctx.vehicle.change_speed(None))
         if not 0.0 < speed_m_s < math.inf:
             return denied(f"change speed: {speed_m_s:g} m/s is no speed")
         return Reply(self._ctx.vehicle.change_speed(speed_m_s))

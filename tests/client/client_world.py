@@ -70,7 +70,7 @@ class StraightVehicle:
     def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
         return NO
 
-    def change_speed(self, speed_m_s: float) -> Answer:
+    def change_speed(self, speed_m_s: float | None) -> Answer:
         return NO
 
     def set_home(self, point: GeoPoint | None) -> Answer:

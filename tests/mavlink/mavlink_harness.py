@@ -110,7 +110,7 @@ class RecordingVehicle:
     def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
         return self._note("go_to", point, yaw_rad)
 
-    def change_speed(self, speed_m_s: float) -> Answer:
+    def change_speed(self, speed_m_s: float | None) -> Answer:
         return self._note("change_speed", speed_m_s)
 
     def set_home(self, point: GeoPoint | None) -> Answer:

@@ -54,7 +54,7 @@ CASES: list[tuple[int, tuple[float, ...], tuple[Any, ...]]] = [
     (224, (2,), ("set_current_item", 2)),
     (178, (1, 0.25), ("change_speed", 0.25)),
     (178, (0, 0.5), ("change_speed", 0.5)),
-    (178, (1, -2), ("change_speed", 0.35)),
+    (178, (1, -2), ("change_speed", None)),
     (179, (1,), ("set_home", None)),
 ]
 
