@@ -18,6 +18,7 @@ from autopilot.log.analysis import (
     visits,
 )
 from autopilot.log.description import RunDescription
+from autopilot.log.smoothness import measure
 from sitl.plant import Truth
 from sitl.scenario import Scenario
 
@@ -47,6 +48,7 @@ def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end
         failsafes=watch.failsafe_names,
         events=watch.events,
         tube_shares=[share for share in map(watch.tube.share, AHEAD_S) if share is not None],
+        smoothness=measure(watch.commands(run.parameters.get("THR_LIMIT", scenario.accept.thrust_n))),
     )
     spans = lap_spans(visits(watch.track, run), run)
     return msgspec.structs.replace(

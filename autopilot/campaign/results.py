@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 
 import msgspec
 
+from autopilot.log.smoothness import BARS, Smoothness
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
@@ -80,6 +82,14 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     tube_shares: list[float] = []
     """Share of nodes inside the announced tube, by how far ahead they were (:data:`autopilot.campaign.tube.AHEAD_S`);
     empty if the controller announced none."""
+
+    smoothness: Smoothness | None = None
+    """Of the commands; None if there were too few of them."""
+
+    @property
+    def rough(self) -> list[str]:
+        """Bars of smooth commands that are not kept."""
+        return [] if self.smoothness is None else BARS.broken(self.smoothness)
 
     @property
     def laps_missing(self) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 
 from autopilot.campaign.results import RunResult
 from autopilot.campaign.tube import AHEAD_S
+from autopilot.log.smoothness import BARS
 
 CONFIDENCE = 0.95
 PERCENTILES = (0.0, 1.0, 5.0, 50.0, 95.0, 100.0)
@@ -109,6 +110,7 @@ def _bars(results: Sequence[RunResult], flown: Sequence[RunResult]) -> list[Bar]
     note = _which(at_all) or ("goal" if strict else "")
     bars.append(Bar(name="a bound broken at all", bar="goal: no run", value=str(len(at_all)), held=None, note=note))
     bars.append(_tube(flown, strict))
+    bars += _smooth(flown)
     failures = sum(result.failed for result in results)
     if count:
         bound = failure_bound(failures, count)
@@ -140,6 +142,29 @@ def _tube(flown: Sequence[RunResult], strict: bool) -> Bar:
     return Bar(name=name, bar=bar if strict else "", value=f"{value:.3%}", held=held, note=", ".join(other))
 
 
+SMOOTH = (
+    ("alternating", "alternating commands", 100.0, "%"),
+    ("ratio", "variation of thrust over its slow part", 1.0, ""),
+    ("step_n", "largest step of thrust", 1.0, "N"),
+    ("reversals_1_s", "reversals of a thruster", 1.0, "1/s"),
+    ("silent", "fallback steps without a word", 1.0, ""),
+)
+"""Figure of :class:`autopilot.log.smoothness.Smoothness`, how it is called, factor to its unit, unit."""
+
+
+def _smooth(flown: Sequence[RunResult]) -> list[Bar]:
+    """Goals: a run does not fail by them."""
+    runs = [result for result in flown if result.smoothness is not None]
+    bars = []
+    for figure, name, factor, unit in SMOOTH if runs else ():
+        worst = max(factor * getattr(result.smoothness, figure) for result in runs)
+        rough = [result for result in runs if figure in result.rough]
+        bar = f"goal: <= {factor * getattr(BARS, figure):g} {unit}".strip()
+        value = f"{worst:.3g} {unit}".strip()
+        bars.append(Bar(name=f"{name}, worst run", bar=bar, value=value, held=None, note=_which(rough)))
+    return bars
+
+
 def _margins(flown: Sequence[RunResult]) -> list[Spreadout]:
     names = list(dict.fromkeys(name for result in flown for name in result.margins))
     units = {"planar speed": "m/s", "heave": "m/s", "yaw rate": "rad/s", "thrust": "N"}
@@ -168,6 +193,10 @@ def _figures(flown: Sequence[RunResult]) -> list[Spreadout]:
         _spread("controller fallbacks", "%", [100.0 * r.fallbacks / r.steps for r in flown if r.steps]),
         _spread("largest slack", "", [result.slack_max for result in flown]),
         _spread("CPU time of a run", "s", [result.cpu_s for result in flown]),
+    ]
+    smooth = [result.smoothness for result in flown if result.smoothness is not None]
+    rows += [
+        _spread(name, unit, [factor * getattr(s, figure) for s in smooth]) for figure, name, factor, unit in SMOOTH
     ]
     return [row for row in rows if row.count]
 

@@ -8,7 +8,9 @@ import numpy as np
 from autopilot.campaign.tube import TubeCheck
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Event, Failsafe, Fallback, Outputs, ProgressState, Severity
+from autopilot.core.model4 import NU
 from autopilot.log.analysis import Span, Track
+from autopilot.log.smoothness import Commands, is_told
 from sitl.plant import Truth
 
 COLUMNS = (
@@ -43,6 +45,10 @@ class Watch:
         """The last warning before."""
         self._now_s = 0.0
         self.tube = TubeCheck()
+        self._commands: list[tuple[float, Fallback, FloatArray]] = []
+        self._starts_s: list[float] = []
+        self._told_s: list[float] = []
+        self._goal: tuple[float, ...] | None = None
 
     def tick(self, outputs: Outputs) -> None:
         """Take note of one tick."""
@@ -114,6 +120,18 @@ class Watch:
             current_ned_m_s=rows[:, 16:19],
         )
 
+    def commands(self, limit_n: float) -> Commands:
+        """The commands of the control steps until the mission was complete; THR_LIMIT is ``limit_n``."""
+        kept = [command for command in self._commands if self.mission.holds(np.array([command[0]]))[0]]
+        return Commands(
+            t_s=np.array([t_s for t_s, _, _ in kept]),
+            thrust_n=np.array([thrust_n for _, _, thrust_n in kept]).reshape(len(kept), NU),
+            fallback=np.array([fallback for _, fallback, _ in kept], dtype=np.uint8),
+            starts_s=np.array([self._armed_s or 0.0, *self._starts_s]),
+            told_s=np.array(self._told_s),
+            limit_n=limit_n,
+        )
+
     @property
     def failsafe_names(self) -> list[str]:
         """Failsafes that acted or warned while armed."""
@@ -131,6 +149,7 @@ class Watch:
             self._complete_s = t_s
         for event in outputs.events:
             self._note_event(event, t_s)
+        self._told_s += [t_s] * int(is_told([event.text for event in outputs.events]).sum())
 
     def _note_event(self, event: Event, t_s: float) -> None:
         if event.severity > Severity.WARNING:
@@ -147,6 +166,12 @@ class Watch:
         if len(outputs.control.tube_m):
             self.tube.announce(outputs.control)
         status = outputs.control.status
+        t_s, goal = outputs.t_us * 1e-6, outputs.goal
+        place = None if goal is None else (*goal.pos_ned_m.tolist(), float(goal.seq))
+        if outputs.control.restarted or place != self._goal:
+            self._starts_s.append(t_s)
+        self._goal = place
+        self._commands.append((t_s, status.fallback, outputs.command.thrust_n[:NU].copy()))
         self.steps += 1
         self.fallbacks += status.fallback is not Fallback.NONE
         if math.isfinite(status.slack_max):

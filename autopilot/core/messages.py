@@ -244,6 +244,10 @@ class Fallback(IntEnum):
     NEUTRAL = 3
 
 
+FALLBACK_TEXT = "No optimum:"
+"""What an operator hears of a fallback begins so."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NmpcStatus:
     """Health of the controller, one per NMPC step."""

@@ -31,6 +31,7 @@ TOPICS_OF_INTEREST = (
     "/nav/covariance",
     "/nav/status",
     "/ctl/nmpc",
+    "/ctl/goal",
     "/out/thrusters",
     "/mission/progress",
     "/sys/mode",

@@ -34,6 +34,7 @@ from autopilot.log.analysis import (
 )
 from autopilot.log.description import AcceptBounds, RunDescription
 from autopilot.log.reader import Log, Table
+from autopilot.log.smoothness import BARS, Commands, is_told, measure
 
 
 class Verdict(Enum):
@@ -78,6 +79,7 @@ def acceptance_table(log: Log) -> list[Row]:
         rows.append(_info("bounds", "", None, "the log has no run.json: nothing is judged"))
     rows += _contact_rows(flight)
     rows += _estimate_rows(flight, flight.run.accept if flight.run is not None else AcceptBounds())
+    rows += _smoothness_rows(flight)
     rows += _health_rows(flight)
     if flight.truth is None:
         rows.append(_info("judged on", "", None, "the estimate: the log has no truth"))
@@ -281,6 +283,53 @@ def _estimate_rows(flight: Flight, accept: AcceptBounds) -> list[Row]:
     yaw_note = f"{math.degrees(error.yaw_rms_rad):.2f} deg"
     rows = _at_most("estimate position rms", "m", accept.pos_rms_m, end, np.array([error.pos_rms_m]))
     return rows + _at_most("estimate yaw rms", "rad", yaw_limit, end, np.array([error.yaw_rms_rad]), yaw_note)
+
+
+def flown_commands(flight: Flight) -> Commands | None:
+    """The commands of the control steps of the mission, None if the log does not have them."""
+    nmpc, commands, goals = flight.table("/ctl/nmpc"), flight.table("/out/thrusters"), flight.table("/ctl/goal")
+    if nmpc is None or commands is None:
+        return None
+    nmpc = nmpc[flight.mission.holds(seconds(nmpc)) & np.isin(nmpc["t_us"], commands["t_us"])]
+    rows = commands[np.searchsorted(commands["t_us"], nmpc["t_us"])]
+    starts_s = [np.array([flight.armed.start_s]), seconds(nmpc)[nmpc["iterations"] > 1]]
+    if goals is not None:
+        moved = (np.diff(goals["pos_ned_m"], axis=0) != 0.0).any(axis=1) | (np.diff(goals["seq"]) != 0)
+        starts_s.append(seconds(goals)[1:][moved])
+    events = flight.log.messages("/rosout") if "/rosout" in flight.log else []
+    told = is_told([event.value["msg"] for event in events])
+    return Commands(
+        t_s=seconds(nmpc),
+        thrust_n=rows["thrust_n"][:, :NU],
+        fallback=nmpc["fallback"],
+        starts_s=np.concatenate(starts_s),
+        told_s=np.array([event.t_us * 1e-6 for event in events])[told],
+        limit_n=flight.run.parameters.get("THR_LIMIT", math.inf) if flight.run is not None else math.inf,
+    )
+
+
+def _smoothness_rows(flight: Flight) -> list[Row]:
+    """Commands of the control steps against the bars of :mod:`autopilot.log.smoothness`."""
+    commands = flown_commands(flight)
+    found = None if commands is None else measure(commands)
+    if found is None:
+        return []
+    end_s = flight.mission.end_s
+    slow = f"{found.variation_n_s:.2f} N/s, {found.low_passed_n_s:.2f} below 2 Hz"
+    return [
+        _smooth("alternating commands", "%", 100.0 * BARS.alternating, 100.0 * found.alternating, end_s, "by 2 N"),
+        _smooth("variation of thrust over its slow part", "", BARS.ratio, found.ratio, end_s, slow),
+        _smooth("largest step of thrust", "N", BARS.step_n, found.step_n, found.step_at_s, "but starts and limits"),
+        _smooth("reversals of a thruster", "1/s", BARS.reversals_1_s, found.reversals_1_s, end_s, "worst thruster"),
+        _smooth("fallback steps without a word", "", BARS.silent, float(found.silent), end_s),
+    ]
+
+
+def _smooth(name: str, unit: str, limit: float, value: float, at_s: float, note: str = "") -> Row:
+    """A bar of smoothness: no bound of the vehicle is broken when it is not kept."""
+    verdict = Verdict.PASS if value <= limit else Verdict.WARN
+    margin = limit - value
+    return Row(name=name, unit=unit, limit=limit, worst=value, margin=margin, verdict=verdict, at_s=at_s, note=note)
 
 
 def _health_rows(flight: Flight) -> list[Row]:

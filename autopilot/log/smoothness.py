@@ -1,0 +1,171 @@
+"""How smooth the commands are: alternation, variation, steps and reversals of thrust, and fallbacks without a word.
+
+Looked at are the commands of the control steps (20 Hz, and at once when a goal appears), not those of the inner loop
+between them. Over N steps with the commands u_k of one thruster and their differences d_k = u_k - u_(k-1):
+
+* *alternating*: d_k and d_(k+1) have opposite signs and both exceed ALTERNATION_N. Counted are the steps k at which any
+  thruster does, against all steps
+* *variation*: sum of |d_k| over the time, the mean of the thrusters; and the same of the commands behind a low-pass of
+  LOW_PASS_HZ without phase (Butterworth, second order, forwards and backwards), which is what the motion can follow
+* *largest step*: the largest |d_k| that neither begins nor ends at the thrust limit and is no start. Starts are the
+  differences to commands within START_S after arming, after a goal that is another place, and after a plan that began
+  anew
+* *reversals*: changes of sign per second, of the worst thruster; what is smaller than REVERSAL_N is no thrust
+* *silent*: steps flown by a fallback of which the operator has not heard within TOLD_S before or ANSWER_S after
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import FALLBACK_TEXT, Fallback
+
+ALTERNATION_N = 2.0
+LOW_PASS_HZ = 2.0
+START_S = 0.25
+REVERSAL_N = 0.1
+TOLD_S = 10.0
+ANSWER_S = 1.0
+AT_LIMIT = 0.999
+"""Share of the thrust limit from which on a command counts as saturated."""
+
+LONGEST_STEP_S = 0.2
+"""What is farther apart has no step in between: the controller was not asked."""
+
+FEWEST_STEPS = 20
+"""A second: less says nothing of rates."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Commands:
+    """The commands of the control steps, in order."""
+
+    t_s: FloatArray
+    """(n,)"""
+    thrust_n: FloatArray
+    """(n, thrusters)"""
+    fallback: NDArray[np.uint8]
+    """(n,) :class:`Fallback`"""
+    starts_s: FloatArray
+    """Times of arming, of goals that are another place, of plans that began anew."""
+    told_s: FloatArray
+    """Times at which an operator heard of a fallback."""
+    limit_n: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Smoothness:
+    """The figures."""
+
+    alternating: float
+    """Share of the steps."""
+    variation_n_s: float
+    """N/s, mean of the thrusters."""
+    low_passed_n_s: float
+    """The same of what is left below LOW_PASS_HZ."""
+    step_n: float
+    step_at_s: float
+    """When the largest step was."""
+    reversals_1_s: float
+    """Per second, worst thruster."""
+    silent: int
+    """Steps."""
+
+    @property
+    def ratio(self) -> float:
+        """Variation over what is left of it below LOW_PASS_HZ; 1 when nothing moves."""
+        return self.variation_n_s / self.low_passed_n_s if self.low_passed_n_s > 0.0 else 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bars:
+    """What smooth commands keep; names as the figures."""
+
+    alternating: float = 0.005
+    ratio: float = 2.0
+    step_n: float = 3.0
+    reversals_1_s: float = 0.3
+    silent: float = 0.0
+
+    def broken(self, found: Smoothness) -> list[str]:
+        """Names of the bars that are not kept."""
+        return [f.name for f in fields(self) if not getattr(found, f.name) <= getattr(self, f.name)]
+
+
+BARS = Bars()
+
+
+def measure(commands: Commands) -> Smoothness | None:
+    """All figures, None where there is too little to say anything."""
+    t_s, thrust = commands.t_s, commands.thrust_n
+    if len(t_s) < FEWEST_STEPS:
+        return None
+    d, follows = np.diff(thrust, axis=0), np.diff(t_s) < LONGEST_STEP_S
+    d[~follows] = 0.0
+    large = np.abs(d) > ALTERNATION_N
+    alternates = (d[1:] * d[:-1] < 0.0) & large[1:] & large[:-1]
+    span_s = max(float(np.diff(t_s)[follows].sum()), 1e-9)
+    counted = np.where((follows & ~_begins(t_s[1:], commands.starts_s))[:, None] & ~_saturated(commands), np.abs(d), 0)
+    at = int(np.argmax(counted.max(axis=1)))
+    return Smoothness(
+        alternating=float(alternates.any(axis=1).sum()) / len(t_s),
+        variation_n_s=float(np.abs(d).sum(axis=0).mean()) / span_s,
+        low_passed_n_s=float(np.abs(np.diff(low_passed(t_s, thrust), axis=0)[follows]).sum(axis=0).mean()) / span_s,
+        step_n=float(counted.max()),
+        step_at_s=float(t_s[at + 1]),
+        reversals_1_s=max(_reversals(column) for column in thrust.T) / span_s,
+        silent=_silent(commands),
+    )
+
+
+def low_passed(t_s: FloatArray, values: FloatArray) -> FloatArray:
+    """(n, m) values without what is faster than LOW_PASS_HZ and without delay.
+
+    The response of the filter at every frequency; ends are continued by their reflections about the end's value.
+    """
+    n = len(values)
+    around = np.concatenate([2.0 * values[0] - values[:0:-1], values, 2.0 * values[-1] - values[-2::-1]])
+    hz = np.fft.rfftfreq(len(around), max(float(np.median(np.diff(t_s))), 1e-3))
+    response = 1.0 / (1.0 + (hz / LOW_PASS_HZ) ** 4)
+    line = np.linspace(0.0, 1.0, len(around))[:, None] * (around[-1] - around[0])
+    passed = np.fft.irfft(np.fft.rfft(around - line, axis=0) * response[:, None], len(around), axis=0) + line
+    result: FloatArray = passed[n - 1 : 2 * n - 1]
+    return result
+
+
+def _begins(t_s: FloatArray, starts_s: FloatArray) -> NDArray[np.bool_]:
+    """(n,) which times lie within START_S after a start."""
+    if not len(starts_s):
+        return np.zeros(len(t_s), dtype=bool)
+    starts = np.sort(starts_s)
+    last = starts[np.maximum(np.searchsorted(starts, t_s, side="right") - 1, 0)]
+    result: NDArray[np.bool_] = (t_s >= last) & (t_s <= last + START_S)
+    return result
+
+
+def _saturated(commands: Commands) -> NDArray[np.bool_]:
+    """(n-1, thrusters) differences that begin or end at the limit."""
+    at = np.abs(commands.thrust_n) >= AT_LIMIT * commands.limit_n
+    result: NDArray[np.bool_] = at[1:] | at[:-1]
+    return result
+
+
+def _reversals(thrust_n: FloatArray) -> int:
+    signs = np.sign(thrust_n[np.abs(thrust_n) > REVERSAL_N])
+    return int(np.count_nonzero(np.diff(signs)))
+
+
+def _silent(commands: Commands) -> int:
+    """A neutral command has its own texts: there is no estimate, or it is not known whether commands act."""
+    flown = (commands.fallback == Fallback.SHIFTED_PLAN) | (commands.fallback == Fallback.STATION_KEEPING)
+    when, told = commands.t_s[flown], commands.told_s
+    heard = (told[None] >= when[:, None] - TOLD_S) & (told[None] <= when[:, None] + ANSWER_S)
+    return int(np.count_nonzero(~heard.any(axis=1)))
+
+
+def is_told(texts: Sequence[str]) -> NDArray[np.bool_]:
+    """Which texts tell an operator of a fallback."""
+    return np.array([text.startswith(FALLBACK_TEXT) for text in texts], dtype=bool)
