@@ -90,6 +90,17 @@ def scenario_file(folder: Path, run: int) -> Path:
     return folder / "scenarios" / f"run-{run:04d}.toml"
 
 
+def read_identity(folder: Path) -> Identity:
+    """What a folder holds. ConfigError: no campaign; LogError: damaged."""
+    path = folder / IDENTITY
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Identity)
+    except OSError as error:
+        raise ConfigError(f"{folder}: holds no campaign ({IDENTITY} is not there); name a folder of --out") from error
+    except msgspec.MsgspecError as error:
+        raise LogError(f"{path}: damaged ({error}); fly the campaign again into another folder") from error
+
+
 def read_results(folder: Path) -> dict[int, RunResult]:
     """Finished runs of all shards in a folder, in order. LogError names a line that is damaged."""
     found: dict[int, RunResult] = {}
