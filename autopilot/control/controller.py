@@ -186,6 +186,7 @@ class MotionController:
             forecast=self._forecast,
             speed_cap_m_s=self._program.speed_cap_m_s(params),
             thrust_limit_n=limit_n,
+            last_plan=self.nmpc.x if self._plan_age_s == 0.0 else None,
         )
         reference = self._guidance.reference(now)
         qps = self._warm_start(now.x0, reference, elapsed_s)

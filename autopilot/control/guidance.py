@@ -59,6 +59,8 @@ class Situation:
     """Planar speed through the water that may be asked for."""
     thrust_limit_n: FloatArray
     """(4,)"""
+    last_plan: FloatArray | None = None
+    """(N+1, 8) what the optimiser predicted on the last step, from then on; None if it had no plan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -189,6 +191,11 @@ class RouteGuidance:
             terminal=np.diag(TERMINAL_STAGES * weight_x),
             fresh=fresh,
         )
+
+    @property
+    def searching(self) -> bool:
+        """While a route is being looked for."""
+        return self._ticket is not None
 
     def ahead(self, here: FloatArray) -> FloatArray:
         """See :class:`Guidance`."""

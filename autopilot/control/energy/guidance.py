@@ -2,29 +2,32 @@
 
 A leg is planned when its goal appears; the leg after it is planned while this one is flown, so that there is no wait at
 a waypoint. A plan is brought up to date when the water differs from what it was made for, when the vehicle has been
-pushed off it, and when it ends before the goal. Until there is a plan the vehicle stays where it is; when planning ends
-with an exception, a leg without a plan is flown by the route guidance.
+pushed off it, and when it ends before the goal. Plans begin where the vehicle will be when they are answered.
+
+While there is no plan (not yet, no way, planning failed, or the vehicle has lost its trajectory) the leg is flown by
+the route guidance, and plans are asked for again.
 """
 
 import numpy as np
 
 from autopilot.control.desks import Mishaps
 from autopilot.control.energy.flow import Flow, area_of, sample_flow
+from autopilot.control.energy.patience import ANSWER_STEPS, STEP_S, Kind, NoPlanError, Patience
 from autopilot.control.energy.search import Plan, Request, TrajectoryPlanner, shifted
-from autopilot.control.energy.track import Track, joined, still
+from autopilot.control.energy.track import Track, joined
 from autopilot.control.grid import TimeGrid
 from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, RouteGuidance, Situation, SteadyThrust
 from autopilot.control.ocp import TERMINAL_STAGES
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import EnergyPlan, Goal, Severity
-from autopilot.core.model4 import NU, Model4, R, U
-
-ANSWER_STEPS = 3
-"""A plan is taken so many control steps after it was asked for: 0.15 s at 20 Hz."""
+from autopilot.core.model4 import NU, YAW, Model4, R, U
 
 OFF_TRACK_M = 0.15
 """A vehicle this far from its trajectory gets a new one."""
+
+LOST_M = 1.0
+"""A vehicle this far from its trajectory does not go back to it: what lies between is not known to be free."""
 
 CHANGED_M_S = 0.03
 """Currents along the next seconds that differ by so much (rms) from those of the plan make a new one."""
@@ -36,11 +39,20 @@ CHECK_STEPS = 10
 REPLAN_STEPS = 40
 """Plans are brought up to date at most this often (2 s)."""
 
-RETRY_STEPS = 20
-"""Without a way, one is looked for again after so many steps (1 s)."""
+NEXT_LEG_S = 6.0
+"""The next leg is planned when this one has so much left: three times what an answer takes."""
 
-NEXT_LEG_S = 5.0
-"""The next leg is planned when this one has so much left."""
+LAST_UPDATE_S = 2.0
+"""A trajectory that has less than this left, and the time of an answer, is not brought up to date any more."""
+
+SAME_END_M = 0.1
+"""An updated trajectory that ends no farther than this from where the old one did may run on into the next leg's."""
+
+ROUTE_STEPS = 10
+"""A leg's first plan begins on the way on which the vehicle sets out: so long is waited for a route."""
+
+LATE_STEPS = 100
+"""An answer that is not there after so many steps (5 s) is late, and the operator is told."""
 
 END_HOLD_S = 0.5
 """At the end of a trajectory the vehicle, which lags a little, is held where the next one begins until the goal counts
@@ -66,35 +78,35 @@ class EnergyGuidance:
     def __init__(
         self, model: Model4, grid: TimeGrid, desk: Desk, planner: TrajectoryPlanner, route: RouteGuidance
     ) -> None:
-        """``route`` flies what ``planner`` cannot."""
+        """``route`` flies what ``planner`` has no plan for."""
         self._t_s = grid.t_s
         self._steady = SteadyThrust(model)
         self._desk, self._trajectories, self._route = desk, planner, route
         self._ticket: Ticket[Plan] | None = None
         self._request: Request | None = None
-        self._mishaps = Mishaps("energy planner", "No energy plan: this leg goes by the plain route")
-        self._no_way = False
+        self._mishaps = Mishaps("energy planner", "No energy plan: flying the plain route")
         self.reset()
 
     @property
     def unreachable(self) -> bool:
         """See :class:`autopilot.control.guidance.Guidance`."""
-        return self._route.unreachable if self._by_route else self._no_way
+        return self._track is None and self._route.unreachable
 
     def reset(self) -> None:
         """See :class:`Guidance`."""
         self._step = 0
         self._last_us: int | None = None
         self._goal_key: tuple[float, ...] | None = None
+        self._goal_step = 0
         self._planner: object = None
         self._track: Track | None = None
         self._next: Track | None = None
         self._asked_next = False
         self._flow: Flow | None = None
-        self._asked_step = -REPLAN_STEPS
-        self._hold: FloatArray | None = None
+        self._asked_step = 0
+        self._patience = Patience()
         self._withdraw()
-        self._no_way = self._by_route = False
+        self._by_route = False
         self._news: EnergyPlan | None = None
 
     def take_news(self) -> list[tuple[Severity, str]]:
@@ -108,25 +120,29 @@ class EnergyGuidance:
         self._last_us = now.t_us
         self._step += 1
         fresh = self._update(now, elapsed_s)
-        if self._by_route:
-            return self._route.reference(now)
-        current = now.nav.current_ned_m_s
-        weight_u = now.params["MPC_R_THRUST"]
         if self._track is None:
-            if self._hold is None:
-                self._hold, fresh = now.x0.copy(), True
-            x = still(self._hold, self._t_s, current)
-            thrust = self._steady(x[:-1, U : R + 1])
-        else:
-            self._hold = None
-            if self._track.rest_s > 0.0:
-                weight_u = max(weight_u, FOLLOWING_THRUST_WEIGHT)
-            then = self._next if self._track.rest_s > -END_HOLD_S else None
-            x, thrust = self._track.sample(self._t_s, current, then)
-            if then is None or self._track.rest_s <= 0.0:
-                after = self._t_s[:-1] >= self._track.rest_s
-                thrust[after] = self._steady(x[:-1][after][:, U : R + 1])
-        params = now.params
+            if not self._by_route:
+                self._by_route = True
+                self._route.reset()
+            return self._route.reference(now)
+        self._by_route = False
+        return self._along(self._track, now, fresh)
+
+    def ahead(self, here: FloatArray) -> FloatArray:
+        """See :class:`Guidance`."""
+        return self._route.ahead(here) if self._track is None else np.vstack([here, self._track.ahead()])
+
+    def _along(self, track: Track, now: Situation, fresh: bool) -> Reference:
+        """The reference along a trajectory, and on into the next one."""
+        current, params = now.nav.current_ned_m_s, now.params
+        weight_u = params["MPC_R_THRUST"]
+        if track.rest_s > 0.0:
+            weight_u = max(weight_u, FOLLOWING_THRUST_WEIGHT)
+        then = self._next if track.rest_s > -END_HOLD_S else None
+        x, thrust = track.sample(self._t_s, current, then)
+        if then is None or track.rest_s <= 0.0:
+            after = self._t_s[:-1] >= track.rest_s
+            thrust[after] = self._steady(x[:-1][after][:, U : R + 1])
         q = params["MPC_Q_POS"]
         weight_x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
         return Reference(
@@ -139,12 +155,6 @@ class EnergyGuidance:
             plan=self._take_news(),
         )
 
-    def ahead(self, here: FloatArray) -> FloatArray:
-        """See :class:`Guidance`."""
-        if self._by_route:
-            return self._route.ahead(here)
-        return here[None] if self._track is None else np.vstack([here, self._track.ahead()])
-
     def _update(self, now: Situation, elapsed_s: float) -> bool:
         """Goals, answers and requests; whether the reference has nothing to do with the last one."""
         fresh = False
@@ -155,87 +165,116 @@ class EnergyGuidance:
         if answer is not None and request is not None:
             self._ticket = self._request = None
             if answer.error is None:
-                self._mishaps.succeeded()
                 fresh |= self._take(request, answer.get(), now)
             else:
                 self._fail(request, answer.error)
         off_m = 0.0 if self._track is None else self._track.advance(elapsed_s, now.x0)
-        if self._ticket is None and not self._by_route:
-            self._ask_if_needed(now, off_m)
+        self._leave_if_lost(off_m)
+        if self._ticket is None:
+            self._ask_if_needed(now, off_m, elapsed_s)
+        elif self._track is None and self._step - self._asked_step == LATE_STEPS:
+            self._mishaps.failed(NoPlanError("late"), felt=not self._route.unreachable)
         return fresh
 
+    def _leave_if_lost(self, off_m: float) -> None:
+        """A trajectory that the vehicle is far from, or that has ended before the goal, is followed no more."""
+        track = self._track
+        if track is not None and (off_m > LOST_M or (track.rest_s <= 0.0 and not track.complete)):
+            self._track = self._next = None
+            self._asked_next = False
+
     def _fail(self, request: Request, error: Exception) -> None:
-        """Planning has failed: a leg that has no trajectory is flown by the route guidance, to its end."""
-        by_route = self._track is None and _key(request.goal) == self._goal_key
-        self._mishaps.failed(error, felt=by_route)
-        if by_route:
-            self._by_route, self._hold = True, None
-            self._route.reset()
+        """There is no such plan: a leg that has none is flown by the route guidance meanwhile."""
+        mine = _key(request.goal) == self._goal_key
+        if mine:
+            self._patience.failed()
+        self._mishaps.failed(error, felt=mine and self._track is None and not self._route.unreachable)
 
     def _new_goal(self, now: Situation, key: tuple[float, ...]) -> bool:
         """Take the plan that was made ahead for this goal, or begin without one."""
         left, ahead, same_fence = self._track, self._next, now.planner is self._planner
-        self._goal_key, self._planner = key, now.planner
+        self._goal_key, self._planner, self._goal_step = key, now.planner, self._step
         self._track, self._next, self._asked_next = None, None, False
-        self._withdraw()
-        self._asked_step = -REPLAN_STEPS
-        self._no_way = self._by_route = False
+        self._patience.succeeded()
         if ahead is not None and same_fence and _key(ahead.goal) == key:
+            self._withdraw()
+            self._asked_step = self._step - REPLAN_STEPS
             # The region is entered a little before the trajectory ends: that much of it is still flown.
             onward = ahead.trajectory if left is None else joined(left.trajectory, left.clock_s, ahead.trajectory)
             self._track = Track(onward, now.goal, ahead.complete)
             return False
+        if self._request is None or not same_fence or _key(self._request.goal) != key:
+            self._withdraw()
+        self._by_route = False
         return True
 
     def _take(self, request: Request, plan: Plan, now: Situation) -> bool:
         """Put an answer into force."""
-        track = None if plan.trajectory is None else Track(plan.trajectory, plan.goal, plan.complete)
+        if plan.trajectory is None:
+            self._fail(request, NoPlanError(plan.why))
+            return False
+        track = Track(plan.trajectory, plan.goal, plan.complete)
+        self._mishaps.succeeded()
         if _key(request.goal) != self._goal_key:
             self._next = track
             return False
-        fresh = self._track is None
-        self._no_way = track is None
-        if track is None and self._track is not None:
+        self._patience.succeeded()
+        if track.locate(now.x0, 0.0) > LOST_M:
             return False
-        self._track = track
-        # The next leg was planned from where the last trajectory ended.
-        self._next, self._asked_next = None, False
-        if track is not None:
-            track.locate(now.x0, 0.0)
+        old, self._track, self._asked_next = self._track, track, False
+        if old is not None and np.hypot(*(track.trajectory.x[-1] - old.trajectory.x[-1])[:2]) > SAME_END_M:
+            # The next leg was planned from where the last trajectory ended.
+            self._next = None
         self._flow = plan.flow
-        if plan.trajectory is not None:
-            self._news = EnergyPlan(
-                seq=plan.goal.seq,
-                eta_s=plan.eta_s,
-                energy_j=plan.energy_j,
-                trajectory_s=float(plan.trajectory.t_s[-1]),
-                late=self._desk.late,
-            )
-        return fresh
+        self._news = EnergyPlan(
+            seq=plan.goal.seq,
+            eta_s=plan.eta_s,
+            energy_j=plan.energy_j,
+            trajectory_s=float(plan.trajectory.t_s[-1]),
+            late=self._desk.late,
+        )
+        return old is None
 
     def _take_news(self) -> EnergyPlan | None:
         news, self._news = self._news, None
         return news
 
-    def _ask_if_needed(self, now: Situation, off_m: float) -> None:
+    def _ask_if_needed(self, now: Situation, off_m: float, elapsed_s: float) -> None:
         """Ask for a plan: the first, a better one for this leg, or the next leg's."""
         track, since = self._track, self._step - self._asked_step
-        if track is None:
-            if since >= RETRY_STEPS:
-                self._ask(now, now.goal, now.x0, None)
+        if not self._patience.over(now, since):
             return
-        if since >= REPLAN_STEPS and track.rest_s > 2.0:
+        if track is None:
+            begun = self._step - self._goal_step
+            if begun > 0 and (not self._route.searching or begun >= ROUTE_STEPS):
+                self._ask(now, Kind.COLD, now.goal, self._coming(now, Kind.COLD, elapsed_s), None)
+            return
+        running_out = not track.complete and track.rest_s < RUNNING_OUT_S
+        kind = Kind.COLD if running_out or off_m > 2.0 * OFF_TRACK_M else Kind.WARM
+        if since >= REPLAN_STEPS and track.rest_s > LAST_UPDATE_S + ANSWER_STEPS[kind] * STEP_S:
             pushed = off_m > OFF_TRACK_M
-            running_out = not track.complete and track.rest_s < RUNNING_OUT_S
             if pushed or running_out or (self._step % CHECK_STEPS == 0 and self._water_changed(now, track)):
-                warm = None if running_out or off_m > 2.0 * OFF_TRACK_M else track
-                self._ask(now, now.goal, now.x0, warm)
+                self._ask(now, kind, now.goal, self._coming(now, kind, elapsed_s), track if kind is Kind.WARM else None)
                 return
         following = now.goal.following
         if following is not None and not self._asked_next and track.complete and track.rest_s < NEXT_LEG_S:
             self._asked_next = True
             end = track.trajectory.x[-1].copy()
-            self._ask(now, following, end, None)
+            self._ask(now, Kind.NEXT, following, end, None)
+
+    def _coming(self, now: Situation, kind: Kind, elapsed_s: float) -> FloatArray:
+        """(8,) the state at which an answer will find the vehicle, as far as its last plan tells."""
+        if now.last_plan is None:
+            return now.x0
+        meant, then = (
+            np.array([np.interp(t_s, self._t_s, column) for column in now.last_plan.T])
+            for t_s in (elapsed_s, elapsed_s + ANSWER_STEPS[kind] * STEP_S)
+        )
+        off = now.x0 - meant
+        off[YAW] -= 2.0 * np.pi * round(float(off[YAW]) / (2.0 * np.pi))
+        off[U:] = 0.0
+        result: FloatArray = then + off
+        return result
 
     def _water_changed(self, now: Situation, track: Track) -> bool:
         """Whether the forecast along the next seconds is another one than the plan was made with."""
@@ -248,7 +287,7 @@ class EnergyGuidance:
         assumed = self._flow.current(x[:, :2])
         return float(np.sqrt(((forecast - assumed)[:, :2] ** 2).sum(axis=1).mean())) > CHANGED_M_S
 
-    def _ask(self, now: Situation, goal: Goal, x0: FloatArray, warm: Track | None) -> None:
+    def _ask(self, now: Situation, kind: Kind, goal: Goal, x0: FloatArray, warm: Track | None) -> None:
         """Hand a request in."""
         params, fence = now.params, now.fence
         places = [x0[:2], np.asarray(goal.pos_ned_m[:2], dtype=float)]
@@ -264,6 +303,7 @@ class EnergyGuidance:
                 min(fence.depth_max_m, params["DEPTH_MAX"]),
             ]
         )
+        steps = ANSWER_STEPS[kind]
         request = Request(
             x0=x0.copy(),
             goal=goal,
@@ -272,12 +312,13 @@ class EnergyGuidance:
             flow=sample_flow(now.forecast, now.nav, area, float(x0[2])),
             limits=limits,
             thrust_limit_n=BOUND_SHARE * now.thrust_limit_n,
-            warm=None if warm is None else shifted(warm.trajectory, warm.clock_s, x0),
+            warm=None if warm is None else shifted(warm.trajectory, warm.clock_s + steps * STEP_S, x0),
         )
-        if _key(goal) == self._goal_key:
+        if kind is not Kind.NEXT:
             self._asked_step = self._step
+            self._patience.ask(now)
         self._request = request
-        self._ticket = self._desk.submit(self._step + ANSWER_STEPS, self._planned, request)
+        self._ticket = self._desk.submit(self._step + steps, self._planned, request)
 
     def _planned(self, request: Request, cancel: Cancel) -> Plan:
         """What the planner says, if that makes sense."""

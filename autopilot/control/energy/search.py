@@ -100,6 +100,8 @@ class Plan:
     """The trajectory ends in the goal's region."""
     flow: Flow | None = None
     """The water that it was made for."""
+    why: str = ""
+    """Without a trajectory: the reason."""
 
 
 class TrajectoryPlanner(Protocol):
@@ -147,7 +149,7 @@ class EnergyPlanner:
         to_go = field.to(goal_at)
         best = None if to_go is None else to_go.way(start)
         if to_go is None or best is None:
-            return Plan(goal=request.goal, trajectory=None, energy_j=math.inf, eta_s=math.inf, complete=False)
+            return _none(request.goal, "no way")
         cancel.check()
         beyond = _field_beyond(field, request.goal)
         end_slope = _slope_beyond(beyond, request.goal)
@@ -160,7 +162,7 @@ class EnergyPlanner:
             candidates.insert(0, warm)
         solved = sorted((one for one in candidates if one.solved), key=lambda one: one.cost_j)
         if not solved:
-            return task.plan(task.guesses(best)[0])
+            return _none(request.goal, f"none of {len(candidates)} trajectories solved")
         winner = solved[0]
         close = [one for one in solved if one.cost_j < TIE_WITHIN * winner.cost_j][:MAX_TIES]
         if len(close) > 1 and beyond is not None and task.complete:
@@ -212,6 +214,10 @@ class EnergyPlanner:
         if substeps not in self._programs:
             self._programs[substeps] = Program(self._model, self._power, INTERVALS, substeps)
         return self._programs[substeps]
+
+
+def _none(goal: Goal, why: str) -> Plan:
+    return Plan(goal=goal, trajectory=None, energy_j=math.inf, eta_s=math.inf, complete=False, why=why)
 
 
 def _field_beyond(field: EnergyField, goal: Goal) -> EnergyToGo | None:

@@ -43,9 +43,10 @@ class Track:
         """Time to the end, negative when it has passed."""
         return float(self.trajectory.t_s[-1]) - self.clock_s
 
-    def locate(self, x0: FloatArray, around_s: float) -> None:
-        """Set the clock to the point nearest to the vehicle (8,) within WINDOW_S of ``around_s``."""
-        self.clock_s, _ = self._nearest(x0, around_s)
+    def locate(self, x0: FloatArray, around_s: float) -> float:
+        """Set the clock to the point nearest to the vehicle (8,) within WINDOW_S of ``around_s``; its distance [m]."""
+        self.clock_s, away_m = self._nearest(x0, around_s)
+        return away_m
 
     def advance(self, elapsed_s: float, x0: FloatArray) -> float:
         """Move the clock on to where the vehicle (8,) is; the distance [m] to that point."""

@@ -1,0 +1,92 @@
+"""When planning is asked for, how long an answer takes, and when one that failed is asked for again."""
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.control.guidance import Situation
+from autopilot.control.planner import Planner
+
+
+class Kind(enum.Enum):
+    """Requests by what they take."""
+
+    COLD = "first plan of a leg"
+    """From nothing: all ways, all turns."""
+    WARM = "plan brought up to date"
+    """From the plan in force."""
+    NEXT = "plan of the leg after"
+
+
+STEP_S = 0.05
+"""Between control steps."""
+
+ANSWER_STEPS = {Kind.COLD: 40, Kind.WARM: 16, Kind.NEXT: 40}
+"""An answer is taken so many control steps (of 50 ms) after it was asked for, on a vehicle later if it is not there."""
+
+RETRY_STEPS = 20
+"""What failed is asked for again after so many steps (1 s), doubled with every failure in a row ..."""
+
+LONGEST_RETRY_STEPS = 640
+"""... up to so many (32 s)."""
+
+OTHER_CURRENT_M_S = 0.03
+OTHER_PLACE_M = 2.0
+"""A failure is of no account any more when the current has changed by so much, or the vehicle is so far from there."""
+
+
+class NoPlanError(Exception):
+    """Why there is no plan of least energy, for the log."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Asked:
+    """What a request depended on."""
+
+    planner: Planner
+    bounds: tuple[float, ...]
+    """Speed cap and thrust limits."""
+    flow: np.ndarray
+    """(4,) north, east of the vehicle, current north, east."""
+
+    @classmethod
+    def of(cls, now: Situation) -> "_Asked":
+        flow = np.concatenate([now.x0[:2], now.nav.current_ned_m_s[:2]])
+        return cls(now.planner, (now.speed_cap_m_s, *now.thrust_limit_n.tolist()), flow)
+
+    def differs(self, then: "_Asked") -> bool:
+        """Whether another answer is to be expected."""
+        moved, changed = np.hypot(*(self.flow - then.flow).reshape(2, 2).T)
+        known = self.planner is then.planner and self.bounds == then.bounds
+        return not known or moved > OTHER_PLACE_M or changed > OTHER_CURRENT_M_S
+
+
+class Patience:
+    """When to ask again after failures: later and later, at once when something has changed."""
+
+    def __init__(self) -> None:
+        self._failures = 0
+        self._asked: _Asked | None = None
+
+    def ask(self, now: Situation) -> None:
+        """A request is handed in."""
+        self._asked = _Asked.of(now)
+
+    def failed(self) -> None:
+        """It came to nothing."""
+        self._failures += 1
+
+    def succeeded(self) -> None:
+        """It was answered with a plan."""
+        self._failures = 0
+
+    def over(self, now: Situation, since_steps: int) -> bool:
+        """Whether it is time, so many steps after the last request."""
+        if not self._failures:
+            return True
+        if since_steps < RETRY_STEPS:
+            return False
+        if since_steps >= min(RETRY_STEPS * 2 ** (self._failures - 1), LONGEST_RETRY_STEPS):
+            return True
+        return self._asked is not None and _Asked.of(now).differs(self._asked)
