@@ -44,7 +44,8 @@ class IpoptNmpc:
         rows: list[Any] = []
         is_gap: list[bool] = []
         state = x0
-        for k, (dt, substeps) in enumerate(zip(grid.dt_s, grid.substeps(), strict=True)):
+        substeps_of = grid.substeps(ocp.longest_step_s(model))
+        for k, (dt, substeps) in enumerate(zip(grid.dt_s, substeps_of, strict=True)):
             scale = dt / REFERENCE_DT_S
             step = ocp.discrete_dynamics(model, float(dt), substeps)
             rows.append(x[:, k] - step(state, u[:, k], current[:, k])[0])

@@ -14,8 +14,8 @@ REFERENCE_DT_S = 0.1
 """Cost weights are per stage of this length; longer stages weigh proportionally more."""
 
 MAX_RK4_STEP_S = 0.5
-"""Longest RK4 step; longer intervals are split. Yaw damping is 5.4 1/s at the 0.55 rad/s of a planned turn and RK4 is
-stable up to 2.8, so half a second is the limit."""
+"""Longest RK4 step; longer intervals are split. Where the vehicle's damping asks for shorter ones, see
+:func:`autopilot.control.ocp.longest_step_s`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -32,9 +32,9 @@ class TimeGrid:
         """Number of intervals."""
         return len(self.dt_s)
 
-    def substeps(self) -> list[int]:
-        """RK4 steps per interval."""
-        return [max(1, int(np.ceil(dt / MAX_RK4_STEP_S - 1e-9))) for dt in self.dt_s]
+    def substeps(self, longest_s: float = MAX_RK4_STEP_S) -> list[int]:
+        """RK4 steps per interval, none longer than ``longest_s``."""
+        return [max(1, int(np.ceil(dt / longest_s - 1e-9))) for dt in self.dt_s]
 
 
 def _grid(dt_s: FloatArray) -> TimeGrid:

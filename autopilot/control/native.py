@@ -153,7 +153,7 @@ class NativeStep:
         self.plane_n, self.plane_d = arguments["plane_n"].reshape(n - 1, planes, 2), arguments["plane_d"]
         self.x, self.u = np.zeros((n + 1, NX)), np.zeros((n, NU))
         self.slack, self.figures = np.zeros((n - 1, ocp.N_SLACKS)), np.zeros(FIGURES)
-        steps = np.array(grid.substeps(), dtype=float)
+        steps = np.array(grid.substeps(ocp.longest_step_s(model)), dtype=float)
         self._arrays: dict[str, FloatArray] = {
             **arguments,
             "step_s": grid.dt_s / steps,

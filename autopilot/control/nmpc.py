@@ -183,6 +183,7 @@ class Nmpc:
         self.grid = grid
         self.planes = planes
         self._step = choose_step(model, grid, planes, backends)
+        self._fastest = ocp.fastest_guess(model)
         self._shifts: dict[float, tuple[FloatArray, FloatArray]] = {}
         self.x = np.zeros((grid.n + 1, NX))
         self.u = np.zeros((grid.n, NU))
@@ -208,6 +209,15 @@ class Nmpc:
         states, inputs = self._shifts[key]
         self.x[:] = states @ self.x
         self.u[:] = inputs @ self.u
+
+    def _slow_down(self, x: FloatArray) -> None:
+        """Bring states (m, 8) of a guess to speeds at which the prediction's integration is stable."""
+        planar_m_s, heave_m_s, yaw_rate_rad_s = self._fastest
+        moves = x[:, U:]
+        if float(np.abs(moves).max()) <= min(0.7 * planar_m_s, heave_m_s, yaw_rate_rad_s):
+            return
+        moves[:, :2] *= np.minimum(1.0, planar_m_s / np.maximum(np.hypot(moves[:, 0], moves[:, 1]), 1e-9))[:, None]
+        np.clip(moves[:, 2:], (-heave_m_s, -yaw_rate_rad_s), (heave_m_s, yaw_rate_rad_s), out=moves[:, 2:])
 
     def solve(self, problem: NmpcProblem) -> NmpcResult:
         """One QP around the plan. The plan is replaced only when the result passes every check."""
@@ -235,6 +245,7 @@ class Nmpc:
                 gap_max=math.nan,
                 penalty_use=math.nan,
             )
+        self._slow_down(step.x_guess[1:])
         status = SolveStatus.OK
         try:
             step.evaluate()

@@ -7,6 +7,7 @@ rebuilt for a new fence, current, weight or limit. The function works in steps a
 residuals are linear in state and input, so the Hessian is exact up to the curvature of the dynamics).
 
 * dynamics: RK4 on :mod:`autopilot.core.model4`, intervals split where RK4 would lose its stability
+  (:func:`longest_step_s`); beyond the speeds that this is made for (:func:`fastest_guess`) nothing is linearised
 * hard: thrust, per thruster
 * soft with an exact penalty (L1 + L2 on the slack): planar speed, heave, yaw rate, depth band, half-planes
 * planar speed: the Euclidean norm (u, v), as the tangent of the circle in the direction of the guess
@@ -18,13 +19,15 @@ residuals are linear in state and input, so the Hessian is exact up to the curva
 Weights, limits and bounds are given per node, so that margins may grow along the prediction.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from autopilot.control.grid import REFERENCE_DT_S, TimeGrid
+from autopilot.control.grid import MAX_RK4_STEP_S, REFERENCE_DT_S, TimeGrid
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NU, NX, R, U, V, W, Z
@@ -47,6 +50,20 @@ SLACK_L2 = 1e3
 TERMINAL_STAGES = 20.0
 SPEED_EPSILON_M_S = 0.02
 """Below this guess the speed constraint has no direction and is relaxed."""
+
+
+ENVELOPE = (1.0, 0.6, 1.25)
+"""Planar speed, heave [m/s] and yaw rate [rad/s] through the water up to which predictions have to be right: beyond
+what plans use (SPD_*_MAX) and what pushes and wrong currents bring."""
+
+FASTEST_TURN_RAD_S = 5.0
+"""No vehicle that this controller is for turns faster."""
+
+FARTHER = (3.0, 2.0, 1.5, 1.2)
+"""Times the envelope, where the integration is good for that as well."""
+
+RK4_REACH = 2.5
+"""Rate times step up to which RK4 is stable (2.78) and worth something."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -113,6 +130,38 @@ def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Fu
     return ca.Function("interval", [x, u, c], [state, a, b])
 
 
+def _fastest_rate_1_s(model: model4.Model4, scale: float) -> float:
+    """Largest rate at which small changes of the motion grow, fade or swing at ``scale`` times the ENVELOPE.
+
+    Surge and sway together turn the vehicle (Munk moment): the yaw rate that comes of it belongs to the envelope.
+    """
+    planar_m_s, heave_m_s, turn_rad_s = scale * np.array(ENVELOPE)
+    munk_nm = 0.5 * abs(model.mass_kg[0] - model.mass_kg[1]) * planar_m_s**2
+    turn_rad_s = max(turn_rad_s, min(math.sqrt(munk_nm / max(model.quadratic_drag[3], 1e-9)), FASTEST_TURN_RAD_S))
+    way, turn = (a.ravel() for a in np.meshgrid(np.linspace(-math.pi, math.pi, 17), turn_rad_s * np.linspace(-1, 1, 5)))
+    nu = np.stack([planar_m_s * np.cos(way), planar_m_s * np.sin(way), np.full_like(way, heave_m_s), turn])
+    slopes = []
+    for axis in range(4):
+        aside = nu.astype(complex)
+        aside[axis] += 1e-20j
+        slopes.append(np.imag(np.stack(model4.body_acceleration(model, list(aside), [0.0] * NU, np))) / 1e-20)
+    return float(np.abs(np.linalg.eigvals(np.array(slopes).transpose(2, 1, 0))).max())
+
+
+def longest_step_s(model: model4.Model4) -> float:
+    """Longest RK4 step of the prediction: light vehicles with much drag are stiff (a turn of the LBV150 fades with
+    12 1/s). Past it a prediction does not get worse but explodes."""
+    return min(MAX_RK4_STEP_S, RK4_REACH / _fastest_rate_1_s(model, 1.0))
+
+
+def fastest_guess(model: model4.Model4) -> tuple[float, float, float]:
+    """Planar speed, heave [m/s] and yaw rate [rad/s] up to which the prediction's integration is stable: the
+    :data:`ENVELOPE`, for vehicles with little drag more (:data:`FARTHER`)."""
+    reach = RK4_REACH / longest_step_s(model)
+    scale = next((s for s in FARTHER if _fastest_rate_1_s(model, s) <= reach), 1.0)
+    return scale * ENVELOPE[0], scale * ENVELOPE[1], scale * ENVELOPE[2]
+
+
 def argument_shapes(n: int, planes: int) -> dict[str, tuple[int, int]]:
     """Arguments of the step and their shapes (rows, columns), in order.
 
@@ -154,7 +203,7 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
     intervals: dict[tuple[float, int], ca.Function] = {}
     blocks: list[list[Any]] = []
     hessian, gradient, lower, upper, row_low, row_high, gaps = [], [], [], [], [], [], []
-    for k, (dt, substeps) in enumerate(zip(grid.dt_s, grid.substeps(), strict=True)):
+    for k, (dt, substeps) in enumerate(zip(grid.dt_s, grid.substeps(longest_step_s(model)), strict=True)):
         key = (float(dt), substeps)
         if key not in intervals:
             intervals[key] = discrete_dynamics(model, dt, substeps)
