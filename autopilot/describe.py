@@ -11,7 +11,8 @@ from autopilot.service import Parts
 from mission.items import GoTo, Jump
 from mission.store import Plans
 from sitl.scenario import Scenario
-from sitl.scenario_tables import CylinderObstacle, MovingObstacle, SphereObstacle
+from sitl.scenario_tables import MovingObstacle, PrismObstacle, SphereObstacle
+from sitl.scenario_tables import Obstacle as SolidTable
 
 
 def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -> RunDescription:
@@ -34,7 +35,12 @@ def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -
         thruster_names=tuple(thruster.name for thruster in parts.vehicle.thruster),
         tank_polygon_m=() if tank is None else tuple(tank.polygon_m),
         tank_depth_m=None if tank is None else tank.depth_m,
-        obstacles=tuple(_obstacle(obstacle, number) for number, obstacle in enumerate(scenario.obstacle, start=1)),
+        # Logs know round obstacles; a prism is judged and drawn as what the fence holds.
+        obstacles=tuple(
+            _obstacle(obstacle, number)
+            for number, obstacle in enumerate(scenario.obstacle, start=1)
+            if not isinstance(obstacle, PrismObstacle)
+        ),
         fence=fence_shapes(parts.commander.fence),
         waypoints=waypoints,
         closed_tour=laps is not None,
@@ -63,7 +69,8 @@ def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -
     )
 
 
-def _obstacle(obstacle: CylinderObstacle | SphereObstacle | MovingObstacle, number: int) -> Obstacle:
+def _obstacle(obstacle: SolidTable, number: int) -> Obstacle:
+    assert not isinstance(obstacle, PrismObstacle)
     if isinstance(obstacle, MovingObstacle):
         return Obstacle(
             center_m=tuple(obstacle.path_m[0]),
@@ -74,7 +81,7 @@ def _obstacle(obstacle: CylinderObstacle | SphereObstacle | MovingObstacle, numb
             ends=obstacle.ends,
             start_s=obstacle.start_s,
         )
-    kind = "cylinder" if isinstance(obstacle, CylinderObstacle) else "sphere"
+    kind = "sphere" if isinstance(obstacle, SphereObstacle) else "cylinder"
     return Obstacle(center_m=tuple(obstacle.center_m), radius_m=obstacle.radius_m, name=f"{kind} {number}")
 
 

@@ -17,7 +17,7 @@ from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import Vec2
 from autopilot.sitl_session import SitlSession
 from mission.shapes import clearance_m
-from sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, Scenario
+from sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, PrismObstacle, Scenario
 
 REPEAT_US = 5_000_000
 """The same line is not shown twice within this time."""
@@ -149,6 +149,8 @@ def _walls(polygon_m: Sequence[Vec2]) -> FloatArray:
 
 def _outline(obstacle: Obstacle) -> FloatArray:
     """(n, 2) points of an obstacle's rim and inside, of a moving one along its path."""
+    if isinstance(obstacle, PrismObstacle):
+        return _walls(obstacle.polygon_m)
     angles = np.linspace(0.0, 2.0 * np.pi, RIM_POINTS, endpoint=False)
     rim = obstacle.radius_m * np.column_stack((np.cos(angles), np.sin(angles)))
     disc = np.vstack((rim, 0.5 * rim, np.zeros((1, 2))))

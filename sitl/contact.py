@@ -46,6 +46,15 @@ class Sphere:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Prism:
+    """A vertical prism through the whole depth."""
+
+    name: str
+    polygon_ned_m: tuple[Vec2, ...]
+    """Corners, simple, not closed, any winding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MovingCylinder:
     """A vertical cylinder through the whole depth that moves, and that nothing stops."""
 
@@ -54,7 +63,7 @@ class MovingCylinder:
     radius_m: float
 
 
-Solid: TypeAlias = Cylinder | Sphere | MovingCylinder
+Solid: TypeAlias = Cylinder | Sphere | Prism | MovingCylinder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +154,9 @@ class Surroundings:
         for solid in self._solids:
             if isinstance(solid, MovingCylinder):
                 (cx, cy), (u, v) = solid.path.at(self._t_s)
-                where: Cylinder | Sphere = Cylinder(name=solid.name, center_ned_m=(cx, cy), radius_m=solid.radius_m)
+                where: Cylinder | Sphere | Prism = Cylinder(
+                    name=solid.name, center_ned_m=(cx, cy), radius_m=solid.radius_m
+                )
             else:
                 where, u, v = solid, 0.0, 0.0
             gap, normal = self._gap(where, x, y, z)
@@ -159,8 +170,10 @@ class Surroundings:
         gaps = [-touch.depth_m for touch in self.touches(pos_ned_m, math.inf)]
         return min(gaps, default=math.inf)
 
-    def _gap(self, solid: Cylinder | Sphere, x: float, y: float, z: float) -> tuple[float, Vec3]:
+    def _gap(self, solid: Cylinder | Sphere | Prism, x: float, y: float, z: float) -> tuple[float, Vec3]:
         """Distance of the hull from a solid (negative inside) and the unit vector away from it."""
+        if isinstance(solid, Prism):
+            return self._prism_gap(solid, x, y)
         dx, dy = x - solid.center_ned_m[0], y - solid.center_ned_m[1]
         planar = math.hypot(dx, dy)
         out = (dx / planar, dy / planar) if planar > 0.0 else (1.0, 0.0)
@@ -173,6 +186,17 @@ class Surroundings:
             return -solid.radius_m, (out[0], out[1], 0.0)
         normal = (beside * out[0] / distance, beside * out[1] / distance, math.copysign(above, dz) / distance)
         return distance - solid.radius_m, normal
+
+    def _prism_gap(self, solid: Prism, x: float, y: float) -> tuple[float, Vec3]:
+        """The same of a prism; out of its inside the shortest way leads."""
+        fx, fy = min(_feet(solid.polygon_ned_m, x, y), key=lambda foot: math.hypot(x - foot[0], y - foot[1]))
+        dx, dy = x - fx, y - fy
+        distance = math.hypot(dx, dy)
+        if inside_polygon(solid.polygon_ned_m, x, y):
+            dx, dy, distance = -dx, -dy, -distance
+        size = abs(distance)
+        out = (dx / size, dy / size) if size > 0.0 else (1.0, 0.0)
+        return distance - self._radius, (out[0], out[1], 0.0)
 
     def force_ned_n(self, pos_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]) -> Vec3:
         """Penalty force (3,) on the hull [N]: stiffness and damping along each normal, never pulling."""

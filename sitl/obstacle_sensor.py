@@ -13,7 +13,7 @@ from autopilot.core.samples import ObstacleTrack
 from drivers.base import AlwaysOpen
 from sitl.moving import Motion, MovingPath
 from sitl.plant import Truth
-from sitl.scenario import MovingObstacle, Obstacle, ObstacleSensor, SphereObstacle
+from sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, ObstacleSensor
 from sitl.world import moving_path
 
 
@@ -27,7 +27,7 @@ class SimObstacleSensor(AlwaysOpen):
         for number, obstacle in enumerate(obstacles, start=1):
             if isinstance(obstacle, MovingObstacle):
                 self._seen.append((number, moving_path(obstacle), obstacle.radius_m))
-            elif not isinstance(obstacle, SphereObstacle) and obstacle.surprise:
+            elif isinstance(obstacle, CylinderObstacle) and obstacle.surprise:
                 self._seen.append((number, Motion(obstacle.center_m, (0.0, 0.0)), obstacle.radius_m))
         self._count = 0
         self.next_us = 0

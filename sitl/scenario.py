@@ -30,6 +30,7 @@ from sitl.scenario_tables import (
     NoCurrent,
     Obstacle,
     Origin,
+    PrismObstacle,
     Scenario,
     SensorSilence,
     ShearCurrent,
@@ -82,6 +83,7 @@ __all__ = [
     "Origin",
     "Outages",
     "PoseSensor",
+    "PrismObstacle",
     "Scenario",
     "SensorSilence",
     "Sensors",
@@ -142,6 +144,10 @@ def load_tables(name_or_path: str) -> Tables:
 
 def _located(tables: Tables, folder: Path) -> Tables:
     """The tables with files by absolute path: a campaign hands them on to other places."""
+    vehicle = tables.get("vehicle")
+    model = vehicle.get("model") if isinstance(vehicle, dict) else None
+    if isinstance(vehicle, dict) and isinstance(model, str) and model.endswith(".toml") and (folder / model).is_file():
+        vehicle["model"] = str((folder / model).resolve())
     for table, key in FILE_KEYS:
         entry, spread = tables.get(table), tables.get("spread")
         drawn = spread.get(f"{table}.{key}") if isinstance(spread, dict) else None

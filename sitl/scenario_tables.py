@@ -46,15 +46,19 @@ class Tank(_Table, frozen=True, kw_only=True):
     depth_m: Positive
 
     def __post_init__(self) -> None:
-        corners = self.polygon_m
-        for index, corner in enumerate(corners):
-            if corner == corners[index - 1]:
-                raise ValueError(f"`polygon_m` repeats the corner [{corner[0]:g}, {corner[1]:g}]")
-        walls = [(corners[index - 1], corner) for index, corner in enumerate(corners)]
-        for index, wall in enumerate(walls):
-            for other in walls[index + 2 :]:
-                if _cross(*wall, *other):
-                    raise ValueError(f"`polygon_m`: the walls {list(wall)} and {list(other)} cross")
+        _check_outline(self.polygon_m)
+
+
+def _check_outline(corners: list[Vec2]) -> None:
+    """ValueError if the walls between the corners are no simple polygon."""
+    for index, corner in enumerate(corners):
+        if corner == corners[index - 1]:
+            raise ValueError(f"`polygon_m` repeats the corner [{corner[0]:g}, {corner[1]:g}]")
+    walls = [(corners[index - 1], corner) for index, corner in enumerate(corners)]
+    for index, wall in enumerate(walls):
+        for other in walls[index + 2 :]:
+            if _cross(*wall, *other):
+                raise ValueError(f"`polygon_m`: the walls {list(wall)} and {list(other)} cross")
 
 
 def _side(a: Vec2, b: Vec2, p: Vec2) -> float:
@@ -83,6 +87,16 @@ class SphereObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="s
     radius_m: Positive
 
 
+class PrismObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="prism"):
+    """A vertical prism from the floor to above the surface: a box, an inner wall, a quay."""
+
+    polygon_m: Annotated[list[Vec2], msgspec.Meta(min_length=3)]
+    """Corners [north, east], simple, not closed, any winding, may be non-convex."""
+
+    def __post_init__(self) -> None:
+        _check_outline(self.polygon_m)
+
+
 class MovingObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="moving"):
     """A vertical cylinder through the whole depth that moves along a polyline; the obstacle sensor reports it."""
 
@@ -102,7 +116,7 @@ class MovingObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="m
                 raise ValueError(f"`path_m` repeats the corner [{corner[0]:g}, {corner[1]:g}]")
 
 
-Obstacle: TypeAlias = CylinderObstacle | SphereObstacle | MovingObstacle
+Obstacle: TypeAlias = CylinderObstacle | SphereObstacle | PrismObstacle | MovingObstacle
 
 
 class NoCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="none"):
@@ -178,7 +192,7 @@ class VehicleStart(_Table, frozen=True, kw_only=True):
     """``[vehicle]``"""
 
     model: str = "lbv150"
-    """Name of a shipped vehicle or path of a vehicle file."""
+    """Name of a shipped vehicle or path of a vehicle file (beside the scenario file, else from the current folder)."""
     start_m: Vec3
     start_yaw_rad: float = 0.0
     mismatch: dict[str, NonNegative] = {}

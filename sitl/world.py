@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import Vec2, Vec3
-from sitl.contact import Cylinder, MovingCylinder, Solid, Sphere, inside_polygon
+from sitl.contact import Cylinder, MovingCylinder, Prism, Solid, Sphere, inside_polygon
 from sitl.currents import CurrentField, Uniform, current_field
 from sitl.moving import MovingPath
-from sitl.scenario import CylinderObstacle, MovingObstacle, Scenario
+from sitl.scenario import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -38,6 +38,8 @@ def build_world(scenario: Scenario) -> World:
             solids.append(Cylinder(name=name, center_ned_m=obstacle.center_m, radius_m=obstacle.radius_m))
         elif isinstance(obstacle, MovingObstacle):
             solids.append(MovingCylinder(name=name, path=moving_path(obstacle), radius_m=obstacle.radius_m))
+        elif isinstance(obstacle, PrismObstacle):
+            solids.append(Prism(name=name, polygon_ned_m=tuple(obstacle.polygon_m)))
         else:
             solids.append(Sphere(name=name, center_ned_m=obstacle.center_m, radius_m=obstacle.radius_m))
     tank = scenario.tank

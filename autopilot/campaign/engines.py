@@ -9,10 +9,9 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.synchronize import Event
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from autopilot import THREAD_VARIABLES
-from autopilot.campaign.results import RunResult, Task, failure
 from autopilot.core.errors import AutopilotError, ConfigError
 
 LOOK_S = 0.2
@@ -21,10 +20,26 @@ LOOK_S = 0.2
 Stop = Callable[[], bool]
 
 
+Result = TypeVar("Result")
+Result_co = TypeVar("Result_co", covariant=True)
+
+
+class Flyable(Protocol[Result_co]):
+    """One run, complete in itself and fit to be sent to another process."""
+
+    def fly(self, stop: Stop) -> Result_co | None:
+        """The result, None if ``stop`` said so before the end. AutopilotError if it cannot be flown."""
+        ...
+
+    def failed(self, error: str) -> Result_co:
+        """The result of a run that could not be flown."""
+        ...
+
+
 class Engine(Protocol):
     """Flies tasks in any order."""
 
-    def run(self, tasks: Sequence[Task], stop: Stop) -> Iterator[RunResult]:
+    def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
         """Results as they come; ends early, without results of unfinished runs, when ``stop`` says so."""
         ...
 
@@ -42,17 +57,15 @@ def make_engine(name: str, jobs: int | None) -> Engine:
 class InProcess:
     """One after the other, here."""
 
-    def run(self, tasks: Sequence[Task], stop: Stop) -> Iterator[RunResult]:
+    def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
         """See :class:`Engine`."""
-        from autopilot.campaign.flight import fly
-
         for task in tasks:
             if stop():
                 return
             try:
-                result = fly(task, stop)
+                result = task.fly(stop)
             except AutopilotError as error:
-                result = failure(task, str(error))
+                result = task.failed(str(error))
             if result is not None:
                 yield result
 
@@ -63,7 +76,7 @@ class LocalPool:
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
 
-    def run(self, tasks: Sequence[Task], stop: Stop) -> Iterator[RunResult]:
+    def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
         """See :class:`Engine`. AutopilotError if a process dies."""
         if not tasks:
             return
@@ -89,7 +102,7 @@ class LocalPool:
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _outcome(future: "cf.Future[RunResult | None]", task: Task) -> RunResult | None:
+def _outcome(future: "cf.Future[Result | None]", task: Flyable[Result]) -> Result | None:
     """The result; a run that raised is a failed one; a process that died is nobody's result."""
     error = future.exception()
     if isinstance(error, cf.process.BrokenProcessPool):
@@ -97,7 +110,7 @@ def _outcome(future: "cf.Future[RunResult | None]", task: Task) -> RunResult | N
             "a worker process died (out of memory?); finished runs are kept, start again with fewer --jobs"
         ) from error
     if error is not None:
-        return failure(task, f"{type(error).__name__}: {error}")
+        return task.failed(f"{type(error).__name__}: {error}")
     return future.result()
 
 
@@ -116,10 +129,8 @@ def _begin_worker(halt: Event) -> None:
     gc.freeze()
 
 
-def _fly_in_worker(task: Task) -> RunResult | None:
-    from autopilot.campaign.flight import fly
-
-    return fly(task, (lambda: False) if _halt is None else _halt.is_set)
+def _fly_in_worker(task: Flyable[Result]) -> Result | None:
+    return task.fly((lambda: False) if _halt is None else _halt.is_set)
 
 
 @contextmanager
@@ -165,7 +176,7 @@ class DaskCluster:
         self._address = address
         self._jobs = jobs
 
-    def run(self, tasks: Sequence[Task], stop: Stop) -> Iterator[RunResult]:
+    def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
         """See :class:`Engine`. ConfigError if the scheduler does not answer."""
         with self._client() as client:
             pending = {client.submit(_fly_in_worker, task, pure=False): task for task in tasks}
@@ -178,9 +189,9 @@ class DaskCluster:
                     task = pending.pop(future)
                     error = future.exception()
                     if error is not None:
-                        yield failure(task, f"{type(error).__name__}: {error}")
+                        yield task.failed(f"{type(error).__name__}: {error}")
                     else:
-                        result: RunResult | None = future.result()
+                        result: Result | None = future.result()
                         if result is not None:
                             yield result
             client.cancel(list(pending))

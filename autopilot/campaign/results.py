@@ -1,5 +1,6 @@
 """What a campaign hands to an engine and what it keeps of every run."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import msgspec
@@ -25,6 +26,16 @@ class Task:
     duration_s: float | None
     """None = as the scenario says."""
     params: dict[str, float] = field(default_factory=dict)
+
+    def fly(self, stop: Callable[[], bool] = lambda: False) -> "RunResult | None":
+        """The result, None if ``stop`` said so before the end. AutopilotError if it cannot be flown."""
+        from autopilot.campaign.flight import fly  # the whole service
+
+        return fly(self, stop)
+
+    def failed(self, error: str) -> "RunResult":
+        """The result of a run that could not be flown."""
+        return failure(self, error)
 
 
 class Margin(msgspec.Struct, frozen=True, kw_only=True):

@@ -55,7 +55,7 @@ class Store:
         path = folder / shard.file_name
         try:
             self._scenarios.mkdir(parents=True, exist_ok=True)
-            _settle_identity(folder / IDENTITY, campaign.identity)
+            settle_identity(folder / IDENTITY, campaign.identity)
             plan = self._scenarios / campaign.identity.plan_name
             plan.write_text(campaign.identity.plan, encoding="utf-8")
             self._file: IO[bytes] = path.open("ab")
@@ -64,7 +64,7 @@ class Store:
         if not lock_exclusive(self._file):
             self._file.close()
             raise ConfigError(f"{path}: another process flies these runs now; wait for it or take another --shard")
-        _drop_cut_line(path)
+        drop_cut_line(path)
 
     def close(self) -> None:
         """Give the shard free."""
@@ -115,7 +115,7 @@ def read_results(folder: Path) -> dict[int, RunResult]:
     return dict(sorted(found.items()))
 
 
-def _settle_identity(path: Path, mine: Identity) -> None:
+def settle_identity(path: Path, mine: msgspec.Struct) -> None:
     """Write the identity into a new folder; in an old one it has to be the same."""
     data = msgspec.json.format(msgspec.json.encode(mine), indent=1)
     if not path.exists():
@@ -133,7 +133,7 @@ def _settle_identity(path: Path, mine: Identity) -> None:
         )
 
 
-def _drop_cut_line(path: Path) -> None:
+def drop_cut_line(path: Path) -> None:
     """A write that a crash cut off is no run."""
     data = path.read_bytes()
     whole = data.rfind(b"\n") + 1

@@ -27,14 +27,26 @@ class _Show(Protocol):
 
 
 class _Campaign(click.Group):
-    """``campaign table`` is a command of its own; whatever else follows ``campaign`` is flown."""
+    """``table`` and ``rooms`` are commands of their own; whatever else follows ``campaign`` is flown."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """See :class:`click.Group`."""
-        return super().parse_args(ctx, args if args and args[0] in self.commands else [FLY, *args])
+        return super().parse_args(ctx, args if args and args[0] in self.list_commands(ctx) else [FLY, *args])
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """In alphabetical order."""
+        return sorted([*self.commands, ROOMS])
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """``rooms`` has a module of its own."""
+        if cmd_name != ROOMS:
+            return super().get_command(ctx, cmd_name)
+        from autopilot.cli.campaign_rooms import rooms
+
+        return rooms
 
 
-FLY = "fly"
+FLY, ROOMS = "fly", "rooms"
 
 
 @click.group(cls=_Campaign)
@@ -147,7 +159,7 @@ def _fly(
         for task in tasks:
             store.begin(task)
         done = len(mine) - len(tasks)
-        with _stoppable() as stop, _progress(defined.scenario.scenario.name, quiet=quiet) as show:
+        with stoppable() as stop, _progress(defined.scenario.scenario.name, quiet=quiet) as show:
             show(None, done, len(mine))
             for result in engine.run(tasks, lambda: bool(stop)):
                 store.append(result)
@@ -159,7 +171,7 @@ def _fly(
 
 
 @contextmanager
-def _stoppable() -> Iterator[list[int]]:
+def stoppable() -> Iterator[list[int]]:
     """A list that fills when Ctrl-C or SIGTERM come; a second one does not wait."""
     stopped: list[int] = []
 

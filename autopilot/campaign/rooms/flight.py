@@ -1,0 +1,144 @@
+"""Fly a room: the whole service on the simulated vehicle, its plan through the service's own checks."""
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from autopilot.campaign.rooms.prospect import Prospect, prospect
+from autopilot.campaign.rooms.results import Outcome, RoomResult
+from autopilot.campaign.rooms.room import SCENARIO_FILE, Room, files_of, make_room
+from autopilot.campaign.rooms.verdict import judge_flight, judge_refusal
+from autopilot.campaign.watch import Watch
+from autopilot.config import Settings, gather, sitl_defaults
+from autopilot.core.errors import PlanError
+from autopilot.core.messages import Fallback, Outputs, Severity
+from autopilot.sitl_session import open_sitl
+
+ARMING_S = 12.0
+"""A service that has not armed by then does not want to."""
+MOST_EVENTS = 40
+
+
+class RoomWatch(Watch):
+    """What a flight in a room is judged by, beside what every run of a campaign is judged by."""
+
+    def __init__(self, truth: Callable[[], object]) -> None:
+        super().__init__(truth)  # type: ignore[arg-type]
+        self.told: list[tuple[float, int, str]] = []
+        """Time, severity and text of everything that the operator is told."""
+        self.reached_seq = -1
+        self.first_fallback_s: float | None = None
+        self.first_failsafe_s: float | None = None
+
+    def tick(self, outputs: Outputs) -> None:
+        """See :class:`Watch`."""
+        super().tick(outputs)
+        t_s = outputs.t_us * 1e-6
+        for event in outputs.events:
+            if event.severity <= Severity.NOTICE and len(self.told) < MOST_EVENTS:
+                self.told.append((t_s, event.severity, event.text))
+        if outputs.progress is not None:
+            self.reached_seq = max(self.reached_seq, outputs.progress.reached_seq)
+        if outputs.mode.failsafes and self.first_failsafe_s is None:
+            self.first_failsafe_s = t_s
+        control = outputs.control
+        if control is not None and outputs.mode.armed and self.first_fallback_s is None:
+            self.first_fallback_s = t_s if control.status.fallback is not Fallback.NONE else None
+
+    @property
+    def never_armed(self) -> bool:
+        """Time enough, and it is not armed."""
+        return self._armed_s is None and self._now_s > ARMING_S
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoomTask:
+    """One flight."""
+
+    room: int
+    mode: int
+    seed: int
+    log: str | None = None
+    """Where its log goes."""
+
+    def fly(self, stop: Callable[[], bool] = lambda: False) -> RoomResult | None:
+        """The result, None if ``stop`` said so before the end."""
+        flown = fly_room(make_room(self.seed), self.mode, stop, log=self.log)
+        return None if flown is None else _numbered(flown.result, self)
+
+    def failed(self, error: str) -> RoomResult:
+        """The result of a flight that raised."""
+        return RoomResult(room=self.room, mode=self.mode, seed=self.seed, what=error, title=make_room(self.seed).title)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """A flight with what it was judged by."""
+
+    result: RoomResult
+    watch: RoomWatch | None
+    """None if it was refused by its plan."""
+    prospect: Prospect
+
+
+def fly_room(
+    room: Room, mode: int, stop: Callable[[], bool] = lambda: False, *, log: str | None = None
+) -> Flown | None:
+    """Fly a room in a mode (MPC_COST); None if ``stop`` said so. AutopilotError if it cannot be flown at all."""
+    begun_s = time.process_time()
+    chances = prospect(room)
+    duration_s = chances.bound_s(mode)
+    with tempfile.TemporaryDirectory(prefix="room-") as folder:
+        place = Path(folder)
+        for name, data in files_of(room, mode=mode, duration_s=duration_s).items():
+            (place / name).write_bytes(data)
+        watches: list[RoomWatch] = []
+        try:
+            session = open_sitl(
+                _settings(place, room.seed, log), {}, log=log is not None, on_tick=lambda out: watches[0].tick(out)
+            )
+        except PlanError as error:
+            result = judge_refusal(room, chances, str(error))
+            return Flown(_timed(result, room, mode, begun_s), None, chances)
+        watch = RoomWatch(lambda: session.device.truth)
+        watches.append(watch)
+        stopped = False
+
+        def enough() -> bool:
+            nonlocal stopped
+            stopped = stop()
+            return stopped or watch.over or watch.never_armed
+
+        session.run(enough)
+        if stopped:
+            return None
+        if watch.never_armed or not len(watch.rows):
+            result = judge_refusal(room, chances, watch.not_armed or "not armed, and nothing was said")
+        else:
+            result = judge_flight(room, chances, mode, watch, session.device.truth)
+        return Flown(_timed(result, room, mode, begun_s), watch, chances)
+
+
+def _timed(result: RoomResult, room: Room, mode: int, begun_s: float) -> RoomResult:
+    cpu_s = round(time.process_time() - begun_s, 2)
+    return msgspec.structs.replace(result, cpu_s=cpu_s, mode=mode, seed=room.seed, title=room.title)
+
+
+def _numbered(result: RoomResult, task: RoomTask) -> RoomResult:
+    return msgspec.structs.replace(result, room=task.room)
+
+
+def _settings(folder: Path, seed: int, log: str | None) -> Settings:
+    """Settings of the flight: nothing from the environment, nothing left behind but the log."""
+    given = {"scenario": str(folder / SCENARIO_FILE), "speed": 0.0, "seed": seed, "start": True, "log": log}
+    settings = gather(sitl_defaults(0), given, {})
+    settings.put("connect", (), "campaign")
+    settings.put("state_dir", str(folder), "campaign")
+    return settings
+
+
+__all__ = ["Flown", "Outcome", "RoomTask", "RoomWatch", "fly_room"]

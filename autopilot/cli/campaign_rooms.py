@@ -1,0 +1,175 @@
+"""``autopilot campaign rooms``: workspaces, waters, missions and vehicles at random."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from autopilot.cli.output import emit_json, print_table
+
+if TYPE_CHECKING:
+    from autopilot.campaign.rooms.results import RoomResult
+
+MODE_NAMES = {"quadratic": 0, "energy": 1}
+
+
+@click.command("rooms")
+@click.option("--runs", type=click.IntRange(min=1), default=200, show_default=True, help="Rooms; more goes on.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the campaign.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the campaign.")
+@click.option("--modes", type=click.Choice(("both", *MODE_NAMES)), default="both", show_default=True)
+@click.option("--only", type=click.IntRange(min=0), multiple=True, help="Fly this room alone, with log and picture.")
+@click.option("--engine", default="local", show_default=True, help="local, dask or dask+tcp://HOST:PORT.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Flights at a time (default: one per core).")
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+def rooms(
+    runs: int,
+    out: Path,
+    seed: int,
+    modes: str,
+    only: tuple[int, ...],
+    engine: str,
+    jobs: int | None,
+    as_json: bool,
+) -> None:
+    """Fly RUNS rooms made at random, each by the whole service, and judge every refusal and every flight.
+
+    Finished flights are kept in OUT, one line each; the same command goes on where it was stopped. With --only a room
+    is flown again and leaves its files, log and picture in OUT. Exit code 1 if anything is held against a flight.
+    """
+    wanted = list(MODE_NAMES.values()) if modes == "both" else [MODE_NAMES[modes]]
+    if only:
+        results = [_alone(out, seed, room, mode, quiet=as_json) for room in only for mode in wanted]
+        if as_json:
+            emit_json([_plain(result) for result in results])
+    else:
+        results = _all(out, seed, runs, wanted, engine, jobs, quiet=as_json)
+        _report(results, wanted, out, seed, as_json=as_json)
+    if any(result.failed for result in results):
+        raise click.exceptions.Exit(1)
+
+
+def _all(
+    out: Path, seed: int, runs: int, modes: list[int], engine: str, jobs: int | None, *, quiet: bool
+) -> list[RoomResult]:
+    """Fly what is missing; all finished flights that were asked for."""
+    from autopilot.campaign.engines import make_engine
+    from autopilot.campaign.rooms.flight import RoomTask
+    from autopilot.campaign.rooms.store import RoomStore, room_seed
+    from autopilot.cli.campaign import stoppable
+
+    store = RoomStore(out, seed)
+    try:
+        finished = store.results()
+        asked = [(room, mode) for room in range(runs) for mode in modes]
+        tasks = [
+            RoomTask(room=room, mode=mode, seed=room_seed(seed, room))
+            for room, mode in asked
+            if (room, mode) not in finished
+        ]
+        done = len(asked) - len(tasks)
+        with stoppable() as stop:
+            for result in make_engine(engine, jobs).run(tasks, lambda: bool(stop)):
+                store.append(result)
+                done += 1
+                if not quiet:
+                    click.echo(f"{done}/{len(asked)} {_line(result)}")
+        if stop:
+            click.echo(f"{done} of {len(asked)} flights are kept in {out}; the same command goes on", err=True)
+            raise click.Abort
+        results = store.results()
+        return [results[key] for key in asked if key in results]
+    finally:
+        store.close()
+
+
+def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> RoomResult:
+    """One flight with log, picture and files."""
+    import msgspec
+
+    from autopilot.campaign.rooms.flight import fly_room
+    from autopilot.campaign.rooms.picture import draw
+    from autopilot.campaign.rooms.room import make_room
+    from autopilot.campaign.rooms.store import room_seed, write_files
+
+    made = make_room(room_seed(seed, room))
+    name = next(name for name, number in MODE_NAMES.items() if number == mode)
+    folder = out / f"room-{room:04d}-{name}"
+    folder.mkdir(parents=True, exist_ok=True)
+    log = folder / "run.mcap"
+    log.unlink(missing_ok=True)
+    flown = fly_room(made, mode, log=str(log))
+    assert flown is not None  # nobody stops it
+    write_files(folder, made.seed, mode=mode, duration_s=flown.prospect.bound_s(mode))
+    draw(made, flown, folder / "flight.png")
+    result = msgspec.structs.replace(flown.result, room=room)
+    if not quiet:
+        click.echo(_line(result))
+        for line in result.events:
+            click.echo(f"    {line}")
+        click.echo(f"    {folder}/flight.png, run.mcap; as a scenario: autopilot sitl {folder}/scenario.toml --start")
+    return result
+
+
+def _line(result: RoomResult) -> str:
+    """One flight in one line."""
+    mode = next(name for name, number in MODE_NAMES.items() if number == result.mode)
+    faults = f"  FAILED: {'; '.join(result.faults)}" if result.failed else f"  {result.what}" if result.what else ""
+    cost = f"{result.simulated_s:.0f} s, {result.cpu_s:.0f} s CPU"
+    return f"room {result.room} {mode}: {result.outcome} ({cost}; {result.title}){faults}"
+
+
+def _plain(result: RoomResult) -> dict[str, Any]:
+    import msgspec
+
+    plain: dict[str, Any] = msgspec.to_builtins(result)
+    return {**plain, "faults": result.faults}
+
+
+def _report(results: list[RoomResult], modes: list[int], out: Path, seed: int, *, as_json: bool) -> None:
+    from autopilot.campaign.rooms.summary import summarise
+
+    rows = [summarise(results, mode) for mode in modes]
+    failed = [result for result in results if result.failed]
+    if as_json:
+        emit_json({"modes": [asdict(row) for row in rows], "failed": [_plain(result) for result in failed]})
+        return
+    names = {number: name for name, number in MODE_NAMES.items()}
+    keys = [key for key in asdict(rows[0]) if key != "mode"]
+    print_table(
+        f"rooms of seed {seed}",
+        ["", *(names[row.mode] for row in rows)],
+        [(_title(key), *(_cell(key, asdict(row)[key]) for row in rows)) for key in keys],
+    )
+    for result in failed:
+        click.echo(_line(result))
+        click.echo(
+            f"    autopilot campaign rooms --seed {seed} --only {result.room} --modes {names[result.mode]} --out {out}"
+        )
+
+
+def _title(key: str) -> str:
+    """A figure's name in the table."""
+    return {
+        "refused": "refused rightly",
+        "told": "told rightly on the way",
+        "misrefused": "refused wrongly",
+        "not_reached": "not reached",
+        "contacts": "flights with contacts",
+        "failsafes": "with unjustified failsafes",
+        "fallbacks": "with solver fallbacks",
+        "alarms": "with false thruster alarms",
+        "bounds": "with a bound broken",
+        "failure_bound": "failure rate at most (95 %)",
+        "rough": "with rough commands",
+        "median_cpu_s": "CPU time, s, median",
+    }.get(key, key)
+
+
+def _cell(key: str, value: Any) -> str:
+    if key == "rough":
+        return ", ".join(f"{name} {count}" for name, count in value.items()) or "0"
+    return f"{value:.1%}" if key == "failure_bound" else f"{value:g}"
