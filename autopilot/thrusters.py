@@ -12,6 +12,10 @@ REPORT_EVERY_TICKS = 50
 """Twice per second: for the log, and to look anew at what the thrusters allow."""
 
 
+SUBMERGED = 1.5
+"""Above so many half heights of the hull below the surface heave tells nothing of the vertical thruster."""
+
+
 class ThrusterCare:
     """Combines what operators tell (THRn_HEALTH) with what is found (THR_DETECT), the smaller counts."""
 
@@ -19,7 +23,9 @@ class ThrusterCare:
         self._names = tuple(thruster.name for thruster in vehicle.thruster)
         self._params = params
         self._model = vehicle.model4.to_model()
-        self._health = ThrusterHealth(self._model, vehicle.drive.time_constant_s)
+        self._health = ThrusterHealth(
+            self._model, vehicle.drive.time_constant_s, submerged_m=SUBMERGED * vehicle.hull_half_height_m
+        )
         self._ticks = 0
         self.share = np.ones(len(self._names))
         """(4,) effectiveness that bounds and allocation go by; dead thrusters have 0."""

@@ -1,0 +1,363 @@
+"""Which thruster explains the motion better by being lossy: a bank of Kalman filters and the evidence between them.
+
+Filter 0 believes that the thrusters are as they have been declared. Filter 1 takes all of them for unknown: its
+standard deviations say what can be seen of a thruster at all. Every other filter is a story: one thruster changed
+when the story began, a sound one lost half of its thrust or nearly all, a lossy one is sound again.
+
+All of them estimate beside the effectiveness e of the thrusters what else may explain the motion, each with the
+spread that vehicles and waters have: thrust over mass and drag over mass of each axis, Coriolis and Munk terms, the
+lag, the arm of the lateral thruster, a steady force from a fixed direction (a tether), a steady moment, the water's
+velocity, and pushes that last a second or two. A mistake of the model, a tug and a gust are therefore no loss: it is
+declared only where it is by far the likelier story.
+
+The evidence for a story over filter 0 is the sum of their log-likelihood ratios since it began (a generalised
+likelihood ratio test with the size of the change estimated: Willsky and Jones 1976). Each thruster has a few stories
+that began at different times; every other second the one that is believed least begins anew.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from autopilot.control.motion_looks import Look
+from autopilot.core.frames import FloatArray
+from autopilot.core.model4 import NU, Model4
+
+LATERAL = 3
+"""Index of the lateral thruster."""
+
+E, GAIN, DRAG, TURN, ARM, LAG, PULL, MOMENT, FLOW, PUSH = (
+    slice(0, 4),
+    slice(4, 8),
+    slice(8, 12),
+    slice(12, 15),
+    15,
+    16,
+    slice(17, 20),
+    20,
+    slice(21, 23),
+    slice(23, 27),
+)
+"""States: effectiveness (4), thrust over mass per axis (4), drag over mass per axis (4), Coriolis and Munk (3), arm of
+the lateral thruster, lag, force NED (3), moment, water's velocity NE (2), push per axis (4)."""
+
+STATES = 27
+MOTION = np.arange(17, 27)
+"""States that change within seconds."""
+
+FREE = 1
+"""The filter to which all thrusters are unknown."""
+
+EACH = 6
+"""Stories per thruster, one half of half a thruster, the other of a dead one."""
+
+FILTERS = 2 + NU * EACH
+
+TOLD_OF = np.repeat(np.arange(NU), EACH)
+"""(24,) thruster that a story tells of."""
+
+STORIES = np.arange(2, FILTERS)
+"""Their filters."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beliefs:
+    """Standard deviations, axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
+
+    noise: tuple[float, float, float, float] = (0.008, 0.008, 0.008, 0.04)
+    """Of one look: estimate and model, looks ``independent_s`` apart being independent."""
+    noise_share: float = 0.04
+    """Of the thrust's acceleration: lag, deadband and supply are not known better."""
+    independent_s: float = 0.3
+    """Looks so far apart share no noise."""
+    sound: float = 0.05
+    """e of a sound thruster: they are not all alike."""
+    half: tuple[float, float] = (0.5, 0.1)
+    """e of a thruster that has lost half of its thrust, mean and standard deviation."""
+    dead: tuple[float, float] = (0.1, 0.12)
+    """The same of one that has lost nearly all."""
+    unknown: float = 0.3
+    """e of the filter that knows of no thruster."""
+    wander: float = 0.01
+    """e of a lossy thruster, per square root of a second."""
+    gain: tuple[float, float, float, float] = (0.16, 0.16, 0.16, 0.2)
+    """Errors of mass (20 %), thrust constant and lever arm (10 %)."""
+    gain_wander: float = 0.003
+    """Per square root of a second."""
+    drag: float = 0.3
+    """Share of drag over mass."""
+    turn: tuple[float, float, float] = (0.25, 0.25, 0.5)
+    """Share of the Coriolis terms and of the Munk moment, a difference of masses."""
+    arm: float = 0.1
+    """What the lateral thruster turns [rad/s^2 per N]: its arm of some cm is not in T_A."""
+    lag_s: float = 0.06
+    """Of the thrusters and of what is measured."""
+    pull_n: float = 1.0
+    """Force from a fixed direction: a tether."""
+    pull_s: float = 20.0
+    """It turns within this time."""
+    moment: float = 0.05
+    """Steady, [rad/s^2]."""
+    flow_m_s: float = 0.1
+    """The water's velocity against the estimated current: that explains what a lost thruster does not."""
+    flow_s: float = 8.0
+    """It is another within this time."""
+    push: tuple[float, float, float, float] = (0.02, 0.02, 0.02, 0.07)
+    """What nobody knows."""
+    push_s: float = 1.5
+    """It is another within this time."""
+    gate: float = 30.0
+    """Squared distance (4 axes) from all filters beyond which a look tells of a collision, not of thrusters."""
+    collision: float = 10.0
+    """After that pushes are so many times what they were."""
+    begin_s: float = 2.0
+    """A new story of each thruster so often."""
+    grown_s: float = 3.0
+    """So long a story is listened to."""
+    most: float = 1.0
+    """Evidence of one look at most [nats]."""
+    most_evidence: float = 40.0
+    """Evidence in all at most."""
+
+
+class Memory(NamedTuple):
+    """What a bank knows."""
+
+    x: FloatArray
+    p: FloatArray
+    evidence: FloatArray
+    age_s: FloatArray
+    since_s: float
+    lossy: tuple[bool, ...]
+
+
+class LossBank:
+    """Evidence for a change of each of four thrusters. Deterministic."""
+
+    def __init__(self, model: Model4, beliefs: Beliefs | None = None) -> None:
+        self._beliefs = beliefs or Beliefs()
+        self._mass = np.array(model.mass_kg)
+        self._effect = np.array(model.allocation) / self._mass[:, None]
+        self._still = self._stationary()
+        self._evidence: FloatArray = np.zeros(len(STORIES))
+        self._age_s: FloatArray = np.zeros(len(STORIES))
+        self.reset()
+
+    def reset(self) -> None:
+        """All thrusters are sound, nothing is known."""
+        b = self._beliefs
+        x = np.zeros(STATES)
+        x[E] = 1.0
+        spread = np.zeros(STATES)
+        spread[E], spread[GAIN], spread[DRAG], spread[TURN] = b.sound, b.gain, b.drag, b.turn
+        spread[ARM], spread[LAG] = b.arm, b.lag_s
+        p = np.diag(np.square(spread))
+        p[MOTION, MOTION] = self._still[MOTION]
+        self._x, self._p = np.tile(x, (FILTERS, 1)), np.tile(p, (FILTERS, 1, 1))
+        self._p[FREE, range(NU), range(NU)] = b.unknown**2
+        self.lossy = (False,) * NU
+        """What filter 0 believes."""
+        self.outlier = False
+        self._begin_all()
+
+    @property
+    def evidence(self) -> FloatArray:
+        """(4,) for a change of each thruster: of its best story [nats]."""
+        result: FloatArray = self._evidence.reshape(NU, EACH).max(axis=1)
+        return result
+
+    def _best(self) -> FloatArray:
+        """(4,) filters of the best stories."""
+        best: FloatArray = 2 + EACH * np.arange(NU) + self._evidence.reshape(NU, EACH).argmax(axis=1)
+        return best
+
+    @property
+    def changed_to(self) -> FloatArray:
+        """(4,) effectiveness of each thruster if it has changed."""
+        result: FloatArray = self._x[self._best(), np.arange(NU)]
+        return result
+
+    @property
+    def changed_sigma(self) -> FloatArray:
+        """(4,) standard deviation of that."""
+        result: FloatArray = np.sqrt(self._p[self._best(), np.arange(NU), np.arange(NU)])
+        return result
+
+    @property
+    def declared(self) -> tuple[FloatArray, FloatArray]:
+        """(4,) effectiveness as filter 0 has it, and its standard deviation: what a lossy thruster gives."""
+        return self._x[0, E].copy(), np.sqrt(np.diag(self._p[0])[E])
+
+    @property
+    def free(self) -> tuple[FloatArray, FloatArray]:
+        """(4,) effectiveness of all thrusters without any belief, and its standard deviation: what can be seen."""
+        return self._x[FREE, E].copy(), np.sqrt(np.diag(self._p[FREE])[E])
+
+    @property
+    def memory(self) -> Memory:
+        """All that is known; nothing of it changes any more."""
+        return Memory(self._x, self._p, self._evidence, self._age_s, self._since_s, self.lossy)
+
+    def recall(self, memory: Memory) -> None:
+        """Know only what was known then."""
+        self._x, self._p, self._evidence, self._age_s, self._since_s, self.lossy = memory
+
+    def accept(self, thruster: int) -> None:
+        """Filter 0 believes from now on what the best story of this thruster tells."""
+        best = int(self._best()[thruster])
+        self._x, self._p = self._x.copy(), self._p.copy()
+        self._x[0], self._p[0] = self._x[best], self._p[best]
+        self._turn(thruster)
+
+    def clear(self, thruster: int) -> None:
+        """Filter 0 believes from now on that the lossy thruster is sound."""
+        self._x, self._p = self._x.copy(), self._p.copy()
+        self._set(0, thruster, 1.0, self._beliefs.sound)
+        self._turn(thruster)
+
+    def _turn(self, thruster: int) -> None:
+        self.lossy = tuple(was != (i == thruster) for i, was in enumerate(self.lossy))
+        self._begin_all()
+
+    def forget_motion(self) -> None:
+        """What changes within seconds is not known any more."""
+        self._x, self._p = self._x.copy(), self._p.copy()
+        self._x[:, MOTION] = 0.0
+        self._p[:, MOTION, :] = 0.0
+        self._p[:, :, MOTION] = 0.0
+        self._p[:, MOTION, MOTION] = self._still[MOTION]
+
+    def look(self, look: Look, *, heave: bool) -> None:
+        """Learn from a look; ``heave``: whether its third axis says anything (not at the surface)."""
+        b = self._beliefs
+        self._predict(look)
+        x, p = self._x, self._p
+        h = self._derivatives(look)
+        expected = self._expected(look)
+        thrust = np.square(self._effect) @ np.square(look.thrust_n)
+        noise = (np.square(b.noise) + b.noise_share**2 * thrust) * (b.independent_s / look.dt_s)
+        if not heave:
+            noise[2] = 1e6
+        innovation = look.residual - expected
+        cross = h @ p
+        s = cross @ h.transpose(0, 2, 1) + np.diag(noise)
+        inverse = np.linalg.inv(s)
+        distance2 = np.einsum("ni,nij,nj->n", innovation, inverse, innovation)
+        self.outlier = bool(distance2.min() > b.gate)
+        if self.outlier:
+            self._p[:, PUSH, PUSH] += np.diag(b.collision**2 * self._still[PUSH])
+            return
+        gain = cross.transpose(0, 2, 1) @ inverse
+        x = x + np.einsum("nij,nj->ni", gain, innovation)
+        x[:, E] = np.clip(x[:, E], 0.0, 1.5)
+        p = p - gain @ cross
+        self._x, self._p = x, 0.5 * (p + p.transpose(0, 2, 1))
+        told = -0.5 * (distance2 + np.log(np.linalg.det(s)))
+        gained = np.clip(told[STORIES] - told[0], -b.most, b.most)
+        self._evidence = np.minimum(self._evidence + gained, b.most_evidence)
+        self._age_s = self._age_s + look.dt_s
+        self._since_s += look.dt_s
+        if self._since_s >= b.begin_s - 1e-9:
+            self._since_s = 0.0
+            self._begin_worst()
+
+    def _begin_all(self) -> None:
+        """All stories anew; of those that begin at the same time the first is the best."""
+        self._evidence, self._age_s = np.zeros(len(STORIES)), np.zeros(len(STORIES))
+        self._since_s = 0.0
+        for story in range(len(STORIES)):
+            self._begin(story)
+
+    def _begin_worst(self) -> None:
+        """Of the stories of each thruster and each loss the one that is believed least begins anew, if it is grown."""
+        grown = self._age_s >= self._beliefs.grown_s
+        believed = np.where(grown, self._evidence, np.inf).reshape(NU, EACH // 2, 2)
+        worst = EACH * np.arange(NU)[:, None] + 2 * believed.argmin(axis=1) + np.arange(2)
+        self._evidence, self._age_s = self._evidence.copy(), self._age_s.copy()
+        for story in worst.ravel():
+            if grown[story]:
+                self._begin(int(story))
+
+    def _begin(self, story: int) -> None:
+        """A story anew: filter 0, with a change of its thruster now."""
+        b, thruster = self._beliefs, int(TOLD_OF[story])
+        mean, sigma = (1.0, b.sound) if self.lossy[thruster] else (b.half, b.dead)[story % 2]
+        here = int(STORIES[story])
+        self._x[here], self._p[here] = self._x[0], self._p[0]
+        self._set(here, thruster, mean, sigma)
+        self._evidence[story] = self._age_s[story] = 0.0
+
+    def _set(self, which: int, thruster: int, mean: float, sigma: float) -> None:
+        """Filter ``which`` knows so much of the thruster and no more."""
+        self._x[which, thruster] = mean
+        self._p[which, thruster, :] = self._p[which, :, thruster] = 0.0
+        self._p[which, thruster, thruster] = sigma**2
+
+    def _stationary(self) -> FloatArray:
+        """(n,) variances of the states that change within seconds."""
+        b = self._beliefs
+        still = np.zeros(STATES)
+        still[PULL], still[MOMENT], still[FLOW] = b.pull_n**2, b.moment**2, b.flow_m_s**2
+        still[PUSH] = np.square(b.push)
+        return still
+
+    def _predict(self, look: Look) -> None:
+        b, dt_s = self._beliefs, look.dt_s
+        keep = np.ones(STATES)
+        keep[PULL] = keep[MOMENT] = math.exp(-dt_s / b.pull_s)
+        keep[FLOW], keep[PUSH] = math.exp(-dt_s / b.flow_s), math.exp(-dt_s / b.push_s)
+        x, p = self._x * keep, self._p * np.outer(keep, keep)
+        # The same water, against another belief.
+        x[:, FLOW] -= look.moved_ned_m_s
+        grow = np.zeros((FILTERS, STATES))
+        grow[:, MOTION] = ((1.0 - keep * keep) * self._still)[MOTION]
+        grow[:, GAIN] = b.gain_wander**2 * dt_s
+        lossy = np.tile(self.lossy, (FILTERS, 1))
+        lossy[FREE] = True
+        lossy[STORIES, TOLD_OF] ^= True
+        grow[:, E] = b.wander**2 * dt_s * lossy
+        index = np.arange(STATES)
+        p[:, index, index] += grow
+        self._x, self._p = x, p
+
+    def _expected(self, look: Look) -> FloatArray:
+        """(n, 4) residual that each filter expects."""
+        x = self._x
+        ideal = np.einsum("ij,nj->ni", self._effect, look.thrust_n * x[:, E])
+        rate = np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, E])
+        result: FloatArray = (1.0 + x[:, GAIN]) * ideal - x[:, LAG, None] * rate + x[:, DRAG] * look.drag + x[:, PUSH]
+        result += x[:, FLOW] @ look.flow.T + x[:, PULL] @ self._pull(look).T
+        result[:, [0, 1, 3]] += x[:, TURN] * look.coriolis
+        result[:, 3] += x[:, MOMENT] + x[:, ARM] * look.thrust_n[LATERAL]
+        return result
+
+    def _derivatives(self, look: Look) -> FloatArray:
+        """(n, 4, states) of what is expected."""
+        x = self._x
+        h = np.zeros((len(x), 4, STATES))
+        axes = np.arange(4)
+        h[:, :, E] = (1.0 + x[:, GAIN, None]) * (self._effect * look.thrust_n) - x[:, LAG, None, None] * (
+            self._effect * look.thrust_rate_n_s
+        )
+        h[:, axes, 4 + axes] = np.einsum("ij,nj->ni", self._effect, look.thrust_n * x[:, E])
+        h[:, axes, 8 + axes] = look.drag
+        h[:, [0, 1, 3], [12, 13, 14]] = look.coriolis
+        h[:, 3, ARM] = look.thrust_n[LATERAL]
+        h[:, :, LAG] = -np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, E])
+        h[:, :, PULL] = self._pull(look)
+        h[:, 3, MOMENT] = 1.0
+        h[:, :, FLOW] = look.flow
+        h[:, axes, 23 + axes] = 1.0
+        return h
+
+    def _pull(self, look: Look) -> FloatArray:
+        """(4, 3) acceleration per newton of a force NED."""
+        c, s = look.north
+        pull = np.zeros((4, 3))
+        pull[0, :2] = c, s
+        pull[1, :2] = -s, c
+        pull[2, 2] = 1.0
+        per_newton: FloatArray = pull / self._mass[:, None]
+        return per_newton
