@@ -133,7 +133,7 @@ class Ways:
         self._number[free] = np.arange(int(free.sum()))
         self._places = low + (np.argwhere(free) + 0.5) * cell_m
         self._graph: sparse.csr_matrix | None = None
-        self._key: tuple[float, float, bool] | None = None
+        self._key: tuple[Flow, float, float, bool] | None = None
 
     def quickest(
         self, start: Point, goal: Point, reach_m: float, flow: Flow, *, water_m_s: float, ground_m_s: float, worst: bool
@@ -142,7 +142,7 @@ class Ways:
         over ground, in the worst (or the best) of the phases of the flow."""
         if not len(self._places):
             return NO_WAY
-        key = (water_m_s, ground_m_s, worst)
+        key = (flow, water_m_s, ground_m_s, worst)
         if self._graph is None or key != self._key:
             self._graph, self._key = self._edges(flow, water_m_s, ground_m_s, worst=worst), key
         away = np.hypot(*(self._places - np.array(start)).T)

@@ -15,6 +15,7 @@ from autopilot.campaign.rooms.room import MARGIN_M, Room, current_table
 from autopilot.campaign.rooms.shapes import Point, clearance_m
 from autopilot.campaign.rooms.vehicles import speed_held_m_s
 from autopilot.campaign.rooms.waters import flow_of
+from autopilot.core.frames import FloatArray
 
 SURE_SHARE = 0.75
 """Of what the vehicle swims; a goal that needs more of it may be declined."""
@@ -26,6 +27,8 @@ BOUND_ENERGY = 1.8
 """So much more when the speed is the vehicle's own choice."""
 BOUND_PER_GOAL_S = 14.0
 START_S = 15.0
+LONGEST_LEG_S = 240.0
+"""A leg that may take longer than this may be declined, and is not waited for."""
 TELLING_S = 45.0
 """A vehicle that cannot reach a goal has so long to say so."""
 
@@ -110,6 +113,11 @@ TURN_S = 8.0
 """For a heading of its own."""
 
 
+def _still(places: FloatArray) -> FloatArray:
+    """No current."""
+    return np.zeros((1, len(places), 2))
+
+
 class _Judge:
     def __init__(self, room: Room, chart: Chart, flow: Flow, keep: float, swims: float) -> None:
         self._room, self._chart, self._flow, self._swims, self._keep = room, chart, flow, swims, keep
@@ -131,17 +139,11 @@ class _Judge:
         sure_m_s = SURE_SHARE * self._swims
         way = self._quickest(here, there, near, sure_m_s, speed, worst=True) if strict else NO_WAY
         holdable = water <= sure_m_s and (yaw is None or self._holds(there, yaw))
-        possible = loose
-        if loose and not math.isfinite(way.time_s):
-            best = self._loose.quickest(
-                here, there, accept_m + 0.3, self._flow, water_m_s=1.02 * self._swims, ground_m_s=speed, worst=False
-            )
-            possible = math.isfinite(best.time_s)
-        sure = strict and holdable and math.isfinite(way.time_s)
-        if sure:
-            bound = BOUND_FACTOR * way.time_s + BOUND_PER_GOAL_S + extra_s
-        else:
-            bound = TELLING_S + math.dist(here, there) / max(0.5 * speed, 0.05)
+        possible = loose and (math.isfinite(way.time_s) or self._perhaps(here, there, accept_m + 0.3))
+        bound = BOUND_FACTOR * way.time_s + BOUND_PER_GOAL_S + extra_s
+        sure = strict and holdable and bound < LONGEST_LEG_S
+        if not sure:
+            bound = TELLING_S + min(math.dist(here, there) / max(0.5 * speed, 0.05), LONGEST_LEG_S)
         return Leg(
             seq=seq,
             sure=sure,
@@ -152,6 +154,15 @@ class _Judge:
             length_m=way.length_m,
             bound_s=bound,
         )
+
+    def _perhaps(self, here: Point, there: Point, reach: float) -> bool:
+        """Whether the water at its best lets the vehicle come there; a way beyond what is looked at counts too."""
+
+        def found(swims: float, flow: Flow) -> bool:
+            way = self._loose.quickest(here, there, reach, flow, water_m_s=swims, ground_m_s=swims, worst=False)
+            return math.isfinite(way.time_s)
+
+        return found(1.02 * self._swims, self._flow) or not found(self._swims, _still)
 
     def up(self, seq: int, before: Leg, depth_m: float) -> Leg:
         """The ascent at the end: as sure as the goal before it."""

@@ -39,6 +39,8 @@ MARGIN_M = 0.03
 """Default of MPC_MARGIN."""
 START_CLEARANCE_M = 0.03
 """A vehicle begins with so much more than it keeps."""
+FLIGHT_S = (15.0, 50.0)
+"""Straight legs at cruise speed; ways round things, turns and delays come on top."""
 TRIES = 300
 START_SHARE = 0.75
 """Of what the vehicle swims: the water where it begins is slower."""
@@ -90,7 +92,7 @@ def make_room(seed: int) -> Room:
     number = 0 if kind == "tank" and rng.random() < 0.4 else int(rng.integers(VEHICLES))
     vehicle = vehicle_of(vehicle_tables(number))
     params = _params(rng, vehicle, stock=number == 0 and rng.random() < 0.6)
-    reach_m = rng.uniform(30.0, 75.0) * params["SPD_CRUISE"]
+    reach_m = rng.uniform(*FLIGHT_S) * params["SPD_CRUISE"]
     outline = _outline(rng, kind)
     layout = Layout(outline, walls=kind != "open")
     keep = vehicle.radius_m + MARGIN_M
@@ -109,7 +111,7 @@ def make_room(seed: int) -> Room:
 
 def _params(rng: np.random.Generator, vehicle: Vehicle, *, stock: bool) -> dict[str, float]:
     """``[params]``: speed limits that the thrusters can hold, acceptance, whether narrow gaps refuse a fence."""
-    gaps = {"FENCE_GAP_CHK": float(rng.random() < 0.25)}
+    gaps = {"FENCE_GAP_CHK": float(rng.random() < 0.15)}
     limit = vehicle.drive.limit_n
     if stock:
         return {"SPD_PLANAR_MAX": 0.5, "SPD_CRUISE": 0.35, "SPD_HEAVE_MAX": 0.25, "SPD_YAW_MAX": 1.0, **gaps} | {
@@ -277,10 +279,10 @@ def _waypoints(
     params: dict[str, float],
 ) -> list[dict[str, Any]]:
     """Two to six places; most missions stay where the vehicle can come, some do not ask."""
-    count = int(rng.integers(2, 7))
+    count = int(rng.choice([2, 3, 4, 5, 6], p=[0.3, 0.3, 0.2, 0.1, 0.1]))
     chart = Chart(layout, [start])
     regions = chart.regions(keep + chart.pixel_m)
-    home = chart.regions_near(regions, start, 0.3) if rng.random() < 0.9 else None
+    home = chart.regions_near(regions, start, 0.3) if rng.random() < 0.75 else None
     careless = rng.random() < 0.06
     places: list[dict[str, Any]] = []
     here, depth = start, None

@@ -68,11 +68,11 @@ _WEIGHTS = (0.22, 0.2, 0.1, 0.18, 0.14, 0.06, 0.05, 0.05)
 def _share(rng: np.random.Generator, *, closed: bool) -> float:
     """Speed of the water over what the vehicle swims: mostly well below, sometimes near it, rarely beyond."""
     sort = rng.random()
-    if sort < 0.68:
+    if sort < 0.55:
         return float(rng.uniform(0.1, 0.6))
-    if sort < 0.88 or closed:
+    if sort < 0.8:
         return float(rng.uniform(0.6, 0.85))
-    return float(rng.uniform(0.85, 1.4))
+    return float(rng.uniform(0.85, 1.05 if closed else 1.4))
 
 
 def flow_of(table: Current) -> Flow:
