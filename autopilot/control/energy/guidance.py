@@ -161,6 +161,11 @@ class EnergyGuidance:
         key = _key(now.goal)
         if key != self._goal_key or now.planner is not self._planner:
             fresh = self._new_goal(now, key)
+        if now.goal.speed_asked:
+            # Least energy would choose another speed: the route guidance keeps the one that was asked for.
+            self._withdraw()
+            self._track = self._next = None
+            return fresh
         answer, request = None if self._ticket is None else self._ticket.poll(self._step), self._request
         if answer is not None and request is not None:
             self._ticket = self._request = None
@@ -252,12 +257,14 @@ class EnergyGuidance:
         running_out = not track.complete and track.rest_s < RUNNING_OUT_S
         kind = Kind.COLD if running_out or off_m > 2.0 * OFF_TRACK_M else Kind.WARM
         if since >= REPLAN_STEPS and track.rest_s > LAST_UPDATE_S + ANSWER_STEPS[kind] * STEP_S:
-            pushed = off_m > OFF_TRACK_M
+            pushed = off_m > OFF_TRACK_M or track.goal.speed_m_s != now.goal.speed_m_s
             if pushed or running_out or (self._step % CHECK_STEPS == 0 and self._water_changed(now, track)):
                 self._ask(now, kind, now.goal, self._coming(now, kind, elapsed_s), track if kind is Kind.WARM else None)
                 return
         following = now.goal.following
-        if following is not None and not self._asked_next and track.complete and track.rest_s < NEXT_LEG_S:
+        if following is None or following.speed_asked:
+            return
+        if not self._asked_next and track.complete and track.rest_s < NEXT_LEG_S:
             self._asked_next = True
             end = track.trajectory.x[-1].copy()
             self._ask(now, Kind.NEXT, following, end, None)
@@ -312,6 +319,7 @@ class EnergyGuidance:
             flow=sample_flow(now.forecast, now.nav, area, float(x0[2])),
             limits=limits,
             thrust_limit_n=BOUND_SHARE * now.thrust_limit_n,
+            cruise_m_s=goal.speed_m_s,
             warm=None if warm is None else shifted(warm.trajectory, warm.clock_s + steps * STEP_S, x0),
         )
         if kind is not Kind.NEXT:

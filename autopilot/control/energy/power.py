@@ -1,9 +1,11 @@
 """What motion costs: J = integral of (hotel power + sum of c |F|^1.5) dt."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
@@ -37,14 +39,36 @@ class SpeedTable:
 
     speed_m_s: FloatArray
     power_w: FloatArray
+    cruise_m_s: float = math.inf
+    """See :func:`planar_limit_m_s`."""
+
+    def allowed(self, along_m_s: FloatArray, across_m_s: FloatArray) -> NDArray[np.bool_]:
+        """(m, n) which speeds of the table the cruise speed allows; the next faster one stands for the limit itself."""
+        limit = planar_limit_m_s(self, along_m_s, across_m_s) + self.speed_m_s[1]
+        result: NDArray[np.bool_] = self.speed_m_s[:, None] <= limit
+        return result
 
 
-def speed_table(model: Model4, power: PowerModel, top_m_s: float, count: int = 24) -> SpeedTable:
+def speed_table(
+    model: Model4, power: PowerModel, top_m_s: float, cruise_m_s: float = math.inf, count: int = 24
+) -> SpeedTable:
     """Steady surge through the water from rest to ``top_m_s``, on the two horizontal thrusters."""
     speed = np.linspace(0.0, top_m_s, count)
     thrust = 0.5 * (model.linear_drag[0] + model.quadratic_drag[0] * speed) * speed
     floating = power.thrust_w(np.abs(model.buoyancy_excess_n))
-    return SpeedTable(speed_m_s=speed, power_w=power.hotel_w + 2.0 * power.thrust_w(thrust) + floating)
+    return SpeedTable(
+        speed_m_s=speed, power_w=power.hotel_w + 2.0 * power.thrust_w(thrust) + floating, cruise_m_s=cruise_m_s
+    )
+
+
+def planar_limit_m_s(table: SpeedTable, along_m_s: FloatArray, across_m_s: FloatArray) -> FloatArray:
+    """Speed through the water (m,) that the cruise speed allows in currents along and across the way (m,).
+
+    Against a current it bounds the speed over ground, with one what the vehicle adds to the current: water that carries
+    it is not braked against.
+    """
+    limit: FloatArray = np.hypot(table.cruise_m_s + np.maximum(-along_m_s, 0.0), across_m_s)
+    return limit
 
 
 def energy_per_metre(table: SpeedTable, along_m_s: FloatArray, across_m_s: FloatArray) -> FloatArray:
@@ -55,7 +79,7 @@ def energy_per_metre(table: SpeedTable, along_m_s: FloatArray, across_m_s: Float
     u = table.speed_m_s[:, None]
     room = u * u - across_m_s * across_m_s
     ground = np.sqrt(np.maximum(room, 0.0)) + along_m_s
-    usable = (room >= 0.0) & (ground > SLOWEST_GROUND_M_S)
+    usable = (room >= 0.0) & (ground > SLOWEST_GROUND_M_S) & table.allowed(along_m_s, across_m_s)
     cost = np.where(usable, table.power_w[:, None] / np.where(usable, ground, 1.0), np.inf)
     least: FloatArray = cost.min(axis=0)
     return least

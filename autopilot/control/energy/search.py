@@ -9,7 +9,7 @@ import numpy as np
 
 from autopilot.control.energy.field import EnergyField, EnergyToGo, Way, other_ways
 from autopilot.control.energy.flow import LEAST_SAMPLES, Flow, FlowSamples, area_of
-from autopilot.control.energy.power import PowerModel, SpeedTable, energy_per_metre, speed_table
+from autopilot.control.energy.power import PowerModel, SpeedTable, energy_per_metre, planar_limit_m_s, speed_table
 from autopilot.control.energy.trajectory import PLANES, SUBSTEP_S, Ask, Program, Trajectory
 from autopilot.control.guidance import SteadyThrust
 from autopilot.control.obstacles import Features, fence_key
@@ -63,6 +63,9 @@ LINEAR_TURN_S = 20.0
 
 SLOPE_REACH_M = 0.25
 
+SLOWING_M_S2 = 0.1
+"""What a vehicle that is faster than it may be is asked to slow down with at least: what drag does at 0.2 m/s."""
+
 EXTRA_M = 0.004
 """Kept beyond the optimiser's own margin, for what lies between the nodes."""
 
@@ -82,6 +85,8 @@ class Request:
     """(5,) planar speed, heave, yaw rate, depth minimum, depth maximum."""
     thrust_limit_n: FloatArray
     """(4,)"""
+    cruise_m_s: float = math.inf
+    """See :func:`autopilot.control.energy.power.planar_limit_m_s`."""
     warm: Trajectory | None = None
     """What is left of the plan in force, if that is only to be brought up to date."""
 
@@ -139,7 +144,7 @@ class EnergyPlanner:
         cancel.check()
         features = self._features_of(request.fence)
         flow = Flow(request.flow)
-        table = speed_table(self._model, self._power, float(request.limits[0]))
+        table = speed_table(self._model, self._power, float(request.limits[0]), request.cruise_m_s)
         goal_at, start = np.asarray(request.goal.pos_ned_m[:2], dtype=float), request.x0[:2]
         places = [start, goal_at]
         if request.goal.following is not None:
@@ -340,7 +345,8 @@ class _Task:
         across = (current[:, 0] * step[:, 1] - current[:, 1] * step[:, 0]) / ds
         u = self._table.speed_m_s[:, None]
         ground = np.sqrt(np.maximum(u * u - across * across, 0.0)) + along
-        cost = np.where(ground > 0.02, self._table.power_w[:, None] / np.maximum(ground, 0.02), np.inf)
+        usable = (ground > 0.02) & self._table.allowed(along, across)
+        cost = np.where(usable, self._table.power_w[:, None] / np.maximum(ground, 0.02), np.inf)
         best = cost.argmin(axis=0)
         speed = np.maximum(ground[best, np.arange(len(ds))], 0.02)
         return points, np.concatenate(([0.0], np.cumsum(ds / speed)))
@@ -391,8 +397,8 @@ class _Task:
         if gate is not None:
             place = gate
             slope = self._to_go.slope(gate[:2], GATE_RADIUS_M)
-        limits = request.limits.copy()
-        limits[3], limits[4] = min(limits[3], request.x0[Z]), max(limits[4], request.x0[Z])
+        limits = request.limits[1:].copy()
+        limits[2], limits[3] = min(limits[2], request.x0[Z]), max(limits[3], request.x0[Z])
         return Ask(
             x0=request.x0,
             goal_ned_m=place,
@@ -404,11 +410,24 @@ class _Task:
             places=x[:, :2].copy(),
             plane_n=normals,
             plane_d=offsets,
+            planar_m_s=self._planar_m_s(guess, request),
             limits=limits,
             thrust_limit_n=request.thrust_limit_n,
             end_slope_j_m=slope,
             longest_s=LONGER * float(guess.t_s[-1]) + LONGER_S,
         )
+
+    def _planar_m_s(self, guess: Trajectory, request: Request) -> FloatArray:
+        """(n + 1,) limit of the planar speed along a guess; one that begins faster is given the time to slow down."""
+        x = guess.x
+        way = np.gradient(x[:, :2], axis=0)
+        way /= np.maximum(np.hypot(*way.T), 1e-9)[:, None]
+        current = self._flow.current(x[:, :2])[:, :2]
+        across = current[:, 0] * way[:, 1] - current[:, 1] * way[:, 0]
+        limit = planar_limit_m_s(self._table, (current * way).sum(axis=1), across)
+        slowing = float(np.hypot(request.x0[U], request.x0[V])) - SLOWING_M_S2 * guess.t_s
+        result: FloatArray = np.maximum(np.minimum(limit, request.limits[0]), slowing)
+        return result
 
     def plan(self, trajectory: Trajectory) -> Plan:
         """The answer that a trajectory makes."""

@@ -51,8 +51,10 @@ class Ask:
     """(n + 1, PLANES, 2)"""
     plane_d: FloatArray
     """(n + 1, PLANES)"""
+    planar_m_s: FloatArray
+    """(n + 1,) limit of the planar speed"""
     limits: FloatArray
-    """(5,) planar speed, heave, yaw rate, depth minimum, depth maximum."""
+    """(4,) heave, yaw rate, depth minimum, depth maximum."""
     thrust_limit_n: FloatArray
     """(4,)"""
     end_slope_j_m: FloatArray
@@ -95,7 +97,8 @@ class Program:
             "places": (2, n + 1),
             "plane_n": (2, PLANES * (n + 1)),
             "plane_d": (PLANES, n + 1),
-            "limits": (5, 1),
+            "planar": (1, n + 1),
+            "limits": (4, 1),
             "end": (2, 1),
         }
         program, self._lbg, self._ubg = _build(model, power, n, substeps, self._shapes)
@@ -117,6 +120,7 @@ class Program:
             ask.places,
             ask.plane_n,
             ask.plane_d,
+            ask.planar_m_s,
             ask.limits,
             ask.end_slope_j_m,
         )
@@ -230,10 +234,10 @@ def _build(
         add(moved - x_next, 0.0, 0.0)
         cost += dt * sum(power.thrust_w(u[i]) for i in range(NU))
         x = x_next
-        add(x[U] ** 2 + x[V] ** 2 - p["limits"][0] ** 2, -np.inf, 0.0)
-        add(ca.vertcat(x[W] - p["limits"][1], -x[W] - p["limits"][1]), -np.inf, 0.0)
-        add(ca.vertcat(x[R] - p["limits"][2], -x[R] - p["limits"][2]), -np.inf, 0.0)
-        add(ca.vertcat(p["limits"][3] - x[Z], x[Z] - p["limits"][4]), -np.inf, 0.0)
+        add(x[U] ** 2 + x[V] ** 2 - p["planar"][k + 1] ** 2, -np.inf, 0.0)
+        add(ca.vertcat(x[W] - p["limits"][0], -x[W] - p["limits"][0]), -np.inf, 0.0)
+        add(ca.vertcat(x[R] - p["limits"][1], -x[R] - p["limits"][1]), -np.inf, 0.0)
+        add(ca.vertcat(p["limits"][2] - x[Z], x[Z] - p["limits"][3]), -np.inf, 0.0)
         normals = p["plane_n"][:, (k + 1) * PLANES : (k + 2) * PLANES]
         add(p["plane_d"][:, k + 1] - ca.mtimes(normals.T, x[:2]), -np.inf, 0.0)
     away = x[:3] - p["goal"]
