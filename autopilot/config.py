@@ -23,6 +23,7 @@ ESTIMATORS = ("ekf", "complementary")
 SENSORS = ("camera", "pose")
 UNTIL = ("complete",)
 CURRENTS = ("estimate", "map", "memory", "none", "uniform")
+BASINS = ("closed", "open", "unknown")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +75,7 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
         "sensors": None,
         "markers": None,
         "currents": None,
+        "basin": None,
         "currents_map": None,
         "currents_start": None,
         "profile": "px4",
@@ -102,6 +104,7 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "estimator": (lambda value: value in ESTIMATORS, " or ".join(ESTIMATORS)),
     "sensors": (lambda value: value in SENSORS, " or ".join(SENSORS)),
     "currents": (lambda value: value in CURRENTS, ", ".join(CURRENTS)),
+    "basin": (lambda value: value in BASINS, ", ".join(BASINS)),
     "until": (lambda value: value in UNTIL, " or ".join(UNTIL)),
     "profile": (lambda value: value in PROFILES, ", ".join(PROFILES)),
 }

@@ -14,7 +14,7 @@ import msgspec
 from autopilot import __version__
 from autopilot.compose import ServiceSetup, build_service, load_plan
 from autopilot.config import Settings, system_id
-from autopilot.control.current_learning import LearnedCurrent
+from autopilot.control.current_learning import Basin, LearnedCurrent
 from autopilot.control.current_map import CurrentMap
 from autopilot.control.currents import (
     OPEN_WATER_SCALE_M,
@@ -381,7 +381,7 @@ def _currents(settings: Settings, world: _World) -> CurrentForecast:
         case "uniform":
             return EstimatedCurrent()
         case _:
-            return LearnedCurrent()
+            return LearnedCurrent(Basin(settings["basin"] or world.scenario.controller.basin))
 
 
 def _kept_plans(settings: Settings, parts: Parts, instance: int, disk: Desk) -> KeptPlans | None:
@@ -469,6 +469,7 @@ class _LogContents:
             "vehicle": parts.vehicle.name,
             "estimator": str(settings["estimator"]),
             "currents": _knowledge(settings, world.scenario),
+            "basin": settings["basin"] or world.scenario.controller.basin,
             "currents_map": "" if world.water is None else world.water.name,
             "currents_map_sha256": "" if world.water is None else world.water.nodes.digest,
         }

@@ -227,6 +227,9 @@ class Controller(_Table, frozen=True, kw_only=True):
 
     currents: Literal["estimate", "map", "memory", "none", "uniform"] = "estimate"
     """A flow through all estimates, a map, what was estimated where, still water, or the estimate everywhere."""
+    basin: Literal["closed", "open", "unknown"] = "unknown"
+    """For ``currents = "estimate"``: whether what flows comes back within the fence. A belief, not a fact: estimates
+    that speak against it count for more."""
     map: str | None = None
     """Map file for ``currents = "map"``, relative to the scenario file; None = the scenario's own field."""
     disturbance_n: NonNegative | None = None

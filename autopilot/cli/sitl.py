@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.output import EXIT_LOSS
-from autopilot.config import CURRENTS, ESTIMATORS, PROFILES, SENSORS, UNTIL
+from autopilot.config import BASINS, CURRENTS, ESTIMATORS, PROFILES, SENSORS, UNTIL
 from autopilot.core.errors import AutopilotError
 
 if TYPE_CHECKING:
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 @click.option("--markers", type=click.Path(dir_okay=False), help="Marker map that it is told (default: the true one).")
 @click.option(
     "--currents", type=click.Choice(CURRENTS), help="What the controller knows of them (default: scenario's)."
+)
+@click.option(
+    "--basin", type=click.Choice(BASINS), help="Whether what flows comes back within the fence (default: scenario's)."
 )
 @click.option("--currents-map", type=click.Path(dir_okay=False), help="Current map (.npz, NetCDF): --currents map.")
 @click.option("--currents-start", metavar="UTC", help="Date of the start in the map (default: its first frame).")

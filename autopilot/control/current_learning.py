@@ -1,28 +1,51 @@
 """A forecast without a map: a planar incompressible flow through what the vehicle has estimated where.
 
-Water that goes one way comes back another: the flow is taken as the curl of a random streamfunction (a Gaussian process
-with a squared exponential kernel), so that whatever is predicted between and beyond the places visited is free of
-divergence. A vehicle that has felt a jet expects the return flow beside it before it has been there. Far from all
-places visited the prediction falls back to a uniform flow. How much of the flow varies at all is judged by the evidence
-(marginal likelihood) of what was estimated so far.
+Water that goes one way comes back another: the flow is taken as a uniform stream and the curl of a random
+streamfunction (a Gaussian process with a squared exponential kernel), so that whatever is predicted between and beyond
+the places visited is free of divergence. How much of it varies, and whether there is a stream at all (there is none in
+a closed basin, however well a fence closes it on the map), is judged by the evidence: every combination counts by the
+marginal likelihood of what was estimated so far and by what was believed beforehand.
+
+What the flow foretells is compared all the time with what is then estimated. While it does worse than "the same
+everywhere" it is not used (:mod:`autopilot.control.current_trust`).
 """
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
+from autopilot.control.current_trust import Trust
 from autopilot.control.currents import Revision, correction_share
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import NavHealth, NavState
 
+
+class Basin(StrEnum):
+    """What is believed of the water before it has been felt (setting ``basin``)."""
+
+    CLOSED = "closed"
+    """A tank or pool: what flows comes back within it."""
+    OPEN = "open"
+    """Part of a larger water."""
+    UNKNOWN = "unknown"
+
+
+CLOSED_SHARE = {Basin.CLOSED: 0.95, Basin.OPEN: 0.02, Basin.UNKNOWN: 0.25}
+"""How likely a basin is closed beforehand. A fence says nothing about it: it is no wall."""
+
 FLOW_M_S = (0.2, 0.1, 0.03)
-"""Standard deviations of the varying part of the flow that are tried, the one before anything is known first."""
+"""Standard deviations of the varying part of the flow that are weighed against each other ..."""
+
+CLOSED_FLOW_SHARES = (0.6, 0.3, 0.1)
+OPEN_FLOW_SHARES = (0.15, 0.25, 0.6)
+"""... and how likely each is beforehand: in a closed basin what flows must turn, in open water it mostly flows on."""
 
 CLOSED_MEAN_M_S = 0.03
 OPEN_MEAN_M_S = 0.3
-"""Standard deviation of the uniform part: in a basin that a fence closes, and in open water."""
+"""Standard deviation of the uniform part: in a closed basin, and in open water."""
 
 NOISE_M_S = 0.03
 """Standard deviation of a cell's mean estimate: the estimate lags, and it carries what the model lacks."""
@@ -33,8 +56,8 @@ LENGTH_SHARE = 0.25
 OPEN_LENGTH_M = 6.0
 """Without a workspace: eddies and jets that a small vehicle meets within minutes."""
 
-EVIDENCE_LEAD = 2.0
-"""Another standard deviation is taken when what was estimated is e to this many times as likely with it."""
+EVIDENCE_SHARE = 0.5
+"""Exponent of the likelihood: neighbouring estimates err alike, because they lag."""
 
 SHORTEST_M, LONGEST_M = 0.3, 50.0
 
@@ -49,6 +72,8 @@ REFRESH_S = 1.0
 FULL_WEIGHT_S = 0.5
 """An estimate counts in full after so much time in its cell."""
 
+_MEANS_M_S = (CLOSED_MEAN_M_S, OPEN_MEAN_M_S)
+
 
 @dataclass(slots=True)
 class _Cell:
@@ -60,31 +85,69 @@ class _Cell:
     seen_us: int
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Fit:
+    """A flow through estimates; never changes."""
+
+    length_m: float
+    places_ned_m: FloatArray
+    """(n, 2) where cells have their means."""
+    pull: FloatArray
+    """(2, n) how every cell pulls at the varying part of the flow, north and east [m/s]."""
+    mean_m_s: FloatArray
+    """(2,) uniform part."""
+
+    def flow(self, places: FloatArray) -> FloatArray:
+        """(m, 2) at places (m, 2)."""
+        out = np.tile(self.mean_m_s, (len(places), 1))
+        if len(self.places_ned_m):
+            dx, dy, bell = _bell(places, self.places_ned_m, self.length_m)
+            north, east = self.pull
+            across = bell * dx * dy
+            out[:, 0] += (bell * (1.0 - dy * dy)) @ north + across @ east
+            out[:, 1] += (bell * (1.0 - dx * dx)) @ east + across @ north
+        return out
+
+
 class LearnedCurrent:
     """See :class:`autopilot.control.currents.CurrentForecast`."""
 
-    def __init__(self) -> None:
-        self._length_m, self._mean_m_s = OPEN_LENGTH_M, OPEN_MEAN_M_S
-        self._flow_m_s = FLOW_M_S[0]
+    def __init__(self, basin: Basin = Basin.UNKNOWN) -> None:
+        self._basin = basin
+        self._length_m = OPEN_LENGTH_M
         self._last_us: int | None = None
         self._revision = Revision()
         self._forget()
 
+    @property
+    def closed(self) -> float:
+        """How likely the basin is closed, by all that is known."""
+        return float(self._belief[:, 0].sum())
+
+    @property
+    def trust(self) -> float:
+        """Share of the learned flow in the forecast; the rest is the estimate, the same everywhere."""
+        return self._trust.share
+
     def _forget(self) -> None:
         self._cells: dict[tuple[int, int], _Cell] = {}
         self._fitted_us: int | None = None
-        self._flow_m_s = FLOW_M_S[0]
-        self._places: FloatArray = np.zeros((0, 2))
-        self._alpha: FloatArray = np.zeros(0)
+        closed = CLOSED_SHARE[self._basin]
+        shares = np.column_stack([CLOSED_FLOW_SHARES, OPEN_FLOW_SHARES]) * [closed, 1.0 - closed]
+        self._belief: FloatArray = shares
+        self._log_prior: FloatArray = np.log(shares)
+        self._fit = Fit(
+            length_m=self._length_m, places_ned_m=np.zeros((0, 2)), pull=np.zeros((2, 0)), mean_m_s=np.zeros(2)
+        )
+        self._trust = Trust(self._length_m, sure=self._basin is Basin.CLOSED)
 
     def within(self, fence: Fence) -> None:
         """Take the correlation length from the size of the workspace. Another one begins with nothing learned."""
         width = narrowest_width_m(fence)
         length = OPEN_LENGTH_M if width is None else LENGTH_SHARE * width
         length = min(max(length, SHORTEST_M), LONGEST_M)
-        mean = OPEN_MEAN_M_S if width is None else CLOSED_MEAN_M_S
-        if (length, mean) != (self._length_m, self._mean_m_s):
-            self._length_m, self._mean_m_s = length, mean
+        if length != self._length_m:
+            self._length_m = length
             self._forget()
 
     def view(self, nav: NavState) -> NavState:
@@ -97,19 +160,21 @@ class LearnedCurrent:
             self._learn(nav, min(max(elapsed_s, 0.01), 0.2))
         if self._fitted_us is None or nav.t_us - self._fitted_us >= REFRESH_S * 1e6:
             self._fitted_us = nav.t_us
-            self._fit(nav.t_us)
+            self._refit(nav.t_us)
+        self._trust.look(nav, self._fit)
         return nav
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
-        """Fitted flow, corrected by what the estimate says it lacks here and now."""
-        out[:, :2] = self._flow(pos_ned_m[:, :2])
-        out[:, 2] = nav.current_ned_m_s[2]
-        lack = nav.current_ned_m_s[:2] - self._flow(np.asarray(nav.pos_ned_m, dtype=float)[None, :2])[0]
-        out[:, :2] += correction_share(nav, pos_ned_m, t_s, self._length_m)[:, None] * lack
+        """Learned flow as far as it is trusted, corrected by what the estimate says it lacks here and now."""
+        estimate = nav.current_ned_m_s
+        flow = self._fit.flow(np.vstack([pos_ned_m[:, :2], nav.pos_ned_m[:2]]))
+        share = correction_share(nav, pos_ned_m, t_s, self._length_m)[:, None]
+        out[:, :2] = estimate[:2] + self.trust * (flow[:-1] - estimate[:2] + share * (estimate[:2] - flow[-1]))
+        out[:, 2] = estimate[2]
 
     def revision(self, nav: NavState) -> int:
         """The estimate surprises by what has not been learned here."""
-        here = self._flow(np.asarray(nav.pos_ned_m, dtype=float)[None, :2])[0]
+        here = self._fit.flow(np.asarray(nav.pos_ned_m, dtype=float)[None, :2])[0]
         lack = np.array([nav.current_ned_m_s[0] - here[0], nav.current_ned_m_s[1] - here[1], 0.0])
         return self._revision.look(lack, nav.t_us * 1e-6)
 
@@ -129,8 +194,8 @@ class LearnedCurrent:
         cell.seen_us = nav.t_us
         self._cells[key] = cell
 
-    def _fit(self, now_us: int) -> None:
-        """Solve (K + noise) alpha = estimates."""
+    def _refit(self, now_us: int) -> None:
+        """All models through the cells, mixed by how likely they are (Rasmussen and Williams 2006, eq. 5.8)."""
         cells = list(self._cells.values())
         rows = np.array([cell.moment / cell.weight_s for cell in cells])
         weight = np.array(
@@ -138,58 +203,65 @@ class LearnedCurrent:
         )
         noise = np.tile(NOISE_M_S**2 / np.minimum(weight, 1.0), 2)
         seen = np.concatenate([rows[:, 2], rows[:, 3]])
-        self._places = np.ascontiguousarray(rows[:, :2])
-        varying, mean = self._parts(self._places, self._places)
-        found = {each: self._weights(each, varying, mean, noise, seen) for each in FLOW_M_S}
-        best = max(found, key=lambda each: found[each][0])
-        if found[best][0] > found[self._flow_m_s][0] + EVIDENCE_LEAD:
-            self._flow_m_s = best
-        self._alpha = found[self._flow_m_s][1]
+        places = np.ascontiguousarray(rows[:, :2])
+        varying = _varying(places, self._length_m)
+        likely = np.empty((len(FLOW_M_S), len(_MEANS_M_S)))
+        alpha = np.empty((*likely.shape, len(seen)))
+        for i, flow in enumerate(FLOW_M_S):
+            likely[i], alpha[i] = _weights(flow, varying, noise, seen)
+        belief = EVIDENCE_SHARE * likely + self._log_prior
+        belief = np.exp(belief - belief.max())
+        self._belief = belief = belief / belief.sum()
+        pull = np.einsum("ij,i,ijk->k", belief, np.square(FLOW_M_S), alpha).reshape(2, -1)
+        mean = np.einsum("ij,j,ijk->k", belief, np.square(_MEANS_M_S), alpha).reshape(2, -1).sum(axis=1)
+        self._fit = Fit(length_m=self._length_m, places_ned_m=places, pull=pull, mean_m_s=mean)
 
-    @staticmethod
-    def _weights(
-        flow_m_s: float, varying: FloatArray, mean: FloatArray, noise: FloatArray, seen: FloatArray
-    ) -> tuple[float, FloatArray]:
-        """Logarithm of how likely the estimates are (Rasmussen and Williams 2006, eq. 5.8), and alpha."""
-        k = varying.copy()
-        k *= flow_m_s**2
-        k += mean
-        k[np.diag_indices_from(k)] += noise
-        root = np.linalg.cholesky(k)
-        alpha: FloatArray = np.asarray(np.linalg.solve(k, seen), dtype=np.float64)
-        return float(-0.5 * seen @ alpha - np.log(root.diagonal()).sum()), alpha
 
-    def _flow(self, places: FloatArray) -> FloatArray:
-        """(n, 2) mean of the process at places (n, 2): the covariance of :meth:`_parts` times alpha."""
-        out = np.zeros((len(places), 2))
-        if len(self._places) == 0:
-            return out
-        north, east = self._alpha.reshape(2, -1)
-        dx, dy, bell = self._bell(places, self._places)
-        across = bell * dx * dy
-        flow, mean = self._flow_m_s**2, self._mean_m_s**2
-        out[:, 0] = flow * ((bell * (1.0 - dy * dy)) @ north + across @ east) + mean * float(north.sum())
-        out[:, 1] = flow * ((bell * (1.0 - dx * dx)) @ east + across @ north) + mean * float(east.sum())
-        return out
+def _weights(
+    flow_m_s: float, varying: FloatArray, noise: FloatArray, seen: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Logarithms (means,) of how likely estimates are without and with a stream, and alpha (means, 2 n).
 
-    def _bell(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(n, m) distances north and east in correlation lengths, and their Gaussian."""
-        scale = 1.0 / self._length_m
-        dx = (a[:, 0, None] - b[None, :, 0]) * scale
-        dy = (a[:, 1, None] - b[None, :, 1]) * scale
-        return dx, dy, np.exp(-0.5 * (dx * dx + dy * dy))
+    Without the uniform part the covariance is A; with it A + m^2 E E', E the two directions: one factorisation serves
+    both (matrix inversion lemma).
+    """
+    n = len(seen) // 2
+    a = varying * flow_m_s**2
+    a[np.diag_indices_from(a)] += noise
+    log_root = np.log(np.linalg.cholesky(a).diagonal()).sum()
+    right = np.zeros((2 * n, 3))
+    right[:, 0], right[:n, 1], right[n:, 2] = seen, 1.0, 1.0
+    solved = np.linalg.solve(a, right)
+    both = solved[:, 1:]
+    inner = np.stack([both[:n].sum(axis=0), both[n:].sum(axis=0)])
+    pulled = np.array([solved[:n, 0].sum(), solved[n:, 0].sum()])
+    likely, alpha = np.empty(len(_MEANS_M_S)), np.empty((len(_MEANS_M_S), 2 * n))
+    for j, mean in enumerate(_MEANS_M_S):
+        gain = np.eye(2) / mean**2 + inner
+        alpha[j] = solved[:, 0] - both @ np.linalg.solve(gain, pulled)
+        stream = 0.5 * math.log(float(np.linalg.det(gain))) + 2.0 * math.log(mean)
+        likely[j] = -0.5 * float(seen @ alpha[j]) - log_root - stream
+    return likely, alpha
 
-    def _parts(self, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(2 n, 2 m) covariance of north and east components at places (n, 2) and (m, 2): of a varying part of 1 m/s,
-        the curl of a streamfunction of variance length^2, and of the uniform part."""
-        n, m = len(a), len(b)
-        dx, dy, bell = self._bell(a, b)
-        varying, mean = np.empty((2 * n, 2 * m)), np.zeros((2 * n, 2 * m))
-        varying[:n, :m] = bell * (1.0 - dy * dy)
-        varying[n:, m:] = bell * (1.0 - dx * dx)
-        varying[:n, m:] = varying[n:, :m] = bell * dx * dy
-        mean[:n, :m] = mean[n:, m:] = self._mean_m_s**2
-        return varying, mean
+
+def _bell(a: FloatArray, b: FloatArray, length_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, m) distances north and east in correlation lengths, and their Gaussian."""
+    scale = 1.0 / length_m
+    dx = (a[:, 0, None] - b[None, :, 0]) * scale
+    dy = (a[:, 1, None] - b[None, :, 1]) * scale
+    return dx, dy, np.exp(-0.5 * (dx * dx + dy * dy))
+
+
+def _varying(places: FloatArray, length_m: float) -> FloatArray:
+    """(2 n, 2 n) covariance of north and east components at places (n, 2) of a varying part of 1 m/s, the curl of a
+    streamfunction of variance length^2."""
+    n = len(places)
+    dx, dy, bell = _bell(places, places, length_m)
+    out = np.empty((2 * n, 2 * n))
+    out[:n, :n] = bell * (1.0 - dy * dy)
+    out[n:, n:] = bell * (1.0 - dx * dx)
+    out[:n, n:] = out[n:, :n] = bell * dx * dy
+    return out
 
 
 def narrowest_width_m(fence: Fence) -> float | None:
