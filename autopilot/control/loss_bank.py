@@ -28,7 +28,7 @@ from autopilot.core.model4 import NU, Model4
 LATERAL = 3
 """Index of the lateral thruster."""
 
-E, GAIN, DRAG, TURN, ARM, LAG, PULL, MOMENT, FLOW, PUSH = (
+E, GAIN, DRAG, TURN, ARM, LAG, PULL, MOMENT, FLOW, PUSH, COMMON = (
     slice(0, 4),
     slice(4, 8),
     slice(8, 12),
@@ -39,11 +39,12 @@ E, GAIN, DRAG, TURN, ARM, LAG, PULL, MOMENT, FLOW, PUSH = (
     20,
     slice(21, 23),
     slice(23, 27),
+    27,
 )
 """States: effectiveness (4), thrust over mass per axis (4), drag over mass per axis (4), Coriolis and Munk (3), arm of
-the lateral thruster, lag, force NED (3), moment, water's velocity NE (2), push per axis (4)."""
+the lateral thruster, lag, force NED (3), moment, water's velocity NE (2), push per axis (4), thrust of all axes."""
 
-STATES = 27
+STATES = 28
 MOTION = np.arange(17, 27)
 """States that change within seconds."""
 
@@ -82,8 +83,10 @@ class Beliefs:
     """e of the filter that knows of no thruster."""
     wander: float = 0.01
     """e of a lossy thruster, per square root of a second."""
-    gain: tuple[float, float, float, float] = (0.16, 0.16, 0.16, 0.2)
-    """Errors of mass (20 %), thrust constant and lever arm (10 %)."""
+    gain: tuple[float, float, float, float] = (0.14, 0.14, 0.14, 0.17)
+    """Errors of mass and lever arm."""
+    common: float = 0.12
+    """Errors of the thrust constant, of all thrusters alike."""
     gain_wander: float = 0.003
     """Per square root of a second."""
     drag: float = 0.3
@@ -152,7 +155,7 @@ class LossBank:
         x[E] = 1.0
         spread = np.zeros(STATES)
         spread[E], spread[GAIN], spread[DRAG], spread[TURN] = b.sound, b.gain, b.drag, b.turn
-        spread[ARM], spread[LAG] = b.arm, b.lag_s
+        spread[ARM], spread[LAG], spread[COMMON] = b.arm, b.lag_s, b.common
         p = np.diag(np.square(spread))
         p[MOTION, MOTION] = self._still[MOTION]
         self._x, self._p = np.tile(x, (FILTERS, 1)), np.tile(p, (FILTERS, 1, 1))
@@ -327,7 +330,7 @@ class LossBank:
         x = self._x
         ideal = np.einsum("ij,nj->ni", self._effect, look.thrust_n * x[:, E])
         rate = np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, E])
-        result: FloatArray = (1.0 + x[:, GAIN]) * ideal - x[:, LAG, None] * rate + x[:, DRAG] * look.drag + x[:, PUSH]
+        result: FloatArray = self._gain() * ideal - x[:, LAG, None] * rate + x[:, DRAG] * look.drag + x[:, PUSH]
         result += x[:, FLOW] @ look.flow.T + x[:, PULL] @ self._pull(look).T
         result[:, [0, 1, 3]] += x[:, TURN] * look.coriolis
         result[:, 3] += x[:, MOMENT] + x[:, ARM] * look.thrust_n[LATERAL]
@@ -338,10 +341,10 @@ class LossBank:
         x = self._x
         h = np.zeros((len(x), 4, STATES))
         axes = np.arange(4)
-        h[:, :, E] = (1.0 + x[:, GAIN, None]) * (self._effect * look.thrust_n) - x[:, LAG, None, None] * (
+        h[:, :, E] = self._gain()[:, :, None] * (self._effect * look.thrust_n) - x[:, LAG, None, None] * (
             self._effect * look.thrust_rate_n_s
         )
-        h[:, axes, 4 + axes] = np.einsum("ij,nj->ni", self._effect, look.thrust_n * x[:, E])
+        h[:, axes, 4 + axes] = h[:, :, COMMON] = np.einsum("ij,nj->ni", self._effect, look.thrust_n * x[:, E])
         h[:, axes, 8 + axes] = look.drag
         h[:, [0, 1, 3], [12, 13, 14]] = look.coriolis
         h[:, 3, ARM] = look.thrust_n[LATERAL]
@@ -351,6 +354,11 @@ class LossBank:
         h[:, :, FLOW] = look.flow
         h[:, axes, 23 + axes] = 1.0
         return h
+
+    def _gain(self) -> FloatArray:
+        """(n, 4) thrust over mass of each axis, 1 = as the vehicle file says."""
+        gain: FloatArray = 1.0 + self._x[:, GAIN] + self._x[:, COMMON, None]
+        return gain
 
     def _pull(self, look: Look) -> FloatArray:
         """(4, 3) acceleration per newton of a force NED."""
