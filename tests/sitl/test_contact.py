@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plant_helpers import NEUTRAL, VEHICLE, body_with, kinetic_energy_j, plant
 
 from autopilot.core.errors import ConfigError
-from sitl.contact import STIFFNESS_N_M, Cylinder, Sphere, Surroundings, inside_polygon
+from sitl.contact import STIFFNESS_N_M, Cylinder, Prism, Sphere, Surroundings, inside_polygon
 from sitl.plant import Plant
 from sitl.world import World
 
@@ -149,3 +149,27 @@ def test_contact_only_pushes() -> None:
     place = (0.0, 0.0, 1.5 - HALF_HEIGHT + 0.001)
     assert room.force_ned_n(place, (0.0, 0.0, 0.0)) == pytest.approx((0.0, 0.0, -20.0))
     assert room.force_ned_n(place, (0.0, 0.0, -1.0)) == (0.0, 0.0, 0.0)
+
+
+BOX = Prism(name="box", polygon_ned_m=((0.8, -0.3), (1.2, -0.3), (1.2, 0.3), (0.8, 0.3)))
+
+
+def test_a_push_against_a_box_presses_the_hull_in_by_force_over_stiffness() -> None:
+    hull = plant(TRIMMED, World(floor_m=1.5, solids=(BOX,)), start_pos_ned_m=(0.2, 0.0, 0.7))
+    hull.set_external_wrench(force_ned_n=(10.0, 0.0, 0.0))
+    hull.advance(20_000_000, NEUTRAL)
+    assert hull.truth.pos_ned_m[0] == pytest.approx(0.8 - RADIUS + 10.0 / STIFFNESS_N_M, abs=1e-5)
+    assert {record.what for record in hull.contacts} == {"box"}
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
+def test_a_box_is_as_far_away_as_its_nearest_side_and_pushes_out_the_shortest_way(x: float, y: float) -> None:
+    dx, dy = abs(x - 1.0) - 0.2, abs(y) - 0.3
+    distance = math.hypot(max(dx, 0.0), max(dy, 0.0)) if max(dx, dy) > 0.0 else max(dx, dy)
+    touch = surroundings(solids=(BOX,)).touches((x, y, 0.7), math.inf)[0]
+    assert -touch.depth_m == pytest.approx(distance - RADIUS, abs=1e-9)
+    assert math.hypot(*touch.normal_ned) == pytest.approx(1.0)
+    further = surroundings(solids=(BOX,)).touches(
+        (x + 1e-3 * touch.normal_ned[0], y + 1e-3 * touch.normal_ned[1], 0.7), math.inf
+    )[0]
+    assert further.depth_m == pytest.approx(touch.depth_m - 1e-3, abs=1e-6)

@@ -121,7 +121,7 @@ def _still(places: FloatArray) -> FloatArray:
 class _Judge:
     def __init__(self, room: Room, chart: Chart, flow: Flow, keep: float, swims: float) -> None:
         self._room, self._chart, self._flow, self._swims, self._keep = room, chart, flow, swims, keep
-        slack = chart.pixel_m + ROUNDING_M
+        slack = 1.5 * chart.pixel_m + ROUNDING_M
         places = [room.start_m, *((float(w["x_m"]), float(w["y_m"])) for w in room.waypoints)]
         self._strict, self._loose = chart.ways(keep + slack, places), chart.ways(keep - slack, places)
         self._regions = chart.regions(keep + slack), chart.regions(keep - slack)

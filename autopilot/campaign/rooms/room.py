@@ -111,7 +111,7 @@ def make_room(seed: int) -> Room:
 
 def _params(rng: np.random.Generator, vehicle: Vehicle, *, stock: bool) -> dict[str, float]:
     """``[params]``: speed limits that the thrusters can hold, acceptance, whether narrow gaps refuse a fence."""
-    gaps = {"FENCE_GAP_CHK": float(rng.random() < 0.15)}
+    gaps = {"FENCE_GAP_CHK": float(rng.random() < 0.22)}
     limit = vehicle.drive.limit_n
     if stock:
         return {"SPD_PLANAR_MAX": 0.5, "SPD_CRUISE": 0.35, "SPD_HEAVE_MAX": 0.25, "SPD_YAW_MAX": 1.0, **gaps} | {
@@ -190,7 +190,7 @@ def _furnished(rng: np.random.Generator, layout: Layout, start: Point, keep: flo
         solids.append(solid)
         return True
 
-    for _ in range(int(rng.choice(3, p=[0.62, 0.3, 0.08]))):
+    for _ in range(int(rng.choice(3, p=[0.5, 0.38, 0.12]))):
         walls, doors = _wall(rng, layout, start, keep, reach)
         if all(solid_clearance_m(wall, start) >= keep + START_CLEARANCE_M for wall in walls):
             solids += walls
@@ -232,7 +232,7 @@ def _wall(
     count = int(rng.choice([0, 1, 2], p=[0.06, 0.7, 0.24]))
     tight = [2.0 * keep * rng.uniform(0.75, 1.15) for _ in range(count)]
     wide = [float(rng.uniform(0.9, 3.0)) for _ in range(count)]
-    widths = [round(float(t if rng.random() < 0.45 else w), 2) for t, w in zip(tight, wide, strict=True)]
+    widths = [round(float(t if rng.random() < 0.55 else w), 2) for t, w in zip(tight, wide, strict=True)]
     doors = [(float(rng.uniform(0.1, 0.9)), width) for width in widths]
     direction = away + 0.5 * math.pi + rng.uniform(-0.6, 0.6)
     thickness = round(float(rng.uniform(0.1, 0.4)), 2)
@@ -282,8 +282,8 @@ def _waypoints(
     count = int(rng.choice([2, 3, 4, 5, 6], p=[0.3, 0.3, 0.2, 0.1, 0.1]))
     chart = Chart(layout, [start])
     regions = chart.regions(keep + chart.pixel_m)
-    home = chart.regions_near(regions, start, 0.3) if rng.random() < 0.75 else None
-    careless = rng.random() < 0.06
+    home = chart.regions_near(regions, start, 0.3) if rng.random() < 0.6 else None
+    careless = rng.random() < 0.1
     places: list[dict[str, Any]] = []
     here, depth = start, None
     for _ in range(count):

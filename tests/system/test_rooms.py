@@ -1,0 +1,214 @@
+"""Rooms: made out of a seed, judged apart from the service, flown, kept and resumed."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from autopilot.campaign.rooms.chart import Chart
+from autopilot.campaign.rooms.prospect import prospect
+from autopilot.campaign.rooms.results import Outcome, RoomResult
+from autopilot.campaign.rooms.room import KINDS, Room, files_of, make_room
+from autopilot.campaign.rooms.shapes import Block, Disc, Layout, Point, box, clearance_m
+from autopilot.campaign.rooms.store import read_flights
+from autopilot.campaign.rooms.verdict import judge_refusal
+from autopilot.cli.main import cli, run
+from autopilot.core.frames import FloatArray
+from autopilot.core.params import ParamSet
+from mission.judgement import judge_file
+from mission.plan_files import read_plan
+from sitl.scenario import load_scenario
+from sitl.world import build_world
+
+SEEDS = range(3_000, 3_024)
+HALL = ((0.0, -4.0), (12.0, -4.0), (12.0, 4.0), (0.0, 4.0))
+
+
+def rooms_command(*arguments: str) -> tuple[int, str]:
+    """Exit code and output of ``autopilot campaign rooms``."""
+    printed: list[str] = []
+
+    def call() -> object:
+        done = CliRunner().invoke(cli, ["campaign", "rooms", *arguments], standalone_mode=False)
+        printed.append(done.output)
+        if done.exception is not None:
+            raise done.exception
+        return done.return_value
+
+    return run(call), printed[0]
+
+
+def written(room: Room, folder: Path, mode: int = 0) -> Path:
+    for name, data in files_of(room, mode=mode, duration_s=60.0).items():
+        (folder / name).write_bytes(data)
+    return folder
+
+
+def hall_with_door(width_m: float) -> Layout:
+    """Two halves of a hall with a wall between them and a door at its middle."""
+    half = 0.5 * width_m
+    walls = [box((6.0, side * 0.5 * (4.1 + half)), 0.2, 4.1 - half, 0.0) for side in (-1.0, 1.0)]
+    return Layout(HALL, tuple(Block(wall) for wall in walls))
+
+
+def still(places: FloatArray) -> FloatArray:
+    return np.zeros((1, len(places), 2))
+
+
+def stream(places: FloatArray) -> FloatArray:
+    """0.3 m/s from the north."""
+    return np.broadcast_to(np.array((-0.3, 0.0)), (1, len(places), 2))
+
+
+def test_a_seed_gives_the_same_files_each_time_and_files_that_the_service_reads(tmp_path: Path) -> None:
+    kinds, waters = set(), set()
+    for seed in SEEDS:
+        room = make_room(seed)
+        assert files_of(room, mode=1, duration_s=9.0) == files_of(make_room(seed), mode=1, duration_s=9.0)
+        folder = written(room, tmp_path, mode=1)
+        scenario = load_scenario(str(folder / "scenario.toml"))
+        build_world(scenario)
+        assert scenario.params["MPC_COST"] == 1
+        assert scenario.tank is None or len(scenario.obstacle) == len(room.layout.solids)
+        plan = read_plan(folder / "plan.toml")
+        assert 2 <= sum(item.command == 16 for item in plan.mission) <= 6
+        kinds.add(room.kind)
+        waters.add(room.scenario["current"]["kind"])
+    assert kinds == set(KINDS)
+    assert len(waters) >= 5
+
+
+def test_a_vehicle_begins_with_more_room_than_it_keeps() -> None:
+    for seed in SEEDS:
+        room = make_room(seed)
+        assert clearance_m(room.layout, room.start_m) > room.vehicle.radius_m + 0.03
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10**6))
+def test_the_chart_and_the_shapes_agree_on_clearances(seed: int) -> None:
+    room = make_room(seed)
+    chart = Chart(room.layout, [room.start_m])
+    rng = np.random.default_rng(seed)
+    for _ in range(40):
+        offset = rng.uniform(-5.0, 5.0, 2)
+        place = (room.start_m[0] + float(offset[0]), room.start_m[1] + float(offset[1]))
+        exact = clearance_m(room.layout, place)
+        if 0.0 < exact < 5.0:
+            assert chart.clearance_m(place) == pytest.approx(exact, abs=2.2 * chart.pixel_m + 0.005)
+
+
+@pytest.mark.parametrize(("width_m", "open_"), [(0.6, False), (0.8, True), (3.0, True)])
+def test_a_door_lets_through_what_it_is_wide_enough_for(width_m: float, open_: bool) -> None:
+    here, there = (2.0, 0.0), (10.0, 1.0)
+    chart = Chart(hall_with_door(width_m), [here, there])
+    regions = chart.regions(0.33)
+    assert bool(chart.regions_near(regions, here, 0.1) & chart.regions_near(regions, there, 0.1)) is open_
+    way = chart.ways(0.33, [here, there]).quickest(here, there, 0.2, still, water_m_s=0.5, ground_m_s=0.4, worst=True)
+    assert math.isfinite(way.time_s) is open_
+
+
+@pytest.mark.parametrize(
+    ("goal", "expected_m_s"), [((10.0, 0.0), 0.2), ((1.0, 0.0), 0.8), ((6.0, 3.0), 0.4)], ids=["up", "down", "across"]
+)
+def test_ways_in_a_stream_take_as_long_as_the_triangle_of_speeds_says(goal: Point, expected_m_s: float) -> None:
+    here = (6.0, -3.0) if goal[1] else (5.5, 0.0)
+    chart = Chart(Layout(HALL), [here, goal])
+    way = chart.ways(0.33, [here, goal]).quickest(here, goal, 0.16, stream, water_m_s=0.5, ground_m_s=9.0, worst=True)
+    assert way.time_s == pytest.approx(math.dist(here, goal) / expected_m_s, rel=0.08)
+
+
+def test_water_faster_than_the_vehicle_leaves_no_way_up() -> None:
+    ways = Chart(Layout(HALL), []).ways(0.33, [(5.0, 0.0), (10.0, 0.0)])
+    assert math.isinf(
+        ways.quickest((5.0, 0.0), (10.0, 0.0), 0.2, stream, water_m_s=0.29, ground_m_s=1.0, worst=False).time_s
+    )
+
+
+def refused_rooms() -> list[tuple[Room, str]]:
+    """Rooms whose plans the service's own check refuses, with its reasons."""
+    found = []
+    for seed in range(5_000, 5_080):
+        room = make_room(seed)
+        params = ParamSet(room.scenario["params"])
+        plan = read_local(room)
+        problem = judge_file(plan, plan.home, params, room.vehicle.radius_m).problem
+        if problem:
+            found.append((room, problem))
+    return found
+
+
+def read_local(room: Room) -> Any:
+    from mission.local_plan import read_local_plan
+
+    return read_local_plan(files_of(room, mode=0, duration_s=1.0)["plan.toml"].decode(), "plan.toml")
+
+
+def test_the_services_refusals_are_found_right_and_the_same_words_about_other_rooms_wrong() -> None:
+    refused = refused_rooms()
+    assert len(refused) >= 3
+    empty = next(room for room in map(make_room, range(100)) if all(leg.sure for leg in prospect(room).legs))
+    empty = replace(empty, layout=replace(empty.layout, solids=()))
+    for room, reason in refused:
+        assert judge_refusal(room, prospect(room), reason).outcome is Outcome.REFUSED, reason
+        if "gap of" in reason or "no free path" in reason:
+            assert judge_refusal(empty, prospect(empty), reason).outcome is Outcome.MISREFUSED, reason
+
+
+@pytest.mark.parametrize(
+    "reason",
+    ["", "no", "fence item 3: is not nice", "item 0: depth 1.00 m, DEPTH_MAX 9.00 m", "item 0: current is too strong"],
+)
+def test_a_reason_that_is_none_is_a_wrong_refusal(reason: str) -> None:
+    room = next(r for r in map(make_room, range(100)) if r.scenario["current"]["kind"] == "none")
+    assert all(leg.sure for leg in prospect(room).legs)
+    assert judge_refusal(room, prospect(room), reason).outcome is Outcome.MISREFUSED
+
+
+def test_every_shape_of_fault_is_held_against_a_flight() -> None:
+    fine = RoomResult(room=0, mode=0, seed=0, outcome=Outcome.REACHED)
+    assert not fine.failed
+    for changes in (
+        {"contacts": 1},
+        {"failsafes": ["solver"]},
+        {"fallbacks": 1, "first_fallback_s": 1.0},
+        {"alarms": ["Thruster port gives 50 % of its thrust"]},
+        {"broken": {"depth": 0.2}},
+        {"outcome": Outcome.NOT_REACHED},
+    ):
+        fields: dict[str, Any] = {"room": 0, "mode": 0, "seed": 0, "outcome": Outcome.REACHED, **changes}
+        assert RoomResult(**fields).failed, changes
+
+
+def test_finished_flights_are_kept_and_the_folder_holds_one_campaign(tmp_path: Path) -> None:
+    """The rooms of this seed begin with one that is refused, so that nothing has to fly."""
+    seed = next(s for s in range(200) if refusal_of(make_room(1_000_000 * s)))
+    arguments = ["--runs", "1", "--seed", str(seed), "--jobs", "1", "--out", str(tmp_path), "--json"]
+    code, printed = rooms_command(*arguments)
+    assert code == 0
+    assert [row["refused"] for row in json.loads(printed)["modes"]] == [1, 1]
+    before = (tmp_path / "flights.jsonl").read_bytes()
+    assert len(read_flights(tmp_path)) == 2
+    assert rooms_command(*arguments)[0] == 0
+    assert (tmp_path / "flights.jsonl").read_bytes() == before
+    code, printed = rooms_command("--runs", "1", "--seed", str(seed + 1), "--out", str(tmp_path))
+    assert code == 1
+
+
+def refusal_of(room: Room) -> str:
+    plan = read_local(room)
+    return judge_file(plan, plan.home, ParamSet(room.scenario["params"]), room.vehicle.radius_m).problem
+
+
+def test_a_disc_and_a_block_are_as_far_apart_as_their_rims() -> None:
+    layout = Layout(None, (Disc((0.0, 0.0), 0.5), Block(box((3.0, 0.0), 1.0, 1.0, 0.0))))
+    assert clearance_m(layout, (1.0, 0.0)) == pytest.approx(0.5)
+    assert clearance_m(layout, (2.0, 0.0)) == pytest.approx(0.5)
+    assert clearance_m(layout, (3.0, 0.0)) == pytest.approx(-0.5)
