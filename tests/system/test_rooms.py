@@ -189,7 +189,8 @@ def test_every_shape_of_fault_is_held_against_a_flight() -> None:
 
 def test_finished_flights_are_kept_and_the_folder_holds_one_campaign(tmp_path: Path) -> None:
     """The rooms of this seed begin with one that is refused, so that nothing has to fly."""
-    seed = next(s for s in range(200) if refusal_of(make_room(1_000_000 * s)))
+    seed = 3
+    assert refusal_of(make_room(1_000_000 * seed))
     arguments = ["--runs", "1", "--seed", str(seed), "--jobs", "1", "--out", str(tmp_path), "--json"]
     code, printed = rooms_command(*arguments)
     assert code == 0
