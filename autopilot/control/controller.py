@@ -23,7 +23,7 @@ from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
-from autopilot.control.step_program import BURST_QPS, StepProgram
+from autopilot.control.step_program import StepProgram
 from autopilot.control.tracks import Obstructions, Way
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
@@ -189,8 +189,9 @@ class MotionController:
             last_plan=self.nmpc.x if self._plan_age_s == 0.0 else None,
         )
         reference = self._guidance.reference(now)
-        qps = self._warm_start(now.x0, reference, elapsed_s)
-        result, margin_m = self._program.solve(qps, now, reference, self._movers)
+        start = self._warm_start(now, reference, elapsed_s)
+        found = self._program.solve(start, now, reference, self._movers)
+        result = found.result
         thrust, fallback = self._choose(result, now, now.x0 if delay_s else x, limit_n, elapsed_s)
         self._command = thrust
         self._penalty.watch(result.penalty_use if result.status is SolveStatus.OK else 0.0)
@@ -200,11 +201,11 @@ class MotionController:
                 t_us=t_us,
                 status=result.status,
                 fallback=fallback,
-                iterations=qps,
+                iterations=found.qps,
                 solve_s=self._cpu_clock() - began,
                 cost=result.cost if math.isfinite(result.cost) else 0.0,
                 slack_max=result.slack_max if math.isfinite(result.slack_max) else 0.0,
-                margin_m=margin_m,
+                margin_m=found.margin_m,
                 tube_m=float(self._program.tube_m.max()),
                 penalty_use=result.penalty_use if math.isfinite(result.penalty_use) else 0.0,
             ),
@@ -214,7 +215,7 @@ class MotionController:
             nominal_t_s=self._nominal_t_s + delay_s,
             tube_m=self._program.tube_m.copy(),
             plan=reference.plan,
-            restarted=qps > 1,
+            restarted=found.anew,
         )
 
     def tick(self, t_us: int, nav: NavState) -> FloatArray | None:
@@ -282,19 +283,19 @@ class MotionController:
         self._fence = fence
         return planner
 
-    def _warm_start(self, x0: FloatArray, reference: Reference, elapsed_s: float) -> int:
-        """The plan to begin with: the last one moved on, or the reference. Returns how many QPs that is worth."""
+    def _warm_start(self, now: Situation, reference: Reference, elapsed_s: float) -> bool:
+        """The plan to begin with: the last one moved on, or (True) the reference."""
         if reference.fresh or self._plan_age_s is None or not 0.0 <= elapsed_s <= LONGEST_SHIFT_S:
             self._plan_age_s = self._planned = None
-            self.nmpc.set_plan(reference.x, np.zeros((self.nmpc.grid.n, NU)))
-            return BURST_QPS
+            self._program.begin(now, reference)
+            return True
         self.nmpc.shift(elapsed_s)
         self._planned = self.nmpc.x[0].copy()
-        turn = 2.0 * math.pi * round((x0[YAW] - self.nmpc.x[0, YAW]) / (2.0 * math.pi))
+        turn = 2.0 * math.pi * round((now.x0[YAW] - self.nmpc.x[0, YAW]) / (2.0 * math.pi))
         if turn:
             self.nmpc.x[:, YAW] += turn
             self._planned[YAW] += turn
-        return 1
+        return False
 
     def _choose(
         self, result: NmpcResult, now: Situation, x: FloatArray, limit_n: FloatArray, elapsed_s: float

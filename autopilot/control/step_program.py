@@ -1,6 +1,13 @@
-"""The program of one control step: limits, half-planes, currents and terminal cost around the plan, and its QPs."""
+"""The program of one control step: limits, half-planes, currents and terminal cost around the plan, and its QPs.
+
+In steady flight one QP around the shifted plan is enough. A start, and a step that changes what the thrusters do, goes
+on until the thrust to be commanded stands still: one QP is up to 10 N off there. Full Gauss-Newton steps need not
+converge (the speed limit enters as a tangent, half-planes change with the guess) but swing between two or four plans;
+steps that do not get smaller are halved, which ends that.
+"""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,7 +15,7 @@ from autopilot.control import ocp
 from autopilot.control.grid import TimeGrid
 from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, Situation
 from autopilot.control.nmpc import Nmpc, NmpcProblem, NmpcResult
-from autopilot.control.obstacles import FAR_M, Movers
+from autopilot.control.obstacles import Movers
 from autopilot.control.planner import Planner
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.regions import TerminalRegions
@@ -21,14 +28,43 @@ from autopilot.core.messages import SolveStatus
 from autopilot.core.model4 import NU, YAW, Model4, U, Z
 from autopilot.core.params import ParamSet
 
-BURST_QPS = 3
-"""The step that makes a new route solves so many QPs: the plan starts from the reference and converges at once."""
+CONVERGED_N = 0.05
+"""A plan has converged when a QP changes the thrust to be commanded by less than this."""
+
+RESTLESS_N = 1.0
+"""In flight, a QP that changes it by more is followed by others: those that change it by less are off by 0.1 N, one in
+a hundred by 0.3 N."""
+
+MOST_QPS = 15
+"""In one step. Nine of ten starts need 8."""
+
+FULL_STEPS = 3
+SHRINKING = 0.7
+SHORTEST_STEP = 0.25
+"""After so many full steps, a step whose change is more than this share of the last one's is halved, down to this."""
+
+STANDS_AFTER_S = 1.0
+"""Time constant with which the motion fades in the last of the guesses."""
 
 PLAUSIBLE = 4.0
 """m/s, rad/s: no vehicle that this controller is for moves or turns faster."""
 
 SLOWEST_CAP_M_S = 0.05
 """Margins do not lower the cap of the planar speed below this."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Solution:
+    """What has come of a step's program."""
+
+    result: NmpcResult
+    """Of the last QP."""
+    margin_m: float
+    """Smallest clearance of the plan beyond what it keeps."""
+    qps: int
+    """That were solved."""
+    anew: bool
+    """The plan does not continue the last one."""
 
 
 class StepProgram:
@@ -60,8 +96,13 @@ class StepProgram:
         back_off = max(params["MPC_SPEED_MARGIN"], math.ceil(100.0 * self._speed_back_off_m_s - 1e-6) / 100.0)
         return max(SLOWEST_CAP_M_S, params["SPD_PLANAR_MAX"] - back_off)
 
-    def solve(self, qps: int, now: Situation, reference: Reference, movers: Movers | None) -> tuple[NmpcResult, float]:
-        """``qps`` QPs from the plan in ``nmpc``: result of the last, and the smallest clearance of the plan [m].
+    def begin(self, now: Situation, reference: Reference) -> None:
+        """Begin from the reference with its thrust, as far as the thrusters can."""
+        limit = now.thrust_limit_n
+        self.nmpc.set_plan(reference.x, np.clip(reference.thrust_n, -limit, limit))
+
+    def solve(self, start: bool, now: Situation, reference: Reference, movers: Movers | None) -> Solution:
+        """QPs from the plan in ``nmpc``: one, or at a ``start`` as many as it takes.
 
         ``movers`` are the obstacles that move along the prediction.
         """
@@ -88,31 +129,64 @@ class StepProgram:
         )
         keep_m = self._radius_m + back_off.clearance_m
         states, thrusts = nmpc.x.copy(), nmpc.u.copy()
-        result, margin = self._iterate(qps, problem, now.planner, keep_m, movers)
-        if qps < BURST_QPS and not (result.status is SolveStatus.OK and _plausible(nmpc.x)):
-            # Around a guess that has run away no step is any good: once more from the reference, and at once.
-            nmpc.set_plan(reference.x, np.zeros_like(thrusts))
-            result, margin = self._iterate(BURST_QPS, problem, now.planner, keep_m, movers)
-            if result.status is not SolveStatus.OK:
-                nmpc.set_plan(states, thrusts)
-        return result, margin
+        found = self._iterate(start, problem, now.planner, keep_m, movers)
+        # Around a guess that has run away no step is any good: once more from the reference, then from standing still.
+        for again in (self.begin,) * (not start) + (self._stand,):
+            if found.result.status is SolveStatus.OK and _plausible(nmpc.x):
+                break
+            again(now, reference)
+            found = self._iterate(True, problem, now.planner, keep_m, movers, found.qps)
+        if found.result.status is not SolveStatus.OK:
+            nmpc.set_plan(states, thrusts)
+        return found
+
+    def _stand(self, now: Situation, _: Reference) -> None:
+        """Begin from the place where the vehicle is; its motion fades."""
+        x = np.tile(now.x0, (self.nmpc.grid.n + 1, 1))
+        x[:, U:] *= np.exp(-self.nmpc.grid.t_s / STANDS_AFTER_S)[:, None]
+        self.nmpc.set_plan(x, np.zeros((self.nmpc.grid.n, NU)))
 
     def _iterate(
-        self, qps: int, problem: NmpcProblem, planner: Planner, keep_m: FloatArray, movers: Movers | None
-    ) -> tuple[NmpcResult, float]:
-        """QPs around the plan, each with the half-planes of the one before."""
-        nmpc, n, margin = self.nmpc, self.nmpc.grid.n, FAR_M
-        path, t_s = nmpc.x[:n, :2], nmpc.grid.t_s[:n]
-        for _ in range(qps):
+        self,
+        start: bool,
+        problem: NmpcProblem,
+        planner: Planner,
+        keep_m: FloatArray,
+        movers: Movers | None,
+        before: int = 0,
+    ) -> Solution:
+        """QPs around the plan, each with the half-planes of the one before, until the first thrust stands still.
+        ``before``: QPs that have been solved in vain."""
+        nmpc, n = self.nmpc, self.nmpc.grid.n
+        path, t_s, share, last_n = nmpc.x[:n, :2], nmpc.grid.t_s[:n], 1.0, math.inf
+        good: tuple[FloatArray, FloatArray, NmpcResult, float] | None = None
+        for qps in range(1, MOST_QPS + 1):
             nmpc.x[0] = problem.x0
+            guess, thrust = nmpc.x.copy(), nmpc.u.copy()
             margin = planner.features.half_planes(path, t_s, keep_m, nmpc.planes, self._plane_n, self._plane_d, movers)
             result = nmpc.solve(problem)
-            if result.status is not SolveStatus.OK:
-                return result, margin
-        # The half-planes certify the new plan, chords included; only where they do not it is looked at again.
-        room = self._plane_n[..., 0] * path[1:, :1] + self._plane_n[..., 1] * path[1:, 1:] - self._plane_d
-        margin = min(margin, float(room.min()))
-        return result, margin if margin >= 0.0 else planner.features.margin_m(path, t_s, keep_m, movers)
+            change_n = float(np.abs(nmpc.u[0] - thrust[0]).max())
+            calm = change_n < CONVERGED_N or (qps == 1 and not start and change_n < RESTLESS_N)
+            if result.status is not SolveStatus.OK and good is not None and not start:
+                # What the QP before has found is a plan; that it has not converged is no reason to give it up.
+                nmpc.set_plan(*good[:2])
+                result, margin = good[2:]
+                break
+            if result.status is not SolveStatus.OK or calm or qps == MOST_QPS:
+                break
+            good = (nmpc.x.copy(), nmpc.u.copy(), result, margin)
+            if qps > FULL_STEPS and change_n > SHRINKING * last_n:
+                share = max(0.5 * share, SHORTEST_STEP)
+            if share < 1.0:
+                nmpc.set_plan(guess + share * (nmpc.x - guess), thrust + share * (nmpc.u - thrust))
+            last_n = change_n
+        if result.status is SolveStatus.OK:
+            # The half-planes certify the new plan, chords included; only where they do not it is looked at again.
+            room = self._plane_n[..., 0] * path[1:, :1] + self._plane_n[..., 1] * path[1:, 1:] - self._plane_d
+            margin = min(margin, float(room.min()))
+            if margin < 0.0:
+                margin = planner.features.margin_m(path, t_s, keep_m, movers)
+        return Solution(result=result, margin_m=margin, qps=before + qps, anew=start)
 
     def _fill_limits(self, back_off: BackOffs, now: Situation) -> None:
         """Limits (N-1, 5) of the prediction."""

@@ -4,20 +4,26 @@ Whatever comes, the program of a step has a solution (its limits are soft), so n
 """
 
 import math
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 import pytest
-from control_loop import VEHICLE, fly, goal
+from control_loop import VEHICLE, fly, goal, nav_state
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from autopilot.control import ocp
 from autopilot.control.controller import MotionController
+from autopilot.control.energy.flow import Flow
+from autopilot.control.energy.search import Plan, Request
+from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.grid import geometric_grid
+from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
-from autopilot.core.geometry import Fence
-from autopilot.core.messages import Fallback, SolveStatus
+from autopilot.core.geometry import Circle, Fence, Polygon
+from autopilot.core.messages import Fallback, Goal, SolveStatus
+from autopilot.core.model4 import NU, NX
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 
@@ -36,6 +42,13 @@ def scaled(factors: FloatArray) -> Vehicle:
         for name, row in zip(names, factors, strict=True)
     }
     return msgspec.structs.replace(VEHICLE, model4=msgspec.structs.replace(old, **new))
+
+
+OTHERS = (
+    scaled(np.array([[1.6, 0.7, 1.0, 0.6], [0.5, 1.5, 1.0, 2.0], [0.6, 1.8, 1.0, 1.9]])),
+    scaled(np.array([[0.6, 1.8, 1.5, 1.8], [1.5, 0.5, 1.0, 0.5], [1.7, 0.6, 1.0, 0.5]])),
+)
+"""Two other vehicles; each costs a build of the optimiser."""
 
 
 @given(
@@ -72,3 +85,128 @@ def test_a_light_vehicle_that_turns_against_much_drag_is_controlled(turning: flo
     )
     assert {output.status.status for output in flight.outputs} == {SolveStatus.OK}
     assert {output.status.fallback for output in flight.outputs} == {Fallback.NONE}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Case:
+    """A start that a random number generator has made."""
+
+    vehicle: Vehicle
+    start: FloatArray
+    current: FloatArray
+    goal: Goal
+    fence: Fence
+    params: ParamSet
+    limit_n: FloatArray
+
+
+def case(seed: int, cost: int) -> Case:
+    """Currents up to 0.9 of the speed limit, fences from none to tight, up to six cylinders, weak thrusters."""
+    rng = np.random.default_rng(seed)
+    vehicle = VEHICLE if rng.random() < 0.5 else OTHERS[int(rng.integers(2))]
+    speed = float(rng.choice([0.3, 0.5, 0.8]))
+    params = ParamSet(
+        {
+            "DEPTH_MAX": DEPTH_M,
+            "MPC_COST": cost,
+            "MPC_MARGIN": float(rng.choice([0.0, 0.03, 0.1])),
+            "MPC_TIGHTEN": float(rng.integers(3)),
+            "SPD_PLANAR_MAX": speed,
+        }
+    )
+    drift, way, yaw = rng.uniform(0.0, 0.9) * speed, rng.uniform(-math.pi, math.pi), rng.uniform(-math.pi, math.pi)
+    current = np.array([drift * math.cos(way), drift * math.sin(way), 0.0])
+    over_ground = current[:2] * rng.integers(2) + rng.uniform(-0.3, 0.3, 2) * rng.integers(2)
+    north, east = over_ground - current[:2]
+    c, s = math.cos(yaw), math.sin(yaw)
+    surge, sway, turn = c * north + s * east, c * east - s * north, rng.uniform(-0.6, 0.6) * rng.integers(2)
+    start = np.array([0.0, 0.0, rng.uniform(0.3, 3.0), yaw, surge, sway, 0.0, turn])
+    far, bearing = float(rng.choice([0.5, 3.0, 15.0])), rng.uniform(-math.pi, math.pi)
+    to = goal(
+        far * math.cos(bearing),
+        far * math.sin(bearing),
+        rng.uniform(0.3, 3.0),
+        None if rng.random() < 0.5 else float(rng.uniform(-math.pi, math.pi)),
+        speed_m_s=float(rng.choice([0.2, 0.35, 0.6])),
+    )
+    ends, room = np.stack([np.zeros(2), to.pos_ned_m[:2]]), vehicle.radius_m + params["MPC_MARGIN"]
+    (n0, e0), (n1, e1) = (
+        ends.min(axis=0) - room - rng.uniform(0.05, 3.0, 2),
+        ends.max(axis=0) + room + rng.uniform(0.05, 3.0, 2),
+    )
+    basin = (Polygon(vertices_ned_m=np.array([[n0, e0], [n1, e0], [n1, e1], [n0, e1]])),)
+    cylinders = [
+        Circle(center_ned_m=rng.uniform(0.0, 1.0) * ends[1] + rng.normal(0.0, 1.0, 2), radius_m=rng.uniform(0.05, 0.4))
+        for _ in range(int(rng.integers(7)))
+    ]
+    clear = [one for one in cylinders if np.hypot(*(ends - one.center_ned_m).T).min() > one.radius_m + room + 0.02]
+    return Case(
+        vehicle=vehicle,
+        start=start,
+        current=current,
+        goal=to,
+        fence=Fence(inclusions=basin if rng.random() < 0.6 else (), exclusions=tuple(clear), depth_max_m=DEPTH_M),
+        params=params,
+        limit_n=12.0 * (rng.uniform(0.3, 1.0, 4) if rng.random() < 0.4 else np.ones(4)),
+    )
+
+
+class WildPlanner:
+    """Trajectories from here to the goal that spin, jump and end too early, as an optimiser that failed leaves them."""
+
+    def plan(self, request: Request, cancel: Cancel) -> Plan:
+        rng = np.random.default_rng(int(1e3 * abs(float(request.x0[2]))))
+        t = np.linspace(0.0, float(rng.uniform(2.0, 20.0)), 41)
+        x = np.zeros((len(t), NX))
+        x[:, :3] = request.x0[:3] + np.outer(t / t[-1], np.asarray(request.goal.pos_ned_m) - request.x0[:3])
+        x[:, 3] = request.x0[3] + rng.uniform(-6.0, 6.0) * np.minimum(1.0, t / 0.5)
+        x[:, 4:] = np.gradient(x[:, :4], t, axis=0) + rng.normal(0.0, 0.3, (len(t), 4))
+        x[0] = request.x0
+        thrust = rng.uniform(-12.0, 12.0, (len(t) - 1, NU))
+        found = Trajectory(t_s=t, x=x, thrust_n=thrust, energy_j=1.0, cost_j=1.0, solved=True)
+        return Plan(
+            goal=request.goal, trajectory=found, energy_j=1.0, eta_s=1.0, complete=True, flow=Flow(request.flow)
+        )
+
+    def warm(self) -> None:
+        """Nothing to do."""
+
+
+@pytest.mark.parametrize("cost", [0, 1])
+@pytest.mark.parametrize("block", range(2))
+def test_no_start_needs_a_fallback(block: int, cost: int) -> None:
+    """At the end of the plan's first second everything has come to a plan that holds."""
+    for seed in range(8 * block, 8 * block + 8):
+        one = case(seed, cost)
+        controller = MotionController(one.vehicle, cpu_clock=lambda: 0.0, trajectories=WildPlanner())
+        for step in range(10):
+            x, t_us = one.start, 50_000 * step
+            output = controller.step(
+                t_us, nav_state(t_us, x, one.current), one.goal, one.fence, one.params, one.limit_n
+            )
+            assert output.status.status is SolveStatus.OK, (seed, step)
+            assert output.status.fallback is Fallback.NONE, (seed, step)
+            assert (np.abs(output.thrust_n) <= one.limit_n + 1e-9).all()
+
+
+def test_the_first_thrust_of_a_start_has_converged() -> None:
+    """One more QP changes nothing, at a start and when the goal changes under way. (Where the speed limit decides and
+    the current is nearly as fast, some need more QPs than a step has.)"""
+    off = []
+    for seed in range(20):
+        one = case(1000 + seed, 0)
+        controller = MotionController(one.vehicle, cpu_clock=lambda: 0.0)
+        back = goal(-1.0, 0.5, 1.0, 0.0, seq=1)
+        for step, to in enumerate((one.goal, one.goal, one.goal, back, back)):
+            t_us = 50_000 * step
+            told = nav_state(t_us, one.start, one.current)
+            output = controller.step(t_us, told, to, Fence(depth_max_m=DEPTH_M), one.params, one.limit_n)
+            task = controller.nmpc.last_problem
+            assert task is not None
+            if output.restarted:
+                x, u = controller.nmpc.x.copy(), controller.nmpc.u.copy()
+                result = controller.nmpc.solve(task)
+                off.append(float(np.abs(result.thrust_n[0] - output.thrust_n).max()))
+                controller.nmpc.set_plan(x, u)
+    assert len(off) >= 40
+    assert np.quantile(off, 0.9) < 0.1
