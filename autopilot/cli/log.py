@@ -1,5 +1,6 @@
 """``autopilot log``: look into a log. Exit codes: 0 ok, 1 failed or unreadable, 3 warnings or loss."""
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
 from autopilot.config import ESTIMATORS
 
 if TYPE_CHECKING:
+    from autopilot.control.unsolved import Trial
     from autopilot.log.check import Row
     from autopilot.log.reader import Log
 
@@ -22,7 +24,7 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead
 
 @click.group()
 def log() -> None:
-    """Look into a log: info, check, report, plot, replay, tlog."""
+    """Look into a log: info, check, report, plot, replay, programs, tlog."""
 
 
 log.add_command(tlog)
@@ -140,6 +142,59 @@ def replay(log_file: Path, estimator: str | None, changes: tuple[str, ...], out:
                 click.echo(f"  first difference {match.first}")
     if not changed and not all(match.same for match in found):
         raise click.exceptions.Exit(EXIT_FAILED)
+
+
+@log.command()
+@_LOG
+@_JSON
+def programs(log_file: Path, as_json: bool) -> None:
+    """Solve what the optimiser failed to solve in LOG once more, by every solver. Exit 1 if there is something."""
+    from autopilot.control.unsolved import solve_again
+    from autopilot.log.packing.programs import unpack
+    from autopilot.log.reader import open_log
+
+    opened = open_log(log_file)
+    found = {name: unpack(name, data) for name, data in opened.attachments.items() if name.startswith("program-")}
+    trials = {name: solve_again(program) for name, program in found.items()}
+    listed = [
+        {
+            "name": name,
+            "t_s": program.t_us * 1e-6,
+            "solver": program.solver,
+            "status": program.status.name,
+            "again": [_as_json(trial) for trial in trials[name]],
+        }
+        for name, program in found.items()
+    ]
+    if as_json:
+        emit_json({"log": str(log_file), "programs": listed})
+    elif not found:
+        click.echo(f"{log_file}: every program was solved")
+    else:
+        rows = [
+            (
+                name,
+                f"{program.t_us * 1e-6:.2f}",
+                f"{program.solver}: {program.status.name}",
+                trial.solver,
+                "not on this machine" if trial.status is None else trial.status.name,
+                f"{trial.violation:.1e}",
+                f"{trial.gap:.1e}",
+                " ".join(f"{force:.2f}" for force in trial.thrust_n),
+            )
+            for name, program in found.items()
+            for trial in trials[name]
+        ]
+        columns = ("program", "at [s]", "in flight", "solver", "now", "violation", "gap of guess", "first thrust [N]")
+        print_table(f"{log_file}: programs that were not solved, solved again", columns, rows)
+    if found:
+        raise click.exceptions.Exit(EXIT_FAILED)
+
+
+def _as_json(trial: "Trial") -> dict[str, Any]:
+    """Numbers that are not finite are null."""
+    values = {key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in asdict(trial).items()}
+    return {**values, "status": None if trial.status is None else trial.status.name}
 
 
 def _tell_loss(opened: "Log") -> None:

@@ -19,7 +19,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "currents": ("autopilot.cli.currents:currents", "Check current maps, make the benchmark's."),
     "demo": ("autopilot.cli.demo:demo", "Fly the paper's mission in the simulated tank and judge it."),
     "identify": ("autopilot.cli.identify:identify", "Masses and drags of a vehicle from logs of its flights."),
-    "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot, replay, tlog."),
+    "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot, replay, programs, tlog."),
     "markers": ("autopilot.cli.markers:markers", "Print marker boards, check and survey marker maps."),
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
     "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),

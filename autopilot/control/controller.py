@@ -13,6 +13,7 @@ from autopilot.control.desks import Desks
 from autopilot.control.energy.guidance import EnergyGuidance
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.search import EnergyPlanner, TrajectoryPlanner
+from autopilot.control.fallback import FallbackWatch
 from autopilot.control.grid import TimeGrid, geometric_grid
 from autopilot.control.guidance import Guidance, Reference, RouteGuidance, Situation
 from autopilot.control.lag import ThrusterLag
@@ -86,6 +87,7 @@ class MotionController:
         self._inner = InnerLoop(self.margins.ancillary, grid)
         self._station = StationKeeper(self._model)
         self._penalty = PenaltyWatch()
+        self._fallbacks = FallbackWatch()
         self._nominal_t_s = vehicle.drive.time_constant_s + grid.t_s
         self._plan_current = np.zeros(3)
         self._trajectories = trajectories = trajectories or EnergyPlanner(self._model, PowerModel.of(vehicle))
@@ -125,6 +127,7 @@ class MotionController:
         self._command = np.zeros(NU)
         self._limit_n = np.zeros(NU)
         self._penalty.reset()
+        self._fallbacks.reset()
         self._lag.reset()
         self._inner.stop()
         self._station.release()
@@ -194,6 +197,7 @@ class MotionController:
         result = found.result
         thrust, fallback = self._choose(result, now, now.x0 if delay_s else x, limit_n, elapsed_s)
         self._command = thrust
+        self._fallbacks.watch(fallback)
         self._penalty.watch(result.penalty_use if result.status is SolveStatus.OK else 0.0)
         return ControlOutput(
             thrust_n=thrust,
@@ -216,6 +220,7 @@ class MotionController:
             tube_m=self._program.tube_m.copy(),
             plan=reference.plan,
             restarted=found.anew,
+            unsolved=found.unsolved,
         )
 
     def tick(self, t_us: int, nav: NavState) -> FloatArray | None:
@@ -233,7 +238,7 @@ class MotionController:
 
     def take_news(self) -> list[tuple[Severity, str]]:
         """Severity and text of what the operator should know since the last call."""
-        parts = (self.margins, self.regions, self._penalty, self._guidance)
+        parts = (self.margins, self.regions, self._penalty, self._fallbacks, self._guidance)
         return [news for part in parts for news in part.take_news()]
 
     def _follow_lag(self, t_us: int) -> None:

@@ -1,4 +1,5 @@
-"""What commands the thrusters when the optimiser does not: station keeping by a cascade of P loops on the model."""
+"""What commands the thrusters when the optimiser does not: station keeping by a cascade of P loops on the model; and
+what the operator hears of it."""
 
 import math
 
@@ -6,6 +7,7 @@ import numpy as np
 
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.messages import Fallback, Severity
 from autopilot.core.model4 import NU, YAW, Model4, R, U, X, Y, Z
 
 POSITION_GAIN_1_S = 0.4
@@ -15,6 +17,49 @@ SPEED_LIMIT_M_S = 0.15
 HEAVE_LIMIT_M_S = 0.1
 YAW_RATE_LIMIT_RAD_S = 0.4
 WATER_SPEED_LIMIT_M_S = 0.4
+
+
+OVER_STEPS = 20
+"""A fallback counts as over after so many solved steps (1 s): one that flickers is told once."""
+
+TOLD = {
+    Fallback.SHIFTED_PLAN: "Controller: no solution, last plan goes on",
+    Fallback.STATION_KEEPING: "Controller: no solution, holding position",
+}
+OVER = "Controller has solutions again"
+
+
+class FallbackWatch:
+    """Tells when somebody else than the optimiser commands the thrusters, and when that is over."""
+
+    def __init__(self) -> None:
+        self._told: set[Fallback] = set()
+        self._solved = 0
+        self._news: list[tuple[Severity, str]] = []
+
+    def reset(self) -> None:
+        """A new flight: the next fallback is news."""
+        self._told.clear()
+        self._solved = 0
+
+    def watch(self, fallback: Fallback) -> None:
+        """Who has commanded one step."""
+        text = TOLD.get(fallback)
+        if text is not None:
+            self._solved = 0
+            if fallback not in self._told:
+                self._told.add(fallback)
+                self._news.append((Severity.WARNING, text))
+        elif fallback is Fallback.NONE and self._told:
+            self._solved += 1
+            if self._solved >= OVER_STEPS:
+                self.reset()
+                self._news.append((Severity.INFO, OVER))
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """What has not been told yet."""
+        news, self._news = self._news, []
+        return news
 
 
 def station_keeping_thrust(

@@ -37,13 +37,14 @@ class TimeGrid:
         return [max(1, int(np.ceil(dt / longest_s - 1e-9))) for dt in self.dt_s]
 
 
-def _grid(dt_s: FloatArray) -> TimeGrid:
+def grid_of(dt_s: FloatArray) -> TimeGrid:
+    """The grid of these intervals (N,)."""
     return TimeGrid(dt_s=dt_s, t_s=np.concatenate(([0.0], np.cumsum(dt_s))))
 
 
 def uniform_grid(n: int, dt_s: float = REFERENCE_DT_S) -> TimeGrid:
     """``n`` equal intervals."""
-    return _grid(np.full(n, dt_s))
+    return grid_of(np.full(n, dt_s))
 
 
 def geometric_grid(n: int = 20, horizon_s: float = 8.0, first_dt_s: float = REFERENCE_DT_S) -> TimeGrid:
@@ -58,7 +59,7 @@ def geometric_grid(n: int = 20, horizon_s: float = 8.0, first_dt_s: float = REFE
         else:
             high = ratio
     dt_s = first_dt_s * ratio ** np.arange(n)
-    return _grid(dt_s * (horizon_s / dt_s.sum()))
+    return grid_of(dt_s * (horizon_s / dt_s.sum()))
 
 
 def shift_matrices(grid: TimeGrid, delta_s: float) -> tuple[FloatArray, FloatArray]:

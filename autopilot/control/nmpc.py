@@ -180,7 +180,7 @@ class Nmpc:
         planes: int = PLANES,
         backends: tuple[ocp.QpBackend, ...] = ocp.BACKENDS,
     ) -> None:
-        self.grid = grid
+        self.model, self.grid = model, grid
         self.planes = planes
         self._step = choose_step(model, grid, planes, backends)
         self._fastest = ocp.fastest_guess(model)
@@ -189,6 +189,8 @@ class Nmpc:
         self.u = np.zeros((grid.n, NU))
         self.last_problem: NmpcProblem | None = None
         """What was solved last (its arrays may be those of the caller), for comparisons."""
+        self.violation = 0.0
+        """Largest of a row of the last QP."""
 
     @property
     def solver(self) -> str:
@@ -252,6 +254,7 @@ class Nmpc:
         except RuntimeError:
             status = SolveStatus.EXCEPTION
         cost, violation, gap, overshoot, total, use = step.figures[:6].tolist()
+        self.violation = violation
         if status is SolveStatus.OK:
             if not math.isfinite(total + gap):
                 status = SolveStatus.NOT_FINITE

@@ -7,7 +7,7 @@ steps that do not get smaller are halved, which ends that.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,9 +22,10 @@ from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.terminal import TerminalLimits
 from autopilot.control.robust.tube import LARGEST_THRUST_SHARE
 from autopilot.control.tightening import BackOffs
+from autopilot.control.unsolved import saved
 from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import SolveStatus
+from autopilot.core.messages import SolveStatus, UnsolvedProgram
 from autopilot.core.model4 import NU, YAW, Model4, U, Z
 from autopilot.core.params import ParamSet
 
@@ -37,6 +38,9 @@ a hundred by 0.3 N."""
 
 MOST_QPS = 15
 """In one step. Nine of ten starts need 8."""
+
+MOST_UNSOLVED = 3
+"""Programs of one step that are kept when they are not solved: one from each guess."""
 
 FULL_STEPS = 3
 SHRINKING = 0.7
@@ -65,6 +69,8 @@ class Solution:
     """That were solved."""
     anew: bool
     """The plan does not continue the last one."""
+    unsolved: tuple[UnsolvedProgram, ...] = ()
+    """Programs on the way that were not solved."""
 
 
 class StepProgram:
@@ -83,6 +89,7 @@ class StepProgram:
         self._plane_d = np.zeros((grid.n - 1, self.nmpc.planes))
         self._limits = np.zeros((grid.n - 1, ocp.N_LIMITS))
         self._currents = np.zeros((grid.n, 3))
+        self._unsolved: list[tuple[SolveStatus, NmpcProblem, FloatArray, FloatArray]] = []
         self._speed_back_off_m_s = 0.0
         self._cleared: tuple[Planner, FloatArray, float] | None = None
 
@@ -129,6 +136,7 @@ class StepProgram:
         )
         keep_m = self._radius_m + back_off.clearance_m
         states, thrusts = nmpc.x.copy(), nmpc.u.copy()
+        self._unsolved.clear()
         found = self._iterate(start, problem, now.planner, keep_m, movers)
         # Around a guess that has run away no step is any good: once more from the reference, then from standing still.
         for again in (self.begin,) * (not start) + (self._stand,):
@@ -138,7 +146,7 @@ class StepProgram:
             found = self._iterate(True, problem, now.planner, keep_m, movers, found.qps)
         if found.result.status is not SolveStatus.OK:
             nmpc.set_plan(states, thrusts)
-        return found
+        return replace(found, unsolved=tuple(saved(now.t_us, nmpc, *one) for one in self._unsolved))
 
     def _stand(self, now: Situation, _: Reference) -> None:
         """Begin from the place where the vehicle is; its motion fades."""
@@ -165,6 +173,9 @@ class StepProgram:
             guess, thrust = nmpc.x.copy(), nmpc.u.copy()
             margin = planner.features.half_planes(path, t_s, keep_m, nmpc.planes, self._plane_n, self._plane_d, movers)
             result = nmpc.solve(problem)
+            if result.status is not SolveStatus.OK and len(self._unsolved) < MOST_UNSOLVED:
+                planes = {"plane_n": self._plane_n.copy(), "plane_d_m": self._plane_d.copy()}
+                self._unsolved.append((result.status, replace(problem, **planes), guess, thrust))
             change_n = float(np.abs(nmpc.u[0] - thrust[0]).max())
             calm = change_n < CONVERGED_N or (qps == 1 and not start and change_n < RESTLESS_N)
             if result.status is not SolveStatus.OK and good is not None and not start:

@@ -269,6 +269,17 @@ class NmpcStatus:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class UnsolvedProgram:
+    """A program of the optimiser that its solver has failed to solve, with all that it takes to solve it again."""
+
+    t_us: int
+    solver: str
+    status: SolveStatus
+    arrays: Mapping[str, FloatArray]
+    """See :mod:`autopilot.control.unsolved`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EnergyPlan:
     """A trajectory of least energy that has just come into force."""
 
@@ -305,6 +316,8 @@ class ControlOutput:
     """On the step on which one came into force."""
     restarted: bool = False
     """The plan began anew (another route, a jump of the estimate): earlier ones promise nothing any more."""
+    unsolved: tuple[UnsolvedProgram, ...] = ()
+    """The first programs of this step that were not solved."""
 
 
 # Out.

@@ -7,6 +7,7 @@ with their time of validity; ``/in/tick`` opens the group of inputs that one cal
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from autopilot.core.errors import LogError
@@ -29,7 +30,7 @@ from autopilot.core.samples import (
 from autopilot.log import visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import StreamCutter
-from autopilot.log.packing import decisions, estimate, sensors, service, vehicle
+from autopilot.log.packing import decisions, estimate, programs, sensors, service, vehicle
 from autopilot.log.scene import moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.writer import LogHead, LogWriter, Payload
@@ -49,6 +50,8 @@ MAX_STREAMS = 256
 """MAVLink streams that are being cut; the oldest goes."""
 CAMERA_US = 500_000
 JPEG_QUALITY = 80
+MAX_PROGRAMS = 32
+"""Programs of the optimiser that were not solved that a log keeps, the first ones."""
 MAX_FAULTS = 32
 """Internal faults that a log keeps with all they had; of the others it has the line."""
 _BODY = 12
@@ -126,7 +129,7 @@ class RunLog:
         self._last_body: dict[str, bytes] = {}
         self._cutters: dict[tuple[str, int, int], StreamCutter] = {}
         self._trail: list[tuple[float, float, float]] = []
-        self._faults = 0
+        self._faults = self._programs = 0
 
     @property
     def path(self) -> Path:
@@ -341,6 +344,9 @@ class RunLog:
         control = outputs.control
         assert control is not None
         self._write("/ctl/nmpc", t_us, decisions.nmpc_status(stamp_ns, control.status))
+        for program in control.unsolved[: MAX_PROGRAMS - self._programs]:
+            self._programs += 1
+            self._writer.attach(programs.NAME.format(self._programs), t_us, partial(programs.pack, program))
         if control.plan is not None:
             self._write("/ctl/plan", t_us, decisions.energy_plan(stamp_ns, control.plan))
         if not self._due("/ctl/horizon", t_us, HORIZON_US):

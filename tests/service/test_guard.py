@@ -1,5 +1,6 @@
 """Something inside the service fails: the real service on the simulated vehicle, with one part broken on purpose."""
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -7,13 +8,18 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.cli.log import log
 from autopilot.config import gather, sitl_defaults
+from autopilot.control.native import NativeStep
+from autopilot.control.nmpc import QpStep
 from autopilot.core.errors import DriverError
-from autopilot.core.messages import Failsafe, Outputs
+from autopilot.core.messages import Failsafe, Fallback, Outputs
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.log.reader import open_log
+from autopilot.log.session import MAX_PROGRAMS
 from autopilot.sitl_session import SitlSession, open_sitl
 from autopilot.vision import VisionWorker
 from estimator.frame_door import FrameDoor
@@ -315,3 +321,42 @@ def test_a_picture_that_detection_fails_at_is_no_sighting(error: Exception) -> N
     faults = worker.guard.take()
     assert [fault.kind for fault in faults] == ([] if isinstance(error, cv2.error) else ["ValueError"])
     worker.close()
+
+
+def test_what_the_optimiser_fails_to_solve_is_told_saved_and_solved_again(
+    flight: Callable[..., Flight], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A solver that returns nonsense for half a second: two words to the operator, and the programs in the log."""
+    path = tmp_path / "run.mcap"
+    made = flight(log=path)
+    made.fly(1.0)
+    with monkeypatch.context() as patch:
+        for kind in (QpStep, NativeStep):
+            patch.setattr(kind, "evaluate", lambda step: step.figures.fill(1.0))
+        during = made.fly(0.5)
+    after = made.fly(1.5)
+    assert {tick.control.status.fallback for tick in during[10:] if tick.control} == {Fallback.SHIFTED_PLAN}
+    assert {tick.control.status.fallback for tick in after[10:] if tick.control} == {Fallback.NONE}
+    texts = [text for text in made.client.texts() if text.startswith("Controller")]
+    assert texts == ["Controller: no solution, last plan goes on", "Controller has solutions again"]
+    made.session.recorder.close()
+    asked = [program for tick in during if tick.control for program in tick.control.unsolved]
+    result = CliRunner().invoke(log, ["programs", str(path), "--json"])
+    assert result.exit_code == 1, "there is something"
+    listed = json.loads(result.stdout)["programs"]
+    assert len(listed) == min(len(asked), MAX_PROGRAMS) > 10
+    assert [entry["t_s"] for entry in listed] == pytest.approx([one.t_us * 1e-6 for one in asked[: len(listed)]])
+    for entry in listed:
+        assert entry["status"] == "RESIDUAL"
+        again = [trial for trial in entry["again"] if trial["status"] is not None]
+        assert len(again) >= 2
+        assert {trial["status"] for trial in again} == {"OK"}
+        thrusts = np.array([trial["thrust_n"] for trial in again])
+        assert np.abs(thrusts - thrusts[0]).max() < 0.3
+    shown = CliRunner().invoke(log, ["programs", str(path)])
+    assert "RESIDUAL" in shown.stdout
+    sound = tmp_path / "sound.mcap"
+    made = flight(log=sound)
+    made.fly(0.3)
+    made.session.recorder.close()
+    assert "every program was solved" in CliRunner().invoke(log, ["programs", str(sound)]).stdout
