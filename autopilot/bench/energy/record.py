@@ -21,11 +21,12 @@ from autopilot.bench.energy.optimum import (
     worst_gap_m,
 )
 from autopilot.bench.nmpc import TANK
-from autopilot.control.energy.field import EnergyField
+from autopilot.control.energy.field import LONGEST_MOVE, EnergyField
 from autopilot.control.energy.flow import Flow, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, speed_table
 from autopilot.control.obstacles import Features
 from autopilot.core.frames import FloatArray
+from autopilot.core.free_space import FreeSpace
 from autopilot.core.geometry import Fence
 from autopilot.core.vehicle import Vehicle, load_vehicle
 
@@ -171,9 +172,8 @@ def grid_energy_j(vehicle: Vehicle, case: Case) -> float:
     begin = np.array(case.start[:2])
     places = np.stack([begin, *(np.array(goal.pos_ned_m[:2]) for goal in case.goals)])
     area = area_of(fence, places)
-    field = EnergyField(
-        features, BODY_RADIUS_M + 0.02, area, Flow(sample_flow(known_current(case), start, area, case.start[2])), table
-    )
+    flow = Flow(sample_flow(known_current(case), start, area, case.start[2]))
+    field = EnergyField(FreeSpace(features, area, BODY_RADIUS_M + 0.02, long_moves=LONGEST_MOVE), flow, table)
     for goal in case.goals:
         end = np.array(goal.pos_ned_m[:2])
         to_go = field.to(end)

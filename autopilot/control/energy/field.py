@@ -1,7 +1,8 @@
 """Energy-to-go: how many joules it takes from anywhere to a goal, over all ways round the obstacles.
 
-A grid over the area; every free cell is joined to 32 neighbours (directions about 11 degrees apart) by directed edges
-that cost their length times the least energy per metre that the current there allows (the vehicle points along its way
+The places of the free space (:mod:`autopilot.core.free_space`, the same as of uploads and routes) are joined to their
+neighbours, on the grid that it begins with to 32 of them (directions about 11 degrees apart), by directed edges that
+cost their length times the least energy per metre that the current there allows (the vehicle points along its way
 through the water). Dijkstra from the goal over the reversed edges then is the static Hamilton-Jacobi-Bellman equation
 of a vehicle without inertia, to within the angles of the edges (0.5 %). Heading, acceleration and depth are left to the
 trajectory (:mod:`autopilot.control.energy.trajectory`).
@@ -13,24 +14,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.control.energy.flow import Area, Flow
+from autopilot.control.energy.flow import Flow
 from autopilot.control.energy.power import SpeedTable, energy_per_metre
 from autopilot.control.obstacles import Features
 from autopilot.control.shortest import lengths_from
 from autopilot.core.frames import FloatArray
-
-MAX_CELLS = 6000
-FINEST_CELL_M = 0.05
+from autopilot.core.free_space import FreeSpace
 
 OFFSETS = tuple(
-    (di, dj) for di in range(-3, 4) for dj in range(-3, 4) if math.gcd(di, dj) == 1 and abs(di) + abs(dj) <= 5
+    (di, dj)
+    for di in range(4)
+    for dj in range(-3, 4)
+    if math.gcd(di, dj) == 1 and 3 <= abs(di) + abs(dj) <= 5 and (di, dj) > (0, 0)
 )
-"""King's, knight's and longer moves: 32 directions."""
+"""Knight's and longer moves, each one way: with those to the neighbours and back 32 directions."""
 
 LONGEST_MOVE = math.hypot(3, 2)
 
-SNAP_CELLS = 8.0
-"""A start or goal this many cells from free ground still finds it."""
+SNAP_M = 0.4
+"""A start or goal so far from free ground still finds it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -43,66 +45,56 @@ class Way:
 
 
 class EnergyField:
-    """The grid of one area, fence radius and flow; :meth:`to` makes the field of a goal."""
+    """One free space and flow; :meth:`to` makes the field of a goal."""
 
-    def __init__(self, features: Features, radius_m: float, area: Area, flow: Flow, table: SpeedTable) -> None:
-        size = np.maximum(area.high_m - area.low_m, 1e-3)
-        self.cell_m = max(FINEST_CELL_M, math.sqrt(float(size[0] * size[1]) / MAX_CELLS))
-        shape = tuple(int(length / self.cell_m) + 1 for length in size)
-        axes = [low + self.cell_m * (np.arange(count) + 0.5) for low, count in zip(area.low_m, shape, strict=True)]
-        centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        needed = math.hypot(radius_m, 0.5 * LONGEST_MOVE * self.cell_m) if features.count else 0.0
-        free = np.ones(len(centers), dtype=bool)
-        if features.count:
-            free = features.clearance_up_to_m(centers, needed) >= needed
-        self._node_of_cell = np.full(shape, -1)
-        self._node_of_cell.ravel()[free] = np.arange(int(free.sum()))
-        self.places_ned_m: FloatArray = centers[free]
-        """(n, 2) of the free cells."""
-        self._origin = area.low_m
-        self._edges = self._connect(flow, table)
-
-    def _connect(self, flow: Flow, table: SpeedTable) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]:
-        """Edges (from, to, energy) between free cells."""
-        node = self._node_of_cell
-        reach = 3
-        padded = np.pad(node, reach, constant_values=-1)
-        height, width = node.shape
-        begin, end = [], []
-        for di, dj in OFFSETS:
-            other = padded[reach + di : reach + di + height, reach + dj : reach + dj + width]
-            both = (node >= 0) & (other >= 0)
-            begin.append(node[both])
-            end.append(other[both])
-        a, b = np.concatenate(begin), np.concatenate(end)
+    def __init__(self, space: FreeSpace, flow: Flow, table: SpeedTable) -> None:
+        self.space = space
+        self.places_ned_m = space.places_ned_m
+        """(n, 2)"""
+        self.cell_m = space.base_cell_m
+        pairs = np.concatenate([space.links, space.moves(OFFSETS)])
+        a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
         way = self.places_ned_m[b] - self.places_ned_m[a]
-        length = np.hypot(way[:, 0], way[:, 1])
+        length = np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9)
         current = flow.current(0.5 * (self.places_ned_m[a] + self.places_ned_m[b]))[:, :2]
         along = (current * way).sum(axis=1) / length
         across = (current[:, 0] * way[:, 1] - current[:, 1] * way[:, 0]) / length
         cost = length * energy_per_metre(table, along, across)
         passable = np.isfinite(cost)
-        return a[passable], b[passable], cost[passable]
+        self._edges = a[passable], b[passable], cost[passable]
 
     def nearest(self, place_ned_m: FloatArray) -> int | None:
-        """The free cell nearest to a place (2,), None if none is near."""
-        if len(self.places_ned_m) == 0:
+        """The place by which a point (2,) comes into the field, None if none is near."""
+        found = self.space.place_near(place_ned_m)
+        if found is None:
             return None
-        separation = np.hypot(*(self.places_ned_m - place_ned_m).T)
-        node = int(separation.argmin())
-        return node if separation[node] <= SNAP_CELLS * self.cell_m else None
+        node, away_m = found
+        return node if away_m <= SNAP_M + float(self.space.cell_m[node]) else None
+
+    def crossing(self, a: FloatArray, b: FloatArray) -> NDArray[np.bool_]:
+        """(m,) which edges go through the line from ``a`` to ``b`` (2,)."""
+        begin, end = (self.places_ned_m[nodes] for nodes in self._edges[:2])
+        sides = [_side(a, b, begin) * _side(a, b, end) <= 0.0, _side(begin, end, a) * _side(begin, end, b) <= 0.0]
+        result: NDArray[np.bool_] = sides[0] & sides[1]
+        return result
 
     def to(self, goal_ned_m: FloatArray, closed: NDArray[np.bool_] | None = None) -> "EnergyToGo | None":
-        """The field of a goal (2,); ``closed`` (n,) takes cells away. None if the goal is nowhere near free ground."""
+        """The field of a goal (2,); ``closed`` (m,) takes edges away. None if the goal is nowhere near free ground."""
         node = self.nearest(goal_ned_m)
         if node is None:
             return None
         a, b, cost = self._edges
         if closed is not None:
-            open_ = ~(closed[a] | closed[b])
-            a, b, cost = a[open_], b[open_], cost[open_]
+            a, b, cost = a[~closed], b[~closed], cost[~closed]
         energy, following = lengths_from(node, b, a, cost, len(self.places_ned_m))
         return EnergyToGo(self, np.asarray(goal_ned_m, dtype=float), energy, following)
+
+
+def _side(a: FloatArray, b: FloatArray, point: FloatArray) -> FloatArray:
+    """On which side of the line from ``a`` to ``b`` a point is (> 0 on the right); arrays of places or one place."""
+    way, ray = b - a, point - a
+    result: FloatArray = way[..., 0] * ray[..., 1] - way[..., 1] * ray[..., 0]
+    return result
 
 
 class EnergyToGo:
@@ -162,8 +154,8 @@ def other_ways(field: EnergyField, to_go: EnergyToGo, way: Way, features: Featur
         if any(np.hypot(*(at[i] - t)) < GAP_APART_M for t in tried):
             continue
         tried.append(at[i])
-        closed = _wall(field, at[i], at[min(i + 1, len(at) - 1)] - at[max(i - 1, 0)])
-        around = field.to(way.points_ned_m[-1], closed)
+        wall = _wall(features, at[i], at[min(i + 1, len(at) - 1)] - at[max(i - 1, 0)])
+        around = field.to(way.points_ned_m[-1], field.crossing(*wall))
         other = None if around is None else around.way(way.points_ned_m[0])
         if other is not None:
             ways.append(other)
@@ -176,20 +168,18 @@ GAP_REACH_M = 1.5
 GAP_APART_M = 0.8
 
 
-def _wall(field: EnergyField, place: FloatArray, tangent: FloatArray) -> NDArray[np.bool_]:
-    """Free cells of the connected line across the way at a place: three cells thick, so that no move jumps it."""
+def _wall(features: Features, place: FloatArray, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The line across a way at a place, to the boundaries on both sides or WALL_REACH_M far."""
     t = tangent / max(float(np.hypot(*tangent)), 1e-9)
-    away = field.places_ned_m - place
-    along = away @ t
-    across = away @ np.array([-t[1], t[0]])
-    line = np.abs(along) <= 2.0 * field.cell_m
-    if not line.any():
-        return line
-    order = np.argsort(across[line])
-    ordered = across[line][order]
-    gaps = np.diff(ordered) > 1.6 * field.cell_m
-    group = np.concatenate(([0], np.cumsum(gaps)))
-    here = group[int(np.abs(ordered).argmin())]
-    low, high = ordered[group == here][[0, -1]]
-    wall: NDArray[np.bool_] = line & (across >= low - 1e-9) & (across <= high + 1e-9)
-    return wall
+    across = np.array([-t[1], t[0]])
+    steps = np.linspace(0.0, WALL_REACH_M, WALL_POINTS)[:, None]
+    ends = []
+    for sign in (-1.0, 1.0):
+        line = place + sign * steps * across
+        free = features.clearance_m(line) > 0.0
+        ends.append(line[-1] if free.all() else line[int(free.argmin())])
+    return ends[0], ends[1]
+
+
+WALL_REACH_M = 4.0
+WALL_POINTS = 81

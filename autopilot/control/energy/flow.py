@@ -12,7 +12,8 @@ import numpy as np
 
 from autopilot.control.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
-from autopilot.core.geometry import Circle, Fence
+from autopilot.core.free_space import Area, bounding_box, workspace_of
+from autopilot.core.geometry import Fence
 from autopilot.core.messages import NavState
 
 MAX_SAMPLES = 1500
@@ -28,33 +29,14 @@ OPEN_WATER_SHARE = 0.45
 """Without a workspace a way may swing out by so much of the distance: half a circle would need 0.5."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Area:
-    """A rectangle of the plane."""
-
-    low_m: FloatArray
-    """(2,) north, east"""
-    high_m: FloatArray
-    """(2,)"""
-
-
 def area_of(fence: Fence, places_ned_m: FloatArray) -> Area:
     """Where a way between ``places_ned_m`` (m, 2) may lead: the workspace, in open water a border round the places."""
-    corners = [places_ned_m]
-    border = 0.0
-    if fence.inclusions:
-        shapes = fence.inclusions
-    else:
-        shapes = fence.exclusions
-        span = float(np.hypot(*(places_ned_m.max(axis=0) - places_ned_m.min(axis=0))))
-        border = OPEN_WATER_BORDER_M + OPEN_WATER_SHARE * span
-    for shape in shapes:
-        if isinstance(shape, Circle):
-            c = np.asarray(shape.center_ned_m, dtype=float)
-            corners.append(np.stack([c - shape.radius_m, c + shape.radius_m]))
-        else:
-            corners.append(np.asarray(shape.vertices_ned_m, dtype=float))
-    points = np.concatenate(corners)
+    workspace = workspace_of(fence)
+    if workspace is not None and bool((workspace.high_m > workspace.low_m).all()):
+        return workspace
+    span = float(np.hypot(*(places_ned_m.max(axis=0) - places_ned_m.min(axis=0))))
+    border = OPEN_WATER_BORDER_M + OPEN_WATER_SHARE * span
+    points = np.concatenate([places_ned_m, *(np.stack(bounding_box(shape)) for shape in fence.exclusions)])
     return Area(low_m=points.min(axis=0) - border, high_m=points.max(axis=0) + border)
 
 

@@ -76,14 +76,20 @@ def energy_per_metre(table: SpeedTable, along_m_s: FloatArray, across_m_s: Float
 
     Min over u of P(u) / (sqrt(u^2 - across^2) + along); inf where no speed of the table makes headway.
     """
+    least: FloatArray = np.empty(len(along_m_s))
     u = table.speed_m_s[:, None]
-    room = u * u - across_m_s * across_m_s
-    ground = np.sqrt(np.maximum(room, 0.0)) + along_m_s
-    usable = (room >= 0.0) & (ground > SLOWEST_GROUND_M_S) & table.allowed(along_m_s, across_m_s)
-    cost = np.where(usable, table.power_w[:, None] / np.where(usable, ground, 1.0), np.inf)
-    least: FloatArray = cost.min(axis=0)
+    for begin in range(0, len(least), TOGETHER):
+        part = slice(begin, begin + TOGETHER)
+        across, along = across_m_s[part], along_m_s[part]
+        room = u * u - across * across
+        ground = np.sqrt(np.maximum(room, 0.0)) + along
+        usable = (room >= 0.0) & (ground > SLOWEST_GROUND_M_S) & table.allowed(along, across)
+        least[part] = np.where(usable, table.power_w[:, None] / np.where(usable, ground, 1.0), np.inf).min(axis=0)
     return least
 
+
+TOGETHER = 4096
+"""Ways that are looked at together: a field has 200,000 of them, each with every speed of the table."""
 
 SLOWEST_GROUND_M_S = 0.01
 """Headway below this is none."""

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from autopilot.control.energy.field import EnergyField, EnergyToGo, Way, other_ways
+from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, EnergyToGo, Way, other_ways
 from autopilot.control.energy.flow import LEAST_SAMPLES, Flow, FlowSamples, area_of
 from autopilot.control.energy.power import PowerModel, SpeedTable, energy_per_metre, planar_limit_m_s, speed_table
 from autopilot.control.energy.trajectory import PLANES, SUBSTEP_S, Ask, Program, Trajectory
@@ -15,6 +15,7 @@ from autopilot.control.guidance import SteadyThrust
 from autopilot.control.obstacles import Features, fence_key
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray, unwrap_near
+from autopilot.core.free_space import Area, FreeSpace
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, X, Y, Z
@@ -68,6 +69,13 @@ SLOWING_M_S2 = 0.1
 
 EXTRA_M = 0.004
 """Kept beyond the optimiser's own margin, for what lies between the nodes."""
+
+COMFORT_M = 0.03
+"""Kept beyond the radius by ways, if there are such: a passage that is open by centimetres only is not chosen."""
+
+LOOKS_BETWEEN = 4
+DOOR_STEPS = 4
+"""A way is looked at between its nodes for doors that are too narrow for that: where both sides push places about."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -129,6 +137,7 @@ class EnergyPlanner:
         self._steady = SteadyThrust(model)
         self._programs: dict[int, Program] = {}
         self._features: tuple[tuple[object, ...], Features] | None = None
+        self._spaces: dict[int, tuple[Features, tuple[float, ...], FreeSpace]] = {}
 
     def warm(self) -> None:
         """See :class:`TrajectoryPlanner`."""
@@ -145,21 +154,17 @@ class EnergyPlanner:
         features = self._features_of(request.fence)
         flow = Flow(request.flow)
         table = speed_table(self._model, self._power, float(request.limits[0]), request.cruise_m_s)
-        goal_at, start = np.asarray(request.goal.pos_ned_m[:2], dtype=float), request.x0[:2]
-        places = [start, goal_at]
-        if request.goal.following is not None:
-            places.append(np.asarray(request.goal.following.pos_ned_m[:2], dtype=float))
-        area = area_of(request.fence, np.stack(places))
-        field = EnergyField(features, request.radius_m + EXTRA_M, area, flow, table)
-        to_go = field.to(goal_at)
-        best = None if to_go is None else to_go.way(start)
-        if to_go is None or best is None:
+        found = self._field(request, features, flow, table)
+        if found is None:
             return _none(request.goal, "no way")
+        field, to_go, best = found
         cancel.check()
         beyond = _field_beyond(field, request.goal)
         end_slope = _slope_beyond(beyond, request.goal)
         task = _Task(request, features, flow, table, to_go, end_slope, self._program, self._steady, cancel)
-        warm = None if request.warm is None else task.refine(request.warm, UPDATE_ROUNDS)
+        task.guesses(best)
+        # What ends at a gate has a new one.
+        warm = None if request.warm is None or not task.complete else task.refine(request.warm, UPDATE_ROUNDS)
         if warm is not None and warm.solved and task.energy_along(warm) < STAY_WITHIN * best.energy_j:
             return task.plan(warm)
         candidates = self._candidates(task, field, to_go, best, features)
@@ -176,17 +181,34 @@ class EnergyPlanner:
         polished = task.refine(winner, POLISH_ROUNDS)
         return task.plan(polished if polished.solved else winner)
 
+    def _field(
+        self, request: Request, features: Features, flow: Flow, table: SpeedTable
+    ) -> tuple[EnergyField, EnergyToGo, Way] | None:
+        """The field of a request with the cheapest way, through tight doors only if there is no other."""
+        goal_at, start = np.asarray(request.goal.pos_ned_m[:2], dtype=float), request.x0[:2]
+        places = [start, goal_at]
+        if request.goal.following is not None:
+            places.append(np.asarray(request.goal.following.pos_ned_m[:2], dtype=float))
+        area = area_of(request.fence, np.stack(places))
+        for look, extra_m in enumerate((COMFORT_M, 0.0) if features.count else (0.0,)):
+            field = EnergyField(self._space_of(look, request.radius_m + extra_m, features, area), flow, table)
+            to_go = field.to(goal_at)
+            way = None if to_go is None else to_go.way(start)
+            if to_go is not None and way is not None:
+                return field, to_go, way
+        return None
+
     def _candidates(
         self, task: "_Task", field: EnergyField, to_go: EnergyToGo, best: Way, features: Features
     ) -> list[Trajectory]:
         """A trajectory along every way that is worth a look, for every way of turning."""
-        ways = [best, *other_ways(field, to_go, best, features, MAX_OTHER_WAYS)]
-        return [
-            task.refine(guess, SCREEN_ROUNDS)
-            for way in ways
-            if way.energy_j <= KEEP_WITHIN * best.energy_j
-            for guess in task.guesses(way)
-        ]
+        guesses = task.guesses(best)
+        # Ways to other gates cannot be compared.
+        others = other_ways(field, to_go, best, features, MAX_OTHER_WAYS) if task.complete else []
+        for way in others:
+            if way.energy_j <= KEEP_WITHIN * best.energy_j:
+                guesses += task.guesses(way)
+        return [task.refine(guess, SCREEN_ROUNDS) for guess in guesses]
 
     def _onward(
         self, task: "_Task", ends: Sequence[Trajectory], field: EnergyField, beyond: EnergyToGo, features: Features
@@ -211,6 +233,15 @@ class EnergyPlanner:
         if self._features is None or self._features[0] != key:
             self._features = (key, Features(fence))
         return self._features[1]
+
+    def _space_of(self, look: int, radius_m: float, features: Features, area: Area) -> FreeSpace:
+        """The free space of a look; that of the last request if nothing but the water is another one."""
+        key = (radius_m, *area.low_m.tolist(), *area.high_m.tolist())
+        kept = self._spaces.get(look)
+        if kept is None or kept[0] is not features or kept[1] != key:
+            kept = (features, key, FreeSpace(features, area, radius_m, long_moves=LONGEST_MOVE))
+            self._spaces[look] = kept
+        return kept[2]
 
     def _program(self, duration_s: float) -> Program:
         """The program whose RK4 steps are short enough for a trajectory of that duration."""
@@ -384,7 +415,7 @@ class _Task:
         self._features.half_planes(
             np.vstack([x[:1, :2], x[:, :2]]),
             np.concatenate([[0.0], guess.t_s]),
-            request.radius_m + EXTRA_M,
+            self._keep_m(x[:, :2]),
             PLANES,
             normals,
             offsets,
@@ -428,6 +459,18 @@ class _Task:
         slowing = float(np.hypot(request.x0[U], request.x0[V])) - SLOWING_M_S2 * guess.t_s
         result: FloatArray = np.maximum(np.minimum(limit, request.limits[0]), slowing)
         return result
+
+    def _keep_m(self, places: FloatArray) -> float:
+        """What a trajectory along places (n + 1, 2) keeps from boundaries: EXTRA_M beyond the radius, where the doors
+        that it goes through let it."""
+        if self._features.count == 0:
+            return self._request.radius_m
+        at = np.arange(0.0, len(places) - 1.0 + 1e-9, 1.0 / LOOKS_BETWEEN)
+        points = np.stack([np.interp(at, np.arange(len(places)), places[:, i]) for i in range(2)], axis=1)
+        most = self._request.radius_m + EXTRA_M
+        for _ in range(DOOR_STEPS):
+            points += self._features.push_out(points, most)
+        return max(self._request.radius_m, float(self._features.clearance_up_to_m(points, most).min()))
 
     def plan(self, trajectory: Trajectory) -> Plan:
         """The answer that a trajectory makes."""

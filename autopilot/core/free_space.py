@@ -1,0 +1,397 @@
+"""Where the vehicle can be and how it gets from there to there: one answer for uploads, routes and energy plans.
+
+Cells of a grid over the area, halved again and again where that decides about a way: a cell counts as free when the
+vehicle may stand *somewhere* in it (a place is looked for, uphill in the clearance), and neighbours are linked when the
+straight line between their places keeps the radius. A cell is halved where it may be free but no place is found, and
+where a line to a neighbour is barred that is not got round at once. So a door of two radii and some millimetres is
+found in a basin of any size, while open water and plain walls stay as coarse as they are.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Circle, Fence, Shape
+
+IntArray: TypeAlias = NDArray[np.intp]
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+BASE_CELLS = 6000
+FINEST_BASE_M = 0.05
+"""Cells to begin with, and how small they are at least."""
+
+TIGHT_M = 0.02
+"""Cells are halved down to this."""
+
+MAX_CELLS = 40_000
+"""Bound on all cells: what is left then stays coarse."""
+
+MAX_ROUNDS = 24
+
+SETTLED_M = 5e-4
+"""A place that keeps the radius but for this much is free: doors that are open by a millimetre are found."""
+
+BEYOND_M = 2.5e-4
+"""Aimed at beyond the radius, for the slope is only that of the nearest boundary."""
+
+CHORD_LOSS_M = 1e-3
+"""By how much the line between two places may cut a corner."""
+
+SETTLE_STEPS = 3
+"""Steps by which a place finds the middle of a door: each brings it away from the nearer side."""
+
+COMFORT_STEPS = 2
+"""Steps after these by which it goes to where its neighbours see it, if there is room."""
+
+BISECTIONS = 9
+
+ONE_BOUNDARY = 0.8
+"""Slopes within a cell whose unit vectors agree by so much (cosine) are of one boundary: what it bars is barred."""
+
+ATTACH = 48
+"""So many of the nearest places are tried for one in sight."""
+
+KING = ((0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1))
+
+
+class Ground(Protocol):
+    """Distances to the boundaries of a fence."""
+
+    def near(self, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
+        """(n,) clearance of places (n, 2), at most ``reach_m``, and (n, 2) its slope (zero where it is cut off)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Area:
+    """A rectangle of the plane."""
+
+    low_m: FloatArray
+    """(2,) north, east"""
+    high_m: FloatArray
+    """(2,)"""
+
+
+def bounding_box(shape: Shape) -> tuple[FloatArray, FloatArray]:
+    """Corners (2,) with the smallest and the largest north and east."""
+    if isinstance(shape, Circle):
+        center = np.asarray(shape.center_ned_m, dtype=float)
+        return center - shape.radius_m, center + shape.radius_m
+    vertices = np.asarray(shape.vertices_ned_m, dtype=float)
+    return vertices.min(axis=0), vertices.max(axis=0)
+
+
+def workspace_of(fence: Fence) -> Area | None:
+    """What all inclusions have in common, None without any (open water); empty ones have low above high."""
+    if not fence.inclusions:
+        return None
+    boxes = [bounding_box(shape) for shape in fence.inclusions]
+    return Area(low_m=np.max([b[0] for b in boxes], axis=0), high_m=np.min([b[1] for b in boxes], axis=0))
+
+
+class FreeSpace:
+    """Places that keep ``radius_m`` from every boundary, and the straight lines between them that do."""
+
+    def __init__(self, ground: Ground, area: Area, radius_m: float, *, long_moves: float = 0.0) -> None:
+        """``long_moves``: the longest move over the grid, in cells, that :meth:`moves` will be asked for."""
+        self._ground, self.radius_m = ground, radius_m
+        size = np.maximum(area.high_m - area.low_m, 1e-3)
+        self.base_cell_m = max(FINEST_BASE_M, math.sqrt(float(size[0] * size[1]) / BASE_CELLS))
+        self._low = area.low_m
+        self._shape = (int(size[0] / self.base_cell_m) + 1, int(size[1] / self.base_cell_m) + 1)
+        self._deepest = max(0, math.ceil(math.log2(self.base_cell_m / TIGHT_M) - 1e-9))
+        self._reach_m = math.hypot(radius_m, 0.5 * long_moves * self.base_cell_m) + 1e-6
+        self._cells = _Cells.none()
+        self._pairs = np.zeros((0, 2), dtype=np.intp)
+        self._clear = np.zeros(0, dtype=bool)
+        self._build()
+        self._number()
+
+    # What there is.
+
+    def _number(self) -> None:
+        """Keep what is free, in the order in which it was found."""
+        kept = np.flatnonzero(self._cells.alive)
+        number = np.full(len(self._cells.alive), -1)
+        number[kept] = np.arange(len(kept))
+        cells = self._cells
+        self.places_ned_m: FloatArray = cells.place[kept]
+        """(n, 2)"""
+        self.clearance_m: FloatArray = cells.clearance[kept]
+        """(n,) of the places, cut off where it is more than matters"""
+        self.cell_m: FloatArray = np.ldexp(self.base_cell_m, -cells.level[kept])
+        """(n,) sizes of their cells"""
+        self.links: IntArray = number[self._pairs[self._clear]]
+        """(m, 2) places that see each other, each pair once"""
+        self._lattice = np.full(self._shape, -1)
+        first = kept[(cells.level[kept] == 0) & ~cells.moved[kept]]
+        self._lattice[cells.row[first], cells.column[first]] = number[first]
+
+    def moves(self, offsets: tuple[tuple[int, int], ...]) -> IntArray:
+        """(m, 2) pairs of places ``offsets`` apart on the grid with which it began, where the line between is free."""
+        node, found = self._lattice, [np.zeros((0, 2), dtype=np.intp)]
+        reach = max(max(abs(di), abs(dj)) for di, dj in offsets)
+        padded = np.pad(node, reach, constant_values=-1)
+        height, width = node.shape
+        for di, dj in offsets:
+            other = padded[reach + di : reach + di + height, reach + dj : reach + dj + width]
+            both = (node >= 0) & (other >= 0)
+            a, b = node[both], other[both]
+            need = math.hypot(self.radius_m, 0.5 * math.hypot(di, dj) * self.base_cell_m)
+            free = np.minimum(self.clearance_m[a], self.clearance_m[b]) >= need
+            found.append(np.stack([a[free], b[free]], axis=1))
+        return np.concatenate(found)
+
+    def lengths_m(self, pairs: IntArray) -> FloatArray:
+        """(m,) between the places of pairs (m, 2)."""
+        way = self.places_ned_m[pairs[:, 1]] - self.places_ned_m[pairs[:, 0]]
+        length: FloatArray = np.hypot(way[:, 0], way[:, 1])
+        return length
+
+    def regions(self) -> IntArray:
+        """(n,) number of the connected region of every place."""
+        from scipy.sparse import csr_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        count, a, b = len(self.places_ned_m), self.links[:, 0], self.links[:, 1]
+        graph = csr_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
+        labels: IntArray = connected_components(graph, directed=False)[1].astype(np.intp)
+        return labels
+
+    def place_near(self, point_ned_m: FloatArray) -> tuple[int, float] | None:
+        """The nearest place that a point (2,) sees, without one simply the nearest, and its distance [m].
+
+        A point nearer to a boundary than the radius may look along it. None if nothing is free.
+        """
+        if not len(self.places_ned_m):
+            return None
+        away = np.hypot(*(self.places_ned_m - point_ned_m).T)
+        count = min(ATTACH, len(away))
+        near = np.argpartition(away, count - 1)[:count]
+        near = near[np.lexsort((near, away[near]))]
+        here, _ = self._ground.near(point_ned_m[None], self._reach_m)
+        best = int(near[0])
+        if here[0] > 0.0:
+            keep = min(self.radius_m, float(here[0]))
+            start = np.repeat(point_ned_m[None], count, axis=0)
+            sees = self._sees(start, self.places_ned_m[near], np.repeat(here, count), self.clearance_m[near], keep)
+            if sees.any():
+                best = int(near[int(sees.argmax())])
+        return best, float(away[best])
+
+    # How it is found.
+
+    def _build(self) -> None:
+        row, column = (a.ravel() for a in np.indices(self._shape))
+        fresh = self._settle(np.zeros(len(row), dtype=np.intp), row, column, self._deepest)
+        self._cells = fresh
+        touched = np.flatnonzero(fresh.alive)
+        for _ in range(MAX_ROUNDS):
+            self._join(touched)
+            split = self._barred()
+            room = (MAX_CELLS - int(self._cells.alive.sum())) // 3
+            if not len(split) or room <= 0:
+                break
+            touched = self._halve(split[:room])
+
+    def _centers(self, level: IntArray, row: IntArray, column: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Middles (n, 2) and sizes (n,) of cells."""
+        size: FloatArray = np.ldexp(self.base_cell_m, -level)
+        return self._low + size[:, None] * (np.stack([row, column], axis=1) + 0.5), size
+
+    def _settle(self, level: IntArray, row: IntArray, column: IntArray, deepest: int) -> "_Cells":
+        """The cells that are free somewhere; those of which that is not sure are halved."""
+        found = []
+        while len(level):
+            cells, doubtful = self._look(level, row, column)
+            found.append(cells)
+            again = doubtful & (level < deepest)
+            level, row, column = _quarters(level[again], row[again], column[again])
+        return _Cells.joined(found)
+
+    def _look(self, level: IntArray, row: IntArray, column: IntArray) -> tuple["_Cells", BoolArray]:
+        """Cells with a place, and which of all others (n,) may have one all the same."""
+        center, size = self._centers(level, row, column)
+        half = math.sqrt(0.5) * size
+        reach = max(self._reach_m, self.radius_m + 2.0 * float(half.max()))
+        clearance, slope = self._ground.near(center, reach)
+        place, have = center.copy(), clearance.copy()
+        wanted = np.hypot(self.radius_m, half)
+        maybe = np.flatnonzero((clearance < wanted) & (clearance >= self.radius_m - half))
+        one_sided = np.ones(len(maybe), dtype=bool)
+        at, uphill, here = center[maybe], slope[maybe], clearance[maybe]
+        low, high = center[maybe] - 0.5 * size[maybe, None], center[maybe] + 0.5 * size[maybe, None]
+        for step in range(SETTLE_STEPS + COMFORT_STEPS if len(maybe) else 0):
+            if step == SETTLE_STEPS:
+                at = place[maybe]
+                here, uphill = self._ground.near(at, reach)
+            target = self.radius_m + BEYOND_M if step < SETTLE_STEPS else wanted[maybe]
+            at = np.clip(at + uphill * np.maximum(target - here, 0.0)[:, None], low, high)
+            here, uphill = self._ground.near(at, reach)
+            better = here > have[maybe]
+            place[maybe[better]], have[maybe[better]] = at[better], here[better]
+            one_sided &= (uphill * slope[maybe]).sum(axis=1) > ONE_BOUNDARY
+        enough = self.radius_m - SETTLED_M
+        lost = np.flatnonzero(have[maybe] < enough)
+        for corner in ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)) if len(lost) else ():
+            there = center[maybe[lost]] + size[maybe[lost], None] * np.array(corner)
+            here, uphill = self._ground.near(there, reach)
+            better = here > have[maybe[lost]]
+            place[maybe[lost[better]]], have[maybe[lost[better]]] = there[better], here[better]
+            one_sided[lost] &= (uphill * slope[maybe[lost]]).sum(axis=1) > ONE_BOUNDARY
+        free = have >= enough
+        doubtful = np.zeros(len(level), dtype=bool)
+        doubtful[maybe] = ~one_sided
+        doubtful &= ~free
+        moved = np.zeros(len(level), dtype=bool)
+        moved[maybe] = (place[maybe] != center[maybe]).any(axis=1)
+        return _Cells(
+            level=level[free],
+            row=row[free],
+            column=column[free],
+            place=place[free],
+            clearance=have[free],
+            moved=moved[free],
+            alive=np.ones(int(free.sum()), dtype=bool),
+        ), doubtful
+
+    def _join(self, touched: IntArray) -> None:
+        """Find the neighbours of cells (indices) and see which of them see each other."""
+        pairs = self._neighbours(touched)
+        cells = self._cells
+        a, b = pairs[:, 0], pairs[:, 1]
+        place, clearance = cells.place, cells.clearance
+        clear = self._sees(place[a], place[b], clearance[a], clearance[b], self.radius_m)
+        self._pairs, self._clear = np.concatenate([self._pairs, pairs]), np.concatenate([self._clear, clear])
+
+    def _neighbours(self, touched: IntArray) -> IntArray:
+        """(m, 2) cells that have a side or a corner in common, one of them at least ``touched`` and new; each once."""
+        cells, fresh = self._cells, self._fresh
+        alive = np.flatnonzero(cells.alive)
+        codes = _code(cells.level[alive], cells.row[alive], cells.column[alive])
+        order = np.argsort(codes)
+        codes, alive = codes[order], alive[order]
+        level, row, column = cells.level[touched], cells.row[touched], cells.column[touched]
+        found = []
+        for di, dj in KING:
+            r, c = row + di, column + dj
+            inside = (r >= 0) & (c >= 0)
+            for up in range(int(level.max(initial=0)) + 1):
+                ask = np.flatnonzero(inside & (level >= up))
+                code = _code(level[ask] - up, r[ask] >> up, c[ask] >> up)
+                at = np.minimum(np.searchsorted(codes, code), len(codes) - 1)
+                hit = codes[at] == code
+                found.append(np.stack([touched[ask[hit]], alive[at[hit]]], axis=1))
+        pairs = np.sort(np.concatenate(found), axis=1) if found else np.zeros((0, 2), dtype=np.intp)
+        pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (pairs >= fresh).any(axis=1)]
+        return np.unique(pairs, axis=0)
+
+    _fresh = 0
+    """Cells from this number on are new in this round."""
+
+    def _sees(self, a: FloatArray, b: FloatArray, at_a: FloatArray, at_b: FloatArray, keep_m: float) -> BoolArray:
+        """(m,) whether straight lines from ``a`` to ``b`` (m, 2), whose clearances are known, keep a distance.
+
+        No boundary is nearer to a line than sqrt(d^2 - l^2 / 4) if both of its ends, l apart, are at least d from it.
+        """
+        free = np.ones(len(a), dtype=bool)
+        edge = np.arange(len(a))
+        for _ in range(BISECTIONS):
+            step = b - a
+            least = np.minimum(at_a, at_b)
+            free[edge[least < keep_m - CHORD_LOSS_M]] = False
+            surely = np.maximum(keep_m - CHORD_LOSS_M, 0.0)
+            open_ = (least**2 - 0.25 * (step**2).sum(axis=1) < surely**2) & free[edge]
+            if not open_.any():
+                return free
+            a, b, at_a, at_b, edge = a[open_], b[open_], at_a[open_], at_b[open_], edge[open_]
+            middle = 0.5 * (a + b)
+            at_middle, _ = self._ground.near(middle, self._reach_m + float(np.abs(step[open_]).max()))
+            a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
+            at_a, at_b = np.concatenate([at_a, at_middle]), np.concatenate([at_middle, at_b])
+            edge = np.concatenate([edge, edge])
+        free[edge[np.minimum(at_a, at_b) < keep_m - CHORD_LOSS_M]] = False
+        return free
+
+    def _barred(self) -> IntArray:
+        """Cells to halve: the larger ones of neighbours that neither see each other nor have a neighbour in common
+        that sees both; coarse ones first."""
+        from scipy.sparse import csr_matrix
+
+        cells, count = self._cells, len(self._cells.alive)
+        level = cells.level
+        barred = self._pairs[~self._clear]
+        barred = barred[np.minimum(level[barred[:, 0]], level[barred[:, 1]]) < self._deepest]
+        if not len(barred):
+            return np.zeros(0, dtype=np.intp)
+        a, b = self._pairs[self._clear].T
+        sees = csr_matrix((np.ones(2 * len(a)), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count))
+        common = np.asarray(sees[barred[:, 0]].multiply(sees[barred[:, 1]]).sum(axis=1)).ravel()
+        barred = barred[common == 0]
+        low, high = level[barred[:, 0]], level[barred[:, 1]]
+        chosen = np.unique(np.concatenate([barred[low <= high, 0], barred[high <= low, 1]]))
+        return chosen[np.argsort(level[chosen], kind="stable")]
+
+    def _halve(self, split: IntArray) -> IntArray:
+        """Replace cells by their quarters; the cells whose neighbours are other ones now."""
+        cells = self._cells
+        gone = np.zeros(len(cells.alive), dtype=bool)
+        gone[split] = True
+        beside = gone[self._pairs].any(axis=1)
+        around = np.unique(self._pairs[beside])
+        self._pairs, self._clear = self._pairs[~beside], self._clear[~beside]
+        cells.alive[split] = False
+        self._fresh = len(cells.alive)
+        fresh = self._settle(*_quarters(cells.level[split], cells.row[split], cells.column[split]), self._deepest)
+        self._cells = _Cells.joined([cells, fresh])
+        around = around[self._cells.alive[around]]
+        return np.concatenate([around, np.arange(self._fresh, len(self._cells.alive))])
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class _Cells:
+    """Cells that have a place; (n,) each."""
+
+    level: IntArray
+    """How often the grid's cell was halved."""
+    row: IntArray
+    column: IntArray
+    """In a grid of that level."""
+    place: FloatArray
+    """(n, 2)"""
+    clearance: FloatArray
+    moved: BoolArray
+    """The place is not the middle."""
+    alive: BoolArray
+    """Not halved."""
+
+    @classmethod
+    def none(cls) -> "_Cells":
+        whole, no = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool)
+        return cls(
+            level=whole, row=whole, column=whole, place=np.zeros((0, 2)), clearance=np.zeros(0), moved=no, alive=no
+        )
+
+    @classmethod
+    def joined(cls, parts: "list[_Cells]") -> "_Cells":
+        if not parts:
+            return cls.none()
+        names = ("level", "row", "column", "place", "clearance", "moved", "alive")
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _quarters(level: IntArray, row: IntArray, column: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """The four parts of every cell."""
+    rows = np.concatenate([2 * row + i for i in (0, 0, 1, 1)])
+    columns = np.concatenate([2 * column + j for j in (0, 1, 0, 1)])
+    return np.tile(level + 1, 4), rows, columns
+
+
+def _code(level: IntArray, row: IntArray, column: IntArray) -> NDArray[np.int64]:
+    """One number per cell."""
+    code: NDArray[np.int64] = (level.astype(np.int64) << 56) | (row.astype(np.int64) << 28) | column.astype(np.int64)
+    return code
