@@ -7,6 +7,7 @@ turns mode, mission and estimate into a goal for the controller. It never touche
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
 
@@ -28,12 +29,13 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.failsafes import Conditions, FailsafeRules
 from autopilot.goals import Goals
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
+from autopilot.upstream import TOLD_M_S, MadeGood, SlowLeg, slowest_leg
 from autopilot.watch import Watch
 from mission.geodesy import MAX_RANGE_M, Origin, far_text, refuse_place
 from mission.items import ChangeSpeed, Jump, SetHeading, SetHome, Step
 from mission.judgement import Verdict
 from mission.room import Room
-from mission.sequencer import Action, Position, Sequencer
+from mission.sequencer import Action, Position, Sequencer, is_inside
 from mission.store import Plans, plan_checksum
 from mission.validation import PLACE_TOLERANCE_M
 
@@ -43,11 +45,25 @@ READINESS_EVERY_TICKS = 50
 SURFACED_M = 0.05
 """The vehicle counts as surfaced within this distance of where it floats."""
 
+UPSTREAM_US = 5_000_000
+"""What the current leaves of the present leg is looked at so often: a vehicle that lies still does not know it yet."""
+
 CHECKING = "plan check is running, try again"
 """What is said when parameters or origin have changed and the answer about the plans is not there yet."""
 
 REPEAT_US = 5_000_000
 """The same problem of another upload is told again after this time at the earliest."""
+
+
+class StuckAction(IntEnum):
+    """Values of WP_STUCK_ACT."""
+
+    WARN = 0
+    HOLD = 1
+    SKIP = 2
+    REFUSE = 3
+    """No start where the current says so beforehand; in flight as HOLD."""
+
 
 _ACCEPTED = Answer(result=CommandResult.ACCEPTED)
 
@@ -80,12 +96,21 @@ class Commander:
         plans: Plans,
         *,
         controller_check: Callable[[NavState], tuple[str, ...]] = lambda _: (),
+        speed_m_s: Callable[[NavState], float] | None = None,
     ) -> None:
-        """``controller_check`` says what the controller has against arming with an estimate."""
+        """``controller_check`` says what the controller has against arming with an estimate, ``speed_m_s`` what its
+        margins leave of the planar speed (None = SPD_PLANAR_MAX)."""
         self._vehicle = vehicle
         self._params = params
         self._plans = plans
         self._controller_check = controller_check
+        self._speed_m_s = speed_m_s or (lambda _: params["SPD_PLANAR_MAX"])
+        self._made_good = MadeGood()
+        self._given_up = False
+        """The present goal has been told to be out of reach."""
+        self._told_upstream: set[tuple[int, bool]] = set()
+        """What has been told of the current on legs since the mission was started."""
+        self._upstream_us = 0
         self._sequencer = Sequencer(params)
         self._failsafes = FailsafeRules(params)
         self._goals = Goals(vehicle, params, plans)
@@ -371,11 +396,64 @@ class Commander:
                 self.set_mode(FlightMode.SURFACE)
             elif out.action is Action.HOLD:
                 self._mode = FlightMode.HOLD
-                self._say(Severity.NOTICE, f"Mission complete, laps: {out.progress.lap}")
+                skipped = self._sequencer.skipped
+                more = f", items skipped: {skipped}" if skipped else ""
+                self._say(Severity.NOTICE, f"Mission complete, laps: {out.progress.lap}{more}")
                 reached = self._with_last_item(reached)
         if self._hold is None:
             self._hold = self._goal_of(self.mode, nav)
+        self._watch_way(self._hold, nav)
         return self._hold, reached
+
+    def _watch_way(self, goal: Goal, nav: NavState) -> None:
+        """A goal that the vehicle gets no nearer to is not crept at for ever: WP_STUCK_ACT says what is done."""
+        returns = self.mode is FlightMode.RETURN and not is_inside(goal, nav)
+        flies = self.mode is FlightMode.MISSION and self._sequencer.travelling
+        conditions, params = self._conditions, self._params
+        if conditions is None or not (returns or flies):
+            self._made_good.forget()
+            self._given_up = False
+            return
+        patience_s = params["WP_STUCK_TIME"]
+        step_m = patience_s * params["SPD_GROUND_MIN"]
+        idle_s = self._made_good.idle_s(self._t_us, goal, nav, conditions.way_left_m, step_m)
+        if flies and self._t_us - self._upstream_us >= UPSTREAM_US:
+            self._upstream_us = self._t_us
+            self._tell_upstream(only_this=True)
+        if idle_s < patience_s:
+            self._given_up = False
+            return
+        if self._given_up:
+            return
+        self._given_up = True
+        current = math.hypot(*nav.current_ned_m_s[:2].tolist())
+        why = "no free way" if conditions.unreachable else f"current {current:.2f} m/s"
+        action = int(params["WP_STUCK_ACT"]) if flies else 0
+        if action == StuckAction.WARN:
+            name = f"Item {goal.seq}" if flies else "Home"
+            self._say(Severity.WARNING, f"{name} out of reach: {why}")
+        elif action == StuckAction.SKIP:
+            self._say(Severity.WARNING, f"Skipped item {goal.seq}, out of reach: {why}")
+            self._sequencer.skip(nav)
+            self._made_good.forget()
+            self._given_up = False
+        else:
+            self._say(Severity.WARNING, f"Holding: item {goal.seq} out of reach, {why}")
+            self._enter(FlightMode.HOLD)
+
+    def _slowest_leg(self, first_seq: int, *, only_this: bool = False) -> SlowLeg | None:
+        """Of the mission in force from here, in the current as it is estimated now."""
+        nav = self._nav()
+        if nav is None:
+            return None
+        current = nav.current_ned_m_s[:2]
+        return slowest_leg(
+            self._steps[first_seq : first_seq + 1] if only_this else self._steps,
+            nav.pos_ned_m[:2],
+            first_seq,
+            self._speed_m_s(nav),
+            lambda places: np.tile(current, (len(places), 1)),
+        )
 
     def _with_last_item(self, reached: tuple[int, ...]) -> tuple[int, ...]:
         """A plan that ends with DO_ items is over with the last of them: MAVSDK's progress waits for its number."""
@@ -505,7 +583,26 @@ class Commander:
         nav = self._nav()
         if not reason and self._armed and nav is not None and self._goals.clearance_m(nav.pos_ned_m) < 0.0:
             reason = "outside the fence or in an obstacle: go to a free place first"
+        if not reason and self._armed and int(self._params["WP_STUCK_ACT"]) == StuckAction.REFUSE:
+            leg, least = self._slowest_leg(self._next_item()), self._params["SPD_GROUND_MIN"]
+            reason = leg.text(least) if leg is not None and leg.out_of_reach(least) else ""
         return _denied(f"Mission denied: {reason}") if reason else None
+
+    def _next_item(self) -> int:
+        """Where the mission goes on."""
+        position = self._sequencer.position
+        return 0 if position is None else position.cursor
+
+    def _tell_upstream(self, *, only_this: bool = False) -> None:
+        """What the current leaves of the speed over ground on the slowest leg that is to come (or on this one), if that
+        is little; once per item and answer."""
+        leg, least_m_s = self._slowest_leg(self._next_item(), only_this=only_this), self._params["SPD_GROUND_MIN"]
+        if leg is None or leg.left_m_s >= TOLD_M_S:
+            return
+        found = (leg.seq, leg.out_of_reach(least_m_s))
+        if found not in self._told_upstream:
+            self._told_upstream.add(found)
+            self._say(Severity.WARNING, leg.text(least_m_s))
 
     def _enter(self, mode: FlightMode) -> None:
         """Begin a mode where the vehicle is."""
@@ -514,6 +611,8 @@ class Commander:
         if mode is FlightMode.MISSION:
             self._load_mission()
             self._sequencer.start()
+            self._told_upstream, self._upstream_us = set(), self._t_us
+            self._tell_upstream()
         else:
             self._sequencer.pause()
         nav = self._nav()

@@ -72,7 +72,7 @@ def build_service(
     plans = Plans(params, vehicle.radius_m, setup.origin, setup.water, checks)
     controller = MotionController(vehicle, currents=setup.currents, desks=desks, trajectories=trajectories)
     check = MarginCheck(controller.margins, params, plans)
-    commander = Commander(vehicle, params, plans, controller_check=check)
+    commander = Commander(vehicle, params, plans, controller_check=check, speed_m_s=check.planar_speed_m_s)
     guard = Guard()
     parts = Parts(
         guard=guard,

@@ -35,6 +35,8 @@ class Conditions:
     """NMPC steps in a row without a solution."""
     unreachable: bool = False
     """The controller finds no way to its goal."""
+    way_left_m: float | None = None
+    """Length of the way to the goal as the controller flies it, None = it has none."""
     nav_doubts: frozenset[NavDoubt] = frozenset()
     """What speaks against the estimate or its sensors."""
     nav_disagrees: bool = False

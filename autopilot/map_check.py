@@ -14,6 +14,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence, Polygon, Shape
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
+from autopilot.upstream import TOLD_M_S, SlowLeg, slowest_leg
 from mission.geodesy import Origin, ned_from_geodetic
 from mission.items import GoTo, Step
 from mission.plan_files import read_plan
@@ -85,12 +86,26 @@ class MapCheck:
         if not len(places):
             return ""
         fastest = _fastest_m_s(self._water, places, fence)
-        if fastest < limit_m_s:
-            return ""
         name = self._water.name
-        return (
-            f"Current map {name}: up to {fastest:.2f} m/s, the vehicle swims {limit_m_s:g}: goals may be out of reach"
-        )
+        if fastest >= limit_m_s:
+            return (
+                f"Current map {name}: up to {fastest:.2f} m/s, the vehicle swims {limit_m_s:g}: goals may be out of "
+                "reach"
+            )
+        leg = self._slowest_leg(steps, limit_m_s)
+        return "" if leg is None or leg.left_m_s >= TOLD_M_S else f"{leg.text(0.0)} (by current map {name})"
+
+    def _slowest_leg(self, steps: Sequence[Step], limit_m_s: float) -> SlowLeg | None:
+        """By the map's mean over time, at the depth of the first waypoint."""
+        water, depths = self._water, [s.pos_ned_m[2] for s in steps if isinstance(s, GoTo) and s.pos_ned_m is not None]
+
+        def current_at(places: FloatArray) -> FloatArray:
+            pos = np.column_stack([places, np.full(len(places), depths[0])])
+            frames = [water.velocity(pos, np.full(len(pos), t)) for t in water.nodes.time_s]
+            mean: FloatArray = np.mean(frames, axis=0)[:, :2]
+            return mean
+
+        return slowest_leg(steps, None, 0, limit_m_s, current_at)
 
     def _in_gaps(self, fence: Fence, places: FloatArray) -> FloatArray:
         """(n, 2) places of the workspace in cells that are not known at all corners."""

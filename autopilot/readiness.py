@@ -14,6 +14,10 @@ class MarginCheck:
     def __init__(self, margins: Margins, params: ParamSet, plans: Plans) -> None:
         self._margins, self._params, self._plans = margins, params, plans
 
+    def planar_speed_m_s(self, nav: NavState) -> float:
+        """What the margins leave of the planar speed with this estimate."""
+        return self._margins.planar_speed_m_s(nav, self._params)
+
     def __call__(self, nav: NavState) -> tuple[str, ...]:
         """Why the vehicle must not be armed with this estimate; empty when it may."""
         verdict = self._plans.verdict

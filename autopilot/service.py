@@ -136,6 +136,7 @@ class Autopilot:
         self._tracks = Tracks()
         self._solver_failures = 0
         self._status: NmpcStatus | None = None
+        self._way_left_m: float | None = None
         self._decision: Decision | None = None
         self._command: ThrusterCommand | None = None
         self._goal: Goal | None = None
@@ -306,6 +307,7 @@ class Autopilot:
             ahrs_age_s=None if ahrs_us is None else (t_us - ahrs_us) * 1e-6,
             solver_failures=self._solver_failures,
             unreachable=parts.controller.unreachable,
+            way_left_m=self._way_left_m,
             nav_disagrees=shadow is not None and shadow.disagrees,
             nav_doubts=estimated.doubts,
             thruster_share=tuple(self._care.share.tolist()),
@@ -453,7 +455,7 @@ class Autopilot:
                 self._thrust_n[VERTICAL] = -BLIND_ASCENT_SHARE * parts.params["THR_LIMIT"]
             if self._goal is not None:
                 parts.controller.reset()
-                self._solver_failures, self._status = 0, None
+                self._solver_failures, self._status, self._way_left_m = 0, None, None
             return None
         nav = self._latency.believed(t_us, nav)
         if self._tick % CONTROL_EVERY_TICKS and self._goal is not None:
@@ -473,6 +475,7 @@ class Autopilot:
         solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
         self._solver_failures = 0 if solved or self._latency.doubtful else self._solver_failures + 1
         self._thrust_n, self._status = control.thrust_n, control.status
+        self._way_left_m = _length_m(control.route_ned_m)
         return control
 
     def _thrust_limit_n(self) -> FloatArray:
@@ -521,6 +524,11 @@ class Autopilot:
             nav_doubts=self._doubts,
             control=self._status,
         )
+
+
+def _length_m(way: FloatArray) -> float | None:
+    """Of a polyline (m, 2), None when there is none."""
+    return float(np.hypot(*np.diff(way, axis=0).T).sum()) if len(way) > 1 else None
 
 
 def _geo(point: Place) -> GeoPoint:

@@ -86,6 +86,10 @@ class _Run:
     jumps_done: dict[int, int] = field(default_factory=dict)
     reached_seq: int = -1
     lap: int = 0
+    skipped: int = 0
+    """Items given up."""
+    ending: bool = False
+    """The last item has been given up: complete with the next tick."""
 
 
 class Sequencer:
@@ -166,6 +170,43 @@ class Sequencer:
         run.reached_seq, run.lap, run.jumps_done = position.reached_seq, position.lap, dict(position.jumps_done)
         run.speed_m_s, run.default_yaw_rad = position.speed_m_s, position.default_yaw_rad
 
+    @property
+    def travelling(self) -> bool:
+        """Whether the vehicle is on its way to the goal of an item, and not there (or waiting)."""
+        run = self._run
+        if run.state is not ProgressState.ACTIVE or not run.entered or run.inside_since_us is not None:
+            return False
+        return isinstance(self._steps[run.cursor], GoTo | Surface | ReturnHome)
+
+    def skip(self, nav: NavState) -> None:
+        """Give the present item up: go on with the next as if it were over. It does not count as reached. NAV_LAND
+        comes up where the vehicle is, a mission that ends with the item is complete on the next tick."""
+        run = self._run
+        if not self.travelling:
+            return
+        step = self._steps[run.cursor]
+        run.skipped += 1
+        if isinstance(step, Surface):
+            here = self._goal_here(nav)
+            if here is None or run.rising:
+                return
+            run.rising = True
+            place = np.array([*here.pos_ned_m[:2], self._params["DEPTH_MIN"]])
+            run.goal = self._make_goal(replace(step, yaw_rad=None), place)
+        elif isinstance(step, ReturnHome):
+            run.ending = True
+        else:
+            if run.cursor == self._lap_marker:
+                run.lap += 1
+            run.ending = run.cursor + 1 >= len(self._steps)
+            if not run.ending:
+                self._advance(run.cursor + 1)
+
+    @property
+    def skipped(self) -> int:
+        """Items given up in this run."""
+        return self._run.skipped
+
     def set_home(self, pos_ned_m: FloatArray) -> None:
         """Where NAV_RETURN_TO_LAUNCH goes (3,), at the depth of the goal before it."""
         self._home_ned_m = np.array(pos_ned_m, dtype=np.float64)
@@ -218,6 +259,11 @@ class Sequencer:
 
     def _run_steps(self, t_us: int, nav: NavState) -> None:
         """Run steps until one needs time. At most one step that needs time ends per tick."""
+        if self._run.ending:
+            self._run.ending = False
+            self._run.goal = self._goal_here(nav) or self._run.goal
+            self._complete(Action.HOLD)
+            return
         ended = False
         for _ in range(MAX_INSTANT_STEPS):
             step = self._steps[self._run.cursor]

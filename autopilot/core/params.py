@@ -89,6 +89,9 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("ORIGIN_LAT", 37.9755, -89.0, 89.0, "deg", "Latitude of the local origin, used until one is set by message."),
     _real("ORIGIN_LON", 23.7790, -180.0, 180.0, "deg", "Longitude of the local origin."),
     _real("SPD_CRUISE", 0.35, 0.02, 2.0, "m/s", "Speed over ground that missions ask for (DO_CHANGE_SPEED overrides)."),
+    _real(
+        "SPD_GROUND_MIN", 0.01, 0.001, 1.0, "m/s", "A goal that is approached more slowly than this is out of reach."
+    ),
     _real("SPD_HEAVE_MAX", 0.25, 0.02, 2.0, "m/s", "Limit of heave speed relative to the water (exact penalty)."),
     _real("SPD_PLANAR_MAX", 0.5, 0.05, 3.0, "m/s", "Limit of planar speed relative to the water (exact penalty)."),
     _real("SPD_YAW_MAX", 1.0, 0.05, 3.0, "rad/s", "Limit of yaw rate (exact penalty)."),
@@ -102,6 +105,14 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("THR4_HEALTH", 1.0, 0.0, 1.0, "", "The same of thruster 4 (lateral)."),
     _real("WP_ACCEPT_RADIUS", 0.3, 0.02, 50.0, "m", "Acceptance ball where an item gives none."),
     _real("WP_ACCEPT_YAW", 0.15, 0.01, 3.15, "rad", "Acceptance band of the heading where an item gives a heading."),
+    _int(
+        "WP_STUCK_ACT",
+        2,
+        0,
+        3,
+        "Mission item out of reach: 0 = warn, 1 = hold, 2 = skip it, 3 = hold, and no start if the current says so.",
+    ),
+    _real("WP_STUCK_TIME", 60.0, 10.0, 3600.0, "s", "Time without way made good after which an item is out of reach."),
 )
 
 

@@ -35,6 +35,7 @@ class Bench:
         self.remaining = 0.9
         self.ahrs_age_s: float | None = 0.01
         self.vel_frd_m_s = np.zeros(3)
+        self.current = np.zeros(3)
         self.failures = 0
         self.unreachable = False
         self.thruster_share: tuple[float, ...] = (1.0,) * 4
@@ -54,7 +55,7 @@ class Bench:
             vel_frd_m_s=self.vel_frd_m_s,
             vel_water_frd_m_s=zero,
             rate_frd_rad_s=zero,
-            current_ned_m_s=zero,
+            current_ned_m_s=self.current,
             variance=np.zeros(12),
         )
 

@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 
 from autopilot.control.grid import TimeGrid
+from autopilot.control.reference import WATER_SPEED_SHARE
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.lipschitz import LipschitzMargins
 from autopilot.control.robust.tube import LARGEST_SHARE, TubeMargins
@@ -63,6 +64,12 @@ class Margins:
         """Routes keep the fixed margin and what the planner adds to it: a route that changed with every change of the
         estimate would be no route."""
         return params["MPC_MARGIN"]
+
+    def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
+        """Speed through the water that guidance asks for at most: its share of what the margins leave at the end of the
+        prediction."""
+        back_off = self.back_offs(nav, self._rest, self._idle, params).planar_speed_m_s
+        return WATER_SPEED_SHARE * max(0.0, params["SPD_PLANAR_MAX"] - float(back_off[-1]))
 
     def refusals(
         self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet

@@ -1,0 +1,130 @@
+"""What a current leaves of the way: speed over ground on the legs of a mission, and whether a vehicle makes any way."""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Goal, NavHealth, NavState
+from mission.items import GoTo, Step
+
+TOLD_M_S = 0.1
+"""Legs on which less than this is left over ground are told: a third of the usual cruise speed."""
+
+SAMPLES = 40
+"""Places per leg at which a map is asked."""
+
+CurrentAt = Callable[[FloatArray], FloatArray]
+"""Places (n, 2) -> current (n, 2) [m/s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlowLeg:
+    """The leg of a mission on which the least is left."""
+
+    seq: int
+    """The item that it leads to."""
+    left_m_s: float
+    """Least speed over ground on it; 0 or less = the current is faster, or sweeps the vehicle off it."""
+    time_s: float
+    """For the whole leg, inf when there is no way."""
+    current_m_s: float
+    """Fastest on it."""
+
+    def out_of_reach(self, least_m_s: float) -> bool:
+        """Whether not even so much is left."""
+        return self.left_m_s < least_m_s
+
+    def text(self, least_m_s: float) -> str:
+        """One line for the operator."""
+        if self.out_of_reach(least_m_s):
+            return f"Item {self.seq} is out of reach: current {self.current_m_s:.2f} m/s"
+        minutes = self.time_s / 60.0
+        took = f"{minutes:.0f} min" if minutes >= 1.5 else f"{self.time_s:.0f} s"
+        return f"Item {self.seq} is upstream: {self.left_m_s:.3f} m/s left, {took}"
+
+
+def ground_speed_m_s(way: FloatArray, current: FloatArray, speed_m_s: float) -> FloatArray:
+    """(n,) along a unit vector (2,) in currents (n, 2) for a vehicle that makes ``speed_m_s`` through the water; -inf
+    where it cannot stay on the way."""
+    along = current @ way
+    room = speed_m_s**2 - (np.square(current).sum(axis=1) - along**2)
+    result: FloatArray = np.where(room >= 0.0, along + np.sqrt(np.maximum(room, 0.0)), -np.inf)
+    return result
+
+
+def slowest_leg(
+    steps: Sequence[Step], here: FloatArray | None, first_seq: int, speed_m_s: float, current_at: CurrentAt
+) -> SlowLeg | None:
+    """The leg with the least speed over ground: straight lines between waypoints from ``first_seq`` on, the first from
+    ``here`` (2,). None without a leg."""
+    goals = [
+        (step.seq, step.pos_ned_m[:2])
+        for step in steps
+        if isinstance(step, GoTo) and step.pos_ned_m is not None and step.seq >= first_seq
+    ]
+    places = [(-1, here)] * (here is not None) + goals
+    legs = [
+        leg
+        for (_, a), (seq, b) in itertools.pairwise(places)
+        if a is not None and b is not None and (leg := _leg(seq, a, b, speed_m_s, current_at)) is not None
+    ]
+    return min(legs, key=lambda leg: leg.left_m_s, default=None)
+
+
+def _leg(seq: int, a: FloatArray, b: FloatArray, speed_m_s: float, current_at: CurrentAt) -> SlowLeg | None:
+    length = float(np.hypot(*(b - a)))
+    if not length > 0.0:
+        return None
+    share = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    current = current_at(a + share[:, None] * (b - a))
+    left = ground_speed_m_s((b - a) / length, current, speed_m_s)
+    least = float(left.min())
+    time_s = float((length / SAMPLES / left).sum()) if least > 0.0 else math.inf
+    return SlowLeg(
+        seq=seq, left_m_s=least, time_s=time_s, current_m_s=float(np.hypot(current[:, 0], current[:, 1]).max())
+    )
+
+
+JUMP_M = 1.0
+"""A way that becomes longer by this from one look to the next is another way, not one that was drifted back ..."""
+
+FRESH_STARTS = 5
+"""... which begins the count anew, but not for ever: whoever plans another way every minute gets nowhere."""
+
+
+class MadeGood:
+    """Whether a vehicle that travels to a goal gets any nearer, by the length of the way that is left."""
+
+    def __init__(self) -> None:
+        self._goal: tuple[float, ...] | None = None
+        self._best_m = self._left_m = math.inf
+        self._us = self._last_us = 0
+        self._anew = 0
+
+    def forget(self) -> None:
+        """There is no goal to travel to, or it has been reached."""
+        self._goal = None
+
+    def idle_s(self, t_us: int, goal: Goal, nav: NavState, way_m: float | None, step_m: float) -> float:
+        """Time since the way left was last shorter by ``step_m`` than ever before. ``way_m``: as the guidance knows it
+        (horizontal), None = straight. Time without a good position does not count."""
+        place = goal.pos_ned_m - nav.pos_ned_m
+        left_m = math.hypot(float(place[0]), float(place[1])) if way_m is None else way_m
+        left_m += abs(float(place[2]))
+        key = (goal.seq, *goal.pos_ned_m.tolist())
+        if key != self._goal:
+            self._goal, self._anew = key, 0
+            self._best_m, self._us = left_m, t_us
+        elif nav.health is not NavHealth.GOOD:
+            self._us += t_us - self._last_us
+        elif left_m < self._best_m - step_m:
+            self._best_m, self._us = left_m, t_us
+        elif left_m > self._left_m + JUMP_M and self._anew < FRESH_STARTS:
+            self._anew += 1
+            self._best_m, self._us = left_m, t_us
+        self._left_m, self._last_us = left_m, t_us
+        return (t_us - self._us) * 1e-6

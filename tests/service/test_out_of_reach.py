@@ -1,0 +1,195 @@
+"""Goals that the current keeps from the vehicle: told beforehand, and given up instead of crept at for ever."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from autopilot.config import gather, sitl_defaults
+from autopilot.core.messages import Goal, NavHealth, NavState, Outputs, ProgressState
+from autopilot.mavlink.api import FlightMode
+from autopilot.sitl_session import open_sitl
+from autopilot.upstream import FRESH_STARTS, MadeGood, ground_speed_m_s, slowest_leg
+from mission.items import GoTo
+from tests.service.commander_bench import OK, Bench
+
+SCENARIO = """
+[scenario]
+name = "stream"
+description = "a stream that the margins leave nothing against"
+plan = "plan.mission.toml"
+[sensors]
+position = "pose"
+[current]
+kind = "uniform"
+velocity_m_s = [-0.40, 0.0, 0.0]
+[vehicle]
+start_m = [0.0, 0.0, 0.5]
+held = true
+[params]
+WP_STUCK_TIME = 10
+"""
+PLAN = """
+[origin]
+lat_deg = 37.9755
+lon_deg = 23.7790
+alt_m = 0.0
+[[waypoint]]
+x_m = 5.0
+y_m = 0.0
+depth_m = 0.5
+[[waypoint]]
+x_m = -8.0
+y_m = 0.0
+depth_m = 0.5
+accept_m = 0.5
+"""
+
+
+def flown(tmp_path: Path, params: dict[str, float], duration_s: float) -> tuple[list[str], Outputs]:
+    (tmp_path / "stream.toml").write_text(SCENARIO)
+    (tmp_path / "plan.mission.toml").write_text(PLAN)
+    outputs: list[Outputs] = []
+    given = {"scenario": str(tmp_path / "stream.toml"), "state_dir": str(tmp_path / "state"), "speed": 0.0}
+    gathered = gather(sitl_defaults(0), {**given, "log": str(tmp_path / "run.mcap"), "start": True}, {})
+    gathered.put("duration", duration_s, "test")
+    gathered.put("connect", (), "test")
+    session = open_sitl(gathered, params, on_tick=outputs.append)
+    session.run(stop=lambda: bool(outputs) and outputs[-1].progress.state is ProgressState.COMPLETE)
+    return [event.text for out in outputs for event in out.events], outputs[-1]
+
+
+def test_a_goal_up_too_fast_a_stream_is_told_skipped_and_the_next_one_reached(tmp_path: Path) -> None:
+    texts, last = flown(tmp_path, {}, 50.0)
+    told = [
+        text for text in texts if text.startswith(("Item 0 is upstream: 0.0", "Item 0 is out of reach: current 0."))
+    ]
+    assert told and len(told) <= 2, texts
+    skipped = [text for text in texts if text.startswith("Skipped item 0, out of reach: current 0.")]
+    assert len(skipped) == 1 and len(skipped[0]) <= 50, texts
+    assert "Reached item 0" not in texts and "Reached item 1" in texts
+    assert "Mission complete, laps: 1, items skipped: 1" in texts
+    assert last.progress.reached_seq == 1
+
+
+def _started(**params: float) -> Bench:
+    bench = Bench(WP_STUCK_TIME=10, **params)
+    bench.load()
+    bench.armed()
+    assert bench.commander.set_mode(FlightMode.MISSION).result is OK
+    bench.run(1.0)
+    return bench
+
+
+@pytest.mark.parametrize(
+    ("action", "text"), [(0, "Item 0 out of reach"), (1, "Holding: item 0 out of"), (3, "Holding: ")]
+)
+def test_what_is_done_about_it_is_a_parameter(action: float, text: str) -> None:
+    bench = _started(WP_STUCK_ACT=action)
+    bench.run(30.0)
+    assert len([t for t in bench.texts if t.startswith(text)]) == 1
+    assert bench.commander.mode is (FlightMode.MISSION if action == 0 else FlightMode.HOLD)
+
+
+def test_items_given_up_one_after_the_other_end_the_mission() -> None:
+    bench = _started()
+    bench.run(60.0)
+    assert sum(text.startswith("Skipped item") for text in bench.texts) >= 2
+    assert any(text.startswith("Mission complete") and "items skipped" in text for text in bench.texts)
+    assert bench.commander.mode is FlightMode.HOLD
+
+
+def test_no_start_where_the_current_says_so_and_the_parameter_asks_for_it() -> None:
+    bench = Bench(WP_STUCK_ACT=3)
+    bench.load()
+    bench.armed()
+    bench.current = np.array([0.0, 0.7, 0.0])
+    bench.run()
+    answer = bench.commander.set_mode(FlightMode.MISSION)
+    assert answer.result is not OK and "out of reach: current 0.70 m/s" in answer.reason
+
+
+def _nav(x: float, t_s: float, health: NavHealth = NavHealth.GOOD) -> NavState:
+    zero = np.zeros(3)
+    return NavState(
+        t_us=round(t_s * 1e6),
+        health=health,
+        pos_ned_m=np.array([x, 0.0, 0.5]),
+        rpy_rad=zero,
+        vel_frd_m_s=zero,
+        vel_water_frd_m_s=zero,
+        rate_frd_rad_s=zero,
+        current_ned_m_s=zero,
+        variance=np.zeros(12),
+    )
+
+
+GOAL = Goal(
+    pos_ned_m=np.array([0.0, 0.0, 0.5]), yaw_rad=None, speed_m_s=0.3, accept_radius_m=0.3, accept_yaw_rad=0.1, seq=3
+)
+
+
+@given(st.floats(-0.3, 0.3), st.floats(1.0, 200.0))
+@settings(max_examples=60, deadline=None)
+def test_way_made_good_is_told_from_drifting_and_creeping(speed_m_s: float, far_m: float) -> None:
+    """At 0.02 m/s and more nothing is given up, below 0.009 m/s everything is."""
+    watch, idle_s = MadeGood(), 0.0
+    for k in range(130):
+        x = -far_m + speed_m_s * k
+        if x > -0.3:
+            return
+        idle_s = max(idle_s, watch.idle_s(k * 1_000_000, GOAL, _nav(x, k), None, 0.6))
+    assert (idle_s < 60.0) if speed_m_s > 0.02 else (idle_s >= 60.0 or speed_m_s > 0.009)
+
+
+def test_another_way_counts_anew_but_not_for_ever_and_blind_time_not_at_all() -> None:
+    watch, left_m, idle_s, starts = MadeGood(), 20.0, [], 0
+    for k in range(1200):
+        left_m = 20.0 if k % 50 == 0 else left_m - 0.001
+        left_m = left_m + 5.0 if k % 100 == 0 else left_m
+        idle_s.append(watch.idle_s(k * 1_000_000, GOAL, _nav(-9.0, k), left_m, 0.6))
+        starts += idle_s[-1] == 0.0
+    assert starts <= 2 * FRESH_STARTS + 2 and idle_s[-1] > 300.0
+    blind = MadeGood()
+    for k in range(200):
+        health = NavHealth.DEAD_RECKONING if k > 5 else NavHealth.GOOD
+        assert blind.idle_s(k * 1_000_000, GOAL, _nav(-9.0, k, health), None, 0.6) <= 5.0
+
+
+@given(st.floats(0.0, 0.6), st.floats(0.0, 2.0 * math.pi), st.floats(0.1, 0.5))
+@settings(max_examples=60, deadline=None)
+def test_speed_over_ground_closes_the_triangle(current: float, angle: float, speed: float) -> None:
+    """What is left along the way, less the current, is a motion through the water at just that speed."""
+    c = current * np.array([[math.cos(angle), math.sin(angle)]])
+    left = float(ground_speed_m_s(np.array([1.0, 0.0]), c, speed)[0])
+    if math.isfinite(left):
+        assert math.hypot(left - c[0, 0], c[0, 1]) == pytest.approx(speed, abs=1e-9)
+    else:
+        assert abs(c[0, 1]) > speed
+
+
+def test_the_slowest_leg_is_named_with_its_time() -> None:
+    places = [(0.0, 0.0), (10.8, 0.0), (10.8, 5.0)]
+    steps = [
+        GoTo(
+            seq=k,
+            pos_ned_m=np.array([*place, 0.5]),
+            yaw_rad=None,
+            hold_s=0.0,
+            accept_radius_m=None,
+            autocontinue=True,
+        )
+        for k, place in enumerate(places)
+    ]
+
+    def stream(places: np.ndarray) -> np.ndarray:
+        return np.tile([-0.355, 0.0], (len(places), 1))
+
+    leg = slowest_leg(steps, np.array([1.0, 0.0]), 0, 0.37, stream)
+    assert leg is not None
+    assert leg.text(0.01) == "Item 1 is upstream: 0.015 m/s left, 12 min"
+    assert leg.text(0.02) == "Item 1 is out of reach: current 0.35 m/s"
+    assert slowest_leg(steps[:1], None, 0, 0.37, stream) is None
