@@ -59,6 +59,9 @@ FILTERS = 2 + NU * EACH
 TOLD_OF = np.repeat(np.arange(NU), EACH)
 """(24,) thruster that a story tells of."""
 
+UNSEEN = 1e6
+"""Variance of an axis that says nothing."""
+
 STORIES = np.arange(2, FILTERS)
 """Their filters."""
 
@@ -85,7 +88,7 @@ class Beliefs:
     """e of a lossy thruster, per square root of a second."""
     gain: tuple[float, float, float, float] = (0.14, 0.14, 0.14, 0.17)
     """Errors of mass and lever arm."""
-    common: float = 0.12
+    common: float = 0.15
     """Errors of the thrust constant, of all thrusters alike."""
     gain_wander: float = 0.003
     """Per square root of a second."""
@@ -111,10 +114,8 @@ class Beliefs:
     """What nobody knows."""
     push_s: float = 1.5
     """It is another within this time."""
-    gate: float = 30.0
+    gate: float = 20.0
     """Squared distance (4 axes) from all filters beyond which a look tells of a collision, not of thrusters."""
-    collision: float = 10.0
-    """After that pushes are so many times what they were."""
     begin_s: float = 2.0
     """A new story of each thruster so often."""
     grown_s: float = 3.0
@@ -150,6 +151,21 @@ class LossBank:
 
     def reset(self) -> None:
         """All thrusters are sound, nothing is known."""
+        self.lossy = (False,) * NU
+        """What filter 0 believes."""
+        self._x, self._p = self._prior()
+        self._begin_all()
+
+    def doubt(self) -> None:
+        """What was known of the vehicle does not hold any more; what was declared stays."""
+        x, p = self._prior()
+        lossy = np.flatnonzero(self.lossy)
+        x[0, lossy], p[0, lossy, lossy] = self._x[0, lossy], self._p[0, lossy, lossy]
+        self._x, self._p = x, p
+        self._begin_all()
+
+    def _prior(self) -> tuple[FloatArray, FloatArray]:
+        """States and covariances when nothing is known."""
         b = self._beliefs
         x = np.zeros(STATES)
         x[E] = 1.0
@@ -158,12 +174,9 @@ class LossBank:
         spread[ARM], spread[LAG], spread[COMMON] = b.arm, b.lag_s, b.common
         p = np.diag(np.square(spread))
         p[MOTION, MOTION] = self._still[MOTION]
-        self._x, self._p = np.tile(x, (FILTERS, 1)), np.tile(p, (FILTERS, 1, 1))
-        self._p[FREE, range(NU), range(NU)] = b.unknown**2
-        self.lossy = (False,) * NU
-        """What filter 0 believes."""
-        self.outlier = False
-        self._begin_all()
+        xs, ps = np.tile(x, (FILTERS, 1)), np.tile(p, (FILTERS, 1, 1))
+        ps[FREE, range(NU), range(NU)] = b.unknown**2
+        return xs, ps
 
     @property
     def evidence(self) -> FloatArray:
@@ -232,36 +245,39 @@ class LossBank:
         self._p[:, :, MOTION] = 0.0
         self._p[:, MOTION, MOTION] = self._still[MOTION]
 
-    def look(self, look: Look, *, heave: bool) -> None:
-        """Learn from a look; ``heave``: whether its third axis says anything (not at the surface)."""
+    def look(self, look: Look, *, heave: bool, learn: bool) -> bool:
+        """Learn from a look, unless ``learn`` is false; False if no filter explains it: then nothing is learned.
+
+        ``heave``: whether its third axis says anything (not at the surface)."""
         b = self._beliefs
         self._predict(look)
-        x, p = self._x, self._p
         h = self._derivatives(look)
-        expected = self._expected(look)
         thrust = np.square(self._effect) @ np.square(look.thrust_n)
         noise = (np.square(b.noise) + b.noise_share**2 * thrust) * (b.independent_s / look.dt_s)
         if not heave:
-            noise[2] = 1e6
-        innovation = look.residual - expected
-        cross = h @ p
+            noise[2] = UNSEEN
+        innovation = look.residual - self._expected(look)
+        cross = h @ self._p
         s = cross @ h.transpose(0, 2, 1) + np.diag(noise)
         inverse = np.linalg.inv(s)
         distance2 = np.einsum("ni,nij,nj->n", innovation, inverse, innovation)
-        self.outlier = bool(distance2.min() > b.gate)
-        if self.outlier:
-            self._p[:, PUSH, PUSH] += np.diag(b.collision**2 * self._still[PUSH])
-            return
-        gain = cross.transpose(0, 2, 1) @ inverse
-        x = x + np.einsum("nij,nj->ni", gain, innovation)
-        x[:, E] = np.clip(x[:, E], 0.0, 1.5)
-        p = p - gain @ cross
-        self._x, self._p = x, 0.5 * (p + p.transpose(0, 2, 1))
-        told = -0.5 * (distance2 + np.log(np.linalg.det(s)))
+        explained = bool(distance2.min() < b.gate)
+        if explained and learn:
+            gain = cross.transpose(0, 2, 1) @ inverse
+            x = self._x + np.einsum("nij,nj->ni", gain, innovation)
+            x[:, E] = np.clip(x[:, E], 0.0, 1.5)
+            p = self._p - gain @ cross
+            self._x, self._p = x, 0.5 * (p + p.transpose(0, 2, 1))
+            self._weigh(-0.5 * (distance2 + np.log(np.linalg.det(s))), look.dt_s)
+        return explained
+
+    def _weigh(self, told: FloatArray, dt_s: float) -> None:
+        """Evidence of a look from the log-likelihoods (n,); stories begin in their time."""
+        b = self._beliefs
         gained = np.clip(told[STORIES] - told[0], -b.most, b.most)
         self._evidence = np.minimum(self._evidence + gained, b.most_evidence)
-        self._age_s = self._age_s + look.dt_s
-        self._since_s += look.dt_s
+        self._age_s = self._age_s + dt_s
+        self._since_s += dt_s
         if self._since_s >= b.begin_s - 1e-9:
             self._since_s = 0.0
             self._begin_worst()

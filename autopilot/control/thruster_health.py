@@ -46,8 +46,8 @@ class Tuning:
     """Between two looks."""
     current_s: float = 1.0
     """The estimated current is followed within this time."""
-    certain: float = 7.0
-    """Evidence that a thruster has changed [nats]: a thousand to one."""
+    certain: float = 8.0
+    """Evidence that a thruster has changed [nats]: 3000 to one."""
     ahead: float = 2.0
     """So much less there is for any other."""
     confirm_s: float = 0.5
@@ -58,6 +58,10 @@ class Tuning:
     """A lossy thruster that gives this share again is sound."""
     follow: float = 0.05
     """A declared value changes when the estimate is further away than this: bounds do not flutter."""
+    hit_s: float = 4.0
+    """So long after a collision nothing is concluded."""
+    stuck_s: float = 15.0
+    """When nothing has explained the motion for so long, what was known of the vehicle does not hold any more."""
     seen: float = 0.2
     """Half of a thruster is seen where the effectiveness is known that well (standard deviation)."""
 
@@ -126,6 +130,7 @@ class ThrusterHealth:
             self._past.clear()
             self._certain_s = np.zeros(NU)
         self._looks.forget()
+        self._hit_s = self._stuck_s = 0.0
         self._paused = True
 
     def step(self, t_us: int, nav: NavState, thrust_n: FloatArray) -> bool:
@@ -142,15 +147,34 @@ class ThrusterHealth:
         self._paused = False
         if look is None:
             return False
-        self._past.append((self._bank.memory, self.found, self._certain_s))
-        self._bank.look(look, heave=float(nav.pos_ned_m[2]) > self._submerged_m)
-        return self._declare(look.dt_s)
+        if self._hit_s <= 0.0:
+            self._past.append((self._bank.memory, self.found, self._certain_s))
+        submerged = float(nav.pos_ned_m[2]) > self._submerged_m
+        if self._bank.look(look, heave=submerged, learn=self._hit_s <= 0.0):
+            self._hit_s -= look.dt_s
+        else:
+            return self._hit(look.dt_s)
+        return self._hit_s <= 0.0 and self._declare(look.dt_s)
+
+    def _hit(self, dt_s: float) -> bool:
+        """Something holds or pushes the hull: neither the last looks nor the next say anything of thrusters."""
+        before = self.found
+        if self._hit_s <= 0.0:
+            self._unlearn()
+            self._stuck_s = 0.0
+        self._hit_s = self._tuning.hit_s
+        self._stuck_s += dt_s
+        if self._stuck_s > self._tuning.stuck_s:
+            self._bank.doubt()
+            self._stuck_s = 0.0
+        return bool((self.found != before).any())
 
     def _unlearn(self) -> None:
         """Back to what was known before the last looks: an estimate is bad for a moment before it is called bad."""
         if self._past:
             memory, self.found, self._certain_s = self._past[0]
             self._bank.recall(memory)
+            self._past.clear()
 
     def _declare(self, dt_s: float) -> bool:
         """Accept what is beyond doubt; True when the declared effectiveness has changed."""
