@@ -6,8 +6,8 @@ import click
 
 from autopilot.cli.output import emit_json, print_table
 
-NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "loop", "faults", "sensor-faults", "fuzz")
-APART = ("faults", "sensor-faults", "fuzz")
+NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "loop", "faults", "sensor-faults", "thruster-health", "fuzz")
+APART = ("faults", "sensor-faults", "thruster-health", "fuzz")
 """Only when they are named."""
 LONG = ("estimator", "pockets", "energy")
 """Short when all are run."""
@@ -24,6 +24,12 @@ LONG = ("estimator", "pockets", "energy")
 @click.option("--part", help="faults: only the findings of this part (loop, plans ...).")
 @click.option("--markdown", is_flag=True, help="faults: print the table as docs/reliability.md has it.")
 @click.option("--messages", type=click.IntRange(1), help="fuzz: how many (default 1000000, with --short 20000).")
+@click.option(
+    "--runs", "sound_runs", type=click.IntRange(1), help="thruster-health: sound flights (default 300, with --short 4)."
+)
+@click.option(
+    "--out", type=click.Path(file_okay=False), help="thruster-health: keep flights here, go on where it was stopped."
+)
 @click.option("--seed", type=int, help="fuzz: where the messages come from (default 1).")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def bench(
@@ -35,6 +41,8 @@ def bench(
     part: str | None,
     markdown: bool,
     messages: int | None,
+    sound_runs: int | None,
+    out: str | None,
     seed: int | None,
     as_json: bool,
 ) -> None:
@@ -58,6 +66,9 @@ def bench(
     exceptions and broken rules, growth of memory (half an hour, one minute with --short; exit code 1 if any is found).
     sensor-faults: flights with inertial sensors, lenses, mountings and markers that go wrong, alone and in gaps of 1 to
     5 s: error, honesty and contacts (half an hour; a few minutes with --short).
+    thruster-health: sound flights of R1 to R4 in both cost modes and half as many with a lossy thruster, as many of
+    random vehicles in random waters: false alarms with their bound, time to find (300 take hours, --out goes on where
+    it was stopped; exit code 1 if a sound thruster is blamed).
 
     Times depend on the machine and on what else it does: each table says how slow the machine is just now.
     """
@@ -71,6 +82,8 @@ def bench(
         raise click.UsageError("--part and --markdown belong to the benchmark faults")
     if (messages is not None or seed is not None) and name != "fuzz":
         raise click.UsageError("--messages and --seed belong to the benchmark fuzz")
+    if (sound_runs is not None or out is not None) and name != "thruster-health":
+        raise click.UsageError("--runs and --out belong to the benchmark thruster-health")
     if recompute:
         _recompute()
     if name == "fuzz":
@@ -78,6 +91,9 @@ def bench(
         return
     if name == "faults":
         _faults(part, as_json=as_json, as_markdown=markdown)
+        return
+    if name == "thruster-health":
+        _thruster_health(sound_runs or (4 if short else 300), out, as_json=as_json)
         return
     if name == "sensor-faults":
         _sensor_faults(short, as_json=as_json)
@@ -155,6 +171,22 @@ def _sensor_faults(short: bool, *, as_json: bool) -> None:
         raise SystemExit(1)
 
 
+def _thruster_health(runs: int, out: str | None, *, as_json: bool) -> None:
+    """Fly and print; exit code 1 if a sound thruster is blamed."""
+    from pathlib import Path
+
+    from autopilot.bench.thruster_health import bench_thruster_health
+
+    folder = None if out is None else Path(out)
+    rows = list(bench_thruster_health(runs, (runs + 1) // 2, folder, lambda line: click.echo(line, err=True)))
+    if as_json:
+        emit_json([asdict(row) for row in rows])
+    else:
+        _print("thruster-health", [asdict(row) for row in rows])
+    if any(row.false for row in rows):
+        raise SystemExit(1)
+
+
 def _slowness() -> float:
     from autopilot.bench.machine import slowness
 
@@ -229,6 +261,8 @@ TITLES = {
     "faults": "What comes from outside, and what the service makes of it; before = at revision 0501193",
     "sensor-faults": "Worst of the seeds from the beginning of the fault on; kept: inside 3 sigma in 95 % of the ticks,"
     " called good for at most 1 s when far off, no contact, nothing blamed on thrusters",
+    "thruster-health": "Sound and lossy thrusters; false = flights with a word about a sound one, false_below with 95 %"
+    " confidence; times from the loss on, inf = not within 35 s",
     "nmpc": "One control step, CPU time; normal_ms = the median at the reference speed, bar and goal are for that",
     "sitl": "The paper's mission with its log; speed = simulated over wall time, asked = what the project asks for",
     "estimator": "Estimate against truth in the paper's tank, rms unless said otherwise; worst = of one seed",
