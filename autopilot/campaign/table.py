@@ -77,6 +77,8 @@ class TableRow:
     least_m: float | None
     """Least distance that is left to a cylinder, a wall, the fence or the depth band, of all runs."""
     failsafes: tuple[str, ...]
+    rough: Share
+    """Runs that miss a bar of smooth commands (:data:`autopilot.log.smoothness.BARS`)."""
     lap_j: Middle
     """Of the mean lap of each run."""
     lap_s: Middle
@@ -137,6 +139,7 @@ def row_of(identity: Identity, results: Iterable[RunResult]) -> TableRow:
         beyond=sum(bool(each.beyond) for each in flown),
         least_m=min(kept, default=None),
         failsafes=tuple(sorted({name for each in flown for name in each.failsafes})),
+        rough=share(sum(bool(each.rough) for each in flown), len(flown)),
         lap_j=_laps(flown, lambda each: each.energy_j),
         lap_s=_laps(flown, lambda each: each.lap_s),
         fallbacks_pct=middle([100.0 * each.fallbacks / each.steps for each in flown if each.steps]),
@@ -192,7 +195,7 @@ HEADS = (
         "least distance kept",
         "thruster alarms",
     ),
-    *("failsafes", "lap J", "lap s", "fallbacks %", "CPU s a run"),
+    *("failsafes", "not smooth", "lap J", "lap s", "fallbacks %", "CPU s a run"),
 )
 
 
@@ -202,7 +205,7 @@ def cells(row: TableRow) -> tuple[str, ...]:
     return (
         *(row.scenario, row.mode + extra, str(row.runs), str(row.arrived), str(row.failed)),
         *(str(row.contacts), str(row.beyond), "" if row.least_m is None else f"{1000.0 * row.least_m:.0f} mm"),
-        *(str(row.alarmed), ", ".join(row.failsafes) or "none"),
+        *(str(row.alarmed), ", ".join(row.failsafes) or "none", str(row.rough)),
         *(row.lap_j.text(0), row.lap_s.text(1), row.fallbacks_pct.text(1), row.cpu_s.text(0)),
     )
 

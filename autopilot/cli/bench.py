@@ -6,8 +6,8 @@ import click
 
 from autopilot.cli.output import emit_json, print_table
 
-NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "loop", "faults", "sensor-faults", "thruster-health", "fuzz")
-APART = ("faults", "sensor-faults", "thruster-health", "fuzz")
+APART = ("modes", "faults", "sensor-faults", "thruster-health", "fuzz")
+NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "loop", *APART)
 """Only when they are named."""
 LONG = ("estimator", "pockets", "energy")
 """Short when all are run."""
@@ -58,6 +58,8 @@ def bench(
     6 starts with --short, or when no NAME is given).
     energy: energy of closed loops beside the offline optimum (known flow; estimated flow and a wrong model) and
     beside rivals; a quarter of an hour, one minute with --short, or when no NAME is given.
+    modes: both costs of the controller (MPC_COST 0 and 1) in the paper's tank and in other waters: energy, time,
+    clearance, smoothness, CPU time (five minutes, two with --short).
     loop: CPU time of the loop's ticks in real time with a camera, heartbeats and upload times, while 500 items and a
     fence of 50 octagons are uploaded in flight (half a minute).
     faults: what clients, wires, disks and sensors can do to the service: what happened once, what is promised, what
@@ -104,7 +106,14 @@ def bench(
         slow = _slowness()
         brief = short or (each in LONG and name is None)
         title = "images" if images else each
-        runs = {"nmpc": _nmpc, "sitl": _sitl, "estimator": _estimator, "pockets": _pockets, "loop": _loop}
+        runs = {
+            "nmpc": _nmpc,
+            "sitl": _sitl,
+            "estimator": _estimator,
+            "pockets": _pockets,
+            "loop": _loop,
+            "modes": _modes,
+        }
         if each == "energy":
             rows = _energy(brief, figures)
         else:
@@ -237,6 +246,12 @@ def _pockets(short: bool) -> list[dict[str, object]]:
     return [asdict(row) for row in bench_pockets(SHORT_STARTS if short else STARTS)]
 
 
+def _modes(short: bool) -> list[dict[str, object]]:
+    from autopilot.bench.modes import bench_modes
+
+    return [asdict(row) for row in bench_modes(short, lambda line: click.echo(line, err=True))]
+
+
 def _recompute() -> None:
     from autopilot.bench.energy.record import recompute, save_records
 
@@ -269,9 +284,10 @@ TITLES = {
     "images": "Poses from rendered pictures, rms of the fixes; asked: 0.45 to 1.2 m: 2 mm and 0.05 deg up to 1 1/m,"
     " 5 mm at 2; none lost up to turbidity x height 2; laser 10 mm at 0.8 m; normal_ms <= 8 up to 0.8 m; missed = not"
     " kept",
-    "energy": "Energy per lap against the optimum, or against the rival; bar = asked at most; flow known:"
-    " MPC_MARGIN 0.02, MPC_SPEED_MARGIN 0.01, MPC_W_* 0; flown_ratio: against the optimum of the vehicle flown where"
-    " the model is wrong; published_ratio: optimum without the 0.6 N of buoyancy (B1: 431.5 J)",
+    "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown), or a rival's;"
+    " flow known: MPC_MARGIN 0.02, MPC_SPEED_MARGIN 0.01, MPC_W_* 0",
+    "modes": "Both costs in the service on the simulated vehicle, the water unknown; nearest = beyond what is to be"
+    " kept; cpu_ms = of the whole process per control step",
     "pockets": "Local minima: goals reached in closed loop; nearest_m = clearance beyond the body radius",
 }
 
