@@ -7,8 +7,8 @@ import click
 from autopilot.cli.output import emit_json, print_table
 
 APART = ("modes", "faults", "sensor-faults", "thruster-health", "fuzz")
-NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "loop", *APART)
 """Only when they are named."""
+NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "loop", *APART)
 LONG = ("estimator", "pockets", "energy")
 """Short when all are run."""
 
