@@ -7,16 +7,23 @@ from dataclasses import dataclass
 from autopilot.bench.energy.cases import CASES
 from autopilot.bench.energy.flight import ENERGY_PARAMS, QUADRATIC_PARAMS, Flight, fly, los_pilot, nmpc_pilot
 from autopilot.bench.energy.los_pid import LosGains
-from autopilot.bench.energy.record import CORRIDOR, DRAGS, Record, load_records
+from autopilot.bench.energy.record import DRAGS, Record, comparator, load_records
 from autopilot.bench.energy.service_flight import fly_service
+from autopilot.control.current_learning import LearnedCurrent
 from autopilot.control.currents import NoCurrent
 from autopilot.core.vehicle import Vehicle, load_vehicle
 
-KNOWN_BAR, ESTIMATED_BAR = 1.05, 1.12
+KNOWN, ESTIMATED = (1.05, 1.02), (1.12, 1.06)
+"""Bar and goal, flow known and flow estimated."""
 CRUISES_M_S = (0.2, 0.25, 0.3, 0.35)
 """Cruise speeds that the quadratic controller is tried with; the best counts."""
 
 SERVICE_CASES = {"b1": "b1-est", "b2 0.15@60": "b2-est", "b3 up": "b3-est", "b4": "b4-est", "b5": "b5-est"}
+FELT_CASES = ("b3 up", "b4", "b5")
+"""Flown too with the flow known only where the vehicle is, exactly; and once more with what the first flight taught."""
+SECOND_FLIGHT_US = 200_000_000
+"""When it begins."""
+
 RIVAL_BARS = {
     "quadratic": 0.60,
     "current-unaware": 0.55,
@@ -27,23 +34,22 @@ RIVAL_BARS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EnergyRow:
-    """One flight."""
+    """One flight beside one other: the optimum with the same freedom, or a rival."""
 
     case: str
     pilot: str
     finished: bool
     lap_j: float
-    """Per lap."""
-    reference_j: float
-    """What it is compared with: the optimum, or the rival."""
+    """Mean of the laps."""
+    against: str
+    """What it is compared with: see :func:`autopilot.bench.energy.record.comparator`."""
+    against_j: float
+    """Of its laps."""
     ratio: float
     bar: float
-    published_ratio: float | None
-    """Against the published optimum, of a vehicle that neither floats nor sinks: the stricter figure."""
-    corridor_ratio: float | None
-    """Against the published optimum with the south corridor open, without buoyancy too."""
-    flown_ratio: float | None
-    """Where the model is wrong: against the optimum of the vehicle that is flown, not of the nominal one."""
+    goal: float | None
+    kept: bool
+    """The bar."""
     nearest_m: float | None
     top_m_s: float
 
@@ -61,32 +67,37 @@ def bench_energy(short: bool = False, progress: Callable[[str], None] = lambda _
     vehicle, records = load_vehicle("lbv150"), load_records()
     rows: list[EnergyRow] = []
     flights: list[Flight] = []
-    for flight, bar, drag in _flights(vehicle, short):
+    for flight, (bar, goal) in _flights(vehicle, short):
         flights.append(flight)
-        rows.append(_against_optimum(flight, bar, drag, records))
-        progress(f"{flight.case}, {flight.pilot}: {rows[-1].lap_j:.1f} J, {rows[-1].ratio:.3f}")
+        rows.append(against_optimum(flight, bar, goal, records))
+        progress(f"{flight.case}, {flight.pilot}: {rows[-1].lap_j:.1f} J, {rows[-1].ratio:.3f} of {rows[-1].against}")
     own = flights[0]
-    for rival in _rivals(vehicle, laps=len(own.leg_j) // 2):
+    for rival in _rivals(vehicle, laps=own.laps):
         flights.append(rival)
         rows.append(_against_rival(own, rival))
         progress(f"{rival.case}, energy / {rival.pilot}: {rows[-1].ratio:.3f}")
     return EnergyResult(rows=rows, flights=flights)
 
 
-def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[Flight, float, float | None]]:
-    """Flights, their bars, and the factor on drag where the model is wrong."""
+def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[Flight, tuple[float, float]]]:
+    """Flights with bar and goal."""
     for name in ("b1", "b5") if short else CASES:
         case = CASES[name]
         pilot = nmpc_pilot(vehicle, case, ENERGY_PARAMS)
-        yield fly(case, pilot, "energy, flow known", vehicle, laps=1 if short else 0), KNOWN_BAR, None
+        yield fly(case, pilot, "energy, flow known", vehicle, laps=1 if short else 0), KNOWN
         if case.tank:
             again = nmpc_pilot(vehicle, case, ENERGY_PARAMS)
             fenced = "energy, flow known, corridor fenced off"
-            yield fly(case, again, fenced, vehicle, laps=1 if short else 0, corridor=False), KNOWN_BAR, None
+            yield fly(case, again, fenced, vehicle, laps=1 if short else 0, corridor=False), KNOWN
+    for name in () if short else FELT_CASES:
+        case, felt = CASES[name], LearnedCurrent()
+        for number, told in enumerate(("energy, flow felt", "energy, flow felt, second flight")):
+            pilot = nmpc_pilot(vehicle, case, ENERGY_PARAMS, felt)
+            yield fly(case, pilot, told, vehicle, clock_us=number * SECOND_FLIGHT_US), ESTIMATED
     for name, scenario in {} if short else SERVICE_CASES.items():
         for currents in ("estimate", "map"):
             for drag in DRAGS:
-                yield fly_service(CASES[name], scenario, drag, currents), ESTIMATED_BAR, drag
+                yield fly_service(CASES[name], scenario, drag, currents), ESTIMATED
 
 
 def _rivals(vehicle: Vehicle, laps: int) -> list[Flight]:
@@ -116,50 +127,32 @@ def _best(flights: list[Flight]) -> Flight:
     return min(flights, key=lambda flight: flight.energy_j if flight.finished else math.inf)
 
 
-def lap_energy_j(flight: Flight) -> float:
-    """Mean over the laps that were flown, inf if none was."""
-    goals = len(CASES[flight.case].goals)
-    laps = len(flight.leg_j) // goals
-    return sum(flight.leg_j[: laps * goals]) / laps if laps else math.inf
-
-
-def _against_optimum(flight: Flight, bar: float, drag: float | None, records: dict[str, Record]) -> EnergyRow:
-    record, lap_j = records[flight.case], lap_energy_j(flight)
-    corridor = lap_j / records[CORRIDOR].published_j if flight.case == "b1" else None
-    published = lap_j / record.published_j
-    flown = None if drag is None else lap_j / record.heavier_j[f"{drag:g}"]
-    return _row(
-        flight, lap_j, record.energy_j, bar, published_ratio=published, corridor_ratio=corridor, flown_ratio=flown
-    )
+def against_optimum(flight: Flight, bar: float, goal: float, records: dict[str, Record]) -> EnergyRow:
+    """A flight beside the optimum with its freedom."""
+    other = comparator(records, flight.case, flight.laps, flight.corridor, flight.drag)
+    return _row(flight, flight.pilot, flight, other.name, other.lap_j, bar, goal)
 
 
 def _against_rival(own: Flight, rival: Flight) -> EnergyRow:
-    reference_j = lap_energy_j(rival)
-    return _row(rival, lap_energy_j(own), reference_j, RIVAL_BARS[rival.pilot])
+    return _row(rival, "energy, flow known", own, rival.pilot, rival.lap_j, RIVAL_BARS[rival.pilot], None)
 
 
 def _row(
-    flight: Flight,
-    lap_j: float,
-    reference_j: float,
-    bar: float,
-    *,
-    published_ratio: float | None = None,
-    corridor_ratio: float | None = None,
-    flown_ratio: float | None = None,
+    shown: Flight, pilot: str, flown: Flight, against: str, against_j: float, bar: float, goal: float | None
 ) -> EnergyRow:
-    rival = flight.pilot in RIVAL_BARS
+    """Energy of ``flown``; clearance and speed of ``shown``. A rival that has not arrived proves nothing."""
+    ratio = flown.lap_j / against_j if shown.finished else math.inf
     return EnergyRow(
-        case=flight.case,
-        pilot=f"energy / {flight.pilot}" if rival else flight.pilot,
-        finished=flight.finished,
-        lap_j=lap_j,
-        reference_j=reference_j,
-        ratio=lap_j / reference_j if flight.finished else math.inf,
+        case=shown.case,
+        pilot=pilot,
+        finished=shown.finished,
+        lap_j=flown.lap_j,
+        against=against,
+        against_j=against_j,
+        ratio=ratio,
         bar=bar,
-        published_ratio=published_ratio,
-        corridor_ratio=corridor_ratio,
-        flown_ratio=flown_ratio,
-        nearest_m=None if math.isinf(flight.nearest_m) else flight.nearest_m,
-        top_m_s=flight.top_m_s,
+        goal=goal,
+        kept=ratio <= bar,
+        nearest_m=None if math.isinf(shown.nearest_m) else shown.nearest_m,
+        top_m_s=shown.top_m_s,
     )

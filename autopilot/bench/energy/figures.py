@@ -8,7 +8,7 @@ import numpy as np
 
 from autopilot.bench.energy.cases import CASES, CYLINDERS, REGION_M, TANK_X_M, TANK_Y_M, Case
 from autopilot.bench.energy.flight import Flight
-from autopilot.bench.energy.record import Record, load_records
+from autopilot.bench.energy.record import CORRIDOR_LAPS, Record, comparator, load_records
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#999999")
 """Okabe and Ito, safe for the colour-blind."""
@@ -28,7 +28,12 @@ def draw(flights: Sequence[Flight], folder: str) -> list[str]:
     written = []
     for name in dict.fromkeys(flight.case for flight in flights):
         figure, axes = plt.subplots(figsize=(8.0, 6.0), constrained_layout=True)
-        _map(axes, CASES[name], records[name], [flight for flight in flights if flight.case == name])
+        _map(
+            axes,
+            CASES[name],
+            records[CORRIDOR_LAPS if name == "b1" else name],
+            [flight for flight in flights if flight.case == name],
+        )
         path = target / f"energy_{name.replace(' ', '_').replace('@', '_')}.png"
         figure.savefig(path, dpi=DPI)
         plt.close(figure)
@@ -61,7 +66,11 @@ def _map(axes: Any, case: Case, record: Record, flights: Sequence[Flight]) -> No
         style = "-." if again else "-"
         axes.plot(flight.track[:, 1], flight.track[:, 0], style, color=COLOURS[place], lw=1.2, label=flight.pilot)
     axes.plot(
-        record.track_ned_m[:, 1], record.track_ned_m[:, 0], "k--", lw=1.8, label=f"optimum {record.energy_j:.0f} J"
+        record.track_ned_m[:, 1],
+        record.track_ned_m[:, 0],
+        "k--",
+        lw=1.8,
+        label=f"optimum {record.energy_j / len(record.lap_j):.0f} J",
     )
     for goal in case.goals:
         angle = np.linspace(0.0, 2.0 * np.pi, 60)
@@ -74,10 +83,9 @@ def _map(axes: Any, case: Case, record: Record, flights: Sequence[Flight]) -> No
 
 
 def _bars(axes: Any, flights: Sequence[Flight], records: dict[str, Record]) -> None:
-    """Energy per lap over the optimum's."""
-    from autopilot.bench.energy.bench import lap_energy_j
-
-    ratios = [lap_energy_j(flight) / records[flight.case].energy_j for flight in flights]
+    """Energy per lap over that of the optimum with the same freedom."""
+    others = [comparator(records, each.case, each.laps, each.corridor, each.drag) for each in flights]
+    ratios = [flight.lap_j / other.lap_j for flight, other in zip(flights, others, strict=True)]
     finite = [ratio if np.isfinite(ratio) else 0.0 for ratio in ratios]
     labels = [f"{flight.case}: {flight.pilot}" for flight in flights]
     places = np.arange(len(flights))

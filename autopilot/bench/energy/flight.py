@@ -83,6 +83,17 @@ class Flight:
     """Largest planar speed through the water."""
     track: FloatArray
     """(m, 2) N, E every step."""
+    laps: int = 1
+    """Asked for."""
+    corridor: bool = True
+    """The way between cylinder and south wall was open."""
+    drag: float | None = None
+    """Factor on quadratic drag where the vehicle is not as believed; None: it is the nominal one."""
+
+    @property
+    def lap_j(self) -> float:
+        """Mean over the laps, inf if they were not all flown."""
+        return sum(self.leg_j) / self.laps if self.finished else math.inf
 
 
 def plant_field(case: Case) -> CurrentField:
@@ -144,10 +155,12 @@ def fly(
     cruise_m_s: float = 0.35,
     laps: int = 0,
     corridor: bool = True,
+    clock_us: int = 0,
 ) -> Flight:
     """Fly all laps of a case (or ``laps``); a leg ends when its region is entered.
 
-    ``corridor``: the way between cylinder and south wall is open, as in the tank; else a fence closes it.
+    ``corridor``: the way between cylinder and south wall is open, as in the tank; else a fence closes it. ``clock_us``:
+    the pilot's clock at the start, for one who has flown before.
     """
     plant = plant_of(case, vehicle)
     power = PowerModel.of(vehicle)
@@ -160,7 +173,8 @@ def fly(
     track: list[FloatArray] = []
     truth = plant.truth
     while index < len(goals) and t_us - begin_us < LIMIT_S * 1e6:
-        thrust = pilot(t_us, nav_state(truth), goals[index], fence)
+        nav = nav_state(truth)
+        thrust = pilot(clock_us + t_us, replace(nav, t_us=clock_us + nav.t_us), goals[index], fence)
         push = thrust @ columns
         plant.set_external_wrench(force_frd_n=_three(push[:3]), moment_frd_n_m=_three(push[3:]))
         t_us += STEP_US
@@ -185,6 +199,8 @@ def fly(
         nearest_m=near,
         top_m_s=top,
         track=way,
+        laps=laps or case.laps,
+        corridor=corridor,
     )
 
 

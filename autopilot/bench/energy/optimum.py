@@ -8,6 +8,7 @@ for each side of every obstacle and each way of turning, or a few bent ways in o
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,7 +58,8 @@ class Guess:
 class Optimum:
     """One solved flight."""
 
-    label: str
+    guess: Guess
+    """Where it began."""
     solved: bool
     energy_j: float
     leg_j: tuple[float, ...]
@@ -68,6 +70,11 @@ class Optimum:
     """(m + 1, 8)"""
     thrust_n: FloatArray
     """(m, 4)"""
+
+    @property
+    def label(self) -> str:
+        """The way it goes."""
+        return self.guess.label
 
 
 def grid_of(case: Case) -> tuple[int, int]:
@@ -171,7 +178,7 @@ class LeastEnergy:
         spent = dt * (self._power.hotel_w + np.asarray(self._power.thrust_w(u)).sum(axis=1))
         leg_j = spent.reshape(legs, n).sum(axis=1)
         return Optimum(
-            label=guess.label,
+            guess=guess,
             solved=bool(self._solver.stats()["success"]),
             energy_j=float(leg_j.sum()),
             leg_j=tuple(leg_j.tolist()),
@@ -283,25 +290,65 @@ SIDES = {"N": 1.0, "S": -1.0}
 """Sides of a cylinder: N is the +y side, S the -y side."""
 
 
-def tank_guesses(corridor: bool) -> list[Guess]:
-    """Every side of both cylinders and every way of turning; with or without the 0.115 m between cylinder and wall.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TankLeg:
+    """One way between the two goals of the tank: sides on which the cylinders are passed, seen from A, and the turn."""
 
-    Labels: sides of both cylinders and sense of the turn (+ clockwise) on the way out, then on the way back.
-    """
-    ways = []
-    for first in ("N", "S") if corridor else ("N",):
-        for second in ("N", "S"):
-            y1 = -0.625 + 0.56 if first == "N" else -0.625 - 0.515
-            y2 = 0.0 + SIDES[second] * 0.56
-            ways.append((first + second, ((-0.625, y1), (0.9375, y2))))
-    guesses = []
-    for out, back in itertools.product(ways, ways):
-        for turn_out, turn_back in itertools.product((1, -1), (0, 1)):
-            middle = turn_out * math.pi
-            last = middle + (math.pi if turn_back else -math.pi)
-            label = f"{out[0]}{'+' if turn_out > 0 else '-'} {back[0]}{'+' if turn_back else '-'}"
-            guesses.append(Guess(label=label, ways_ned_m=(out[1], back[1][::-1]), yaw_rad=(middle, last)))
-    return guesses
+    sides: str
+    clockwise: bool
+
+    @property
+    def label(self) -> str:
+        """``NS+``: north of the first, south of the second, turned clockwise."""
+        return f"{self.sides}{'+' if self.clockwise else '-'}"
+
+
+def tank_legs(corridor: bool) -> list[TankLeg]:
+    """Every side of both cylinders and every turn; with or without the 0.115 m between cylinder and wall."""
+    sides = [first + second for first in ("NS" if corridor else "N") for second in "NS"]
+    return [TankLeg(sides=each, clockwise=turn) for each in sides for turn in (True, False)]
+
+
+def tank_guess(legs: Sequence[TankLeg]) -> Guess:
+    """Legs out and back in turn, as many as there are; the turns add up."""
+    ways, turned, heading = [], [], 0.0
+    for number, leg in enumerate(legs):
+        y1 = -0.625 + (0.56 if leg.sides[0] == "N" else -0.515)
+        way = ((-0.625, y1), (0.9375, SIDES[leg.sides[1]] * 0.56))
+        ways.append(way if number % 2 == 0 else way[::-1])
+        heading += math.pi if leg.clockwise else -math.pi
+        turned.append(heading)
+    return Guess(label=" ".join(leg.label for leg in legs), ways_ned_m=tuple(ways), yaw_rad=tuple(turned))
+
+
+def tank_guesses(corridor: bool) -> list[Guess]:
+    """Every lap."""
+    return [tank_guess(lap) for lap in itertools.product(tank_legs(corridor), repeat=2)]
+
+
+def solve_laps(program: LeastEnergy, x0: FloatArray, laps: Sequence[str], count: int) -> list[Optimum]:
+    """Flights of ``count`` laps, from the best on.
+
+    They begin with the best of ``laps`` (labels of single laps) flown ``count`` times; then one leg after the other is
+    flown in every other way that those laps have, as long as that is cheaper."""
+    known = {leg.label: leg for leg in tank_legs(True)}
+    ways = [tuple(known[label] for label in lap.split()) for lap in laps]
+    found: dict[tuple[TankLeg, ...], Optimum] = {}
+
+    def solve(legs: tuple[TankLeg, ...]) -> float:
+        if legs not in found:
+            found[legs] = program.solve(tank_guess(legs), x0)
+        return found[legs].energy_j if found[legs].solved else math.inf
+
+    best = min((way * count for way in ways), key=solve)
+    improved = True
+    while improved:
+        before = solve(best)
+        for place in range(len(best)):
+            others = dict.fromkeys(way[place % len(way)] for way in ways)
+            best = min(((*best[:place], leg, *best[place + 1 :]) for leg in others), key=solve)
+        improved = solve(best) < before
+    return sorted((each for each in found.values() if each.solved), key=lambda each: each.energy_j)
 
 
 def open_guesses(case: Case) -> list[Guess]:

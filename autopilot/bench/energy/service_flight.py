@@ -105,4 +105,6 @@ def fly_service(case: Case, scenario: str, drag: float, currents: str = "estimat
         nearest_m=float(clearance_m(TANK, way).min()) - session.vehicle.radius_m if case.tank else math.inf,
         top_m_s=score.top_m_s,
         track=way,
+        laps=case.laps,
+        drag=drag,
     )
