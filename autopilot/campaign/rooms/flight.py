@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 from autopilot.campaign.rooms.prospect import Prospect, prospect
-from autopilot.campaign.rooms.results import Outcome, RoomResult
+from autopilot.campaign.rooms.results import RoomResult
 from autopilot.campaign.rooms.room import SCENARIO_FILE, Room, files_of, make_room
 from autopilot.campaign.rooms.verdict import judge_flight, judge_refusal
 from autopilot.campaign.watch import Watch
@@ -17,6 +17,7 @@ from autopilot.config import Settings, gather, sitl_defaults
 from autopilot.core.errors import PlanError
 from autopilot.core.messages import Fallback, Outputs, Severity
 from autopilot.sitl_session import open_sitl
+from sitl.plant import Truth
 
 ARMING_S = 12.0
 """A service that has not armed by then does not want to."""
@@ -26,8 +27,8 @@ MOST_EVENTS = 40
 class RoomWatch(Watch):
     """What a flight in a room is judged by, beside what every run of a campaign is judged by."""
 
-    def __init__(self, truth: Callable[[], object]) -> None:
-        super().__init__(truth)  # type: ignore[arg-type]
+    def __init__(self, truth: Callable[[], Truth]) -> None:
+        super().__init__(truth)
         self.told: list[tuple[float, int, str]] = []
         """Time, severity and text of everything that the operator is told."""
         self.reached_seq = -1
@@ -139,6 +140,3 @@ def _settings(folder: Path, seed: int, log: str | None) -> Settings:
     settings.put("connect", (), "campaign")
     settings.put("state_dir", str(folder), "campaign")
     return settings
-
-
-__all__ = ["Flown", "Outcome", "RoomTask", "RoomWatch", "fly_room"]

@@ -1,6 +1,7 @@
 """A flight in a room as a picture: what stands there, the water, the goals, the way, and speed over time."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from autopilot.campaign.rooms.flight import Flown
 from autopilot.campaign.rooms.room import Room, current_table
 from autopilot.campaign.rooms.shapes import Disc
 from autopilot.campaign.rooms.waters import flow_of
+from autopilot.core.frames import FloatArray
 
 ARROWS = 16
 
@@ -51,35 +53,33 @@ def draw(room: Room, flown: Flown, path: Path) -> None:
     figure.savefig(path, dpi=80)
 
 
-def _frame(plan: object, points: object) -> None:
+def _frame(plan: Any, points: FloatArray) -> None:
     """What is near the flight; a harbour is larger than anybody wants to see."""
-    places = np.asarray(points)
-    low, high = places.min(axis=0) - 3.0, places.max(axis=0) + 3.0
-    plan.set_xlim(low[1], high[1])  # type: ignore[attr-defined]
-    plan.set_ylim(low[0], high[0])  # type: ignore[attr-defined]
-
-
-def _water(plan: object, room: Room, places: object) -> None:
-    points = np.asarray(places)
     low, high = points.min(axis=0) - 3.0, points.max(axis=0) + 3.0
+    plan.set_xlim(low[1], high[1])
+    plan.set_ylim(low[0], high[0])
+
+
+def _water(plan: Any, room: Room, places: FloatArray) -> None:
+    low, high = places.min(axis=0) - 3.0, places.max(axis=0) + 3.0
     north, east = np.meshgrid(np.linspace(low[0], high[0], ARROWS), np.linspace(low[1], high[1], ARROWS), indexing="ij")
     where = np.stack((north.ravel(), east.ravel()), axis=1)
     flow = flow_of(current_table(room.scenario["current"]))(where)[0]
-    plan.quiver(where[:, 1], where[:, 0], flow[:, 1], flow[:, 0], color="tab:blue", alpha=0.35)  # type: ignore[attr-defined]
+    plan.quiver(where[:, 1], where[:, 0], flow[:, 1], flow[:, 0], color="tab:blue", alpha=0.35)
 
 
-def _times(figure: object, room: Room, flown: Flown) -> None:
+def _times(figure: Any, room: Room, flown: Flown) -> None:
     assert flown.watch is not None
     rows, params = flown.watch.rows, room.scenario["params"]
-    speed = figure.add_subplot(3, 3, 3)  # type: ignore[attr-defined]
+    speed = figure.add_subplot(3, 3, 3)
     speed.plot(rows[::5, 0], np.hypot(rows[::5, 10], rows[::5, 11]), label="through water")
     speed.plot(rows[::5, 0], np.hypot(rows[::5, 16], rows[::5, 17]), label="water")
     speed.axhline(params["SPD_PLANAR_MAX"], color="black", linestyle=":")
     speed.legend(fontsize=7)
-    depth = figure.add_subplot(3, 3, 6)  # type: ignore[attr-defined]
+    depth = figure.add_subplot(3, 3, 6)
     depth.plot(rows[::5, 0], -rows[::5, 3])
     depth.set_ylabel("height / m")
-    thrust = figure.add_subplot(3, 3, 9)  # type: ignore[attr-defined]
+    thrust = figure.add_subplot(3, 3, 9)
     commands = flown.watch.commands(params["THR_LIMIT"])
     thrust.plot(commands.t_s, commands.thrust_n, linewidth=0.6)
     thrust.set_ylabel("thrust / N")

@@ -138,14 +138,13 @@ def _gap_m(a: Solid, b: Solid) -> float:
 
 def judge_flight(room: Room, chances: Prospect, mode: int, watch: RoomWatch, end: Truth) -> RoomResult:
     """A room in which the vehicle moved."""
-    visited, when_s = _visits(room, watch)
+    visited = _visits(room, watch)
     goals = len(room.waypoints)
     done = visited == goals and watch.completed
     swept = _swept(chances, watch)
     outcome, what = _outcome(room, chances, mode, watch, visited, done=done, swept=swept)
     track = watch.rows
     steps = np.diff(track[:, 1:3], axis=0)
-    del when_s
     return RoomResult(
         room=0,
         mode=mode,
@@ -170,10 +169,10 @@ def judge_flight(room: Room, chances: Prospect, mode: int, watch: RoomWatch, end
     )
 
 
-def _visits(room: Room, watch: RoomWatch) -> tuple[int, list[float]]:
-    """How many waypoints the plant came to in their order, and when."""
+def _visits(room: Room, watch: RoomWatch) -> int:
+    """How many waypoints the plant came to in their order."""
     rows, params = watch.rows, room.scenario["params"]
-    at, times = 0, []
+    at, visited = 0, 0
     for waypoint in room.waypoints:
         place = np.array((waypoint["x_m"], waypoint["y_m"], waypoint["depth_m"]))
         accept = waypoint.get("accept_m", params["WP_ACCEPT_RADIUS"]) + SEEN_M
@@ -184,8 +183,8 @@ def _visits(room: Room, watch: RoomWatch) -> tuple[int, list[float]]:
         if not near.any():
             break
         at += int(np.argmax(near))
-        times.append(float(rows[at, 0]))
-    return len(times), times
+        visited += 1
+    return visited
 
 
 ACCEPT_YAW_RAD = 0.15
