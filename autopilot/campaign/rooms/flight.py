@@ -1,5 +1,6 @@
 """Fly a room: the whole service on the simulated vehicle, its plan through the service's own checks."""
 
+import math
 import tempfile
 import time
 from collections.abc import Callable
@@ -11,7 +12,7 @@ import msgspec
 from autopilot.campaign.rooms.prospect import Prospect, prospect
 from autopilot.campaign.rooms.results import RoomResult
 from autopilot.campaign.rooms.room import SCENARIO_FILE, Room, files_of, make_room
-from autopilot.campaign.rooms.verdict import judge_flight, judge_refusal
+from autopilot.campaign.rooms.verdict import is_hopeless, judge_flight, judge_refusal
 from autopilot.campaign.watch import Watch
 from autopilot.config import Settings, gather, sitl_defaults
 from autopilot.core.errors import PlanError
@@ -22,6 +23,8 @@ from sitl.plant import Truth
 ARMING_S = 12.0
 """A service that has not armed by then does not want to."""
 MOST_EVENTS = 40
+HOPELESS_S = 30.0
+"""A flight is over when the operator was told so long ago that it does not go on, if that may be so."""
 
 
 class RoomWatch(Watch):
@@ -32,6 +35,8 @@ class RoomWatch(Watch):
         self.told: list[tuple[float, int, str]] = []
         """Time, severity and text of everything that the operator is told."""
         self.reached_seq = -1
+        self.hopeless_s = math.inf
+        """When the operator was told that it does not go on, inf if it does."""
         self.first_fallback_s: float | None = None
         self.first_failsafe_s: float | None = None
 
@@ -42,13 +47,20 @@ class RoomWatch(Watch):
         for event in outputs.events:
             if event.severity <= Severity.NOTICE and len(self.told) < MOST_EVENTS:
                 self.told.append((t_s, event.severity, event.text))
-        if outputs.progress is not None:
-            self.reached_seq = max(self.reached_seq, outputs.progress.reached_seq)
+            if self._armed_s is not None and is_hopeless(event.text):
+                self.hopeless_s = t_s
+        if outputs.progress is not None and outputs.progress.reached_seq > self.reached_seq:
+            self.reached_seq, self.hopeless_s = outputs.progress.reached_seq, math.inf
         if outputs.mode.failsafes and self.first_failsafe_s is None:
             self.first_failsafe_s = t_s
         control = outputs.control
         if control is not None and outputs.mode.armed and self.first_fallback_s is None:
             self.first_fallback_s = t_s if control.status.fallback is not Fallback.NONE else None
+
+    @property
+    def given_up(self) -> bool:
+        """The operator was told that it does not go on, and it did not."""
+        return self._now_s > self.hopeless_s + HOPELESS_S
 
     @property
     def never_armed(self) -> bool:
@@ -112,6 +124,8 @@ def fly_room(
         def enough() -> bool:
             nonlocal stopped
             stopped = stop()
+            if watch.given_up and not chances.sure_after(watch.reached_seq):
+                return True
             return stopped or watch.over or watch.never_armed
 
         session.run(enough)

@@ -1,7 +1,7 @@
 """A flight in a room as a picture: what stands there, the water, the goals, the way, and speed over time."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,7 +20,8 @@ def draw(room: Room, flown: Flown, path: Path) -> None:
     from matplotlib.patches import Circle, Polygon
 
     figure = Figure(figsize=(11.0, 7.0), layout="constrained")
-    plan = figure.add_subplot(1, 3, (1, 2))
+    left, right = cast(Any, figure.subfigures(1, 2, width_ratios=(2.2, 1.0)))
+    plan = left.add_subplot()
     if room.layout.outline_m is not None:
         corners = [(east, north) for north, east in room.layout.outline_m]
         plan.add_patch(Polygon(corners, fill=False, edgecolor="black", linewidth=1.2))
@@ -41,8 +42,8 @@ def draw(room: Room, flown: Flown, path: Path) -> None:
     if flown.watch is not None:
         rows = flown.watch.rows
         shown = plan.scatter(rows[::20, 2], rows[::20, 1], c=rows[::20, 0], s=4.0, cmap="viridis")
-        figure.colorbar(shown, ax=plan, label="s")
-        _times(figure, room, flown)
+        left.colorbar(shown, ax=plan, label="s")
+        _times(right, room, flown)
     plan.set_aspect("equal")
     plan.autoscale_view()
     if flown.watch is not None and len(flown.watch.rows):
@@ -71,15 +72,15 @@ def _water(plan: Any, room: Room, places: FloatArray) -> None:
 def _times(figure: Any, room: Room, flown: Flown) -> None:
     assert flown.watch is not None
     rows, params = flown.watch.rows, room.scenario["params"]
-    speed = figure.add_subplot(3, 3, 3)
+    speed = figure.add_subplot(3, 1, 1)
     speed.plot(rows[::5, 0], np.hypot(rows[::5, 10], rows[::5, 11]), label="through water")
     speed.plot(rows[::5, 0], np.hypot(rows[::5, 16], rows[::5, 17]), label="water")
     speed.axhline(params["SPD_PLANAR_MAX"], color="black", linestyle=":")
     speed.legend(fontsize=7)
-    depth = figure.add_subplot(3, 3, 6)
+    depth = figure.add_subplot(3, 1, 2)
     depth.plot(rows[::5, 0], -rows[::5, 3])
     depth.set_ylabel("height / m")
-    thrust = figure.add_subplot(3, 3, 9)
+    thrust = figure.add_subplot(3, 1, 3)
     commands = flown.watch.commands(params["THR_LIMIT"])
     thrust.plot(commands.t_s, commands.thrust_n, linewidth=0.6)
     thrust.set_ylabel("thrust / N")

@@ -66,6 +66,10 @@ class Prospect:
         factor = BOUND_ENERGY if mode else 1.0
         return START_S + factor * sum(leg.bound_s for leg in self.legs)
 
+    def sure_after(self, seq: int) -> bool:
+        """Whether the goal after item ``seq`` has to be reached; False at the end."""
+        return next((leg.sure for leg in self.legs if leg.seq > seq), False)
+
 
 def item_seqs(room: Room) -> list[int]:
     """Mission item of every waypoint: changes of speed are items of their own."""

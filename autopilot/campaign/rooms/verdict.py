@@ -36,6 +36,11 @@ _WATER = re.compile(r"current|upstream|stream|water", re.IGNORECASE)
 _GROUND = re.compile(r"no free (way|path)|no way", re.IGNORECASE)
 
 
+def is_hopeless(text: str) -> bool:
+    """Whether the operator is told that the water or the ground lets the vehicle not go on."""
+    return bool(_WATER.search(text) or _GROUND.search(text))
+
+
 def judge_refusal(room: Room, chances: Prospect, reason: str) -> RoomResult:
     """A room that was refused before the vehicle moved: is the reason that it was given so?"""
     right, why = _refusal(room, chances, reason)
@@ -203,8 +208,11 @@ def _outcome(
     if done:
         return Outcome.REACHED, ""
     stuck = chances.legs[min(visited, len(chances.legs) - 1)]
-    said = [text for _, _, text in watch.told if _WATER.search(text) or _GROUND.search(text)]
+    ground = [text for _, _, text in watch.told if _GROUND.search(text)]
+    said = [text for _, _, text in watch.told if is_hopeless(text)]
     about = f"item {stuck.seq} ({visited} of {len(room.waypoints)} visited, {_away(room, watch, visited)})"
+    if ground and visited and not stuck.ground:
+        return Outcome.NOT_REACHED, f"accepted though there is no way, and told on it: {about}"
     if not stuck.sure or swept:
         if said:
             return Outcome.TOLD, f"{said[-1]} at {about}"
