@@ -326,16 +326,16 @@ def test_a_picture_that_detection_fails_at_is_no_sighting(error: Exception) -> N
 def test_what_the_optimiser_fails_to_solve_is_told_saved_and_solved_again(
     flight: Callable[..., Flight], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A solver that returns nonsense for half a second: two words to the operator, and the programs in the log."""
+    """A solver that returns nonsense for 0.2 s: two words to the operator, and the programs in the log."""
     path = tmp_path / "run.mcap"
     made = flight(log=path)
     made.fly(1.0)
     with monkeypatch.context() as patch:
         for kind in (QpStep, NativeStep):
             patch.setattr(kind, "evaluate", lambda step: step.figures.fill(1.0))
-        during = made.fly(0.5)
+        during = made.fly(0.2)
     after = made.fly(1.5)
-    assert {tick.control.status.fallback for tick in during[10:] if tick.control} == {Fallback.SHIFTED_PLAN}
+    assert {tick.control.status.fallback for tick in during[5:] if tick.control} == {Fallback.SHIFTED_PLAN}
     assert {tick.control.status.fallback for tick in after[10:] if tick.control} == {Fallback.NONE}
     texts = [text for text in made.client.texts() if text.startswith("Controller")]
     assert texts == ["Controller: no solution, last plan goes on", "Controller has solutions again"]
@@ -344,7 +344,7 @@ def test_what_the_optimiser_fails_to_solve_is_told_saved_and_solved_again(
     result = CliRunner().invoke(log, ["programs", str(path), "--json"])
     assert result.exit_code == 1, "there is something"
     listed = json.loads(result.stdout)["programs"]
-    assert len(listed) == min(len(asked), MAX_PROGRAMS) > 10
+    assert len(listed) == min(len(asked), MAX_PROGRAMS) > 5
     assert [entry["t_s"] for entry in listed] == pytest.approx([one.t_us * 1e-6 for one in asked[: len(listed)]])
     for entry in listed:
         assert entry["status"] == "RESIDUAL"
