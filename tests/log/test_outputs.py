@@ -57,6 +57,17 @@ def bare(path: Path) -> Path:
     return path
 
 
+def test_a_log_without_failed_programs_says_so_and_a_damaged_one_is_named(run_log: Path, tmp_path: Path) -> None:
+    code, out = call("programs", run_log)
+    assert code == 0
+    assert "every program was solved" in out
+    path = tmp_path / "damaged.mcap"
+    LogWriter(path, epoch_ns=EPOCH_NS, metadata={}, attachments={"program-01.npz": b"PK nonsense"}).close()
+    code, out = call("programs", path)
+    assert code == 1
+    assert "program-01.npz" in out and "damaged" in out
+
+
 @pytest.fixture(scope="module")
 def figures(run_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """What ``autopilot log plot`` draws."""
