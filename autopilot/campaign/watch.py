@@ -168,7 +168,7 @@ class Watch:
         status = outputs.control.status
         t_s, goal = outputs.t_us * 1e-6, outputs.goal
         place = None if goal is None else (*goal.pos_ned_m.tolist(), float(goal.seq))
-        if outputs.control.restarted or place != self._goal:
+        if place != self._goal:
             self._starts_s.append(t_s)
         self._goal = place
         self._commands.append((t_s, status.fallback, outputs.command.thrust_n[:NU].copy()))

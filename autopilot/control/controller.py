@@ -46,6 +46,10 @@ from autopilot.core.vehicle import Vehicle
 LONGEST_SHIFT_S = 1.0
 """A plan older than this is not continued."""
 
+SLEW_SHARE_1_S = 4.5
+"""Commands change by at most so many times the drive's limit per second (2.7 N from step to step; 0.44 s from full
+ahead to full astern, as long as the thrusters' own lag takes): a reference that jumps does not tear at the drive."""
+
 BLIND_WAY_M = 0.15
 """Way over ground that guidance asks for within the delay of late commands."""
 
@@ -125,6 +129,7 @@ class MotionController:
         self._plan_age_s: float | None = None
         self._planned: FloatArray | None = None
         self._command = np.zeros(NU)
+        self._stepped: FloatArray | None = None
         self._limit_n = np.zeros(NU)
         self._penalty.reset()
         self._fallbacks.reset()
@@ -196,7 +201,7 @@ class MotionController:
         found = self._program.solve(start, now, reference, self._movers)
         result = found.result
         thrust, fallback = self._choose(result, now, now.x0 if delay_s else x, limit_n, elapsed_s)
-        self._command = thrust
+        self._command = self._stepped = thrust
         self._fallbacks.watch(fallback)
         self._penalty.watch(result.penalty_use if result.status is SolveStatus.OK else 0.0)
         return ControlOutput(
@@ -311,26 +316,35 @@ class MotionController:
             self._plan_age_s = 0.0
             self._plan_current = current
             self._station.release()
+            self.nmpc.u[0] = self._slewed(result.thrust_n[0], limit_n, elapsed_s)
             if Tighten(int(now.params["MPC_TIGHTEN"])) is Tighten.TUBE:
                 self._inner.start(now.t_us, self.nmpc.x, self.nmpc.u, current)
             else:
                 self._inner.stop()
-            return result.thrust_n[0].copy(), Fallback.NONE
+            return self.nmpc.u[0].copy(), Fallback.NONE
         if self._plan_age_s is not None and self._planned is not None and self._station.target is None:
             self._plan_age_s += elapsed_s
             if self._plan_age_s < self.nmpc.grid.t_s[-1]:
                 planned = self.nmpc.x[0] = self._planned
                 error = plan_error(now.x0, planned, current, self._plan_current)
                 thrust = self.nmpc.u[0] + self.margins.ancillary.gain(float(planned[U])) @ error
-                return np.clip(thrust, -limit_n, limit_n), Fallback.SHIFTED_PLAN
+                return self._slewed(thrust, limit_n, elapsed_s), Fallback.SHIFTED_PLAN
         self._plan_age_s = None
         self._inner.stop()
-        return self._station.thrust(x, current, limit_n), Fallback.STATION_KEEPING
+        return self._slewed(self._station.thrust(x, current, limit_n), limit_n, elapsed_s), Fallback.STATION_KEEPING
+
+    def _slewed(self, thrust_n: FloatArray, limit_n: FloatArray, elapsed_s: float) -> FloatArray:
+        """Thrust (4,) within the limits (4,) and no farther from the last step's command than it may change."""
+        if self._stepped is not None:
+            most = SLEW_SHARE_1_S * self._vehicle.drive.limit_n * max(elapsed_s, 0.0)
+            thrust_n = np.minimum(np.maximum(thrust_n, self._stepped - most), self._stepped + most)
+        result: FloatArray = np.minimum(np.maximum(thrust_n, -limit_n), limit_n)
+        return result
 
     def _neutral(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
         """Without an estimate there is nothing to control: no thrust, and the plan is void."""
         self._command = np.zeros(NU)
-        self._plan_age_s = self._yaw_rad = None
+        self._plan_age_s = self._yaw_rad = self._stepped = None
         self._inner.stop()
         self._station.release()
         self._guidance.reset()

@@ -7,7 +7,7 @@ import numpy as np
 
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import Fallback, Severity
+from autopilot.core.messages import FALLBACK_TEXT, Fallback, Severity
 from autopilot.core.model4 import NU, YAW, Model4, R, U, X, Y, Z
 
 POSITION_GAIN_1_S = 0.4
@@ -23,8 +23,8 @@ OVER_STEPS = 20
 """A fallback counts as over after so many solved steps (1 s): one that flickers is told once."""
 
 TOLD = {
-    Fallback.SHIFTED_PLAN: "Controller: no solution, last plan goes on",
-    Fallback.STATION_KEEPING: "Controller: no solution, holding position",
+    Fallback.SHIFTED_PLAN: f"{FALLBACK_TEXT}, last plan goes on",
+    Fallback.STATION_KEEPING: f"{FALLBACK_TEXT}, holding position",
 }
 OVER = "Controller has solutions again"
 

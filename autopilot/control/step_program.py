@@ -50,6 +50,9 @@ SHORTEST_STEP = 0.25
 STANDS_AFTER_S = 1.0
 """Time constant with which the motion fades in the last of the guesses."""
 
+CHANGE_STEP_S = 0.05
+"""Interval between steps for which MPC_R_CHANGE holds; the longer it is, the less the last plan counts."""
+
 PLAUSIBLE = 4.0
 """m/s, rad/s: no vehicle that this controller is for moves or turns faster."""
 
@@ -91,6 +94,7 @@ class StepProgram:
         self._currents = np.zeros((grid.n, 3))
         self._unsolved: list[tuple[SolveStatus, NmpcProblem, FloatArray, FloatArray]] = []
         self._speed_back_off_m_s = 0.0
+        self._last_us = 0
         self._cleared: tuple[Planner, FloatArray, float] | None = None
 
     def reset(self) -> None:
@@ -137,7 +141,8 @@ class StepProgram:
         keep_m = self._radius_m + back_off.clearance_m
         states, thrusts = nmpc.x.copy(), nmpc.u.copy()
         self._unsolved.clear()
-        found = self._iterate(start, problem, now.planner, keep_m, movers)
+        held = problem if start else self._held(problem, now)
+        found = self._iterate(start, held, now.planner, keep_m, movers)
         # Around a guess that has run away no step is any good: once more from the reference, then from standing still.
         for again in (self.begin,) * (not start) + (self._stand,):
             if found.result.status is SolveStatus.OK and _plausible(nmpc.x):
@@ -198,6 +203,15 @@ class StepProgram:
             if margin < 0.0:
                 margin = planner.features.margin_m(path, t_s, keep_m, movers)
         return Solution(result=result, margin_m=margin, qps=before + qps, anew=start)
+
+    def _held(self, problem: NmpcProblem, now: Situation) -> NmpcProblem:
+        """The program that pays for what it changes of the last plan's thrust as well."""
+        elapsed_s, self._last_us = (now.t_us - self._last_us) * 1e-6, now.t_us
+        change = now.params["MPC_R_CHANGE"] * min(1.0, CHANGE_STEP_S / max(elapsed_s, 1e-3))
+        limit, weight = problem.thrust_limit_n, problem.weight_u
+        wanted = np.minimum(np.maximum(problem.thrust_ref_n, -limit), limit)
+        both: FloatArray = weight + change
+        return replace(problem, weight_u=both, thrust_ref_n=(weight * wanted + change * self.nmpc.u) / both)
 
     def _fill_limits(self, back_off: BackOffs, now: Situation) -> None:
         """Limits (N-1, 5) of the prediction."""

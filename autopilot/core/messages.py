@@ -244,7 +244,7 @@ class Fallback(IntEnum):
     NEUTRAL = 3
 
 
-FALLBACK_TEXT = "No optimum:"
+FALLBACK_TEXT = "Controller: no solution"
 """What an operator hears of a fallback begins so."""
 
 

@@ -292,7 +292,7 @@ def flown_commands(flight: Flight) -> Commands | None:
         return None
     nmpc = nmpc[flight.mission.holds(seconds(nmpc)) & np.isin(nmpc["t_us"], commands["t_us"])]
     rows = commands[np.searchsorted(commands["t_us"], nmpc["t_us"])]
-    starts_s = [np.array([flight.armed.start_s]), seconds(nmpc)[nmpc["iterations"] > 1]]
+    starts_s = [np.array([flight.armed.start_s])]
     if goals is not None:
         moved = (np.diff(goals["pos_ned_m"], axis=0) != 0.0).any(axis=1) | (np.diff(goals["seq"]) != 0)
         starts_s.append(seconds(goals)[1:][moved])

@@ -8,8 +8,7 @@ between them. Over N steps with the commands u_k of one thruster and their diffe
 * *variation*: sum of |d_k| over the time, the mean of the thrusters; and the same of the commands behind a low-pass of
   LOW_PASS_HZ without phase (Butterworth, second order, forwards and backwards), which is what the motion can follow
 * *largest step*: the largest |d_k| that neither begins nor ends at the thrust limit and is no start. Starts are the
-  differences to commands within START_S after arming, after a goal that is another place, and after a plan that began
-  anew
+  differences to commands within START_S after arming and after a goal that is another place
 * *reversals*: changes of sign per second, of the worst thruster; what is smaller than REVERSAL_N is no thrust
 * *silent*: steps flown by a fallback of which the operator has not heard within TOLD_S before or ANSWER_S after
 """
@@ -27,7 +26,7 @@ ALTERNATION_N = 2.0
 LOW_PASS_HZ = 2.0
 START_S = 0.25
 REVERSAL_N = 0.1
-TOLD_S = 10.0
+TOLD_S = 30.0
 ANSWER_S = 1.0
 AT_LIMIT = 0.999
 """Share of the thrust limit from which on a command counts as saturated."""
@@ -50,7 +49,7 @@ class Commands:
     fallback: NDArray[np.uint8]
     """(n,) :class:`Fallback`"""
     starts_s: FloatArray
-    """Times of arming, of goals that are another place, of plans that began anew."""
+    """Times of arming, and of goals that are another place."""
     told_s: FloatArray
     """Times at which an operator heard of a fallback."""
     limit_n: float

@@ -323,7 +323,7 @@ def test_the_vehicle_sets_out_before_there_is_a_plan_and_takes_it_over_without_a
     loop = Loop(MotionController(VEHICLE, cpu_clock=lambda: 0.0), MPC_COST=1)
     far = goal(6.0, 1.0, 0.45, None)
     speed, thrust = [], []
-    for _ in range(120):
+    for _ in range(200):
         loop.step(far, OPEN)
         thrust.append(loop.thrust_n)
         speed.append(float(np.hypot(*loop.x[4:6])))

@@ -64,7 +64,7 @@ def test_fallbacks_want_a_word() -> None:
     fallback[100:116] = Fallback.STATION_KEEPING
     fallback[200:300] = Fallback.NEUTRAL
     plain = commands(np.ones(400), fallback=fallback)
-    found, told = measure(plain), measure(replace(plain, told_s=np.array([5.0])))
+    found, told = measure(plain), measure(replace(plain, told_s=np.array([1.0])))
     assert found is not None and found.silent == 16
     assert told is not None and told.silent == 0
     assert is_told([f"{FALLBACK_TEXT} holding", "Mission complete"]).tolist() == [True, False]
