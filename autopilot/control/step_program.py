@@ -100,6 +100,7 @@ class StepProgram:
     def reset(self) -> None:
         """Forget what the last steps left behind."""
         self._speed_back_off_m_s = 0.0
+        self.margins.evidence.reset()
         self.regions.reset()
 
     def speed_cap_m_s(self, params: ParamSet) -> float:
@@ -119,6 +120,7 @@ class StepProgram:
         """
         nmpc, n = self.nmpc, self.nmpc.grid.n
         now.forecast.fill(now.nav, nmpc.x[:n, :3], nmpc.grid.t_s[:n], self._currents)
+        self.margins.look(now.nav, now.params)
         back_off = self.margins.back_offs(now.nav, nmpc.x, nmpc.u, now.params)
         self._fill_limits(back_off, now)
         self._speed_back_off_m_s = float(back_off.planar_speed_m_s[-1])

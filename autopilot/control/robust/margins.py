@@ -10,6 +10,7 @@ import numpy as np
 from autopilot.control.grid import TimeGrid
 from autopilot.control.reference import WATER_SPEED_SHARE
 from autopilot.control.robust.ancillary import Ancillary
+from autopilot.control.robust.evidence import SpeedEvidence
 from autopilot.control.robust.lipschitz import LipschitzMargins
 from autopilot.control.robust.tube import LARGEST_SHARE, TubeMargins
 from autopilot.control.tightening import BackOffs, FixedMargins
@@ -35,6 +36,8 @@ class Margins:
         fixed = FixedMargins(grid)
         self.tube = TubeMargins(model, grid, self.ancillary, fixed)
         self.lipschitz = LipschitzMargins(model, grid, fixed)
+        self.evidence = SpeedEvidence()
+        """Forgotten by whoever begins anew."""
         self._fixed = fixed
         self._told = False
         self._news: list[tuple[Severity, str]] = []
@@ -46,7 +49,10 @@ class Margins:
         mode = Tighten(int(params["MPC_TIGHTEN"]))
         if mode is Tighten.TUBE:
             self._told = False
-            return self.tube.back_offs(nav, x, thrust_n, params)
+            tube = self.tube.back_offs(nav, x, thrust_n, params)
+            # The fixed margin stays: a vehicle that is faster through the water than it believes shows nothing of it.
+            least = np.minimum(tube.planar_speed_m_s, params["MPC_SPEED_MARGIN"])
+            return replace(tube, planar_speed_m_s=np.maximum(self.evidence.share * tube.planar_speed_m_s, least))
         if mode is Tighten.LIPSCHITZ:
             if not self._told:
                 self._told = True
@@ -54,6 +60,14 @@ class Margins:
             return self.lipschitz.back_offs(nav, x, thrust_n, params)
         self._told = False
         return self._fixed.back_offs(nav, x, thrust_n, params)
+
+    def look(self, nav: NavState, params: ParamSet) -> None:
+        """Once per control step, before :meth:`back_offs`: what the estimate says about keeping the planar speed."""
+        if Tighten(int(params["MPC_TIGHTEN"])) is Tighten.TUBE:
+            tube = self.tube.back_offs(nav, self._rest, self._idle, params).planar_speed_m_s
+            self.evidence.look(nav, params["SPD_PLANAR_MAX"], float(tube[-1]), params["MPC_SPEED_MARGIN"])
+        else:
+            self.evidence.reset()
 
     def take_news(self) -> list[tuple[Severity, str]]:
         """How far the Lipschitz sets reach, once whenever they come into force."""
