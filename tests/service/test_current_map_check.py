@@ -73,6 +73,15 @@ def test_gaps_outside_the_workspace_and_in_obstacles_do_not_matter(tmp_path: Pat
     assert plans.warnings() == ()
 
 
+def test_what_the_map_leaves_of_a_leg_is_told_at_the_upload(tmp_path: Path) -> None:
+    """0.46 of 0.5 m/s towards north: the way back from B to A is upstream, the way there is not."""
+    plans = _plans(_water(tmp_path / "m.npz", speed=0.46), ParamSet())
+    assert plans.replace(PlanKind.FENCE, paper_plan().fence) is None
+    assert plans.replace(PlanKind.MISSION, paper_plan().mission) is None
+    (text,) = plans.warnings()
+    assert re.fullmatch(r"Item 2 is upstream: 0\.0[34]\d m/s left, \d+ (min|s) \(by current map m\.npz\)", text), text
+
+
 def _nav(t_us: int) -> NavState:
     zero = np.zeros(3)
     return NavState(

@@ -102,6 +102,13 @@ def test_items_given_up_one_after_the_other_end_the_mission() -> None:
     assert bench.commander.mode is FlightMode.HOLD
 
 
+def test_no_free_way_is_named_as_such() -> None:
+    bench = _started()
+    bench.unreachable = True
+    bench.run(12.0)
+    assert any(text == "Skipped item 0, out of reach: no free way" for text in bench.texts)
+
+
 def test_no_start_where_the_current_says_so_and_the_parameter_asks_for_it() -> None:
     bench = Bench(WP_STUCK_ACT=3)
     bench.load()
