@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from control_loop import MODEL, VEHICLE, nav_state
+from control_loop import MODEL, VEHICLE, goal, nav_state
 
 from autopilot.control.currents import EstimatedCurrent
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField
 from autopilot.control.energy.flow import Flow, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, speed_table
+from autopilot.control.energy.search import EnergyPlanner, Request
 from autopilot.control.obstacles import Features
 from autopilot.control.planner import Planner
 from autopilot.core.frames import FloatArray
@@ -95,3 +96,22 @@ def test_cells_are_bounded_and_fine_only_where_that_decides() -> None:
     harbour = Fence(inclusions=made.fence.inclusions, exclusions=pillars)
     crowded = FreeSpace(Features(harbour), area_of(harbour, made.start[None]), KEEP_M)
     assert len(crowded.places_ned_m) <= MAX_CELLS
+
+
+def test_a_door_in_a_large_basin_has_a_trajectory() -> None:
+    """Not only a way: the vehicle's own motion through 0.69 m in a basin of 30 m x 20 m."""
+    made = basin(np.random.default_rng(3), 30.0, 20.0, [0.69])
+    here = made.start + 0.35 * (made.goal - made.start)
+    x0 = np.array([*here, 0.5, 0, 0, 0, 0, 0])
+    area = area_of(made.fence, np.stack([here, made.goal]))
+    request = Request(
+        x0=x0,
+        goal=goal(float(made.goal[0]), float(made.goal[1]), 0.5, None),
+        fence=made.fence,
+        radius_m=KEEP_M,
+        flow=sample_flow(EstimatedCurrent(), nav_state(0, x0), area, 0.5),
+        limits=np.array([0.45, 0.24, 0.96, 0.0, 5.0]),
+        thrust_limit_n=np.full(4, 11.5),
+    )
+    plan = EnergyPlanner(MODEL, PowerModel.of(VEHICLE)).plan(request)
+    assert plan.trajectory is not None and plan.trajectory.solved, plan.why

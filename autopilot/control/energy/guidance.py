@@ -59,6 +59,7 @@ END_HOLD_S = 0.5
 as reached: for so long by the trajectory's clock (1.7 s), then it turns to the goal's centre."""
 
 RUNNING_OUT_S = 20.0
+RUNNING_OUT_SHARE = 0.6
 """A trajectory that does not reach its goal is continued when it has less than this left."""
 
 FOLLOWING_THRUST_WEIGHT = 0.2
@@ -247,16 +248,15 @@ class EnergyGuidance:
     def _ask_if_needed(self, now: Situation, off_m: float, elapsed_s: float) -> None:
         """Ask for a plan: the first, a better one for this leg, or the next leg's."""
         track, since = self._track, self._step - self._asked_step
-        if not self._patience.over(now, since):
-            return
+        over = self._patience.over(now, since)
         if track is None:
             begun = self._step - self._goal_step
-            if begun > 0 and (not self._route.searching or begun >= ROUTE_STEPS):
+            if over and begun > 0 and (not self._route.searching or begun >= ROUTE_STEPS):
                 self._ask(now, Kind.COLD, now.goal, self._coming(now, Kind.COLD, elapsed_s), None)
             return
-        running_out = not track.complete and track.rest_s < RUNNING_OUT_S
+        running_out = not track.complete and track.rest_s < min(RUNNING_OUT_S, RUNNING_OUT_SHARE * track.length_s)
         kind = Kind.COLD if running_out or off_m > 2.0 * OFF_TRACK_M else Kind.WARM
-        if since >= REPLAN_STEPS and track.rest_s > LAST_UPDATE_S + ANSWER_STEPS[kind] * STEP_S:
+        if over and since >= REPLAN_STEPS and track.rest_s > LAST_UPDATE_S + ANSWER_STEPS[kind] * STEP_S:
             pushed = off_m > OFF_TRACK_M or track.goal.speed_m_s != now.goal.speed_m_s
             if pushed or running_out or (self._step % CHECK_STEPS == 0 and self._water_changed(now, track)):
                 self._ask(now, kind, now.goal, self._coming(now, kind, elapsed_s), track if kind is Kind.WARM else None)

@@ -26,6 +26,9 @@ INTERVALS = 48
 LONGEST_S = 90.0
 """A trajectory is planned so far; beyond it the energy field says what is best."""
 
+SHORTER_S = (40.0, 18.0)
+"""So far if none of that length is solved: shorter intervals find their way through doors."""
+
 SUBSTEPS = (1, 2, 4)
 
 LONGER, LONGER_S = 1.3, 3.0
@@ -41,6 +44,9 @@ GATE_RADIUS_M = 0.5
 SCREEN_ROUNDS = 1
 POLISH_ROUNDS = 3
 """Rounds of linearisation for every candidate, and more for the best."""
+
+SETTLED_SHARE = 1e-4
+"""A round that changes the cost by less than this share was the last."""
 
 UPDATE_ROUNDS = 1
 """Rounds for a plan that is only brought up to date."""
@@ -167,11 +173,15 @@ class EnergyPlanner:
         warm = None if request.warm is None or not task.complete else task.refine(request.warm, UPDATE_ROUNDS)
         if warm is not None and warm.solved and task.energy_along(warm) < STAY_WITHIN * best.energy_j:
             return task.plan(warm)
-        candidates = self._candidates(task, field, to_go, best, features)
-        if warm is not None:
-            candidates.insert(0, warm)
-        solved = sorted((one for one in candidates if one.solved), key=lambda one: one.cost_j)
-        if not solved:
+        candidates = [] if warm is None else [warm]
+        for task.reach_s in (LONGEST_S, *SHORTER_S):
+            if task.reach_s < LONGEST_S and task.ends_in_goal(best):
+                continue
+            candidates += self._candidates(task, field, to_go, best, features)
+            solved = sorted((one for one in candidates if one.solved), key=lambda one: one.cost_j)
+            if solved:
+                break
+        else:
             return _none(request.goal, f"none of {len(candidates)} trajectories solved")
         winner = solved[0]
         close = [one for one in solved if one.cost_j < TIE_WITHIN * winner.cost_j][:MAX_TIES]
@@ -286,6 +296,8 @@ class _Task:
         self._steady, self._cancel = steady, cancel
         self._request, self._features, self._flow, self._table = request, features, flow, table
         self._to_go, self._end_slope, self._program = to_go, end_slope, program
+        self.reach_s = LONGEST_S
+        """So far trajectories are planned."""
         self._gate: FloatArray | None = None
         """(3,) where the trajectory ends when the goal is too far away."""
 
@@ -302,13 +314,17 @@ class _Task:
         rest = (np.zeros(2), self._program, self._steady, self._cancel)
         return _Task(request, self._features, self._flow, self._table, beyond, *rest)
 
+    def ends_in_goal(self, way: Way) -> bool:
+        """Whether a trajectory along a way reaches the goal's region."""
+        return float(self._timed(way)[1][-1]) <= self.reach_s
+
     def guesses(self, way: Way) -> list[Trajectory]:
         """First trajectories along a way, one per way of turning: at the cheapest steady speed and its thrust."""
         request = self._request
         points, times = self._timed(way)
         whole_s = float(times[-1])
-        if whole_s > LONGEST_S:
-            cut = int(np.searchsorted(times, LONGEST_S))
+        if whole_s > self.reach_s:
+            cut = int(np.searchsorted(times, self.reach_s))
             points, times = points[: cut + 1], times[: cut + 1]
             share = float(times[-1]) / whole_s
             depth = request.x0[Z] + share * (request.goal.pos_ned_m[2] - request.x0[Z])
@@ -399,12 +415,14 @@ class _Task:
         program = self._program(1.1 * float(guess.t_s[-1]))
         for _ in range(rounds):
             self._cancel.check()
-            end_s = float(trajectory.t_s[-1])
+            end_s, cost_j = float(trajectory.t_s[-1]), trajectory.cost_j if trajectory.solved else math.inf
             trajectory = program.solve(
                 self._ask(trajectory, request), trajectory.x, trajectory.thrust_n, end_s, self._cancel
             )
             if not trajectory.solved:
                 self._cancel.check()
+                break
+            if abs(trajectory.cost_j - cost_j) < SETTLED_SHARE * cost_j:
                 break
         return trajectory
 

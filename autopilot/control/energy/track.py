@@ -39,6 +39,11 @@ class Track:
         self._impulse = np.vstack([np.zeros(4), np.cumsum(trajectory.thrust_n * dt[:, None], axis=0)])
 
     @property
+    def length_s(self) -> float:
+        """From beginning to end."""
+        return float(self.trajectory.t_s[-1])
+
+    @property
     def rest_s(self) -> float:
         """Time to the end, negative when it has passed."""
         return float(self.trajectory.t_s[-1]) - self.clock_s

@@ -203,7 +203,7 @@ OPTIONS: dict[str, Any] = {
         "sb": "yes",
         "tol": 1e-5,
         "acceptable_tol": 1e-4,
-        "max_iter": 150,
+        "max_iter": 100,
         "mu_strategy": "adaptive",
     },
 }
