@@ -108,6 +108,8 @@ class Beliefs:
     """Steady, [rad/s^2]."""
     flow_m_s: float = 0.1
     """The water's velocity against the estimated current: that explains what a lost thruster does not."""
+    flow_hit_m_s: float = 0.3
+    """The same after a collision: the estimator has taken what held the hull for water."""
     flow_s: float = 8.0
     """It is another within this time."""
     push: tuple[float, float, float, float] = (0.02, 0.02, 0.02, 0.07)
@@ -120,8 +122,8 @@ class Beliefs:
     """A new story of each thruster so often."""
     grown_s: float = 3.0
     """So long a story is listened to."""
-    most: float = 1.0
-    """Evidence of one look at most [nats]."""
+    most: tuple[float, float] = (1.0, 0.4)
+    """Evidence of one look at most, against and for a story [nats]: what one tug tells is not enough."""
     most_evidence: float = 40.0
     """Evidence in all at most."""
 
@@ -237,13 +239,16 @@ class LossBank:
         self.lossy = tuple(was != (i == thruster) for i, was in enumerate(self.lossy))
         self._begin_all()
 
-    def forget_motion(self) -> None:
-        """What changes within seconds is not known any more."""
+    def forget_motion(self, *, hit: bool = False) -> None:
+        """What changes within seconds is not known any more; what ``hit`` the hull is in the estimated current."""
         self._x, self._p = self._x.copy(), self._p.copy()
         self._x[:, MOTION] = 0.0
         self._p[:, MOTION, :] = 0.0
         self._p[:, :, MOTION] = 0.0
         self._p[:, MOTION, MOTION] = self._still[MOTION]
+        if hit:
+            self._p[:, FLOW, FLOW] += np.diag(np.full(2, self._beliefs.flow_hit_m_s**2))
+            self._begin_all()
 
     def look(self, look: Look, *, heave: bool, learn: bool) -> bool:
         """Learn from a look, unless ``learn`` is false; False if no filter explains it: then nothing is learned.
@@ -274,7 +279,7 @@ class LossBank:
     def _weigh(self, told: FloatArray, dt_s: float) -> None:
         """Evidence of a look from the log-likelihoods (n,); stories begin in their time."""
         b = self._beliefs
-        gained = np.clip(told[STORIES] - told[0], -b.most, b.most)
+        gained = np.clip(told[STORIES] - told[0], -b.most[0], b.most[1])
         self._evidence = np.minimum(self._evidence + gained, b.most_evidence)
         self._age_s = self._age_s + dt_s
         self._since_s += dt_s

@@ -46,8 +46,8 @@ class Tuning:
     """Between two looks."""
     current_s: float = 1.0
     """The estimated current is followed within this time."""
-    certain: float = 8.0
-    """Evidence that a thruster has changed [nats]: 3000 to one."""
+    certain: float = 6.0
+    """Evidence that a thruster has changed [nats]: 400 to one."""
     ahead: float = 2.0
     """So much less there is for any other."""
     confirm_s: float = 0.5
@@ -151,7 +151,9 @@ class ThrusterHealth:
             self._past.append((self._bank.memory, self.found, self._certain_s))
         submerged = float(nav.pos_ned_m[2]) > self._submerged_m
         if self._bank.look(look, heave=submerged, learn=self._hit_s <= 0.0):
-            self._hit_s -= look.dt_s
+            if 0.0 < self._hit_s <= look.dt_s:
+                self._bank.forget_motion(hit=True)
+            self._hit_s = max(self._hit_s - look.dt_s, 0.0)
         else:
             return self._hit(look.dt_s)
         return self._hit_s <= 0.0 and self._declare(look.dt_s)
