@@ -74,7 +74,14 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("MPC_Q_POS", 20.0, 0.0, 1e4, "", "NMPC weight on planar position error."),
     _real("MPC_Q_YAW", 3.0, 0.0, 1e4, "", "NMPC weight on heading error."),
     _real("MPC_Q_Z", 40.0, 0.0, 1e4, "", "NMPC weight on depth error."),
-    _real("MPC_R_CHANGE", 0.2, 0.0, 1e3, "", "NMPC weight on what a step of 0.05 s changes of the last plan's thrust."),
+    _real(
+        "MPC_R_CHANGE",
+        0.2,
+        0.0,
+        1e3,
+        "",
+        "NMPC weight on what a step of 0.05 s changes of the last plan's thrust (not with MPC_COST 1).",
+    ),
     _real("MPC_R_THRUST", 0.02, 1e-6, 1e3, "", "NMPC weight on thrust."),
     _int(
         "MPC_TIGHTEN",
