@@ -100,7 +100,7 @@ def planned(sound: int, lossy: int) -> list[Flight]:
             flights.append(Flight(kind=kind, run=run, cost=cost, seconds=90.0))
             flights.append(Flight(kind=RANDOM, run=k, cost=0, seconds=60.0))
         if k < lossy:
-            thruster, share, at_s = (k + k // 4) % 4, SHARES[k % 3 == 2], 12.0 + 7.0 * (k % 5)
+            thruster, share, at_s = (k + k // 4) % 4, SHARES[(k // 4) % 3 == 2], 12.0 + 7.0 * (k % 5)
             whole = Flight(
                 kind=kind, run=100 + run, cost=cost, seconds=at_s + 35.0, thruster=thruster, share=share, at_s=at_s
             )

@@ -62,7 +62,7 @@ class Tuning:
     """So long after a collision nothing is concluded."""
     stuck_s: float = 15.0
     """When nothing has explained the motion for so long, what was known of the vehicle does not hold any more."""
-    seen: float = 0.2
+    seen: float = 0.18
     """Half of a thruster is seen where the effectiveness is known that well (standard deviation)."""
 
 

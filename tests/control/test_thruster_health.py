@@ -30,7 +30,12 @@ def _thrust(t_s: float) -> FloatArray:
 
 
 def _fly(
-    plant: Model4, gain: FloatArray, *, seconds: float = 45.0, pull_ned_n: FloatArray | None = None
+    plant: Model4,
+    gain: FloatArray,
+    *,
+    seconds: float = 45.0,
+    pull_ned_n: FloatArray | None = None,
+    heave: bool = True,
 ) -> tuple[ThrusterHealth, float | None]:
     """The estimator beside a plant that thrusts with ``gain`` from FAULT_S on; when it first declared something."""
     rng = np.random.default_rng(1)
@@ -40,6 +45,8 @@ def _fly(
     for tick in range(round(seconds / dt)):
         t_s = tick * dt
         thrust = _thrust(t_s)
+        if not heave:
+            thrust[2] = plant.buoyancy_excess_n
         acting += (1.0 - math.exp(-dt / LAG_S)) * (thrust - acting)
         x = rk4(plant, x, acting * (gain if t_s >= FAULT_S else 1.0), lambda _: CURRENT, dt)
         if pull_ned_n is not None:
@@ -146,6 +153,17 @@ def test_without_a_good_estimate_and_at_rest_nothing_is_concluded() -> None:
         health.step(tick * 20_000, _nav(np.zeros(8), rng, 0.0), np.zeros(4))
     assert health.lost == (False,) * 4
     assert (health.sigma >= 0.15).all()
+    assert health.seen == (False,) * 4
+
+
+def test_a_vertical_thruster_that_only_holds_the_buoyancy_is_said_not_to_be_seen() -> None:
+    health, first = _fly(MODEL, np.array([1.0, 1.0, 0.5, 1.0]), seconds=40.0, heave=False)
+    assert first is None
+    assert health.seen == (True, True, False, True)
+    assert health.sigma[2] > 0.2
+    health, first = _fly(MODEL, np.array([1.0, 1.0, 0.5, 1.0]), seconds=40.0)
+    assert first is not None
+    assert health.seen[2]
 
 
 def test_told_values_and_compensated_pulses() -> None:
