@@ -5,6 +5,7 @@ Whatever comes, the program of a step has a solution (its limits are soft), so n
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -19,6 +20,7 @@ from autopilot.control.energy.flow import Flow
 from autopilot.control.energy.search import Plan, Request
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.grid import geometric_grid
+from autopilot.control.unsolved import solve_again
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
@@ -26,8 +28,12 @@ from autopilot.core.messages import Fallback, Goal, SolveStatus
 from autopilot.core.model4 import NU, NX
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
+from autopilot.log.packing.programs import unpack
 
 DEPTH_M = 20.0
+
+PROGRAMS = Path(__file__).parents[1] / "data" / "programs"
+"""Programs that failed in random closed loops with weights, thrusts and currents at extremes."""
 
 NO_SHRINKING = (Phase.explicit, Phase.reuse, Phase.generate)
 """Building a prediction takes longer than finding the simplest one that fails is worth."""
@@ -210,3 +216,12 @@ def test_the_first_thrust_of_a_start_has_converged() -> None:
                 controller.nmpc.set_plan(x, u)
     assert len(off) >= 40
     assert np.quantile(off, 0.9) < 0.1
+
+
+@pytest.mark.parametrize("path", sorted(PROGRAMS.glob("program-*.npz")), ids=lambda path: path.stem)
+def test_programs_that_were_not_solved_once_are_solved_now(path: Path) -> None:
+    """By every solver that there is, with the same plan where the plan is well determined."""
+    trials = [one for one in solve_again(unpack(path.name, path.read_bytes())) if one.status is not None]
+    assert {one.status for one in trials} == {SolveStatus.OK}
+    first = np.array([one.thrust_n for one in trials])
+    assert np.abs(first - first[-1]).max() < 0.3

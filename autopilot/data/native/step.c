@@ -20,12 +20,12 @@ enum { UPPER = 0, LOWER = 4, PLANE = 8, DEPTH = 16, SPEED = 17, HEAVE = 18, TURN
 enum { OF_SPEEDS = 0, OF_PLACES = 1 };
 
 static const double SPEED_EPSILON_M_S = 0.02;
-static const int MAX_ITERATIONS = 30;
+static const int MAX_ITERATIONS = 30, MORE_ITERATIONS = 90;
 static const double WIDER = 10.0; /* the second start */
 static const double COMPLEMENTARITY = 1e-7; /* largest product of a multiplier and its distance that is left */
 static const double FEASIBILITY = 1e-9;     /* largest residual of a row that is left */
 static const double STATIONARITY = 1e-6;    /* largest residual of a gradient with respect to thrust or slack */
-static const double TO_BOUNDARY = 0.995, SHORT_STEP = 0.1;
+static const double TO_BOUNDARY = 0.995, CAREFUL = 0.9, SHORT_STEP = 0.1; /* careful: of the second start */
 static const double START_PRODUCT = 30.0, START_DISTANCE_N = 0.5, START_SLACK = 0.02; /* of few iterations */
 static const double LOOSER = 1e3; /* what is left when iterations or digits are used up may be this much larger */
 
@@ -541,8 +541,10 @@ static void write_out(const Task *task, const Stage *st, double gap_max, int ite
     memcpy(task->figures, figures, sizeof figures);
 }
 
-/* Interior point iterations from a start. Returns their number; `unsolved` becomes 0 if they converge. */
-static int iterate(const Task *task, Stage *st, const double *gap, double wider, double *unsolved) {
+/* Interior point iterations from a start, `most` at most; a step goes `share_of_way` of the way to the boundary. Returns their
+ * number; `unsolved` becomes 0 if they converge. */
+static int iterate(
+    const Task *task, Stage *st, const double *gap, double wider, double share_of_way, int most, double *unsolved) {
     const long n = task->n;
     double gradient[NX];
     prepare(task, st);
@@ -559,7 +561,7 @@ static int iterate(const Task *task, Stage *st, const double *gap, double wider,
         if (!(mu < 1e300)) break;
         double left = fmax(product / COMPLEMENTARITY, fmax(row, largest_gap(task, st)) / FEASIBILITY);
         if (left < LOOSER) left = fmax(left, stationarity(task, st, gradient) / STATIONARITY);
-        if (left < 1.0 || iteration == MAX_ITERATIONS || !factorise(task, st)) {
+        if (left < 1.0 || iteration == most || !factorise(task, st)) {
             if (left < LOOSER) *unsolved = 0.0;
             break;
         }
@@ -590,7 +592,7 @@ static int iterate(const Task *task, Stage *st, const double *gap, double wider,
         solve(task, st, gradient);
         reach(task, st, &primal, &dual);
         const double both = primal < dual ? primal : dual;
-        const double alpha = TO_BOUNDARY * both < 1.0 ? TO_BOUNDARY * both : 1.0;
+        const double alpha = share_of_way * both < 1.0 ? share_of_way * both : 1.0;
         last_alpha = alpha;
         for (long k = 0; k <= n; k++) {
             Stage *a = st + k;
@@ -608,14 +610,15 @@ static int iterate(const Task *task, Stage *st, const double *gap, double wider,
 }
 
 /* The step. Figures 6 and 7 are the iterations and what is left unsolved (0 = converged, else 1). A start that leads
- * nowhere is followed by one farther inside. */
+ * nowhere is followed by one farther inside that stays away from the boundaries: programs far from their guess, with
+ * weights or thrusts that differ by orders of magnitude, jam against them. */
 void control_step(const Task *task) {
     Stage *st = (Stage *)task->work;
     double gap_max = 0.0, unsolved = 1.0;
     double *gap = (double *)(st + task->n + 1);
     linearise(task, st, &gap_max);
     for (long k = 0; k < task->n; k++) memcpy(gap + NX * k, st[k].e, NX * sizeof(double));
-    int iterations = iterate(task, st, gap, 1.0, &unsolved);
-    if (unsolved > 0.0) iterations += iterate(task, st, gap, WIDER, &unsolved);
+    int iterations = iterate(task, st, gap, 1.0, TO_BOUNDARY, MAX_ITERATIONS, &unsolved);
+    if (unsolved > 0.0) iterations += iterate(task, st, gap, WIDER, CAREFUL, MORE_ITERATIONS, &unsolved);
     write_out(task, st, gap_max, iterations, unsolved);
 }
