@@ -32,7 +32,12 @@ CORNER_AHEAD_M = 0.2
 """The speed is chosen for the direction of the route this far ahead."""
 
 WATER_SPEED_SHARE = 0.95
-"""Share of the planar speed limit that the reference asks for."""
+UPSTREAM_SPEED_SHARE = 0.985
+"""Share of the planar speed limit that the reference asks for, and that it asks for against currents that are nearly as
+fast: there every centimetre per second of it is way that is made."""
+
+SLOW_CURRENT_SHARE, FAST_CURRENT_SHARE = 0.78, 0.88
+"""Between these shares of the limit that a current has against the way, one goes over into the other."""
 
 SLOWEST_M_S = 0.02
 
@@ -112,10 +117,17 @@ def approach(moves: Sequence[tuple[float, float, float]], t_s: FloatArray) -> tu
     return distance - now * now / (2.0 * deceleration) - np.maximum(until_brake, 0.0) * start, now
 
 
+def water_speed_share(against_m_s: float, water_limit_m_s: float) -> float:
+    """Share of the limit on planar speed that is asked for with so much current against the way."""
+    span = FAST_CURRENT_SHARE - SLOW_CURRENT_SHARE
+    fast = min(max((against_m_s / max(water_limit_m_s, 1e-6) - SLOW_CURRENT_SHARE) / span, 0.0), 1.0)
+    return WATER_SPEED_SHARE + fast * (UPSTREAM_SPEED_SHARE - WATER_SPEED_SHARE)
+
+
 def ground_speed(cruise_m_s: float, tangent: complex, current: complex, water_limit_m_s: float) -> float:
     """Speed along ``tangent`` that is asked for and that the limit on speed through the water allows."""
     along = (tangent.conjugate() * current).real
-    room = along * along - abs(current) ** 2 + (WATER_SPEED_SHARE * water_limit_m_s) ** 2
+    room = along * along - abs(current) ** 2 + (water_speed_share(-along, water_limit_m_s) * water_limit_m_s) ** 2
     reachable = along + math.sqrt(room) if room > 0.0 else 0.0
     return max(SLOWEST_M_S, min(cruise_m_s, reachable))
 

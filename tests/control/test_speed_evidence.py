@@ -114,5 +114,5 @@ def test_up_a_stream_near_the_limit_the_way_made_grows_and_the_limit_holds() -> 
         fastest = max(fastest, math.hypot(x[4], x[5]))
         made.append(float(x[0]))
     early, late = (made[200] - made[100]) / 5.0, (made[-1] - made[-101]) / 5.0
-    assert early < 0.035 and late > early + 0.012, (early, late)
+    assert late > early + 0.01 and late > 0.05, (early, late)
     assert fastest < 0.5

@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 
 from autopilot.control.grid import TimeGrid
-from autopilot.control.reference import WATER_SPEED_SHARE
+from autopilot.control.reference import water_speed_share
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.evidence import SpeedEvidence
 from autopilot.control.robust.lipschitz import LipschitzMargins
@@ -83,7 +83,8 @@ class Margins:
         """Speed through the water that guidance asks for at most: its share of what the margins leave at the end of the
         prediction."""
         back_off = self.back_offs(nav, self._rest, self._idle, params).planar_speed_m_s
-        return WATER_SPEED_SHARE * max(0.0, params["SPD_PLANAR_MAX"] - float(back_off[-1]))
+        cap_m_s = max(0.0, params["SPD_PLANAR_MAX"] - float(back_off[-1]))
+        return cap_m_s * water_speed_share(math.hypot(*nav.current_ned_m_s[:2].tolist()), cap_m_s)
 
     def refusals(
         self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet
