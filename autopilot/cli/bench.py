@@ -8,8 +8,8 @@ from autopilot.cli.output import emit_json, print_table
 
 APART = ("modes", "faults", "sensor-faults", "thruster-health", "fuzz")
 """Only when they are named."""
-NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "loop", *APART)
-LONG = ("estimator", "pockets", "energy")
+NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "energy-latency", "loop", *APART)
+LONG = ("estimator", "pockets", "energy", "energy-latency")
 """Short when all are run."""
 
 
@@ -60,6 +60,8 @@ def bench(
     beside rivals; a quarter of an hour, one minute with --short, or when no NAME is given.
     modes: both costs of the controller (MPC_COST 0 and 1) in the paper's tank and in other waters: energy, time,
     clearance, smoothness, CPU time (five minutes, two with --short).
+    energy-latency: CPU time of energy plans per kind of request, in the tank, a basin and open water, beside when their
+    answers are due in lockstep (a minute or two; half with --short).
     loop: CPU time of the loop's ticks in real time with a camera, heartbeats and upload times, while 500 items and a
     fence of 50 octagons are uploaded in flight (half a minute).
     faults: what clients, wires, disks and sensors can do to the service: what happened once, what is promised, what
@@ -111,6 +113,7 @@ def bench(
             "sitl": _sitl,
             "estimator": _estimator,
             "pockets": _pockets,
+            "energy-latency": _latency,
             "loop": _loop,
             "modes": _modes,
         }
@@ -250,6 +253,12 @@ def _modes(short: bool) -> list[dict[str, object]]:
     from autopilot.bench.modes import bench_modes
 
     return [asdict(row) for row in bench_modes(short, lambda line: click.echo(line, err=True))]
+
+
+def _latency(short: bool) -> list[dict[str, object]]:
+    from autopilot.bench.energy.latency import RUNS, SHORT_RUNS, bench_latency
+
+    return [asdict(row) for row in bench_latency(SHORT_RUNS if short else RUNS, slowness=_slowness())]
 
 
 def _recompute() -> None:

@@ -173,15 +173,19 @@ class FreeSpace:
         count = min(ATTACH, len(away))
         near = np.argpartition(away, count - 1)[:count]
         near = near[np.lexsort((near, away[near]))]
-        here, _ = self._ground.near(point_ned_m[None], self._reach_m)
-        best = int(near[0])
-        if here[0] > 0.0:
-            keep = min(self.radius_m, float(here[0]))
-            start = np.repeat(point_ned_m[None], count, axis=0)
-            sees = self._sees(start, self.places_ned_m[near], np.repeat(here, count), self.clearance_m[near], keep)
-            if sees.any():
-                best = int(near[int(sees.argmax())])
+        sees = self.in_sight(point_ned_m, near)
+        best = int(near[int(sees.argmax())])
         return best, float(away[best])
+
+    def in_sight(self, point_ned_m: FloatArray, nodes: IntArray) -> BoolArray:
+        """(k,) which of the places ``nodes`` a point (2,) sees; from forbidden ground none."""
+        here, _ = self._ground.near(point_ned_m[None], self._reach_m)
+        count = len(nodes)
+        if here[0] <= 0.0:
+            return np.zeros(count, dtype=bool)
+        start = np.repeat(point_ned_m[None], count, axis=0)
+        keep = min(self.radius_m, float(here[0]))
+        return self._sees(start, self.places_ned_m[nodes], np.repeat(here, count), self.clearance_m[nodes], keep)
 
     # How it is found.
 

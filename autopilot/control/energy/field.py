@@ -31,6 +31,8 @@ OFFSETS = tuple(
 
 LONGEST_MOVE = math.hypot(3, 2)
 
+JOG_NODES = 2
+
 SNAP_M = 0.4
 """A start or goal so far from free ground still finds it."""
 
@@ -117,8 +119,17 @@ class EnergyToGo:
         nodes = [node]
         while self._next[nodes[-1]] >= 0:
             nodes.append(int(self._next[nodes[-1]]))
+        nodes = self._without_jogs(start_ned_m, nodes)
+        nodes = self._without_jogs(self._goal, nodes[::-1])[::-1]
         points = np.concatenate([start_ned_m[None], self._field.places_ned_m[nodes], self._goal[None]])
         return Way(points_ned_m=points, energy_j=float(self.energy_j[node]))
+
+    def _without_jogs(self, end_ned_m: FloatArray, nodes: list[int]) -> list[int]:
+        """Nodes without the first few, if the end (2,) of the way sees the next: the nearest place may lie aside."""
+        some = np.array(nodes[1 : 1 + JOG_NODES], dtype=np.intp)
+        sees = self._field.space.in_sight(end_ned_m, some)
+        skipped = len(some) if sees.all() else int(sees.argmin())
+        return nodes[min(skipped, len(nodes) - 1) :]
 
     def slope(self, place_ned_m: FloatArray, reach_m: float) -> FloatArray:
         """(2,) slope [J/m] of the energy to go round a place: a plane fitted to the cells within ``reach_m``."""

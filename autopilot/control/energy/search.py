@@ -23,13 +23,14 @@ from autopilot.core.model4 import NX, YAW, Model4, R, U, V, X, Y, Z
 INTERVALS = 48
 """Of a trajectory: 0.2 s each in the paper's tank."""
 
-LONGEST_S = 90.0
-"""A trajectory is planned so far; beyond it the energy field says what is best."""
+LONGEST_S = 43.0
+"""A trajectory is planned so far; beyond it the energy field says what is best. (Twice as far takes a program with
+twice as many RK4 steps, 200 MB more, and intervals that are too long for doors.)"""
 
-SHORTER_S = (40.0, 18.0)
+SHORTER_S = (18.0,)
 """So far if none of that length is solved: shorter intervals find their way through doors."""
 
-SUBSTEPS = (1, 2, 4)
+SUBSTEPS = (1, 2)
 
 LONGER, LONGER_S = 1.3, 3.0
 """A solution takes at most so many times as long as its guess, and so much more: RK4 steps must not grow unstable."""
@@ -64,6 +65,12 @@ TIE_WITHIN, MAX_TIES = 1.15, 3
 
 BOTH_TURNS_RAD = 0.4 * math.pi
 """A turn longer than this is tried both ways round."""
+
+SLIGHT_TURN_RAD = 0.8
+TURNED_WITHIN_M = 0.05
+
+GUESS_TURN_RAD_S = 0.4
+"""Rate at which first guesses turn from where the vehicle points to their way."""
 
 LINEAR_TURN_S = 20.0
 """On a way that takes less, the first guess turns evenly from start to end; on a longer one it follows the way."""
@@ -335,6 +342,8 @@ class _Task:
             outside = away > RADIUS_SHARE * request.goal.accept_radius_m
             last = min(int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 1, len(points) - 1)
             points, times = points[: last + 1], times[: last + 1]
+        if times[-1] > LINEAR_TURN_S:
+            points, times = self._turned_first(points, times)
         t = np.linspace(0.0, max(float(times[-1]), 0.5), INTERVALS + 1)
         x = np.zeros((INTERVALS + 1, NX))
         x[:, X], x[:, Y] = np.interp(t, times, points[:, 0]), np.interp(t, times, points[:, 1])
@@ -342,8 +351,28 @@ class _Task:
         x[:, Z] = np.linspace(request.x0[Z], depth, INTERVALS + 1)
         ground = np.gradient(x[:, :2], t, axis=0)
         water = ground - self._flow.current(x[:, :2])[:, :2]
-        along = np.unwrap(np.concatenate([[request.x0[YAW]], np.arctan2(water[1:, 1], water[1:, 0])]))
+        course = np.arctan2(water[1:, 1], water[1:, 0])
+        here = np.hypot(*(x[1:, :2] - x[0, :2]).T) < TURNED_WITHIN_M
+        if here.any() and not here.all():
+            course[here] = course[int(here.argmin())]
+        along = np.unwrap(np.concatenate([[request.x0[YAW]], course]))
+        turn = float(along[1] - along[0])
+        if turn:
+            along[1:] -= turn * np.clip(1.0 - t[1:] * GUESS_TURN_RAD_S / abs(turn), 0.0, 1.0)
         return [self._guess(t, x, water, along, yaw) for yaw in self._turns(float(along[-1]))]
+
+    def _turned_first(self, points: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A timed way that begins when the vehicle has turned to it: it would else be guessed to go backwards at full
+        speed, where sway and yaw are so unstable that the integration runs away."""
+        ahead = min(int(np.searchsorted(times, times[0] + 2.0)), len(points) - 1)
+        ground = (points[ahead] - points[0]) / max(float(times[ahead] - times[0]), 1e-9)
+        water = ground - self._flow.current(points[:1])[0, :2]
+        yaw = float(self._request.x0[YAW])
+        turn = abs(unwrap_near(math.atan2(water[1], water[0]), yaw) - yaw)
+        if turn < SLIGHT_TURN_RAD:
+            return points, times
+        wait_s = turn / GUESS_TURN_RAD_S
+        return np.vstack([points[:1], points]), np.concatenate([[0.0], times + wait_s])
 
     def _guess(
         self, t: FloatArray, x: FloatArray, water: FloatArray, along: FloatArray, yaw_rad: float | None

@@ -198,6 +198,8 @@ OPTIONS: dict[str, Any] = {
     "print_time": False,
     # A trial step may leave the domain; IPOPT takes a shorter one.
     "show_eval_warnings": False,
+    # Nobody wants them, and after a program that was not solved they are warned about.
+    "calc_lam_p": False,
     "ipopt": {
         "print_level": 0,
         "sb": "yes",
