@@ -293,6 +293,7 @@ TITLES = {
     "images": "Poses from rendered pictures, rms of the fixes; asked: 0.45 to 1.2 m: 2 mm and 0.05 deg up to 1 1/m,"
     " 5 mm at 2; none lost up to turbidity x height 2; laser 10 mm at 0.8 m; normal_ms <= 8 up to 0.8 m; missed = not"
     " kept",
+    "energy-latency": "Energy plans: CPU seconds per kind of request, and when answers are due in lockstep",
     "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown), or a rival's;"
     " flow known: MPC_MARGIN 0.02, MPC_SPEED_MARGIN 0.01, MPC_W_* 0",
     "modes": "Both costs in the service on the simulated vehicle, the water unknown; nearest = beyond what is to be"

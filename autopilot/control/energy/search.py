@@ -357,7 +357,7 @@ class _Task:
             course[here] = course[int(here.argmin())]
         along = np.unwrap(np.concatenate([[request.x0[YAW]], course]))
         turn = float(along[1] - along[0])
-        if turn:
+        if turn and t[-1] > LINEAR_TURN_S:
             along[1:] -= turn * np.clip(1.0 - t[1:] * GUESS_TURN_RAD_S / abs(turn), 0.0, 1.0)
         return [self._guess(t, x, water, along, yaw) for yaw in self._turns(float(along[-1]))]
 

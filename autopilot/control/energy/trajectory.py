@@ -205,7 +205,7 @@ OPTIONS: dict[str, Any] = {
         "sb": "yes",
         "tol": 1e-5,
         "acceptable_tol": 1e-4,
-        "max_iter": 100,
+        "max_iter": 150,
         "mu_strategy": "adaptive",
     },
 }
