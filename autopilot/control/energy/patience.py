@@ -24,7 +24,7 @@ STEP_S = 0.05
 
 ANSWER_STEPS = {Kind.COLD: 40, Kind.WARM: 16, Kind.NEXT: 40}
 """An answer is taken so many control steps (of 50 ms) after it was asked for, on a vehicle later if it is not there:
-what nine of ten take (``autopilot bench energy-latency``: 2.0, 0.7 and 1.5 s of CPU on two shared cores), rounded up."""
+what nine of ten take (``autopilot bench energy-latency``: 2.0, 0.7 and 1.5 s of CPU on two shared cores)."""
 
 RETRY_STEPS = 20
 """What failed is asked for again after so many steps (1 s), doubled with every failure in a row ..."""
