@@ -46,8 +46,8 @@ class Tuning:
     """Between two looks."""
     current_s: float = 1.0
     """The estimated current is followed within this time."""
-    certain: float = 6.0
-    """Evidence that a thruster has changed [nats]: 400 to one."""
+    certain: float = 7.0
+    """Evidence that a thruster has changed [nats]: a thousand to one."""
     ahead: float = 2.0
     """So much less there is for any other."""
     confirm_s: float = 0.5
