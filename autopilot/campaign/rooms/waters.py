@@ -10,6 +10,8 @@ from autopilot.core.frames import FloatArray
 from sitl.currents import CurrentField, Uniform, current_field
 from sitl.scenario_tables import Current
 
+STEEPEST_1_S = 0.6
+"""Water changes by so much over a metre at most; the jet of the paper's tank by 0.52."""
 PHASES = 8
 """Times within a tide at which the water is looked at."""
 
@@ -18,6 +20,35 @@ def draw_current(
     rng: np.random.Generator, kind: str, size_m: tuple[float, float], middle: tuple[float, float], limit_m_s: float
 ) -> dict[str, Any]:
     """``[current]`` of a room of a size about a middle, for a vehicle that swims ``limit_m_s``."""
+    table = _drawn(rng, kind, size_m, middle, limit_m_s)
+    less = min(1.0, STEEPEST_1_S / max(_steepness_1_s(table), 1e-9))
+    for key in ("speed_m_s", "shear_1_s", "circulation_m2_s"):
+        if key in table:
+            table[key] = round(table[key] * less, 4)
+    return table
+
+
+def _steepness_1_s(table: dict[str, Any]) -> float:
+    """Largest change of the water's speed over a metre."""
+    match table["kind"]:
+        case "jet":
+            return 2.0 * math.pi * abs(table["speed_m_s"]) / float(table["width_m"])
+        case "gyre":
+            return math.pi * table["speed_m_s"] / float(table["cell_m"])
+        case "vortex":
+            # In its middle it turns as a whole.
+            return abs(table["circulation_m2_s"]) / (2.0 * math.pi * float(table["core_m"]) ** 2)
+        case "shear":
+            return abs(float(table["shear_1_s"]))
+        case "bickley":
+            return 0.77 * table["speed_m_s"] / float(table["width_m"])
+        case _:
+            return 0.0
+
+
+def _drawn(
+    rng: np.random.Generator, kind: str, size_m: tuple[float, float], middle: tuple[float, float], limit_m_s: float
+) -> dict[str, Any]:
     what = rng.choice(["none", "uniform", "tide", "jet", "gyre", "vortex", "shear", "bickley"], p=_WEIGHTS)
     speed = round(limit_m_s * _share(rng, closed=kind != "open"), 3)
     angle = rng.uniform(-math.pi, math.pi)
