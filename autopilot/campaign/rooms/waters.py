@@ -30,18 +30,19 @@ def draw_current(
 
 def _steepness_1_s(table: dict[str, Any]) -> float:
     """Largest change of the water's speed over a metre."""
+    speed = abs(float(table.get("speed_m_s", 0.0)))
     match table["kind"]:
         case "jet":
-            return 2.0 * math.pi * abs(table["speed_m_s"]) / float(table["width_m"])
+            return 2.0 * math.pi * speed / float(table["width_m"])
         case "gyre":
-            return math.pi * table["speed_m_s"] / float(table["cell_m"])
+            return math.pi * speed / float(table["cell_m"])
         case "vortex":
             # In its middle it turns as a whole.
-            return abs(table["circulation_m2_s"]) / (2.0 * math.pi * float(table["core_m"]) ** 2)
+            return abs(float(table["circulation_m2_s"])) / (2.0 * math.pi * float(table["core_m"]) ** 2)
         case "shear":
             return abs(float(table["shear_1_s"]))
         case "bickley":
-            return 0.77 * table["speed_m_s"] / float(table["width_m"])
+            return 0.77 * speed / float(table["width_m"])
         case _:
             return 0.0
 
