@@ -13,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.campaign.rooms.chart import Chart
+from autopilot.campaign.rooms.flight import Flown, RoomTask, fly_room
 from autopilot.campaign.rooms.prospect import prospect
 from autopilot.campaign.rooms.results import Outcome, RoomResult
 from autopilot.campaign.rooms.room import KINDS, Room, files_of, make_room
 from autopilot.campaign.rooms.shapes import Block, Disc, Layout, Point, box, clearance_m
 from autopilot.campaign.rooms.store import read_flights
-from autopilot.campaign.rooms.verdict import judge_refusal
+from autopilot.campaign.rooms.verdict import judge_flight, judge_refusal
 from autopilot.cli.main import cli, run
 from autopilot.core.frames import FloatArray
 from autopilot.core.params import ParamSet
@@ -213,3 +214,59 @@ def test_a_disc_and_a_block_are_as_far_apart_as_their_rims() -> None:
     assert clearance_m(layout, (1.0, 0.0)) == pytest.approx(0.5)
     assert clearance_m(layout, (2.0, 0.0)) == pytest.approx(0.5)
     assert clearance_m(layout, (3.0, 0.0)) == pytest.approx(-0.5)
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[Room, Flown]:
+    """A tank with twelve obstacles, a wall with two doors and a jet, in the energy mode: 17 s of flight."""
+    room = make_room(1_000_003)
+    result = fly_room(room, 1)
+    assert result is not None
+    return room, result
+
+
+def judged_again(room: Room, flown: Flown) -> RoomResult:
+    """The same flight as if it had been in another room."""
+    assert flown.watch is not None
+    assert flown.end is not None
+    return judge_flight(room, prospect(room), 1, flown.watch, flown.end)
+
+
+def test_a_room_is_flown_to_its_end(flown: tuple[Room, Flown]) -> None:
+    result = flown[1].result
+    assert result.outcome is Outcome.REACHED
+    assert result.faults == []
+    assert result.visited == result.goals == len(flown[0].waypoints)
+    assert result.simulated_s < result.bound_s
+
+
+def test_the_judge_sees_goals_that_were_not_visited_and_bounds_that_were_broken(flown: tuple[Room, Flown]) -> None:
+    room, flight = flown
+    assert judged_again(room, flight).faults == []
+    last = {**room.waypoints[-1], "depth_m": room.waypoints[-1]["depth_m"] - 0.6}
+    elsewhere = replace(room, plan={**room.plan, "waypoint": [*room.waypoints[:-1], last]})
+    assert judged_again(elsewhere, flight).outcome is Outcome.NOT_REACHED
+    assert flight.watch is not None
+    middle = flight.watch.rows[len(flight.watch.rows) // 2]
+    post = Disc((float(middle[1]), float(middle[2])), 0.05)
+    in_the_way = replace(room, layout=replace(room.layout, solids=(*room.layout.solids, post)))
+    assert judged_again(in_the_way, flight).broken["clearance"] > 0.3
+    rows = flight.watch.rows
+    fastest = float(np.hypot(rows[:, 10], rows[:, 11]).max())
+    for name, limit, found in (
+        ("SPD_PLANAR_MAX", fastest - 0.04, "planar speed"),
+        ("THR_LIMIT", 0.99 * float(rows[:, 19].max()), "thrust"),
+        ("DEPTH_MAX", float(rows[:, 3].max()) - 0.1, "depth"),
+    ):
+        params = {**room.scenario["params"], name: limit}
+        slower = replace(room, scenario={**room.scenario, "params": params})
+        assert found in judged_again(slower, flight).broken
+
+
+@pytest.mark.parametrize("mode", [0, 1])
+def test_a_wall_without_a_way_is_refused_by_the_service_itself(mode: int) -> None:
+    result = RoomTask(room=57, mode=mode, seed=1_000_057).fly()
+    assert result is not None
+    assert result.outcome is Outcome.REFUSED
+    assert "no free path from item 1 to item 2" in result.what
+    assert (result.room, result.mode, result.seed) == (57, mode, 1_000_057)

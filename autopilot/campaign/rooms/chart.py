@@ -4,6 +4,7 @@ Nothing here is shared with the checks and planners of the service: shapes are p
 distance transform, ways come from Dijkstra's algorithm on cells. Who doubts one of the two has the other.
 """
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ WAY_CELL_M = 0.16
 WAY_MARGIN_M = 12.0
 """Ways are looked for within so much of the places that they connect."""
 WAY_CELLS = 160_000
+KEPT_GRAPHS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,39 +134,61 @@ class Ways:
         self._number: NDArray[np.int64] = np.full(free.shape, -1, dtype=np.int64)
         self._number[free] = np.arange(int(free.sum()))
         self._places = low + (np.argwhere(free) + 0.5) * cell_m
-        self._graph: sparse.csr_matrix | None = None
-        self._key: tuple[Flow, float, float, bool] | None = None
+        self._graphs: dict[tuple[Flow, float, float, bool], sparse.csr_matrix] = {}
 
     def quickest(
         self, start: Point, goal: Point, reach_m: float, flow: Flow, *, water_m_s: float, ground_m_s: float, worst: bool
     ) -> Way:
         """From a place to within ``reach_m`` of another, at ``water_m_s`` through the water and at most ``ground_m_s``
         over ground, in the worst (or the best) of the phases of the flow."""
-        if not len(self._places):
+        path = self._path(start, goal, reach_m, self._graph_of(flow, water_m_s, ground_m_s, worst=worst))
+        return NO_WAY if path is None else Way(path[1], self._length(path[0]))
+
+    def shortest(
+        self, start: Point, goal: Point, reach_m: float, flow: Flow, *, water_m_s: float, ground_m_s: float
+    ) -> Way:
+        """The same along the shortest way over ground, whatever the water does there, in the worst of its phases."""
+        path = self._path(start, goal, reach_m, self._graph_of(still, ground_m_s, ground_m_s, worst=True))
+        if path is None:
             return NO_WAY
-        key = (flow, water_m_s, ground_m_s, worst)
-        if self._graph is None or key != self._key:
-            self._graph, self._key = self._edges(flow, water_m_s, ground_m_s, worst=worst), key
+        cells = path[0]
+        graph = self._graph_of(flow, water_m_s, ground_m_s, worst=True)
+        times = [float(graph[a, b]) for a, b in itertools.pairwise(cells)]
+        # What is not in the graph is no way, and reads 0.
+        return Way(sum(times) if all(times) else math.inf, self._length(cells))
+
+    def _path(
+        self, start: Point, goal: Point, reach_m: float, graph: sparse.csr_matrix
+    ) -> tuple[list[int], float] | None:
+        """Cells of the way and its time, None without one."""
+        if not len(self._places):
+            return None
         away = np.hypot(*(self._places - np.array(start)).T)
         source = int(np.argmin(away))
-        if away[source] > 1.0:
-            return NO_WAY
         near = np.hypot(*(self._places - np.array(goal)).T)
         ends = np.flatnonzero(near <= max(reach_m, 1.5 * self._cell_m))
-        if not len(ends):
-            return NO_WAY
-        times, before = cast(Any, dijkstra)(self._graph, indices=source, return_predecessors=True)
+        if away[source] > 1.0 or not len(ends):
+            return None
+        times, before = cast(Any, dijkstra)(graph, indices=source, return_predecessors=True)
         end = int(ends[np.argmin(times[ends])])
         if not math.isfinite(times[end]):
-            return NO_WAY
-        return Way(float(times[end]), self._length(before, end))
+            return None
+        cells = [end]
+        while before[cells[-1]] >= 0:
+            cells.append(int(before[cells[-1]]))
+        return cells[::-1], float(times[end])
 
-    def _length(self, before: NDArray[np.int32], end: int) -> float:
-        length, at = 0.0, end
-        while before[at] >= 0:
-            length += math.dist(self._places[at], self._places[before[at]])
-            at = int(before[at])
-        return length
+    def _length(self, cells: list[int]) -> float:
+        return sum(math.dist(self._places[a], self._places[b]) for a, b in itertools.pairwise(cells))
+
+    def _graph_of(self, flow: Flow, water_m_s: float, ground_m_s: float, *, worst: bool) -> sparse.csr_matrix:
+        """The graph of these speeds; the last ones are kept."""
+        key = (flow, water_m_s, ground_m_s, worst)
+        if key not in self._graphs:
+            while len(self._graphs) >= KEPT_GRAPHS:
+                del self._graphs[next(iter(self._graphs))]
+            self._graphs[key] = self._edges(flow, water_m_s, ground_m_s, worst=worst)
+        return self._graphs[key]
 
     def _edges(self, flow: Flow, water_m_s: float, ground_m_s: float, *, worst: bool) -> sparse.csr_matrix:
         current = flow(self._places)
@@ -208,6 +232,13 @@ _STEPS = tuple(
     for east in range(-2, 3)
     if (north, east) != (0, 0) and math.gcd(north, east) == 1
 )
+
+
+def still(places: FloatArray) -> FloatArray:
+    """No current."""
+    return np.zeros((1, len(places), 2))
+
+
 SLOWEST_M_S = 0.02
 """Slower than this over ground is no way."""
 

@@ -96,6 +96,8 @@ class Flown:
     watch: RoomWatch | None
     """None if it was refused by its plan."""
     prospect: Prospect
+    end: Truth | None = None
+    """The truth at its end."""
 
 
 def fly_room(
@@ -124,7 +126,7 @@ def fly_room(
         def enough() -> bool:
             nonlocal stopped
             stopped = stop()
-            if watch.given_up and not chances.sure_after(watch.reached_seq):
+            if watch.given_up and not chances.sure_after(watch.reached_seq, mode):
                 return True
             return stopped or watch.over or watch.never_armed
 
@@ -135,7 +137,7 @@ def fly_room(
             result = judge_refusal(room, chances, watch.not_armed or "not armed, and nothing was said")
         else:
             result = judge_flight(room, chances, mode, watch, session.device.truth)
-        return Flown(_timed(result, room, mode, begun_s), watch, chances)
+        return Flown(_timed(result, room, mode, begun_s), watch, chances, session.device.truth)
 
 
 def _timed(result: RoomResult, room: Room, mode: int, begun_s: float) -> RoomResult:

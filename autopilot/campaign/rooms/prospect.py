@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.campaign.rooms.chart import NO_WAY, Chart, Flow, Way
+from autopilot.campaign.rooms.chart import NO_WAY, Chart, Flow, Way, still
 from autopilot.campaign.rooms.room import MARGIN_M, Room, current_table
 from autopilot.campaign.rooms.shapes import Point, clearance_m
 from autopilot.campaign.rooms.vehicles import speed_held_m_s
 from autopilot.campaign.rooms.waters import flow_of
-from autopilot.core.frames import FloatArray
 
 SURE_SHARE = 0.75
 """Of what the vehicle swims; a goal that needs more of it may be declined."""
@@ -29,7 +28,7 @@ BOUND_PER_GOAL_S = 14.0
 START_S = 15.0
 LONGEST_LEG_S = 240.0
 """A leg that may take longer than this may be declined, and is not waited for."""
-TELLING_S = 45.0
+TELLING_S = 90.0
 """A vehicle that cannot reach a goal has so long to say so."""
 
 
@@ -40,6 +39,8 @@ class Leg:
     seq: int
     """Mission item."""
     sure: bool
+    straight: bool
+    """Sure along the shortest way too, which is what the quadratic mode flies."""
     possible: bool
     ground: bool
     """A way over ground exists for sure, whatever the water does."""
@@ -50,6 +51,10 @@ class Leg:
     length_m: float
     bound_s: float
     """For this leg alone, in the quadratic mode."""
+
+    def must(self, mode: int) -> bool:
+        """Whether it has to be reached in a mode (MPC_COST)."""
+        return self.sure if mode else self.straight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,9 +71,9 @@ class Prospect:
         factor = BOUND_ENERGY if mode else 1.0
         return START_S + factor * sum(leg.bound_s for leg in self.legs)
 
-    def sure_after(self, seq: int) -> bool:
-        """Whether the goal after item ``seq`` has to be reached; False at the end."""
-        return next((leg.sure for leg in self.legs if leg.seq > seq), False)
+    def sure_after(self, seq: int, mode: int) -> bool:
+        """Whether the goal after item ``seq`` has to be reached in that mode; False at the end."""
+        return next((leg.must(mode) for leg in self.legs if leg.seq > seq), False)
 
 
 def item_seqs(room: Room) -> list[int]:
@@ -117,11 +122,6 @@ TURN_S = 8.0
 """For a heading of its own."""
 
 
-def _still(places: FloatArray) -> FloatArray:
-    """No current."""
-    return np.zeros((1, len(places), 2))
-
-
 class _Judge:
     def __init__(self, room: Room, chart: Chart, flow: Flow, keep: float, swims: float) -> None:
         self._room, self._chart, self._flow, self._swims, self._keep = room, chart, flow, swims, keep
@@ -144,6 +144,7 @@ class _Judge:
         way = self._quickest(here, there, near, sure_m_s, speed, worst=True) if strict else NO_WAY
         holdable = water <= sure_m_s and (yaw is None or self._holds(there, yaw))
         possible = loose and (math.isfinite(way.time_s) or self._perhaps(here, there, accept_m + 0.3))
+        straight = self._strict.shortest(here, there, near, self._flow, water_m_s=sure_m_s, ground_m_s=speed)
         bound = BOUND_FACTOR * way.time_s + BOUND_PER_GOAL_S + extra_s
         sure = strict and holdable and bound < LONGEST_LEG_S
         if not sure:
@@ -151,6 +152,7 @@ class _Judge:
         return Leg(
             seq=seq,
             sure=sure,
+            straight=sure and BOUND_FACTOR * straight.time_s + BOUND_PER_GOAL_S + extra_s < LONGEST_LEG_S,
             possible=possible,
             ground=strict,
             no_ground=not loose,
@@ -166,7 +168,7 @@ class _Judge:
             way = self._loose.quickest(here, there, reach, flow, water_m_s=swims, ground_m_s=swims, worst=False)
             return math.isfinite(way.time_s)
 
-        return found(1.02 * self._swims, self._flow) or not found(self._swims, _still)
+        return found(1.02 * self._swims, self._flow) or not found(self._swims, still)
 
     def up(self, seq: int, before: Leg, depth_m: float) -> Leg:
         """The ascent at the end: as sure as the goal before it."""
@@ -174,6 +176,7 @@ class _Judge:
         return Leg(
             seq=seq,
             sure=before.sure,
+            straight=before.straight,
             possible=before.possible,
             ground=before.ground,
             no_ground=before.no_ground,

@@ -32,13 +32,14 @@ HEAVE_M_S = 0.015
 YAW_RATE_RAD_S = 0.05
 THRUST_N = 1e-6
 MOST_TOLD = 16
-_WATER = re.compile(r"current|upstream|stream|water", re.IGNORECASE)
-_GROUND = re.compile(r"no free (way|path)|no way", re.IGNORECASE)
+_WATER = re.compile(r"current|upstream|water|out of reach", re.IGNORECASE)
+_GROUND = re.compile(r"no free (way|path)", re.IGNORECASE)
+_HOPELESS = re.compile(r"out of reach|no free (way|path)", re.IGNORECASE)
 
 
 def is_hopeless(text: str) -> bool:
     """Whether the operator is told that the water or the ground lets the vehicle not go on."""
-    return bool(_WATER.search(text) or _GROUND.search(text))
+    return bool(_HOPELESS.search(text))
 
 
 def judge_refusal(room: Room, chances: Prospect, reason: str) -> RoomResult:
@@ -209,11 +210,12 @@ def _outcome(
         return Outcome.REACHED, ""
     stuck = chances.legs[min(visited, len(chances.legs) - 1)]
     ground = [text for _, _, text in watch.told if _GROUND.search(text)]
-    said = [text for _, _, text in watch.told if is_hopeless(text)]
+    said = [text for _, _, text in watch.told if _WATER.search(text) or _GROUND.search(text)]
+    said = [text for text in said if _names(text, stuck.seq)]
     about = f"item {stuck.seq} ({visited} of {len(room.waypoints)} visited, {_away(room, watch, visited)})"
     if ground and visited and not stuck.ground:
         return Outcome.NOT_REACHED, f"accepted though there is no way, and told on it: {about}"
-    if not stuck.sure or swept:
+    if not stuck.must(mode) or swept:
         if said:
             return Outcome.TOLD, f"{said[-1]} at {about}"
         if not stuck.possible or swept:
@@ -223,6 +225,12 @@ def _outcome(
         return Outcome.NOT_REACHED, f"says complete without having been there: {about}"
     last = f", said: {watch.told[-1][2]}" if watch.told else ""
     return Outcome.NOT_REACHED, f"{about} in {chances.bound_s(mode):.0f} s{last}"
+
+
+def _names(text: str, seq: int) -> bool:
+    """Whether a text speaks of an item, or of none by number."""
+    found = re.search(r"\bitem (\d+)", text, re.IGNORECASE)
+    return found is None or int(found[1]) == seq
 
 
 def _away(room: Room, watch: RoomWatch, visited: int) -> str:
