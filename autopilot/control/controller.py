@@ -46,6 +46,9 @@ from autopilot.core.vehicle import Vehicle
 LONGEST_SHIFT_S = 1.0
 """A plan older than this is not continued."""
 
+JUMP_M = 0.5
+"""A reference that moves by so much between two steps has nothing to do with the last one."""
+
 SLEW_SHARE_1_S = 4.5
 """Commands change by at most so many times the drive's limit per second (2.7 N from step to step; 0.44 s from full
 ahead to full astern, as long as the thrusters' own lag takes): a reference that jumps does not tear at the drive."""
@@ -130,6 +133,7 @@ class MotionController:
         self._planned: FloatArray | None = None
         self._command = np.zeros(NU)
         self._stepped: FloatArray | None = None
+        self._reference_ned_m: FloatArray | None = None
         self._limit_n = np.zeros(NU)
         self._penalty.reset()
         self._fallbacks.reset()
@@ -295,7 +299,10 @@ class MotionController:
 
     def _warm_start(self, now: Situation, reference: Reference, elapsed_s: float) -> bool:
         """The plan to begin with: the last one moved on, or (True) the reference."""
-        if reference.fresh or self._plan_age_s is None or not 0.0 <= elapsed_s <= LONGEST_SHIFT_S:
+        meant, self._reference_ned_m = self._reference_ned_m, reference.x[:, :2]
+        # Around a plan that goes another way round an obstacle than the reference no step finds the way back.
+        jumped = meant is not None and float(np.abs(reference.x[:, :2] - meant).max()) > JUMP_M
+        if reference.fresh or jumped or self._plan_age_s is None or not 0.0 <= elapsed_s <= LONGEST_SHIFT_S:
             self._plan_age_s = self._planned = None
             self._program.begin(now, reference)
             return True

@@ -56,7 +56,7 @@ LATE_STEPS = 100
 
 END_HOLD_S = 0.5
 """At the end of a trajectory the vehicle, which lags a little, is held where the next one begins until the goal counts
-as reached: for so long by the trajectory's clock (1.7 s), then it turns to the goal's centre."""
+as reached: for so long by the trajectory's clock (1.7 s), then the route guidance brings it to the goal's centre."""
 
 RUNNING_OUT_S = 20.0
 RUNNING_OUT_SHARE = 0.6
@@ -139,7 +139,7 @@ class EnergyGuidance:
         weight_u = params["MPC_R_THRUST"]
         if track.rest_s > 0.0:
             weight_u = max(weight_u, FOLLOWING_THRUST_WEIGHT)
-        then = self._next if track.rest_s > -END_HOLD_S else None
+        then = self._next
         x, thrust = track.sample(self._t_s, current, then)
         if then is None or track.rest_s <= 0.0:
             after = self._t_s[:-1] >= track.rest_s
@@ -183,9 +183,15 @@ class EnergyGuidance:
         return fresh
 
     def _leave_if_lost(self, off_m: float) -> None:
-        """A trajectory that the vehicle is far from, or that has ended before the goal, is followed no more."""
+        """A trajectory that the vehicle is far from, or that has ended without its goal, is followed no more.
+
+        Where one ends at a place to stay at, it is followed to the goal's centre.
+        """
         track = self._track
-        if track is not None and (off_m > LOST_M or (track.rest_s <= 0.0 and not track.complete)):
+        if track is None:
+            return
+        ended = track.rest_s <= (-END_HOLD_S if track.complete else 0.0)
+        if off_m > LOST_M or (ended and not (track.complete and self._next is None)):
             self._track = self._next = None
             self._asked_next = False
 
