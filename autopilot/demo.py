@@ -128,7 +128,7 @@ def _service(scenario: str, log: Path, port: int, folder: Path, *, speed: float,
     """The service as its own process, ended by SIGTERM."""
     command = autopilot_command(
         *("sitl", scenario, "--quiet", "--speed", f"{speed:g}", "--log", str(log)),
-        *("--connect", f"udpin:127.0.0.1:{port}", "--param", "MPC_COST=1"),
+        *("--connect", f"udpin:127.0.0.1:{port}"),
         *(() if seed is None else ("--seed", str(seed))),
     )
     # Parameters of an earlier demo are not those of this one.

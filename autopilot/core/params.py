@@ -68,7 +68,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _int("FS_SOLVER_ACT", 2, 0, 2, "Solver fails FS_SOLVER_N times in a row: 0 = warn, 1 = hold, 2 = surface."),
     _int("FS_SOLVER_N", 40, 5, 1000, "NMPC steps in a row without a solution before the solver failsafe acts."),
     _int("LAT_DETECT", 1, 0, 1, "1 = late commands are found from the motion and allowed for, 0 = not looked for."),
-    _int("MPC_COST", 0, 0, 1, "What the controller minimises: 0 = distance and effort at cruise speed, 1 = energy."),
+    _int("MPC_COST", 1, 0, 1, "What the controller minimises: 0 = distance and effort at cruise speed, 1 = energy."),
     _real("MPC_MARGIN", 0.03, 0.0, 1.0, "m", "Distance that the controller keeps beyond the body radius at least."),
     _real("MPC_SPEED_MARGIN", 0.08, 0.0, 0.5, "m/s", "Kept free below the planar speed limit at least."),
     _real("MPC_Q_POS", 20.0, 0.0, 1e4, "", "NMPC weight on planar position error."),
@@ -96,7 +96,14 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("ORIGIN_ALT", 0.0, -500.0, 9000.0, "m", "Altitude of the water surface at the local origin (AMSL)."),
     _real("ORIGIN_LAT", 37.9755, -89.0, 89.0, "deg", "Latitude of the local origin, used until one is set by message."),
     _real("ORIGIN_LON", 23.7790, -180.0, 180.0, "deg", "Longitude of the local origin."),
-    _real("SPD_CRUISE", 0.35, 0.02, 2.0, "m/s", "Speed over ground that missions ask for (DO_CHANGE_SPEED overrides)."),
+    _real(
+        "SPD_CRUISE",
+        0.35,
+        0.02,
+        2.0,
+        "m/s",
+        "Cruise speed: over ground, with MPC_COST 1 its bound (DO_CHANGE_SPEED asks for one).",
+    ),
     _real(
         "SPD_GROUND_MIN", 0.01, 0.001, 1.0, "m/s", "A goal that is approached more slowly than this is out of reach."
     ),

@@ -202,8 +202,14 @@ def test_switching_goals_all_the_time_breaks_nothing(controller: MotionControlle
 
 
 def test_free_heading_looks_along_the_route(controller: MotionController) -> None:
+    plain = ParamSet({**DEEP, "MPC_COST": 0})
     flight = fly(
-        controller, [goal(0.0, 4.0, 0.5, None)], [0, 0, 0.5, -0.5, 0, 0, 0, 0], fence=OPEN, params=DEEP, limit_s=20.0
+        controller,
+        [goal(0.0, 4.0, 0.5, None)],
+        [0, 0, 0.5, -0.5, 0, 0, 0, 0],
+        fence=OPEN,
+        params=plain,
+        limit_s=20.0,
     )
     middle = flight.x[(flight.x[:, 1] > 1.5) & (flight.x[:, 1] < 3.0)]
     assert np.abs(middle[:, 3] - math.pi / 2.0).max() < 0.15

@@ -100,7 +100,7 @@ def test_other_margins_know_nothing_of_it_and_clearance_stays() -> None:
 
 def test_up_a_stream_near_the_limit_the_way_made_grows_and_the_limit_holds() -> None:
     """0.35 m/s of 0.5 against the bow, the estimator's spread as in flight: the whole margin leaves nothing of it."""
-    controller, params, fence = MotionController(VEHICLE), ParamSet(), Fence(depth_max_m=1.2)
+    controller, params, fence = MotionController(VEHICLE), ParamSet({"MPC_COST": 0}), Fence(depth_max_m=1.2)
     stream = np.array([-0.35, 0.0, 0.0])
     x, acting, fastest, made = np.array([0.0, 0.0, 0.6, 0.0, 0.3, 0.0, 0.0, 0.0]), np.zeros(4), 0.0, []
     rng = np.random.default_rng(1)

@@ -15,7 +15,7 @@ from autopilot.core.plan import PlanKind
 from mission.geodesy import geodetic_from_ned
 from mission.paper import paper_plan
 
-WARNING = "No energy plan: this leg goes by the plain route"
+WARNING = "No energy plan: flying the plain route"
 
 
 def on_its_way(flight: PilotedFlight, seconds: float) -> None:
@@ -68,7 +68,7 @@ def test_of_many_go_tos_only_the_last_is_planned_to_its_end(monkeypatch: pytest.
         for i in range(12):
             go_to(flight, (1.2 + 0.02 * i, 0.9, 0.4))
             flight.fly(0.1)
-        flight.fly(0.5)
+        flight.fly(2.5)
         assert flight.outputs is not None and flight.outputs.goal is not None
         assert np.allclose(flight.outputs.goal.pos_ned_m, (1.42, 0.9, 0.4), atol=0.01)
         assert len(done) == 1 and np.allclose(done[0], flight.outputs.goal.pos_ned_m)

@@ -33,7 +33,7 @@ def test_the_fuzzer_knows_every_message_that_is_handled(fuzzer: Fuzzer) -> None:
 
 
 def test_a_few_minutes_of_everything(fuzzer: Fuzzer) -> None:
-    for _ in range(7):
+    for _ in range(9):
         fuzzer.episode(150)
     result = fuzzer.result
     assert result.messages > 2000

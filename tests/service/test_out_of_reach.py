@@ -25,7 +25,7 @@ plan = "plan.mission.toml"
 position = "pose"
 [current]
 kind = "uniform"
-velocity_m_s = [-0.40, 0.0, 0.0]
+velocity_m_s = [-0.46, 0.0, 0.0]
 [vehicle]
 start_m = [0.0, 0.0, 0.5]
 held = true

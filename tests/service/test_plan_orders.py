@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from autopilot.commander import CHECKING
+from autopilot.core import free_space
 from autopilot.core.desk import Cancel, Desk
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode, GeoPoint
-from mission import reach
 from mission.fence import fence_clearance_m
 from mission.judgement import judge
 from mission.store import CHECK_TICKS, Change, plan_checksum
@@ -174,7 +174,7 @@ class Yard(Bench):
 def coarse() -> Iterator[None]:
     """Coarser cells for the search of ways: the rule is looked at here, not the geometry."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reach, "MAX_CELLS", 1500)
+        patch.setattr(free_space, "BASE_CELLS", 1500)
         yield
 
 

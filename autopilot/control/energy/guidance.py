@@ -217,7 +217,6 @@ class EnergyGuidance:
             return False
         if self._request is None or not same_fence or _key(self._request.goal) != key:
             self._withdraw()
-        self._by_route = False
         return True
 
     def _take(self, request: Request, plan: Plan, now: Situation) -> bool:
