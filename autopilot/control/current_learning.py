@@ -115,6 +115,7 @@ class LearnedCurrent:
     def __init__(self, basin: Basin = Basin.UNKNOWN) -> None:
         self._basin = basin
         self._length_m = OPEN_LENGTH_M
+        self._fenced = False
         self._last_us: int | None = None
         self._revision = Revision()
         self._forget()
@@ -139,15 +140,16 @@ class LearnedCurrent:
         self._fit = Fit(
             length_m=self._length_m, places_ned_m=np.zeros((0, 2)), pull=np.zeros((2, 0)), mean_m_s=np.zeros(2)
         )
-        self._trust = Trust(self._length_m, sure=self._basin is Basin.CLOSED)
+        sure = self._basin is Basin.CLOSED or not self._fenced
+        self._trust = Trust(self._length_m, sure=sure, tails=not self._fenced)
 
     def within(self, fence: Fence) -> None:
         """Take the correlation length from the size of the workspace. Another one begins with nothing learned."""
         width = narrowest_width_m(fence)
         length = OPEN_LENGTH_M if width is None else LENGTH_SHARE * width
         length = min(max(length, SHORTEST_M), LONGEST_M)
-        if length != self._length_m:
-            self._length_m = length
+        if (length, width is not None) != (self._length_m, self._fenced):
+            self._length_m, self._fenced = length, width is not None
             self._forget()
 
     def view(self, nav: NavState) -> NavState:

@@ -3,6 +3,10 @@
 On the way, every fifth of the flow's length, the vehicle keeps what flow and estimate were there. Farther on it
 compares what each of them foretold for the new place with what is estimated now, and keeps the balance of the
 log-likelihoods.
+
+Without a fence errors have heavy tails: the logarithm is that of a Gaussian, -e^2 / 2s^2, as long as they are small,
+and -log(2s^2 + e^2) in general. What counts then is how many times larger one error is than the other: in a vortex both
+forecasts are far off, and the one that is a little farther off is not dropped for it.
 """
 
 import math
@@ -37,8 +41,10 @@ LIMIT = 3.0
 """Bounds of the balance: what has long been right (or wrong) is dropped (or taken up again) within some looks."""
 
 SURE, UNSURE = 2.0, -2.0
-"""Balance to begin with: in a basin that is known to be closed, and else. Near the speed limit a forecast that promises
-a little less current farther aside is worth a detour, so it has to prove itself before it is followed."""
+"""Balance to begin with: in a basin that is known to be closed and in open water, and within a fence of which nothing
+is known. Eddies of open water are over before a forecast has proved itself. A fence is no wall, but the flow's length
+is taken from it: near the speed limit a promise of a little less current beside the vehicle is worth a detour, so it
+has to be earned there."""
 
 RAMP_S = 1.0
 """The share that is used follows the balance with this time constant: plans do not jump."""
@@ -63,9 +69,10 @@ class _Told:
 class Trust:
     """Balance of the two forecasts along the way that is flown."""
 
-    def __init__(self, length_m: float, *, sure: bool) -> None:
+    def __init__(self, length_m: float, *, sure: bool, tails: bool) -> None:
         self._length_m = length_m
         self._step_m = max(LEAST_STEP_M, STEP_SHARE * length_m)
+        self._tails = tails
         self._balance = SURE if sure else UNSURE
         self._told: deque[_Told] = deque(maxlen=KEPT)
         self._last_us: int | None = None
@@ -92,10 +99,15 @@ class Trust:
             flow = told.flow.flow(np.stack([nav.pos_ned_m[:2], told.nav.pos_ned_m[:2]]))
             share = float(correction_share(told.nav, here, np.zeros(1), self._length_m)[0])
             learned = flow[0] + share * (before - flow[1])
-            gains.append(float(np.square(before - seen).sum() - np.square(learned - seen).sum()))
+            gains.append(self._cost(before - seen) - self._cost(learned - seen))
         if gains:
-            gain = float(np.mean(gains)) / (2.0 * ERROR_M_S**2)
+            gain = float(np.mean(gains))
             self._balance = min(max(self._balance + min(max(gain, -WORST), WORST), -LIMIT), LIMIT)
+
+    def _cost(self, error_m_s: FloatArray) -> float:
+        """Negative logarithm of how likely an error is."""
+        square = float(np.square(error_m_s).sum()) / (2.0 * ERROR_M_S**2)
+        return math.log1p(square) if self._tails else square
 
 
 def _away_m(a: NavState, b: NavState) -> float:

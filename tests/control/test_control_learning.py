@@ -13,6 +13,7 @@ from autopilot.control.currents import EstimatedCurrent
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
+from sitl.currents import Gyre
 from tests.control.control_loop import TANK, VEHICLE, fly, goal, jet, nav_state
 from tests.control.waters import KINDS, errors_of, room, world_of
 
@@ -150,6 +151,27 @@ def test_what_proves_wrong_is_dropped_within_seconds_and_taken_up_again() -> Non
         forecast.view(nav)
     assert forecast.trust < 0.1
     assert np.allclose(ask(forecast, nav, np.array([[1.5, 1.0], [-1.0, -1.0]]))[:, :2], turned[:2], atol=0.03)
+
+
+def test_gyres_in_open_water_are_foreseen_from_the_first_leg_on() -> None:
+    """Straight through gyres, the water felt on the way: the next 6 m are known better from the start."""
+    gyre = Gyre(speed_m_s=0.3, cell_m=20.0)
+    forecast, uniform = LearnedCurrent(), EstimatedCurrent()
+    forecast.within(Fence())
+    errors, trust = [], []
+    for k in range(700):
+        here = np.array([-10.0 + 0.03 * k, 0.0])
+        nav = along(*here, 0.1 * k, np.array(gyre.velocity((here[0], here[1], 0.5), 0.0)))
+        forecast.view(nav)
+        trust.append(forecast.trust)
+        ahead = here + np.column_stack([np.linspace(0.5, 6.0, 6), np.zeros(6)])
+        truth = np.array([gyre.velocity((p[0], p[1], 0.5), 0.0)[:2] for p in ahead])
+        told = np.empty((6, 3))
+        uniform.fill(nav, np.column_stack([ahead, np.full(6, 0.5)]), np.zeros(6), told)
+        errors.append([np.hypot(*(f[:, :2] - truth).T).mean() for f in (told, ask(forecast, nav, ahead))])
+    same, learned = np.mean(errors, axis=0)
+    assert learned < 0.9 * same, (learned, same)
+    assert np.mean(trust[:100]) > 0.9, trust[:100]
 
 
 def test_a_goal_up_a_stream_through_a_fence_is_flown_to_and_not_round() -> None:
