@@ -161,7 +161,7 @@ def test_gyres_in_open_water_are_foreseen_from_the_first_leg_on() -> None:
     errors, trust = [], []
     for k in range(700):
         here = np.array([-10.0 + 0.03 * k, 0.0])
-        nav = along(*here, 0.1 * k, np.array(gyre.velocity((here[0], here[1], 0.5), 0.0)))
+        nav = along(float(here[0]), 0.0, 0.1 * k, np.array(gyre.velocity((here[0], here[1], 0.5), 0.0)))
         forecast.view(nav)
         trust.append(forecast.trust)
         ahead = here + np.column_stack([np.linspace(0.5, 6.0, 6), np.zeros(6)])
