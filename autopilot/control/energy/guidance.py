@@ -1,12 +1,15 @@
 """Guidance of least energy: asks for trajectories, follows them, and has them brought up to date when things change.
 
-A leg is planned when its goal appears; the leg after it is planned while this one is flown, so that there is no wait at
-a waypoint. A plan is brought up to date when the water differs from what it was made for, when the vehicle has been
-pushed off it, and when it ends before the goal. Plans begin where the vehicle will be when they are answered.
+A leg is planned when its goal appears: a quick plan to set out with, and then a full search from where the vehicle will
+be on it. The leg after it is planned while this one is flown, so that there is no wait at a waypoint. A plan is brought
+up to date when the water differs from what it was made for, when the vehicle has been pushed off it, and when it ends
+before the goal. Plans begin where the vehicle will be when they are answered.
 
 While there is no plan (not yet, no way, planning failed, or the vehicle has lost its trajectory) the leg is flown by
 the route guidance, and plans are asked for again.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -66,6 +69,16 @@ FOLLOWING_THRUST_WEIGHT = 0.2
 """Least weight on the difference to the planned thrust while a trajectory is followed: to be a little off it costs less
 than to correct it at once. (In the paper's tank 2 % of a lap against 0.02; the limits are kept by other means.)"""
 
+FOLLOWED_STEPS = 4
+"""The full search begins where the optimiser predicts the vehicle once it has followed the quick plan for so long."""
+
+SHORT_S = 6.0
+"""A leg that takes less is flown by the route guidance, unless its plan was made ahead: there would be no time to bring
+the plan up to date, and with what the water turns out to be on the way the goal would be missed by centimetres."""
+
+SET_OUT_STEPS = 20
+"""So long (1 s) the vehicle sets out gently, with that weight: it accelerates with 3 N instead of 12."""
+
 BOUND_SHARE = 0.96
 """Share of the limits on heave, yaw rate and thrust that plans use: what tracking needs is left to the optimiser."""
 
@@ -102,6 +115,9 @@ class EnergyGuidance:
         self._planner: object = None
         self._track: Track | None = None
         self._next: Track | None = None
+        self._quick = self._short = False
+        self._first = Kind.QUICK
+        self._taken_step = 0
         self._asked_next = False
         self._flow: Flow | None = None
         self._asked_step = 0
@@ -125,13 +141,20 @@ class EnergyGuidance:
             if not self._by_route:
                 self._by_route = True
                 self._route.reset()
-            return self._route.reference(now)
+            return self._setting_out(self._route.reference(now))
         self._by_route = False
         return self._along(self._track, now, fresh)
 
     def ahead(self, here: FloatArray) -> FloatArray:
         """See :class:`Guidance`."""
         return self._route.ahead(here) if self._track is None else np.vstack([here, self._track.ahead()])
+
+    def _setting_out(self, route: Reference) -> Reference:
+        """The route's reference: gently while the leg's first plan is awaited, which may well begin another way."""
+        awaited = self._request is not None and self._request.kind is Kind.QUICK
+        if self._short or not awaited or self._step - self._goal_step > SET_OUT_STEPS:
+            return route
+        return replace(route, weight_u=np.maximum(route.weight_u, FOLLOWING_THRUST_WEIGHT))
 
     def _along(self, track: Track, now: Situation, fresh: bool) -> Reference:
         """The reference along a trajectory, and on into the next one."""
@@ -207,6 +230,7 @@ class EnergyGuidance:
         left, ahead, same_fence = self._track, self._next, now.planner is self._planner
         self._goal_key, self._planner, self._goal_step = key, now.planner, self._step
         self._track, self._next, self._asked_next = None, None, False
+        self._quick, self._short, self._first = False, False, Kind.QUICK
         self._patience.succeeded()
         if ahead is not None and same_fence and _key(ahead.goal) == key:
             self._withdraw()
@@ -222,10 +246,21 @@ class EnergyGuidance:
     def _take(self, request: Request, plan: Plan, now: Situation) -> bool:
         """Put an answer into force."""
         if plan.trajectory is None:
-            self._fail(request, NoPlanError(plan.why))
+            if request.kind is Kind.QUICK:
+                # Another way or turn, or a shorter trajectory, may be solved.
+                self._first = Kind.COLD
+            else:
+                self._fail(request, NoPlanError(plan.why))
             return False
         track = Track(plan.trajectory, plan.goal, plan.complete)
         self._mishaps.succeeded()
+        if plan.stay and self._track is not None:
+            self._quick = False
+            self._patience.succeeded()
+            return False
+        if request.kind is Kind.QUICK and plan.complete and track.length_s < SHORT_S:
+            self._short = True
+            return False
         if _key(request.goal) != self._goal_key:
             self._next = track
             return False
@@ -233,6 +268,7 @@ class EnergyGuidance:
         if track.locate(now.x0, 0.0) > LOST_M:
             return False
         old, self._track, self._asked_next = self._track, track, False
+        self._quick, self._taken_step = request.kind is Kind.QUICK, self._step
         if old is not None and np.hypot(*(track.trajectory.x[-1] - old.trajectory.x[-1])[:2]) > SAME_END_M:
             # The next leg was planned from where the last trajectory ended.
             self._next = None
@@ -244,7 +280,7 @@ class EnergyGuidance:
             trajectory_s=float(plan.trajectory.t_s[-1]),
             late=self._desk.late,
         )
-        return old is None
+        return old is None or abs(track.trajectory.x[-1, YAW] - old.trajectory.x[-1, YAW]) > np.pi
 
     def _take_news(self) -> EnergyPlan | None:
         news, self._news = self._news, None
@@ -256,8 +292,16 @@ class EnergyGuidance:
         over = self._patience.over(now, since)
         if track is None:
             begun = self._step - self._goal_step
-            if over and begun > 0 and (not self._route.searching or begun >= ROUTE_STEPS):
-                self._ask(now, Kind.COLD, now.goal, self._coming(now, Kind.COLD, elapsed_s), None)
+            if self._short:
+                return
+            kind, at_once = self._first, self._first is Kind.COLD
+            if (over or at_once) and begun > 0 and (not self._route.searching or begun >= ROUTE_STEPS):
+                self._first = Kind.QUICK
+                self._ask(now, kind, now.goal, self._coming(now, kind, elapsed_s), None)
+            return
+        followed = self._step - self._taken_step >= FOLLOWED_STEPS
+        if self._quick and followed and over and track.rest_s > LAST_UPDATE_S + ANSWER_STEPS[Kind.COLD] * STEP_S:
+            self._ask(now, Kind.COLD, now.goal, self._coming(now, Kind.COLD, elapsed_s), track)
             return
         running_out = not track.complete and track.rest_s < min(RUNNING_OUT_S, RUNNING_OUT_SHARE * track.length_s)
         kind = Kind.COLD if running_out or off_m > 2.0 * OFF_TRACK_M else Kind.WARM
@@ -326,6 +370,7 @@ class EnergyGuidance:
             thrust_limit_n=BOUND_SHARE * now.thrust_limit_n,
             cruise_m_s=goal.speed_m_s,
             warm=None if warm is None else shifted(warm.trajectory, warm.clock_s + steps * STEP_S, x0),
+            kind=kind,
         )
         if kind is not Kind.NEXT:
             self._asked_step = self._step

@@ -12,19 +12,23 @@ from autopilot.control.planner import Planner
 class Kind(enum.Enum):
     """Requests by what they take."""
 
-    COLD = "first plan of a leg"
-    """From nothing: all ways, all turns."""
+    QUICK = "first plan of a leg"
+    """From nothing: the cheapest way with either turn, to set out with."""
+    COLD = "full search"
+    """All ways, all turns, the leg after; beside them what is left of the plan in force, if there is one."""
     WARM = "plan brought up to date"
     """From the plan in force."""
     NEXT = "plan of the leg after"
+    """A full search ahead."""
 
 
 STEP_S = 0.05
 """Between control steps."""
 
-ANSWER_STEPS = {Kind.COLD: 40, Kind.WARM: 16, Kind.NEXT: 40}
+ANSWER_STEPS = {Kind.QUICK: 8, Kind.COLD: 40, Kind.WARM: 16, Kind.NEXT: 40}
 """An answer is taken so many control steps (of 50 ms) after it was asked for, on a vehicle later if it is not there:
-what nine of ten take (``autopilot bench energy-latency``: 2.0, 0.7 and 1.5 s of CPU on two shared cores)."""
+about what nine of ten take (``autopilot bench energy-latency``, seconds of CPU on two shared cores: full searches 1.8,
+updates 0.1 in the tank and up to 1.8 elsewhere; quick plans with two turns 0.3 to 0.4 in the tank)."""
 
 RETRY_STEPS = 20
 """What failed is asked for again after so many steps (1 s), doubled with every failure in a row ..."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, EnergyToGo, Way, other_ways
 from autopilot.control.energy.flow import LEAST_SAMPLES, Flow, FlowSamples, area_of
+from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel, SpeedTable, energy_per_metre, planar_limit_m_s, speed_table
 from autopilot.control.energy.trajectory import PLANES, SUBSTEP_S, Ask, Program, Trajectory
 from autopilot.control.guidance import SteadyThrust
@@ -54,6 +55,9 @@ UPDATE_ROUNDS = 1
 
 STAY_WITHIN = 1.1
 """A plan stays on its way while the energy field knows none that is cheaper by so much: near-ties would flip."""
+
+CHEAPER_SHARE = 0.95
+"""A full search replaces a quick plan that is under way if it costs less than so much of what is left of that."""
 
 KEEP_WITHIN = 1.15
 """Ways whose energy is beyond so many times the best one's are not looked at."""
@@ -109,7 +113,9 @@ class Request:
     cruise_m_s: float = math.inf
     """See :func:`autopilot.control.energy.power.planar_limit_m_s`."""
     warm: Trajectory | None = None
-    """What is left of the plan in force, if that is only to be brought up to date."""
+    """What is left of the plan in force, if the vehicle may stay on it."""
+    kind: Kind = Kind.COLD
+    """What is looked at."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -128,6 +134,8 @@ class Plan:
     """The water that it was made for."""
     why: str = ""
     """Without a trajectory: the reason."""
+    stay: bool = False
+    """A full search has found nothing that is clearly cheaper than the plan in force."""
 
 
 class TrajectoryPlanner(Protocol):
@@ -178,8 +186,11 @@ class EnergyPlanner:
         task.guesses(best)
         # What ends at a gate has a new one.
         warm = None if request.warm is None or not task.complete else task.refine(request.warm, UPDATE_ROUNDS)
-        if warm is not None and warm.solved and task.energy_along(warm) < STAY_WITHIN * best.energy_j:
+        stays = warm is not None and warm.solved and task.energy_along(warm) < STAY_WITHIN * best.energy_j
+        if warm is not None and stays and request.kind is Kind.WARM:
             return task.plan(warm)
+        if request.kind is Kind.QUICK:
+            return task.first(best)
         candidates = [] if warm is None else [warm]
         for task.reach_s in (LONGEST_S, *SHORTER_S):
             if task.reach_s < LONGEST_S and task.ends_in_goal(best):
@@ -195,6 +206,8 @@ class EnergyPlanner:
         if len(close) > 1 and beyond is not None and task.complete:
             onward = self._onward(task, close, field, beyond, features)
             winner = close[int(np.argmin(onward))]
+        if warm is not None and warm.solved and winner.cost_j > CHEAPER_SHARE * warm.cost_j:
+            return replace(task.plan(warm), stay=True)
         polished = task.refine(winner, POLISH_ROUNDS)
         return task.plan(polished if polished.solved else winner)
 
@@ -320,6 +333,13 @@ class _Task:
         request = replace(self._request, x0=end.x[-1], goal=goal, warm=None)
         rest = (np.zeros(2), self._program, self._steady, self._cancel)
         return _Task(request, self._features, self._flow, self._table, beyond, *rest)
+
+    def first(self, way: Way) -> Plan:
+        """The quick answer: the better turn along the way. (Which one that is cannot be seen from the guesses.)"""
+        found = [one for one in (self.refine(guess, SCREEN_ROUNDS) for guess in self.guesses(way)) if one.solved]
+        if not found:
+            return _none(self._request.goal, "no quick trajectory solved")
+        return self.plan(min(found, key=lambda one: one.cost_j))
 
     def ends_in_goal(self, way: Way) -> bool:
         """Whether a trajectory along a way reaches the goal's region."""
