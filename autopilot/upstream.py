@@ -92,7 +92,7 @@ def _leg(seq: int, a: FloatArray, b: FloatArray, speed_m_s: float, current_at: C
 JUMP_M = 1.0
 """A way that becomes longer by this from one look to the next is another way, not one that was drifted back ..."""
 
-FRESH_STARTS = 5
+FRESH_STARTS = 2
 """... which begins the count anew, but not for ever: whoever plans another way every minute gets nowhere."""
 
 

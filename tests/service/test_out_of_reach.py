@@ -63,7 +63,7 @@ def flown(tmp_path: Path, params: dict[str, float], duration_s: float) -> tuple[
 
 
 def test_a_goal_up_too_fast_a_stream_is_told_skipped_and_the_next_one_reached(tmp_path: Path) -> None:
-    texts, last = flown(tmp_path, {}, 50.0)
+    texts, last = flown(tmp_path, {}, 75.0)
     told = [
         text for text in texts if text.startswith(("Item 0 is upstream: 0.0", "Item 0 is out of reach: current 0."))
     ]
