@@ -77,7 +77,8 @@ SHORT_S = 6.0
 the plan up to date, and with what the water turns out to be on the way the goal would be missed by centimetres."""
 
 SET_OUT_STEPS = 20
-"""So long (1 s) the vehicle sets out gently, with that weight: it accelerates with 3 N instead of 12."""
+"""So long (1 s) the vehicle sets out gently, with that weight: the lateral thruster's peak in the
+paper's tank is 7 N instead of 12."""
 
 BOUND_SHARE = 0.96
 """Share of the limits on heave, yaw rate and thrust that plans use: what tracking needs is left to the optimiser."""
