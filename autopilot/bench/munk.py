@@ -61,7 +61,9 @@ def munk_case(*, step_ticks: int = 20, inner: bool, seconds: float) -> MunkRow:
     model = vehicle.model4.to_model()
     controller = MotionController(vehicle, cpu_clock=lambda: 0.0)
     move = discrete_dynamics(model, TICK_US * 1e-6, 1)
-    params = ParamSet({"MPC_SPEED_MARGIN": 0.0, "MPC_W_FORCE": 0.0, "MPC_W_MOMENT": 0.0, "MPC_W_CURRENT": 0.0})
+    params = ParamSet(
+        {"MPC_COST": 0, "MPC_SPEED_MARGIN": 0.0, "MPC_W_FORCE": 0.0, "MPC_W_MOMENT": 0.0, "MPC_W_CURRENT": 0.0}
+    )
     goal = Goal(
         pos_ned_m=np.array([1000.0, 0.0, 1.0]),
         yaw_rad=0.0,

@@ -73,7 +73,7 @@ def fly(
 ) -> Flight:
     """From ``start`` (8,) to the waypoints in turn, beginning with number ``first``."""
     move = discrete_dynamics(vehicle.model4.to_model(), STEP_US * 1e-6, 1)
-    params, goals, index = ParamSet(), [waypoint(*w) for w in WAYPOINTS], first
+    params, goals, index = ParamSet({"MPC_COST": 0}), [waypoint(*w) for w in WAYPOINTS], first
     q = params["MPC_Q_POS"]
     weights = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
     x, acting, cost, failures = np.array(start, dtype=float), np.zeros(4), 0.0, 0

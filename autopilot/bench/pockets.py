@@ -117,7 +117,7 @@ def fly_to_goal(
     vehicle: Vehicle,
 ) -> tuple[float, float, int]:
     """Time to the goal [s] (inf = missed), smallest clearance beyond the body radius [m], steps without a way."""
-    params, goal = ParamSet(), _goal()
+    params, goal = ParamSet({"MPC_COST": 0}), _goal()
     x, acting = np.array([start[0], start[1], DEPTH_M, start[2], 0.0, 0.0, 0.0, 0.0]), np.zeros(4)
     share = 1.0 - math.exp(-STEP_US * 1e-6 / vehicle.drive.time_constant_s)
     track, waits, reached_s = [x[:2].copy()], 0, math.inf

@@ -235,7 +235,7 @@ def cost_table(
         margins, regions = controller.margins, controller.regions
         setattr(margins, "back_offs", _timed(margins.back_offs, spent["margins"], clock))  # noqa: B010
         setattr(regions, "follow", _timed(regions.follow, spent["regions"], clock))  # noqa: B010
-        params, whole, ticks = ParamSet({"MPC_TIGHTEN": mode}), [], []
+        params, whole, ticks = ParamSet({"MPC_COST": 0, "MPC_TIGHTEN": mode}), [], []
         x = np.array([-1.6, -0.35, 0.45, 0.0, 0.0, 0.0, 0.0, 0.0])
         for step in range(steps):
             t_us = step * STEP_US

@@ -383,7 +383,7 @@ def test_a_route_search_that_fails_holds_the_place_and_is_tried_again(monkeypatc
         return sound(self, start, to, cancel)
 
     monkeypatch.setattr(Planner, "path", path)
-    loop = Loop(MotionController(VEHICLE, cpu_clock=lambda: 0.0))
+    loop = Loop(MotionController(VEHICLE, cpu_clock=lambda: 0.0), MPC_COST=0)
     loop.fly(10, B, TANK)
     assert loop.controller.unreachable
     news = loop.controller.take_news()
