@@ -408,12 +408,18 @@ class Sequencer:
         return Goal(
             pos_ned_m=np.array([pos_ned_m[0], pos_ned_m[1], depth], dtype=np.float64),
             yaw_rad=yaw_rad,
-            speed_m_s=self._params["SPD_CRUISE"] if self._run.speed_m_s is None else self._run.speed_m_s,
+            speed_m_s=self._speed_m_s,
             accept_radius_m=self._params["WP_ACCEPT_RADIUS"] if radius_m is None else radius_m,
             accept_yaw_rad=self._params["WP_ACCEPT_YAW"],
             seq=seq,
             speed_asked=self._run.speed_m_s is not None,
         )
+
+    @property
+    def _speed_m_s(self) -> float:
+        """That was asked for, else the cruise speed."""
+        asked = self._run.speed_m_s
+        return self._params["SPD_CRUISE"] if asked is None else asked
 
     def _leading_on(self, goal: Goal) -> Goal:
         """The goal of the present step with those that follow it without a stop."""
@@ -441,8 +447,8 @@ class Sequencer:
     def _refresh_goal(self) -> None:
         """The running goal with a new speed."""
         if self._run.goal is not None:
-            speed = self._params["SPD_CRUISE"] if self._run.speed_m_s is None else self._run.speed_m_s
-            self._run.goal = replace(self._run.goal, speed_m_s=speed, speed_asked=self._run.speed_m_s is not None)
+            asked = self._run.speed_m_s is not None
+            self._run.goal = replace(self._run.goal, speed_m_s=self._speed_m_s, speed_asked=asked)
 
 
 SURE_SIGMAS = 3.0

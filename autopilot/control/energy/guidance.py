@@ -61,9 +61,8 @@ END_HOLD_S = 0.5
 """At the end of a trajectory the vehicle, which lags a little, is held where the next one begins until the goal counts
 as reached: for so long by the trajectory's clock (1.7 s), then the route guidance brings it to the goal's centre."""
 
-RUNNING_OUT_S = 20.0
-RUNNING_OUT_SHARE = 0.6
-"""A trajectory that does not reach its goal is continued when it has less than this left."""
+RUNNING_OUT_S, RUNNING_OUT_SHARE = 20.0, 0.6
+"""A trajectory that does not reach its goal is continued when it has less than this time or share left."""
 
 FOLLOWING_THRUST_WEIGHT = 0.2
 """Least weight on the difference to the planned thrust while a trajectory is followed: to be a little off it costs less
