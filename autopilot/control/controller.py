@@ -97,7 +97,8 @@ class MotionController:
         self._fallbacks = FallbackWatch()
         self._nominal_t_s = vehicle.drive.time_constant_s + grid.t_s
         self._plan_current = np.zeros(3)
-        self._trajectories = trajectories = trajectories or EnergyPlanner(self._model, PowerModel.of(vehicle))
+        self.trajectories = trajectories = trajectories or EnergyPlanner(self._model, PowerModel.of(vehicle))
+        """Makes plans of least energy."""
         route = RouteGuidance(self._model, grid, desks.routes)
         energy = EnergyGuidance(self._model, grid, desks.trajectories, trajectories, route)
         self._guidances: tuple[Guidance, ...] = (route, energy)
@@ -121,7 +122,7 @@ class MotionController:
         if not routes.patient:
             routes.submit(0, lambda _, __: shortest.warm(), None)
         if not trajectories.patient and int(params["MPC_COST"]):
-            trajectories.submit(0, lambda planner, _: planner.warm(), self._trajectories)
+            trajectories.submit(0, lambda planner, _: planner.warm(), self.trajectories)
 
     def reset(self) -> None:
         """Forget the plan (after disarming, before a new start)."""

@@ -10,6 +10,7 @@ the route guidance, and plans are asked for again.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -95,7 +96,9 @@ class EnergyGuidance:
         """``route`` flies what ``planner`` has no plan for."""
         self._t_s = grid.t_s
         self._steady = SteadyThrust(model)
-        self._desk, self._trajectories, self._route = desk, planner, route
+        self._desk, self._route = desk, route
+        # Not a method: work that is under way must not keep whoever asked for it, who keeps the work.
+        self._plan = partial(planned, planner)
         self._ticket: Ticket[Plan] | None = None
         self._request: Request | None = None
         self._mishaps = Mishaps("energy planner", "No energy plan: flying the plain route")
@@ -376,20 +379,21 @@ class EnergyGuidance:
             self._asked_step = self._step
             self._patience.ask(now)
         self._request = request
-        self._ticket = self._desk.submit(self._step + steps, self._planned, request)
-
-    def _planned(self, request: Request, cancel: Cancel) -> Plan:
-        """What the planner says, if that makes sense."""
-        plan = self._trajectories.plan(request, cancel)
-        found = plan.trajectory
-        if found is not None and not bool(np.isfinite(found.x).all() and np.isfinite(found.thrust_n).all()):
-            raise ValueError("a trajectory that is not finite")
-        return plan
+        self._ticket = self._desk.submit(self._step + steps, self._plan, request)
 
     def _withdraw(self) -> None:
         if self._ticket is not None:
             self._ticket.cancel()
         self._ticket = self._request = None
+
+
+def planned(planner: TrajectoryPlanner, request: Request, cancel: Cancel) -> Plan:
+    """What the planner says, if that makes sense."""
+    plan = planner.plan(request, cancel)
+    found = plan.trajectory
+    if found is not None and not bool(np.isfinite(found.x).all() and np.isfinite(found.thrust_n).all()):
+        raise ValueError("a trajectory that is not finite")
+    return plan
 
 
 def _key(goal: Goal) -> tuple[float, ...]:
