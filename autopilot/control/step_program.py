@@ -251,6 +251,7 @@ class StepProgram:
             ),
             np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS]),
             np.full(NU, params["MPC_R_THRUST"]),
+            math.hypot(*(now.x0[:2] - place).tolist()),
         )
         cost = None if int(params["MPC_COST"]) else self.regions.cost_at(reference.x[-1], goal)
         return reference.terminal if cost is None else cost

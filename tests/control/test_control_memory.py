@@ -1,5 +1,5 @@
-"""A controller that nobody has any more is gone at once, with the programs of its planner: the collector of cycles knows
-nothing of the memory that CasADi's functions take, and comes when hundreds of megabytes have been left behind."""
+"""A controller that nobody has any more is gone at once, with the programs of its planner: the collector of cycles
+knows nothing of the memory that they take, and comes when hundreds of megabytes have been left behind."""
 
 import gc
 import weakref

@@ -2,10 +2,11 @@
 
 import dataclasses
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from control_loop import MODEL, VEHICLE, A, B, nav_state
+from control_loop import MODEL, VEHICLE, A, B, goal, nav_state
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -193,6 +194,35 @@ def test_a_goal_without_a_region_is_something_to_mend() -> None:
         regions.follow(B, math.pi, np.zeros(3), limits(clearance_m=-0.01), Q, R)
     told = [text for severity, text in regions.take_news() if severity <= Severity.INFO]
     assert told == ["Item 0: beyond the clearance limit, move it"]
+
+
+def told_at(pos_north_m: float, to: Goal, stream: tuple[float, float, float], seconds: float = 2.5) -> list[str]:
+    """What the operator hears of a controller that is kept at a place in a stream."""
+    controller, params = MotionController(VEHICLE, cpu_clock=lambda: 0.0), ParamSet({"MPC_COST": 0})
+    x = np.array([pos_north_m, 0.0, 0.6, 0.0, -stream[0], -stream[1], 0.0, 0.0])
+    for step in range(round(seconds / 0.05)):
+        nav = nav_state(step * 50_000, x, np.array(stream))
+        controller.step(step * 50_000, nav, to, Fence(depth_max_m=1.2), params)
+    return [text for severity, text in controller.take_news() if severity <= Severity.INFO]
+
+
+STAY = goal(0.5, 0.0, 0.6, None, seq=3)
+
+
+@pytest.mark.parametrize(
+    ("north_m", "to", "stream", "told"),
+    [
+        (0.0, STAY, (-0.47, 0.0, 0.0), ["Item 3: current 0.47 m/s, too fast to stay"]),
+        (0.0, replace(STAY, following=goal(-9.0, 0.0, 0.6, None)), (0.47, 0.0, 0.0), []),
+        (-9.0, STAY, (-0.47, 0.0, 0.0), []),
+        (0.0, STAY, (-0.2, 0.0, 0.0), []),
+    ],
+    ids=["stays", "is carried through", "far away", "slow water"],
+)
+def test_a_current_is_said_to_be_too_fast_only_where_the_vehicle_is_to_stay_in_it(
+    north_m: float, to: Goal, stream: tuple[float, float, float], told: list[str]
+) -> None:
+    assert told_at(north_m, to, stream) == told
 
 
 def test_zero_order_hold_of_the_goal_is_that_of_the_law() -> None:

@@ -27,6 +27,12 @@ ANSWER_STEPS = 20
 CURRENT_STEP_M_S = 0.06
 """A goal is certified anew when the current there has changed by this."""
 
+AT_PLACE = ("clearance", "acceptance radius", "acceptance heading", "depth", "decrease")
+"""Limits of the goal's place, whatever the water does; all others are of what the vehicle can do in it."""
+
+HERE_M = 1.0
+"""The current where the vehicle is counts as that at its goal within this."""
+
 AT_GOAL_M = 0.02
 AT_GOAL_RAD = 0.05
 """The end of a reference counts as the goal within these."""
@@ -62,6 +68,7 @@ class TerminalRegions:
         self._key: tuple[float, ...] = ()
         self._goal: Goal | None = None
         self._told = ""
+        self._warned = ""
         self._current = np.zeros(3)
         self._cost: FloatArray | None = None
         self._news: list[tuple[Severity, str]] = []
@@ -82,9 +89,13 @@ class TerminalRegions:
         limits: TerminalLimits,
         q: FloatArray,
         r: FloatArray,
+        away_m: float = 0.0,
     ) -> None:
-        """One control step with this goal; ``yaw_rad`` is the heading in which the vehicle will stay there."""
+        """One control step with this goal, ``away_m`` from it in the plane; ``yaw_rad`` is the heading in which the
+        vehicle will stay there."""
         self._step += 1
+        if self.certificate is not None and self.certificate.alpha <= 0.0:
+            self._warn(goal, self.certificate, away_m)
         yaw = goal.yaw_rad if goal.yaw_rad is not None else round(yaw_rad, 1)
         key = (*goal.pos_ned_m.tolist(), yaw, goal.accept_radius_m, limits.clearance_m, *q.tolist(), *r.tolist())
         moved = float(np.abs(current_ned_m_s - self._current).max()) > CURRENT_STEP_M_S
@@ -130,8 +141,26 @@ class TerminalRegions:
             return
         self._told = story
         self._news.append((Severity.DEBUG, f"{name}: {certificate.text}"))
-        if certificate.alpha <= 0.0:
-            self._news.append((Severity.WARNING, f"{name}: beyond the {certificate.binding} limit, move it"))
+
+    def _warn(self, goal: Goal, certificate: Certificate, away_m: float) -> None:
+        """What an operator can do about a goal that has no region, once. Water that is too fast to stay in matters
+        where the vehicle is to stay: a current may well carry it through a goal."""
+        name, limit = _name(goal), certificate.binding
+        if limit not in AT_PLACE and (goal.following is not None or away_m > HERE_M):
+            return
+        story = f"{name} {limit} {goal.pos_ned_m.tolist()}"
+        if story == self._warned:
+            return
+        self._warned = story
+        if limit in AT_PLACE:
+            text = f"{name}: beyond the {limit} limit, move it"
+        elif limit.endswith("thrust"):
+            text = f"{name}: too little {limit} to stay there"
+        elif limit == "yaw rate":
+            text = f"{name}: SPD_YAW_MAX leaves nothing to stay with"
+        else:
+            text = f"{name}: current {float(np.linalg.norm(self._current)):.2f} m/s, too fast to stay"
+        self._news.append((Severity.WARNING, text))
 
 
 def _name(goal: Goal) -> str:
