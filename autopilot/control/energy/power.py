@@ -32,6 +32,11 @@ class PowerModel:
         """Power of one thruster at ``thrust_n``; numbers, arrays or CasADi symbols."""
         return self.thrust_w_n15 * (thrust_n * thrust_n + THRUST_SMOOTHING_N2) ** 0.75
 
+    def secant_over_tangent(self, thrust_n: Any) -> Any:
+        """By how much the slope of that power over the thrust exceeds its second derivative [W/N2]."""
+        squared = thrust_n * thrust_n
+        return 0.75 * self.thrust_w_n15 * squared * (squared + THRUST_SMOOTHING_N2) ** -1.25
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SpeedTable:

@@ -11,7 +11,8 @@ from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, EnergyToGo
 from autopilot.control.energy.flow import LEAST_SAMPLES, Flow, FlowSamples, area_of
 from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel, SpeedTable, energy_per_metre, planar_limit_m_s, speed_table
-from autopilot.control.energy.trajectory import PLANES, SUBSTEP_S, Ask, Program, Trajectory
+from autopilot.control.energy.shooting import PLANES
+from autopilot.control.energy.trajectory import SUBSTEP_S, Ask, Program, Trajectory
 from autopilot.control.guidance import SteadyThrust
 from autopilot.control.obstacles import Features, fence_key
 from autopilot.core.desk import Cancel
@@ -19,7 +20,7 @@ from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.free_space import Area, FreeSpace
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
-from autopilot.core.model4 import NX, YAW, Model4, R, U, V, X, Y, Z
+from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Y, Z
 
 INTERVALS = 48
 """Of a trajectory: 0.2 s each in the paper's tank."""
@@ -83,6 +84,9 @@ SLOPE_REACH_M = 0.25
 
 SLOWING_M_S2 = 0.1
 """What a vehicle that is faster than it may be is asked to slow down with at least: what drag does at 0.2 m/s."""
+
+SLOWING_RAD_S2 = 0.3
+"""The same of one that turns too fast."""
 
 EXTRA_M = 0.004
 """Kept beyond the optimiser's own margin, for what lies between the nodes."""
@@ -495,8 +499,6 @@ class _Task:
         if gate is not None:
             place = gate
             slope = self._to_go.slope(gate[:2], GATE_RADIUS_M)
-        limits = request.limits[1:].copy()
-        limits[2], limits[3] = min(limits[2], request.x0[Z]), max(limits[3], request.x0[Z])
         return Ask(
             x0=request.x0,
             goal_ned_m=place,
@@ -509,7 +511,7 @@ class _Task:
             plane_n=normals,
             plane_d=offsets,
             planar_m_s=self._planar_m_s(guess, request),
-            limits=limits,
+            limits=self._limits(guess, request),
             thrust_limit_n=request.thrust_limit_n,
             end_slope_j_m=slope,
             longest_s=LONGER * float(guess.t_s[-1]) + LONGER_S,
@@ -526,6 +528,18 @@ class _Task:
         slowing = float(np.hypot(request.x0[U], request.x0[V])) - SLOWING_M_S2 * guess.t_s
         result: FloatArray = np.maximum(np.minimum(limit, request.limits[0]), slowing)
         return result
+
+    def _limits(self, guess: Trajectory, request: Request) -> FloatArray:
+        """(n + 1, 4) limits of heave, yaw rate and depth; a vehicle that begins beyond one, or cannot stop before a
+        depth, is given the time to."""
+        depth, heave, turn = (float(request.x0[i]) for i in (Z, W, R))
+        stop = 0.5 * heave * abs(heave) / SLOWING_M_S2
+        limits = np.tile(request.limits[1:], (len(guess.t_s), 1))
+        limits[:, 0] = np.maximum(limits[:, 0], abs(heave) - SLOWING_M_S2 * guess.t_s)
+        limits[:, 1] = np.maximum(limits[:, 1], abs(turn) - SLOWING_RAD_S2 * guess.t_s)
+        limits[:, 2] = np.minimum(limits[:, 2], depth + min(stop, 0.0))
+        limits[:, 3] = np.maximum(limits[:, 3], depth + max(stop, 0.0))
+        return limits
 
     def _keep_m(self, places: FloatArray) -> float:
         """What a trajectory along places (n + 1, 2) keeps from boundaries: EXTRA_M beyond the radius, where the doors

@@ -14,18 +14,13 @@ import casadi as ca
 import numpy as np
 
 from autopilot.control.energy.power import PowerModel
-from autopilot.core import model4
+from autopilot.control.energy.shooting import COST_SCALE, Shooting
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, NX, YAW, Model4, R, U, V, W, Z
-
-PLANES = 6
-"""Half-planes per node."""
+from autopilot.core.model4 import NU, NX, Model4
 
 SUBSTEP_S = 0.5
 """Longest RK4 step: with longer ones the program makes a profit of integration errors in the unstable sway-yaw mode."""
-
-SPEED_EPSILON_M_S = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -54,7 +49,7 @@ class Ask:
     planar_m_s: FloatArray
     """(n + 1,) limit of the planar speed"""
     limits: FloatArray
-    """(4,) heave, yaw rate, depth minimum, depth maximum."""
+    """(n + 1, 4) heave, yaw rate, depth minimum, depth maximum."""
     thrust_limit_n: FloatArray
     """(4,)"""
     end_slope_j_m: FloatArray
@@ -79,31 +74,18 @@ class Trajectory:
     solved: bool
 
 
-COAST_S = 1.0
-"""A vehicle that arrives with a velocity is taken to be this much farther on at no cost."""
-
-
 class Program:
     """The built program for ``n`` intervals of ``substeps`` RK4 steps each."""
 
     def __init__(self, model: Model4, power: PowerModel, n: int, substeps: int) -> None:
         self.n, self.substeps, self._power = n, substeps, power
-        self._shapes = {
-            "x0": (NX, 1),
-            "goal": (3, 1),
-            "band": (3, 1),
-            "current": (3, n + 1),
-            "gradient": (4, n + 1),
-            "places": (2, n + 1),
-            "plane_n": (2, PLANES * (n + 1)),
-            "plane_d": (PLANES, n + 1),
-            "planar": (1, n + 1),
-            "limits": (4, 1),
-            "end": (2, 1),
-        }
-        program, self._lbg, self._ubg = _build(model, power, n, substeps, self._shapes)
-        self._stop = _Stop(program)
-        self._solver = ca.nlpsol("energy", "ipopt", program, {**OPTIONS, "iteration_callback": self._stop})
+        shooting = Shooting(model, power, n, substeps)
+        self._lbg, self._ubg = shooting.lower, shooting.upper
+        self._stop = _Stop(shooting.program)
+        options = {**OPTIONS, **shooting.derivatives, "iteration_callback": self._stop}
+        self._solver = ca.nlpsol("energy", "ipopt", shooting.program, options)
+        self.iterations = 0
+        """Of the last solution."""
 
     def solve(
         self, ask: Ask, x: FloatArray, thrust_n: FloatArray, end_s: float, cancel: Cancel | None = None
@@ -140,6 +122,8 @@ class Program:
             ubg=self._ubg,
             p=np.concatenate([np.ravel(a) for a in arguments]),
         )
+        stats = self._solver.stats()
+        self.iterations = int(stats["iter_count"])
         z = answer["x"].full().ravel()
         table = z[:-1].reshape(n, NX + NU)
         states = np.vstack([ask.x0, table[:, NU:]])
@@ -149,7 +133,7 @@ class Program:
             thrust_n=table[:, :NU].copy(),
             energy_j=self._energy_j(float(z[-1]), table[:, :NU]),
             cost_j=float(answer["f"]) / COST_SCALE,
-            solved=bool(self._solver.stats()["success"]) and bool(np.isfinite(z).all()),
+            solved=bool(stats["success"]) and bool(np.isfinite(z).all()),
         )
 
     def _energy_j(self, end_s: float, thrust_n: FloatArray) -> float:
@@ -192,8 +176,6 @@ class _Stop(ca.Callback):
 
 
 MIN_INTERVAL_S = 0.005
-COST_SCALE = 1e-2
-
 OPTIONS: dict[str, Any] = {
     "print_time": False,
     # A trial step may leave the domain; IPOPT takes a shorter one.
@@ -209,69 +191,3 @@ OPTIONS: dict[str, Any] = {
         "mu_strategy": "adaptive",
     },
 }
-
-
-def _build(
-    model: Model4, power: PowerModel, n: int, substeps: int, shapes: dict[str, tuple[int, int]]
-) -> tuple[dict[str, Any], FloatArray, FloatArray]:
-    """The nonlinear program and the bounds of its constraints."""
-    w = [ca.SX.sym(f"w{k}", NU + NX) for k in range(n)]
-    end_s = ca.SX.sym("T")
-    p = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
-    step = _interval(model, substeps)
-    x = p["x0"]
-    cost = power.hotel_w * end_s
-    g, low, high = [], [], []
-
-    def add(value: Any, lower: float, upper: float) -> None:
-        g.append(value)
-        count = value.shape[0] if hasattr(value, "shape") else 1
-        low.extend([lower] * count)
-        high.extend([upper] * count)
-
-    dt = end_s / n
-    for k in range(n):
-        u, x_next = w[k][:NU], w[k][NU:]
-        moved = step(x, u, p["current"][:, k], p["gradient"][:, k], p["places"][:, k], dt)
-        add(moved - x_next, 0.0, 0.0)
-        cost += dt * sum(power.thrust_w(u[i]) for i in range(NU))
-        x = x_next
-        add(x[U] ** 2 + x[V] ** 2 - p["planar"][k + 1] ** 2, -np.inf, 0.0)
-        add(ca.vertcat(x[W] - p["limits"][0], -x[W] - p["limits"][0]), -np.inf, 0.0)
-        add(ca.vertcat(x[R] - p["limits"][1], -x[R] - p["limits"][1]), -np.inf, 0.0)
-        add(ca.vertcat(p["limits"][2] - x[Z], x[Z] - p["limits"][3]), -np.inf, 0.0)
-        normals = p["plane_n"][:, (k + 1) * PLANES : (k + 2) * PLANES]
-        add(p["plane_d"][:, k + 1] - ca.mtimes(normals.T, x[:2]), -np.inf, 0.0)
-    away = x[:3] - p["goal"]
-    add(ca.sumsqr(away) - p["band"][0] ** 2, -np.inf, 0.0)
-    add(ca.vertcat(x[YAW] - p["band"][1] - p["band"][2], p["band"][1] - p["band"][2] - x[YAW]), -np.inf, 0.0)
-    c, s = ca.cos(x[YAW]), ca.sin(x[YAW])
-    ground = ca.vertcat(x[U] * c - x[V] * s, x[U] * s + x[V] * c) + p["current"][:2, n]
-    cost += ca.dot(p["end"], x[:2] + COAST_S * ground - p["goal"][:2])
-    program: Any = {
-        "x": ca.vertcat(*w, end_s),
-        "f": COST_SCALE * cost,
-        "g": ca.vertcat(*g),
-        "p": ca.vertcat(*(ca.vec(v) for v in p.values())),
-    }
-    return program, np.array(low), np.array(high)
-
-
-def _interval(model: Model4, substeps: int) -> ca.Function:
-    x, u = ca.SX.sym("x", NX), ca.SX.sym("u", NU)
-    c, g, p0, dt = ca.SX.sym("c", 3), ca.SX.sym("g", 4), ca.SX.sym("p0", 2), ca.SX.sym("dt")
-
-    def f(state: Any) -> Any:
-        dx, dy = state[0] - p0[0], state[1] - p0[1]
-        current = [c[0] + g[0] * dx + g[1] * dy, c[1] + g[2] * dx + g[3] * dy, c[2]]
-        return ca.vertcat(*model4.state_derivative(model, ca.vertsplit(state), ca.vertsplit(u), current, ca))
-
-    h = dt / substeps
-    state = x
-    for _ in range(substeps):
-        k1 = f(state)
-        k2 = f(state + h / 2 * k1)
-        k3 = f(state + h / 2 * k2)
-        k4 = f(state + h * k3)
-        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return ca.Function("interval", [x, u, c, g, p0, dt], [state])

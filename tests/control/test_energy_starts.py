@@ -1,0 +1,90 @@
+"""Trajectories that begin at the vehicle's limits or a little beyond, and what their program is made of."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from control_loop import MODEL, VEHICLE, goal
+
+from autopilot.control.energy import shooting
+from autopilot.control.energy.flow import FlowSamples
+from autopilot.control.energy.patience import Kind
+from autopilot.control.energy.power import PowerModel
+from autopilot.control.energy.search import EnergyPlanner, Plan, Request
+from autopilot.control.energy.trajectory import Ask, Program, Trajectory
+from autopilot.core.desk import Cancel
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import Goal
+
+POWER = PowerModel.of(VEHICLE)
+PLANNER = EnergyPlanner(MODEL, POWER)
+DEEPEST_M = 60.0
+
+
+def quick(x0: FloatArray, to: Goal, stream: FloatArray, cap_m_s: float) -> Plan:
+    """The plan to set out with in open water."""
+    axis, current = np.linspace(-30.0, 30.0, 9), np.zeros((9, 9, 3))
+    current[..., :2] = stream
+    request = Request(
+        x0=x0,
+        goal=to,
+        fence=Fence(depth_max_m=DEEPEST_M),
+        radius_m=0.33,
+        flow=FlowSamples(north_m=axis, east_m=axis, current_ned_m_s=current),
+        limits=np.array([cap_m_s, 0.24, 0.96, 0.05, DEEPEST_M]),
+        thrust_limit_n=np.full(4, 11.5),
+        cruise_m_s=to.speed_m_s,
+        kind=Kind.QUICK,
+    )
+    return PLANNER.plan(request)
+
+
+@pytest.mark.parametrize("surge", [0.34, 0.349, 0.35, 0.351, 0.36])
+def test_a_leg_that_begins_at_the_cruise_speed_is_planned(surge: float) -> None:
+    x0 = np.array([-0.53, -0.35, 0.45, 0.0, surge, 0.0, 0.0, 0.0])
+    plan = quick(x0, goal(3.0, -0.35, 0.45, None), np.zeros(2), 0.41)
+    assert plan.trajectory is not None, plan.why
+    assert plan.energy_j == pytest.approx(200.5, abs=1.0)
+
+
+def test_small_thrusts_do_not_swing_from_side_to_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's step on |F|^1.5 goes from F to -F: one in six of these took more than 50 iterations."""
+    counts = []
+    solve = Program.solve
+
+    def counted(
+        program: Program, ask: Ask, x: FloatArray, thrust: FloatArray, end_s: float, cancel: Cancel
+    ) -> Trajectory:
+        found = solve(program, ask, x, thrust, end_s, cancel)
+        counts.append(program.iterations)
+        return found
+
+    monkeypatch.setattr(Program, "solve", counted)
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        cruise, surge = float(rng.choice([0.2, 0.3, 0.35])), float(rng.choice([0.9, 0.999, 1.0, 1.001, 1.05]))
+        x0 = np.array([0.0, 0.0, 0.45, rng.choice([0.0, 0.3, -1.0]), surge * cruise, 0.0, 0.0, 0.0])
+        to = goal(float(rng.choice([2.5, 3.5, 6.0])), 0.0, float(rng.choice([0.45, 0.65])), None, speed_m_s=cruise)
+        assert quick(x0, to, rng.uniform(-0.1, 0.1, 2), 0.41).trajectory is not None
+    assert np.quantile(counts, 0.9) < 40
+
+
+def test_the_programs_derivatives_are_those_of_its_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shooting, "SMALL_THRUST_N", 1e-12)
+    made = shooting.Shooting(MODEL, POWER, 4, 2)
+    z, p, cost, rows = (made.program[name] for name in ("x", "p", "f", "g"))
+    of_cost, of_rows = ca.MX.sym("of_cost"), ca.MX.sym("of_rows", rows.shape[0])
+    whole, _ = ca.hessian(of_cost * cost + ca.dot(of_rows, rows), z)
+    exact = ca.Function("exact", [z, p, of_cost, of_rows], [rows, ca.jacobian(rows, z), ca.triu(whole)])
+    rng = np.random.default_rng(1)
+    point = 0.2 * rng.normal(size=z.shape[0])
+    point[-1] = 2.0
+    at = (point, 0.2 * rng.normal(size=p.shape[0]))
+    weights = (1.3, rng.normal(size=rows.shape[0]))
+    g, jacobian, hessian = (value.full() for value in exact(*at, *weights))
+    found = [value.full() for value in made.derivatives["jac_g"](*at)]
+    assert np.allclose(found[0], g, atol=1e-12)
+    assert np.allclose(found[1], jacobian, atol=1e-9)
+    second = made.derivatives["hess_lag"](*at, *weights)
+    assert second.sparsity().is_triu()
+    assert np.allclose(second.full(), hessian, atol=1e-8 * max(1.0, float(np.abs(hessian).max())))
