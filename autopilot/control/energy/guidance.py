@@ -46,6 +46,9 @@ REPLAN_STEPS = 40
 NEXT_LEG_S = 6.0
 """The next leg is planned when this one has so much left: three times what an answer takes."""
 
+LONG_LEG_M, LONG_NEXT_LEG_S = 20.0, 12.0
+"""One that is longer than this is planned earlier: its plan may take three times as long."""
+
 LAST_UPDATE_S = 2.0
 """A trajectory that has less than this left, and the time of an answer, is not brought up to date any more."""
 
@@ -316,7 +319,8 @@ class EnergyGuidance:
         following = now.goal.following
         if following is None or following.speed_asked:
             return
-        if not self._asked_next and track.complete and track.rest_s < NEXT_LEG_S:
+        far = float(np.hypot(*(following.pos_ned_m - now.goal.pos_ned_m)[:2])) > LONG_LEG_M
+        if not self._asked_next and track.complete and track.rest_s < (LONG_NEXT_LEG_S if far else NEXT_LEG_S):
             self._asked_next = True
             end = track.trajectory.x[-1].copy()
             self._ask(now, Kind.NEXT, following, end, None)
