@@ -597,6 +597,8 @@ class Commander:
         """What the current leaves of the speed over ground on the slowest leg that is to come (or on this one), if that
         is little; once per item and answer."""
         leg, least_m_s = self._slowest_leg(self._next_item(), only_this=only_this), self._params["SPD_GROUND_MIN"]
+        if leg is not None and only_this:
+            leg = leg.made(self._made_good.made_m_s, self._made_good.left_m)
         if leg is None or leg.left_m_s >= TOLD_M_S:
             return
         found = (leg.seq, leg.out_of_reach(least_m_s))

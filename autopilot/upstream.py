@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,13 @@ class SlowLeg:
     def out_of_reach(self, least_m_s: float) -> bool:
         """Whether not even so much is left."""
         return self.left_m_s < least_m_s
+
+    def made(self, speed_m_s: float, left_m: float) -> "SlowLeg":
+        """The same of a vehicle that is seen to make so much on it, with so much way left: what margins and estimate
+        leave is a prediction."""
+        if speed_m_s <= max(self.left_m_s, 0.0):
+            return self
+        return replace(self, left_m_s=speed_m_s, time_s=left_m / speed_m_s)
 
     def text(self, least_m_s: float) -> str:
         """One line for the operator."""
@@ -92,6 +99,9 @@ def _leg(seq: int, a: FloatArray, b: FloatArray, speed_m_s: float, current_at: C
 JUMP_M = 1.0
 """A way that becomes longer by this from one look to the next is another way, not one that was drifted back ..."""
 
+MADE_S = 10.0
+"""Time over which the speed is looked at with which a vehicle gets nearer."""
+
 FRESH_STARTS = 2
 """... which begins the count anew, but not for ever: whoever plans another way every minute gets nowhere."""
 
@@ -104,6 +114,17 @@ class MadeGood:
         self._best_m = self._left_m = math.inf
         self._us = self._last_us = 0
         self._anew = 0
+        self._seen_s = self._made_m_s = 0.0
+
+    @property
+    def made_m_s(self) -> float:
+        """Speed with which it has got nearer lately; 0 = not known yet, or none."""
+        return max(self._made_m_s, 0.0) if self._seen_s >= MADE_S else 0.0
+
+    @property
+    def left_m(self) -> float:
+        """Way that is left."""
+        return self._left_m
 
     def forget(self) -> None:
         """There is no goal to travel to, or it has been reached."""
@@ -116,6 +137,7 @@ class MadeGood:
         left_m = math.hypot(float(place[0]), float(place[1])) if way_m is None else way_m
         left_m += abs(float(place[2]))
         key = (goal.seq, *goal.pos_ned_m.tolist())
+        self._look(t_us, left_m, same=key == self._goal and nav.health is NavHealth.GOOD)
         if key != self._goal:
             self._goal, self._anew = key, 0
             self._best_m, self._us = left_m, t_us
@@ -128,3 +150,12 @@ class MadeGood:
             self._best_m, self._us = left_m, t_us
         self._left_m, self._last_us = left_m, t_us
         return (t_us - self._us) * 1e-6
+
+    def _look(self, t_us: int, left_m: float, *, same: bool) -> None:
+        """Take note of the speed; a way that jumps is another one."""
+        elapsed_s, nearer_m = (t_us - self._last_us) * 1e-6, self._left_m - left_m
+        if not same or abs(nearer_m) > JUMP_M:
+            self._seen_s = self._made_m_s = 0.0
+        elif elapsed_s > 0.0:
+            self._seen_s += elapsed_s
+            self._made_m_s += (nearer_m - self._made_m_s * elapsed_s) / max(MADE_S, elapsed_s)
