@@ -20,6 +20,7 @@ from autopilot.control.lag import ThrusterLag
 from autopilot.control.nmpc import NmpcResult
 from autopilot.control.obstacles import Movers, fence_key
 from autopilot.control.planner import Planner
+from autopilot.control.reversal import Reversals
 from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
@@ -93,6 +94,7 @@ class MotionController:
         self._forecast = currents or EstimatedCurrent()
         self._inner = InnerLoop(self.margins.ancillary, grid)
         self._station = StationKeeper(self._model)
+        self._reversals = Reversals(NU, vehicle.drive.limit_n)
         self._penalty = PenaltyWatch()
         self._fallbacks = FallbackWatch()
         self._nominal_t_s = vehicle.drive.time_constant_s + grid.t_s
@@ -141,6 +143,7 @@ class MotionController:
         self._lag.reset()
         self._inner.stop()
         self._station.release()
+        self._reversals.reset()
         self._program.reset()
         self._guidance.reset()
         self._obstructions.reset()
@@ -206,6 +209,7 @@ class MotionController:
         found = self._program.solve(start, now, reference, self._movers)
         result = found.result
         thrust, fallback = self._choose(result, now, now.x0 if delay_s else x, limit_n, elapsed_s)
+        thrust = self._reversals.worth(thrust)
         self._command = self._stepped = thrust
         self._fallbacks.watch(fallback)
         self._penalty.watch(result.penalty_use if result.status is SolveStatus.OK else 0.0)
@@ -243,7 +247,8 @@ class MotionController:
         x, current = self._state(nav), nav.current_ned_m_s
         if not math.isfinite(float(x.sum() + current.sum())):
             return None
-        self._command = self._inner.thrust(t_us, self._lag.ahead(x, current), current, self._limit_n)
+        thrust = self._inner.thrust(t_us, self._lag.ahead(x, current), current, self._limit_n)
+        self._command = self._reversals.worth(thrust)
         return self._command
 
     def take_news(self) -> list[tuple[Severity, str]]:
@@ -355,6 +360,7 @@ class MotionController:
         self._plan_age_s = self._yaw_rad = self._stepped = None
         self._inner.stop()
         self._station.release()
+        self._reversals.reset()
         self._guidance.reset()
         status = NmpcStatus(
             t_us=t_us,
