@@ -207,12 +207,8 @@ class StepProgram:
         return Solution(result=result, margin_m=margin, qps=before + qps, anew=start)
 
     def _held(self, problem: NmpcProblem, now: Situation) -> NmpcProblem:
-        """The program that pays for what it changes of the last plan's thrust as well. Not in the energy mode: what
-        weighs the difference to the trajectory's thrust holds the iteration back as well, and to be late there costs
-        more, because trajectories only just enter the regions of goals."""
+        """The program that pays for what it changes of the last plan's thrust as well."""
         elapsed_s, self._last_us = (now.t_us - self._last_us) * 1e-6, now.t_us
-        if int(now.params["MPC_COST"]):
-            return problem
         change = now.params["MPC_R_CHANGE"] * min(1.0, CHANGE_STEP_S / max(elapsed_s, 1e-3))
         limit, weight = problem.thrust_limit_n, problem.weight_u
         wanted = np.minimum(np.maximum(problem.thrust_ref_n, -limit), limit)
