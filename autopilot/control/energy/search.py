@@ -88,8 +88,15 @@ SLOWING_M_S2 = 0.1
 SLOWING_RAD_S2 = 0.3
 """The same of one that turns too fast."""
 
-EXTRA_M = 0.004
+BETWEEN_M = 0.004
 """Kept beyond the optimiser's own margin, for what lies between the nodes."""
+
+EXTRA_M = 0.02
+"""Kept beyond it where there is room: an estimate wavers, and every millimetre that a vehicle is within the margin is
+answered sharply."""
+
+WIDENING_M_S = 0.02
+"""A vehicle that is nearer than that goes away from the boundary so fast."""
 
 COMFORT_M = 0.03
 """Kept beyond the radius by ways, if there are such: a passage that is open by centimetres only is not chosen."""
@@ -486,7 +493,7 @@ class _Task:
         self._features.half_planes(
             np.vstack([x[:1, :2], x[:, :2]]),
             np.concatenate([[0.0], guess.t_s]),
-            self._keep_m(x[:, :2]),
+            self._keep_m(guess.t_s, x[:, :2]),
             PLANES,
             normals,
             offsets,
@@ -541,17 +548,23 @@ class _Task:
         limits[:, 3] = np.maximum(limits[:, 3], depth + max(stop, 0.0))
         return limits
 
-    def _keep_m(self, places: FloatArray) -> float:
-        """What a trajectory along places (n + 1, 2) keeps from boundaries: EXTRA_M beyond the radius, where the doors
-        that it goes through let it."""
-        if self._features.count == 0:
-            return self._request.radius_m
+    def _keep_m(self, t_s: FloatArray, places: FloatArray) -> FloatArray:
+        """(n + 1,) what a trajectory along places (n + 1, 2) keeps from boundaries: EXTRA_M beyond the radius, where
+        the doors that it goes through, the goal and the place where it begins let it."""
+        radius_m, features = self._request.radius_m, self._features
+        if features.count == 0:
+            return np.full(len(places), radius_m)
         at = np.arange(0.0, len(places) - 1.0 + 1e-9, 1.0 / LOOKS_BETWEEN)
         points = np.stack([np.interp(at, np.arange(len(places)), places[:, i]) for i in range(2)], axis=1)
-        most = self._request.radius_m + EXTRA_M
+        most = radius_m + EXTRA_M
         for _ in range(DOOR_STEPS):
-            points += self._features.push_out(points, most)
-        return max(self._request.radius_m, float(self._features.clearance_up_to_m(points, most).min()))
+            points += features.push_out(points, most)
+        doors_m = float(features.clearance_up_to_m(points, most).min())
+        ends = np.stack([np.asarray(self._request.goal.pos_ned_m[:2], dtype=float), self._request.x0[:2]])
+        goal_m, here_m = features.clearance_up_to_m(ends, most).tolist()
+        least = max(radius_m, min(doors_m, radius_m + BETWEEN_M))
+        result: FloatArray = np.clip(here_m + WIDENING_M_S * t_s, least, max(least, min(doors_m, goal_m)))
+        return result
 
     def plan(self, trajectory: Trajectory) -> Plan:
         """The answer that a trajectory makes."""
