@@ -1,8 +1,11 @@
 """Commands in closed loop with a noisy estimate: no alternation, no steps, no trembling."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from control_loop import TANK, VEHICLE, A, B, Flight, fly, jet, nav_state, still
+from control_loop import TANK, VEHICLE, A, B, Flight, fly, goal, jet, nav_state, still
 
 from autopilot.control.controller import MotionController
 from autopilot.core.params import ParamSet
@@ -49,6 +52,44 @@ def test_commands_are_smooth_although_the_estimate_is_not(current, planar_max_m_
     # Two turns and two stops within 20 s have their reversals: the bar for those is one of whole missions.
     assert set(BARS.broken(found)) <= {"reversals_1_s"}, found
     assert found.reversals_1_s < 0.5
+
+
+@pytest.mark.parametrize(("current", "seed"), [(jet, 1), (still, 2)], ids=["jet", "still"])
+def test_commands_along_trajectories_of_least_energy_are_smooth_from_the_first_leg_on(current, seed: int) -> None:
+    """Estimates as above and a first leg of 4 s. Every end is entered from its trajectory: what is missed by
+    centimetres is a brake, a turn and a start."""
+    controller = MotionController(VEHICLE, cpu_clock=lambda: 0.0)
+    goals = [replace(first, following=then) for first, then in ((A, B), (B, A), (A, B))]
+    flight = fly(
+        controller,
+        goals,
+        [-1.9, 0.6, 0.4, 0.5, 0, 0, 0, 0],
+        current=current,
+        noise=0.003,
+        limit_s=45.0,
+        seed=seed,
+        params=ParamSet({"MPC_COST": 1}),
+    )
+    found = smoothness(flight)
+    assert len(flight.reached_s) == 3
+    # Three turns within a quarter of a minute: the bar for reversals is one of whole missions.
+    assert set(BARS.broken(found)) <= {"reversals_1_s"}, found
+    assert found.reversals_1_s < 0.5
+    plans_s = [STEP_S * step for step, output in enumerate(flight.outputs) if output.plan is not None]
+    assert plans_s[0] < 1.0, "the first leg has a plan although it is short"
+    for reached_s, (before, _) in zip(flight.reached_s, ((A, B), (B, A), (A, B)), strict=True):
+        x = flight.x[round(reached_s * 100.0) - 1]
+        assert math.hypot(*(x[:2] - before.pos_ned_m[:2])) > 0.2, "entered, not visited"
+
+
+def test_a_thruster_is_not_turned_round_for_what_noise_asks_for() -> None:
+    """Holding a place, where every thruster but the vertical one is asked for nothing in the mean."""
+    controller = MotionController(VEHICLE, cpu_clock=lambda: 0.0)
+    here = [-1.6, -0.35, 0.45, 0, 0, 0, 0, 0]
+    hold = goal(-1.6, -0.35, 0.45, 0.0)
+    flight = fly(controller, [hold], here, noise=0.003, limit_s=15.0, seed=3, hold=True)
+    assert smoothness(flight).reversals_1_s <= BARS.reversals_1_s
+    assert math.hypot(*(flight.x[-1, :2] - here[:2])) < 0.03
 
 
 def test_a_reference_that_jumps_does_not_tear_at_the_thrusters() -> None:

@@ -128,10 +128,16 @@ def test_a_track_runs_on_into_the_next_one() -> None:
     k = int(np.searchsorted(second.t_s, late - 0.025)) - 1
     assert np.allclose(thrust[-1], second.thrust_n[k], atol=1e-6)
     track.locate(first.x[-1], float(first.t_s[-1]))
-    held, rest = track.sample(np.linspace(0.0, 3.0, 61), np.array([0.1, 0.0, 0.0]), then)
-    assert np.allclose(held[:, :4], first.x[-1, :4])
-    assert np.allclose(np.hypot(held[:, 4], held[:, 5]), 0.1)
-    assert not rest.any()
+    at, current = np.linspace(0.0, 3.0, 61), np.array([0.1, 0.0, 0.0])
+    assert track.missing == 0.0 and np.allclose(track.sample(at, current, then)[0][1:, :2], then._states(at[1:])[:, :2])
+    # Who is at the end and not in the region is brought to the goal's centre, not all at once.
+    samples = []
+    while track.missing < 1.0:
+        track.advance(0.05, first.x[-1])
+        samples.append(track.sample(at, current, then)[0])
+    assert np.abs(np.diff([sample[-1, :4] for sample in samples], axis=0)).max() < 0.25
+    assert np.allclose(samples[-1][-1, :2], B.pos_ned_m[:2], atol=0.05)
+    assert not track.sample(at, current, then)[1].any()
     whole = joined(first, float(first.t_s[40]), second)
     assert whole.t_s[-1] == pytest.approx(float(first.t_s[-1] - first.t_s[40] + second.t_s[-1]))
     assert len(whole.t_s) == len(whole.x) == len(whole.thrust_n) + 1

@@ -19,7 +19,7 @@ from autopilot.control.energy.flow import Flow, area_of, sample_flow
 from autopilot.control.energy.patience import ANSWER_STEPS, STEP_S, Kind, NoPlanError, Patience
 from autopilot.control.energy.search import Plan, Request, TrajectoryPlanner, shifted
 from autopilot.control.energy.track import Track, joined
-from autopilot.control.grid import TimeGrid
+from autopilot.control.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, RouteGuidance, Situation, SteadyThrust
 from autopilot.control.ocp import TERMINAL_STAGES
 from autopilot.core.desk import Cancel, Desk, Ticket
@@ -72,12 +72,13 @@ FOLLOWING_THRUST_WEIGHT = 0.2
 """Least weight on the difference to the planned thrust while a trajectory is followed: to be a little off it costs less
 than to correct it at once. (In the paper's tank 2 % of a lap against 0.02; the limits are kept by other means.)"""
 
+END_STAGES = 40.0
+"""What place and heading at the end of a trajectory count beyond those on the way, in stages of the running cost
+(REFERENCE_DT_S). A trajectory only just enters its goal's region: centimetres and degrees are put right on the way
+there, gently and in time, while the way itself is followed softly."""
+
 FOLLOWED_STEPS = 4
 """The full search begins where the optimiser predicts the vehicle once it has followed the quick plan for so long."""
-
-SHORT_S = 6.0
-"""A leg that takes less is flown by the route guidance, unless its plan was made ahead: there would be no time to bring
-the plan up to date, and with what the water turns out to be on the way the goal would be missed by centimetres."""
 
 SET_OUT_STEPS = 20
 """So long (1 s) the vehicle sets out gently, with that weight: the lateral thruster's peak in the
@@ -121,7 +122,7 @@ class EnergyGuidance:
         self._planner: object = None
         self._track: Track | None = None
         self._next: Track | None = None
-        self._quick = self._short = False
+        self._quick = self._missed = False
         self._first = Kind.QUICK
         self._taken_step = 0
         self._asked_next = False
@@ -158,7 +159,7 @@ class EnergyGuidance:
     def _setting_out(self, route: Reference) -> Reference:
         """The route's reference: gently while the leg's first plan is awaited, which may well begin another way."""
         awaited = self._request is not None and self._request.kind is Kind.QUICK
-        if self._short or not awaited or self._step - self._goal_step > SET_OUT_STEPS:
+        if not awaited or self._step - self._goal_step > SET_OUT_STEPS:
             return route
         return replace(route, weight_u=np.maximum(route.weight_u, FOLLOWING_THRUST_WEIGHT))
 
@@ -170,20 +171,45 @@ class EnergyGuidance:
             weight_u = max(weight_u, FOLLOWING_THRUST_WEIGHT)
         then = self._next
         x, thrust = track.sample(self._t_s, current, then)
-        if then is None or track.rest_s <= 0.0:
+        rest = 1.0 if then is None else track.missing
+        if rest > 0.0:
             after = self._t_s[:-1] >= track.rest_s
-            thrust[after] = self._steady(x[:-1][after][:, U : R + 1])
+            thrust[after] += rest * (self._steady(x[:-1][after][:, U : R + 1]) - thrust[after])
         q = params["MPC_Q_POS"]
         weight_x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
+        nodes, terminal = self._weights(weight_x, track)
         return Reference(
             x=x,
             thrust_n=thrust,
-            weight_x=weight_x,
+            weight_x=nodes,
             weight_u=np.full(NU, weight_u),
-            terminal=np.diag(TERMINAL_STAGES * weight_x),
+            terminal=np.diag(terminal),
             fresh=fresh,
             plan=self._take_news(),
         )
+
+    def _weights(self, weight_x: FloatArray, track: Track) -> tuple[FloatArray, FloatArray]:
+        """(N-1, 8) and (8,) weights of the nodes and of the last one: more for the end of a trajectory that enters its
+        goal's region, shared by the nodes before and after it, so that nothing jumps as it comes nearer."""
+        nodes, terminal = np.tile(weight_x, (len(self._t_s) - 2, 1)), TERMINAL_STAGES * weight_x
+        if track.complete and track.rest_s > 0.0:
+            share = self._shares(track.rest_s)
+            stages = np.diff(self._t_s)[1:] / REFERENCE_DT_S
+            nodes[:, :U] *= 1.0 + END_STAGES * (share[1:-1] / stages)[:, None]
+            terminal[:U] += END_STAGES * float(share[-1]) * weight_x[:U]
+        return nodes, terminal
+
+    def _shares(self, at_s: float) -> FloatArray:
+        """(N+1,) shares of the nodes in what is to count at a time: of the two beside it, none far behind the last."""
+        t_s, share = self._t_s, np.zeros(len(self._t_s))
+        last, length_s = len(t_s) - 1, float(t_s[-1] - t_s[-2])
+        if at_s >= t_s[-1]:
+            share[last] = max(0.0, 1.0 - (at_s - t_s[-1]) / length_s)
+            return share
+        after = int(np.searchsorted(t_s, at_s, side="right"))
+        share[after] = (at_s - t_s[after - 1]) / (t_s[after] - t_s[after - 1])
+        share[after - 1] = 1.0 - share[after]
+        return share
 
     def _update(self, now: Situation, elapsed_s: float) -> bool:
         """Goals, answers and requests; whether the reference has nothing to do with the last one."""
@@ -214,15 +240,16 @@ class EnergyGuidance:
     def _leave_if_lost(self, off_m: float) -> None:
         """A trajectory that the vehicle is far from, or that has ended without its goal, is followed no more.
 
-        Where one ends at a place to stay at, it is followed to the goal's centre.
+        Where one ends at a place to stay at, it is followed to the goal's centre. The little that is left of a leg when
+        its region was missed is for the route guidance; the next leg's plan is kept.
         """
         track = self._track
         if track is None:
             return
         ended = track.rest_s <= (-END_HOLD_S if track.complete else 0.0)
         if off_m > LOST_M or (ended and not (track.complete and self._next is None)):
-            self._track = self._next = None
-            self._asked_next = False
+            self._track = None
+            self._missed = ended and track.complete
 
     def _fail(self, request: Request, error: Exception) -> None:
         """There is no such plan: a leg that has none is flown by the route guidance meanwhile."""
@@ -236,8 +263,10 @@ class EnergyGuidance:
         left, ahead, same_fence = self._track, self._next, now.planner is self._planner
         self._goal_key, self._planner, self._goal_step = key, now.planner, self._step
         self._track, self._next, self._asked_next = None, None, False
-        self._quick, self._short, self._first = False, False, Kind.QUICK
+        self._quick, self._missed, self._first = False, False, Kind.QUICK
         self._patience.succeeded()
+        if ahead is not None and left is None and ahead.locate(now.x0, 0.0) > OFF_TRACK_M:
+            ahead = None
         if ahead is not None and same_fence and _key(ahead.goal) == key:
             self._withdraw()
             self._asked_step = self._step - REPLAN_STEPS
@@ -264,9 +293,6 @@ class EnergyGuidance:
             self._quick = False
             self._patience.succeeded()
             return False
-        if request.kind is Kind.QUICK and plan.complete and track.length_s < SHORT_S:
-            self._short = True
-            return False
         if _key(request.goal) != self._goal_key:
             self._next = track
             return False
@@ -275,7 +301,7 @@ class EnergyGuidance:
             return False
         old, self._track, self._asked_next = self._track, track, False
         self._quick, self._taken_step = request.kind is Kind.QUICK, self._step
-        if old is not None and np.hypot(*(track.trajectory.x[-1] - old.trajectory.x[-1])[:2]) > SAME_END_M:
+        if old is None or np.hypot(*(track.trajectory.x[-1] - old.trajectory.x[-1])[:2]) > SAME_END_M:
             # The next leg was planned from where the last trajectory ended.
             self._next = None
         self._flow = plan.flow
@@ -293,20 +319,20 @@ class EnergyGuidance:
         return news
 
     def _ask_if_needed(self, now: Situation, off_m: float, elapsed_s: float) -> None:
-        """Ask for a plan: the first, a better one for this leg, or the next leg's."""
+        """Ask for a plan: the first, a better one for this leg (not of a short one), or the next leg's."""
         track, since = self._track, self._step - self._asked_step
         over = self._patience.over(now, since)
         if track is None:
-            begun = self._step - self._goal_step
-            if self._short:
+            if self._missed:
                 return
+            begun = self._step - self._goal_step
             kind, at_once = self._first, self._first is Kind.COLD
             if (over or at_once) and begun > 0 and (not self._route.searching or begun >= ROUTE_STEPS):
                 self._first = Kind.QUICK
                 self._ask(now, kind, now.goal, self._coming(now, kind, elapsed_s), None)
             return
         followed = self._step - self._taken_step >= FOLLOWED_STEPS
-        if self._quick and followed and over and track.rest_s > LAST_UPDATE_S + ANSWER_STEPS[Kind.COLD] * STEP_S:
+        if self._quick and followed and over and track.rest_s > NEXT_LEG_S:
             self._ask(now, Kind.COLD, now.goal, self._coming(now, Kind.COLD, elapsed_s), track)
             return
         running_out = not track.complete and track.rest_s < min(RUNNING_OUT_S, RUNNING_OUT_SHARE * track.length_s)

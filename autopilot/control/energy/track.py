@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.messages import Goal
-from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Z
+from autopilot.core.model4 import YAW, R, U, V, W, X, Z
 
 YAW_LEVER_M = 0.3
 """A radian of heading counts as so many metres when the nearest point of the trajectory is looked for."""
@@ -20,6 +20,10 @@ FASTEST_RATE = 2.0
 
 WINDOW_S = 2.0
 SEARCH_POINTS = 41
+
+ARRIVING_S, MISSING_S = 0.1, 0.2
+"""By the clock, which goes at its slowest there: after so long behind the end the reference begins to go over to the
+goal's centre, and takes so long for it (0.3 and 0.7 s)."""
 
 SETTLE_S = 1.5
 """Time constant with which the reference goes on to the goal's centre after the end of the trajectory."""
@@ -79,23 +83,31 @@ class Track:
     ) -> tuple[FloatArray, FloatArray]:
         """References (N+1, 8) and mean thrust (N, 4) at times ``t_s`` (N+1,) from now.
 
-        After the end ``then`` is followed, which begins where this one ends; a vehicle that is at the end already is
-        held there. Without it the vehicle comes to rest at the goal's centre. Thrust at rest is zero, to be filled in
-        by the caller for the velocities of the reference.
+        After the end ``then`` is followed, which begins where this one ends. Without it the reference comes to rest at
+        the goal's centre; that of a vehicle that is at the end already goes over to this (:attr:`missing`). Thrust at
+        rest is zero, to be filled in by the caller for the velocities of the reference.
         """
         at = self.clock_s + t_s
         end_s = float(self.trajectory.t_s[-1])
         x, impulse = self._states(at), self._impulse_at(at)
         late = np.flatnonzero(at > end_s)
-        if then is not None and self.clock_s >= end_s:
-            x = still(self.trajectory.x[-1], t_s, current_ned_m_s)
-        elif len(late) and then is not None:
-            x[late] = then._states(at[late] - end_s)
-            x[late, YAW] += _turn_rad(self.trajectory, then.trajectory)
-            impulse[late] += then._impulse_at(at[late] - end_s)
-        elif len(late) and self.complete:
+        onward = then is not None and self.missing < 1.0
+        if len(late) and self.complete and not (onward and self.missing == 0.0):
             self._settle(x, at, late, current_ned_m_s)
+        if len(late) and then is not None and onward:
+            coming = then._states(at[late] - end_s)
+            coming[:, YAW] += _turn_rad(self.trajectory, then.trajectory)
+            x[late] = coming if self.missing == 0.0 else coming + self.missing * (x[late] - coming)
+            impulse[late] += then._impulse_at(at[late] - end_s)
         return x, np.diff(impulse, axis=0) / np.diff(t_s)[:, None]
+
+    @property
+    def missing(self) -> float:
+        """From 0 to 1: how far a vehicle that has come to the end has to be brought to the goal by the reference.
+
+        Not at once: the end is reached by what is predicted for when commands act, the region by the vehicle.
+        """
+        return min(max(-self.rest_s - ARRIVING_S, 0.0) / MISSING_S, 1.0)
 
     def _impulse_at(self, t_s: FloatArray) -> FloatArray:
         """Thrust integrated (m, 4) [N s] from the beginning."""
@@ -142,12 +154,3 @@ def _turn_rad(first: Trajectory, second: Trajectory) -> float:
     """Whole turns that bring the heading with which ``second`` begins to the one with which ``first`` ends."""
     begin = float(second.x[0, YAW])
     return unwrap_near(begin, float(first.x[-1, YAW])) - begin
-
-
-def still(x0: FloatArray, t_s: FloatArray, current_ned_m_s: FloatArray) -> FloatArray:
-    """References (N+1, 8) that stay where the vehicle is, at rest over ground."""
-    x = np.tile(x0, (len(t_s), 1))
-    c, s = math.cos(float(x0[YAW])), math.sin(float(x0[YAW]))
-    north, east, down = (float(v) for v in current_ned_m_s)
-    x[:, U:NX] = (-(c * north + s * east), -(c * east - s * north), -down, 0.0)
-    return x
