@@ -8,6 +8,7 @@ what the model does not. All of it follows from one seed.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -215,12 +216,15 @@ class _Estimator:
         self.current = self.current + gain * np.array([c * lack[0] - s * lack[1], s * lack[0] + c * lack[1], 0.0])
 
 
-def fly(seed: int, seconds: float, loss: Loss | None, *, spread: float = 0.3) -> Flown:
-    """One flight with the detector in the loop, as the service has it."""
+def fly(
+    seed: int, seconds: float, loss: Loss | None, *, spread: float = 0.3, factors: Mapping[str, float] | None = None
+) -> Flown:
+    """One flight with the detector in the loop, as the service has it; ``factors`` replace those that are drawn."""
     rng = np.random.default_rng(seed)
     believed = load_vehicle("lbv150")
     model, drive = believed.model4.to_model(), believed.drive
     vehicle, mismatch = drawn_vehicle(rng, believed, spread)
+    mismatch |= factors or {}
     tether = (float(rng.uniform(-4.0, 4.0)), float(rng.uniform(-4.0, 4.0)), 0.0) if rng.uniform() < 0.6 else None
     names = [thruster.name for thruster in believed.thruster]
     world = World(polygon_ned_m=WALLS_M, floor_m=FLOOR_M, current=drawn_current(rng), tether_entry_ned_m=tether)

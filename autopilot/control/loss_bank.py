@@ -6,9 +6,14 @@ when the story began, a sound one lost half of its thrust or nearly all, a lossy
 
 All of them estimate beside the effectiveness e of the thrusters what else may explain the motion, each with the
 spread that vehicles and waters have: thrust over mass and drag over mass of each axis, Coriolis and Munk terms, the
-lag, the arm of the lateral thruster, a steady force from a fixed direction (a tether), a steady moment, the water's
-velocity, and pushes that last a second or two. A mistake of the model, a tug and a gust are therefore no loss: it is
-declared only where it is by far the likelier story.
+lag, the arm of the lateral thruster, a steady force from a fixed direction (a tether), a moment, the water's velocity,
+and pushes that last a second or two. A mistake of the model, a tug and a gust are therefore no loss: it is declared only
+where it is by far the likelier story.
+
+The water's velocity stands there twice, for drag and for the Munk moment. They see the same water, but what the moment
+makes of an error of it is the product of two unknowns: a vehicle whose masses are 15 % from its file has a Munk moment
+of twice the file's, and with one water for both such a hull in a current that is wrong by 0.1 m/s was turned by something
+that only a lost thruster could explain. Filters that multiply the two come to rest in different wrong places.
 
 The evidence for a story over filter 0 is the sum of their log-likelihood ratios since it began (a generalised
 likelihood ratio test with the size of the change estimated: Willsky and Jones 1976). Each thruster has a few stories
@@ -28,7 +33,7 @@ from autopilot.core.model4 import NU, Model4
 LATERAL = 3
 """Index of the lateral thruster."""
 
-E, GAIN, DRAG, TURN, ARM, LAG, PULL, MOMENT, FLOW, PUSH, COMMON = (
+E, GAIN, DRAG, TURN, ARM, LAG, PULL, MOMENT, FLOW, PUSH, COMMON, SWIRL = (
     slice(0, 4),
     slice(4, 8),
     slice(8, 12),
@@ -40,12 +45,14 @@ E, GAIN, DRAG, TURN, ARM, LAG, PULL, MOMENT, FLOW, PUSH, COMMON = (
     slice(21, 23),
     slice(23, 27),
     27,
+    slice(28, 30),
 )
 """States: effectiveness (4), thrust over mass per axis (4), drag over mass per axis (4), Coriolis and Munk (3), arm of
-the lateral thruster, lag, force NED (3), moment, water's velocity NE (2), push per axis (4), thrust of all axes."""
+the lateral thruster, lag, force NED (3), moment, water's velocity NE as drag feels it (2), push per axis (4), thrust of
+all axes, water's velocity NE as the Munk moment feels it (2)."""
 
-STATES = 28
-MOTION = np.arange(17, 27)
+STATES = 30
+MOTION = np.array([*range(17, 27), 28, 29])
 """States that change within seconds."""
 
 FREE = 1
@@ -90,6 +97,8 @@ class Beliefs:
     """Errors of mass and lever arm."""
     common: float = 0.15
     """Errors of the thrust constant, of all thrusters alike."""
+    least_gain: float = -0.45
+    """Smallest error of an axis in all: 0.3 less thrust and 0.2 more mass. What is less is a loss."""
     gain_wander: float = 0.003
     """Per square root of a second."""
     drag: float = 0.3
@@ -104,13 +113,19 @@ class Beliefs:
     """Force from a fixed direction: a tether."""
     pull_s: float = 20.0
     """It turns within this time."""
-    moment: float = 0.05
-    """Steady, [rad/s^2]."""
-    flow_m_s: float = 0.1
-    """The water's velocity against the estimated current: that explains what a lost thruster does not."""
+    moment: float = 0.1
+    """What turns the hull besides, [rad/s^2]."""
+    moment_s: float = 6.0
+    """It is another within this time."""
+    flow_m_s: float = 0.12
+    """The water's velocity against the estimated current, as drag feels it: explains what a lost thruster does not."""
     flow_hit_m_s: float = 0.3
     """The same after a collision: the estimator has taken what held the hull for water."""
-    flow_s: float = 8.0
+    flow_s: float = 6.0
+    """It is another within this time."""
+    swirl_m_s: float = 0.3
+    """The same as the file's Munk moment would have to feel it: the true moment is up to twice as large."""
+    swirl_s: float = 3.0
     """It is another within this time."""
     push: tuple[float, float, float, float] = (0.02, 0.02, 0.02, 0.07)
     """What nobody knows."""
@@ -271,6 +286,8 @@ class LossBank:
             gain = cross.transpose(0, 2, 1) @ inverse
             x = self._x + np.einsum("nij,nj->ni", gain, innovation)
             x[:, E] = np.clip(x[:, E], 0.0, 1.5)
+            # No sound vehicle is so heavy and so weak as a lost thruster would have it.
+            x[:, GAIN] = np.maximum(x[:, GAIN], b.least_gain - x[:, COMMON, None])
             p = self._p - gain @ cross
             self._x, self._p = x, 0.5 * (p + p.transpose(0, 2, 1))
             self._weigh(-0.5 * (distance2 + np.log(np.linalg.det(s))), look.dt_s)
@@ -324,17 +341,20 @@ class LossBank:
         b = self._beliefs
         still = np.zeros(STATES)
         still[PULL], still[MOMENT], still[FLOW] = b.pull_n**2, b.moment**2, b.flow_m_s**2
+        still[SWIRL] = b.swirl_m_s**2
         still[PUSH] = np.square(b.push)
         return still
 
     def _predict(self, look: Look) -> None:
         b, dt_s = self._beliefs, look.dt_s
         keep = np.ones(STATES)
-        keep[PULL] = keep[MOMENT] = math.exp(-dt_s / b.pull_s)
+        keep[PULL], keep[MOMENT] = math.exp(-dt_s / b.pull_s), math.exp(-dt_s / b.moment_s)
+        keep[SWIRL] = math.exp(-dt_s / b.swirl_s)
         keep[FLOW], keep[PUSH] = math.exp(-dt_s / b.flow_s), math.exp(-dt_s / b.push_s)
         x, p = self._x * keep, self._p * np.outer(keep, keep)
         # The same water, against another belief.
         x[:, FLOW] -= look.moved_ned_m_s
+        x[:, SWIRL] -= look.moved_ned_m_s
         grow = np.zeros((FILTERS, STATES))
         grow[:, MOTION] = ((1.0 - keep * keep) * self._still)[MOTION]
         grow[:, GAIN] = b.gain_wander**2 * dt_s
@@ -352,7 +372,9 @@ class LossBank:
         ideal = np.einsum("ij,nj->ni", self._effect, look.thrust_n * x[:, E])
         rate = np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, E])
         result: FloatArray = self._gain() * ideal - x[:, LAG, None] * rate + x[:, DRAG] * look.drag + x[:, PUSH]
-        result += x[:, FLOW] @ look.flow.T + x[:, PULL] @ self._pull(look).T
+        result += x[:, PULL] @ self._pull(look).T
+        result[:, :3] += x[:, FLOW] @ look.flow[:3].T
+        result[:, 3] += x[:, SWIRL] @ look.flow[3]
         result[:, [0, 1, 3]] += x[:, TURN] * look.coriolis
         result[:, 3] += x[:, MOMENT] + x[:, ARM] * look.thrust_n[LATERAL]
         return result
@@ -372,7 +394,8 @@ class LossBank:
         h[:, :, LAG] = -np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, E])
         h[:, :, PULL] = self._pull(look)
         h[:, 3, MOMENT] = 1.0
-        h[:, :, FLOW] = look.flow
+        h[:, :3, FLOW] = look.flow[:3]
+        h[:, 3, SWIRL] = look.flow[3]
         h[:, axes, 23 + axes] = 1.0
         return h
 

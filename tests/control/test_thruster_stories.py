@@ -14,6 +14,15 @@ def test_a_sound_vehicle_far_from_its_file_is_not_blamed(seed: int) -> None:
     assert flown.found == (1.0,) * 4
 
 
+def test_a_munk_moment_far_above_the_file_is_no_loss() -> None:
+    """Light in surge and yaw, heavy in sway, a tether that the estimator takes for water: the Munk moment is 2.6 times
+    the file's, so that what is wrong with the water turns the hull far more than it drags it."""
+    factors = {"surge_mass": 0.85, "sway_mass": 1.15, "yaw_inertia": 0.8, "tether_pull": 4.5}
+    flown = fly(5, 30.0, None, factors=factors)
+    assert flown.false == []
+    assert flown.peak < 6.0
+
+
 @pytest.mark.parametrize(("thruster", "seed"), [(0, 12), (1, 13), (3, 15)])
 def test_a_dead_thruster_of_a_vehicle_far_from_its_file_is_found(thruster: int, seed: int) -> None:
     flown = fly(seed, 28.0, Loss(thruster=thruster, share=0.0, at_s=15.0))
