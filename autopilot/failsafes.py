@@ -45,6 +45,8 @@ class Conditions:
     """What each thruster gives of its thrust, in the order of the vehicle file; empty = not known."""
     thruster_problem: str = ""
     """What the thrusters that are left cannot do any more."""
+    thrusters_unseen: tuple[str, ...] = ()
+    """Those of which nobody would know had they lost half of their thrust."""
     command_delay_s: float = 0.0
     """So late commands reach the thrusters, beyond doubt."""
     fault: str = ""

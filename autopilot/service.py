@@ -312,6 +312,7 @@ class Autopilot:
             nav_doubts=estimated.doubts,
             thruster_share=tuple(self._care.share.tolist()),
             thruster_problem=self._devices.thruster_problem or self._care.problem,
+            thrusters_unseen=self._care.unseen,
             command_delay_s=self._latency.delay_s,
             fault=self._fault_care.problem(t_us),
         )

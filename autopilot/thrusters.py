@@ -31,6 +31,8 @@ class ThrusterCare:
         """(4,) effectiveness that bounds and allocation go by; dead thrusters have 0."""
         self.problem = ""
         """What the thrusters that are left do not allow, "" while the vehicle can stay where it is."""
+        self.unseen: tuple[str, ...] = ()
+        """Thrusters that have been asked for too little so far: the loss of half of one would not show."""
 
     def step(
         self,
@@ -56,6 +58,8 @@ class ThrusterCare:
         if not changed and not due:
             return None
         self.problem = self._problem(nav, goal, min(capability_n, self._params["THR_LIMIT"]))
+        detects = int(self._params["THR_DETECT"])
+        self.unseen = tuple(n for n, seen in zip(self._names, self._health.seen, strict=True) if detects and not seen)
         return ThrusterHealthState(
             t_us=t_us,
             effectiveness=self.share.copy(),

@@ -23,6 +23,8 @@ _DOUBT_TEXTS = {
 SHARE_NEWS = 0.15
 """A change of a thruster's effectiveness that is worth a message."""
 
+FLIGHT_US = 20_000_000
+"""What is armed for a shorter time is no flight to sum up."""
 
 DELAY_NEWS_S = 0.25
 """A change of the commands' delay that is worth a message."""
@@ -42,6 +44,7 @@ class Watch:
         self._unreachable = False
         self._thrusters = tuple(thruster.name for thruster in vehicle.thruster)
         self._share: dict[str, float] = {}
+        self._armed_us: int | None = None
         self._delay_s = 0.0
 
     def look(self, conditions: Conditions, *, armed: bool) -> list[tuple[Severity, str]]:
@@ -61,6 +64,7 @@ class Watch:
         texts += self._of_commands(conditions.command_delay_s) if armed else []
         self._health, self._unreachable = health, conditions.unreachable
         texts += self._of_thrusters(conditions.thruster_share)
+        texts += self._of_flight(conditions, armed)
         if self._goals.fence is not self._fence:
             self._fence = self._goals.fence
             texts += self._of_fence(nav if armed and health is not NavHealth.INVALID else None)
@@ -89,6 +93,14 @@ class Watch:
             else:
                 texts.append((Severity.WARNING, f"Thruster {name} gives {100.0 * share:.0f} % of its thrust"))
         return texts
+
+    def _of_flight(self, conditions: Conditions, armed: bool) -> list[tuple[Severity, str]]:
+        """After a flight: silence about a thruster that was hardly used does not say that it is sound."""
+        since_us = self._armed_us
+        self._armed_us = (conditions.t_us if since_us is None else since_us) if armed else None
+        if armed or since_us is None or conditions.t_us - since_us < FLIGHT_US or not conditions.thrusters_unseen:
+            return []
+        return [(Severity.INFO, f"Too little used to judge thrust: {', '.join(conditions.thrusters_unseen)}")]
 
     def _of_fence(self, nav: NavState | None) -> list[tuple[Severity, str]]:
         """Gaps that FENCE_GAP_CHK only warns of, and a vehicle that the new fence finds where it must not be."""

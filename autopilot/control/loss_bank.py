@@ -7,13 +7,13 @@ when the story began, a sound one lost half of its thrust or nearly all, a lossy
 All of them estimate beside the effectiveness e of the thrusters what else may explain the motion, each with the
 spread that vehicles and waters have: thrust over mass and drag over mass of each axis, Coriolis and Munk terms, the
 lag, the arm of the lateral thruster, a steady force from a fixed direction (a tether), a moment, the water's velocity,
-and pushes that last a second or two. A mistake of the model, a tug and a gust are therefore no loss: it is declared only
-where it is by far the likelier story.
+and pushes that last a second or two. A mistake of the model, a tug and a gust are therefore no loss: it is declared
+only where it is by far the likelier story.
 
-The water's velocity stands there twice, for drag and for the Munk moment. They see the same water, but what the moment
+The water's velocity stands there twice, for drag and for the Munk moment. They feel the same water, but what the moment
 makes of an error of it is the product of two unknowns: a vehicle whose masses are 15 % from its file has a Munk moment
-of twice the file's, and with one water for both such a hull in a current that is wrong by 0.1 m/s was turned by something
-that only a lost thruster could explain. Filters that multiply the two come to rest in different wrong places.
+of twice the file's. With one water for both, a current that is wrong by 0.1 m/s turns such a hull by what only a lost
+thruster can explain. Filters that multiply the two come to rest in different wrong places.
 
 The evidence for a story over filter 0 is the sum of their log-likelihood ratios since it began (a generalised
 likelihood ratio test with the size of the change estimated: Willsky and Jones 1976). Each thruster has a few stories

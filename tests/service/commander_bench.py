@@ -40,6 +40,7 @@ class Bench:
         self.unreachable = False
         self.thruster_share: tuple[float, ...] = (1.0,) * 4
         self.thruster_problem = ""
+        self.thrusters_unseen: tuple[str, ...] = ()
         self.command_delay_s = 0.0
         self.texts: list[str] = []
 
@@ -74,6 +75,7 @@ class Bench:
                     unreachable=self.unreachable,
                     thruster_share=self.thruster_share,
                     thruster_problem=self.thruster_problem,
+                    thrusters_unseen=self.thrusters_unseen,
                     command_delay_s=self.command_delay_s,
                 )
             )

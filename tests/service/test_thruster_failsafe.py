@@ -1,10 +1,14 @@
 """What the operator hears of weak thrusters, and when the vehicle gives up its mission."""
 
+import numpy as np
 import pytest
 from commander_bench import Bench
 
-from autopilot.core.messages import Failsafe
+from autopilot.core.messages import Failsafe, NavHealth, NavState
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import load_vehicle
 from autopilot.mavlink.api import CommandResult, FlightMode
+from autopilot.thrusters import ThrusterCare
 
 
 def test_a_weak_thruster_is_named_once_and_the_vehicle_goes_on() -> None:
@@ -16,6 +20,43 @@ def test_a_weak_thruster_is_named_once_and_the_vehicle_goes_on() -> None:
     bench.thruster_share = (1.0,) * 4
     bench.run(1.0)
     assert bench.texts[-1] == "Thruster port gives its full thrust again"
+
+
+def test_after_a_flight_it_is_said_of_which_thrusters_silence_says_nothing() -> None:
+    bench = Bench().armed()
+    bench.thrusters_unseen = ("vertical",)
+    bench.run(25.0)
+    assert not any("judge" in text for text in bench.texts)
+    bench.commander.disarm(force=True)
+    bench.run(1.0)
+    told = [text for text in bench.texts if "judge" in text]
+    assert told == ["Too little used to judge thrust: vertical"]
+
+
+def test_thrusters_that_were_never_asked_for_anything_are_not_taken_for_sound() -> None:
+    vehicle, params = load_vehicle("lbv150"), ParamSet()
+    care = ThrusterCare(vehicle, params)
+    for tick in range(300):
+        care.step(tick * 10_000, _at_rest(tick * 10_000), np.zeros(4), 12.0, None, armed=True)
+    assert care.unseen == ("port", "starboard", "vertical", "lateral")
+    params.set("THR_DETECT", 0)
+    for tick in range(300, 400):
+        care.step(tick * 10_000, _at_rest(tick * 10_000), np.zeros(4), 12.0, None, armed=True)
+    assert not care.unseen
+
+
+def _at_rest(t_us: int) -> NavState:
+    return NavState(
+        t_us=t_us,
+        health=NavHealth.GOOD,
+        pos_ned_m=np.array([0.0, 0.0, 0.5]),
+        rpy_rad=np.zeros(3),
+        vel_frd_m_s=np.zeros(3),
+        vel_water_frd_m_s=np.zeros(3),
+        rate_frd_rad_s=np.zeros(3),
+        current_ned_m_s=np.zeros(3),
+        variance=np.zeros(12),
+    )
 
 
 @pytest.mark.parametrize(
