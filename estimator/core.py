@@ -21,7 +21,9 @@ class Innovation(NamedTuple):
     gain: FloatArray
     """(21, m) what a unit of residual moves."""
     spread: FloatArray
-    """(21, m) covariance between state and residual (the observer: unused)."""
+    """(21, m) covariance between state and residual."""
+    after: FilterState | None = None
+    """The state if it is used, when that is known already."""
 
 
 class FilterCore(Protocol):

@@ -1,4 +1,4 @@
-"""The extended Kalman filter on filterpy, with a gate and a leaner update."""
+"""The extended Kalman filter: filterpy's, with our motion, our gate and pure functions around it."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from autopilot.core.frames import FloatArray
 from estimator.core import Innovation
 from estimator.inertial import Mode, Step
 from estimator.measurement import CHI2_999, Measurement, Moment
-from estimator.motion import add_model, fill_jacobian, moved, new_jacobian, reset_model
+from estimator.motion import add_model, fill_jacobian, moved, reset_model
 from estimator.states import (
     CURRENT_DOWN,
     HEADING_OFFSET,
@@ -32,17 +32,12 @@ RELOCATED_SIGMA_VEL_M_S = 0.1
 
 
 class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no type hints
-    x: FloatArray
     """filterpy's filter with our motion: ``u`` of predict() is the step."""
 
+    x: FloatArray
     P: FloatArray
     driven = False
     """Whether F is that of a step that the vehicle model made."""
-
-    def predict(self, u: Any = 0) -> None:
-        """filterpy's predict() without its copies of the prior, which nobody reads here."""
-        self.predict_x(u)
-        self.P = self.F.dot(self.P).dot(self.F.T) + self.Q
 
     def predict_x(self, u: Any = 0) -> None:
         """Move the state and linearise about where it was."""
@@ -57,20 +52,18 @@ class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no ty
 
 
 class KalmanCore:
-    """:class:`estimator.core.FilterCore` by filterpy."""
+    """:class:`estimator.core.FilterCore` by filterpy: predict() and update() are its own."""
 
     def __init__(self, *, current_3d: bool = False) -> None:
         """``current_3d``: the vertical current is a state."""
         self._kf = _Filter(NX, 4)
-        self._kf.F = new_jacobian()
         self._noise = {mode: process_noise(mode, current_3d=current_3d) for mode in Mode}
         self._sigma = INITIAL_SIGMA.copy()
         self._down_variance = VERTICAL_CURRENT_VARIANCE
         if current_3d:
             self._sigma[CURRENT_DOWN] = INITIAL_SIGMA_CURRENT_DOWN_M_S
             self._down_variance = 0.0
-        self._q = np.zeros((NX, NX))
-        self._kf.Q = self._q
+        self._kf.Q = np.zeros((NX, NX))
 
     def start(self, x: FloatArray) -> FilterState:
         """Diagonal covariance."""
@@ -80,35 +73,36 @@ class KalmanCore:
         """P = F P F' + Q dt"""
         kf = self._kf
         kf.x, kf.P = state
-        np.multiply(self._noise[step.mode], step.dt_s, out=self._q)
+        np.multiply(self._noise[step.mode], step.dt_s, out=kf.Q)
         kf.predict(step)
         return FilterState(kf.x, kf.P)
 
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
-        """Joint chi-square test at 99.9 %, and the gain."""
-        x, p = state
-        y = measurement.residual(measurement.z, measurement.predicted(x, moment, after_s))
-        h = measurement.jacobian(x, moment, after_s)
-        spread = p.dot(h.T)
-        s = h.dot(spread) + measurement.noise
-        if len(y) == 1:
-            inverse = 1.0 / s
-            ratio = float(y[0] * y[0] * inverse[0, 0]) / CHI2_999[1]
-        else:
-            inverse = np.linalg.inv(s)
-            ratio = float(y.dot(inverse).dot(y)) / CHI2_999[len(y)]
-        return Innovation(y, s.diagonal(), ratio, spread.dot(inverse), spread)
+        """filterpy's update (Joseph form), and a joint chi-square test at 99.9 % of whether it may be kept.
+
+        filterpy knows no gate: the residual's distance is known only once it has updated. Nothing is lost by that:
+        states are never changed in place, so a rejected one is simply not taken."""
+        kf = self._kf
+        kf.x, kf.P = state
+        about = (moment, after_s)
+        kf.update(
+            measurement.z,
+            measurement.jacobian,
+            measurement.predicted,
+            R=measurement.noise,
+            args=about,
+            hx_args=about,
+            residual=measurement.residual,
+        )
+        ratio = kf.mahalanobis**2 / CHI2_999[len(kf.y)]
+        p = kf.P + kf.P.T
+        p *= 0.5
+        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, kf.K.dot(kf.S), FilterState(kf.x, p))
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
-        """x + K y, and P - K (P H')' kept symmetric.
-
-        For the optimal gain this is what filterpy's update() computes, without its deep copies and its second product
-        with R, at a third of the cost; a test holds the two together.
-        """
-        p = state.p - innovation.gain.dot(innovation.spread.T)
-        p += p.T
-        p *= 0.5
-        return FilterState(state.x + innovation.gain.dot(innovation.y), p)
+        """What filterpy's update has made of it."""
+        assert innovation.after is not None
+        return innovation.after
 
     def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray) -> FilterState:
         """The pose gets the fix's covariance, correlations of pose and velocity are dropped."""

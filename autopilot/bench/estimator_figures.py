@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from filterpy.stats import NEES
 from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
@@ -125,8 +126,7 @@ def mean_nees(run: Watched, span_s: tuple[float, float]) -> float:
     """Mean normalised estimation error squared of the seven states; 7 = as sure as it should be."""
     keep = _within(run.t_s, span_s)
     error = run.error[keep]
-    weighted = np.linalg.solve(run.covariance[keep], error[:, :, None])[:, :, 0]
-    return float((error * weighted).sum(axis=1).mean())
+    return float(np.mean(NEES(error, np.zeros_like(error), run.covariance[keep])))
 
 
 def mean_nis(run: Watched, span_s: tuple[float, float]) -> float:

@@ -21,9 +21,10 @@ from estimator.measure_laser import LaserRange
 from estimator.measure_model import ModelAid, added_share, model_aid_of
 from estimator.measure_pose import PoseFix
 from estimator.measure_velocity import BodyVelocity
-from estimator.measurement import Measurement, Moment
-from estimator.motion import fill_jacobian, moved, new_jacobian
+from estimator.measurement import CHI2_999, Measurement, Moment
+from estimator.motion import fill_jacobian, moved
 from estimator.states import NX, YAW, FilterState
+from estimator.tuning import process_noise
 
 VEHICLE = load_vehicle("lbv150")
 unit = st.floats(-1.0, 1.0, allow_subnormal=False)
@@ -65,7 +66,7 @@ def numeric(function: object, x: FloatArray) -> FloatArray:
 @given(states(), st.floats(0.001, 0.05), unit, unit, unit)
 def test_motion_jacobian(x: FloatArray, dt: float, ax: float, ay: float, r: float) -> None:
     step = Step(dt, r, (ax, ay, 0.3), Mode.NOMINAL)
-    jac = new_jacobian()
+    jac = np.eye(NX)
     fill_jacobian(jac, np.ones(NX), Step(0.02, 1.0, (1.0, 2.0, 3.0), Mode.NOMINAL))  # leftovers must not survive
     fill_jacobian(jac, x, step)
     np.testing.assert_allclose(jac, numeric(lambda v: moved(v, step), x), atol=1e-7)
@@ -105,26 +106,76 @@ def test_measurement_jacobians(x: FloatArray, moment: Moment, after_s: float) ->
         np.testing.assert_allclose(m.jacobian(x, moment, after_s), wanted, atol=atol, err_msg=m.sensor)
 
 
+def textbook(state: FilterState, m: Measurement, moment: Moment, after_s: float) -> tuple[FilterState, float]:
+    """The optimal update in its shortest form, and the squared distance of the residual."""
+    h = m.jacobian(state.x, moment, after_s)
+    spread = state.p @ h.T
+    s = h @ spread + m.noise
+    y = m.residual(m.z, m.predicted(state.x, moment, after_s))
+    gain = spread @ np.linalg.inv(s)
+    return FilterState(state.x + gain @ y, state.p - gain @ spread.T), float(y @ np.linalg.solve(s, y))
+
+
 @settings(max_examples=30)
 @given(states(), moments(), st.integers(0, 1000))
 def test_update_is_filterpys(x: FloatArray, moment: Moment, seed: int) -> None:
-    """The lean update and filterpy's own Joseph form agree for every kind of measurement."""
+    """Every kind of measurement goes through filterpy's update(), and comes out as the textbook has it."""
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(NX, NX)) * 0.1
     p = a @ a.T + 1e-4 * np.eye(NX)
     core = KalmanCore()
     for m in measurements(moment.inertial):
-        state = FilterState(x, p)
+        state = FilterState(x.copy(), p.copy())
         innovation = core.innovation(state, m, moment, 0.004)
         ours = core.correct(state, innovation)
         kf = ExtendedKalmanFilter(NX, len(m.z))
         kf.x, kf.P = x, p
         args = (moment, 0.004)
         kf.update(m.z, m.jacobian, m.predicted, R=m.noise, args=args, hx_args=args, residual=m.residual)
-        np.testing.assert_allclose(ours.x, kf.x, atol=1e-9)
-        np.testing.assert_allclose(ours.p, kf.P, atol=1e-9)
+        np.testing.assert_array_equal(ours.x, kf.x)
+        np.testing.assert_allclose(ours.p, kf.P, atol=1e-15)
         np.testing.assert_allclose(ours.p, ours.p.T, atol=0.0)
-        assert innovation.test_ratio >= 0.0
+        expected, distance2 = textbook(state, m, moment, 0.004)
+        np.testing.assert_allclose(ours.x, expected.x, atol=1e-9)
+        np.testing.assert_allclose(ours.p, expected.p, atol=1e-9)
+        assert innovation.test_ratio == pytest.approx(distance2 / CHI2_999[len(m.z)], rel=1e-6, abs=1e-12)
+        np.testing.assert_array_equal(state.x, x)  # states are never changed in place
+        np.testing.assert_array_equal(state.p, p)
+
+
+def test_the_flown_filter_is_filterpys(make_ekf: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every step and every measurement of an estimator at work is one call of filterpy's predict() or update()."""
+    calls = {"predict": 0, "update": 0}
+    for name in calls:
+        whole = getattr(ExtendedKalmanFilter, name)
+
+        def counted(self: object, *args: object, name: str = name, whole: object = whole, **more: object) -> object:
+            assert callable(whole)
+            calls[name] += 1
+            return whole(self, *args, **more)
+
+        monkeypatch.setattr(ExtendedKalmanFilter, name, counted)
+    estimator = make_ekf()
+    world = World(tank_jet, Faults(seed=3))
+    for truth, samples, command in world.run(2.0):
+        estimator.step(truth.t_us, samples, command)
+    fused = sum(estimator.counters()[f"{aid}.fused"] for aid in ("markers", "heading", "model"))
+    assert calls["predict"] >= estimator.counters()["ahrs.good"] - 20
+    assert calls["update"] >= fused > 100
+
+
+@settings(max_examples=30)
+@given(states(), st.floats(0.001, 0.05), unit, unit, st.integers(0, 1000))
+def test_prediction_is_the_textbooks(x: FloatArray, dt: float, ax: float, r: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(NX, NX)) * 0.1
+    p = a @ a.T + 1e-4 * np.eye(NX)
+    step = Step(dt, r, (ax, -ax, 0.3), Mode.NOMINAL)
+    f = np.eye(NX)
+    fill_jacobian(f, x, step)
+    after = KalmanCore().predict(FilterState(x, p), step)
+    np.testing.assert_allclose(after.x, moved(x, step), atol=1e-12)
+    np.testing.assert_allclose(after.p, f @ p @ f.T + dt * process_noise(Mode.NOMINAL), atol=1e-12)
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-3.1, 3.1))
