@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from autopilot.core.errors import LogError
+from autopilot.core.map_errors import error_arrays, errors_of_arrays
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
@@ -52,6 +53,7 @@ def estimator_attachments(
             size_m=markers.size_m,
             ids=markers.ids,
             corners_ned_m=markers.corners_ned_m,
+            **({} if markers.errors is None else error_arrays(markers.errors)),
         )
         result[MARKERS_FILE] = buffer.getvalue()
     return result
@@ -82,6 +84,7 @@ def read_markers(attachments: Mapping[str, bytes]) -> MarkerMap | None:
             ids=file["ids"],
             corners_ned_m=file["corners_ned_m"],
             more_dictionaries=tuple(more),
+            errors=errors_of_arrays(file) if "sheet_sigma" in file else None,
         )
 
 

@@ -19,6 +19,7 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.vehicle import Vehicle
 from estimator.core import Innovation
 from estimator.engine import Engine
+from estimator.ground import ground_of
 from estimator.inertial import Mode, Step
 from estimator.kalman import RELOCATED_SIGMA_VEL_M_S, VERTICAL_CURRENT_VARIANCE
 from estimator.measure_depth import Depth
@@ -95,9 +96,12 @@ class ObserverCore:
 
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
         """Gate on the sum of squares of the normalised residuals."""
-        x, p = state
+        x, p = state.x, state.p
         y = measurement.residual(measurement.z, measurement.predicted(x, moment, after_s))
         noise = measurement.noise.diagonal()
+        ground = ground_of(measurement)
+        if ground is not None:  # of sheets it knows only how well they were laid
+            noise = noise + (ground.jacobian**2).dot(ground.sigma.reshape(-1) ** 2)
         if isinstance(measurement, ModelAid):
             variance = np.full(2, MODEL_GATE_SIGMA_M_S2**2)
             return self._result(y, variance, _model_gain(x), np.zeros((NX, 2)))

@@ -93,6 +93,8 @@ JUMP_FADE_S = 10.0
 """A jump that nothing on board felt fades from the variance with this: what the fixes say now may be as wrong."""
 RANGE_MISS_M = 0.04
 """A laser that needs a larger offset denies the height: twice what a mounted laser is off by."""
+LEARN_EVERY_US = 200_000
+"""How often a picture is asked how sheets lie to each other: in between its errors are nearly the same."""
 RELOCATED_VARIANCE = 1e-3
 """Added to the variance of the fix that a reset goes to (m^2, rad^2): it has been carried on to now."""
 
@@ -139,7 +141,15 @@ class Engine:
         self._samples_since = 0
         self._ground_us: int | None = None
         self._ahrs_us: int | None = None
-        self._counts = {"resets": 0, "clock.backwards": 0, "ahrs.blind_steps": 0, "doubt.jumps": 0}
+        self._learned_us = -LEARN_EVERY_US
+        self._counts = {
+            "sheets.fused": 0,
+            "sheets.rejected": 0,
+            "resets": 0,
+            "clock.backwards": 0,
+            "ahrs.blind_steps": 0,
+            "doubt.jumps": 0,
+        }
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
         """See :class:`estimator.protocol.Estimator`."""
@@ -419,6 +429,7 @@ class Engine:
             self._weigh(fix, missed, relocation)
         if missed is None:
             relocation.accepted()
+            self._learn_sheets(history, node, fix)
             if aid is self._sources.external:
                 self._sources.external_jumped = False
             elif fix.tilt_rad is not None and node.moment.inertial.real:
@@ -436,6 +447,18 @@ class Engine:
                 self._note_jump(np.abs(missed.y))
             self._relocate(history, fix, float(missed.y[3]), velocity)
         return False
+
+    def _learn_sheets(self, history: History, node: Node, fix: PoseFix) -> None:
+        """Every so often a picture is asked how its sheets lie to each other."""
+        if fix.ties is None or abs(fix.t_us - self._learned_us) < LEARN_EVERY_US:
+            return
+        self._learned_us = fix.t_us
+        innovation = self._core.innovation(node.state, fix.ties, node.moment, 0.0)
+        if innovation.test_ratio <= 1.0:
+            history.correct(node, fix.ties, innovation)
+            self._counts["sheets.fused"] += 1
+        else:
+            self._counts["sheets.rejected"] += 1
 
     def _markers_in_view(self, t_us: int) -> bool:
         """Whether markers have been used of late."""

@@ -8,8 +8,10 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from autopilot.core.frames import FloatArray
 from estimator.core import Innovation
+from estimator.ground import columns_of, entered, ground_of
 from estimator.inertial import Mode, Step
-from estimator.measurement import CHI2_999, Measurement, Moment
+from estimator.measure_pose import Ground
+from estimator.measurement import CHI2_999, Measurement, Moment, chi2_999
 from estimator.motion import add_model, fill_jacobian, moved, reset_model
 from estimator.states import (
     CURRENT_DOWN,
@@ -21,11 +23,15 @@ from estimator.states import (
     VEL,
     YAW,
     FilterState,
+    SheetStates,
 )
 from estimator.tuning import process_noise
 
 VERTICAL_CURRENT_VARIANCE = 0.02**2
 """The vertical current is taken as zero unless it is a state; this is how wrong that may be [m^2/s^2]."""
+
+MAX_SHEETS = 96
+"""Sheets held at a time: more than a lap sees of sheets of half a metre. Beyond, the first ones seen are forgotten."""
 
 RELOCATED_SIGMA_VEL_M_S = 0.1
 """Of the velocity after a reset, which is the mean over the last fixes."""
@@ -64,6 +70,7 @@ class KalmanCore:
             self._sigma[CURRENT_DOWN] = INITIAL_SIGMA_CURRENT_DOWN_M_S
             self._down_variance = 0.0
         self._kf.Q = np.zeros((NX, NX))
+        self._wider: dict[int, ExtendedKalmanFilter] = {}
 
     def start(self, x: FloatArray) -> FilterState:
         """Diagonal covariance."""
@@ -71,33 +78,79 @@ class KalmanCore:
 
     def predict(self, state: FilterState, step: Step) -> FilterState:
         """P = F P F' + Q dt"""
-        kf = self._kf
-        kf.x, kf.P = state
+        kf, sheets = self._kf, state.sheets
+        kf.x, kf.P = state.x, state.p
         np.multiply(self._noise[step.mode], step.dt_s, out=kf.Q)
         kf.predict(step)
-        return FilterState(kf.x, kf.P)
+        if sheets is not None:  # they lie where they lie
+            sheets = sheets._replace(cross=kf.F.dot(sheets.cross))
+        return FilterState(kf.x, kf.P, sheets)
 
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
         """filterpy's update (Joseph form), and a joint chi-square test at 99.9 % of whether it may be kept.
 
         filterpy knows no gate: the residual's distance is known only once it has updated. Nothing is lost by that:
         states are never changed in place, so a rejected one is simply not taken."""
-        kf = self._kf
-        kf.x, kf.P = state
-        about = (moment, after_s)
+        kf, sheets = self._kf, state.sheets
+        ground = ground_of(measurement)
+        if ground is not None:
+            return self._on_sheets(state, measurement, ground, moment, after_s)
+        kf.x, kf.P = state.x, state.p
+        h = measurement.jacobian(state.x, moment, after_s)
         kf.update(
             measurement.z,
-            measurement.jacobian,
+            lambda _: h,
             measurement.predicted,
             R=measurement.noise,
-            args=about,
-            hx_args=about,
+            hx_args=(moment, after_s),
             residual=measurement.residual,
         )
         ratio = kf.mahalanobis**2 / CHI2_999[len(kf.y)]
-        p = kf.P + kf.P.T
-        p *= 0.5
-        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, kf.K.dot(kf.S), FilterState(kf.x, p))
+        if sheets is not None:  # considered, not corrected: this says next to nothing of them
+            sheets = sheets._replace(cross=sheets.cross - kf.K.dot(h.dot(sheets.cross)))
+        after = FilterState(kf.x, _symmetric(kf.P), sheets)
+        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, kf.K.dot(kf.S), after)
+
+    def _on_sheets(
+        self, state: FilterState, measurement: Measurement, ground: Ground, moment: Moment, after_s: float
+    ) -> Innovation:
+        """The update with what the sheets do to the measurement as further states, one per row of it.
+
+        That is exact: the measurement sees the offsets through these sums only. The offsets themselves follow by their
+        covariance with the residual; with filterpy's update on all of them (two hundred) it would take 50 times as
+        long."""
+        sheets = entered(state.sheets, ground.sheets, ground.sigma, MAX_SHEETS)
+        columns = columns_of(sheets.which, ground.sheets)
+        g = ground.jacobian
+        m = len(g)
+        bent = g.dot(sheets.offset[columns] - ground.at)
+        to_offsets = sheets.cov[:, columns].dot(g.T)
+        to_states = sheets.cross[:, columns].dot(g.T)
+        kf = self._wider.setdefault(m, ExtendedKalmanFilter(NX + m, m))
+        kf.x = np.concatenate((state.x, bent))
+        kf.P = np.empty((NX + m, NX + m))
+        kf.P[:NX, :NX], kf.P[:NX, NX:] = state.p, to_states
+        kf.P[NX:, :NX], kf.P[NX:, NX:] = to_states.T, g.dot(to_offsets[columns])
+        h = np.empty((m, NX + m))
+        h[:, :NX], h[:, NX:] = measurement.jacobian(state.x, moment, after_s), np.eye(m)
+        kf.update(
+            measurement.z,
+            lambda _: h,
+            lambda x: measurement.predicted(x[:NX], moment, after_s) + x[NX:],
+            R=measurement.noise,
+            residual=measurement.residual,
+        )
+        ratio = kf.mahalanobis**2 / chi2_999(m)
+        spread = h[:, :NX].dot(sheets.cross) + to_offsets.T
+        gain = kf.K[:NX]
+        offset, cov = sheets.offset, sheets.cov
+        if ground.learns:
+            pull = spread.T.dot(kf.SI)
+            offset = offset + pull.dot(kf.y)
+            cov = _symmetric(cov - pull.dot(spread))
+        sheets = SheetStates(sheets.which, offset, sheets.cross - gain.dot(spread), cov)
+        after = FilterState(kf.x[:NX], _symmetric(kf.P[:NX, :NX]), sheets)
+        return Innovation(kf.y, kf.S.diagonal(), ratio, gain, gain.dot(kf.S), after)
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
         """What filterpy's update has made of it."""
@@ -106,7 +159,7 @@ class KalmanCore:
 
     def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray) -> FilterState:
         """The pose gets the fix's covariance, correlations of pose and velocity are dropped."""
-        x, p = state.x.copy(), state.p.copy()
+        x, p, sheets = state.x.copy(), state.p.copy(), state.sheets
         x[HEADING_OFFSET] -= pose[3] - x[YAW]
         x[POS], x[YAW], x[VEL] = pose[:3], pose[3], vel_ned_m_s
         for part in (range(4), range(4, 7)):
@@ -114,7 +167,7 @@ class KalmanCore:
             p[:, part] = 0.0
         p[:4, :4] = noise
         p[VEL, VEL] = np.eye(3) * RELOCATED_SIGMA_VEL_M_S**2
-        return FilterState(x, p)
+        return FilterState(x, p, _forgotten(sheets, slice(0, 7)))
 
     def reopen(
         self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
@@ -127,7 +180,7 @@ class KalmanCore:
         if value is not None:
             x = x.copy()
             x[part] = value
-        return FilterState(x, p)
+        return FilterState(x, p, _forgotten(state.sheets, part))
 
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """From the covariance; velocity relative to the water with its correlation between ground and current."""
@@ -145,3 +198,19 @@ class KalmanCore:
     def planar_variance(self, state: FilterState) -> float:
         """From the diagonal."""
         return max(state.p.item(0, 0), state.p.item(1, 1))
+
+
+def _symmetric(p: FloatArray) -> FloatArray:
+    """The mean of a matrix and its transpose."""
+    result: FloatArray = p + p.T
+    result *= 0.5
+    return result
+
+
+def _forgotten(sheets: SheetStates | None, part: slice) -> SheetStates | None:
+    """The sheets uncorrelated with these states."""
+    if sheets is None:
+        return None
+    cross = sheets.cross.copy()
+    cross[part] = 0.0
+    return sheets._replace(cross=cross)

@@ -12,10 +12,14 @@ import numpy as np
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
+from autopilot.core.map_errors import MapErrors
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.samples import MarkerSighting
-from estimator.measure_pose import PoseFix
+from estimator.ground import SheetTies, believed
+from estimator.measure_pose import Ground, PoseFix
 from estimator.pnp import solve_pose
+from estimator.sheet_fit import SheetCorners, fit_on_sheets
+from estimator.states import SheetStates
 
 NEAREST_M = 0.45
 """A marker is not looked for further from where it seems to lie: markers of one id are a metre and more apart."""
@@ -64,6 +68,7 @@ class MarkerSolver:
         self._depth_m = markers.centers_ned_m[:, 2]
         self.counts = {"unknown": 0, "misfit": 0, "leaning": 0}
         """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
+        self._errors = markers.errors
         self._level = markers.level
         self._floor_m = markers.floor_m
         lean_m = np.ptp(markers.corners_ned_m[..., 2], axis=1)
@@ -82,8 +87,15 @@ class MarkerSolver:
         laser = sighting.laser_px
         return laser is None or (np.shape(laser) == (2,) and bool((np.abs(laser) < MAX_PIXEL).all()))
 
-    def track(self, sighting: MarkerSighting, pos_ned_m: FloatArray, rpy_rad: FloatArray) -> PoseFix | None:
-        """Fix near a predicted pose, None if the markers do not fit to it."""
+    def track(
+        self,
+        sighting: MarkerSighting,
+        pos_ned_m: FloatArray,
+        rpy_rad: FloatArray,
+        sheets: SheetStates | None = None,
+    ) -> PoseFix | None:
+        """Fix near a predicted pose, None if the markers do not fit to it. ``sheets``: where they are by now believed
+        to lie."""
         known = [k for k, i in enumerate(sighting.ids) if i in self._by_id]
         self.counts["unknown"] += len(sighting.ids) - len(known)
         if not known:
@@ -112,7 +124,7 @@ class MarkerSolver:
         if 2 * len(alike) < len(matched) or not alike:
             return None
         start = pos_ned_m + np.array([common.real, common.imag, 0.0])
-        return self._refine(sighting, np.array(matched)[alike], np.array(which)[alike], start, rpy_rad)
+        return self._refine(sighting, np.array(matched)[alike], np.array(which)[alike], start, rpy_rad, sheets)
 
     def _miss(self, j: int, eye_ned_m: FloatArray, ray_ned: FloatArray) -> tuple[float, int, complex]:
         """By how much a ray from the camera misses the middle of marker j: distance, j, north + i east."""
@@ -124,7 +136,9 @@ class MarkerSolver:
         miss = to_marker - along * unit
         return float(np.linalg.norm(miss)), j, complex(miss[0], miss[1])
 
-    def locate(self, sighting: MarkerSighting, roll_rad: float, pitch_rad: float) -> PoseFix | None:
+    def locate(
+        self, sighting: MarkerSighting, roll_rad: float, pitch_rad: float, sheets: SheetStates | None = None
+    ) -> PoseFix | None:
         """Fix from nothing but the tilt: every marker of the image votes, None without a clear winner."""
         q = self._level_rays(sighting.corners_px, roll_rad, pitch_rad)
         pairs = [(k, j) for k, i in enumerate(sighting.ids) for j, _ in self._by_id.get(i, ())]
@@ -143,7 +157,7 @@ class MarkerSolver:
         rpy = np.array([roll_rad, pitch_rad, math.atan2(a_mean.imag, a_mean.real)])
         eye = np.array([b_mean.real, b_mean.imag, eye_depth[chosen].mean()])
         pos = eye - r_ned_from_frd(rpy) @ self._camera.position_frd_m
-        return self._refine(sighting, seen[chosen], placed[chosen], pos, rpy)
+        return self._refine(sighting, seen[chosen], placed[chosen], pos, rpy, sheets)
 
     def _votes(self, q: np.ndarray, seen: IntArray, placed: IntArray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where the camera would be if quadrilateral ``seen`` were marker ``placed`` (both (n,)): height over the
@@ -214,9 +228,17 @@ class MarkerSolver:
         return result
 
     def _refine(
-        self, sighting: MarkerSighting, seen: IntArray, placed: IntArray, pos: FloatArray, rpy: FloatArray
+        self,
+        sighting: MarkerSighting,
+        seen: IntArray,
+        placed: IntArray,
+        pos: FloatArray,
+        rpy: FloatArray,
+        sheets: SheetStates | None,
     ) -> PoseFix | None:
         """Least squares over the corners; markers that do not fit are left out and it is done again."""
+        if self._errors is not None and (self._errors.sheet[placed] >= 0).any():
+            return self._refine_on_sheets(sighting, seen, placed, pos, rpy, self._errors, sheets)
         pixels, points = sighting.corners_px[seen], self._corners_ned_m[placed]
         good = np.ones(len(seen), dtype=bool)
         best = None
@@ -250,6 +272,67 @@ class MarkerSolver:
             noise=best.covariance,
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
             sigma_tilt_rad=best.sigma_tilt_rad,
+        )
+
+    def _refine_on_sheets(
+        self,
+        sighting: MarkerSighting,
+        seen: IntArray,
+        placed: IntArray,
+        pos: FloatArray,
+        rpy: FloatArray,
+        errors: MapErrors,
+        sheets: SheetStates | None,
+    ) -> PoseFix | None:
+        """The same where the sheets that the markers lie on may be off."""
+        good = np.ones(len(seen), dtype=bool)
+        best = None
+        for round_left in reversed(range(REJECT_ROUNDS)):
+            numbers, place = np.unique(errors.sheet[placed[good]], return_inverse=True)
+            exact = int(numbers[0] < 0)
+            which = tuple(numbers[exact:].tolist())
+            sigma = errors.sigma[list(which)]
+            corners = SheetCorners(
+                corners_ned_m=self._corners_ned_m[placed[good]],
+                pixels=sighting.corners_px[seen[good]],
+                sheet=place - exact,
+                pivot_ned_m=errors.pivot_ned_m[list(which)],
+                sigma_m=errors.marker_sigma_m[placed[good]],
+            )
+            best = fit_on_sheets(
+                self._camera,
+                corners,
+                believed(sheets, which, sigma),
+                pos if best is None else best.pos_ned_m,
+                rpy,
+                max_rms_px=FINAL_RMS_PX if round_left == 0 else FIRST_RMS_PX,
+            )
+            if best is None:
+                self.counts["misfit"] += 1
+                return None
+            worst = np.sqrt((best.residual_px**2).sum(axis=2)).max(axis=1)
+            fits = worst <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * _median(worst.tolist()))
+            if fits.all() or round_left == 0:
+                break
+            good[np.flatnonzero(good)[~fits]] = False
+        if best is None or best.rms_px > FINAL_RMS_PX:
+            self.counts["misfit"] += 1
+            return None
+        self.counts["misfit"] += best.rms_px > MISFIT_RMS_PX
+        self.counts["leaning"] += float(np.abs(best.rpy_rad[:2] - rpy[:2]).max()) > LEANING_RAD
+        ties = None
+        if len(best.ties):
+            ground = Ground(which, sigma, best.ties, np.zeros(len(best.at)), learns=True)
+            ties = SheetTies(sensor="sheets", t_us=sighting.t_us, z=best.ties_z, noise=best.ties_noise, ground=ground)
+        return PoseFix(
+            sensor="markers",
+            t_us=sighting.t_us,
+            z=best.z,
+            noise=best.noise,
+            tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
+            sigma_tilt_rad=best.sigma_tilt_rad,
+            ground=Ground(which, sigma, best.by_offsets, best.at),
+            ties=ties,
         )
 
 

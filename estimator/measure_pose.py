@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import PoseSample
-from estimator.measurement import Moment
+from estimator.measurement import Measurement, Moment
 from estimator.states import GYRO_BIAS, NX, POS, VEL, YAW
 
 MIN_SIGMA_POS_M = 5e-5
@@ -23,6 +24,21 @@ MAX_SIGMA_POS_M = 1.0
 """A fix that is worse than this says nothing worth having."""
 
 
+class Ground(NamedTuple):
+    """How a measurement depends on sheets."""
+
+    sheets: tuple[int, ...]
+    """Numbers of the sheets."""
+    sigma: FloatArray
+    """(n, 4) how well they were laid: what a sheet is believed to be off when it is first seen."""
+    jacobian: FloatArray
+    """(m, 4n) d prediction / d offsets."""
+    at: FloatArray
+    """(4n,) the offsets at which the prediction holds."""
+    learns: bool = False
+    """Whether the offsets are to be corrected; otherwise they are only taken into account."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PoseFix:
     """Pose of the centre of gravity: z = (north, east, down [m], yaw [rad])."""
@@ -36,6 +52,10 @@ class PoseFix:
     tilt_rad: tuple[float, float] | None = None
     """Roll and pitch that the same image shows."""
     sigma_tilt_rad: float = 0.0
+    ground: Ground | None = None
+    """How the pose depends on sheets, None = the map is exact."""
+    ties: Measurement | None = None
+    """What the same image says of its sheets among each other."""
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Position moved on with the velocity, yaw with the rate."""

@@ -9,6 +9,15 @@ CHI2_999 = {1: 10.83, 2: 13.82, 3: 16.27, 4: 18.47}
 """99.9 % points of the chi-square distribution by degrees of freedom (Abramowitz & Stegun, table 26.8)."""
 
 
+def chi2_999(freedom: int) -> float:
+    """The same for any number of degrees of freedom (Wilson and Hilferty's approximation from five on)."""
+    known = CHI2_999.get(freedom)
+    if known is not None:
+        return known
+    share = 2.0 / (9.0 * freedom)
+    return float(freedom * (1.0 - share + 3.0902 * share**0.5) ** 3)
+
+
 class Moment(NamedTuple):
     """The node of the history that a measurement belongs to: the last one at or before its time."""
 

@@ -83,27 +83,27 @@ def solve_pose(
     up_prior = rotation.T[:, 2].copy()
     few = len(points_ned_m) <= FEW_POINTS
     sigma_tilt = TILT_SIGMA_FEW_RAD if few else TILT_SIGMA_MANY_RAD
-    inward = _inward(pixels)
+    inward = inward_of(pixels)
     shrink = shrink_px
     keep = np.ones(2 * len(pixels), dtype=bool)
     for step in range(STEPS):
-        linear = _linearise(camera, points_ned_m, pixels, pos, rotation)
+        linear = linearise_corners(camera, points_ned_m, pixels, pos, rotation)
         if linear is None:
             return None
         residual, jac = linear
         residual = residual - shrink * inward
         jac = np.column_stack((jac, inward))
-        sigma_px = _sigma_px(residual[keep])
+        sigma_px = corner_sigma_px(residual[keep])
         information, gradient = _normal_equations(
             residual[keep], jac[keep], sigma_px, rotation, up_prior, sigma_tilt, shrink_px - shrink
         )
         delta: FloatArray = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         pos = pos + delta[:3]
-        rotation = _turn(delta[3:6]) @ rotation
+        rotation = turn_matrix(delta[3:6]) @ rotation
         shrink += float(delta[6])
         residual = residual - jac @ delta
         if float(np.abs(delta[:6]).max()) < CONVERGED:
-            fits = _fitting(residual)
+            fits = corners_that_fit(residual)
             if (fits == keep).all() or step == STEPS - 1:
                 break
             keep = fits
@@ -112,7 +112,7 @@ def solve_pose(
     rms = _rms(residual)
     if not rms <= max_rms_px or (few and math.acos(min(1.0, float(rotation[2] @ up_prior))) > LEAN_MAX_RAD):
         return None
-    sigma_px = _sigma_px(residual[keep])
+    sigma_px = corner_sigma_px(residual[keep])
     information, _ = _normal_equations(residual[keep], jac[keep], sigma_px, rotation, up_prior, sigma_tilt, 0.0)
     covariance = INFLATION * np.linalg.inv(information)
     pick = np.array([0, 1, 2, 5])
@@ -122,7 +122,7 @@ def solve_pose(
     return Pose(pos, rpy_from_r(rotation), noise, sigma_tilt_rad, residual.reshape(-1, 2), rms)
 
 
-def _inward(pixels: FloatArray) -> FloatArray:
+def inward_of(pixels: FloatArray) -> FloatArray:
     """Unit vectors (8n,) from each corner towards the centre of its marker."""
     corners = pixels.reshape(-1, 4, 2)
     away: FloatArray = corners.mean(axis=1, keepdims=True) - corners
@@ -130,7 +130,7 @@ def _inward(pixels: FloatArray) -> FloatArray:
     return away.reshape(-1)
 
 
-def _fitting(residual: FloatArray) -> np.ndarray:
+def corners_that_fit(residual: FloatArray) -> np.ndarray:
     """Which residuals (8n,) belong to corners that lie where they should; all, if less than three corners would stay.
 
     The median of the length of a normally distributed two-dimensional error is 1.18 standard deviations."""
@@ -142,13 +142,13 @@ def _fitting(residual: FloatArray) -> np.ndarray:
     return np.repeat(fits, 2)
 
 
-def _sigma_px(residual: FloatArray) -> float:
+def corner_sigma_px(residual: FloatArray) -> float:
     """Standard deviation of a corner along one axis from residuals (k,), with seven unknowns taken off."""
     squares = float(residual @ residual) + PRIOR_COUNT * PRIOR_SIGMA_PX**2
     return max(MIN_SIGMA_PX, math.sqrt(squares / max(len(residual) - 7.0 + PRIOR_COUNT, 1.0)))
 
 
-def _linearise(
+def linearise_corners(
     camera: CameraModel, points: FloatArray, pixels: FloatArray, pos: FloatArray, rotation: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
     """Residual (2m,) pixels minus projection, and d projection / d (position, small rotation in NED) (2m, 6)."""
@@ -200,7 +200,7 @@ def _rms(residual: FloatArray) -> float:
     return math.sqrt(float(residual @ residual) / len(residual))
 
 
-def _turn(vector: FloatArray) -> FloatArray:
+def turn_matrix(vector: FloatArray) -> FloatArray:
     """Rotation matrix (3, 3) of a rotation vector (Rodrigues)."""
     a, b, c = vector.tolist()
     angle = math.sqrt(a * a + b * b + c * c)

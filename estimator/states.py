@@ -42,6 +42,21 @@ INITIAL_SIGMA_CURRENT_DOWN_M_S = 0.05
 """Of the vertical current at start-up, when it is a state."""
 
 
+class SheetStates(NamedTuple):
+    """What a Kalman filter holds of the sheets of its map that have been seen, beside the 21 states.
+
+    Four of each: where it lies minus where the map has it, north, east, down [m], heading [rad]."""
+
+    which: tuple[int, ...]
+    """Numbers of the sheets."""
+    offset: FloatArray
+    """(4k,)"""
+    cross: FloatArray
+    """(21, 4k) covariance with the states."""
+    cov: FloatArray
+    """(4k, 4k)"""
+
+
 class FilterState(NamedTuple):
     """Estimate at one moment. The arrays are never changed in place, only replaced."""
 
@@ -49,6 +64,8 @@ class FilterState(NamedTuple):
     """(21,)"""
     p: FloatArray
     """Covariance (21, 21) in the Kalman filter, variances (21,) in the observer."""
+    sheets: SheetStates | None = None
+    """None = the map is exact, or nothing of it has been seen."""
 
 
 INITIAL_SIGMA: FloatArray = np.array([

@@ -16,6 +16,7 @@ import numpy as np
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
+from autopilot.core.map_errors import PRINT_SIGMA_M, SHEET_SIGMA_M, Laid, map_errors
 from autopilot.core.markers import CORNER_SIGNS, DICTIONARY_SIZES, ID_SPAN, MarkerMap
 from autopilot.core.vehicle import Vec3, convert, read_toml
 
@@ -27,6 +28,9 @@ FLAT_M = 0.01
 """Markers whose planes are this close and that cover each other overlap; farther apart one hangs above the other."""
 MAX_DICTIONARIES = 16
 """In one map; ids go into the log as 16 bit numbers."""
+OVERLAP_SIGMAS = 4.0
+"""Markers of two sheets may overlap in the map by so many times what the sheets may be off."""
+NOTHING_SAID = Laid()
 
 Index = Annotated[int, msgspec.Meta(ge=0)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=1000)]
@@ -43,6 +47,21 @@ class Defaults(_Table, frozen=True, kw_only=True):
 
     dictionary: str | None = None
     size_m: Size | None = None
+    sigma_m: NonNegative | None = None
+    """How well sheets (and single markers) were laid: standard deviation of their place per axis,"""
+    sigma_rad: NonNegative | None = None
+    """and of their heading."""
+    print_sigma_m: NonNegative = PRINT_SIGMA_M
+    """Of a marker's place on its sheet."""
+
+
+class Frame(_Table, frozen=True, kw_only=True):
+    """``[frame]``: standard deviations of the whole map against the frame that it was laid in."""
+
+    sigma_m: NonNegative = 0.0
+    """Horizontally, per axis."""
+    sigma_down_m: NonNegative = 0.0
+    sigma_rad: NonNegative = 0.0
 
 
 class Marker(_Table, frozen=True, kw_only=True):
@@ -58,6 +77,11 @@ class Marker(_Table, frozen=True, kw_only=True):
     dictionary: str | None = None
     size_m: Size | None = None
     """Side of the black square."""
+    sheet: str | None = None
+    """Name of the sheet it was printed on; without it sheets are found by their lattice."""
+    sigma_m: NonNegative | None = None
+    """How well that was laid, 0 = exactly."""
+    sigma_rad: NonNegative | None = None
 
     def __post_init__(self) -> None:
         if self.yaw_rad is not None and self.rpy_rad is not None:
@@ -81,6 +105,10 @@ class Board(_Table, frozen=True, kw_only=True):
     rpy_rad: Vec3 | None = None
     dictionary: str | None = None
     size_m: Size | None = None
+    sheet: str | None = None
+    """Boards of one name lie on one sheet; without it each is a sheet of its own."""
+    sigma_m: NonNegative | None = None
+    sigma_rad: NonNegative | None = None
 
     def __post_init__(self) -> None:
         if self.yaw_rad is not None and self.rpy_rad is not None:
@@ -96,6 +124,7 @@ class MarkerFile(_Table, frozen=True, kw_only=True):
 
     name: str = ""
     defaults: Defaults = Defaults()
+    frame: Frame = Frame()
     marker: list[Marker] = []
     board: list[Board] = []
 
@@ -112,6 +141,8 @@ class PlacedMarker:
     center_ned_m: FloatArray
     r_ned_from_marker: FloatArray
     """(3, 3)"""
+    laid: Laid = NOTHING_SAID
+    """How well."""
 
     @property
     def label(self) -> str:
@@ -129,11 +160,23 @@ class PlacedMarker:
 def load_marker_map(path: Path) -> MarkerMap:
     """The map of a file. ConfigError names marker, value and remedy."""
     file: MarkerFile = convert(read_toml(path), MarkerFile, str(path))
-    return make_map(_placed(file, str(path)), str(path))
+    frame = (file.frame.sigma_m, file.frame.sigma_down_m, file.frame.sigma_rad)
+    placed = _placed(file, str(path))
+    print_sigma_m = file.defaults.print_sigma_m
+    return make_map(placed, str(path), frame_sigma=frame, print_sigma_m=print_sigma_m, loose_sigma_m=SHEET_SIGMA_M)
 
 
-def make_map(placed: Sequence[PlacedMarker], origin: str) -> MarkerMap:
-    """The map of these markers, checked. ConfigError begins with ``origin``."""
+def make_map(
+    placed: Sequence[PlacedMarker],
+    origin: str,
+    *,
+    frame_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    print_sigma_m: float = PRINT_SIGMA_M,
+    loose_sigma_m: float = 0.0,
+) -> MarkerMap:
+    """The map of these markers, checked, with the errors that it may have. ConfigError begins with ``origin``.
+
+    ``loose_sigma_m``: of markers on no sheet of which nothing is said."""
     if not 1 <= len(placed) <= MAX_MARKERS:
         raise ConfigError(f"{origin}: holds {len(placed)} markers; give 1 to {MAX_MARKERS} [[marker]] or [[board]]")
     whole = _whole_dictionaries({marker.dictionary for marker in placed})
@@ -150,6 +193,14 @@ def make_map(placed: Sequence[PlacedMarker], origin: str) -> MarkerMap:
         ids=np.array([ID_SPAN * numbers[whole[m.dictionary]] + m.id for m in placed], dtype=np.int64),
         corners_ned_m=np.array([marker.corners_ned_m for marker in placed]),
         more_dictionaries=names[1:],
+        errors=map_errors(
+            np.array([m.center_ned_m for m in placed]),
+            np.array([rpy_from_r(m.r_ned_from_marker)[2] for m in placed]),
+            [m.laid for m in placed],
+            frame_sigma=frame_sigma,
+            print_sigma_m=print_sigma_m,
+            loose_sigma_m=loose_sigma_m,
+        ),
     )
     _refuse_duplicates(result, placed, origin)
     _refuse_overlaps(result, placed, origin)
@@ -163,7 +214,8 @@ def _placed(file: MarkerFile, origin: str) -> list[PlacedMarker]:
         place = f"$.marker[{index}]"
         dictionary, size_m = _kind(entry, file.defaults, place, origin)
         _check_id(entry.id, dictionary, place, origin)
-        result.append(_one(place, dictionary, entry.id, size_m, np.array(entry.center_m), _rotation(entry)))
+        laid = _laid(entry, entry.sheet, file.defaults)
+        result.append(_one(place, dictionary, entry.id, size_m, np.array(entry.center_m), _rotation(entry), laid))
     for index, board in enumerate(file.board):
         place = f"$.board[{index}]"
         dictionary, size_m = _kind(board, file.defaults, place, origin)
@@ -174,9 +226,10 @@ def _placed(file: MarkerFile, origin: str) -> list[PlacedMarker]:
         for marker_id in ids:
             _check_id(marker_id, dictionary, place, origin)
         r = _rotation(board)
+        laid = _laid(board, board.sheet or f"board {index + 1}", file.defaults)
         for n, (offset, marker_id) in enumerate(zip(board_offsets(board, size_m), ids, strict=True)):
             center = np.array(board.center_m) + r @ offset
-            result.append(_one(f"{place} marker {n}", dictionary, marker_id, size_m, center, r))
+            result.append(_one(f"{place} marker {n}", dictionary, marker_id, size_m, center, r, laid))
     return result
 
 
@@ -190,9 +243,32 @@ def board_offsets(board: Board, size_m: float) -> FloatArray:
     return result
 
 
-def _one(place: str, dictionary: str, marker_id: int, size_m: float, center: FloatArray, r: FloatArray) -> PlacedMarker:
+def _laid(entry: Marker | Board, sheet: str | None, defaults: Defaults) -> Laid:
+    """What the file says of how an entry was laid."""
+    return Laid(
+        sheet=sheet,
+        sigma_m=entry.sigma_m if entry.sigma_m is not None else defaults.sigma_m,
+        sigma_rad=entry.sigma_rad if entry.sigma_rad is not None else defaults.sigma_rad,
+    )
+
+
+def _one(
+    place: str,
+    dictionary: str,
+    marker_id: int,
+    size_m: float,
+    center: FloatArray,
+    r: FloatArray,
+    laid: Laid = NOTHING_SAID,
+) -> PlacedMarker:
     return PlacedMarker(
-        place=place, dictionary=dictionary, id=marker_id, size_m=size_m, center_ned_m=center, r_ned_from_marker=r
+        place=place,
+        dictionary=dictionary,
+        id=marker_id,
+        size_m=size_m,
+        center_ned_m=center,
+        r_ned_from_marker=r,
+        laid=laid,
     )
 
 
@@ -257,9 +333,14 @@ def _refuse_duplicates(markers: MarkerMap, placed: Sequence[PlacedMarker], origi
 
 
 def _refuse_overlaps(markers: MarkerMap, placed: Sequence[PlacedMarker], origin: str) -> None:
-    """ConfigError for two markers that cover each other."""
+    """ConfigError for two markers that cover each other by more than their sheets may be off."""
+    errors = markers.errors
     for i, j in close_pairs(markers, 0.0):
-        if _overlap(placed[i], placed[j]):
+        pair = () if errors is None else (int(errors.sheet[i]), int(errors.sheet[j]))
+        slack_m = 0.0
+        if errors is not None and pair[0] != pair[1] and all(k >= 0 and k not in errors.loose for k in pair):
+            slack_m = OVERLAP_SIGMAS * float(np.linalg.norm(errors.sigma[list(pair), 0]))
+        if _overlap(placed[i], placed[j], slack_m):
             raise ConfigError(
                 f"{origin}: {placed[i].label} and {placed[j].label} overlap, their centres are"
                 f" {np.linalg.norm(placed[i].center_ned_m - placed[j].center_ned_m):.3f} m apart; move one of them"
@@ -281,11 +362,13 @@ def close_pairs(markers: MarkerMap, gap_m: float) -> list[tuple[int, int]]:
     return pairs
 
 
-def _overlap(a: PlacedMarker, b: PlacedMarker) -> bool:
-    """Whether the square of ``b`` covers part of that of ``a``, by the separating axes of the two in a's plane."""
+def _overlap(a: PlacedMarker, b: PlacedMarker, slack_m: float) -> bool:
+    """Whether the square of ``b`` covers more than ``slack_m`` of that of ``a``, by the separating axes of the two in
+    a's plane."""
     in_a = (b.corners_ned_m - a.center_ned_m) @ a.r_ned_from_marker
     if np.abs(in_a[:, 2]).min() > FLAT_M:
         return False
+    slack = slack_m + 1e-6
     square = 0.5 * a.size_m * CORNER_SIGNS
     other = in_a[:, :2]
     for corners in (square, other):
@@ -294,7 +377,7 @@ def _overlap(a: PlacedMarker, b: PlacedMarker) -> bool:
             if length < 1e-9:
                 continue
             ours, theirs = square @ axis / length, other @ axis / length
-            if ours.max() <= theirs.min() + 1e-6 or theirs.max() <= ours.min() + 1e-6:
+            if ours.max() <= theirs.min() + slack or theirs.max() <= ours.min() + slack:
                 return False
     return True
 
@@ -303,11 +386,28 @@ def placed_markers(markers: MarkerMap) -> list[PlacedMarker]:
     """The markers of a map one by one; the poses are those of the squares that fit the corners best."""
     result = []
     sizes_m = markers.sizes_m.tolist()
-    for code, corners, size_m in zip(markers.ids.tolist(), markers.corners_ned_m, sizes_m, strict=True):
+    laid = _laid_of(markers)
+    for code, corners, size_m, how in zip(markers.ids.tolist(), markers.corners_ned_m, sizes_m, laid, strict=True):
         kind, marker_id = divmod(code, ID_SPAN)
         r = rotation_of(corners)
-        result.append(_one("", markers.dictionaries[kind], marker_id, size_m, corners.mean(axis=0), r))
+        result.append(_one("", markers.dictionaries[kind], marker_id, size_m, corners.mean(axis=0), r, how))
     return result
+
+
+def _laid_of(markers: MarkerMap) -> list[Laid]:
+    """What a map says of each marker."""
+    errors = markers.errors
+    if errors is None:
+        return [NOTHING_SAID] * len(markers.ids)
+    sheets = [
+        Laid(sheet=name, sigma_m=float(sigma[:2].max()), sigma_rad=float(sigma[3]))
+        for name, sigma in zip(errors.names, errors.sigma, strict=True)
+    ]
+    alone = [Laid(sigma_m=float(sigma)) for sigma in errors.marker_sigma_m]
+    exact = Laid(sigma_m=0.0)
+    return [
+        exact if k < 0 else alone[n] if k in errors.loose else sheets[k] for n, k in enumerate(errors.sheet.tolist())
+    ]
 
 
 def rotation_of(corners_m: FloatArray) -> FloatArray:
@@ -327,6 +427,11 @@ def marker_file_text(markers: MarkerMap, notes: Sequence[str] = (), remarks: Seq
     size_m = round(markers.size_m, 6)
     lines = [*(f"# {note}" for note in notes), "", "[defaults]", f'dictionary = "{markers.dictionary}"']
     lines.append(f"size_m = {size_m!r}")
+    errors = markers.errors
+    if errors is not None and any(errors.frame_sigma):
+        across, down, turn = errors.frame_sigma
+        lines += ["", "[frame]", f"sigma_m = {_number(across, 6)}", f"sigma_down_m = {_number(down, 6)}"]
+        lines.append(f"sigma_rad = {_number(turn, 7)}")
     for n, marker in enumerate(placed):
         lines += ["", "[[marker]]" + (f" # {remarks[n]}" if remarks else ""), f"id = {marker.id}"]
         if marker.dictionary != markers.dictionary:
@@ -339,6 +444,12 @@ def marker_file_text(markers: MarkerMap, notes: Sequence[str] = (), remarks: Seq
             lines.append(f"yaw_rad = {_number(rpy[2], 7)}")
         else:
             lines.append(f"rpy_rad = {_numbers(rpy, 7)}")
+        if marker.laid.sheet is not None:
+            lines.append(f'sheet = "{marker.laid.sheet}"')
+        if marker.laid.sigma_m is not None:
+            lines.append(f"sigma_m = {_number(marker.laid.sigma_m, 6)}")
+        if marker.laid.sigma_rad is not None:
+            lines.append(f"sigma_rad = {_number(marker.laid.sigma_rad, 7)}")
     return "\n".join(lines).lstrip("\n") + "\n"
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
+from autopilot.core.map_errors import MapErrors
 
 IntArray: TypeAlias = NDArray[np.int64]
 
@@ -60,6 +61,8 @@ class MarkerMap:
     """(n, 4, 3) in OpenCV's corner order."""
     more_dictionaries: tuple[str, ...] = ()
     """Dictionaries number 1 and on."""
+    errors: MapErrors | None = None
+    """How wrong it may be; None = it is exact, or defines the frame."""
     centers_ned_m: FloatArray = field(init=False)
     """(n, 3)"""
     sizes_m: FloatArray = field(init=False)

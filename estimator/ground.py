@@ -1,0 +1,86 @@
+"""What a picture says of the sheets on the floor, and what the filter believes of them.
+
+A pose from markers is as wrong as the sheets that it was taken from: z = truth + C (offsets - assumed ones) + noise.
+The filter holds the offsets as states, so an error that all pictures of a sheet share is never taken for noise. What
+one picture with several sheets says of their places among each other is independent of the pose, and a measurement of
+its own (:class:`SheetTies`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.map_errors import STATES
+from estimator.measure_pose import Ground, PoseFix
+from estimator.measurement import Measurement, Moment
+from estimator.states import NX, SheetStates
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SheetTies:
+    """How the sheets of one picture lie to each other: rows of unit variance and more, functions of offsets alone."""
+
+    sensor: str
+    t_us: int
+    z: FloatArray
+    """(m,)"""
+    noise: FloatArray
+    """(m, m)"""
+    ground: Ground
+
+    def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """Nothing: the sheets' part comes on top."""
+        return np.zeros(len(self.z))
+
+    def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
+        """Nothing."""
+        return np.zeros((len(self.z), NX))
+
+    def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
+        """z - h"""
+        y: FloatArray = z - predicted
+        return y
+
+
+def ground_of(measurement: Measurement) -> Ground | None:
+    """How a measurement depends on sheets, None = not at all."""
+    return measurement.ground if isinstance(measurement, PoseFix | SheetTies) else None
+
+
+def columns_of(which: tuple[int, ...], sheets: tuple[int, ...]) -> list[int]:
+    """Where the states of ``sheets`` stand among those of ``which``."""
+    places = {number: k for k, number in enumerate(which)}
+    return [STATES * places[number] + i for number in sheets for i in range(STATES)]
+
+
+def entered(states: SheetStates | None, sheets: tuple[int, ...], sigma: FloatArray, most: int) -> SheetStates:
+    """The states with those of ``sheets`` among them; new ones as they were laid, correlated with nothing.
+
+    When there are more than ``most`` the ones that came first are forgotten."""
+    if states is None:
+        states = SheetStates((), np.empty(0), np.empty((NX, 0)), np.empty((0, 0)))
+    new = [k for k, number in enumerate(sheets) if number not in states.which]
+    if not new:
+        return states
+    which = [*states.which, *(sheets[k] for k in new)]
+    old, more = len(states.offset), STATES * len(new)
+    offset = np.concatenate((states.offset, np.zeros(more)))
+    cross = np.hstack((states.cross, np.zeros((NX, more))))
+    cov = np.zeros((old + more, old + more))
+    cov[:old, :old] = states.cov
+    cov[range(old, old + more), range(old, old + more)] = sigma[new].reshape(-1) ** 2
+    drop = {k for k in range(max(0, len(which) - most)) if which[k] not in sheets}
+    if drop:
+        keep = [k for k in range(len(which)) if k not in drop]
+        columns = [STATES * k + i for k in keep for i in range(STATES)]
+        which = [which[k] for k in keep]
+        offset, cross, cov = offset[columns], cross[:, columns], cov[np.ix_(columns, columns)]
+    return SheetStates(tuple(which), offset, cross, cov)
+
+
+def believed(states: SheetStates | None, sheets: tuple[int, ...], sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Offsets (4n,) and their covariance (4n, 4n)."""
+    full = entered(states, sheets, sigma, len(sheets) + (0 if states is None else len(states.which)))
+    columns = columns_of(full.which, sheets)
+    return full.offset[columns], full.cov[np.ix_(columns, columns)]

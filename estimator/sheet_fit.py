@@ -1,0 +1,260 @@
+"""Pose from the corners of markers whose sheets may lie off: pose, tilt, blur and the sheets' offsets in one fit.
+
+A free fit of six degrees of freedom would tilt where two sheets do not fit together: a millimetre between them passes
+for half a degree, and that for 7 mm of the pose. Here sheets may move as far as they are believed to be off, and the
+tilt as far as the AHRS's is. Of the result the filter gets two independent pieces: the pose with how it depends on the
+offsets, and what the picture says of the offsets among each other.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from autopilot.core.camera import CameraModel
+from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
+from autopilot.core.map_errors import STATES
+from autopilot.core.markers import IntArray
+from estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
+from estimator.pnp import (
+    CONVERGED,
+    SHRINK_PX,
+    SHRINK_SIGMA_PX,
+    STEPS,
+    corner_sigma_px,
+    corners_that_fit,
+    inward_of,
+    linearise_corners,
+    turn_matrix,
+)
+
+TILT_SIGMA_RAD = 0.009
+"""0.5 degrees: the AHRS's tilt as a prior, however many markers are seen."""
+TIE_FLOOR = (2e-4, 2e-4, 2e-4, 3e-4)
+"""m, rad: what one picture says of a sheet among others is never taken as better. Tilt and lens are off in the same way
+in the next one."""
+LEAST_SHARE = 1e-7
+"""Directions of which the picture knows less than this share of the best known one are left out."""
+BELIEF_FLOOR = 1e-5
+"""Of the offsets in the fit [m, rad]: keeps the inverse of their covariance finite."""
+KEPT = [0, 1, 2, 5]
+NUISANCE = [3, 4, 6]
+
+
+class SheetPose(NamedTuple):
+    """A solved pose over sheets."""
+
+    pos_ned_m: FloatArray
+    """(3,)"""
+    rpy_rad: FloatArray
+    """(3,)"""
+    z: FloatArray
+    """(4,) north, east, down, yaw that the corners ask for with the offsets ``at``."""
+    noise: FloatArray
+    """(4, 4) of z; floors included."""
+    by_offsets: FloatArray
+    """(4, 4n) d z / d offsets."""
+    at: FloatArray
+    """(4n,)"""
+    ties: FloatArray
+    """(r, 4n) rows of what the picture says of the offsets alone,"""
+    ties_z: FloatArray
+    """(r,) what it says,"""
+    ties_noise: FloatArray
+    """(r, r) and how well."""
+    strain: FloatArray
+    """(n,) squared distance of each sheet's offset from the belief, of 4."""
+    sigma_tilt_rad: float
+    residual_px: FloatArray
+    """(m, 4, 2)"""
+    rms_px: float
+
+
+class SheetCorners(NamedTuple):
+    """Markers of a picture by the map, and the sheets that they lie on."""
+
+    corners_ned_m: FloatArray
+    """(m, 4, 3) as the map has them."""
+    pixels: FloatArray
+    """(m, 4, 2)"""
+    sheet: IntArray
+    """(m,) place of each marker's sheet among the n of the picture, -1 = none."""
+    pivot_ned_m: FloatArray
+    """(n, 3)"""
+    sigma_m: FloatArray
+    """(m,) of each marker on its sheet."""
+
+    def only(self, good: FloatArray) -> "SheetCorners":
+        """Some of the markers; the sheets stay."""
+        return self._replace(
+            corners_ned_m=self.corners_ned_m[good],
+            pixels=self.pixels[good],
+            sheet=self.sheet[good],
+            sigma_m=self.sigma_m[good],
+        )
+
+
+def fit_on_sheets(
+    camera: CameraModel,
+    seen: SheetCorners,
+    belief: tuple[FloatArray, FloatArray],
+    pos_ned_m: FloatArray,
+    rpy_rad: FloatArray,
+    max_rms_px: float,
+) -> SheetPose | None:
+    """Pose of the corners ``seen``, the sheets' offsets being ``belief`` (4n,), (4n, 4n), near a rough pose.
+
+    None if it does not converge or the residuals' root mean square is above ``max_rms_px``."""
+    pos = np.array(pos_ned_m, dtype=float)
+    rotation = r_ned_from_frd(rpy_rad)
+    up_prior = rotation.T[:, 2].copy()
+    believed, covariance = belief
+    size = len(believed)
+    prior = np.linalg.inv(covariance + np.eye(size) * BELIEF_FLOOR**2)
+    offset = believed.copy()
+    pixels = seen.pixels.reshape(-1, 2)
+    inward = inward_of(pixels)
+    shrink = SHRINK_PX
+    keep = np.ones(2 * len(pixels), dtype=bool)
+    for step in range(STEPS):
+        points, by_offset = _points(seen, offset)
+        linear = linearise_corners(camera, points.reshape(-1, 3), pixels, pos, rotation)
+        if linear is None:
+            return None
+        residual, jac6 = linear
+        residual = residual - shrink * inward
+        jac = np.empty((len(residual), 7 + size))
+        jac[:, :6], jac[:, 6] = jac6, inward
+        jac[:, 7:] = -np.matmul(jac6[:, None, :3], np.repeat(by_offset, 2, axis=0))[:, 0]
+        weight = _weights(camera, seen, residual, keep, pos, points)
+        information, gradient = _information(residual, jac, weight * keep, rotation, up_prior, shrink)
+        full, toward = information.copy(), gradient.copy()
+        full[7:, 7:] += prior
+        toward[7:] += prior @ (believed - offset)
+        delta: FloatArray = np.asarray(np.linalg.solve(full, toward), dtype=np.float64)
+        pos = pos + delta[:3]
+        rotation = turn_matrix(delta[3:6]) @ rotation
+        shrink += float(delta[6])
+        offset = offset + delta[7:]
+        residual = residual - jac @ delta
+        if float(np.abs(delta[:6]).max()) < CONVERGED:
+            fits = corners_that_fit(residual)
+            if (fits == keep).all() or step == STEPS - 1:
+                break
+            keep = fits
+    else:
+        return None
+    rms = math.sqrt(float(residual @ residual) / len(residual))
+    if not rms <= max_rms_px:
+        return None
+    _, gradient = _information(residual, jac, weight * keep, rotation, up_prior, shrink)
+    full = information.copy()
+    full[7:, 7:] += prior
+    posterior: FloatArray = np.asarray(np.linalg.inv(full), dtype=np.float64)
+    return _pieces(information, gradient, posterior, pos, rotation, offset, (believed, covariance), residual, rms)
+
+
+def _points(seen: SheetCorners, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Corners (m, 4, 3) with the sheets moved, and their derivatives by the offsets (4m, 3, 4n)."""
+    m, n = len(seen.sheet), len(offset) // STATES
+    by_sheet = offset.reshape(n, STATES)
+    on = seen.sheet >= 0
+    k = np.where(on, seen.sheet, 0)
+    move = np.where(on[:, None], by_sheet[k], 0.0)
+    arm = seen.corners_ned_m - seen.pivot_ned_m[k][:, None]
+    c, s = np.cos(move[:, 3])[:, None], np.sin(move[:, 3])[:, None]
+    north, east = c * arm[..., 0] - s * arm[..., 1], s * arm[..., 0] + c * arm[..., 1]
+    points = seen.corners_ned_m + move[:, None, :3]
+    points[..., 0] += north - arm[..., 0]
+    points[..., 1] += east - arm[..., 1]
+    by = np.zeros((m, 4, 3, STATES * n))
+    rows = np.flatnonzero(on)
+    for axis in range(3):
+        by[rows, :, axis, STATES * k[rows] + axis] = 1.0
+    by[rows, :, 0, STATES * k[rows] + 3] = -east[rows]
+    by[rows, :, 1, STATES * k[rows] + 3] = north[rows]
+    return points, by.reshape(4 * m, 3, STATES * n)
+
+
+def _weights(
+    camera: CameraModel, seen: SheetCorners, residual: FloatArray, keep: FloatArray, pos: FloatArray, points: FloatArray
+) -> FloatArray:
+    """(8m,) inverse variance of each pixel coordinate: of corners, and of markers on their sheets, which all four
+    corners share."""
+    sigma_px = corner_sigma_px(residual[keep])
+    away_m = np.maximum(points[:, 0, 2] - pos[2], 0.05)
+    print_px = seen.sigma_m * camera.focal_water_px / away_m
+    result: FloatArray = np.repeat(1.0 / (sigma_px**2 + 4.0 * print_px**2), 8)
+    return result
+
+
+def _information(
+    residual: FloatArray, jac: FloatArray, weight: FloatArray, rotation: FloatArray, up_prior: FloatArray, shrink: float
+) -> tuple[FloatArray, FloatArray]:
+    """Information and gradient of pixels, tilt prior and shrink prior; the belief of the offsets is not in it."""
+    weighted = jac * weight[:, None]
+    information = weighted.T @ jac
+    gradient = weighted.T @ residual
+    lean = rotation @ up_prior
+    tilt = TILT_SIGMA_RAD**-2
+    information[3, 3] += tilt
+    information[4, 4] += tilt
+    gradient[3] += tilt * float(lean[1])
+    gradient[4] -= tilt * float(lean[0])
+    information[6, 6] += SHRINK_SIGMA_PX**-2
+    gradient[6] += SHRINK_SIGMA_PX**-2 * (SHRINK_PX - shrink)
+    return information, gradient
+
+
+def _pieces(
+    information: FloatArray,
+    gradient: FloatArray,
+    posterior: FloatArray,
+    pos: FloatArray,
+    rotation: FloatArray,
+    offset: FloatArray,
+    belief: tuple[FloatArray, FloatArray],
+    residual: FloatArray,
+    rms: float,
+) -> SheetPose:
+    """The two independent pieces: pose given the offsets, and the offsets alone."""
+    size = len(offset)
+    rest = [*KEPT, *range(7, 7 + size)]
+    # Tilt and blur are nobody's: taken out with their priors.
+    held = np.linalg.solve(information[np.ix_(NUISANCE, NUISANCE)], information[np.ix_(NUISANCE, rest)])
+    less = information[np.ix_(rest, rest)] - information[np.ix_(rest, NUISANCE)] @ held
+    toward = gradient[rest] - held.T @ gradient[NUISANCE]
+    noise: FloatArray = np.asarray(np.linalg.inv(less[:4, :4]), dtype=np.float64)
+    rpy = rpy_from_r(rotation)
+    by_offsets = noise @ less[:4, 4:]
+    z = np.append(pos, rpy[2]) + noise @ toward[:4]
+    alone = less[4:, 4:] - less[4:, :4] @ by_offsets
+    alone_toward = toward[4:] - by_offsets.T @ toward[:4]
+    share, rows = np.linalg.eigh(0.5 * (alone + alone.T))
+    known = share > LEAST_SHARE * max(float(share[-1]), 1.0)
+    ties = np.sqrt(share[known])[:, None] * rows[:, known].T
+    ties_z = ties @ offset + rows[:, known].T @ alone_toward / np.sqrt(share[known])
+    floor = np.tile(np.array(TIE_FLOOR) ** 2, size // STATES)
+    noise = noise.copy()
+    noise[np.arange(4), np.arange(4)] += np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2
+    believed, covariance = belief
+    strain = []
+    for k in range(size // STATES):
+        part = slice(STATES * k, STATES * (k + 1))
+        off = offset[part] - believed[part]
+        strain.append(float(off @ np.linalg.solve(covariance[part, part] + np.eye(STATES) * BELIEF_FLOOR**2, off)))
+    return SheetPose(
+        pos_ned_m=pos,
+        rpy_rad=rpy,
+        z=z,
+        noise=noise,
+        by_offsets=by_offsets,
+        at=offset,
+        ties=ties,
+        ties_z=ties_z,
+        ties_noise=np.eye(len(ties)) + (ties * floor) @ ties.T,
+        strain=np.array(strain),
+        sigma_tilt_rad=float(np.sqrt(max(posterior[3, 3], posterior[4, 4]))),
+        residual_px=residual.reshape(-1, 4, 2),
+        rms_px=rms,
+    )
