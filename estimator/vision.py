@@ -1,9 +1,12 @@
 """The vision front end: markers and laser dot in one image. OpenCV lives here and nowhere else in the estimator.
 
-While the pose is roughly known (a hint), the detector knows which ids can be in view and how large they are: a
+While the pose is roughly known (a hint), the detector knows which ids can be in view, where and how large: a
 dictionary of these few ids and one threshold window make it several times faster (the cost of identification grows with
-the dictionary in OpenCV 5.0) and rule out most false ids. Without a hint the whole dictionary is searched; that is slow
-and meant for start-up, at a rate that the caller limits.
+the dictionary in OpenCV 5.0) and rule out most false ids. Where a marker should be and was not found it looks a second
+time, in that part of the image, with OpenCV's own windows. Without a hint the whole dictionary is searched; that is
+slow and meant for start-up, at a rate that the caller limits.
+
+Misread cells are corrected as far as the dictionary's distances allow (``CORRECTION``).
 
 Where haze has left little contrast, the mean of blue and green, smoothed, takes the place of green, and the threshold
 is lower: the same markers with half of the noise. Equalising the histogram (CLAHE) instead costs more and finds less.
@@ -12,17 +15,18 @@ Works with OpenCV 4.10 to 5.x, whose arrays differ in shape.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from autopilot.core.camera import CameraModel
-from autopilot.core.errors import ConfigError
+from autopilot.core.dictionaries import opencv_dictionary
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from estimator.laser_dot import find_dot
+from estimator.marker_looks import looks_of, patterns_of
 
 HINT_MARGIN_PX, HINT_MARGIN_M = 60.0, 0.06
 """Markers so far outside of the predicted image (the larger one, seen on the floor) may be in view: some centimetres
@@ -40,14 +44,40 @@ HAZY_STD_DEV = 24.0
 water, 32 at turbidity 1 1/m and 0.8 m, 15 at 2 1/m, 4 at 3 1/m and 1.2 m."""
 HAZY_THRESHOLD_CONSTANT, HAZY_MIN_OTSU_STD_DEV = 1.5, 1.0
 """Find all markers at 1 m and 3 1/m, where 3 and 2 find one in twenty; the smoothing keeps noise out."""
-HAZY_SMOOTH_PX = 5
-"""Side of the Gaussian that smooths hazy images: halves the error of the pose (5 against 10 mm at 1 m and 3 1/m)."""
+HAZY_SMOOTH_PX = ((4.5, 5), (3.2, 3))
+"""Cell of the smallest marker from which on, and side of the Gaussian that smooths hazy images then: halves the error
+of the pose (5 against 10 mm at 1 m and 3 1/m). Smaller cells would flow into each other."""
 SIZE_BAND = (0.6, 1.6)
 """A marker's perimeter may differ by these factors from the predicted one."""
-MIN_SIDE_PX = 10.0
+MIN_SIDE_PX = 5.0
 """Smaller markers cannot be read."""
-HALF_SIDE_PX = 44.0
-"""Markers at least this large are looked for in the image at half its size; their cells still have 3.7 pixels there."""
+HALF_CELL_PX = 6.5
+"""Markers whose cells are at least so wide are looked for in the image at half its size."""
+CORRECTION = 0.6
+"""Share of the misread cells that a dictionary's least distance would allow to correct which are corrected (OpenCV's
+own choice): 3 of 36 in tag36h11, 2 of 25 in tag25h9, none in DICT_4X4_1000."""
+EXACT = ("DICT_APRILTAG_16h5",)
+"""Families that are not corrected: thirty words of 16 cells with one cell wrong, each in four directions, are one in
+thirty of all there are, and whatever is square would be a marker."""
+SECOND_WINDOWS_PX = (3, 23, 10)
+SECOND_CONSTANT = 7.0
+"""Windows and threshold constant of the second look: OpenCV's own."""
+HAZY_SECOND_WINDOWS_PX = (7, 23, 16)
+"""The same in a smoothed image."""
+BORDER_PX = 3.0
+"""Corners nearer to the image's border are not taken (OpenCV's own choice)."""
+WHOLE_PX = 1.5
+"""A marker should be found when its corners are predicted this far inside of the image."""
+LEAST_FIT = 0.4
+"""What correlates less with the marker that it was read as is none."""
+AROUND = 0.75
+"""The second look takes in this share of the marker's size on each side,"""
+AROUND_PX = 8.0
+"""and at least so many pixels: the white around it, and the error of the prediction."""
+MOST_AREAS = 12
+"""More missing markers than these are looked for in one piece."""
+SAME = 0.5
+"""Two markers of one id whose centres are nearer than this share of their side are one."""
 REFINE_CELLS = 0.72
 """Half width of the corner refinement window in cells of the marker, black border included: a wider window would be
 drawn to the next cell's corner."""
@@ -69,15 +99,11 @@ class MarkerDetector:
 
     def __init__(self, camera: CameraModel, markers: MarkerMap) -> None:
         cv2.setNumThreads(1)
-        for name in markers.dictionaries:
-            if not hasattr(cv2.aruco, name):
-                raise ConfigError(f"marker dictionary {name!r} is not known to OpenCV; use e.g. DICT_4X4_1000")
         self._camera = camera
         self._markers = markers
         self._floor_m = markers.floor_m
-        self._dictionaries: list[Any] = [
-            cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)) for name in markers.dictionaries
-        ]
+        self._dictionaries = [opencv_dictionary(name) for name in markers.dictionaries]
+        self._patterns = [patterns_of(name) for name in markers.dictionaries]
         self._known: IntArray = np.unique(markers.ids)
 
     def detect(self, frame: CameraFrame, hint: Hint | None) -> MarkerSighting:
@@ -87,34 +113,32 @@ class MarkerDetector:
         found: list[int] = []
         corners = np.empty((0, 4, 2))
         # Most maps are of one dictionary; each further kind in view costs a search of its own.
-        for ids, sides_px in self._acquisition() if hint is None else self._expected(hint):
-            more, where = self._search(grey, hazy, ids, sides_px)
-            found += more
-            corners = np.concatenate((corners, where))
+        if hint is None:
+            each = [self._search(grey, hazy, ids) for ids in self._acquisition()]
+        else:
+            each = [self._track(grey, hazy, *expected) for expected in self._expected(hint)]
+        for some in each:
+            found += some.ids.tolist()
+            corners = np.concatenate((corners, some.quads))
         laser = find_dot(image, self._camera, self._laser_range_m(hint))
         return MarkerSighting(t_us=frame.t_us, ids=tuple(found), corners_px=corners, laser_px=laser)
 
-    def _acquisition(self) -> list[tuple[IntArray, None]]:
+    def _acquisition(self) -> list[IntArray]:
         """All ids of the map, one group for each dictionary."""
         kinds = self._known // ID_SPAN
-        return [(self._known[kinds == kind], None) for kind in np.unique(kinds)]
+        return [self._known[kinds == kind] for kind in np.unique(kinds)]
 
-    def _expected(self, hint: Hint) -> list[tuple[IntArray, tuple[float, float]]]:
-        """Ids that can be in view, one group for each dictionary, and how long markers' sides are at least and at
-        most [px]."""
+    def _expected(self, hint: Hint) -> list[tuple[IntArray, FloatArray]]:
+        """Markers that can be in view, one group for each dictionary: ids (n,) and predicted corners (n, 4, 2)."""
         r = r_ned_from_frd(hint.rpy_rad)
         eye_m = float((hint.pos_ned_m + r @ self._camera.position_frd_m)[2])
         above_m = max(self._floor_m - eye_m, 0.05)
         margin_px = max(HINT_MARGIN_PX, HINT_MARGIN_M * self._camera.focal_water_px / above_m)
         seen = self._markers.visible(self._camera, hint.pos_ned_m, r, -margin_px)
-        height_m = np.maximum(self._markers.centers_ned_m[seen, 2] - eye_m, 0.05)
-        side_px = np.maximum(self._markers.sizes_m[seen] * self._camera.focal_water_px / height_m, MIN_SIDE_PX)
-        ids = self._markers.ids[seen]
-        groups = []
-        for kind in np.unique(ids // ID_SPAN):
-            here = ids // ID_SPAN == kind
-            groups.append((np.unique(ids[here]), (float(side_px[here].min()), float(side_px[here].max()))))
-        return groups
+        in_cam = self._camera.cam_from_ned(self._markers.corners_ned_m[seen], hint.pos_ned_m, r)
+        corners = self._camera.project(in_cam)
+        kinds = self._markers.ids[seen] // ID_SPAN
+        return [(self._markers.ids[seen[kinds == kind]], corners[kinds == kind]) for kind in np.unique(kinds)]
 
     def _laser_range_m(self, hint: Hint | None) -> float | None:
         if hint is None:
@@ -123,29 +147,153 @@ class MarkerDetector:
         start_ned_m = hint.pos_ned_m + r @ self._camera.position_frd_m
         return (self._floor_m - float(start_ned_m[2])) / max(float(r[2, 2]), 0.2)
 
-    def _search(
-        self, grey: Any, hazy: bool, ids: IntArray, sides_px: tuple[float, float] | None
-    ) -> tuple[list[int], FloatArray]:
-        """Ids and refined corners (n, 4, 2) of the markers whose id is one of ``ids``, all of one dictionary."""
-        dictionary = self._dictionaries[int(ids[0]) // ID_SPAN]
-        few = cv2.aruco.Dictionary(dictionary.bytesList[ids % ID_SPAN], dictionary.markerSize, 0)
-        # Noise makes thousands of contours, which cost more than the markers: smooth, and halve where that is possible.
-        halved = sides_px is not None and sides_px[0] >= HALF_SIDE_PX
-        smooth = cv2.pyrDown(grey) if halved else cv2.GaussianBlur(grey, (3, 3), 0.0)
+    def _track(self, grey: Any, hazy: bool, ids: IntArray, predicted: FloatArray) -> "_Found":
+        """Markers of those (n,) that should lie at ``predicted`` (n, 4, 2), all of one dictionary."""
+        words = np.unique(ids)
+        dictionary = self._words(words)
+        cells = dictionary.markerSize + 2
+        sides_px = _perimeters_px(predicted) / 4.0
+        least_px, most_px = max(float(sides_px.min()), MIN_SIDE_PX), max(float(sides_px.max()), MIN_SIDE_PX)
+        smooth = _smoothed(grey, least_px / cells) if hazy else grey
+        # Noise makes thousands of contours, which cost more than the markers: halve where the cells are large enough.
+        halved = least_px >= HALF_CELL_PX * cells
         scale = 2.0 if halved else 1.0
-        band_px = None if sides_px is None else (sides_px[0] / scale, sides_px[1] / scale)
-        detector = cv2.aruco.ArucoDetector(few, _parameters(band_px, max(smooth.shape), hazy))
-        quads, indices, _ = detector.detectMarkers(smooth)
-        if indices is None or len(quads) == 0:
-            return [], np.empty((0, 4, 2))
-        corners = np.array(quads, dtype=np.float32).reshape(-1, 2) * np.float32(scale)
-        sides_px = np.linalg.norm(np.diff(corners.reshape(-1, 4, 2), axis=1), axis=2).min(axis=1)
-        cell_px = float(np.median(sides_px)) / (dictionary.markerSize + 2)
-        half = int(np.clip(round(REFINE_CELLS * cell_px), *REFINE_WINDOW_PX))
-        criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.01)
-        refined = cv2.cornerSubPix(grey, corners.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), criteria)
-        result = np.asarray(refined, dtype=np.float64).reshape(-1, 4, 2)
-        return [int(i) for i in ids[np.asarray(indices).ravel()]], result
+        smaller = cv2.pyrDown(smooth) if halved else smooth
+        found = _quads(
+            smaller, dictionary, _tracking(least_px / scale, most_px / scale, max(smaller.shape), hazy, scale)
+        )
+        found = _Found(words[found.ids], found.quads * np.float32(scale))
+        for left, top, right, bottom in _missing_areas(ids, predicted, found, grey.shape):
+            part = np.ascontiguousarray(smooth[top:bottom, left:right])
+            again = _quads(part, dictionary, _second_look(least_px, most_px, max(part.shape), hazy, smooth is not grey))
+            found = found.with_new(_Found(words[again.ids], again.quads + np.array([left, top], dtype=np.float32)))
+        return self._believed(smooth, dictionary, found)
+
+    def _search(self, grey: Any, hazy: bool, ids: IntArray) -> "_Found":
+        """Markers whose id is one of ``ids``, all of one dictionary."""
+        words = np.unique(ids)
+        dictionary = self._words(words)
+        smooth = _smoothed(grey, HAZY_SMOOTH_PX[0][0]) if hazy else cv2.GaussianBlur(grey, (3, 3), 0.0)
+        found = _quads(smooth, dictionary, _acquiring(max(grey.shape), hazy))
+        # What is small or pale is lost by smoothing. What has been found need not be identified again.
+        rest = cv2.fillPoly(grey.copy(), np.round(found.quads).astype(np.int32), 255.0) if len(found.ids) else grey
+        again = _quads(rest, dictionary, _acquiring_small(max(grey.shape), hazy))
+        found = found.with_new(again)
+        return self._believed(smooth if hazy else grey, dictionary, _Found(words[found.ids], found.quads))
+
+    def _believed(self, grey: Any, dictionary: Any, found: "_Found") -> "_Found":
+        """With corners to fractions of a pixel, without what does not look like the marker that it reads as."""
+        if not len(found.ids):
+            return found
+        quads = _refined(grey, found.quads, dictionary.markerSize)
+        looks = looks_of(grey, quads, self._patterns[int(found.ids[0]) // ID_SPAN][found.ids % ID_SPAN])
+        sure = looks.fit >= LEAST_FIT
+        return _Found(found.ids[sure], quads[sure])
+
+    def _words(self, ids: IntArray) -> Any:
+        """OpenCV's dictionary of these ids alone, all of one dictionary."""
+        kind = int(ids[0]) // ID_SPAN
+        whole = self._dictionaries[kind]
+        exact = self._markers.dictionaries[kind] in EXACT
+        correct = 0 if exact else whole.maxCorrectionBits
+        return cv2.aruco.Dictionary(whole.bytesList[ids % ID_SPAN], whole.markerSize, correct)
+
+
+class _Found(NamedTuple):
+    """Markers in an image."""
+
+    ids: IntArray
+    """(n,)"""
+    quads: Any
+    """(n, 4, 2) corners [px]"""
+
+    def with_new(self, more: "_Found") -> "_Found":
+        """Both, without those of ``more`` that are here already."""
+        if not len(self.ids) or not len(more.ids):
+            return more if len(more.ids) else self
+        apart = more.quads.mean(axis=1)[:, None, :] - self.quads.mean(axis=1)[None, :, :]
+        near = (apart * apart).sum(axis=2) < np.square(SAME * _perimeters_px(more.quads) / 4.0)[:, None]
+        new = ~(near & (more.ids[:, None] == self.ids[None, :])).any(axis=1)
+        return _Found(np.append(self.ids, more.ids[new]), np.concatenate((self.quads, more.quads[new])))
+
+
+def _quads(grey: Any, dictionary: Any, parameters: Any) -> _Found:
+    """Markers in an image, with their places in the dictionary for ids and corners in whole pixels (float32)."""
+    quads, indices, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(grey)
+    if indices is None or len(quads) == 0:
+        return _Found(np.empty(0, dtype=np.int64), np.empty((0, 4, 2), dtype=np.float32))
+    return _Found(np.asarray(indices, dtype=np.int64).ravel(), np.array(quads, dtype=np.float32).reshape(-1, 4, 2))
+
+
+def _perimeters_px(quads: Any) -> FloatArray:
+    """(n,) of quadrilaterals (n, 4, 2)."""
+    steps = quads - np.roll(quads, -1, axis=1)
+    return np.asarray(np.sqrt((steps * steps).sum(axis=2)).sum(axis=1), dtype=np.float64)
+
+
+def _missing_areas(
+    ids: IntArray, predicted: FloatArray, found: _Found, shape: tuple[int, ...]
+) -> list[tuple[int, int, int, int]]:
+    """Left, top, right, bottom of the parts of the image with the markers that should have been found and were not.
+
+    Where markers were found tells by how much the prediction is off; without any, it is the whole image."""
+    height, width = shape
+    if not len(found.ids):
+        return [(0, 0, width, height)]
+    # Of each found marker the nearest of its id among those predicted.
+    apart = found.quads.mean(axis=1)[:, None, :] - predicted.mean(axis=1)[None, :, :]
+    far = np.where(found.ids[:, None] == ids[None, :], (apart * apart).sum(axis=2), np.inf)
+    nearest = far.argmin(axis=1)
+    here, spread_px = _moved(predicted, nearest, found.quads)
+    missing = np.ones(len(ids), dtype=bool)
+    missing[nearest] = False
+    inside = ((here >= WHOLE_PX) & (here <= np.array([width, height]) - 1.0 - WHOLE_PX)).all(axis=(1, 2))
+    missing = here[inside & missing]
+    if not len(missing):
+        return []
+    low, high = missing.min(axis=1), missing.max(axis=1)
+    around = np.maximum(AROUND * (high - low).max(axis=1, keepdims=True), AROUND_PX) + spread_px
+    low = np.maximum(np.floor(low - around), 0.0).astype(int)
+    high = np.minimum(np.ceil(high + around) + 1.0, [width, height]).astype(int)
+    if len(low) > MOST_AREAS or (high - low).prod(axis=1).sum() > (high.max(axis=0) - low.min(axis=0)).prod():
+        low, high = low.min(axis=0)[None], high.max(axis=0)[None]
+    return [
+        (left, top, right, bottom) for (left, top), (right, bottom) in zip(low.tolist(), high.tolist(), strict=True)
+    ]
+
+
+def _moved(predicted: FloatArray, which: IntArray, quads: Any) -> tuple[FloatArray, float]:
+    """Predicted corners (n, 4, 2), shifted, turned and scaled to where those of ``which`` (m,) were found, and how far
+    most of these are then off [px]."""
+    have = (predicted[..., 0] + 1j * predicted[..., 1])[which]
+    want = (quads[..., 0] + 1j * quads[..., 1]).astype(np.complex128)
+    good = np.ones(len(have), dtype=bool)
+    for _ in range(2):  # the second time without what does not move with the others
+        origin, target = have[good].mean(), want[good].mean()
+        power = np.square(np.abs(have[good] - origin)).sum()
+        turn = (np.conj(have[good] - origin) * (want[good] - target)).sum() / power
+        off = np.abs(want - target - turn * (have - origin)).max(axis=1)
+        usual = float(np.median(off))
+        good = off <= 3.0 * usual + 1.0
+    all_of_them = target + turn * (predicted[..., 0] + 1j * predicted[..., 1] - origin)
+    return np.stack((all_of_them.real, all_of_them.imag), axis=-1), 3.0 * usual
+
+
+def _refined(grey: Any, quads: Any, cells: int) -> FloatArray:
+    """Corners (n, 4, 2) to fractions of a pixel. ``cells``: of a marker's side, without its border."""
+    corners = np.asarray(quads, dtype=np.float32).copy()
+    if not len(corners):
+        return np.empty((0, 4, 2))
+    steps = corners - np.roll(corners, -1, axis=1)
+    cell_px = np.sqrt((steps * steps).sum(axis=2)).min(axis=1) / (cells + 2)
+    halves = np.clip(np.round(REFINE_CELLS * cell_px), *REFINE_WINDOW_PX).astype(int)
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.01)
+    for half in np.unique(halves).tolist():
+        some = halves == half
+        start = np.ascontiguousarray(corners[some].reshape(-1, 1, 2))
+        refined = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), criteria)
+        corners[some] = np.asarray(refined, dtype=np.float32).reshape(-1, 4, 2)
+    return corners.astype(np.float64)
 
 
 def grey_of(image_bgr: Any) -> tuple[Any, bool]:
@@ -157,21 +305,59 @@ def grey_of(image_bgr: Any) -> tuple[Any, bool]:
     if float(spread[0, 0]) >= HAZY_STD_DEV:
         return green, False
     both = cv2.addWeighted(np.ascontiguousarray(image_bgr[:, :, 0]), 0.5, green, 0.5, 0.0)
-    return cv2.GaussianBlur(both, (HAZY_SMOOTH_PX, HAZY_SMOOTH_PX), 0.0), True
+    return both, True
 
 
-def _parameters(sides_px: tuple[float, float] | None, image_px: int, hazy: bool) -> Any:
+def _smoothed(grey: Any, cell_px: float) -> Any:
+    """A hazy image with less noise, as far as markers with such cells bear it."""
+    side_px = next((side for least_px, side in HAZY_SMOOTH_PX if cell_px >= least_px), 1)
+    return grey if side_px == 1 else cv2.GaussianBlur(grey, (side_px, side_px), 0.0)
+
+
+def _parameters(hazy: bool, constant: float) -> Any:
     parameters = cv2.aruco.DetectorParameters()
-    parameters.adaptiveThreshConstant = HAZY_THRESHOLD_CONSTANT if hazy else THRESHOLD_CONSTANT
+    parameters.adaptiveThreshConstant = HAZY_THRESHOLD_CONSTANT if hazy else constant
     parameters.minOtsuStdDev = HAZY_MIN_OTSU_STD_DEV if hazy else MIN_OTSU_STD_DEV
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    if sides_px is None:
-        first, last, step = ACQUIRE_WINDOWS_PX
-        parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = first, last
-        parameters.adaptiveThreshWinSizeStep = step
-        parameters.minMarkerPerimeterRate = 4.0 * MIN_SIDE_PX / image_px
-    else:
-        parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = WINDOW_PX
-        parameters.minMarkerPerimeterRate = max(4.0 * MIN_SIDE_PX, SIZE_BAND[0] * 4.0 * sides_px[0]) / image_px
-        parameters.maxMarkerPerimeterRate = SIZE_BAND[1] * 4.0 * sides_px[1] / image_px
+    parameters.errorCorrectionRate = CORRECTION
+    return parameters
+
+
+def _windows(parameters: Any, first_px: int, last_px: int, step_px: int) -> None:
+    parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = first_px, last_px
+    parameters.adaptiveThreshWinSizeStep = step_px
+
+
+def _bounds(parameters: Any, least_px: float, most_px: float, image_px: int) -> None:
+    """Sides that a marker may have."""
+    parameters.minMarkerPerimeterRate = max(MIN_SIDE_PX, SIZE_BAND[0] * least_px) * 4.0 / image_px
+    parameters.maxMarkerPerimeterRate = SIZE_BAND[1] * 4.0 * most_px / image_px
+
+
+def _tracking(least_px: float, most_px: float, image_px: int, hazy: bool, scale: float) -> Any:
+    parameters = _parameters(hazy, THRESHOLD_CONSTANT)
+    parameters.minDistanceToBorder = round(BORDER_PX / scale)
+    _windows(parameters, WINDOW_PX, WINDOW_PX, 1)
+    _bounds(parameters, least_px, most_px, image_px)
+    return parameters
+
+
+def _second_look(least_px: float, most_px: float, image_px: int, hazy: bool, smoothed: bool) -> Any:
+    parameters = _parameters(hazy and smoothed, THRESHOLD_CONSTANT if hazy else SECOND_CONSTANT)
+    _windows(parameters, *(HAZY_SECOND_WINDOWS_PX if smoothed else SECOND_WINDOWS_PX))
+    _bounds(parameters, least_px, most_px, image_px)
+    return parameters
+
+
+def _acquiring(image_px: int, hazy: bool) -> Any:
+    parameters = _parameters(hazy, THRESHOLD_CONSTANT)
+    _windows(parameters, *ACQUIRE_WINDOWS_PX)
+    parameters.minMarkerPerimeterRate = 4.0 * MIN_SIDE_PX / image_px
+    return parameters
+
+
+def _acquiring_small(image_px: int, hazy: bool) -> Any:
+    parameters = _parameters(False, THRESHOLD_CONSTANT if hazy else SECOND_CONSTANT)
+    _windows(parameters, *SECOND_WINDOWS_PX)
+    parameters.minMarkerPerimeterRate = 4.0 * MIN_SIDE_PX / image_px
     return parameters

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.core.dictionaries import dictionary_label, opencv_dictionary
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.marker_files import load_marker_map, placed_markers
@@ -97,8 +98,8 @@ def _of_file(file: str, polygon_m: FloatArray, depth_m: float) -> MarkerMap:
             marker = placed_markers(markers)[int(wrong.argmax())]
             north, east, down = marker.center_ned_m
             raise ConfigError(
-                f"{file}: {marker.label} of {marker.dictionary} at [{north:.3f}, {east:.3f}, {down:.3f}] {what};"
-                " the simulated floor cannot show it: move or remove it"
+                f"{file}: {marker.label} of {dictionary_label(marker.dictionary)} at [{north:.3f}, {east:.3f},"
+                f" {down:.3f}] {what}; the simulated floor cannot show it: move or remove it"
             )
     return markers
 
@@ -134,7 +135,7 @@ def build_floor(scenario: Scenario) -> Floor | None:
 
 def _print_markers(ink: Image, markers: MarkerMap, north_m: float, east_m: float, px_per_m: float) -> None:
     """Print the markers, every pixel inked by the share of it that is black."""
-    dictionaries = [cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)) for name in markers.dictionaries]
+    dictionaries = [opencv_dictionary(name) for name in markers.dictionaries]
     for code, corners in zip(markers.ids.tolist(), markers.corners_ned_m, strict=True):
         kind, marker_id = divmod(code, ID_SPAN)
         cells = dictionaries[kind].markerSize + 2

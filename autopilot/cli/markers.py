@@ -82,12 +82,14 @@ def _grid(*, heading_rad: float, **options: Any) -> "MarkerMap":
     """The board or floor that the options ask for."""
     import numpy as np
 
+    from autopilot.core.dictionaries import dictionary_size, resolve_dictionary
     from autopilot.core.errors import ConfigError
     from autopilot.core.frames import r_ned_from_frd
     from autopilot.core.marker_files import Board as BoardTable
     from autopilot.core.marker_files import PlacedMarker, board_offsets, make_map, placed_markers
-    from autopilot.core.markers import DICTIONARY_SIZES, grid_floor
+    from autopilot.core.markers import grid_floor
 
+    options["dictionary"] = resolve_dictionary(options["dictionary"], Path(), "--dictionary")
     r = r_ned_from_frd(np.array([0.0, 0.0, heading_rad]))
     middle = np.array(options["at"])
     if options["floor"] is not None:
@@ -109,15 +111,11 @@ def _grid(*, heading_rad: float, **options: Any) -> "MarkerMap":
             rows=rows, columns=columns, gap_m=options["gap"], first_id=options["first_id"], center_m=(0.0, 0.0, 0.0)
         )
         places = [(options["first_id"] + n, offset) for n, offset in enumerate(board_offsets(table, options["size"]))]
-    count = DICTIONARY_SIZES.get(options["dictionary"])
-    if count is None:
-        raise ConfigError(
-            f"--dictionary {options['dictionary']!r} is not known; use one of {', '.join(DICTIONARY_SIZES)}"
-        )
+    count = dictionary_size(options["dictionary"]) or 0
     last = max(i for i, _ in places)
     if last >= count:
         raise ConfigError(
-            f"the board needs ids up to {last} and {options['dictionary']} has {count}; use a larger one or --floor"
+            f"the board needs ids up to {last} and the dictionary has {count}; use a larger one or --floor"
         )
     return make_map(
         [
@@ -233,20 +231,19 @@ def _rough_map(**options: Any) -> "MarkerMap":
     """The rough map of the options; without a file one of all ids of a dictionary, places unknown."""
     import numpy as np
 
-    from autopilot.core.errors import ConfigError
+    from autopilot.core.dictionaries import dictionary_size, resolve_dictionary
     from autopilot.core.marker_files import load_marker_map
-    from autopilot.core.markers import CORNER_SIGNS, DICTIONARY_SIZES, MarkerMap
+    from autopilot.core.markers import CORNER_SIGNS, MarkerMap
 
     if options["rough"] is not None:
         return load_marker_map(Path(options["rough"]))
     dictionary, size = options["dictionary"], options["size"]
     if dictionary is None or size is None:
         raise click.UsageError("give a rough map with --map, or --dictionary and --size")
-    if dictionary not in DICTIONARY_SIZES:
-        raise ConfigError(f"--dictionary {dictionary!r} is not known; use one of {', '.join(DICTIONARY_SIZES)}")
+    dictionary = resolve_dictionary(dictionary, Path(), "--dictionary")
     if options["rough_sigma"] is not None:
         raise click.UsageError("--rough-sigma is about a rough map; give one with --map")
-    count = DICTIONARY_SIZES[dictionary]
+    count = dictionary_size(dictionary) or 0
     corners = np.zeros((count, 4, 3))
     corners[..., :2] = 0.5 * size * CORNER_SIGNS
     corners[..., 2] = options["depth"]

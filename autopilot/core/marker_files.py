@@ -14,10 +14,11 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
+from autopilot.core.dictionaries import dictionary_label, dictionary_size, resolve_dictionary
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.map_errors import PRINT_SIGMA_M, SHEET_SIGMA_M, Laid, map_errors
-from autopilot.core.markers import CORNER_SIGNS, DICTIONARY_SIZES, ID_SPAN, MarkerMap
+from autopilot.core.markers import CORNER_SIGNS, ID_SPAN, MarkerMap
 from autopilot.core.vehicle import Vec3, convert, read_toml
 
 AMBIGUITY_M = 0.9
@@ -147,7 +148,7 @@ class PlacedMarker:
     @property
     def label(self) -> str:
         """Name for messages."""
-        return f"{self.place} (id {self.id} of {self.dictionary})" if self.place else f"id {self.id}"
+        return f"{self.place} (id {self.id} of {dictionary_label(self.dictionary)})" if self.place else f"id {self.id}"
 
     @property
     def corners_ned_m(self) -> FloatArray:
@@ -161,7 +162,7 @@ def load_marker_map(path: Path) -> MarkerMap:
     """The map of a file. ConfigError names marker, value and remedy."""
     file: MarkerFile = convert(read_toml(path), MarkerFile, str(path))
     frame = (file.frame.sigma_m, file.frame.sigma_down_m, file.frame.sigma_rad)
-    placed = _placed(file, str(path))
+    placed = _placed(file, path.parent, str(path))
     print_sigma_m = file.defaults.print_sigma_m
     return make_map(placed, str(path), frame_sigma=frame, print_sigma_m=print_sigma_m, loose_sigma_m=SHEET_SIGMA_M)
 
@@ -207,18 +208,18 @@ def make_map(
     return result
 
 
-def _placed(file: MarkerFile, origin: str) -> list[PlacedMarker]:
+def _placed(file: MarkerFile, folder: Path, origin: str) -> list[PlacedMarker]:
     """All markers of a file one by one. ConfigError for what a single marker cannot be."""
     result: list[PlacedMarker] = []
     for index, entry in enumerate(file.marker):
         place = f"$.marker[{index}]"
-        dictionary, size_m = _kind(entry, file.defaults, place, origin)
+        dictionary, size_m = _kind(entry, file.defaults, place, folder, origin)
         _check_id(entry.id, dictionary, place, origin)
         laid = _laid(entry, entry.sheet, file.defaults)
         result.append(_one(place, dictionary, entry.id, size_m, np.array(entry.center_m), _rotation(entry), laid))
     for index, board in enumerate(file.board):
         place = f"$.board[{index}]"
-        dictionary, size_m = _kind(board, file.defaults, place, origin)
+        dictionary, size_m = _kind(board, file.defaults, place, folder, origin)
         if len(result) + board.rows * board.columns > MAX_MARKERS:
             raise ConfigError(f"{origin}: `{place}` brings the map to more than {MAX_MARKERS} markers; use fewer")
         start = 0 if board.first_id is None else board.first_id
@@ -278,7 +279,7 @@ def _rotation(entry: Marker | Board) -> FloatArray:
     return r_ned_from_frd(np.array([0.0, 0.0, entry.yaw_rad or 0.0]))
 
 
-def _kind(entry: Marker | Board, defaults: Defaults, place: str, origin: str) -> tuple[str, float]:
+def _kind(entry: Marker | Board, defaults: Defaults, place: str, folder: Path, origin: str) -> tuple[str, float]:
     """Dictionary and size of an entry."""
     dictionary = entry.dictionary if entry.dictionary is not None else defaults.dictionary
     size_m = entry.size_m if entry.size_m is not None else defaults.size_m
@@ -287,18 +288,15 @@ def _kind(entry: Marker | Board, defaults: Defaults, place: str, origin: str) ->
             raise ConfigError(f"{origin}: `{place}` has no `{key}`; give it there or in [defaults]")
     assert dictionary is not None
     assert size_m is not None
-    if dictionary not in DICTIONARY_SIZES:
-        raise ConfigError(
-            f"{origin}: `{place}.dictionary` {dictionary!r} is not known; use one of {', '.join(DICTIONARY_SIZES)}"
-        )
-    return dictionary, size_m
+    return resolve_dictionary(dictionary, folder, f"{origin}: `{place}.dictionary`"), size_m
 
 
 def _check_id(marker_id: int, dictionary: str, place: str, origin: str) -> None:
-    count = DICTIONARY_SIZES[dictionary]
+    count = dictionary_size(dictionary) or 0
     if marker_id >= count:
         raise ConfigError(
-            f"{origin}: `{place}`: id {marker_id} is not in {dictionary}; use 0 to {count - 1} or a larger dictionary"
+            f"{origin}: `{place}`: id {marker_id} is not in {dictionary_label(dictionary)}; use 0 to {count - 1} or a"
+            " larger dictionary"
         )
 
 
@@ -310,7 +308,7 @@ def _whole_dictionaries(names: set[str]) -> dict[str, str]:
         return head if count.isdigit() else name
 
     largest: dict[str, str] = {}
-    for name in sorted(names, key=DICTIONARY_SIZES.__getitem__):
+    for name in sorted(names, key=lambda name: dictionary_size(name) or 0):
         largest[family(name)] = name
     return {name: largest[family(name)] for name in names}
 
@@ -336,10 +334,11 @@ def _refuse_overlaps(markers: MarkerMap, placed: Sequence[PlacedMarker], origin:
     """ConfigError for two markers that cover each other by more than their sheets may be off."""
     errors = markers.errors
     for i, j in close_pairs(markers, 0.0):
-        pair = () if errors is None else (int(errors.sheet[i]), int(errors.sheet[j]))
         slack_m = 0.0
-        if errors is not None and pair[0] != pair[1] and all(k >= 0 and k not in errors.loose for k in pair):
-            slack_m = OVERLAP_SIGMAS * float(np.linalg.norm(errors.sigma[list(pair), 0]))
+        if errors is not None:
+            pair = [int(errors.sheet[i]), int(errors.sheet[j])]
+            if pair[0] != pair[1] and all(k >= 0 and k not in errors.loose for k in pair):
+                slack_m = OVERLAP_SIGMAS * float(np.linalg.norm(errors.sigma[pair, 0]))
         if _overlap(placed[i], placed[j], slack_m):
             raise ConfigError(
                 f"{origin}: {placed[i].label} and {placed[j].label} overlap, their centres are"

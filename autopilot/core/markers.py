@@ -13,22 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.camera import CameraModel
+from autopilot.core.dictionaries import DICTIONARY_SIZES, dictionary_size
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import MapErrors
 
 IntArray: TypeAlias = NDArray[np.int64]
-
-DICTIONARY_SIZES = {
-    **{f"DICT_{n}X{n}_{count}": count for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
-    "DICT_ARUCO_ORIGINAL": 1024,
-    "DICT_ARUCO_MIP_36h12": 250,
-    "DICT_APRILTAG_16h5": 30,
-    "DICT_APRILTAG_25h9": 35,
-    "DICT_APRILTAG_36h10": 2320,
-    "DICT_APRILTAG_36h11": 587,
-}
-"""Predefined OpenCV dictionaries that a map can use, and how many ids each has."""
 
 ID_SPAN = 4096
 """More than any dictionary has ids. The id by which a marker goes everywhere is its dictionary's number in the map
@@ -52,7 +42,8 @@ class MarkerMap:
     """Surveyed markers: any poses, sizes and dictionaries."""
 
     dictionary: str
-    """Name of OpenCV's predefined dictionary, e.g. DICT_4X4_1000; of markers with ids below :data:`ID_SPAN`."""
+    """Name of the dictionary (:mod:`autopilot.core.dictionaries`), e.g. DICT_4X4_1000; of markers with ids below
+    :data:`ID_SPAN`."""
     size_m: float
     """Side of the black square, of most markers."""
     ids: IntArray
@@ -152,7 +143,8 @@ def grid_floor(
     The grid is centred on the polygon's bounding box. The same arguments give the same floor. ConfigError if the
     numbers make no sense or no marker fits.
     """
-    if dictionary not in DICTIONARY_SIZES:
+    n_ids = dictionary_size(dictionary)
+    if n_ids is None:
         raise ConfigError(f"markers.dictionary {dictionary!r} is not known; use one of {', '.join(DICTIONARY_SIZES)}")
     if not 0.0 < size_m < pitch_m:
         raise ConfigError(
@@ -174,7 +166,7 @@ def grid_floor(
     corners = np.empty((len(cells), 4, 3))
     corners[:, :, :2] = centers[:, None, :] + 0.5 * size_m * CORNER_SIGNS
     corners[:, :, 2] = depth_m
-    ids = _assign_ids(cells, pitch_m, DICTIONARY_SIZES[dictionary], np.random.default_rng(seed))
+    ids = _assign_ids(cells, pitch_m, n_ids, np.random.default_rng(seed))
     return MarkerMap(dictionary=dictionary, size_m=size_m, ids=ids, corners_ned_m=corners)
 
 

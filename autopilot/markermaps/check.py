@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from autopilot.core.camera import CameraModel
+from autopilot.core.dictionaries import CUSTOM, dictionary_label
 from autopilot.core.marker_files import close_pairs, placed_markers
-from autopilot.core.markers import DICTIONARY_SIZES, ID_SPAN, MarkerMap
+from autopilot.core.markers import ID_SPAN, MarkerMap
 
 QUIET_CELLS = 1.0
 """A black square needs this many of its cells of white around it, or detectors take two markers for one."""
@@ -24,7 +25,12 @@ def describe_markers(markers: MarkerMap) -> list[tuple[str, object]]:
         sizes_mm = 1e3 * markers.sizes_m[kinds == kind]
         ids = np.unique(markers.ids[kinds == kind])
         span = f"{sizes_mm.min():.1f}" if np.ptp(sizes_mm) < 0.05 else f"{sizes_mm.min():.1f} to {sizes_mm.max():.1f}"
-        rows.append((markers.dictionaries[kind], f"{int((kinds == kind).sum())} markers, {len(ids)} ids, {span} mm"))
+        rows.append(
+            (
+                dictionary_label(markers.dictionaries[kind]),
+                f"{int((kinds == kind).sum())} markers, {len(ids)} ids, {span} mm",
+            )
+        )
     corners = markers.corners_ned_m.reshape(-1, 3)
     for axis, name in enumerate(("north", "east", "down")):
         rows.append((f"{name} [m]", f"{corners[:, axis].min():.3f} to {corners[:, axis].max():.3f}"))
@@ -93,7 +99,8 @@ def _gap(a: np.ndarray, b: np.ndarray) -> float:
 
 def _cells(dictionary: str) -> int:
     """Cells along a marker's side, border included."""
-    assert dictionary in DICTIONARY_SIZES
+    if dictionary.startswith(CUSTOM):
+        return int(dictionary.split(":")[1]) + 2
     for part, cells in (("16h5", 6), ("25h9", 7), ("36h1", 8), ("ORIGINAL", 7), ("4X4", 6), ("5X5", 7), ("6X6", 8)):
         if part in dictionary:
             return cells

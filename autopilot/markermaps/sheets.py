@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from autopilot.core.dictionaries import opencv_dictionary
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
@@ -163,7 +164,7 @@ def _page(plane: Plane, paper: Paper, inside: IntArray, origin_m: FloatArray, si
 
 def _marker_shape(dictionary: str, marker_id: int, corners_mm: FloatArray) -> list[FloatArray]:
     """The black cells of a marker with these corners (4, 2), joined along rows."""
-    patterns = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    patterns = opencv_dictionary(dictionary)
     cells = patterns.markerSize + 2
     black = cv2.aruco.generateImageMarker(patterns, marker_id, cells) == 0
     across, down = (corners_mm[1] - corners_mm[0]) / cells, (corners_mm[3] - corners_mm[0]) / cells

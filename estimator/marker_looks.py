@@ -1,0 +1,104 @@
+"""How markers look in an image: their contrast, the noise on them and how sharp their edges are.
+
+Read off a few hundred interpolated pixels of each marker, all markers at once. The contrast against the noise tells
+markers from noise that happened to read as one; all three tell how well corners can be placed.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from autopilot.core.dictionaries import opencv_dictionary
+from autopilot.core.frames import FloatArray
+
+OFF_CENTER = 0.22
+"""Each cell is sampled at four points this far from its centre [cells]."""
+EDGE_CELLS = 0.6
+"""Profiles across the outline reach this far to both sides [cells]: into the black border and the white around it."""
+EDGE_STEPS = 13
+EDGE_PLACES = 6
+"""Profiles along each side."""
+MIN_WIDTH_PX = 0.5
+
+
+class Looks(NamedTuple):
+    """Each (n,), one value per marker."""
+
+    contrast: FloatArray
+    """White minus black cells [grey levels]; below 0 the cells are not those of the marker."""
+    noise: FloatArray
+    """Standard deviation of a pixel within cells of one colour [grey levels]."""
+    fit: FloatArray
+    """Correlation of the cells' grey levels with the marker's pattern, at most 1."""
+    width_px: FloatArray
+    """Of the outline: the distance over which its steepest slope would go from black to white."""
+
+
+def looks_of(grey: Any, quads: FloatArray, patterns: FloatArray) -> Looks:
+    """Of markers with corners ``quads`` (n, 4, 2) [px] and cells ``patterns`` (n, s, s), 1 white, border included."""
+    n, cells = patterns.shape[:2]
+    to_px = _homographies(quads)
+    center = (np.arange(cells) + 0.5) / cells
+    off = OFF_CENTER / cells
+    v, u = np.meshgrid(center, center, indexing="ij")
+    inside = np.stack([np.stack((u + du, v + dv), axis=-1) for du in (-off, off) for dv in (-off, off)])
+    samples = _sample(grey, to_px, inside.reshape(-1, 2)).reshape(n, 4, cells, cells)
+    level = samples.mean(axis=1)
+    noise = np.sqrt(np.square(samples - level[:, None]).sum(axis=(1, 2, 3)) / (3.0 * cells * cells))
+    bits = patterns - patterns.mean(axis=(1, 2), keepdims=True)
+    power = np.square(bits).sum(axis=(1, 2))
+    apart = level - level.mean(axis=(1, 2), keepdims=True)
+    along = (apart * bits).sum(axis=(1, 2))
+    spread = np.square(samples - level.mean(axis=(1, 2))[:, None, None, None]).mean(axis=1).sum(axis=(1, 2))
+    fit = along / np.sqrt(np.maximum(power * spread, 1e-12))
+    return Looks(along / power, noise, fit, _widths_px(grey, to_px, quads, cells))
+
+
+def _homographies(quads: FloatArray) -> FloatArray:
+    """(n, 3, 3) from the unit square (first corner at the origin, u to the second, v to the last) to pixels."""
+    x, y = quads[..., 0].T, quads[..., 1].T
+    sx, sy = x[0] - x[1] + x[2] - x[3], y[0] - y[1] + y[2] - y[3]
+    dx1, dx2, dy1, dy2 = x[1] - x[2], x[3] - x[2], y[1] - y[2], y[3] - y[2]
+    size = dx1 * dy2 - dx2 * dy1
+    size = np.where(np.abs(size) < 1e-9, 1e-9, size)
+    g, h = (sx * dy2 - dx2 * sy) / size, (dx1 * sy - sx * dy1) / size
+    result = np.empty((len(quads), 3, 3))
+    result[:, 0] = np.column_stack((x[1] - x[0] + g * x[1], x[3] - x[0] + h * x[3], x[0]))
+    result[:, 1] = np.column_stack((y[1] - y[0] + g * y[1], y[3] - y[0] + h * y[3], y[0]))
+    result[:, 2] = np.column_stack((g, h, np.ones(len(quads))))
+    return result
+
+
+def _sample(grey: Any, to_px: FloatArray, points: FloatArray) -> FloatArray:
+    """Grey levels (n, k) at points (k, 2) of n unit squares, between pixels by interpolation."""
+    full = np.column_stack((points, np.ones(len(points)))) @ to_px.transpose(0, 2, 1)
+    pixels = (full[..., :2] / full[..., 2:]).astype(np.float32)
+    seen = cv2.remap(grey, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(seen, dtype=np.float64)
+
+
+def _widths_px(grey: Any, to_px: FloatArray, quads: FloatArray, cells: int) -> FloatArray:
+    """(n,) widths of the outlines."""
+    along = (np.arange(EDGE_PLACES) + 1.5) / (EDGE_PLACES + 2)
+    across = np.linspace(-EDGE_CELLS, EDGE_CELLS, EDGE_STEPS) / cells  # from outside to inside
+    a, b = np.meshgrid(along, across, indexing="ij")
+    sides = np.stack([np.stack(s, axis=-1) for s in ((a, b), (1.0 - b, a), (a, 1.0 - b), (b, a))])
+    levels = _sample(grey, to_px, sides.reshape(-1, 2)).reshape(len(quads), -1, EDGE_STEPS).mean(axis=1)
+    steepest = np.maximum((levels[:, :-1] - levels[:, 1:]).max(axis=1), 1e-6)
+    high = levels.max(axis=1) - levels.min(axis=1)
+    steps = quads - np.roll(quads, -1, axis=1)
+    step_px = np.sqrt((steps * steps).sum(axis=2)).mean(axis=1) / cells * (2.0 * EDGE_CELLS / (EDGE_STEPS - 1))
+    return np.asarray(np.maximum(high / steepest * step_px, MIN_WIDTH_PX), dtype=np.float64)
+
+
+@lru_cache(maxsize=16)
+def patterns_of(dictionary: str) -> FloatArray:
+    """(n, s, s) cells of all markers of a dictionary, 1 white, black border included. Not to be changed."""
+    known = opencv_dictionary(dictionary)
+    cells = int(known.markerSize)
+    result = np.zeros((len(known.bytesList), cells + 2, cells + 2))
+    for k, word in enumerate(known.bytesList):
+        result[k, 1:-1, 1:-1] = cv2.aruco.Dictionary.getBitsFromByteList(word[None], cells)
+    return result
