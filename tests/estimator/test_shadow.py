@@ -20,6 +20,7 @@ from estimator.markers_pose import MarkerSolver
 from estimator.measure_pose import PoseFix
 from estimator.protocol import create_estimator
 from estimator.shadow import Shadowed
+from estimator.states import SheetStates
 
 
 class Displaced:
@@ -105,13 +106,21 @@ def test_poses_from_pictures_are_made_once(vehicle: Vehicle, floor: MarkerMap, m
     calls = []
 
     class Counting(MarkerSolver):
-        def track(self, sighting: MarkerSighting, pos_ned_m: FloatArray, rpy_rad: FloatArray) -> PoseFix | None:
+        def track(
+            self,
+            sighting: MarkerSighting,
+            pos_ned_m: FloatArray,
+            rpy_rad: FloatArray,
+            sheets: SheetStates | None = None,
+        ) -> PoseFix | None:
             calls.append(sighting.t_us)
-            return super().track(sighting, pos_ned_m, rpy_rad)
+            return super().track(sighting, pos_ned_m, rpy_rad, sheets)
 
-        def locate(self, sighting: MarkerSighting, roll_rad: float, pitch_rad: float) -> PoseFix | None:
+        def locate(
+            self, sighting: MarkerSighting, roll_rad: float, pitch_rad: float, sheets: SheetStates | None = None
+        ) -> PoseFix | None:
             calls.append(sighting.t_us)
-            return super().locate(sighting, roll_rad, pitch_rad)
+            return super().locate(sighting, roll_rad, pitch_rad, sheets)
 
     monkeypatch.setattr(engine, "MarkerSolver", Counting)
     watched = create_estimator("ekf", vehicle, floor, shadow=True)
