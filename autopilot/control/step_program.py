@@ -45,7 +45,9 @@ MOST_UNSOLVED = 3
 FULL_STEPS = 3
 SHRINKING = 0.7
 SHORTEST_STEP = 0.25
-"""After so many full steps, a step whose change is more than this share of the last one's is halved, down to this."""
+"""After so many full steps, a step whose change is more than this share of the last one's is halved, down to this.
+While the thrust changes in one direction it grows again, until that fails: one that stayed at a quarter would come
+nearer by a quarter only."""
 
 STANDS_AFTER_S = 1.0
 """Time constant with which the motion fades in the last of the guesses."""
@@ -174,6 +176,7 @@ class StepProgram:
         ``before``: QPs that have been solved in vain."""
         nmpc, n = self.nmpc, self.nmpc.grid.n
         path, t_s, share, last_n = nmpc.x[:n, :2], nmpc.grid.t_s[:n], 1.0, math.inf
+        last, grown, may_grow = np.zeros(NU), False, True
         good: tuple[FloatArray, FloatArray, NmpcResult, float] | None = None
         for qps in range(1, MOST_QPS + 1):
             nmpc.x[0] = problem.x0
@@ -183,7 +186,8 @@ class StepProgram:
             if result.status is not SolveStatus.OK and len(self._unsolved) < MOST_UNSOLVED:
                 planes = {"plane_n": self._plane_n.copy(), "plane_d_m": self._plane_d.copy()}
                 self._unsolved.append((result.status, replace(problem, **planes), guess, thrust))
-            change_n = float(np.abs(nmpc.u[0] - thrust[0]).max())
+            change = nmpc.u[0] - thrust[0]
+            change_n = float(np.abs(change).max())
             calm = change_n < CONVERGED_N or (qps == 1 and not start and change_n < RESTLESS_N)
             if result.status is not SolveStatus.OK and good is not None and not start:
                 # What the QP before has found is a plan; that it has not converged is no reason to give it up.
@@ -193,11 +197,13 @@ class StepProgram:
             if result.status is not SolveStatus.OK or calm or qps == MOST_QPS:
                 break
             good = (nmpc.x.copy(), nmpc.u.copy(), result, margin)
-            if qps > FULL_STEPS and change_n > SHRINKING * last_n:
-                share = max(0.5 * share, SHORTEST_STEP)
+            if share < 1.0 and may_grow and float(change @ last) > 0.0:
+                share, grown = 2.0 * share, True
+            elif qps > FULL_STEPS and change_n > SHRINKING * last_n:
+                share, may_grow = max(0.5 * share, SHORTEST_STEP), not grown
             if share < 1.0:
                 nmpc.set_plan(guess + share * (nmpc.x - guess), thrust + share * (nmpc.u - thrust))
-            last_n = change_n
+            last, last_n = change, change_n
         if result.status is SolveStatus.OK:
             # The half-planes certify the new plan, chords included; only where they do not it is looked at again.
             room = self._plane_n[..., 0] * path[1:, :1] + self._plane_n[..., 1] * path[1:, 1:] - self._plane_d

@@ -20,6 +20,7 @@ from autopilot.control.energy.flow import Flow
 from autopilot.control.energy.search import Plan, Request
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.grid import geometric_grid
+from autopilot.control.step_program import MOST_QPS
 from autopilot.control.unsolved import solve_again
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
@@ -220,6 +221,16 @@ def test_the_first_thrust_of_a_start_has_converged() -> None:
             last = output.thrust_n
     assert len(off) >= 40
     assert np.quantile(off, 0.9) < 0.1
+
+
+@pytest.mark.parametrize("seed", [1014, 1030, 1041, 1072])
+def test_a_step_that_was_halved_grows_again(seed: int) -> None:
+    """Steps that stayed at a quarter came nearer by a quarter each: they used up the QPs of a step."""
+    one = case(seed, 0)
+    controller = MotionController(one.vehicle, cpu_clock=lambda: 0.0)
+    told = nav_state(0, one.start, one.current)
+    output = controller.step(0, told, one.goal, Fence(depth_max_m=DEPTH_M), one.params, one.limit_n)
+    assert output.status.iterations < MOST_QPS
 
 
 @pytest.mark.parametrize("path", sorted(PROGRAMS.glob("program-*.npz")), ids=lambda path: path.stem)
