@@ -99,5 +99,5 @@ def test_a_reference_that_jumps_does_not_tear_at_the_thrusters() -> None:
     for step in range(40):
         target = (B, A)[step // 10 % 2]
         thrust.append(controller.step(step * 50_000, nav_state(step * 50_000, x), target, TANK, params).thrust_n)
-    assert np.abs(thrust).max() > 6.0, "all that it may, in the end"
+    assert np.abs(thrust).max() > 4.0, "it does turn round"
     assert np.abs(np.diff(thrust, axis=0)).max() <= 3.0

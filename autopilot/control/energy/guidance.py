@@ -17,7 +17,17 @@ import numpy as np
 from autopilot.control.desks import Mishaps
 from autopilot.control.energy.flow import Flow, area_of, sample_flow
 from autopilot.control.energy.patience import ANSWER_STEPS, STEP_S, Kind, NoPlanError, Patience
-from autopilot.control.energy.search import Plan, Request, TrajectoryPlanner, shifted
+from autopilot.control.energy.search import (
+    BETWEEN_M,
+    EXTRA_M,
+    EXTRA_S,
+    RADIUS_SHARE,
+    YAW_SHARE,
+    Plan,
+    Request,
+    TrajectoryPlanner,
+    shifted,
+)
 from autopilot.control.energy.track import Track, joined
 from autopilot.control.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, RouteGuidance, Situation, SteadyThrust
@@ -72,7 +82,7 @@ FOLLOWING_THRUST_WEIGHT = 0.2
 """Least weight on the difference to the planned thrust while a trajectory is followed: to be a little off it costs less
 than to correct it at once. (In the paper's tank 2 % of a lap against 0.02; the limits are kept by other means.)"""
 
-END_STAGES = 40.0
+END_STAGES = 80.0
 """What place and heading at the end of a trajectory count beyond those on the way, in stages of the running cost
 (REFERENCE_DT_S). A trajectory only just enters its goal's region: centimetres and degrees are put right on the way
 there, gently and in time, while the way itself is followed softly."""
@@ -195,8 +205,13 @@ class EnergyGuidance:
         if track.complete and track.rest_s > 0.0:
             share = self._shares(track.rest_s)
             stages = np.diff(self._t_s)[1:] / REFERENCE_DT_S
-            nodes[:, :U] *= 1.0 + END_STAGES * (share[1:-1] / stages)[:, None]
-            terminal[:U] += END_STAGES * float(share[-1]) * weight_x[:U]
+            end = END_STAGES * weight_x[:U]
+            if track.goal.yaw_rad is not None:
+                # Headings count by how much of the room that is left to them they use up, as places do.
+                room = (1.0 - RADIUS_SHARE) * track.goal.accept_radius_m, (1.0 - YAW_SHARE) * track.goal.accept_yaw_rad
+                end[YAW] = max(end[YAW], end[0] * min(room[0] / max(room[1], 1e-3), 1.0) ** 2)
+            nodes[:, :U] += (share[1:-1] / stages)[:, None] * end
+            terminal[:U] += float(share[-1]) * end
         return nodes, terminal
 
     def _shares(self, at_s: float) -> FloatArray:
@@ -398,6 +413,7 @@ class EnergyGuidance:
             goal=goal,
             fence=fence,
             radius_m=now.radius_m,
+            extra_m=min(EXTRA_M, BETWEEN_M + EXTRA_S * float(np.sqrt(now.nav.variance[9:11].max()))),
             flow=sample_flow(now.forecast, now.nav, area, float(x0[2])),
             limits=limits,
             thrust_limit_n=BOUND_SHARE * now.thrust_limit_n,

@@ -91,9 +91,9 @@ SLOWING_RAD_S2 = 0.3
 BETWEEN_M = 0.004
 """Kept beyond the optimiser's own margin, for what lies between the nodes."""
 
-EXTRA_M = 0.02
-"""Kept beyond it where there is room: an estimate wavers, and every millimetre that a vehicle is within the margin is
-answered sharply."""
+EXTRA_M, EXTRA_S = 0.02, 1.0
+"""Kept beyond it at most where there is room, and how long a current of one standard deviation takes for it: an
+estimate wavers, and every millimetre that a vehicle is within the margin is answered sharply."""
 
 WIDENING_M_S = 0.02
 """A vehicle that is nearer than that goes away from the boundary so fast."""
@@ -116,6 +116,8 @@ class Request:
     fence: Fence
     radius_m: float
     """Kept from every boundary."""
+    extra_m: float = EXTRA_M
+    """Kept beyond that where there is room."""
     flow: FlowSamples
     limits: FloatArray
     """(5,) planar speed, heave, yaw rate, depth minimum, depth maximum."""
@@ -556,7 +558,7 @@ class _Task:
             return np.full(len(places), radius_m)
         at = np.arange(0.0, len(places) - 1.0 + 1e-9, 1.0 / LOOKS_BETWEEN)
         points = np.stack([np.interp(at, np.arange(len(places)), places[:, i]) for i in range(2)], axis=1)
-        most = radius_m + EXTRA_M
+        most = radius_m + self._request.extra_m
         for _ in range(DOOR_STEPS):
             points += features.push_out(points, most)
         doors_m = float(features.clearance_up_to_m(points, most).min())

@@ -124,7 +124,11 @@ class Program:
         )
         stats = self._solver.stats()
         self.iterations = int(stats["iter_count"])
-        z = answer["x"].full().ravel()
+        z, g = answer["x"].full().ravel(), answer["g"].full().ravel()
+        solved = bool(stats["success"])
+        if stats["return_status"] in STOPPED_SHORT:
+            off = (self._lbg - g, g - self._ubg, lower - z, z - upper)
+            solved = all(float(each.max()) < FEASIBLE for each in off)
         table = z[:-1].reshape(n, NX + NU)
         states = np.vstack([ask.x0, table[:, NU:]])
         return Trajectory(
@@ -133,7 +137,7 @@ class Program:
             thrust_n=table[:, :NU].copy(),
             energy_j=self._energy_j(float(z[-1]), table[:, :NU]),
             cost_j=float(answer["f"]) / COST_SCALE,
-            solved=bool(stats["success"]) and bool(np.isfinite(z).all()),
+            solved=solved and bool(np.isfinite(z).all()),
         )
 
     def _energy_j(self, end_s: float, thrust_n: FloatArray) -> float:
@@ -176,6 +180,11 @@ class _Stop(ca.Callback):
 
 
 MIN_INTERVAL_S = 0.005
+
+STOPPED_SHORT, FEASIBLE = ("Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small"), 1e-5
+"""A program that ends like this may have been at its optimum for long, without proof. What obeys dynamics and bounds
+within so much (SI units) can be flown."""
+
 OPTIONS: dict[str, Any] = {
     "print_time": False,
     # A trial step may leave the domain; IPOPT takes a shorter one.
