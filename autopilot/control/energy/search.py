@@ -91,7 +91,7 @@ SLOWING_RAD_S2 = 0.3
 BETWEEN_M = 0.004
 """Kept beyond the optimiser's own margin, for what lies between the nodes."""
 
-EXTRA_M, EXTRA_S = 0.02, 1.0
+EXTRA_M, EXTRA_S = 0.02, 0.5
 """Kept beyond it at most where there is room, and how long a current of one standard deviation takes for it: an
 estimate wavers, and every millimetre that a vehicle is within the margin is answered sharply."""
 
