@@ -1,44 +1,59 @@
-"""Attitude from raw gyros, accelerometers and magnetometer: an adaptive complementary filter on the rotation group.
+"""Attitude from raw gyros, accelerometers and magnetometer: a complementary filter in a frame that does not turn.
 
-    R' = R (w - b + kp s)x,   b' = -ki s,   s = sum of v x (R' v_ref)
-
-(explicit complementary filter: Mahony, Hamel, Pflimlin 2008, eq. 32). The accelerometer tells down, with a gain that
-shrinks while the vehicle accelerates: then | |f| - g | is large and f does not point up. The magnetometer turns the
-estimate about the vertical only, so that magnetic disturbance never tilts it. Plain floats: at 100 Hz numpy's calls
-would cost more than the arithmetic.
+After Laidig and Seel 2023 (VQF, Information Fusion 91): the gyros alone carry a frame along that hardly turns. In it
+the specific force is low-pass filtered, twice: pushes of the vehicle average out whatever way it turns meanwhile, and
+those of swell or of a hand far more than behind the one integrator of a filter that turns its estimate towards what it
+feels. What is left is the vertical: a second rotation levels the frame by it.
+The magnetometer turns the estimate about the vertical only, so that magnetic disturbance never tilts it, and not at all
+while the field is not the known one (:mod:`estimator.magnetic`). What both have to correct shows the gyros' bias
+(:mod:`estimator.gyro_bias`).
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import AhrsSample, ImuSample
-from estimator.inertial import GRAVITY_M_S2, MAX_ACCEL_M_S2, MAX_RATE_RAD_S, cross
+from estimator.gyro_bias import GyroBias
+from estimator.inertial import GRAVITY_M_S2, MAX_ACCEL_M_S2, MAX_RATE_RAD_S
+from estimator.magnetic import FieldWatch
+from estimator.rotation import (
+    IDENTITY,
+    Four,
+    Three,
+    of_tilt,
+    product,
+    roll_pitch_yaw,
+    rotation_by,
+    turn_between,
+    turned,
+)
 
-Three = tuple[float, float, float]
 
-KP_TILT_RAD_S = 0.2
-"""Correction per rad of tilt error at rest: time constant of 5 s, 0.61 deg rms on trial 10 of the BROAD data."""
-KP_HEADING_RAD_S = 0.1
-KI_S2 = 0.002
-"""Gyro bias follows in 1.5 minutes; faster, and accelerations of the vehicle and magnetic fields leak into it."""
-SWAY_M_S2 = 1.0
-"""Excess | |f| - g | at which the gain for tilt is halved. Smaller ones leave the gyros alone for too long in steady
-swaying: 1.7 deg at 0.5 m/s2, 4.6 deg at 0.2 m/s2 on the same trial, 0.9 deg without adaptation."""
-SWAY_MEMORY_S = 0.5
-"""How long an excess is remembered: |f| passes through g in every oscillation."""
-REST_MEMORY_S = 20.0
-"""The size of f at rest is not quite g (scale, bias): its slow mean is what an excess is counted from."""
-QUICK_S = 2.0
-QUICK_KP_RAD_S = 2.0
-"""At first the gains are higher, so that the first sample's error does not last."""
-MAX_BIAS_RAD_S = 0.1
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeTuning:
+    """What `autopilot bench estimator --attitude` chooses by recordings."""
+
+    tilt_s: float = 3.0
+    """Of the low-pass filter for the specific force (two stages of half of it)."""
+    heading_s: float = 9.0
+    """Within which the magnetometer's heading is followed."""
+    tilt_noise_rad_s: float = math.radians(1.5)
+    """How far the level attitude's corrections are from showing the gyros' bias, as a mean over 1 s."""
+    heading_noise_rad_s: float = math.radians(5.0)
+    """The same of the heading's."""
+
+
+DEFAULT_TUNING = AttitudeTuning()
+
 MAX_GAP_S = 0.5
 """Over a longer gap nothing is integrated: the filter starts anew from the sample behind it."""
 MIN_HORIZONTAL = 0.05
 """Least horizontal share of the magnetic field that tells a heading (65 deg of dip leave 0.4)."""
+MIN_FORCE_M_S2 = 0.5 * GRAVITY_M_S2
+"""A smaller mean of the specific force tells no vertical."""
 
 APART_RAD = math.radians(5.0)
 APART_US = 1_000_000
@@ -48,120 +63,115 @@ APART_US = 1_000_000
 class AttitudeFilter:
     """Samples in the order of time go in, attitudes come out. Bad samples must be kept away (:meth:`usable`)."""
 
-    def __init__(self, kp_rad_s: float = KP_TILT_RAD_S, kp_heading_rad_s: float = KP_HEADING_RAD_S) -> None:
-        self._kp_rad_s, self._kp_heading_rad_s = kp_rad_s, kp_heading_rad_s
-        self._t_us = -1
+    def __init__(self, tuning: AttitudeTuning = DEFAULT_TUNING) -> None:
+        self._tuning = tuning
+        self._bias = GyroBias(tuning.tilt_s, tuning.tilt_noise_rad_s, tuning.heading_noise_rad_s)
+        self._field = FieldWatch()
+        self._t_us = self._magnet_us = -1
         self._age_s = 0.0
-        self._q = (1.0, 0.0, 0.0, 0.0)
+        self._heading_age_s = 0.0
         self._rate: Three = (0.0, 0.0, 0.0)
-        self._bias: Three = (0.0, 0.0, 0.0)
-        self._sway_m_s2 = 0.0
-        self._rest_m_s2 = GRAVITY_M_S2
+        self._carried: Four = IDENTITY
+        """Body to the frame that the gyros carry along."""
+        self._levelling: Four = IDENTITY
+        """From there to a level frame."""
+        self._level: Four = IDENTITY
+        """Both."""
+        self._yaw_rad = 0.0
+        """From the level frame to north."""
+        self._slow: tuple[Three, Three] = ((0.0, 0.0, -GRAVITY_M_S2),) * 2
+        """Stages of the low-pass filter, m/s2."""
 
     @property
     def bias_rad_s(self) -> FloatArray:
         """(3,) of the gyros, body axes."""
-        return np.array(self._bias)
+        return np.array(self._bias.rad_s)
+
+    @property
+    def field_disturbed(self) -> bool:
+        """Whether the magnetometer is not believed now."""
+        return self._field.disturbed
 
     @property
     def rpy_rad(self) -> FloatArray:
         """(3,) roll, pitch, yaw of now."""
-        w, x, y, z = self._q
-        return np.array(
-            [
-                math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-                math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
-                math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-            ]
-        )
+        roll, pitch, yaw = roll_pitch_yaw(self._level)
+        return np.array([roll, pitch, wrap_pi(yaw + self._yaw_rad)])
 
     def step(self, sample: ImuSample) -> FloatArray:
         """Take in one sample; the attitude (3,) roll, pitch, yaw at its time (yaw 0 at the start without a magnet)."""
         rate: Three = tuple(sample.rate_frd_rad_s.tolist())
         force: Three = tuple(sample.accel_frd_m_s2.tolist())
-        magnet: Three | None = None if sample.mag_frd is None else tuple(sample.mag_frd.tolist())
         dt_s = 1e-6 * (sample.t_us - self._t_us)
         if self._t_us < 0 or dt_s > MAX_GAP_S:
-            self._start(force, magnet)
+            self._start(force)
         elif dt_s > 0.0:
-            self._advance(dt_s, rate, force, magnet)
+            self._carry(dt_s, rate)
+            self._keep_level(dt_s, force)
+        if sample.mag_frd is not None:
+            since_s = dt_s if self._magnet_us < 0 else 1e-6 * (sample.t_us - self._magnet_us)
+            self._turn_north(min(max(since_s, 0.0), MAX_GAP_S), rate, tuple(sample.mag_frd.tolist()))
+            self._magnet_us = sample.t_us
+        self._bias.look(self._level, self._tuning.heading_s)
         self._t_us, self._rate = sample.t_us, rate
         return self.rpy_rad
 
-    def _start(self, force: Three, magnet: Three | None) -> None:
-        """Level by this sample alone; the heading stays what it was (0 at first) without a magnetometer."""
-        yaw = float(self.rpy_rad[2])
+    def _start(self, force: Three) -> None:
+        """Level by this sample alone; the heading stays what it was (0 at first) until the magnetometer says more."""
+        self._yaw_rad = float(self.rpy_rad[2])
         fx, fy, fz = force
-        roll, pitch = math.atan2(-fy, -fz), math.atan2(fx, math.hypot(fy, fz))
-        self._q = _quaternion(roll, pitch, yaw)
-        self._age_s = 0.0
-        if magnet is not None:
-            self._q = _quaternion(roll, pitch, yaw - (self._heading_error(magnet) or 0.0))
+        self._carried = self._level = of_tilt(math.atan2(-fy, -fz), math.atan2(fx, math.hypot(fy, fz)))
+        self._levelling = IDENTITY
+        self._slow = (turned(self._carried, force),) * 2
+        self._age_s = self._heading_age_s = 0.0
+        self._magnet_us = -1
+        self._bias.restart()
 
-    def _advance(self, dt_s: float, rate: Three, force: Three, magnet: Three | None) -> None:
+    def _carry(self, dt_s: float, rate: Three) -> None:
+        x, y, z = turn_between(self._rate, rate, dt_s)
+        bx, by, bz = self._bias.rad_s
+        self._carried = product(self._carried, rotation_by((x - bx * dt_s, y - by * dt_s, z - bz * dt_s)))
+
+    def _keep_level(self, dt_s: float, force: Three) -> None:
+        """At first the mean of all there is, then a low-pass filter."""
         self._age_s += dt_s
-        quick = self._age_s < QUICK_S
-        down = self._down()
-        size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-        tilt: Three = (0.0, 0.0, 0.0)
-        if size > 0.5 * GRAVITY_M_S2:
-            felt = (-force[0] / size, -force[1] / size, -force[2] / size)
-            gain = (QUICK_KP_RAD_S if quick else self._kp_rad_s) * self._trust(size, dt_s)
-            ex, ey, ez = cross(felt, down)
-            tilt = (gain * ex, gain * ey, gain * ez)
-        error = None if magnet is None else self._heading_error(magnet)
-        turn = 0.0 if error is None else -(QUICK_KP_RAD_S if quick else self._kp_heading_rad_s) * math.sin(error)
-        push = (tilt[0] + turn * down[0], tilt[1] + turn * down[1], tilt[2] + turn * down[2])
-        if not quick:
-            follow = KI_S2 / self._kp_rad_s * dt_s
-            self._bias = (
-                _within(self._bias[0] - follow * push[0]),
-                _within(self._bias[1] - follow * push[1]),
-                _within(self._bias[2] - follow * push[2]),
-            )
-        bx, by, bz = self._bias
-        self._turn(
-            dt_s * (0.5 * (rate[0] + self._rate[0]) - bx + push[0]),
-            dt_s * (0.5 * (rate[1] + self._rate[1]) - by + push[1]),
-            dt_s * (0.5 * (rate[2] + self._rate[2]) - bz + push[2]),
-        )
+        share = max(1.0 - math.exp(-2.0 * dt_s / self._tuning.tilt_s), dt_s / (dt_s + self._age_s))
+        first = _nearer(self._slow[0], turned(self._carried, force), share)
+        second = _nearer(self._slow[1], first, share)
+        self._slow = (first, second)
+        north, east, down = turned(self._levelling, second)
+        size = math.sqrt(north * north + east * east + down * down)
+        if size > MIN_FORCE_M_S2:
+            # The turn that lays what is felt as up, -down, onto the axis.
+            half = math.sqrt(max(0.0, 0.5 - 0.5 * down / size))
+            if half > 1e-6:
+                x, y = -0.5 * east / (size * half), 0.5 * north / (size * half)
+                turn: Four = (half, x, y, 0.0)
+            else:
+                x, y, turn = 1.0, 0.0, (0.0, 1.0, 0.0, 0.0)
+            self._levelling = product(turn, self._levelling)
+            self._bias.add_tilt(dt_s, 2.0 * x, 2.0 * y)
+        self._level = product(self._levelling, self._carried)
 
-    def _trust(self, size_m_s2: float, dt_s: float) -> float:
-        """1 at rest, 1/2 at SWAY_M_S2; an excess fades out over SWAY_MEMORY_S."""
-        self._rest_m_s2 += dt_s / (REST_MEMORY_S + dt_s) * (size_m_s2 - self._rest_m_s2)
-        excess_m_s2 = abs(size_m_s2 - self._rest_m_s2)
-        self._sway_m_s2 = max(excess_m_s2, self._sway_m_s2 * math.exp(-dt_s / SWAY_MEMORY_S))
-        return 1.0 / (1.0 + (self._sway_m_s2 / SWAY_M_S2) ** 2)
-
-    def _down(self) -> Three:
-        """The world's down in body axes."""
-        w, x, y, z = self._q
-        return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
-
-    def _heading_error(self, magnet: Three) -> float | None:
-        """By how much our heading is too large by the magnetometer; None where the field is vertical or missing."""
-        w, x, y, z = self._q
-        mx, my, mz = magnet
-        north = (1.0 - 2.0 * (y * y + z * z)) * mx + 2.0 * (x * y - w * z) * my + 2.0 * (x * z + w * y) * mz
-        east = 2.0 * (x * y + w * z) * mx + (1.0 - 2.0 * (x * x + z * z)) * my + 2.0 * (y * z - w * x) * mz
-        size = math.sqrt(mx * mx + my * my + mz * mz)
+    def _turn_north(self, dt_s: float, rate: Three, magnet: Three) -> None:
+        north, east, down = turned(self._level, magnet)
         flat = math.hypot(north, east)
-        return math.atan2(east, north) if flat > MIN_HORIZONTAL * size else None
-
-    def _turn(self, ax: float, ay: float, az: float) -> None:
-        """Turn by a small rotation vector in body axes."""
-        angle = math.sqrt(ax * ax + ay * ay + az * az)
-        share = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
-        c, i, j, k = math.cos(0.5 * angle), share * ax, share * ay, share * az
-        w, x, y, z = self._q
-        w, x, y, z = (
-            w * c - x * i - y * j - z * k,
-            w * i + x * c + y * k - z * j,
-            w * j - x * k + y * c + z * i,
-            w * k + x * j - y * i + z * c,
-        )
-        norm = math.sqrt(w * w + x * x + y * y + z * z)
-        self._q = (w / norm, x / norm, y / norm, z / norm)
+        size = math.hypot(flat, down)
+        if flat <= MIN_HORIZONTAL * size:
+            return
+        turning_rad_s = math.sqrt(rate[0] ** 2 + rate[1] ** 2 + rate[2] ** 2)
+        trust = self._field.trust(dt_s, size, math.asin(down / size), turning_rad_s)
+        if trust == 0.0:
+            return
+        error = wrap_pi(-math.atan2(east, north) - self._yaw_rad)
+        if self._heading_age_s == 0.0:
+            self._yaw_rad += error
+            self._heading_age_s = max(dt_s, 1e-3)
+            return
+        self._heading_age_s += dt_s
+        share = max(trust * (1.0 - math.exp(-dt_s / self._tuning.heading_s)), dt_s / self._heading_age_s)
+        self._yaw_rad = wrap_pi(self._yaw_rad + share * error)
+        self._bias.add_heading(dt_s, share * error, share)
 
 
 class AttitudeSource:
@@ -230,17 +240,5 @@ def _same(a: ImuSample, b: ImuSample) -> bool:
     return bool((a.rate_frd_rad_s == b.rate_frd_rad_s).all() and (a.accel_frd_m_s2 == b.accel_frd_m_s2).all())
 
 
-def _within(bias_rad_s: float) -> float:
-    return max(-MAX_BIAS_RAD_S, min(MAX_BIAS_RAD_S, bias_rad_s))
-
-
-def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
-    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
-    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
+def _nearer(a: Three, b: Three, share: float) -> Three:
+    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])

@@ -1,6 +1,7 @@
 """``autopilot bench``: the benchmarks, each beside what it is measured against."""
 
 from dataclasses import asdict
+from pathlib import Path
 
 import click
 
@@ -18,6 +19,12 @@ LONG = ("estimator", "pockets", "energy", "energy-latency")
 @click.option("--short", is_flag=True, help="Fewer samples, for a quick look.")
 @click.option("--recompute", is_flag=True, help="energy: compute the optima anew first (minutes).")
 @click.option("--images", is_flag=True, help="estimator: accuracy of poses from whole pictures instead of flights.")
+@click.option("--attitude", is_flag=True, help="estimator: attitude from raw sensors instead of flights.")
+@click.option(
+    "--data",
+    type=click.Path(file_okay=False, exists=True, path_type=Path),
+    help="estimator --attitude: folder of recorded trials (default: those of a checkout's tests).",
+)
 @click.option(
     "--figures", type=click.Path(file_okay=False), help="energy, estimator --images: write figures into this folder."
 )
@@ -38,6 +45,8 @@ def bench(
     short: bool,
     recompute: bool,
     images: bool,
+    attitude: bool,
+    data: Path | None,
     figures: str | None,
     part: str | None,
     markdown: bool,
@@ -56,6 +65,9 @@ def bench(
     estimator: accuracy, honesty, gaps, outliers and delays of the estimator in flights of the whole vehicle, beside
     what the project asks for, and its cost; 20 seeds take ten minutes, 3 (--short, or when no NAME is given) two.
     With --images instead: poses from rendered pictures against height and turbidity (five minutes, half with --short).
+    With --attitude instead: attitude from gyros, accelerometers and magnetometer, in recorded trials and made-up
+    motions, beside a filter of fixed gain; the parameters of both chosen without the row that they are tried on (ten
+    minutes; with --short not chosen, half a minute; exit code 1 if a bar is not kept).
     pockets: goals behind pockets, cylinders on the line and staggered gaps, reached from 60 starts each (five minutes;
     6 starts with --short, or when no NAME is given).
     energy: energy of closed loops beside the offline optimum (known flow; estimated flow and a wrong model) and
@@ -84,6 +96,10 @@ def bench(
         raise click.UsageError("--recompute belongs to the benchmark energy")
     if images and name != "estimator":
         raise click.UsageError("--images belongs to the benchmark estimator")
+    if attitude and (name != "estimator" or images):
+        raise click.UsageError("--attitude belongs to the benchmark estimator, without --images")
+    if data is not None and not attitude:
+        raise click.UsageError("--data belongs to the benchmark estimator --attitude")
     if figures is not None and name != "energy" and not images:
         raise click.UsageError("--figures belongs to the benchmarks energy and estimator --images")
     if (part is not None or markdown) and name != "faults":
@@ -98,6 +114,9 @@ def bench(
         raise click.UsageError("--runs and --out belong to the benchmark thruster-health")
     if recompute:
         _recompute()
+    if attitude:
+        _attitude(short, data, as_json=as_json)
+        return
     if name == "fuzz":
         _fuzz(messages or (20_000 if short else 1_000_000), 1 if seed is None else seed, as_json=as_json)
         return
@@ -139,6 +158,25 @@ def bench(
             click.echo(f"the machine was {slow:.1f} times slower during this than when the asked figures were set")
     if as_json:
         emit_json(results)
+
+
+def _attitude(short: bool, data: Path | None, *, as_json: bool) -> None:
+    """Print the table and the median; exit code 1 if a bar is not kept."""
+    from autopilot.bench.attitude import INCLINATION_BAR_DEG, bench_attitude, median_inclination
+    from autopilot.bench.attitude_recordings import FOLDER, load_trials
+
+    folder = FOLDER if data is None else data
+    if not load_trials(folder):
+        click.echo(f"no recorded trials in {folder}: made-up motions only; give --data FOLDER", err=True)
+    rows = bench_attitude(short, folder)
+    median = median_inclination(rows)
+    if as_json:
+        emit_json({"rows": [asdict(row) for row in rows], "median_inclination": median})
+    else:
+        _print("attitude", [asdict(row) for row in rows])
+        click.echo(f"median inclination {median:.2f} deg, asked <= {INCLINATION_BAR_DEG:g}")
+    if median > INCLINATION_BAR_DEG or any(row.missed for row in rows):
+        raise SystemExit(1)
 
 
 def _faults(part: str | None, *, as_json: bool, as_markdown: bool) -> None:
@@ -213,8 +251,6 @@ def _detection(frames: int, seed: int, *, as_json: bool) -> None:
 
 def _thruster_health(runs: int, out: str | None, *, as_json: bool) -> None:
     """Fly and print; exit code 1 if a sound thruster is blamed."""
-    from pathlib import Path
-
     from autopilot.bench.thruster_health import bench_thruster_health
 
     folder = None if out is None else Path(out)
@@ -323,6 +359,8 @@ TITLES = {
     "images": "Poses from rendered pictures, rms of the fixes; asked: 0.45 to 1.2 m: 2 mm and 0.05 deg up to 1 1/m,"
     " 5 mm at 2; none lost up to turbidity x height 2; laser 10 mm at 0.8 m; normal_ms <= 8 up to 0.8 m; missed = not"
     " kept",
+    "attitude": "Attitude from raw sensors, deg rms; asked: at most 10 % above the filter with fixed gains;"
+    " missed = not kept; chosen = tilt s, heading s, noise deg/s | gains of tilt, heading, bias",
     "energy-latency": "Energy plans: CPU seconds per kind of request, and when answers are due in lockstep",
     "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown), or a rival's;"
     " flow known: MPC_MARGIN 0.02, MPC_SPEED_MARGIN 0.01, MPC_W_* 0",
@@ -347,6 +385,13 @@ HEADS = {
     "laser_pct": "las. %",
     "laser_bad_pct": "las. bad",
     "found_pct": "start %",
+    "inclination": "incl.",
+    "fixed_inclination": "fixed incl.",
+    "fixed_heading": "head.",
+    "fixed_total": "total",
+    "vqf_inclination": "VQF incl.",
+    "vqf_heading": "head.",
+    "vqf_total": "total",
     "cpu_ms": "cpu ms",
     "search_ms": "start ms",
     "normal_ms": "norm. ms",
@@ -356,7 +401,7 @@ HEADS = {
 
 def _print(name: str, rows: list[dict[str, object]]) -> None:
     columns = list(rows[0])
-    heads = [HEADS.get(column, column) if name == "images" else column for column in columns]
+    heads = [HEADS.get(column, column) if name in ("images", "attitude") else column for column in columns]
     print_table(TITLES[name], heads, [[_figure(row[column]) for column in columns] for row in rows])
 
 

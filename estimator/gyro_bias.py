@@ -1,0 +1,105 @@
+"""The gyros' bias, from how the attitude has to be corrected: a Kalman filter of three states (filterpy).
+
+A bias b of which b_known is taken off makes the attitude drift by R (b - b_known), and corrections take that back
+behind a low-pass filter L. So they turn by c = -L(R (b - b_known)), or
+
+    L(R) b = L(R b_known) - c
+
+with c about north and east from the specific force and about down from the magnetometer. The form is that of Laidig and
+Seel 2023 (VQF), whose vertical bias is found at rest only; a vehicle in the water is never at rest, and a slow turn of
+one that hovers must not be taken for it.
+"""
+
+import math
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from autopilot.core.frames import FloatArray
+from estimator.rotation import Four, Three, rows
+
+LOOK_S = 0.1
+"""Corrections are gathered for so long."""
+SIGMA_RAD_S = math.radians(0.5)
+"""Of a gyro of which nothing is known."""
+WALK_RAD_S_RTS = math.radians(0.02)
+"""How fast it may change; what nothing tells becomes no less known than at the start."""
+MAX_RAD_S = math.radians(2.0)
+UNTOLD = 1e6
+"""Variance [rad2/s2] of a correction that there was not."""
+
+
+class GyroBias:
+    """What the gyros show at rest, body axes."""
+
+    def __init__(self, tilt_s: float, tilt_noise: float, heading_noise: float) -> None:
+        """``tilt_s``: of the low-pass filter for the specific force (two stages). Noises: rad/s, of means over 1 s."""
+        self._stage_s = 0.5 * tilt_s
+        self._wait_s = tilt_s
+        self._tilt_noise, self._heading_noise = tilt_noise, heading_noise
+        self._kalman = KalmanFilter(dim_x=3, dim_z=3)
+        self._kalman.P = SIGMA_RAD_S**2 * np.eye(3)
+        self.rad_s: Three = (0.0, 0.0, 0.0)
+        self.restart()
+
+    def restart(self) -> None:
+        """After a gap: what is known stays, the low-pass filters begin anew."""
+        self._age_s = 0.0
+        self._slow: list[FloatArray] = []
+        self._slow_heading: FloatArray | None = None
+        self._heading_age_s = 0.0
+        self._forget_gathered()
+
+    def _forget_gathered(self) -> None:
+        self._time_s = self._north_rad = self._east_rad = 0.0
+        self._heading_s, self._heading_rad, self._heading_keep = 0.0, 0.0, 1.0
+
+    def add_tilt(self, dt_s: float, north_rad: float, east_rad: float) -> None:
+        """The level attitude was turned by so much."""
+        self._time_s += dt_s
+        self._north_rad += north_rad
+        self._east_rad += east_rad
+
+    def add_heading(self, dt_s: float, down_rad: float, share: float) -> None:
+        """The heading was turned by so much: by that share of its error."""
+        self._heading_s += dt_s
+        self._heading_rad += down_rad
+        self._heading_keep *= 1.0 - share
+
+    def look(self, level_from_body: Four, heading_settled_s: float) -> None:
+        """Learn from what was gathered if that is long enough. The heading counts from ``heading_settled_s`` on."""
+        if self._time_s < LOOK_S:
+            return
+        self._age_s += self._time_s
+        turn = np.array(rows(level_from_body))
+        # Beside each row of the rotation what it makes of the bias that was taken off.
+        now = np.column_stack([turn, turn @ self.rad_s])
+        share = max(1.0 - math.exp(-self._time_s / self._stage_s), self._time_s / self._age_s)
+        first, second = self._slow or (now[:2], now[:2])
+        first = first + share * (now[:2] - first)
+        self._slow = [first, second + share * (first - second)]
+        correction = np.array([self._north_rad / self._time_s, self._east_rad / self._time_s, 0.0])
+        variance = np.full(3, UNTOLD)
+        if self._age_s > self._wait_s:
+            variance[:2] = self._tilt_noise**2 / self._time_s
+        down = now[2] if self._slow_heading is None else self._slow_heading
+        if self._heading_s > 0.0:
+            down = self._slow_heading = down + (1.0 - self._heading_keep) * (now[2] - down)
+            self._heading_age_s += self._heading_s
+            correction[2] = self._heading_rad / self._heading_s
+            if self._heading_age_s > heading_settled_s:
+                variance[2] = self._heading_noise**2 / self._heading_s
+        self._learn(np.vstack([self._slow[1], down]), correction, variance)
+        self._forget_gathered()
+
+    def _learn(self, slow: FloatArray, correction: FloatArray, variance: FloatArray) -> None:
+        kalman = self._kalman
+        room = kalman.P.diagonal() < SIGMA_RAD_S**2
+        kalman.predict(Q=np.diag(WALK_RAD_S_RTS**2 * self._time_s * room))
+        h = slow[:, :3]
+        expected = h @ kalman.x[:, 0]
+        surprise = np.clip(slow[:, 3] - correction - expected, -MAX_RAD_S, MAX_RAD_S)
+        kalman.update((expected + surprise)[:, None], R=np.diag(variance), H=h)
+        kalman.x = np.clip(kalman.x, -MAX_RAD_S, MAX_RAD_S)
+        x, y, z = kalman.x[:, 0].tolist()
+        self.rad_s = (x, y, z)
