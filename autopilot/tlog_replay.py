@@ -1,21 +1,21 @@
 """A ground station's .tlog of any vehicle through the attitude path: how regular its attitude is, and why it is not.
 
-The file is read by pymavlink. ATTITUDE messages (https://mavlink.io/en/messages/common.html#ATTITUDE) become AHRS
+ATTITUDE messages (https://mavlink.io/en/messages/common.html#ATTITUDE) become AHRS
 samples, stamped by the sender's own clock, with the acceleration of the last RAW_IMU, and pass the same door as a
 driver's. Every gap between two of them is explained by what the file itself shows: the sender's clock, sequence
 numbers, other traffic, bytes that are no message.
 """
 
-from collections.abc import Iterator
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.samples import AhrsSample
 from autopilot.core.vehicle import load_vehicle
+from autopilot.log.tlog_file import DamagedPiece, Origin, read_tlog
 from estimator.inertial import GRAVITY_M_S2
 from estimator.protocol import create_estimator
 
@@ -23,8 +23,12 @@ GAP_SHARE = 3.0
 """More than so many median intervals between two messages are a gap."""
 EVEN_SHARE = 1.5
 """Up to so many median intervals the sender's own clock went on evenly."""
+CLOCK_SET_S = 3600.0
+"""No network holds packets for so long."""
 RAW_IMU_M_S2 = 1e-3 * GRAVITY_M_S2
 """One unit of RAW_IMU's accelerations as ArduPilot sends them (mG)."""
+LATE_FROM = 240
+"""A sequence number so far ahead of the newest one is less than 16 behind it: overtaken, not after 240 lost ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,13 +45,21 @@ class Gap:
     others: int
     """Packets of that sender that did come."""
     damaged: int
-    """Pieces of the file that are no message."""
+    """Pieces of the file that were the sender's messages, or nobody knows whose."""
+    late: int = 0
+    """Of these, packets that a later one of the same sender had overtaken, or that came twice."""
 
     def reason(self, median_s: float) -> str:
         """What the file shows of its cause, "" if nothing."""
-        if self.sender_s <= 0.0:
+        if self.sender_s == 0.0:
+            return "the same attitude twice" if self.late else "two attitudes with the same stamp"
+        if self.sender_s < 0.0 and self.late:
+            return "overtaken on the way by a later one"
+        if self.sender_s < 0.0:
             return "the sender started anew: its clock went back"
         if self.sender_s <= EVEN_SHARE * median_s:
+            if self.arrival_s > CLOCK_SET_S:
+                return "the ground station's clock was set"
             return "held up on the way: the sender went on evenly"
         causes = (
             (self.lost, "packets lost on the way"),
@@ -66,8 +78,8 @@ class TlogReplay:
     median_s: float
     """Interval by the sender's clock."""
     gaps: list[Gap]
-    damaged: int
-    """Pieces of the whole file that are no message."""
+    damaged: dict[str, int]
+    """What in the whole file is no message -> how often."""
     counters: dict[str, int]
     """What the AHRS door made of the samples: ``ahrs.*``."""
 
@@ -81,14 +93,17 @@ class TlogReplay:
 class _Reading:
     samples: list[AhrsSample] = field(default_factory=list)
     arrivals_s: list[float] = field(default_factory=list)
-    seen: list[tuple[int, int, int]] = field(default_factory=list)
-    """At each attitude: packets lost, packets that came, damaged pieces so far."""
-    damaged: int = 0
+    seen: list[tuple[int, int, int, int]] = field(default_factory=list)
+    """At each attitude, so far: packets lost, packets that came, damaged pieces, packets that came late or twice."""
+    damaged: Counter[str] = field(default_factory=Counter)
+    messages: int = 0
 
 
 def replay_tlog(path: Path) -> TlogReplay:
     """Read and replay. LogError if the file cannot be read or holds fewer than two attitudes."""
     reading = _read(path)
+    if reading.messages == 0:
+        raise LogError(f"{path}: holds no MAVLink message; give the .tlog of a ground station")
     if len(reading.samples) < 2:
         raise LogError(f"{path}: holds {len(reading.samples)} ATTITUDE messages; give the .tlog of a flight")
     sender_s = np.diff([1e-6 * sample.t_us for sample in reading.samples])
@@ -96,8 +111,7 @@ def replay_tlog(path: Path) -> TlogReplay:
     median_s = float(np.median(sender_s[sender_s > 0.0])) if bool((sender_s > 0.0).any()) else 0.0
     gaps = []
     for n in np.flatnonzero((np.maximum(arrival_s, sender_s) > GAP_SHARE * median_s) | (sender_s <= 0.0)):
-        before, after = reading.seen[n], reading.seen[n + 1]
-        lost, others, damaged = (b - a for a, b in zip(before, after, strict=True))
+        lost, others, damaged, late = (b - a for a, b in zip(*reading.seen[n : n + 2], strict=True))
         gaps.append(
             Gap(
                 at_s=reading.arrivals_s[n] - reading.arrivals_s[0],
@@ -106,6 +120,7 @@ def replay_tlog(path: Path) -> TlogReplay:
                 lost=lost,
                 others=others - 1,
                 damaged=damaged,
+                late=late,
             )
         )
     return TlogReplay(
@@ -113,7 +128,7 @@ def replay_tlog(path: Path) -> TlogReplay:
         duration_s=reading.arrivals_s[-1] - reading.arrivals_s[0],
         median_s=median_s,
         gaps=gaps,
-        damaged=reading.damaged,
+        damaged=dict(reading.damaged.most_common()),
         counters=_through_the_door(reading.samples),
     )
 
@@ -130,25 +145,26 @@ def _through_the_door(samples: list[AhrsSample]) -> dict[str, int]:
 def _read(path: Path) -> _Reading:
     reading = _Reading()
     sender: tuple[int, int] | None = None
-    lost = came = 0
-    sequence: int | None = None
+    link = _Link()
     accel = np.array([0.0, 0.0, -GRAVITY_M_S2])
-    for message in _messages(path):
-        kind = message.get_type()
-        if kind == "BAD_DATA":
-            reading.damaged += 1
+    for piece in read_tlog(path):
+        origin = piece.origin
+        source = None if origin is None else (origin.system, origin.component)
+        if isinstance(piece, DamagedPiece):
+            reading.damaged[str(piece)] += 1
+            if source is None or source == sender:
+                link.damaged(origin)
             continue
-        source = (message.get_srcSystem(), message.get_srcComponent())
-        if sender is None and kind == "ATTITUDE":
+        reading.messages += 1
+        if sender is None and piece.origin.message == "ATTITUDE":
             sender = source
         if source != sender:
             continue
-        number = message.get_seq()
-        lost += 0 if sequence is None else (number - sequence - 1) % 256
-        came, sequence = came + 1, number
-        if kind == "RAW_IMU":
+        link.came(piece.origin.sequence)
+        message = piece.message
+        if piece.origin.message == "RAW_IMU":
             accel = RAW_IMU_M_S2 * np.array([message.xacc, message.yacc, message.zacc], dtype=float)
-        elif kind == "ATTITUDE":
+        elif piece.origin.message == "ATTITUDE":
             reading.samples.append(
                 AhrsSample(
                     t_us=1000 * message.time_boot_ms,
@@ -157,20 +173,38 @@ def _read(path: Path) -> _Reading:
                     accel_frd_m_s2=accel,
                 )
             )
-            reading.arrivals_s.append(float(message._timestamp))
-            reading.seen.append((lost, came, reading.damaged))
+            reading.arrivals_s.append(1e-6 * piece.at_us)
+            reading.seen.append(link.counts)
     return reading
 
 
-def _messages(path: Path) -> Iterator[Any]:
-    from pymavlink import mavutil
+class _Link:
+    """Counts what became of a sender's packets, by their sequence numbers (one byte)."""
 
-    try:
-        log = mavutil.mavlink_connection(str(path))
-    except (OSError, ValueError) as error:
-        raise LogError(f"{path}: cannot be read as .tlog ({error}); check the name") from error
-    try:
-        while (message := log.recv_match()) is not None:
-            yield message
-    finally:
-        log.close()
+    def __init__(self) -> None:
+        self._newest: int | None = None
+        self._lost = self._came = self._damaged = self._late = 0
+
+    @property
+    def counts(self) -> tuple[int, int, int, int]:
+        """Lost, came, damaged, late or twice."""
+        return self._lost, self._came, self._damaged, self._late
+
+    def came(self, sequence: int) -> None:
+        """A sound packet."""
+        self._came += 1
+        self._follow(sequence)
+
+    def damaged(self, origin: Origin | None) -> None:
+        """A damaged piece: not lost as well, if its number can be read."""
+        self._damaged += 1
+        if origin is not None:
+            self._follow(origin.sequence)
+
+    def _follow(self, sequence: int) -> None:
+        ahead = 1 if self._newest is None else (sequence - self._newest) % 256
+        if ahead == 0 or ahead > LATE_FROM:
+            self._late += 1
+            return
+        self._lost += ahead - 1
+        self._newest = sequence

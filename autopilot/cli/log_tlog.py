@@ -24,8 +24,11 @@ def tlog(file: Path, as_json: bool) -> None:
     else:
         rate = 1.0 / found.median_s if found.median_s else 0.0
         click.echo(
-            f"{found.attitudes} attitudes in {found.duration_s:.1f} s, {rate:.1f} Hz; {found.damaged} damaged pieces"
+            f"{found.attitudes} attitudes in {found.duration_s:.1f} s, {rate:.1f} Hz;"
+            f" {sum(found.damaged.values())} damaged pieces"
         )
+        for piece, count in found.damaged.items():
+            click.echo(f"  {count} x {piece}")
         rows = [
             [
                 f"{gap.at_s:.2f}",

@@ -1,0 +1,165 @@
+"""Ground stations' .tlog files, record by record: what is a message, and what is not.
+
+A record is the time of arrival (us since 1970, eight bytes, big endian) and a packet of MAVLink 1 or 2
+(https://mavlink.io/en/guide/serialization.html). The framing is done here and not by pymavlink, which loses its place
+after a damaged length and does not tell whose a damaged packet was; packets are decoded by pymavlink.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from autopilot.core.errors import LogError
+
+STAMP_BYTES = 8
+V1, V2 = 0xFE, 0xFD
+HEADER_BYTES = {V1: 6, V2: 10}
+CHECKSUM_BYTES, SIGNATURE_BYTES, SIGNED = 2, 13, 0x01
+EARLIEST_US, LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000
+"""2000 and 2100: what a stamp can be."""
+APART_US = 3 * 86_400_000_000
+"""Within so much of the record before."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """What a packet's header says."""
+
+    system: int
+    component: int
+    sequence: int
+    message_id: int
+    message: str
+    """Its name, "" where the dialect has none."""
+
+    def __str__(self) -> str:
+        return f"{self.message or f'message {self.message_id}'} of component {self.system}/{self.component}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Packet:
+    """A whole packet. ``message`` is None when the dialect does not know it."""
+
+    at_us: int
+    origin: Origin
+    message: Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DamagedPiece:
+    """Bytes that are no message, as many as there are in a row."""
+
+    at_us: int | None
+    """Of the record before, None for the first."""
+    size: int
+    origin: Origin | None
+    """What a header at their beginning says, None without one."""
+    whole: bool
+    """Whether just the packet of that header: its checksum is wrong, as it also is when sender and reader do not mean
+    the same by that message."""
+
+    def __str__(self) -> str:
+        if self.origin is None:
+            return f"{self.size} bytes that belong to no message"
+        what = "checksum wrong (damaged, or of another dialect)" if self.whole else "damaged"
+        return f"{self.origin}: {what}"
+
+
+def read_tlog(path: Path) -> Iterator[Packet | DamagedPiece]:
+    """All of a file in order. LogError if it cannot be read."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read as .tlog ({error}); check the name") from error
+    return _Reader(data).records()
+
+
+class _Reader:
+    def __init__(self, data: bytes) -> None:
+        from pymavlink.dialects.v20 import ardupilotmega
+
+        self._data = data
+        self._dialect = ardupilotmega
+        self._decoder = ardupilotmega.MAVLink(None)
+        self._last_us: int | None = None
+
+    def records(self) -> Iterator[Packet | DamagedPiece]:
+        begin = 0
+        while begin < len(self._data):
+            packet, end = self._packet(begin)
+            if packet is None and (end is None or not self._begins_record(end)):
+                found = self._next_packet(begin + 1)
+                yield self._damaged(begin, found, whole=False)
+                begin = found
+                continue
+            assert end is not None, "a packet has an end"
+            if packet is None:
+                yield self._damaged(begin, end, whole=True)
+            else:
+                self._last_us = packet.at_us
+                yield packet
+            begin = end
+
+    def _packet(self, begin: int) -> tuple[Packet | None, int | None]:
+        """The packet of the record at this place, None if it is damaged; where it ends, None if it cannot be one."""
+        frame = self._frame(begin)
+        if frame is None:
+            return None, None
+        origin, end = frame
+        at_us = self._stamp_us(begin)
+        try:
+            message = self._decoder.decode(bytearray(self._data[begin + STAMP_BYTES : end]))
+        except self._dialect.MAVError:
+            return None, end
+        known = origin.message != ""
+        if not known and not self._begins_record(end):
+            return None, None  # nothing checks the bytes of an unknown message, except that another record follows
+        return Packet(at_us=at_us, origin=origin, message=message if known else None), end
+
+    def _frame(self, begin: int) -> tuple[Origin, int] | None:
+        """What the header at this place says and where its packet ends, None without one, or if the file ends first."""
+        data, at = self._data, begin + STAMP_BYTES
+        origin = self._origin(begin)
+        if origin is None:
+            return None
+        signed = data[at] == V2 and data[at + 2] & SIGNED
+        end = at + HEADER_BYTES[data[at]] + data[at + 1] + CHECKSUM_BYTES + (SIGNATURE_BYTES if signed else 0)
+        return (origin, end) if end <= len(data) else None
+
+    def _origin(self, begin: int) -> Origin | None:
+        data, at = self._data, begin + STAMP_BYTES
+        if not self._begins_record(begin) or at >= len(data) or at + HEADER_BYTES[data[at]] > len(data):
+            return None
+        if data[at] == V1:
+            sequence, system, component, message_id = data[at + 2 : at + 6]
+        else:
+            sequence, system, component = data[at + 4 : at + 7]
+            message_id = int.from_bytes(data[at + 7 : at + 10], "little")
+        known = self._dialect.mavlink_map.get(message_id)
+        name = "" if known is None else str(known.msgname)
+        return Origin(system=system, component=component, sequence=sequence, message_id=message_id, message=name)
+
+    def _stamp_us(self, begin: int) -> int:
+        return int.from_bytes(self._data[begin : begin + STAMP_BYTES], "big")
+
+    def _begins_record(self, begin: int) -> bool:
+        """Whether a stamp that can be and a packet's first byte are at this place, or the file ends here."""
+        at = begin + STAMP_BYTES
+        if at >= len(self._data):
+            return begin == len(self._data)
+        stamp_us = self._stamp_us(begin)
+        near = self._last_us is None or abs(stamp_us - self._last_us) <= APART_US
+        return near and EARLIEST_US <= stamp_us <= LATEST_US and self._data[at] in HEADER_BYTES
+
+    def _next_packet(self, begin: int) -> int:
+        """From there on, where the next sound record begins; the end of the file if none does."""
+        for found in re.finditer(rb"[\xfd\xfe]", self._data[begin + STAMP_BYTES :]):
+            place = begin + found.start()
+            if self._packet(place)[0] is not None:
+                return place
+        return len(self._data)
+
+    def _damaged(self, begin: int, end: int, *, whole: bool) -> DamagedPiece:
+        return DamagedPiece(at_us=self._last_us, size=end - begin, origin=self._origin(begin), whole=whole)
