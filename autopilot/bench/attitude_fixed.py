@@ -34,7 +34,7 @@ class FixedGains:
     """1/s, 1/s, 1/s2"""
 
     tilt: float = 0.4
-    heading: float = 0.1
+    heading: float = 0.05
     bias: float = 0.002
 
 
