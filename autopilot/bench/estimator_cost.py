@@ -67,7 +67,9 @@ def _row(figure: str, value: float, bar: float) -> EstimatorBenchRow:
     return EstimatorBenchRow(
         figure=figure,
         measured=value,
-        worst=None,
+        low=None,
+        median=None,
+        high=None,
         unit="%",
         bar=str(limit),
         goal="",

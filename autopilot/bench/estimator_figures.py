@@ -74,8 +74,10 @@ class EstimatorBenchRow:
     figure: str
     measured: float
     """Over all seeds."""
-    worst: float | None
-    """Of one seed, farthest to the side of the bar; None for figures that only exist over all seeds."""
+    low: float | None
+    """The least of one seed; None, as the next two, for figures that only exist over all seeds."""
+    median: float | None
+    high: float | None
     unit: str
     bar: str
     goal: str

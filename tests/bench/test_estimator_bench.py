@@ -186,6 +186,13 @@ def test_table_of_made_up_flights() -> None:
     assert rows["NEES of these 7 states"].verdict == "goal"
     assert rows["current, jet"].measured == pytest.approx(50.0)
     assert rows["current, jet"].verdict == "missed"
+    for row in rows.values():
+        if row.low is not None:
+            assert row.median is not None
+            assert row.high is not None
+            assert row.low <= row.median <= row.high
+    assert rows["pictures: position, horizontal"].low == pytest.approx(steady.low)
+    assert rows["gap of 5 s, jet, pictures"].seeds == 2
     assert rows["current, uniform, 20 % less drag"].verdict == "bar"
     assert rows["gap of 5 s, uniform, no vehicle model"].verdict == ""
     assert rows["outliers 30 %: growth of horizontal error"].measured == pytest.approx(0.0)
@@ -194,10 +201,13 @@ def test_table_of_made_up_flights() -> None:
 
 
 def test_specs_are_one_per_flight_and_seed() -> None:
-    specs = flight_specs(3, 1)
-    assert len(specs) == 3 * (len(PLAN) - 1) + 1
-    assert specs[0].name == "camera"
-    assert {spec.seed for spec in specs} == {1, 2, 3}
+    specs = flight_specs(range(7, 10), range(7, 8))
+    pictures = [spec for spec in specs if spec.sensors == "camera"]
+    assert len(pictures) == 3
+    assert len(specs) == 3 * (len(PLAN) - 3) + 3
+    assert specs[:3] == pictures
+    assert {spec.seed for spec in specs} == {7, 8, 9}
+    assert {spec.seed for spec in pictures} == {7}
 
 
 def test_the_watching_filter_is_the_flown_one() -> None:
@@ -229,7 +239,7 @@ def test_the_watching_filter_is_the_flown_one() -> None:
 def test_command_prints_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
-    def fake(*seeds: int) -> list[Any]:
+    def fake(*seeds: range) -> list[Any]:
         asked.append(seeds)
         runs = {name: [{watcher: made_up() for watcher in watchers}] for name, (_, _, _, watchers) in PLAN.items()}
         return judged(runs)
@@ -241,4 +251,23 @@ def test_command_prints_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "NEES" in done.output
     assert "None" not in done.output
     assert CliRunner().invoke(bench_command, ["estimator", "--json"]).exit_code == 0
-    assert asked == [(3, 1), ()]
+    assert CliRunner().invoke(bench_command, ["estimator", "--seeds", "201..220"]).exit_code == 0
+    few, default, unseen = asked
+    assert [len(seeds) for seeds in few] == [3, 1]
+    assert [len(seeds) for seeds in default] == [20, 3]
+    assert unseen == (range(201, 221), range(201, 221))
+    assert not set(unseen[0]) & set(default[0])
+
+
+@pytest.mark.parametrize("text", ["5", "..", "7..5", "a..b", "1..", "-1..3", "1..2..3", ""])
+def test_bad_seeds_are_refused(text: str) -> None:
+    done = CliRunner().invoke(bench_command, ["estimator", "--seeds", text])
+    assert done.exit_code == 2
+    assert "as in 201..220" in done.output
+
+
+def test_seeds_belong_to_flights() -> None:
+    for arguments in (["nmpc", "--seeds", "1..2"], ["estimator", "--images", "--seeds", "1..2"]):
+        done = CliRunner().invoke(bench_command, arguments)
+        assert done.exit_code == 2
+        assert "belongs to" in done.output
