@@ -252,6 +252,8 @@ class Autopilot:
             nav = estimator.step(inputs.t_us, inputs.samples + given.samples, given.thrust_n)
             self._nav_us = inputs.t_us
             self._doubts = estimator.doubts
+            remarks = estimator.take_remarks()
+            self._fault_events += [Event(t_us=inputs.t_us, severity=Severity.WARNING, text=text) for text in remarks]
             return _Estimated(
                 nav=nav,
                 ahrs_us=estimator.ahrs_us,

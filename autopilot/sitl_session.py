@@ -61,6 +61,7 @@ from mission.geodesy import Origin
 from mission.plan_files import read_plan
 from sitl.backend import SimulatedVehicle, simulated_vehicle
 from sitl.currents import current_field
+from sitl.floor import told_markers
 from sitl.plant import Truth
 from sitl.scenario import GridCurrent, Scenario, load_scenario, plan_path
 
@@ -279,14 +280,14 @@ def _world(settings: Settings, scenario: Scenario, params: ParamSet) -> _World:
         speed=speed,
         origin=origin,
         water=_map(settings, scenario, origin),
-        markers=_told_markers(settings, simulated.markers),
+        markers=_told_markers(settings, scenario, simulated.markers),
     )
 
 
-def _told_markers(settings: Settings, true: MarkerMap | None) -> MarkerMap | None:
-    """The map of ``--markers``, else the true one. ConfigError if there is no use for it."""
+def _told_markers(settings: Settings, scenario: Scenario, true: MarkerMap | None) -> MarkerMap | None:
+    """The map of ``--markers``, else what the scenario gives to the vehicle. ConfigError if there is no use for it."""
     if settings["markers"] is None:
-        return true
+        return None if true is None else told_markers(scenario)
     if true is None:
         raise ConfigError("--markers needs pictures, and this run has none; use --sensors camera or leave it out")
     return load_marker_map(Path(settings["markers"]))
@@ -401,7 +402,8 @@ def _make_folder(folder: Path) -> None:
 
 def _marker_file(settings: Settings, world: _World) -> dict[str, bytes]:
     """The marker map as an attachment, if it came from a file; else the scenario says all."""
-    from_file = settings["markers"] is not None or world.scenario.markers.file is not None
+    layout = world.scenario.markers
+    from_file = settings["markers"] is not None or layout.file is not None or layout.laid is not None
     if world.markers is None or not from_file:
         return {}
     return {"markers.toml": marker_file_text(world.markers).encode()}

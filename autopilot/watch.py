@@ -17,6 +17,9 @@ _DOUBT_TEXTS = {
     NavDoubt.GYRO: "Gyro wrong: keep markers in view, check AHRS",
     NavDoubt.FIXES: "Fixes deny the estimate: check markers, camera",
     NavDoubt.RANGE: "Laser denies the height: calibrate camera",
+    NavDoubt.MAP: "Marker map disagrees: check it or survey it",
+    NavDoubt.CALIBRATION: "Camera calibration doubtful: see messages",
+    NavDoubt.RESETS: "Position reset repeatedly: check map, camera",
 }
 """What to do about a sensor that the evidence denies."""
 

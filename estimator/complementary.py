@@ -149,6 +149,10 @@ class ObserverCore:
             x[part] = value
         return FilterState(x, p)
 
+    def loosen(self, state: FilterState, sheet: int, sigma: Sequence[float], variance: Sequence[float]) -> FilterState:
+        """It holds nothing of sheets."""
+        return state
+
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """Of the current a constant is told: the observer does not know it."""
         p = state.p.tolist()

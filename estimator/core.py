@@ -59,6 +59,11 @@ class FilterCore(Protocol):
         ``value``: what they are from now on, None = as they were."""
         ...
 
+    def loosen(self, state: FilterState, sheet: int, sigma: Sequence[float], variance: Sequence[float]) -> FilterState:
+        """State in which a sheet of the map may have moved by any amount of that variance (4,) beyond the
+        ``sigma`` (4,) that it was laid with."""
+        ...
+
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """(10,) variances: position NED, yaw, velocity relative to the water FRD, current NED."""
         ...

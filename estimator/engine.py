@@ -5,7 +5,6 @@ before their time of validity, and the nodes after it are computed again. What i
 carried on to now.
 """
 
-import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -32,17 +31,19 @@ from autopilot.core.vehicle import Vehicle
 from estimator.aiding import Aid
 from estimator.attitude import AttitudeSource
 from estimator.core import FilterCore, Innovation
-from estimator.doubt import CONTRADICTIONS, STEADY_M_S2, STEADY_RAD_S
-from estimator.history import History, Node, Reopening
+from estimator.doubt import STEADY_M_S2, STEADY_RAD_S
+from estimator.evidence import Evidence
+from estimator.history import History, Loosening, Node, Reopening
 from estimator.imu_watch import GYRO_STATE, HEADING_STATES, NOTHING_NEW, ImuWatch
 from estimator.inertial import AhrsDoor, AhrsMount, Inertial, Mode, level, made_up, step_between
 from estimator.intake import Intake
+from estimator.map_watch import LOOSE_VARIANCE, MapWatch
 from estimator.markers_pose import MarkerSolver
 from estimator.measure_heading import heading_of
 from estimator.measure_model import added_share, expected_acceleration, idle, model_aid_of
 from estimator.measure_pose import PoseFix
 from estimator.measure_velocity import BodyVelocity
-from estimator.measurement import CHI2_999, Measurement, Moment
+from estimator.measurement import Measurement, Moment
 from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from estimator.output import judge_health, nav_state
 from estimator.relocation import Relocation
@@ -73,26 +74,10 @@ AIDING = FIXES | SCALARS
 """Kinds of samples that give a pose, that give something else, and all of them."""
 REDRIVEN_US = 800_000
 """A sensor that ceases to be believed has been wrong for up to so long."""
-RATIO_SHARE = 0.2
-RATIO_MOST = 2.0
-RATIO_SHOWS = 0.35
-RATIO_DENIES = 0.6
-"""Squared distance of the fixes over its gate, smoothed over five of them: 0.2 with a filter that is right. From the
-first limit on their mean miss counts as error of the estimate, from the second on they deny it."""
-DENIED_AFTER = 6
-"""Fixes rejected in a row (0.2 s) after which the estimate is not called good."""
 DOUBT_US = 1_000_000
 """At least so long an estimate is not called good after a sensor has ceased to be believed."""
 ANCHORED_US = 500_000
 """With a sensor that is not believed the estimate is good only when fixes have been used for so long."""
-JUMP_M, JUMP_RAD = 0.05, 0.05
-"""Smaller steps are what a filter does that has been a little wrong."""
-JUMP_US = 5_000_000
-"""So long an estimate is not called good after fixes have jumped."""
-JUMP_FADE_S = 10.0
-"""A jump that nothing on board felt fades from the variance with this: what the fixes say now may be as wrong."""
-RANGE_MISS_M = 0.04
-"""A laser that needs a larger offset denies the height: twice what a mounted laser is off by."""
 LEARN_EVERY_US = 200_000
 """How often a picture is asked how sheets lie to each other: in between its errors are nearly the same."""
 RELOCATED_VARIANCE = 1e-3
@@ -123,13 +108,10 @@ class Engine:
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
         self._thrust = ThrustLag(vehicle.drive.time_constant_s, vehicle.drive.limit_n)
         self._imu = ImuWatch(self._model, self._follow)
-        self._denied = 0
+        self._evidence = Evidence()
+        self._map = None if markers is None else MapWatch(markers)
         self._judged: Innovation | None = None
-        self._fix_ratio = self._heading_ratio = 0.0
-        self._fix_miss = np.zeros(4)
         self._anchored_since_us: int | None = None
-        self._jump_us: int | None = None
-        self._jump_m_rad = np.zeros(4)
         self._startup = StartUp()
         self._trim = TiltTrim()
         self._relocations = {"markers": Relocation(), "external": Relocation()}
@@ -142,14 +124,8 @@ class Engine:
         self._ground_us: int | None = None
         self._ahrs_us: int | None = None
         self._learned_us = -LEARN_EVERY_US
-        self._counts = {
-            "sheets.fused": 0,
-            "sheets.rejected": 0,
-            "resets": 0,
-            "clock.backwards": 0,
-            "ahrs.blind_steps": 0,
-            "doubt.jumps": 0,
-        }
+        names = ("resets", "clock.backwards", "ahrs.blind_steps", "sheets.fused", "sheets.rejected", "sheets.loosened")
+        self._counts = dict.fromkeys(names, 0)
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
         """See :class:`estimator.protocol.Estimator`."""
@@ -168,12 +144,13 @@ class Engine:
         self._fuse_due(self._history)
         newest = self._history.newest
         tracked = self._ground_us is not None and t_us - self._ground_us <= TRACKED_US
-        doubted = bool(self._doubts(t_us)) and not self._harmless(t_us)
+        doubts = self._doubts(t_us)
+        doubted = bool(doubts) and not self._harmless(doubts, t_us)
         health = judge_health(
             newest, self._core, self._fix_age_us(t_us), self._options, tracked=tracked, doubted=doubted
         )
-        more = self._unexplained_variance(newest, t_us)
-        self._last = nav_state(self._core, newest, t_us, health, self._counts["resets"], more)
+        more = self._evidence.unexplained_variance(t_us, newest.state.x.item(LASER_BIAS))
+        self._last = nav_state(self._core, newest, t_us, health, self._counts["resets"], more, doubts)
         return self._last
 
     def take_aids(self) -> tuple[AidStatus, ...]:
@@ -188,6 +165,7 @@ class Engine:
         result.update({f"ahrs.{verdict.value}": count for verdict, count in self._door.counts.items()})
         result["ahrs.tilt_disagreements"] = self._attitude.disagreements
         result["doubt.accel"], result["doubt.gyro"] = self._imu.accel.count, self._imu.gyro.count
+        result["doubt.jumps"] = self._evidence.jumps
         result["doubt.compass_jumps"] = self._imu.gyro.jumps
         result["thrust.malformed"] = self._thrust.malformed
         for aid in self._sources.aids:
@@ -198,6 +176,10 @@ class Engine:
     def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
         """Poses and ranges from pictures since the last call, stamped as the pictures were."""
         return self._sources.take_made()
+
+    def take_remarks(self) -> tuple[str, ...]:
+        """See :class:`estimator.protocol.Estimator`."""
+        return () if self._map is None else self._map.take_texts()
 
     @property
     def doubts(self) -> frozenset[NavDoubt]:
@@ -283,8 +265,8 @@ class Engine:
             raw,
             model_dt_s=1e-6 * MODEL_EVERY * (node.t_us - before.t_us) * (self._samples_since % MODEL_EVERY == 0),
             anchored=anchored,
-            denied=self._denied >= CONTRADICTIONS or self._fix_ratio > RATIO_DENIES,
-            heading_denied=self._heading_ratio > RATIO_DENIES,
+            denied=self._evidence.denies,
+            heading_denied=self._evidence.denies_heading,
             model_rejected=self._sources.model.rejected_in_row,
             compass_rejected=self._sources.heading.rejected_in_row,
         )
@@ -308,38 +290,25 @@ class Engine:
 
     def _doubts(self, t_us: int) -> frozenset[NavDoubt]:
         """What speaks against the estimate or its sensors."""
-        found = set()
+        newest = None if self._history is None else self._history.newest
+        found = self._evidence.doubts(t_us, 0.0 if newest is None else newest.state.x.item(LASER_BIAS))
         if self._imu.accel.since_us is not None:
             found.add(NavDoubt.ACCELEROMETER)
         if self._imu.gyro.since_us is not None:
             found.add(NavDoubt.GYRO)
-        if self._denied >= DENIED_AFTER or (self._jump_us is not None and t_us - self._jump_us <= JUMP_US):
-            found.add(NavDoubt.FIXES)
-        if self._history is not None and abs(self._history.newest.state.x.item(LASER_BIAS)) > RANGE_MISS_M:
-            found.add(NavDoubt.RANGE)
+        if self._map is not None and self._map.doubtful(t_us):
+            found.add(NavDoubt.MAP)
         return frozenset(found)
 
-    def _harmless(self, t_us: int) -> bool:
+    def _harmless(self, doubts: frozenset[NavDoubt], t_us: int) -> bool:
         """Whether fixes hold the position in spite of the doubts: only inertial sensors or the range are concerned."""
-        if NavDoubt.FIXES in self._doubts(t_us):
+        if NavDoubt.FIXES in doubts:
             return False
         since_us = self._imu.since_us
         if since_us is None:
             return True
         held_us = self._anchored_since_us
         return held_us is not None and t_us - held_us >= ANCHORED_US and t_us - since_us >= DOUBT_US
-
-    def _unexplained_variance(self, newest: Node, t_us: int) -> FloatArray:
-        """(4,) on top of the filter's, north, east, down, yaw: what sensors deny each other and no state explains."""
-        more = np.zeros(4)
-        if self._jump_us is not None:
-            more += self._jump_m_rad**2 * math.exp(-1e-6 * (t_us - self._jump_us) / JUMP_FADE_S)
-        if self._fix_ratio > RATIO_SHOWS:
-            more += self._fix_miss**2
-        miss_m = newest.state.x.item(LASER_BIAS)
-        if abs(miss_m) > RANGE_MISS_M:
-            more[2] += miss_m * miss_m
-        return more
 
     def _fix_age_us(self, t_us: int) -> int:
         """How long ago, at ``t_us``, the newest fix was that has been used. There is one since the start."""
@@ -426,7 +395,9 @@ class Engine:
         relocation = self._relocations[aid.sensor]
         missed = self._fuse(history, node, fix, aid)
         if aid is self._sources.markers or not self._markers_in_view(fix.t_us):
-            self._weigh(fix, missed, relocation)
+            assert self._judged is not None
+            self._evidence.weigh(self._judged, None if missed is None else relocation.agreeing_with(fix))
+        changed = self._watch_map(history, node, fix, rejected=missed is not None)
         if missed is None:
             relocation.accepted()
             self._learn_sheets(history, node, fix)
@@ -439,14 +410,26 @@ class Engine:
         lost = lost or self._imu.since_us is not None
         if aid is self._sources.external:
             if self._markers_in_view(fix.t_us):
-                return False  # they know better
+                return changed  # they know better
             lost = lost or self._sources.external_jumped
         velocity = relocation.rejected(fix, lost)
         if velocity is not None:
             if not lost:
-                self._note_jump(np.abs(missed.y))
+                self._evidence.note_jump(self._now_us, np.abs(missed.y))
             self._relocate(history, fix, float(missed.y[3]), velocity)
-        return False
+        return changed
+
+    def _watch_map(self, history: History, node: Node, fix: PoseFix, *, rejected: bool) -> bool:
+        """Look for what does not lie where the map has it. True if ``node`` has changed."""
+        if self._map is None or fix.sensor != "markers":
+            return False
+        if not rejected:
+            self._map.look(fix)
+        loose = self._map.loosened(fix, rejected=rejected)
+        for sheet in loose:
+            history.loosen(node, Loosening("sheets", fix.t_us, sheet, self._map.laid(sheet), LOOSE_VARIANCE))
+            self._counts["sheets.loosened"] += 1
+        return bool(loose)
 
     def _learn_sheets(self, history: History, node: Node, fix: PoseFix) -> None:
         """Every so often a picture is asked how its sheets lie to each other."""
@@ -457,6 +440,8 @@ class Engine:
         if innovation.test_ratio <= 1.0:
             history.correct(node, fix.ties, innovation)
             self._counts["sheets.fused"] += 1
+            if self._map is not None and fix.ground is not None:
+                self._map.look_at_sheets(fix.t_us, node.state.sheets, fix.ground.sheets)
         else:
             self._counts["sheets.rejected"] += 1
 
@@ -464,23 +449,6 @@ class Engine:
         """Whether markers have been used of late."""
         seen_us = self._sources.markers.last_fused_us
         return seen_us is not None and t_us - seen_us <= 1e6 * self._options.dead_reckoning_after_s
-
-    def _weigh(self, fix: PoseFix, missed: Innovation | None, relocation: Relocation) -> None:
-        """How much the fixes deny the estimate. Outliers do not count: they do not agree with each other."""
-        self._denied = 0 if missed is None else relocation.agreeing_with(fix) + 1
-        judged = self._judged
-        if judged is None or self._denied == 1:
-            return
-        heading = float(judged.y[3] ** 2 / judged.variance[3]) / CHI2_999[1]
-        self._fix_ratio += RATIO_SHARE * (min(judged.test_ratio, RATIO_MOST) - self._fix_ratio)
-        self._fix_miss = self._fix_miss + RATIO_SHARE * (judged.y - self._fix_miss)
-        self._heading_ratio += RATIO_SHARE * (min(heading, RATIO_MOST) - self._heading_ratio)
-
-    def _note_jump(self, miss: FloatArray) -> None:
-        """Fixes that were used without a break have moved by ``miss`` (4,) [m, rad], and no sensor has felt it."""
-        if float(np.linalg.norm(miss[:3])) > JUMP_M or float(miss[3]) > JUMP_RAD:
-            self._jump_us, self._jump_m_rad = self._now_us, miss
-            self._counts["doubt.jumps"] += 1
 
     def _use_scalar(self, history: History, node: Node, measurement: Measurement, aid: Aid) -> bool:
         """True if ``node`` has changed."""
@@ -526,7 +494,7 @@ class Engine:
         self._history = History(self._core, Node(newest.t_us, newest.moment, None, state))
         for relocation in self._relocations.values():
             relocation.accepted()
-        self._denied, self._fix_ratio, self._heading_ratio, self._fix_miss = 0, 0.0, 0.0, np.zeros(4)
+        self._evidence.begin_anew(self._now_us)
         aid = self._positions(fix)
         aid.reset(self._now_us)
         aid.last_fused_us = fix.t_us

@@ -26,6 +26,18 @@ class Reopening(NamedTuple):
     """What they are from then on, None = as they were."""
 
 
+class Loosening(NamedTuple):
+    """A sheet of the map does not lie where it was believed to: it may have moved by any amount of this variance."""
+
+    sensor: str
+    t_us: int
+    sheet: int
+    sigma: tuple[float, ...]
+    """(4,) how well it was laid,"""
+    variance: tuple[float, ...]
+    """(4,) and what comes on top."""
+
+
 @dataclass(slots=True, eq=False)
 class Node:
     """One moment on the AHRS's time axis."""
@@ -38,7 +50,7 @@ class Node:
     """After the measurements of this node."""
     prior: FilterState | None = None
     """Before them; None for the first node, which takes them in the order of their arrival."""
-    used: list[Measurement | Reopening] = field(default_factory=list)
+    used: list[Measurement | Reopening | Loosening] = field(default_factory=list)
     """What has been used here, in the order of :func:`_rank`."""
 
 
@@ -80,6 +92,11 @@ class History:
         if self._place(node, reopening):
             node.state = self._core.reopen(node.state, reopening.part, reopening.variance, reopening.value)
 
+    def loosen(self, node: Node, loosening: Loosening) -> None:
+        """Believe less of a sheet at ``node``, without telling the later nodes: call :meth:`replay` when done."""
+        if self._place(node, loosening):
+            node.state = self._core.loosen(node.state, loosening.sheet, loosening.sigma, loosening.variance)
+
     def replay(self, node: Node) -> None:
         """Compute all nodes after ``node`` again, with the measurements that they have."""
         later = []
@@ -107,7 +124,7 @@ class History:
                 node.state = self._corrected(node, node.prior)
             before = node
 
-    def _place(self, node: Node, new: Measurement | Reopening) -> bool:
+    def _place(self, node: Node, new: Measurement | Reopening | Loosening) -> bool:
         """Put it among what the node has used. True if it comes last, else the node has been computed again.
 
         The order does not depend on when things arrived, so neither does the result."""
@@ -127,6 +144,9 @@ class History:
             if isinstance(item, Reopening):
                 state = self._core.reopen(state, item.part, item.variance, item.value)
                 continue
+            if isinstance(item, Loosening):
+                state = self._core.loosen(state, item.sheet, item.sigma, item.variance)
+                continue
             after_s = 1e-6 * (item.t_us - node.t_us)
             state = self._core.correct(state, self._core.innovation(state, item, node.moment, after_s))
         return state
@@ -135,5 +155,5 @@ class History:
 _ORDER = {name: number for number, name in enumerate(AID_SENSORS)}
 
 
-def _rank(item: Measurement | Reopening) -> tuple[int, int]:
+def _rank(item: Measurement | Reopening | Loosening) -> tuple[int, int]:
     return item.t_us, _ORDER.get(item.sensor, len(_ORDER))

@@ -182,6 +182,14 @@ class KalmanCore:
             x[part] = value
         return FilterState(x, p, _forgotten(state.sheets, part))
 
+    def loosen(self, state: FilterState, sheet: int, sigma: Sequence[float], variance: Sequence[float]) -> FilterState:
+        """See :class:`estimator.core.FilterCore`."""
+        sheets = entered(state.sheets, (sheet,), np.array([sigma]), MAX_SHEETS)
+        cov = sheets.cov.copy()
+        columns = columns_of(sheets.which, (sheet,))
+        cov[columns, columns] += variance
+        return state._replace(sheets=sheets._replace(cov=cov))
+
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """From the covariance; velocity relative to the water with its correlation between ground and current."""
         p = state.p

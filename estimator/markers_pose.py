@@ -7,16 +7,17 @@ lie anywhere in any attitude: each is looked for at its own depth, and votes by 
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
-from autopilot.core.map_errors import MapErrors
+from autopilot.core.map_errors import STATES, MapErrors
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.samples import MarkerSighting
 from estimator.ground import SheetTies, believed
-from estimator.measure_pose import Ground, PoseFix
+from estimator.measure_pose import Ground, PoseFix, Stray
 from estimator.pnp import solve_pose
 from estimator.sheet_fit import SheetCorners, fit_on_sheets
 from estimator.states import SheetStates
@@ -37,6 +38,12 @@ REJECT_FLOOR_PX = 1.0
 REJECT_ROUNDS = 4
 FIRST_RMS_PX, FINAL_RMS_PX = 40.0, 3.0
 """A fit may be this bad before and after markers have been left out."""
+STRAYS_FROM = 4
+"""Markers that a pose must stand on before others are called astray by it,"""
+STRAY_M = 0.012
+"""and how far off those are."""
+STRAIN_MOST = 30.0
+"""Squared distance of a sheet's offset from what is believed of it, of 4: it lies wrongly, and is left out."""
 STEEP = 0.3
 """A ray that goes down by less than this per unit of length is not followed to a marker's depth, but to its nearest
 point."""
@@ -69,6 +76,7 @@ class MarkerSolver:
         self.counts = {"unknown": 0, "misfit": 0, "leaning": 0}
         """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
         self._errors = markers.errors
+        self._centers_m = markers.centers_ned_m[:, :2]
         self._level = markers.level
         self._floor_m = markers.floor_m
         lean_m = np.ptp(markers.corners_ned_m[..., 2], axis=1)
@@ -124,7 +132,40 @@ class MarkerSolver:
         if 2 * len(alike) < len(matched) or not alike:
             return None
         start = pos_ned_m + np.array([common.real, common.imag, 0.0])
-        return self._refine(sighting, np.array(matched)[alike], np.array(which)[alike], start, rpy_rad, sheets)
+        fix = self._refine(sighting, np.array(matched)[alike], np.array(which)[alike], start, rpy_rad, sheets)
+        if fix is None or len(alike) < STRAYS_FROM:
+            return fix
+        taken = np.full(len(sighting.ids), -1)
+        taken[matched] = which
+        return replace(fix, strays=self._strays(sighting, np.array(known), taken[known], fix))
+
+    def _strays(self, sighting: MarkerSighting, known: IntArray, taken: IntArray, fix: PoseFix) -> tuple[Stray, ...]:
+        """Markers of the image that do not lie at their places, seen from the pose that the others ask for."""
+        assert fix.tilt_rad is not None
+        r_ned = r_ned_from_frd(np.array([*fix.tilt_rad, fix.z[3]]))
+        eye = fix.z[:3] + r_ned @ self._camera.position_frd_m
+        rays = self._camera.normalized(0.25 * sighting.corners_px[known].sum(axis=1))
+        rays_ned = np.column_stack((rays, np.ones(len(rays)))) @ (r_ned @ self._camera.r_frd_from_cam).T
+        depth_m = np.where(taken >= 0, self._depth_m[taken], self._floor_m)
+        along = (depth_m - eye[2]) / np.maximum(rays_ned[:, 2], 0.1)
+        seen = eye[:2] + along[:, None] * rays_ned[:, :2]
+        moved = np.zeros((len(known), 2))
+        if self._errors is not None and fix.ground is not None:
+            offset = fix.ground.at.reshape(-1, STATES)
+            for k, sheet in enumerate(fix.ground.sheets):
+                mine = (taken >= 0) & (self._errors.sheet[taken] == sheet)
+                arm = self._centers_m[taken[mine]] - self._errors.pivot_ned_m[sheet, :2]
+                moved[mine] = offset[k, :2] + offset[k, 3] * np.column_stack((-arm[:, 1], arm[:, 0]))
+            # Of sheets that are not in the pose nothing is known.
+            unknown = (taken >= 0) & ~np.isin(self._errors.sheet[taken], (-1, *fix.ground.sheets))
+        else:
+            unknown = np.zeros(len(known), dtype=bool)
+        seen = seen - moved
+        off = np.where(taken >= 0, np.hypot(*(seen - self._centers_m[taken]).T), np.inf)
+        return tuple(
+            Stray(sighting.ids[int(known[n])], int(taken[n]), float(seen[n, 0]), float(seen[n, 1]))
+            for n in np.flatnonzero((off > STRAY_M) & ~unknown)
+        )
 
     def _miss(self, j: int, eye_ned_m: FloatArray, ray_ned: FloatArray) -> tuple[float, int, complex]:
         """By how much a ray from the camera misses the middle of marker j: distance, j, north + i east."""
@@ -285,6 +326,7 @@ class MarkerSolver:
         sheets: SheetStates | None,
     ) -> PoseFix | None:
         """The same where the sheets that the markers lie on may be off."""
+        strained: list[int] = []
         good = np.ones(len(seen), dtype=bool)
         best = None
         for round_left in reversed(range(REJECT_ROUNDS)):
@@ -312,6 +354,11 @@ class MarkerSolver:
                 return None
             worst = np.sqrt((best.residual_px**2).sum(axis=2)).max(axis=1)
             fits = worst <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * _median(worst.tolist()))
+            k = int(best.strain.argmax())
+            mine = corners.sheet == k
+            if fits.all() and best.strain[k] > STRAIN_MOST and int((~mine).sum()) >= 2:
+                strained.append(which[k])
+                fits = ~mine
             if fits.all() or round_left == 0:
                 break
             good[np.flatnonzero(good)[~fits]] = False
@@ -333,6 +380,7 @@ class MarkerSolver:
             sigma_tilt_rad=best.sigma_tilt_rad,
             ground=Ground(which, sigma, best.by_offsets, best.at),
             ties=ties,
+            strained=tuple(strained),
         )
 
 

@@ -39,6 +39,18 @@ class Ground(NamedTuple):
     """Whether the offsets are to be corrected; otherwise they are only taken into account."""
 
 
+class Stray(NamedTuple):
+    """A marker seen where the map does not have it."""
+
+    code: int
+    """Its id, see :data:`autopilot.core.markers.ID_SPAN`."""
+    marker: int
+    """The marker of the map that it was taken for, -1 = none."""
+    north_m: float
+    east_m: float
+    """Where it is seen."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PoseFix:
     """Pose of the centre of gravity: z = (north, east, down [m], yaw [rad])."""
@@ -56,6 +68,10 @@ class PoseFix:
     """How the pose depends on sheets, None = the map is exact."""
     ties: Measurement | None = None
     """What the same image says of its sheets among each other."""
+    strained: tuple[int, ...] = ()
+    """Sheets of the image that do not fit to the others; left out of the pose."""
+    strays: tuple[Stray, ...] = ()
+    """Its markers that do not lie where the map has them."""
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Position moved on with the velocity, yaw with the rate."""

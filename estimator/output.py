@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from estimator.core import FilterCore
 from estimator.history import Node
 from estimator.inertial import Mode, hold
@@ -25,7 +25,15 @@ TILT_VARIANCE_RAD2 = {
 accelerometer that is not believed may be right, and the tilt wrong."""
 
 
-def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets: int, more: FloatArray) -> NavState:
+def nav_state(
+    core: FilterCore,
+    node: Node,
+    t_us: int,
+    health: NavHealth,
+    resets: int,
+    more: FloatArray,
+    doubts: frozenset[NavDoubt],
+) -> NavState:
     """The newest node carried on to ``t_us`` with the last rates.
 
     ``more`` (4,): variance of north, east, down and yaw beyond the filter's."""
@@ -66,6 +74,7 @@ def nav_state(core: FilterCore, node: Node, t_us: int, health: NavHealth, resets
             [pn + more_n, pe + more_e, pd + more_d, tilt, tilt, pyaw + more_yaw, pu, pv, pw, pcn, pce, pcd]
         ),
         reset_count=resets,
+        doubts=doubts,
     )
 
 

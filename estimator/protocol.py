@@ -51,6 +51,10 @@ class Estimator(Protocol):
         """What became of every measurement since the last call of this method."""
         ...
 
+    def take_remarks(self) -> tuple[str, ...]:
+        """What the operator is to be told of map and calibration, since the last call of this method."""
+        ...
+
     def counters(self) -> Mapping[str, int]:
         """Running counts by name, e.g. ``markers.fused``, ``ahrs.malformed``, ``resets``."""
         ...

@@ -68,6 +68,10 @@ class Shadowed:
         """Of the flown estimator."""
         return self._flown.take_aids()
 
+    def take_remarks(self) -> tuple[str, ...]:
+        """Of the flown estimator."""
+        return self._flown.take_remarks()
+
     def counters(self) -> Mapping[str, int]:
         """Of the flown estimator, and how often the two disagreed."""
         return {**self._flown.counters(), "shadow.disagreements": self._disagreements}

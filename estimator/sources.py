@@ -158,10 +158,11 @@ class Sources:
         inertial, x = node.moment.inertial, node.state.x
         after_s = 1e-6 * (sighting.t_us - node.t_us)
         rpy = np.array([inertial.roll_rad, inertial.pitch_rad, x[YAW] + after_s * inertial.yaw_rate_rad_s])
-        fix = solver.track(sighting, x[:3] + after_s * x[4:7], rpy, node.state.sheets)
+        sheets = () if node.state.sheets is None else (node.state.sheets,)
+        fix = solver.track(sighting, x[:3] + after_s * x[4:7], rpy, *sheets)
         self._unfit_in_row = 0 if fix is not None and self.markers.rejected_in_row == 0 else self._unfit_in_row + 1
         if self._unfit_in_row > LOST_AFTER:
-            fix = solver.locate(sighting, inertial.roll_rad, inertial.pitch_rad, node.state.sheets) or fix
+            fix = solver.locate(sighting, inertial.roll_rad, inertial.pitch_rad, *sheets) or fix
         if fix is None:
             self.markers.counts["rejected"] += 1
         return fix

@@ -3,7 +3,7 @@
 Grey, seen from above: columns run to the east, rows to the south, so that it is not mirrored.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from autopilot.core.dictionaries import dictionary_label, opencv_dictionary
 from autopilot.core.errors import ConfigError
-from autopilot.core.frames import FloatArray
+from autopilot.core.frames import FloatArray, r_ned_from_frd
+from autopilot.core.map_errors import Laid, MapErrors, map_errors
 from autopilot.core.marker_files import load_marker_map, placed_markers
 from autopilot.core.markers import ID_SPAN, MarkerMap, grid_floor
-from sitl.scenario import Scenario
+from sitl.scenario import LaidByHand, Scenario
 
 Image: TypeAlias = NDArray[np.uint8]
 
@@ -68,7 +69,50 @@ class Floor:
 
 
 def build_markers(scenario: Scenario) -> MarkerMap | None:
-    """The marker map of a scenario's floor; None in open water."""
+    """Where the markers of a scenario's floor lie; None in open water."""
+    planned, laid = _planned(scenario), scenario.markers.laid
+    if planned is None or laid is None:
+        return planned
+    rng = np.random.default_rng((laid.seed, 2))
+    sheet_of = _sheets(planned, laid.sheet_m)
+    count = int(sheet_of.max()) + 1
+    shift_m = np.zeros((count, 3))
+    shift_m[:, :2] = rng.normal(0.0, laid.sigma_m, (count, 2))
+    turn_rad = rng.normal(0.0, laid.sigma_rad, count)
+    corners = planned.corners_ned_m.copy()
+    for k in range(count):
+        mine = sheet_of == k
+        middle = planned.centers_ned_m[mine].mean(axis=0)
+        turn = r_ned_from_frd(np.array([0.0, 0.0, turn_rad[k]]))
+        corners[mine] = middle + (corners[mine] - middle) @ turn.T + shift_m[k]
+    return replace(planned, corners_ned_m=corners, errors=None)
+
+
+def told_markers(scenario: Scenario) -> MarkerMap | None:
+    """The map that the vehicle has: where the markers were meant to lie, and how well they were laid."""
+    planned, laid = _planned(scenario), scenario.markers.laid
+    if planned is None or laid is None:
+        return planned
+    return replace(planned, errors=_errors(planned, laid))
+
+
+def _errors(planned: MarkerMap, laid: LaidByHand) -> MapErrors | None:
+    sheets = [
+        Laid(sheet=f"{k + 1}", sigma_m=laid.sigma_m, sigma_rad=laid.sigma_rad)
+        for k in _sheets(planned, laid.sheet_m).tolist()
+    ]
+    return map_errors(planned.centers_ned_m, np.zeros(len(sheets)), sheets)
+
+
+def _sheets(planned: MarkerMap, sheet_m: float) -> NDArray[np.int64]:
+    """(n,) number of each marker's sheet, in rows from the south-west."""
+    cell = np.floor((planned.centers_ned_m[:, :2] - planned.corners_ned_m.min(axis=(0, 1))[:2]) / sheet_m).astype(int)
+    _, numbers = np.unique(cell, axis=0, return_inverse=True)
+    return np.asarray(numbers, dtype=np.int64).reshape(-1)
+
+
+def _planned(scenario: Scenario) -> MarkerMap | None:
+    """The floor as it was meant to be."""
     if scenario.tank is None:
         return None
     layout = scenario.markers

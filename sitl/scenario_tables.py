@@ -205,6 +205,18 @@ class VehicleStart(_Table, frozen=True, kw_only=True):
     """From the service's command to the amplifiers (tether electronics)."""
 
 
+class LaidByHand(_Table, frozen=True, kw_only=True):
+    """``[markers.laid]``: the floor is of sheets that somebody laid by ruler and tape; the vehicle has the plan."""
+
+    sheet_m: Positive = 0.6
+    """Side of a sheet."""
+    sigma_m: NonNegative = 0.002
+    """Standard deviation of a sheet's place, north and east; the vehicle is told that too."""
+    sigma_rad: NonNegative = 0.006
+    """Of its heading."""
+    seed: Seed = 1
+
+
 class Markers(_Table, frozen=True, kw_only=True):
     """``[markers]``: the board on the floor. Default: two markers in view at any yaw from 0.45 m above the floor."""
 
@@ -216,6 +228,8 @@ class Markers(_Table, frozen=True, kw_only=True):
     """OpenCV's name; ids repeat when the floor holds more markers."""
     seed: Seed = 7
     """Of the order of ids on the floor."""
+    laid: LaidByHand | None = None
+    """None = the markers lie exactly where the map has them."""
 
     def __post_init__(self) -> None:
         if self.size_m >= self.pitch_m:

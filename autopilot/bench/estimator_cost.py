@@ -13,7 +13,7 @@ from autopilot.core.messages import NavState
 from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.sitl_session import SitlSession
 from estimator.protocol import create_estimator
-from sitl.floor import build_markers
+from sitl.floor import told_markers
 
 ESTIMATOR_BAR_PCT, VISION_BAR_PCT, LATE_BAR_PCT = 5.0, 30.0, 1.0
 """Shares of one core at the reference speed; ticks more than one period (10 ms) late: 1 % is the 99 % point."""
@@ -25,7 +25,7 @@ class _Timed:
 
     def __init__(self, session: SitlSession, sensors: str) -> None:
         scenario = session.scenario
-        markers = build_markers(scenario) if sensors == "camera" else None
+        markers = told_markers(scenario) if sensors == "camera" else None
         floor_m = None if scenario.tank is None else scenario.tank.depth_m
         self._estimator = create_estimator("ekf", session.vehicle, markers, floor_depth_m=floor_m, shadow=True)
         self.nav: NavState | None = None

@@ -28,7 +28,7 @@ from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from estimator.states import FilterState
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
-from sitl.floor import build_markers
+from sitl.floor import told_markers
 from sitl.scenario import scenario_path
 from sitl.toml_text import toml_text
 
@@ -106,7 +106,7 @@ class _Watcher:
     def __init__(self, name: str, session: SitlSession, sensors: str) -> None:
         scenario = session.scenario
         self._core = _OpenCore()
-        markers = build_markers(scenario) if sensors == "camera" else None
+        markers = told_markers(scenario) if sensors == "camera" else None
         floor_depth_m = None if scenario.tank is None else scenario.tank.depth_m
         self._engine = Engine(self._core, session.vehicle, markers, floor_depth_m, OPTIONS[name])
         self._alter: Callable[[Sample], Sample] = _shifted if name == SHIFTED else lambda sample: sample

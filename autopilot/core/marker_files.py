@@ -335,9 +335,9 @@ def _refuse_overlaps(markers: MarkerMap, placed: Sequence[PlacedMarker], origin:
     errors = markers.errors
     for i, j in close_pairs(markers, 0.0):
         slack_m = 0.0
-        if errors is not None:
+        if errors is not None and errors.sheet[i] != errors.sheet[j]:
             pair = [int(errors.sheet[i]), int(errors.sheet[j])]
-            if pair[0] != pair[1] and all(k >= 0 and k not in errors.loose for k in pair):
+            if all(k >= 0 and k not in errors.loose for k in pair):
                 slack_m = OVERLAP_SIGMAS * float(np.linalg.norm(errors.sigma[pair, 0]))
         if _overlap(placed[i], placed[j], slack_m):
             raise ConfigError(

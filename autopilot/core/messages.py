@@ -80,7 +80,7 @@ class NavHealth(IntEnum):
 
 
 class NavDoubt(Enum):
-    """What the evidence speaks against while the estimate is being made."""
+    """What the evidence speaks against while the estimate is being made. In the log a bit each, in this order."""
 
     ACCELEROMETER = "accelerometer"
     """Not believed: thrust and fixes say another acceleration (or the AHRS's tilt is wrong)."""
@@ -90,6 +90,12 @@ class NavDoubt(Enum):
     """They deny the estimate, or have jumped as no vehicle can."""
     RANGE = "range"
     """Laser and markers say another height."""
+    MAP = "map"
+    """Markers or sheets do not lie where the map has them."""
+    CALIBRATION = "calibration"
+    """Residuals show a wrong focal length or late stamps."""
+    RESETS = "resets"
+    """The estimate has begun anew again and again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -114,6 +120,8 @@ class NavState:
     """(12,) of pos_ned, rpy, vel_water_frd, current_ned."""
     reset_count: int = 0
     """Grows by one when position or yaw jump."""
+    doubts: frozenset[NavDoubt] = frozenset()
+    """What speaks against the estimate or its sensors."""
 
 
 class AidState(IntEnum):

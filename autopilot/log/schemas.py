@@ -50,6 +50,7 @@ float64[8] thrust_n  # that the estimator was told, unused = 0
 std_msgs/Header header
 uint8 health  # 0 invalid, 1 dead reckoning, 2 good
 uint32 reset_count
+uint32 doubts  # bits: 1 accelerometer, 2 gyro, 4 fixes, 8 range, 16 map, 32 calibration, 64 resets
 """,
     "autopilot_msgs/NavCounters": """
 std_msgs/Header header

@@ -34,6 +34,9 @@ _FLAGS_GOOD = (
 )
 _FLAGS_DEAD_RECKONING = mav.ESTIMATOR_ATTITUDE | mav.ESTIMATOR_PRED_POS_HORIZ_REL | mav.ESTIMATOR_PRED_POS_HORIZ_ABS
 
+_POSITION_DOUBTS = {NavDoubt.FIXES, NavDoubt.MAP, NavDoubt.CALIBRATION, NavDoubt.RESETS}
+"""Where positions come from is in doubt: GPS_GLITCH is the flag that there is for it."""
+
 
 class Motion(NamedTuple):
     """The estimate as plain numbers: NED metres and metres per second, radians."""
@@ -208,7 +211,7 @@ class Telemetry:
             flags = _FLAGS_GOOD if nav.health is NavHealth.GOOD else _FLAGS_DEAD_RECKONING
             if NavDoubt.ACCELEROMETER in self._ctx.view.nav_doubts:
                 flags |= mav.ESTIMATOR_ACCEL_ERROR
-            if NavDoubt.FIXES in self._ctx.view.nav_doubts:
+            if _POSITION_DOUBTS & self._ctx.view.nav_doubts:
                 flags |= mav.ESTIMATOR_GPS_GLITCH
             var = [min(max(x, 0.0), SANE) for x in nav.variance[:3].tolist()]
             horizontal_m, vertical_m = math.sqrt(var[0] + var[1]), math.sqrt(var[2])

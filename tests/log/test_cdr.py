@@ -25,6 +25,7 @@ from autopilot.core.messages import (
     MissionProgress,
     ModeState,
     NavCounters,
+    NavDoubt,
     NavHealth,
     NavState,
     NmpcStatus,
@@ -129,6 +130,7 @@ def test_nav(stamp: int, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, var: An
         current_ned_m_s=f,
         variance=var,
         reset_count=resets,
+        doubts=frozenset(doubt for bit, doubt in enumerate(NavDoubt) if resets >> bit & 1),
     )
     state = read_back("autopilot_msgs/VehicleState", vehicle.vehicle_state(stamp, nav))
     assert stamp_of(state.header) == stamp and state.header.frame_id == "ned"
@@ -138,6 +140,7 @@ def test_nav(stamp: int, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, var: An
     np.testing.assert_array_equal(covariance.variance, var)
     status = read_back("autopilot_msgs/NavStatus", estimate.nav_status(stamp, nav))
     assert (status.health, status.reset_count) == (health % 3, resets)
+    assert status.doubts == resets % 128
 
 
 @given(stamps, st.lists(floats, min_size=1, max_size=8), finite, u32, finite)

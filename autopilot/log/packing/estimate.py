@@ -1,7 +1,7 @@
 """What the estimator says beside the state: how good it is, and what it was made from."""
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import AID_SENSORS, AidStatus, NavCounters, NavState, ShadowStatus
+from autopilot.core.messages import AID_SENSORS, AidStatus, NavCounters, NavDoubt, NavState, ShadowStatus
 from autopilot.log.cdr import ENCAPSULATION
 from autopilot.log.packing.parts import FRD, NED, NS, UINT32, clip, eight
 from autopilot.log.schemas import layout
@@ -41,7 +41,9 @@ def acting_thrust(stamp_ns: int, thrust_n: FloatArray) -> bytes:
 
 def nav_status(stamp_ns: int, nav: NavState) -> bytes:
     """NavStatus."""
-    return _nav_status(ENCAPSULATION, *divmod(stamp_ns, NS), *NED, int(nav.health), clip(nav.reset_count, UINT32))
+    doubts = sum(1 << bit for bit, doubt in enumerate(NavDoubt) if doubt in nav.doubts)
+    resets = clip(nav.reset_count, UINT32)
+    return _nav_status(ENCAPSULATION, *divmod(stamp_ns, NS), *NED, int(nav.health), resets, doubts)
 
 
 def nav_counters(stamp_ns: int, value: NavCounters) -> bytes:

@@ -1,0 +1,177 @@
+"""What does not lie where the map has it, found in flight and named: moved markers, swapped ids, wrong sheets."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.map_errors import STATES
+from autopilot.core.markers import ID_SPAN, MarkerMap
+from estimator.measure_pose import PoseFix, Stray
+from estimator.states import SheetStates
+
+SIGHTINGS = 8
+"""Pictures that must show a marker at the same wrong place."""
+ALONE = 30
+"""Pictures until an id at another marker's place is told although that one has not been seen at its own."""
+SAME_M = 0.006
+"""A marker that does not move is seen within this, standard deviation."""
+TAKEN_M = 0.015
+"""So close to where the map has another marker a stray lies in that one's place."""
+STRAINS, STRAINS_US = 5, 1_000_000
+"""Pictures within a time in which a sheet does not fit to its neighbours: it may lie anywhere then."""
+LOOSE_VARIANCE = (0.03**2, 0.03**2, 0.003**2, 0.1**2)
+"""m^2, rad^2: how far off a sheet may be that does not fit."""
+OFF_DISTANCE2 = 40.0
+"""Squared distance of a sheet's offset from what it was said to be, of 4, from which on it is named."""
+KNOWN_SHARE = 0.25
+"""An offset is known when its variance is this share of what it was believed to be."""
+HELD_US = 10_000_000
+"""So long after the last finding the map is called doubtful."""
+
+
+@dataclass
+class _Place:
+    """Where a marker is seen that is not where the map has it."""
+
+    count: int = 0
+    north_m: float = 0.0
+    east_m: float = 0.0
+    scatter_m2: float = 0.0
+    told: bool = False
+
+    def add(self, north_m: float, east_m: float) -> None:
+        """One more sighting; begins anew when the place is another one."""
+        off = math.hypot(north_m - self.north_m, east_m - self.east_m)
+        if self.count and off > 5.0 * SAME_M:
+            self.count, self.scatter_m2 = 0, 0.0
+        self.count += 1
+        share = 1.0 / min(self.count, 50)
+        self.scatter_m2 += share * ((off * off if self.count > 1 else 0.0) - self.scatter_m2)
+        self.north_m += share * (north_m - self.north_m)
+        self.east_m += share * (east_m - self.east_m)
+
+    @property
+    def steady(self) -> bool:
+        """Whether it is a place and no accident."""
+        return self.count >= SIGHTINGS and self.scatter_m2 < SAME_M * SAME_M
+
+
+class MapWatch:
+    """Of one estimator."""
+
+    def __init__(self, markers: MarkerMap) -> None:
+        self._markers = markers
+        self._strays: dict[tuple[int, int], _Place] = {}
+        self._strained: dict[int, deque[int]] = {}
+        self._told_sheets: set[int] = set()
+        self._texts: list[str] = []
+        self._found_us: int | None = None
+        self.count = 0
+        """Findings so far."""
+
+    def doubtful(self, t_us: int) -> bool:
+        """Whether the map has been found wrong of late."""
+        return self._found_us is not None and t_us - self._found_us <= HELD_US
+
+    def take_texts(self) -> tuple[str, ...]:
+        """What is new, for the operator."""
+        texts, self._texts = tuple(self._texts), []
+        return texts
+
+    def look(self, fix: PoseFix) -> None:
+        """One pose that was used, with the markers that did not fit to it."""
+        for stray in fix.strays:
+            place = self._strays.setdefault((stray.code, stray.marker), _Place())
+            place.add(stray.north_m, stray.east_m)
+            if place.steady:
+                self._found_us = fix.t_us
+                if not place.told:
+                    self._judge(stray, place)
+
+    def loosened(self, fix: PoseFix, *, rejected: bool) -> list[int]:
+        """Sheets whose places are to be believed no longer, because of one picture more."""
+        result = []
+        suspects = set(fix.strained)
+        if rejected and fix.ground is not None and len(fix.ground.sheets) == 1:
+            suspects.add(fix.ground.sheets[0])
+        for sheet in suspects:
+            times = self._strained.setdefault(sheet, deque(maxlen=STRAINS))
+            times.append(fix.t_us)
+            if len(times) == STRAINS and fix.t_us - times[0] <= STRAINS_US:
+                times.clear()
+                result.append(sheet)
+        return result
+
+    def laid(self, sheet: int) -> tuple[float, ...]:
+        """How well a sheet was laid (4,)."""
+        errors = self._markers.errors
+        assert errors is not None
+        return tuple(errors.sigma[sheet].tolist())
+
+    def look_at_sheets(self, t_us: int, states: SheetStates | None, sheets: tuple[int, ...]) -> None:
+        """Sheets of a picture: whether they lie farther off than they were said to."""
+        errors = self._markers.errors
+        if errors is None or states is None:
+            return
+        for sheet in sheets:
+            if sheet in self._told_sheets or sheet not in states.which:
+                continue
+            k = STATES * states.which.index(sheet)
+            offset, variance = states.offset[k : k + STATES], states.cov.diagonal()[k : k + STATES]
+            prior = errors.sigma[sheet] ** 2
+            # Its heading is known from the first pictures on; its place is never known better than the map's frame.
+            known = variance[3] < KNOWN_SHARE * prior[3]
+            if known and float((offset * offset / (prior + variance)).sum()) > OFF_DISTANCE2:
+                self._told_sheets.add(sheet)
+                off_mm = 1e3 * math.hypot(float(offset[0]), float(offset[1]))
+                turn_deg = math.degrees(float(offset[3]))
+                self._tell(t_us, f"Sheet {errors.names[sheet]} lies {off_mm:.0f} mm, {turn_deg:.1f} deg off the map")
+
+    def _judge(self, stray: Stray, place: _Place) -> None:
+        markers = self._markers
+        apart = np.hypot(markers.centers_ned_m[:, 0] - place.north_m, markers.centers_ned_m[:, 1] - place.east_m)
+        nearest = int(apart.argmin())
+        name = stray.code % ID_SPAN
+        if float(apart[nearest]) < TAKEN_M and int(markers.ids[nearest]) != stray.code:
+            other = int(markers.ids[nearest])
+            partner = self._at(other, stray.marker)
+            if partner is not None:
+                partner.told = place.told = True
+                self._tell(self._found_us, f"Markers {name} and {other % ID_SPAN} are swapped in the map")
+            elif place.count >= ALONE:
+                place.told = True
+                self._tell(self._found_us, f"Marker {name} lies where the map has {other % ID_SPAN}")
+            return
+        place.told = True
+        if stray.marker < 0:
+            self._tell(self._found_us, f"Marker {name} lies where the map has none")
+            return
+        north_m = place.north_m - float(markers.centers_ned_m[stray.marker, 0])
+        east_m = place.east_m - float(markers.centers_ned_m[stray.marker, 1])
+        way = _way(north_m, east_m)
+        off_cm = 100.0 * math.hypot(north_m, east_m)
+        self._tell(self._found_us, f"Marker {name} lies {off_cm:.1f} cm {way} of its map place")
+
+    def _at(self, code: int, index: int) -> _Place | None:
+        """Strays of a marker seen where the map has marker ``index``."""
+        if index < 0:
+            return None
+        center = self._markers.centers_ned_m[index]
+        for (other, _), place in self._strays.items():
+            near = math.hypot(place.north_m - float(center[0]), place.east_m - float(center[1])) < TAKEN_M
+            if other == code and near and place.count >= SIGHTINGS // 2:
+                return place
+        return None
+
+    def _tell(self, t_us: int | None, text: str) -> None:
+        self._found_us = t_us
+        self.count += 1
+        self._texts.append(text)
+
+
+def _way(north_m: float, east_m: float) -> str:
+    """The nearest of eight directions."""
+    eighth = round(math.atan2(east_m, north_m) / (math.pi / 4.0)) % 8
+    return ("north", "NE", "east", "SE", "south", "SW", "west", "NW")[eighth]
