@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavState
 from autopilot.log.packing import estimate, vehicle
 from autopilot.log.reader import Log, Table
@@ -113,6 +114,30 @@ def replay(log: Log, setup: EstimatorSetup) -> list[NavState]:
         if state is not None:
             states.append(state)
     return states
+
+
+def refined_by(log: Log, setup: EstimatorSetup, markers: MarkerMap | None = None) -> MarkerMap:
+    """The marker map of a log as an estimator has it at its end; ``markers`` = that one instead of the log's.
+
+    The log may begin anywhere. LogError if the run had no map, or no picture of it."""
+    told = read_markers(log.attachments) if markers is None else markers
+    if told is None:
+        raise LogError(f"{log.path}: this run had no marker map; there is nothing to refine")
+    if told.errors is None:
+        raise LogError(
+            f"{log.path}: the map is one sheet or said to be exact; give sheets or a sigma_m in the map file"
+        )
+    estimator = create_estimator(
+        "ekf", read_vehicle(log), told, floor_depth_m=setup.floor_depth_m, options=setup.options
+    )
+    located = False
+    for tick in estimator_ticks(log):
+        located |= estimator.step(tick.t_us, tick.samples, tick.thrust_n) is not None
+        estimator.take_aids()
+    result = estimator.refined_map
+    if not located or result is None:
+        raise LogError(f"{log.path}: no position was found from the pictures of this log; the map stays as it is")
+    return result
 
 
 # Bit by bit.

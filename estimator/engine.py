@@ -46,6 +46,7 @@ from estimator.measure_velocity import BodyVelocity
 from estimator.measurement import Measurement, Moment
 from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from estimator.output import judge_health, nav_state
+from estimator.refined import refined_map
 from estimator.relocation import Relocation
 from estimator.sources import Sources
 from estimator.startup import StartUp
@@ -109,6 +110,7 @@ class Engine:
         self._thrust = ThrustLag(vehicle.drive.time_constant_s, vehicle.drive.limit_n)
         self._imu = ImuWatch(self._model, self._follow)
         self._evidence = Evidence()
+        self._markers = markers
         self._map = None if markers is None else MapWatch(markers)
         self._judged: Innovation | None = None
         self._anchored_since_us: int | None = None
@@ -150,6 +152,8 @@ class Engine:
             newest, self._core, self._fix_age_us(t_us), self._options, tracked=tracked, doubted=doubted
         )
         more = self._evidence.unexplained_variance(t_us, newest.state.x.item(LASER_BIAS))
+        if self._map is not None:
+            more = more + self._map.frame_variance(newest.state.x)
         self._last = nav_state(self._core, newest, t_us, health, self._counts["resets"], more, doubts)
         return self._last
 
@@ -180,6 +184,13 @@ class Engine:
     def take_remarks(self) -> tuple[str, ...]:
         """See :class:`estimator.protocol.Estimator`."""
         return () if self._map is None else self._map.take_texts()
+
+    @property
+    def refined_map(self) -> MarkerMap | None:
+        """See :class:`estimator.protocol.Estimator`."""
+        if self._markers is None or self._history is None:
+            return self._markers
+        return refined_map(self._markers, self._history.newest.state.sheets)
 
     @property
     def doubts(self) -> frozenset[NavDoubt]:

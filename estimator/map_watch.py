@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import ID_SPAN, MarkerMap
 from estimator.measure_pose import PoseFix, Stray
@@ -63,6 +64,9 @@ class MapWatch:
 
     def __init__(self, markers: MarkerMap) -> None:
         self._markers = markers
+        errors = markers.errors
+        self._frame = None if errors is None or not any(errors.frame_sigma) else errors.frame_sigma
+        self._middle = markers.centers_ned_m.mean(axis=0).tolist()
         self._strays: dict[tuple[int, int], _Place] = {}
         self._strained: dict[int, deque[int]] = {}
         self._told_sheets: set[int] = set()
@@ -70,6 +74,15 @@ class MapWatch:
         self._found_us: int | None = None
         self.count = 0
         """Findings so far."""
+
+    def frame_variance(self, x: FloatArray) -> FloatArray:
+        """(4,) north, east, down, yaw that the whole map may be off at the state's place."""
+        if self._frame is None:
+            return np.zeros(4)
+        across, down, turn = self._frame
+        north, east = x.item(0) - self._middle[0], x.item(1) - self._middle[1]
+        swing = turn * turn * np.array([east * east, north * north])
+        return np.array([across * across + swing[0], across * across + swing[1], down * down, turn * turn])
 
     def doubtful(self, t_us: int) -> bool:
         """Whether the map has been found wrong of late."""

@@ -47,6 +47,11 @@ class Estimator(Protocol):
         """How far another estimator in this one's shadow is from it, as of the last step; None without one."""
         ...
 
+    @property
+    def refined_map(self) -> MarkerMap | None:
+        """The marker map with its sheets where they have been found so far; None without a map."""
+        ...
+
     def take_aids(self) -> tuple[AidStatus, ...]:
         """What became of every measurement since the last call of this method."""
         ...

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import AidStatus, NavDoubt, NavHealth, NavState, ShadowStatus
 from autopilot.core.samples import AhrsSample, LaserSample, MarkerSighting, PoseSample, Sample
 from estimator.protocol import Estimator
@@ -80,6 +81,11 @@ class Shadowed:
     def ahrs_us(self) -> int | None:
         """See :class:`estimator.protocol.Estimator`."""
         return self._flown.ahrs_us
+
+    @property
+    def refined_map(self) -> MarkerMap | None:
+        """Of the flown estimator."""
+        return self._flown.refined_map
 
     @property
     def doubts(self) -> frozenset[NavDoubt]:

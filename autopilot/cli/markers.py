@@ -227,6 +227,71 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
         raise click.exceptions.Exit(EXIT_LOSS)
 
 
+@markers.command()
+@click.argument("log", type=click.Path(exists=True, dir_okay=False))
+@click.option("--map", "told", type=click.Path(exists=True, dir_okay=False), help="Another map than the log's.")
+@click.option("--out", type=click.Path(dir_okay=False), required=True, help="The refined map (TOML).")
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def refine(log: str, told: str | None, out: str, as_json: bool) -> None:
+    """Where the sheets of the map really lie, as the estimator finds them in the flight LOG."""
+    import numpy as np
+
+    from autopilot.core.marker_files import load_marker_map, marker_file_text
+    from autopilot.log.reader import open_log
+    from autopilot.replay import refined_by
+    from autopilot.replay_setup import read_markers, read_setup
+
+    flight = open_log(Path(log))
+    rough = read_markers(flight.attachments) if told is None else load_marker_map(Path(told))
+    result = refined_by(flight, read_setup(flight), rough)
+    assert rough is not None
+    assert rough.errors is not None
+    assert result.errors is not None
+    rows: list[dict[str, Any]] = []
+    for k, name in enumerate(result.errors.names):
+        mine = result.errors.sheet == k
+        moved = (result.centers_ned_m[mine] - rough.centers_ned_m[mine])[:, :2]
+        arm = rough.corners_ned_m[mine][0, 1] - rough.corners_ned_m[mine][0, 0]
+        now = result.corners_ned_m[mine][0, 1] - result.corners_ned_m[mine][0, 0]
+        turn = math.atan2(arm[0] * now[1] - arm[1] * now[0], arm[0] * now[0] + arm[1] * now[1])
+        sigma = result.errors.sigma[k]
+        seen = bool((sigma < rough.errors.sigma[k]).any())
+        rows.append(
+            {
+                "sheet": name,
+                "markers": int(mine.sum()),
+                "seen": seen,
+                "moved_m": float(np.sqrt((moved**2).sum(axis=1).mean())),
+                "turned_rad": turn,
+                "sigma_m": float(sigma[:2].max()),
+                "sigma_rad": float(sigma[3]),
+            }
+        )
+    notes = [f"refined from {Path(log).name}"]
+    Path(out).write_text(marker_file_text(result, notes), encoding="utf-8")
+    if as_json:
+        emit_json({"sheets": rows, "frame_sigma": result.errors.frame_sigma})
+        return
+    print_table(
+        "Sheets",
+        ("sheet", "markers", "moved mm", "turned deg", "sigma mm", "sigma deg"),
+        [
+            (
+                row["sheet"],
+                row["markers"],
+                f"{1e3 * row['moved_m']:.2f}",
+                f"{math.degrees(row['turned_rad']):.3f}",
+                f"{1e3 * row['sigma_m']:.2f}" if row["seen"] else "not seen",
+                f"{math.degrees(row['sigma_rad']):.3f}" if row["seen"] else "",
+            )
+            for row in rows
+        ],
+    )
+    across, _, turn = result.errors.frame_sigma
+    click.echo(f"all together may be off by {1e3 * across:.2f} mm and {math.degrees(turn):.3f} deg (sigma)")
+    click.echo(f"{out}: {len(result.ids)} markers on {len(rows)} sheets")
+
+
 def _rough_map(**options: Any) -> "MarkerMap":
     """The rough map of the options; without a file one of all ids of a dictionary, places unknown."""
     import numpy as np

@@ -160,7 +160,7 @@ def _groups(
         members = rest[part]
         if len(members) > 1:
             result.append((f"{len(result) + 1}", members, False))
-        else:
+        elif laid[int(members[0])].sigma_m != 0.0:
             cell = np.floor(centers_ned_m[members[0], :2] / CELL_M).astype(int)
             loose.setdefault((int(cell[0]), int(cell[1])), []).append(int(members[0]))
     for (row, column), cell_members in loose.items():

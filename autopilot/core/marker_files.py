@@ -5,6 +5,7 @@ pose is that of the marker's frame: x to its top, y to its right, z into the sur
 zero it lies face up with its top to the north.
 """
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -444,7 +445,7 @@ def marker_file_text(markers: MarkerMap, notes: Sequence[str] = (), remarks: Seq
         else:
             lines.append(f"rpy_rad = {_numbers(rpy, 7)}")
         if marker.laid.sheet is not None:
-            lines.append(f'sheet = "{marker.laid.sheet}"')
+            lines.append(f"sheet = {json.dumps(marker.laid.sheet)}")
         if marker.laid.sigma_m is not None:
             lines.append(f"sigma_m = {_number(marker.laid.sigma_m, 6)}")
         if marker.laid.sigma_rad is not None:

@@ -1,0 +1,186 @@
+"""Marker maps as people lay them: sheets that are off, markers that have moved, ids that were mixed up."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from laid_world import LaidWorld, flown, laid, off_mm, sheets_of, turned
+from makers import Make
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.markers import MarkerMap
+from autopilot.core.messages import NavDoubt
+from estimator.ground import Ground, SheetTies, columns_of
+from estimator.inertial import Inertial, Mode, Step
+from estimator.kalman import KalmanCore
+from estimator.measure_heading import heading_of
+from estimator.measure_pose import PoseFix
+from estimator.measurement import Measurement, Moment
+from estimator.states import NX, FilterState
+
+FLIGHT_S = 13.0
+"""There and back: the way back is flown over what the way there has shown."""
+
+
+@pytest.mark.parametrize(
+    ("place_m", "turn_rad", "said", "seed", "bar_mm"),
+    [
+        (0.0045, 0.012, (0.0045, 0.012), 2, 10.0),
+        (0.002, 0.006, None, 3, 6.0),
+    ],
+)
+def test_a_hand_laid_floor(
+    make_ekf: Make,
+    floor: MarkerMap,
+    place_m: float,
+    turn_rad: float,
+    said: tuple[float, float] | None,
+    seed: int,
+    bar_mm: float,
+) -> None:
+    """Sheets that are off cost millimetres and no resets; the filter knows how many, and the map becomes better."""
+    told = sheets_of(floor, said)
+    true = laid(told, np.random.default_rng(seed), place_m, turn_rad)
+    estimator = make_ekf(markers=told)
+    track, remarks = flown(estimator, LaidWorld(true, seed), FLIGHT_S)
+    track = track.after(3.0)
+    error = track.pos_error()[:, :2]
+    variance = np.array([nav.variance[:2] for nav in track.nav])
+    assert 1e3 * np.sqrt((error**2).sum(axis=1).mean()) < bar_mm
+    assert (error**2 / variance).sum(axis=1).mean() < 6.0, "2 degrees of freedom, nearly one draw"
+    assert estimator.counters()["resets"] == 0
+    assert estimator.counters()["markers.rejected"] < 5
+    assert remarks == []
+    refined = estimator.refined_map
+    assert refined is not None
+    assert refined.errors is not None
+    assert told.errors is not None
+    seen = (refined.errors.sigma[:, 3] < 0.2 * told.errors.sigma[:, 3])[refined.errors.sheet]
+    assert seen.sum() > 200
+    assert off_mm(refined, true, seen) < max(0.55 * off_mm(told, true, seen), 0.5)
+
+
+def test_a_moved_marker_is_named(make_ekf: Make, floor: MarkerMap) -> None:
+    told = sheets_of(floor, (0.002, 0.006))
+    moved = int(np.hypot(floor.centers_ned_m[:, 0] + 1.2, floor.centers_ned_m[:, 1] + 0.3).argmin())
+    for markers in (floor, told):  # exact, and of sheets
+        corners = markers.corners_ned_m.copy()
+        corners[moved, :, 1] += 0.03
+        true = dataclasses.replace(markers, corners_ned_m=corners, errors=None)
+        estimator = make_ekf(markers=markers)
+        track, remarks = flown(estimator, LaidWorld(true, 5), 7.0)
+        assert remarks == [f"Marker {floor.ids[moved]} lies 3.0 cm east of its map place"]
+        assert len(remarks[0]) <= 50
+        assert any(NavDoubt.MAP in nav.doubts for nav in track.nav)
+        assert 1e3 * np.abs(track.after(3.0).pos_error()[:, :2]).max() < 10.0
+
+
+def test_swapped_ids_are_named(make_ekf: Make, floor: MarkerMap) -> None:
+    a, b = np.argsort(np.hypot(floor.centers_ned_m[:, 0] + 1.2, floor.centers_ned_m[:, 1] + 0.3))[[0, 6]]
+    ids = floor.ids.copy()
+    ids[[a, b]] = ids[[b, a]]
+    estimator = make_ekf(markers=floor)
+    _, remarks = flown(estimator, LaidWorld(dataclasses.replace(floor, ids=ids), 6), 7.0)
+    pair = {f"Markers {x} and {y} are swapped in the map" for x, y in (ids[[a, b]], ids[[b, a]])}
+    assert len(remarks) == 1
+    assert remarks[0] in pair
+
+
+def test_a_turned_sheet_is_named_and_its_place_found(make_ekf: Make, floor: MarkerMap) -> None:
+    """By 5 degrees, where half a degree was said."""
+    told = sheets_of(floor, (0.002, 0.006))
+    assert told.errors is not None
+    near = int(np.hypot(floor.centers_ned_m[:, 0] + 0.3, floor.centers_ned_m[:, 1] - 0.2).argmin())
+    sheet = int(told.errors.sheet[near])
+    true = laid(told, np.random.default_rng(4), 0.002, 0.006)
+    corners = true.corners_ned_m.copy()
+    mine = told.errors.sheet == sheet
+    corners[mine] = turned(corners[mine], math.radians(5.0), np.zeros(3))
+    true = dataclasses.replace(true, corners_ned_m=corners)
+    estimator = make_ekf(markers=told)
+    track, remarks = flown(estimator, LaidWorld(true, 7), 10.0)
+    assert len(remarks) == 1
+    assert remarks[0].startswith(f"Sheet {told.errors.names[sheet]} lies ")
+    assert remarks[0].endswith("deg off the map")
+    assert estimator.counters()["resets"] == 0
+    assert 1e3 * np.abs(track.after(3.0).pos_error()[:, :2]).max() < 15.0
+    refined = estimator.refined_map
+    assert refined is not None
+    assert off_mm(refined, true, mine) < 3.0 < off_mm(told, true, mine)
+
+
+class Big:
+    """The textbook filter on the 21 states and all sheets at once."""
+
+    def __init__(self, x: FloatArray, p: FloatArray, sigma: FloatArray) -> None:
+        self.x = np.append(x, np.zeros(sigma.size))
+        self.p = np.zeros((len(self.x), len(self.x)))
+        self.p[:NX, :NX] = p
+        self.p[NX:, NX:] = np.diag(sigma.reshape(-1) ** 2)
+
+    def predict(self, after: FilterState, f: FloatArray, q: FloatArray) -> None:
+        whole = np.eye(len(self.x))
+        whole[:NX, :NX] = f
+        self.x[:NX] = after.x
+        self.p = whole @ self.p @ whole.T
+        self.p[:NX, :NX] += q
+
+    def update(self, m: Measurement, moment: Moment, ground: Ground | None, which: tuple[int, ...]) -> None:
+        h = np.zeros((len(m.z), len(self.x)))
+        h[:, :NX] = m.jacobian(self.x[:NX], moment, 0.0)
+        y = m.residual(m.z, m.predicted(self.x[:NX], moment, 0.0))
+        if ground is not None:
+            columns = [NX + c for c in columns_of(which, ground.sheets)]
+            h[:, columns] = ground.jacobian
+            y = y - ground.jacobian @ (self.x[columns] - ground.at)
+        s = h @ self.p @ h.T + m.noise
+        gain = self.p @ h.T @ np.linalg.inv(s)
+        if ground is None or not ground.learns:
+            gain[NX:] = 0.0  # considered only (Schmidt)
+        self.x = self.x + gain @ y
+        rest = np.eye(len(self.x)) - gain @ h
+        self.p = rest @ self.p @ rest.T + gain @ m.noise @ gain.T
+
+
+def test_sheets_are_exact_kalman_states() -> None:
+    """Steps, fixes, ties and headings in any order: as if the textbook's filter held all states in one vector."""
+    rng = np.random.default_rng(3)
+    sigma = np.array([[0.004, 0.003, 0.001, 0.01], [0.002, 0.002, 0.002, 0.005], [0.005, 0.005, 0.001, 0.02]])
+    core = KalmanCore()
+    state = core.start(rng.normal(0.0, 0.1, NX))
+    big = Big(state.x, state.p, sigma[[0, 2, 1]])
+    inertial = Inertial(0, 0.0, 0.0, 0.1, 0.1, (0.1, 0.0, 0.0), np.zeros(3), (0.0, 0.0), True)
+    moment = Moment(inertial, (0.0, 0.0, 0.0, 0.0))
+    step = Step(0.02, 0.1, (0.1, 0.05, 0.0), Mode.NOMINAL)
+    which = (0, 2, 1)
+    for n in range(40):
+        f = np.eye(NX)
+        before = state
+        state = core.predict(state, step)
+        for i in range(NX):
+            d = np.zeros(NX)
+            d[i] = 1e-6
+            up = core.predict(before._replace(x=before.x + d), step).x
+            down = core.predict(before._replace(x=before.x - d), step).x
+            f[:, i] = (up - down) / 2e-6
+        big.predict(state, f, state.p - f @ before.p @ f.T)
+        sheets = ((0,), (0, 2), (2, 1))[n % 3] if n > 2 else (0, 2, 1)
+        size = 4 * len(sheets)
+        jac = rng.normal(size=(4, size))
+        ground = Ground(sheets, sigma[list(sheets)], jac, rng.normal(0.0, 1e-3, size), learns=n % 2 == 0)
+        z = big.x[:4] + rng.normal(0.0, 1e-3, 4)
+        fix = PoseFix(sensor="markers", t_us=0, z=z, noise=np.diag([1e-6, 2e-6, 1e-6, 1e-6]), ground=ground)
+        rows = rng.normal(size=(3, size))
+        tied = Ground(sheets, sigma[list(sheets)], rows, np.zeros(size), learns=True)
+        ties = SheetTies(sensor="sheets", t_us=0, z=rng.normal(0.0, 1e-2, 3), noise=np.eye(3) * 1e-3, ground=tied)
+        for m, on in ((fix, ground), (heading_of(inertial), None), (ties, tied)):
+            state = core.correct(state, core.innovation(state, m, moment, 0.0))
+            assert state.sheets is None or state.sheets.which == which
+            big.update(m, moment, on, which)
+    assert state.sheets is not None
+    np.testing.assert_allclose(state.x, big.x[:NX], atol=1e-8)
+    np.testing.assert_allclose(state.sheets.offset, big.x[NX:], atol=1e-8)
+    np.testing.assert_allclose(state.p, big.p[:NX, :NX], atol=1e-8)
+    np.testing.assert_allclose(state.sheets.cross, big.p[:NX, NX:], atol=1e-8)
+    np.testing.assert_allclose(state.sheets.cov, big.p[NX:, NX:], atol=1e-8)
