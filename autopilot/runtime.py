@@ -243,6 +243,8 @@ class Runtime:
             overruns=self.counters.overruns,
             cpu_load=self.counters.cpu_load,
             troubles=tuple(self._troubles),
+            pictures=() if self._vision is None else self._vision.take_reports(),
+            frame_counts=None if self._vision is None else self._vision.counters(),
             notices=(
                 *self._transport.take_notices(t_us),
                 *(Event(t_us=t_us, severity=severity, text=text) for severity, text in self._notices()),
@@ -250,7 +252,7 @@ class Runtime:
         )
         self._troubles = []
         watch.mark(LoopPart.RECEIVE)
-        outputs = self._with_frames(self._step(inputs))
+        outputs = self._step(inputs)
         watch.mark(LoopPart.ALLOCATE)
         self._drive(t_us, outputs)
         watch.mark(LoopPart.WRITE)
@@ -370,13 +372,6 @@ class Runtime:
         if tx:
             outputs = replace(outputs, mavlink_tx=(*tx, *outputs.mavlink_tx))
         return inputs, outputs
-
-    def _with_frames(self, outputs: Outputs) -> Outputs:
-        """The estimator's counters with those of the frames beside them."""
-        if outputs.counters is None or self._vision is None:
-            return outputs
-        counts = {**outputs.counters.counts, **self._vision.counters()}
-        return replace(outputs, counters=replace(outputs.counters, counts=counts))
 
     def _account(self, t_us: int, tick_s: float) -> None:
         counters = self.counters

@@ -5,12 +5,13 @@ random number lives here; real vehicle, simulation and replay differ only in who
 a guard (:mod:`autopilot.core.guard`): what one that fails means for the others stands in :mod:`autopilot.fault_care`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
+from autopilot.camera_care import CameraCare
 from autopilot.commander import Commander, Decision
 from autopilot.control.allocation import Allocation
 from autopilot.control.controller import MotionController
@@ -69,6 +70,8 @@ WARM_AT_TICK = 100
 COUNTERS_EVERY_TICKS = 100
 """The estimator's counts go to the log once per second."""
 
+GOOD_FRAMES = ("frames.ok", "frames.late", "frames.foggy")
+"""Counts of pictures that are not of refused ones."""
 UNUSED_COUNTS = ("rejected", "late", "duplicate", "future", "malformed")
 """Counts of samples and measurements that were not used."""
 
@@ -148,6 +151,7 @@ class Autopilot:
         self._given: Inputs | None = None
         self._fault_care = FaultCare(parts.vehicle, parts.params)
         self._devices = DeviceCare()
+        self._camera = CameraCare()
         self._faults: list[Fault] = []
         self._fault_events: list[Event] = []
         self._stopped = False
@@ -189,7 +193,7 @@ class Autopilot:
         self.marks.mark(LoopPart.ESTIMATE)
         counters = None
         if self._tick % COUNTERS_EVERY_TICKS == 0:
-            counters = self._run("counters", lambda: self._counted(t_us), None)
+            counters = self._run("counters", lambda: self._counted(t_us, inputs.frame_counts), None)
         tx = self._serve(inputs, nav)
         self.marks.mark(LoopPart.MAVLINK)
         thrusters = self._watch_thrusters(t_us, nav, acting_n)
@@ -418,24 +422,27 @@ class Autopilot:
         faults, self._faults = tuple(self._faults), []
         return faults
 
-    def _counted(self, t_us: int) -> NavCounters:
-        """The estimator's counts, for the log and in short for ground stations."""
+    def _counted(self, t_us: int, frames: Mapping[str, int] | None) -> NavCounters:
+        """The counts of estimator, pictures and devices, for the log and in short for ground stations."""
         counts = self._parts.estimator.counters()
         unused = {sensor: sum(counts.get(f"{sensor}.{what}", 0) for what in UNUSED_COUNTS) for sensor in AID_SENSORS}
         fixes = unused["markers"] + unused["external"]
+        pictures = {} if frames is None else {**frames, "frames.foggy": self._camera.foggy}
+        refused = sum(count for name, count in pictures.items() if name not in GOOD_FRAMES)
         self._nav_errors = (
             sum(counts.get(f"ahrs.{what}", 0) for what in (*UNUSED_COUNTS, "old", "stuck")),
-            fixes,
+            fixes + refused,
             sum(unused.values()) - fixes,
             counts.get("resets", 0),
         )
         faults = {f"faults.{part}": count for part, count in self._parts.guard.counts.items()}
         troubles = {f"devices.{role.name.lower()}": count for role, count in self._devices.counts.items() if count}
         power = {"power.malformed": self._bad_power} if self._bad_power else {}
-        return NavCounters(t_us=t_us, counts={**counts, **faults, **troubles, **power})
+        return NavCounters(t_us=t_us, counts={**counts, **pictures, **faults, **troubles, **power})
 
     def _note(self, inputs: Inputs) -> None:
         self._fault_events += self._devices.step(inputs.t_us, inputs.troubles)
+        self._fault_events += self._camera.step(inputs.t_us, inputs.pictures, inputs.samples)
         if any(trouble.device is DeviceRole.THRUSTERS for trouble in inputs.troubles):
             self._pulse_n = np.zeros_like(self._pulse_n)  # the last command was not taken
         for sample in inputs.samples:

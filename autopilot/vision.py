@@ -17,8 +17,8 @@ import cv2
 
 from autopilot.core.guard import Guard
 from autopilot.core.messages import NavHealth, NavState
-from autopilot.core.samples import CameraFrame, MarkerSighting
-from estimator.frame_door import FrameDoor, FrameVerdict
+from autopilot.core.samples import CameraFrame, FrameVerdict, MarkerSighting, PictureReport
+from estimator.frame_door import FrameDoor
 from estimator.vision import Hint
 
 ACQUISITION_EVERY = 6
@@ -132,6 +132,10 @@ class VisionWorker:
                     self.guard.note("vision", error)
         self._begin_waiting()
         return found
+
+    def take_reports(self) -> tuple[PictureReport, ...]:
+        """What the pictures since the last call looked like."""
+        return self._door.take_reports()
 
     def counters(self) -> Mapping[str, int]:
         """Frames so far by what became of them: ``frames.ok``, ``frames.dark``, ..., ``frames.failed``."""

@@ -3,40 +3,24 @@
 A refused picture costs nothing else: the filter gets no fix, and says that it is blind when that lasts.
 """
 
-from enum import Enum
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.core.samples import CameraFrame
+from autopilot.core.samples import CameraFrame, FrameVerdict, PictureReport
 
 STEP_PX = 8
 """Every eighth pixel of every eighth row is looked at: 4800 of an image of 640 x 480."""
 DARK_LEVEL, BRIGHT_LEVEL = 6.0, 249.0
 """Grey levels: if nine tenths of the pixels lie below (above), the lens is covered or the exposure is lost."""
+WHITE_LEVEL, BLACK_LEVEL = 250, 8
+"""Grey levels from which on (up to which) a pixel says nothing."""
 MOST = 0.9
 FLAT_LEVELS = 3
 """An image whose levels all lie within so many shows nothing, not even noise."""
 TORN_SHARE = 0.05
 """An image of which this share of rows, up from the bottom, is one single colour has not arrived whole."""
-
-
-class FrameVerdict(Enum):
-    """Why a picture is refused; ``OK`` = it is not."""
-
-    OK = "ok"
-    WRONG_SIZE = "wrong_size"
-    """Not (rows, columns, 3) of the camera: another camera, or another camera's intrinsics."""
-    WRONG_TYPE = "wrong_type"
-    """Not 8 bits per channel."""
-    DARK = "dark"
-    BRIGHT = "bright"
-    FLAT = "flat"
-    """One grey level all over."""
-    TORN = "torn"
-    """The lower part is missing."""
-    FROZEN = "frozen"
-    """The same picture as before under a new time: noise never repeats, so the camera hangs."""
 
 
 class FrameDoor:
@@ -46,12 +30,31 @@ class FrameDoor:
         self._shape = (height_px, width_px, 3)
         self._before: NDArray[np.uint8] | None = None
         self.counts = dict.fromkeys(FrameVerdict, 0)
+        self._reports: list[PictureReport] = []
 
     def judge(self, frame: CameraFrame) -> FrameVerdict:
         """Verdict of one picture, counted."""
         verdict = self._verdict(frame)
         self.counts[verdict] += 1
+        report = PictureReport(t_us=frame.t_us, verdict=verdict)
+        if verdict is FrameVerdict.OK:
+            sparse = self._before
+            assert sparse is not None
+            steps = np.diff(sparse.astype(np.int16), axis=1)
+            report = PictureReport(
+                t_us=frame.t_us,
+                verdict=verdict,
+                contrast=float(steps.std()) * math.sqrt(0.5),
+                white_share=float((sparse >= WHITE_LEVEL).mean()),
+                black_share=float((sparse <= BLACK_LEVEL).mean()),
+            )
+        self._reports.append(report)
         return verdict
+
+    def take_reports(self) -> tuple[PictureReport, ...]:
+        """What was judged since the last call."""
+        reports, self._reports = tuple(self._reports), []
+        return reports
 
     def _verdict(self, frame: CameraFrame) -> FrameVerdict:
         image = frame.image_bgr

@@ -92,6 +92,11 @@ class MarkerSolver:
         # Comparisons with NaN are false.
         if corners.shape != (len(sighting.ids), 4, 2) or not (np.abs(corners) < MAX_PIXEL).all():
             return False
+        sigma = sighting.sigma_px
+        if sigma is not None and (
+            np.shape(sigma) != (len(sighting.ids),) or not ((sigma > 0.0) & (sigma < MAX_PIXEL)).all()
+        ):
+            return False
         laser = sighting.laser_px
         return laser is None or (np.shape(laser) == (2,) and bool((np.abs(laser) < MAX_PIXEL).all()))
 
@@ -281,6 +286,7 @@ class MarkerSolver:
         if self._errors is not None and (self._errors.sheet[placed] >= 0).any():
             return self._refine_on_sheets(sighting, seen, placed, pos, rpy, self._errors, sheets)
         pixels, points = sighting.corners_px[seen], self._corners_ned_m[placed]
+        sigma_px = None if sighting.sigma_px is None else sighting.sigma_px[seen]
         good = np.ones(len(seen), dtype=bool)
         best = None
         for round_left in reversed(range(REJECT_ROUNDS)):
@@ -291,6 +297,7 @@ class MarkerSolver:
                 pos if best is None else best.pos_ned_m,
                 rpy,
                 max_rms_px=FINAL_RMS_PX if round_left == 0 else FIRST_RMS_PX,
+                sigma_px=None if sigma_px is None else np.repeat(sigma_px[good], 4),
             )
             if best is None:
                 self.counts["misfit"] += 1
@@ -340,6 +347,7 @@ class MarkerSolver:
                 sheet=place - exact,
                 pivot_ned_m=errors.pivot_ned_m[list(which)],
                 sigma_m=errors.marker_sigma_m[placed[good]],
+                sigma_px=None if sighting.sigma_px is None else sighting.sigma_px[seen[good]],
             )
             best = fit_on_sheets(
                 self._camera,

@@ -7,7 +7,8 @@ A seventh unknown is how far blur draws all corners towards their markers' centr
 blurred black square inside of the true one, by 0.2 to 0.5 px depending on optics, motion and window: taken for scale,
 that is a bias of the height which no residual shows and which every frame repeats. Many markers tell it apart from
 height (the distances between markers do not shrink), one marker leans on the prior. What is left are errors of single
-corners, nearly independent of each other and from frame to frame, so that their size tells the covariance.
+corners, nearly independent of each other and from frame to frame, so that their size tells the covariance. The image
+itself says what to expect of each marker's corners; the residuals say how right that is, the more the more there are.
 """
 
 import math
@@ -33,17 +34,18 @@ other one of IPPE's two), or the AHRS is wrong: no fix."""
 SHRINK_PX, SHRINK_SIGMA_PX = 0.22, 0.12
 """Prior of the distance by which corners are found inside of the true ones. Rendered images: 0.18 to 0.31 px at rest
 at 1.3 to 0.3 m, up to 0.5 px at 0.6 m/s; sharp corners: none. From frame to frame it spreads by 0.03 px."""
-MIN_SIGMA_PX = 0.06
+MIN_SCALE = 0.5
+"""Corners are at least this share of what is expected off, however well they fit."""
 PRIOR_SIGMA_PX, PRIOR_COUNT = 0.12, 6.0
-"""Standard deviation of a corner along one axis in clear water, worth this many residuals: one marker's own residuals
-say little about it. Rendered images: 0.08 to 0.12 px in clear water, 0.2 to 0.5 px where little contrast is left."""
+"""Standard deviation of a corner along one axis where the image did not tell, and how many residuals what is expected
+is worth: one marker's own residuals say little about it."""
 INFLATION = 1.0
 """Of the covariance from independent corners: the mean squared distance of the rendered poses is 3.5 (clear water) to 5
 (turbidity 2) of 4 without any. Their errors fade within five frames at 0.3 m/s, half of the variance at once."""
 CORNER_SIGMAS = 3.0
-CORNER_FLOOR_PX = 0.3
-"""Corners that lie further from their projection than this many standard deviations, and this many pixels, are left
-out: occluded, at the laser dot, wrongly refined."""
+CORNER_FLOOR = 2.5
+"""Corners that lie further from their projection than this many of the image's standard deviations, and this many
+expected ones, are left out: occluded, at the laser dot, wrongly refined."""
 
 
 class Pose(NamedTuple):
@@ -70,10 +72,12 @@ def solve_pose(
     rpy_rad: FloatArray,
     max_rms_px: float,
     *,
+    sigma_px: FloatArray | None = None,
     shrink_px: float = SHRINK_PX,
 ) -> Pose | None:
     """Pose from the corners (4n, 3) of n markers and their pixels (4n, 2), starting at a rough pose.
 
+    ``sigma_px`` (4n,): what to expect of each corner along one axis; None: of all what clear water gives.
     ``shrink_px``: mean of the prior of how far inside of the true ones the corners were found.
 
     None if it does not converge, if the residuals' root mean square is above ``max_rms_px``, or if few markers want
@@ -86,6 +90,7 @@ def solve_pose(
     inward = inward_of(pixels)
     shrink = shrink_px
     keep = np.ones(2 * len(pixels), dtype=bool)
+    expected = expected_px(sigma_px, len(pixels))
     for step in range(STEPS):
         linear = linearise_corners(camera, points_ned_m, pixels, pos, rotation)
         if linear is None:
@@ -93,9 +98,9 @@ def solve_pose(
         residual, jac = linear
         residual = residual - shrink * inward
         jac = np.column_stack((jac, inward))
-        sigma_px = corner_sigma_px(residual[keep])
+        sigma = corner_scale(residual[keep] / expected[keep]) * expected[keep]
         information, gradient = _normal_equations(
-            residual[keep], jac[keep], sigma_px, rotation, up_prior, sigma_tilt, shrink_px - shrink
+            residual[keep], jac[keep], sigma, rotation, up_prior, sigma_tilt, shrink_px - shrink
         )
         delta: FloatArray = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         pos = pos + delta[:3]
@@ -103,7 +108,7 @@ def solve_pose(
         shrink += float(delta[6])
         residual = residual - jac @ delta
         if float(np.abs(delta[:6]).max()) < CONVERGED:
-            fits = corners_that_fit(residual)
+            fits = corners_that_fit(residual / expected)
             if (fits == keep).all() or step == STEPS - 1:
                 break
             keep = fits
@@ -112,8 +117,8 @@ def solve_pose(
     rms = _rms(residual)
     if not rms <= max_rms_px or (few and math.acos(min(1.0, float(rotation[2] @ up_prior))) > LEAN_MAX_RAD):
         return None
-    sigma_px = corner_sigma_px(residual[keep])
-    information, _ = _normal_equations(residual[keep], jac[keep], sigma_px, rotation, up_prior, sigma_tilt, 0.0)
+    sigma = corner_scale(residual[keep] / expected[keep]) * expected[keep]
+    information, _ = _normal_equations(residual[keep], jac[keep], sigma, rotation, up_prior, sigma_tilt, 0.0)
     covariance = INFLATION * np.linalg.inv(information)
     pick = np.array([0, 1, 2, 5])
     noise = covariance[np.ix_(pick, pick)]
@@ -130,22 +135,28 @@ def inward_of(pixels: FloatArray) -> FloatArray:
     return away.reshape(-1)
 
 
+def expected_px(sigma_px: FloatArray | None, corners: int) -> FloatArray:
+    """(2n,) standard deviations of pixel coordinates from those of corners (n,), or of clear water for so many."""
+    return np.full(2 * corners, PRIOR_SIGMA_PX) if sigma_px is None else np.repeat(sigma_px, 2)
+
+
 def corners_that_fit(residual: FloatArray) -> np.ndarray:
-    """Which residuals (8n,) belong to corners that lie where they should; all, if less than three corners would stay.
+    """Which residuals (8n,), over what is expected of them, belong to corners that lie where they should; all, if less
+    than three corners would stay.
 
     The median of the length of a normally distributed two-dimensional error is 1.18 standard deviations."""
-    off_px = np.sqrt((residual.reshape(-1, 2) ** 2).sum(axis=1))
-    limit_px = max(CORNER_FLOOR_PX, CORNER_SIGMAS * float(np.median(off_px)) / 1.1774)
-    fits = off_px <= limit_px
+    off = np.sqrt((residual.reshape(-1, 2) ** 2).sum(axis=1))
+    fits = off <= max(CORNER_FLOOR, CORNER_SIGMAS * float(np.median(off)) / 1.1774)
     if 4 * int(fits.sum()) < 3 * len(fits):
         fits[:] = True
     return np.repeat(fits, 2)
 
 
-def corner_sigma_px(residual: FloatArray) -> float:
-    """Standard deviation of a corner along one axis from residuals (k,), with seven unknowns taken off."""
-    squares = float(residual @ residual) + PRIOR_COUNT * PRIOR_SIGMA_PX**2
-    return max(MIN_SIGMA_PX, math.sqrt(squares / max(len(residual) - 7.0 + PRIOR_COUNT, 1.0)))
+def corner_scale(residual: FloatArray) -> float:
+    """Standard deviation of corners over what is expected of them, from residuals (k,) over the same, with seven
+    unknowns taken off."""
+    squares = float(residual @ residual) + PRIOR_COUNT
+    return max(MIN_SCALE, math.sqrt(squares / max(len(residual) - 7.0 + PRIOR_COUNT, 1.0)))
 
 
 def linearise_corners(
@@ -174,16 +185,16 @@ def linearise_corners(
 def _normal_equations(
     residual: FloatArray,
     jac: FloatArray,
-    sigma_px: float,
+    sigma_px: FloatArray,
     rotation: FloatArray,
     up_prior: FloatArray,
     sigma_tilt: float,
     shrink_off_px: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (7, 7) and gradient (7,) of pixels, tilt prior and shrink prior."""
-    weight = 1.0 / (sigma_px * sigma_px)
-    information = weight * (jac.T @ jac)
-    gradient = weight * (jac.T @ residual)
+    """Information (7, 7) and gradient (7,) of pixels with these sigmas (k,), tilt prior and shrink prior."""
+    weighted = jac.T / (sigma_px * sigma_px)
+    information = weighted @ jac
+    gradient = weighted @ residual
     # The prior's vertical, seen through this rotation, leans off the vertical: turning by (-lean_e, lean_n) rights it.
     lean = rotation @ up_prior
     tilt = 1.0 / (sigma_tilt * sigma_tilt)

@@ -21,8 +21,9 @@ from estimator.pnp import (
     SHRINK_PX,
     SHRINK_SIGMA_PX,
     STEPS,
-    corner_sigma_px,
+    corner_scale,
     corners_that_fit,
+    expected_px,
     inward_of,
     linearise_corners,
     turn_matrix,
@@ -83,6 +84,8 @@ class SheetCorners(NamedTuple):
     """(n, 3)"""
     sigma_m: FloatArray
     """(m,) of each marker on its sheet."""
+    sigma_px: FloatArray | None = None
+    """(m,) what to expect of each marker's corners along an axis; None: of all what clear water gives."""
 
     def only(self, good: FloatArray) -> "SheetCorners":
         """Some of the markers; the sheets stay."""
@@ -91,6 +94,7 @@ class SheetCorners(NamedTuple):
             pixels=self.pixels[good],
             sheet=self.sheet[good],
             sigma_m=self.sigma_m[good],
+            sigma_px=None if self.sigma_px is None else self.sigma_px[good],
         )
 
 
@@ -138,7 +142,7 @@ def fit_on_sheets(
         offset = offset + delta[7:]
         residual = residual - jac @ delta
         if float(np.abs(delta[:6]).max()) < CONVERGED:
-            fits = corners_that_fit(residual)
+            fits = corners_that_fit(residual / _expected(seen))
             if (fits == keep).all() or step == STEPS - 1:
                 break
             keep = fits
@@ -176,12 +180,18 @@ def _points(seen: SheetCorners, offset: FloatArray) -> tuple[FloatArray, FloatAr
     return points, by.reshape(4 * m, 3, STATES * n)
 
 
+def _expected(seen: SheetCorners) -> FloatArray:
+    """(8m,) standard deviations of pixel coordinates by the image."""
+    return expected_px(None if seen.sigma_px is None else np.repeat(seen.sigma_px, 4), 4 * len(seen.sheet))
+
+
 def _weights(
     camera: CameraModel, seen: SheetCorners, residual: FloatArray, keep: FloatArray, pos: FloatArray, points: FloatArray
 ) -> FloatArray:
     """(8m,) inverse variance of each pixel coordinate: of corners, and of markers on their sheets, which all four
     corners share."""
-    sigma_px = corner_sigma_px(residual[keep])
+    expected = _expected(seen)
+    sigma_px = corner_scale(residual[keep] / expected[keep]) * expected[::8]
     away_m = np.maximum(points[:, 0, 2] - pos[2], 0.05)
     print_px = seen.sigma_m * camera.focal_water_px / away_m
     result: FloatArray = np.repeat(1.0 / (sigma_px**2 + 4.0 * print_px**2), 8)

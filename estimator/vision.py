@@ -26,7 +26,7 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from estimator.laser_dot import find_dot
-from estimator.marker_looks import looks_of, patterns_of
+from estimator.marker_looks import corner_sigma_px, looks_of, patterns_of
 
 HINT_MARGIN_PX, HINT_MARGIN_M = 60.0, 0.06
 """Markers so far outside of the predicted image (the larger one, seen on the floor) may be in view: some centimetres
@@ -110,18 +110,20 @@ class MarkerDetector:
         """What is in the image; a function of its arguments alone. ``decode_us`` is left to the caller's clock."""
         image = frame.image_bgr
         grey, hazy = grey_of(image)
-        found: list[int] = []
-        corners = np.empty((0, 4, 2))
         # Most maps are of one dictionary; each further kind in view costs a search of its own.
         if hint is None:
             each = [self._search(grey, hazy, ids) for ids in self._acquisition()]
         else:
             each = [self._track(grey, hazy, *expected) for expected in self._expected(hint)]
-        for some in each:
-            found += some.ids.tolist()
-            corners = np.concatenate((corners, some.quads))
         laser = find_dot(image, self._camera, self._laser_range_m(hint))
-        return MarkerSighting(t_us=frame.t_us, ids=tuple(found), corners_px=corners, laser_px=laser)
+        ids = tuple(int(i) for some in each for i in some.ids)
+        return MarkerSighting(
+            t_us=frame.t_us,
+            ids=ids,
+            corners_px=np.concatenate([np.empty((0, 4, 2)), *(some.corners_px for some in each)]),
+            laser_px=laser,
+            sigma_px=np.concatenate([some.sigma_px for some in each]) if ids else None,
+        )
 
     def _acquisition(self) -> list[IntArray]:
         """All ids of the map, one group for each dictionary."""
@@ -147,7 +149,7 @@ class MarkerDetector:
         start_ned_m = hint.pos_ned_m + r @ self._camera.position_frd_m
         return (self._floor_m - float(start_ned_m[2])) / max(float(r[2, 2]), 0.2)
 
-    def _track(self, grey: Any, hazy: bool, ids: IntArray, predicted: FloatArray) -> "_Found":
+    def _track(self, grey: Any, hazy: bool, ids: IntArray, predicted: FloatArray) -> "_Seen":
         """Markers of those (n,) that should lie at ``predicted`` (n, 4, 2), all of one dictionary."""
         words = np.unique(ids)
         dictionary = self._words(words)
@@ -169,7 +171,7 @@ class MarkerDetector:
             found = found.with_new(_Found(words[again.ids], again.quads + np.array([left, top], dtype=np.float32)))
         return self._believed(smooth, dictionary, found)
 
-    def _search(self, grey: Any, hazy: bool, ids: IntArray) -> "_Found":
+    def _search(self, grey: Any, hazy: bool, ids: IntArray) -> "_Seen":
         """Markers whose id is one of ``ids``, all of one dictionary."""
         words = np.unique(ids)
         dictionary = self._words(words)
@@ -181,14 +183,17 @@ class MarkerDetector:
         found = found.with_new(again)
         return self._believed(smooth if hazy else grey, dictionary, _Found(words[found.ids], found.quads))
 
-    def _believed(self, grey: Any, dictionary: Any, found: "_Found") -> "_Found":
+    def _believed(self, grey: Any, dictionary: Any, found: "_Found") -> "_Seen":
         """With corners to fractions of a pixel, without what does not look like the marker that it reads as."""
         if not len(found.ids):
-            return found
-        quads = _refined(grey, found.quads, dictionary.markerSize)
+            return _Seen(found.ids, np.empty((0, 4, 2)), np.empty(0))
+        halves = _window_px(found.quads, dictionary.markerSize + 2)
+        quads = _refined(grey, found.quads, halves)
         looks = looks_of(grey, quads, self._patterns[int(found.ids[0]) // ID_SPAN][found.ids % ID_SPAN])
         sure = looks.fit >= LEAST_FIT
-        return _Found(found.ids[sure], quads[sure])
+        # As the log keeps it.
+        sigma = corner_sigma_px(looks, halves).astype(np.float32).astype(np.float64)
+        return _Seen(found.ids[sure], quads[sure], sigma[sure])
 
     def _words(self, ids: IntArray) -> Any:
         """OpenCV's dictionary of these ids alone, all of one dictionary."""
@@ -215,6 +220,17 @@ class _Found(NamedTuple):
         near = (apart * apart).sum(axis=2) < np.square(SAME * _perimeters_px(more.quads) / 4.0)[:, None]
         new = ~(near & (more.ids[:, None] == self.ids[None, :])).any(axis=1)
         return _Found(np.append(self.ids, more.ids[new]), np.concatenate((self.quads, more.quads[new])))
+
+
+class _Seen(NamedTuple):
+    """What is believed of them."""
+
+    ids: IntArray
+    """(n,)"""
+    corners_px: FloatArray
+    """(n, 4, 2)"""
+    sigma_px: FloatArray
+    """(n,) of the corners."""
 
 
 def _quads(grey: Any, dictionary: Any, parameters: Any) -> _Found:
@@ -279,14 +295,16 @@ def _moved(predicted: FloatArray, which: IntArray, quads: Any) -> tuple[FloatArr
     return np.stack((all_of_them.real, all_of_them.imag), axis=-1), 3.0 * usual
 
 
-def _refined(grey: Any, quads: Any, cells: int) -> FloatArray:
-    """Corners (n, 4, 2) to fractions of a pixel. ``cells``: of a marker's side, without its border."""
+def _window_px(quads: Any, cells: int) -> IntArray:
+    """(n,) half widths of the windows in which corners are refined. ``cells``: of a marker's side, border included."""
+    steps = quads - np.roll(quads, -1, axis=1)
+    cell_px = np.sqrt((steps * steps).sum(axis=2)).min(axis=1) / cells
+    return np.asarray(np.clip(np.round(REFINE_CELLS * cell_px), *REFINE_WINDOW_PX), dtype=np.int64)
+
+
+def _refined(grey: Any, quads: Any, halves: IntArray) -> FloatArray:
+    """Corners (n, 4, 2) to fractions of a pixel."""
     corners = np.asarray(quads, dtype=np.float32).copy()
-    if not len(corners):
-        return np.empty((0, 4, 2))
-    steps = corners - np.roll(corners, -1, axis=1)
-    cell_px = np.sqrt((steps * steps).sum(axis=2)).min(axis=1) / (cells + 2)
-    halves = np.clip(np.round(REFINE_CELLS * cell_px), *REFINE_WINDOW_PX).astype(int)
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.01)
     for half in np.unique(halves).tolist():
         some = halves == half

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 
+import cv2
 import numpy as np
 
 from autopilot.core.samples import CameraFrame
@@ -14,9 +15,11 @@ from sitl.fault_tables import Lens, Mounting
 from sitl.floor import Image
 from sitl.outages import OutageClock
 from sitl.plant import Truth
-from sitl.scenario import CameraSensor, Fault
+from sitl.scenario import CameraPicture, CameraSensor, Fault
 from sitl.sensor_faults import OpticalFaults
 
+FOG_LEVEL, FOG_BLUR_PX, SPOILT_NOISE = 130.0, 25.0, 2.0
+"""Grey level and blur of a lens that has fogged up, and noise of spoilt pictures [grey levels]."""
 TRANSPORT_SHARE = 0.5
 """Part of the camera's latency that passes before the picture arrives; the rest is for finding the markers in it."""
 
@@ -45,6 +48,8 @@ class CameraFeed(Closing):
         self._stamp_error_us = round(settings.stamp_error_s * 1e6)
         self._rng = np.random.default_rng((seed, 30))
         self._outages = OutageClock(settings.outages, faults, np.random.default_rng((seed, 31)))
+        self._spoilt = [fault for fault in faults if isinstance(fault, CameraPicture)]
+        self._before: Image | None = None
         self._count = 0
         self._last_due_us = 0
         self._queue: deque[tuple[int, int, Future[Image]]] = deque()
@@ -95,5 +100,20 @@ class CameraFeed(Closing):
         frames = []
         while self._queue and self._queue[0][0] <= t_us and (self._queue[0][2].done() or not self.paced):
             _, exposure_us, picture = self._queue.popleft()
-            frames.append(CameraFrame(t_us=exposure_us + self._stamp_error_us, image_bgr=picture.result()))
+            image = self._before = self._sent(picture.result(), 1e-6 * exposure_us)
+            frames.append(CameraFrame(t_us=exposure_us + self._stamp_error_us, image_bgr=image))
         return frames
+
+    def _sent(self, image: Image, t_s: float) -> Image:
+        """What the camera makes of a picture."""
+        looks = next((f.looks for f in self._spoilt if f.at_s <= t_s < f.at_s + f.duration_s), None)
+        if looks is None:
+            return image
+        if looks == "frozen":
+            return image if self._before is None else self._before
+        gain, level = {"black": (0.01, 0.0), "white": (0.05, 250.0), "fog": (0.03, FOG_LEVEL)}[looks]
+        blurred = cv2.GaussianBlur(image, (0, 0), FOG_BLUR_PX) if looks == "fog" else image
+        noise = np.random.default_rng((self._count, 32)).normal(0.0, SPOILT_NOISE, image.shape[:2])
+        spoilt = gain * blurred + level + noise[..., None]
+        result: Image = np.clip(spoilt, 0.0, 255.0).astype(np.uint8)
+        return result

@@ -272,6 +272,15 @@ class CameraBlackout(_Table, frozen=True, kw_only=True, tag_field="kind", tag="c
     duration_s: Positive
 
 
+class CameraPicture(_Table, frozen=True, kw_only=True, tag_field="kind", tag="camera_picture"):
+    """Pictures come in time and show nothing of use."""
+
+    at_s: NonNegative
+    duration_s: Positive
+    looks: Literal["black", "white", "fog", "frozen"]
+    """Lens covered, over-exposed, fogged, or the same picture again and again."""
+
+
 class AhrsFreeze(_Table, frozen=True, kw_only=True, tag_field="kind", tag="ahrs_freeze"):
     """The AHRS repeats its last values in well-formed frames."""
 
@@ -287,7 +296,7 @@ class SensorSilence(_Table, frozen=True, kw_only=True, tag_field="kind", tag="se
     sensor: Literal["depth", "dvl"]
 
 
-Fault: TypeAlias = ThrusterLoss | CameraBlackout | AhrsFreeze | SensorSilence | SensorFault
+Fault: TypeAlias = ThrusterLoss | CameraBlackout | CameraPicture | AhrsFreeze | SensorSilence | SensorFault
 
 
 class Accept(_Table, frozen=True, kw_only=True):

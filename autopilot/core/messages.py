@@ -14,7 +14,7 @@ from autopilot.core.clients import EVERYONE
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.marks import LoopPart
-from autopilot.core.samples import ExternalPoseSample, Sample
+from autopilot.core.samples import ExternalPoseSample, PictureReport, Sample
 
 MAX_THRUSTERS = 8
 """Width of the thruster arrays in logs and outputs."""
@@ -48,6 +48,10 @@ class Inputs:
     """What the runtime has to tell operators (a broken link, a log that cannot be written), as the service's own."""
     troubles: tuple["DeviceTrouble", ...] = ()
     """Devices that failed since the last tick."""
+    pictures: tuple[PictureReport, ...] = ()
+    """How the camera's pictures of this tick look."""
+    frame_counts: Mapping[str, int] | None = None
+    """What became of pictures so far, by name (``frames.ok`` ...); None without a camera."""
 
 
 class DeviceRole(IntEnum):

@@ -4,7 +4,7 @@ Conventions as in :mod:`autopilot.core.messages`. ``t_us`` is the time of validi
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import Any, TypeAlias
 
 from autopilot.core.frames import FloatArray
@@ -44,6 +44,37 @@ class CameraFrame:
     image_bgr: Any
 
 
+class FrameVerdict(Enum):
+    """Why a picture is refused; ``OK`` = it is not."""
+
+    OK = "ok"
+    WRONG_SIZE = "wrong_size"
+    """Not (rows, columns, 3) of the camera: another camera, or another camera's intrinsics."""
+    WRONG_TYPE = "wrong_type"
+    """Not 8 bits per channel."""
+    DARK = "dark"
+    BRIGHT = "bright"
+    FLAT = "flat"
+    """One grey level all over."""
+    TORN = "torn"
+    """The lower part is missing."""
+    FROZEN = "frozen"
+    """The same picture as before under a new time: noise never repeats, so the camera hangs."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PictureReport:
+    """What a picture looks like, before anybody has looked for markers."""
+
+    t_us: int
+    verdict: FrameVerdict
+    contrast: float = 0.0
+    """Standard deviation of the steps between neighbours on a coarse grid, over the root of 2 [grey levels]."""
+    white_share: float = 0.0
+    black_share: float = 0.0
+    """Shares of the pixels that are white, black."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MarkerSighting:
     """What the vision front end found in one image. ``t_us`` is the time of exposure."""
@@ -55,6 +86,8 @@ class MarkerSighting:
     """(n, 4, 2) image points in OpenCV's corner order, as seen (distorted)."""
     laser_px: FloatArray | None
     """(2,) the laser dot, None if not found."""
+    sigma_px: FloatArray | None = None
+    """(n,) standard deviation of each marker's corners along an axis, judged by the image; None = not known."""
     decode_us: int = 0
     """Time that detection took, for the log."""
 

@@ -62,11 +62,14 @@ def marker_sighting(row: Any) -> MarkerSighting:
     """From a row of ``/in/markers``."""
     count = int(row["count"])
     corners = row["corners_px"][: 8 * count].astype(float).reshape(count, 4, 2)
+    # Logs from before this was known do not have it.
+    sigma = row["sigma_px"][:count].astype(float) if "sigma_px" in row.dtype.names else np.zeros(count)
     return MarkerSighting(
         t_us=int(row["t_us"]),
         ids=tuple(int(i) for i in row["ids"][:count]),
         corners_px=corners,
         laser_px=row["laser_px"].copy() if row["laser_found"] else None,
+        sigma_px=sigma if sigma.all() else None,
         decode_us=int(row["decode_us"]),
     )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from autopilot.core.errors import LogError
 from autopilot.core.params import PARAMETERS
-from autopilot.log.analysis import Flight, load_flight, seconds
+from autopilot.log.analysis import Flight, last_counts, load_flight, seconds
 from autopilot.log.check import Row, Verdict, acceptance_table, format_figure, overall
 from autopilot.log.reader import Log
 from autopilot.log.visuals import ROS_LEVEL
@@ -61,6 +61,7 @@ def _page(flight: Flight, rows: Sequence[Row]) -> str:
         f"<style>{_STYLE}</style>\n{scripts}</head>\n<body>\n<h1>{html.escape(title)} {_badge(overall(rows))}</h1>\n"
         f"{_problems(flight.log)}{_header(flight)}\n<h2>Bounds</h2>\n{_acceptance(rows)}\n"
         f"<h2>Plots</h2>\n{_modes(flight)}\n{drawn}\n<h2>Events</h2>\n{_events(flight.log)}\n"
+        f"<h2>Counters</h2>\n{_counters(flight)}\n"
         f"<h2>Parameters</h2>\n{_parameters(flight)}\n<h2>Topics</h2>\n{_topics(flight.log)}\n{script}\n</body></html>\n"
     )
 
@@ -127,6 +128,12 @@ def _modes(flight: Flight) -> str:
         last = text
     table = _table(("at [s]", "mode"), rows)
     return f"<details><summary>Modes ({len(rows)} changes, shaded in the plots)</summary>{table}</details>"
+
+
+def _counters(flight: Flight) -> str:
+    """What was counted by the end of the log, where it is not 0."""
+    rows = [(name, str(count)) for name, count in last_counts(flight.log).items() if count]
+    return _table(("", "times"), rows) if rows else "<p>none</p>"
 
 
 def _events(log: Log) -> str:

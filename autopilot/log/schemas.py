@@ -72,6 +72,19 @@ uint32[8] duplicate
 uint32[8] future
 uint32[8] malformed
 uint32[8] aid_resets
+uint32[16] frames  # ok wrong_size wrong_type dark bright flat torn frozen dropped failed late foggy
+uint32 markers_unknown
+uint32 markers_misfit
+uint32 markers_leaning
+uint32 shadow_disagreements
+uint32 doubt_accel
+uint32 doubt_gyro
+uint32 doubt_compass_jumps
+uint32 doubt_jumps
+uint32[4] devices  # ticks on which it failed: 0 sensors, 1 camera, 2 thrusters
+uint32 power_malformed
+uint32 faults  # inside the service
+uint32 other  # counted, and not one of these
 """,
     "autopilot_msgs/ShadowStatus": """
 std_msgs/Header header
@@ -183,6 +196,7 @@ uint8 laser_found
 float32[512] corners_px  # 64 markers, 4 corners, x and y
 float64[2] laser_px
 uint32 decode_us
+float32[64] sigma_px  # of each marker's corners, 0 = not known
 """,
     "autopilot_msgs/PoseFix": """
 std_msgs/Header header

@@ -110,7 +110,7 @@ class Status:
     def sys_status(self) -> Message | None:
         """SYS_STATUS: PREARM_CHECK is healthy when arming would be accepted now.
 
-        errors_count1 to 4: AHRS samples refused, fixes and other aiding measurements not used, estimator resets."""
+        errors_count1 to 4: AHRS samples refused, pictures and fixes, other measurements not used, estimator resets."""
         ctx, view = self._ctx, self._ctx.view
         health = _SENSORS
         nav_health = NavHealth.INVALID if view.nav is None else view.nav.health

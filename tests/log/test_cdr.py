@@ -322,6 +322,7 @@ def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) ->
         ids=tuple(range(count)),
         corners_px=corners,
         laser_px=np.array([1.5, 2.5]) if laser else None,
+        sigma_px=np.full(count, 0.25) if laser else None,
         decode_us=decode_us,
     )
     read = read_back("autopilot_msgs/MarkerSighting", sensors.marker_sighting(stamp, sighting))
@@ -330,6 +331,7 @@ def test_marker_sighting(stamp: int, count: int, laser: bool, decode_us: int) ->
     assert read.ids[:kept].tolist() == list(range(kept)) and not read.ids[kept:].any()
     np.testing.assert_array_equal(read.corners_px[: 8 * kept], corners[:kept].ravel())
     assert read.laser_px.tolist() == ([1.5, 2.5] if laser else [0.0, 0.0])
+    assert read.sigma_px.tolist() == [0.25 if laser else 0.0] * kept + [0.0] * (sensors.MAX_MARKERS - kept)
     assert read.header.frame_id == "cam"
 
 

@@ -26,7 +26,49 @@ _OF_THE_FILTER = (
     "ahrs.tilt_disagreements",
 )
 _OF_AN_AID = ("received", "fused", "rejected", "late", "duplicate", "future", "malformed", "resets")
-"""Names of counts, in the order of the fields of NavCounters."""
+_OF_FRAMES = (
+    "ok",
+    "wrong_size",
+    "wrong_type",
+    "dark",
+    "bright",
+    "flat",
+    "torn",
+    "frozen",
+    "dropped",
+    "failed",
+    "late",
+    "foggy",
+)
+_OF_THE_REST = (
+    "markers.unknown",
+    "markers.misfit",
+    "markers.leaning",
+    "shadow.disagreements",
+    "doubt.accel",
+    "doubt.gyro",
+    "doubt.compass_jumps",
+    "doubt.jumps",
+    "devices.sensors",
+    "devices.camera",
+    "devices.thrusters",
+    "",
+    "power.malformed",
+)
+"""Names of counts, in the order of the fields of NavCounters; "" for places that are kept free."""
+
+
+def _names() -> tuple[str, ...]:
+    names = [*_OF_THE_FILTER]
+    for what in _OF_AN_AID:
+        names += [f"{sensor}.{what}" for sensor in AID_SENSORS] + [""] * (8 - len(AID_SENSORS))
+    names += [f"frames.{what}" for what in _OF_FRAMES] + [""] * (16 - len(_OF_FRAMES))
+    return (*names, *_OF_THE_REST)
+
+
+COUNTER_NAMES = _names()
+"""Of the values of NavCounters one by one, but for the last two: faults, and whatever has no place of its own."""
+_PLACED = frozenset(COUNTER_NAMES)
 
 
 def nav_covariance(stamp_ns: int, nav: NavState) -> bytes:
@@ -48,11 +90,11 @@ def nav_status(stamp_ns: int, nav: NavState) -> bytes:
 
 def nav_counters(stamp_ns: int, value: NavCounters) -> bytes:
     """NavCounters; what was not counted is 0."""
-    names = [*_OF_THE_FILTER]
-    for what in _OF_AN_AID:
-        names += [f"{sensor}.{what}" for sensor in AID_SENSORS] + [""] * (8 - len(AID_SENSORS))
-    counts = [clip(value.counts.get(name, 0), UINT32) for name in names]
-    return _nav_counters(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *counts)
+    counts = [value.counts.get(name, 0) for name in COUNTER_NAMES]
+    counts.append(sum(count for name, count in value.counts.items() if name.startswith("faults.")))
+    placed = sum(count for name, count in value.counts.items() if name in _PLACED)
+    counts.append(sum(value.counts.values()) - placed - counts[-1])
+    return _nav_counters(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *(clip(count, UINT32) for count in counts))
 
 
 def shadow_status(stamp_ns: int, status: ShadowStatus) -> bytes:

@@ -96,6 +96,9 @@ def marker_sighting(stamp_ns: int, sighting: MarkerSighting) -> bytes:
     struct.pack_into(f"<{count}H", message, _marker_offset["ids"], *sighting.ids[:count])
     corners = np.ascontiguousarray(sighting.corners_px[:count], dtype="<f4").tobytes()
     message[_marker_offset["corners_px"] : _marker_offset["corners_px"] + len(corners)] = corners
+    if sighting.sigma_px is not None:
+        sigmas = np.ascontiguousarray(sighting.sigma_px[:count], dtype="<f4").tobytes()
+        message[_marker_offset["sigma_px"] : _marker_offset["sigma_px"] + len(sigmas)] = sigmas
     if sighting.laser_px is not None:
         message[_marker_offset["laser_found"]] = 1
         struct.pack_into("<2d", message, _marker_offset["laser_px"], *sighting.laser_px.tolist())

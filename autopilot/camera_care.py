@@ -1,0 +1,93 @@
+"""What is wrong with the camera, for the operator: black, over-exposed, frozen, torn, foggy or silent.
+
+Pictures that cannot be used are refused at the door of the vision front end and come here by name. Others may be too
+dark, too bright or too foggy for markers: that counts only while none is found in them.
+"""
+
+from collections.abc import Sequence
+
+from autopilot.core.messages import Event, Severity
+from autopilot.core.samples import FrameVerdict, MarkerSighting, PictureReport, Sample
+
+FOR_US = 500_000
+"""Pictures that are all bad for so long are told of; as long a time of good ones ends it."""
+LEAST = 3
+"""And at least so many of them."""
+SILENT_US = 800_000
+"""A camera that has sent pictures and then sends none for so long is silent."""
+MARKERS_US = 300_000
+"""A picture is good enough, whatever it looks like, if markers were found within so long."""
+FOG_CONTRAST = 6.0
+"""Grey levels between neighbouring pixels of the coarse picture: a floor of markers has 20 and more in clear water,
+noise alone 3."""
+CLIPPED_SHARE = 0.5
+"""Share of white or black pixels from which on a picture in which nothing is found is over- or under-exposed."""
+
+FOGGY, SILENT = "foggy", "silent"
+TEXTS = {
+    FrameVerdict.DARK.value: "Camera black: remove its cover, switch on light",
+    FrameVerdict.BRIGHT.value: "Camera over-exposed: shorten exposure, dim light",
+    FrameVerdict.FLAT.value: "Camera shows one grey level: check lens, cable",
+    FrameVerdict.TORN.value: "Camera pictures are torn: check its cable",
+    FrameVerdict.FROZEN.value: "Camera frozen, same picture again: restart it",
+    FrameVerdict.WRONG_SIZE.value: "Picture size is not the vehicle file's: check it",
+    FrameVerdict.WRONG_TYPE.value: "Camera sends no 8-bit pictures: set its format",
+    FOGGY: "Camera foggy: clean its lens, or water is turbid",
+    SILENT: "Camera sends no pictures: check its cable",
+}
+WELL = "Camera is well again"
+
+
+class CameraCare:
+    """Remembers how pictures have been and says what has changed."""
+
+    def __init__(self) -> None:
+        self.foggy = 0
+        """Pictures that were too foggy for markers."""
+        self._trouble: str | None = None
+        """What the operator was told, None while all is well."""
+        self._now: str | None = None
+        """What the pictures have all been since ``_since_us``; None = good."""
+        self._since_us = 0
+        self._count = 0
+        self._last_us: int | None = None
+        """When the last picture came,"""
+        self._markers_us: int | None = None
+        """and the last one with markers."""
+
+    def step(self, t_us: int, pictures: Sequence[PictureReport], samples: Sequence[Sample]) -> list[Event]:
+        """Lines for the operator: each trouble once, and when it is over."""
+        if any(isinstance(sample, MarkerSighting) and sample.ids for sample in samples):
+            self._markers_us = t_us
+        for picture in pictures:
+            self._last_us = t_us
+            self._note(t_us, self._of(t_us, picture))
+        silent = self._last_us is not None and t_us - self._last_us >= SILENT_US
+        if silent:
+            self._note(t_us, SILENT)
+        lasting = silent or (self._count >= LEAST and t_us - self._since_us >= FOR_US)
+        if not lasting or self._now == self._trouble:
+            return []
+        self._trouble = self._now
+        if self._now is None:
+            return [Event(t_us=t_us, severity=Severity.NOTICE, text=WELL)]
+        return [Event(t_us=t_us, severity=Severity.WARNING, text=TEXTS[self._now])]
+
+    def _note(self, t_us: int, trouble: str | None) -> None:
+        if trouble != self._now:
+            self._now, self._since_us, self._count = trouble, t_us, 0
+        self._count += 1
+
+    def _of(self, t_us: int, picture: PictureReport) -> str | None:
+        if picture.verdict is not FrameVerdict.OK:
+            return str(picture.verdict.value)
+        if self._markers_us is not None and t_us - self._markers_us < MARKERS_US:
+            return None
+        if picture.white_share > CLIPPED_SHARE:
+            return FrameVerdict.BRIGHT.value
+        if picture.black_share > CLIPPED_SHARE:
+            return FrameVerdict.DARK.value
+        if picture.contrast < FOG_CONTRAST:
+            self.foggy += 1
+            return FOGGY
+        return None
