@@ -1,14 +1,16 @@
-"""Calibration boards: ChArUco and plain marker boards, how OpenCV finds them, and sheets to print at true scale.
+"""Calibration boards (ChArUco, plain markers, plain chessboards): how OpenCV finds them, and sheets at true scale.
 
 Works with OpenCV 4.10 to 5.x, whose arrays differ in shape (ids and matched points are flattened here).
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 
+from autopilot.core.dictionaries import opencv_dictionary, resolve_dictionary
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 
@@ -25,9 +27,9 @@ SCALE_BAR_MM = 100.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardSpec:
-    """A flat board of ``columns`` x ``rows`` squares (ChArUco) or markers (grid)."""
+    """A flat board of ``columns`` x ``rows`` squares (ChArUco, chessboard) or markers (grid)."""
 
-    kind: Literal["charuco", "grid"] = "charuco"
+    kind: Literal["charuco", "grid", "chessboard"] = "charuco"
     columns: int = 9
     rows: int = 6
     pitch_m: float = 0.030
@@ -39,10 +41,13 @@ class BoardSpec:
     """ChArUco as OpenCV drew it before 4.6 (differs for an even number of rows)."""
 
     def __post_init__(self) -> None:
-        smallest = 3 if self.kind == "charuco" else 1
+        smallest = {"charuco": 3, "chessboard": 4}.get(self.kind, 1)
         if min(self.columns, self.rows) < smallest:
             raise ConfigError(f"board of {self.columns} x {self.rows}: too small; use at least {smallest} x {smallest}")
-        if not 0.0 < self.marker_m < self.pitch_m:
+        if self.kind == "chessboard":
+            if not self.pitch_m > 0.0:
+                raise ConfigError(f"squares of {self.pitch_m:g} m; measure the print and give --square")
+        elif not 0.0 < self.marker_m < self.pitch_m:
             raise ConfigError(
                 f"marker of {self.marker_m:g} m must lie between 0 and the pitch, {self.pitch_m:g} m; measure the print"
             )
@@ -50,7 +55,7 @@ class BoardSpec:
     @property
     def size_m(self) -> tuple[float, float]:
         """Width and height of the pattern."""
-        if self.kind == "charuco":
+        if self.kind != "grid":
             return self.columns * self.pitch_m, self.rows * self.pitch_m
         gap_m = self.pitch_m - self.marker_m
         return self.columns * self.pitch_m - gap_m, self.rows * self.pitch_m - gap_m
@@ -68,11 +73,13 @@ class Board:
     """A board that can be found in images."""
 
     def __init__(self, spec: BoardSpec) -> None:
-        """ConfigError if OpenCV does not know the dictionary or it has too few markers."""
-        if not spec.dictionary.startswith("DICT_") or not hasattr(cv2.aruco, spec.dictionary):
-            raise ConfigError(f"dictionary {spec.dictionary!r} is not known to OpenCV; use e.g. DICT_5X5_100")
+        """ConfigError if the dictionary (OpenCV's name or a file) is not known or has too few markers."""
         self.spec = spec
-        self.dictionary: Any = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, spec.dictionary))
+        self.pattern: Any = None
+        self._detector: Any = None
+        if spec.kind == "chessboard":
+            return
+        self.dictionary: Any = opencv_dictionary(resolve_dictionary(spec.dictionary, Path(), "--dictionary"))
         needed = spec.columns * spec.rows // (2 if spec.kind == "charuco" else 1)
         if needed > len(self.dictionary.bytesList):
             raise ConfigError(
@@ -84,9 +91,9 @@ class Board:
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
         parameters.relativeCornerRefinmentWinSize = REFINE_CELLS
         if spec.kind == "charuco":
-            self.pattern: Any = cv2.aruco.CharucoBoard(shape, spec.pitch_m, spec.marker_m, self.dictionary)
+            self.pattern = cv2.aruco.CharucoBoard(shape, spec.pitch_m, spec.marker_m, self.dictionary)
             self.pattern.setLegacyPattern(spec.legacy)
-            self._detector: Any = cv2.aruco.CharucoDetector(self.pattern)
+            self._detector = cv2.aruco.CharucoDetector(self.pattern)
             self._detector.setDetectorParameters(parameters)
         else:
             gap_m = spec.pitch_m - spec.marker_m
@@ -95,6 +102,8 @@ class Board:
 
     def find(self, grey: Any) -> tuple[FloatArray, FloatArray] | None:
         """Board points (n, 3) [m] and their pixels (n, 2) in a grey image; None if fewer than MIN_CORNERS are seen."""
+        if self.spec.kind == "chessboard":
+            return self._find_chessboard(grey)
         if self.spec.kind == "charuco":
             pixels, ids, _, _ = self._detector.detectBoard(grey)
             if ids is None or len(ids) < MIN_CORNERS:
@@ -109,9 +118,25 @@ class Board:
                 return None
         return np.asarray(points, dtype=float).reshape(-1, 3), np.asarray(pixels, dtype=float).reshape(-1, 2)
 
+    def _find_chessboard(self, grey: Any) -> tuple[FloatArray, FloatArray] | None:
+        """All inner corners, or None. Which of a board's ends is its first is not known; a camera does not mind."""
+        across, down = self.spec.columns - 1, self.spec.rows - 1
+        flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
+        found, pixels = cv2.findChessboardCornersSB(grey, (across, down), flags=flags)
+        if not found or pixels is None or len(pixels) != across * down:
+            return None
+        row, column = np.divmod(np.arange(across * down), across)
+        points = self.spec.pitch_m * np.column_stack((column + 1.0, row + 1.0, np.zeros(across * down)))
+        return points, np.asarray(pixels, dtype=float).reshape(-1, 2)
+
     def black_rectangles_m(self) -> list[tuple[float, float, float, float]]:
         """Everything black: left, top, width, height, from the pattern's top left corner, y down."""
-        spec, cells = self.spec, int(self.dictionary.markerSize) + 2
+        spec = self.spec
+        if spec.kind == "chessboard":
+            squares = [(column, row) for row in range(spec.rows) for column in range(spec.columns)]
+            side = spec.pitch_m
+            return [(c * side, r * side, side, side) for c, r in squares if (c + r) % 2 == 0]
+        cells = int(self.dictionary.markerSize) + 2
         cell_m = spec.marker_m / cells
         out = []
         corners = [np.asarray(quad, dtype=float).reshape(4, 3) for quad in self.pattern.getObjPoints()]
@@ -140,9 +165,10 @@ class Board:
             for x, y, w, h in self.black_rectangles_m()
         )
         spec = self.spec
+        markers = f", marker {1e3 * spec.marker_m:g} mm, {spec.dictionary}{' legacy' if spec.legacy else ''}"
         label = (
-            f"{spec.kind} {spec.columns}x{spec.rows}, pitch {1e3 * spec.pitch_m:g} mm, marker {1e3 * spec.marker_m:g}"
-            f" mm, {spec.dictionary}{' legacy' if spec.legacy else ''}; at 100 % this line is {SCALE_BAR_MM:g} mm"
+            f"{spec.kind} {spec.columns}x{spec.rows}, pitch {1e3 * spec.pitch_m:g} mm"
+            f"{'' if spec.kind == 'chessboard' else markers}; at 100 % this line is {SCALE_BAR_MM:g} mm"
         )
         bar_mm = height_mm + 3.0
         return (

@@ -32,6 +32,12 @@ GOOD_TILTED_SHARE = 0.3
 FOCAL_BAND = 0.1
 """A focal length this far from the expected one is worth a word."""
 GOOD_RMS_PX = 0.6
+OTHER_FOCAL = 0.05
+"""The views are also fitted with focal lengths that are this share longer and shorter,"""
+FOCAL_SIGMA = 0.01
+"""and must say so: by how much worse they fit tells the focal length's standard deviation, at most this share of it."""
+LEAST_SIGMA_PX = 0.1
+"""Of a corner, for that: errors of a board and of its detection are not as independent as noise."""
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
@@ -70,7 +76,8 @@ class Intrinsics:
 
 
 def calibrate(found: Views, *, fix_k3: bool = False) -> Intrinsics:
-    """Pinhole with k1 k2 p1 p2 k3. ConfigError if there are too few views or they do not determine the camera."""
+    """Pinhole with k1 k2 p1 p2 k3. ConfigError if there are too few views, if they do not determine the camera, or if
+    they fit another focal length as well: what is then printed for its sigma is of no use."""
     views, left_out = list(found.views), list(found.left_out)
     most = round(REJECT_SHARE * len(views))
     while True:
@@ -83,11 +90,46 @@ def calibrate(found: Views, *, fix_k3: bool = False) -> Intrinsics:
         rms = result.view_rms_px
         worst = int(rms.argmax())
         if most == 0 or rms[worst] <= max(REJECT_FLOOR_PX, REJECT_FACTOR * float(np.median(rms))):
+            _refuse_any_focal(found, result, fix_k3)
             return result
         # One at a time: a view that is wrong spoils others, which fit when it is gone.
         left_out.append((views[worst].name, f"does not fit: {rms[worst]:.2f} px rms"))
         del views[worst]
         most -= 1
+
+
+def _refuse_any_focal(found: Views, result: Intrinsics, fix_k3: bool) -> None:
+    """ConfigError if the views do not tell focal length from distance."""
+    count = sum(2 * len(view.pixels) for view in result.views)
+    square = sum(float((residual**2).sum()) for residual in result.residual_px)
+    variance = max(square / max(count - 9 - 6 * len(result.views), 1), LEAST_SIGMA_PX**2)
+    worse = []
+    for factor in (1.0 - OTHER_FOCAL, 1.0 + OTHER_FOCAL):
+        other = _fit_with_focal(found, result, factor, fix_k3)
+        worse.append(np.inf if other is None else (other - square) / variance)
+    sigma = OTHER_FOCAL / math.sqrt(max(min(worse), 1e-6))
+    if sigma > FOCAL_SIGMA:
+        fx = float(result.values[0])
+        raise ConfigError(
+            f"the views do not tell focal length from distance: fx {(1.0 - OTHER_FOCAL) * fx:.0f},"
+            f" {fx:.0f} or {(1.0 + OTHER_FOCAL) * fx:.0f} px fit alike; add views with the board tilted by 20 to 40 deg"
+            " about both axes"
+        )
+
+
+def _fit_with_focal(found: Views, result: Intrinsics, factor: float, fix_k3: bool) -> float | None:
+    """Sum of the squared residuals with that multiple of the focal length, all else free; None if nothing fits."""
+    fx, fy, cx, cy, *coefficients = result.values.tolist()
+    matrix: Any = np.array([[factor * fx, 0.0, cx], [0.0, factor * fy, cy], [0.0, 0.0, 1.0]])
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_FOCAL_LENGTH | (cv2.CALIB_FIX_K3 if fix_k3 else 0)
+    points: Any = [view.points_m.astype(np.float32).reshape(-1, 1, 3) for view in result.views]
+    pixels: Any = [view.pixels.astype(np.float32).reshape(-1, 1, 2) for view in result.views]
+    size = (found.width_px, found.height_px)
+    try:
+        rms, *_ = cv2.calibrateCamera(points, pixels, size, matrix, np.array(coefficients), flags=flags)
+    except cv2.error:
+        return None
+    return float(rms) ** 2 * sum(len(view.pixels) for view in result.views)
 
 
 def _fit(found: Views, views: list[View], left_out: tuple[tuple[str, str], ...], fix_k3: bool) -> Intrinsics:

@@ -83,7 +83,8 @@ def collect_views(board: Board, images: Iterable[tuple[str, Any]], origin: str) 
         else:
             views.append(View(name=name, points_m=found[0], pixels=found[1]))
     if size is None or not views:
-        shape = f"{board.spec.kind} {board.spec.columns}x{board.spec.rows} {board.spec.dictionary}"
+        words = "" if board.spec.kind == "chessboard" else f" {board.spec.dictionary}"
+        shape = f"{board.spec.kind} {board.spec.columns}x{board.spec.rows}{words}"
         raise ConfigError(
             f"{origin}: the board ({shape}) is seen in none of {len(left_out)} images; check --board, --shape,"
             " --dictionary and --legacy against the print"

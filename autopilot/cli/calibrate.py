@@ -27,11 +27,18 @@ def _board_options(command: Any) -> Any:
     """The options that say what board it is."""
     for option in reversed(
         [
-            click.option("--board", type=click.Choice(["charuco", "grid"]), default="charuco", show_default=True),
-            click.option("--shape", default="9x6", show_default=True, help="Squares (or markers) across and down."),
+            click.option(
+                "--board", type=click.Choice(["charuco", "grid", "chessboard"]), default="charuco", show_default=True
+            ),
+            click.option(
+                "--shape",
+                default="9x6",
+                show_default=True,
+                help="Squares (or markers) across and down; of a chessboard squares, not inner corners.",
+            ),
             click.option("--square", type=float, default=0.030, show_default=True, help="Pitch of squares [m]."),
             click.option("--marker", type=float, default=0.022, show_default=True, help="Side of a marker [m]."),
-            click.option("--dictionary", default="DICT_5X5_100", show_default=True),
+            click.option("--dictionary", default="DICT_5X5_100", show_default=True, help="Name or file (.yml)."),
             click.option("--legacy", is_flag=True, help="ChArUco drawn by OpenCV before 4.6."),
         ]
     ):
