@@ -6,7 +6,7 @@ detector finds with every correction that the dictionary allows; that gives the 
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,9 @@ from autopilot.core.markers import IntArray, MarkerMap
 
 PHOTOGRAPHS = Path(__file__).resolve().parents[2] / "tests" / "data" / "photographs.json"
 """The list of the source tree."""
+ENLARGED, MAX_WIDTH_PX = (2.0, 3.0), 2500
+"""Photographs of at most this width are enlarged by these factors to see what else is in them."""
+SAME_PX = 5.0
 FOCAL_PX = 800.0
 """Any camera does: the map is what it would see."""
 
@@ -34,9 +37,11 @@ class Photograph:
     """(rows, columns, 3) BGR"""
     dictionary: str
     ids: IntArray
-    """(n,) all that it shows and OpenCV can read."""
+    """(n,) all that OpenCV can read in it, enlarged or not."""
     quads: FloatArray
     """(n, 4, 2) their corners [px]."""
+    more: bool = False
+    """There are more markers of these ids, too small or too slanted for OpenCV."""
 
     @property
     def camera(self) -> CameraModel:
@@ -91,7 +96,30 @@ def read_photographs(listing: Path) -> Iterator[Photograph]:
         found = shown(np.asarray(image), name)
         if sorted(found[0].tolist()) != entry["ids"]:
             raise ConfigError(f"{path}: shows markers {sorted(found[0].tolist())}; {listing} says {entry['ids']}")
-        yield Photograph(name=path.stem, image=np.asarray(image), dictionary=name, ids=found[0], quads=found[1])
+        ids, quads = _all_shown(np.asarray(image), name, *found)
+        yield Photograph(
+            name=path.stem,
+            image=np.asarray(image),
+            dictionary=name,
+            ids=ids,
+            quads=quads,
+            more=entry.get("more", False),
+        )
+
+
+def _all_shown(image: Any, dictionary: str, ids: IntArray, quads: FloatArray) -> tuple[IntArray, FloatArray]:
+    """With the markers that are found in the image when it is enlarged: a campaign must not call them false."""
+    for scale in ENLARGED:
+        if scale * image.shape[1] > MAX_WIDTH_PX:
+            continue
+        larger = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        for marker_id, quad in zip(*shown(larger, dictionary), strict=True):
+            middle = quad.mean(axis=0) / scale
+            known = np.linalg.norm(quads[ids == marker_id].mean(axis=1) - middle, axis=1)
+            if not (known < SAME_PX).any():
+                ids = np.append(ids, marker_id)
+                quads = np.concatenate((quads, (quad / scale)[None]))
+    return ids, quads
 
 
 def shown(image: Any, dictionary: str) -> tuple[IntArray, FloatArray]:
@@ -121,4 +149,4 @@ def taken_again(photo: Photograph, rng: np.random.Generator) -> Photograph:
     packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     image = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR))
     quads = np.concatenate((photo.quads, np.ones((len(photo.quads), 4, 1))), axis=2) @ turn.T
-    return Photograph(name=photo.name, image=image, dictionary=photo.dictionary, ids=photo.ids, quads=quads)
+    return replace(photo, image=image, quads=quads)
