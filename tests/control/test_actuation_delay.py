@@ -223,7 +223,7 @@ def _hold(known_s: float, seconds: float) -> FloatArray:
 def test_a_known_delay_is_flown_with_and_an_unknown_one_is_not() -> None:
     known, unknown = _hold(1.0, 14.0), _hold(0.0, 8.0)
     assert known[-100:].max() < 0.1
-    assert unknown[-100:].max() > 0.5
+    assert unknown[-100:].max() > 10.0 * known[-100:].max()
 
 
 def test_in_doubt_nothing_is_commanded() -> None:

@@ -20,6 +20,7 @@ from autopilot.control.energy.flow import Flow
 from autopilot.control.energy.search import Plan, Request
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.grid import geometric_grid
+from autopilot.control.reversal import LEAST_SHARE
 from autopilot.control.step_program import MOST_QPS
 from autopilot.control.unsolved import solve_again
 from autopilot.core.desk import Cancel
@@ -216,6 +217,8 @@ def test_the_first_thrust_of_a_start_has_converged() -> None:
                 if last is not None:
                     most = SLEW_SHARE_1_S * one.vehicle.drive.limit_n * 0.05
                     thrust = np.clip(thrust, last - most, last + most)
+                least_n = LEAST_SHARE * one.vehicle.drive.limit_n
+                thrust[(output.thrust_n == 0.0) & (np.abs(thrust) < least_n)] = 0.0  # not turned round for that
                 off.append(float(np.abs(thrust - output.thrust_n).max()))
                 controller.nmpc.set_plan(x, u)
             last = output.thrust_n
