@@ -159,7 +159,7 @@ class AttitudeFilter:
         north, east, down = turned(self._level, magnet)
         flat = math.hypot(north, east)
         size = math.hypot(flat, down)
-        if flat <= MIN_HORIZONTAL * size:
+        if not (MIN_HORIZONTAL * size < flat < math.inf):
             return
         turning_rad_s = math.sqrt(rate[0] ** 2 + rate[1] ** 2 + rate[2] ** 2)
         trust = self._field.trust(dt_s, size, math.asin(down / size), turning_rad_s)

@@ -10,6 +10,8 @@ SIZE_SHARE = 0.1
 DIP_RAD = math.radians(10.0)
 """Up to so much it is the same field."""
 SMOOTH_S = 0.05
+MOST_SHARE = 3.0
+"""More than so many times the known size counts as so many, so that one wild reading is soon forgotten."""
 KNOWN_S = 20.0
 """The known field follows slowly: that of another place in the same water."""
 SAME_AFTER_S = 0.5
@@ -47,7 +49,8 @@ class FieldWatch:
         """1 for the known field, 0 for another one; ``rate_rad_s`` is how fast the device turns."""
         if self._now is None:
             self._now = self._known = (size, dip_rad)
-        now = self._now = _nearer(self._now, (size, dip_rad), 1.0 - math.exp(-dt_s / SMOOTH_S))
+        reading = (min(size, MOST_SHARE * self._known[0]), dip_rad)
+        now = self._now = _nearer(self._now, reading, 1.0 - math.exp(-dt_s / SMOOTH_S))
         self._same_s = self._same_s + dt_s if _alike(now, self._known) else 0.0
         if self.disturbed:
             return self._other(dt_s, now, rate_rad_s)

@@ -192,6 +192,40 @@ def test_a_gap_does_not_lose_heading_or_bias() -> None:
     assert attitude.bias_rad_s.tolist() == known.tolist()
 
 
+numbers = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.sampled_from([0.0, 1e-300, -1e308, 50.0]))
+triples = st.lists(numbers, min_size=3, max_size=3).map(np.array)
+wild = st.tuples(
+    st.one_of(st.integers(-(10**7), 10**7), st.just(10_000)), triples, triples, st.one_of(st.none(), triples)
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(samples=st.lists(wild, max_size=12))
+def test_wild_samples_do_no_lasting_harm(samples: list[tuple[int, FloatArray, FloatArray, FloatArray | None]]) -> None:
+    """What cannot be is passed on as NaN, and sound samples behind it make an attitude again."""
+    source, true, t_us = AttitudeSource(), np.array([0.1, -0.2, 0.5]), 10**8
+    for step_us, rate, accel, field in samples:
+        t_us += step_us
+        source.attitude(ImuSample(t_us=t_us, rate_frd_rad_s=rate, accel_frd_m_s2=accel, mag_frd=field))
+    t_us = max(t_us, 10**8) + 10**9
+    for n in range(100):
+        # Sensors' noise: samples that repeat are taken for a hung device.
+        sound = still(t_us + 10_000 * n, true, 1e-6 * (n % 7))
+        rpy = source.attitude(replace(sound, mag_frd=None)).rpy_rad
+    assert np.abs(rpy[:2] - true[:2]).max() < math.radians(3.0)
+    assert np.isfinite(rpy).all()
+
+
+def test_one_wild_reading_of_the_field_is_soon_forgotten() -> None:
+    attitude, true = AttitudeFilter(), np.array([0.0, 0.0, 0.5])
+    for n in range(1, 1000):
+        sample = still(10_000 * n, true)
+        attitude.step(magnet(sample, [1e200, -1e200, 1e200]) if n == 500 else sample)
+        if n > 500:
+            assert attitude.field_disturbed == (n < 575) or 555 < n < 580
+    assert abs(float(attitude.rpy_rad[2]) - 0.5) < math.radians(0.5)
+
+
 class WithoutAttitude:
     """An estimator behind a device whose attitude is thrown away."""
 
