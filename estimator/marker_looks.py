@@ -17,6 +17,8 @@ from autopilot.core.markers import IntArray
 OFF_CENTER, OFF_CENTER_PX = 0.22, 2.0
 """Each cell is sampled at four points this far from its centre [cells], at most so many pixels: light that changes over
 a large cell is no noise."""
+MISREAD_CENTER = 0.1
+"""The same where the question is only whether a cell is black or white."""
 EDGE_CELLS = 0.6
 """Profiles across the outline reach this far to both sides [cells]: into the black border and the white around it."""
 EDGE_STEPS = 13
@@ -66,6 +68,20 @@ def looks_of(grey: Any, quads: FloatArray, patterns: FloatArray) -> Looks:
     spread = np.square(samples - level.mean(axis=(1, 2))[:, None, None, None]).mean(axis=1).sum(axis=(1, 2))
     fit = along / np.sqrt(np.maximum(power * spread, 1e-12))
     return Looks(along / power, noise, fit, _widths_px(grey, to_px, quads, cells))
+
+
+def misread_cells(grey: Any, quads: FloatArray, patterns: FloatArray) -> IntArray:
+    """(n,) how many cells of markers at ``quads`` (n, 4, 2) are not as in ``patterns`` (n, s, s)."""
+    n, cells = patterns.shape[:2]
+    center = (np.arange(cells) + 0.5) / cells
+    v, u = np.meshgrid(center, center, indexing="ij")
+    off = MISREAD_CENTER / cells  # near the middle, where slanted cells are not blurred into each other
+    inside = np.stack([np.stack((u + du, v + dv), axis=-1) for du in (-off, off) for dv in (-off, off)])
+    level = _sample(grey, _homographies(quads), inside.reshape(-1, 2)).reshape(n, 4, cells, cells).mean(axis=1)
+    white = (level * patterns).sum(axis=(1, 2)) / np.maximum(patterns.sum(axis=(1, 2)), 1.0)
+    black = (level * (1.0 - patterns)).sum(axis=(1, 2)) / np.maximum((1.0 - patterns).sum(axis=(1, 2)), 1.0)
+    wrong = (level > 0.5 * (white + black)[:, None, None]) != (patterns > 0.5)
+    return np.asarray(wrong.sum(axis=(1, 2)), dtype=np.int64)
 
 
 def corner_sigma_px(looks: Looks, half_px: IntArray) -> FloatArray:

@@ -186,26 +186,42 @@ def check(file: str, vehicle: str, as_json: bool) -> None:
 @click.option("--dictionary", help="Without a map: what to look for,")
 @click.option("--size", type=click.FloatRange(min=0.0, min_open=True), help="the black squares' side [m],")
 @click.option("--depth", type=float, default=0.0, show_default=True, help="and the floor's depth [m].")
-@click.option("--vehicle", help="Vehicle file with the camera (images; default for logs: the log's).")
 @click.option(
-    "--views", type=click.IntRange(min=2), default=300, show_default=True, help="Images of a log that are used."
+    "--anywhere", is_flag=True, help="Markers on walls and boxes, in any pose, not face up on one level floor."
+)
+@click.option(
+    "--length", nargs=3, metavar="ID ID M", help="Two markers and how far apart their middles are: fixes the scale."
+)
+@click.option("--vehicle", help="Vehicle file with the camera (images; default for logs: the log's),")
+@click.option(
+    "--camera", type=click.Path(exists=True, dir_okay=False), help="or a camera file (OpenCV's or ROS's YAML)."
+)
+@click.option("--fisheye", is_flag=True, help="That camera file is of a fisheye, and does not say so.")
+@click.option(
+    "--views", type=click.IntRange(min=2), default=300, show_default=True, help="Images of a log or film that are used."
 )
 @click.option("--out", type=click.Path(dir_okay=False), help="Write the map here.")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
-    """Where the markers really are, by bundle adjustment of a LOG (.mcap) or of images. Exit 3 with warnings."""
+    """Where the markers really are, by bundle adjustment of a LOG (.mcap), of images or of films. Exit 3 with warnings.
+
+    Without a map the marker seen most (or the one given with --fix) is the origin: face up, its top to the north."""
     import numpy as np
 
     from autopilot.core.marker_files import marker_file_text
     from autopilot.markermaps.survey import survey_map
 
     rough = _rough_map(**options)
-    camera, views = _views(sources, rough, options["vehicle"], options["views"])
+    camera, views = _views(sources, rough, **options)
     fixed = np.array([n for text in options["fix"] for n in _indices_of(rough, text)], dtype=np.int64)
     sigma = (math.inf, math.inf)
     if options["rough_sigma"] is not None:
         sigma = (options["rough_sigma"], math.radians(options["rough_turn"]))
-    result = survey_map(camera, views, rough, fixed=fixed, rough_sigma=sigma)
+    if options["rough"] is None and len(fixed) > 1:
+        raise click.UsageError("without a map one marker can be fixed; use --length for the scale")
+    level = False if options["anywhere"] else None
+    length = _length(rough, options["length"])
+    result = survey_map(camera, views, rough, fixed=fixed, rough_sigma=sigma, level=level, length=length)
     if options["out"] is not None:
         notes = [
             f"surveyed from {len(sources)} file(s), {result.views} views, corners good to {result.sigma_px:.2f} px"
@@ -220,7 +236,7 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
         emit_json(_survey_json(result))
     else:
         _print_survey(result, options["out"])
-    warnings = _survey_warnings(result)
+    warnings = _survey_warnings(result, known=options["rough"] is not None)
     for text in warnings:
         click.echo(f"warning: {text}", err=True)
     if warnings:
@@ -315,15 +331,33 @@ def _rough_map(**options: Any) -> "MarkerMap":
     return MarkerMap(dictionary=dictionary, size_m=size, ids=np.arange(count), corners_ned_m=corners)
 
 
-def _views(
-    sources: tuple[str, ...], rough: "MarkerMap", vehicle: str | None, most: int
-) -> "tuple[CameraModel, list[Any]]":
-    """Camera and views of one log or of images."""
+def _length(rough: "MarkerMap", given: tuple[str, str, str] | None) -> tuple[int, int, float] | None:
+    """Two ids and a distance. UsageError if they are none."""
+    if given is None:
+        return None
+    first, second, text = given
+    try:
+        length_m = float(text)
+    except ValueError:
+        length_m = math.nan
+    if not 0.0 < length_m < math.inf or first == second:
+        raise click.UsageError(f"--length {' '.join(given)}: give two markers and metres between their middles")
+    return (*(int(rough.ids[_indices_of(rough, text)[0]]) for text in (first, second)), length_m)  # type: ignore[return-value]
+
+
+def _views(sources: tuple[str, ...], wanted: "MarkerMap", **options: Any) -> "tuple[CameraModel, list[Any]]":
+    """Camera and views of one log, or of images and films."""
     from autopilot.core.camera import CameraModel
     from autopilot.core.vehicle import load_vehicle
     from autopilot.markermaps.sightings import log_camera, views_of_images, views_of_log
 
-    camera = None
+    camera, vehicle, most = None, options["vehicle"], options["views"]
+    if vehicle is not None and options["camera"] is not None:
+        raise click.UsageError("give --vehicle or --camera")
+    if options["camera"] is not None:
+        from autopilot.markermaps.camera_files import load_camera
+
+        camera = load_camera(Path(options["camera"]), options["fisheye"])
     if vehicle is not None:
         boat = load_vehicle(vehicle)
         camera = CameraModel.of(boat.camera, boat.laser)
@@ -333,8 +367,8 @@ def _views(
         views, log = views_of_log(Path(sources[0]), most)
         return camera or log_camera(log), views
     if camera is None:
-        raise click.UsageError("images need their camera: --vehicle NAME or FILE")
-    return camera, views_of_images([Path(source) for source in sources], camera, rough)
+        raise click.UsageError("images need their camera: --camera FILE, or --vehicle NAME or FILE")
+    return camera, views_of_images([Path(source) for source in sources], camera, wanted, most)
 
 
 def _indices_of(rough: "MarkerMap", text: str) -> list[int]:
@@ -395,18 +429,30 @@ def _print_survey(result: "Survey", out: str | None) -> None:
         click.echo(f"{out}: {len(result.rows)} markers")
 
 
-def _survey_warnings(result: "Survey") -> list[str]:
-    """What an operator should know of a survey."""
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (" ..." if len(names) > 5 else "")
+
+
+def _survey_warnings(result: "Survey", *, known: bool) -> list[str]:
+    """What an operator should know of a survey. ``known``: there was a rough map, of markers that should be there."""
     found = []
     if not result.converged:
         found.append("the adjustment has not converged; take more views from more places")
-    if result.unseen and len(result.unseen) < 10 * len(result.rows):
-        some = ", ".join(result.unseen[:5]) + (" ..." if len(result.unseen) > 5 else "")
+    if known and result.unseen and len(result.unseen) < 10 * len(result.rows):
+        some = _some(result.unseen)
         found.append(f"{len(result.unseen)} markers of the rough map were not seen twice and are left out: {some}")
     if result.left_out_views > 0.1 * (result.views + result.left_out_views):
         found.append(f"{result.left_out_views} views show too little of the rest; fly lanes that overlap")
     if result.disbelieved > 0.05 * result.sights:
         found.append(f"{result.disbelieved} of {result.sights} sights do not fit; has something moved meanwhile?")
+    if result.repeated:
+        found.append(f"several markers have the same id: {_some(result.repeated)}; take all but one of each away")
+    if result.misread:
+        found.append(
+            f"two or more cells of these are wrong: {_some(result.misread)}; bad print, something on it, or none"
+        )
+    if not result.scaled:
+        found.append("the scale is that of the printed size alone: measure between two markers and give --length")
     return found
 
 
@@ -424,4 +470,7 @@ def _survey_json(result: "Survey") -> dict[str, Any]:
         "sigma_px": result.sigma_px,
         "shrink_px": result.shrink_px,
         "converged": result.converged,
+        "repeated": result.repeated,
+        "misread": result.misread,
+        "scaled": result.scaled,
     }

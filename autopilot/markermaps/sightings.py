@@ -1,22 +1,31 @@
-"""What a survey starts from: marker corners seen from many places, out of a log or out of pictures."""
+"""What a survey starts from: marker corners seen from many places, out of a log, of pictures or of films."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray
-from autopilot.core.markers import IntArray, MarkerMap
+from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.reader import Log, open_log
+from estimator.marker_looks import misread_cells, patterns_of
 from estimator.vision import MarkerDetector
 
+MOST_OF_A_FILM = 120
+"""Frames of a film that are looked at."""
+FILMS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpg", ".m4v")
+"""Endings of films."""
+MISREAD_CELLS = 2
+"""A sight with so many wrong cells or more is worth a word: a bad print, something lying on it, or no marker at all."""
 MIN_MARKERS = 2
 """A view of fewer markers ties nothing to anything."""
 
@@ -31,6 +40,10 @@ class View:
     """(n,) as in the map that was looked for (:data:`autopilot.core.markers.ID_SPAN`)."""
     corners_px: FloatArray
     """(n, 4, 2)"""
+    repeated: tuple[int, ...] = ()
+    """Ids that it shows twice; they are left out."""
+    misread: tuple[int, ...] = ()
+    """Ids of which :data:`MISREAD_CELLS` cells or more are not as they should be."""
 
 
 def log_camera(log: Log) -> CameraModel:
@@ -65,14 +78,15 @@ def views_of_log(path: Path, most: int) -> tuple[list[View], Log]:
     return views, log
 
 
-def views_of_images(paths: Sequence[Path], camera: CameraModel, wanted: MarkerMap) -> list[View]:
-    """Markers of ``wanted`` (whatever their places) in image files. ConfigError for a file that is no such image."""
+def views_of_images(
+    paths: Sequence[Path], camera: CameraModel, wanted: MarkerMap, most: int = MOST_OF_A_FILM
+) -> list[View]:
+    """Markers of ``wanted`` (whatever their places) in image files, and in up to ``most`` frames of each film.
+    ConfigError for a file that is neither, or of another size."""
     detector = MarkerDetector(camera, wanted)
-    views = []
-    for path in paths:
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if image is None:
-            raise ConfigError(f"{path}: is not an image that OpenCV reads; give JPEG or PNG files")
+    views, count = [], 0
+    for name, path, image in _images(paths, most):
+        count += 1
         if image.shape[:2] != (camera.height_px, camera.width_px):
             raise ConfigError(
                 f"{path}: is {image.shape[1]} x {image.shape[0]} and the camera {camera.width_px} x {camera.height_px}"
@@ -80,14 +94,59 @@ def views_of_images(paths: Sequence[Path], camera: CameraModel, wanted: MarkerMa
             )
         sighting = detector.detect(CameraFrame(t_us=0, image_bgr=np.asarray(image, dtype=np.uint8)), None)
         if len(sighting.ids) >= MIN_MARKERS:
-            views.append(_view(path.name, np.array(sighting.ids, dtype=np.int64), sighting.corners_px))
+            ids = np.array(sighting.ids, dtype=np.int64)
+            misread = _misread(image, wanted, ids, sighting.corners_px)
+            views.append(_view(name, ids, sighting.corners_px, tuple(sorted(set(ids[misread].tolist())))))
     if len(views) < 2:
-        raise ConfigError(f"two markers at once are in {len(views)} of {len(paths)} images; a survey needs 2 or more")
+        raise ConfigError(f"two markers at once are in {len(views)} of {count} images; a survey needs 2 or more")
     return views
 
 
-def _view(name: str, ids: IntArray, corners_px: FloatArray) -> View:
+def _images(paths: Sequence[Path], most: int) -> Iterator[tuple[str, Path, Any]]:
+    """Name, file and pixels of all pictures."""
+    for path in paths:
+        if path.suffix.lower() in FILMS:
+            yield from ((f"{path.name} {number}", path, image) for number, image in _frames(path, most))
+            continue
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if image is None:
+            raise ConfigError(f"{path}: is not an image that OpenCV reads; give JPEG or PNG files, or a film")
+        yield path.name, path, image
+
+
+def _frames(path: Path, most: int) -> Iterator[tuple[int, Any]]:
+    """Number and pixels of frames evenly over a film. ConfigError if it cannot be read."""
+    film = cv2.VideoCapture(str(path))
+    try:
+        total = int(film.get(cv2.CAP_PROP_FRAME_COUNT)) if film.isOpened() else 0
+        if total < 1:
+            raise ConfigError(f"{path}: is not a film that OpenCV reads; give its frames as JPEG or PNG files")
+        wanted = set(np.linspace(0, total - 1, min(most, total)).round().astype(int).tolist())
+        for number in range(total):
+            if not film.grab():
+                return
+            if number in wanted:
+                ok, image = film.retrieve()
+                if ok:
+                    yield number, image
+    finally:
+        film.release()
+
+
+def _misread(image: Any, wanted: MarkerMap, ids: IntArray, corners_px: FloatArray) -> NDArray[np.bool_]:
+    """Which markers (n,) have cells that are not those of their id."""
+    result = np.zeros(len(ids), dtype=bool)
+    grey = np.ascontiguousarray(image[:, :, 1])
+    for kind in np.unique(ids // ID_SPAN).tolist():
+        some = np.flatnonzero(ids // ID_SPAN == kind)
+        patterns = patterns_of(wanted.dictionaries[kind])[ids[some] % ID_SPAN]
+        result[some] = misread_cells(grey, corners_px[some], patterns) >= MISREAD_CELLS
+    return result
+
+
+def _view(name: str, ids: IntArray, corners_px: FloatArray, misread: tuple[int, ...] = ()) -> View:
     """A view without markers that it shows twice: one of the two is wrong."""
-    _, first, times = np.unique(ids, return_index=True, return_counts=True)
+    which, first, times = np.unique(ids, return_index=True, return_counts=True)
     once = np.sort(first[times == 1])
-    return View(name=name, ids=ids[once], corners_px=corners_px[once])
+    repeated = tuple(which[times > 1].tolist())
+    return View(name=name, ids=ids[once], corners_px=corners_px[once], repeated=repeated, misread=misread)

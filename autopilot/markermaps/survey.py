@@ -1,12 +1,14 @@
 """A survey: views and a rough map in, the map as it is out, with how sure each marker's place is."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from autopilot.core.camera import CameraModel
+from autopilot.core.dictionaries import dictionary_label
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.marker_files import AMBIGUITY_M, PlacedMarker, make_map, placed_markers
@@ -19,6 +21,8 @@ MIN_SIGHTS = 2
 """A marker that fewer views show is left out of the map: nothing checks it."""
 FIXED_SIGMA = (1e-4, 5e-4)
 """Place [m] and angle [rad] of markers whose pose is given."""
+MISREAD_SHARE = 1.0 / 3.0
+"""A marker whose cells are wrong in this share of its sights is worth a word."""
 BELIEVED = 0.25
 """A sight whose corners weigh less than this on average was not believed."""
 
@@ -60,6 +64,12 @@ class Survey:
     shrink_px: float
     steps: int
     converged: bool
+    repeated: list[str]
+    """Markers whose id is there once in the rough map and several times in views or in the surveyed map,"""
+    misread: list[str]
+    """and those whose cells were wrong in a third of their sights."""
+    scaled: bool
+    """Whether a known length, two given poses or rough places fix the scale; else the markers' printed size does."""
 
 
 def survey_map(
@@ -69,13 +79,18 @@ def survey_map(
     *,
     fixed: IntArray,
     rough_sigma: tuple[float, float] = (math.inf, math.inf),
+    level: bool | None = None,
+    length: tuple[int, int, float] | None = None,
 ) -> Survey:
     """Survey the markers of ``rough``, which has all ids and sizes that may be seen.
 
     ``fixed`` are the indices of markers whose poses are right as they stand there. The places of the others are known
     to ``rough_sigma`` (metres, radians); infinite: not at all. Without any fixed marker and without rough places the
-    marker that most views show stays where it is. ConfigError if too little hangs together.
+    marker that most views show stays where it is. ``level``: whether all lie face up at one depth; None = as in the
+    rough map. ``length``: ids of two markers and how far apart their middles are [m]; everything is scaled to that.
+    ConfigError if too little hangs together.
     """
+    level = rough.level if level is None else level
     ids, count = np.unique(rough.ids, return_counts=True)
     unique = set(ids[count == 1].tolist())
     sizes = {int(i): float(s) for i, s in zip(rough.ids[::-1], rough.sizes_m[::-1], strict=True)}
@@ -85,7 +100,7 @@ def survey_map(
     ]
     seeds, start = _seeds(views, rough, fixed, unique), None
     if not seeds:
-        found = recognise(camera, views, of_map, sizes, rough.level)
+        found = recognise(camera, views, of_map, sizes, level)
         if found is None:
             raise ConfigError(
                 "all ids of the rough map are there several times and no view fits it anywhere; give a better map or"
@@ -93,13 +108,17 @@ def survey_map(
             )
         start, seeds = found[0], [found[1]]
     first = [replace(of_map[n]) for n in seeds]
-    bootstrap = tie_together(camera, views, first, sizes, rough.level, unique, start)
+    bootstrap = tie_together(camera, views, first, sizes, level, unique, start)
     if len(bootstrap.views) < MIN_SIGHTS:
         raise ConfigError(
             f"only {len(bootstrap.views)} of {len(views)} views show marker {first[0].id % ID_SPAN} together with"
             " others; fix a marker that was seen, or record views that overlap"
         )
-    return _adjusted(camera, bootstrap, rough, fixed, list(seeds), rough_sigma)
+    network, result, nominal, anchors = _adjusted(camera, bootstrap, rough, fixed, list(seeds), rough_sigma, level)
+    if length is not None:
+        _scale(network, result, [marker.id for marker in bootstrap.markers], length)
+    scaled = length is not None or len(anchors) > 1 or math.isfinite(rough_sigma[0])
+    return _report(network, result, bootstrap, rough, nominal, anchors, views, unique, scaled)
 
 
 def _seeds(views: Sequence[View], rough: MarkerMap, fixed: IntArray, unique: set[int]) -> list[int]:
@@ -126,8 +145,9 @@ def _adjusted(
     fixed: IntArray,
     seeds: list[int],
     rough_sigma: tuple[float, float],
-) -> Survey:
-    """Bundle adjustment of what hangs together, and the report."""
+    level: bool,
+) -> tuple[Network, Adjusted, IntArray, set[int]]:
+    """Bundle adjustment of what hangs together; marker of the rough map that each one is, and those that were given."""
     placed = bootstrap.markers
     centers = np.array([m.center_ned_m for m in placed])
     nominal = _match(rough, placed, centers, fixed, seeds)
@@ -135,7 +155,7 @@ def _adjusted(
     view, marker, corners = network_indices(bootstrap)
     network = Network(
         camera=camera,
-        level=rough.level,
+        level=level,
         eyes_ned_m=np.array([v.eye_ned_m for v in bootstrap.views]),
         r_ned_from_cam=np.array([v.r_ned_from_cam for v in bootstrap.views]),
         centers_ned_m=centers,
@@ -158,10 +178,27 @@ def _adjusted(
     else:
         anchors = [] if math.isfinite(rough_sigma[0]) else list(range(len(seeds)))
     network.prior_sigma[anchors] = FIXED_SIGMA
-    if rough.level and not anchors:
+    if level and not anchors:
         _align(network, known)
-    result = adjust(network)
-    return _report(network, result, bootstrap, rough, nominal, set(anchors))
+    return network, adjust(network), nominal, set(anchors)
+
+
+def _scale(network: Network, result: Adjusted, ids: list[int], length: tuple[int, int, float]) -> None:
+    """Make everything larger or smaller until two markers are so far apart. ConfigError if they were not seen."""
+    first, second, wanted_m = length
+    for marker_id in (first, second):
+        if ids.count(marker_id) != 1:
+            raise ConfigError(
+                f"--length: marker {marker_id % ID_SPAN} is {ids.count(marker_id)} times in the survey; name two that"
+                " are there once"
+            )
+    a, b = (network.centers_ned_m[ids.index(marker_id)] for marker_id in (first, second))
+    factor = wanted_m / float(np.linalg.norm(a - b))
+    origin = network.centers_ned_m[0]
+    network.centers_ned_m = origin + factor * (network.centers_ned_m - origin)
+    network.eyes_ned_m = origin + factor * (network.eyes_ned_m - origin)
+    network.sizes_m = factor * network.sizes_m
+    result.sigma_m[:] *= factor
 
 
 def _match(
@@ -199,7 +236,15 @@ def _align(network: Network, known: np.ndarray) -> None:
 
 
 def _report(
-    network: Network, result: Adjusted, bootstrap: Bootstrap, rough: MarkerMap, nominal: IntArray, anchors: set[int]
+    network: Network,
+    result: Adjusted,
+    bootstrap: Bootstrap,
+    rough: MarkerMap,
+    nominal: IntArray,
+    anchors: set[int],
+    views: Sequence[View],
+    unique: set[int],
+    scaled: bool,
 ) -> Survey:
     placed = bootstrap.markers
     trust = result.weight.mean(axis=1) >= BELIEVED
@@ -207,15 +252,14 @@ def _report(
     square = np.where(trust, (result.residual_px**2).mean(axis=(1, 2)), 0.0)
     rms = np.sqrt(np.bincount(network.marker, square, len(placed)) / np.maximum(sights, 1))
     rows, kept = [], []
-    for k in sorted(
-        _without_conflicts(network, placed, sights), key=lambda k: (int(nominal[k]) < 0, int(nominal[k]), k)
-    ):
+    order = sorted(_without_conflicts(network, placed, sights), key=lambda k: (int(nominal[k]) < 0, int(nominal[k]), k))
+    for k in order:
         kind, marker_id = divmod(placed[k].id, ID_SPAN)
         one = PlacedMarker(
             place="",
             dictionary=rough.dictionaries[kind],
             id=marker_id,
-            size_m=placed[k].size_m,
+            size_m=float(network.sizes_m[k]),
             center_ned_m=network.centers_ned_m[k],
             r_ned_from_marker=network.r_ned_from_marker[k],
         )
@@ -236,7 +280,9 @@ def _report(
             )
         )
     in_map = {(row.dictionary, row.id) for row in rows}
-    unseen = [f"{m.dictionary} {m.id}" for m in placed_markers(rough) if (m.dictionary, m.id) not in in_map]
+    unseen = [
+        f"{dictionary_label(m.dictionary)} {m.id}" for m in placed_markers(rough) if (m.dictionary, m.id) not in in_map
+    ]
     return Survey(
         markers=make_map(kept, "survey"),
         rows=rows,
@@ -249,7 +295,32 @@ def _report(
         shrink_px=network.shrink_px,
         steps=result.steps,
         converged=result.converged,
+        repeated=_repeated(
+            rough, views, [m.id for m, n in zip(placed, sights, strict=True) if n >= MIN_SIGHTS], unique
+        ),
+        misread=_misread(rough, views),
+        scaled=scaled,
     )
+
+
+def _name(rough: MarkerMap, marker_id: int) -> str:
+    kind, number = divmod(marker_id, ID_SPAN)
+    return f"{dictionary_label(rough.dictionaries[kind])} {number}"
+
+
+def _repeated(rough: MarkerMap, views: Sequence[View], in_map: list[int], unique: set[int]) -> list[str]:
+    """Ids that should be there once and are seen twice in a view, or at two places."""
+    twice = {marker_id for view in views for marker_id in view.repeated if marker_id in unique}
+    twice |= {marker_id for marker_id in in_map if marker_id in unique and in_map.count(marker_id) > 1}
+    return [_name(rough, marker_id) for marker_id in sorted(twice)]
+
+
+def _misread(rough: MarkerMap, views: Sequence[View]) -> list[str]:
+    """Markers that are misread in a good share of the views that show them."""
+    shown = Counter(marker_id for view in views for marker_id in view.ids.tolist())
+    wrong = Counter(marker_id for view in views for marker_id in view.misread)
+    often = sorted(marker_id for marker_id, count in wrong.items() if count >= MISREAD_SHARE * max(shown[marker_id], 1))
+    return [_name(rough, marker_id) for marker_id in often]
 
 
 def _without_conflicts(network: Network, placed: Sequence[Placed], sights: IntArray) -> list[int]:
