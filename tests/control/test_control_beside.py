@@ -344,7 +344,7 @@ def test_a_quick_plan_comes_first_and_the_full_search_takes_over_without_a_jump(
             assert np.abs(np.diff(thrust[change - 3 : change + 5], axis=0)).max() < 3.0
 
 
-def test_a_short_leg_has_a_plan_too_and_what_it_misses_is_left_to_the_route() -> None:
+def test_a_short_leg_in_still_water_has_a_plan_and_what_it_misses_is_left_to_the_route() -> None:
     loop = Loop(MotionController(VEHICLE, cpu_clock=lambda: 0.0), MPC_COST=1)
     near = goal(-0.8, -0.1, 0.45, None)
     for _ in range(120):

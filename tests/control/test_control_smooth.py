@@ -76,7 +76,7 @@ def test_commands_along_trajectories_of_least_energy_are_smooth_from_the_first_l
     assert set(BARS.broken(found)) <= {"reversals_1_s"}, found
     assert found.reversals_1_s < 0.5
     plans_s = [STEP_S * step for step, output in enumerate(flight.outputs) if output.plan is not None]
-    assert plans_s[0] < 1.0, "the first leg has a plan although it is short"
+    assert plans_s[0] < 1.0, "the first leg has a plan although it is short: the water stands still where it begins"
     for reached_s, (before, _) in zip(flight.reached_s, ((A, B), (B, A), (A, B)), strict=True):
         x = flight.x[round(reached_s * 100.0) - 1]
         assert math.hypot(*(x[:2] - before.pos_ned_m[:2])) > 0.2, "entered, not visited"

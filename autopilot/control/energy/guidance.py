@@ -90,6 +90,10 @@ there, gently and in time, while the way itself is followed softly."""
 FOLLOWED_STEPS = 4
 """The full search begins where the optimiser predicts the vehicle once it has followed the quick plan for so long."""
 
+SHORT_S, RUNNING_M_S = 6.0, 0.05
+"""A leg that takes less is left to the route guidance where the water runs faster than that, unless its plan was made
+ahead: it is over before the water on the way is known, and its goal would be missed by centimetres."""
+
 SET_OUT_STEPS = 20
 """So long (1 s) the vehicle sets out gently, with that weight: the lateral thruster's peak in the
 paper's tank is 7 N instead of 12."""
@@ -132,7 +136,7 @@ class EnergyGuidance:
         self._planner: object = None
         self._track: Track | None = None
         self._next: Track | None = None
-        self._quick = self._missed = False
+        self._quick = self._by_route_only = False
         self._first = Kind.QUICK
         self._taken_step = 0
         self._asked_next = False
@@ -264,7 +268,7 @@ class EnergyGuidance:
         ended = track.rest_s <= (-END_HOLD_S if track.complete else 0.0)
         if off_m > LOST_M or (ended and not (track.complete and self._next is None)):
             self._track = None
-            self._missed = ended and track.complete
+            self._by_route_only = ended and track.complete
 
     def _fail(self, request: Request, error: Exception) -> None:
         """There is no such plan: a leg that has none is flown by the route guidance meanwhile."""
@@ -278,7 +282,7 @@ class EnergyGuidance:
         left, ahead, same_fence = self._track, self._next, now.planner is self._planner
         self._goal_key, self._planner, self._goal_step = key, now.planner, self._step
         self._track, self._next, self._asked_next = None, None, False
-        self._quick, self._missed, self._first = False, False, Kind.QUICK
+        self._quick, self._by_route_only, self._first = False, False, Kind.QUICK
         self._patience.succeeded()
         if ahead is not None and left is None and ahead.locate(now.x0, 0.0) > OFF_TRACK_M:
             ahead = None
@@ -307,6 +311,10 @@ class EnergyGuidance:
         if plan.stay and self._track is not None:
             self._quick = False
             self._patience.succeeded()
+            return False
+        runs = float(np.hypot(*now.nav.current_ned_m_s[:2])) > RUNNING_M_S
+        if request.kind is Kind.QUICK and plan.complete and track.length_s < SHORT_S and runs:
+            self._by_route_only = True
             return False
         if _key(request.goal) != self._goal_key:
             self._next = track
@@ -338,7 +346,7 @@ class EnergyGuidance:
         track, since = self._track, self._step - self._asked_step
         over = self._patience.over(now, since)
         if track is None:
-            if self._missed:
+            if self._by_route_only:
                 return
             begun = self._step - self._goal_step
             kind, at_once = self._first, self._first is Kind.COLD
