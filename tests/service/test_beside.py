@@ -71,7 +71,7 @@ def test_of_many_go_tos_only_the_last_is_planned_to_its_end(monkeypatch: pytest.
         flight.fly(2.5)
         assert flight.outputs is not None and flight.outputs.goal is not None
         assert np.allclose(flight.outputs.goal.pos_ned_m, (1.42, 0.9, 0.4), atol=0.01)
-        assert len(done) == 1 and np.allclose(done[0], flight.outputs.goal.pos_ned_m)
+        assert done and all(np.allclose(one, flight.outputs.goal.pos_ned_m) for one in done)
 
 
 def test_a_planner_that_fails_costs_the_trajectory_and_not_the_service(monkeypatch: pytest.MonkeyPatch) -> None:

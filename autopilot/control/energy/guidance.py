@@ -90,9 +90,10 @@ there, gently and in time, while the way itself is followed softly."""
 FOLLOWED_STEPS = 4
 """The full search begins where the optimiser predicts the vehicle once it has followed the quick plan for so long."""
 
-SHORT_S, RUNNING_M_S = 6.0, 0.05
-"""A leg that takes less is left to the route guidance where the water runs faster than that, unless its plan was made
-ahead: it is over before the water on the way is known, and its goal would be missed by centimetres."""
+SHORT_S, RUNNING_M_S = 6.0, 0.08
+"""A leg that takes less is left to the route guidance where the water runs faster than that (four standard deviations of
+the estimate when a vehicle sets out), unless its plan was made ahead: it is over before the water on the way is known,
+and its goal would be missed by centimetres."""
 
 SET_OUT_STEPS = 20
 """So long (1 s) the vehicle sets out gently, with that weight: the lateral thruster's peak in the
