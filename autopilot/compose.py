@@ -10,7 +10,7 @@ from autopilot.control.allocation import Allocation
 from autopilot.control.controller import MotionController
 from autopilot.control.currents import CurrentForecast
 from autopilot.control.desks import Desks
-from autopilot.control.energy.search import TrajectoryPlanner
+from autopilot.control.energy.request import TrajectoryPlanner
 from autopilot.core.desk import Desk
 from autopilot.core.errors import PlanError
 from autopilot.core.guard import Guard

@@ -12,7 +12,8 @@ from autopilot.control.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.desks import Desks
 from autopilot.control.energy.guidance import EnergyGuidance
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.search import EnergyPlanner, TrajectoryPlanner
+from autopilot.control.energy.request import TrajectoryPlanner
+from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.fallback import FallbackWatch
 from autopilot.control.grid import TimeGrid, geometric_grid
 from autopilot.control.guidance import Guidance, Reference, RouteGuidance, Situation

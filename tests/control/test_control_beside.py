@@ -17,7 +17,8 @@ from autopilot.control.desks import Desks
 from autopilot.control.energy.patience import ANSWER_STEPS as ANSWER_STEPS_OF_PLANS
 from autopilot.control.energy.patience import RETRY_STEPS, Kind
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.search import EnergyPlanner, Plan, Request
+from autopilot.control.energy.request import Plan, Request
+from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
 from autopilot.control.guidance import ANSWER_STEPS, PATIENCE_STEPS
 from autopilot.control.planner import Planner

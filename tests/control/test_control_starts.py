@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from autopilot.control import ocp
 from autopilot.control.controller import SLEW_SHARE_1_S, MotionController
 from autopilot.control.energy.flow import Flow
-from autopilot.control.energy.search import Plan, Request
+from autopilot.control.energy.request import Plan, Request
 from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.grid import geometric_grid
 from autopilot.control.reversal import LEAST_SHARE

@@ -11,7 +11,8 @@ from autopilot.control.currents import EstimatedCurrent
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField
 from autopilot.control.energy.flow import Flow, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, speed_table
-from autopilot.control.energy.search import EnergyPlanner, Request
+from autopilot.control.energy.request import Request
+from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.obstacles import Features
 from autopilot.control.planner import Planner
 from autopilot.core.frames import FloatArray

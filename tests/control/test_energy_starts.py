@@ -9,7 +9,8 @@ from autopilot.control.energy import shooting
 from autopilot.control.energy.flow import FlowSamples
 from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.energy.search import EnergyPlanner, Plan, Request
+from autopilot.control.energy.request import Plan, Request
+from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray

@@ -16,18 +16,9 @@ import numpy as np
 
 from autopilot.control.desks import Mishaps
 from autopilot.control.energy.flow import Flow, area_of, sample_flow
+from autopilot.control.energy.leg_task import BETWEEN_M, RADIUS_SHARE, YAW_SHARE, shifted
 from autopilot.control.energy.patience import ANSWER_STEPS, STEP_S, Kind, NoPlanError, Patience
-from autopilot.control.energy.search import (
-    BETWEEN_M,
-    EXTRA_M,
-    EXTRA_S,
-    RADIUS_SHARE,
-    YAW_SHARE,
-    Plan,
-    Request,
-    TrajectoryPlanner,
-    shifted,
-)
+from autopilot.control.energy.request import EXTRA_M, EXTRA_S, Plan, Request, TrajectoryPlanner
 from autopilot.control.energy.track import Track, joined
 from autopilot.control.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, RouteGuidance, Situation, SteadyThrust
@@ -91,9 +82,9 @@ FOLLOWED_STEPS = 4
 """The full search begins where the optimiser predicts the vehicle once it has followed the quick plan for so long."""
 
 SHORT_S, RUNNING_M_S = 6.0, 0.08
-"""A leg that takes less is left to the route guidance where the water runs faster than that (four standard deviations of
-the estimate when a vehicle sets out), unless its plan was made ahead: it is over before the water on the way is known,
-and its goal would be missed by centimetres."""
+"""A leg that takes less is left to the route guidance where the water runs faster than that (four standard deviations
+of the estimate when a vehicle sets out), unless its plan was made ahead: it is over before the water on the way is
+known, and its goal would be missed by centimetres."""
 
 SET_OUT_STEPS = 20
 """So long (1 s) the vehicle sets out gently, with that weight: the lateral thruster's peak in the

@@ -1,0 +1,357 @@
+"""One leg: first guesses along its ways, their programs, and the plan that a trajectory makes."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from autopilot.control.energy.field import EnergyToGo, Way
+from autopilot.control.energy.flow import Flow
+from autopilot.control.energy.power import SpeedTable, energy_per_metre, planar_limit_m_s
+from autopilot.control.energy.request import Plan, Request, no_plan
+from autopilot.control.energy.shooting import PLANES
+from autopilot.control.energy.trajectory import Ask, Program, Trajectory
+from autopilot.control.guidance import SteadyThrust
+from autopilot.control.obstacles import Features
+from autopilot.core.desk import Cancel
+from autopilot.core.frames import FloatArray, unwrap_near
+from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z
+
+INTERVALS = 48
+"""Of a trajectory: 0.2 s each in the paper's tank."""
+
+LONGEST_S = 43.0
+"""A trajectory is planned so far; beyond it the energy field says what is best. (Twice as far takes a program with
+twice as many RK4 steps, 200 MB more, and intervals that are too long for doors.)"""
+
+LONGER, LONGER_S = 1.3, 3.0
+"""A solution takes at most so many times as long as its guess, and so much more: RK4 steps must not grow unstable."""
+
+RADIUS_SHARE = 0.93
+YAW_SHARE = 0.8
+"""Shares of the acceptance region that a trajectory aims at, so that it is surely reached in spite of small errors."""
+
+GATE_RADIUS_M = 0.5
+"""Region in which a trajectory ends that does not reach its goal within LONGEST_S."""
+
+SCREEN_ROUNDS = 1
+POLISH_ROUNDS = 3
+"""Rounds of linearisation for every candidate, and more for the best."""
+
+SETTLED_SHARE = 1e-4
+"""A round that changes the cost by less than this share was the last."""
+
+BOTH_TURNS_RAD = 0.4 * math.pi
+"""A turn longer than this is tried both ways round."""
+
+SLIGHT_TURN_RAD = 0.8
+TURNED_WITHIN_M = 0.05
+
+GUESS_TURN_RAD_S = 0.4
+"""Rate at which first guesses turn from where the vehicle points to their way."""
+
+LINEAR_TURN_S = 20.0
+"""On a way that takes less, the first guess turns evenly from start to end; on a longer one it follows the way."""
+
+SLOWING_M_S2 = 0.1
+"""What a vehicle that is faster than it may be is asked to slow down with at least: what drag does at 0.2 m/s."""
+
+SLOWING_RAD_S2 = 0.3
+"""The same of one that turns too fast."""
+
+BETWEEN_M = 0.004
+"""Kept beyond the optimiser's own margin, for what lies between the nodes."""
+
+WIDENING_M_S = 0.02
+"""A vehicle that is nearer than that goes away from the boundary so fast."""
+
+LOOKS_BETWEEN = 4
+DOOR_STEPS = 4
+"""A way is looked at between its nodes for doors that are too narrow for that: where both sides push places about."""
+
+
+class LegTask:
+    """One request with what has been made of it."""
+
+    def __init__(
+        self,
+        request: Request,
+        features: Features,
+        flow: Flow,
+        table: SpeedTable,
+        to_go: EnergyToGo,
+        end_slope: FloatArray,
+        program: Callable[[float], Program],
+        steady: SteadyThrust,
+        cancel: Cancel,
+    ) -> None:
+        self._steady, self._cancel = steady, cancel
+        self._request, self._features, self._flow, self._table = request, features, flow, table
+        self._to_go, self._end_slope, self._program = to_go, end_slope, program
+        self.reach_s = LONGEST_S
+        """So far trajectories are planned."""
+        self._gate: FloatArray | None = None
+        """(3,) where the trajectory ends when the goal is too far away."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the trajectories of the last guesses end in the goal's region."""
+        return self._gate is None
+
+    def following(self, end: Trajectory, beyond: EnergyToGo) -> "LegTask":
+        """The task of the leg after this one, from where ``end`` ends."""
+        goal = self._request.goal.following
+        assert goal is not None
+        request = replace(self._request, x0=end.x[-1], goal=goal, warm=None)
+        rest = (np.zeros(2), self._program, self._steady, self._cancel)
+        return LegTask(request, self._features, self._flow, self._table, beyond, *rest)
+
+    def first(self, way: Way) -> Plan:
+        """The quick answer: the better turn along the way. (Which one that is cannot be seen from the guesses.)"""
+        found = [one for one in (self.refine(guess, SCREEN_ROUNDS) for guess in self.guesses(way)) if one.solved]
+        if not found:
+            return no_plan(self._request.goal, "no quick trajectory solved")
+        return self.plan(min(found, key=lambda one: one.cost_j))
+
+    def ends_in_goal(self, way: Way) -> bool:
+        """Whether a trajectory along a way reaches the goal's region."""
+        return float(self._timed(way)[1][-1]) <= self.reach_s
+
+    def guesses(self, way: Way) -> list[Trajectory]:
+        """First trajectories along a way, one per way of turning: at the cheapest steady speed and its thrust."""
+        request = self._request
+        points, times = self._timed(way)
+        whole_s = float(times[-1])
+        if whole_s > self.reach_s:
+            cut = int(np.searchsorted(times, self.reach_s))
+            points, times = points[: cut + 1], times[: cut + 1]
+            share = float(times[-1]) / whole_s
+            depth = request.x0[Z] + share * (request.goal.pos_ned_m[2] - request.x0[Z])
+            self._gate = np.array([*points[-1], depth])
+        else:
+            self._gate = None
+            away = np.hypot(*(points - points[-1]).T)
+            outside = away > RADIUS_SHARE * request.goal.accept_radius_m
+            last = min(int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 1, len(points) - 1)
+            points, times = points[: last + 1], times[: last + 1]
+        if times[-1] > LINEAR_TURN_S:
+            points, times = self._turned_first(points, times)
+        t = np.linspace(0.0, max(float(times[-1]), 0.5), INTERVALS + 1)
+        x = np.zeros((INTERVALS + 1, NX))
+        x[:, X], x[:, Y] = np.interp(t, times, points[:, 0]), np.interp(t, times, points[:, 1])
+        depth = float(request.goal.pos_ned_m[2] if self._gate is None else self._gate[2])
+        x[:, Z] = np.linspace(request.x0[Z], depth, INTERVALS + 1)
+        ground = np.gradient(x[:, :2], t, axis=0)
+        water = ground - self._flow.current(x[:, :2])[:, :2]
+        course = np.arctan2(water[1:, 1], water[1:, 0])
+        here = np.hypot(*(x[1:, :2] - x[0, :2]).T) < TURNED_WITHIN_M
+        if here.any() and not here.all():
+            course[here] = course[int(here.argmin())]
+        along = np.unwrap(np.concatenate([[request.x0[YAW]], course]))
+        turn = float(along[1] - along[0])
+        if turn and t[-1] > LINEAR_TURN_S:
+            along[1:] -= turn * np.clip(1.0 - t[1:] * GUESS_TURN_RAD_S / abs(turn), 0.0, 1.0)
+        return [self._guess(t, x, water, along, yaw) for yaw in self._turns(float(along[-1]))]
+
+    def _turned_first(self, points: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A timed way that begins when the vehicle has turned to it: it would else be guessed to go backwards at full
+        speed, where sway and yaw are so unstable that the integration runs away."""
+        ahead = min(int(np.searchsorted(times, times[0] + 2.0)), len(points) - 1)
+        ground = (points[ahead] - points[0]) / max(float(times[ahead] - times[0]), 1e-9)
+        water = ground - self._flow.current(points[:1])[0, :2]
+        yaw = float(self._request.x0[YAW])
+        turn = abs(unwrap_near(math.atan2(water[1], water[0]), yaw) - yaw)
+        if turn < SLIGHT_TURN_RAD:
+            return points, times
+        wait_s = turn / GUESS_TURN_RAD_S
+        return np.vstack([points[:1], points]), np.concatenate([[0.0], times + wait_s])
+
+    def _guess(
+        self, t: FloatArray, x: FloatArray, water: FloatArray, along: FloatArray, yaw_rad: float | None
+    ) -> Trajectory:
+        x = x.copy()
+        start = float(self._request.x0[YAW])
+        if yaw_rad is None:
+            x[:, YAW] = along
+        elif t[-1] < LINEAR_TURN_S:
+            x[:, YAW] = np.linspace(start, yaw_rad, len(t))
+        else:
+            last = unwrap_near(yaw_rad, float(along[-1]))
+            fade = np.clip((t - t[-1] + 0.5 * LINEAR_TURN_S) / (0.5 * LINEAR_TURN_S), 0.0, 1.0)
+            x[:, YAW] = along + fade * (last - along)
+        c, s = np.cos(x[:, YAW]), np.sin(x[:, YAW])
+        x[:, U], x[:, V] = c * water[:, 0] + s * water[:, 1], c * water[:, 1] - s * water[:, 0]
+        x[:, R] = np.gradient(x[:, YAW], t)
+        limit = self._request.thrust_limit_n
+        thrust = np.clip(self._steady(0.5 * (x[1:, U:] + x[:-1, U:])), -limit, limit)
+        x[0] = self._request.x0
+        energy = float(t[-1]) * float(self._table.power_w.min())
+        return Trajectory(t_s=t, x=x, thrust_n=thrust, energy_j=energy, cost_j=energy, solved=False)
+
+    def energy_along(self, trajectory: Trajectory) -> float:
+        """What the way of a trajectory costs by the measure of the energy field: steady speeds, heading along it."""
+        places = trajectory.x[:, :2]
+        step = np.diff(places, axis=0)
+        ds = np.maximum(np.hypot(*step.T), 1e-9)
+        current = self._flow.current(0.5 * (places[1:] + places[:-1]))[:, :2]
+        along = (current * step).sum(axis=1) / ds
+        across = (current[:, 0] * step[:, 1] - current[:, 1] * step[:, 0]) / ds
+        rest = self._to_go.way(places[-1])
+        energy = float((ds * energy_per_metre(self._table, along, across)).sum())
+        return math.inf if rest is None else energy + rest.energy_j
+
+    def _timed(self, way: Way) -> tuple[FloatArray, FloatArray]:
+        """Points (m, 2) close together along a way and when they are passed at the cheapest speeds."""
+        length = np.hypot(*np.diff(way.points_ned_m, axis=0).T)
+        s = np.concatenate(([0.0], np.cumsum(length)))
+        at = np.linspace(0.0, s[-1], max(200, int(s[-1] / 0.5)))
+        points = np.stack([np.interp(at, s, way.points_ned_m[:, i]) for i in range(2)], axis=1)
+        step = np.diff(points, axis=0)
+        ds = np.maximum(np.hypot(*step.T), 1e-9)
+        current = self._flow.current(0.5 * (points[1:] + points[:-1]))[:, :2]
+        along = (current * step).sum(axis=1) / ds
+        across = (current[:, 0] * step[:, 1] - current[:, 1] * step[:, 0]) / ds
+        u = self._table.speed_m_s[:, None]
+        ground = np.sqrt(np.maximum(u * u - across * across, 0.0)) + along
+        usable = (ground > 0.02) & self._table.allowed(along, across)
+        cost = np.where(usable, self._table.power_w[:, None] / np.maximum(ground, 0.02), np.inf)
+        best = cost.argmin(axis=0)
+        speed = np.maximum(ground[best, np.arange(len(ds))], 0.02)
+        return points, np.concatenate(([0.0], np.cumsum(ds / speed)))
+
+    def _turns(self, along_rad: float) -> Sequence[float | None]:
+        """Headings to end with, on the turns by which they may be reached; None = free."""
+        goal = self._request.goal
+        if goal.yaw_rad is None or self._gate is not None:
+            return (None,)
+        start = float(self._request.x0[YAW])
+        nearest = unwrap_near(goal.yaw_rad, start)
+        if abs(nearest - start) < BOTH_TURNS_RAD:
+            return (nearest,)
+        return (nearest, nearest + math.copysign(2.0 * math.pi, start - nearest))
+
+    def refine(self, guess: Trajectory, rounds: int) -> Trajectory:
+        """Solve, linearise anew around the solution, and so on; the last solution, solved or not."""
+        request, trajectory = self._request, guess
+        program = self._program(1.1 * float(guess.t_s[-1]))
+        for _ in range(rounds):
+            self._cancel.check()
+            end_s, cost_j = float(trajectory.t_s[-1]), trajectory.cost_j if trajectory.solved else math.inf
+            trajectory = program.solve(
+                self._ask(trajectory, request), trajectory.x, trajectory.thrust_n, end_s, self._cancel
+            )
+            if not trajectory.solved:
+                self._cancel.check()
+                break
+            if abs(trajectory.cost_j - cost_j) < SETTLED_SHARE * cost_j:
+                break
+        return trajectory
+
+    def _ask(self, guess: Trajectory, request: Request) -> Ask:
+        goal, x = request.goal, guess.x
+        n = len(x) - 1
+        normals, offsets = np.zeros((n + 1, PLANES, 2)), np.zeros((n + 1, PLANES))
+        self._features.half_planes(
+            np.vstack([x[:1, :2], x[:, :2]]),
+            np.concatenate([[0.0], guess.t_s]),
+            self._keep_m(guess.t_s, x[:, :2]),
+            PLANES,
+            normals,
+            offsets,
+        )
+        gate = self._gate
+        yaw_band = goal.accept_yaw_rad * YAW_SHARE if goal.yaw_rad is not None and gate is None else 1e3
+        middle = float(x[-1, YAW]) if goal.yaw_rad is None else unwrap_near(goal.yaw_rad, float(x[-1, YAW]))
+        place = np.asarray(goal.pos_ned_m, dtype=float)
+        slope = self._end_slope
+        if gate is not None:
+            place = gate
+            slope = self._to_go.slope(gate[:2], GATE_RADIUS_M)
+        return Ask(
+            x0=request.x0,
+            goal_ned_m=place,
+            radius_m=RADIUS_SHARE * goal.accept_radius_m if gate is None else GATE_RADIUS_M,
+            yaw_rad=middle,
+            yaw_band_rad=yaw_band,
+            current=self._flow.current(x[:, :2]),
+            gradient=self._flow.gradient(x[:, :2]),
+            places=x[:, :2].copy(),
+            plane_n=normals,
+            plane_d=offsets,
+            planar_m_s=self._planar_m_s(guess, request),
+            limits=self._limits(guess, request),
+            thrust_limit_n=request.thrust_limit_n,
+            end_slope_j_m=slope,
+            longest_s=LONGER * float(guess.t_s[-1]) + LONGER_S,
+        )
+
+    def _planar_m_s(self, guess: Trajectory, request: Request) -> FloatArray:
+        """(n + 1,) limit of the planar speed along a guess; one that begins faster is given the time to slow down."""
+        x = guess.x
+        way = np.gradient(x[:, :2], axis=0)
+        way /= np.maximum(np.hypot(*way.T), 1e-9)[:, None]
+        current = self._flow.current(x[:, :2])[:, :2]
+        across = current[:, 0] * way[:, 1] - current[:, 1] * way[:, 0]
+        limit = planar_limit_m_s(self._table, (current * way).sum(axis=1), across)
+        slowing = float(np.hypot(request.x0[U], request.x0[V])) - SLOWING_M_S2 * guess.t_s
+        result: FloatArray = np.maximum(np.minimum(limit, request.limits[0]), slowing)
+        return result
+
+    def _limits(self, guess: Trajectory, request: Request) -> FloatArray:
+        """(n + 1, 4) limits of heave, yaw rate and depth; a vehicle that begins beyond one, or cannot stop before a
+        depth, is given the time to."""
+        depth, heave, turn = (float(request.x0[i]) for i in (Z, W, R))
+        stop = 0.5 * heave * abs(heave) / SLOWING_M_S2
+        limits = np.tile(request.limits[1:], (len(guess.t_s), 1))
+        limits[:, 0] = np.maximum(limits[:, 0], abs(heave) - SLOWING_M_S2 * guess.t_s)
+        limits[:, 1] = np.maximum(limits[:, 1], abs(turn) - SLOWING_RAD_S2 * guess.t_s)
+        limits[:, 2] = np.minimum(limits[:, 2], depth + min(stop, 0.0))
+        limits[:, 3] = np.maximum(limits[:, 3], depth + max(stop, 0.0))
+        return limits
+
+    def _keep_m(self, t_s: FloatArray, places: FloatArray) -> FloatArray:
+        """(n + 1,) what a trajectory along places (n + 1, 2) keeps from boundaries: EXTRA_M beyond the radius, where
+        the doors that it goes through, the goal and the place where it begins let it."""
+        radius_m, features = self._request.radius_m, self._features
+        if features.count == 0:
+            return np.full(len(places), radius_m)
+        at = np.arange(0.0, len(places) - 1.0 + 1e-9, 1.0 / LOOKS_BETWEEN)
+        points = np.stack([np.interp(at, np.arange(len(places)), places[:, i]) for i in range(2)], axis=1)
+        most = radius_m + self._request.extra_m
+        for _ in range(DOOR_STEPS):
+            points += features.push_out(points, most)
+        doors_m = float(features.clearance_up_to_m(points, most).min())
+        ends = np.stack([np.asarray(self._request.goal.pos_ned_m[:2], dtype=float), self._request.x0[:2]])
+        goal_m, here_m = features.clearance_up_to_m(ends, most).tolist()
+        least = max(radius_m, min(doors_m, radius_m + BETWEEN_M))
+        result: FloatArray = np.clip(here_m + WIDENING_M_S * t_s, least, max(least, min(doors_m, goal_m)))
+        return result
+
+    def plan(self, trajectory: Trajectory) -> Plan:
+        """The answer that a trajectory makes."""
+        energy, eta = trajectory.energy_j, float(trajectory.t_s[-1])
+        if self._gate is not None:
+            way = self._to_go.way(self._gate[:2])
+            if way is not None:
+                energy += way.energy_j
+                eta += float(self._timed(way)[1][-1])
+        return Plan(
+            goal=self._request.goal,
+            trajectory=trajectory,
+            energy_j=energy,
+            eta_s=eta,
+            complete=self._gate is None,
+            flow=self._flow,
+        )
+
+
+def shifted(trajectory: Trajectory, by_s: float, x0: FloatArray) -> Trajectory:
+    """What is left of a trajectory after ``by_s``, on INTERVALS intervals, from the state ``x0``."""
+    n = INTERVALS
+    t = np.linspace(min(by_s, 0.98 * float(trajectory.t_s[-1])), float(trajectory.t_s[-1]), n + 1)
+    x = np.stack([np.interp(t, trajectory.t_s, column) for column in trajectory.x.T], axis=1)
+    x[:, YAW] += unwrap_near(float(x[0, YAW]), float(x0[YAW])) - x[0, YAW]
+    index = np.clip(np.searchsorted(trajectory.t_s, 0.5 * (t[1:] + t[:-1])) - 1, 0, len(trajectory.thrust_n) - 1)
+    x[0] = x0
+    return replace(trajectory, t_s=t - t[0], x=x, thrust_n=trajectory.thrust_n[index], solved=False)

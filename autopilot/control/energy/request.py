@@ -1,0 +1,79 @@
+"""What a plan of least energy depends on, and what it is."""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from autopilot.control.energy.flow import Flow, FlowSamples
+from autopilot.control.energy.patience import Kind
+from autopilot.control.energy.trajectory import Trajectory
+from autopilot.core.desk import Cancel
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import Goal
+
+EXTRA_M, EXTRA_S = 0.02, 0.5
+"""Kept beyond the radius at most where there is room, and how long a current of one standard deviation takes for it: an
+estimate wavers, and every millimetre that a vehicle is within the margin is answered sharply."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Request:
+    """Everything a plan depends on. Pure data: the answer is the same whenever it is computed."""
+
+    x0: FloatArray
+    """(8,) state at which the plan begins."""
+    goal: Goal
+    fence: Fence
+    radius_m: float
+    """Kept from every boundary."""
+    extra_m: float = EXTRA_M
+    """Kept beyond that where there is room."""
+    flow: FlowSamples
+    limits: FloatArray
+    """(5,) planar speed, heave, yaw rate, depth minimum, depth maximum."""
+    thrust_limit_n: FloatArray
+    """(4,)"""
+    cruise_m_s: float = math.inf
+    """See :func:`autopilot.control.energy.power.planar_limit_m_s`."""
+    warm: Trajectory | None = None
+    """What is left of the plan in force, if the vehicle may stay on it."""
+    kind: Kind = Kind.COLD
+    """What is looked at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Plan:
+    """An answer."""
+
+    goal: Goal
+    trajectory: Trajectory | None
+    """None if there is no way."""
+    energy_j: float
+    """To the goal region, what lies beyond the end of the trajectory included."""
+    eta_s: float
+    complete: bool
+    """The trajectory ends in the goal's region."""
+    flow: Flow | None = None
+    """The water that it was made for."""
+    why: str = ""
+    """Without a trajectory: the reason."""
+    stay: bool = False
+    """A full search has found nothing that is clearly cheaper than the plan in force."""
+
+
+class TrajectoryPlanner(Protocol):
+    """Makes plans beside the loop; an exception means that there is none."""
+
+    def plan(self, request: Request, cancel: Cancel) -> Plan:
+        """Answer one request; once ``cancel`` is requested anything will do."""
+        ...
+
+    def warm(self) -> None:
+        """Import and build what the first plan needs."""
+        ...
+
+
+def no_plan(goal: Goal, why: str) -> Plan:
+    """The answer that there is none."""
+    return Plan(goal=goal, trajectory=None, energy_j=math.inf, eta_s=math.inf, complete=False, why=why)
