@@ -13,7 +13,9 @@ only where it is by far the likelier story.
 The water's velocity stands there twice, for drag and for the Munk moment. They feel the same water, but what the moment
 makes of an error of it is the product of two unknowns: a vehicle whose masses are 15 % from its file has a Munk moment
 of twice the file's. With one water for both, a current that is wrong by 0.1 m/s turns such a hull by what only a lost
-thruster can explain. Filters that multiply the two come to rest in different wrong places.
+thruster can explain; with two that know nothing of each other, the Munk moment hides half a thruster. So they are two
+that go together as far as the masses do (``Beliefs.munk``). Filters that multiply the two come to
+rest in different wrong places.
 
 The evidence for a story over filter 0 is the sum of their log-likelihood ratios since it began (a generalised
 likelihood ratio test with the size of the change estimated: Willsky and Jones 1976). Each thruster has a few stories
@@ -113,9 +115,9 @@ class Beliefs:
     """Force from a fixed direction: a tether."""
     pull_s: float = 20.0
     """It turns within this time."""
-    moment: float = 0.1
+    moment: float = 0.2
     """What turns the hull besides, [rad/s^2]."""
-    moment_s: float = 6.0
+    moment_s: float = 3.0
     """It is another within this time."""
     flow_m_s: float = 0.12
     """The water's velocity against the estimated current, as drag feels it: explains what a lost thruster does not."""
@@ -123,10 +125,8 @@ class Beliefs:
     """The same after a collision: the estimator has taken what held the hull for water."""
     flow_s: float = 6.0
     """It is another within this time."""
-    swirl_m_s: float = 0.3
-    """The same as the file's Munk moment would have to feel it: the true moment is up to twice as large."""
-    swirl_s: float = 3.0
-    """It is another within this time."""
+    munk: tuple[float, float] = (1.5, 0.8)
+    """Munk moment as a multiple of the file's, mean and standard deviation: so much more of the water it feels."""
     push: tuple[float, float, float, float] = (0.02, 0.02, 0.02, 0.07)
     """What nobody knows."""
     push_s: float = 1.5
@@ -190,7 +190,7 @@ class LossBank:
         spread[E], spread[GAIN], spread[DRAG], spread[TURN] = b.sound, b.gain, b.drag, b.turn
         spread[ARM], spread[LAG], spread[COMMON] = b.arm, b.lag_s, b.common
         p = np.diag(np.square(spread))
-        p[MOTION, MOTION] = self._still[MOTION]
+        p += self._still
         xs, ps = np.tile(x, (FILTERS, 1)), np.tile(p, (FILTERS, 1, 1))
         ps[FREE, range(NU), range(NU)] = b.unknown**2
         return xs, ps
@@ -260,9 +260,9 @@ class LossBank:
         self._x[:, MOTION] = 0.0
         self._p[:, MOTION, :] = 0.0
         self._p[:, :, MOTION] = 0.0
-        self._p[:, MOTION, MOTION] = self._still[MOTION]
+        self._p += self._still
         if hit:
-            self._p[:, FLOW, FLOW] += np.diag(np.full(2, self._beliefs.flow_hit_m_s**2))
+            self._p += self._waters(self._beliefs.flow_hit_m_s)
             self._begin_all()
 
     def look(self, look: Look, *, heave: bool, learn: bool) -> bool:
@@ -337,26 +337,34 @@ class LossBank:
         self._p[which, thruster, thruster] = sigma**2
 
     def _stationary(self) -> FloatArray:
-        """(n,) variances of the states that change within seconds."""
+        """(n, n) covariance of the states that change within seconds."""
         b = self._beliefs
         still = np.zeros(STATES)
-        still[PULL], still[MOMENT], still[FLOW] = b.pull_n**2, b.moment**2, b.flow_m_s**2
-        still[SWIRL] = b.swirl_m_s**2
-        still[PUSH] = np.square(b.push)
-        return still
+        still[PULL], still[MOMENT], still[PUSH] = b.pull_n**2, b.moment**2, np.square(b.push)
+        covariance: FloatArray = np.diag(still) + self._waters(b.flow_m_s)
+        return covariance
+
+    def _waters(self, sigma_m_s: float) -> FloatArray:
+        """(n, n) covariance of an error of the water's velocity, of what drag and the Munk moment feel of it."""
+        mean, sigma = self._beliefs.munk
+        waters = np.zeros((STATES, STATES))
+        waters[FLOW, FLOW] = np.eye(2) * sigma_m_s**2
+        waters[FLOW, SWIRL] = waters[SWIRL, FLOW] = np.eye(2) * mean * sigma_m_s**2
+        waters[SWIRL, SWIRL] = np.eye(2) * (mean**2 + sigma**2) * sigma_m_s**2
+        return waters
 
     def _predict(self, look: Look) -> None:
         b, dt_s = self._beliefs, look.dt_s
         keep = np.ones(STATES)
         keep[PULL], keep[MOMENT] = math.exp(-dt_s / b.pull_s), math.exp(-dt_s / b.moment_s)
-        keep[SWIRL] = math.exp(-dt_s / b.swirl_s)
-        keep[FLOW], keep[PUSH] = math.exp(-dt_s / b.flow_s), math.exp(-dt_s / b.push_s)
-        x, p = self._x * keep, self._p * np.outer(keep, keep)
+        keep[FLOW] = keep[SWIRL] = math.exp(-dt_s / b.flow_s)
+        keep[PUSH] = math.exp(-dt_s / b.push_s)
+        x, kept = self._x * keep, np.outer(keep, keep)
+        p = self._p * kept + (1.0 - kept) * self._still
         # The same water, against another belief.
         x[:, FLOW] -= look.moved_ned_m_s
         x[:, SWIRL] -= look.moved_ned_m_s
         grow = np.zeros((FILTERS, STATES))
-        grow[:, MOTION] = ((1.0 - keep * keep) * self._still)[MOTION]
         grow[:, GAIN] = b.gain_wander**2 * dt_s
         lossy = np.tile(self.lossy, (FILTERS, 1))
         lossy[FREE] = True

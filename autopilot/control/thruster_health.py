@@ -46,8 +46,12 @@ class Tuning:
     """Between two looks."""
     current_s: float = 1.0
     """The estimated current is followed within this time."""
-    certain: float = 7.0
-    """Evidence that a thruster has changed [nats]: a thousand to one."""
+    certain: float = 7.7
+    """Evidence that a thruster has changed [nats]: two thousand to one."""
+    plain: float = 4.5
+    """So far below 1 [sigma] the loss of a thruster with a pair shows without any belief in the others."""
+    certain_plain: float = 4.5
+    """Evidence that is enough then [nats]."""
     ahead: float = 2.0
     """So much less there is for any other."""
     confirm_s: float = 0.5
@@ -82,6 +86,8 @@ class ThrusterHealth:
         self._tuning = tuning = tuning or Tuning()
         self._submerged_m = submerged_m
         self._bank = LossBank(model, beliefs)
+        # Those that push ahead are measured against each other; the others have an axis each.
+        self._paired = np.array(model.allocation)[0] != 0.0
         self._looks = MotionLooks(
             model, lag_s, filter_s=tuning.filter_s, interval_s=tuning.interval_s, current_s=tuning.current_s
         )
@@ -183,7 +189,7 @@ class ThrusterHealth:
         tuning, bank = self._tuning, self._bank
         evidence, changed_to = bank.evidence, bank.changed_to
         others = np.array([max(np.delete(evidence, i)) for i in range(NU)])
-        certain = (evidence > tuning.certain) & (evidence > others + tuning.ahead)
+        certain = (evidence > self._needed()) & (evidence > others + tuning.ahead)
         certain &= np.array(bank.lossy) | (changed_to < tuning.lost_below)
         self._certain_s = np.where(certain, self._certain_s + dt_s, 0.0)
         best = int(self._certain_s.argmax())
@@ -195,6 +201,12 @@ class ThrusterHealth:
             if e[i] - sigma[i] > tuning.sound_above:
                 bank.clear(int(i))
         return self._follow(np.where(bank.lossy, np.minimum(e, 1.0), 1.0))
+
+    def _needed(self) -> FloatArray:
+        """(4,) evidence that is enough: less where the filter that believes in no thruster sees the loss as well."""
+        tuning, (e, sigma) = self._tuning, self._bank.free
+        plain = self._paired & ~np.array(self._bank.lossy) & (1.0 - e > tuning.plain * sigma)
+        return np.where(plain, tuning.certain_plain, tuning.certain)
 
     def _follow(self, e: FloatArray) -> bool:
         """Declare it where it is far enough from what was declared; True if it is anywhere."""
