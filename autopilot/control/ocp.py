@@ -117,11 +117,7 @@ def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Fu
     def f(state: Any) -> Any:
         return ca.vertcat(*model4.state_derivative(model, ca.vertsplit(state), ca.vertsplit(u), ca.vertsplit(c), ca))
 
-    k1 = f(x)
-    k2 = f(x + h / 2 * k1)
-    k3 = f(x + h / 2 * k2)
-    k4 = f(x + h * k3)
-    x_next = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    x_next = model4.rk4(f, x, h)
     single = ca.Function("rk4", [x, u, c], [x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, u)])
     state, a, b = x, ca.SX.eye(NX), ca.SX(NX, NU)
     for _ in range(substeps):

@@ -7,7 +7,7 @@ The equations are written once and run on floats, numpy arrays and CasADi symbol
 (:mod:`math`, :mod:`numpy` or :mod:`casadi`). The simulator does not use this module: it has its own 6-DoF equations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,3 +74,12 @@ def steady_force(model: Model4, nu: Sequence[Any], ops: Any) -> list[Any]:
     """Force (4) X, Y, Z [N], N [N m] that holds the velocity nu = (u, v, w, r): drag, buoyancy and Munk moment."""
     drift = body_acceleration(model, nu, [0.0] * NU, ops)
     return [-m * a for m, a in zip(model.mass_kg, drift, strict=True)]
+
+
+def rk4(f: Callable[[Any], Any], x: Any, step_s: Any) -> Any:
+    """x after a step of the classic fourth-order Runge-Kutta method, x' = f(x); arrays or CasADi symbols."""
+    k1 = f(x)
+    k2 = f(x + step_s / 2 * k1)
+    k3 = f(x + step_s / 2 * k2)
+    k4 = f(x + step_s * k3)
+    return x + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)

@@ -1,12 +1,13 @@
 """The 4-DoF model over many windows and many sets of coefficients at once."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, YAW, Model4, R, U, V, W, X, Y, Z, body_acceleration
+from autopilot.core.model4 import NU, YAW, Model4, R, U, V, W, X, Y, Z, body_acceleration, rk4
 
 AXES = ("surge", "sway", "heave", "yaw")
 OUTPUTS = (X, Y, Z, YAW, R)
@@ -101,7 +102,7 @@ def predict(
     result = np.empty((*lead, steps + 1, len(OUTPUTS)))
     x = np.moveaxis(start, -1, 0).copy()
 
-    def f(state: FloatArray, given: list[FloatArray]) -> FloatArray:
+    def rates_of(given: list[FloatArray], state: FloatArray) -> FloatArray:
         rates = _motion(model, state, given, current)
         rates[R] = rates[R] + further_arm_m * given[LATERAL] / model.mass_kg[3]
         return np.stack([np.broadcast_to(rate, lead) for rate in rates])
@@ -111,11 +112,7 @@ def predict(
         if n == steps:
             break
         given = [np.broadcast_to(inputs[..., n, k], lead) for k in range(inputs.shape[-1])]
-        k1 = f(x, given)
-        k2 = f(x + 0.5 * step_s * k1, given)
-        k3 = f(x + 0.5 * step_s * k2, given)
-        k4 = f(x + step_s * k3, given)
-        x = x + step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        x = rk4(partial(rates_of, given), x, step_s)
     return result
 
 

@@ -247,11 +247,7 @@ def _interval(model: Model4, case: Case, substeps: int) -> ca.Function:
 
     h, state = dt / substeps, x
     for _ in range(substeps):
-        k1 = f(state)
-        k2 = f(state + h / 2 * k1)
-        k3 = f(state + h / 2 * k2)
-        k4 = f(state + h * k3)
-        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        state = model4.rk4(f, state, h)
     return ca.Function("interval", [x, u, dt], [state])
 
 
@@ -273,11 +269,7 @@ def _rk4(model: Model4, case: Case, x: FloatArray, thrust: FloatArray, h: float)
         current = (*case.flow(state[0], state[1], math), 0.0)
         return np.array(model4.state_derivative(model, state.tolist(), thrust.tolist(), current, math))
 
-    k1 = f(x)
-    k2 = f(x + h / 2 * k1)
-    k3 = f(x + h / 2 * k2)
-    k4 = f(x + h * k3)
-    result: FloatArray = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    result: FloatArray = model4.rk4(f, x, h)
     return result
 
 

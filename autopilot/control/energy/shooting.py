@@ -241,9 +241,5 @@ def _step(model: Model4, substeps: int) -> ca.Function:
     h = dt / substeps
     state = x
     for _ in range(substeps):
-        k1 = f(state)
-        k2 = f(state + h / 2 * k1)
-        k3 = f(state + h / 2 * k2)
-        k4 = f(state + h * k3)
-        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        state = model4.rk4(f, state, h)
     return ca.Function("step", [x, u, c, g, p0, dt], [state])

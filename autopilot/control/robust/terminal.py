@@ -187,16 +187,11 @@ def closed_loop(model: Model4, law: Terminal, error: FloatArray) -> tuple[FloatA
     offset = np.array([0.0, 0.0, 0.0, law.yaw_rad, *law.nu])
     state = error + offset
     state[:, 0], state[:, 1] = c * error[:, 0] - s * error[:, 1], s * error[:, 0] + c * error[:, 1]
-    h = REFERENCE_DT_S
 
     def f(x: FloatArray) -> FloatArray:
         return np.stack(model4.state_derivative(model, list(x.T), list(thrust.T), current, np), axis=1)
 
-    k1 = f(state)
-    k2 = f(state + 0.5 * h * k1)
-    k3 = f(state + 0.5 * h * k2)
-    k4 = f(state + h * k3)
-    after = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4) - offset
+    after = model4.rk4(f, state, REFERENCE_DT_S) - offset
     after[:, 0], after[:, 1] = c * after[:, 0] + s * after[:, 1], c * after[:, 1] - s * after[:, 0]
     return after, cost
 
