@@ -302,16 +302,12 @@ class MarkerSolver:
             if best is None:
                 self.counts["misfit"] += 1
                 return None
-            worst = np.sqrt((best.residual_px.reshape(-1, 4, 2) ** 2).sum(axis=2)).max(axis=1)
-            fits = worst <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * _median(worst.tolist()))
+            fits = _fitting(best.residual_px.reshape(-1, 4, 2))
             if fits.all():
                 break
             good[np.flatnonzero(good)[~fits]] = False
-        if best is None or best.rms_px > FINAL_RMS_PX:
-            self.counts["misfit"] += 1
+        if best is None or not self._good(best.rms_px, best.rpy_rad, rpy):
             return None
-        self.counts["misfit"] += best.rms_px > MISFIT_RMS_PX
-        self.counts["leaning"] += float(np.abs(best.rpy_rad[:2] - rpy[:2]).max()) > LEANING_RAD
         z = np.append(best.pos_ned_m, best.rpy_rad[2])
         return PoseFix(
             sensor="markers",
@@ -321,6 +317,15 @@ class MarkerSolver:
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
             sigma_tilt_rad=best.sigma_tilt_rad,
         )
+
+    def _good(self, rms_px: float, found_rpy_rad: FloatArray, rpy_rad: FloatArray) -> bool:
+        """Whether a fit may be a fix; what is odd about it is counted. ``rpy_rad``: the attitude it began with."""
+        if rms_px > FINAL_RMS_PX:
+            self.counts["misfit"] += 1
+            return False
+        self.counts["misfit"] += rms_px > MISFIT_RMS_PX
+        self.counts["leaning"] += float(np.abs(found_rpy_rad[:2] - rpy_rad[:2]).max()) > LEANING_RAD
+        return True
 
     def _refine_on_sheets(
         self,
@@ -360,8 +365,7 @@ class MarkerSolver:
             if best is None:
                 self.counts["misfit"] += 1
                 return None
-            worst = np.sqrt((best.residual_px**2).sum(axis=2)).max(axis=1)
-            fits = worst <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * _median(worst.tolist()))
+            fits = _fitting(best.residual_px)
             k = int(best.strain.argmax())
             mine = corners.sheet == k
             if fits.all() and best.strain[k] > STRAIN_MOST and int((~mine).sum()) >= 2:
@@ -370,11 +374,8 @@ class MarkerSolver:
             if fits.all() or round_left == 0:
                 break
             good[np.flatnonzero(good)[~fits]] = False
-        if best is None or best.rms_px > FINAL_RMS_PX:
-            self.counts["misfit"] += 1
+        if best is None or not self._good(best.rms_px, best.rpy_rad, rpy):
             return None
-        self.counts["misfit"] += best.rms_px > MISFIT_RMS_PX
-        self.counts["leaning"] += float(np.abs(best.rpy_rad[:2] - rpy[:2]).max()) > LEANING_RAD
         ties = None
         if len(best.ties):
             ground = Ground(which, sigma, best.ties, np.zeros(len(best.at)), learns=True)
@@ -390,6 +391,13 @@ class MarkerSolver:
             ties=ties,
             strained=tuple(strained),
         )
+
+
+def _fitting(residual_px: FloatArray) -> np.ndarray:
+    """(n,) which markers fit to the others, by the worst of their corners' residuals (n, 4, 2)."""
+    worst = np.sqrt((residual_px**2).sum(axis=2)).max(axis=1)
+    result: np.ndarray = worst <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * _median(worst.tolist()))
+    return result
 
 
 def _median(values: list[float]) -> float:
