@@ -213,7 +213,7 @@ def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
 
     rough = _rough_map(**options)
     camera, views = _views(sources, rough, **options)
-    fixed = np.array([n for text in options["fix"] for n in _indices_of(rough, text)], dtype=np.int64)
+    fixed = np.array([_index_of(rough, text, "--fix") for text in options["fix"]], dtype=np.int64)
     sigma = (math.inf, math.inf)
     if options["rough_sigma"] is not None:
         sigma = (options["rough_sigma"], math.radians(options["rough_turn"]))
@@ -342,7 +342,8 @@ def _length(rough: "MarkerMap", given: tuple[str, str, str] | None) -> tuple[int
         length_m = math.nan
     if not 0.0 < length_m < math.inf or first == second:
         raise click.UsageError(f"--length {' '.join(given)}: give two markers and metres between their middles")
-    return (*(int(rough.ids[_indices_of(rough, text)[0]]) for text in (first, second)), length_m)  # type: ignore[return-value]
+    a, b = (int(rough.ids[_index_of(rough, text, "--length")]) for text in (first, second))
+    return a, b, length_m
 
 
 def _views(sources: tuple[str, ...], wanted: "MarkerMap", **options: Any) -> "tuple[CameraModel, list[Any]]":
@@ -371,7 +372,7 @@ def _views(sources: tuple[str, ...], wanted: "MarkerMap", **options: Any) -> "tu
     return camera, views_of_images([Path(source) for source in sources], camera, wanted, most)
 
 
-def _indices_of(rough: "MarkerMap", text: str) -> list[int]:
+def _index_of(rough: "MarkerMap", text: str, option: str) -> int:
     """Index of a marker by ``ID`` or ``DICTIONARY:ID``. ConfigError if there is none, or more than one."""
     from autopilot.core.errors import ConfigError
     from autopilot.core.marker_files import placed_markers
@@ -384,8 +385,8 @@ def _indices_of(rough: "MarkerMap", text: str) -> list[int]:
     ]
     if len(found) != 1:
         what = "is not in the map" if not found else f"is {len(found)} markers of the map"
-        raise ConfigError(f"--fix {text!r} {what}; give the ID or DICTIONARY:ID of one that is there once")
-    return found
+        raise ConfigError(f"{option} {text!r} {what}; give the ID or DICTIONARY:ID of one that is there once")
+    return found[0]
 
 
 def _print_survey(result: "Survey", out: str | None) -> None:
