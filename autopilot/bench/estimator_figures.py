@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 
-FIX_SIZE = 4
-"""Components of a fix: north, east, down, yaw."""
 FIX_POINT_95 = 9.488
-"""95 % point of the chi-square distribution with four degrees of freedom (Abramowitz & Stegun, table 26.8)."""
+"""95 % point of the chi-square distribution with four degrees of freedom: north, east, down, yaw
+(Abramowitz & Stegun, table 26.8)."""
 FAR_FIX_M = 0.05
 """A fix further from the truth than this must not be used."""
 FOUND_M = 0.05

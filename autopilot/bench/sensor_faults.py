@@ -8,7 +8,7 @@ go on being called good.
 import math
 import tempfile
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -185,8 +185,3 @@ def line(name: str, result: FaultResult) -> str:
         f" {100 * result.good:3.0f} %  resets {result.resets:2d}  contacts {result.contacts}"
         f" {'kept' if result.kept else 'NO'} {blamed}"
     )
-
-
-def fly_all(flights: Sequence[tuple[str, FaultFlight]]) -> list[tuple[str, FaultResult]]:
-    """One after the other."""
-    return [(name, fly_fault(flight)) for name, flight in flights]

@@ -213,12 +213,6 @@ class LossBank:
         return result
 
     @property
-    def changed_sigma(self) -> FloatArray:
-        """(4,) standard deviation of that."""
-        result: FloatArray = np.sqrt(self._p[self._best(), np.arange(NU), np.arange(NU)])
-        return result
-
-    @property
     def declared(self) -> tuple[FloatArray, FloatArray]:
         """(4,) effectiveness as filter 0 has it, and its standard deviation: what a lossy thruster gives."""
         return self._x[0, E].copy(), np.sqrt(np.diag(self._p[0])[E])
