@@ -1,7 +1,7 @@
 """Autopilot service for small underwater vehicles.
 
-The service is one function, ``Outputs = Autopilot.step(Inputs)`` (:mod:`autopilot.service`); everything with a clock,
-a socket or a file lives in the runtime around it (:mod:`autopilot.runtime`).
+The service is one function, ``Outputs = Autopilot.step(Inputs)`` (:mod:`autopilot.command.service`); everything with
+a clock, a socket or a file lives in the runtime around it (:mod:`autopilot.run.runtime`).
 """
 
 import os

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.bench.nmpc import TANK
-from autopilot.control.current_learning import LearnedCurrent
-from autopilot.control.currents import (
+from autopilot.control.water.current_learning import LearnedCurrent
+from autopilot.control.water.currents import (
     TANK_SCALE_M,
     CurrentForecast,
     EstimatedCurrent,

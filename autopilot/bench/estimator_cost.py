@@ -11,7 +11,7 @@ from autopilot.bench.machine import slowness
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.samples import MarkerSighting, Sample
-from autopilot.sitl_session import SitlSession
+from autopilot.run.sitl_session import SitlSession
 from estimator.protocol import create_estimator
 from sitl.floor import told_markers
 

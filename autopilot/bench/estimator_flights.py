@@ -14,13 +14,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from autopilot.bench.estimator_figures import Watched
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.messages import AidStatus, Inputs, NavState, Outputs
 from autopilot.core.samples import PoseSample, PowerSample, Sample
 from autopilot.log.analysis import Track, load_flight, wrap
 from autopilot.log.reader import open_log
-from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 from estimator.engine import Engine
 from estimator.kalman import KalmanCore
 from estimator.measurement import CHI2_999

@@ -1,6 +1,6 @@
 """The controller's problem solved to convergence by IPOPT or fatrop: the yardstick for the real-time iteration.
 
-The same dynamics, weights, penalties, bounds and half-planes as :mod:`autopilot.control.ocp`, written as a plain
+The same dynamics, weights, penalties, bounds and half-planes as :mod:`autopilot.control.nmpc.ocp`, written as a plain
 nonlinear program with two-sided limits and the speed norm as it stands, so that it also checks the linearisation.
 """
 
@@ -9,9 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from autopilot.control import ocp
-from autopilot.control.grid import REFERENCE_DT_S, TimeGrid
-from autopilot.control.nmpc import NmpcProblem
+from autopilot.control.nmpc import ocp
+from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
+from autopilot.control.nmpc.solver import NmpcProblem
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NU, NX, Model4, R, U, V, W, Z
 

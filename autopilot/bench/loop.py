@@ -20,14 +20,14 @@ import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.faults.wire import LOCAL, Station, free_port
-from autopilot.children import python_command
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.errors import AutopilotError
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mavlink.vehicle_commands import FORCE_ARM
-from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.run.children import python_command
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 from mission.local_plan import FenceTable, LocalPlan, OriginTable, PolygonTable, WaypointTable, plan_of_local
 from mission.paper import ORIGIN
 

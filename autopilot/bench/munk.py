@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.controller import MotionController
-from autopilot.control.ocp import discrete_dynamics
+from autopilot.control.nmpc.ocp import discrete_dynamics
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavHealth, NavState

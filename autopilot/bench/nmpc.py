@@ -17,15 +17,15 @@ import numpy as np
 
 from autopilot.bench.ipopt import IpoptNmpc
 from autopilot.bench.nmpc_flight import TANK, WAYPOINTS, Flight, basin, fly
-from autopilot.children import python_command
-from autopilot.control import ocp
 from autopilot.control.controller import MotionController
-from autopilot.control.grid import TimeGrid, geometric_grid, uniform_grid
-from autopilot.control.obstacles import Features
+from autopilot.control.fence.obstacles import Features
+from autopilot.control.nmpc import ocp
+from autopilot.control.nmpc.grid import TimeGrid, geometric_grid, uniform_grid
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ControlOutput
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.run.children import python_command
 
 __all__ = ["TANK", "NmpcBenchRow", "bench_nmpc", "standard_grids"]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.controller import MotionController
-from autopilot.control.guidance import VELOCITY_WEIGHTS
-from autopilot.control.ocp import discrete_dynamics
+from autopilot.control.nmpc.ocp import discrete_dynamics
+from autopilot.control.way.guidance import VELOCITY_WEIGHTS
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import ControlOutput, Goal, NavHealth, NavState

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.controller import MotionController
-from autopilot.control.obstacles import clearance_m
-from autopilot.control.ocp import discrete_dynamics
+from autopilot.control.fence.obstacles import clearance_m
+from autopilot.control.nmpc.ocp import discrete_dynamics
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import Goal, NavHealth, NavState

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.controller import MotionController
-from autopilot.control.grid import TimeGrid, geometric_grid, uniform_grid
-from autopilot.control.guidance import VELOCITY_WEIGHTS
+from autopilot.control.nmpc.grid import TimeGrid, geometric_grid, uniform_grid
 from autopilot.control.robust.disturbance import DisturbanceBound
 from autopilot.control.robust.error_model import disturbance_matrix, error_jacobian, input_matrix
 from autopilot.control.robust.lipschitz import TUNED_SCALES, UNIT_SCALES, lipschitz_report
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.riccati import exponential
 from autopilot.control.robust.terminal import TerminalLimits, certify, terminal_law, unit_samples
+from autopilot.control.way.guidance import VELOCITY_WEIGHTS
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavHealth, NavState

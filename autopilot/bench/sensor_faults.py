@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from autopilot.bench.estimator_flights import overlaid
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.frames import wrap_pi
 from autopilot.core.messages import Failsafe, NavHealth, Outputs, Severity
-from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 from sitl.scenario import scenario_path
 from sitl.toml_text import toml_text
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.messages import Inputs, Outputs
-from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
 

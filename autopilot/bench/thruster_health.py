@@ -15,10 +15,10 @@ import numpy as np
 
 from autopilot.bench.thruster_loops import Loss, fly
 from autopilot.campaign.definition import define
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.messages import Outputs
-from autopilot.provenance import revision
-from autopilot.sitl_session import open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.provenance import revision
+from autopilot.run.sitl_session import open_sitl
 
 NAMES = ("port", "starboard", "vertical", "lateral")
 SETS = ("r1", "r2", "r3", "r4")

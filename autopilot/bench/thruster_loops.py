@@ -15,13 +15,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from autopilot.control.allocation import Allocation
-from autopilot.control.thruster_health import ThrusterHealth, usable
+from autopilot.control.thrust.allocation import Allocation
+from autopilot.control.thrust.losses import SUBMERGED
+from autopilot.control.thrust.thruster_health import ThrusterHealth, usable
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import NU, Model4, body_acceleration
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.thrusters import SUBMERGED
 from sitl.currents import current_field
 from sitl.plant import Plant, Truth
 from sitl.scenario_tables import (

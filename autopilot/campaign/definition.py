@@ -9,7 +9,7 @@ from autopilot import __version__
 from autopilot.campaign.results import Task
 from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
-from autopilot.provenance import revision
+from autopilot.run.provenance import revision
 from mission.plan_files import read_plan
 from sitl.scenario import Scenario, load_scenario, load_tables, plan_path
 from sitl.spread import Tables, drawn_tables, drawn_values, run_seed

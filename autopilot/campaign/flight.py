@@ -8,10 +8,10 @@ from pathlib import Path
 from autopilot.campaign.judge import judge
 from autopilot.campaign.results import RunResult, Task
 from autopilot.campaign.watch import Watch
-from autopilot.config import Settings, gather, sitl_defaults
 from autopilot.core.messages import Outputs
-from autopilot.describe import describe_run
-from autopilot.sitl_session import open_sitl
+from autopilot.run.config import Settings, gather, sitl_defaults
+from autopilot.run.describe import describe_run
+from autopilot.run.sitl_session import open_sitl
 
 
 def fly(task: Task, stop: Callable[[], bool] = lambda: False) -> RunResult | None:

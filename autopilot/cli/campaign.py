@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import click
 
 from autopilot.cli.output import emit_json, print_table
-from autopilot.config import ESTIMATORS, SENSORS
+from autopilot.run.config import ESTIMATORS, SENSORS
 
 if TYPE_CHECKING:
     from autopilot.campaign.engines import Engine
@@ -119,7 +119,7 @@ def fly(
     from autopilot.campaign.engines import make_engine
     from autopilot.campaign.store import Shard
     from autopilot.campaign.summary import summarise
-    from autopilot.config import parse_overrides
+    from autopilot.run.config import parse_overrides
 
     defined = define(
         scenario,

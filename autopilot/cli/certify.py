@@ -45,9 +45,9 @@ def certify(
     """
     from autopilot.bench.munk import bench_munk
     from autopilot.bench.robust import certificate_table, cost_table, lipschitz_table, tube_table
-    from autopilot.config import parse_overrides
     from autopilot.core.params import ParamSet
     from autopilot.core.vehicle import load_vehicle
+    from autopilot.run.config import parse_overrides
     from mission.reach import widest_m
 
     params, body = ParamSet(parse_overrides(overrides)), load_vehicle(vehicle)
@@ -84,9 +84,9 @@ TITLES = {
 
 def _goals(path: Path | None, params: "ParamSet", vehicle: "Vehicle") -> "tuple[list[Goal], Fence]":
     """Waypoints of a plan (no place twice) and its fence. PlanError if there is none or it does not pass the checks."""
-    from autopilot.compose import load_plan
     from autopilot.core.errors import PlanError
     from autopilot.core.messages import Goal
+    from autopilot.run.compose import load_plan
     from mission.items import GoTo
     from mission.paper import paper_plan
     from mission.plan_files import read_plan

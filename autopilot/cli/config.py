@@ -18,8 +18,8 @@ def show(scenario: str | None, instance: int, as_json: bool) -> None:
     """Settings, scenario and vehicle of `autopilot sitl [SCENARIO]`."""
     import msgspec
 
-    from autopilot.config import gather, sitl_defaults
     from autopilot.core.vehicle import load_vehicle
+    from autopilot.run.config import gather, sitl_defaults
     from sitl.scenario import load_scenario
 
     settings = gather(sitl_defaults(instance), {"scenario": scenario})

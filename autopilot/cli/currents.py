@@ -21,7 +21,7 @@ def currents() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def check(file: str, plan: str | None, origin: tuple[float, float] | None, as_json: bool) -> None:
     """What the map FILE holds, and whether it fits a plan: exit 1 if not, 3 with a warning."""
-    from autopilot.map_check import describe_map, open_map, plan_findings
+    from autopilot.command.map_check import describe_map, open_map, plan_findings
     from mission.geodesy import Origin
 
     where = None if origin is None else Origin(lat_deg=origin[0], lon_deg=origin[1])

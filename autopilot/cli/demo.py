@@ -14,7 +14,7 @@ import click
 from autopilot.cli.output import emit_json
 
 if TYPE_CHECKING:
-    from autopilot.demo import FlightResult, Show
+    from autopilot.run.demo import FlightResult, Show
 
 
 @click.command()
@@ -29,7 +29,7 @@ def demo(out: Path, laps: int, speed: float, seed: int | None, as_json: bool) ->
     Writes OUT/run.mcap, OUT/report.html and the paper's figures (the still-water flight in OUT/still). Exit code 1 if a
     bound is broken.
     """
-    from autopilot.demo import FLIGHTS, fly
+    from autopilot.run.demo import FLIGHTS, fly
 
     # Whoever ends the demo ends its service too.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))

@@ -9,10 +9,10 @@ import click
 
 from autopilot.cli.log_tlog import tlog
 from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
-from autopilot.config import ESTIMATORS
+from autopilot.run.config import ESTIMATORS
 
 if TYPE_CHECKING:
-    from autopilot.control.unsolved import Trial
+    from autopilot.control.nmpc.unsolved import Trial
     from autopilot.log.check import Row
     from autopilot.log.reader import Log
 
@@ -107,9 +107,9 @@ def replay(log_file: Path, estimator: str | None, changes: tuple[str, ...], out:
 
     With another estimator or other options: how far the result is from the logged one, and both from the truth.
     """
-    from autopilot import replay as replaying
     from autopilot.log.reader import open_log
-    from autopilot.replay_setup import read_setup
+    from autopilot.replay import estimation as replaying
+    from autopilot.replay.setup import read_setup
 
     opened = open_log(log_file)
     setup = replaying.replay_setup(opened, estimator, changes)
@@ -149,7 +149,7 @@ def replay(log_file: Path, estimator: str | None, changes: tuple[str, ...], out:
 @_JSON
 def programs(log_file: Path, as_json: bool) -> None:
     """Solve what the optimiser failed to solve in LOG once more, by every solver. Exit 1 if there is something."""
-    from autopilot.control.unsolved import solve_again
+    from autopilot.control.nmpc.unsolved import solve_again
     from autopilot.log.packing.programs import unpack
     from autopilot.log.reader import open_log
 

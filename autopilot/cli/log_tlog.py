@@ -16,7 +16,7 @@ def tlog(file: Path, as_json: bool) -> None:
 
     Exit codes: 0 every gap is explained by what the file shows, 1 not.
     """
-    from autopilot.tlog_replay import replay_tlog
+    from autopilot.replay.tlog import replay_tlog
 
     found = replay_tlog(file)
     if as_json:

@@ -142,10 +142,10 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
 
     Exit code 1: a vehicle would refuse it. 3: it would be stored, but could not be flown.
     """
-    from autopilot.config import parse_overrides
     from autopilot.core.params import ParamSet
     from autopilot.core.plan import PlanKind
     from autopilot.core.vehicle import load_vehicle
+    from autopilot.run.config import parse_overrides
     from mission.judgement import judge_file
     from mission.plan_files import read_plan
 

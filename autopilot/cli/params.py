@@ -49,7 +49,7 @@ def check(file: Path, as_json: bool) -> None:
     """Check a parameter file and show what differs from the defaults. Exit 3 if it has names that do not exist."""
     from autopilot.core.errors import ConfigError
     from autopilot.core.params import ParamSet
-    from autopilot.param_file import scan_param_file
+    from autopilot.run.param_file import scan_param_file
 
     found = scan_param_file(file)
     if found.errors:
@@ -76,7 +76,7 @@ def check(file: Path, as_json: bool) -> None:
 def defaults(file: Path) -> None:
     """Write a parameter file with all defaults."""
     from autopilot.core.params import ParamSet
-    from autopilot.param_file import write_param_file
+    from autopilot.run.param_file import write_param_file
 
     write_param_file(file, ParamSet())
     click.echo(f"{file}: {len(ParamSet())} parameters")

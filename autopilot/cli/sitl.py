@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.output import EXIT_LOSS
-from autopilot.config import BASINS, CURRENTS, ESTIMATORS, PROFILES, SENSORS, UNTIL
 from autopilot.core.errors import AutopilotError
+from autopilot.run.config import BASINS, CURRENTS, ESTIMATORS, PROFILES, SENSORS, UNTIL
 
 if TYPE_CHECKING:
-    from autopilot.sitl_console import RunWatch
-    from autopilot.sitl_session import SitlSession
+    from autopilot.run.sitl_console import RunWatch
+    from autopilot.run.sitl_session import SitlSession
 
 
 @click.command()
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 @click.option("--quiet", is_flag=True, help="Print only errors.")
 def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the simulated vehicle of SCENARIO (a shipped name or a TOML file; default paper-tank)."""
-    from autopilot.config import gather, parse_overrides, sitl_defaults
-    from autopilot.doorstep import open_doorstep
+    from autopilot.run.config import gather, parse_overrides, sitl_defaults
+    from autopilot.run.doorstep import open_doorstep
 
     settings = gather(sitl_defaults(instance), {"scenario": scenario, **given})
     stopped_by: list[int] = []
@@ -59,8 +59,8 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     signal.signal(signal.SIGINT, stop)
     overrides = parse_overrides(param)
     with open_doorstep(settings, overrides, instance=instance) as doorstep:
-        from autopilot.sitl_console import Console, RunWatch
-        from autopilot.sitl_session import open_sitl
+        from autopilot.run.sitl_console import Console, RunWatch
+        from autopilot.run.sitl_session import open_sitl
 
         session = open_sitl(
             settings, overrides, instance=instance, links=doorstep.links, on_tick=lambda outputs: watch.step(outputs)

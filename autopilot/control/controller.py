@@ -7,27 +7,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from autopilot.control import ocp, shortest
-from autopilot.control.currents import CurrentForecast, EstimatedCurrent
-from autopilot.control.desks import Desks
 from autopilot.control.energy.guidance import EnergyGuidance
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import TrajectoryPlanner
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.fallback import FallbackWatch
-from autopilot.control.grid import TimeGrid, geometric_grid
-from autopilot.control.guidance import Guidance, Reference, RouteGuidance, Situation
-from autopilot.control.lag import ThrusterLag
-from autopilot.control.nmpc import NmpcResult
-from autopilot.control.obstacles import Movers, fence_key
-from autopilot.control.planner import Planner
-from autopilot.control.reversal import Reversals
+from autopilot.control.fence.obstacles import Movers, fence_key
+from autopilot.control.fence.tracks import Obstructions, Way
+from autopilot.control.nmpc import ocp
+from autopilot.control.nmpc.grid import TimeGrid, geometric_grid
+from autopilot.control.nmpc.lag import ThrusterLag
+from autopilot.control.nmpc.reversal import Reversals
+from autopilot.control.nmpc.solver import NmpcResult
+from autopilot.control.robust.fallback import FallbackWatch
 from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
 from autopilot.control.step_program import StepProgram
-from autopilot.control.tracks import Obstructions, Way
+from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
+from autopilot.control.way import shortest
+from autopilot.control.way.desks import Desks
+from autopilot.control.way.guidance import Guidance, Reference, RouteGuidance, Situation
+from autopilot.control.way.planner import Planner
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import (

@@ -11,18 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autopilot.control import ocp
-from autopilot.control.grid import TimeGrid
-from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, Situation
-from autopilot.control.nmpc import Nmpc, NmpcProblem, NmpcResult
-from autopilot.control.obstacles import Movers
-from autopilot.control.planner import Planner
+from autopilot.control.fence.obstacles import Movers
+from autopilot.control.nmpc import ocp
+from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.nmpc.solver import Nmpc, NmpcProblem, NmpcResult
+from autopilot.control.nmpc.unsolved import saved
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.terminal import TerminalLimits
+from autopilot.control.robust.tightening import BackOffs
 from autopilot.control.robust.tube import LARGEST_THRUST_SHARE
-from autopilot.control.tightening import BackOffs
-from autopilot.control.unsolved import saved
+from autopilot.control.way.guidance import VELOCITY_WEIGHTS, Reference, Situation
+from autopilot.control.way.planner import Planner
 from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus, UnsolvedProgram

@@ -1,8 +1,8 @@
 """Runs the parts of a tick so that one that fails does not take the others with it.
 
 An exception inside a part is a :class:`Fault`: kept with its traceback and with what the part was given, counted, and
-handed to whoever decides what it means (:mod:`autopilot.fault_care`). Nothing is hidden: where the guard is set to
-raise (tests, continuous integration), the exception goes on.
+handed to whoever decides what it means (:mod:`autopilot.command.fault_care`). Nothing is hidden: where the guard is
+set to raise (tests, continuous integration), the exception goes on.
 """
 
 import os

@@ -288,7 +288,7 @@ class UnsolvedProgram:
     solver: str
     status: SolveStatus
     arrays: Mapping[str, FloatArray]
-    """See :mod:`autopilot.control.unsolved`."""
+    """See :mod:`autopilot.control.nmpc.unsolved`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -1,7 +1,7 @@
 """Parameters: what an operator may change over MAVLink. One table gives name, default, unit, range and help.
 
 Names have at most 16 characters (MAVLink). Values live in a :class:`ParamSet`; who changes one gets a clear refusal
-instead of a clamped value. Keeping them on disk is the runtime's business (:mod:`autopilot.param_file`).
+instead of a clamped value. Keeping them on disk is the runtime's business (:mod:`autopilot.run.param_file`).
 """
 
 import math

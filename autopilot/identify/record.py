@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from autopilot.control.allocation import Allocation
+from autopilot.control.thrust.allocation import Allocation
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NU
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.reader import Log, Table, open_log
-from autopilot.replay_setup import read_vehicle
+from autopilot.replay.setup import read_vehicle
 
 STEP_S = 0.05
 """Interval of the prediction: thrust is averaged over it."""

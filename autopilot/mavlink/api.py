@@ -1,6 +1,6 @@
 """What the MAVLink server needs of the vehicle, and the results it passes on.
 
-Implemented by :mod:`autopilot.commander`.
+Implemented by :mod:`autopilot.command.commander`.
 """
 
 from collections.abc import Mapping

@@ -3,7 +3,7 @@
 import pytest
 
 from autopilot.bench.pockets import WORLDS, bench_pockets, starts
-from autopilot.control.obstacles import clearance_m
+from autopilot.control.fence.obstacles import clearance_m
 
 
 def test_all_goals_are_reached_from_the_hardest_starts() -> None:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from control_loop import MODEL, STEP_US, TANK, VEHICLE, A, nav_state, rk4, still
 
-from autopilot.control.actuation_delay import ActuationDelay
 from autopilot.control.controller import MotionController
-from autopilot.control.lag import ThrusterLag
+from autopilot.control.nmpc.lag import ThrusterLag
+from autopilot.control.thrust.actuation_delay import ActuationDelay
+from autopilot.control.thrust.delay import LONGEST_DOUBT_S, LatencyCare
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Fallback, NavHealth
 from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
-from autopilot.latency import LONGEST_DOUBT_S, LatencyCare
 
 LAG_S = VEHICLE.drive.time_constant_s
 CURRENT = np.array([0.15, -0.1, 0.0])

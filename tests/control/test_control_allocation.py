@@ -8,7 +8,7 @@ from control_loop import VEHICLE
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.control.allocation import Allocation
+from autopilot.control.thrust.allocation import Allocation
 
 ALLOCATION = Allocation(VEHICLE.drive)
 DRIVE = VEHICLE.drive

@@ -3,7 +3,7 @@
 import pytest
 
 from autopilot.bench.nmpc import bench_nmpc
-from autopilot.control.grid import uniform_grid
+from autopilot.control.nmpc.grid import uniform_grid
 
 
 def test_bench_gives_rows_per_grid_and_solutions_that_agree() -> None:

@@ -13,15 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
-from autopilot.control.desks import Desks
 from autopilot.control.energy.patience import ANSWER_STEPS as ANSWER_STEPS_OF_PLANS
 from autopilot.control.energy.patience import RETRY_STEPS, Kind
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Plan, Request
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
-from autopilot.control.guidance import ANSWER_STEPS, PATIENCE_STEPS
-from autopilot.control.planner import Planner
+from autopilot.control.way.desks import Desks
+from autopilot.control.way.guidance import ANSWER_STEPS, PATIENCE_STEPS
+from autopilot.control.way.planner import Planner
 from autopilot.core.desk import Cancel, Desk, WithdrawnError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
-from autopilot.control.obstacles import Features, Movers, clearance_m
+from autopilot.control.fence.obstacles import Features, Movers, clearance_m
 from autopilot.core.geometry import Circle, Fence, Polygon
 
 RADIUS_M = 0.33

@@ -8,9 +8,9 @@ import pytest
 from control_loop import MODEL, STEP_US, TANK, VEHICLE, A, B, fly, goal, jet, nav_state, rk4, still
 
 from autopilot.control.controller import MotionController
-from autopilot.control.native import NativeStep
-from autopilot.control.nmpc import QpStep
-from autopilot.control.obstacles import clearance_m
+from autopilot.control.fence.obstacles import clearance_m
+from autopilot.control.nmpc.native import NativeStep
+from autopilot.control.nmpc.solver import QpStep
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Fallback, NavHealth, SolveStatus
 from autopilot.core.model4 import YAW

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.control.currents import (
+from autopilot.control.water.currents import (
     CurrentForecast,
     EstimatedCurrent,
     MappedCurrent,

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
-from autopilot.control.current_learning import MAX_CELLS, Basin, LearnedCurrent, narrowest_width_m
-from autopilot.control.currents import EstimatedCurrent
+from autopilot.control.water.current_learning import MAX_CELLS, Basin, LearnedCurrent, narrowest_width_m
+from autopilot.control.water.currents import EstimatedCurrent
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet

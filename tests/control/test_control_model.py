@@ -9,9 +9,9 @@ from control_loop import MODEL, rk4, still
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.control import ocp
-from autopilot.control.grid import MAX_RK4_STEP_S, geometric_grid, shift_matrices, uniform_grid
-from autopilot.control.guidance import SteadyThrust
+from autopilot.control.nmpc import ocp
+from autopilot.control.nmpc.grid import MAX_RK4_STEP_S, geometric_grid, shift_matrices, uniform_grid
+from autopilot.control.way.guidance import SteadyThrust
 from autopilot.core import model4
 
 state = st.tuples(

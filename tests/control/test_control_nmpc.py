@@ -8,13 +8,13 @@ import pytest
 from control_loop import MODEL, TANK
 
 from autopilot.bench.ipopt import IpoptNmpc
-from autopilot.control import native, ocp
-from autopilot.control.grid import geometric_grid, uniform_grid
-from autopilot.control.guidance import SteadyThrust
-from autopilot.control.nmpc import PLANES, Nmpc, NmpcProblem, QpStep, choose_step, passes_self_test
-from autopilot.control.obstacles import Features
-from autopilot.control.planner import Planner
-from autopilot.control.reference import Route, Target, build_reference
+from autopilot.control.fence.obstacles import Features
+from autopilot.control.nmpc import native, ocp
+from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
+from autopilot.control.nmpc.solver import PLANES, Nmpc, NmpcProblem, QpStep, choose_step, passes_self_test
+from autopilot.control.way.guidance import SteadyThrust
+from autopilot.control.way.planner import Planner
+from autopilot.control.way.reference import Route, Target, build_reference
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import SolveStatus
 

@@ -8,7 +8,7 @@ from control_loop import TANK
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.obstacles import FAR_M, Features, clearance_m
+from autopilot.control.fence.obstacles import FAR_M, Features, clearance_m
 from autopilot.core.geometry import Circle, Fence, Polygon
 
 L_ROOM = np.array([[-3.0, -3.0], [-3.0, 3.0], [0.0, 3.0], [0.0, 0.0], [3.0, 0.0], [3.0, -3.0]])

@@ -9,11 +9,11 @@ from control_loop import MODEL, TANK
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.fallback import station_keeping_thrust
-from autopilot.control.grid import geometric_grid
-from autopilot.control.obstacles import clearance_m
-from autopilot.control.planner import PLANNING_EXTRA_M, Planner
-from autopilot.control.reference import (
+from autopilot.control.fence.obstacles import clearance_m
+from autopilot.control.nmpc.grid import geometric_grid
+from autopilot.control.robust.fallback import station_keeping_thrust
+from autopilot.control.way.planner import PLANNING_EXTRA_M, Planner
+from autopilot.control.way.reference import (
     DECELERATION_M_S2,
     Route,
     Target,

@@ -8,7 +8,7 @@ import pytest
 from control_loop import STEP_US, TANK, VEHICLE, A, B, fly, goal
 
 from autopilot.control.controller import MotionController
-from autopilot.control.tracks import (
+from autopilot.control.fence.tracks import (
     FORGET_MOVING_US,
     FORGET_STANDING_US,
     GROWTH_M_S,

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.currents import EstimatedCurrent
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, other_ways
 from autopilot.control.energy.flow import Flow, FlowSamples, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, energy_per_metre, speed_table
-from autopilot.control.obstacles import Features
+from autopilot.control.fence.obstacles import Features
+from autopilot.control.water.currents import EstimatedCurrent
 from autopilot.core.free_space import Area, FreeSpace
 from autopilot.core.geometry import Circle, Fence, Polygon
 from tests.control.control_loop import MODEL, TANK, VEHICLE, nav_state

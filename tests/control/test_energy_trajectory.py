@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from autopilot.control.controller import MotionController
-from autopilot.control.currents import EstimatedCurrent, MappedCurrent, PointwiseField
 from autopilot.control.energy.flow import area_of, sample_flow
 from autopilot.control.energy.leg_task import shifted
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Request
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.energy.track import Track, joined
+from autopilot.control.water.currents import EstimatedCurrent, MappedCurrent, PointwiseField
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence

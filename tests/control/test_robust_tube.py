@@ -9,7 +9,7 @@ from control_loop import MODEL, nav_state, rk4
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.grid import geometric_grid, uniform_grid
+from autopilot.control.nmpc.grid import geometric_grid, uniform_grid
 from autopilot.control.robust.ancillary import STATE_WEIGHTS, THRUST_WEIGHT, Ancillary
 from autopilot.control.robust.disturbance import BOUND_SIGMAS, DisturbanceBound, EstimateSpread, channel_variances
 from autopilot.control.robust.error_model import (

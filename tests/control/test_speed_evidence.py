@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.control.controller import MotionController
-from autopilot.control.grid import geometric_grid
+from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.robust.evidence import GROW_M_S2, LEAST_SHARE, SHRINK_M_S2, SpeedEvidence
 from autopilot.control.robust.margins import Margins
 from autopilot.core.geometry import Fence

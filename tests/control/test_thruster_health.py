@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from control_loop import rk4
 
-from autopilot.control.allocation import Allocation
-from autopilot.control.thruster_health import ThrusterHealth, hover_problem, told, usable
+from autopilot.control.thrust.allocation import Allocation
+from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_problem, told, usable
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import Model4

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.currents import CurrentForecast
+from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence, Polygon
 from sitl.currents import Bickley, CurrentField, Gyre, Shear, TankJet, Uniform

@@ -18,11 +18,11 @@ from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavHealth
 from autopilot.core.samples import CameraFrame, MarkerSighting
-from autopilot.vision import VisionWorker
 from estimator.frame_door import FrameDoor, FrameVerdict
 from estimator.markers_pose import MarkerSolver
 from estimator.pnp import solve_pose
 from estimator.vision import Hint, MarkerDetector
+from estimator.vision_lane import VisionWorker
 from sitl.camera import SimCamera
 from sitl.floor import Floor
 from sitl.scenario import CameraLook

@@ -7,9 +7,9 @@ import pytest
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.errors import DriverError
-from autopilot.doorstep import TURN_S, Doorstep
 from autopilot.mavlink.boot import MAX_PARSERS, STARTING, BootLink
 from autopilot.mavlink.wire import LinkParser
+from autopilot.run.doorstep import TURN_S, Doorstep
 from drivers.protocols import Received
 
 ARM = mav.MAVLink_command_long_message(1, 1, mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)

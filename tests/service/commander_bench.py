@@ -4,14 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from autopilot.commander import Commander, Decision
+from autopilot.command.commander import Commander, Decision
+from autopilot.command.failsafes import Conditions
 from autopilot.core.desk import Desk
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import PowerSample
 from autopilot.core.vehicle import load_vehicle
-from autopilot.failsafes import Conditions
 from autopilot.mavlink.api import CommandResult
 from mission.paper import paper_plan
 from mission.store import Plans

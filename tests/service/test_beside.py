@@ -8,8 +8,8 @@ import pytest
 
 from autopilot.bench.faults.pilot import PilotedFlight, piloted
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.planner import Planner
 from autopilot.control.robust import regions
+from autopilot.control.way.planner import Planner
 from autopilot.core.messages import Outputs, Severity
 from autopilot.core.plan import PlanKind
 from mission.geodesy import geodetic_from_ned

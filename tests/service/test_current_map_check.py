@@ -10,19 +10,19 @@ from click.testing import CliRunner
 
 from autopilot.bench.flow_maps import b6_map, forecast_of, write_flow_map
 from autopilot.cli.main import cli
-from autopilot.commander import Commander
-from autopilot.control.current_map import CurrentMap
-from autopilot.control.map_reading import load_current_map
+from autopilot.command.commander import Commander
+from autopilot.command.failsafes import Conditions
+from autopilot.command.map_check import MapCheck, params_origin, parse_utc
+from autopilot.command.watch import Watch
+from autopilot.control.water.current_map import CurrentMap
+from autopilot.control.water.map_reading import load_current_map
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import NavHealth, NavState, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import load_vehicle
-from autopilot.failsafes import Conditions
-from autopilot.goals import Goals
-from autopilot.map_check import MapCheck, params_origin, parse_utc
 from autopilot.mavlink.api import CommandResult
-from autopilot.watch import Watch
+from mission.goals import Goals
 from mission.paper import paper_plan
 from mission.store import Plans
 from sitl.grid_current import GridField, read_grid

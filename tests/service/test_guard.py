@@ -12,18 +12,18 @@ from click.testing import CliRunner
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.cli.log import log
-from autopilot.config import gather, sitl_defaults
-from autopilot.control.native import NativeStep
-from autopilot.control.nmpc import QpStep
+from autopilot.control.nmpc.native import NativeStep
+from autopilot.control.nmpc.solver import QpStep
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import Failsafe, Fallback, Outputs
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.log.reader import open_log
 from autopilot.log.session import MAX_PROGRAMS
-from autopilot.sitl_session import SitlSession, open_sitl
-from autopilot.vision import VisionWorker
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 from estimator.frame_door import FrameDoor
 from estimator.vision import Hint
+from estimator.vision_lane import VisionWorker
 
 OpenSession = Callable[..., SitlSession]
 NEUTRAL_US = 1500

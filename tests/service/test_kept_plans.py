@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.config import gather, sitl_defaults
+from autopilot.command.service import Parts
 from autopilot.core.desk import Desk
 from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS, Keeper
 from autopilot.core.plan import PlanKind
-from autopilot.kept_plans import KeptPlans
-from autopilot.service import Parts
-from autopilot.sitl_session import open_sitl
-from autopilot.state_file import StateFile
+from autopilot.core.state_file import StateFile
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.kept_plans import KeptPlans
+from autopilot.run.sitl_session import open_sitl
 from mission.geodesy import Origin
 from mission.paper import paper_plan
 from mission.sequencer import Position
@@ -216,7 +216,7 @@ def test_the_newest_state_is_always_the_one_that_is_written(steps: list[tuple[bo
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 0.1 + 0.2, -0.0])
 def test_numbers_come_back_bit_for_bit(value: float) -> None:
     from autopilot.core.plan import PlanItem
-    from autopilot.kept_plans import _item, _plan_item
+    from autopilot.run.kept_plans import _item, _plan_item
 
     item = PlanItem(seq=0, frame=3, command=16, param1=value, param4=value, z=value)
     assert repr(_plan_item(_item(item))) == repr(item)

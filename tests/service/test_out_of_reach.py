@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.messages import Goal, NavHealth, NavState, Outputs, ProgressState
 from autopilot.mavlink.api import FlightMode
-from autopilot.sitl_session import open_sitl
-from autopilot.upstream import FRESH_STARTS, MadeGood, ground_speed_m_s, slowest_leg
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import open_sitl
 from mission.items import GoTo
+from mission.upstream import FRESH_STARTS, MadeGood, ground_speed_m_s, slowest_leg
 from tests.service.commander_bench import OK, Bench
 
 SCENARIO = """

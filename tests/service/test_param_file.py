@@ -14,7 +14,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS, Keeper
 from autopilot.core.lane import DaemonLane
 from autopilot.core.params import PARAMETERS, ParamSet, ParamType
-from autopilot.param_file import PersistentParams, scan_param_file, write_param_file
+from autopilot.run.param_file import PersistentParams, scan_param_file, write_param_file
 
 
 @st.composite

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from autopilot.provenance import revision_of
+from autopilot.run.provenance import revision_of
 
 NOBODY = ("-c", "user.name=nobody", "-c", "user.email=nobody@example.org")
 

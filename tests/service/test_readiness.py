@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from commander_bench import OK, Bench
 
-from autopilot.commander import Commander
-from autopilot.control.grid import geometric_grid
+from autopilot.command.commander import Commander
+from autopilot.command.readiness import MarginCheck
+from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.robust.margins import Margins
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.vehicle import load_vehicle
-from autopilot.readiness import MarginCheck
 from mission.reach import widest_m
 
 VEHICLE = load_vehicle("lbv150")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from commander_bench import Bench
 
+from autopilot.control.thrust.losses import ThrusterCare
 from autopilot.core.messages import Failsafe, NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
 from autopilot.mavlink.api import CommandResult, FlightMode
-from autopilot.thrusters import ThrusterCare
 
 
 def test_a_weak_thruster_is_named_once_and_the_vehicle_goes_on() -> None:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.samples import AhrsSample, PoseSample, Sample
-from autopilot.sitl_session import open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import open_sitl
 
 FAULT_US, GAP_US, END_S = 8_000_000, 4_000_000, 14.0
 

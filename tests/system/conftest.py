@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from system_harness import OpenSession, RunningService, free_port
 
-from autopilot.children import Child, autopilot_command
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.messages import Outputs
-from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.run.children import Child, autopilot_command
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from autopilot.children import Child
-from autopilot.sitl_session import SitlSession
+from autopilot.run.children import Child
+from autopilot.run.sitl_session import SitlSession
 
 ROOT = Path(__file__).resolve().parents[2]
 PAPER_PLAN = ROOT / "sitl" / "scenarios" / "paper.plan"

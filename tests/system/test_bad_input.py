@@ -13,8 +13,8 @@ from wire_client import Harbour, WireClient, item_message
 
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
-from autopilot.operator import ScriptedOperator
 from mission.paper import paper_plan
+from sitl.operator import ScriptedOperator
 
 NO_NUMBER = -(2**31)
 """NaN as an integer coordinate: what a conversion of NaN gives on x86."""

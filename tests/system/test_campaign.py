@@ -21,11 +21,11 @@ from autopilot.campaign.flight import fly
 from autopilot.campaign.results import Margin, RunResult, Task
 from autopilot.campaign.store import Shard, Store, read_results, scenario_file
 from autopilot.campaign.summary import failure_bound, summarise
-from autopilot.children import autopilot_command
 from autopilot.cli.main import cli, run
 from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.log.check import acceptance_table
 from autopilot.log.reader import open_log
+from autopilot.run.children import autopilot_command
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
 from sitl.scenario import scenario_path

@@ -11,8 +11,8 @@ import psutil
 import pytest
 from system_harness import PAPER_PLAN, ROOT
 
-from autopilot.children import Child, autopilot_command, python_command
 from autopilot.core.errors import AutopilotError
+from autopilot.run.children import Child, autopilot_command, python_command
 
 HOSTILE = ("mission", "drivers", "sitl", "estimator", "autopilot", "click", "numpy", "psutil", "logging")
 """Modules of a user's own in the folder in which he works."""
@@ -75,8 +75,8 @@ def test_a_child_that_has_ended_is_named_with_its_exit_code() -> None:
 
 
 def test_a_child_that_only_sleeps_is_stuck_and_one_that_computes_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("autopilot.children.STUCK_S", 2.0)
-    monkeypatch.setattr("autopilot.children.LOOK_S", 0.05)
+    monkeypatch.setattr("autopilot.run.children.STUCK_S", 2.0)
+    monkeypatch.setattr("autopilot.run.children.LOOK_S", 0.05)
     deaf = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(flush=True); "
     busy, asleep = Child(python_command("while True: pass")), Child(python_command(deaf + "time.sleep(1e6)"))
     try:

@@ -14,9 +14,9 @@ from pymavlink.dialects.v20 import development as mav
 from system_harness import PAPER_PLAN, ROOT, OpenSession, RunningService, free_port
 from wire_client import Harbour, WireClient
 
-from autopilot.children import Child, autopilot_command
 from autopilot.cli.main import cli, run
-from autopilot.param_file import scan_param_file
+from autopilot.run.children import Child, autopilot_command
+from autopilot.run.param_file import scan_param_file
 from mission.plan_files import read_plan
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()

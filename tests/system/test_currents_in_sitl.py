@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from autopilot.bench.current_forecasts import compare_forecasts
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.log.reader import open_log
-from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 from sitl.scenario import scenario_path
 
 NORTH, EAST = np.linspace(-3.0, 3.0, 13), np.linspace(-2.0, 2.0, 9)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.config import gather, sitl_defaults
 from autopilot.log.reader import open_log
-from autopilot.sitl_session import open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import open_sitl
 
 
 class Switch:

@@ -13,12 +13,12 @@ import pytest
 from pymavlink.dialects.v20 import development as mav
 from system_harness import free_port
 
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.messages import Outputs
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.log import writer
 from autopilot.log.reader import open_log
-from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 from estimator.vision import Hint, MarkerDetector
 
 SPEED = 5.0
@@ -105,7 +105,7 @@ def test_a_slow_detector_does_not_hold_the_loop(tmp_path: Path, monkeypatch: pyt
     progress = Progress()
     monkeypatch.setattr(SlowDetector, "progress", progress, raising=False)
     monkeypatch.setattr(SlowDetector, "seen_us", [], raising=False)
-    monkeypatch.setattr("autopilot.sitl_session.MarkerDetector", SlowDetector)
+    monkeypatch.setattr("autopilot.run.sitl_session.MarkerDetector", SlowDetector)
     session = _session(
         tmp_path, speed=1.0, sensors="camera", duration=4.0, on_tick=progress.tick, log=str(tmp_path / "a.mcap")
     )

@@ -9,9 +9,9 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mav
 from system_harness import free_port
 
-from autopilot.children import Child, autopilot_command
 from autopilot.client.session import Session
 from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.run.children import Child, autopilot_command
 from mission.paper import paper_plan
 
 

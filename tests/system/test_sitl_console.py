@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from system_harness import ROOT
 
-from autopilot.children import autopilot_command
 from autopilot.core.geometry import Circle, Fence, Polygon
-from autopilot.sitl_console import Console, unknown_obstacles
+from autopilot.run.children import autopilot_command
+from autopilot.run.sitl_console import Console, unknown_obstacles
 from sitl.scenario import load_scenario
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
@@ -137,7 +137,7 @@ def test_a_console_that_takes_nothing_holds_nobody_up() -> None:
         "for number in range(100_000):\n    console.print(f'{number} ' + 80 * 'x')\n"
         "console.close(0.1)\nprint('went on', file=sys.stderr)\nsys.stderr.flush()\nimport os\nos._exit(0)\n"
     )
-    from autopilot.children import python_command
+    from autopilot.run.children import python_command
 
     try:
         done = subprocess.run(python_command(code), stdout=write, stderr=subprocess.PIPE, text=True, check=False)

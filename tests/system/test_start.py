@@ -9,8 +9,8 @@ import pytest
 from pymavlink.dialects.v20 import development as mav
 from system_harness import RunningService, free_port
 
-from autopilot.children import Child, autopilot_command
 from autopilot.mavlink.boot import STARTING
+from autopilot.run.children import Child, autopilot_command
 
 FIRST_HEARTBEAT_CPU_S = 1.0
 

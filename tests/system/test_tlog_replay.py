@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.cli.log import log
 from autopilot.cli.main import cli, run
 from autopilot.core.errors import LogError
-from autopilot.tlog_replay import TlogReplay, replay_tlog
+from autopilot.replay.tlog import TlogReplay, replay_tlog
 
 REAL = Path(__file__).parents[1] / "data" / "ardusub_log_tools" / "first_12_s.tlog"
 BEGIN_US = 1_700_000_000_000_000

@@ -15,7 +15,6 @@ from pymavlink.dialects.v20 import development as mav
 from system_harness import free_port
 
 from autopilot.bench.faults.wire import Station, waypoint
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Cancel
 from autopilot.core.errors import DriverError
@@ -23,10 +22,11 @@ from autopilot.core.guard import Guard
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.log.reader import open_log
-from autopilot.recorder import NullRecorder
-from autopilot.runtime import LockstepClock, Runtime
-from autopilot.sitl_session import SitlSession, open_sitl
-from autopilot.transport import Transport
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.recorder import NullRecorder
+from autopilot.run.runtime import LockstepClock, Runtime
+from autopilot.run.sitl_session import SitlSession, open_sitl
+from autopilot.run.transport import Transport
 from drivers.links import open_link
 from drivers.protocols import Received
 

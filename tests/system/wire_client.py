@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.core.clock import TICK_US
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanItem, PlanKind
-from autopilot.sitl_session import SitlSession
+from autopilot.run.sitl_session import SitlSession
 
 _CHUNK_CHARS = 50
 """STATUSTEXT.text; a chunk that is not full ends a text."""

@@ -9,8 +9,8 @@ from autopilot.bench.energy.flight import ENERGY_PARAMS, QUADRATIC_PARAMS, Fligh
 from autopilot.bench.energy.los_pid import LosGains
 from autopilot.bench.energy.record import DRAGS, Record, comparator, load_records
 from autopilot.bench.energy.service_flight import fly_service
-from autopilot.control.current_learning import LearnedCurrent
-from autopilot.control.currents import NoCurrent
+from autopilot.control.water.current_learning import LearnedCurrent
+from autopilot.control.water.currents import NoCurrent
 from autopilot.core.vehicle import Vehicle, load_vehicle
 
 KNOWN, ESTIMATED = (1.05, 1.02), (1.12, 1.06)

@@ -20,9 +20,9 @@ from autopilot.bench.energy.cases import (
 from autopilot.bench.energy.los_pid import LosGains, LosPid
 from autopilot.bench.nmpc import TANK
 from autopilot.control.controller import MotionController
-from autopilot.control.currents import CurrentForecast, MappedCurrent, PointwiseField
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.obstacles import clearance_m
+from autopilot.control.fence.obstacles import clearance_m
+from autopilot.control.water.currents import CurrentForecast, MappedCurrent, PointwiseField
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal, NavHealth, NavState

@@ -16,13 +16,13 @@ import numpy as np
 from autopilot.bench.energy.cases import CASES, A, B, EnergyGoal
 from autopilot.bench.energy.flight import known_current, nav_state, plant_of
 from autopilot.bench.nmpc import TANK
-from autopilot.control.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.energy.flow import area_of, sample_flow
 from autopilot.control.energy.leg_task import shifted
 from autopilot.control.energy.patience import ANSWER_STEPS, STEP_S, Kind
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Plan, Request
 from autopilot.control.energy.search import EnergyPlanner
+from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import Goal, NavState

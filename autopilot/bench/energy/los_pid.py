@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.planner import Planner
+from autopilot.control.way.planner import Planner
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavState

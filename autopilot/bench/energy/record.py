@@ -24,7 +24,7 @@ from autopilot.bench.nmpc import TANK
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField
 from autopilot.control.energy.flow import Flow, area_of, sample_flow
 from autopilot.control.energy.power import PowerModel, speed_table
-from autopilot.control.obstacles import Features
+from autopilot.control.fence.obstacles import Features
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import FreeSpace
 from autopilot.core.geometry import Fence

@@ -10,13 +10,13 @@ from autopilot.bench.energy.cases import REGION_M, REGION_YAW_RAD, Case
 from autopilot.bench.energy.flight import Flight
 from autopilot.bench.energy.record import DRAGS, MASS
 from autopilot.bench.nmpc import TANK
-from autopilot.config import gather, sitl_defaults
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.obstacles import clearance_m
+from autopilot.control.fence.obstacles import clearance_m
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Outputs
 from autopilot.core.model4 import NU
-from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 from sitl.scenario import scenario_path
 
 LEG_LIMIT_S = 300.0

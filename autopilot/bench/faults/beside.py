@@ -10,8 +10,8 @@ import numpy as np
 from autopilot.bench.faults.finding import Finding, Measured
 from autopilot.bench.faults.pilot import KEPT_FREE, PilotedFlight, crowded_plan, piloted
 from autopilot.control.energy.search import EnergyPlanner
-from autopilot.control.planner import Planner
 from autopilot.control.robust import terminal
+from autopilot.control.way.planner import Planner
 from autopilot.core.messages import Outputs, Severity
 from autopilot.core.plan import PlanKind
 from mission.geodesy import geodetic_from_ned

@@ -13,12 +13,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from autopilot.bench.faults.finding import Finding, Measured
-from autopilot.children import ROOT, Child, autopilot_command
 from autopilot.client.exchange import Timers
 from autopilot.client.session import Session
 from autopilot.core.errors import AutopilotError
 from autopilot.core.plan import PlanKind
-from autopilot.provenance import revision_of
+from autopilot.run.children import ROOT, Child, autopilot_command
+from autopilot.run.provenance import revision_of
 from mission.paper import paper_plan
 
 PART = "machine"
@@ -159,8 +159,8 @@ def _console() -> Measured:
 def _texts() -> Measured:
     """STATUSTEXTs of the first lap of the paper's mission, with a client that asks for the impossible ten times."""
     from autopilot.bench.faults.pilot import Pilot
-    from autopilot.config import gather, sitl_defaults
-    from autopilot.sitl_session import open_sitl
+    from autopilot.run.config import gather, sitl_defaults
+    from autopilot.run.sitl_session import open_sitl
 
     given = {"scenario": "paper-tank", "speed": 0.0, "start": True, "sensors": "pose"}
     with _folder() as folder:

@@ -11,11 +11,11 @@ import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.plan_client import PlanUpload
-from autopilot.config import gather, sitl_defaults
 from autopilot.core.clock import TICK_US
 from autopilot.core.messages import Inputs, Outputs
 from autopilot.core.plan import PlanItem, PlanKind
-from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 from mission.local_plan import (
     CircleTable,
     FenceTable,
@@ -42,7 +42,7 @@ IN_THE_WAY = ((11.0, 11.0), (0.0, 21.0))
 
 
 class Pilot:
-    """A :class:`autopilot.runtime.Peer` that does what it is told."""
+    """A :class:`autopilot.run.runtime.Peer` that does what it is told."""
 
     def __init__(self) -> None:
         self._mav = mav.MAVLink(None, srcSystem=255, srcComponent=190)

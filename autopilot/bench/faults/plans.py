@@ -1,5 +1,6 @@
 """Plans as operators send them: what does not fit together, fences in flight, long checks, submerged vehicles."""
 
+import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG, profile_by_name
 from autopilot.mavlink.vehicle_commands import FORCE_ARM
+from autopilot.run.children import autopilot_command
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
 
@@ -181,19 +183,19 @@ def _submerged() -> Measured:
 
 
 def _command_line() -> Measured:
-    from click.testing import CliRunner
-
-    from autopilot.cli.mission import mission
+    def said_by(*arguments: str) -> tuple[int, str]:
+        done = subprocess.run(autopilot_command("mission", *arguments), capture_output=True, text=True, check=False)
+        return done.returncode, done.stdout + done.stderr
 
     with tempfile.TemporaryDirectory() as folder, live_service(scenario="paper-tank") as service:
         file = Path(folder) / "into-the-pillar.plan"
         write_plan(file, replace(PLAN, mission=BAD_MISSION))
         connect = ("--connect", f"udpout:{LOCAL}:{service.udp}", "--patience", "60")
-        online = CliRunner().invoke(mission, ["upload", str(file), *connect])
-        offline = CliRunner().invoke(mission, ["check", str(file)])
-    said = "item 1 is" in online.output
-    text = f"exit code {online.exit_code}, reason {'printed' if said else 'not printed'}; check: {offline.exit_code}"
-    return Measured(text=text, kept=online.exit_code == offline.exit_code == 3 and said)
+        online, text = said_by("upload", str(file), *connect)
+        offline, _ = said_by("check", str(file))
+    said = "item 1 is" in text
+    text = f"exit code {online}, reason {'printed' if said else 'not printed'}; check: {offline}"
+    return Measured(text=text, kept=online == offline == 3 and said)
 
 
 def _finding(name: str, before: str, promise: str, measure: Callable[[], Measured]) -> Finding:

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.children import Child, autopilot_command
 from autopilot.core.errors import AutopilotError
 from autopilot.mavlink.wire import LinkParser, Message
+from autopilot.run.children import Child, autopilot_command
 
 LOCAL = "127.0.0.1"
 MAX_BYTES = 4096

@@ -21,15 +21,15 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.fuzz.messages import Traffic
 from autopilot.bench.fuzz.samples import Noise
-from autopilot.config import gather, sitl_defaults
+from autopilot.command.service import Autopilot
 from autopilot.core.guard import VARIABLE
 from autopilot.core.messages import Event, Inputs, MavlinkFrame, Outputs
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink.api import VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mavlink.vehicle_commands import FORCE_ARM, FORCE_DISARM
-from autopilot.service import Autopilot
-from autopilot.sitl_session import SitlSession, open_sitl
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 
 TICK_US = 10_000
 LONGEST_GAP_US = 1_200_000

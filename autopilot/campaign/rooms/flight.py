@@ -14,10 +14,10 @@ from autopilot.campaign.rooms.results import RoomResult
 from autopilot.campaign.rooms.room import SCENARIO_FILE, Room, files_of, make_room
 from autopilot.campaign.rooms.verdict import is_hopeless, judge_flight, judge_refusal
 from autopilot.campaign.watch import Watch
-from autopilot.config import Settings, gather, sitl_defaults
 from autopilot.core.errors import PlanError
 from autopilot.core.messages import Fallback, Outputs, Severity
-from autopilot.sitl_session import open_sitl
+from autopilot.run.config import Settings, gather, sitl_defaults
+from autopilot.run.sitl_session import open_sitl
 from sitl.plant import Truth
 
 ARMING_S = 12.0

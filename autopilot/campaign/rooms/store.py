@@ -16,7 +16,7 @@ from autopilot.campaign.rooms.room import files_of, make_room
 from autopilot.campaign.store import drop_cut_line, settle_identity
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.log.lock import lock_exclusive
-from autopilot.provenance import revision
+from autopilot.run.provenance import revision
 from sitl.spread import run_seed
 
 FORMAT = 1

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from autopilot.control.energy.flow import Flow
 from autopilot.control.energy.power import SpeedTable, energy_per_metre
-from autopilot.control.obstacles import Features
-from autopilot.control.shortest import lengths_from
+from autopilot.control.fence.obstacles import Features
+from autopilot.control.way.shortest import lengths_from
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import FreeSpace
 

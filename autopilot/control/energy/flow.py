@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from autopilot.control.currents import CurrentForecast
+from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import Area, bounding_box, workspace_of
 from autopilot.core.geometry import Fence

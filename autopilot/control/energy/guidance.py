@@ -14,15 +14,15 @@ from functools import partial
 
 import numpy as np
 
-from autopilot.control.desks import Mishaps
 from autopilot.control.energy.flow import Flow, area_of, sample_flow
 from autopilot.control.energy.leg_task import BETWEEN_M, RADIUS_SHARE, YAW_SHARE, shifted
 from autopilot.control.energy.patience import ANSWER_STEPS, STEP_S, Kind, NoPlanError, Patience
 from autopilot.control.energy.request import EXTRA_M, EXTRA_S, Plan, Request, TrajectoryPlanner
 from autopilot.control.energy.track import Track, joined
-from autopilot.control.grid import REFERENCE_DT_S, TimeGrid
-from autopilot.control.guidance import VELOCITY_WEIGHTS, Reference, RouteGuidance, Situation, SteadyThrust
-from autopilot.control.ocp import TERMINAL_STAGES
+from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
+from autopilot.control.nmpc.ocp import TERMINAL_STAGES
+from autopilot.control.way.desks import Mishaps
+from autopilot.control.way.guidance import VELOCITY_WEIGHTS, Reference, RouteGuidance, Situation, SteadyThrust
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import EnergyPlan, Goal, Severity
@@ -98,7 +98,7 @@ SPEED_SHARE = 0.98
 
 
 class EnergyGuidance:
-    """See :class:`autopilot.control.guidance.Guidance`."""
+    """See :class:`autopilot.control.way.guidance.Guidance`."""
 
     def __init__(
         self, model: Model4, grid: TimeGrid, desk: Desk, planner: TrajectoryPlanner, route: RouteGuidance
@@ -116,7 +116,7 @@ class EnergyGuidance:
 
     @property
     def unreachable(self) -> bool:
-        """See :class:`autopilot.control.guidance.Guidance`."""
+        """See :class:`autopilot.control.way.guidance.Guidance`."""
         return self._track is None and self._route.unreachable
 
     def reset(self) -> None:
@@ -140,7 +140,7 @@ class EnergyGuidance:
         self._news: EnergyPlan | None = None
 
     def take_news(self) -> list[tuple[Severity, str]]:
-        """See :class:`autopilot.control.guidance.Guidance`."""
+        """See :class:`autopilot.control.way.guidance.Guidance`."""
         return self._mishaps.take_news() + self._route.take_news()
 
     def reference(self, situation: Situation) -> Reference:

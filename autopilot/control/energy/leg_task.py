@@ -12,8 +12,8 @@ from autopilot.control.energy.power import SpeedTable, energy_per_metre, planar_
 from autopilot.control.energy.request import Plan, Request, no_plan
 from autopilot.control.energy.shooting import PLANES
 from autopilot.control.energy.trajectory import Ask, Program, Trajectory
-from autopilot.control.guidance import SteadyThrust
-from autopilot.control.obstacles import Features
+from autopilot.control.fence.obstacles import Features
+from autopilot.control.way.guidance import SteadyThrust
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.guidance import Situation
-from autopilot.control.planner import Planner
+from autopilot.control.way.guidance import Situation
+from autopilot.control.way.planner import Planner
 
 
 class Kind(enum.Enum):

@@ -12,8 +12,8 @@ from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel, SpeedTable, speed_table
 from autopilot.control.energy.request import Plan, Request, no_plan
 from autopilot.control.energy.trajectory import SUBSTEP_S, Program, Trajectory
-from autopilot.control.guidance import SteadyThrust
-from autopilot.control.obstacles import Features, fence_key
+from autopilot.control.fence.obstacles import Features, fence_key
+from autopilot.control.way.guidance import SteadyThrust
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import Area, FreeSpace

@@ -1,13 +1,14 @@
 """The loop between optimiser steps: follows the last plan with the ancillary feedback, once per tick.
 
-The plan begins one thruster lag ahead of now (:mod:`autopilot.control.lag`); so does the state it is compared with.
+The plan begins one thruster lag ahead of now (:mod:`autopilot.control.nmpc.lag`); so does the state it is compared
+with.
 """
 
 import math
 
 import numpy as np
 
-from autopilot.control.grid import TimeGrid
+from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.error_model import error_of
 from autopilot.core.frames import FloatArray

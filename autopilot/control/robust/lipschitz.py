@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.grid import TimeGrid
+from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSpread
 from autopilot.control.robust.error_model import error_jacobian
 from autopilot.control.robust.riccati import exponential
+from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.control.robust.tube import DISC_SIGMAS
-from autopilot.control.tightening import BackOffs, FixedMargins
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import NU, NX, Model4, R, U, W, X, Y, Z
@@ -146,7 +146,7 @@ class LipschitzMargins:
         return lipschitz_report(self._model, self._grid, params, bound, start_m=start_m, constants=self._constants)
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """See :class:`autopilot.control.tightening.Tightening`."""
+        """See :class:`autopilot.control.robust.tightening.Tightening`."""
         report = self.report(nav, params)
         last = self._grid.n - 1 if report.empty_node is None else max(report.empty_node - 1, 0)
         rows = report.back_off[np.minimum(np.arange(1, self._grid.n), last)]

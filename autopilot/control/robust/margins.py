@@ -7,13 +7,13 @@ from enum import IntEnum
 
 import numpy as np
 
-from autopilot.control.grid import TimeGrid
-from autopilot.control.reference import water_speed_share
+from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.evidence import SpeedEvidence
 from autopilot.control.robust.lipschitz import LipschitzMargins
+from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.control.robust.tube import LARGEST_SHARE, TubeMargins
-from autopilot.control.tightening import BackOffs, FixedMargins
+from autopilot.control.way.reference import water_speed_share
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState, Severity
 from autopilot.core.model4 import NU, NX, Model4
@@ -45,7 +45,7 @@ class Margins:
         self._idle = np.zeros((grid.n, NU))
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """See :class:`autopilot.control.tightening.Tightening`."""
+        """See :class:`autopilot.control.robust.tightening.Tightening`."""
         mode = Tighten(int(params["MPC_TIGHTEN"]))
         if mode is Tighten.TUBE:
             self._told = False

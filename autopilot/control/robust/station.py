@@ -1,16 +1,16 @@
 """Station keeping: what holds the vehicle when the optimiser has nothing to offer.
 
-Far from the place the cascade of :mod:`autopilot.control.fallback` brings it back slowly; inside the terminal region of
-the place the local law of :mod:`autopilot.control.robust.terminal` keeps it there: the region is invariant, so that the
-vehicle does not leave it again by itself.
+Far from the place the cascade of :mod:`autopilot.control.robust.fallback` brings it back slowly; inside the terminal
+region of the place the local law of :mod:`autopilot.control.robust.terminal` keeps it there: the region is invariant,
+so that the vehicle does not leave it again by itself.
 """
 
 import math
 
 import numpy as np
 
-from autopilot.control.fallback import station_keeping_thrust
 from autopilot.control.robust.ancillary import STATE_WEIGHTS, THRUST_WEIGHT
+from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.robust.terminal import (
     CertificateJob,
     Terminal,

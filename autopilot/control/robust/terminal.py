@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from autopilot.control.grid import REFERENCE_DT_S
+from autopilot.control.nmpc.grid import REFERENCE_DT_S
 from autopilot.control.robust.error_model import error_jacobian, input_matrix
 from autopilot.control.robust.riccati import dare, discretise, gain, lyapunov
 from autopilot.core import model4

@@ -12,12 +12,12 @@ Back-offs are frozen for one QP, as the real-time iteration is one QP.
 
 import numpy as np
 
-from autopilot.control.grid import TimeGrid
+from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.robust.ancillary import SURGES_M_S, Ancillary
 from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSpread, channel_variances
 from autopilot.control.robust.error_model import CHANNELS, disturbance_matrix, error_jacobian, input_matrix
 from autopilot.control.robust.riccati import exponential
-from autopilot.control.tightening import BackOffs, FixedMargins
+from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Y, Z
@@ -124,7 +124,7 @@ class TubeMargins:
         self._fixed = fixed
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """See :class:`autopilot.control.tightening.Tightening`."""
+        """See :class:`autopilot.control.robust.tightening.Tightening`."""
         spread = EstimateSpread.of(nav)
         rows = self.table.along(x[:, U], channel_variances(DisturbanceBound.of(params), spread))
         inner, fixed = rows[1:-1], self._fixed.back_offs(nav, x, thrust_n, params)

@@ -1,0 +1,1 @@
+"""Deciding: modes, goals, failsafes, and the one step that holds everything together."""

@@ -1,0 +1,202 @@
+"""Does a current map fit where the vehicle is to go? And opening one with the local origin."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from autopilot.control.water.current_map import CurrentMap
+from autopilot.control.water.map_reading import load_current_map
+from autopilot.core.errors import ConfigError, PlanError
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence, Polygon, Shape
+from autopilot.core.params import ParamSet
+from autopilot.core.plan import PlanKind
+from mission.geodesy import Origin, ned_from_geodetic
+from mission.items import GoTo, Step
+from mission.plan_files import read_plan
+from mission.room import Room
+from mission.store import Plans
+from mission.upstream import TOLD_M_S, SlowLeg, slowest_leg
+
+CIRCLE_PLACES = 36
+LATTICE = 120
+"""Places per axis at which a workspace is looked at, beside the cells that hold gaps."""
+
+EDGE_M = 1e-3
+"""As near to a boundary it has to be looked at closely whether a place is inside."""
+
+SAME_ORIGIN_DEG = 1e-6
+"""A map of latitudes lies where it belongs while the origin stays within this (0.1 m)."""
+
+
+def open_map(path: Path, origin: Origin | None = None, start_utc: str | None = None) -> CurrentMap:
+    """Read a map; latitudes by the origin (None = the parameters' defaults). ConfigError says what is wrong."""
+    place = origin or params_origin(ParamSet())
+
+    def to_local(lat_deg: float, lon_deg: float) -> tuple[float, float]:
+        north, east, _ = ned_from_geodetic(place, lat_deg, lon_deg, place.alt_m).tolist()
+        return north, east
+
+    return load_current_map(path, to_local, None if start_utc is None else parse_utc(start_utc))
+
+
+def params_origin(params: Mapping[str, float]) -> Origin:
+    """The local origin that parameters give."""
+    return Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"])
+
+
+def parse_utc(text: str) -> datetime:
+    """A time like 2026-05-01T12:00; without a zone it is UTC. ConfigError if it is none."""
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ConfigError(f"currents_start {text!r} is not a time; write it like 2026-05-01T12:00") from error
+    return time if time.tzinfo else time.replace(tzinfo=UTC)
+
+
+class MapCheck:
+    """Judges a map against workspaces, as :class:`mission.store.Plans` asks."""
+
+    def __init__(self, water: CurrentMap, origin: Origin) -> None:
+        """``origin``: the local origin that the map was read with."""
+        self._water = water
+        self._origin = origin
+
+    def problem(self, fence: Fence, steps: Sequence[Step], origin: Origin) -> str:
+        """Why the map does not serve there, "" if it does."""
+        water, name = self._water, self._water.name
+        moved_deg = max(abs(origin.lat_deg - self._origin.lat_deg), abs(origin.lon_deg - self._origin.lon_deg))
+        if water.nodes.geodetic and moved_deg > SAME_ORIGIN_DEG:
+            return f"current map {name}: placed about another origin; set ORIGIN_LAT and ORIGIN_LON and start again"
+        places = workspace_places(fence, steps)
+        outside = np.flatnonzero(water.beyond(places))
+        if len(outside):
+            return f"current map {name}: does not cover {_at(places[outside[0]])}; use a larger map or a smaller fence"
+        gaps = self._in_gaps(fence, places)
+        if len(gaps):
+            return f"current map {name}: fill values at {_at(gaps[0])} in the workspace; exclude it or fill the map"
+        return ""
+
+    def warning(self, fence: Fence, steps: Sequence[Step], limit_m_s: float) -> str:
+        """What the operator should know of a vehicle that swims so fast at most, "" if nothing."""
+        places = workspace_places(fence, steps)
+        if not len(places):
+            return ""
+        fastest = _fastest_m_s(self._water, places, fence)
+        name = self._water.name
+        if fastest >= limit_m_s:
+            return (
+                f"Current map {name}: up to {fastest:.2f} m/s, the vehicle swims {limit_m_s:g}: goals may be out of "
+                "reach"
+            )
+        leg = self._slowest_leg(steps, limit_m_s)
+        return "" if leg is None or leg.left_m_s >= TOLD_M_S else f"{leg.text(0.0)} (by current map {name})"
+
+    def _slowest_leg(self, steps: Sequence[Step], limit_m_s: float) -> SlowLeg | None:
+        """By the map's mean over time, at the depth of the first waypoint."""
+        water, depths = self._water, [s.pos_ned_m[2] for s in steps if isinstance(s, GoTo) and s.pos_ned_m is not None]
+
+        def current_at(places: FloatArray) -> FloatArray:
+            pos = np.column_stack([places, np.full(len(places), depths[0])])
+            frames = [water.velocity(pos, np.full(len(pos), t)) for t in water.nodes.time_s]
+            mean: FloatArray = np.mean(frames, axis=0)[:, :2]
+            return mean
+
+        return slowest_leg(steps, None, 0, limit_m_s, current_at)
+
+    def _in_gaps(self, fence: Fence, places: FloatArray) -> FloatArray:
+        """(n, 2) places of the workspace in cells that are not known at all corners."""
+        unknown = self._water.unknown(fence.depth_min_m, fence.depth_max_m)
+        if not unknown.any():
+            return np.zeros((0, 2))
+        found = places[unknown[self._water.cells(places)]]
+        if len(found) or not fence.inclusions:
+            return found
+        # Cells that are finer than the lattice: their middles.
+        i, j = np.nonzero(unknown)
+        nodes = self._water.nodes
+        middles = np.stack(
+            (0.5 * (nodes.north_m[i] + nodes.north_m[i + 1]), 0.5 * (nodes.east_m[j] + nodes.east_m[j + 1])), axis=1
+        )
+        return middles[Room.of(fence).near(middles, EDGE_M)[0] > 0.0]
+
+
+def workspace_places(fence: Fence, steps: Sequence[Step]) -> FloatArray:
+    """(n, 2) places that stand for the workspace: a lattice within the fence; in open water the legs of the mission."""
+    goals = [s.pos_ned_m[:2] for s in steps if isinstance(s, GoTo) and s.pos_ned_m is not None]
+    legs = [np.linspace(a, b, LATTICE) for a, b in itertools.pairwise(goals)]
+    places = np.vstack([np.zeros((0, 2)), *(g[None] for g in goals), *legs])
+    if not fence.inclusions:
+        return places
+    corners = np.vstack([_corners(shape) for shape in fence.inclusions])
+    axes = [np.linspace(corners[:, k].min(), corners[:, k].max(), LATTICE) for k in range(2)]
+    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    candidates = np.vstack((places, corners, lattice))
+    return candidates[Room.of(fence).near(candidates, EDGE_M)[0] >= -1e-9]
+
+
+def describe_map(water: CurrentMap) -> list[tuple[str, object]]:
+    """What a map holds, as rows of a table."""
+    nodes = water.nodes
+    current = nodes.current_ned_m_s
+    known = np.isfinite(current).all(axis=-1)
+    speed = np.hypot(current[..., 0], current[..., 1])[known]
+
+    def extent(axis: FloatArray, unit: str) -> str:
+        return f"{axis[0]:g} to {axis[-1]:g} {unit}, {len(axis)} nodes"
+
+    return [
+        ("north", extent(nodes.north_m, "m")),
+        ("east", extent(nodes.east_m, "m")),
+        ("depth", extent(nodes.depth_m, "m")),
+        ("time", extent(nodes.time_s, "s")),
+        ("from latitude and longitude", nodes.geodetic),
+        ("fastest, m/s", round(float(speed.max()), 4) if len(speed) else 0.0),
+        ("rms speed, m/s", round(float(np.sqrt(np.mean(speed**2))), 4) if len(speed) else 0.0),
+        ("nodes without a value, %", round(100.0 * float(1.0 - known.mean()), 2)),
+        ("SHA-256", nodes.digest),
+    ]
+
+
+def _corners(shape: Shape) -> FloatArray:
+    """(n, 2) places on the boundary of a shape."""
+    if isinstance(shape, Polygon):
+        return np.asarray(shape.vertices_ned_m, dtype=float)
+    angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_PLACES, endpoint=False)
+    points: FloatArray = shape.center_ned_m + shape.radius_m * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    return points
+
+
+def plan_findings(water: CurrentMap, path: Path, origin: Origin | None) -> tuple[str, str]:
+    """Problem and warning of a map with the plan in a file, "" for none. PlanError if the plan itself is wrong."""
+    params = ParamSet()
+    where = origin or params_origin(params)
+    plans = Plans(params, 0.0, where)
+    plan = read_plan(path)
+    for kind, items in ((PlanKind.FENCE, plan.fence), (PlanKind.MISSION, plan.mission)):
+        rejection = plans.replace(kind, items) if items else None
+        if rejection is not None:
+            raise PlanError(f"{path}: {kind.name.lower()}: {rejection.reason}")
+    check = MapCheck(water, where)
+    fence, steps = plans.fence(), plans.steps()
+    return check.problem(fence, steps, where), check.warning(fence, steps, params["SPD_PLANAR_MAX"])
+
+
+def _at(place: FloatArray) -> str:
+    return f"north {place[0]:.1f}, east {place[1]:.1f} m"
+
+
+def _fastest_m_s(water: CurrentMap, places: FloatArray, fence: Fence) -> float:
+    """Largest horizontal speed of any frame and level at places (n, 2)."""
+    nodes, fastest = water.nodes, 0.0
+    thinned = places[:: max(1, len(places) // 1000)]
+    levels = [d for d in nodes.depth_m if fence.depth_min_m <= d <= fence.depth_max_m] or nodes.depth_m[:1]
+    for time_s in nodes.time_s:
+        for depth_m in levels:
+            pos = np.column_stack((thinned, np.full(len(thinned), depth_m)))
+            flow = water.velocity(pos, np.full(len(thinned), time_s))
+            fastest = max(fastest, float(np.hypot(flow[:, 0], flow[:, 1]).max()))
+    return fastest

@@ -1,0 +1,114 @@
+"""What the operator is told without having asked: position lost or found, no way to the goal, a new fence."""
+
+from autopilot.command.failsafes import Conditions
+from autopilot.core.messages import NavDoubt, NavHealth, NavState, Severity
+from autopilot.core.vehicle import Vehicle
+from mission.goals import Goals
+from mission.store import Plans
+
+_HEALTH_TEXTS = {
+    NavHealth.GOOD: (Severity.NOTICE, "Position is good again"),
+    NavHealth.DEAD_RECKONING: (Severity.WARNING, "Dead reckoning: no position fix, look for markers"),
+    NavHealth.INVALID: (Severity.ERROR, "Position lost, drifting: bring markers into view"),
+}
+
+_DOUBT_TEXTS = {
+    NavDoubt.ACCELEROMETER: "Accelerometer wrong: keep markers in view",
+    NavDoubt.GYRO: "Gyro wrong: keep markers in view, check AHRS",
+    NavDoubt.FIXES: "Fixes deny the estimate: check markers, camera",
+    NavDoubt.RANGE: "Laser denies the height: calibrate camera",
+    NavDoubt.MAP: "Marker map disagrees: check it or survey it",
+    NavDoubt.CALIBRATION: "Camera calibration doubtful: see messages",
+    NavDoubt.RESETS: "Position reset repeatedly: check map, camera",
+}
+"""What to do about a sensor that the evidence denies."""
+
+SHARE_NEWS = 0.15
+"""A change of a thruster's effectiveness that is worth a message."""
+
+FLIGHT_US = 20_000_000
+"""What is armed for a shorter time is no flight to sum up."""
+
+DELAY_NEWS_S = 0.25
+"""A change of the commands' delay that is worth a message."""
+
+
+class Watch:
+    """Remembers how things were on the last tick and says what has changed."""
+
+    def __init__(self, vehicle: Vehicle, plans: Plans, goals: Goals) -> None:
+        self._radius_m = vehicle.radius_m
+        self._plans = plans
+        self._goals = goals
+        self._fence = goals.fence
+        self._health = NavHealth.INVALID
+        self._doubts: frozenset[NavDoubt] = frozenset()
+        """Those that have been told since arming."""
+        self._unreachable = False
+        self._thrusters = tuple(thruster.name for thruster in vehicle.thruster)
+        self._share: dict[str, float] = {}
+        self._armed_us: int | None = None
+        self._delay_s = 0.0
+
+    def look(self, conditions: Conditions, *, armed: bool) -> list[tuple[Severity, str]]:
+        """Severity and text of what is new on this tick."""
+        nav = conditions.nav
+        texts: list[tuple[Severity, str]] = []
+        health = NavHealth.INVALID if nav is None else nav.health
+        new = conditions.nav_doubts - self._doubts if armed else frozenset()
+        texts += [(Severity.WARNING, _DOUBT_TEXTS[doubt]) for doubt in NavDoubt if doubt in new]
+        self._doubts = self._doubts | new if armed else frozenset()
+        # The text of a doubt says already why the fixes do not count.
+        told = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in conditions.nav_doubts)
+        if armed and health is not self._health and not told:
+            texts.append(_HEALTH_TEXTS[health])
+        if armed and conditions.unreachable and not self._unreachable:
+            texts.append((Severity.WARNING, "No free way to the goal: holding; move the goal"))
+        texts += self._of_commands(conditions.command_delay_s) if armed else []
+        self._health, self._unreachable = health, conditions.unreachable
+        texts += self._of_thrusters(conditions.thruster_share)
+        texts += self._of_flight(conditions, armed)
+        if self._goals.fence is not self._fence:
+            self._fence = self._goals.fence
+            texts += self._of_fence(nav if armed and health is not NavHealth.INVALID else None)
+        return texts
+
+    def _of_commands(self, delay_s: float) -> list[tuple[Severity, str]]:
+        """Commands that act late, or again at once."""
+        said_s = self._delay_s
+        if abs(delay_s - said_s) < DELAY_NEWS_S and not (delay_s == 0.0 != said_s):
+            return []
+        self._delay_s = delay_s
+        if delay_s == 0.0:
+            return [(Severity.NOTICE, "Commands act at once again")]
+        return [(Severity.WARNING, f"Commands act {delay_s:.1f} s late: check the tether")]
+
+    def _of_thrusters(self, shares: tuple[float, ...]) -> list[tuple[Severity, str]]:
+        """A thruster that gives less than it should, or again what it should."""
+        texts: list[tuple[Severity, str]] = []
+        for name, share in zip(self._thrusters, shares, strict=False):
+            said = self._share.get(name, 1.0)
+            if abs(share - said) < SHARE_NEWS and not (share == 1.0 != said):
+                continue
+            self._share[name] = share
+            if share == 1.0:
+                texts.append((Severity.NOTICE, f"Thruster {name} gives its full thrust again"))
+            else:
+                texts.append((Severity.WARNING, f"Thruster {name} gives {100.0 * share:.0f} % of its thrust"))
+        return texts
+
+    def _of_flight(self, conditions: Conditions, armed: bool) -> list[tuple[Severity, str]]:
+        """After a flight: silence about a thruster that was hardly used does not say that it is sound."""
+        since_us = self._armed_us
+        self._armed_us = (conditions.t_us if since_us is None else since_us) if armed else None
+        if armed or since_us is None or conditions.t_us - since_us < FLIGHT_US or not conditions.thrusters_unseen:
+            return []
+        return [(Severity.INFO, f"Too little used to judge thrust: {', '.join(conditions.thrusters_unseen)}")]
+
+    def _of_fence(self, nav: NavState | None) -> list[tuple[Severity, str]]:
+        """Gaps that FENCE_GAP_CHK only warns of, and a vehicle that the new fence finds where it must not be."""
+        texts = [(Severity.WARNING, text) for text in self._plans.warnings()]
+        lack_m = 0.0 if nav is None else self._radius_m - self._goals.clearance_m(nav.pos_ned_m)
+        if lack_m > 0.0:
+            texts.append((Severity.WARNING, f"New fence: {lack_m:.2f} m too near, moving out"))
+        return texts

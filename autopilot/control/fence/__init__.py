@@ -1,0 +1,1 @@
+"""Free space: obstacles and borders as half-planes of the optimal control problem."""

@@ -1,0 +1,139 @@
+"""Thruster lag: which thrust acts now, and where it takes the vehicle before a new command counts.
+
+A thruster with first-order lag T that acts with F and is commanded G delivers the same momentum as one that keeps F
+for T and then jumps to G. So the plan starts T ahead, from where the acting thrust takes the vehicle, and needs no
+thrust states. Commands that are known to act late take the vehicle further before: the plan then starts where all that
+is still under way has acted.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from autopilot.control.nmpc.ocp import bind, discrete_dynamics
+from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.model4 import NU, NX, YAW, Model4
+
+Sent: TypeAlias = tuple[float, float, FloatArray]
+"""From when until when [s] a command (4,) was sent."""
+
+KEPT_S = 3.0
+"""Commands of so long ago are remembered: the longest delay, and what the lag makes of it."""
+
+UNDER_WAY_S = 0.05
+"""Interval of the prediction through commands that are under way."""
+
+LEARN_S = 3.0
+"""Predictions learn within this time how far they have been off."""
+
+
+class ThrusterLag:
+    """Follows the acting thrust and predicts the state one lag ahead, with a delay that and the lag."""
+
+    def __init__(self, model: Model4, lag_s: float) -> None:
+        self._lag_s = lag_s
+        self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(NU), np.zeros(3), np.zeros(NX)
+        self._lag_owner, self._through_lag = self._bound(model, lag_s)
+        self._way_owner, self._under_way = self._bound(model, UNDER_WAY_S)
+        self._sent: deque[Sent] = deque()
+        self.acting_n = np.zeros(NU)
+        """(4,) thrust that acts now."""
+        self.reset()
+
+    def reset(self) -> None:
+        """The thrusters stand still, nothing is under way, commands act at once."""
+        self.acting_n[:] = 0.0
+        self._sent.clear()
+        self._now_s = self.delay_s = 0.0
+        """So late commands reach the thrusters; changed by :meth:`act_late`."""
+        self.jumped()
+
+    def jumped(self) -> None:
+        """The state has jumped, or predictions are made in another way: they are not compared with what comes."""
+        self._predicted: deque[tuple[float, FloatArray]] = deque()
+        self._off = np.zeros(NX)
+        self._compared_s = self._now_s
+
+    def act_late(self, delay_s: float) -> None:
+        """Commands reach the thrusters ``delay_s`` late, and have done so from the first."""
+        if delay_s == self.delay_s:
+            return
+        self.delay_s = delay_s
+        self.jumped()
+        self.acting_n[:] = 0.0
+        self._pass(self.acting_n, self._sent, self._now_s - KEPT_S, self._now_s - delay_s)
+
+    def follow(self, command_n: FloatArray, elapsed_s: float) -> None:
+        """``command_n`` (4,) has been commanded for the last ``elapsed_s``."""
+        elapsed_s = max(elapsed_s, 0.0)
+        before_s, self._now_s = self._now_s, self._now_s + elapsed_s
+        self._sent.append((before_s, self._now_s, command_n.copy()))
+        while self._sent[0][1] < self._now_s - KEPT_S:
+            self._sent.popleft()
+        if self.delay_s:
+            self._pass(self.acting_n, self._sent, before_s - self.delay_s, self._now_s - self.delay_s)
+        else:
+            self._respond(self.acting_n, command_n, elapsed_s)
+
+    def ahead(self, x: FloatArray, current_ned_m_s: FloatArray) -> FloatArray:
+        """State (8,) one lag, after a delay, from the state ``x`` (8,) of now."""
+        self._x[:], self._c[:] = x, current_ned_m_s
+        if self.delay_s:
+            return self._ahead_of_all(x)
+        self._u[:] = self.acting_n
+        self._through_lag()
+        return self._out.copy()
+
+    def _ahead_of_all(self, x: FloatArray) -> FloatArray:
+        """The same through what is under way, with what predictions have been off.
+
+        A second is long enough for a wrong buoyancy, drag or thrust to show, and a plan that starts where the vehicle
+        will not be never pushes harder. So what came is compared with what was predicted (a model predictive
+        controller's output disturbance).
+        """
+        acting, begin_s = self.acting_n.copy(), self._now_s - self.delay_s
+        under_way = [sent for sent in self._sent if sent[1] > begin_s]
+        for i in range(1, round(self.delay_s / UNDER_WAY_S) + 1):
+            before = acting.copy()
+            end_s = min(begin_s + i * UNDER_WAY_S, self._now_s)
+            self._pass(acting, under_way, begin_s + (i - 1) * UNDER_WAY_S, end_s)
+            self._u[:] = 0.5 * (before + acting)
+            self._under_way()
+            self._x[:] = self._out
+        self._u[:] = acting
+        self._through_lag()
+        self._compare(x)
+        self._predicted.append((self._now_s + self.delay_s + self._lag_s, self._out.copy()))
+        return self._out + self._off
+
+    def _compare(self, x: FloatArray) -> None:
+        due: FloatArray | None = None
+        while self._predicted and self._predicted[0][0] <= self._now_s:
+            due = self._predicted.popleft()[1]
+        if due is not None:
+            off = x - due
+            off[YAW] = wrap_pi(float(off[YAW]))
+            self._off += (1.0 - math.exp(-(self._now_s - self._compared_s) / LEARN_S)) * (off - self._off)
+        self._compared_s = self._now_s
+
+    def _pass(self, acting: FloatArray, sent: Iterable[Sent], begin_s: float, end_s: float) -> None:
+        """Let ``acting`` (4,) respond to what was sent between two times."""
+        for sent_s, until_s, command in sent:
+            if sent_s >= end_s:
+                break
+            if until_s > begin_s:
+                self._respond(acting, command, min(until_s, end_s) - max(sent_s, begin_s))
+
+    def _respond(self, acting: FloatArray, command_n: FloatArray, elapsed_s: float) -> None:
+        acting += (1.0 - math.exp(-elapsed_s / self._lag_s)) * (command_n - acting)
+
+    def _bound(self, model: Model4, dt_s: float) -> tuple[object, Callable[[], None]]:
+        """(owner, call): the call takes ``_x`` over ``dt_s`` to ``_out`` with ``_u`` and ``_c``."""
+        interval = discrete_dynamics(model, dt_s, 2)
+        x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", NU), ca.SX.sym("c", 3)
+        function = ca.Function("ahead", [x, u, c], [interval(x, u, c)[0]])
+        return bind(function, (self._x, self._u, self._c), (self._out,))

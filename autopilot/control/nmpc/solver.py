@@ -1,0 +1,274 @@
+"""Real-time iteration: one Gauss-Newton QP per control step, warm-started by the shifted last plan.
+
+Holds the compiled step of :mod:`autopilot.control.nmpc.ocp` and the arrays it reads and writes; nothing is allocated or
+built after construction. The first solver that passes a self-test is used.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from autopilot.control.nmpc import ocp
+from autopilot.control.nmpc.grid import TimeGrid, shift_matrices
+from autopilot.control.nmpc.native import NativeStep
+from autopilot.core.errors import ConfigError
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import SolveStatus
+from autopilot.core.model4 import NU, NX, Model4, U
+
+PLANES = 8
+"""Half-plane slots per stage: four walls of a tank and four obstacles."""
+
+VIOLATION_LIMIT = 1e-3
+"""Largest violation of a QP row (dynamics in SI units, constraints in metres and m/s) that counts as solved."""
+
+OVERSHOOT_LIMIT_N = 1e-3
+"""Largest thrust beyond its bound that counts as solved (it is clipped)."""
+
+GUESS_LIMIT = 100.0
+"""m/s, rad/s: around a guess that moves faster (or is no number) nothing can be linearised; solvers would print it."""
+
+SELF_TEST_TOLERANCE_N = 0.05
+"""How far the first thrust of the self-test may be from what the problem's symmetry demands."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class NmpcProblem:
+    """What changes from step to step."""
+
+    x0: FloatArray
+    """(8,) present state, yaw on the same turn as the references."""
+    x_ref: FloatArray
+    """(N+1, 8)"""
+    thrust_ref_n: FloatArray
+    """(N, 4), cut to the bounds inside."""
+    current_ned_m_s: FloatArray
+    """(N, 3) per stage."""
+    weight_x: FloatArray
+    """(8,) or (N-1, 8) on the state at nodes 1 .. N-1, per REFERENCE_DT_S."""
+    weight_u: FloatArray
+    """(4,) or (N, 4) on the thrust, per REFERENCE_DT_S."""
+    terminal: FloatArray
+    """(8, 8) Hessian of the terminal cost, positive semidefinite."""
+    limits: FloatArray
+    """(5,) or (N-1, 5): planar speed, heave, yaw rate, depth minimum, depth maximum at nodes 1 .. N-1."""
+    thrust_limit_n: FloatArray
+    """(4,) or (N, 4)"""
+    plane_n: FloatArray
+    """(N-1, PLANES, 2) unit normals of the half-planes n . p >= d at stages 1 .. N-1; zero = unused."""
+    plane_d_m: FloatArray
+    """(N-1, PLANES)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class NmpcResult:
+    """The new plan."""
+
+    status: SolveStatus
+    x: FloatArray
+    """(N+1, 8) predicted states."""
+    thrust_n: FloatArray
+    """(N, 4) planned thrust."""
+    cost: float
+    """Decrease of the cost that the last QP predicted, plus penalties."""
+    slack_max: float
+    gap_max: float
+    """How far the guess was from satisfying the dynamics."""
+    penalty_use: float
+    """Largest multiplier of a soft constraint over the penalty's slope: above 0 a limit is touched, at 1 given up."""
+
+
+class QpStep:
+    """One built step with its argument and result arrays."""
+
+    def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
+        n = grid.n
+        self.backend = backend
+        function = _build(dataclasses.astuple(model), _grid_key(grid), planes, backend)
+        arguments = [np.zeros(shape[::-1]) for shape in ocp.argument_shapes(n, planes).values()]
+        self.x_guess, self.u_guess, self.x_ref, self.u_ref, self.current = arguments[:5]
+        self.weight_x, self.weight_u, self.terminal, self.limits, self.thrust_limit = arguments[5:10]
+        self.plane_n, self.plane_d = arguments[10].reshape(n - 1, planes, 2), arguments[11]
+        self.x = np.zeros((n + 1, NX))
+        self.u = np.zeros((n, NU))
+        self.slack = np.zeros((n - 1, ocp.N_SLACKS))
+        self.figures = np.zeros(6)
+        self._multipliers = np.zeros(function.nnz_out("multipliers"))
+        results = (self.x, self.u, self.slack, self.figures, self._multipliers)
+        self._owner, self._evaluate = ocp.bind(function, arguments, results)
+
+    def evaluate(self) -> None:
+        """Linearise at the guess, solve, write the results."""
+        self._evaluate()
+
+
+def _grid_key(grid: TimeGrid) -> tuple[float, ...]:
+    return tuple(float(dt) for dt in grid.dt_s)
+
+
+@lru_cache(maxsize=8)
+def _build(model_values: tuple[Any, ...], dt_s: tuple[float, ...], planes: int, backend: ocp.QpBackend) -> Any:
+    """The built function is pure; controllers of the same vehicle and grid share it."""
+    dt = np.array(dt_s)
+    grid = TimeGrid(dt_s=dt, t_s=np.concatenate(([0.0], np.cumsum(dt))))
+    fields = (field.name for field in dataclasses.fields(Model4))
+    model = Model4(**dict(zip(fields, model_values, strict=True)))
+    return ocp.build_qp_step(model, grid, planes, backend)
+
+
+def passes_self_test(step: QpStep | NativeStep) -> bool:
+    """Solve one problem with a known answer: at rest 1 m behind a reference straight ahead, all is symmetric.
+
+    Port and starboard thrust must be equal, forward and inside the bound, lateral thrust zero, all figures small.
+    """
+    step.x_guess[:] = 0.0
+    step.x_guess[:, 2] = 0.5
+    step.u_guess[:] = 0.0
+    step.x_ref[:] = step.x_guess
+    step.x_ref[:, 0] = 1.0
+    step.u_ref[:] = 0.0
+    step.weight_x[:] = [20.0, 20.0, 40.0, 3.0, 1.0, 1.0, 1.0, 0.5]
+    step.weight_u[:] = 0.02
+    step.terminal[:] = ocp.TERMINAL_STAGES * np.diag(step.weight_x[0])
+    step.limits[:] = [0.5, 0.25, 1.0, 0.0, 1.2]
+    step.thrust_limit[:] = 12.0
+    step.plane_n[:] = 0.0
+    step.plane_d[:] = -1.0
+    for _ in range(3):
+        step.evaluate()
+        if not np.isfinite(step.figures).all():
+            return False
+        step.x_guess[:], step.u_guess[:] = step.x, step.u
+    port, starboard, _, lateral = step.u[0]
+    return bool(
+        step.figures[1] < VIOLATION_LIMIT
+        and abs(port - starboard) < SELF_TEST_TOLERANCE_N
+        and abs(lateral) < SELF_TEST_TOLERANCE_N
+        and 1.0 < port < 12.0 + OVERSHOOT_LIMIT_N
+        and 0.0 < step.x[-1, 0] < 1.5
+    )
+
+
+def choose_step(model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.QpBackend, ...]) -> QpStep | NativeStep:
+    """The first backend that loads and passes the self-test; ConfigError if none does."""
+    reasons = []
+    for backend in backends:
+        try:
+            kind = NativeStep if backend is ocp.NATIVE else QpStep
+            step = kind(model, grid, planes, backend)
+        except RuntimeError as error:
+            reasons.append(f"{backend.plugin}: {str(error).splitlines()[-1]}")
+            continue
+        if passes_self_test(step):
+            return step
+        reasons.append(f"{backend.plugin}: wrong answer in the self-test")
+    raise ConfigError(f"no QP solver works ({'; '.join(reasons)}); reinstall casadi from its binary wheel")
+
+
+class Nmpc:
+    """The controller's optimiser with its plan."""
+
+    def __init__(
+        self,
+        model: Model4,
+        grid: TimeGrid,
+        *,
+        planes: int = PLANES,
+        backends: tuple[ocp.QpBackend, ...] = ocp.BACKENDS,
+    ) -> None:
+        self.model, self.grid = model, grid
+        self.planes = planes
+        self._step = choose_step(model, grid, planes, backends)
+        self._fastest = ocp.fastest_guess(model)
+        self._shifts: dict[float, tuple[FloatArray, FloatArray]] = {}
+        self.x = np.zeros((grid.n + 1, NX))
+        self.u = np.zeros((grid.n, NU))
+        self.last_problem: NmpcProblem | None = None
+        """What was solved last (its arrays may be those of the caller), for comparisons."""
+        self.violation = 0.0
+        """Largest of a row of the last QP."""
+
+    @property
+    def solver(self) -> str:
+        """Name of the solver in use."""
+        return self._step.backend.plugin
+
+    def set_plan(self, x: FloatArray, thrust_n: FloatArray) -> None:
+        """Start from this guess: states (N+1, 8) and thrust (N, 4)."""
+        self.x[:], self.u[:] = x, thrust_n
+
+    def shift(self, delta_s: float) -> None:
+        """Move the plan ``delta_s`` into the future."""
+        key = round(delta_s, 6)
+        if key not in self._shifts:
+            if len(self._shifts) > 64:
+                self._shifts.clear()
+            self._shifts[key] = shift_matrices(self.grid, key)
+        states, inputs = self._shifts[key]
+        self.x[:] = states @ self.x
+        self.u[:] = inputs @ self.u
+
+    def _slow_down(self, x: FloatArray) -> None:
+        """Bring states (m, 8) of a guess to speeds at which the prediction's integration is stable."""
+        planar_m_s, heave_m_s, yaw_rate_rad_s = self._fastest
+        moves = x[:, U:]
+        if float(np.abs(moves).max()) <= min(0.7 * planar_m_s, heave_m_s, yaw_rate_rad_s):
+            return
+        moves[:, :2] *= np.minimum(1.0, planar_m_s / np.maximum(np.hypot(moves[:, 0], moves[:, 1]), 1e-9))[:, None]
+        np.clip(moves[:, 2:], (-heave_m_s, -yaw_rate_rad_s), (heave_m_s, yaw_rate_rad_s), out=moves[:, 2:])
+
+    def solve(self, problem: NmpcProblem) -> NmpcResult:
+        """One QP around the plan. The plan is replaced only when the result passes every check."""
+        step, self.last_problem = self._step, problem
+        step.x_guess[:] = self.x
+        step.x_guess[0] = problem.x0
+        step.u_guess[:] = self.u
+        step.x_ref[:] = problem.x_ref
+        step.u_ref[:] = problem.thrust_ref_n
+        step.current[:] = problem.current_ned_m_s
+        step.weight_x[:] = problem.weight_x
+        step.weight_u[:] = problem.weight_u
+        step.terminal[:] = problem.terminal
+        step.limits[:] = problem.limits
+        step.thrust_limit[:] = problem.thrust_limit_n
+        step.plane_n[:] = problem.plane_n
+        step.plane_d[:] = problem.plane_d_m
+        if not float(np.abs(step.x_guess[:, U:]).max()) < GUESS_LIMIT:
+            return NmpcResult(
+                status=SolveStatus.NOT_FINITE,
+                x=self.x,
+                thrust_n=self.u,
+                cost=math.nan,
+                slack_max=math.nan,
+                gap_max=math.nan,
+                penalty_use=math.nan,
+            )
+        self._slow_down(step.x_guess[1:])
+        status = SolveStatus.OK
+        try:
+            step.evaluate()
+        except RuntimeError:
+            status = SolveStatus.EXCEPTION
+        cost, violation, gap, overshoot, total, use = step.figures[:6].tolist()
+        self.violation = violation
+        if status is SolveStatus.OK:
+            if not math.isfinite(total + gap):
+                status = SolveStatus.NOT_FINITE
+            elif not (violation < VIOLATION_LIMIT and overshoot < OVERSHOOT_LIMIT_N):
+                status = SolveStatus.RESIDUAL
+        if status is SolveStatus.OK:
+            self.x[:] = step.x
+            self.u[:] = step.u
+        return NmpcResult(
+            status=status,
+            x=self.x,
+            thrust_n=self.u,
+            cost=cost,
+            slack_max=float(step.slack.max()),
+            gap_max=gap,
+            penalty_use=use,
+        )

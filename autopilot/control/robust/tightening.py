@@ -1,0 +1,76 @@
+"""How far the limits of the prediction stay inside the limits of the vehicle, node by node."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavState
+from autopilot.core.model4 import NU
+from autopilot.core.params import ParamSet
+
+YAW_RATE_SHARE = 0.92
+HEAVE_SHARE = 0.92
+"""Shares of the heave and yaw rate limits that the optimiser may use; the rest is for estimation error."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class BackOffs:
+    """What is taken off every limit at nodes 1 .. N-1 (thrust: at nodes 0 .. N-1). Never negative."""
+
+    clearance_m: FloatArray
+    """(N-1,) beyond the body radius."""
+    depth_m: FloatArray
+    """(N-1,)"""
+    planar_speed_m_s: FloatArray
+    """(N-1,)"""
+    heave_m_s: FloatArray
+    """(N-1,)"""
+    yaw_rate_rad_s: FloatArray
+    """(N-1,)"""
+    thrust_n: FloatArray
+    """(N, 4)"""
+
+
+class Tightening(Protocol):
+    """One instance per vehicle; deterministic."""
+
+    def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
+        """Back-offs along the plan: states ``x`` (N+1, 8), ``thrust_n`` (N, 4). Frozen for one QP."""
+        ...
+
+    def clearance_m(self, params: ParamSet) -> float:
+        """What routes have to keep beyond the body radius so that the optimiser can follow them."""
+        ...
+
+
+class FixedMargins:
+    """The same margins at every node: MPC_MARGIN, MPC_SPEED_MARGIN and shares of the other speeds."""
+
+    def __init__(self, grid: TimeGrid) -> None:
+        self._n = grid.n
+        self._values: tuple[float, ...] = ()
+        self._back_offs: BackOffs | None = None
+
+    def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
+        """See :class:`Tightening`."""
+        names = ("MPC_MARGIN", "MPC_SPEED_MARGIN", "SPD_HEAVE_MAX", "SPD_YAW_MAX")
+        values = tuple(params[name] for name in names)
+        if self._back_offs is None or values != self._values:
+            self._values = values
+            margin, speed, heave, yaw_rate = (np.full(self._n - 1, value) for value in values)
+            self._back_offs = BackOffs(
+                clearance_m=margin,
+                depth_m=np.zeros(self._n - 1),
+                planar_speed_m_s=speed,
+                heave_m_s=(1.0 - HEAVE_SHARE) * heave,
+                yaw_rate_rad_s=(1.0 - YAW_RATE_SHARE) * yaw_rate,
+                thrust_n=np.zeros((self._n, NU)),
+            )
+        return self._back_offs
+
+    def clearance_m(self, params: ParamSet) -> float:
+        """See :class:`Tightening`."""
+        return params["MPC_MARGIN"]

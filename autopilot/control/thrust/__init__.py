@@ -1,0 +1,1 @@
+"""From thrust to pulses, and what becomes of them: allocation, losses, delays."""

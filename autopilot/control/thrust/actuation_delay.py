@@ -1,0 +1,239 @@
+"""How late commands act: a bank of Kalman filters, one per candidate delay, on the motion and the thrust it follows.
+
+Candidate k believes that the thrusters act on what was commanded k intervals ago. Per axis the 4-DoF model reads then
+(Fossen 2011, eq. 6.113 with the thrust split by thruster)
+
+    nu'(t) = M^-1 T_A diag(F(t - delay_k)) e + f(nu) + d ,
+
+F the thrust of the pulses, lag included, f drag, Coriolis and buoyancy, d whatever else pushes. Both sides pass the
+same first-order filter, so that nothing is differentiated: the filtered nu' is (nu - filtered nu) / T. Being linear,
+the filtered thrust of a candidate is the filtered thrust of k intervals ago: one history serves all.
+
+Every filter estimates e (errors of mass, thrust constant, lost thrusters) and d (current, tether) for its own delay,
+and the probability of what surprised it, forgetting what is long past, tells the delays apart (a multiple model
+estimator: Bar-Shalom, Li and Kirubarajan 2001, section 11.6). Thrust that nothing has followed yet looks the same to
+all delays that are longer than the wait: first it is known that commands are late, a little later how late.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.control.thrust.unexplained import push_sigma, thrustless_motion
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.model4 import NU, Model4
+
+LATERAL = 3
+"""Index of the lateral thruster."""
+
+UNLEARNED_LOOKS = 10
+"""So many looks (1 s) are taken back when the estimate ceases to be good."""
+
+STATES = NU + 5
+"""e of four thrusters, d of four axes, what the lateral thruster turns."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DelayTuning:
+    """What the filters believe; axes surge, sway, heave [m/s^2] and yaw [rad/s^2]."""
+
+    interval_s: float = 0.1
+    """Between two looks and between two candidates."""
+    candidates: int = 16
+    """Delays of 0 to 1.5 s."""
+    filter_s: float = 0.2
+    """T: slow enough to quieten gyro and velocity, quick enough to tell delays apart."""
+    noise: tuple[float, float, float, float] = (0.03, 0.03, 0.03, 0.1)
+    """Standard deviation of one look: estimate and model, looks T apart being independent."""
+    noise_share: float = 0.08
+    """Of the thrust's acceleration: lag, deadband and supply are not known better."""
+    push: tuple[float, float, float, float] = (0.06, 0.05, 0.06, 0.1)
+    """Standard deviation of d at rest: 1 N of tether, a moment of 0.03 N m."""
+    flow_m_s: float = 0.1
+    """Standard deviation of the water's velocity: it makes d grow by what drag and Munk moment make of it."""
+    push_time_s: float = 4.0
+    """Time within which d forgets itself."""
+    current_s: float = 20.0
+    """The estimated current is believed this slowly: with late commands it explains thrust that is not there."""
+    arm: float = 0.1
+    """Standard deviation of what the lateral thruster turns [rad/s^2 per N]: its arm of some cm is not in T_A."""
+    prior: float = 0.25
+    """Standard deviation of e before anything is known."""
+    wander: float = 0.05
+    """Of e per square root of a second: a thruster may fail."""
+    surprise: float = 10.0
+    """Largest evidence of one look (nats): an outlier is no proof."""
+    lead: float = 30.0
+    """No delay is further behind the likeliest than this (nats): a line may become late in flight."""
+    forget_s: float = 20.0
+    """Evidence fades within this time."""
+    normal_s: float = 0.2
+    """Delays up to here are what lag, sensors and supply explain: not reported."""
+    doubt: float = 5.0
+    """Evidence (nats) against all normal delays that raises doubt."""
+    certain: float = 10.0
+    """Evidence against all normal delays, and that of all but one neighbourhood of delays, that declares a delay."""
+    fits: float = 1.0
+    """Evidence against a delay up to which it fits."""
+    known: float = 3.0
+    """Evidence against all but the likeliest delay and its neighbours that makes it known."""
+    follow_s: float = 0.05
+    """A declared delay changes when the estimate is further away than this."""
+    confirm_s: float = 0.3
+    """So long a delay must be certain before it is declared."""
+
+
+class ActuationDelay:
+    """Estimate of the delay between a command and its thrust. :meth:`step` at every tick, deterministic."""
+
+    def __init__(self, model: Model4, lag_s: float, tuning: DelayTuning | None = None) -> None:
+        self._model = model
+        self._lag_s = lag_s
+        self._tuning = tuning or DelayTuning()
+        self._effect = np.array(model.allocation) / np.array(model.mass_kg)[:, None]
+        self.delays_s = self._tuning.interval_s * np.arange(self._tuning.candidates)
+        """(n,) the candidates."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is known, commands are taken to act at once."""
+        tuning = self._tuning
+        n = tuning.candidates
+        self._x = np.tile(np.concatenate([np.ones(NU), np.zeros(5)]), (n, 1))
+        prior = np.diag([tuning.prior**2] * NU + [s * s for s in tuning.push] + [tuning.arm**2])
+        self._p = np.tile(prior, (n, 1, 1))
+        self._evidence = np.zeros(n)
+        self._known: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque(maxlen=UNLEARNED_LOOKS)
+        self._past = np.zeros((n, NU))
+        self._acting, self._thrust = np.zeros(NU), np.zeros(NU)
+        self._nu: FloatArray | None = None
+        self._drift: FloatArray = np.zeros(4)
+        self._current: FloatArray | None = None
+        self._t_us: int | None = None
+        self._since_s = self._wait_s = self._certain_s = 0.0
+        self._reset_count = -1
+        self.delay_s = 0.0
+        """Declared delay [s], 0 while there is none beyond doubt."""
+        self.doubtful = False
+        """Whether thrust that should have shown has not, and it is not known yet why."""
+
+    @property
+    def current_ned_m_s(self) -> FloatArray:
+        """(3,) the current as it is believed slowly: thrust that has not acted yet is not in it."""
+        return np.zeros(3) if self._current is None else self._current.copy()
+
+    @property
+    def shortest_s(self) -> float:
+        """The shortest delay that fits what has been seen: grows while a response is waited for."""
+        return float(self.delays_s[int(np.argmax(self._evidence > -self._tuning.fits))])
+
+    @property
+    def probability(self) -> FloatArray:
+        """(n,) probability of each candidate."""
+        weight: FloatArray = np.exp(self._evidence - self._evidence.max())
+        weight /= weight.sum()
+        return weight
+
+    def step(self, t_us: int, nav: NavState | None, thrust_n: FloatArray) -> bool:
+        """``thrust_n`` (4,) is what the thrusters would settle at with the pulses since the last call [N].
+
+        True when the declared delay has changed.
+        """
+        dt_s = 0.0 if self._t_us is None else (t_us - self._t_us) * 1e-6
+        self._t_us = t_us
+        share = 1.0 - math.exp(-dt_s / self._tuning.filter_s)
+        self._acting += (1.0 - math.exp(-dt_s / self._lag_s)) * (thrust_n - self._acting)
+        self._thrust += share * (self._acting - self._thrust)
+        self._since_s += dt_s
+        due = self._since_s >= self._tuning.interval_s - 1e-9
+        look_s = min(self._since_s, 1.0)
+        if due:
+            self._since_s = 0.0
+            self._past[1:] = self._past[:-1]
+            self._past[0] = self._thrust
+        if nav is None or nav.health is not NavHealth.GOOD:
+            self._nu = None
+            self._unlearn()
+            return False
+        if self._current is None:
+            self._current = nav.current_ned_m_s.copy()
+        nu, drift = thrustless_motion(self._model, nav, self._current)
+        if self._nu is None or nav.reset_count != self._reset_count:
+            self._wait_s = 0.0 if self._nu is None and self._reset_count < 0 else 3.0 * self._tuning.filter_s
+            self._reset_count, self._nu, self._drift = nav.reset_count, nu, drift
+            return False
+        self._wait_s -= dt_s
+        self._current += dt_s / self._tuning.current_s * (nav.current_ned_m_s - self._current)
+        self._drift += share * (drift - self._drift)
+        self._nu += share * (nu - self._nu)
+        if not due or self._wait_s > 0.0:
+            return False
+        self._known.append((self._x, self._p, self._evidence))
+        self._look(
+            look_s,
+            push_sigma(self._model, nav, self._tuning.push, self._tuning.flow_m_s),
+            (nu - self._nu) / self._tuning.filter_s - self._drift,
+        )
+        return self._declare(look_s)
+
+    def _unlearn(self) -> None:
+        """Back to what was known before the last looks: an estimate is bad for a moment before it is called bad."""
+        if self._known:
+            self._x, self._p, self._evidence = self._known[0]
+            self._known.clear()
+            self._certain_s = 0.0
+            self.doubtful = False
+
+    def _look(self, dt_s: float, push: FloatArray, residual: FloatArray) -> None:
+        """Predict and update all filters; ``residual`` (4,) is the acceleration that thrust and d have to explain."""
+        tuning, n = self._tuning, self._tuning.candidates
+        keep = math.exp(-dt_s / tuning.push_time_s)
+        fade = np.concatenate([np.ones(NU), np.full(4, keep), np.ones(1)])
+        x, p = self._x * fade, self._p * np.outer(fade, fade)
+        p += np.diag(
+            np.concatenate([np.full(NU, tuning.wander**2 * dt_s), (1.0 - keep * keep) * np.square(push), np.zeros(1)])
+        )
+        h = np.zeros((n, 4, STATES))
+        h[:, :, :NU] = self._effect * self._past[:, None, :]
+        h[:, :, NU : NU + 4] = np.eye(4)
+        h[:, 3, NU + 4] = self._past[:, LATERAL]
+        # Looks closer together than T share their noise: each counts for its part.
+        part = dt_s / (2.0 * tuning.filter_s)
+        spread = np.abs(self._effect) @ np.abs(self._past).max(axis=0)
+        noise = np.diag(np.square(tuning.noise) + np.square(tuning.noise_share * spread)) / part
+        innovation = residual - np.einsum("nij,nj->ni", h, x)
+        cross = h @ p
+        s = cross @ h.transpose(0, 2, 1) + noise
+        gain = np.linalg.solve(s, cross).transpose(0, 2, 1)
+        x += np.einsum("nij,nj->ni", gain, innovation)
+        x[:, :NU] = np.clip(x[:, :NU], 0.0, 1.5)
+        rest = np.eye(STATES) - gain @ h
+        self._x, self._p = x, rest @ p @ rest.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
+        distance2 = np.einsum("ni,ni->n", innovation, np.linalg.solve(s, innovation[..., None])[..., 0])
+        told = -0.5 * (distance2 + np.log(np.linalg.det(s)))
+        told = np.maximum(told - told.max(), -tuning.surprise)
+        self._evidence = self._evidence * math.exp(-dt_s / tuning.forget_s) + told
+        self._evidence = np.maximum(self._evidence - self._evidence.max(), -tuning.lead)
+
+    def _declare(self, dt_s: float) -> bool:
+        """Conclude from the evidence; True when the declared delay has changed."""
+        tuning, evidence = self._tuning, self._evidence
+        normal = float(evidence[self.delays_s < tuning.normal_s + 1e-9].max())
+        best = int(evidence.argmax())
+        far = np.abs(np.arange(tuning.candidates) - best) > 1
+        known = float(evidence[far].max()) < -tuning.known
+        late = normal < -tuning.certain
+        self._certain_s = self._certain_s + dt_s if late and known else 0.0
+        before = self.delay_s
+        if self._certain_s >= tuning.confirm_s - 1e-9:
+            near = ~far
+            mean_s = float(self.probability[near] @ self.delays_s[near] / self.probability[near].sum())
+            if abs(mean_s - self.delay_s) > tuning.follow_s:
+                self.delay_s = mean_s
+        elif self.delay_s and float(evidence[self.delays_s > tuning.normal_s + 1e-9].max()) < -tuning.certain:
+            self.delay_s = 0.0
+        self.doubtful = self.delay_s == 0.0 and normal < -tuning.doubt
+        return self.delay_s != before

@@ -1,0 +1,89 @@
+"""What the service knows of its thrusters: told and found losses, the thrust that is left, and what it still allows."""
+
+import numpy as np
+
+from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_problem, told, usable
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Goal, NavState, ThrusterHealthState
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle
+
+REPORT_EVERY_TICKS = 50
+"""Twice per second: for the log, and to look anew at what the thrusters allow."""
+
+
+SUBMERGED = 1.5
+"""Above so many half heights of the hull below the surface heave tells nothing of the vertical thruster."""
+
+
+class ThrusterCare:
+    """Combines what operators tell (THRn_HEALTH) with what is found (THR_DETECT), the smaller counts."""
+
+    def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
+        self._names = tuple(thruster.name for thruster in vehicle.thruster)
+        self._params = params
+        self._model = vehicle.model4.to_model()
+        self._health = ThrusterHealth(
+            self._model, vehicle.drive.time_constant_s, submerged_m=SUBMERGED * vehicle.hull_half_height_m
+        )
+        self._ticks = 0
+        self.share = np.ones(len(self._names))
+        """(4,) effectiveness that bounds and allocation go by; dead thrusters have 0."""
+        self.problem = ""
+        """What the thrusters that are left do not allow, "" while the vehicle can stay where it is."""
+        self.unseen: tuple[str, ...] = ()
+        """Thrusters that have been asked for too little so far: the loss of half of one would not show."""
+
+    def step(
+        self,
+        t_us: int,
+        nav: NavState | None,
+        pulse_n: FloatArray,
+        capability_n: float,
+        goal: Goal | None,
+        *,
+        armed: bool,
+    ) -> ThrusterHealthState | None:
+        """``pulse_n`` (4,) is what sound thrusters would give with the pulses since the last call.
+
+        ``capability_n`` is what a sound one can give, ``goal`` where the vehicle is to be. The result is for the log:
+        at times, and when something changes.
+        """
+        self._find(t_us, nav, pulse_n, armed)
+        before = self.share
+        self.share = usable(np.minimum(told(self._params), self._health.found))
+        changed = bool((self.share != before).any())
+        due = self._ticks % REPORT_EVERY_TICKS == 0
+        self._ticks += 1
+        if not changed and not due:
+            return None
+        self.problem = self._problem(nav, goal, min(capability_n, self._params["THR_LIMIT"]))
+        detects = int(self._params["THR_DETECT"])
+        self.unseen = tuple(n for n, seen in zip(self._names, self._health.seen, strict=True) if detects and not seen)
+        return ThrusterHealthState(
+            t_us=t_us,
+            effectiveness=self.share.copy(),
+            estimate=self._health.effectiveness,
+            sigma=self._health.sigma,
+        )
+
+    def _find(self, t_us: int, nav: NavState | None, pulse_n: FloatArray, armed: bool) -> None:
+        if not int(self._params["THR_DETECT"]):
+            self._health.reset()
+        elif nav is None or not armed:
+            self._health.pause()
+        else:
+            self._health.step(t_us, nav, pulse_n)
+
+    def _problem(self, nav: NavState | None, goal: Goal | None, capability_n: float) -> str:
+        """Named by the weak thrusters; a current that is too strong for sound ones is not their failure.
+
+        With all thrusters alive a goal's heading may be met in passing; with a dead one it must be possible to stay.
+        """
+        weak = [f"{name} {100.0 * of:.0f} %" for name, of in zip(self._names, self.share, strict=True) if of < 1.0]
+        if not weak:
+            return ""
+        current = np.zeros(3) if nav is None else nav.current_ned_m_s
+        yaw_rad = goal.yaw_rad if goal is not None and not self.share.all() else None
+        problem = hover_problem(self._model, capability_n * self.share, current, yaw_rad)
+        return f"{problem} (thruster {', '.join(weak)})" if problem else ""

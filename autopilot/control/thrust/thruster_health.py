@@ -1,0 +1,252 @@
+"""How much of its thrust each thruster still gives, from the pulses and the motion.
+
+:mod:`autopilot.control.thrust.motion_looks` says ten times per second what the model does not explain of the motion,
+and :mod:`autopilot.control.thrust.loss_bank` weighs whether a thruster that lost its thrust explains it, or an error
+of the model, a tether, the water, a tug. Here it is decided: a loss is declared when the evidence for it is beyond
+doubt and ahead of that for every other thruster, and revoked when there is as much evidence that the thruster is
+sound. Told values (THR1_HEALTH to THR4_HEALTH) hold at once; what is told and what is found are combined by the
+smaller.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.control.thrust.loss_bank import Beliefs, LossBank, Memory
+from autopilot.control.thrust.motion_looks import MotionLooks
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.model4 import NU, Model4, steady_force
+from autopilot.core.params import ParamSet
+
+HEALTH_PARAMS = ("THR1_HEALTH", "THR2_HEALTH", "THR3_HEALTH", "THR4_HEALTH")
+"""What an operator or a speed controller's telemetry tells, in the order of the vehicle file."""
+
+HEADINGS = 72
+"""Headings tried for a hover; a multiple of four, so that abeam is exactly among them."""
+
+SHORT_N = 0.3
+"""So much may lack: short pushes of the others make up for it."""
+
+DEAD = 0.2
+"""Below this a thruster is not used at all: five times the pulse for what little it gives, and that uncertain."""
+
+UNLEARNED_LOOKS = 10
+"""So many looks (1 s) are taken back when the estimate ceases to be good."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tuning:
+    """How looks are taken and what is beyond doubt."""
+
+    filter_s: float = 0.5
+    """Time constant that both sides of the model pass: it quietens gyro and velocity, quick against a manoeuvre."""
+    interval_s: float = 0.1
+    """Between two looks."""
+    current_s: float = 1.0
+    """The estimated current is followed within this time."""
+    certain: float = 7.7
+    """Evidence that a thruster has changed [nats]: two thousand to one."""
+    plain: float = 4.5
+    """So far below 1 [sigma] the loss of a thruster with a pair shows without any belief in the others."""
+    certain_plain: float = 4.5
+    """Evidence that is enough then [nats]."""
+    ahead: float = 2.0
+    """So much less there is for any other."""
+    confirm_s: float = 0.5
+    """For so long."""
+    lost_below: float = 0.75
+    """A thruster with less than this share is lossy."""
+    sound_above: float = 0.9
+    """A lossy thruster that gives this share again is sound."""
+    follow: float = 0.05
+    """A declared value changes when the estimate is further away than this: bounds do not flutter."""
+    hit_s: float = 4.0
+    """So long after a collision nothing is concluded."""
+    stuck_s: float = 15.0
+    """When nothing has explained the motion for so long, what was known of the vehicle does not hold any more."""
+    seen: float = 0.18
+    """Half of a thruster is seen where the effectiveness is known that well (standard deviation)."""
+
+
+class ThrusterHealth:
+    """Estimate of the effectiveness of four thrusters. :meth:`step` at every tick, deterministic."""
+
+    def __init__(
+        self,
+        model: Model4,
+        lag_s: float,
+        *,
+        submerged_m: float = 0.0,
+        tuning: Tuning | None = None,
+        beliefs: Beliefs | None = None,
+    ) -> None:
+        """Above the depth ``submerged_m`` the hull stands out of the water: heave tells nothing there."""
+        self._tuning = tuning = tuning or Tuning()
+        self._submerged_m = submerged_m
+        self._bank = LossBank(model, beliefs)
+        # Those that push ahead are measured against each other; the others have an axis each.
+        self._paired = np.array(model.allocation)[0] != 0.0
+        self._looks = MotionLooks(
+            model, lag_s, filter_s=tuning.filter_s, interval_s=tuning.interval_s, current_s=tuning.current_s
+        )
+        self._reset_count = -1
+        self._paused = True
+        self.reset()
+
+    def reset(self) -> None:
+        """All thrusters are sound, nothing is known."""
+        self._bank.reset()
+        self._past: deque[tuple[Memory, FloatArray, FloatArray]] = deque(maxlen=UNLEARNED_LOOKS)
+        self._certain_s = np.zeros(NU)
+        self.found = np.ones(NU)
+        """(4,) effectiveness as declared: 1 while a thruster is not beyond doubt lossy."""
+        self.pause()
+
+    @property
+    def lost(self) -> tuple[bool, ...]:
+        """Whether each thruster is declared lossy."""
+        return self._bank.lossy
+
+    @property
+    def effectiveness(self) -> FloatArray:
+        """(4,) the running estimate: of lossy thrusters as declared, of the others as if nothing were known of any."""
+        return np.where(self.lost, self._bank.declared[0], self._bank.free[0])
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(4,) its standard deviation."""
+        return np.where(self.lost, self._bank.declared[1], self._bank.free[1])
+
+    @property
+    def evidence(self) -> FloatArray:
+        """(4,) for a change of each thruster [nats]."""
+        return self._bank.evidence
+
+    @property
+    def seen(self) -> tuple[bool, ...]:
+        """Whether a thruster has been asked for enough that the loss of half of it would show."""
+        return tuple((self._bank.free[1] < self._tuning.seen).tolist())
+
+    def pause(self) -> None:
+        """Disarmed, or without an estimate: what was learned stays, the motion is forgotten."""
+        if not self._paused:
+            self._bank.forget_motion()
+            self._past.clear()
+            self._certain_s = np.zeros(NU)
+        self._looks.forget()
+        self._hit_s = self._stuck_s = 0.0
+        self._paused = True
+
+    def step(self, t_us: int, nav: NavState, thrust_n: FloatArray) -> bool:
+        """``thrust_n`` (4,) is what sound thrusters would settle at with the pulses since the last call [N].
+
+        True when the declared effectiveness has changed.
+        """
+        if nav.health is not NavHealth.GOOD or nav.reset_count != self._reset_count:
+            self._unlearn()
+            self.pause()
+            self._reset_count = nav.reset_count
+            return False
+        look = self._looks.step(t_us, nav, thrust_n)
+        self._paused = False
+        if look is None:
+            return False
+        if self._hit_s <= 0.0:
+            self._past.append((self._bank.memory, self.found, self._certain_s))
+        submerged = float(nav.pos_ned_m[2]) > self._submerged_m
+        if self._bank.look(look, heave=submerged, learn=self._hit_s <= 0.0):
+            if 0.0 < self._hit_s <= look.dt_s:
+                self._bank.forget_motion(hit=True)
+            self._hit_s = max(self._hit_s - look.dt_s, 0.0)
+        else:
+            return self._hit(look.dt_s)
+        return self._hit_s <= 0.0 and self._declare(look.dt_s)
+
+    def _hit(self, dt_s: float) -> bool:
+        """Something holds or pushes the hull: neither the last looks nor the next say anything of thrusters."""
+        before = self.found
+        if self._hit_s <= 0.0:
+            self._unlearn()
+            self._stuck_s = 0.0
+        self._hit_s = self._tuning.hit_s
+        self._stuck_s += dt_s
+        if self._stuck_s > self._tuning.stuck_s:
+            self._bank.doubt()
+            self._stuck_s = 0.0
+        return bool((self.found != before).any())
+
+    def _unlearn(self) -> None:
+        """Back to what was known before the last looks: an estimate is bad for a moment before it is called bad."""
+        if self._past:
+            memory, self.found, self._certain_s = self._past[0]
+            self._bank.recall(memory)
+            self._past.clear()
+
+    def _declare(self, dt_s: float) -> bool:
+        """Accept what is beyond doubt; True when the declared effectiveness has changed."""
+        tuning, bank = self._tuning, self._bank
+        evidence, changed_to = bank.evidence, bank.changed_to
+        others = np.array([max(np.delete(evidence, i)) for i in range(NU)])
+        certain = (evidence > self._needed()) & (evidence > others + tuning.ahead)
+        certain &= np.array(bank.lossy) | (changed_to < tuning.lost_below)
+        self._certain_s = np.where(certain, self._certain_s + dt_s, 0.0)
+        best = int(self._certain_s.argmax())
+        if self._certain_s[best] >= tuning.confirm_s - 1e-9:
+            bank.accept(best)
+            self._certain_s = np.zeros(NU)
+        e, sigma = bank.declared
+        for i in np.flatnonzero(bank.lossy):
+            if e[i] - sigma[i] > tuning.sound_above:
+                bank.clear(int(i))
+        return self._follow(np.where(bank.lossy, np.minimum(e, 1.0), 1.0))
+
+    def _needed(self) -> FloatArray:
+        """(4,) evidence that is enough: less where the filter that believes in no thruster sees the loss as well."""
+        tuning, (e, sigma) = self._tuning, self._bank.free
+        plain = self._paired & ~np.array(self._bank.lossy) & (1.0 - e > tuning.plain * sigma)
+        return np.where(plain, tuning.certain_plain, tuning.certain)
+
+    def _follow(self, e: FloatArray) -> bool:
+        """Declare it where it is far enough from what was declared; True if it is anywhere."""
+        far = (np.abs(e - self.found) > self._tuning.follow) | ((e == 1.0) & (self.found < 1.0))
+        if not far.any():
+            return False
+        self.found = np.where(far, e, self.found)
+        return True
+
+
+def told(params: ParamSet) -> FloatArray:
+    """(4,) what the parameters say of the thrusters."""
+    return np.array([params[name] for name in HEALTH_PARAMS])
+
+
+def usable(effectiveness: FloatArray) -> FloatArray:
+    """(4,) the same with thrusters that are as good as dead set to 0."""
+    return np.where(effectiveness < DEAD, 0.0, effectiveness)
+
+
+def hover_problem(model: Model4, limit_n: FloatArray, current_ned_m_s: FloatArray, yaw_rad: float | None = None) -> str:
+    """What a vehicle whose thrusters give up to ``limit_n`` (4,) cannot do any more in that current, "" if it can stay.
+
+    Depth needs heave against the excess buoyancy, heading needs any thruster with an arm, and a place needs a heading
+    (``yaw_rad``, None = any) at which the thrusters balance drag and Munk moment.
+    """
+    allocation = np.array(model.allocation)
+    reach = np.abs(allocation) @ limit_n
+    if reach[2] <= 1.5 * abs(model.buoyancy_excess_n):
+        return "depth cannot be held"
+    if reach[3] <= 0.0:
+        return "heading cannot be held"
+    inverse = np.linalg.inv(allocation)
+    speed, course = math.hypot(*current_ned_m_s[:2]), math.atan2(current_ned_m_s[1], current_ned_m_s[0])
+    any_heading = np.linspace(0.0, 2.0 * math.pi, HEADINGS, endpoint=False)
+    for drift in any_heading if yaw_rad is None else (course - yaw_rad,):
+        # Over ground the vehicle stands, so relative to the water it moves against the current.
+        nu = (-speed * math.cos(drift), -speed * math.sin(drift), 0.0, 0.0)
+        needed = np.abs(inverse @ np.array(steady_force(model, nu, math)))
+        if bool((needed <= limit_n + SHORT_N).all()):
+            return ""
+    return f"hover in {speed:.2f} m/s {'is not possible' if yaw_rad is None else 'at this heading is not possible'}"

@@ -1,0 +1,40 @@
+"""What the 4-DoF model says of a motion without thrust: the measure of filters that ask what the thrusters do.
+
+Both :mod:`autopilot.control.thrust.thruster_health` and :mod:`autopilot.control.thrust.actuation_delay` compare the
+vehicle's acceleration with that of the model; what is left, thrust has to explain, or a push that the model does not
+know.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavState
+from autopilot.core.model4 import NU, Model4, body_acceleration
+
+
+def thrustless_motion(model: Model4, nav: NavState, current_ned_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Velocity over ground and yaw rate (4,), and their rate of change without thrust (4,) in that current."""
+    ground_u, ground_v, ground_w = (float(value) for value in nav.vel_frd_m_s)
+    north, east, down = (float(value) for value in current_ned_m_s)
+    c, s, r = math.cos(nav.rpy_rad[2]), math.sin(nav.rpy_rad[2]), float(nav.rate_frd_rad_s[2])
+    flow_u, flow_v = c * north + s * east, c * east - s * north
+    nu = (ground_u - flow_u, ground_v - flow_v, ground_w - down, r)
+    du, dv, dw, dr = body_acceleration(model, nu, (0.0,) * NU, math)
+    # A steady current turns in the body frame.
+    drift = np.array([du + r * flow_v, dv - r * flow_u, dw, dr])
+    return np.array([ground_u, ground_v, ground_w, r]), drift
+
+
+def push_sigma(model: Model4, nav: NavState, at_rest: tuple[float, ...], flow_m_s: float) -> FloatArray:
+    """(4,) standard deviation of unknown accelerations at the speed of now.
+
+    ``at_rest`` (4,) is that of a vehicle at rest; ``flow_m_s`` that of the water's velocity, of which drag and Munk
+    moment make more the faster the vehicle is."""
+    m11, m22, _, m44 = model.mass_kg
+    speed = np.abs(nav.vel_frd_m_s)
+    slope = [(model.linear_drag[i] + 2.0 * model.quadratic_drag[i] * speed[i]) / model.mass_kg[i] for i in range(2)]
+    munk = abs(m11 - m22) / m44 * math.hypot(speed[0], speed[1])
+    sigma: FloatArray = np.hypot(at_rest, np.array([slope[0], slope[1], 0.0, munk]) * flow_m_s)
+    return sigma

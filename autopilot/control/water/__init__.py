@@ -1,0 +1,1 @@
+"""The current: known, estimated, learned, as a map."""

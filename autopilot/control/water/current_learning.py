@@ -1,0 +1,278 @@
+"""A forecast without a map: a planar incompressible flow through what the vehicle has estimated where.
+
+Water that goes one way comes back another: the flow is taken as a uniform stream and the curl of a random
+streamfunction (a Gaussian process with a squared exponential kernel), so that whatever is predicted between and beyond
+the places visited is free of divergence. How much of it varies, and whether there is a stream at all (there is none in
+a closed basin, however well a fence closes it on the map), is judged by the evidence: every combination counts by the
+marginal likelihood of what was estimated so far and by what was believed beforehand.
+
+What the flow foretells is compared all the time with what is then estimated. While it does worse than "the same
+everywhere" it is not used (:mod:`autopilot.control.water.current_trust`).
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from autopilot.control.water.current_trust import Trust
+from autopilot.control.water.currents import Revision, correction_share
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Circle, Fence
+from autopilot.core.messages import NavHealth, NavState
+
+
+class Basin(StrEnum):
+    """What is believed of the water before it has been felt (setting ``basin``)."""
+
+    CLOSED = "closed"
+    """A tank or pool: what flows comes back within it."""
+    OPEN = "open"
+    """Part of a larger water."""
+    UNKNOWN = "unknown"
+
+
+CLOSED_SHARE = {Basin.CLOSED: 0.95, Basin.OPEN: 0.02, Basin.UNKNOWN: 0.25}
+"""How likely a basin is closed beforehand. A fence says nothing about it: it is no wall."""
+
+FLOW_M_S = (0.2, 0.1, 0.03)
+"""Standard deviations of the varying part of the flow that are weighed against each other ..."""
+
+CLOSED_FLOW_SHARES = (0.6, 0.3, 0.1)
+OPEN_FLOW_SHARES = (0.15, 0.25, 0.6)
+"""... and how likely each is beforehand: in a closed basin what flows must turn, in open water it mostly flows on."""
+
+CLOSED_MEAN_M_S = 0.03
+OPEN_MEAN_M_S = 0.3
+"""Standard deviation of the uniform part: in a closed basin, and in open water."""
+
+NOISE_M_S = 0.03
+"""Standard deviation of a cell's mean estimate: the estimate lags, and it carries what the model lacks."""
+
+LENGTH_SHARE = 0.25
+"""Correlation length over the narrowest width of the workspace: a jet and its return flow side by side need it."""
+
+OPEN_LENGTH_M = 6.0
+"""Without a workspace: eddies and jets that a small vehicle meets within minutes."""
+
+EVIDENCE_SHARE = 0.5
+"""Exponent of the likelihood: neighbouring estimates err alike, because they lag."""
+
+SHORTEST_M, LONGEST_M = 0.3, 50.0
+
+CELLS_PER_LENGTH = 2.5
+MAX_CELLS = 100
+FORGET_S = 900.0
+"""Time in which what was learned loses its weight by e."""
+
+REFRESH_S = 1.0
+"""The fit is made anew at most so often."""
+
+FULL_WEIGHT_S = 0.5
+"""An estimate counts in full after so much time in its cell."""
+
+_MEANS_M_S = (CLOSED_MEAN_M_S, OPEN_MEAN_M_S)
+
+
+@dataclass(slots=True)
+class _Cell:
+    """Weighted sums of what was estimated in one square."""
+
+    weight_s: float
+    moment: FloatArray
+    """(4,) of north, east [m] and current north, east [m/s]"""
+    seen_us: int
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Fit:
+    """A flow through estimates; never changes."""
+
+    length_m: float
+    places_ned_m: FloatArray
+    """(n, 2) where cells have their means."""
+    pull: FloatArray
+    """(2, n) how every cell pulls at the varying part of the flow, north and east [m/s]."""
+    mean_m_s: FloatArray
+    """(2,) uniform part."""
+
+    def flow(self, places: FloatArray) -> FloatArray:
+        """(m, 2) at places (m, 2)."""
+        out = np.tile(self.mean_m_s, (len(places), 1))
+        if len(self.places_ned_m):
+            dx, dy, bell = _bell(places, self.places_ned_m, self.length_m)
+            north, east = self.pull
+            across = bell * dx * dy
+            out[:, 0] += (bell * (1.0 - dy * dy)) @ north + across @ east
+            out[:, 1] += (bell * (1.0 - dx * dx)) @ east + across @ north
+        return out
+
+
+class LearnedCurrent:
+    """See :class:`autopilot.control.water.currents.CurrentForecast`."""
+
+    def __init__(self, basin: Basin = Basin.UNKNOWN) -> None:
+        self._basin = basin
+        self._length_m = OPEN_LENGTH_M
+        self._fenced = False
+        self._last_us: int | None = None
+        self._revision = Revision()
+        self._forget()
+
+    @property
+    def closed(self) -> float:
+        """How likely the basin is closed, by all that is known."""
+        return float(self._belief[:, 0].sum())
+
+    @property
+    def trust(self) -> float:
+        """Share of the learned flow in the forecast; the rest is the estimate, the same everywhere."""
+        return self._trust.share
+
+    def _forget(self) -> None:
+        self._cells: dict[tuple[int, int], _Cell] = {}
+        self._fitted_us: int | None = None
+        closed = CLOSED_SHARE[self._basin]
+        shares = np.column_stack([CLOSED_FLOW_SHARES, OPEN_FLOW_SHARES]) * [closed, 1.0 - closed]
+        self._belief: FloatArray = shares
+        self._log_prior: FloatArray = np.log(shares)
+        self._fit = Fit(
+            length_m=self._length_m, places_ned_m=np.zeros((0, 2)), pull=np.zeros((2, 0)), mean_m_s=np.zeros(2)
+        )
+        sure = self._basin is Basin.CLOSED or not self._fenced
+        self._trust = Trust(self._length_m, sure=sure, tails=not self._fenced)
+
+    def within(self, fence: Fence) -> None:
+        """Take the correlation length from the size of the workspace. Another one begins with nothing learned."""
+        width = narrowest_width_m(fence)
+        length = OPEN_LENGTH_M if width is None else LENGTH_SHARE * width
+        length = min(max(length, SHORTEST_M), LONGEST_M)
+        if (length, width is not None) != (self._length_m, self._fenced):
+            self._length_m, self._fenced = length, width is not None
+            self._forget()
+
+    def view(self, nav: NavState) -> NavState:
+        """Unchanged; learns from it."""
+        elapsed_s = 0.0 if self._last_us is None else (nav.t_us - self._last_us) * 1e-6
+        self._last_us = nav.t_us
+        if nav.health is not NavHealth.GOOD or not bool(np.isfinite(nav.current_ned_m_s).all()):
+            return nav
+        if elapsed_s > 0.0 or not self._cells:
+            self._learn(nav, min(max(elapsed_s, 0.01), 0.2))
+        if self._fitted_us is None or nav.t_us - self._fitted_us >= REFRESH_S * 1e6:
+            self._fitted_us = nav.t_us
+            self._refit(nav.t_us)
+        self._trust.look(nav, self._fit)
+        return nav
+
+    def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
+        """Learned flow as far as it is trusted, corrected by what the estimate says it lacks here and now."""
+        estimate = nav.current_ned_m_s
+        flow = self._fit.flow(np.vstack([pos_ned_m[:, :2], nav.pos_ned_m[:2]]))
+        share = correction_share(nav, pos_ned_m, t_s, self._length_m)[:, None]
+        out[:, :2] = estimate[:2] + self.trust * (flow[:-1] - estimate[:2] + share * (estimate[:2] - flow[-1]))
+        out[:, 2] = estimate[2]
+
+    def revision(self, nav: NavState) -> int:
+        """The estimate surprises by what has not been learned here."""
+        here = self._fit.flow(np.asarray(nav.pos_ned_m, dtype=float)[None, :2])[0]
+        lack = np.array([nav.current_ned_m_s[0] - here[0], nav.current_ned_m_s[1] - here[1], 0.0])
+        return self._revision.look(lack, nav.t_us * 1e-6)
+
+    def _learn(self, nav: NavState, duration_s: float) -> None:
+        size = self._length_m / CELLS_PER_LENGTH
+        x, y = float(nav.pos_ned_m[0]), float(nav.pos_ned_m[1])
+        key = (math.floor(x / size), math.floor(y / size))
+        cell = self._cells.pop(key, None)
+        if cell is None:
+            cell = _Cell(0.0, np.zeros(4), nav.t_us)
+            if len(self._cells) >= MAX_CELLS:
+                del self._cells[next(iter(self._cells))]
+        fade = math.exp((cell.seen_us - nav.t_us) * 1e-6 / FORGET_S)
+        row = np.array([x, y, nav.current_ned_m_s[0], nav.current_ned_m_s[1]])
+        cell.weight_s = fade * cell.weight_s + duration_s
+        cell.moment = fade * cell.moment + duration_s * row
+        cell.seen_us = nav.t_us
+        self._cells[key] = cell
+
+    def _refit(self, now_us: int) -> None:
+        """All models through the cells, mixed by how likely they are (Rasmussen and Williams 2006, eq. 5.8)."""
+        cells = list(self._cells.values())
+        rows = np.array([cell.moment / cell.weight_s for cell in cells])
+        weight = np.array(
+            [cell.weight_s * math.exp((cell.seen_us - now_us) * 1e-6 / FORGET_S) / FULL_WEIGHT_S for cell in cells]
+        )
+        noise = np.tile(NOISE_M_S**2 / np.minimum(weight, 1.0), 2)
+        seen = np.concatenate([rows[:, 2], rows[:, 3]])
+        places = np.ascontiguousarray(rows[:, :2])
+        varying = _varying(places, self._length_m)
+        likely = np.empty((len(FLOW_M_S), len(_MEANS_M_S)))
+        alpha = np.empty((*likely.shape, len(seen)))
+        for i, flow in enumerate(FLOW_M_S):
+            likely[i], alpha[i] = _weights(flow, varying, noise, seen)
+        belief = EVIDENCE_SHARE * likely + self._log_prior
+        belief = np.exp(belief - belief.max())
+        self._belief = belief = belief / belief.sum()
+        pull = np.einsum("ij,i,ijk->k", belief, np.square(FLOW_M_S), alpha).reshape(2, -1)
+        mean = np.einsum("ij,j,ijk->k", belief, np.square(_MEANS_M_S), alpha).reshape(2, -1).sum(axis=1)
+        self._fit = Fit(length_m=self._length_m, places_ned_m=places, pull=pull, mean_m_s=mean)
+
+
+def _weights(
+    flow_m_s: float, varying: FloatArray, noise: FloatArray, seen: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Logarithms (means,) of how likely estimates are without and with a stream, and alpha (means, 2 n).
+
+    Without the uniform part the covariance is A; with it A + m^2 E E', E the two directions: one factorisation serves
+    both (matrix inversion lemma).
+    """
+    n = len(seen) // 2
+    a = varying * flow_m_s**2
+    a[np.diag_indices_from(a)] += noise
+    log_root = np.log(np.linalg.cholesky(a).diagonal()).sum()
+    right = np.zeros((2 * n, 3))
+    right[:, 0], right[:n, 1], right[n:, 2] = seen, 1.0, 1.0
+    solved = np.linalg.solve(a, right)
+    both = solved[:, 1:]
+    inner = np.stack([both[:n].sum(axis=0), both[n:].sum(axis=0)])
+    pulled = np.array([solved[:n, 0].sum(), solved[n:, 0].sum()])
+    likely, alpha = np.empty(len(_MEANS_M_S)), np.empty((len(_MEANS_M_S), 2 * n))
+    for j, mean in enumerate(_MEANS_M_S):
+        gain = np.eye(2) / mean**2 + inner
+        alpha[j] = solved[:, 0] - both @ np.linalg.solve(gain, pulled)
+        stream = 0.5 * math.log(float(np.linalg.det(gain))) + 2.0 * math.log(mean)
+        likely[j] = -0.5 * float(seen @ alpha[j]) - log_root - stream
+    return likely, alpha
+
+
+def _bell(a: FloatArray, b: FloatArray, length_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, m) distances north and east in correlation lengths, and their Gaussian."""
+    scale = 1.0 / length_m
+    dx = (a[:, 0, None] - b[None, :, 0]) * scale
+    dy = (a[:, 1, None] - b[None, :, 1]) * scale
+    return dx, dy, np.exp(-0.5 * (dx * dx + dy * dy))
+
+
+def _varying(places: FloatArray, length_m: float) -> FloatArray:
+    """(2 n, 2 n) covariance of north and east components at places (n, 2) of a varying part of 1 m/s, the curl of a
+    streamfunction of variance length^2."""
+    n = len(places)
+    dx, dy, bell = _bell(places, places, length_m)
+    out = np.empty((2 * n, 2 * n))
+    out[:n, :n] = bell * (1.0 - dy * dy)
+    out[n:, n:] = bell * (1.0 - dx * dx)
+    out[:n, n:] = out[n:, :n] = bell * dx * dy
+    return out
+
+
+def narrowest_width_m(fence: Fence) -> float | None:
+    """Smaller side of the box round the smallest inclusion, None in open water."""
+    widths = []
+    for shape in fence.inclusions:
+        if isinstance(shape, Circle):
+            widths.append(2.0 * float(shape.radius_m))
+        else:
+            corners = np.asarray(shape.vertices_ned_m, dtype=float)
+            widths.append(float((corners.max(axis=0) - corners.min(axis=0)).min()))
+    return min(widths) if widths else None

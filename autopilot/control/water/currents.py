@@ -1,0 +1,239 @@
+"""What the controller believes of the water along its prediction: the estimate, a map corrected by it, what was
+estimated where, or nothing."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol, TypeAlias
+
+import numpy as np
+
+from autopilot.control.water.current_memory import CurrentMemory
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import NavHealth, NavState
+
+Pointwise: TypeAlias = Callable[[tuple[float, float, float], float], tuple[float, float, float]]
+"""Position NED [m] and time [s] -> velocity NED [m/s]."""
+
+MATERIAL_M_S = 0.03
+"""A forecast that has changed by more than this is another one: a tenth of the usual cruise speed."""
+
+TANK_SCALE_M = 1.0
+"""Length over which the current in a tank changes: a jet of a thruster, 0.7 m wide."""
+
+OPEN_WATER_SCALE_M = 10.0
+"""The same outdoors: eddies behind piers; correlation length of what ocean models miss."""
+
+FULL_WITHIN_M = 0.3
+"""The present correction holds in full so far round the vehicle, the acceptance ball of a goal; beyond it fades by a
+Gaussian of the field's scale."""
+
+LASTING_S = 30.0
+"""It does not fade with time within this: longer than any prediction of the controller."""
+
+FADE_S = 600.0
+"""Beyond, it fades exponentially: tides turn within hours."""
+
+
+class CurrentForecast(Protocol):
+    """Current at every stage of the prediction."""
+
+    def view(self, nav: NavState) -> NavState:
+        """The estimate as the controller is to take it; called once per control step, before everything else."""
+        ...
+
+    def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
+        """Write the current (n, 3) at predicted positions (n, 3), ``t_s`` (n,) after ``nav``."""
+        ...
+
+    def revision(self, nav: NavState) -> int:
+        """Grows when the forecast is another one (by MATERIAL_M_S) than at the last revision: time to plan anew."""
+        ...
+
+    def within(self, fence: Fence) -> None:
+        """Learn of the fence in force; called when there is another one."""
+        ...
+
+
+class CurrentField(Protocol):
+    """A current that is known beforehand: :class:`autopilot.control.water.current_map.CurrentMap`, or a formula."""
+
+    @property
+    def scale_m(self) -> float:
+        """Length over which it, and what it misses, changes."""
+        ...
+
+    def velocity(self, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
+        """(m, 3) NED [m/s] at places (m, 3) and times (m,) of the service's clock."""
+        ...
+
+    def drift_m_s(self, before_s: float, after_s: float) -> float:
+        """By how much it changes at most between two times."""
+        ...
+
+
+class PointwiseField:
+    """A formula for one place as a :class:`CurrentField`."""
+
+    def __init__(self, field: Pointwise, scale_m: float = TANK_SCALE_M) -> None:
+        self._field = field
+        self.scale_m = scale_m
+
+    def velocity(self, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
+        """See :class:`CurrentField`."""
+        field = self._field
+        places, times = pos_ned_m.tolist(), t_s.tolist()
+        return np.array([field((x, y, z), t) for (x, y, z), t in zip(places, times, strict=True)]).reshape(-1, 3)
+
+    def drift_m_s(self, before_s: float, after_s: float) -> float:
+        """Looked at in the origin: formulas change everywhere alike (tides) or not at all."""
+        here = (0.0, 0.0, 0.0)
+        return math.dist(self._field(here, before_s), self._field(here, after_s))
+
+
+def _no_drift(before_s: float, after_s: float) -> float:
+    """Of what does not change with time."""
+    return 0.0
+
+
+class Revision:
+    """Counts how often a vector has moved by MATERIAL_M_S, or time by as much as changes a field so far."""
+
+    def __init__(self, drift_m_s: Callable[[float, float], float] = _no_drift) -> None:
+        self._drift_m_s = drift_m_s
+        self._seen_m_s: FloatArray | None = None
+        self._seen_s = 0.0
+        self.count = 0
+
+    def look(self, value_m_s: FloatArray, now_s: float) -> int:
+        """The count after having looked at a vector (3,)."""
+        if self._seen_m_s is None:
+            self._seen_m_s, self._seen_s = value_m_s.copy(), now_s
+        moved_m_s = float(np.abs(value_m_s - self._seen_m_s).max())
+        if moved_m_s > MATERIAL_M_S or self._drift_m_s(self._seen_s, now_s) > MATERIAL_M_S:
+            self._seen_m_s, self._seen_s = value_m_s.copy(), now_s
+            self.count += 1
+        return self.count
+
+
+class _Anywhere:
+    """A forecast that does not depend on the fence."""
+
+    def within(self, fence: Fence) -> None:
+        """Nothing to learn."""
+
+
+class EstimatedCurrent(_Anywhere):
+    """The estimate holds over the whole horizon."""
+
+    def __init__(self) -> None:
+        self._revision = Revision()
+
+    def view(self, nav: NavState) -> NavState:
+        """Unchanged."""
+        return nav
+
+    def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
+        """The same everywhere."""
+        out[:] = nav.current_ned_m_s
+
+    def revision(self, nav: NavState) -> int:
+        """Another estimate."""
+        return self._revision.look(nav.current_ned_m_s, nav.t_us * 1e-6)
+
+
+class _Corrected(_Anywhere, ABC):
+    """A belief of the water and a memory of what it lacked where; both corrected by what they lack here and now."""
+
+    def __init__(self, scale_m: float, drift_m_s: Callable[[float, float], float] = _no_drift) -> None:
+        self._scale_m = scale_m
+        self._memory = CurrentMemory(scale_m)
+        self._revision = Revision(drift_m_s)
+
+    @abstractmethod
+    def _lesson(self, nav: NavState) -> FloatArray:
+        """(3,) what the memory is to learn here."""
+
+    def view(self, nav: NavState) -> NavState:
+        """Unchanged; learns from it."""
+        if nav.health is NavHealth.GOOD and bool(np.isfinite(nav.current_ned_m_s).all()):
+            self._memory.learn(nav.t_us, nav.pos_ned_m, self._lesson(nav), float(nav.variance[9:11].mean()))
+        return nav
+
+    def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
+        """Belief and memory at each predicted place and time, plus the correction as far as it holds there and then."""
+        forecast = self._forecast(nav, np.vstack((pos_ned_m, nav.pos_ned_m)), np.append(t_s, 0.0))
+        out[:] = forecast[:-1]
+        share = correction_share(nav, pos_ned_m, t_s, self._scale_m)
+        out += share[:, None] * (nav.current_ned_m_s - forecast[-1])
+
+    def revision(self, nav: NavState) -> int:
+        """The estimate surprises by something else than at the last revision, or the belief has moved on."""
+        here = self._forecast(nav, nav.pos_ned_m[None], np.zeros(1))[0]
+        return self._revision.look(nav.current_ned_m_s - here, nav.t_us * 1e-6)
+
+    @abstractmethod
+    def _forecast(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
+        """(n, 3) belief and memory at places, ``t_s`` after ``nav``."""
+
+
+class RememberedCurrent(_Corrected):
+    """Near visited places what was estimated there, elsewhere the present estimate."""
+
+    def __init__(self, scale_m: float = TANK_SCALE_M) -> None:
+        super().__init__(scale_m)
+
+    def _lesson(self, nav: NavState) -> FloatArray:
+        return nav.current_ned_m_s
+
+    def _forecast(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
+        return self._memory.recall(nav.t_us, pos_ned_m, nav.current_ned_m_s)
+
+
+class MappedCurrent(_Corrected):
+    """A map of the current, and near visited places what it lacked there."""
+
+    def __init__(self, field: CurrentField) -> None:
+        super().__init__(field.scale_m, field.drift_m_s)
+        self._field = field
+
+    def _lesson(self, nav: NavState) -> FloatArray:
+        here = self._field.velocity(nav.pos_ned_m[None], np.array([nav.t_us * 1e-6]))[0]
+        lack: FloatArray = nav.current_ned_m_s - here
+        return lack
+
+    def _forecast(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
+        on_map = self._field.velocity(pos_ned_m, t_s + nav.t_us * 1e-6)
+        return on_map + self._memory.recall(nav.t_us, pos_ned_m, np.zeros(3))
+
+
+def correction_share(
+    nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, scale_m: float = TANK_SCALE_M
+) -> FloatArray:
+    """(n,) how much of the present correction holds at places and times: all of it round the vehicle, within LASTING_S.
+
+    A vehicle that holds its goal predicts to stay there. A correction that faded along that prediction would announce a
+    current that never comes, and the plan would lean against it: an offset from the goal. Hence no fading in time
+    within the horizon, and none in space within the acceptance ball.
+    """
+    way_m = np.maximum(np.sqrt(np.square(pos_ned_m - nav.pos_ned_m).sum(axis=1)) - FULL_WITHIN_M, 0.0)
+    share: FloatArray = np.exp(-0.5 * np.square(way_m / scale_m) - np.maximum(t_s - LASTING_S, 0.0) / FADE_S)
+    return share
+
+
+class NoCurrent(_Anywhere):
+    """Unaware of currents: speed over ground is taken for speed in the water."""
+
+    def view(self, nav: NavState) -> NavState:
+        """The estimate without a current."""
+        return replace(nav, current_ned_m_s=np.zeros(3), vel_water_frd_m_s=nav.vel_frd_m_s)
+
+    def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
+        """Still water."""
+        out[:] = 0.0
+
+    def revision(self, nav: NavState) -> int:
+        """Still water stays still."""
+        return 0

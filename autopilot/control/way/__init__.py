@@ -1,0 +1,1 @@
+"""The way to a goal: routes round obstacles, and the reference along them."""

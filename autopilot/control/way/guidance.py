@@ -1,0 +1,327 @@
+"""Guidance: from a goal to what the optimiser is to follow.
+
+Two kinds share one interface: the route guidance marches along a free path at cruise speed (the paper's quadratic
+cost), the energy guidance follows a trajectory of least energy (:mod:`autopilot.control.energy`).
+"""
+
+import cmath
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.nmpc.ocp import TERMINAL_STAGES
+from autopilot.control.water.currents import CurrentForecast
+from autopilot.control.way.desks import Mishaps
+from autopilot.control.way.planner import Planner
+from autopilot.control.way.reference import TURN_AHEAD_M, Route, Target, build_reference, turn_target
+from autopilot.core import model4
+from autopilot.core.desk import Cancel, Desk, Ticket
+from autopilot.core.frames import FloatArray, unwrap_near
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import EnergyPlan, Goal, NavState, Severity
+from autopilot.core.model4 import NU, YAW, Model4, R, U
+from autopilot.core.params import ParamSet
+
+VELOCITY_WEIGHTS = (8.0, 8.0, 8.0, 0.5)
+"""Weights on u, v, w [1/(m/s)^2] and r [1/(rad/s)^2]: enough to hold the cruise speed."""
+
+REPLAN_DISTANCE_M = 0.3
+REPLAN_INTERVAL_US = 1_000_000
+"""A vehicle that has been pushed this far off its route gets a new one, at most once a second."""
+
+ANSWER_STEPS = 2
+"""A route that is not a straight line comes so many control steps after it was asked for: 0.1 s at 20 Hz."""
+
+PATIENCE_STEPS = 20
+"""Goals and fences that change faster than routes are found: after so many steps (1 s) without an answer the open
+search is left to end, and its route is taken if it is free."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Situation:
+    """What guidance goes by in one step."""
+
+    t_us: int
+    x0: FloatArray
+    """(8,) state at which the plan begins, yaw on the turn of the last steps."""
+    nav: NavState
+    goal: Goal
+    params: ParamSet
+    fence: Fence
+    planner: Planner
+    """Of the fence in force."""
+    radius_m: float
+    """That ways keep from every boundary."""
+    forecast: CurrentForecast
+    speed_cap_m_s: float
+    """Planar speed through the water that may be asked for."""
+    thrust_limit_n: FloatArray
+    """(4,)"""
+    last_plan: FloatArray | None = None
+    """(N+1, 8) what the optimiser predicted on the last step, from then on; None if it had no plan."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Reference:
+    """What the optimiser compares its prediction with, and how it weighs the difference."""
+
+    x: FloatArray
+    """(N+1, 8)"""
+    thrust_n: FloatArray
+    """(N, 4)"""
+    weight_x: FloatArray
+    """(8,) or (N-1, 8)"""
+    weight_u: FloatArray
+    """(4,) or (N, 4)"""
+    terminal: FloatArray
+    """(8, 8)"""
+    fresh: bool
+    """It has nothing to do with the last one: the optimiser starts anew from it."""
+    plan: EnergyPlan | None = None
+    """On the step on which it came into force."""
+
+
+class Guidance(Protocol):
+    """One instance per vehicle; deterministic."""
+
+    @property
+    def unreachable(self) -> bool:
+        """True while there is no way to the goal; the vehicle holds its place."""
+        ...
+
+    def reset(self) -> None:
+        """Forget everything (after disarming, a jump of the estimate)."""
+        ...
+
+    def reference(self, situation: Situation) -> Reference:
+        """The reference for this step."""
+        ...
+
+    def ahead(self, here: FloatArray) -> FloatArray:
+        """(m, 2) the way from ``here`` (2,) to the goal, first row here, for display."""
+        ...
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """Severity and text of what the operator or the log should know since the last call."""
+        ...
+
+
+class SteadyThrust:
+    """Thrust that holds velocities through the water."""
+
+    def __init__(self, model: Model4) -> None:
+        self._model = model
+        self._inverse = np.linalg.inv(np.array(model.allocation)).T.copy()
+
+    def __call__(self, nu: FloatArray) -> FloatArray:
+        """(m, 4) thrust for velocities (m, 4) u, v, w, r: drag, buoyancy and Munk moment against T_A tau."""
+        force = np.empty_like(nu)
+        force.T[:] = model4.steady_force(self._model, (nu[:, 0], nu[:, 1], nu[:, 2], nu[:, 3]), np)
+        thrust: FloatArray = force @ self._inverse
+        return thrust
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RouteRequest:
+    """A way that is to be looked for."""
+
+    planner: Planner
+    start_ned_m: FloatArray
+    """(2,)"""
+    goal_ned_m: FloatArray
+    """(2,)"""
+    goal_key: tuple[float, ...]
+
+
+def search_route(request: RouteRequest, cancel: Cancel) -> FloatArray | None:
+    """(m, 2) a free path, None if there is none."""
+    return request.planner.path(request.start_ned_m, request.goal_ned_m, cancel)
+
+
+class RouteGuidance:
+    """Marches along the shortest free path at cruise speed over ground.
+
+    A straight way is taken at once. Another one is looked for beside the loop; until it is there the vehicle goes on
+    with the route that it has, if that is free, or else holds its place.
+    """
+
+    def __init__(self, model: Model4, grid: TimeGrid, desk: Desk) -> None:
+        self._t_s = grid.t_s
+        self._steady = SteadyThrust(model)
+        self._desk = desk
+        self._ticket: Ticket[FloatArray | None] | None = None
+        self._mishaps = Mishaps("route search", "Route search failed: holding, send another goal")
+        self.unreachable = False
+        self.reset()
+
+    def reset(self) -> None:
+        """See :class:`Guidance`."""
+        self._withdraw()
+        self._step = 0
+        self._asked: RouteRequest | None = None
+        self._asked_first = 0
+        self._goal_key: tuple[float, ...] | None = None
+        self._planner: Planner | None = None
+        self._route: Route | None = None
+        self._route_planner: Planner | None = None
+        self._s = 0.0
+        self._routed_us = 0
+        self._yaw_target: float | None = None
+        self._hold: FloatArray | None = None
+        self.unreachable = False
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """See :class:`Guidance`."""
+        return self._mishaps.take_news()
+
+    def reference(self, situation: Situation) -> Reference:
+        """See :class:`Guidance`."""
+        fresh, route = self._update(situation)
+        x = self._march(situation, route)
+        params = situation.params
+        q = params["MPC_Q_POS"]
+        weight_x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
+        return Reference(
+            x=x,
+            thrust_n=self._steady(x[:-1, U : R + 1]),
+            weight_x=weight_x,
+            weight_u=np.full(NU, params["MPC_R_THRUST"]),
+            terminal=np.diag(TERMINAL_STAGES * weight_x),
+            fresh=fresh,
+        )
+
+    @property
+    def searching(self) -> bool:
+        """While a route is being looked for."""
+        return self._ticket is not None
+
+    def ahead(self, here: FloatArray) -> FloatArray:
+        """See :class:`Guidance`."""
+        route = self._route
+        return here[None] if route is None or self.unreachable else route.ahead(here, self._s)
+
+    def _update(self, now: Situation) -> tuple[bool, Route]:
+        """Whether the route is another one, and the route."""
+        goal, x0 = now.goal, now.x0
+        self._step += 1
+        key = (
+            *(float(p) for p in goal.pos_ned_m),
+            0.0 if goal.yaw_rad is None else goal.yaw_rad,
+            float(goal.yaw_rad is None),
+        )
+        if self._goal_key is None or key[3:] != self._goal_key[3:]:
+            self._yaw_target = None
+        if key != self._goal_key:
+            self.unreachable = False
+        changed = key != self._goal_key or now.planner is not self._planner
+        self._goal_key, self._planner = key, now.planner
+        fresh = self._answered(now)
+        route = self._route
+        if route is not None and not fresh:
+            self._s, off = route.project(x0[:2], self._s)
+            pushed = (off > REPLAN_DISTANCE_M or self.unreachable) and self._ticket is None
+            if not changed and pushed and now.t_us - self._routed_us >= REPLAN_INTERVAL_US:
+                fresh = self._look(now)
+        if changed:
+            fresh |= self._look(now) or self._make_do(now)
+        assert self._route is not None
+        return fresh, self._route
+
+    def _look(self, now: Situation) -> bool:
+        """Go straight to the goal if that is free (True), else ask for a way."""
+        start, goal = now.x0[:2].copy(), np.array(now.goal.pos_ned_m[:2], dtype=float)
+        self._routed_us = now.t_us
+        if now.planner.sees(start, goal):
+            self._withdraw()
+            self._take(now, np.stack([start, goal]), now.planner)
+            return True
+        if self._ticket is None:
+            self._asked_first = self._step
+        elif self._step - self._asked_first >= PATIENCE_STEPS:
+            return False
+        self._withdraw()
+        assert self._goal_key is not None
+        asked = RouteRequest(planner=now.planner, start_ned_m=start, goal_ned_m=goal, goal_key=self._goal_key)
+        self._asked = asked
+        self._ticket = self._desk.submit(self._step + ANSWER_STEPS, search_route, asked)
+        return False
+
+    def _answered(self, now: Situation) -> bool:
+        """Put the answer into force, if there is one. Whether the route is another one then."""
+        answer = None if self._ticket is None else self._ticket.poll(self._step)
+        asked = self._asked
+        if answer is None or asked is None:
+            return False
+        self._ticket = self._asked = None
+        path = answer.value
+        newest = asked.planner is now.planner and asked.goal_key == self._goal_key
+        if answer.error is None:
+            self._mishaps.succeeded()
+        else:
+            self._mishaps.failed(answer.error, felt=newest)
+        if newest:
+            return self._take(now, path, asked.planner)
+        # It has been overtaken, but it is the newest that there is.
+        usable = path is not None and now.planner.free(path)
+        fresh = usable and self._take(now, path, now.planner)
+        return self._look(now) or fresh
+
+    def _take(self, now: Situation, path: FloatArray | None, planner: Planner) -> bool:
+        """Go along a path, or hold the place without one. Whether the route is another one."""
+        self.unreachable = path is None
+        if path is None:
+            return self._stay(now)
+        self._hold = None
+        self._route, self._route_planner = Route(path), planner
+        self._s, _ = self._route.project(now.x0[:2], 0.0)
+        return True
+
+    def _make_do(self, now: Situation) -> bool:
+        """Until there is a way: the route in force if it is free, else the place. Whether the route is another one."""
+        route, same = self._route, now.planner is self._route_planner
+        if route is None or self._hold is not None:
+            return self._stay(now)
+        if not (same or now.planner.free(route.ahead(now.x0[:2], self._s))):
+            return self._stay(now)
+        self._route_planner = now.planner
+        return False
+
+    def _stay(self, now: Situation) -> bool:
+        """Hold the place, or go on holding it. Whether the route is another one."""
+        if self._hold is not None and self._route is not None:
+            return False
+        self._hold = now.x0.copy()
+        self._route, self._route_planner, self._s = Route(np.stack([now.x0[:2]] * 2)), now.planner, 0.0
+        return True
+
+    def _withdraw(self) -> None:
+        if self._ticket is not None:
+            self._ticket.cancel()
+        self._ticket = None
+
+    def _march(self, now: Situation, route: Route) -> FloatArray:
+        """References (N+1, 8) along the route; chooses the way round to the heading."""
+        hold, goal, x0, params = self._hold, now.goal, now.x0, now.params
+        if hold is not None:
+            self._yaw_target = float(hold[YAW])
+        elif goal.yaw_rad is not None:
+            self._yaw_target = turn_target(float(x0[YAW]), goal.yaw_rad, self._yaw_target)
+        elif route.length_m - self._s > TURN_AHEAD_M or self._yaw_target is None:
+            look = route.point(min(self._s + TURN_AHEAD_M, route.length_m)) - complex(x0[0], x0[1])
+            if abs(look) > 0.5 * TURN_AHEAD_M:
+                self._yaw_target = unwrap_near(cmath.phase(look), float(x0[YAW]))
+            elif self._yaw_target is None:
+                self._yaw_target = float(x0[YAW])
+        target = Target(
+            route=route,
+            s0_m=self._s,
+            depth_m=float(goal.pos_ned_m[2] if hold is None else hold[2]),
+            yaw_rad=self._yaw_target,
+            cruise_m_s=goal.speed_m_s,
+            speed_limit_m_s=now.speed_cap_m_s,
+            heave_limit_m_s=params["SPD_HEAVE_MAX"],
+            yaw_rate_limit_rad_s=params["SPD_YAW_MAX"],
+        )
+        return build_reference(self._t_s, x0, target, now.nav.current_ned_m_s)

@@ -1,0 +1,1 @@
+"""A recorded run once more, on the desk."""

@@ -1,0 +1,120 @@
+"""The composition root: puts the service and, for SITL, its simulated world together."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from autopilot import __version__
+from autopilot.command.commander import Commander
+from autopilot.command.readiness import MarginCheck
+from autopilot.command.service import Autopilot, Parts
+from autopilot.control.controller import MotionController
+from autopilot.control.energy.request import TrajectoryPlanner
+from autopilot.control.thrust.allocation import Allocation
+from autopilot.control.water.currents import CurrentForecast
+from autopilot.control.way.desks import Desks
+from autopilot.core.desk import Desk
+from autopilot.core.errors import PlanError
+from autopilot.core.guard import Guard
+from autopilot.core.markers import MarkerMap
+from autopilot.core.params import ParamSet
+from autopilot.core.plan import PlanKind
+from autopilot.core.vehicle import Vehicle
+from autopilot.mavlink.api import ParamSaving
+from autopilot.mavlink.server import MavlinkServer
+from autopilot.replay.setup import options_of
+from autopilot.run.config import system_id
+from autopilot.run.provenance import revision
+from estimator.protocol import create_estimator
+from mission.geodesy import Origin
+from mission.plan_files import PlanFile
+from mission.store import Plans, WaterCheck
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ServiceSetup:
+    """What distinguishes one service from another."""
+
+    vehicle: Vehicle
+    params: ParamSet
+    origin: Origin
+    markers: MarkerMap | None
+    """The surveyed floor, None without one."""
+    floor_depth_m: float | None
+    """Depth of the floor that the laser points at, None = unknown."""
+    estimator: str
+    profile: str
+    instance: int
+    currents: CurrentForecast
+    """What the controller is told of the water."""
+    water: WaterCheck | None = None
+    """Judges workspaces by a current map, None without one."""
+    links: int
+    """Number of MAVLink links that are open from the start."""
+    patience: float
+    """How much faster than a client's clock this service's time may run (plan transfers wait so much longer)."""
+    saving: ParamSaving | None = None
+    """Where parameters are kept that operators set, None = nowhere."""
+    waits_for_plans: bool
+    """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
+
+
+def build_service(
+    setup: ServiceSetup, *, desks: Desks | None = None, trajectories: TrajectoryPlanner | None = None
+) -> tuple[Autopilot, Parts]:
+    """The service and its parts (the runtime needs some of them for persistence and the log).
+
+    ``desks``: where the controller has its slow work done, a thread per kind of work without any; ``trajectories``:
+    who plans by energy, the shipped planner without any.
+    """
+    params, vehicle = setup.params, setup.vehicle
+    desks = desks or Desks.beside(patient=setup.waits_for_plans)
+    checks = Desk(ThreadPoolExecutor(1, thread_name_prefix="plans"), patient=setup.waits_for_plans)
+    plans = Plans(params, vehicle.radius_m, setup.origin, setup.water, checks)
+    controller = MotionController(vehicle, currents=setup.currents, desks=desks, trajectories=trajectories)
+    check = MarginCheck(controller.margins, params, plans)
+    commander = Commander(vehicle, params, plans, controller_check=check, speed_m_s=check.planar_speed_m_s)
+    guard = Guard()
+    parts = Parts(
+        guard=guard,
+        desks=(*desks.lanes, checks),
+        vehicle=vehicle,
+        params=params,
+        plans=plans,
+        estimator=create_estimator(
+            setup.estimator,
+            vehicle,
+            setup.markers,
+            floor_depth_m=setup.floor_depth_m,
+            options=options_of(params),
+            shadow=params["EST_SHADOW"] > 0.0,
+        ),
+        controller=controller,
+        allocation=Allocation(vehicle.drive),
+        commander=commander,
+        server=MavlinkServer(
+            sysid=system_id(params, setup.instance),
+            profile=setup.profile,
+            params=params,
+            plans=plans,
+            vehicle=commander,
+            version=__version__,
+            git=revision(),
+            uid=setup.instance + 1,
+            links=range(setup.links),
+            patience=setup.patience,
+            guard=guard,
+            saving=setup.saving,
+        ),
+    )
+    return Autopilot(parts), parts
+
+
+def load_plan(plans: Plans, plan: PlanFile, origin: str) -> str:
+    """Take fence, mission and rally of a plan file, before the loop runs. The result is why they cannot be flown yet,
+    "" if they can. PlanError with the reason when a plan is wrong by itself."""
+    for kind, items in ((PlanKind.FENCE, plan.fence), (PlanKind.MISSION, plan.mission), (PlanKind.RALLY, plan.rally)):
+        if items:
+            rejection = plans.replace(kind, items)
+            if rejection is not None:
+                raise PlanError(f"{origin}: {kind.name.lower()}: {rejection.reason}")
+    return plans.problem

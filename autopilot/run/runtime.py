@@ -1,0 +1,410 @@
+"""The loop round ``Autopilot.step``: devices, links, log and pace. The same code at any speed.
+
+The device may be a simulated vehicle: it is advanced to the time of the tick before it is asked for samples, which is
+all that lockstep needs. With a speed the loop waits for its clock and counts the ticks that began late; without one it
+runs as fast as the machine allows and time is what the tick says.
+"""
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol, TypeVar
+
+from autopilot.command.service import Autopilot
+from autopilot.core.clock import TICK_US, Clock
+from autopilot.core.errors import DriverError
+from autopilot.core.guard import Guard
+from autopilot.core.marks import LoopPart, Stopwatch
+from autopilot.core.messages import (
+    DeviceRole,
+    DeviceTrouble,
+    Event,
+    Inputs,
+    LoopStats,
+    MavlinkFrame,
+    Outputs,
+    Severity,
+    ThrusterCommand,
+)
+from autopilot.core.samples import CameraFrame, Sample
+from autopilot.run.transport import Transport
+from drivers.protocols import Link
+from estimator.vision_lane import VisionWorker
+
+SERVE_MARGIN_S = 0.0005
+"""Serving ends so long before a tick."""
+STATS_EVERY_TICKS = 100
+"""Loop statistics once per second."""
+
+NO_SAMPLES: Sequence[Sample] = ()
+NO_PICTURES: Sequence[CameraFrame] = ()
+
+MAX_SHOWN_FAULTS = 20
+"""Kinds of internal faults that are shown on the console; all are in the log."""
+
+T = TypeVar("T")
+
+
+class Device(Protocol):
+    """The vehicle's hardware, real or simulated."""
+
+    def advance(self, t_us: int) -> None:
+        """Let the outside world go on to ``t_us``."""
+        ...
+
+    def poll(self, t_us: int) -> Sequence[Sample]:
+        """Samples that have arrived by ``t_us``."""
+        ...
+
+    def frames(self, t_us: int) -> Sequence[CameraFrame]:
+        """Images that have arrived by ``t_us``."""
+        ...
+
+    def write(self, t_us: int, command: ThrusterCommand) -> None:
+        """Drive the thrusters."""
+        ...
+
+    # What cannot be had raises DriverError or OSError, is told to the service, and tried again on the next tick.
+
+    def close(self) -> None:
+        """Thrusters to neutral, devices closed."""
+        ...
+
+
+class Recorder(Protocol):
+    """Where every tick is recorded."""
+
+    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
+        """Log one tick."""
+        ...
+
+    def loop_stats(self, stats: LoopStats) -> None:
+        """Log the health of the loop."""
+        ...
+
+    @property
+    def dropped(self) -> int:
+        """Messages lost so far."""
+        ...
+
+
+class Peer(Protocol):
+    """An in-process MAVLink client that lives in the same time as the vehicle (scripted operators, tests)."""
+
+    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        """Datagrams that the vehicle sent since the last call -> datagrams for the vehicle."""
+        ...
+
+
+class PacedClock:
+    """Wall clock scaled by ``speed``."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._start_s = time.monotonic()
+
+    def now_us(self) -> int:
+        """Scaled microseconds since the clock was made."""
+        return int((time.monotonic() - self._start_s) * 1e6 * self._speed)
+
+    def wait_until(self, t_us: int) -> int:
+        """Sleep until ``t_us``."""
+        time.sleep(self.left_s(t_us))
+        return self.now_us()
+
+    def left_s(self, t_us: int) -> float:
+        """Real seconds until ``t_us``."""
+        return max(0.0, (t_us - self.now_us()) * 1e-6 / self._speed)
+
+
+class LockstepClock:
+    """Time is what the loop says: no waiting, never late."""
+
+    def __init__(self) -> None:
+        self._t_us = 0
+
+    def now_us(self) -> int:
+        """Time of the present tick."""
+        return self._t_us
+
+    def wait_until(self, t_us: int) -> int:
+        """Jump."""
+        self._t_us = t_us
+        return t_us
+
+    def left_s(self, t_us: int) -> float:
+        """Nothing to wait for."""
+        return 0.0
+
+
+def make_clock(speed: float) -> Clock:
+    """Speed 0 = as fast as possible."""
+    return PacedClock(speed) if speed > 0.0 else LockstepClock()
+
+
+@dataclass(slots=True)
+class LoopCounters:
+    """What the loop has seen so far."""
+
+    ticks: int = 0
+    overruns: int = 0
+    worst_tick_s: float = 0.0
+    """Wall time of the longest tick."""
+    cpu_load: float = 0.0
+
+
+class Runtime:
+    """Owns the outside world of one service."""
+
+    def __init__(
+        self,
+        service: Autopilot,
+        device: Device,
+        vision: VisionWorker | None,
+        links: Sequence[Link],
+        recorder: Recorder,
+        clock: Clock,
+        *,
+        peers: Sequence[Peer] = (),
+        on_tick: Callable[[Outputs], None] = lambda _: None,
+        paced: bool = False,
+        notices: Callable[[], Sequence[tuple[Severity, str]]] = lambda: (),
+    ) -> None:
+        """``notices``: what operators should know of the outside world (severity, text), asked for once per tick."""
+        self._notices = notices
+        self._service = service
+        self._step: Callable[[Inputs], Outputs] = service.step
+        self._device = device
+        self._vision = vision
+        self._between_rx: list[MavlinkFrame] = []
+        self._between_tx: list[MavlinkFrame] = []
+        self._recorder = recorder
+        self._clock = clock
+        self._peers = tuple(peers)
+        self._on_tick = on_tick
+        self._paced = paced
+        self._troubles: list[DeviceTrouble] = []
+        self._guard = Guard()
+        self._transport = Transport(links, guard=self._guard)
+        self._shown_faults: set[tuple[str, str]] = set()
+        self._rest: ThrusterCommand | None = None
+        self._peer_rx: list[MavlinkFrame] = []
+        self._cpu_mark_s = time.process_time()
+        self._busy_s = 0.0
+        self._worst_tick_s = 0.0
+        self.watch = Stopwatch()
+        """What the parts of the present tick have cost so far."""
+        service.marks = self.watch
+        self.counters = LoopCounters()
+
+    def take_over(self, frames: Sequence[MavlinkFrame]) -> None:
+        """What came over the links before the first tick; it is received with that."""
+        self._peer_rx += frames
+
+    def wrap_step(self, step: Callable[[Inputs], Outputs]) -> None:
+        """Put something round ``Autopilot.step`` (benchmarks that time it)."""
+        self._step = step
+
+    def run(self, *, duration_s: float | None, stop: Callable[[], bool]) -> None:
+        """Tick until ``duration_s`` of vehicle time have passed or ``stop`` says so; then close everything."""
+        end_tick = None if duration_s is None else round(duration_s * 1e6 / TICK_US)
+        tick = 0
+        try:
+            while not stop() and (end_tick is None or tick < end_tick):
+                tick += 1
+                self.tick(tick * TICK_US)
+        finally:
+            self.close()
+
+    def tick(self, t_us: int) -> Outputs:
+        """One tick: wait, gather, step, act, record."""
+        in_time = self._clock.now_us() <= t_us
+        late_us = self._wait(t_us) - t_us
+        if late_us > TICK_US:
+            self.counters.overruns += 1
+        watch, self._guard.t_us = self.watch, t_us
+        watch.begin(1e-6 * late_us if in_time else 0.0)
+        self._try(t_us, DeviceRole.SENSORS, lambda: self._device.advance(t_us), None)
+        self.attend()
+        frames = self._try(t_us, DeviceRole.CAMERA, lambda: self._device.frames(t_us), NO_PICTURES)
+        samples = list(self._try(t_us, DeviceRole.SENSORS, lambda: self._device.poll(t_us), NO_SAMPLES))
+        watch.mark(LoopPart.DEVICE)
+        if self._vision is not None:
+            samples += self._try(t_us, DeviceRole.CAMERA, partial(self._look, self._vision, t_us, frames), NO_SAMPLES)
+            watch.mark(LoopPart.VISION)
+        inputs = Inputs(
+            t_us=t_us,
+            samples=tuple(samples),
+            mavlink_rx=self._receive(t_us),
+            overruns=self.counters.overruns,
+            cpu_load=self.counters.cpu_load,
+            troubles=tuple(self._troubles),
+            pictures=() if self._vision is None else self._vision.take_reports(),
+            frame_counts=None if self._vision is None else self._vision.counters(),
+            notices=(
+                *self._transport.take_notices(t_us),
+                *(Event(t_us=t_us, severity=severity, text=text) for severity, text in self._notices()),
+            ),
+        )
+        self._troubles = []
+        watch.mark(LoopPart.RECEIVE)
+        outputs = self._step(inputs)
+        watch.mark(LoopPart.ALLOCATE)
+        self._drive(t_us, outputs)
+        watch.mark(LoopPart.WRITE)
+        outputs = self._with_faults(outputs)
+        self._send(t_us, outputs.mavlink_tx)
+        watch.mark(LoopPart.SEND)
+        guard = self._guard
+        guard.run("log", lambda: self._recorder.record(*self._with_between(inputs, outputs), frames), None)
+        guard.run("outside", lambda: self._on_tick(outputs), None)
+        watch.mark(LoopPart.RECORD)
+        self._account(t_us, watch.end())
+        return outputs
+
+    def close(self) -> None:
+        """Thrusters neutral first, then links and threads."""
+        try:
+            self._device.close()
+        finally:
+            if self._vision is not None:
+                self._vision.close()
+            self._transport.close()
+
+    # Devices
+
+    def _look(self, vision: VisionWorker, t_us: int, frames: Sequence[CameraFrame]) -> list[Sample]:
+        """Sightings that are there, and the new pictures handed in."""
+        failed = vision.failed
+        found: list[Sample] = [*vision.collect(t_us)]
+        if vision.failed > failed:
+            text = "detection fails at its pictures"
+            self._troubles.append(DeviceTrouble(t_us=t_us, device=DeviceRole.CAMERA, text=text))
+        for frame in frames:
+            vision.submit(t_us, frame, self._service.nav)
+        return found
+
+    def _try(self, t_us: int, device: DeviceRole, work: Callable[[], T], otherwise: T) -> T:
+        """Use a device; one that fails is told to the service with the next tick, which goes on without it."""
+        try:
+            return work()
+        except (DriverError, OSError) as error:
+            text = str(error)
+        except Exception as error:  # noqa: BLE001 - a driver's own fault: kept, or raised again where the guard is set to
+            self._guard.note(f"device {device.name.lower()}", error)
+            text = f"internal fault ({type(error).__name__})"
+        self._troubles.append(DeviceTrouble(t_us=t_us, device=device, text=text))
+        return otherwise
+
+    def _drive(self, t_us: int, outputs: Outputs) -> None:
+        """Command the thrusters; when that fails, neutral at least is tried."""
+        if not outputs.mode.armed:
+            self._rest = outputs.command
+        before = len(self._troubles)
+        self._try(t_us, DeviceRole.THRUSTERS, lambda: self._device.write(t_us, outputs.command), None)
+        rest = self._rest
+        if len(self._troubles) > before and rest is not None:
+            self._try(t_us, DeviceRole.THRUSTERS, lambda: self._device.write(t_us, rest), None)
+            del self._troubles[before + 1 :]
+
+    def _with_faults(self, outputs: Outputs) -> Outputs:
+        """Faults of drivers join the service's; the first of each kind is shown where the service was started."""
+        faults = outputs.faults + self._guard.take() + (() if self._vision is None else self._vision.guard.take())
+        for fault in faults:
+            if fault.key not in self._shown_faults and len(self._shown_faults) < MAX_SHOWN_FAULTS:
+                self._shown_faults.add(fault.key)
+                _show(f"{fault.line}\n{fault.traceback}")
+        return replace(outputs, faults=faults) if faults else outputs
+
+    # Links
+
+    def attend(self) -> None:
+        """What cannot wait while the loop does: a HEARTBEAT, when none has gone out for too long in real time."""
+        if self._transport.beat_due:
+            beat = self._service.beat()
+            self._transport.send(beat)
+            if self._paced:  # else the log would depend on how fast the machine is
+                self._between_tx += beat
+
+    def _wait(self, t_us: int) -> int:
+        """Until the tick begins. What comes meanwhile over the links is served when time is real."""
+        self.attend()
+        if self._paced:
+            while (left_s := self._clock.left_s(t_us) - SERVE_MARGIN_S) > 0.0:
+                self._serve(t_us, left_s)
+                self.attend()
+        return self._clock.wait_until(t_us)
+
+    def _serve(self, t_us: int, left_s: float) -> None:
+        """Wait for the links and let the service answer what is urgent; it is logged with the tick that follows."""
+        received = self._transport.wait(t_us, left_s)
+        if not received:
+            return
+        begin_s = time.perf_counter()
+        now_us = min(max(self._clock.now_us(), t_us - TICK_US), t_us - 1)
+        answers = self._service.serve(now_us, received)
+        self._transport.send(answers)
+        self._between_rx += received
+        self._between_tx += answers
+        self._busy_s += time.perf_counter() - begin_s
+
+    def _receive(self, t_us: int) -> tuple[MavlinkFrame, ...]:
+        received = self._transport.receive(t_us) + self._peer_rx
+        self._peer_rx = []
+        return tuple(received)
+
+    def _send(self, t_us: int, frames: Sequence[MavlinkFrame]) -> None:
+        self._transport.send(frames)
+        for offset, peer in enumerate(self._peers):
+            index = len(self._transport) + offset
+            mine = [frame.data for frame in (*self._between_tx, *frames) if frame.link in (index, -1)]
+            self._peer_rx += [MavlinkFrame(link=index, data=data) for data in peer.step(t_us, mine)]
+
+    def _with_between(self, inputs: Inputs, outputs: Outputs) -> tuple[Inputs, Outputs]:
+        """A tick for the log: with what was received and sent since the tick before."""
+        rx, tx, self._between_rx, self._between_tx = self._between_rx, self._between_tx, [], []
+        if rx:
+            inputs = replace(inputs, mavlink_rx=(*rx, *inputs.mavlink_rx))
+        if tx:
+            outputs = replace(outputs, mavlink_tx=(*tx, *outputs.mavlink_tx))
+        return inputs, outputs
+
+    def _account(self, t_us: int, tick_s: float) -> None:
+        counters = self.counters
+        counters.ticks += 1
+        self._busy_s += tick_s
+        self._worst_tick_s = max(self._worst_tick_s, tick_s)
+        if counters.ticks % STATS_EVERY_TICKS:
+            return
+        cpu_s = time.process_time()
+        part_s, part_cpu_s = self.watch.take_slowest()
+        self._recorder.loop_stats(
+            LoopStats(
+                t_us=t_us,
+                tick_s=self._worst_tick_s,
+                cpu_s=cpu_s - self._cpu_mark_s,
+                overruns=counters.overruns,
+                dropped_log=self._recorder.dropped,
+                dropped_frames=0 if self._vision is None else self._vision.dropped,
+                part_s=part_s,
+                part_cpu_s=part_cpu_s,
+            )
+        )
+        if self._paced:
+            counters.cpu_load = min(1.0, self._busy_s / (STATS_EVERY_TICKS * TICK_US * 1e-6))
+        counters.worst_tick_s = max(counters.worst_tick_s, self._worst_tick_s)
+        self._cpu_mark_s, self._busy_s, self._worst_tick_s = cpu_s, 0.0, 0.0
+
+
+def _show(text: str) -> None:
+    """On the console, from a thread: a held terminal or a pipe that nobody reads must not stop the loop."""
+
+    def write() -> None:
+        with contextlib.suppress(OSError, ValueError):
+            print(text, file=sys.stderr)
+
+    threading.Thread(target=write, name="fault", daemon=True).start()

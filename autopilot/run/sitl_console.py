@@ -1,0 +1,173 @@
+"""What the console shows of a SITL run: what the operator is told, and what only the simulation can know.
+
+Contacts and obstacles that the fence does not have come from the simulated world; the service never hears of them here.
+"""
+
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import Outputs, ProgressState, Severity
+from autopilot.core.plan import PlanKind
+from autopilot.core.vehicle import Vec2
+from autopilot.run.sitl_session import SitlSession
+from mission.shapes import clearance_m
+from sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, PrismObstacle, Scenario
+
+REPEAT_US = 5_000_000
+"""The same line is not shown twice within this time."""
+KNOWN_M = 0.02
+"""A fence comes over the wire on a grid of 11 mm: an obstacle may stand out of its shape by so much."""
+RIM_POINTS = 24
+MAX_WAITING = 1000
+"""Lines that wait for a console that does not take them."""
+
+Print = Callable[[str], None]
+
+
+class Console:
+    """Prints beside the loop: a terminal that is held or a pipe that nobody reads stops no vehicle."""
+
+    def __init__(self) -> None:
+        self._lines: queue.Queue[str | None] = queue.Queue(MAX_WAITING)
+        self._thread = threading.Thread(target=self._run, name="console", daemon=True)
+        self._thread.start()
+
+    def print(self, line: str) -> None:
+        """Print when the console takes it; lines beyond what can wait are dropped."""
+        try:
+            self._lines.put_nowait(line)
+        except queue.Full:
+            return
+
+    def close(self, patience_s: float = 2.0) -> None:
+        """Print what waits, if the console takes it."""
+        try:
+            self._lines.put(None, timeout=patience_s)
+        except queue.Full:
+            return
+        self._thread.join(patience_s)
+
+    def _run(self) -> None:
+        while (line := self._lines.get()) is not None:
+            try:
+                print(line, flush=True)
+            except (OSError, ValueError):  # nobody reads any more
+                return
+
+
+class RunWatch:
+    """Follows a run tick by tick: lines for the console, contacts, and whether the mission is complete."""
+
+    def __init__(self, session: SitlSession, show: Print) -> None:
+        self._session = session
+        self._show = show
+        self._shown_us: dict[str, int] = {}
+        self._armed = self._was_active = False
+        self._looked_at: int | None = None
+        self.contacts = 0
+        """Contacts so far."""
+        self.complete = False
+        """The mission has been complete."""
+        self.over = False
+        """Nothing will complete it any more: the operator in this process does not start it twice."""
+
+    def step(self, outputs: Outputs) -> None:
+        """Look at a tick."""
+        for event in outputs.events:
+            if event.severity < Severity.DEBUG:
+                mark = "" if event.severity > Severity.WARNING else "! "
+                self._line(outputs.t_us, f"{mark}{event.text}")
+        self._look_for_contacts(outputs.t_us)
+        armed, begins = outputs.mode.armed, outputs.mode.armed and not self._armed
+        self._look_at_the_fence(outputs.t_us, arming=begins)
+        state = None if outputs.progress is None else outputs.progress.state
+        self._was_active |= armed and state is ProgressState.ACTIVE
+        self.complete |= self._was_active and state is ProgressState.COMPLETE
+        self.over |= self._was_active and not armed and self._session.operator is not None
+        self._armed = armed
+
+    @property
+    def ended(self) -> bool:
+        """Whether a run that is to end with its mission ends now."""
+        return self.complete or self.over
+
+    def _line(self, t_us: int, text: str) -> None:
+        if t_us - self._shown_us.get(text, -REPEAT_US) >= REPEAT_US:
+            self._shown_us = {line: when for line, when in self._shown_us.items() if t_us - when < REPEAT_US}
+            self._shown_us[text] = t_us
+            self._show(f"{t_us * 1e-6:8.2f} s  {text}")
+
+    def _look_for_contacts(self, t_us: int) -> None:
+        truth = self._session.device.truth
+        if truth.contact_count > self.contacts:
+            self.contacts = truth.contact_count
+            x, y, z = truth.pos_ned_m
+            depth_mm = 1e3 * truth.contact_depth_m
+            self._line(
+                t_us, f"! Contact {self.contacts}: {depth_mm:.0f} mm at north {x:.2f}, east {y:.2f}, depth {z:.2f} m"
+            )
+
+    def _look_at_the_fence(self, t_us: int, *, arming: bool) -> None:
+        """Say which obstacles of the scenario the fence does not have: with every plan, and at arming at the latest."""
+        plans = self._session.parts.plans
+        if plans.revision == self._looked_at:
+            return
+        if arming or any(plans.items(kind) for kind in (PlanKind.MISSION, PlanKind.FENCE)):
+            self._looked_at = plans.revision
+            for text in unknown_obstacles(self._session.scenario, self._session.parts.commander.fence):
+                self._line(t_us, f"! {text}")
+
+
+def unknown_obstacles(scenario: Scenario, fence: Fence) -> tuple[str, ...]:
+    """What stands or moves in the scenario where the fence lets the vehicle go; one line for each."""
+    texts = []
+    for number, obstacle in enumerate(scenario.obstacle, start=1):
+        where = _outline(obstacle)
+        if _reachable(where, fence).any():
+            x, y = np.round(where.mean(axis=0), 2) + 0.0  # no -0.00
+            sensed = isinstance(obstacle, MovingObstacle) or (
+                isinstance(obstacle, CylinderObstacle) and obstacle.surprise
+            )
+            told = "only the obstacle sensor may tell of it" if sensed else "the vehicle does not know it, add it"
+            texts.append(f"Obstacle {number} at north {x:.2f}, east {y:.2f} m is not in the fence: {told}")
+    if scenario.tank is not None and _reachable(_walls(scenario.tank.polygon_m), fence).any():
+        texts.append("The tank's walls are not in the fence: draw the area in which the vehicle may go")
+    return tuple(texts)
+
+
+def _walls(polygon_m: Sequence[Vec2]) -> FloatArray:
+    """(n, 2) points of the walls."""
+    corners = np.array([*polygon_m, polygon_m[0]])
+    return np.vstack([a + np.linspace(0.0, 1.0, RIM_POINTS)[:, None] * (b - a) for a, b in pairwise(corners)])
+
+
+def _outline(obstacle: Obstacle) -> FloatArray:
+    """(n, 2) points of an obstacle's rim and inside, of a moving one along its path."""
+    if isinstance(obstacle, PrismObstacle):
+        return _walls(obstacle.polygon_m)
+    angles = np.linspace(0.0, 2.0 * np.pi, RIM_POINTS, endpoint=False)
+    rim = obstacle.radius_m * np.column_stack((np.cos(angles), np.sin(angles)))
+    disc = np.vstack((rim, 0.5 * rim, np.zeros((1, 2))))
+    if not isinstance(obstacle, MovingObstacle):
+        return np.asarray(disc + np.array(obstacle.center_m[:2]), dtype=np.float64)
+    corners = np.array(obstacle.path_m)
+    steps: Sequence[FloatArray] = [
+        a + share * (b - a) for a, b in pairwise(corners) for share in np.linspace(0.0, 1.0, RIM_POINTS)
+    ]
+    return np.vstack([disc + step for step in steps])
+
+
+def _reachable(points: FloatArray, fence: Fence) -> FloatArray:
+    """(n,) which of these places the fence does not forbid, by more than it is drawn inexactly."""
+    open_ = np.ones(len(points), dtype=bool)
+    for shape in fence.exclusions:
+        open_ &= clearance_m(shape, points) > KNOWN_M
+    for shape in fence.inclusions:
+        open_ &= clearance_m(shape, points) < -KNOWN_M
+    return np.asarray(open_)

@@ -1,0 +1,112 @@
+"""Draws the rooms of the code and the arrows between them from the imports: ``python docs/rooms.py --write``.
+
+A room is a folder of Python modules; ``autopilot/control`` has rooms of its own. The drawing is a Mermaid diagram in
+``docs/architecture.md``, between the lines ``rooms:begin`` and ``rooms:end``. What everything imports (``core``) and
+what imports everything (composition: command line, benchmarks, campaigns) is left out of the picture and stands in
+the table below it.
+"""
+
+import argparse
+import ast
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "architecture.md"
+TOPS = ("autopilot", "drivers", "estimator", "mission", "sitl")
+SPLIT = ("autopilot", "autopilot.control")
+"""Packages whose folders are rooms of their own."""
+
+UNDRAWN = ("autopilot", "autopilot.core", "autopilot.cli", "autopilot.bench", "autopilot.campaign")
+
+
+def modules() -> dict[str, Path]:
+    """Dotted name of each module of ours -> its file."""
+    found = {}
+    for top in TOPS:
+        for path in sorted((ROOT / top).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def room_of(module: str, path: Path) -> str:
+    """The room that a module lives in, e.g. ``autopilot.control.fence``."""
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    while package.rpartition(".")[0] not in ("", *SPLIT):
+        package = package.rpartition(".")[0]
+    return package
+
+
+def imports_of(path: Path, known: dict[str, Path]) -> set[str]:
+    """Modules of ours that a file imports, wherever in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names if alias.name in known)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                found.update(name for name in (full if full in known else node.module,) if name in known)
+    return found
+
+
+def arrows() -> dict[str, set[str]]:
+    """Room -> rooms that it imports from."""
+    known = modules()
+    rooms: dict[str, set[str]] = {room_of(module, path): set() for module, path in known.items()}
+    for module, path in known.items():
+        here = room_of(module, path)
+        rooms[here].update(room_of(name, known[name]) for name in imports_of(path, known))
+        rooms[here].discard(here)
+    return rooms
+
+
+def circles(rooms: dict[str, set[str]]) -> list[tuple[str, ...]]:
+    """Groups of rooms that can be reached from each other."""
+
+    def behind(room: str, seen: set[str]) -> set[str]:
+        for name in rooms[room] - seen:
+            seen.add(name)
+            behind(name, seen)
+        return seen
+
+    reach = {room: behind(room, set()) for room in rooms}
+    groups = {tuple(sorted({a, *(b for b in reach[a] if a in reach[b])})) for a in rooms if a in reach[a]}
+    return sorted(groups)
+
+
+def drawing() -> str:
+    """The diagram and the table, as they stand in the page."""
+    rooms = arrows()
+    short = {room: room.removeprefix("autopilot.") for room in rooms}
+    lines = ["```mermaid", "flowchart TD"]
+    for room in sorted(rooms):
+        if room not in UNDRAWN:
+            lines += [f"    {short[room]} --> {short[name]}" for name in sorted(rooms[room]) if name not in UNDRAWN]
+    lines += ["```", "", "| room | imports from |", "| --- | --- |"]
+    lines += [
+        f"| `{short[room]}` | {', '.join(short[name] for name in sorted(rooms[room])) or 'nothing of ours'} |"
+        for room in sorted(rooms)
+    ]
+    return "\n".join(lines)
+
+
+def page_with(text: str) -> str:
+    """The page with this drawing in it."""
+    page = PAGE.read_text(encoding="utf-8")
+    block = f"<!-- rooms:begin -->\n{text}\n<!-- rooms:end -->"
+    changed, count = re.subn(r"<!-- rooms:begin -->.*?<!-- rooms:end -->", lambda _: block, page, flags=re.DOTALL)
+    if count != 1:
+        raise SystemExit(f"{PAGE.name}: needs one pair of rooms:begin and rooms:end lines, has {count}")
+    return changed
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help="put the drawing into docs/architecture.md")
+    if parser.parse_args().write:
+        PAGE.write_text(page_with(drawing()), encoding="utf-8")
+    else:
+        sys.stdout.write(drawing() + "\n")

@@ -1,0 +1,63 @@
+"""An operator in the vehicle's own time: arms and starts the plan that is already on board, over MAVLink.
+
+Lives in the same process and the same simulated time as the service (:class:`autopilot.run.runtime.Peer`), so that a
+whole mission is reproducible bit for bit.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+GCS_SYSTEM, GCS_COMPONENT = 255, 190
+"""Ids of an ordinary ground station (MAV_COMP_ID_MISSIONPLANNER)."""
+
+HEARTBEAT_US = 1_000_000
+RETRY_US = 1_000_000
+"""A refused or unanswered command is sent again after this time."""
+
+ARM, START = 400, 300
+"""MAV_CMD_COMPONENT_ARM_DISARM, MAV_CMD_MISSION_START (common.xml)."""
+
+
+class ScriptedOperator:
+    """Arms until accepted, starts the mission until accepted, then only keeps its heartbeat going."""
+
+    def __init__(self, target_system: int) -> None:
+        from pymavlink.dialects.v20 import development
+
+        self._dialect = development
+        self._mav = development.MAVLink(None, srcSystem=GCS_SYSTEM, srcComponent=GCS_COMPONENT)
+        self._mav.robust_parsing = True
+        self._target = target_system
+        self._todo = [(ARM, 1.0), (START, 0.0)]
+        self._sent_us = -RETRY_US
+        self._heartbeat_us = -HEARTBEAT_US
+
+    @property
+    def started(self) -> bool:
+        """Whether the mission start was accepted."""
+        return not self._todo
+
+    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        """One tick: read answers, send what is due."""
+        if self._todo:
+            for data in received:
+                for message in self._mav.parse_buffer(data) or ():
+                    self._hear(message)
+        out: list[bytes] = []
+        if t_us - self._heartbeat_us >= HEARTBEAT_US:
+            self._heartbeat_us = t_us
+            out.append(self._pack(self._mav.heartbeat_encode(6, 8, 0, 0, 4)))
+        if self._todo and t_us - self._sent_us >= RETRY_US:
+            self._sent_us = t_us
+            command, param1 = self._todo[0]
+            out.append(self._pack(self._mav.command_long_encode(self._target, 1, command, 0, param1, 0, 0, 0, 0, 0, 0)))
+        return out
+
+    def _hear(self, message: Any) -> None:
+        answered = message.get_type() == "COMMAND_ACK" and self._todo and message.command == self._todo[0][0]
+        if answered and message.result == 0:
+            self._todo.pop(0)
+            self._sent_us = -RETRY_US
+
+    def _pack(self, message: Any) -> bytes:
+        return bytes(message.pack(self._mav))
