@@ -45,7 +45,7 @@ def board(file: str | None, **options: Any) -> None:
     """Make printable sheets in true size (PDF and SVG) and the map file, of a grid, a whole floor or the map FILE."""
     from autopilot.core.marker_files import load_marker_map, marker_file_text
     from autopilot.markermaps.page import pdf_bytes, svg_text
-    from autopilot.markermaps.sheets import make_sheets, paper_of, plane_of
+    from autopilot.markermaps.sheets import make_sheets, on_sheets, paper_of, plane_of
 
     heading = math.radians(options["heading"])
     given = [
@@ -63,7 +63,8 @@ def board(file: str | None, **options: Any) -> None:
         pitch_m = options["size"] + options["gap"]
         title = "floor" if options["floor"] is not None else "board"
     paper = paper_of(options["paper"], options["landscape"], options["margin"])
-    pages = make_sheets(plane_of(layout, heading, pitch_m), paper, title)
+    plane = plane_of(layout, heading, pitch_m)
+    pages = make_sheets(plane, paper, title)
     folder = Path(options["out"])
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "board.pdf").write_bytes(pdf_bytes(pages))
@@ -71,9 +72,9 @@ def board(file: str | None, **options: Any) -> None:
         (folder / f"sheet-{number:03d}.svg").write_text(svg_text(page), encoding="utf-8")
     notes = [
         f"{title}: {len(layout.ids)} markers on {len(pages)} sheets of {options['paper']}",
-        "as printed; survey it once it is laid",
+        "as printed; survey it once it is laid, or say with sigma_m and sigma_rad how well",
     ]
-    (folder / "map.toml").write_text(marker_file_text(layout, notes), encoding="utf-8")
+    (folder / "map.toml").write_text(marker_file_text(on_sheets(plane, paper), notes), encoding="utf-8")
     click.echo(f"{folder}: {len(layout.ids)} markers on {len(pages)} sheets (board.pdf, sheet-NNN.svg), map.toml")
     click.echo("print at 100 % and measure the scale bar")
 

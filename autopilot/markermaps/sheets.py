@@ -6,7 +6,8 @@ numbers of its pitch, and sheets meet in the middle of the gaps.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from autopilot.core.dictionaries import opencv_dictionary
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
+from autopilot.core.map_errors import Laid, map_errors
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.markermaps.page import Page, Text
 
@@ -112,6 +114,41 @@ def plane_of(markers: MarkerMap, heading_rad: float, pitch_m: float | None) -> P
 
 def make_sheets(plane: Plane, paper: Paper, title: str) -> list[Page]:
     """All pages, row by row. ConfigError if a marker does not fit on the paper."""
+    cut = _cut(plane, paper)
+    pages = []
+    for number, (row, column) in enumerate(cut.used.tolist(), start=1):
+        inside = np.flatnonzero(cut.page == number)
+        origin = cut.start_m + cut.cell_m * np.array([column, row])
+        name = f"{title}: sheet {number} of {len(cut.used)} (row {row + 1}, column {column + 1})"
+        pages.append(_page(plane, paper, inside, origin, cut.size_m, name))
+    return pages
+
+
+def on_sheets(plane: Plane, paper: Paper) -> MarkerMap:
+    """The map with each marker on the sheet that :func:`make_sheets` prints it on, named by its number.
+
+    What is said of how well single sheets were laid no longer holds. ConfigError as there."""
+    page = _cut(plane, paper).page
+    markers = plane.markers
+    heading = np.full(len(page), plane.heading_rad)
+    laid = [Laid(sheet=f"{number}") for number in page.tolist()]
+    return replace(markers, errors=map_errors(markers.centers_ned_m, heading, laid))
+
+
+class _Cut(NamedTuple):
+    """How the plane is cut into pages."""
+
+    start_m: FloatArray
+    cell_m: FloatArray
+    size_m: FloatArray
+    """(2,) upper left corner of the first page, from page to page, and of what is cut out."""
+    used: IntArray
+    """(k, 2) row and column of the pages, in their order."""
+    page: IntArray
+    """(n,) number of each marker's page, from 1."""
+
+
+def _cut(plane: Plane, paper: Paper) -> _Cut:
     low, high = plane.low_m, plane.high_m
     largest = (high - low).max(axis=0)
     window = np.array(paper.window_m)
@@ -129,16 +166,10 @@ def make_sheets(plane: Plane, paper: Paper, title: str) -> list[Page]:
         cell = plane.pitch_m * np.maximum(np.floor(window / plane.pitch_m + 1e-9), 1.0)
         size = np.minimum(cell, window)
     where = np.floor((low - start) / cell + 1e-9).astype(np.int64)
-    used = np.unique(where[:, ::-1], axis=0)
+    used, page = np.unique(where[:, ::-1], axis=0, return_inverse=True)
     if len(used) > MAX_PAGES:
         raise ConfigError(f"{len(used)} sheets would be needed and at most {MAX_PAGES} are made; use larger paper")
-    pages = []
-    for number, (row, column) in enumerate(used.tolist(), start=1):
-        inside = np.flatnonzero((where[:, 0] == column) & (where[:, 1] == row))
-        origin = start + cell * np.array([column, row])
-        name = f"{title}: sheet {number} of {len(used)} (row {row + 1}, column {column + 1})"
-        pages.append(_page(plane, paper, inside, origin, size, name))
-    return pages
+    return _Cut(start, cell, size, used, np.asarray(page, dtype=np.int64).reshape(-1) + 1)
 
 
 def _page(plane: Plane, paper: Paper, inside: IntArray, origin_m: FloatArray, size_m: FloatArray, name: str) -> Page:

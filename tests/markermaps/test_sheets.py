@@ -148,6 +148,22 @@ def test_a_whole_floor_has_every_marker_once() -> None:
     assert sum(" E " in text and "mm;" not in text for text in labels) == 625
 
 
+def test_the_map_names_the_sheets_that_were_printed(tmp_path: Path) -> None:
+    """A plan fits one grid all over: without names it would pass for one sheet, and for exact."""
+    layout = board(tmp_path, "--floor", "1.2", "0.9", "--paper", "A3", "--heading", "20")
+    assert layout.errors is not None
+    svg = sorted(tmp_path.glob("sheet-*.svg"))
+    assert sorted(layout.errors.names) == sorted(f"{number}" for number in range(1, len(svg) + 1))
+    assert (layout.errors.sigma[:, :2] == 0.005).all()
+    for number, path in enumerate(svg, start=1):
+        text = path.read_text(encoding="utf-8")
+        assert f"sheet {number} of {len(svg)}" in text
+        for n in np.flatnonzero(layout.errors.sheet == layout.errors.names.index(f"{number}")):
+            assert f">{layout.ids[n]}  N " in text
+    alone = board(tmp_path / "one", "--rows", "3", "--columns", "2")
+    assert alone.errors is None
+
+
 def test_sheets_meet_in_the_middle_of_the_gaps() -> None:
     floor = grid(0.8)
     for page in make_sheets(plane_of(floor, 0.0, 0.08), paper_of("A4", False, 5.0), "floor"):
