@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle
+from autopilot.core.shapes import boundary_gap_m, boundary_point, bounding_box, clearance_m
 from mission.fence import FenceShape
-from mission.shapes import boundary_gap_m, boundary_point, bounding_box, clearance_m
 
 TOUCH_M = 0.02
 """Boundaries nearer than this touch: each coordinate is rounded to 1e-7 degrees, 11 mm."""

@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.free_space import Area, FreeSpace, bounding_box, workspace_of
+from autopilot.core.free_space import Area, FreeSpace, workspace_of
 from autopilot.core.geometry import Fence
+from autopilot.core.shapes import bounding_box
 from mission.fence import fence_clearance_m
 from mission.room import Room
 

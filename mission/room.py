@@ -5,59 +5,13 @@ grid, :meth:`Room.near` only looks at shapes where they are nearer than a distan
 north, east [m]; clearance is positive where the vehicle may be and negative in what the fence forbids.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Shape
-from mission.shapes import PAIRS, bounding_box
-
-BoolArray = NDArray[np.bool_]
-
-_TINY = 1e-300
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Edges:
-    """Edges of polygons, (m,) each."""
-
-    start_n: FloatArray
-    start_e: FloatArray
-    end_n: FloatArray
-    end_e: FloatArray
-
-    @classmethod
-    def of(cls, polygons: Sequence[FloatArray]) -> "_Edges":
-        """All edges of polygons (k, 2) one after the other."""
-        if not polygons:
-            nothing = np.zeros(0)
-            return cls(nothing, nothing, nothing, nothing)
-        starts = np.concatenate(polygons)
-        ends = np.concatenate([np.roll(vertices, -1, axis=0) for vertices in polygons])
-        return cls(starts[:, 0], starts[:, 1], ends[:, 0], ends[:, 1])
-
-    def offsets(self, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, m) from the nearest point of each edge to each place: north, east."""
-        rel_n = places[:, :1] - self.start_n
-        rel_e = places[:, 1:] - self.start_e
-        along_n, along_e = self.end_n - self.start_n, self.end_e - self.start_e
-        length_sq = np.maximum(along_n**2 + along_e**2, _TINY)
-        share = np.clip((rel_n * along_n + rel_e * along_e) / length_sq, 0.0, 1.0)
-        return rel_n - share * along_n, rel_e - share * along_e
-
-    def crossed(self, places: FloatArray) -> BoolArray:
-        """(n, m) whether the ray from each place to the north crosses each edge (even-odd rule)."""
-        # Coordinates are compared, not differences: a corner has to be on the same side for both of its edges.
-        north, east = places[:, :1], places[:, 1:]
-        spans = (self.start_e > east) != (self.end_e > east)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            slant = (self.end_n - self.start_n) / (self.end_e - self.start_e)
-            hit = north < self.start_n + (east - self.start_e) * slant
-        result: BoolArray = spans & hit
-        return result
+from autopilot.core.shapes import PAIRS, Edges, bounding_box, signed_m
 
 
 class Room:
@@ -72,7 +26,7 @@ class Room:
         self._centers = np.array([c.center_ned_m for c in circles]).reshape(-1, 2)
         self._radii = np.array([c.radius_m for c in circles])
         polygons = [np.asarray(s.vertices_ned_m) for s, _ in shapes if not isinstance(s, Circle)]
-        self._edges = _Edges.of(polygons)
+        self._edges = Edges.of(polygons)
         self._first = np.cumsum([0] + [len(p) for p in polygons[:-1]]) if polygons else np.zeros(0, dtype=int)
         self._sign = np.array([-1.0 if inclusion else 1.0 for _, inclusion in shapes])
 
@@ -122,7 +76,7 @@ class Room:
                 away = np.ones(len(places), dtype=bool)
                 away[at] = False
                 best[away], slope[away] = -reach_m, 0.0
-            signed, uphill = _signed(shape, places[at], reach_m)
+            signed, uphill = signed_m(shape, places[at], reach_m)
             if inclusion:
                 signed, uphill = -signed, -uphill
             less = signed < best[at]
@@ -130,49 +84,3 @@ class Room:
         cut = np.abs(best) >= reach_m
         slope[cut] = 0.0
         return np.clip(best, -reach_m, reach_m), slope
-
-
-def _signed(shape: Shape, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
-    """(n,) distance to a shape, negative inside, at least ``reach_m`` where it is more; (n, 2) its slope."""
-    if isinstance(shape, Circle):
-        off = places - shape.center_ned_m
-        length = np.hypot(off[:, 0], off[:, 1])
-        return length - shape.radius_m, off / np.maximum(length, _TINY)[:, None]
-    edges = _Edges.of([np.asarray(shape.vertices_ned_m)])
-    distance, north, east = np.full(len(places), reach_m), np.zeros(len(places)), np.zeros(len(places))
-    odd = np.zeros(len(places), dtype=bool)
-    for at, some in _blocks(edges, places, reach_m):
-        off_n, off_e = some.offsets(places[at])
-        square = off_n * off_n + off_e * off_e
-        pick = np.argmin(square, axis=1)
-        rows = np.arange(len(pick))
-        found = np.sqrt(square[rows, pick])
-        less = found < distance[at]
-        to = at[less]
-        distance[to], north[to], east[to] = found[less], off_n[rows, pick][less], off_e[rows, pick][less]
-    for at, some in _blocks(edges, places, None):
-        odd[at] ^= np.logical_xor.reduce(some.crossed(places[at]), axis=1)
-    sign = np.where(odd, -1.0, 1.0)
-    slope = np.stack((north, east), axis=1) * (sign / np.maximum(distance, _TINY))[:, None]
-    return sign * distance, slope
-
-
-def _blocks(edges: _Edges, places: FloatArray, reach_m: float | None) -> Iterator[tuple[NDArray[np.intp], _Edges]]:
-    """Places and edges in portions; with a reach, edges of large shapes only with the places near them."""
-    count, everywhere = len(edges.start_n), np.arange(len(places))
-    if count * len(places) <= 2 * PAIRS:
-        yield everywhere, edges
-        return
-    for k in range(count):
-        one = _Edges(*(a[k : k + 1] for a in (edges.start_n, edges.start_e, edges.end_n, edges.end_e)))
-        if reach_m is None:
-            low, high = np.sort((one.start_e[0], one.end_e[0]))
-            near = (places[:, 1] >= low) & (places[:, 1] <= high)
-        else:
-            near = np.ones(len(places), dtype=bool)
-            for axis, start, end in ((0, one.start_n[0], one.end_n[0]), (1, one.start_e[0], one.end_e[0])):
-                low, high = np.sort((start, end))
-                near &= (places[:, axis] >= low - reach_m) & (places[:, axis] <= high + reach_m)
-        at = everywhere[near]
-        if len(at):
-            yield at, one

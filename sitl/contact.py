@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from autopilot.core.shapes import is_inside
 from autopilot.core.vehicle import Vec2, Vec3
 from sitl.moving import MovingPath
 
@@ -86,17 +87,6 @@ class ContactRecord:
     t_us: int
     what: str
     max_depth_m: float
-
-
-def inside_polygon(polygon: Sequence[Vec2], x: float, y: float) -> bool:
-    """Even-odd rule; the vertices are not closed."""
-    inside = False
-    ax, ay = polygon[-1]
-    for bx, by in polygon:
-        if (ay > y) != (by > y) and x < ax + (y - ay) * (bx - ax) / (by - ay):
-            inside = not inside
-        ax, ay = bx, by
-    return inside
 
 
 def _feet(polygon: Sequence[Vec2], x: float, y: float) -> list[tuple[float, float]]:
@@ -192,7 +182,7 @@ class Surroundings:
         fx, fy = min(_feet(solid.polygon_ned_m, x, y), key=lambda foot: math.hypot(x - foot[0], y - foot[1]))
         dx, dy = x - fx, y - fy
         distance = math.hypot(dx, dy)
-        if inside_polygon(solid.polygon_ned_m, x, y):
+        if is_inside(solid.polygon_ned_m, x, y):
             dx, dy, distance = -dx, -dy, -distance
         size = abs(distance)
         out = (dx / size, dy / size) if size > 0.0 else (1.0, 0.0)

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.shapes import is_inside
 from autopilot.core.vehicle import Vec2, Vec3
-from sitl.contact import Cylinder, MovingCylinder, Prism, Solid, Sphere, inside_polygon
+from sitl.contact import Cylinder, MovingCylinder, Prism, Solid, Sphere
 from sitl.currents import CurrentField, Uniform, current_field
 from sitl.moving import MovingPath
 from sitl.scenario import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
@@ -44,7 +45,7 @@ def build_world(scenario: Scenario) -> World:
             solids.append(Sphere(name=name, center_ned_m=obstacle.center_m, radius_m=obstacle.radius_m))
     tank = scenario.tank
     x, y, z = scenario.vehicle.start_m
-    if tank is not None and not (inside_polygon(tank.polygon_m, x, y) and z <= tank.depth_m):
+    if tank is not None and not (is_inside(tank.polygon_m, x, y) and z <= tank.depth_m):
         raise ConfigError(
             f"scenario {scenario.scenario.name!r}: `$.vehicle.start_m` = [{x:g}, {y:g}, {z:g}] is outside the tank;"
             " move it inside"

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.geometry import Circle, Fence, Shape
+from autopilot.core.geometry import Fence
+from autopilot.core.shapes import bounding_box
 
 IntArray: TypeAlias = NDArray[np.intp]
 BoolArray: TypeAlias = NDArray[np.bool_]
@@ -74,15 +75,6 @@ class Area:
     """(2,) north, east"""
     high_m: FloatArray
     """(2,)"""
-
-
-def bounding_box(shape: Shape) -> tuple[FloatArray, FloatArray]:
-    """Corners (2,) with the smallest and the largest north and east."""
-    if isinstance(shape, Circle):
-        center = np.asarray(shape.center_ned_m, dtype=float)
-        return center - shape.radius_m, center + shape.radius_m
-    vertices = np.asarray(shape.vertices_ned_m, dtype=float)
-    return vertices.min(axis=0), vertices.max(axis=0)
 
 
 def workspace_of(fence: Fence) -> Area | None:

@@ -17,6 +17,7 @@ from autopilot.core.dictionaries import DICTIONARY_SIZES, dictionary_size
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import MapErrors
+from autopilot.core.shapes import inside_polygon
 
 IntArray: TypeAlias = NDArray[np.int64]
 
@@ -157,7 +158,7 @@ def grid_floor(
     cells = np.array([(i, j) for i in range(count[0]) for j in range(count[1])], dtype=np.int64).reshape(-1, 2)
     centers = start + pitch_m * cells
     squares = centers[:, None, :] + 0.5 * pitch_m * CORNER_SIGNS * (1.0 - 1e-9)
-    fits = _inside_polygon(squares.reshape(-1, 2), polygon).reshape(-1, 4).all(axis=1)
+    fits = inside_polygon(polygon, squares.reshape(-1, 2)).reshape(-1, 4).all(axis=1)
     cells, centers = cells[fits], centers[fits]
     if len(cells) == 0:
         raise ConfigError(
@@ -194,15 +195,3 @@ def _assign_ids(cells: IntArray, pitch_m: float, n_ids: int, rng: np.random.Gene
         grid[row, column] = ids[n] = chosen
         used[chosen] += 1
     return ids
-
-
-def _inside_polygon(points: FloatArray, polygon: FloatArray) -> NDArray[np.bool_]:
-    """Whether points (n, 2) lie inside a simple polygon (k, 2), by crossings of a ray."""
-    inside = np.zeros(len(points), dtype=bool)
-    x, y = points[:, 0], points[:, 1]
-    for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        if y0 == y1:
-            continue
-        crosses = (y0 > y) != (y1 > y)
-        inside ^= crosses & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
-    return inside

@@ -14,9 +14,9 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Outputs, ProgressState, Severity
 from autopilot.core.plan import PlanKind
+from autopilot.core.shapes import clearance_m
 from autopilot.core.vehicle import Vec2
 from autopilot.run.sitl_session import SitlSession
-from mission.shapes import clearance_m
 from sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, PrismObstacle, Scenario
 
 REPEAT_US = 5_000_000

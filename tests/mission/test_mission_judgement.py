@@ -14,11 +14,11 @@ from autopilot.core.desk import Cancel, WithdrawnError
 from autopilot.core.geometry import Circle, Polygon, Shape
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
+from autopilot.core.shapes import boundary_gap_m, clearance_m
 from mission.fence import read_fence
 from mission.gaps import narrow_gaps
 from mission.judgement import PLAN_PARAMETERS, Question, Verdict, judge
 from mission.room import Room
-from mission.shapes import boundary_gap_m, clearance_m
 from mission.store import CHECK_TICKS, Plans
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plant_helpers import NEUTRAL, VEHICLE, body_with, kinetic_energy_j, plant
 
 from autopilot.core.errors import ConfigError
-from sitl.contact import STIFFNESS_N_M, Cylinder, Prism, Sphere, Surroundings, inside_polygon
+from sitl.contact import STIFFNESS_N_M, Cylinder, Prism, Sphere, Surroundings, is_inside
 from sitl.plant import Plant
 from sitl.world import World
 
@@ -104,7 +104,7 @@ def test_a_start_inside_something_is_refused(start: tuple[float, float, float], 
 
 @given(st.floats(-14.7, 14.7), st.floats(-9.7, 9.7))
 def test_clearance_from_the_walls_is_the_smallest_distance_to_their_points(x: float, y: float) -> None:
-    if not inside_polygon(ELL, x, y):
+    if not is_inside(ELL, x, y):
         return
     room = surroundings(polygon_ned_m=ELL)
     points = [
@@ -125,10 +125,10 @@ def test_a_corner_that_points_inwards_pushes_once() -> None:
 
 
 def test_inside_of_a_polygon_that_is_not_convex() -> None:
-    assert inside_polygon(ELL, 0.0, 9.0)
-    assert inside_polygon(ELL, 14.0, 0.0)
-    assert not inside_polygon(ELL, 14.0, 9.0)
-    assert not inside_polygon(ELL, -16.0, 0.0)
+    assert is_inside(ELL, 0.0, 9.0)
+    assert is_inside(ELL, 14.0, 0.0)
+    assert not is_inside(ELL, 14.0, 9.0)
+    assert not is_inside(ELL, -16.0, 0.0)
 
 
 def test_a_sphere_is_touched_at_its_side_and_on_its_top() -> None:

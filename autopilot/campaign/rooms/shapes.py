@@ -6,7 +6,9 @@ from typing import TypeAlias
 
 import numpy as np
 
+from autopilot.core import shapes
 from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Polygon
 
 Point: TypeAlias = tuple[float, float]
 Corners: TypeAlias = tuple[Point, ...]
@@ -47,20 +49,7 @@ class Layout:
 
 def polygon_clearance_m(corners: Corners, place: Point) -> float:
     """Distance to the rim of a polygon, negative inside."""
-    points = np.array(corners)
-    starts, ends = points, np.roll(points, -1, axis=0)
-    along, rel = ends - starts, np.array(place) - starts
-    share = np.clip(np.sum(along * rel, axis=1) / np.maximum(np.sum(along * along, axis=1), 1e-12), 0.0, 1.0)
-    gap = float(np.min(np.hypot(*(rel - share[:, None] * along).T)))
-    return -gap if inside(points, place) else gap
-
-
-def inside(points: FloatArray, place: Point) -> bool:
-    """Winding number of a polygon (n, 2) round a place, by the angles that its sides cover."""
-    rel = points - np.array(place)
-    angle = np.arctan2(rel[:, 1], rel[:, 0])
-    turned = np.angle(np.exp(1j * (np.roll(angle, -1) - angle)))
-    return abs(float(np.sum(turned))) > math.pi
+    return float(shapes.clearance_m(Polygon(vertices_ned_m=np.array(corners)), np.array([place]))[0])
 
 
 def clearance_m(layout: Layout, place: Point) -> float:
@@ -132,7 +121,7 @@ def _on(foot: Point, unit: FloatArray, along: float) -> Point:
 
 def _chord(outline: FloatArray, foot: FloatArray, unit: FloatArray) -> tuple[float, float] | None:
     """From where to where a line through a place inside runs inside; None if the place is not inside."""
-    if not inside(outline, (float(foot[0]), float(foot[1]))):
+    if not shapes.inside_polygon(outline, foot[None])[0]:
         return None
     rel = outline - foot
     across = rel[:, 1] * unit[0] - rel[:, 0] * unit[1]

@@ -12,9 +12,10 @@ import numpy as np
 
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.frames import FloatArray
-from autopilot.core.free_space import Area, bounding_box, workspace_of
+from autopilot.core.free_space import Area, workspace_of
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import NavState
+from autopilot.core.shapes import bounding_box
 
 MAX_SAMPLES = 1500
 FINEST_SAMPLE_M = 0.1

@@ -18,8 +18,9 @@ from autopilot.control.fence.obstacles import Features
 from autopilot.control.way.shortest import lengths_from
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
-from autopilot.core.free_space import CHORD_LOSS_M, Area, FreeSpace, bounding_box, workspace_of
+from autopilot.core.free_space import CHORD_LOSS_M, Area, FreeSpace, workspace_of
 from autopilot.core.geometry import Fence
+from autopilot.core.shapes import bounding_box
 
 PLANNING_EXTRA_M = 0.04
 """Kept beyond the controller's own radius, so that the path lies where the controller can follow it with a margin, and

@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from autopilot.core.geometry import Circle, Polygon, Shape
-from mission.shapes import boundary_gap_m, clearance_m, crossing_edges, inside_polygon, signed_area_m2
+from autopilot.core.shapes import boundary_gap_m, clearance_m, crossing_edges, inside_polygon, is_inside, signed_area_m2
 
 coordinate = st.floats(-5.0, 5.0)
 point = st.tuples(coordinate, coordinate).map(np.array)
@@ -48,7 +48,10 @@ def _outline(shape: Shape, per_edge: int = 400) -> np.ndarray:
 @given(star_polygons(), point)
 def test_inside_agrees_with_the_winding_number(shape: Polygon, p: np.ndarray) -> None:
     assume(abs(clearance_m(shape, p[None])[0]) > 1e-6)
-    assert bool(inside_polygon(shape.vertices_ned_m, p[None])[0]) == (abs(_winding(shape.vertices_ned_m, p)) > 0.5)
+    vertices = shape.vertices_ned_m
+    inside = abs(_winding(vertices, p)) > 0.5
+    assert bool(inside_polygon(vertices, p[None])[0]) == inside
+    assert is_inside([(float(n), float(e)) for n, e in vertices], float(p[0]), float(p[1])) == inside
 
 
 @given(shapes, point)
