@@ -13,7 +13,8 @@ from typing import TypeVar
 import numpy as np
 
 from autopilot.command.camera_care import CameraCare
-from autopilot.command.commander import Commander, Decision
+from autopilot.command.commander import Commander
+from autopilot.command.decision import Decision
 from autopilot.command.failsafes import Conditions
 from autopilot.command.fault_care import DeviceCare, FaultCare
 from autopilot.control.controller import MotionController

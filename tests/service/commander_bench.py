@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from autopilot.command.commander import Commander, Decision
+from autopilot.command.commander import Commander
+from autopilot.command.decision import Decision
 from autopilot.command.failsafes import Conditions
 from autopilot.core.desk import Desk
 from autopilot.core.messages import NavHealth, NavState

@@ -10,7 +10,7 @@ from commander_bench import OK, Bench
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from autopilot.command.commander import CHECKING
+from autopilot.command.arming import CHECKING
 from autopilot.core import free_space
 from autopilot.core.desk import Cancel, Desk
 from autopilot.core.plan import PlanItem, PlanKind

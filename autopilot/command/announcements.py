@@ -1,0 +1,25 @@
+"""Lines for the operator, in the order in which they were said."""
+
+from autopilot.core.messages import Event, Severity
+
+
+class Announcements:
+    """Whoever decides says here what it does; the service passes it on once per tick."""
+
+    def __init__(self) -> None:
+        self.t_us = 0
+        """Time of the tick."""
+        self._events: list[Event] = []
+
+    def say(self, severity: Severity, text: str) -> None:
+        """A line of now."""
+        self._events.append(Event(t_us=self.t_us, severity=severity, text=text))
+
+    def pass_on(self, event: Event) -> None:
+        """A line with a time of its own."""
+        self._events.append(event)
+
+    def drain(self) -> tuple[Event, ...]:
+        """Lines since the last call."""
+        events, self._events = tuple(self._events), []
+        return events

@@ -1,0 +1,65 @@
+"""Why the vehicle must not be armed."""
+
+import math
+from collections.abc import Callable
+
+from autopilot.command.failsafes import Conditions, FailsafeRules
+from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.params import ParamSet
+from autopilot.core.phrases import PLAN_REASON
+from mission.geodesy import MAX_RANGE_M, far_text
+from mission.goals import Goals
+from mission.store import Plans
+
+CHECKING = "plan check is running, try again"
+"""What is said when parameters or origin have changed and the answer about the plans is not there yet."""
+
+STARTING = ("service is starting",)
+"""The reason before the first tick."""
+
+ControllerCheck = Callable[[NavState], tuple[str, ...]]
+"""What the controller has against arming with an estimate."""
+
+
+class ArmingChecks:
+    """All that is looked at before thrusters may turn."""
+
+    def __init__(
+        self, params: ParamSet, plans: Plans, goals: Goals, failsafes: FailsafeRules, controller_check: ControllerCheck
+    ) -> None:
+        self._params = params
+        self._plans = plans
+        self._goals = goals
+        self._failsafes = failsafes
+        self._controller_check = controller_check
+
+    def reasons(self, conditions: Conditions | None) -> tuple[str, ...]:
+        """Empty when ready; one line each."""
+        if conditions is None:
+            return STARTING
+        nav = conditions.nav
+        reasons = list(self._failsafes.prearm_reasons(conditions))
+        reasons += [] if nav is None else self._of_place(nav)
+        if self._params["DEPTH_MIN"] >= self._params["DEPTH_MAX"]:
+            reasons.append("the depth band is empty: set DEPTH_MIN below DEPTH_MAX")
+        if self._plans.checking:
+            reasons.append(CHECKING)
+        else:
+            reasons += self.of_plans
+        if nav is not None and nav.health is not NavHealth.INVALID:
+            reasons += self._controller_check(nav)
+        return tuple(reasons)
+
+    @property
+    def of_plans(self) -> tuple[str, ...]:
+        """What mission, fence and rally points have against it."""
+        return (PLAN_REASON + self._plans.problem,) if self._plans.problem else ()
+
+    def _of_place(self, nav: NavState) -> list[str]:
+        reasons = []
+        if self._goals.clearance_m(nav.pos_ned_m) < 0.0:
+            reasons.append("outside the fence or in an obstacle: check fence and origin")
+        distance_m = math.hypot(*nav.pos_ned_m[:2].tolist())
+        if not distance_m <= MAX_RANGE_M:
+            reasons.append(f"position is {far_text(distance_m)}")
+        return reasons

@@ -1,0 +1,20 @@
+"""What one tick has decided."""
+
+from dataclasses import dataclass
+
+from autopilot.core.messages import Goal, MissionProgress
+from autopilot.mavlink.api import FlightMode
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Decision:
+    """Of the commander, for everything after it in the tick."""
+
+    armed: bool
+    mode: FlightMode
+    goal: Goal | None
+    blind_ascent: bool
+    """Surface without a position: open-loop heave, everything else neutral."""
+    progress: MissionProgress
+    reached: tuple[int, ...]
+    failsafes: int

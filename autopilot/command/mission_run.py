@@ -1,0 +1,175 @@
+"""The mission in force: where it stands, what the current leaves of its legs, and whether the vehicle gets on."""
+
+import math
+from collections.abc import Callable
+from enum import IntEnum
+
+import numpy as np
+
+from autopilot.command.announcements import Announcements
+from autopilot.command.failsafes import Conditions
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Goal, NavState, Severity
+from autopilot.core.params import ParamSet
+from mission.items import ChangeSpeed, Jump, SetHeading, SetHome, Step
+from mission.sequencer import Sequencer, SequencerOutput
+from mission.store import Plans
+from mission.upstream import TOLD_M_S, MadeGood, SlowLeg, slowest_leg
+
+UPSTREAM_US = 5_000_000
+"""What the current leaves of the present leg is looked at so often: a vehicle that lies still does not know it yet."""
+
+
+class StuckAction(IntEnum):
+    """Values of WP_STUCK_ACT."""
+
+    WARN = 0
+    HOLD = 1
+    SKIP = 2
+    REFUSE = 3
+    """No start where the current says so beforehand; in flight as HOLD."""
+
+
+class MissionRun:
+    """Steps through the plan in force."""
+
+    def __init__(
+        self, params: ParamSet, plans: Plans, operator: Announcements, speed_m_s: Callable[[NavState], float]
+    ) -> None:
+        """``speed_m_s``: what the controller's margins leave of the planar speed."""
+        self._params = params
+        self._plans = plans
+        self._operator = operator
+        self._speed_m_s = speed_m_s
+        self._steps: tuple[Step, ...] = ()
+        self._made_good = MadeGood()
+        self._given_up = False
+        """The present goal has been told to be out of reach."""
+        self._told_upstream: set[tuple[int, bool]] = set()
+        """What has been told of the current on legs since the mission was started."""
+        self._upstream_us = 0
+        self.sequencer = Sequencer(params)
+
+    def load(self) -> bool:
+        """Bring the sequencer in line with the plan in force; True if the plan was another one."""
+        steps = self._plans.steps()
+        if steps is self._steps:
+            return False
+        self._steps = steps
+        self.sequencer.load(steps)
+        return True
+
+    def start(self, t_us: int, nav: NavState | None) -> None:
+        """Go on where the mission stands."""
+        self.load()
+        self.sequencer.start()
+        self._told_upstream, self._upstream_us = set(), t_us
+        self._tell_upstream(nav)
+
+    def set_home(self, pos_ned_m: FloatArray) -> str:
+        """Home is a place on the surface: relative altitudes count from there. Why not, "" when it is taken."""
+        home_ned_m = np.array([pos_ned_m[0], pos_ned_m[1], 0.0])
+        refusal = self._plans.set_home(home_ned_m)
+        if not refusal:
+            self.sequencer.set_home(home_ned_m)
+        return refusal
+
+    def step(self, t_us: int, nav: NavState) -> SequencerOutput:
+        """One tick while the mission is flown."""
+        out = self.sequencer.step(t_us, nav)
+        for seq in out.reached:
+            self._operator.say(Severity.INFO, f"Reached item {seq}")
+        return out
+
+    def completed(self, t_us: int, laps: int, reached: tuple[int, ...]) -> tuple[int, ...]:
+        """Say that the mission is over. The result is ``reached`` with the last item: a plan that ends with DO_ items
+        is over with the last of them, and MAVSDK's progress waits for its number."""
+        skipped = self.sequencer.skipped
+        more = f", items skipped: {skipped}" if skipped else ""
+        self._operator.say(Severity.NOTICE, f"Mission complete, laps: {laps}{more}")
+        steps = self._plans.steps()
+        last = len(steps) - 1
+        flown = max((*reached, self.sequencer.progress(t_us).reached_seq))
+        ends_with_orders = all(
+            isinstance(step, Jump | ChangeSpeed | SetHeading | SetHome) for step in steps[flown + 1 :]
+        )
+        return (*reached, last) if flown < last and ends_with_orders else reached
+
+    # Goals that are not reached
+
+    def refusal(self, nav: NavState | None) -> str:
+        """Why WP_STUCK_ACT forbids to start in the current of now, "" when it does not."""
+        if int(self._params["WP_STUCK_ACT"]) != StuckAction.REFUSE:
+            return ""
+        leg, least_m_s = self._slowest_leg(nav), self._params["SPD_GROUND_MIN"]
+        return leg.text(least_m_s) if leg is not None and leg.out_of_reach(least_m_s) else ""
+
+    def forget_progress(self) -> None:
+        """There is no goal that the vehicle travels to."""
+        self._made_good.forget()
+        self._given_up = False
+
+    def watch_way(self, conditions: Conditions, goal: Goal, nav: NavState, *, flies: bool) -> bool:
+        """A goal that the vehicle gets no nearer to is not crept at for ever: WP_STUCK_ACT says what is done.
+
+        ``flies``: an item of the mission, else home. True when the vehicle is to hold.
+        """
+        t_us, patience_s = conditions.t_us, self._params["WP_STUCK_TIME"]
+        step_m = patience_s * self._params["SPD_GROUND_MIN"]
+        idle_s = self._made_good.idle_s(t_us, goal, nav, conditions.way_left_m, step_m)
+        if flies and t_us - self._upstream_us >= UPSTREAM_US:
+            self._upstream_us = t_us
+            self._tell_upstream(nav, only_this=True)
+        if idle_s < patience_s:
+            self._given_up = False
+            return False
+        if self._given_up:
+            return False
+        self._given_up = True
+        return self._give_up(conditions, goal, nav, flies)
+
+    def _give_up(self, conditions: Conditions, goal: Goal, nav: NavState, flies: bool) -> bool:
+        """Say it and do it; True when the vehicle is to hold."""
+        current = math.hypot(*nav.current_ned_m_s[:2].tolist())
+        why = "no free way" if conditions.unreachable else f"current {current:.2f} m/s"
+        action = int(self._params["WP_STUCK_ACT"]) if flies else StuckAction.WARN
+        if action == StuckAction.WARN:
+            name = f"Item {goal.seq}" if flies else "Home"
+            self._operator.say(Severity.WARNING, f"{name} out of reach: {why}")
+            return False
+        if action == StuckAction.SKIP:
+            self._operator.say(Severity.WARNING, f"Skipped item {goal.seq}, out of reach: {why}")
+            self.sequencer.skip(nav)
+            self.forget_progress()
+            return False
+        self._operator.say(Severity.WARNING, f"Holding: item {goal.seq} out of reach, {why}")
+        return True
+
+    # What the current leaves
+
+    def _slowest_leg(self, nav: NavState | None, *, only_this: bool = False) -> SlowLeg | None:
+        """Of what is to come of the mission in force (or of this item), in the current as it is estimated now."""
+        if nav is None:
+            return None
+        position, current = self.sequencer.position, nav.current_ned_m_s[:2]
+        first_seq = 0 if position is None else position.cursor
+        return slowest_leg(
+            self._steps[first_seq : first_seq + 1] if only_this else self._steps,
+            nav.pos_ned_m[:2],
+            first_seq,
+            self._speed_m_s(nav),
+            lambda places: np.tile(current, (len(places), 1)),
+        )
+
+    def _tell_upstream(self, nav: NavState | None, *, only_this: bool = False) -> None:
+        """What the current leaves of the speed over ground on the slowest leg that is to come (or on this one), if that
+        is little; once per item and answer."""
+        leg, least_m_s = self._slowest_leg(nav, only_this=only_this), self._params["SPD_GROUND_MIN"]
+        if leg is not None and only_this:
+            leg = leg.made(self._made_good.made_m_s, self._made_good.left_m)
+        if leg is None or leg.left_m_s >= TOLD_M_S:
+            return
+        found = (leg.seq, leg.out_of_reach(least_m_s))
+        if found not in self._told_upstream:
+            self._told_upstream.add(found)
+            self._operator.say(Severity.WARNING, leg.text(least_m_s))

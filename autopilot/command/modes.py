@@ -1,0 +1,187 @@
+"""The state machine: armed or not, which mode is in force, and where it goes."""
+
+from autopilot.command.announcements import Announcements
+from autopilot.command.failsafes import Conditions, FailsafeRules
+from autopilot.command.mission_run import MissionRun
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Goal, NavHealth, NavState, Severity
+from autopilot.mavlink.api import FlightMode
+from mission.goals import Goals
+from mission.sequencer import Action, is_inside
+
+SURFACED_M = 0.05
+"""The vehicle counts as surfaced within this distance of where it floats."""
+
+
+class Modes:
+    """Does what it is told: whether it may is asked before (:mod:`autopilot.command.commander`)."""
+
+    def __init__(self, goals: Goals, mission: MissionRun, failsafes: FailsafeRules, operator: Announcements) -> None:
+        self._goals = goals
+        self._mission = mission
+        self._failsafes = failsafes
+        self._operator = operator
+        self._under_way = False
+        self._override: FlightMode | None = None
+        self.conditions: Conditions | None = None
+        """Of the last tick, None before the first one."""
+        self.armed = False
+        self.chosen = FlightMode.HOLD
+        """The operator's mode."""
+        self.goal: Goal | None = None
+        """Where the mode in force goes, None as long as it has not been asked."""
+        self.orders = 0
+        """Grows whenever the vehicle is told to do something else."""
+
+    @property
+    def mode(self) -> FlightMode:
+        """The mode in force: the operator's, or the one that a failsafe put over it."""
+        return self.chosen if self._override is None else self._override
+
+    @property
+    def overridden(self) -> bool:
+        """Whether a failsafe has put its mode over the operator's."""
+        return self._override is not None
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a mode other than holding, or a go-to, has been entered since arming: what "flying" means here."""
+        return self.armed and self._under_way
+
+    @property
+    def nav(self) -> NavState | None:
+        """The estimate of the last tick, None when there is none or it is lost."""
+        nav = None if self.conditions is None else self.conditions.nav
+        return None if nav is None or nav.health is NavHealth.INVALID else nav
+
+    # Orders
+
+    def arm(self) -> None:
+        """Thrusters may turn; home is here. The mode is to be entered then."""
+        self.armed = True
+        self._failsafes.clear()
+        if self.nav is not None:
+            self._move_home(self.nav.pos_ned_m)
+        self._under_way = False
+
+    def disarm(self, *, force: bool) -> None:
+        """Thrusters stand; the next arming begins in HOLD."""
+        if not self.armed:
+            return
+        self.armed = False
+        self._override = None
+        self.enter(FlightMode.HOLD)
+        severity, text = (Severity.WARNING, "Emergency stop") if force else (Severity.INFO, "Disarmed")
+        self._operator.say(severity, text)
+
+    def choose(self, mode: FlightMode) -> None:
+        """The operator's order. It ends a failsafe's override, but for one that surfaces already."""
+        if mode is not self.chosen:
+            self._operator.say(Severity.INFO, f"Mode {mode.name}")
+        if self._override is not None and mode is not FlightMode.SURFACE:
+            self._override = None
+            self._failsafes.clear()
+        elif self._override is not None:
+            self._override = FlightMode.SURFACE
+        self.enter(mode)
+
+    def enter(self, mode: FlightMode) -> None:
+        """Begin a mode where the vehicle is."""
+        self.orders += 1
+        self._under_way |= mode is not FlightMode.HOLD
+        if mode is FlightMode.MISSION:
+            self._mission.start(self._operator.t_us, self.nav)
+        else:
+            self._mission.sequencer.pause()
+        self.goal = self._goal_here(mode)
+        self.chosen = mode
+
+    def fly_to(self, goal: Goal) -> None:
+        """Another place to hold at."""
+        self.goal = goal
+        self._under_way = True
+
+    def interrupt(self) -> None:
+        """The mission must not go on: hold. A failsafe's action goes on."""
+        if self._override is None:
+            self.enter(FlightMode.HOLD)
+        self.chosen = FlightMode.HOLD
+
+    def fall_back(self) -> None:
+        """Hold here until somebody decides anew. A failsafe's action goes on."""
+        if self.armed and self._override is None:
+            self.enter(FlightMode.HOLD)
+
+    # One tick
+
+    def apply_failsafes(self, conditions: Conditions) -> None:
+        """What the conditions of this tick forbid."""
+        for event in self._failsafes.update(conditions, armed=self.armed):
+            self._operator.pass_on(event)
+        action = self._failsafes.action
+        if not self.armed or action is None:
+            return
+        if action == "disarm":
+            self._operator.say(Severity.CRITICAL, f"Failsafe disarms: {self._failsafes.describe()}")
+            self.disarm(force=True)
+            return
+        mode = FlightMode.SURFACE if action == "surface" else FlightMode.HOLD
+        if self._override is not mode and self._override is not FlightMode.SURFACE:
+            self._override = mode
+            self._mission.sequencer.pause()
+            self.goal = self._goal_here(mode)
+            self._operator.say(Severity.CRITICAL, f"Failsafe {mode.name}: {self._failsafes.describe()}")
+
+    def advance(self, conditions: Conditions) -> tuple[Goal | None, tuple[int, ...]]:
+        """Goal of this tick, and the mission items that have been reached on it."""
+        nav = self.nav
+        if not self.armed or nav is None:
+            return None, ()
+        reached: tuple[int, ...] = ()
+        if self.mode is FlightMode.MISSION:
+            reached = self._fly_mission(conditions.t_us, nav)
+        if self.goal is None:
+            self.goal = self._goal_of(self.mode, nav)
+        self._watch_way(conditions, self.goal, nav)
+        goal = self.goal
+        if self.mode is FlightMode.SURFACE and nav.pos_ned_m[2] <= self._goals.top_m + SURFACED_M:
+            self._operator.say(Severity.NOTICE, "Surfaced")
+            self.disarm(force=False)
+        return goal, reached
+
+    def _fly_mission(self, t_us: int, nav: NavState) -> tuple[int, ...]:
+        """The mission's goal of this tick, or what it ends with. The result is the items that have been reached."""
+        out = self._mission.step(t_us, nav)
+        if out.goal is not None:
+            self.goal = out.goal
+        if out.home_ned_m is not None:
+            self._move_home(out.home_ned_m)
+        if out.action is Action.SURFACE:
+            self.choose(FlightMode.SURFACE)
+        elif out.action is Action.HOLD:
+            self.chosen = FlightMode.HOLD
+            return self._mission.completed(t_us, out.progress.lap, out.reached)
+        return out.reached
+
+    def _watch_way(self, conditions: Conditions, goal: Goal, nav: NavState) -> None:
+        returns = self.mode is FlightMode.RETURN and not is_inside(goal, nav)
+        flies = self.mode is FlightMode.MISSION and self._mission.sequencer.travelling
+        if not (returns or flies):
+            self._mission.forget_progress()
+        elif self._mission.watch_way(conditions, goal, nav, flies=flies):
+            self.enter(FlightMode.HOLD)
+
+    def _goal_here(self, mode: FlightMode) -> Goal | None:
+        return None if self.nav is None else self._goal_of(mode, self.nav)
+
+    def _goal_of(self, mode: FlightMode, nav: NavState) -> Goal:
+        """Where a mode goes from here; a mission says so itself, until then it holds."""
+        if mode is FlightMode.RETURN:
+            return self._goals.home(nav)
+        return self._goals.surface(nav) if mode is FlightMode.SURFACE else self._goals.hold(nav)
+
+    def _move_home(self, pos_ned_m: FloatArray) -> None:
+        """Home where nobody has asked for it."""
+        refusal = self._mission.set_home(pos_ned_m)
+        if refusal:
+            self._operator.say(Severity.WARNING, f"Home stays where it was: {refusal}")

@@ -1,0 +1,97 @@
+"""What becomes of plans that change: what their check means is told, and a fence is not changed under the vehicle."""
+
+from collections.abc import Sequence
+
+from autopilot.command.announcements import Announcements
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Goal, NavState, Severity
+from autopilot.core.params import ParamSet
+from autopilot.core.phrases import NO_START
+from autopilot.core.plan import MissionResult, PlanKind, PlanRejection
+from autopilot.core.vehicle import Vehicle
+from mission.goals import Goals
+from mission.judgement import Verdict
+from mission.room import Room
+from mission.store import Plans, plan_checksum
+from mission.validation import PLACE_TOLERANCE_M
+
+REPEAT_US = 5_000_000
+"""The same problem of another upload is told again after this time at the earliest."""
+
+
+class PlanCheckNews:
+    """Tells what a new answer to the check of the plans means."""
+
+    def __init__(self, plans: Plans, operator: Announcements) -> None:
+        self._plans = plans
+        self._operator = operator
+        self._checked: tuple[Verdict, bool] | None = None
+        self._told = ""
+        self._told_us = 0
+        self._told_revision = 0
+
+    def changed(self) -> bool:
+        """Whether there is another answer than on the last call, or one is waited for."""
+        checked = (self._plans.verdict, self._plans.checking)
+        if checked == self._checked:
+            return False
+        self._checked = checked
+        return True
+
+    def tell(self, t_us: int, *, in_mission: bool) -> bool:
+        """Say it once the answer is there; True when a mission that runs must not go on."""
+        if self._plans.checking:
+            return False
+        problem, revision = self._plans.problem, self._plans.revision
+        ends = bool(problem) and in_mission
+        again = revision != self._told_revision and t_us - self._told_us >= REPEAT_US
+        if ends:
+            self._operator.say(Severity.WARNING, f"Holding: {problem}")
+        elif problem and (problem != self._told or again):
+            self._operator.say(Severity.WARNING, NO_START + problem)
+        elif self._told and not problem:
+            self._operator.say(Severity.INFO, "Plan ok")
+        else:
+            return False
+        self._told, self._told_us, self._told_revision = problem, t_us, revision
+        return ends
+
+
+class FenceGuard:
+    """While armed: no fence that the vehicle or its mission would break, and none removed."""
+
+    def __init__(self, vehicle: Vehicle, params: ParamSet, plans: Plans, goals: Goals) -> None:
+        self._radius_m = vehicle.radius_m
+        self._params = params
+        self._plans = plans
+        self._goals = goals
+
+    def refusal(
+        self, kinds: Sequence[PlanKind], verdict: Verdict, nav: NavState | None, goal: Goal | None
+    ) -> PlanRejection | None:
+        """Of plans that an armed vehicle at ``nav`` on its way to ``goal`` is sent; None when they are taken."""
+        fence = verdict.question.plans[PlanKind.FENCE]
+        same = plan_checksum(fence) == self._plans.checksum(PlanKind.FENCE)
+        if self._params["FENCE_ARMED_CHG"] or PlanKind.FENCE not in kinds or same:
+            return None
+        if not fence:
+            reason = "disarm before the fence is removed"
+        elif verdict.joint:
+            reason = f"the vehicle is armed and {verdict.joint[0].reason}"
+        else:
+            reason = self._lack(Room([(s.shape, s.inclusion) for s in verdict.shapes]), nav, goal)
+        if not reason:
+            return None
+        return PlanRejection(seq=0, result=MissionResult.DENIED, reason=f"{reason}; FENCE_ARMED_CHG 1 allows it")
+
+    def _lack(self, room: Room, nav: NavState | None, goal: Goal | None) -> str:
+        """What another workspace has against where the vehicle is and where it goes, "" if nothing."""
+        places: list[tuple[str, FloatArray]] = [] if nav is None else [("vehicle", nav.pos_ned_m)]
+        places += [] if goal is None else [("vehicle's goal", goal.pos_ned_m)]
+        for name, pos_ned_m in places:
+            have_m = float(room.clearance_m(pos_ned_m[None, :2])[0])
+            # Not worse than it is: a vehicle that was pushed to a boundary may get its fence again.
+            need_m = min(self._radius_m, self._goals.clearance_m(pos_ned_m)) - PLACE_TOLERANCE_M
+            if have_m < need_m:
+                return f"the {name} would be {need_m - have_m:.2f} m too near or inside: move it, or the fence"
+        return ""
