@@ -153,7 +153,7 @@ class Engine:
         )
         more = self._evidence.unexplained_variance(t_us, newest.state.x.item(LASER_BIAS))
         if self._map is not None:
-            more = more + self._map.frame_variance(newest.state.x)
+            more = more + self._map.more_variance(newest.state.x)
         self._last = nav_state(self._core, newest, t_us, health, self._counts["resets"], more, doubts)
         return self._last
 

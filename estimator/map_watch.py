@@ -9,6 +9,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import ID_SPAN, MarkerMap
+from estimator.gauge import KNOWN_SHARE, Gauge
 from estimator.measure_pose import PoseFix, Stray
 from estimator.states import SheetStates
 
@@ -26,8 +27,6 @@ LOOSE_VARIANCE = (0.03**2, 0.03**2, 0.003**2, 0.1**2)
 """m^2, rad^2: how far off a sheet may be that does not fit."""
 OFF_DISTANCE2 = 40.0
 """Squared distance of a sheet's offset from what it was said to be, of 4, from which on it is named."""
-KNOWN_SHARE = 0.25
-"""An offset is known when its variance is this share of what it was believed to be."""
 HELD_US = 10_000_000
 """So long after the last finding the map is called doubtful."""
 
@@ -66,6 +65,7 @@ class MapWatch:
         self._markers = markers
         errors = markers.errors
         self._frame = None if errors is None or not any(errors.frame_sigma) else errors.frame_sigma
+        self._gauge = None if errors is None else Gauge(errors)
         self._middle = markers.centers_ned_m.mean(axis=0).tolist()
         self._strays: dict[tuple[int, int], _Place] = {}
         self._strained: dict[int, deque[int]] = {}
@@ -75,14 +75,18 @@ class MapWatch:
         self.count = 0
         """Findings so far."""
 
-    def frame_variance(self, x: FloatArray) -> FloatArray:
-        """(4,) north, east, down, yaw that the whole map may be off at the state's place."""
+    def more_variance(self, x: FloatArray) -> FloatArray:
+        """(4,) north, east, down, yaw that the whole map may be off at the state's place, beyond what the filter holds
+        of its sheets; negative where these were laid better than the map says."""
+        more = np.zeros(4) if self._gauge is None else self._gauge.more_variance(x)
         if self._frame is None:
-            return np.zeros(4)
+            return more
         across, down, turn = self._frame
         north, east = x.item(0) - self._middle[0], x.item(1) - self._middle[1]
         swing = turn * turn * np.array([east * east, north * north])
-        return np.array([across * across + swing[0], across * across + swing[1], down * down, turn * turn])
+        frame = [across * across + swing[0], across * across + swing[1], down * down, turn * turn]
+        result: FloatArray = more + np.array(frame)
+        return result
 
     def doubtful(self, t_us: int) -> bool:
         """Whether the map has been found wrong of late."""
@@ -128,6 +132,8 @@ class MapWatch:
         errors = self._markers.errors
         if errors is None or states is None:
             return
+        if self._gauge is not None:
+            self._gauge.look(states)
         for sheet in sheets:
             if sheet in self._told_sheets or sheet not in states.which:
                 continue

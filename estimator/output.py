@@ -24,6 +24,9 @@ TILT_VARIANCE_RAD2 = {
 """Roll and pitch: of the AHRS, trimmed by vision, or without AHRS level as the righting moment keeps the vehicle. An
 accelerometer that is not believed may be right, and the tilt wrong."""
 
+LEAST_LESS = -0.9
+"""What is known beyond the filter takes at most this share off its variances."""
+
 
 def nav_state(
     core: FilterCore,
@@ -36,7 +39,7 @@ def nav_state(
 ) -> NavState:
     """The newest node carried on to ``t_us`` with the last rates.
 
-    ``more`` (4,): variance of north, east, down and yaw beyond the filter's."""
+    ``more`` (4,): variance of north, east, down and yaw beyond the filter's, or less than that."""
     inertial = node.moment.inertial
     after_s = 1e-6 * (t_us - node.t_us)
     x = node.state.x.tolist() if after_s <= 0.0 else moved(node.state.x, hold(inertial, t_us, Mode.NOMINAL))
@@ -59,7 +62,7 @@ def nav_state(
         return [cp * forward - sp * down, cr * right + sr * below, cr * below - sr * right]
 
     pn, pe, pd, pyaw, pu, pv, pw, pcn, pce, pcd = core.variance(node.state, cy, sy)
-    more_n, more_e, more_d, more_yaw = more.tolist()
+    more_n, more_e, more_d, more_yaw = np.maximum(more, LEAST_LESS * np.array([pn, pe, pd, pyaw])).tolist()
     tilt = TILT_VARIANCE_RAD2[node.step.mode if node.step is not None else Mode.NOMINAL]
     return NavState(
         t_us=t_us,

@@ -7,6 +7,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import MarkerMap
+from estimator.gauge import common_columns, known_sheets, laid_scales
 from estimator.states import SheetStates
 
 LEAST_SIGMA_M, LEAST_SIGMA_RAD = 1e-4, 1e-4
@@ -22,6 +23,10 @@ def refined_map(markers: MarkerMap, states: SheetStates | None) -> MarkerMap:
         return markers
     corners, pivots, sigma = markers.corners_ned_m.copy(), errors.pivot_ned_m.copy(), errors.sigma.copy()
     frame, own = _frame_and_own(pivots[list(states.which)], sigma[list(states.which)], states)
+    scales = laid_scales(*known_sheets(errors, states))
+    frame = frame * scales[[0, 2, 3]]
+    if markers.level:  # depths stay as they were laid, and so does what is said of them
+        frame[1], own[:, 2] = 0.0, sigma[list(states.which), 2]
     for k, sheet in enumerate(states.which):
         north, east, down, turn_rad = states.offset[STATES * k : STATES * (k + 1)].tolist()
         shift = np.array([north, east, 0.0 if markers.level else down])
@@ -42,11 +47,8 @@ def refined_map(markers: MarkerMap, states: SheetStates | None) -> MarkerMap:
 def _frame_and_own(pivots: FloatArray, laid: FloatArray, states: SheetStates) -> tuple[FloatArray, FloatArray]:
     """Standard deviations of what all sheets have in common (horizontal, down, heading), and of each against that
     (k, 4)."""
-    arm = pivots - pivots.mean(axis=0)
     count = len(pivots)
-    common = np.zeros((STATES * count, STATES))
-    common[0::STATES, 0] = common[1::STATES, 1] = common[2::STATES, 2] = common[3::STATES, 3] = 1.0
-    common[0::STATES, 3], common[1::STATES, 3] = -arm[:, 1], arm[:, 0]
+    common = common_columns(pivots)
     weight = 1.0 / np.maximum(laid.reshape(-1), 1e-6) ** 2
     of_frame = np.linalg.solve((common.T * weight) @ common, common.T * weight)
     frame = of_frame @ states.cov @ of_frame.T

@@ -18,10 +18,11 @@ from autopilot.core.markers import IntArray
 from estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
 from estimator.pnp import (
     CONVERGED,
+    MIN_SCALE,
+    PRIOR_COUNT,
     SHRINK_PX,
     SHRINK_SIGMA_PX,
     STEPS,
-    corner_scale,
     corners_that_fit,
     expected_px,
     inward_of,
@@ -38,6 +39,10 @@ LEAST_SHARE = 1e-7
 """Directions of which the picture knows less than this share of the best known one are left out."""
 BELIEF_FLOOR = 1e-5
 """Of the offsets in the fit [m, rad]: keeps the inverse of their covariance finite."""
+PRINT_COUNT = 6.0
+"""What the map says of its markers' print counts as so many residuals of markers."""
+LEAST_PRINT = 1e-6
+"""Of the print's variance over the corners': keeps shares finite."""
 KEPT = [0, 1, 2, 5]
 NUISANCE = [3, 4, 6]
 
@@ -130,7 +135,7 @@ def fit_on_sheets(
         jac = np.empty((len(residual), 7 + size))
         jac[:, :6], jac[:, 6] = jac6, inward
         jac[:, 7:] = -np.matmul(jac6[:, None, :3], np.repeat(by_offset, 2, axis=0))[:, 0]
-        weight = _weights(camera, seen, residual, keep, pos, points)
+        weight = _weights(camera, seen, residual, keep, pos, points, 7 + size)
         information, gradient = _information(residual, jac, weight * keep, rotation, up_prior, shrink)
         full, toward = information.copy(), gradient.copy()
         full[7:, 7:] += prior
@@ -186,16 +191,41 @@ def _expected(seen: SheetCorners) -> FloatArray:
 
 
 def _weights(
-    camera: CameraModel, seen: SheetCorners, residual: FloatArray, keep: FloatArray, pos: FloatArray, points: FloatArray
+    camera: CameraModel,
+    seen: SheetCorners,
+    residual: FloatArray,
+    keep: FloatArray,
+    pos: FloatArray,
+    points: FloatArray,
+    unknowns: int,
 ) -> FloatArray:
     """(8m,) inverse variance of each pixel coordinate: of corners, and of markers on their sheets, which all four
     corners share."""
     expected = _expected(seen)
-    sigma_px = corner_scale(residual[keep] / expected[keep]) * expected[::8]
     away_m = np.maximum(points[:, 0, 2] - pos[2], 0.05)
     print_px = seen.sigma_m * camera.focal_water_px / away_m
-    result: FloatArray = np.repeat(1.0 / (sigma_px**2 + 4.0 * print_px**2), 8)
+    scale, share = _scatter(residual / expected, keep, print_px / expected[::8], unknowns)
+    result: FloatArray = np.repeat(1.0 / ((scale * expected[::8]) ** 2 + 4.0 * share * print_px**2), 8)
     return result
+
+
+def _scatter(residual: FloatArray, keep: FloatArray, print_sigma: FloatArray, unknowns: int) -> tuple[float, float]:
+    """Standard deviation of corners over what is expected, and variance of markers on their sheets over what the map
+    says: by how corners scatter within markers (8m,), and how these do. ``print_sigma`` (m,): in the same unit.
+
+    What image and map say counts as a few residuals each."""
+    whole = keep.reshape(-1, 8).all(axis=1)
+    by_marker = residual.reshape(-1, 4, 2)[whole]
+    shared = by_marker.mean(axis=1)
+    within = float(((by_marker - shared[:, None]) ** 2).sum())
+    corner2 = max(MIN_SCALE**2, (within + PRIOR_COUNT) / (6 * len(by_marker) + PRIOR_COUNT))
+    freedom = 2 * len(by_marker) - unknowns
+    if freedom <= 0:
+        return math.sqrt(corner2), 1.0
+    excess = float((shared**2).sum()) - 0.25 * corner2 * freedom
+    said = float((print_sigma[whole] ** 2).mean())
+    share = (PRINT_COUNT + excess / max(said, LEAST_PRINT)) / (PRINT_COUNT + freedom)
+    return math.sqrt(corner2), max(share, 0.0)
 
 
 def _information(

@@ -5,12 +5,15 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from laid_world import LaidWorld, flown, laid, off_mm, sheets_of, turned
 from makers import Make
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavDoubt
+from estimator.gauge import common_columns, laid_scales
 from estimator.ground import Ground, SheetTies, columns_of
 from estimator.inertial import Inertial, Mode, Step
 from estimator.kalman import KalmanCore
@@ -56,6 +59,9 @@ def test_a_hand_laid_floor(
     assert refined is not None
     assert refined.errors is not None
     assert told.errors is not None
+    assert (refined.errors.sigma[:, 2] == told.errors.sigma[:, 2]).all(), "depths are not refined on a level floor"
+    if said is None:
+        assert (error**2 / variance).sum(axis=1).mean() > 0.4, "the default is 2.5 times as much: the scatter tells"
     seen = (refined.errors.sigma[:, 3] < 0.2 * told.errors.sigma[:, 3])[refined.errors.sheet]
     assert seen.sum() > 200
     assert off_mm(refined, true, seen) < max(0.55 * off_mm(told, true, seen), 0.5)
@@ -108,6 +114,24 @@ def test_a_turned_sheet_is_named_and_its_place_found(make_ekf: Make, floor: Mark
     refined = estimator.refined_map
     assert refined is not None
     assert off_mm(refined, true, mine) < 3.0 < off_mm(told, true, mine)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.1, 3.0), st.floats(0.1, 3.0), st.integers(8, 40))
+def test_how_well_sheets_were_laid_shows(seed: int, place: float, turn: float, count: int) -> None:
+    """By their scatter about what they have in common, which is no part of it."""
+    rng = np.random.default_rng(seed)
+    pivots = np.append(rng.uniform(-2.0, 2.0, (count, 2)), np.full((count, 1), 1.5), axis=1)
+    sigma = np.tile([0.005, 0.005, 0.001, 0.01], (count, 1))
+    offsets = rng.normal(size=(count, 4)) * sigma * [place, place, 1.0, turn]
+    scales = laid_scales(pivots, offsets, sigma)
+    together = common_columns(pivots) @ np.array([0.05, -0.02, 0.01, 0.03])
+    np.testing.assert_allclose(laid_scales(pivots, offsets + together.reshape(-1, 4), sigma), scales, rtol=1e-6)
+    for found, real in zip(scales[[0, 2, 3]], (place, 1.0, turn), strict=True):
+        spread = 4.0 * math.sqrt(0.5 / (count - 1))
+        believed = math.sqrt((4.0 + real**2 * (count - 1)) / (3.0 + count))  # the map's word is in it
+        assert abs(math.log(found / believed)) < spread + 0.15
+    assert (laid_scales(pivots[:1], offsets[:1], sigma[:1]) == 1.0).all()
 
 
 class Big:

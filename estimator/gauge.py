@@ -1,0 +1,91 @@
+"""What all sheets of a map may be off together, which no picture shows, and how well the sheets were really laid.
+
+A picture says how sheets lie to each other, never how their mean lies in the tank. How uncertain that is depends on how
+well sheets were laid, and of this the map has somebody's word, or a default. The offsets that were found tell it: their
+scatter about what they have in common is what the mean was made of.
+"""
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.map_errors import STATES, MapErrors
+from estimator.states import SheetStates
+
+KNOWN_SHARE = 0.25
+"""An offset is known when its variance is this share of what it was believed to be."""
+WORD_COUNT = 4.0
+"""The map's word on how well its sheets were laid counts as so many offsets."""
+KINDS = ((0, 1), (2,), (3,))
+"""Components of an offset that are laid equally well: place, depth, heading."""
+LEAST_SIGMA = 1e-6
+"""m, rad: keeps weights finite."""
+
+
+def known_sheets(errors: MapErrors, states: SheetStates) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of sheets whose offsets have been found: where they are (k, 3), offsets (k, 4), and how well they were said to be
+    laid (k, 4)."""
+    which = list(states.which)
+    sigma = np.maximum(errors.sigma[which], LEAST_SIGMA)
+    variance = states.cov.diagonal().reshape(-1, STATES)
+    known = (variance[:, 3] < KNOWN_SHARE * sigma[:, 3] ** 2) & (variance[:, 0] < sigma[:, 0] ** 2)
+    return errors.pivot_ned_m[which][known], states.offset.reshape(-1, STATES)[known], sigma[known]
+
+
+def common_columns(pivots: FloatArray) -> FloatArray:
+    """(4k, 4) offsets of sheets when all of them together are moved north, east, down or turned about their middle."""
+    arm = pivots - pivots.mean(axis=0)
+    common = np.zeros((STATES * len(pivots), STATES))
+    common[0::STATES, 0] = common[1::STATES, 1] = common[2::STATES, 2] = common[3::STATES, 3] = 1.0
+    common[0::STATES, 3], common[1::STATES, 3] = -arm[:, 1], arm[:, 0]
+    return common
+
+
+def laid_scales(pivots: FloatArray, offsets: FloatArray, sigma: FloatArray) -> FloatArray:
+    """(4,) how well sheets were laid over how well they were said to be: north, east, down, heading; 1 without any."""
+    scales = np.ones(STATES)
+    if len(pivots) < 2:
+        return scales
+    common = common_columns(pivots)
+    weight = 1.0 / sigma.reshape(-1) ** 2
+    shared = np.linalg.solve((common.T * weight) @ common, common.T @ (weight * offsets.reshape(-1)))
+    own = (offsets.reshape(-1) - common @ shared).reshape(-1, STATES) / sigma
+    for kind in KINDS:
+        part = list(kind)
+        freedom = len(kind) * (len(pivots) - 1)
+        squares = float((own[:, part] ** 2).sum())
+        scales[part] = np.sqrt((WORD_COUNT + squares) / (WORD_COUNT + freedom))
+    return scales
+
+
+def common_covariance(pivots: FloatArray, sigma: FloatArray) -> FloatArray:
+    """(4, 4) of what the sheets are off together, about their middle, each laid so well (k, 4)."""
+    common = common_columns(pivots)
+    result: FloatArray = np.asarray(np.linalg.inv((common.T / sigma.reshape(-1) ** 2) @ common), dtype=np.float64)
+    return result
+
+
+class Gauge:
+    """What the offsets found so far say of the mean of all sheets, against what the filter takes from the map."""
+
+    def __init__(self, errors: MapErrors) -> None:
+        self._errors = errors
+        self._middle = np.zeros(3)
+        self._more = np.zeros((STATES, STATES))
+
+    def look(self, states: SheetStates) -> None:
+        """The offsets are known better, or there are more."""
+        pivots, offsets, sigma = known_sheets(self._errors, states)
+        if len(pivots) < 2:
+            return
+        scales = laid_scales(pivots, offsets, sigma)
+        self._middle = pivots.mean(axis=0)
+        self._more = common_covariance(pivots, sigma * scales) - common_covariance(pivots, sigma)
+
+    def more_variance(self, x: FloatArray) -> FloatArray:
+        """(4,) variance of north, east, down, yaw at the state's place beyond the filter's; less than nothing where
+        sheets were laid better than the map says."""
+        north, east = float(x[0] - self._middle[0]), float(x[1] - self._middle[1])
+        turn = np.eye(STATES)
+        turn[0, 3], turn[1, 3] = -east, north
+        result: FloatArray = np.einsum("ij,jk,ik->i", turn, self._more, turn)
+        return result
