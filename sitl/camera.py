@@ -251,7 +251,8 @@ def true_camera(model: CameraModel, look: CameraLook, laser: LaserSensor) -> Cam
     beam_frd = r_ned_from_frd(np.array([*laser.tilt_error_rad, 0.0])) @ model.r_frd_from_cam @ model.laser_direction_cam
     r_frd_from_cam = r_ned_from_frd(np.array(look.mounting_error_rad)) @ model.r_frd_from_cam
     position_frd_m = model.position_frd_m + np.array(look.position_error_m)
-    lens = camera_of(model, look.focal_factor)
+    (cx, cy), (dx, dy) = model.center_px, look.principal_error_px
+    lens = replace(camera_of(model, look.focal_factor), center_px=(cx + dx, cy + dy))
     return replace(
         lens if look.port is None else lens.behind(look.port.to_port()),
         position_frd_m=position_frd_m,

@@ -73,38 +73,65 @@ def build_markers(scenario: Scenario) -> MarkerMap | None:
     planned, laid = _planned(scenario), scenario.markers.laid
     if planned is None or laid is None:
         return planned
-    rng = np.random.default_rng((laid.seed, 2))
-    sheet_of = _sheets(planned, laid.sheet_m)
+    rng = np.random.default_rng((scenario.scenario.seed if laid.seed is None else laid.seed, 2))
+    sheet_of = sheets_of(planned, laid.sheet_m)
     count = int(sheet_of.max()) + 1
     shift_m = np.zeros((count, 3))
     shift_m[:, :2] = rng.normal(0.0, laid.sigma_m, (count, 2))
     turn_rad = rng.normal(0.0, laid.sigma_rad, count)
+    off_m = np.zeros((len(planned.ids), 1, 3))
+    off_m[:, 0, :2] = rng.normal(0.0, laid.print_sigma_m, (len(planned.ids), 2))
+    printed = replace(planned, corners_ned_m=planned.corners_ned_m + off_m)
+    return sheets_moved(printed, sheet_of, shift_m, turn_rad, laid.print_scale)
+
+
+def sheets_moved(
+    planned: MarkerMap, sheet_of: NDArray[np.int64], shift_m: FloatArray, turn_rad: FloatArray, scale: float = 1.0
+) -> MarkerMap:
+    """The markers after each sheet has been moved (k, 3), turned about its middle (k,) and printed in another size."""
     corners = planned.corners_ned_m.copy()
-    for k in range(count):
+    for k in range(len(turn_rad)):
         mine = sheet_of == k
         middle = planned.centers_ned_m[mine].mean(axis=0)
         turn = r_ned_from_frd(np.array([0.0, 0.0, turn_rad[k]]))
-        corners[mine] = middle + (corners[mine] - middle) @ turn.T + shift_m[k]
+        corners[mine] = middle + scale * (corners[mine] - middle) @ turn.T + shift_m[k]
     return replace(planned, corners_ned_m=corners, errors=None)
 
 
 def told_markers(scenario: Scenario) -> MarkerMap | None:
     """The map that the vehicle has: where the markers were meant to lie, and how well they were laid."""
     planned, laid = _planned(scenario), scenario.markers.laid
-    if planned is None or laid is None:
-        return planned
-    return replace(planned, errors=_errors(planned, laid))
+    if planned is None:
+        return None
+    told = planned if laid is None else replace(planned, errors=_errors(planned, laid))
+    deeper_m = scenario.markers.told_deeper_m
+    return told if deeper_m == 0.0 else deeper(told, deeper_m)
+
+
+def told_floor_m(scenario: Scenario) -> float | None:
+    """Depth of the floor that the vehicle is told, None in open water."""
+    return None if scenario.tank is None else scenario.tank.depth_m + scenario.markers.told_deeper_m
+
+
+def deeper(markers: MarkerMap, by_m: float) -> MarkerMap:
+    """The map with everything on it so much deeper."""
+    down = np.array([0.0, 0.0, by_m])
+    errors = markers.errors
+    if errors is not None:
+        errors = replace(errors, pivot_ned_m=errors.pivot_ned_m + down)
+    return replace(markers, corners_ned_m=markers.corners_ned_m + down, errors=errors)
 
 
 def _errors(planned: MarkerMap, laid: LaidByHand) -> MapErrors | None:
+    sigma_m = laid.sigma_m if laid.told_sigma_m is None else laid.told_sigma_m
+    sigma_rad = laid.sigma_rad if laid.told_sigma_rad is None else laid.told_sigma_rad
     sheets = [
-        Laid(sheet=f"{k + 1}", sigma_m=laid.sigma_m, sigma_rad=laid.sigma_rad)
-        for k in _sheets(planned, laid.sheet_m).tolist()
+        Laid(sheet=f"{k + 1}", sigma_m=sigma_m, sigma_rad=sigma_rad) for k in sheets_of(planned, laid.sheet_m).tolist()
     ]
     return map_errors(planned.centers_ned_m, np.zeros(len(sheets)), sheets)
 
 
-def _sheets(planned: MarkerMap, sheet_m: float) -> NDArray[np.int64]:
+def sheets_of(planned: MarkerMap, sheet_m: float) -> NDArray[np.int64]:
     """(n,) number of each marker's sheet, in rows from the south-west."""
     cell = np.floor((planned.centers_ned_m[:, :2] - planned.corners_ned_m.min(axis=(0, 1))[:2]) / sheet_m).astype(int)
     _, numbers = np.unique(cell, axis=0, return_inverse=True)

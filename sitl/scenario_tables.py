@@ -211,10 +211,19 @@ class LaidByHand(_Table, frozen=True, kw_only=True):
     sheet_m: Positive = 0.6
     """Side of a sheet."""
     sigma_m: NonNegative = 0.002
-    """Standard deviation of a sheet's place, north and east; the vehicle is told that too."""
+    """Standard deviation of a sheet's place, north and east."""
     sigma_rad: NonNegative = 0.006
     """Of its heading."""
-    seed: Seed = 1
+    print_scale: Positive = 1.0
+    """True size of a sheet and all on it over the planned one: what the printer made of 100 %."""
+    print_sigma_m: NonNegative = 0.0
+    """Standard deviation of a marker on its sheet, north and east."""
+    told_sigma_m: NonNegative | None = None
+    """What the vehicle is told of the sheets' places,"""
+    told_sigma_rad: NonNegative | None = None
+    """and of their headings; None = the truth."""
+    seed: Seed | None = None
+    """None = the scenario's."""
 
 
 class Markers(_Table, frozen=True, kw_only=True):
@@ -230,6 +239,8 @@ class Markers(_Table, frozen=True, kw_only=True):
     """Of the order of ids on the floor."""
     laid: LaidByHand | None = None
     """None = the markers lie exactly where the map has them."""
+    told_deeper_m: float = 0.0
+    """How much deeper than it lies the vehicle is told that the floor is."""
 
     def __post_init__(self) -> None:
         if self.size_m >= self.pitch_m:

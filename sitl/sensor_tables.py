@@ -192,6 +192,8 @@ class CameraLook(_Table, frozen=True, kw_only=True):
 
     focal_factor: Positive = 1.0
     """True focal length over the calibrated one of the vehicle file."""
+    principal_error_px: Vec2 = (0.0, 0.0)
+    """True principal point minus the calibrated one."""
     mounting_error_rad: Vec3 = (0.0, 0.0, 0.0)
     """True mounting of the camera against the vehicle file's: roll, pitch, yaw about the body's axes."""
     position_error_m: Vec3 = (0.0, 0.0, 0.0)

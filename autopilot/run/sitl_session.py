@@ -60,7 +60,7 @@ from mission.geodesy import Origin
 from mission.plan_files import read_plan
 from sitl.backend import SimulatedVehicle, simulated_vehicle
 from sitl.currents import current_field
-from sitl.floor import told_markers
+from sitl.floor import told_floor_m, told_markers
 from sitl.operator import ScriptedOperator
 from sitl.plant import Truth
 from sitl.scenario import GridCurrent, Scenario, load_scenario, plan_path
@@ -303,7 +303,7 @@ def _service(
             params=params,
             origin=world.origin,
             markers=world.markers,
-            floor_depth_m=_floor_depth_m(world.scenario),
+            floor_depth_m=told_floor_m(world.scenario),
             estimator=settings["estimator"],
             profile=settings["profile"],
             instance=instance,
@@ -315,11 +315,6 @@ def _service(
             saving=saving,
         )
     )
-
-
-def _floor_depth_m(scenario: Scenario) -> float | None:
-    """Depth of the floor that the vehicle is told, None in open water."""
-    return None if scenario.tank is None else scenario.tank.depth_m
 
 
 def _plan(settings: Settings, scenario: Scenario) -> Path | None:
@@ -480,7 +475,7 @@ class _LogContents:
             "scenario.json": msgspec.json.encode(world.scenario),
             "vehicle.json": msgspec.json.encode(parts.vehicle),
             **estimator_attachments(
-                str(settings["estimator"]), parts.params, world.markers, _floor_depth_m(world.scenario)
+                str(settings["estimator"]), parts.params, world.markers, told_floor_m(world.scenario)
             ),
             **_marker_file(settings, world),
         }
