@@ -24,14 +24,15 @@ from autopilot.bench.estimator_figures import (
     far_fixes_used,
     growth,
     inside_share,
+    mean,
     mean_nees,
     mean_nis,
     nees_band,
     nis_share,
-    pooled_rms,
     recovery_s,
-    verdict,
+    row,
     whiteness,
+    whole,
 )
 from autopilot.bench.estimator_flights import (
     NAIVE,
@@ -43,6 +44,7 @@ from autopilot.bench.estimator_flights import (
     FlightSpec,
     fly,
 )
+from autopilot.bench.laid_rows import bench_laid
 
 SEEDS, SHORT_SEEDS = range(1, 21), range(1, 4)
 CAMERA_SEEDS, SHORT_CAMERA_SEEDS = range(1, 4), range(1, 2)
@@ -66,6 +68,8 @@ HAZE = {"camera": {"turbidity_1_m": 1.0}}
 """As in a tank that has not been filtered for days."""
 MM, DEG = 1e3, 180.0 / np.pi
 XY, Z, YAW, VELOCITY = slice(0, 2), slice(2, 3), slice(3, 4), slice(4, 7)
+
+LAID, COST = "laid", "cost"
 
 Runs = Mapping[str, Sequence[Mapping[str, Watched]]]
 """Flight -> one entry per seed: estimator -> what it said."""
@@ -100,17 +104,28 @@ PLAN: dict[str, tuple[dict[str, Any], float, str, tuple[str, ...]]] = {
 
 
 def bench_estimator(
-    seeds: Sequence[int] = SEEDS, camera_seeds: Sequence[int] = CAMERA_SEEDS, workers: int = WORKERS
+    seeds: Sequence[int] = SEEDS,
+    camera_seeds: Sequence[int] = CAMERA_SEEDS,
+    workers: int = WORKERS,
+    groups: Sequence[str] | None = None,
 ) -> list[EstimatorBenchRow]:
     """Fly everything with these seeds (what has rendered pictures with the second ones), in so many processes, and
-    judge it."""
-    specs = flight_specs(seeds, camera_seeds)
+    judge it. ``groups``: only these of :data:`GROUPS`, and :data:`LAID`."""
+    wanted = [name for name in GROUPS if groups is None or name in groups]
+    needed = {flight for name in wanted for flight in GROUPS[name][0]}
+    specs = [spec for spec in flight_specs(seeds, camera_seeds) if spec.name in needed]
     with ProcessPoolExecutor(max_workers=workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         flown = list(pool.map(fly, specs))
-    runs: dict[str, list[Mapping[str, Watched]]] = {name: [] for name in PLAN}
+        laid = bench_laid(seeds, pool) if groups is None or LAID in groups else []
+    runs: dict[str, list[Mapping[str, Watched]]] = {name: [] for name in needed}
     for spec, watched in zip(specs, flown, strict=True):
         runs[spec.name].append(watched)
-    return judged(runs)
+    return [*judged(runs, wanted), *laid]
+
+
+def group_names() -> tuple[str, ...]:
+    """Of all rows, as they are shown."""
+    return (*GROUPS, LAID, COST)
 
 
 def flight_specs(seeds: Sequence[int], camera_seeds: Sequence[int]) -> list[FlightSpec]:
@@ -123,69 +138,9 @@ def flight_specs(seeds: Sequence[int], camera_seeds: Sequence[int]) -> list[Flig
     return sorted(specs, key=lambda spec: (spec.sensors != "camera", -spec.duration_s))
 
 
-def judged(runs: Runs) -> list[EstimatorBenchRow]:
-    """The table."""
-    return [
-        *_steady("", by_name(runs["steady"], SAME)),
-        *_steady("pictures: ", by_name(runs["camera"], SAME)),
-        *_steady("pictures, haze: ", by_name(runs["camera haze"], SAME)),
-        *_currents(runs),
-        *_gaps(runs),
-        *_bad_fixes(runs),
-        *_late(runs),
-        _row(
-            "compass off by 10 deg: yaw",
-            [DEG * error_rms(run, YAW, STEADY_S) for run in by_name(runs["compass"], SAME)],
-            "deg",
-            bar=Limit(high=0.3),
-            goal=Limit(high=0.1),
-        ),
-    ]
-
-
-def _row(
-    figure: str,
-    values: Sequence[float],
-    unit: str,
-    *,
-    bar: Limit | None = None,
-    goal: Limit | None = None,
-    pool: Callable[[Sequence[float]], float] = pooled_rms,
-) -> EstimatorBenchRow:
-    """A figure that every seed has."""
-    measured = float(pool(values))
-    return EstimatorBenchRow(
-        figure=figure,
-        measured=measured,
-        low=min(values),
-        median=float(np.median(values)),
-        high=max(values),
-        unit=unit,
-        bar="" if bar is None else str(bar),
-        goal="" if goal is None else str(goal),
-        verdict=verdict(measured, bar, goal),
-        seeds=len(values),
-    )
-
-
-def _whole(figure: str, value: float, unit: str, seeds: int, bar: Limit | None) -> EstimatorBenchRow:
-    """A figure that only all seeds together have."""
-    return EstimatorBenchRow(
-        figure=figure,
-        measured=value,
-        low=None,
-        median=None,
-        high=None,
-        unit=unit,
-        bar="" if bar is None else str(bar),
-        goal="",
-        verdict=verdict(value, bar, None),
-        seeds=seeds,
-    )
-
-
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values))
+def judged(runs: Runs, groups: Sequence[str] | None = None) -> list[EstimatorBenchRow]:
+    """The table, or some of its groups."""
+    return [row for name, (_, rows) in GROUPS.items() if groups is None or name in groups for row in rows(runs)]
 
 
 def _steady(prefix: str, runs: Flights) -> list[EstimatorBenchRow]:
@@ -193,12 +148,12 @@ def _steady(prefix: str, runs: Flights) -> list[EstimatorBenchRow]:
 
     def error(name: str, columns: slice, scale: float, unit: str, bar: float, goal: float) -> EstimatorBenchRow:
         values = [scale * error_rms(run, columns, STEADY_S) for run in runs]
-        return _row(f"{prefix}{name}", values, unit, bar=Limit(high=bar), goal=Limit(high=goal))
+        return row(f"{prefix}{name}", values, unit, bar=Limit(high=bar), goal=Limit(high=goal))
 
-    def mean(
+    def average(
         name: str, figure: Callable[[Watched, tuple[float, float]], float], unit: str, bar: Limit
     ) -> EstimatorBenchRow:
-        return _row(f"{prefix}{name}", [figure(run, STEADY_S) for run in runs], unit, bar=bar, pool=_mean)
+        return row(f"{prefix}{name}", [figure(run, STEADY_S) for run in runs], unit, bar=bar, pool=mean)
 
     nees = [mean_nees(run, STEADY_S) for run in runs]
     return [
@@ -206,17 +161,17 @@ def _steady(prefix: str, runs: Flights) -> list[EstimatorBenchRow]:
         error("position, vertical", Z, MM, "mm", 3.0, 1.0),
         error("yaw", YAW, DEG, "deg", 0.3, 0.1),
         error("velocity over ground", VELOCITY, MM, "mm/s", 20.0, 12.0),
-        _row(
+        row(
             f"{prefix}NEES of these 7 states",
             nees,
             "",
             bar=Limit(low=3.0, high=9.0),
             goal=nees_band(7, len(runs)),
-            pool=_mean,
+            pool=mean,
         ),
-        mean("NIS of fixes, 4 components", mean_nis, "", Limit(low=2.0, high=5.0)),
-        mean("NIS beyond the 95 % point", nis_share, "%", Limit(high=10.0)),
-        mean("correlation of residuals", whiteness, "", Limit(high=0.2)),
+        average("NIS of fixes, 4 components", mean_nis, "", Limit(low=2.0, high=5.0)),
+        average("NIS beyond the 95 % point", nis_share, "%", Limit(high=10.0)),
+        average("correlation of residuals", whiteness, "", Limit(high=0.2)),
     ]
 
 
@@ -228,7 +183,7 @@ def _currents(runs: Runs) -> list[EstimatorBenchRow]:
         ("current, uniform, 20 % less drag", "gaps drag", BEFORE_GAPS_S, 60.0),
     )
     return [
-        _row(
+        row(
             figure,
             [MM * current_rms(run, span_s) for run in by_name(runs[flight], SAME)],
             "mm/s",
@@ -244,7 +199,7 @@ def _gaps(runs: Runs) -> list[EstimatorBenchRow]:
     def drift(figure: str, runs: Flights, end_s: float, bar: float | None, goal: float | None) -> EstimatorBenchRow:
         values = [MM * drift_m(run, end_s) for run in runs]
         bar_mm, goal_mm = (None if limit is None else Limit(high=limit) for limit in (bar, goal))
-        return _row(figure, values, "mm", bar=bar_mm, goal=goal_mm)
+        return row(figure, values, "mm", bar=bar_mm, goal=goal_mm)
 
     rows = []
     cases = (
@@ -257,13 +212,13 @@ def _gaps(runs: Runs) -> list[EstimatorBenchRow]:
         for (start_s, end_s), bar, goal in zip(gaps_s, (40.0, 80.0, 250.0), (20.0, 41.0, 60.0), strict=True):
             rows.append(drift(f"gap of {end_s - start_s:g} s, {name}", flown, end_s, bar, goal))
         inside = inside_share(flown, gaps_s)
-        rows.append(_whole(f"gaps, {name}: inside 3 sigma", inside, "%", len(flown), Limit(low=95.0)))
+        rows.append(whole(f"gaps, {name}: inside 3 sigma", inside, "%", len(flown), Limit(low=95.0)))
     aided = by_name(runs["gaps dvl"], SAME)
     for start_s, end_s in JET_GAPS_S:
         figure = f"gap of {end_s - start_s:g} s, jet, Doppler log and depth"
         rows.append(drift(figure, aided, end_s, 40.0, 20.0))
     inside = inside_share(aided, JET_GAPS_S)
-    rows.append(_whole("gaps, jet, Doppler log and depth: inside 3 sigma", inside, "%", len(aided), Limit(low=95.0)))
+    rows.append(whole("gaps, jet, Doppler log and depth: inside 3 sigma", inside, "%", len(aided), Limit(low=95.0)))
     less_drag, no_model = by_name(runs["gaps drag"], SAME), by_name(runs["gaps uniform"], NO_MODEL)
     return [
         *rows,
@@ -281,8 +236,8 @@ def _bad_fixes(runs: Runs) -> list[EstimatorBenchRow]:
         used, wrong = sum(map(far_fixes_used, flown)), sum(map(far_fixes, flown))
         grown = growth([error_rms(run, XY, STEADY_S) for run in flown], reference)
         rows += [
-            _whole(f"outliers {share} %: used, of {wrong}", used, "", len(flown), Limit(high=0.0)),
-            _whole(f"outliers {share} %: growth of horizontal error", grown, "%", len(flown), Limit(high=30.0)),
+            whole(f"outliers {share} %: used, of {wrong}", used, "", len(flown), Limit(high=0.0)),
+            whole(f"outliers {share} %: growth of horizontal error", grown, "%", len(flown), Limit(high=30.0)),
         ]
     start_s, end_s = SHIFTED_S
     found = [
@@ -290,7 +245,7 @@ def _bad_fixes(runs: Runs) -> list[EstimatorBenchRow]:
         for run in by_name(runs["steady"], SHIFTED)
     ]
     figure = "all fixes shifted by 0.5 m and back: found again after"
-    return [*rows, _row(figure, found, "s", bar=Limit(high=1.0), pool=max)]
+    return [*rows, row(figure, found, "s", bar=Limit(high=1.0), pool=max)]
 
 
 def _late(runs: Runs) -> list[EstimatorBenchRow]:
@@ -302,8 +257,27 @@ def _late(runs: Runs) -> list[EstimatorBenchRow]:
     nees = [mean_nees(run, STEADY_S) for run in naive]
     case, delay = "60 +- 20 ms late", "delay ignored (must be bad)"
     return [
-        _whole(f"{case}: growth of horizontal error", growth(errors, prompt), "%", len(late), Limit(high=20.0)),
-        _row(f"{case}: position, horizontal", [MM * error for error in errors], "mm", bar=Limit(high=6.0)),
-        _row(f"{case}: position, {delay}", ignored, "mm", bar=Limit(low=6.0)),
-        _row(f"{case}: NEES, {delay}", nees, "", bar=Limit(low=9.0), pool=_mean),
+        whole(f"{case}: growth of horizontal error", growth(errors, prompt), "%", len(late), Limit(high=20.0)),
+        row(f"{case}: position, horizontal", [MM * error for error in errors], "mm", bar=Limit(high=6.0)),
+        row(f"{case}: position, {delay}", ignored, "mm", bar=Limit(low=6.0)),
+        row(f"{case}: NEES, {delay}", nees, "", bar=Limit(low=9.0), pool=mean),
     ]
+
+
+def _compass(runs: Runs) -> list[EstimatorBenchRow]:
+    """The heading while the magnetic field is wrong."""
+    values = [DEG * error_rms(run, YAW, STEADY_S) for run in by_name(runs["compass"], SAME)]
+    return [row("compass off by 10 deg: yaw", values, "deg", bar=Limit(high=0.3), goal=Limit(high=0.1))]
+
+
+GROUPS: dict[str, tuple[tuple[str, ...], Callable[[Runs], list[EstimatorBenchRow]]]] = {
+    "steady": (("steady",), lambda runs: _steady("", by_name(runs["steady"], SAME))),
+    "pictures": (("camera",), lambda runs: _steady("pictures: ", by_name(runs["camera"], SAME))),
+    "haze": (("camera haze",), lambda runs: _steady("pictures, haze: ", by_name(runs["camera haze"], SAME))),
+    "currents": (("gaps uniform", "steady", "gaps drag"), _currents),
+    "gaps": (("gaps uniform", "gaps", "camera gaps", "gaps dvl", "gaps drag"), _gaps),
+    "outliers": (("steady", "outliers 20", "outliers 30"), _bad_fixes),
+    "late": (("late", "prompt"), _late),
+    "compass": (("compass",), _compass),
+}
+"""Rows that are shown together -> flights that they are made of, and how."""

@@ -1,6 +1,6 @@
 """Figures of the estimator's benchmark out of recorded flights, and how they are judged. Pure functions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,6 +111,52 @@ def rms(values: FloatArray) -> float:
 def pooled_rms(values: Sequence[float]) -> float:
     """Root mean square over runs of equal length that each have one."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def row(
+    figure: str,
+    values: Sequence[float],
+    unit: str,
+    *,
+    bar: Limit | None = None,
+    goal: Limit | None = None,
+    pool: Callable[[Sequence[float]], float] = pooled_rms,
+) -> EstimatorBenchRow:
+    """A figure that every seed has."""
+    measured = float(pool(values))
+    return EstimatorBenchRow(
+        figure=figure,
+        measured=measured,
+        low=min(values),
+        median=float(np.median(values)),
+        high=max(values),
+        unit=unit,
+        bar="" if bar is None else str(bar),
+        goal="" if goal is None else str(goal),
+        verdict=verdict(measured, bar, goal),
+        seeds=len(values),
+    )
+
+
+def whole(figure: str, value: float, unit: str, seeds: int, bar: Limit | None) -> EstimatorBenchRow:
+    """A figure that only all seeds together have."""
+    return EstimatorBenchRow(
+        figure=figure,
+        measured=value,
+        low=None,
+        median=None,
+        high=None,
+        unit=unit,
+        bar="" if bar is None else str(bar),
+        goal="",
+        verdict=verdict(value, bar, None),
+        seeds=seeds,
+    )
+
+
+def mean(values: Sequence[float]) -> float:
+    """Over runs that each have one."""
+    return float(np.mean(values))
 
 
 def error_rms(run: Watched, columns: slice, span_s: tuple[float, float]) -> float:

@@ -27,6 +27,7 @@ LONG = ("estimator", "pockets", "energy", "energy-latency")
     metavar="A..B",
     help="estimator: fly these seeds (default 1..20, with pictures 1..3); --attitude: motions with them (101..110).",
 )
+@click.option("--only", multiple=True, metavar="GROUP", help="estimator: only these rows (steady, haze, laid ...).")
 @click.option(
     "--data",
     type=click.Path(file_okay=False, exists=True, path_type=Path),
@@ -54,6 +55,7 @@ def bench(
     images: bool,
     attitude: bool,
     seeds: str | None,
+    only: tuple[str, ...],
     data: Path | None,
     figures: str | None,
     part: str | None,
@@ -71,8 +73,10 @@ def bench(
     with 2, 10 and 50 obstacles; failures from 200 random starts; start-up and memory (minutes; less with --short).
     sitl: speed against real time, CPU time per tick and memory, with a rendered camera and with pose samples.
     estimator: accuracy, honesty, gaps, outliers and delays of the estimator in flights of the whole vehicle, beside
-    what the project asks for, and its cost, with the least, median and largest of the seeds; 20 seeds take half an
-    hour, 3 (--short, or when no NAME is given) five minutes, --seeds 201..220 an hour: all with pictures, too.
+    what the project asks for, over floors whose sheets somebody has laid, and its cost, with the least, median and
+    largest of the seeds; 20 seeds take half an hour, 3 (--short, or when no NAME is given) five minutes, --seeds
+    201..220 an hour: all with pictures, too. --only GROUP (repeatable) shows some of it: steady, pictures, haze,
+    currents, gaps, outliers, late, compass, laid, cost.
     With --images instead: poses from rendered pictures against height and turbidity (five minutes, half with --short).
     With --attitude instead: attitude from gyros, accelerometers and magnetometer, in recorded trials and made-up
     motions, beside a filter of fixed gain; the parameters of both chosen without the row that they are tried on (ten
@@ -110,6 +114,8 @@ def bench(
     chosen_seeds = None if seeds is None else _seed_range(seeds)
     if seeds is not None and (name != "estimator" or images):
         raise click.UsageError("--seeds belongs to the benchmark estimator, without --images")
+    if only and (name != "estimator" or images or attitude):
+        raise click.UsageError("--only belongs to the benchmark estimator, without --images and --attitude")
     if data is not None and not attitude:
         raise click.UsageError("--data belongs to the benchmark estimator --attitude")
     if figures is not None and name != "energy" and not images:
@@ -153,7 +159,7 @@ def bench(
         runs: dict[str, Callable[[bool], list[dict[str, object]]]] = {
             "nmpc": _nmpc,
             "sitl": _sitl,
-            "estimator": partial(_estimator, seeds=chosen_seeds),
+            "estimator": partial(_estimator, seeds=chosen_seeds, groups=only),
             "pockets": _pockets,
             "energy-latency": _latency,
             "loop": _loop,
@@ -302,13 +308,26 @@ def _sitl(short: bool) -> list[dict[str, object]]:
     return [asdict(row) for row in bench_sitl(duration_s=10.0 if short else 30.0)]
 
 
-def _estimator(short: bool, seeds: range | None = None) -> list[dict[str, object]]:
-    from autopilot.bench.estimator import CAMERA_SEEDS, SEEDS, SHORT_CAMERA_SEEDS, SHORT_SEEDS, bench_estimator
+def _estimator(short: bool, seeds: range | None = None, groups: tuple[str, ...] = ()) -> list[dict[str, object]]:
+    from autopilot.bench.estimator import (
+        CAMERA_SEEDS,
+        COST,
+        SEEDS,
+        SHORT_CAMERA_SEEDS,
+        SHORT_SEEDS,
+        bench_estimator,
+        group_names,
+    )
     from autopilot.bench.estimator_cost import COST_S, SHORT_COST_S, bench_cost
 
+    for name in groups:
+        if name not in group_names():
+            raise click.UsageError(f"--only {name}: there is {', '.join(group_names())}")
     poses, pictures = (SHORT_SEEDS, SHORT_CAMERA_SEEDS) if short else (SEEDS, CAMERA_SEEDS)
-    rows = bench_estimator(seeds or poses, seeds or pictures)
-    return [asdict(row) for row in (*rows, *bench_cost(SHORT_COST_S if short else COST_S))]
+    rows = bench_estimator(seeds or poses, seeds or pictures, groups=groups or None)
+    if not groups or COST in groups:
+        rows += bench_cost(SHORT_COST_S if short else COST_S)
+    return [asdict(row) for row in rows]
 
 
 def _loop(short: bool) -> list[dict[str, object]]:

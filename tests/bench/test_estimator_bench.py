@@ -237,9 +237,10 @@ def test_the_watching_filter_is_the_flown_one() -> None:
 
 
 def test_command_prints_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
+    asked, chosen = [], []
 
-    def fake(*seeds: range) -> list[Any]:
+    def fake(*seeds: range, groups: tuple[str, ...] | None) -> list[Any]:
+        chosen.append(groups)
         asked.append(seeds)
         runs = {name: [{watcher: made_up() for watcher in watchers}] for name, (_, _, _, watchers) in PLAN.items()}
         return judged(runs)
@@ -251,7 +252,11 @@ def test_command_prints_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "NEES" in done.output
     assert "None" not in done.output
     assert CliRunner().invoke(bench_command, ["estimator", "--json"]).exit_code == 0
-    assert CliRunner().invoke(bench_command, ["estimator", "--seeds", "201..220"]).exit_code == 0
+    assert CliRunner().invoke(bench_command, ["estimator", "--seeds", "201..220", "--only", "laid"]).exit_code == 0
+    done = CliRunner().invoke(bench_command, ["estimator", "--only", "lid"])
+    assert done.exit_code == 2
+    assert "there is steady, pictures, " in done.output
+    assert chosen == [None, None, ("laid",)]
     few, default, unseen = asked
     assert [len(seeds) for seeds in few] == [3, 1]
     assert [len(seeds) for seeds in default] == [20, 3]
