@@ -67,6 +67,8 @@ class OverFloor:
     """(n, 4) estimate minus truth: north, east, down [m], yaw [rad]."""
     variance: FloatArray
     """(n, 4) that it claims."""
+    place_m: FloatArray
+    """(n, 2) where that was: north, east."""
     resets: int
     refined: MarkerMap
     """The map as it has it at the end."""
@@ -76,6 +78,15 @@ class OverFloor:
     def xy_mm(self) -> float:
         """Root mean square of the horizontal error."""
         return 1e3 * float(np.sqrt((self.error[:, :2] ** 2).sum(axis=1).mean()))
+
+    def form_mm(self) -> float:
+        """The same without what one shift and one turn of the whole map explain: no picture shows those."""
+        north, east = (self.place_m - self.place_m.mean(axis=0)).T
+        ones, none = np.ones(len(north)), np.zeros(len(north))
+        together = np.concatenate((np.column_stack((ones, none, -east)), np.column_stack((none, ones, north))))
+        error = self.error[:, :2].T.reshape(-1)
+        rest = error - together @ np.linalg.lstsq(together, error, rcond=None)[0]
+        return 1e3 * math.sqrt(2.0 * float(np.square(rest).mean()))
 
     def worst_mm(self) -> float:
         """The largest horizontal error."""
@@ -202,14 +213,15 @@ def over(recording: Recording, camera: Camera, floor: MarkerMap, told: MarkerMap
             k = int(np.searchsorted(truth.t_s, 1e-6 * t_us - 1e-6))
             yaw = wrap_pi(float(nav.rpy_rad[2] - truth.rpy_rad[k, 2]))
             off = nav.pos_ned_m - truth.pos_ned_m[k]
-            rows.append([1e-6 * t_us, *off, yaw, *nav.variance[[0, 1, 2, 5]]])
-    table = np.array(rows).reshape(-1, 9)
+            rows.append([1e-6 * t_us, *off, yaw, *nav.variance[[0, 1, 2, 5]], *nav.pos_ned_m[:2]])
+    table = np.array(rows).reshape(-1, 11)
     refined = estimator.refined_map
     assert refined is not None
     return OverFloor(
         t_s=table[:, 0],
         error=table[:, 1:5],
-        variance=table[:, 5:],
+        variance=table[:, 5:9],
+        place_m=table[:, 9:],
         resets=estimator.counters()["resets"],
         refined=refined,
         remarks=tuple(remarks),

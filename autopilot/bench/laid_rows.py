@@ -93,6 +93,7 @@ def laid_rows(runs: Sequence[LaidRun]) -> list[EstimatorBenchRow]:
                 "mm",
                 bar=Limit(high=1e3 * REFINED_BAR_M),
             ),
+            row(f"{name}the same but for one shift and turn", [run.form_mm() for run in again], "mm"),
         ]
     name = f"sheets {1e3 * PRINTED_RMS_M:.1f} mm, print 0.1 mm, floor 1 mm off, as told: "
     printed = [run.printed for run in runs]

@@ -34,13 +34,26 @@ from autopilot.bench.estimator_figures import (
     whiteness,
 )
 from autopilot.bench.estimator_flights import SAME, SHIFTED, FlightSpec, fly, overlaid
+from autopilot.bench.laid_maps import (
+    Camera,
+    OverFloor,
+    laid_floor,
+    over,
+    record,
+    sigma_of,
+    spoilt_floor,
+    told_plan,
+)
+from autopilot.bench.laid_rows import LaidRun, laid_rows
 from autopilot.cli.bench import bench as bench_command
+from autopilot.core.markers import grid_floor
 from autopilot.core.messages import NavState, Outputs
 from sitl.scenario import load_scenario
 from sitl.toml_text import toml_text
 
 SIGMA = np.array([0.002, 0.003, 0.001, 0.0005, 0.01, 0.02, 0.01])
 SPAN_S = (0.0, 1e9)
+POLYGON = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 def made_up(n: int = 4000, seed: int = 1, scale: float = 1.0, seconds: float = 45.0) -> Watched:
@@ -276,3 +289,46 @@ def test_seeds_belong_to_flights() -> None:
         done = CliRunner().invoke(bench_command, arguments)
         assert done.exit_code == 2
         assert "belongs to" in done.output
+
+
+def over_floor(xy_m: float, sigma_m: float, resets: int = 0) -> OverFloor:
+    """An estimate that is off by so much in each axis and says so much."""
+    n = 50
+    markers = grid_floor(polygon_m=POLYGON, depth_m=1.0, pitch_m=0.1, size_m=0.06, seed=1)
+    return OverFloor(
+        t_s=np.arange(n) * 0.1,
+        error=np.full((n, 4), xy_m),
+        variance=np.full((n, 4), sigma_m**2),
+        place_m=np.random.default_rng(1).normal(size=(n, 2)),
+        resets=resets,
+        refined=markers,
+        remarks=(),
+    )
+
+
+def test_laid_floors_are_judged_by_every_bar() -> None:
+    good, bad = over_floor(0.001, 0.001), over_floor(0.02, 0.001, 1)
+    kept = laid_rows([LaidRun(rigid=((good, good),) * 3, printed=good, missing=(), false=())])
+    assert not [row.figure for row in kept if row.verdict == "missed"]
+    lost = laid_rows([LaidRun(rigid=((bad, bad),) * 3, printed=bad, missing=("ids swapped",), false=("Sheet 3",))])
+    unjudged = [row.figure for row in lost if row.verdict != "missed"]
+    assert len(unjudged) == 6
+    assert all("worst" in figure or "but for one shift" in figure for figure in unjudged)
+    assert bad.form_mm() < 1e-6, "all of it is one shift"
+
+
+def test_a_recorded_flight_over_another_floor() -> None:
+    recording = record(3, 6.5)
+    camera = Camera(recording)
+    exact = over(recording, camera, recording.plan, recording.plan, 1)
+    assert len(exact.t_s) == 15
+    assert exact.xy_mm() < 2.0
+    rng = np.random.default_rng(1)
+    floor = laid_floor(recording.plan, rng, sigma_of(0.0069))
+    off = 1e3 * np.sqrt(((floor.centers_ned_m - recording.plan.centers_ned_m) ** 2).sum(axis=1).mean())
+    assert off == pytest.approx(6.9, rel=0.25)
+    ignorant = over(recording, camera, floor, recording.plan, 1)
+    told = over(recording, camera, floor, told_plan(recording.plan, None), 1)
+    assert ignorant.nees(slice(0, 2)) > 6.0 > told.nees(slice(0, 2))
+    with pytest.raises(ValueError, match="record a longer one"):
+        spoilt_floor(recording, camera, recording.plan, floor, 1)

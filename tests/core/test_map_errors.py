@@ -3,6 +3,7 @@
 import dataclasses
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +13,7 @@ from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.map_errors import SHEET_SIGMA_M, SHEET_SIGMA_RAD, error_arrays, errors_of_arrays
 from autopilot.core.marker_files import load_marker_map, make_map, marker_file_text, placed_markers
 from autopilot.core.markers import MarkerMap, grid_floor
-from sitl.floor import build_markers, told_markers
+from sitl.floor import build_markers, told_floor_m, told_markers
 from sitl.scenario import load_scenario
 
 POLYGON = np.array([[-0.9, -0.6], [0.9, -0.6], [0.9, 0.6], [-0.9, 0.6]])
@@ -112,3 +113,30 @@ def test_the_scenario_lays_another_floor_than_it_tells() -> None:
     assert 0.002 < float(np.sqrt((off_m**2).mean())) < 0.004
     assert (np.bincount(told.errors.sheet) > 10).all()
     assert float(told.errors.sigma[0, 0]) == pytest.approx(0.0017)
+
+
+def test_the_vehicle_of_a_campaign_is_told_what_a_person_knows() -> None:
+    """Another depth than the true one, the default of ruler and tape; the print is smaller than it was planned."""
+    scenario = load_scenario("by-hand")
+    laid = scenario.markers.laid
+    assert laid is not None
+    laid = msgspec.structs.replace(laid, print_scale=0.99, sigma_m=0.0, sigma_rad=0.0, print_sigma_m=0.0)
+    markers = msgspec.structs.replace(scenario.markers, laid=laid, told_deeper_m=0.01)
+    scenario = msgspec.structs.replace(scenario, markers=markers)
+    true, told = build_markers(scenario), told_markers(scenario)
+    assert true is not None
+    assert told is not None
+    assert told.errors is not None
+    assert true.sizes_m == pytest.approx(0.99 * told.sizes_m)
+    np.testing.assert_allclose(told.corners_ned_m[..., 2], true.corners_ned_m[..., 2] + 0.01)
+    assert told_floor_m(scenario) == pytest.approx(1.51)
+    assert (told.errors.sigma[:, [0, 3]] == [SHEET_SIGMA_M, SHEET_SIGMA_RAD]).all()
+    for k in range(len(told.errors.names)):
+        mine = told.errors.sheet == k
+        np.testing.assert_allclose(true.centers_ned_m[mine].mean(axis=0)[:2], told.errors.pivot_ned_m[k, :2], atol=1e-9)
+    other = msgspec.structs.replace(scenario.scenario, seed=2)
+    again = load_scenario("by-hand"), msgspec.structs.replace(load_scenario("by-hand"), scenario=other)
+    floors = [build_markers(one) for one in again]
+    assert floors[0] is not None
+    assert floors[1] is not None
+    assert np.abs(floors[0].corners_ned_m - floors[1].corners_ned_m).max() > 0.001, "each run has a floor of its own"
