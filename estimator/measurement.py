@@ -22,7 +22,7 @@ class Moment(NamedTuple):
     """The node of the history that a measurement belongs to: the last one at or before its time."""
 
     inertial: Inertial
-    thrust_n: tuple[float, float, float, float]
+    thrust_n: tuple[float, ...]
     """Acting force: the command behind the drive's lag."""
 
 

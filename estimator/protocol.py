@@ -27,7 +27,7 @@ class Estimator(Protocol):
         """The state at ``t_us``, None until the first images have told where the vehicle is.
 
         To be called at the base tick with growing times. ``samples`` is what arrived since the last call, in any order.
-        ``thrust_n`` (4,) is what was commanded during the last tick [N]: port, starboard, vertical, lateral.
+        ``thrust_n`` (n,) is what was commanded during the last tick [N], in the order of the vehicle file.
         Bad samples (not finite, from the future, twice, too old) are counted and dropped, never raised.
         """
         ...

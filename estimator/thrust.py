@@ -2,46 +2,38 @@
 
 import math
 from collections import deque
+from collections.abc import Sequence
 
 from autopilot.core.frames import FloatArray
 
-Four = tuple[float, float, float, float]
-ZERO: Four = (0.0, 0.0, 0.0, 0.0)
-
 
 class ThrustLag:
-    """F' = (command - F) / tau, sampled at every tick."""
+    """F' = (command - F) / tau of every thruster, sampled at every tick."""
 
-    def __init__(self, time_constant_s: float, limit_n: float) -> None:
+    def __init__(self, time_constant_s: float, limit_n: float, thrusters: int) -> None:
         self._time_constant_s = time_constant_s
         self._limit_n = limit_n
-        self._track: deque[tuple[int, Four]] = deque([(-1, ZERO)], maxlen=64)
+        self._none = (0.0,) * thrusters
+        self._track: deque[tuple[int, tuple[float, ...]]] = deque([(-1, self._none)], maxlen=64)
         self.malformed = 0
 
     def advance(self, t_us: int, command_n: FloatArray) -> None:
-        """The command held since the last call until ``t_us``. A malformed one counts as zero thrust."""
-        last_us, (a, b, c, d) = self._track[-1]
+        """The command (n,) held since the last call until ``t_us``; what follows the n thrusters is not looked at. A
+        malformed one counts as zero thrust."""
+        last_us, before = self._track[-1]
         limit = self._limit_n
         # Comparisons with NaN are false.
-        values = command_n.tolist()[:4]
-        if len(values) != 4 or not all(-math.inf < value < math.inf for value in values):
+        values: Sequence[float] = command_n.tolist()[: len(before)]
+        if len(values) != len(before) or not all(-math.inf < value < math.inf for value in values):
             self.malformed += 1
-            values = [0.0] * 4
-        p, s, v, w = values
+            values = self._none
         share = 1.0 - math.exp(1e-6 * (last_us - t_us) / self._time_constant_s)
-        self._track.append(
-            (
-                t_us,
-                (
-                    a + share * (min(limit, max(-limit, p)) - a),
-                    b + share * (min(limit, max(-limit, s)) - b),
-                    c + share * (min(limit, max(-limit, v)) - c),
-                    d + share * (min(limit, max(-limit, w)) - d),
-                ),
-            )
+        acting = tuple(
+            [a + share * (min(limit, max(-limit, value)) - a) for a, value in zip(before, values, strict=True)]
         )
+        self._track.append((t_us, acting))
 
-    def at(self, t_us: int) -> Four:
+    def at(self, t_us: int) -> tuple[float, ...]:
         """Acting thrust at a time of the last half second (the nearest known outside of it), interpolated."""
         later_us, later = self._track[-1]
         if t_us >= later_us:
@@ -49,7 +41,6 @@ class ThrustLag:
         for earlier_us, earlier in reversed(self._track):
             if earlier_us <= t_us:
                 w = (t_us - earlier_us) / max(1, later_us - earlier_us)
-                (a, b, c, d), (p, q, r, s) = earlier, later
-                return (a + w * (p - a), b + w * (q - b), c + w * (r - c), d + w * (s - d))
+                return tuple([a + w * (b - a) for a, b in zip(earlier, later, strict=True)])
             later_us, later = earlier_us, earlier
         return later

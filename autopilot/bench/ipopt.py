@@ -13,7 +13,7 @@ from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.nmpc.solver import NmpcProblem
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, NX, Model4, R, U, V, W, Z
+from autopilot.core.model4 import NX, Model4, R, U, V, W, Z
 
 COST_SCALE = 1e-2
 """Brings the cost to the size that the tolerance is meant for."""
@@ -26,16 +26,17 @@ class IpoptNmpc:
         self, model: Model4, grid: TimeGrid, planes: int, tolerance: float = 1e-6, plugin: str = "ipopt"
     ) -> None:
         n = self._n = grid.n
-        width = NX + NU + ocp.N_SLACKS
-        z = ca.MX.sym("z", NU + (n - 1) * width + NX)
-        place = NU + width * np.arange(n)[:, None]
+        nu = model.thrusters
+        width = NX + nu + ocp.N_SLACKS
+        z = ca.MX.sym("z", nu + (n - 1) * width + NX)
+        place = nu + width * np.arange(n)[:, None]
         self._at_x = place + np.arange(NX)
-        self._at_u = np.vstack([np.arange(NU), place[:-1] + NX + np.arange(NU)])
-        self._at_s = place[:-1] + NX + NU + np.arange(ocp.N_SLACKS)
+        self._at_u = np.vstack([np.arange(nu), place[:-1] + NX + np.arange(nu)])
+        self._at_s = place[:-1] + NX + nu + np.arange(ocp.N_SLACKS)
         x, u, s = (
             ca.reshape(z[at.ravel().tolist()], at.shape[1], at.shape[0]) for at in (self._at_x, self._at_u, self._at_s)
         )
-        shapes = {"x0": (NX, 1), **ocp.argument_shapes(n, planes)}
+        shapes = {"x0": (NX, 1), **ocp.argument_shapes(n, planes, nu)}
         self._names = [name for name in shapes if not name.endswith("_guess")]
         self._shapes = {name: shapes[name] for name in self._names}
         parameters = [ca.MX.sym(name, *shape) for name, shape in self._shapes.items()]
@@ -77,7 +78,7 @@ class IpoptNmpc:
             stages = {
                 "N": n,
                 "nx": [0] + [NX] * n,
-                "nu": [NU] + [NU + ocp.N_SLACKS] * (n - 1) + [0],
+                "nu": [nu] + [nu + ocp.N_SLACKS] * (n - 1) + [0],
                 "ng": [0] + [7 + planes] * (n - 1) + [0],
             }
             options |= {"structure_detection": "manual", **stages, "equality": is_gap}
@@ -97,7 +98,6 @@ class IpoptNmpc:
 
     def solve(self, problem: NmpcProblem) -> tuple[FloatArray, FloatArray, bool]:
         """States (N+1, 8), thrust (N, 4) and whether the solver calls it solved."""
-        n = self._n
         lower, upper = np.full(len(self._guess), -np.inf), np.full(len(self._guess), np.inf)
         values = (
             problem.x0,
@@ -118,7 +118,7 @@ class IpoptNmpc:
                 for value, (rows, columns) in zip(values, self._shapes.values(), strict=True)
             ]
         )
-        bound = np.broadcast_to(problem.thrust_limit_n, (n, NU))
+        bound = np.broadcast_to(problem.thrust_limit_n, problem.thrust_ref_n.shape)
         lower[self._at_u], upper[self._at_u] = -bound, bound
         lower[self._at_s] = 0.0
         answer = self._solver(x0=self._guess, lbx=lower, ubx=upper, lbg=self._lbg, ubg=self._ubg, p=parameters)

@@ -19,8 +19,9 @@ from autopilot.control.way.guidance import VELOCITY_WEIGHTS
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavHealth, NavState
-from autopilot.core.model4 import NU, Model4, U
+from autopilot.core.model4 import Model4, U
 from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 from mission.fence import fence_clearance_m
 
@@ -117,7 +118,7 @@ def tube_table(vehicle: Vehicle, params: ParamSet) -> list[TubeRow]:
         for speed in SPEEDS_M_S:
             x = np.zeros((grid.n + 1, 8))
             x[:, U] = speed
-            back = margins.back_offs(_nav(sigmas), x, np.zeros((grid.n, NU)), params)
+            back = margins.back_offs(_nav(sigmas), x, np.zeros((grid.n, model.thrusters)), params)
             planar = float(back.planar_speed_m_s[-1])
             rows.append(
                 TubeRow(
@@ -185,10 +186,10 @@ def certificate_table(
     """Terminal certificate of every goal in every current, with the margins of a perfect estimate."""
     model, grid = vehicle.model4.to_model(), geometric_grid()
     back = Margins(model, grid).back_offs(
-        _nav(ESTIMATES["perfect"]), np.zeros((grid.n + 1, 8)), np.zeros((grid.n, NU)), params
+        _nav(ESTIMATES["perfect"]), np.zeros((grid.n + 1, 8)), np.zeros((grid.n, model.thrusters)), params
     )
     q = np.array([params["MPC_Q_POS"]] * 2 + [params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
-    r, points = np.full(NU, params["MPC_R_THRUST"]), unit_samples(samples)
+    r, points = np.full(model.thrusters, params["MPC_R_THRUST"]), unit_samples(samples)
     rows = []
     for goal in goals:
         clearance = float(fence_clearance_m(fence, goal.pos_ned_m[None, :2])[0])
@@ -202,7 +203,7 @@ def certificate_table(
             clearance_m=clearance - vehicle.radius_m - float(back.clearance_m[-1]),
         )
         for current in currents_ned_m_s:
-            law = terminal_law(model, goal.yaw_rad or 0.0, current, q, r)
+            law = terminal_law(Sharing.of(vehicle), goal.yaw_rad or 0.0, current, q, r, limits.thrust_n)
             made = certify(model, law, goal, limits, points)
             rows.append(
                 CertificateRow(

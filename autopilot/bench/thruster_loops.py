@@ -20,7 +20,8 @@ from autopilot.control.thrust.losses import SUBMERGED
 from autopilot.control.thrust.thruster_health import ThrusterHealth, usable
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavHealth, NavState
-from autopilot.core.model4 import NU, Model4, body_acceleration
+from autopilot.core.model4 import Model4, body_acceleration
+from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from sitl.currents import current_field
 from sitl.plant import Plant, Truth
@@ -44,6 +45,10 @@ HAND_S = 1.0
 """The pilot begins after this time."""
 
 
+THRUSTERS = 4
+"""Of the vehicle of these flights."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loss:
     """What happens to one thruster."""
@@ -62,11 +67,11 @@ class Flown:
     """First word of the thruster that was lost, after it was."""
     false: list[tuple[float, str, float]] = field(default_factory=list)
     """Time [s], thruster and share of every other word."""
-    seen_s: list[float | None] = field(default_factory=lambda: [None] * NU)
+    seen_s: list[float | None] = field(default_factory=lambda: [None] * THRUSTERS)
     """Since when half of each thruster would be seen."""
     peak: float = 0.0
     """Most evidence against a thruster that was sound [nats]."""
-    found: tuple[float, ...] = (1.0,) * NU
+    found: tuple[float, ...] = (1.0,) * THRUSTERS
     """At the end."""
     used_n: tuple[float, ...] = ()
     """Standard deviation of each thrust since the loss [N]."""
@@ -119,7 +124,7 @@ class _Pilot:
     def __init__(self, rng: np.random.Generator, model: Model4) -> None:
         self._rng = rng
         self._model = model
-        self._inverse = np.linalg.inv(np.array(model.allocation))
+        self._sharing = Sharing(model)
         self._until_s = 0.0
         self._target = np.zeros(4)
         self._speed = 0.3
@@ -141,10 +146,9 @@ class _Pilot:
         climb = max(-0.12, min(0.12, 0.5 * float(error[2])))
         wanted = (c * north + s * east, c * east - s * north, climb, turn)
         now = (*(float(v) for v in nav.vel_water_frd_m_s), float(nav.rate_frd_rad_s[2]))
-        drift = body_acceleration(model, wanted, [0.0] * NU, math)
+        drift = body_acceleration(model, wanted, (0.0,) * model.thrusters, math)
         force = [m * (1.5 * (w - v) - a) for m, w, v, a in zip(model.mass_kg, wanted, now, drift, strict=True)]
-        thrust: FloatArray = np.clip(self._inverse @ np.array(force), -11.0, 11.0)
-        return thrust
+        return self._sharing.thrust_n(np.array(force), np.full(model.thrusters, 11.0))
 
     def _choose(self, t_s: float) -> None:
         rng = self._rng
@@ -242,7 +246,7 @@ def fly(
     )
     health = ThrusterHealth(model, drive.time_constant_s, submerged_m=SUBMERGED * believed.hull_half_height_m)
     pilot, estimator, allocation = _Pilot(rng, model), _Estimator(rng, model), Allocation(drive)
-    acting, pulse_n, flown, used = np.zeros(NU), np.zeros(NU), Flown(), []
+    acting, pulse_n, flown, used = np.zeros(THRUSTERS), np.zeros(THRUSTERS), Flown(), []
     tug_s = float(rng.uniform(8.0, 30.0))
     for tick in range(round(seconds * 1e6 / STEP_US)):
         t_us = tick * STEP_US
@@ -257,14 +261,14 @@ def fly(
         nav = estimator.nav(truth, acting, dt_s)
         if t_s >= HAND_S:
             _note(flown, health, names, loss, t_s, changed=health.step(t_us, nav, pulse_n))
-        thrust = pilot.thrust(t_s, nav) if t_s >= HAND_S else np.zeros(NU)
+        thrust = pilot.thrust(t_s, nav) if t_s >= HAND_S else np.zeros(THRUSTERS)
         pulses = allocation.pulses_us(thrust, truth.voltage_v, share)
         pulse_n = allocation.thrusts_n(pulses, truth.voltage_v)
         if loss is None or t_s >= loss.at_s:
             used.append(pulse_n)
         plant.advance(t_us + STEP_US, pulses)
     flown.found = tuple(health.found.tolist())
-    flown.used_n = tuple(np.std(used, axis=0).tolist()) if used else (0.0,) * NU
+    flown.used_n = tuple(np.std(used, axis=0).tolist()) if used else (0.0,) * THRUSTERS
     return flown
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from autopilot.campaign.tube import TubeCheck
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Event, Failsafe, Fallback, Outputs, ProgressState, Severity
-from autopilot.core.model4 import NU
 from autopilot.log.analysis import Span, Track
 from autopilot.log.smoothness import Commands, is_told
 from sitl.plant import Truth
@@ -47,6 +46,7 @@ class Watch:
         self.tube = TubeCheck()
         self._commands: list[tuple[float, Fallback, FloatArray]] = []
         self._starts_s: list[float] = []
+        self._thrusters = 0
         self._told_s: list[float] = []
         self._goal: tuple[float, ...] | None = None
 
@@ -125,7 +125,7 @@ class Watch:
         kept = [command for command in self._commands if self.mission.holds(np.array([command[0]]))[0]]
         return Commands(
             t_s=np.array([t_s for t_s, _, _ in kept]),
-            thrust_n=np.array([thrust_n for _, _, thrust_n in kept]).reshape(len(kept), NU),
+            thrust_n=np.array([thrust_n for _, _, thrust_n in kept]).reshape(len(kept), self._thrusters),
             fallback=np.array([fallback for _, fallback, _ in kept], dtype=np.uint8),
             starts_s=np.array([self._armed_s or 0.0, *self._starts_s]),
             told_s=np.array(self._told_s),
@@ -171,7 +171,8 @@ class Watch:
         if place != self._goal:
             self._starts_s.append(t_s)
         self._goal = place
-        self._commands.append((t_s, status.fallback, outputs.command.thrust_n[:NU].copy()))
+        self._thrusters = sum(map(bool, outputs.command.pwm_us))
+        self._commands.append((t_s, status.fallback, outputs.command.thrust_n[: self._thrusters].copy()))
         self.steps += 1
         self.fallbacks += status.fallback is not Fallback.NONE
         if math.isfinite(status.slack_max):

@@ -16,8 +16,9 @@ from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.messages import DeviceRole, DeviceTrouble, Event, NavHealth, NavState, Severity
-from autopilot.core.model4 import NU, NX, YAW
+from autopilot.core.model4 import NX, YAW
 from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 
 FLIGHT_PARTS = frozenset(("estimator", "thrusters", "commander", "controller", "allocation", "tick"))
@@ -46,7 +47,7 @@ class FaultCare:
     """Remembers faults and says what they mean."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
-        self._model = vehicle.model4.to_model()
+        self._sharing = Sharing.of(vehicle)
         self._params = params
         self._seen: set[tuple[str, str]] = set()
         self._said_us: dict[tuple[str, str], int] = {}
@@ -100,20 +101,20 @@ class FaultCare:
             self._since_us = self._place = None
 
     def thrust_n(self, t_us: int, nav: NavState | None, limit_n: FloatArray) -> FloatArray:
-        """Thrust (4,) while the controller is out."""
+        """Thrust (n,) while the controller is out."""
         since_us = t_us if self._since_us is None else self._since_us
         if nav is None or nav.health is NavHealth.INVALID or t_us - since_us >= self._params["FS_FAULT_TIME"] * 1e6:
-            return np.zeros(NU)
+            return np.zeros(len(limit_n))
         x = np.empty(NX)
         x[:3], x[YAW] = nav.pos_ned_m, nav.rpy_rad[2]
         x[4:7], x[7] = nav.vel_water_frd_m_s, nav.rate_frd_rad_s[2]
         current = nav.current_ned_m_s
         if not math.isfinite(float(x.sum() + current.sum())):
-            return np.zeros(NU)
+            return np.zeros(len(limit_n))
         if self._place is None:
             self._place = x.copy()
         return station_keeping_thrust(
-            self._model, x, self._place, current, np.minimum(limit_n, self._params["THR_LIMIT"])
+            self._sharing, x, self._place, current, np.minimum(limit_n, self._params["THR_LIMIT"])
         )
 
 

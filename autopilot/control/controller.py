@@ -41,9 +41,10 @@ from autopilot.core.messages import (
     Severity,
     SolveStatus,
 )
-from autopilot.core.model4 import NU, NX, YAW, U
+from autopilot.core.model4 import NX, YAW, U
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import ObstacleTrack
+from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 
 LONGEST_SHIFT_S = 1.0
@@ -90,21 +91,24 @@ class MotionController:
         grid = grid or geometric_grid(n, horizon_s)
         self.desks = desks = desks or Desks()
         """Whoever owns the loop closes them, and says what is attended to while an answer is waited for."""
-        self._program = StepProgram(self._model, grid, vehicle.radius_m, backends, desks.certificates)
+        sharing = Sharing.of(vehicle)
+        self._program = StepProgram(
+            sharing, grid, vehicle.radius_m, backends, desks.certificates, tuple(each.name for each in vehicle.thruster)
+        )
         self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
         self._lag = ThrusterLag(self._model, vehicle.drive.time_constant_s)
         self._forecast = currents or EstimatedCurrent()
         self._inner = InnerLoop(self.margins.ancillary, grid)
-        self._station = StationKeeper(self._model)
-        self._reversals = Reversals(NU, vehicle.drive.limit_n)
+        self._station = StationKeeper(sharing)
+        self._reversals = Reversals(self._model.thrusters, vehicle.drive.limit_n)
         self._penalty = PenaltyWatch()
         self._fallbacks = FallbackWatch()
         self._nominal_t_s = vehicle.drive.time_constant_s + grid.t_s
         self._plan_current = np.zeros(3)
         self.trajectories = trajectories = trajectories or EnergyPlanner(self._model, PowerModel.of(vehicle))
         """Makes plans of least energy."""
-        route = RouteGuidance(self._model, grid, desks.routes)
-        energy = EnergyGuidance(self._model, grid, desks.trajectories, trajectories, route)
+        route = RouteGuidance(sharing, grid, desks.routes)
+        energy = EnergyGuidance(sharing, grid, desks.trajectories, trajectories, route)
         self._guidances: tuple[Guidance, ...] = (route, energy)
         self._guidance: Guidance = self._guidances[0]
         self._planner: Planner | None = None
@@ -136,10 +140,10 @@ class MotionController:
         self._reset_count = -1
         self._plan_age_s: float | None = None
         self._planned: FloatArray | None = None
-        self._command = np.zeros(NU)
+        self._command = np.zeros(self._model.thrusters)
         self._stepped: FloatArray | None = None
         self._reference_ned_m: FloatArray | None = None
-        self._limit_n = np.zeros(NU)
+        self._limit_n = np.zeros(self._model.thrusters)
         self._penalty.reset()
         self._fallbacks.reset()
         self._lag.reset()
@@ -162,13 +166,13 @@ class MotionController:
         *,
         delay_s: float | None = 0.0,
     ) -> ControlOutput:
-        """Thrust for the next interval. ``thruster_limit_n`` (4,) lowers THR_LIMIT per thruster (derating, failure).
+        """Thrust for the next interval. ``thruster_limit_n`` (n,) lowers THR_LIMIT per thruster (derating, failure).
 
         ``tracks`` are obstacles beside the fence, seen at or before ``t_us``. Commands reach the thrusters ``delay_s``
         late; None = it is in doubt whether they do at all: no thrust.
         """
         began = self._cpu_clock()
-        limit_n = np.full(NU, params["THR_LIMIT"])
+        limit_n = np.full(self._model.thrusters, params["THR_LIMIT"])
         if thruster_limit_n is not None:
             limit_n = np.minimum(limit_n, thruster_limit_n)
         elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
@@ -240,7 +244,7 @@ class MotionController:
         )
 
     def tick(self, t_us: int, nav: NavState) -> FloatArray | None:
-        """Thrust (4,) between two steps: the last plan with the ancillary feedback. None = keep what was commanded
+        """Thrust (n,) between two steps: the last plan with the ancillary feedback. None = keep what was commanded
         (no plan, no estimate, or margins that credit no feedback)."""
         self._follow_lag(t_us)
         if not self._inner.active or nav.health is NavHealth.INVALID or nav.reset_count != self._reset_count:
@@ -349,7 +353,7 @@ class MotionController:
         return self._slewed(self._station.thrust(x, current, limit_n), limit_n, elapsed_s), Fallback.STATION_KEEPING
 
     def _slewed(self, thrust_n: FloatArray, limit_n: FloatArray, elapsed_s: float) -> FloatArray:
-        """Thrust (4,) within the limits (4,) and no farther from the last step's command than it may change."""
+        """Thrust (n,) within the limits (n,) and no farther from the last step's command than it may change."""
         if self._stepped is not None:
             most = SLEW_SHARE_1_S * self._vehicle.drive.limit_n * max(elapsed_s, 0.0)
             thrust_n = np.minimum(np.maximum(thrust_n, self._stepped - most), self._stepped + most)
@@ -358,7 +362,7 @@ class MotionController:
 
     def _neutral(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
         """Without an estimate there is nothing to control: no thrust, and the plan is void."""
-        self._command = np.zeros(NU)
+        self._command = np.zeros(self._model.thrusters)
         self._plan_age_s = self._yaw_rad = self._stepped = None
         self._inner.stop()
         self._station.release()
@@ -376,5 +380,8 @@ class MotionController:
         )
         here = np.asarray(nav.pos_ned_m, dtype=float)[None]
         return ControlOutput(
-            thrust_n=np.zeros(NU), status=status, horizon_ned_m=here.copy(), route_ned_m=here[:, :2].copy()
+            thrust_n=np.zeros(self._model.thrusters),
+            status=status,
+            horizon_ned_m=here.copy(),
+            route_ned_m=here[:, :2].copy(),
         )

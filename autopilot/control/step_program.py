@@ -26,8 +26,9 @@ from autopilot.control.way.planner import Planner
 from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus, UnsolvedProgram
-from autopilot.core.model4 import NU, YAW, Model4, U, Z
+from autopilot.core.model4 import YAW, U, Z
 from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
 
 CONVERGED_N = 0.05
 """A plan has converged when a QP changes the thrust to be commanded by less than this."""
@@ -82,11 +83,19 @@ class StepProgram:
     """Keeps the optimiser with its plan, the margins, the terminal regions and the arrays of the program."""
 
     def __init__(
-        self, model: Model4, grid: TimeGrid, radius_m: float, backends: tuple[ocp.QpBackend, ...], certificates: Desk
+        self,
+        sharing: Sharing,
+        grid: TimeGrid,
+        radius_m: float,
+        backends: tuple[ocp.QpBackend, ...],
+        certificates: Desk,
+        thrusters: tuple[str, ...],
     ) -> None:
+        """``thrusters``: their names."""
+        model, self._thrusters = sharing.model, thrusters
         self.nmpc = Nmpc(model, grid, backends=backends)
         self.margins = Margins(model, grid)
-        self.regions = TerminalRegions(model, certificates)
+        self.regions = TerminalRegions(sharing, certificates)
         self.tube_m: FloatArray = np.zeros(grid.n + 1)
         """(N+1,) distance that every node of the last plan keeps from boundaries beyond the body."""
         self._radius_m = radius_m
@@ -161,7 +170,7 @@ class StepProgram:
         """Begin from the place where the vehicle is; its motion fades."""
         x = np.tile(now.x0, (self.nmpc.grid.n + 1, 1))
         x[:, U:] *= np.exp(-self.nmpc.grid.t_s / STANDS_AFTER_S)[:, None]
-        self.nmpc.set_plan(x, np.zeros((self.nmpc.grid.n, NU)))
+        self.nmpc.set_plan(x, np.zeros_like(self.nmpc.u))
 
     def _iterate(
         self,
@@ -176,7 +185,7 @@ class StepProgram:
         ``before``: QPs that have been solved in vain."""
         nmpc, n = self.nmpc, self.nmpc.grid.n
         path, t_s, share, last_n = nmpc.x[:n, :2], nmpc.grid.t_s[:n], 1.0, math.inf
-        last, grown, may_grow = np.zeros(NU), False, True
+        last, grown, may_grow = np.zeros(nmpc.model.thrusters), False, True
         good: tuple[FloatArray, FloatArray, NmpcResult, float] | None = None
         for qps in range(1, MOST_QPS + 1):
             nmpc.x[0] = problem.x0
@@ -250,9 +259,10 @@ class StepProgram:
                 depth_min_m=max(now.fence.depth_min_m, params["DEPTH_MIN"]) + float(back_off.depth_m[-1]),
                 depth_max_m=min(now.fence.depth_max_m, params["DEPTH_MAX"]) - float(back_off.depth_m[-1]),
                 clearance_m=self._cleared[2],
+                thrusters=self._thrusters,
             ),
             np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS]),
-            np.full(NU, params["MPC_R_THRUST"]),
+            np.full(self.nmpc.model.thrusters, params["MPC_R_THRUST"]),
             math.hypot(*(now.x0[:2] - place).tolist()),
         )
         cost = None if int(params["MPC_COST"]) else self.regions.cost_at(reference.x[-1], goal)
@@ -265,6 +275,6 @@ def _plausible(x: FloatArray) -> bool:
 
 
 def _left(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
-    """What the margins leave of thrust limits (4,)."""
+    """What the margins leave of thrust limits (n,)."""
     left: FloatArray = limit_n - np.minimum(back_off_n, LARGEST_THRUST_SHARE * limit_n)
     return left

@@ -1,7 +1,7 @@
 """The 4-DoF vehicle model that controller and estimator share (paper, section III-B, with M^-1 in front of T_A tau).
 
 State (8): x, y, z [m, NED], yaw [rad], u_r, v_r, w_r [m/s, FRD, relative to the water], r [rad/s].
-Input (4): thrust of port, starboard, vertical, lateral [N]. Current (3): NED [m/s].
+Input (n): thrust of the vehicle's n thrusters [N], in the order of its file. Current (3): NED [m/s].
 
 The equations are written once and run on floats, numpy arrays and CasADi symbols: ``ops`` supplies cos, sin and sqrt
 (:mod:`math`, :mod:`numpy` or :mod:`casadi`). The simulator does not use this module: it has its own 6-DoF equations.
@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 NX = 8
-NU = 4
+AXES = 4
+"""Surge, sway, heave, yaw."""
 
 X, Y, Z, YAW, U, V, W, R = range(NX)
 """Indices of the state."""
@@ -33,17 +34,21 @@ class Model4:
     """N s^2/m^2; N m s^2 for yaw."""
     buoyancy_excess_n: float
     """Buoyancy minus weight [N], positive floats up."""
-    allocation: tuple[tuple[float, float, float, float], ...]
-    """T_A (4, 4): rows X, Y, Z [N], N [N m]; columns port, starboard, vertical, lateral."""
+    allocation: tuple[tuple[float, ...], ...]
+    """T_A (4, n): rows X, Y, Z [N], N [N m]; one column per thruster. Nothing but these columns says what a thruster
+    does."""
+
+    @property
+    def thrusters(self) -> int:
+        """n, how many there are."""
+        return len(self.allocation[0])
 
 
 def body_acceleration(model: Model4, nu: Sequence[Any], thrust_n: Sequence[Any], ops: Any) -> list[Any]:
     """Acceleration relative to the water (4): u', v', w' [m/s^2], r' [rad/s^2] from nu = (u_r, v_r, w_r, r)."""
     u, v, w, r = nu[0], nu[1], nu[2], nu[3]
     m11, m22, m33, m44 = model.mass_kg
-    forces = [
-        sum(model.allocation[i][j] * thrust_n[j] for j in range(NU) if model.allocation[i][j] != 0.0) for i in range(NU)
-    ]
+    forces = [sum(row[j] * thrust_n[j] for j in range(len(row)) if row[j] != 0.0) for row in model.allocation]
     drag = [
         model.linear_drag[i] * a + model.quadratic_drag[i] * ops.sqrt(a * a + ABS_SMOOTHING_M2_S2) * a
         for i, a in enumerate((u, v, w, r))
@@ -72,7 +77,7 @@ def state_derivative(
 
 def steady_force(model: Model4, nu: Sequence[Any], ops: Any) -> list[Any]:
     """Force (4) X, Y, Z [N], N [N m] that holds the velocity nu = (u, v, w, r): drag, buoyancy and Munk moment."""
-    drift = body_acceleration(model, nu, [0.0] * NU, ops)
+    drift = body_acceleration(model, nu, (0.0,) * model.thrusters, ops)
     return [-m * a for m, a in zip(model.mass_kg, drift, strict=True)]
 
 

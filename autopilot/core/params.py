@@ -114,10 +114,8 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("THR_LIMIT", 12.0, 0.5, 200.0, "N", "Limit of every thrust command (hard constraint)."),
     _int("FS_THR_ACT", 2, 0, 2, "Thrusters lost that depth, heading or hover need: 0 = warn, 1 = hold, 2 = surface."),
     _int("THR_DETECT", 1, 0, 1, "1 = losses of thrust are found from the motion, 0 = only THRn_HEALTH counts."),
-    _real("THR1_HEALTH", 1.0, 0.0, 1.0, "", "Share of its thrust that thruster 1 (port) is known to give."),
-    _real("THR2_HEALTH", 1.0, 0.0, 1.0, "", "The same of thruster 2 (starboard)."),
-    _real("THR3_HEALTH", 1.0, 0.0, 1.0, "", "The same of thruster 3 (vertical)."),
-    _real("THR4_HEALTH", 1.0, 0.0, 1.0, "", "The same of thruster 4 (lateral)."),
+    _real("THR1_HEALTH", 1.0, 0.0, 1.0, "", "Share of its thrust that the vehicle file's thruster 1 is known to give."),
+    *(_real(f"THR{i}_HEALTH", 1.0, 0.0, 1.0, "", f"The same of thruster {i}.") for i in range(2, 9)),
     _real("WP_ACCEPT_RADIUS", 0.3, 0.02, 50.0, "m", "Acceptance ball where an item gives none."),
     _real("WP_ACCEPT_YAW", 0.15, 0.01, 3.15, "rad", "Acceptance band of the heading where an item gives a heading."),
     _int(

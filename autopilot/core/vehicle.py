@@ -20,10 +20,10 @@ Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Vec2: TypeAlias = tuple[float, float]
 Vec3: TypeAlias = tuple[float, float, float]
-Vec4: TypeAlias = tuple[float, float, float, float]
 Positive3: TypeAlias = tuple[Positive, Positive, Positive]
 Positive4: TypeAlias = tuple[Positive, Positive, Positive, Positive]
 NonNegative3: TypeAlias = tuple[NonNegative, NonNegative, NonNegative]
+Row: TypeAlias = Annotated[tuple[float, ...], msgspec.Meta(min_length=3, max_length=8)]
 NonNegative4: TypeAlias = tuple[NonNegative, NonNegative, NonNegative, NonNegative]
 
 
@@ -54,7 +54,8 @@ class Model4Table(_Table, frozen=True, kw_only=True):
     linear_drag: NonNegative4
     quadratic_drag: NonNegative4
     buoyancy_excess_n: float
-    allocation: tuple[Vec4, Vec4, Vec4, Vec4]
+    allocation: tuple[Row, Row, Row, Row]
+    """Rows surge, sway, heave [N], yaw [N m]; one column per thruster, in the order of the file."""
 
     def to_model(self) -> Model4:
         """The same as the plain dataclass that the equations take."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, NX, Model4
+from autopilot.core.model4 import AXES, NX, Model4
 from autopilot.identify.prediction import (
     CURRENT_SCALE_M_S,
     N_COMMON,
@@ -55,7 +55,7 @@ class Fit:
     """The result. k coefficients: :data:`N_COMMON` and two components of the current per flight."""
 
     values: FloatArray
-    """(14,) masses, linear drags, quadratic drags, buoyancy excess, arm of the lateral thruster"""
+    """(14,) masses, linear drags, quadratic drags, buoyancy excess, arm of thrust to the side"""
     covariance: FloatArray
     """(14, 14)"""
     current_m_s: FloatArray
@@ -169,7 +169,7 @@ def _solve(
 def _bounded(theta: FloatArray, step: FloatArray, around: Coefficients) -> FloatArray:
     """The step, cut so that masses stay positive, and drags nearly so."""
     result = step.copy()
-    mass, drag = slice(0, NU), slice(NU, 3 * NU)
+    mass, drag = slice(0, AXES), slice(AXES, 3 * AXES)
     result[mass] = np.maximum(result[mass], LEAST_SHARE - 1.0 - theta[mass])
     result[drag] = np.maximum(result[drag], -around.base[drag] / around.scale[drag] - theta[drag])
     return result

@@ -7,17 +7,14 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, YAW, Model4, R, U, V, W, X, Y, Z, body_acceleration, rk4
+from autopilot.core.model4 import YAW, Model4, R, U, V, W, X, Y, Z, body_acceleration, rk4
 
 AXES = ("surge", "sway", "heave", "yaw")
 OUTPUTS = (X, Y, Z, YAW, R)
 """What is compared with the estimate."""
 
-LATERAL = 3
-"""Index of the lateral thruster."""
-
-N_COMMON = 3 * NU + 2
-"""Coefficients: masses, linear drags, quadratic drags, buoyancy excess, arm of the lateral thruster."""
+N_COMMON = 3 * len(AXES) + 2
+"""Coefficients: masses, linear drags, quadratic drags, buoyancy excess, arm of thrust to the side beyond T_A's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -39,7 +36,7 @@ class Coefficients:
                 *model.linear_drag,
                 *model.quadratic_drag,
                 model.buoyancy_excess_n,
-                model.allocation[3][LATERAL],
+                0.0,
             ]
         )
         scale = np.concatenate(
@@ -72,7 +69,7 @@ def model_of(values: FloatArray, like: Model4) -> Model4:
         linear_drag=(v[4], v[5], v[6], v[7]),
         quadratic_drag=(v[8], v[9], v[10], v[11]),
         buoyancy_excess_n=v[12],
-        allocation=(surge, sway, heave, (*yaw[:LATERAL], v[13])),
+        allocation=(surge, sway, heave, tuple(arm + v[13] * push for arm, push in zip(yaw, sway, strict=True))),
     )
 
 
@@ -84,9 +81,9 @@ def predict(
     current: FloatArray,
     step_s: float,
 ) -> FloatArray:
-    """Outputs (..., n + 1, 5) from starts (..., 8), inputs (..., n, 8) and currents (..., 2) by RK4.
+    """Outputs (..., n + 1, 5) from starts (..., 8), inputs (..., n, thrusters + 4) and currents (..., 2) by RK4.
 
-    Inputs of a step: thrust of the four thrusters [N], roll and pitch [rad], roll and pitch rate [rad/s]. A vehicle
+    Inputs of a step: thrust of all thrusters [N], roll and pitch [rad], roll and pitch rate [rad/s]. A vehicle
     that goes ahead with its nose two degrees down sinks; that must not be charged to heave. ``values`` (..., 14)
     broadcasts against the leading axes."""
     v: list[Any] = [values[..., k] for k in range(N_COMMON)]
@@ -97,14 +94,14 @@ def predict(
         buoyancy_excess_n=v[12],
         allocation=like.allocation,
     )
-    further_arm_m = v[13] - like.allocation[3][LATERAL]
+    sideways = [(j, push) for j, push in enumerate(like.allocation[1]) if push]
     lead, steps = start.shape[:-1], inputs.shape[-2]
     result = np.empty((*lead, steps + 1, len(OUTPUTS)))
     x = np.moveaxis(start, -1, 0).copy()
 
     def rates_of(given: list[FloatArray], state: FloatArray) -> FloatArray:
         rates = _motion(model, state, given, current)
-        rates[R] = rates[R] + further_arm_m * given[LATERAL] / model.mass_kg[3]
+        rates[R] = rates[R] + v[13] * sum(push * given[j] for j, push in sideways) / model.mass_kg[3]
         return np.stack([np.broadcast_to(rate, lead) for rate in rates])
 
     for n in range(steps + 1):
@@ -118,10 +115,10 @@ def predict(
 
 def _motion(model: Model4, x: FloatArray, given: list[FloatArray], current: FloatArray) -> list[Any]:
     """dx/dt (8): the 4-DoF model with roll and pitch as they were (Fossen 2011, eq. 2.18 and 6.53 with diagonal M)."""
-    roll, pitch, p, q = given[4:]
+    roll, pitch, p, q = given[-4:]
     u, v, w, r = x[U], x[V], x[W], x[R]
     m11, m22, m33, _ = model.mass_kg
-    surge, sway, heave, yaw = body_acceleration(model, (u, v, w, r), given[:NU], np)
+    surge, sway, heave, yaw = body_acceleration(model, (u, v, w, r), given[:-4], np)
     (cr, sr), (cp, sp), (cy, sy) = _turn(roll), _turn(pitch), _turn(x[YAW])
     level_x = cp * u + sp * (sr * v + cr * w)
     level_y = cr * v - sr * w

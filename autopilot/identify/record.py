@@ -9,7 +9,6 @@ import numpy as np
 from autopilot.control.thrust.allocation import Allocation
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.reader import Log, Table, open_log
 from autopilot.replay.setup import read_vehicle
@@ -41,8 +40,8 @@ class Windows:
     start: FloatArray
     """(m, 8) first guess of the state at the begin; the water is taken to stand still."""
     inputs: FloatArray
-    """(m, n, 8) averages over each step: what the four thrusters gave (pulses, supply, lag) [N], roll and pitch [rad],
-    roll and pitch rate [rad/s]"""
+    """(m, n, thrusters + 4) averages over each step: what the thrusters gave (pulses, supply, lag) [N], roll and
+    pitch [rad], roll and pitch rate [rad/s]"""
     flight: np.ndarray
     """(m,) int, which log each window is from"""
 
@@ -114,9 +113,9 @@ def _table(log: Log, topic: str) -> Table:
 
 
 def _acting(log: Log, sent: Table, vehicle: Vehicle, t_s: FloatArray) -> FloatArray:
-    """(len(t_s), 4) mean thrust over the step from each time on: pulses at the supply's voltage, behind the lag."""
+    """(len(t_s), thrusters) mean thrust over the step from each time on, of pulses and supply, behind the lag."""
     allocation, tau = Allocation(vehicle.drive), vehicle.drive.time_constant_s
-    power = log.get("/in/power_raw")
+    count, power = len(vehicle.thruster), log.get("/in/power_raw")
     fine_s = np.arange(float(t_s[0]), float(t_s[-1]) + STEP_S, LAG_STEP_S)
     held = np.clip(np.searchsorted(sent["t_us"] * 1e-6, fine_s + 1e-9, side="right") - 1, 0, None)
     supply = np.full(len(sent), math.nan)
@@ -124,11 +123,11 @@ def _acting(log: Log, sent: Table, vehicle: Vehicle, t_s: FloatArray) -> FloatAr
         supply = np.interp(sent["t_us"], power["t_us"], power["voltage_v"])
     settled = np.array(
         [
-            allocation.thrusts_n([int(pulse) for pulse in row[:NU]], None if math.isnan(volts) else float(volts))
+            allocation.thrusts_n([int(pulse) for pulse in row[:count]], None if math.isnan(volts) else float(volts))
             for row, volts in zip(sent["pwm_us"], supply, strict=True)
         ]
     )[held]
-    acting, share, level = np.empty_like(settled), 1.0 - math.exp(-LAG_STEP_S / tau), np.zeros(NU)
+    acting, share, level = np.empty_like(settled), 1.0 - math.exp(-LAG_STEP_S / tau), np.zeros(count)
     for n, target in enumerate(settled):
         before = level
         level = level + share * (target - level)
@@ -136,7 +135,7 @@ def _acting(log: Log, sent: Table, vehicle: Vehicle, t_s: FloatArray) -> FloatAr
     per_step = round(STEP_S / LAG_STEP_S)
     whole = acting[: len(t_s) * per_step]
     padded = np.vstack([whole, np.repeat(whole[-1:], len(t_s) * per_step - len(whole), axis=0)])
-    result: FloatArray = padded.reshape(len(t_s), per_step, NU).mean(axis=1)
+    result: FloatArray = padded.reshape(len(t_s), per_step, count).mean(axis=1)
     return result
 
 

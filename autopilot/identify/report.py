@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU
 from autopilot.core.vehicle import Body, Vehicle
 from autopilot.identify.fit import Fit
 from autopilot.identify.prediction import AXES, N_COMMON
@@ -51,17 +50,17 @@ def rows_of(fit: Fit, vehicle: Vehicle) -> list[Row]:
         speed = REFERENCE_SPEEDS[i]
         unit = "N m" if i == 3 else "N"
         rows.append(_row(f"{axis} drag at {speed:g}", unit, before, fit, _drag(i), kept[i]))
-    for name, first, unit in (("linear drag", NU, "N s/m"), ("quadratic drag", 2 * NU, "N s2/m2")):
+    for name, first, unit in (("linear drag", len(AXES), "N s/m"), ("quadratic drag", 2 * len(AXES), "N s2/m2")):
         for i, axis in enumerate(AXES):
             rows.append(_row(f"{axis} {name}", _unit(unit, i), before, fit, _one(first + i), kept[i]))
-    rows.append(_row("buoyancy excess", "N", before, fit, _one(3 * NU), kept[2]))
+    rows.append(_row("buoyancy excess", "N", before, fit, _one(3 * len(AXES)), kept[2]))
     return rows
 
 
 def kept_axes(fit: Fit) -> tuple[bool, ...]:
     """Per axis, whether the flight tells too little of it."""
     result = []
-    for i in range(NU):
+    for i in range(len(AXES)):
         mass, drag = _figure(fit, _one(i)), _figure(fit, _drag(i))
         wide = [half > WIDEST * abs(value) or value <= 0.0 for value, half in (mass, drag)]
         result.append(any(wide))
@@ -123,7 +122,7 @@ def _one(index: int) -> FloatArray:
 def _drag(axis: int) -> FloatArray:
     """(13,) drag at the reference speed as a sum of coefficients."""
     speed = REFERENCE_SPEEDS[axis]
-    return speed * _one(NU + axis) + speed * speed * _one(2 * NU + axis)
+    return speed * _one(len(AXES) + axis) + speed * speed * _one(2 * len(AXES) + axis)
 
 
 def _figure(fit: Fit, weights: FloatArray) -> tuple[float, float]:

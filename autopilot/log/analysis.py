@@ -161,6 +161,17 @@ def seconds(table: Table) -> FloatArray:
     return result
 
 
+def thruster_count(commands: Table) -> int:
+    """How many of the columns of ``/out/thrusters`` are thrusters: the others have no pulse."""
+    return int((commands["pwm_us"] != 0).any(axis=0).sum())
+
+
+def thruster_names(flight: Flight, commands: Table) -> tuple[str, ...]:
+    """As the vehicle file has them, else numbered."""
+    known = () if flight.run is None else flight.run.thruster_names
+    return known or tuple(f"thruster {i + 1}" for i in range(thruster_count(commands)))
+
+
 def wrap(angles_rad: FloatArray) -> FloatArray:
     """The same angles in [-pi, pi)."""
     result: FloatArray = (angles_rad + np.pi) % (2.0 * np.pi) - np.pi

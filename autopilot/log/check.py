@@ -16,7 +16,6 @@ from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import ProgressState
-from autopilot.core.model4 import NU
 from autopilot.log.analysis import (
     Flight,
     Visit,
@@ -30,6 +29,7 @@ from autopilot.log.analysis import (
     obstacle_limit_m,
     seconds,
     sequence_gaps,
+    thruster_count,
     visits,
 )
 from autopilot.log.description import AcceptBounds, RunDescription
@@ -300,7 +300,7 @@ def flown_commands(flight: Flight) -> Commands | None:
     told = is_told([event.value["msg"] for event in events])
     return Commands(
         t_s=seconds(nmpc),
-        thrust_n=rows["thrust_n"][:, :NU],
+        thrust_n=rows["thrust_n"][:, : thruster_count(commands)],
         fallback=nmpc["fallback"],
         starts_s=np.concatenate(starts_s),
         told_s=np.array([event.t_us * 1e-6 for event in events])[told],
@@ -350,9 +350,9 @@ def _health_rows(flight: Flight) -> list[Row]:
     if mode is not None:
         bits = int(np.bitwise_or.reduce(mode["failsafes"][flight.armed.holds(seconds(mode))], initial=0))
         rows.append(_count("failsafes raised", bits.bit_count(), f"bits {bits:#x}" if bits else ""))
-    thrusters = flight.table("/ctl/thrusters")
-    if thrusters is not None:
-        weakest = float(thrusters["effectiveness"][:, :NU].min())
+    thrusters, commands = flight.table("/ctl/thrusters"), flight.table("/out/thrusters")
+    if thrusters is not None and commands is not None:
+        weakest = float(thrusters["effectiveness"][:, : thruster_count(commands)].min())
         rows.append(_info("weakest thruster gives", "%", 100.0 * weakest))
     loop = flight.table("/sys/loop")
     if loop is not None:

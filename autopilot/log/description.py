@@ -99,7 +99,8 @@ class RunDescription:
     """Ball round the vehicle's centre."""
     hotel_power_w: float = 0.0
     """Electrical power beside the thrusters, part of the energy per lap."""
-    thruster_names: tuple[str, ...] = ("port", "starboard", "vertical", "lateral")
+    thruster_names: tuple[str, ...] = ()
+    """In the order of commands; as many as the vehicle has, or none."""
     tank_polygon_m: tuple[Point2, ...] = ()
     """Corners of the walls; empty = open water."""
     tank_depth_m: float | None = None

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from autopilot.core.frames import FloatArray, unwrap_near
-from autopilot.log.analysis import Track, Visit, seconds
+from autopilot.log.analysis import Track, Visit, seconds, thruster_names
 from autopilot.log.figure_parts import (
     BAND,
     LAP_COLORS,
@@ -126,8 +126,7 @@ def thrusters(scene: Scene) -> Figure | None:
     table = scene.flight.table("/out/thrusters")
     if table is None:
         return None
-    run = scene.flight.run
-    names = run.thruster_names if run is not None else tuple(f"thruster {i + 1}" for i in range(4))
+    names = thruster_names(scene.flight, table)
     figure, axes = stacked_axes(len(names), 1.6 * len(names) + 0.4)
     limit = scene.bound("thrust_n")
     both = () if limit is None else (-limit, limit)

@@ -8,6 +8,7 @@ import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
+from autopilot.core.messages import MAX_THRUSTERS
 from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
@@ -25,7 +26,6 @@ from autopilot.log.reader import Log
 
 TICK = "/in/tick"
 THRUST = "/nav/thrust"
-N_THRUSTERS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -35,7 +35,7 @@ class EstimatorTick:
     t_us: int
     samples: tuple[Sample, ...]
     thrust_n: FloatArray
-    """(4,)"""
+    """(MAX_THRUSTERS,), zero beyond those of the vehicle."""
 
 
 def ahrs_sample(row: Any) -> AhrsSample:
@@ -144,7 +144,7 @@ def estimator_ticks(log: Log) -> Iterator[EstimatorTick]:
     tables = [log[topic] for topic in topics]
     told = [0] * len(topics)
     samples: list[Sample] = []
-    thrust_n, t_us, promised, came = np.zeros(N_THRUSTERS), -1, 0, 0
+    thrust_n, t_us, promised, came = np.zeros(MAX_THRUSTERS), -1, 0, 0
     for number in log.order(topics):
         row = tables[number][told[number]]
         told[number] += 1
@@ -154,7 +154,7 @@ def estimator_ticks(log: Log) -> Iterator[EstimatorTick]:
                 yield _tick(log, t_us, samples, thrust_n, promised - came)
             t_us, promised, came, samples = int(row["t_us"]), int(row["samples"]), 0, []
         elif topic == THRUST:
-            thrust_n = row["thrust_n"][:N_THRUSTERS].copy()
+            thrust_n = row["thrust_n"].copy()
         else:
             came += topic.startswith("/in/")
             if topic in READERS:

@@ -10,7 +10,7 @@ from bokeh.models import BoxAnnotation, Legend, Range1d, Span
 from bokeh.plotting import figure
 
 from autopilot.core.frames import FloatArray
-from autopilot.log.analysis import Flight, Track, estimate_error, lap_spans, seconds, visits
+from autopilot.log.analysis import Flight, Track, estimate_error, lap_spans, seconds, thruster_names, visits
 from autopilot.log.description import RunDescription
 from autopilot.log.scene import outline
 from autopilot.log.topics import AID_PREFIX
@@ -135,8 +135,7 @@ class Plots:
         table = self._flight.table("/out/thrusters")
         if table is None:
             return None
-        run = self._flight.run
-        names = run.thruster_names if run is not None else tuple(f"thruster {i + 1}" for i in range(4))
+        names = thruster_names(self._flight, table)
         t_s, thrust = seconds(table), table["thrust_n"]
         curves = [Curve(name=name, t_s=t_s, values=thrust[:, index]) for index, name in enumerate(names)]
         return self._plot("thrust [N]", curves, self._bound("thrust_n"))

@@ -134,11 +134,12 @@ def replay_tlog(path: Path) -> TlogReplay:
 
 
 def _through_the_door(samples: list[AhrsSample]) -> dict[str, int]:
-    estimator = create_estimator("ekf", load_vehicle("lbv150"), None)
+    vehicle = load_vehicle("lbv150")
+    estimator = create_estimator("ekf", vehicle, None)
     now_us = 0
     for sample in samples:
         now_us = max(now_us, sample.t_us)
-        estimator.step(now_us, (sample,), np.zeros(4))
+        estimator.step(now_us, (sample,), np.zeros(len(vehicle.thruster)))
     return {name: count for name, count in estimator.counters().items() if name.startswith("ahrs.")}
 
 

@@ -17,6 +17,7 @@ from autopilot.control.way.planner import Planner
 from autopilot.control.way.reference import Route, Target, build_reference
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import SolveStatus
+from autopilot.core.sharing import Sharing
 
 RADIUS_M = 0.33
 WEIGHTS = np.array([20.0, 20.0, 40.0, 3.0, 8.0, 8.0, 8.0, 0.5, 0.02, 0.02, 0.02, 0.02])
@@ -42,7 +43,7 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
     return NmpcProblem(
         x0=x0,
         x_ref=reference,
-        thrust_ref_n=SteadyThrust(MODEL)(reference[:-1, 4:]),
+        thrust_ref_n=SteadyThrust(Sharing(MODEL))(reference[:-1, 4:], np.full(4, np.inf)),
         current_ned_m_s=np.broadcast_to(current, (grid.n, 3)),
         weight_x=WEIGHTS[:8],
         weight_u=WEIGHTS[8:],
@@ -120,7 +121,7 @@ def test_first_solver_that_works_is_taken() -> None:
 def test_self_test_rejects_wrong_answers(monkeypatch: pytest.MonkeyPatch, amount: float) -> None:
     grid = uniform_grid(10)
     step = QpStep(MODEL, grid, 2, ocp.HPIPM)
-    assert passes_self_test(step)
+    assert passes_self_test(step, MODEL, grid)
     evaluate = QpStep.evaluate
 
     def spoiled(self: QpStep) -> None:
@@ -129,7 +130,7 @@ def test_self_test_rejects_wrong_answers(monkeypatch: pytest.MonkeyPatch, amount
         self.figures[4] += amount
 
     monkeypatch.setattr(QpStep, "evaluate", spoiled)
-    assert not passes_self_test(step)
+    assert not passes_self_test(step, MODEL, grid)
     with pytest.raises(ConfigError, match="self-test"):
         choose_step(MODEL, grid, 2, (ocp.HPIPM,))
 

@@ -25,6 +25,7 @@ from autopilot.control.way.reference import (
 )
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.model4 import state_derivative
+from autopilot.core.sharing import Sharing
 from mission.reach import free_regions
 from mission.validation import PASSAGE_M
 
@@ -264,11 +265,11 @@ def test_station_keeping_balances_the_current_and_pulls_back() -> None:
     x = held.copy()
     c, s = math.cos(0.7), math.sin(0.7)
     x[4], x[5] = -(c * 0.15 - s * 0.1), -(-s * 0.15 - c * 0.1)
-    balance = station_keeping_thrust(MODEL, x, held, current, limit)
+    balance = station_keeping_thrust(Sharing(MODEL), x, held, current, limit)
     rate = state_derivative(MODEL, x.tolist(), balance.tolist(), current.tolist(), math)
     assert np.allclose(rate, 0.0, atol=1e-9)
     away = x + np.array([-0.3, 0.0, 0.2, -0.4, 0.0, 0.0, 0.0, 0.0])
-    pull = station_keeping_thrust(MODEL, away, held, current, limit) - balance
+    pull = station_keeping_thrust(Sharing(MODEL), away, held, current, limit) - balance
     assert pull[2] < 0.0
     assert pull[0] > pull[1]
-    assert (np.abs(station_keeping_thrust(MODEL, away + 5.0, held, current, np.full(4, 2.0))) <= 2.0).all()
+    assert (np.abs(station_keeping_thrust(Sharing(MODEL), away + 5.0, held, current, np.full(4, 2.0))) <= 2.0).all()

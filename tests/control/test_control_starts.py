@@ -27,7 +27,7 @@ from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import Fallback, Goal, SolveStatus
-from autopilot.core.model4 import NU, NX
+from autopilot.core.model4 import NX
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.packing.programs import unpack
@@ -170,7 +170,7 @@ class WildPlanner:
         x[:, 3] = request.x0[3] + rng.uniform(-6.0, 6.0) * np.minimum(1.0, t / 0.5)
         x[:, 4:] = np.gradient(x[:, :4], t, axis=0) + rng.normal(0.0, 0.3, (len(t), 4))
         x[0] = request.x0
-        thrust = rng.uniform(-12.0, 12.0, (len(t) - 1, NU))
+        thrust = rng.uniform(-12.0, 12.0, (len(t) - 1, 4))
         found = Trajectory(t_s=t, x=x, thrust_n=thrust, energy_j=1.0, cost_j=1.0, solved=True)
         return Plan(
             goal=request.goal, trajectory=found, energy_j=1.0, eta_s=1.0, complete=True, flow=Flow(request.flow)

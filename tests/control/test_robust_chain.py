@@ -14,6 +14,7 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import ControlOutput, Fallback, Goal, Severity, SolveStatus
 from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
 
 OPEN = Fence(depth_max_m=5.0)
 START = np.array([-1.6, -0.35, 0.45, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -110,7 +111,7 @@ def test_station_keeping_ends_inside_the_invariant_set() -> None:
 
 
 def test_station_keeper_falls_back_to_the_cascade_in_water_that_is_too_fast() -> None:
-    keeper = StationKeeper(MODEL)
+    keeper = StationKeeper(Sharing(MODEL))
     thrust = keeper.thrust(START, np.array([0.9, 0.0, 0.0]), np.full(4, 12.0))
     assert not keeper.inside and np.isfinite(thrust).all() and np.abs(thrust).max() <= 12.0
 

@@ -32,9 +32,11 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal, Severity
 from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
 
 Q = np.array([20.0, 20.0, 40.0, 3.0, 8.0, 8.0, 8.0, 0.5])
 R = np.full(4, 0.02)
+SHARING, LIMIT_N = Sharing(MODEL), np.full(4, 12.0)
 FEW = unit_samples(4_000)
 flows = st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
 
@@ -55,13 +57,13 @@ def limits(**changes: object) -> TerminalLimits:
 
 def law_of(goal: Goal, current: tuple[float, float]) -> Terminal:
     assert goal.yaw_rad is not None
-    return terminal_law(MODEL, goal.yaw_rad, np.array([*current, 0.0]), Q, R)
+    return terminal_law(SHARING, goal.yaw_rad, np.array([*current, 0.0]), Q, R, LIMIT_N)
 
 
 @given(flows, st.floats(-3.1, 3.1))
 @settings(max_examples=40, deadline=None)
 def test_steady_input_holds_the_goal_in_the_current(current: tuple[float, float], yaw: float) -> None:
-    law = terminal_law(MODEL, yaw, np.array([*current, 0.0]), Q, R)
+    law = terminal_law(SHARING, yaw, np.array([*current, 0.0]), Q, R, LIMIT_N)
     state = [1.0, 2.0, 0.3, yaw, *law.nu.tolist()]
     rate = model4.state_derivative(MODEL, state, law.thrust_n.tolist(), (*current, 0.0), math)
     assert np.abs(rate).max() < 1e-9
@@ -72,7 +74,7 @@ def test_steady_input_holds_the_goal_in_the_current(current: tuple[float, float]
 @given(flows, st.floats(-3.1, 3.1))
 @settings(max_examples=25, deadline=None)
 def test_cost_solves_the_inflated_lyapunov_equation(current: tuple[float, float], yaw: float) -> None:
-    law = terminal_law(MODEL, yaw, np.array([*current, 0.0]), Q, R)
+    law = terminal_law(SHARING, yaw, np.array([*current, 0.0]), Q, R, LIMIT_N)
     h = 1e-6
     columns = []
     for i in range(8):
@@ -113,7 +115,7 @@ def test_every_limit_can_bind_and_is_named() -> None:
         ({"heave_m_s": 0.002}, "heave speed"),
         ({"yaw_rate_rad_s": 0.01}, "yaw rate"),
         ({"depth_max_m": 0.305}, "depth"),
-        ({"thrust_n": np.array([11.0, 11.0, 0.7, 11.0])}, "vertical thrust"),
+        ({"thrust_n": np.array([11.0, 11.0, 0.7, 11.0])}, "thruster 3 thrust"),
     ):
         alpha, binding, _ = analytic_alpha(law, B, limits(**changes))
         assert binding == name and 0.0 < alpha < analytic_alpha(law, B, limits())[0]
@@ -126,7 +128,7 @@ def test_a_goal_whose_ball_does_not_fit_gets_a_smaller_region_and_says_so() -> N
     assert certificate.binding == "clearance" and "0.022 m of clearance, region made smaller" in certificate.text
     nothing = certify(MODEL, law, B, limits(clearance_m=-0.01), FEW)
     assert nothing.alpha == 0.0 and "no terminal region: the goal is beyond its clearance limit" in nothing.text
-    fast = terminal_law(MODEL, 0.0, np.array([0.6, 0.0, 0.0]), Q, R)
+    fast = terminal_law(SHARING, 0.0, np.array([0.6, 0.0, 0.0]), Q, R, LIMIT_N)
     assert certify(MODEL, fast, A, limits(), FEW).binding == "planar speed"
 
 
@@ -156,7 +158,7 @@ def test_region_error_turns_into_the_frame_of_the_goal() -> None:
 
 
 def test_regions_are_certified_beside_the_loop_and_told_to_the_log_once() -> None:
-    regions = TerminalRegions(MODEL, Desk())
+    regions = TerminalRegions(SHARING, Desk())
     still = np.zeros(3)
     steps = 0
     while regions.certificate is None:
@@ -189,7 +191,7 @@ def test_the_controller_certifies_its_goal_while_it_flies() -> None:
 
 
 def test_a_goal_without_a_region_is_something_to_mend() -> None:
-    regions = TerminalRegions(MODEL, Desk())
+    regions = TerminalRegions(SHARING, Desk())
     for _ in range(2 * ANSWER_STEPS):
         regions.follow(B, math.pi, np.zeros(3), limits(clearance_m=-0.01), Q, R)
     told = [text for severity, text in regions.take_news() if severity <= Severity.INFO]

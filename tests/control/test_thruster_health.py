@@ -13,6 +13,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("lbv150")
@@ -167,7 +168,7 @@ def test_a_vertical_thruster_that_only_holds_the_buoyancy_is_said_not_to_be_seen
 
 
 def test_told_values_and_compensated_pulses() -> None:
-    assert told(ParamSet({"THR2_HEALTH": 0.4})).tolist() == [1.0, 0.4, 1.0, 1.0]
+    assert told(ParamSet({"THR2_HEALTH": 0.4}), 4).tolist() == [1.0, 0.4, 1.0, 1.0]
     allocation = Allocation(VEHICLE.drive)
     share = np.array([0.5, 1.0, 0.5, 0.0])
     pulses = allocation.pulses_us([3.0, 3.0, -11.0, 4.0], 19.0, share)
@@ -179,13 +180,13 @@ def test_told_values_and_compensated_pulses() -> None:
 
 def test_what_is_left_of_the_vehicle() -> None:
     full, still, flow = np.full(4, 12.0), np.zeros(3), np.array([0.25, 0.0, 0.0])
-    assert hover_problem(MODEL, full, flow) == ""
-    assert hover_problem(MODEL, full * [1, 1, 0, 1], still) == "depth cannot be held"
-    assert hover_problem(MODEL, full * [0, 0, 1, 1], still) == "heading cannot be held"
+    assert hover_problem(Sharing(MODEL), full, flow) == ""
+    assert hover_problem(Sharing(MODEL), full * [1, 1, 0, 1], still) == "depth cannot be held"
+    assert hover_problem(Sharing(MODEL), full * [0, 0, 1, 1], still) == "heading cannot be held"
     # With one horizontal thruster the vehicle stays beam on to the current, not bow on.
-    assert hover_problem(MODEL, full * [0, 1, 1, 1], flow) == ""
-    assert hover_problem(MODEL, full * [0, 1, 1, 1], flow, math.pi / 2) == ""
-    assert "at this heading" in hover_problem(MODEL, full * [0, 1, 1, 1], flow, 0.0)
+    assert hover_problem(Sharing(MODEL), full * [0, 1, 1, 1], flow) == ""
+    assert hover_problem(Sharing(MODEL), full * [0, 1, 1, 1], flow, math.pi / 2) == ""
+    assert "at this heading" in hover_problem(Sharing(MODEL), full * [0, 1, 1, 1], flow, 0.0)
     # Without the lateral one it is the other way round, and with neither nothing is left.
-    assert hover_problem(MODEL, full * [1, 1, 1, 0], flow, math.pi) == ""
-    assert "0.25 m/s" in hover_problem(MODEL, full * [0, 1, 1, 0], flow)
+    assert hover_problem(Sharing(MODEL), full * [1, 1, 1, 0], flow, math.pi) == ""
+    assert "0.25 m/s" in hover_problem(Sharing(MODEL), full * [0, 1, 1, 0], flow)

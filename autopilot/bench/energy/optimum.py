@@ -31,7 +31,8 @@ from autopilot.bench.energy.cases import (
 from autopilot.control.energy.power import PowerModel
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, NX, YAW, Model4, R, U, V, W, X, Y, Z
+from autopilot.core.model4 import AXES, NX, YAW, Model4, R, U, V, W, X, Y, Z
+from autopilot.core.sharing import Sharing
 
 SUBSTEP_S = 0.25
 THRUST_N = 12.0
@@ -89,12 +90,13 @@ class LeastEnergy:
 
     def __init__(self, model: Model4, power: PowerModel, case: Case, intervals: int, substeps: int) -> None:
         self._case, self._n, self._power, self._model = case, intervals, power, model
+        self._thrusters = model.thrusters
         n, legs = intervals, len(case.goals)
         self._longest_s = SUBSTEP_S * n * substeps
         interval = _interval(model, case, substeps).map(n)
         self._x0 = ca.MX.sym("x0", NX)
         xs = [ca.MX.sym(f"x{i}", NX, n) for i in range(legs)]
-        us = [ca.MX.sym(f"u{i}", NU, n) for i in range(legs)]
+        us = [ca.MX.sym(f"u{i}", model.thrusters, n) for i in range(legs)]
         ts = ca.MX.sym("t", legs)
         ends = ca.MX.sym("ends", legs)
         g: list[Any] = []
@@ -148,7 +150,7 @@ class LeastEnergy:
         if self._case.tank:
             top[[X, Y, Z]] = TANK_X_M - BODY_RADIUS_M, TANK_Y_M - BODY_RADIUS_M, TANK_DEPTH_M
             bottom[[X, Y, Z]] = -top[X], -top[Y], 0.0
-        thrust = np.full(NU * n * legs, THRUST_N)
+        thrust = np.full(self._thrusters * n * legs, THRUST_N)
         upper = np.concatenate([np.tile(top, n * legs), thrust, np.full(legs, self._longest_s)])
         lower = np.concatenate([np.tile(bottom, n * legs), -thrust, np.full(legs, 0.5)])
         return lower, upper
@@ -172,7 +174,7 @@ class LeastEnergy:
         )
         z = answer["x"].full().ravel()
         x = np.vstack([x0, z[: NX * n * legs].reshape(n * legs, NX)])
-        u = z[NX * n * legs : -legs].reshape(n * legs, NU)
+        u = z[NX * n * legs : -legs].reshape(n * legs, self._thrusters)
         leg_s = z[-legs:]
         dt = np.repeat(leg_s / n, n)
         spent = dt * (self._power.hotel_w + np.asarray(self._power.thrust_w(u)).sum(axis=1))
@@ -193,11 +195,11 @@ class LeastEnergy:
 
         From no thrust at all the search ends in local minima, swaying, up to 5 % above steady motion."""
         model, u = self._model, states[:, U]
-        wrench = np.zeros((len(states), NU))
+        wrench = np.zeros((len(states), AXES))
         if not self._case.tank:
             wrench[:, 0] = (model.linear_drag[0] + model.quadratic_drag[0] * np.abs(u)) * u
             wrench[:, 2] = model.buoyancy_excess_n
-        thrust: FloatArray = np.linalg.solve(np.array(model.allocation), wrench.T).T
+        thrust: FloatArray = Sharing(model).thrust_n(wrench, np.full(model.thrusters, np.inf))
         return np.clip(thrust, -0.9 * THRUST_N, 0.9 * THRUST_N)
 
     def _first(self, guess: Guess, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -239,7 +241,7 @@ class LeastEnergy:
 
 def _interval(model: Model4, case: Case, substeps: int) -> ca.Function:
     """RK4 over one interval of ``dt``: (x, thrust, dt) -> x."""
-    x, u, dt = ca.SX.sym("x", NX), ca.SX.sym("u", NU), ca.SX.sym("dt")
+    x, u, dt = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("dt")
 
     def f(state: Any) -> Any:
         current = [*case.flow(state[0], state[1], ca), 0.0]

@@ -14,7 +14,6 @@ from autopilot.control.energy.power import PowerModel
 from autopilot.control.fence.obstacles import clearance_m
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Outputs
-from autopilot.core.model4 import NU
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from sitl.scenario import scenario_path
@@ -55,7 +54,7 @@ class _Score:
         if self.session is None or self.finished:
             return
         truth, vehicle = self.session.device.truth, self.session.vehicle
-        now_s, thrust = truth.t_us * 1e-6, truth.thrust_n[:NU]
+        now_s, thrust = truth.t_us * 1e-6, truth.thrust_n[: len(vehicle.thruster)]
         if self._last_s is None:
             if float(np.abs(thrust).max()) == 0.0:
                 return

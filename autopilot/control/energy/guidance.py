@@ -26,7 +26,8 @@ from autopilot.control.way.guidance import VELOCITY_WEIGHTS, Reference, RouteGui
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import EnergyPlan, Goal, Severity
-from autopilot.core.model4 import NU, YAW, Model4, R, U
+from autopilot.core.model4 import YAW, R, U
+from autopilot.core.sharing import Sharing
 
 OFF_TRACK_M = 0.15
 """A vehicle this far from its trajectory gets a new one."""
@@ -101,11 +102,11 @@ class EnergyGuidance:
     """See :class:`autopilot.control.way.guidance.Guidance`."""
 
     def __init__(
-        self, model: Model4, grid: TimeGrid, desk: Desk, planner: TrajectoryPlanner, route: RouteGuidance
+        self, sharing: Sharing, grid: TimeGrid, desk: Desk, planner: TrajectoryPlanner, route: RouteGuidance
     ) -> None:
         """``route`` flies what ``planner`` has no plan for."""
         self._t_s = grid.t_s
-        self._steady = SteadyThrust(model)
+        self._steady = SteadyThrust(sharing)
         self._desk, self._route = desk, route
         # Not a method: work that is under way must not keep whoever asked for it, who keeps the work.
         self._plan = partial(planned, planner)
@@ -180,7 +181,8 @@ class EnergyGuidance:
         rest = 1.0 if then is None else track.missing
         if rest > 0.0:
             after = self._t_s[:-1] >= track.rest_s
-            thrust[after] += rest * (self._steady(x[:-1][after][:, U : R + 1]) - thrust[after])
+            steady = self._steady(x[:-1][after][:, U : R + 1], now.thrust_limit_n)
+            thrust[after] += rest * (steady - thrust[after])
         q = params["MPC_Q_POS"]
         weight_x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
         nodes, terminal = self._weights(weight_x, track)
@@ -188,7 +190,7 @@ class EnergyGuidance:
             x=x,
             thrust_n=thrust,
             weight_x=nodes,
-            weight_u=np.full(NU, weight_u),
+            weight_u=np.full(len(now.thrust_limit_n), weight_u),
             terminal=np.diag(terminal),
             fresh=fresh,
             plan=self._take_news(),

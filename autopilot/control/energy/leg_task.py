@@ -184,7 +184,7 @@ class LegTask:
         x[:, U], x[:, V] = c * water[:, 0] + s * water[:, 1], c * water[:, 1] - s * water[:, 0]
         x[:, R] = np.gradient(x[:, YAW], t)
         limit = self._request.thrust_limit_n
-        thrust = np.clip(self._steady(0.5 * (x[1:, U:] + x[:-1, U:])), -limit, limit)
+        thrust = self._steady(0.5 * (x[1:, U:] + x[:-1, U:]), limit)
         x[0] = self._request.x0
         energy = float(t[-1]) * float(self._table.power_w.min())
         return Trajectory(t_s=t, x=x, thrust_n=thrust, energy_j=energy, cost_j=energy, solved=False)

@@ -4,15 +4,20 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import Model4
+from autopilot.core.model4 import AXES, Model4
+from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 
 THRUST_SMOOTHING_N2 = 1e-4
 """|F|^1.5 is taken as (F^2 + this)^0.75, twice differentiable at rest (10 mN)."""
+
+IDLE_N = 1e-9
+"""A thruster that gives less stands still."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,22 +25,27 @@ class PowerModel:
     """Electrical power of the vehicle."""
 
     hotel_w: float
-    thrust_w_n15: float
-    """c in P = c |F|^1.5, per thruster."""
+    thrust_w_n15: tuple[float, ...]
+    """c in P = c |F|^1.5 of each of the n thrusters."""
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> "PowerModel":
         """From the vehicle file."""
-        return cls(hotel_w=vehicle.hotel_power_w, thrust_w_n15=vehicle.drive.power_w_n15)
+        return cls(hotel_w=vehicle.hotel_power_w, thrust_w_n15=(vehicle.drive.power_w_n15,) * len(vehicle.thruster))
 
     def thrust_w(self, thrust_n: Any) -> Any:
-        """Power of one thruster at ``thrust_n``; numbers, arrays or CasADi symbols."""
-        return self.thrust_w_n15 * (thrust_n * thrust_n + THRUST_SMOOTHING_N2) ** 0.75
+        """Power of each thruster at ``thrust_n``: (..., n) or CasADi columns (n, m)."""
+        return self._each(thrust_n) * (thrust_n * thrust_n + THRUST_SMOOTHING_N2) ** 0.75
 
     def secant_over_tangent(self, thrust_n: Any) -> Any:
         """By how much the slope of that power over the thrust exceeds its second derivative [W/N2]."""
         squared = thrust_n * thrust_n
-        return 0.75 * self.thrust_w_n15 * squared * (squared + THRUST_SMOOTHING_N2) ** -1.25
+        return 0.75 * self._each(thrust_n) * squared * (squared + THRUST_SMOOTHING_N2) ** -1.25
+
+    def _each(self, thrust_n: Any) -> Any:
+        if isinstance(thrust_n, np.ndarray):
+            return np.array(self.thrust_w_n15)
+        return ca.repmat(ca.DM(self.thrust_w_n15), 1, thrust_n.shape[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -57,13 +67,14 @@ class SpeedTable:
 def speed_table(
     model: Model4, power: PowerModel, top_m_s: float, cruise_m_s: float = math.inf, count: int = 24
 ) -> SpeedTable:
-    """Steady surge through the water from rest to ``top_m_s``, on the two horizontal thrusters."""
+    """Steady surge through the water from rest to ``top_m_s``, at its depth, on the thrusters that it takes."""
     speed = np.linspace(0.0, top_m_s, count)
-    thrust = 0.5 * (model.linear_drag[0] + model.quadratic_drag[0] * speed) * speed
-    floating = power.thrust_w(np.abs(model.buoyancy_excess_n))
-    return SpeedTable(
-        speed_m_s=speed, power_w=power.hotel_w + 2.0 * power.thrust_w(thrust) + floating, cruise_m_s=cruise_m_s
-    )
+    force = np.zeros((count, AXES))
+    force[:, 0] = (model.linear_drag[0] + model.quadratic_drag[0] * speed) * speed
+    force[:, 2] = -model.buoyancy_excess_n
+    thrust = Sharing(model, power.thrust_w_n15).thrust_n(force, np.full(model.thrusters, np.inf))
+    watts = power.thrust_w(thrust)[:, np.abs(thrust).max(axis=0) > IDLE_N]
+    return SpeedTable(speed_m_s=speed, power_w=power.hotel_w + watts.sum(axis=1), cruise_m_s=cruise_m_s)
 
 
 def planar_limit_m_s(table: SpeedTable, along_m_s: FloatArray, across_m_s: FloatArray) -> FloatArray:

@@ -20,6 +20,7 @@ from autopilot.core.free_space import Area, FreeSpace
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import Model4
+from autopilot.core.sharing import Sharing
 
 SHORTER_S = (18.0,)
 """So far if none of that length is solved: shorter intervals find their way through doors."""
@@ -54,7 +55,7 @@ class EnergyPlanner:
 
     def __init__(self, model: Model4, power: PowerModel) -> None:
         self._model, self._power = model, power
-        self._steady = SteadyThrust(model)
+        self._steady = SteadyThrust(Sharing(model, power.thrust_w_n15))
         self._programs: dict[int, Program] = {}
         self._features: tuple[tuple[object, ...], Features] | None = None
         self._spaces: dict[int, tuple[Features, tuple[float, ...], FreeSpace]] = {}

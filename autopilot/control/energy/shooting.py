@@ -4,8 +4,8 @@ All intervals are alike, so one interval's motion, its Jacobian and its Hessian 
 the trajectory; what they give is put into the sparse matrices of the whole by constant selections. Expressions of the
 whole program would be 48 times as large: 40 MB for one RK4 step per interval, 70 MB for two, and a second to build.
 
-Variables: thrust (4) and next state (8) of every interval, then the end time. Rows: the :data:`ROWS` of every interval,
-then :data:`END_ROWS`. All rows but those of the motion are at most 0.
+Variables: thrust (one per thruster) and next state (8) of every interval, then the end time. Rows: the :data:`ROWS` of
+every interval, then :data:`END_ROWS`. All rows but those of the motion are at most 0.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ import numpy as np
 from autopilot.control.energy.power import PowerModel
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, NX, YAW, Model4, R, U, V, W, Z
+from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, Z
 
 PLANES = 6
 """Half-planes per node."""
@@ -36,7 +36,6 @@ COAST_S = 1.0
 SMALL_THRUST_N = 0.3
 """See :meth:`Shooting._second`."""
 
-BLOCK = NX + NU
 Entries: TypeAlias = list[tuple[int, int]]
 """Rows and columns."""
 
@@ -64,9 +63,10 @@ class Shooting:
 
     def __init__(self, model: Model4, power: PowerModel, n: int, substeps: int) -> None:
         self._n, self._power, self._substeps = n, power, substeps
+        self._nu, self._block = model.thrusters, NX + model.thrusters
         self._interval(model)
         self._end()
-        z = ca.MX.sym("z", BLOCK * n + 1)
+        z = ca.MX.sym("z", self._block * n + 1)
         p = ca.MX.sym("p", sum(rows * columns for rows, columns in shapes_of(n).values()))
         of_cost, of_rows = ca.MX.sym("of_cost"), ca.MX.sym("of_rows", ROWS * n + END_ROWS)
         cost, rows = self._values(z, p)
@@ -86,18 +86,18 @@ class Shooting:
 
     def _interval(self, model: Model4) -> None:
         """One interval: motion and cost, slopes, Hessian, over state, thrust and end time."""
-        z, of_motion, of_cost = ca.SX.sym("z", BLOCK + 1), ca.SX.sym("of_motion", NX), ca.SX.sym("of_cost")
+        z, of_motion, of_cost = ca.SX.sym("z", self._block + 1), ca.SX.sym("of_motion", NX), ca.SX.sym("of_cost")
         water = [ca.SX.sym("c", 3), ca.SX.sym("g", 4), ca.SX.sym("p0", 2)]
-        x, u, end_s = z[:NX], z[NX:BLOCK], z[BLOCK]
+        x, u, end_s = z[:NX], z[NX : self._block], z[self._block]
         moved = _step(model, self._substeps)(x, u, *water, end_s / self._n)
-        cost = COST_SCALE * end_s / self._n * sum(self._power.thrust_w(u[i]) for i in range(NU))
+        cost = COST_SCALE * end_s / self._n * ca.sum1(self._power.thrust_w(u))
         # For a power |F|^1.5 Newton's step from F leads to -F, which costs the same: thrusts that ought to be zero
         # swing from side to side, until the iterations have run out. A step with the slope over F as curvature leads to
         # zero. So the difference of both is added, fading out where thrusts are not small and it would only make steps
         # shorter. The solution is the same.
-        lacking = ca.SX(BLOCK + 1, 1)
+        lacking = ca.SX(self._block + 1, 1)
         gap = self._power.secant_over_tangent(u) / (1.0 + (u / SMALL_THRUST_N) ** 2)
-        lacking[NX:BLOCK] = of_cost * COST_SCALE * end_s / self._n * gap
+        lacking[NX : self._block] = of_cost * COST_SCALE * end_s / self._n * gap
         whole, _ = ca.hessian(of_cost * cost + ca.dot(of_motion, moved), z)
         n = self._n
         self._moved = ca.Function("moved", [z, *water], [moved, cost]).map(n)
@@ -122,15 +122,15 @@ class Shooting:
         self._end_curved = ca.Function("end_curved", [*known, of_rows, of_cost], [ca.densify(curved)])
 
     def _split(self, z: Any, p: Any) -> tuple[dict[str, Any], Any, Any, list[Any], list[Any]]:
-        """Parameters by name, next states (8, n), intervals (13, n), their water, what the end depends on."""
+        """Parameters by name, next states (8, n), intervals (9 + thrusters, n), their water, what the end needs."""
         n, parts, at = self._n, {}, 0
         for name, (rows, columns) in shapes_of(n).items():
             parts[name] = ca.reshape(p[at : at + rows * columns], rows, columns)
             at += rows * columns
-        table = ca.reshape(z[:-1], BLOCK, n)
-        following = table[NU:, :]
+        table = ca.reshape(z[:-1], self._block, n)
+        following = table[self._nu :, :]
         state = ca.horzcat(parts["x0"], following[:, : n - 1])
-        intervals = ca.vertcat(state, table[:NU, :], ca.repmat(z[-1], 1, n))
+        intervals = ca.vertcat(state, table[: self._nu, :], ca.repmat(z[-1], 1, n))
         water = [parts[name][:, :n] for name in ("current", "gradient", "places")]
         end = [following[:, n - 1], parts["goal"], parts["band"], parts["end"], parts["current"][:2, n]]
         return parts, following, intervals, water, end
@@ -181,7 +181,7 @@ class Shooting:
             values.append(-parts["plane_n"][column, PLANES:].T)
         entries += [(ROWS * n + row, self._state(n, column)) for column in range(NX) for row in range(END_ROWS)]
         values.append(ca.vec(self._end_slopes(*end)))
-        return _sparse(ROWS * n + END_ROWS, BLOCK * n + 1, entries, ca.vertcat(*values))
+        return _sparse(ROWS * n + END_ROWS, self._block * n + 1, entries, ca.vertcat(*values))
 
     def _hessian(self, z: Any, p: Any, of_cost: Any, of_rows: Any) -> Any:
         """Of the Lagrangian, upper triangle."""
@@ -200,17 +200,17 @@ class Shooting:
         last = [self._state(n, i) for i in range(NX)]
         entries += [(row, column) for column in last for row in last]
         values.append(ca.vec(self._end_curved(*end, of_rows[ROWS * n :], of_cost)))
-        size = BLOCK * n + 1
+        size = self._block * n + 1
         return _sparse(size, size, [(r, c) if r <= c else (-1, -1) for r, c in entries], ca.vertcat(*values))
 
     def _columns(self, k: int) -> list[int]:
         """Of state, thrust and end time of an interval; -1 = no variable."""
         state = [self._state(k, i) for i in range(NX)]
-        return [*state, *(BLOCK * k + i for i in range(NU)), BLOCK * self._n]
+        return [*state, *(self._block * k + i for i in range(self._nu)), self._block * self._n]
 
     def _state(self, node: int, i: int) -> int:
         """Column of a state of a node; the first node's are known (-1)."""
-        return BLOCK * (node - 1) + NU + i if node else -1
+        return self._block * (node - 1) + self._nu + i if node else -1
 
 
 SIGNED = ((W, 1.0), (W, -1.0), (R, 1.0), (R, -1.0), (Z, -1.0), (Z, 1.0))
@@ -230,7 +230,7 @@ def _sparse(rows: int, columns: int, entries: Entries, values: Any) -> Any:
 
 def _step(model: Model4, substeps: int) -> ca.Function:
     """RK4 over one interval in water that changes with the place."""
-    x, u = ca.SX.sym("x", NX), ca.SX.sym("u", NU)
+    x, u = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters)
     c, g, p0, dt = ca.SX.sym("c", 3), ca.SX.sym("g", 4), ca.SX.sym("p0", 2), ca.SX.sym("dt")
 
     def f(state: Any) -> Any:

@@ -40,7 +40,9 @@ class Track:
         self.clock_s = 0.0
         """Where on the trajectory the vehicle is."""
         dt = np.diff(trajectory.t_s)
-        self._impulse = np.vstack([np.zeros(4), np.cumsum(trajectory.thrust_n * dt[:, None], axis=0)])
+        self._impulse = np.vstack(
+            [np.zeros(trajectory.thrust_n.shape[1]), np.cumsum(trajectory.thrust_n * dt[:, None], axis=0)]
+        )
 
     @property
     def length_s(self) -> float:
@@ -81,7 +83,7 @@ class Track:
     def sample(
         self, t_s: FloatArray, current_ned_m_s: FloatArray, then: "Track | None" = None
     ) -> tuple[FloatArray, FloatArray]:
-        """References (N+1, 8) and mean thrust (N, 4) at times ``t_s`` (N+1,) from now.
+        """References (N+1, 8) and mean thrust (N, n) at times ``t_s`` (N+1,) from now.
 
         After the end ``then`` is followed, which begins where this one ends. Without it the reference comes to rest at
         the goal's centre; that of a vehicle that is at the end already goes over to this (:attr:`missing`). Thrust at

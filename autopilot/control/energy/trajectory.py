@@ -17,7 +17,7 @@ from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.shooting import COST_SCALE, Shooting
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, NX, Model4
+from autopilot.core.model4 import NX, Model4
 
 SUBSTEP_S = 0.5
 """Longest RK4 step: with longer ones the program makes a profit of integration errors in the unstable sway-yaw mode."""
@@ -51,7 +51,7 @@ class Ask:
     limits: FloatArray
     """(n + 1, 4) heave, yaw rate, depth minimum, depth maximum."""
     thrust_limit_n: FloatArray
-    """(4,)"""
+    """(thrusters,)"""
     end_slope_j_m: FloatArray
     """(2,) slope of the cost of what follows, over north and east of the place where the vehicle coasts to."""
     longest_s: float
@@ -66,7 +66,7 @@ class Trajectory:
     x: FloatArray
     """(n + 1, 8)"""
     thrust_n: FloatArray
-    """(n, 4)"""
+    """(n, thrusters)"""
     energy_j: float
     """Along it, hotel power included, without the cost of what follows."""
     cost_j: float
@@ -78,7 +78,7 @@ class Program:
     """The built program for ``n`` intervals of ``substeps`` RK4 steps each."""
 
     def __init__(self, model: Model4, power: PowerModel, n: int, substeps: int) -> None:
-        self.n, self.substeps, self._power = n, substeps, power
+        self.n, self.substeps, self._power, self._thrusters = n, substeps, power, model.thrusters
         shooting = Shooting(model, power, n, substeps)
         self._lbg, self._ubg = shooting.lower, shooting.upper
         self._stop = _Stop(shooting.program)
@@ -90,8 +90,8 @@ class Program:
     def solve(
         self, ask: Ask, x: FloatArray, thrust_n: FloatArray, end_s: float, cancel: Cancel | None = None
     ) -> Trajectory:
-        """From a guess: states (n + 1, 8), thrust (n, 4), end time. Given up once ``cancel`` is requested."""
-        n = self.n
+        """From a guess: states (n + 1, 8), thrust (n, thrusters), end time. Given up once ``cancel`` is requested."""
+        n, block = self.n, NX + self._thrusters
         self._stop.cancel = cancel or Cancel()
         arguments = (
             ask.x0,
@@ -106,9 +106,9 @@ class Program:
             ask.limits,
             ask.end_slope_j_m,
         )
-        width = (NX + NU) * n
+        width = block * n
         lower, upper = np.full(width + 1, -np.inf), np.full(width + 1, np.inf)
-        thrusts = slice(0, width), np.arange(width) % (NX + NU) < NU
+        thrusts = slice(0, width), np.arange(width) % block < self._thrusters
         bound = np.tile(ask.thrust_limit_n, n)
         lower[thrusts[0]][thrusts[1]] = -bound
         upper[thrusts[0]][thrusts[1]] = bound
@@ -129,13 +129,13 @@ class Program:
         if stats["return_status"] in STOPPED_SHORT:
             off = (self._lbg - g, g - self._ubg, lower - z, z - upper)
             solved = all(float(each.max()) < FEASIBLE for each in off)
-        table = z[:-1].reshape(n, NX + NU)
-        states = np.vstack([ask.x0, table[:, NU:]])
+        table = z[:-1].reshape(n, block)
+        states = np.vstack([ask.x0, table[:, self._thrusters :]])
         return Trajectory(
             t_s=np.linspace(0.0, z[-1], n + 1),
             x=states,
-            thrust_n=table[:, :NU].copy(),
-            energy_j=self._energy_j(float(z[-1]), table[:, :NU]),
+            thrust_n=table[:, : self._thrusters].copy(),
+            energy_j=self._energy_j(float(z[-1]), table[:, : self._thrusters]),
             cost_j=float(answer["f"]) / COST_SCALE,
             solved=solved and bool(np.isfinite(z).all()),
         )

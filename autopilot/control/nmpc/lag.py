@@ -16,10 +16,10 @@ import numpy as np
 
 from autopilot.control.nmpc.ocp import bind, discrete_dynamics
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.model4 import NU, NX, YAW, Model4
+from autopilot.core.model4 import NX, YAW, Model4
 
 Sent: TypeAlias = tuple[float, float, FloatArray]
-"""From when until when [s] a command (4,) was sent."""
+"""From when until when [s] a command (n,) was sent."""
 
 KEPT_S = 3.0
 """Commands of so long ago are remembered: the longest delay, and what the lag makes of it."""
@@ -36,12 +36,12 @@ class ThrusterLag:
 
     def __init__(self, model: Model4, lag_s: float) -> None:
         self._lag_s = lag_s
-        self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(NU), np.zeros(3), np.zeros(NX)
+        self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(model.thrusters), np.zeros(3), np.zeros(NX)
         self._lag_owner, self._through_lag = self._bound(model, lag_s)
         self._way_owner, self._under_way = self._bound(model, UNDER_WAY_S)
         self._sent: deque[Sent] = deque()
-        self.acting_n = np.zeros(NU)
-        """(4,) thrust that acts now."""
+        self.acting_n = np.zeros(model.thrusters)
+        """(n,) thrust that acts now."""
         self.reset()
 
     def reset(self) -> None:
@@ -68,7 +68,7 @@ class ThrusterLag:
         self._pass(self.acting_n, self._sent, self._now_s - KEPT_S, self._now_s - delay_s)
 
     def follow(self, command_n: FloatArray, elapsed_s: float) -> None:
-        """``command_n`` (4,) has been commanded for the last ``elapsed_s``."""
+        """``command_n`` (n,) has been commanded for the last ``elapsed_s``."""
         elapsed_s = max(elapsed_s, 0.0)
         before_s, self._now_s = self._now_s, self._now_s + elapsed_s
         self._sent.append((before_s, self._now_s, command_n.copy()))
@@ -121,7 +121,7 @@ class ThrusterLag:
         self._compared_s = self._now_s
 
     def _pass(self, acting: FloatArray, sent: Iterable[Sent], begin_s: float, end_s: float) -> None:
-        """Let ``acting`` (4,) respond to what was sent between two times."""
+        """Let ``acting`` (n,) respond to what was sent between two times."""
         for sent_s, until_s, command in sent:
             if sent_s >= end_s:
                 break
@@ -134,6 +134,6 @@ class ThrusterLag:
     def _bound(self, model: Model4, dt_s: float) -> tuple[object, Callable[[], None]]:
         """(owner, call): the call takes ``_x`` over ``dt_s`` to ``_out`` with ``_u`` and ``_c``."""
         interval = discrete_dynamics(model, dt_s, 2)
-        x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", NU), ca.SX.sym("c", 3)
+        x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
         function = ca.Function("ahead", [x, u, c], [interval(x, u, c)[0]])
         return bind(function, (self._x, self._u, self._c), (self._out,))

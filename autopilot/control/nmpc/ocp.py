@@ -1,9 +1,9 @@
 """The paper's optimal control problem (section III, eq. 12) as one CasADi function: linearise, solve one QP, unpack.
 
-Decision variables per stage: state (8), thrust (4) and, from stage 1 on, two slacks: one that the limits on speeds
-share and one for depth band and half-planes, so that a vehicle outside its workspace does not speed on its way back.
-The first state is known and is not a variable. Everything that changes at run time is an argument, so nothing is
-rebuilt for a new fence, current, weight or limit. The function works in steps around the guess (Gauss-Newton: the
+Decision variables per stage: state (8), thrust (one per thruster) and, from stage 1 on, two slacks: one that the limits
+on speeds share and one for depth band and half-planes, so that a vehicle outside its workspace does not speed on its
+way back. The first state is known and is not a variable. Everything that changes at run time is an argument, so nothing
+is rebuilt for a new fence, current, weight or limit. The function works in steps around the guess (Gauss-Newton: the
 residuals are linear in state and input, so the Hessian is exact up to the curvature of the dynamics).
 
 * dynamics: RK4 on :mod:`autopilot.core.model4`, intervals split where RK4 would lose its stability
@@ -30,7 +30,7 @@ import numpy as np
 from autopilot.control.nmpc.grid import MAX_RK4_STEP_S, REFERENCE_DT_S, TimeGrid
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, NX, R, U, V, W, Z
+from autopilot.core.model4 import AXES, NX, R, U, V, W, Z
 
 N_LIMITS = 5
 """Planar speed [m/s], heave [m/s], yaw rate [rad/s], depth minimum and maximum [m]."""
@@ -110,8 +110,8 @@ def bind(
 
 
 def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Function:
-    """RK4 over one interval: (x, thrust_n, current_ned_m_s) -> (x_next, A (8, 8), B (8, 4))."""
-    x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", NU), ca.SX.sym("c", 3)
+    """RK4 over one interval: (x, thrust_n, current_ned_m_s) -> (x_next, A (8, 8), B (8, n))."""
+    x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
     h = dt_s / substeps
 
     def f(state: Any) -> Any:
@@ -119,7 +119,7 @@ def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Fu
 
     x_next = model4.rk4(f, x, h)
     single = ca.Function("rk4", [x, u, c], [x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, u)])
-    state, a, b = x, ca.SX.eye(NX), ca.SX(NX, NU)
+    state, a, b = x, ca.SX.eye(NX), ca.SX(NX, model.thrusters)
     for _ in range(substeps):
         state, a_step, b_step = single(state, u, c)
         a, b = ca.mtimes(a_step, a), ca.mtimes(a_step, b) + b_step
@@ -137,10 +137,12 @@ def _fastest_rate_1_s(model: model4.Model4, scale: float) -> float:
     way, turn = (a.ravel() for a in np.meshgrid(np.linspace(-math.pi, math.pi, 17), turn_rad_s * np.linspace(-1, 1, 5)))
     nu = np.stack([planar_m_s * np.cos(way), planar_m_s * np.sin(way), np.full_like(way, heave_m_s), turn])
     slopes = []
-    for axis in range(4):
+    for axis in range(AXES):
         aside = nu.astype(complex)
         aside[axis] += 1e-20j
-        slopes.append(np.imag(np.stack(model4.body_acceleration(model, list(aside), [0.0] * NU, np))) / 1e-20)
+        slopes.append(
+            np.imag(np.stack(model4.body_acceleration(model, list(aside), (0.0,) * model.thrusters, np))) / 1e-20
+        )
     return float(np.abs(np.linalg.eigvals(np.array(slopes).transpose(2, 1, 0))).max())
 
 
@@ -158,24 +160,24 @@ def fastest_guess(model: model4.Model4) -> tuple[float, float, float]:
     return scale * ENVELOPE[0], scale * ENVELOPE[1], scale * ENVELOPE[2]
 
 
-def argument_shapes(n: int, planes: int) -> dict[str, tuple[int, int]]:
+def argument_shapes(n: int, planes: int, thrusters: int) -> dict[str, tuple[int, int]]:
     """Arguments of the step and their shapes (rows, columns), in order.
 
-    State and thrust of the guess and of the reference, current, weights per node (8 at nodes 1 .. N-1, 4 at 0 .. N-1,
-    per :data:`REFERENCE_DT_S`), Hessian of the terminal cost, limits at nodes 1 .. N-1, thrust bounds, half-planes at
-    nodes 1 .. N-1.
+    State and thrust of the guess and of the reference, current, weights per node (8 at nodes 1 .. N-1, one per
+    thruster at 0 .. N-1, per :data:`REFERENCE_DT_S`), Hessian of the terminal cost, limits at nodes 1 .. N-1, thrust
+    bounds, half-planes at nodes 1 .. N-1.
     """
     return {
         "x_guess": (NX, n + 1),
-        "u_guess": (NU, n),
+        "u_guess": (thrusters, n),
         "x_ref": (NX, n + 1),
-        "u_ref": (NU, n),
+        "u_ref": (thrusters, n),
         "current": (3, n),
         "weight_x": (NX, n - 1),
-        "weight_u": (NU, n),
+        "weight_u": (thrusters, n),
         "terminal": (NX, NX),
         "limits": (N_LIMITS, n - 1),
-        "thrust_limit": (NU, n),
+        "thrust_limit": (thrusters, n),
         "plane_n": (2, planes * (n - 1)),
         "plane_d": (planes, n - 1),
     }
@@ -185,12 +187,13 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
     """The control step as a function.
 
     Arguments: see :func:`argument_shapes`; the first column of x_guess is the present state. Results: x (8, N+1),
-    u (4, N), slack (2, N-1), figures (6: cost, largest violation of a QP row, largest gap of the guess, largest
+    u (thrusters, N), slack (2, N-1), figures (6: cost, largest violation of a QP row, largest gap of the guess, largest
     overshoot of a thrust bound before it was clipped, sum of the step: not finite when any of it is not, largest
     multiplier of a soft row as a share of the penalty), multipliers.
     """
     n = grid.n
-    shapes = argument_shapes(n, planes)
+    nu = model.thrusters
+    shapes = argument_shapes(n, planes, nu)
     names = list(shapes)
     arguments = [ca.SX.sym(name, *shape) for name, shape in shapes.items()]
     xg, ug, xref, uref, cur, weight_x, weight_u, terminal, limits, tlim, plane_n, plane_d = arguments
@@ -224,7 +227,7 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
             lower.append(ca.SX.zeros(N_SLACKS))
             upper.append(ca.inf * ca.SX.ones(N_SLACKS))
             c_rows, values = _soft_rows(
-                xg[:, k], limits[:, k - 1], plane_n[:, (k - 1) * planes : k * planes], plane_d[:, k - 1]
+                xg[:, k], limits[:, k - 1], plane_n[:, (k - 1) * planes : k * planes], plane_d[:, k - 1], nu
             )
             row_low.append(-ca.inf * ca.SX.ones(c_rows.shape[0]))
             row_high.append(-values)
@@ -236,7 +239,7 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
     lower.append(-ca.inf * ca.SX.ones(NX))
     upper.append(ca.inf * ca.SX.ones(NX))
 
-    constraint = _assemble(blocks, planes + N_BOX_ROWS)
+    constraint = _assemble(blocks, planes + N_BOX_ROWS, nu)
     linearise = ca.Function(
         "linearise",
         arguments,
@@ -251,11 +254,11 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
             ca.norm_inf(ca.vertcat(*gaps)),
         ],
     )
-    return _embed(linearise, grid, planes, backend, arguments, names)
+    return _embed(linearise, grid, planes, backend, arguments, names, nu)
 
 
-def _soft_rows(x: Any, limits: Any, normals: Any, offsets: Any) -> tuple[Any, Any]:
-    """Rows C (m, 8 + 4 + 2) of the step and their present values: C dz + value <= 0, slack included."""
+def _soft_rows(x: Any, limits: Any, normals: Any, offsets: Any, nu: int) -> tuple[Any, Any]:
+    """Rows C (m, 8 + nu + 2) of the step and their present values: C dz + value <= 0, slack included."""
     planar = ca.sqrt(x[U] ** 2 + x[V] ** 2 + SPEED_EPSILON_M_S**2)
     heave, turn = ca.if_else(x[W] < 0, -1, 1), ca.if_else(x[R] < 0, -1, 1)
     shallow = x[Z] - limits[3] < limits[4] - x[Z]
@@ -264,24 +267,24 @@ def _soft_rows(x: Any, limits: Any, normals: Any, offsets: Any) -> tuple[Any, An
     for j in range(normals.shape[1]):
         signed.append(((0, -normals[0, j]), (1, -normals[1, j])))
         bounds.append(-offsets[j])
-    rows, values = ca.SX(len(signed), NX + NU + N_SLACKS), []
+    rows, values = ca.SX(len(signed), NX + nu + N_SLACKS), []
     for i, (entries, bound) in enumerate(zip(signed, bounds, strict=True)):
         for column, coefficient in entries:
             rows[i, column] = coefficient
-        rows[i, NX + NU + (0 if i < 3 else 1)] = -1.0
+        rows[i, NX + nu + (0 if i < 3 else 1)] = -1.0
         values.append(sum(coefficient * x[column] for column, coefficient in entries) - bound)
     return rows, ca.vertcat(*values)
 
 
-def _assemble(blocks: list[list[Any]], rows_per_stage: int) -> Any:
+def _assemble(blocks: list[list[Any]], rows_per_stage: int, nu: int) -> Any:
     """The staged constraint matrix [A B -I; C D] from the blocks of all stages."""
     n = len(blocks)
     height = NX * n + rows_per_stage * (n - 1)
     row = offset = 0
-    width = NU + (n - 1) * (NX + NU + N_SLACKS) + NX
+    width = nu + (n - 1) * (NX + nu + N_SLACKS) + NX
     matrix = ca.SX(height, width)
     for k, (a, b, c) in enumerate(blocks):
-        n_x, n_u = (0 if k == 0 else NX), (NU if k == 0 else NU + N_SLACKS)
+        n_x, n_u = (0 if k == 0 else NX), (nu if k == 0 else nu + N_SLACKS)
         if k > 0:
             matrix[row : row + NX, offset : offset + NX] = a
         matrix[row : row + NX, offset + n_x : offset + n_x + n_u] = b
@@ -296,7 +299,13 @@ def _assemble(blocks: list[list[Any]], rows_per_stage: int) -> Any:
 
 
 def _embed(
-    linearise: ca.Function, grid: TimeGrid, planes: int, backend: QpBackend, arguments: list[Any], names: list[str]
+    linearise: ca.Function,
+    grid: TimeGrid,
+    planes: int,
+    backend: QpBackend,
+    arguments: list[Any],
+    names: list[str],
+    nu: int,
 ) -> ca.Function:
     """Linearisation, QP and unpacking as one MX function."""
     n = grid.n
@@ -307,7 +316,7 @@ def _embed(
         options |= {
             "N": n,
             "nx": [0] + [NX] * n,
-            "nu": [NU] + [NU + N_SLACKS] * (n - 1) + [0],
+            "nu": [nu] + [nu + N_SLACKS] * (n - 1) + [0],
             "ng": [0] + [planes + N_BOX_ROWS] * (n - 1) + [0],
         }
     options |= {"error_on_fail": False}
@@ -316,10 +325,10 @@ def _embed(
     z = solution["x"]
     value = ca.mtimes(a, z)
     violation = ca.mmax(ca.fmax(ca.fmax(lba - value, value - uba), 0))
-    width = NX + NU + N_SLACKS
-    body = ca.reshape(z[NU : NU + (n - 1) * width], width, n - 1)
-    dx = ca.horzcat(ca.MX.zeros(NX, 1), body[:NX, :], z[NU + (n - 1) * width :])
-    du = ca.horzcat(z[:NU], body[NX : NX + NU, :])
+    width = NX + nu + N_SLACKS
+    body = ca.reshape(z[nu : nu + (n - 1) * width], width, n - 1)
+    dx = ca.horzcat(ca.MX.zeros(NX, 1), body[:NX, :], z[nu + (n - 1) * width :])
+    du = ca.horzcat(z[:nu], body[NX : NX + nu, :])
     x, u = symbols[0] + dx, symbols[1] + du
     bound = symbols[names.index("thrust_limit")]
     overshoot = ca.mmax(ca.fabs(u) - bound)
@@ -333,7 +342,7 @@ def _embed(
     return ca.Function(
         "nmpc_step",
         symbols,
-        [x, u, body[NX + NU :, :], figures, solution["lam_a"]],
+        [x, u, body[NX + nu :, :], figures, solution["lam_a"]],
         names,
         ["x", "u", "slack", "figures", "multipliers"],
     )

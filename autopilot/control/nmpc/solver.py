@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from autopilot.control.nmpc import ocp
-from autopilot.control.nmpc.grid import TimeGrid, shift_matrices
+from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid, shift_matrices
 from autopilot.control.nmpc.native import NativeStep
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus
-from autopilot.core.model4 import NU, NX, Model4, U
+from autopilot.core.model4 import NX, Model4, U, rk4, state_derivative
+from autopilot.core.sharing import least_in_box
 
 PLANES = 8
 """Half-plane slots per stage: four walls of a tank and four obstacles."""
@@ -32,8 +33,14 @@ OVERSHOOT_LIMIT_N = 1e-3
 GUESS_LIMIT = 100.0
 """m/s, rad/s: around a guess that moves faster (or is no number) nothing can be linearised; solvers would print it."""
 
-SELF_TEST_TOLERANCE_N = 0.05
-"""How far the first thrust of the self-test may be from what the problem's symmetry demands."""
+SELF_TEST_WAY = np.array([0.2, 0.1, 0.1, 0.2, 0.0, 0.0, 0.0, 0.0])
+"""State to which the self-test goes from rest."""
+
+SELF_TEST_WEIGHTS = np.array([20.0, 20.0, 40.0, 3.0, 1.0, 1.0, 1.0, 0.5])
+SELF_TEST_THRUST_WEIGHT = 0.02
+
+SELF_TEST_TOLERANCE = 0.05
+"""How far thrust and end of the self-test may be from the answer, as a share of the bound and of the way."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -45,19 +52,19 @@ class NmpcProblem:
     x_ref: FloatArray
     """(N+1, 8)"""
     thrust_ref_n: FloatArray
-    """(N, 4), cut to the bounds inside."""
+    """(N, thrusters), cut to the bounds inside."""
     current_ned_m_s: FloatArray
     """(N, 3) per stage."""
     weight_x: FloatArray
     """(8,) or (N-1, 8) on the state at nodes 1 .. N-1, per REFERENCE_DT_S."""
     weight_u: FloatArray
-    """(4,) or (N, 4) on the thrust, per REFERENCE_DT_S."""
+    """(thrusters,) or (N, thrusters) on the thrust, per REFERENCE_DT_S."""
     terminal: FloatArray
     """(8, 8) Hessian of the terminal cost, positive semidefinite."""
     limits: FloatArray
     """(5,) or (N-1, 5): planar speed, heave, yaw rate, depth minimum, depth maximum at nodes 1 .. N-1."""
     thrust_limit_n: FloatArray
-    """(4,) or (N, 4)"""
+    """(thrusters,) or (N, thrusters)"""
     plane_n: FloatArray
     """(N-1, PLANES, 2) unit normals of the half-planes n . p >= d at stages 1 .. N-1; zero = unused."""
     plane_d_m: FloatArray
@@ -72,7 +79,7 @@ class NmpcResult:
     x: FloatArray
     """(N+1, 8) predicted states."""
     thrust_n: FloatArray
-    """(N, 4) planned thrust."""
+    """(N, thrusters) planned thrust."""
     cost: float
     """Decrease of the cost that the last QP predicted, plus penalties."""
     slack_max: float
@@ -89,12 +96,12 @@ class QpStep:
         n = grid.n
         self.backend = backend
         function = _build(dataclasses.astuple(model), _grid_key(grid), planes, backend)
-        arguments = [np.zeros(shape[::-1]) for shape in ocp.argument_shapes(n, planes).values()]
+        arguments = [np.zeros(shape[::-1]) for shape in ocp.argument_shapes(n, planes, model.thrusters).values()]
         self.x_guess, self.u_guess, self.x_ref, self.u_ref, self.current = arguments[:5]
         self.weight_x, self.weight_u, self.terminal, self.limits, self.thrust_limit = arguments[5:10]
         self.plane_n, self.plane_d = arguments[10].reshape(n - 1, planes, 2), arguments[11]
         self.x = np.zeros((n + 1, NX))
-        self.u = np.zeros((n, NU))
+        self.u = np.zeros((n, model.thrusters))
         self.slack = np.zeros((n - 1, ocp.N_SLACKS))
         self.figures = np.zeros(6)
         self._multipliers = np.zeros(function.nnz_out("multipliers"))
@@ -120,37 +127,66 @@ def _build(model_values: tuple[Any, ...], dt_s: tuple[float, ...], planes: int, 
     return ocp.build_qp_step(model, grid, planes, backend)
 
 
-def passes_self_test(step: QpStep | NativeStep) -> bool:
-    """Solve one problem with a known answer: at rest 1 m behind a reference straight ahead, all is symmetric.
+def passes_self_test(step: QpStep | NativeStep, model: Model4, grid: TimeGrid) -> bool:
+    """Solve one problem whose answer is known: from rest to a place near by, with half of the thrust that it takes.
 
-    Port and starboard thrust must be equal, forward and inside the bound, lateral thrust zero, all figures small.
+    Without the states it is a program with bounds alone (:func:`_condensed`), small enough to be solved by other
+    means. Thrust of the first interval and the state at the end must be the same, all figures small.
     """
     step.x_guess[:] = 0.0
-    step.x_guess[:, 2] = 0.5
     step.u_guess[:] = 0.0
-    step.x_ref[:] = step.x_guess
-    step.x_ref[:, 0] = 1.0
+    step.x_ref[:] = SELF_TEST_WAY
     step.u_ref[:] = 0.0
-    step.weight_x[:] = [20.0, 20.0, 40.0, 3.0, 1.0, 1.0, 1.0, 0.5]
-    step.weight_u[:] = 0.02
-    step.terminal[:] = ocp.TERMINAL_STAGES * np.diag(step.weight_x[0])
-    step.limits[:] = [0.5, 0.25, 1.0, 0.0, 1.2]
-    step.thrust_limit[:] = 12.0
+    step.current[:] = 0.0
+    step.weight_x[:] = SELF_TEST_WEIGHTS
+    step.weight_u[:] = SELF_TEST_THRUST_WEIGHT
+    step.terminal[:] = ocp.TERMINAL_STAGES * np.diag(SELF_TEST_WEIGHTS)
+    step.limits[:] = [10.0, 10.0, 10.0, -10.0, 10.0]
     step.plane_n[:] = 0.0
     step.plane_d[:] = -1.0
-    for _ in range(3):
-        step.evaluate()
-        if not np.isfinite(step.figures).all():
-            return False
-        step.x_guess[:], step.u_guess[:] = step.x, step.u
-    port, starboard, _, lateral = step.u[0]
+    hessian, gradient, moved, effect = _condensed(model, grid)
+    bound_n = 0.5 * float(np.abs(np.linalg.solve(hessian, gradient)[: model.thrusters]).max())
+    step.thrust_limit[:] = bound_n
+    thrust = least_in_box(hessian, gradient, np.full(len(gradient), bound_n))
+    step.evaluate()
     return bool(
-        step.figures[1] < VIOLATION_LIMIT
-        and abs(port - starboard) < SELF_TEST_TOLERANCE_N
-        and abs(lateral) < SELF_TEST_TOLERANCE_N
-        and 1.0 < port < 12.0 + OVERSHOOT_LIMIT_N
-        and 0.0 < step.x[-1, 0] < 1.5
+        np.isfinite(step.figures).all()
+        and step.figures[1] < VIOLATION_LIMIT
+        and step.figures[3] < OVERSHOOT_LIMIT_N
+        and np.abs(step.u[0] - thrust[: model.thrusters]).max() < SELF_TEST_TOLERANCE * bound_n
+        and np.abs(step.x[-1] - moved - effect @ thrust).max() < SELF_TEST_TOLERANCE * float(SELF_TEST_WAY.max())
     )
+
+
+def _condensed(model: Model4, grid: TimeGrid) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Hessian and gradient of the self-test over all thrusts (N n,); last state without thrust, and what thrust makes
+    of it (8, N n). Derivatives by complex steps."""
+    count, n = model.thrusters, grid.n
+    hessian, gradient = np.zeros((n * count, n * count)), np.zeros(n * count)
+    state, effect = np.zeros(NX), np.zeros((NX, n * count))
+    substeps = grid.substeps(ocp.longest_step_s(model))
+    pushed = np.eye(NX + count)[NX:] * 1e-20j
+
+    def slope(x: Any) -> Any:
+        return np.stack(state_derivative(model, list(x), list(pushed), (0.0,) * 3, np))
+
+    for k in range(n):
+        after: Any = np.hstack([np.eye(NX) * 1e-20j, np.zeros((NX, count))])
+        for _ in range(substeps[k]):
+            after = rk4(slope, after, float(grid.dt_s[k]) / substeps[k])
+        slopes = np.imag(after) / 1e-20
+        # The guess stands still: one interval takes it to where rest takes it.
+        state = slopes[:, :NX] @ state + np.real(after[:, 0])
+        effect = slopes[:, :NX] @ effect
+        effect[:, k * count : (k + 1) * count] = slopes[:, NX:]
+        scale = float(grid.dt_s[k]) / REFERENCE_DT_S
+        own = np.arange(k * count, (k + 1) * count)
+        hessian[own, own] += scale * SELF_TEST_THRUST_WEIGHT
+        weight = ocp.TERMINAL_STAGES if k == n - 1 else float(grid.dt_s[k + 1]) / REFERENCE_DT_S
+        weighed = weight * SELF_TEST_WEIGHTS[:, None] * effect
+        hessian += weighed.T @ effect
+        gradient += weighed.T @ (state - SELF_TEST_WAY)
+    return hessian, gradient, state, effect
 
 
 def choose_step(model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.QpBackend, ...]) -> QpStep | NativeStep:
@@ -163,7 +199,7 @@ def choose_step(model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.
         except RuntimeError as error:
             reasons.append(f"{backend.plugin}: {str(error).splitlines()[-1]}")
             continue
-        if passes_self_test(step):
+        if passes_self_test(step, model, grid):
             return step
         reasons.append(f"{backend.plugin}: wrong answer in the self-test")
     raise ConfigError(f"no QP solver works ({'; '.join(reasons)}); reinstall casadi from its binary wheel")
@@ -186,7 +222,7 @@ class Nmpc:
         self._fastest = ocp.fastest_guess(model)
         self._shifts: dict[float, tuple[FloatArray, FloatArray]] = {}
         self.x = np.zeros((grid.n + 1, NX))
-        self.u = np.zeros((grid.n, NU))
+        self.u = np.zeros((grid.n, model.thrusters))
         self.last_problem: NmpcProblem | None = None
         """What was solved last (its arrays may be those of the caller), for comparisons."""
         self.violation = 0.0
@@ -198,7 +234,7 @@ class Nmpc:
         return self._step.backend.plugin
 
     def set_plan(self, x: FloatArray, thrust_n: FloatArray) -> None:
-        """Start from this guess: states (N+1, 8) and thrust (N, 4)."""
+        """Start from this guess: states (N+1, 8) and thrust (N, thrusters)."""
         self.x[:], self.u[:] = x, thrust_n
 
     def shift(self, delta_s: float) -> None:

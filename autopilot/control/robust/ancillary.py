@@ -10,7 +10,7 @@ import numpy as np
 from autopilot.control.robust.error_model import error_jacobian, error_of, input_matrix
 from autopilot.control.robust.riccati import dare, discretise, gain
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, NX, Model4, U
+from autopilot.core.model4 import NX, Model4, U
 
 SURGES_M_S = np.linspace(-0.8, 0.8, 9)
 """Surge speeds of the table; beyond, its ends."""
@@ -25,11 +25,11 @@ DESIGN_STEP_S = 0.02
 
 
 def lqr_gains(model: Model4, surges_m_s: FloatArray = SURGES_M_S) -> FloatArray:
-    """(m, 4, 8) gains at surge speeds (m,) with no other velocity."""
+    """(m, n, 8) gains at surge speeds (m,) with no other velocity."""
     a = np.array([error_jacobian(model, np.array([u, 0.0, 0.0, 0.0])) for u in surges_m_s])
-    b = np.broadcast_to(input_matrix(model), (len(surges_m_s), NX, NU))
+    b = np.broadcast_to(input_matrix(model), (len(surges_m_s), NX, model.thrusters))
     a_d, b_d = discretise(a, b, DESIGN_STEP_S)
-    r = THRUST_WEIGHT * np.eye(NU)
+    r = THRUST_WEIGHT * np.eye(model.thrusters)
     p = dare(a_d, b_d, np.diag(STATE_WEIGHTS), r)
     return gain(a_d, b_d, p, r)
 
@@ -39,17 +39,17 @@ class Ancillary:
 
     def __init__(self, model: Model4) -> None:
         self.gains = lqr_gains(model)
-        """(9, 4, 8) at SURGES_M_S."""
+        """(9, n, 8) at SURGES_M_S."""
         self._first, self._step = float(SURGES_M_S[0]), float(SURGES_M_S[1] - SURGES_M_S[0])
 
     def gain(self, surge_m_s: float) -> FloatArray:
-        """K (4, 8) at a planned surge."""
+        """K (n, 8) at a planned surge."""
         place = min(max((surge_m_s - self._first) / self._step, 0.0), len(self.gains) - 1.0)
         low = min(int(place), len(self.gains) - 2)
         k: FloatArray = self.gains[low] + (place - low) * (self.gains[low + 1] - self.gains[low])
         return k
 
     def correction(self, x: FloatArray, z: FloatArray) -> FloatArray:
-        """Thrust (4,) that brings the state ``x`` (8,) back to the planned ``z`` (8,)."""
+        """Thrust (n,) that brings the state ``x`` (8,) back to the planned ``z`` (8,)."""
         thrust: FloatArray = self.gain(float(z[U])) @ error_of(x, z)
         return thrust

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, NU, NX, YAW, Model4, R, U, V, W, X, Y, Z
+from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, NX, YAW, Model4, R, U, V, W, X, Y, Z
 
 CHANNELS = 7
 """Disturbances: force ahead, starboard, down [N], yaw moment [N m], error of the current ahead, starboard, down."""
@@ -44,8 +44,8 @@ def error_jacobian(model: Model4, nu: FloatArray) -> FloatArray:
 
 
 def input_matrix(model: Model4) -> FloatArray:
-    """(8, 4) effect of thrust."""
-    b = np.zeros((NX, NU))
+    """(8, n) effect of thrust."""
+    b = np.zeros((NX, model.thrusters))
     b[U:] = np.array(model.allocation) / np.array(model.mass_kg)[:, None]
     return b
 

@@ -8,7 +8,8 @@ import numpy as np
 from autopilot.core import model4
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import FALLBACK_TEXT, Fallback, Severity
-from autopilot.core.model4 import NU, YAW, Model4, R, U, X, Y, Z
+from autopilot.core.model4 import YAW, R, U, X, Y, Z
+from autopilot.core.sharing import Sharing
 
 POSITION_GAIN_1_S = 0.4
 YAW_GAIN_1_S = 0.8
@@ -63,12 +64,17 @@ class FallbackWatch:
 
 
 def station_keeping_thrust(
-    model: Model4, x: FloatArray, target: FloatArray, current_ned_m_s: FloatArray, limit_n: FloatArray
+    sharing: Sharing,
+    x: FloatArray,
+    target: FloatArray,
+    current_ned_m_s: FloatArray,
+    limit_n: FloatArray,
 ) -> FloatArray:
-    """Thrust (4,) [N] that holds position, depth and heading of ``target`` (8,) from state ``x`` (8,) in a current.
+    """Thrust (n,) [N] within ``limit_n`` (n,) that holds position, depth and heading of ``target`` (8,) in a current.
 
     Position error -> velocity over ground -> velocity through the water -> drag feed-forward plus velocity feedback.
     """
+    model = sharing.model
     dx, dy = float(target[X] - x[X]), float(target[Y] - x[Y])
     distance = math.hypot(dx, dy)
     speed = min(POSITION_GAIN_1_S * distance, SPEED_LIMIT_M_S)
@@ -87,10 +93,8 @@ def station_keeping_thrust(
         ]
     )
     nu = [float(v) for v in x[U : R + 1]]
-    drift = model4.body_acceleration(model, [float(v) for v in wanted], [0.0] * NU, math)
+    drift = model4.body_acceleration(model, [float(v) for v in wanted], (0.0,) * model.thrusters, math)
     force = np.array(
         [m * (VELOCITY_GAIN_1_S * (w - v) - a) for m, w, v, a in zip(model.mass_kg, wanted, nu, drift, strict=True)]
     )
-    thrust = np.linalg.solve(np.array(model.allocation), force)
-    limited: FloatArray = np.clip(thrust, -limit_n, limit_n)
-    return limited
+    return sharing.thrust_n(force, limit_n)

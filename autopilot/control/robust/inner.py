@@ -12,7 +12,7 @@ from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.error_model import error_of
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, NX, YAW, U, V, W
+from autopilot.core.model4 import NX, YAW, U, V, W
 
 
 class InnerLoop:
@@ -20,16 +20,17 @@ class InnerLoop:
 
     def __init__(self, ancillary: Ancillary, grid: TimeGrid) -> None:
         self._ancillary, self._grid = ancillary, grid
+        thrusters = ancillary.gains.shape[1]
         self._t_s = grid.t_s.tolist()
-        self._x, self._u = np.zeros((grid.n + 1, NX)), np.zeros((grid.n, NU))
-        self._k = np.zeros((NU, NX))
+        self._x, self._u = np.zeros((grid.n + 1, NX)), np.zeros((grid.n, thrusters))
+        self._k = np.zeros((thrusters, NX))
         self._current = np.zeros(3)
         self._begin_us = 0
         self.active = False
         """There is a plan to follow."""
 
     def start(self, t_us: int, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> None:
-        """Follow the plan x (N+1, 8), thrust (N, 4) that begins now and believes in this current (3,)."""
+        """Follow the plan x (N+1, 8), thrust (N, n) that begins now and believes in this current (3,)."""
         self._x[:], self._u[:], self._current[:] = x, thrust_n, current_ned_m_s
         self._k = self._ancillary.gain(float(x[0, U]))
         self._begin_us, self.active = t_us, True
@@ -39,7 +40,7 @@ class InnerLoop:
         self.active = False
 
     def thrust(self, t_us: int, x: FloatArray, current_ned_m_s: FloatArray, limit_n: FloatArray) -> FloatArray:
-        """Thrust (4,) for the state ``x`` (8,), cut to ``limit_n`` (4,)."""
+        """Thrust (n,) for the state ``x`` (8,), cut to ``limit_n`` (n,)."""
         after_s = min(max((t_us - self._begin_us) * 1e-6, 0.0), self._t_s[-1])
         k = 0
         while after_s > self._t_s[k + 1]:

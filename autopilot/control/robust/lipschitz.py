@@ -18,7 +18,7 @@ from autopilot.control.robust.tightening import BackOffs, FixedMargins
 from autopilot.control.robust.tube import DISC_SIGMAS
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
-from autopilot.core.model4 import NU, NX, Model4, R, U, W, X, Y, Z
+from autopilot.core.model4 import NX, Model4, R, U, W, X, Y, Z
 from autopilot.core.params import ParamSet
 
 UNIT_SCALES = (1.0,) * NX
@@ -157,5 +157,5 @@ class LipschitzMargins:
             planar_speed_m_s=np.maximum(rows[:, U], fixed.planar_speed_m_s),
             heave_m_s=np.maximum(rows[:, W], fixed.heave_m_s),
             yaw_rate_rad_s=np.maximum(rows[:, R], fixed.yaw_rate_rad_s),
-            thrust_n=np.zeros((self._grid.n, NU)),
+            thrust_n=np.zeros((self._grid.n, self._model.thrusters)),
         )

@@ -16,7 +16,7 @@ from autopilot.control.robust.tube import LARGEST_SHARE, TubeMargins
 from autopilot.control.way.reference import water_speed_share
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState, Severity
-from autopilot.core.model4 import NU, NX, Model4
+from autopilot.core.model4 import NX, Model4
 from autopilot.core.params import ParamSet
 
 
@@ -33,7 +33,7 @@ class Margins:
 
     def __init__(self, model: Model4, grid: TimeGrid) -> None:
         self.ancillary = Ancillary(model)
-        fixed = FixedMargins(grid)
+        fixed = FixedMargins(grid, model.thrusters)
         self.tube = TubeMargins(model, grid, self.ancillary, fixed)
         self.lipschitz = LipschitzMargins(model, grid, fixed)
         self.evidence = SpeedEvidence()
@@ -42,7 +42,7 @@ class Margins:
         self._told = False
         self._news: list[tuple[Severity, str]] = []
         self._rest = np.zeros((grid.n + 1, NX))
-        self._idle = np.zeros((grid.n, NU))
+        self._idle = np.zeros((grid.n, model.thrusters))
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
         """See :class:`autopilot.control.robust.tightening.Tightening`."""

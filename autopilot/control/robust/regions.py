@@ -20,6 +20,7 @@ from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, Severity
 from autopilot.core.model4 import Model4
+from autopilot.core.sharing import Sharing
 
 ANSWER_STEPS = 20
 """A certificate is taken so many control steps after it was asked for (1 s at 20 Hz): nothing waits for it."""
@@ -56,8 +57,8 @@ def _certified(request: _Request, cancel: Cancel) -> Certificate:
 class TerminalRegions:
     """Law and certificate of the present goal."""
 
-    def __init__(self, model: Model4, desk: Desk) -> None:
-        self._model, self._desk = model, desk
+    def __init__(self, sharing: Sharing, desk: Desk) -> None:
+        self._sharing, self._desk = sharing, desk
         self._ticket: Ticket[Certificate] | None = None
         self.reset()
 
@@ -101,11 +102,11 @@ class TerminalRegions:
         moved = float(np.abs(current_ned_m_s - self._current).max()) > CURRENT_STEP_M_S
         if key != self._key or (moved and self._ticket is None):
             self._key, self._goal, self._current = key, goal, current_ned_m_s.copy()
-            self.law = terminal_law(self._model, yaw, current_ned_m_s, q, r)
+            self.law = terminal_law(self._sharing, yaw, current_ned_m_s, q, r, limits.thrust_n)
             self._cost = self.law.cost_ned()
             self.certificate = None
             self._withdraw()
-            request = _Request(model=self._model, law=self.law, goal=goal, limits=limits)
+            request = _Request(model=self._sharing.model, law=self.law, goal=goal, limits=limits)
             self._ticket = self._desk.submit(self._step + ANSWER_STEPS, _certified, request)
         answer = None if self._ticket is None else self._ticket.poll(self._step)
         if answer is None:

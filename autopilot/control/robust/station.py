@@ -21,7 +21,8 @@ from autopilot.control.robust.terminal import (
 )
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal
-from autopilot.core.model4 import NU, YAW, Model4
+from autopilot.core.model4 import YAW
+from autopilot.core.sharing import Sharing
 
 HOLD_RADIUS_M = 0.25
 HOLD_YAW_RAD = 0.35
@@ -38,8 +39,8 @@ CURRENT_STEP_M_S = 0.05
 class StationKeeper:
     """Holds one place after the other."""
 
-    def __init__(self, model: Model4) -> None:
-        self._model = model
+    def __init__(self, sharing: Sharing) -> None:
+        self._model, self._sharing = sharing.model, sharing
         self._samples = unit_samples(HOLD_SAMPLES)
         self._target: FloatArray | None = None
         self._law: Terminal | None = None
@@ -58,7 +59,7 @@ class StationKeeper:
         self._target, self._law, self.inside = None, None, False
 
     def thrust(self, x: FloatArray, current_ned_m_s: FloatArray, limit_n: FloatArray) -> FloatArray:
-        """Thrust (4,) that holds the place where this began."""
+        """Thrust (n,) that holds the place where this began."""
         if self._target is None:
             self._target = x.copy()
         if self._law is None or float(np.abs(current_ned_m_s - self._current).max()) > CURRENT_STEP_M_S:
@@ -71,12 +72,17 @@ class StationKeeper:
                 self.inside = True
                 inner: FloatArray = np.clip(law.thrust_n + law.k @ error, -limit_n, limit_n)
                 return inner
-        return station_keeping_thrust(self._model, x, self._target, current_ned_m_s, limit_n)
+        return station_keeping_thrust(self._sharing, x, self._target, current_ned_m_s, limit_n)
 
     def _make(self, target: FloatArray, current: FloatArray, limit_n: FloatArray) -> None:
         self._current = current.copy()
         law = terminal_law(
-            self._model, float(target[YAW]), current, np.array(STATE_WEIGHTS), np.full(NU, THRUST_WEIGHT)
+            self._sharing,
+            float(target[YAW]),
+            current,
+            np.array(STATE_WEIGHTS),
+            np.full(self._model.thrusters, THRUST_WEIGHT),
+            limit_n,
         )
         place = Goal(
             pos_ned_m=target[:3],

@@ -22,6 +22,7 @@ from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Z
+from autopilot.core.sharing import Sharing
 
 KAPPA = 1.3
 """With 1 the sampled decrease of the nonlinear model fails by 2 %; between 1.2 and 1.5 it holds."""
@@ -35,15 +36,13 @@ LEAST_ALPHA = 1e-9
 FREE_YAW_RAD = 0.5
 """Band of the heading where a goal leaves it free: beyond, the linearisation is another one."""
 
-THRUSTERS = ("port", "starboard", "vertical", "lateral")
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TerminalLimits:
     """What the region has to stay inside, back-offs already taken off."""
 
     thrust_n: FloatArray
-    """(4,)"""
+    """(n,)"""
     planar_speed_m_s: float
     heave_m_s: float
     yaw_rate_rad_s: float
@@ -51,6 +50,8 @@ class TerminalLimits:
     depth_max_m: float
     clearance_m: float
     """From the goal to the nearest place that the centre must keep out of."""
+    thrusters: tuple[str, ...] = ()
+    """Names of the n thrusters, as far as they have any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -61,15 +62,15 @@ class Terminal:
     nu: FloatArray
     """(4,) velocity through the water at the goal."""
     thrust_n: FloatArray
-    """(4,) that holds it there."""
+    """(n,) that holds it there, with least energy."""
     k: FloatArray
-    """(4, 8) gain on the error in the goal's frame."""
+    """(n, 8) gain on the error in the goal's frame."""
     p: FloatArray
     """(8, 8) cost in the goal's frame, per REFERENCE_DT_S as the stage cost."""
     q: FloatArray
     """(8,)"""
     r: FloatArray
-    """(4,)"""
+    """(n,)"""
 
     def cost_ned(self) -> FloatArray:
         """(8, 8) cost on the error in NED, as the optimiser's terminal Hessian is given."""
@@ -127,13 +128,24 @@ class Certificate:
         return f"alpha {self.alpha:.3g} ({size}) by {self.binding}, {self.violations} of {self.samples} violate{small}"
 
 
-def terminal_law(model: Model4, yaw_rad: float, current_ned_m_s: FloatArray, q: FloatArray, r: FloatArray) -> Terminal:
-    """Steady input, gain and cost of a goal with heading ``yaw_rad`` in a current; q (8,), r (4,) of the stage cost."""
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+def terminal_law(
+    sharing: Sharing,
+    yaw_rad: float,
+    current_ned_m_s: FloatArray,
+    q: FloatArray,
+    r: FloatArray,
+    limit_n: FloatArray,
+) -> Terminal:
+    """Steady input, gain and cost of a goal with heading ``yaw_rad`` in a current; q (8,), r (n,) of the stage cost.
+
+    Redundant thrusters share within ``limit_n`` (n,)."""
+    model, c, s = sharing.model, math.cos(yaw_rad), math.sin(yaw_rad)
     cn, ce, cd = (float(v) for v in current_ned_m_s)
     nu = np.array([-(c * cn + s * ce), -(c * ce - s * cn), -cd, 0.0])
     force = model4.steady_force(model, nu.tolist(), math)
-    thrust = np.linalg.solve(np.array(model.allocation), np.array(force))
+    # Where the thrusters cannot hold it, the limits say so by the thrust that it would take.
+    enough = sharing.makes(np.array(force), limit_n)
+    thrust = sharing.thrust_n(np.array(force), limit_n if enough else np.full(model.thrusters, np.inf))
     a, b = _goal_jacobian(model, nu), input_matrix(model)
     a_d, b_d = discretise(a, b, REFERENCE_DT_S)
     weights = np.diag(np.maximum(q, 1e-6))
@@ -169,7 +181,7 @@ def analytic_alpha(law: Terminal, goal: Goal, limits: TerminalLimits) -> tuple[f
         "heave speed": (limits.heave_m_s - abs(float(law.nu[2])), spread[W, W]),
         "yaw rate": (limits.yaw_rate_rad_s, spread[R, R]),
     }
-    for i, name in enumerate(THRUSTERS):
+    for i, name in enumerate(limits.thrusters or [f"thruster {i + 1}" for i in range(len(law.thrust_n))]):
         rooms[f"{name} thrust"] = (float(limits.thrust_n[i] - abs(law.thrust_n[i])), feedback[i])
     levels = {name: math.copysign(room * room, room) / float(size) for name, (room, size) in rooms.items()}
     binding = min(levels, key=lambda name: levels[name])

@@ -8,7 +8,6 @@ import numpy as np
 from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
-from autopilot.core.model4 import NU
 from autopilot.core.params import ParamSet
 
 YAW_RATE_SHARE = 0.92
@@ -31,14 +30,14 @@ class BackOffs:
     yaw_rate_rad_s: FloatArray
     """(N-1,)"""
     thrust_n: FloatArray
-    """(N, 4)"""
+    """(N, n)"""
 
 
 class Tightening(Protocol):
     """One instance per vehicle; deterministic."""
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """Back-offs along the plan: states ``x`` (N+1, 8), ``thrust_n`` (N, 4). Frozen for one QP."""
+        """Back-offs along the plan: states ``x`` (N+1, 8), ``thrust_n`` (N, n). Frozen for one QP."""
         ...
 
     def clearance_m(self, params: ParamSet) -> float:
@@ -49,8 +48,8 @@ class Tightening(Protocol):
 class FixedMargins:
     """The same margins at every node: MPC_MARGIN, MPC_SPEED_MARGIN and shares of the other speeds."""
 
-    def __init__(self, grid: TimeGrid) -> None:
-        self._n = grid.n
+    def __init__(self, grid: TimeGrid, thrusters: int) -> None:
+        self._n, self._thrusters = grid.n, thrusters
         self._values: tuple[float, ...] = ()
         self._back_offs: BackOffs | None = None
 
@@ -67,7 +66,7 @@ class FixedMargins:
                 planar_speed_m_s=speed,
                 heave_m_s=(1.0 - HEAVE_SHARE) * heave,
                 yaw_rate_rad_s=(1.0 - YAW_RATE_SHARE) * yaw_rate,
-                thrust_n=np.zeros((self._n, NU)),
+                thrust_n=np.zeros((self._n, self._thrusters)),
             )
         return self._back_offs
 

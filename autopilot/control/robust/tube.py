@@ -49,12 +49,12 @@ GROWTH_STEP_S = 0.05
 GROUPS = 3
 """Force, moment, current error: their variances come at run time."""
 
-OUTPUTS = 14
-"""xx, xy, yy, zz, yaw, uu, uv, vv, ww, rr and the four thrusts."""
+STATES_OUT = 10
+"""xx, xy, yy, zz, yaw, uu, uv, vv, ww, rr; the thrusts follow."""
 
 
 class TubeTable:
-    """Variances (speeds, nodes, OUTPUTS, GROUPS) of error and feedback for unit disturbances."""
+    """Variances (speeds, nodes, STATES_OUT + thrusters, GROUPS) of error and feedback for unit disturbances."""
 
     def __init__(self, model: Model4, grid: TimeGrid, ancillary: Ancillary) -> None:
         self.variance = _growth(model, grid, ancillary)
@@ -62,7 +62,7 @@ class TubeTable:
         self._first, self._step = float(SURGES_M_S[0]), float(SURGES_M_S[1] - SURGES_M_S[0])
 
     def along(self, surge_m_s: FloatArray, variances: FloatArray) -> FloatArray:
-        """(nodes, OUTPUTS) for planned surge (nodes,) and variances (GROUPS,)."""
+        """(nodes, STATES_OUT + thrusters) for planned surge (nodes,) and variances (GROUPS,)."""
         mixed = self.variance @ variances
         place = np.minimum(np.maximum((surge_m_s - self._first) / self._step, 0.0), len(mixed) - 1.0)
         low = np.minimum(place.astype(np.intp), len(mixed) - 2)
@@ -91,7 +91,7 @@ def _growth(model: Model4, grid: TimeGrid, ancillary: Ancillary) -> FloatArray:
         p[:, g, NX:, NX:] = np.diag(member[g])
         news[g, NX:, NX:] = np.diag(member[g] * fade)
     count = int(np.ceil(grid.t_s[-1] / GROWTH_STEP_S)) + 1
-    rows = np.empty((count + 1, speeds, GROUPS, OUTPUTS))
+    rows = np.empty((count + 1, speeds, GROUPS, STATES_OUT + model.thrusters))
     for k in range(count + 1):
         rows[k] = _outputs(p[..., :NX, :NX], ancillary.gains[:, None])
         p = step @ p @ np.swapaxes(step, -1, -2) + news
@@ -103,7 +103,7 @@ def _growth(model: Model4, grid: TimeGrid, ancillary: Ancillary) -> FloatArray:
 
 
 def _outputs(p: FloatArray, gains: FloatArray) -> FloatArray:
-    """(..., OUTPUTS) of covariances (..., 8, 8)."""
+    """(..., STATES_OUT + thrusters) of covariances (..., 8, 8)."""
     picks = ((X, X), (X, Y), (Y, Y), (Z, Z), (YAW, YAW), (U, U), (U, V), (V, V), (W, W), (R, R))
     thrust = np.einsum("...ij,...jk,...ik->...i", gains, p, gains)
     return np.concatenate([np.stack([p[..., i, j] for i, j in picks], axis=-1), thrust], axis=-1)
@@ -152,7 +152,7 @@ class TubeMargins:
             yaw_rate_rad_s=_between(
                 BAND_SIGMAS * np.sqrt(inner[:, 9]), fixed.yaw_rate_rad_s, LARGEST_SHARE * params["SPD_YAW_MAX"]
             ),
-            thrust_n=BAND_SIGMAS * np.sqrt(rows[:-1, 10:]),
+            thrust_n=BAND_SIGMAS * np.sqrt(rows[:-1, STATES_OUT:]),
         )
 
 

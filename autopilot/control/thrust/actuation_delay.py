@@ -24,16 +24,13 @@ import numpy as np
 from autopilot.control.thrust.unexplained import push_sigma, thrustless_motion
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
-from autopilot.core.model4 import NU, Model4
-
-LATERAL = 3
-"""Index of the lateral thruster."""
+from autopilot.core.model4 import AXES, Model4
 
 UNLEARNED_LOOKS = 10
 """So many looks (1 s) are taken back when the estimate ceases to be good."""
 
-STATES = NU + 5
-"""e of four thrusters, d of four axes, what the lateral thruster turns."""
+BESIDES = 5
+"""States beside e of every thruster: d of four axes, what thrust to the side turns."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +56,7 @@ class DelayTuning:
     current_s: float = 20.0
     """The estimated current is believed this slowly: with late commands it explains thrust that is not there."""
     arm: float = 0.1
-    """Standard deviation of what the lateral thruster turns [rad/s^2 per N]: its arm of some cm is not in T_A."""
+    """Standard deviation of what thrust to the side turns [rad/s^2 per N]: an arm of some cm is not in T_A."""
     prior: float = 0.25
     """Standard deviation of e before anything is known."""
     wander: float = 0.05
@@ -94,6 +91,7 @@ class ActuationDelay:
         self._lag_s = lag_s
         self._tuning = tuning or DelayTuning()
         self._effect = np.array(model.allocation) / np.array(model.mass_kg)[:, None]
+        self._sway = np.array(model.allocation)[1]
         self.delays_s = self._tuning.interval_s * np.arange(self._tuning.candidates)
         """(n,) the candidates."""
         self.reset()
@@ -101,14 +99,14 @@ class ActuationDelay:
     def reset(self) -> None:
         """Nothing is known, commands are taken to act at once."""
         tuning = self._tuning
-        n = tuning.candidates
-        self._x = np.tile(np.concatenate([np.ones(NU), np.zeros(5)]), (n, 1))
-        prior = np.diag([tuning.prior**2] * NU + [s * s for s in tuning.push] + [tuning.arm**2])
+        n, nu = tuning.candidates, self._model.thrusters
+        self._x = np.tile(np.concatenate([np.ones(nu), np.zeros(BESIDES)]), (n, 1))
+        prior = np.diag([tuning.prior**2] * nu + [s * s for s in tuning.push] + [tuning.arm**2])
         self._p = np.tile(prior, (n, 1, 1))
         self._evidence = np.zeros(n)
         self._known: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque(maxlen=UNLEARNED_LOOKS)
-        self._past = np.zeros((n, NU))
-        self._acting, self._thrust = np.zeros(NU), np.zeros(NU)
+        self._past = np.zeros((n, nu))
+        self._acting, self._thrust = np.zeros(nu), np.zeros(nu)
         self._nu: FloatArray | None = None
         self._drift: FloatArray = np.zeros(4)
         self._current: FloatArray | None = None
@@ -138,7 +136,7 @@ class ActuationDelay:
         return weight
 
     def step(self, t_us: int, nav: NavState | None, thrust_n: FloatArray) -> bool:
-        """``thrust_n`` (4,) is what the thrusters would settle at with the pulses since the last call [N].
+        """``thrust_n`` (n,) is what the thrusters would settle at with the pulses since the last call [N].
 
         True when the declared delay has changed.
         """
@@ -189,17 +187,17 @@ class ActuationDelay:
 
     def _look(self, dt_s: float, push: FloatArray, residual: FloatArray) -> None:
         """Predict and update all filters; ``residual`` (4,) is the acceleration that thrust and d have to explain."""
-        tuning, n = self._tuning, self._tuning.candidates
+        tuning, n, nu = self._tuning, self._tuning.candidates, self._model.thrusters
         keep = math.exp(-dt_s / tuning.push_time_s)
-        fade = np.concatenate([np.ones(NU), np.full(4, keep), np.ones(1)])
+        fade = np.concatenate([np.ones(nu), np.full(AXES, keep), np.ones(1)])
         x, p = self._x * fade, self._p * np.outer(fade, fade)
         p += np.diag(
-            np.concatenate([np.full(NU, tuning.wander**2 * dt_s), (1.0 - keep * keep) * np.square(push), np.zeros(1)])
+            np.concatenate([np.full(nu, tuning.wander**2 * dt_s), (1.0 - keep * keep) * np.square(push), np.zeros(1)])
         )
-        h = np.zeros((n, 4, STATES))
-        h[:, :, :NU] = self._effect * self._past[:, None, :]
-        h[:, :, NU : NU + 4] = np.eye(4)
-        h[:, 3, NU + 4] = self._past[:, LATERAL]
+        h = np.zeros((n, AXES, nu + BESIDES))
+        h[:, :, :nu] = self._effect * self._past[:, None, :]
+        h[:, :, nu : nu + AXES] = np.eye(AXES)
+        h[:, 3, nu + AXES] = self._past @ self._sway
         # Looks closer together than T share their noise: each counts for its part.
         part = dt_s / (2.0 * tuning.filter_s)
         spread = np.abs(self._effect) @ np.abs(self._past).max(axis=0)
@@ -209,8 +207,8 @@ class ActuationDelay:
         s = cross @ h.transpose(0, 2, 1) + noise
         gain = np.linalg.solve(s, cross).transpose(0, 2, 1)
         x += np.einsum("nij,nj->ni", gain, innovation)
-        x[:, :NU] = np.clip(x[:, :NU], 0.0, 1.5)
-        rest = np.eye(STATES) - gain @ h
+        x[:, :nu] = np.clip(x[:, :nu], 0.0, 1.5)
+        rest = np.eye(nu + BESIDES) - gain @ h
         self._x, self._p = x, rest @ p @ rest.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
         distance2 = np.einsum("ni,ni->n", innovation, np.linalg.solve(s, innovation[..., None])[..., 0])
         told = -0.5 * (distance2 + np.log(np.linalg.det(s)))

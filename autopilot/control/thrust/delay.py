@@ -42,7 +42,7 @@ class LatencyCare:
         return self.delay_s == 0.0 and not self.doubtful
 
     def send(self, t_us: int, pulse_n: FloatArray) -> FloatArray:
-        """What acts now (4,). ``pulse_n`` (4,): what sound thrusters would give with the pulses since the last call."""
+        """What acts now (n,). ``pulse_n`` (n,): what sound thrusters would give with the pulses since the last call."""
         self._sent.append((t_us, pulse_n))
         while self._sent[0][0] < t_us - self._kept_us:
             self._sent.popleft()

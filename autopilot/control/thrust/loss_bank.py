@@ -6,7 +6,7 @@ when the story began, a sound one lost half of its thrust or nearly all, a lossy
 
 All of them estimate beside the effectiveness e of the thrusters what else may explain the motion, each with the
 spread that vehicles and waters have: thrust over mass and drag over mass of each axis, Coriolis and Munk terms, the
-lag, the arm of the lateral thruster, a steady force from a fixed direction (a tether), a moment, the water's velocity,
+lag, the arm of thrust to the side, a steady force from a fixed direction (a tether), a moment, the water's velocity,
 and pushes that last a second or two. A mistake of the model, a tug and a gust are therefore no loss: it is declared
 only where it is by far the likelier story.
 
@@ -30,32 +30,7 @@ import numpy as np
 
 from autopilot.control.thrust.motion_looks import Look
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NU, Model4
-
-LATERAL = 3
-"""Index of the lateral thruster."""
-
-E, GAIN, DRAG, TURN, ARM, LAG, PULL, MOMENT, FLOW, PUSH, COMMON, SWIRL = (
-    slice(0, 4),
-    slice(4, 8),
-    slice(8, 12),
-    slice(12, 15),
-    15,
-    16,
-    slice(17, 20),
-    20,
-    slice(21, 23),
-    slice(23, 27),
-    27,
-    slice(28, 30),
-)
-"""States: effectiveness (4), thrust over mass per axis (4), drag over mass per axis (4), Coriolis and Munk (3), arm of
-the lateral thruster, lag, force NED (3), moment, water's velocity NE as drag feels it (2), push per axis (4), thrust of
-all axes, water's velocity NE as the Munk moment feels it (2)."""
-
-STATES = 30
-MOTION = np.array([*range(17, 27), 28, 29])
-"""States that change within seconds."""
+from autopilot.core.model4 import Model4
 
 FREE = 1
 """The filter to which all thrusters are unknown."""
@@ -63,16 +38,44 @@ FREE = 1
 EACH = 6
 """Stories per thruster, one half of half a thruster, the other of a dead one."""
 
-FILTERS = 2 + NU * EACH
-
-TOLD_OF = np.repeat(np.arange(NU), EACH)
-"""(24,) thruster that a story tells of."""
-
 UNSEEN = 1e6
 """Variance of an axis that says nothing."""
 
-STORIES = np.arange(2, FILTERS)
-"""Their filters."""
+
+class Layout:
+    """Where the states of a vehicle with ``n`` thrusters stand."""
+
+    def __init__(self, n: int) -> None:
+        self.e = slice(0, n)
+        """Effectiveness of the thrusters."""
+        self.gain = slice(n, n + 4)
+        """Thrust over mass, per axis."""
+        self.drag = slice(n + 4, n + 8)
+        """Drag over mass, per axis."""
+        self.turn = slice(n + 8, n + 11)
+        """Coriolis (surge, sway) and Munk terms."""
+        self.arm = n + 11
+        """Of thrust to the side."""
+        self.lag = n + 12
+        self.pull = slice(n + 13, n + 16)
+        """Force NED."""
+        self.moment = n + 16
+        self.flow = slice(n + 17, n + 19)
+        """The water's velocity NE as drag feels it."""
+        self.push = slice(n + 19, n + 23)
+        """Per axis."""
+        self.common = n + 23
+        """Thrust of all axes."""
+        self.swirl = slice(n + 24, n + 26)
+        """The water's velocity NE as the Munk moment feels it."""
+        self.size = n + 26
+        self.motion = np.array([*range(n + 13, n + 23), n + 24, n + 25])
+        """States that change within seconds."""
+        self.filters = 2 + n * EACH
+        self.stories = np.arange(2, self.filters)
+        """Their filters."""
+        self.told_of = np.repeat(np.arange(n), EACH)
+        """(n EACH,) thruster that a story tells of."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +111,7 @@ class Beliefs:
     turn: tuple[float, float, float] = (0.25, 0.25, 0.5)
     """Share of the Coriolis terms and of the Munk moment, a difference of masses."""
     arm: float = 0.1
-    """What the lateral thruster turns [rad/s^2 per N]: its arm of some cm is not in T_A."""
+    """What thrust to the side turns [rad/s^2 per N]: an arm of some cm is not in T_A."""
     lag_s: float = 0.06
     """Of the thrusters and of what is measured."""
     pull_n: float = 1.0
@@ -155,20 +158,22 @@ class Memory(NamedTuple):
 
 
 class LossBank:
-    """Evidence for a change of each of four thrusters. Deterministic."""
+    """Evidence for a change of each thruster. Deterministic."""
 
     def __init__(self, model: Model4, beliefs: Beliefs | None = None) -> None:
         self._beliefs = beliefs or Beliefs()
         self._mass = np.array(model.mass_kg)
         self._effect = np.array(model.allocation) / self._mass[:, None]
+        self._sway = np.array(model.allocation)[1]
+        self._n, self._at = model.thrusters, Layout(model.thrusters)
         self._still = self._stationary()
-        self._evidence: FloatArray = np.zeros(len(STORIES))
-        self._age_s: FloatArray = np.zeros(len(STORIES))
+        self._evidence: FloatArray = np.zeros(len(self._at.stories))
+        self._age_s: FloatArray = np.zeros(len(self._at.stories))
         self.reset()
 
     def reset(self) -> None:
         """All thrusters are sound, nothing is known."""
-        self.lossy = (False,) * NU
+        self.lossy = (False,) * self._n
         """What filter 0 believes."""
         self._x, self._p = self._prior()
         self._begin_all()
@@ -183,44 +188,46 @@ class LossBank:
 
     def _prior(self) -> tuple[FloatArray, FloatArray]:
         """States and covariances when nothing is known."""
-        b = self._beliefs
-        x = np.zeros(STATES)
-        x[E] = 1.0
-        spread = np.zeros(STATES)
-        spread[E], spread[GAIN], spread[DRAG], spread[TURN] = b.sound, b.gain, b.drag, b.turn
-        spread[ARM], spread[LAG], spread[COMMON] = b.arm, b.lag_s, b.common
+        b, at = self._beliefs, self._at
+        x = np.zeros(at.size)
+        x[at.e] = 1.0
+        spread = np.zeros(at.size)
+        spread[at.e], spread[at.gain], spread[at.drag], spread[at.turn] = b.sound, b.gain, b.drag, b.turn
+        spread[at.arm], spread[at.lag], spread[at.common] = b.arm, b.lag_s, b.common
         p = np.diag(np.square(spread))
         p += self._still
-        xs, ps = np.tile(x, (FILTERS, 1)), np.tile(p, (FILTERS, 1, 1))
-        ps[FREE, range(NU), range(NU)] = b.unknown**2
+        xs, ps = np.tile(x, (at.filters, 1)), np.tile(p, (at.filters, 1, 1))
+        ps[FREE, range(self._n), range(self._n)] = b.unknown**2
         return xs, ps
 
     @property
     def evidence(self) -> FloatArray:
-        """(4,) for a change of each thruster: of its best story [nats]."""
-        result: FloatArray = self._evidence.reshape(NU, EACH).max(axis=1)
+        """(n,) for a change of each thruster: of its best story [nats]."""
+        result: FloatArray = self._evidence.reshape(self._n, EACH).max(axis=1)
         return result
 
     def _best(self) -> FloatArray:
-        """(4,) filters of the best stories."""
-        best: FloatArray = 2 + EACH * np.arange(NU) + self._evidence.reshape(NU, EACH).argmax(axis=1)
+        """(n,) filters of the best stories."""
+        best: FloatArray = 2 + EACH * np.arange(self._n) + self._evidence.reshape(self._n, EACH).argmax(axis=1)
         return best
 
     @property
     def changed_to(self) -> FloatArray:
-        """(4,) effectiveness of each thruster if it has changed."""
-        result: FloatArray = self._x[self._best(), np.arange(NU)]
+        """(n,) effectiveness of each thruster if it has changed."""
+        result: FloatArray = self._x[self._best(), np.arange(self._n)]
         return result
 
     @property
     def declared(self) -> tuple[FloatArray, FloatArray]:
-        """(4,) effectiveness as filter 0 has it, and its standard deviation: what a lossy thruster gives."""
-        return self._x[0, E].copy(), np.sqrt(np.diag(self._p[0])[E])
+        """(n,) effectiveness as filter 0 has it, and its standard deviation: what a lossy thruster gives."""
+        at = self._at
+        return self._x[0, at.e].copy(), np.sqrt(np.diag(self._p[0])[at.e])
 
     @property
     def free(self) -> tuple[FloatArray, FloatArray]:
-        """(4,) effectiveness of all thrusters without any belief, and its standard deviation: what can be seen."""
-        return self._x[FREE, E].copy(), np.sqrt(np.diag(self._p[FREE])[E])
+        """(n,) effectiveness of all thrusters without any belief, and its standard deviation: what can be seen."""
+        at = self._at
+        return self._x[FREE, at.e].copy(), np.sqrt(np.diag(self._p[FREE])[at.e])
 
     @property
     def memory(self) -> Memory:
@@ -250,10 +257,11 @@ class LossBank:
 
     def forget_motion(self, *, hit: bool = False) -> None:
         """What changes within seconds is not known any more; what ``hit`` the hull is in the estimated current."""
+        at = self._at
         self._x, self._p = self._x.copy(), self._p.copy()
-        self._x[:, MOTION] = 0.0
-        self._p[:, MOTION, :] = 0.0
-        self._p[:, :, MOTION] = 0.0
+        self._x[:, at.motion] = 0.0
+        self._p[:, at.motion, :] = 0.0
+        self._p[:, :, at.motion] = 0.0
         self._p += self._still
         if hit:
             self._p += self._waters(self._beliefs.flow_hit_m_s)
@@ -263,7 +271,7 @@ class LossBank:
         """Learn from a look, unless ``learn`` is false; False if no filter explains it: then nothing is learned.
 
         ``heave``: whether its third axis says anything (not at the surface)."""
-        b = self._beliefs
+        b, at = self._beliefs, self._at
         self._predict(look)
         h = self._derivatives(look)
         thrust = np.square(self._effect) @ np.square(look.thrust_n)
@@ -279,9 +287,9 @@ class LossBank:
         if explained and learn:
             gain = cross.transpose(0, 2, 1) @ inverse
             x = self._x + np.einsum("nij,nj->ni", gain, innovation)
-            x[:, E] = np.clip(x[:, E], 0.0, 1.5)
+            x[:, at.e] = np.clip(x[:, at.e], 0.0, 1.5)
             # No sound vehicle is so heavy and so weak as a lost thruster would have it.
-            x[:, GAIN] = np.maximum(x[:, GAIN], b.least_gain - x[:, COMMON, None])
+            x[:, at.gain] = np.maximum(x[:, at.gain], b.least_gain - x[:, at.common, None])
             p = self._p - gain @ cross
             self._x, self._p = x, 0.5 * (p + p.transpose(0, 2, 1))
             self._weigh(-0.5 * (distance2 + np.log(np.linalg.det(s))), look.dt_s)
@@ -289,8 +297,8 @@ class LossBank:
 
     def _weigh(self, told: FloatArray, dt_s: float) -> None:
         """Evidence of a look from the log-likelihoods (n,); stories begin in their time."""
-        b = self._beliefs
-        gained = np.clip(told[STORIES] - told[0], -b.most[0], b.most[1])
+        b, at = self._beliefs, self._at
+        gained = np.clip(told[at.stories] - told[0], -b.most[0], b.most[1])
         self._evidence = np.minimum(self._evidence + gained, b.most_evidence)
         self._age_s = self._age_s + dt_s
         self._since_s += dt_s
@@ -300,16 +308,16 @@ class LossBank:
 
     def _begin_all(self) -> None:
         """All stories anew; of those that begin at the same time the first is the best."""
-        self._evidence, self._age_s = np.zeros(len(STORIES)), np.zeros(len(STORIES))
+        self._evidence, self._age_s = np.zeros(len(self._at.stories)), np.zeros(len(self._at.stories))
         self._since_s = 0.0
-        for story in range(len(STORIES)):
+        for story in range(len(self._at.stories)):
             self._begin(story)
 
     def _begin_worst(self) -> None:
         """Of the stories of each thruster and each loss the one that is believed least begins anew, if it is grown."""
         grown = self._age_s >= self._beliefs.grown_s
-        believed = np.where(grown, self._evidence, np.inf).reshape(NU, EACH // 2, 2)
-        worst = EACH * np.arange(NU)[:, None] + 2 * believed.argmin(axis=1) + np.arange(2)
+        believed = np.where(grown, self._evidence, np.inf).reshape(self._n, EACH // 2, 2)
+        worst = EACH * np.arange(self._n)[:, None] + 2 * believed.argmin(axis=1) + np.arange(2)
         self._evidence, self._age_s = self._evidence.copy(), self._age_s.copy()
         for story in worst.ravel():
             if grown[story]:
@@ -317,9 +325,10 @@ class LossBank:
 
     def _begin(self, story: int) -> None:
         """A story anew: filter 0, with a change of its thruster now."""
-        b, thruster = self._beliefs, int(TOLD_OF[story])
+        b, at = self._beliefs, self._at
+        thruster = int(at.told_of[story])
         mean, sigma = (1.0, b.sound) if self.lossy[thruster] else (b.half, b.dead)[story % 2]
-        here = int(STORIES[story])
+        here = int(at.stories[story])
         self._x[here], self._p[here] = self._x[0], self._p[0]
         self._set(here, thruster, mean, sigma)
         self._evidence[story] = self._age_s[story] = 0.0
@@ -332,78 +341,83 @@ class LossBank:
 
     def _stationary(self) -> FloatArray:
         """(n, n) covariance of the states that change within seconds."""
-        b = self._beliefs
-        still = np.zeros(STATES)
-        still[PULL], still[MOMENT], still[PUSH] = b.pull_n**2, b.moment**2, np.square(b.push)
+        b, at = self._beliefs, self._at
+        still = np.zeros(at.size)
+        still[at.pull], still[at.moment], still[at.push] = b.pull_n**2, b.moment**2, np.square(b.push)
         covariance: FloatArray = np.diag(still) + self._waters(b.flow_m_s)
         return covariance
 
     def _waters(self, sigma_m_s: float) -> FloatArray:
         """(n, n) covariance of an error of the water's velocity, of what drag and the Munk moment feel of it."""
-        mean, sigma = self._beliefs.munk
-        waters = np.zeros((STATES, STATES))
-        waters[FLOW, FLOW] = np.eye(2) * sigma_m_s**2
-        waters[FLOW, SWIRL] = waters[SWIRL, FLOW] = np.eye(2) * mean * sigma_m_s**2
-        waters[SWIRL, SWIRL] = np.eye(2) * (mean**2 + sigma**2) * sigma_m_s**2
+        at, (mean, sigma) = self._at, self._beliefs.munk
+        waters = np.zeros((at.size, at.size))
+        waters[at.flow, at.flow] = np.eye(2) * sigma_m_s**2
+        waters[at.flow, at.swirl] = waters[at.swirl, at.flow] = np.eye(2) * mean * sigma_m_s**2
+        waters[at.swirl, at.swirl] = np.eye(2) * (mean**2 + sigma**2) * sigma_m_s**2
         return waters
 
     def _predict(self, look: Look) -> None:
-        b, dt_s = self._beliefs, look.dt_s
-        keep = np.ones(STATES)
-        keep[PULL], keep[MOMENT] = math.exp(-dt_s / b.pull_s), math.exp(-dt_s / b.moment_s)
-        keep[FLOW] = keep[SWIRL] = math.exp(-dt_s / b.flow_s)
-        keep[PUSH] = math.exp(-dt_s / b.push_s)
+        b, at, dt_s = self._beliefs, self._at, look.dt_s
+        keep = np.ones(at.size)
+        keep[at.pull], keep[at.moment] = math.exp(-dt_s / b.pull_s), math.exp(-dt_s / b.moment_s)
+        keep[at.flow] = keep[at.swirl] = math.exp(-dt_s / b.flow_s)
+        keep[at.push] = math.exp(-dt_s / b.push_s)
         x, kept = self._x * keep, np.outer(keep, keep)
         p = self._p * kept + (1.0 - kept) * self._still
         # The same water, against another belief.
-        x[:, FLOW] -= look.moved_ned_m_s
-        x[:, SWIRL] -= look.moved_ned_m_s
-        grow = np.zeros((FILTERS, STATES))
-        grow[:, GAIN] = b.gain_wander**2 * dt_s
-        lossy = np.tile(self.lossy, (FILTERS, 1))
+        x[:, at.flow] -= look.moved_ned_m_s
+        x[:, at.swirl] -= look.moved_ned_m_s
+        grow = np.zeros((at.filters, at.size))
+        grow[:, at.gain] = b.gain_wander**2 * dt_s
+        lossy = np.tile(self.lossy, (at.filters, 1))
         lossy[FREE] = True
-        lossy[STORIES, TOLD_OF] ^= True
-        grow[:, E] = b.wander**2 * dt_s * lossy
-        index = np.arange(STATES)
+        lossy[at.stories, at.told_of] ^= True
+        grow[:, at.e] = b.wander**2 * dt_s * lossy
+        index = np.arange(at.size)
         p[:, index, index] += grow
         self._x, self._p = x, p
 
     def _expected(self, look: Look) -> FloatArray:
         """(n, 4) residual that each filter expects."""
-        x = self._x
-        ideal = np.einsum("ij,nj->ni", self._effect, look.thrust_n * x[:, E])
-        rate = np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, E])
-        result: FloatArray = self._gain() * ideal - x[:, LAG, None] * rate + x[:, DRAG] * look.drag + x[:, PUSH]
-        result += x[:, PULL] @ self._pull(look).T
-        result[:, :3] += x[:, FLOW] @ look.flow[:3].T
-        result[:, 3] += x[:, SWIRL] @ look.flow[3]
-        result[:, [0, 1, 3]] += x[:, TURN] * look.coriolis
-        result[:, 3] += x[:, MOMENT] + x[:, ARM] * look.thrust_n[LATERAL]
+        x, at = self._x, self._at
+        ideal = np.einsum("ij,nj->ni", self._effect, look.thrust_n * x[:, at.e])
+        rate = np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, at.e])
+        result: FloatArray = (
+            self._gain() * ideal - x[:, at.lag, None] * rate + x[:, at.drag] * look.drag + x[:, at.push]
+        )
+        result += x[:, at.pull] @ self._pull(look).T
+        result[:, :3] += x[:, at.flow] @ look.flow[:3].T
+        result[:, 3] += x[:, at.swirl] @ look.flow[3]
+        result[:, [0, 1, 3]] += x[:, at.turn] * look.coriolis
+        result[:, 3] += x[:, at.moment] + x[:, at.arm] * (look.thrust_n @ self._sway)
         return result
 
     def _derivatives(self, look: Look) -> FloatArray:
         """(n, 4, states) of what is expected."""
-        x = self._x
-        h = np.zeros((len(x), 4, STATES))
+        x, at = self._x, self._at
+        h = np.zeros((len(x), 4, at.size))
         axes = np.arange(4)
-        h[:, :, E] = self._gain()[:, :, None] * (self._effect * look.thrust_n) - x[:, LAG, None, None] * (
+        h[:, :, at.e] = self._gain()[:, :, None] * (self._effect * look.thrust_n) - x[:, at.lag, None, None] * (
             self._effect * look.thrust_rate_n_s
         )
-        h[:, axes, 4 + axes] = h[:, :, COMMON] = np.einsum("ij,nj->ni", self._effect, look.thrust_n * x[:, E])
-        h[:, axes, 8 + axes] = look.drag
-        h[:, [0, 1, 3], [12, 13, 14]] = look.coriolis
-        h[:, 3, ARM] = look.thrust_n[LATERAL]
-        h[:, :, LAG] = -np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, E])
-        h[:, :, PULL] = self._pull(look)
-        h[:, 3, MOMENT] = 1.0
-        h[:, :3, FLOW] = look.flow[:3]
-        h[:, 3, SWIRL] = look.flow[3]
-        h[:, axes, 23 + axes] = 1.0
+        h[:, axes, at.gain.start + axes] = h[:, :, at.common] = np.einsum(
+            "ij,nj->ni", self._effect, look.thrust_n * x[:, at.e]
+        )
+        h[:, axes, at.drag.start + axes] = look.drag
+        h[:, [0, 1, 3], range(at.turn.start, at.turn.stop)] = look.coriolis
+        h[:, 3, at.arm] = look.thrust_n @ self._sway
+        h[:, :, at.lag] = -np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, at.e])
+        h[:, :, at.pull] = self._pull(look)
+        h[:, 3, at.moment] = 1.0
+        h[:, :3, at.flow] = look.flow[:3]
+        h[:, 3, at.swirl] = look.flow[3]
+        h[:, axes, at.push.start + axes] = 1.0
         return h
 
     def _gain(self) -> FloatArray:
         """(n, 4) thrust over mass of each axis, 1 = as the vehicle file says."""
-        gain: FloatArray = 1.0 + self._x[:, GAIN] + self._x[:, COMMON, None]
+        at = self._at
+        gain: FloatArray = 1.0 + self._x[:, at.gain] + self._x[:, at.common, None]
         return gain
 
     def _pull(self, look: Look) -> FloatArray:

@@ -6,6 +6,7 @@ from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_probl
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ThrusterHealthState
 from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 
 REPORT_EVERY_TICKS = 50
@@ -13,7 +14,7 @@ REPORT_EVERY_TICKS = 50
 
 
 SUBMERGED = 1.5
-"""Above so many half heights of the hull below the surface heave tells nothing of the vertical thruster."""
+"""Above so many half heights of the hull below the surface heave tells nothing of what pushes down."""
 
 
 class ThrusterCare:
@@ -22,13 +23,13 @@ class ThrusterCare:
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._names = tuple(thruster.name for thruster in vehicle.thruster)
         self._params = params
-        self._model = vehicle.model4.to_model()
+        self._sharing = Sharing.of(vehicle)
         self._health = ThrusterHealth(
-            self._model, vehicle.drive.time_constant_s, submerged_m=SUBMERGED * vehicle.hull_half_height_m
+            self._sharing.model, vehicle.drive.time_constant_s, submerged_m=SUBMERGED * vehicle.hull_half_height_m
         )
         self._ticks = 0
         self.share = np.ones(len(self._names))
-        """(4,) effectiveness that bounds and allocation go by; dead thrusters have 0."""
+        """(n,) effectiveness that bounds and allocation go by; dead thrusters have 0."""
         self.problem = ""
         """What the thrusters that are left do not allow, "" while the vehicle can stay where it is."""
         self.unseen: tuple[str, ...] = ()
@@ -44,14 +45,14 @@ class ThrusterCare:
         *,
         armed: bool,
     ) -> ThrusterHealthState | None:
-        """``pulse_n`` (4,) is what sound thrusters would give with the pulses since the last call.
+        """``pulse_n`` (n,) is what sound thrusters would give with the pulses since the last call.
 
         ``capability_n`` is what a sound one can give, ``goal`` where the vehicle is to be. The result is for the log:
         at times, and when something changes.
         """
         self._find(t_us, nav, pulse_n, armed)
         before = self.share
-        self.share = usable(np.minimum(told(self._params), self._health.found))
+        self.share = usable(np.minimum(told(self._params, len(self._names)), self._health.found))
         changed = bool((self.share != before).any())
         due = self._ticks % REPORT_EVERY_TICKS == 0
         self._ticks += 1
@@ -85,5 +86,5 @@ class ThrusterCare:
             return ""
         current = np.zeros(3) if nav is None else nav.current_ned_m_s
         yaw_rad = goal.yaw_rad if goal is not None and not self.share.all() else None
-        problem = hover_problem(self._model, capability_n * self.share, current, yaw_rad)
+        problem = hover_problem(self._sharing, capability_n * self.share, current, yaw_rad)
         return f"{problem} (thruster {', '.join(weak)})" if problem else ""

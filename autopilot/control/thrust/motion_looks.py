@@ -14,7 +14,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
-from autopilot.core.model4 import NU, Model4
+from autopilot.core.model4 import Model4
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -26,9 +26,9 @@ class Look:
     residual: FloatArray
     """(4,) what the model without thrust leaves to be explained."""
     thrust_n: FloatArray
-    """(4,) of sound thrusters, lag included."""
+    """(n,) of sound thrusters, lag included."""
     thrust_rate_n_s: FloatArray
-    """(4,) its rate of change."""
+    """(n,) its rate of change."""
     drag: FloatArray
     """(4,) what drag makes."""
     coriolis: FloatArray
@@ -60,13 +60,13 @@ class MotionLooks:
     def forget(self) -> None:
         """The motion so far says nothing about the next; the current is kept."""
         self._t_us: int | None = None
-        self._acting: FloatArray = np.zeros(NU)
+        self._acting: FloatArray = np.zeros(self._model.thrusters)
         self._filtered: FloatArray = np.zeros(0)
         self._since_s = self._moving_s = 0.0
         self._moved = (0.0, 0.0)
 
     def step(self, t_us: int, nav: NavState, thrust_n: FloatArray) -> Look | None:
-        """``thrust_n`` (4,) is what sound thrusters would settle at with the pulses since the last call [N]."""
+        """``thrust_n`` (n,) is what sound thrusters would settle at with the pulses since the last call [N]."""
         if not self._known:
             self._current = (float(nav.current_ned_m_s[0]), float(nav.current_ned_m_s[1]))
             self._known = True
@@ -95,7 +95,7 @@ class MotionLooks:
         self._moved = (self._moved[0] + dn, self._moved[1] + de)
 
     def _terms(self, nav: NavState) -> FloatArray:
-        """(27,) everything that is filtered."""
+        """(23 + n,) everything that is filtered."""
         model, (m22_m11, m11_m22, munk) = self._model, self._ratios
         ground_u, ground_v, ground_w = (float(value) for value in nav.vel_frd_m_s)
         c, s, r = math.cos(nav.rpy_rad[2]), math.sin(nav.rpy_rad[2]), float(nav.rate_frd_rad_s[2])
@@ -137,8 +137,8 @@ class MotionLooks:
         look = Look(
             dt_s=min(self._since_s, 1.0),
             residual=rate[0:4] - past[4:8],
-            thrust_n=past[23:27],
-            thrust_rate_n_s=rate[23:27],
+            thrust_n=past[23:],
+            thrust_rate_n_s=rate[23:],
             drag=past[8:12],
             coriolis=past[12:15],
             flow=flow,

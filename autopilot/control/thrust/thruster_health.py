@@ -4,7 +4,7 @@
 and :mod:`autopilot.control.thrust.loss_bank` weighs whether a thruster that lost its thrust explains it, or an error
 of the model, a tether, the water, a tug. Here it is decided: a loss is declared when the evidence for it is beyond
 doubt and ahead of that for every other thruster, and revoked when there is as much evidence that the thruster is
-sound. Told values (THR1_HEALTH to THR4_HEALTH) hold at once; what is told and what is found are combined by the
+sound. Told values (THR1_HEALTH to THR8_HEALTH) hold at once; what is told and what is found are combined by the
 smaller.
 """
 
@@ -17,11 +17,12 @@ import numpy as np
 from autopilot.control.thrust.loss_bank import Beliefs, LossBank, Memory
 from autopilot.control.thrust.motion_looks import MotionLooks
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import NavHealth, NavState
-from autopilot.core.model4 import NU, Model4, steady_force
+from autopilot.core.messages import MAX_THRUSTERS, NavHealth, NavState
+from autopilot.core.model4 import Model4, steady_force
 from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
 
-HEALTH_PARAMS = ("THR1_HEALTH", "THR2_HEALTH", "THR3_HEALTH", "THR4_HEALTH")
+HEALTH_PARAMS = tuple(f"THR{i + 1}_HEALTH" for i in range(MAX_THRUSTERS))
 """What an operator or a speed controller's telemetry tells, in the order of the vehicle file."""
 
 HEADINGS = 72
@@ -72,7 +73,7 @@ class Tuning:
 
 
 class ThrusterHealth:
-    """Estimate of the effectiveness of four thrusters. :meth:`step` at every tick, deterministic."""
+    """Estimate of the effectiveness of all thrusters. :meth:`step` at every tick, deterministic."""
 
     def __init__(
         self,
@@ -87,8 +88,9 @@ class ThrusterHealth:
         self._tuning = tuning = tuning or Tuning()
         self._submerged_m = submerged_m
         self._bank = LossBank(model, beliefs)
-        # Those that push ahead are measured against each other; the others have an axis each.
-        self._paired = np.array(model.allocation)[0] != 0.0
+        self._n = model.thrusters
+        # Those that push along several axes are measured against each other; the others have an axis each.
+        self._paired = (np.array(model.allocation) != 0.0).sum(axis=0) > 1
         self._looks = MotionLooks(
             model, lag_s, filter_s=tuning.filter_s, interval_s=tuning.interval_s, current_s=tuning.current_s
         )
@@ -100,9 +102,9 @@ class ThrusterHealth:
         """All thrusters are sound, nothing is known."""
         self._bank.reset()
         self._past: deque[tuple[Memory, FloatArray, FloatArray]] = deque(maxlen=UNLEARNED_LOOKS)
-        self._certain_s = np.zeros(NU)
-        self.found = np.ones(NU)
-        """(4,) effectiveness as declared: 1 while a thruster is not beyond doubt lossy."""
+        self._certain_s = np.zeros(self._n)
+        self.found = np.ones(self._n)
+        """(n,) effectiveness as declared: 1 while a thruster is not beyond doubt lossy."""
         self.pause()
 
     @property
@@ -112,17 +114,17 @@ class ThrusterHealth:
 
     @property
     def effectiveness(self) -> FloatArray:
-        """(4,) the running estimate: of lossy thrusters as declared, of the others as if nothing were known of any."""
+        """(n,) the running estimate: of lossy thrusters as declared, of the others as if nothing were known of any."""
         return np.where(self.lost, self._bank.declared[0], self._bank.free[0])
 
     @property
     def sigma(self) -> FloatArray:
-        """(4,) its standard deviation."""
+        """(n,) its standard deviation."""
         return np.where(self.lost, self._bank.declared[1], self._bank.free[1])
 
     @property
     def evidence(self) -> FloatArray:
-        """(4,) for a change of each thruster [nats]."""
+        """(n,) for a change of each thruster [nats]."""
         return self._bank.evidence
 
     @property
@@ -135,13 +137,13 @@ class ThrusterHealth:
         if not self._paused:
             self._bank.forget_motion()
             self._past.clear()
-            self._certain_s = np.zeros(NU)
+            self._certain_s = np.zeros(self._n)
         self._looks.forget()
         self._hit_s = self._stuck_s = 0.0
         self._paused = True
 
     def step(self, t_us: int, nav: NavState, thrust_n: FloatArray) -> bool:
-        """``thrust_n`` (4,) is what sound thrusters would settle at with the pulses since the last call [N].
+        """``thrust_n`` (n,) is what sound thrusters would settle at with the pulses since the last call [N].
 
         True when the declared effectiveness has changed.
         """
@@ -189,14 +191,14 @@ class ThrusterHealth:
         """Accept what is beyond doubt; True when the declared effectiveness has changed."""
         tuning, bank = self._tuning, self._bank
         evidence, changed_to = bank.evidence, bank.changed_to
-        others = np.array([max(np.delete(evidence, i)) for i in range(NU)])
+        others = np.array([max(np.delete(evidence, i)) for i in range(self._n)])
         certain = (evidence > self._needed()) & (evidence > others + tuning.ahead)
         certain &= np.array(bank.lossy) | (changed_to < tuning.lost_below)
         self._certain_s = np.where(certain, self._certain_s + dt_s, 0.0)
         best = int(self._certain_s.argmax())
         if self._certain_s[best] >= tuning.confirm_s - 1e-9:
             bank.accept(best)
-            self._certain_s = np.zeros(NU)
+            self._certain_s = np.zeros(self._n)
         e, sigma = bank.declared
         for i in np.flatnonzero(bank.lossy):
             if e[i] - sigma[i] > tuning.sound_above:
@@ -204,7 +206,7 @@ class ThrusterHealth:
         return self._follow(np.where(bank.lossy, np.minimum(e, 1.0), 1.0))
 
     def _needed(self) -> FloatArray:
-        """(4,) evidence that is enough: less where the filter that believes in no thruster sees the loss as well."""
+        """(n,) evidence that is enough: less where the filter that believes in no thruster sees the loss as well."""
         tuning, (e, sigma) = self._tuning, self._bank.free
         plain = self._paired & ~np.array(self._bank.lossy) & (1.0 - e > tuning.plain * sigma)
         return np.where(plain, tuning.certain_plain, tuning.certain)
@@ -218,35 +220,35 @@ class ThrusterHealth:
         return True
 
 
-def told(params: ParamSet) -> FloatArray:
-    """(4,) what the parameters say of the thrusters."""
-    return np.array([params[name] for name in HEALTH_PARAMS])
+def told(params: ParamSet, thrusters: int) -> FloatArray:
+    """(n,) what the parameters say of the thrusters."""
+    return np.array([params[name] for name in HEALTH_PARAMS[:thrusters]])
 
 
 def usable(effectiveness: FloatArray) -> FloatArray:
-    """(4,) the same with thrusters that are as good as dead set to 0."""
+    """(n,) the same with thrusters that are as good as dead set to 0."""
     return np.where(effectiveness < DEAD, 0.0, effectiveness)
 
 
-def hover_problem(model: Model4, limit_n: FloatArray, current_ned_m_s: FloatArray, yaw_rad: float | None = None) -> str:
-    """What a vehicle whose thrusters give up to ``limit_n`` (4,) cannot do any more in that current, "" if it can stay.
+def hover_problem(
+    sharing: Sharing, limit_n: FloatArray, current_ned_m_s: FloatArray, yaw_rad: float | None = None
+) -> str:
+    """What a vehicle whose thrusters give up to ``limit_n`` (n,) cannot do any more in that current, "" if it can stay.
 
     Depth needs heave against the excess buoyancy, heading needs any thruster with an arm, and a place needs a heading
     (``yaw_rad``, None = any) at which the thrusters balance drag and Munk moment.
     """
-    allocation = np.array(model.allocation)
-    reach = np.abs(allocation) @ limit_n
+    model = sharing.model
+    reach = np.abs(np.array(model.allocation)) @ limit_n
     if reach[2] <= 1.5 * abs(model.buoyancy_excess_n):
         return "depth cannot be held"
     if reach[3] <= 0.0:
         return "heading cannot be held"
-    inverse = np.linalg.inv(allocation)
     speed, course = math.hypot(*current_ned_m_s[:2]), math.atan2(current_ned_m_s[1], current_ned_m_s[0])
     any_heading = np.linspace(0.0, 2.0 * math.pi, HEADINGS, endpoint=False)
     for drift in any_heading if yaw_rad is None else (course - yaw_rad,):
         # Over ground the vehicle stands, so relative to the water it moves against the current.
         nu = (-speed * math.cos(drift), -speed * math.sin(drift), 0.0, 0.0)
-        needed = np.abs(inverse @ np.array(steady_force(model, nu, math)))
-        if bool((needed <= limit_n + SHORT_N).all()):
+        if sharing.makes(np.array(steady_force(model, nu, math)), limit_n + SHORT_N):
             return ""
     return f"hover in {speed:.2f} m/s {'is not possible' if yaw_rad is None else 'at this heading is not possible'}"

@@ -11,7 +11,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
-from autopilot.core.model4 import NU, Model4, body_acceleration
+from autopilot.core.model4 import Model4, body_acceleration
 
 
 def thrustless_motion(model: Model4, nav: NavState, current_ned_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -21,7 +21,7 @@ def thrustless_motion(model: Model4, nav: NavState, current_ned_m_s: FloatArray)
     c, s, r = math.cos(nav.rpy_rad[2]), math.sin(nav.rpy_rad[2]), float(nav.rate_frd_rad_s[2])
     flow_u, flow_v = c * north + s * east, c * east - s * north
     nu = (ground_u - flow_u, ground_v - flow_v, ground_w - down, r)
-    du, dv, dw, dr = body_acceleration(model, nu, (0.0,) * NU, math)
+    du, dv, dw, dr = body_acceleration(model, nu, (0.0,) * model.thrusters, math)
     # A steady current turns in the body frame.
     drift = np.array([du + r * flow_v, dv - r * flow_u, dw, dr])
     return np.array([ground_u, ground_v, ground_w, r]), drift

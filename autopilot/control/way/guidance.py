@@ -21,8 +21,9 @@ from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import EnergyPlan, Goal, NavState, Severity
-from autopilot.core.model4 import NU, YAW, Model4, R, U
+from autopilot.core.model4 import YAW, R, U
 from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
 
 VELOCITY_WEIGHTS = (8.0, 8.0, 8.0, 0.5)
 """Weights on u, v, w [1/(m/s)^2] and r [1/(rad/s)^2]: enough to hold the cruise speed."""
@@ -58,7 +59,7 @@ class Situation:
     speed_cap_m_s: float
     """Planar speed through the water that may be asked for."""
     thrust_limit_n: FloatArray
-    """(4,)"""
+    """(n,)"""
     last_plan: FloatArray | None = None
     """(N+1, 8) what the optimiser predicted on the last step, from then on; None if it had no plan."""
 
@@ -70,11 +71,11 @@ class Reference:
     x: FloatArray
     """(N+1, 8)"""
     thrust_n: FloatArray
-    """(N, 4)"""
+    """(N, n)"""
     weight_x: FloatArray
     """(8,) or (N-1, 8)"""
     weight_u: FloatArray
-    """(4,) or (N, 4)"""
+    """(n,) or (N, n)"""
     terminal: FloatArray
     """(8, 8)"""
     fresh: bool
@@ -111,16 +112,15 @@ class Guidance(Protocol):
 class SteadyThrust:
     """Thrust that holds velocities through the water."""
 
-    def __init__(self, model: Model4) -> None:
-        self._model = model
-        self._inverse = np.linalg.inv(np.array(model.allocation)).T.copy()
+    def __init__(self, sharing: Sharing) -> None:
+        self._sharing = sharing
 
-    def __call__(self, nu: FloatArray) -> FloatArray:
-        """(m, 4) thrust for velocities (m, 4) u, v, w, r: drag, buoyancy and Munk moment against T_A tau."""
+    def __call__(self, nu: FloatArray, limit_n: FloatArray) -> FloatArray:
+        """(m, n) thrust for velocities (m, 4) u, v, w, r: drag, buoyancy and Munk moment against T_A tau. Within
+        ``limit_n`` (n,): what it cannot hold it comes nearest to."""
         force = np.empty_like(nu)
-        force.T[:] = model4.steady_force(self._model, (nu[:, 0], nu[:, 1], nu[:, 2], nu[:, 3]), np)
-        thrust: FloatArray = force @ self._inverse
-        return thrust
+        force.T[:] = model4.steady_force(self._sharing.model, (nu[:, 0], nu[:, 1], nu[:, 2], nu[:, 3]), np)
+        return self._sharing.thrust_n(force, limit_n)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -147,9 +147,9 @@ class RouteGuidance:
     with the route that it has, if that is free, or else holds its place.
     """
 
-    def __init__(self, model: Model4, grid: TimeGrid, desk: Desk) -> None:
+    def __init__(self, sharing: Sharing, grid: TimeGrid, desk: Desk) -> None:
         self._t_s = grid.t_s
-        self._steady = SteadyThrust(model)
+        self._steady = SteadyThrust(sharing)
         self._desk = desk
         self._ticket: Ticket[FloatArray | None] | None = None
         self._mishaps = Mishaps("route search", "Route search failed: holding, send another goal")
@@ -185,9 +185,9 @@ class RouteGuidance:
         weight_x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
         return Reference(
             x=x,
-            thrust_n=self._steady(x[:-1, U : R + 1]),
+            thrust_n=self._steady(x[:-1, U : R + 1], situation.thrust_limit_n),
             weight_x=weight_x,
-            weight_u=np.full(NU, params["MPC_R_THRUST"]),
+            weight_u=np.full(len(situation.thrust_limit_n), params["MPC_R_THRUST"]),
             terminal=np.diag(TERMINAL_STAGES * weight_x),
             fresh=fresh,
         )

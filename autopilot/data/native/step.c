@@ -1,22 +1,34 @@
 /* One control step of the NMPC: linearise at the guess, solve the quadratic program, write the new plan.
  *
- * The same problem as autopilot/control/ocp.py (see there for the mathematics), solved by a primal-dual interior point
+ * The same problem as autopilot/control/nmpc/ocp.py (see there for the mathematics), solved by a primal-dual interior point
  * method (Mehrotra's predictor and corrector) whose linear algebra knows the structure: Riccati recursion over the
  * stages; thrust bounds are diagonal; every soft row looks at two or three states, and the two slacks of a stage are
  * eliminated by hand. Constant sizes, no allocation, no global state.
  *
- * `model_slope` (generated from the model, put in front of this file) is dx/dt and its Jacobian with respect to thrust
- * and state: (x[8], u[4], current[3]) -> (dx[8], J[8][12]). The current along the plan does not depend on the place, so
+ * `NU`, the number of thrusters, is put in front of this file, and so is `model_slope` (generated from the model): dx/dt
+ * and its Jacobian with respect to thrust and state, (x[8], u[NU], current[3]) -> (dx[8], J[8][NU + 8]). The current along the plan does not depend on the place, so
  * columns of x, y and z are zero.
  */
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
 
-enum { NX = 8, NU = 4, NV = NX + NU, PLANES = 8, ROWS = PLANES + 4, LIMITS = 5, FIRST_ACTIVE = 3 };
+enum { NX = 8, NV = NX + NU, PLANES = 8, ROWS = PLANES + 4, LIMITS = 5, FIRST_ACTIVE = 3 };
 
-/* Inequalities of a stage: thrust above, thrust below, half-planes, depth, planar speed, heave, turn, two slacks. */
-enum { UPPER = 0, LOWER = 4, PLANE = 8, DEPTH = 16, SPEED = 17, HEAVE = 18, TURN = 19, SLACK = 20, USED = 22, NI = 24 };
+/* Inequalities of a stage: thrust above, thrust below, half-planes, depth, planar speed, heave, turn, two slacks; filled
+ * up to a multiple of four. */
+enum {
+    UPPER = 0,
+    LOWER = NU,
+    PLANE = 2 * NU,
+    DEPTH = PLANE + PLANES,
+    SPEED,
+    HEAVE,
+    TURN,
+    SLACK,
+    USED = SLACK + 2,
+    NI = (USED + 3) / 4 * 4
+};
 enum { OF_SPEEDS = 0, OF_PLACES = 1 };
 
 static const double SPEED_EPSILON_M_S = 0.02;
@@ -216,7 +228,7 @@ static double residuals(const Task *task, Stage *st, double *worst_row, double *
         apply(a, a->x, a->u, a->s, k, g);
         if (k == 0)
             for (int i = PLANE; i < NI; i++) g[i] = -1.0; /* unused: t = 1, h = 0 */
-        g[USED] = g[USED + 1] = -1.0;
+        for (int i = USED; i < NI; i++) g[i] = -1.0;
         for (int i = 0; i < NI; i++) {
             a->rp[i] = g[i] + a->t[i] - a->h[i];
             a->inv[i] = 1.0 / a->t[i];
