@@ -16,11 +16,13 @@ class SafeThrusterOutput(Closing):
     """Template of a thruster output: derive from it and give :meth:`_acquire`, :meth:`_put` and :meth:`_release`."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        drive = vehicle.drive
-        self._neutral_us = (drive.neutral_us,) * len(vehicle.thruster)
-        self._low_us = drive.neutral_us - drive.span_us
-        self._high_us = drive.neutral_us + drive.span_us
-        self._timeout_us = round(drive.command_timeout_s * 1e6)
+        thrusters = vehicle.thrusters
+        self._channels = tuple(thruster.channel for thruster in thrusters)
+        drives = [thruster.drive for thruster in thrusters]
+        self._low_us = tuple(drive.neutral_us - drive.span_us for drive in drives)
+        self._high_us = tuple(drive.neutral_us + drive.span_us for drive in drives)
+        self._neutral_us = self._by_channel([drive.neutral_us for drive in drives])
+        self._timeout_us = round(min(drive.command_timeout_s for drive in drives) * 1e6)
         self._last_us: int | None = None
         self._open = False
         self._at_rest = False
@@ -37,7 +39,7 @@ class SafeThrusterOutput(Closing):
 
     @abstractmethod
     def _put(self, pwm_us: tuple[int, ...]) -> None:
-        """Put one pulse per thruster [us] on the wire. May raise DriverError or OSError."""
+        """Put one pulse per channel [us] on the wire, 0 = none. May raise DriverError or OSError."""
 
     @abstractmethod
     def _release(self) -> None:
@@ -54,15 +56,18 @@ class SafeThrusterOutput(Closing):
         """Command one pulse per thruster [us]. DriverError (and neutral) if too few, closed, or the wire fails."""
         if not self._open:
             raise DriverError("thruster output is closed; open it before writing")
-        if len(pwm_us) < len(self._neutral_us):
+        count = len(self._channels)
+        if len(pwm_us) < count:
             self.neutral()
-            raise DriverError(f"{len(pwm_us)} pulses for {len(self._neutral_us)} thrusters; give one per thruster")
-        wanted = tuple(int(pulse) for pulse in pwm_us[: len(self._neutral_us)])
-        sent = tuple(min(self._high_us, max(self._low_us, pulse)) for pulse in wanted)
+            raise DriverError(f"{len(pwm_us)} pulses for {count} thrusters; give one per thruster")
+        wanted = tuple(int(pulse) for pulse in pwm_us[:count])
+        sent = tuple(
+            min(high, max(low, pulse)) for pulse, low, high in zip(wanted, self._low_us, self._high_us, strict=True)
+        )
         self.clamped_count += sum(a != b for a, b in zip(wanted, sent, strict=True))
         self._at_rest = False
         try:
-            self._put(sent)
+            self._put(self._by_channel(sent))
         except (DriverError, OSError) as error:
             self._try_neutral()
             raise DriverError(f"thruster output failed: {error}; check cable and power") from error
@@ -93,6 +98,13 @@ class SafeThrusterOutput(Closing):
             self._try_neutral()
             self._open = False
             self._release()
+
+    def _by_channel(self, pulses_us: Sequence[int]) -> tuple[int, ...]:
+        """Pulses per thruster in the order of the channels; a channel without a thruster gets none (0)."""
+        result = [0] * max(self._channels)
+        for channel, pulse in zip(self._channels, pulses_us, strict=True):
+            result[channel - 1] = pulse
+        return tuple(result)
 
     def _try_neutral(self) -> bool:
         """Neutral if the wire still takes it; whether it did."""

@@ -98,7 +98,7 @@ class Engine:
     ) -> None:
         self._core = core
         self._options = options
-        self._model = vehicle.model4.to_model()
+        self._model = vehicle.to_model()
         self._follow = added_share(vehicle)
         solver = None if markers is None else MarkerSolver(CameraModel.of(vehicle.camera, vehicle.laser), markers)
         self._sources = Sources(vehicle, solver, floor_depth_m)
@@ -107,7 +107,7 @@ class Engine:
         self._attitude = AttitudeSource()
         self._mount = AhrsMount(vehicle.ahrs.position_frd_m)
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
-        self._thrust = ThrustLag(vehicle.drive.time_constant_s, vehicle.drive.limit_n, len(vehicle.thruster))
+        self._thrust = ThrustLag(vehicle.drive.time_constant_s, vehicle.drive.limit_n, len(vehicle.thrusters))
         self._imu = ImuWatch(self._model, self._follow)
         self._evidence = Evidence()
         self._markers = markers

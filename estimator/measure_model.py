@@ -155,7 +155,7 @@ def model_aid_of(inertial: Inertial, model: Model4, follow: tuple[float, float],
 def added_share(vehicle: Vehicle) -> tuple[float, float]:
     """Share of a change of current that the vehicle follows at once, surge and sway: added mass over whole mass."""
     m11, m22 = vehicle.model4.mass_kg[:2]
-    mass = min(vehicle.body.mass_kg, m11, m22)
+    mass = min(vehicle.model4.dry_mass_kg, m11, m22)
     return 1.0 - mass / m11, 1.0 - mass / m22
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from autopilot.core.shapes import is_inside
-from autopilot.core.vehicle import Vec2, Vec3
+from autopilot.core.toml_table import Vec2, Vec3
 from sitl.moving import MovingPath
 
 STIFFNESS_N_M = 2.0e4

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
-from autopilot.core.vehicle import Vec2, Vec3
+from autopilot.core.toml_table import Vec2, Vec3
 from sitl import scenario_tables as sc
 from sitl.grid_current import GridField, read_grid
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
-from autopilot.core.vehicle import NonNegative, Positive, Vec3
+from autopilot.core.toml_table import NonNegative, Positive, Vec3
 
 Angle = Annotated[float, msgspec.Meta(ge=-3.15, le=3.15)]
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.vehicle import Vec3
+from autopilot.core.toml_table import Vec3
 
 COMPONENTS = ("current_north_m_s", "current_east_m_s", "current_down_m_s")
 AXES = ("time_s", "depth_m", "north_m", "east_m")

@@ -9,7 +9,9 @@ from collections.abc import Mapping
 import msgspec
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.vehicle import Body, Vec3, Vehicle
+from autopilot.core.thrusters import Drive, ThrustCurve
+from autopilot.core.toml_table import Vec3
+from autopilot.core.vehicle import Body, Vehicle
 
 MISMATCH_KEYS: dict[str, str] = {
     "mass": "mass of hull and trapped water, trim unchanged: weight and buoyancy stay as they are",
@@ -29,7 +31,7 @@ MISMATCH_KEYS: dict[str, str] = {
     "buoyancy": "buoyancy force itself (1.01 makes 12 kg float up with 1.2 N more)",
     "righting": "distance between centre of gravity and centre of buoyancy",
     "arm": "lever arms of the thrusters",
-    "thrust": "thrust constant c in F = c V |V|",
+    "thrust": "thrust of the thrusters: c in F = c V |V|, or that of the curves",
     "lag": "time constant of the thrusters (0 = immediate)",
     "deadband": "deadband of the amplifiers (0 = none)",
     "power": "electrical power of the thrusters",
@@ -87,6 +89,7 @@ def _body(body: Body, factors: Mapping[str, float], where: str) -> Body:
     def factor(key: str) -> float:
         return factors.get(key, 1.0)
 
+    offsets = body.thruster_offset_frd_m
     further_buoyancy_n = (body.weight_n + body.buoyancy_excess_n) * (factor("buoyancy") - 1.0)
     mass_kg, inertia_kg_m2 = body.mass_kg * factor("mass"), _times(factor("inertia"), body.inertia_kg_m2)
     x, y, z = _times(factor("added_mass"), body.added_mass_kg)
@@ -108,7 +111,43 @@ def _body(body: Body, factors: Mapping[str, float], where: str) -> Body:
         angular_linear_drag_n_m_s=_each(turn, _times(linear, body.angular_linear_drag_n_m_s)),
         quadratic_drag_n_s2_m2=_each(shift, _times(square, body.quadratic_drag_n_s2_m2)),
         angular_quadratic_drag_n_m_s2=_each(turn, _times(square, body.angular_quadratic_drag_n_m_s2)),
+        thruster_offset_frd_m={name: _times(factor("arm"), offset) for name, offset in offsets.items()},
     )
+
+
+def _drive(drive: Drive, factors: Mapping[str, float]) -> Drive:
+    """The drive with its factors applied."""
+    thrust, deadband = factors.get("thrust", 1.0), factors.get("deadband", 1.0)
+    power, reverse = factors.get("power", 1.0), drive.reverse_power_w_n15
+    common = msgspec.structs.replace(
+        drive,
+        time_constant_s=drive.time_constant_s * factors.get("lag", 1.0),
+        power_w_n15=drive.power_w_n15 * power,
+        reverse_power_w_n15=None if reverse is None else reverse * power,
+    )
+    if drive.curve:
+        curves = tuple(_curve(curve, drive, thrust, deadband) for curve in drive.curve)
+        return msgspec.structs.replace(common, curve=curves)
+    band, forward, reverse = drive.brushed_law
+    return msgspec.structs.replace(
+        common, deadband_duty=band * deadband, forward_n_v2=forward * thrust, reverse_n_v2=reverse * thrust
+    )
+
+
+def _curve(curve: ThrustCurve, drive: Drive, thrust: float, deadband: float) -> ThrustCurve:
+    """A curve with its thrust times a factor and its band without thrust times another; full pulses stay full."""
+    still = [pulse for pulse, force in zip(curve.pulse_us, curve.thrust_n, strict=True) if force == 0.0]
+    points: dict[int, float] = {}
+    for pulse, force in zip(curve.pulse_us, curve.thrust_n, strict=True):
+        side, edge = (1, still[-1]) if pulse > drive.neutral_us else (-1, still[0])
+        offset, band = side * (pulse - drive.neutral_us), side * (edge - drive.neutral_us)
+        if offset <= band:
+            moved = offset * deadband
+        else:
+            moved = band * deadband + (offset - band) * (drive.span_us - band * deadband) / (drive.span_us - band)
+        points.setdefault(drive.neutral_us + side * round(moved), force * thrust)
+    pulses = sorted(points)
+    return msgspec.structs.replace(curve, pulse_us=tuple(pulses), thrust_n=tuple(points[pulse] for pulse in pulses))
 
 
 def mismatched(vehicle: Vehicle, mismatch: Mapping[str, float], where: str = "mismatch") -> Vehicle:
@@ -120,23 +159,20 @@ def mismatched(vehicle: Vehicle, mismatch: Mapping[str, float], where: str = "mi
     def factor(key: str) -> float:
         return mismatch.get(key, 1.0)
 
-    drive, battery, tether = vehicle.drive, vehicle.battery, vehicle.tether
+    battery, tether = vehicle.battery, vehicle.tether
     return msgspec.structs.replace(
         vehicle,
         hotel_power_w=vehicle.hotel_power_w * factor("hotel"),
         body=_body(vehicle.body, mismatch, where),
-        thruster=[
-            msgspec.structs.replace(thruster, position_frd_m=_times(factor("arm"), thruster.position_frd_m))
-            for thruster in vehicle.thruster
-        ],
-        drive=msgspec.structs.replace(
-            drive,
-            forward_n_v2=drive.forward_n_v2 * factor("thrust"),
-            reverse_n_v2=drive.reverse_n_v2 * factor("thrust"),
-            time_constant_s=drive.time_constant_s * factor("lag"),
-            deadband_duty=drive.deadband_duty * factor("deadband"),
-            power_w_n15=drive.power_w_n15 * factor("power"),
+        thruster_tables=tuple(
+            msgspec.structs.replace(
+                table,
+                position_frd_m=_times(factor("arm"), table.position_frd_m),
+                drive=None if table.drive is None else _drive(table.drive, mismatch),
+            )
+            for table in vehicle.thruster_tables
         ),
+        drive=_drive(vehicle.drive, mismatch),
         battery=msgspec.structs.replace(
             battery,
             open_circuit_v=battery.open_circuit_v * factor("supply"),

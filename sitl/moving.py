@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Literal, NamedTuple, TypeAlias
 
-from autopilot.core.vehicle import Vec2
+from autopilot.core.toml_table import Vec2
 
 Ends: TypeAlias = Literal["bounce", "loop", "stop"]
 

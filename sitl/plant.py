@@ -15,14 +15,15 @@ import numpy as np
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, quat_from_rpy
 from autopilot.core.messages import MAX_THRUSTERS
-from autopilot.core.vehicle import Vec3, Vehicle
+from autopilot.core.toml_table import Vec3
+from autopilot.core.vehicle import Vehicle
 from sitl.battery import Battery
 from sitl.contact import NEAR_M, ContactLog, ContactRecord, Surroundings
 from sitl.mismatch import mismatched
 from sitl.rigid_body import ForceNed, State, Water, Wrench, make_derivative, rk4_step
 from sitl.scenario_tables import Scenario, ThrusterLoss
 from sitl.tether import make_tether
-from sitl.thrusters import Thrusters
+from sitl.thrusters import Thrusters, wrench_of
 from sitl.world import World, build_world
 
 STEP_US = 10_000
@@ -146,12 +147,12 @@ class Plant:
                 " move the start away from it"
             )
         self._contacts = ContactLog()
-        self._thrusters = Thrusters(self._vehicle.drive, len(self._vehicle.thruster))
+        self._thrusters = Thrusters(self._vehicle.thrusters)
         self._losses = sorted(losses, key=lambda loss: loss.at_s)
         for loss in self._losses:
             self._thruster_index(loss.thruster)
-        self._no_thrust = (0.0,) * (MAX_THRUSTERS - len(self._vehicle.thruster))
-        self._columns = [_wrench_column(t.position_frd_m, t.direction_frd) for t in self._vehicle.thruster]
+        self._no_thrust = (0.0,) * (MAX_THRUSTERS - len(self._vehicle.thrusters))
+        self._columns = list(zip(*wrench_of(self._vehicle), strict=True))
         body = self._vehicle.body
         mass = [body.mass_kg + added for added in body.added_mass_kg]
         inertia = [rigid + added for rigid, added in zip(body.inertia_kg_m2, body.added_inertia_kg_m2, strict=True)]
@@ -227,7 +228,7 @@ class Plant:
         )
 
     def advance(self, t_us: int, pwm_us: Sequence[int]) -> None:
-        """Move on to time ``t_us`` with the pulses (one per thruster, missing = off) held."""
+        """Move on to time ``t_us`` with the pulses (one per channel, missing = off) held."""
         if t_us < self._t_us:
             raise ValueError(f"t_us = {t_us} lies before the present, {self._t_us}")
         while self._t_us < t_us:
@@ -249,7 +250,7 @@ class Plant:
     # Inside.
 
     def _thruster_index(self, name: str) -> int:
-        names = [thruster.name for thruster in self._vehicle.thruster]
+        names = [thruster.name for thruster in self._vehicle.thrusters]
         if name not in names:
             raise ConfigError(f"thruster {name!r} does not exist; use one of {', '.join(names)}")
         return names.index(name)
@@ -324,16 +325,6 @@ class Plant:
             ky += my * thrust
             kz += mz * thrust
         return fx, fy, fz, kx, ky, kz
-
-
-def _wrench_column(position_frd_m: Vec3, direction_frd: Vec3) -> Push:
-    """Force and moment of 1 N of a thruster: direction d (normalised) and position x d."""
-    norm = math.hypot(*direction_frd)
-    if norm == 0.0:
-        raise ConfigError("thruster.direction_frd = [0, 0, 0] has no direction; give a vector that is not zero")
-    dx, dy, dz = (component / norm for component in direction_frd)
-    px, py, pz = position_frd_m
-    return dx, dy, dz, py * dz - pz * dy, pz * dx - px * dz, px * dy - py * dx
 
 
 def build_plant(scenario: Scenario, vehicle: Vehicle) -> Plant:

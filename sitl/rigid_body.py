@@ -20,7 +20,8 @@ In a mismatch the mass is that of hull and trapped water, so the displaced mass 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
-from autopilot.core.vehicle import Body, Vec3
+from autopilot.core.toml_table import Vec3
+from autopilot.core.vehicle import Body
 from sitl.currents import Gradient
 
 State: TypeAlias = list[float]

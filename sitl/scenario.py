@@ -212,7 +212,7 @@ def _check_vehicle(scenario: Scenario, origin: str) -> None:
     vehicle = mismatched(
         load_vehicle(scenario.vehicle.model), scenario.vehicle.mismatch, f"{origin}: `$.vehicle.mismatch`"
     )
-    names = [thruster.name for thruster in vehicle.thruster]
+    names = [thruster.name for thruster in vehicle.thrusters]
     for index, fault in enumerate(scenario.fault):
         if isinstance(fault, ThrusterLoss) and fault.thruster not in names:
             raise ConfigError(

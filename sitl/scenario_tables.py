@@ -5,7 +5,7 @@ from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
-from autopilot.core.vehicle import NonNegative, Positive, Vec2, Vec3
+from autopilot.core.toml_table import NonNegative, Positive, Vec2, Vec3
 from sitl.fault_tables import SensorFault
 from sitl.sensor_tables import CameraLook, Probability, Sensors
 

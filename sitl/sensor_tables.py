@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from autopilot.core.vehicle import NonNegative, Port, Positive, Vec2, Vec3
+from autopilot.core.toml_table import NonNegative, Positive, Vec2, Vec3
+from autopilot.core.vehicle import Port
 
 Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 

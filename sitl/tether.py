@@ -7,7 +7,8 @@ the place where the tether enters the water. The tether is neutrally buoyant (LB
 import math
 from collections.abc import Callable
 
-from autopilot.core.vehicle import Tether, Vec3
+from autopilot.core.toml_table import Vec3
+from autopilot.core.vehicle import Tether
 
 WATER_DENSITY_KG_M3 = 998.0
 """Fresh water at 21 degrees C."""

@@ -1,45 +1,100 @@
-"""Thrusters and their amplifiers: pulse -> duty -> voltage -> thrust, with lag, and the electrical power they take.
+"""Thrusters and their amplifiers: pulse -> thrust, with lag, and the electrical power they take.
 
-Each step is what the hardware does: the amplifier sees whole microseconds, ignores duties inside its deadband and
-passes on the supply voltage in proportion; a brushed thruster gives F = c V |V| with a weaker constant in reverse, and
-reaches it with a first-order lag. The allocation of the autopilot inverts this from its own, possibly wrong, numbers.
+Each step is what the hardware does: the amplifier sees whole microseconds on its channel and does nothing inside its
+deadband. A brushed one passes on the supply voltage in proportion to the duty and gives F = c V |V| with a weaker
+constant in reverse; an ESC gives what its maker's tables say. Thrust follows with a first-order lag. The allocation of
+the autopilot inverts this by its own code from its own, possibly wrong, numbers.
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
-from autopilot.core.vehicle import Drive
+from autopilot.core.thrusters import Drive, ThrustCurve, Thruster, wrench_matrix
+from autopilot.core.toml_table import Vec3
+from autopilot.core.vehicle import Vehicle
 
 OFF_US = 0
 """This pulse length means: no pulses."""
 
 
+class Held(NamedTuple):
+    """What a pulse gives while it is held: thrust [N] at supply voltages [V]."""
+
+    supply_v: tuple[float, ...]
+    thrust_n: tuple[float, ...]
+
+    def at(self, supply_v: float) -> float:
+        """Steady thrust [N]: linear between the voltages, with the square of the voltage beyond them."""
+        last = len(self.supply_v) - 1
+        above = bisect_right(self.supply_v, supply_v)
+        if 0 < above <= last:
+            low, high = self.supply_v[above - 1], self.supply_v[above]
+            one, other = self.thrust_n[above - 1], self.thrust_n[above]
+            return one + (other - one) * (supply_v - low) / (high - low)
+        end = min(above, last)
+        ratio = supply_v / self.supply_v[end]
+        return self.thrust_n[end] * (ratio * ratio)
+
+
 def duty_from_pwm(drive: Drive, pwm_us: float) -> float:
-    """Duty in -1..1 of a pulse (rounded to whole us); 0 without pulses and inside the deadband."""
+    """Duty in -1..1 of a pulse (rounded to whole us) at a brushed drive; 0 without pulses and inside the deadband."""
     whole_us = round(pwm_us)
     if whole_us == OFF_US:
         return 0.0
     duty = min(max((whole_us - drive.neutral_us) / drive.span_us, -1.0), 1.0)
-    return duty if abs(duty) > drive.deadband_duty else 0.0
+    return duty if abs(duty) > drive.brushed_law[0] else 0.0
+
+
+def held(drive: Drive, pwm_us: float) -> Held:
+    """What a pulse [us] gives."""
+    if drive.curve:
+        return Held(
+            tuple(curve.supply_v for curve in drive.curve), tuple(_on(curve, drive, pwm_us) for curve in drive.curve)
+        )
+    duty, (_, forward, reverse) = duty_from_pwm(drive, pwm_us), drive.brushed_law
+    return Held((1.0,), ((forward if duty > 0.0 else reverse) * duty * abs(duty),))
+
+
+def _on(curve: ThrustCurve, drive: Drive, pwm_us: float) -> float:
+    """Thrust [N] of a pulse on one curve."""
+    whole_us = round(pwm_us)
+    if whole_us == OFF_US:
+        return 0.0
+    whole_us = min(max(whole_us, drive.neutral_us - drive.span_us), drive.neutral_us + drive.span_us)
+    right = min(max(bisect_right(curve.pulse_us, whole_us), 1), len(curve.pulse_us) - 1)
+    low, high = curve.pulse_us[right - 1], curve.pulse_us[right]
+    one, other = curve.thrust_n[right - 1], curve.thrust_n[right]
+    return one + (other - one) * (whole_us - low) / (high - low)
 
 
 def steady_thrust_n(drive: Drive, pwm_us: float, supply_v: float) -> float:
     """Thrust [N] that a pulse settles at, for a supply voltage [V]."""
-    volt = duty_from_pwm(drive, pwm_us) * supply_v
-    return (drive.forward_n_v2 if volt > 0.0 else drive.reverse_n_v2) * volt * abs(volt)
+    return held(drive, pwm_us).at(supply_v)
+
+
+def wrench_of(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
+    """(6, N) force and moment of 1 N of each thruster, where it really sits."""
+    offsets, none = vehicle.body.thruster_offset_frd_m, (0.0, 0.0, 0.0)
+    places: list[Vec3] = []
+    for thruster in vehicle.thrusters:
+        (x, y, z), (dx, dy, dz) = thruster.position_frd_m, offsets.get(thruster.name, none)
+        places.append((x + dx, y + dy, z + dz))
+    return wrench_matrix(places, [thruster.direction_frd for thruster in vehicle.thrusters])
 
 
 class Thrusters:
     """The thrusters of one vehicle, in the order of its file."""
 
-    def __init__(self, drive: Drive, count: int) -> None:
-        self._drive = drive
-        self._count = count
+    def __init__(self, thrusters: Sequence[Thruster]) -> None:
+        self._thrusters = tuple(thrusters)
+        count = len(self._thrusters)
         self._motor_n = [0.0] * count
         self._gain = [1.0] * count
-        self._pwm_us: tuple[int, ...] = ()
-        self._constant = [0.0] * count
+        self._pwm_us: tuple[int, ...] | None = None
+        self._held: list[Held] = []
         self.mean_n = [0.0] * count
         """Acting thrust, averaged over the last step: what the body feels during that step [N]."""
 
@@ -52,10 +107,11 @@ class Thrusters:
     def power_w(self) -> float:
         """Electrical power of all thrusters, sum of c |F|^1.5. A lossy thruster takes the power of a sound one."""
         total = 0.0
-        for motor in self._motor_n:
-            force = abs(motor)
-            total += force * math.sqrt(force)
-        return self._drive.power_w_n15 * total
+        for thruster, motor in zip(self._thrusters, self._motor_n, strict=True):
+            drive, force = thruster.drive, abs(motor)
+            astern = motor < 0.0 and drive.reverse_power_w_n15 is not None
+            total += (drive.reverse_power_w_n15 or 0.0 if astern else drive.power_w_n15) * force * math.sqrt(force)
+        return total
 
     def set_loss(self, index: int, loss: float) -> None:
         """From now on thruster ``index`` gives ``1 - loss`` of its thrust (0 = sound, 1 = none)."""
@@ -65,23 +121,31 @@ class Thrusters:
 
     def commanded(self, pwm_us: Sequence[int]) -> bool:
         """True if any pulse asks for thrust."""
-        return any(duty_from_pwm(self._drive, pulse) != 0.0 for pulse in pwm_us[: self._count])
+        return any(thrust != 0.0 for one in self._holds(pwm_us) for thrust in one.thrust_n)
 
     def step(self, pwm_us: Sequence[int], supply_v: float, dt_s: float) -> None:
-        """Hold the pulses and the supply for ``dt_s``. Exact solution of the lag; missing pulses are off."""
+        """Hold the pulses (one per channel) and the supply for ``dt_s``. Exact solution of the lag; missing pulses are
+        off."""
         pulses = tuple(pwm_us)
         if pulses != self._pwm_us:
-            self._pwm_us = pulses
-            padded = (*pulses, *(OFF_US for _ in range(self._count)))
-            self._constant = [steady_thrust_n(self._drive, pulse, 1.0) for pulse in padded[: self._count]]
-        decay, mean_weight = _lag(self._drive.time_constant_s, dt_s)
-        square = supply_v * supply_v
+            self._pwm_us, self._held = pulses, self._holds(pulses)
         motor_n, mean_n, gain = self._motor_n, self.mean_n, self._gain
-        for index, constant in enumerate(self._constant):
-            goal = constant * square
+        for index, (thruster, one) in enumerate(zip(self._thrusters, self._held, strict=True)):
+            decay, mean_weight = _lag(thruster.drive.time_constant_s, dt_s)
+            goal = one.at(supply_v)
             error = motor_n[index] - goal
             motor_n[index] = goal + decay * error
             mean_n[index] = gain[index] * (goal + mean_weight * error)
+
+    def _holds(self, pwm_us: Sequence[int]) -> list[Held]:
+        """What each thruster makes of the pulse on its channel."""
+        result = []
+        for thruster in self._thrusters:
+            pulse = pwm_us[thruster.channel - 1] if thruster.channel <= len(pwm_us) else OFF_US
+            if thruster.reversed and pulse != OFF_US:
+                pulse = 2 * thruster.drive.neutral_us - pulse
+            result.append(held(thruster.drive, pulse))
+        return result
 
 
 @lru_cache(maxsize=16)

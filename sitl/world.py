@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.shapes import is_inside
-from autopilot.core.vehicle import Vec2, Vec3
+from autopilot.core.toml_table import Vec2, Vec3
 from sitl.contact import Cylinder, MovingCylinder, Prism, Solid, Sphere
 from sitl.currents import CurrentField, Uniform, current_field
 from sitl.moving import MovingPath

@@ -185,7 +185,7 @@ def watch(
 ) -> None:
     """Let the watchers see every tick: the samples of this one and the thrust that the last one's pulses give."""
     step, allocation = session.service.step, session.parts.allocation
-    count = len(session.vehicle.thruster)
+    count = len(session.vehicle.thrusters)
     thrust_n, supply_v, ticks = np.zeros(count), None, 0
 
     def watched(inputs: Inputs) -> Outputs:

@@ -59,7 +59,7 @@ def bench_munk(seconds: float = 20.0) -> list[MunkRow]:
 def munk_case(*, step_ticks: int = 20, inner: bool, seconds: float) -> MunkRow:
     """Fly one case; ``step_ticks`` of 10 ms between steps of the optimiser."""
     vehicle = load_vehicle("lbv150")
-    model = vehicle.model4.to_model()
+    model = vehicle.to_model()
     controller = MotionController(vehicle, cpu_clock=lambda: 0.0)
     move = discrete_dynamics(model, TICK_US * 1e-6, 1)
     params = ParamSet(

@@ -144,7 +144,7 @@ class _Other:
         cpu_clock: Callable[[], float],
     ) -> None:
         self._nmpc, self._cpu_clock = controller.nmpc, cpu_clock
-        self._solver = IpoptNmpc(vehicle.model4.to_model(), grid, controller.nmpc.planes, tolerance, plugin)
+        self._solver = IpoptNmpc(vehicle.to_model(), grid, controller.nmpc.planes, tolerance, plugin)
         self.seconds: list[float] = []
         self.failed = 0
         self._gaps: list[float] = []

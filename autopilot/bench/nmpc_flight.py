@@ -72,7 +72,7 @@ def fly(
     watch: Callable[[int, ControlOutput], None] = lambda step, output: None,
 ) -> Flight:
     """From ``start`` (8,) to the waypoints in turn, beginning with number ``first``."""
-    move = discrete_dynamics(vehicle.model4.to_model(), STEP_US * 1e-6, 1)
+    move = discrete_dynamics(vehicle.to_model(), STEP_US * 1e-6, 1)
     params, goals, index = ParamSet({"MPC_COST": 0}), [waypoint(*w) for w in WAYPOINTS], first
     q = params["MPC_Q_POS"]
     weights = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])

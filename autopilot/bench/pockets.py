@@ -85,7 +85,7 @@ def starts(world: str, count: int) -> list[tuple[float, float, float]]:
 def bench_pockets(count: int = STARTS, vehicle: Vehicle | None = None) -> list[PocketRow]:
     """One row per world, from ``count`` starts each."""
     vehicle = vehicle or load_vehicle("lbv150")
-    model = vehicle.model4.to_model()
+    model = vehicle.to_model()
     dynamics = discrete_dynamics(model, STEP_US * 1e-6, 1)
 
     def move(x: FloatArray, thrust_n: FloatArray) -> FloatArray:

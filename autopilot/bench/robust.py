@@ -111,7 +111,7 @@ class CostRow:
 
 def tube_table(vehicle: Vehicle, params: ParamSet) -> list[TubeRow]:
     """Back-offs over the horizon for every kind of estimate."""
-    model, grid = vehicle.model4.to_model(), geometric_grid()
+    model, grid = vehicle.to_model(), geometric_grid()
     margins = Margins(model, grid)
     rows = []
     for name, sigmas in ESTIMATES.items():
@@ -151,7 +151,7 @@ def interval_bound_m(model: Model4, margins: Margins, surge_m_s: float, bound: F
 
 def lipschitz_table(vehicle: Vehicle, params: ParamSet, free_m: float | None) -> list[LipschitzRow]:
     """Growth on the controller's grid and on the published kind, in the plain norm and in a tuned one."""
-    model, bound = vehicle.model4.to_model(), DisturbanceBound.of(params)
+    model, bound = vehicle.to_model(), DisturbanceBound.of(params)
     grids: tuple[tuple[str, TimeGrid], ...] = (("uniform 0.1 s", uniform_grid(80)), ("geometric", geometric_grid()))
     rows = []
     for grid_name, grid in grids:
@@ -184,7 +184,7 @@ def certificate_table(
     samples: int,
 ) -> list[CertificateRow]:
     """Terminal certificate of every goal in every current, with the margins of a perfect estimate."""
-    model, grid = vehicle.model4.to_model(), geometric_grid()
+    model, grid = vehicle.to_model(), geometric_grid()
     back = Margins(model, grid).back_offs(
         _nav(ESTIMATES["perfect"]), np.zeros((grid.n + 1, 8)), np.zeros((grid.n, model.thrusters)), params
     )

@@ -89,13 +89,13 @@ def drawn_vehicle(rng: np.random.Generator, vehicle: Vehicle, spread: float = 0.
     mismatch["tether_pull"] = float(rng.uniform(0.0, 5.0))
     mismatch["supply"] = float(rng.uniform(0.9, 1.0))
     thrusters = []
-    for thruster in vehicle.thruster:
+    for thruster in vehicle.thruster_tables:
         x, y, z = thruster.position_frd_m
         dx, dy = rng.uniform(-0.01, 0.01, 2)
         if thruster.name == "lateral":
             dx *= 3.0
         thrusters.append(msgspec.structs.replace(thruster, position_frd_m=(x + dx, y + dy, z)))
-    return msgspec.structs.replace(vehicle, thruster=thrusters), mismatch
+    return msgspec.structs.replace(vehicle, thruster_tables=tuple(thrusters)), mismatch
 
 
 def drawn_current(rng: np.random.Generator) -> Any:
@@ -226,11 +226,11 @@ def fly(
     """One flight with the detector in the loop, as the service has it; ``factors`` replace those that are drawn."""
     rng = np.random.default_rng(seed)
     believed = load_vehicle("lbv150")
-    model, drive = believed.model4.to_model(), believed.drive
+    model, drive = believed.to_model(), believed.drive
     vehicle, mismatch = drawn_vehicle(rng, believed, spread)
     mismatch |= factors or {}
     tether = (float(rng.uniform(-4.0, 4.0)), float(rng.uniform(-4.0, 4.0)), 0.0) if rng.uniform() < 0.6 else None
-    names = [thruster.name for thruster in believed.thruster]
+    names = [thruster.name for thruster in believed.thrusters]
     world = World(polygon_ned_m=WALLS_M, floor_m=FLOOR_M, current=drawn_current(rng), tether_entry_ned_m=tether)
     start = (*rng.uniform(-1.5, 1.5, 2), float(rng.choice([0.14, 0.5, 0.8])))
     losses = []
@@ -245,7 +245,7 @@ def fly(
         losses=losses,
     )
     health = ThrusterHealth(model, drive.time_constant_s, submerged_m=SUBMERGED * believed.hull_half_height_m)
-    pilot, estimator, allocation = _Pilot(rng, model), _Estimator(rng, model), Allocation(drive)
+    pilot, estimator, allocation = _Pilot(rng, model), _Estimator(rng, model), Allocation(believed.thrusters)
     acting, pulse_n, flown, used = np.zeros(THRUSTERS), np.zeros(THRUSTERS), Flown(), []
     tug_s = float(rng.uniform(8.0, 30.0))
     for tick in range(round(seconds * 1e6 / STEP_US)):

@@ -37,7 +37,7 @@ def identify(logs: tuple[Path, ...], vehicle: str | None, out: Path | None, comp
     from autopilot.identify.report import changes, rows_of
 
     windows, base = read_windows(list(logs), None if vehicle is None else load_vehicle(vehicle))
-    found = fit(windows, base.model4.to_model())
+    found = fit(windows, base.to_model())
     rows = rows_of(found, base)
     truth = _truth(logs[0], base) if compare else None
     if out is not None:

@@ -412,12 +412,12 @@ class Autopilot:
 
     def _neutral(self, t_us: int) -> ThrusterCommand:
         """No thrust; needs nothing that could fail."""
-        drive, count = self._parts.vehicle.drive, len(self._pulse_n)
+        neutral_us, count = self._parts.allocation.neutral_us, len(self._pulse_n)
         self._pulse_n = np.zeros(count)
         return ThrusterCommand(
             t_us=t_us,
             thrust_n=np.zeros(MAX_THRUSTERS),
-            pwm_us=(drive.neutral_us,) * count + (0,) * (MAX_THRUSTERS - count),
+            pwm_us=neutral_us + (0,) * (MAX_THRUSTERS - count),
         )
 
     def _take_faults(self) -> tuple[Fault, ...]:
@@ -503,7 +503,7 @@ class Autopilot:
         unused = (0,) * (MAX_THRUSTERS - count)
         if not armed:
             self._pulse_n = np.zeros(count)
-            return ThrusterCommand(t_us=t_us, thrust_n=thrust_n, pwm_us=allocation.neutral(count) + unused)
+            return ThrusterCommand(t_us=t_us, thrust_n=thrust_n, pwm_us=allocation.neutral_us + unused)
         thrust_n[:count] = self._thrust_n
         supply_v, share = self._supply_v(), self._care.share
         pulses_us = allocation.pulses_us(self._thrust_n, supply_v, share)

@@ -45,7 +45,7 @@ class Watch:
         self._doubts: frozenset[NavDoubt] = frozenset()
         """Those that have been told since arming."""
         self._unreachable = False
-        self._thrusters = tuple(thruster.name for thruster in vehicle.thruster)
+        self._thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
         self._share: dict[str, float] = {}
         self._armed_us: int | None = None
         self._delay_s = 0.0

@@ -86,14 +86,19 @@ class MotionController:
         backends: tuple[ocp.QpBackend, ...] = ocp.BACKENDS,
     ) -> None:
         self._vehicle = vehicle
-        self._model = vehicle.model4.to_model()
+        self._model = vehicle.to_model()
         self._cpu_clock = cpu_clock
         grid = grid or geometric_grid(n, horizon_s)
         self.desks = desks = desks or Desks()
         """Whoever owns the loop closes them, and says what is attended to while an answer is waited for."""
         sharing = Sharing.of(vehicle)
         self._program = StepProgram(
-            sharing, grid, vehicle.radius_m, backends, desks.certificates, tuple(each.name for each in vehicle.thruster)
+            sharing,
+            grid,
+            vehicle.radius_m,
+            backends,
+            desks.certificates,
+            tuple(each.name for each in vehicle.thrusters),
         )
         self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
         self._lag = ThrusterLag(self._model, vehicle.drive.time_constant_s)

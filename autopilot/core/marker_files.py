@@ -20,7 +20,8 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.map_errors import PRINT_SIGMA_M, SHEET_SIGMA_M, Laid, map_errors
 from autopilot.core.markers import CORNER_SIGNS, ID_SPAN, MarkerMap
-from autopilot.core.vehicle import Vec3, convert, read_toml
+from autopilot.core.toml_table import Vec3
+from autopilot.core.vehicle import convert, read_toml
 
 AMBIGUITY_M = 0.9
 """Markers of one id must lie this far apart: the estimator takes the nearest within half of it."""

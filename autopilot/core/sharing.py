@@ -80,7 +80,7 @@ class Sharing:
     @classmethod
     def of(cls, vehicle: Vehicle) -> "Sharing":
         """From the vehicle file."""
-        return cls(vehicle.model4.to_model(), [vehicle.drive.power_w_n15] * len(vehicle.thruster))
+        return cls(vehicle.to_model(), [thruster.drive.power_w_n15 for thruster in vehicle.thrusters])
 
     def thrust_n(self, force: FloatArray, limit_n: FloatArray) -> FloatArray:
         """(..., n) thrust within +-``limit_n`` (n,) (inf = as it comes) for forces (..., 4) X, Y, Z [N], N [N m]."""

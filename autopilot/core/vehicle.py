@@ -5,33 +5,39 @@ Vehicles ship in ``autopilot/data/vehicles``; every value there has its origin i
 
 import math
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal
 
 import msgspec
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.flat_port import FlatPort
 from autopilot.core.model4 import Model4
+from autopilot.core.thrusters import (
+    MAX_THRUSTERS,
+    MIN_THRUSTERS,
+    Drive,
+    Thruster,
+    ThrusterTable,
+    allocation,
+    thrusters_of,
+)
+from autopilot.core.toml_table import (
+    NonNegative,
+    NonNegative3,
+    NonNegative4,
+    Positive,
+    Positive3,
+    Positive4,
+    Table,
+    Vec2,
+    Vec3,
+)
 
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
-Vec2: TypeAlias = tuple[float, float]
-Vec3: TypeAlias = tuple[float, float, float]
-Positive3: TypeAlias = tuple[Positive, Positive, Positive]
-Positive4: TypeAlias = tuple[Positive, Positive, Positive, Positive]
-NonNegative3: TypeAlias = tuple[NonNegative, NonNegative, NonNegative]
-Row: TypeAlias = Annotated[tuple[float, ...], msgspec.Meta(min_length=3, max_length=8)]
-NonNegative4: TypeAlias = tuple[NonNegative, NonNegative, NonNegative, NonNegative]
 
-
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A TOML table: immutable, unknown keys are errors."""
-
-
-class Body(_Table, frozen=True, kw_only=True):
+class Body(Table, frozen=True, kw_only=True):
     """Rigid body and hydrodynamics in 6 DoF, for the simulated plant only. Drag positive."""
 
     mass_kg: Positive
@@ -45,57 +51,24 @@ class Body(_Table, frozen=True, kw_only=True):
     angular_linear_drag_n_m_s: NonNegative3
     quadratic_drag_n_s2_m2: NonNegative3
     angular_quadratic_drag_n_m_s2: NonNegative3
+    thruster_offset_frd_m: dict[str, Vec3] = msgspec.field(default_factory=dict)
+    """Name of a thruster -> how far from the place told it really sits, which the autopilot does not know."""
 
 
-class Model4Table(_Table, frozen=True, kw_only=True):
-    """The controller's 4-DoF model (order surge, sway, heave, yaw)."""
+class Model4Table(Table, frozen=True, kw_only=True):
+    """Coefficients of the controller's 4-DoF model (order surge, sway, heave, yaw). Its allocation comes from the
+    thrusters: :meth:`Vehicle.to_model`."""
 
     mass_kg: Positive4
+    """Water that it moves included."""
+    dry_mass_kg: Positive
+    """Of the vehicle alone: a change of the current takes along only what is added to it."""
     linear_drag: NonNegative4
     quadratic_drag: NonNegative4
     buoyancy_excess_n: float
-    allocation: tuple[Row, Row, Row, Row]
-    """Rows surge, sway, heave [N], yaw [N m]; one column per thruster, in the order of the file."""
-
-    def to_model(self) -> Model4:
-        """The same as the plain dataclass that the equations take."""
-        return Model4(
-            mass_kg=self.mass_kg,
-            linear_drag=self.linear_drag,
-            quadratic_drag=self.quadratic_drag,
-            buoyancy_excess_n=self.buoyancy_excess_n,
-            allocation=self.allocation,
-        )
 
 
-class Thruster(_Table, frozen=True, kw_only=True):
-    """Where one thruster sits and where it pushes."""
-
-    name: str
-    position_frd_m: Vec3
-    direction_frd: Vec3
-
-
-class Drive(_Table, frozen=True, kw_only=True):
-    """Thruster and amplifier: pulse -> duty -> voltage -> thrust F = c V |V|."""
-
-    neutral_us: Annotated[int, msgspec.Meta(gt=0)]
-    span_us: Annotated[int, msgspec.Meta(gt=0)]
-    """Pulse difference between neutral and full duty."""
-    deadband_duty: Annotated[float, msgspec.Meta(ge=0.0, lt=0.5)]
-    forward_n_v2: Positive
-    reverse_n_v2: Positive
-    nominal_supply_v: Positive
-    time_constant_s: Positive
-    power_w_n15: Positive
-    """Electrical power P = this * |F|^1.5."""
-    limit_n: Positive
-    """Bound on every thrust command."""
-    command_timeout_s: Positive
-    """Outputs go to neutral when no command came for so long."""
-
-
-class Battery(_Table, frozen=True, kw_only=True):
+class Battery(Table, frozen=True, kw_only=True):
     """Supply voltage falls linearly with the energy used and with the current drawn."""
 
     open_circuit_v: Positive
@@ -104,7 +77,7 @@ class Battery(_Table, frozen=True, kw_only=True):
     internal_resistance_ohm: NonNegative
 
 
-class Tether(_Table, frozen=True, kw_only=True):
+class Tether(Table, frozen=True, kw_only=True):
     """Quasi-static tether."""
 
     diameter_m: NonNegative
@@ -113,7 +86,7 @@ class Tether(_Table, frozen=True, kw_only=True):
     pull_n: NonNegative
 
 
-class Port(_Table, frozen=True, kw_only=True):
+class Port(Table, frozen=True, kw_only=True):
     """A flat pane before the camera's lens (:class:`autopilot.core.flat_port.FlatPort`)."""
 
     distance_m: NonNegative
@@ -134,7 +107,7 @@ class Port(_Table, frozen=True, kw_only=True):
         )
 
 
-class Camera(_Table, frozen=True, kw_only=True):
+class Camera(Table, frozen=True, kw_only=True):
     """Down-looking camera. Image x = starboard, image y = aft."""
 
     width_px: Annotated[int, msgspec.Meta(gt=0)]
@@ -163,7 +136,7 @@ class Camera(_Table, frozen=True, kw_only=True):
             raise ValueError(f"`distortion[4]` = {self.distortion[4]:g} must be 0 for a fisheye (k1 k2 k3 k4 and 0)")
 
 
-class Laser(_Table, frozen=True, kw_only=True):
+class Laser(Table, frozen=True, kw_only=True):
     """Laser pointer beside the camera."""
 
     position_frd_m: Vec3
@@ -176,7 +149,7 @@ class Laser(_Table, frozen=True, kw_only=True):
             raise ValueError(f"`direction_frd` = [{x:g}, {y:g}, {z:g}] does not go down; its third number is largest")
 
 
-class Ahrs(_Table, frozen=True, kw_only=True):
+class Ahrs(Table, frozen=True, kw_only=True):
     """Attitude and heading reference system."""
 
     rate_hz: Positive
@@ -186,7 +159,7 @@ class Ahrs(_Table, frozen=True, kw_only=True):
     """Added to the times of samples: negative when these are too late."""
 
 
-class DepthMount(_Table, frozen=True, kw_only=True):
+class DepthMount(Table, frozen=True, kw_only=True):
     """Pressure sensor."""
 
     position_frd_m: Vec3 = (0.0, 0.0, 0.0)
@@ -196,7 +169,7 @@ class DepthMount(_Table, frozen=True, kw_only=True):
     """Added to the times of samples: negative when these are too late."""
 
 
-class DvlMount(_Table, frozen=True, kw_only=True):
+class DvlMount(Table, frozen=True, kw_only=True):
     """Doppler velocity log; its axes are the body's."""
 
     position_frd_m: Vec3 = (0.0, 0.0, 0.0)
@@ -206,7 +179,7 @@ class DvlMount(_Table, frozen=True, kw_only=True):
     """Added to the times of samples: negative when these are too late."""
 
 
-class ExternalMount(_Table, frozen=True, kw_only=True):
+class ExternalMount(Table, frozen=True, kw_only=True):
     """What an outside positioning system tracks."""
 
     position_frd_m: Vec3 = (0.0, 0.0, 0.0)
@@ -214,7 +187,7 @@ class ExternalMount(_Table, frozen=True, kw_only=True):
     """Added to the times of poses: negative when these are too late."""
 
 
-class Vehicle(_Table, frozen=True, kw_only=True):
+class Vehicle(Table, frozen=True, kw_only=True):
     """One vehicle file."""
 
     name: str
@@ -227,8 +200,12 @@ class Vehicle(_Table, frozen=True, kw_only=True):
     hull_half_height_m: Positive = 0.13
     body: Body
     model4: Model4Table
-    thruster: Annotated[list[Thruster], msgspec.Meta(min_length=1, max_length=8)]
+    thruster_tables: Annotated[
+        tuple[ThrusterTable, ...], msgspec.Meta(min_length=MIN_THRUSTERS, max_length=MAX_THRUSTERS)
+    ] = msgspec.field(name="thruster")
+    """As in the file; use :attr:`thrusters`."""
     drive: Drive
+    """Of every thruster without one of its own."""
     battery: Battery
     tether: Tether
     camera: Camera
@@ -238,6 +215,41 @@ class Vehicle(_Table, frozen=True, kw_only=True):
     dvl: DvlMount = DvlMount()
     external_pose: ExternalMount = ExternalMount()
     sources: dict[str, str]
+
+    def __post_init__(self) -> None:
+        thrusters = self.thrusters
+        _once("name", [thruster.name for thruster in thrusters], thrusters)
+        _once("channel", [thruster.channel for thruster in thrusters], thrusters)
+        names = {thruster.name for thruster in thrusters}
+        for name in self.body.thruster_offset_frd_m:
+            if name not in names:
+                raise ValueError(f"`body.thruster_offset_frd_m` names {name!r}, which is no `thruster`")
+
+    @property
+    def thrusters(self) -> tuple[Thruster, ...]:
+        """All thrusters with their drives and limits, in the file's order."""
+        return thrusters_of(self.thruster_tables, self.drive)
+
+    def to_model(self) -> Model4:
+        """What controller and estimator believe of it, allocation (4, N) included."""
+        table = self.model4
+        return Model4(
+            mass_kg=table.mass_kg,
+            linear_drag=table.linear_drag,
+            quadratic_drag=table.quadratic_drag,
+            buoyancy_excess_n=table.buoyancy_excess_n,
+            allocation=allocation(self.thrusters),
+        )
+
+
+def _once(key: str, values: Sequence[object], thrusters: Sequence[Thruster]) -> None:
+    """ValueError if two thrusters share a value."""
+    for index, value in enumerate(values):
+        first = values.index(value)
+        if first != index:
+            said = f"`thruster[{first}]` and `thruster[{index}]`"
+            named = "" if key == "name" else f" ({thrusters[first].name}, {thrusters[index].name})"
+            raise ValueError(f"{said}{named}: both have `{key}` = {value!r}; each needs one of its own")
 
 
 def read_toml(path: Path) -> dict[str, Any]:

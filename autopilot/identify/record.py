@@ -114,8 +114,8 @@ def _table(log: Log, topic: str) -> Table:
 
 def _acting(log: Log, sent: Table, vehicle: Vehicle, t_s: FloatArray) -> FloatArray:
     """(len(t_s), thrusters) mean thrust over the step from each time on, of pulses and supply, behind the lag."""
-    allocation, tau = Allocation(vehicle.drive), vehicle.drive.time_constant_s
-    count, power = len(vehicle.thruster), log.get("/in/power_raw")
+    allocation, tau = Allocation(vehicle.thrusters), vehicle.drive.time_constant_s
+    count, power = len(vehicle.thrusters), log.get("/in/power_raw")
     fine_s = np.arange(float(t_s[0]), float(t_s[-1]) + STEP_S, LAG_STEP_S)
     held = np.clip(np.searchsorted(sent["t_us"] * 1e-6, fine_s + 1e-9, side="right") - 1, 0, None)
     supply = np.full(len(sent), math.nan)

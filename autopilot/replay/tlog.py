@@ -139,7 +139,7 @@ def _through_the_door(samples: list[AhrsSample]) -> dict[str, int]:
     now_us = 0
     for sample in samples:
         now_us = max(now_us, sample.t_us)
-        estimator.step(now_us, (sample,), np.zeros(len(vehicle.thruster)))
+        estimator.step(now_us, (sample,), np.zeros(len(vehicle.thrusters)))
     return {name: count for name, count in estimator.counters().items() if name.startswith("ahrs.")}
 
 

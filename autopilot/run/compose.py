@@ -89,7 +89,7 @@ def build_service(
             shadow=params["EST_SHADOW"] > 0.0,
         ),
         controller=controller,
-        allocation=Allocation(vehicle.drive),
+        allocation=Allocation(vehicle.thrusters),
         commander=commander,
         server=MavlinkServer(
             sysid=system_id(params, setup.instance),

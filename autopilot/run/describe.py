@@ -32,7 +32,7 @@ def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -
         body_radius_m=parts.vehicle.radius_m,
         # The plant's power holds the hotel load already.
         hotel_power_w=0.0,
-        thruster_names=tuple(thruster.name for thruster in parts.vehicle.thruster),
+        thruster_names=tuple(thruster.name for thruster in parts.vehicle.thrusters),
         tank_polygon_m=() if tank is None else tuple(tank.polygon_m),
         tank_depth_m=None if tank is None else tank.depth_m,
         # Logs know round obstacles; a prism is judged and drawn as what the fence holds.

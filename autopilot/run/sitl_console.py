@@ -15,7 +15,7 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import Outputs, ProgressState, Severity
 from autopilot.core.plan import PlanKind
 from autopilot.core.shapes import clearance_m
-from autopilot.core.vehicle import Vec2
+from autopilot.core.toml_table import Vec2
 from autopilot.run.sitl_session import SitlSession
 from sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, PrismObstacle, Scenario
 

@@ -206,7 +206,7 @@ def open_sitl(
             kept.skip()
     elif kept is not None:
         warnings += kept.load()
-    device = SimulatedDevice(world.simulated, len(world.vehicle.thruster))
+    device = SimulatedDevice(world.simulated, len(world.vehicle.thrusters))
     opened: list[Link] = [] if links is None else list(links)
     try:
         if links is None:

@@ -28,7 +28,7 @@ from autopilot.core.vehicle import load_vehicle
 from sitl.scenario import load_scenario, plan_path
 
 VEHICLE = load_vehicle("lbv150")
-MODEL, POWER = VEHICLE.model4.to_model(), PowerModel.of(VEHICLE)
+MODEL, POWER = VEHICLE.to_model(), PowerModel.of(VEHICLE)
 
 
 def leg(along_m_s: float, length_m: float) -> Case:

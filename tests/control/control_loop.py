@@ -16,7 +16,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("lbv150")
-MODEL = VEHICLE.model4.to_model()
+MODEL = VEHICLE.to_model()
 STEP_US = 50_000
 
 PILLARS = ((-0.625, -0.625), (0.9375, 0.0))

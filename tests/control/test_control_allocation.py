@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from autopilot.control.thrust.allocation import Allocation
 
-ALLOCATION = Allocation(VEHICLE.drive)
+ALLOCATION = Allocation(VEHICLE.thrusters)
 DRIVE = VEHICLE.drive
 supply = st.floats(14.0, 20.0)
 request = st.floats(-15.0, 15.0)
@@ -18,10 +18,10 @@ request = st.floats(-15.0, 15.0)
 
 @given(request, supply)
 def test_pulse_is_in_range_and_thrust_within_the_limit(thrust_n: float, supply_v: float) -> None:
-    pulse = ALLOCATION.pulse_us(thrust_n, supply_v)
+    pulse = ALLOCATION.pulse_us(0, thrust_n, supply_v)
     assert isinstance(pulse, int)
     assert abs(pulse - DRIVE.neutral_us) <= DRIVE.span_us
-    realised = ALLOCATION.thrust_n(pulse, supply_v)
+    realised = ALLOCATION.thrust_n(0, pulse, supply_v)
     assert abs(realised) <= DRIVE.limit_n
     assert realised * thrust_n >= 0.0
 
@@ -29,22 +29,22 @@ def test_pulse_is_in_range_and_thrust_within_the_limit(thrust_n: float, supply_v
 @given(request, request, supply)
 def test_monotone(one: float, other: float, supply_v: float) -> None:
     low, high = sorted((one, other))
-    assert ALLOCATION.pulse_us(low, supply_v) <= ALLOCATION.pulse_us(high, supply_v)
+    assert ALLOCATION.pulse_us(0, low, supply_v) <= ALLOCATION.pulse_us(0, high, supply_v)
 
 
 @given(request, supply)
 def test_inverse_of_the_forward_curve(thrust_n: float, supply_v: float) -> None:
-    pulse = ALLOCATION.pulse_us(thrust_n, supply_v)
+    pulse = ALLOCATION.pulse_us(0, thrust_n, supply_v)
     offset = abs(pulse - DRIVE.neutral_us)
     wanted = math.copysign(min(abs(thrust_n), DRIVE.limit_n), thrust_n)
-    realised = ALLOCATION.thrust_n(pulse, supply_v)
+    realised = ALLOCATION.thrust_n(0, pulse, supply_v)
     if offset == 0:
-        edge = ALLOCATION.thrust_n(DRIVE.neutral_us + 27, supply_v)
+        edge = ALLOCATION.thrust_n(0, DRIVE.neutral_us + 27, supply_v)
         assert abs(wanted) < 0.5 * edge + 1e-9
     elif offset == 27:
-        assert abs(wanted) <= ALLOCATION.thrust_n(DRIVE.neutral_us + 28, supply_v)
+        assert abs(wanted) <= ALLOCATION.thrust_n(0, DRIVE.neutral_us + 28, supply_v)
     elif offset < DRIVE.span_us:
-        coefficient = DRIVE.forward_n_v2 if thrust_n > 0 else DRIVE.reverse_n_v2
+        coefficient = DRIVE.brushed_law[1] if thrust_n > 0 else DRIVE.brushed_law[2]
         one_us = coefficient * (supply_v / DRIVE.span_us) ** 2 * (2 * offset + 1)
         assert abs(realised - wanted) <= one_us
     else:
@@ -53,32 +53,32 @@ def test_inverse_of_the_forward_curve(thrust_n: float, supply_v: float) -> None:
 
 @given(st.integers(1100, 1900), supply)
 def test_round_trip_of_pulses(pulse: int, supply_v: float) -> None:
-    thrust = ALLOCATION.thrust_n(pulse, supply_v)
+    thrust = ALLOCATION.thrust_n(0, pulse, supply_v)
     if abs(thrust) <= DRIVE.limit_n:
-        back = ALLOCATION.pulse_us(thrust, supply_v)
+        back = ALLOCATION.pulse_us(0, thrust, supply_v)
         assert back == (pulse if thrust else DRIVE.neutral_us)
 
 
 def test_deadband_is_jumped_from_half_the_smallest_thrust() -> None:
-    smallest = ALLOCATION.thrust_n(1527)
+    smallest = ALLOCATION.thrust_n(0, 1527)
     assert smallest > 0.0
-    assert ALLOCATION.thrust_n(1526) == 0.0
-    assert ALLOCATION.pulse_us(0.51 * smallest) == 1527
-    assert ALLOCATION.pulse_us(0.49 * smallest) == 1500
-    assert ALLOCATION.pulse_us(-0.51 * ALLOCATION.thrust_n(1527)) in (1473, 1500)
+    assert ALLOCATION.thrust_n(0, 1526) == 0.0
+    assert ALLOCATION.pulse_us(0, 0.51 * smallest) == 1527
+    assert ALLOCATION.pulse_us(0, 0.49 * smallest) == 1500
+    assert ALLOCATION.pulse_us(0, -0.51 * ALLOCATION.thrust_n(0, 1527)) in (1473, 1500)
 
 
 def test_sagging_supply_saturates_and_lowers_the_capability() -> None:
-    assert ALLOCATION.pulse_us(-12.0, 15.0) == 1100
-    assert ALLOCATION.capability_n(15.0) == pytest.approx(0.03457 * 225.0)
-    assert ALLOCATION.capability_n(19.0) == 12.0
+    assert ALLOCATION.pulse_us(0, -12.0, 15.0) == 1100
+    assert ALLOCATION.capability_n(15.0) == pytest.approx([0.03457 * 225.0] * 4)
+    assert ALLOCATION.capability_n(19.0).tolist() == [12.0] * 4
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_not_a_number_is_neutral(bad: float) -> None:
-    assert ALLOCATION.pulse_us(bad) == 1500
-    assert ALLOCATION.pulse_us(5.0, bad) == ALLOCATION.pulse_us(5.0)
-    assert ALLOCATION.pulse_us(5.0, None) == ALLOCATION.pulse_us(5.0, 0.0)
+    assert ALLOCATION.pulse_us(0, bad) == 1500
+    assert ALLOCATION.pulse_us(0, 5.0, bad) == ALLOCATION.pulse_us(0, 5.0)
+    assert ALLOCATION.pulse_us(0, 5.0, None) == ALLOCATION.pulse_us(0, 5.0, 0.0)
 
 
 def test_arrays_and_neutral() -> None:
@@ -86,4 +86,4 @@ def test_arrays_and_neutral() -> None:
     assert len(pulses) == 4
     assert pulses[2] == 1500
     assert np.allclose(ALLOCATION.thrusts_n(pulses), [3.0, -3.0, 0.0, 12.0], atol=0.06)
-    assert ALLOCATION.neutral(4) == (1500,) * 4
+    assert ALLOCATION.neutral_us == (1500,) * 4

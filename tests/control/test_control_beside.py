@@ -28,7 +28,7 @@ from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.messages import Fallback, Goal, Severity
 from autopilot.core.params import ParamSet
 
-MODEL = VEHICLE.model4.to_model()
+MODEL = VEHICLE.to_model()
 OPEN = Fence(depth_max_m=1.2)
 AT_A: FloatArray = np.array([-1.60, -0.35, 0.45, 0.0, 0.0, 0.0, 0.0, 0.0])
 

@@ -65,7 +65,7 @@ OTHERS = (
 )
 @settings(max_examples=40, deadline=None, phases=NO_SHRINKING)
 def test_predictions_of_light_vehicles_with_much_drag_do_not_explode(factors: list[float], state: list[float]) -> None:
-    model = scaled(np.array(factors).reshape(3, 4)).model4.to_model()
+    model = scaled(np.array(factors).reshape(3, 4)).to_model()
     grid = geometric_grid()
     planar, heave, turn = (share * most for share, most in zip(state, ocp.fastest_guess(model), strict=False))
     way = math.pi * state[3]
@@ -89,7 +89,7 @@ def test_a_light_vehicle_that_turns_against_much_drag_is_controlled(turning: flo
         fence=Fence(depth_max_m=DEPTH_M),
         params=ParamSet({"DEPTH_MAX": DEPTH_M}),
         limit_s=5.0,
-        model=vehicle.model4.to_model(),
+        model=vehicle.to_model(),
     )
     assert {output.status.status for output in flight.outputs} == {SolveStatus.OK}
     assert {output.status.fallback for output in flight.outputs} == {Fallback.NONE}

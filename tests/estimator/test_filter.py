@@ -84,8 +84,8 @@ def measurements(inertial: Inertial) -> list[Measurement]:
             floor_depth_m=1.5,
             mount_frd_m=(0.1, 0.05, 0.1),
         ),
-        model_aid_of(inertial, VEHICLE.model4.to_model(), added_share(VEHICLE)),
-        model_aid_of(inertial, VEHICLE.model4.to_model(), added_share(VEHICLE), vertical=True),
+        model_aid_of(inertial, VEHICLE.to_model(), added_share(VEHICLE)),
+        model_aid_of(inertial, VEHICLE.to_model(), added_share(VEHICLE), vertical=True),
         Depth(sensor="depth", t_us=0, z=np.ones(1), noise=np.eye(1), mount_frd_m=(0.2, -0.1, 0.15)),
         *(
             BodyVelocity(

@@ -19,7 +19,7 @@ from autopilot.identify.record import STEP_S, WINDOW_STEPS, Windows
 from autopilot.identify.report import changes, kept_axes, rows_of
 
 VEHICLE = load_vehicle("lbv150")
-BASE = VEHICLE.model4.to_model()
+BASE = VEHICLE.to_model()
 TRUE = replace(
     BASE,
     mass_kg=(19.0, 19.5, 25.5, 0.36),

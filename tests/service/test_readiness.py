@@ -21,7 +21,7 @@ VEHICLE = load_vehicle("lbv150")
 def checked(**params: float) -> tuple[Bench, MarginCheck]:
     """A commander that asks the margins, with the paper's plan."""
     bench = Bench(**params)
-    check = MarginCheck(Margins(VEHICLE.model4.to_model(), geometric_grid()), bench.params, bench.plans)
+    check = MarginCheck(Margins(VEHICLE.to_model(), geometric_grid()), bench.params, bench.plans)
     bench.commander = Commander(VEHICLE, bench.params, bench.plans, controller_check=check)
     bench.load()
     return bench, check

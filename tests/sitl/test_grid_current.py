@@ -107,7 +107,7 @@ def test_a_scenario_names_its_grid_beside_itself_and_the_plant_drifts_with_it(tm
     assert current_field(scenario.current).velocity((0.0, 0.0, 1.0), 0.0) == pytest.approx((0.1, 0.0, 0.0))
     vehicle = load_vehicle("lbv150")
     plant = build_plant(scenario, vehicle)
-    plant.advance(20_000_000, [0] * len(vehicle.thruster))
+    plant.advance(20_000_000, [0] * len(vehicle.thrusters))
     assert plant.truth.pos_ned_m[0] > 0.5
     assert plant.truth.current_ned_m_s == pytest.approx((0.1, 0.0, 0.0))
 

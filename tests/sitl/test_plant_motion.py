@@ -11,6 +11,7 @@ from plant_helpers import DEEP, NEUTRAL, NO_DRAG, VEHICLE, body_with, kinetic_en
 from autopilot.core.frames import r_ned_from_frd
 from sitl.currents import Shear, Uniform, Vortex
 from sitl.plant import GRAVITY_M_S2
+from sitl.thrusters import wrench_of
 from sitl.world import World
 
 BODY = VEHICLE.body
@@ -97,8 +98,8 @@ def test_roll_and_pitch_swing_with_the_period_of_a_pendulum(axis: int) -> None:
 
 def test_work_of_the_thrusters_becomes_kinetic_and_potential_energy_and_heat() -> None:
     hull = plant(start_rpy_rad=(0.1, -0.1, 0.3))
-    arms = [np.cross(t.position_frd_m, t.direction_frd) for t in VEHICLE.thruster]
-    directions = [np.array(t.direction_frd) for t in VEHICLE.thruster]
+    wrench = np.array(wrench_of(VEHICLE)).T
+    directions, arms = wrench[:, :3], wrench[:, 3:]
 
     def energy_and_power() -> tuple[float, float, float]:
         truth = hull.truth

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from plant_helpers import NEUTRAL, VEHICLE, plant
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.thrusters import thrusters_of
 from sitl.battery import Battery
 from sitl.tether import WATER_DENSITY_KG_M3, make_tether
 from sitl.thrusters import Thrusters, duty_from_pwm, steady_thrust_n
@@ -48,7 +49,7 @@ def test_thrust_never_falls_with_the_pulse_and_grows_with_the_square_of_the_supp
 
 
 def test_thrust_follows_with_its_time_constant() -> None:
-    thrusters = Thrusters(DRIVE, 4)
+    thrusters = Thrusters(VEHICLE.thrusters)
     final = steady_thrust_n(DRIVE, 1800, 19.0)
     for _ in range(30):
         thrusters.step((1800, 1500, 1500, 1500), 19.0, 0.005)
@@ -58,7 +59,7 @@ def test_thrust_follows_with_its_time_constant() -> None:
 
 @given(st.floats(0.001, 0.5))
 def test_mean_thrust_of_a_step_is_the_integral_of_the_lag(dt_s: float) -> None:
-    coarse, fine = Thrusters(DRIVE, 1), Thrusters(DRIVE, 1)
+    coarse, fine = Thrusters(VEHICLE.thrusters[:1]), Thrusters(VEHICLE.thrusters[:1])
     coarse.step((1700,), 19.0, dt_s)
     total = 0.0
     for _ in range(8):
@@ -69,7 +70,8 @@ def test_mean_thrust_of_a_step_is_the_integral_of_the_lag(dt_s: float) -> None:
 
 
 def test_without_lag_thrust_is_there_at_once() -> None:
-    thrusters = Thrusters(msgspec.structs.replace(VEHICLE.drive, time_constant_s=1e-9), 1)
+    quick = msgspec.structs.replace(VEHICLE.drive, time_constant_s=1e-9)
+    thrusters = Thrusters(thrusters_of(VEHICLE.thruster_tables[:1], quick))
     thrusters.step((1700,), 19.0, 0.005)
     assert thrusters.thrust_n[0] == pytest.approx(steady_thrust_n(DRIVE, 1700, 19.0))
     still = plant(mismatch={"lag": 0.0})
@@ -78,7 +80,7 @@ def test_without_lag_thrust_is_there_at_once() -> None:
 
 
 def test_power_grows_with_thrust_to_the_power_of_one_and_a_half() -> None:
-    thrusters = Thrusters(DRIVE, 2)
+    thrusters = Thrusters(VEHICLE.thrusters[:2])
     thrusters.step((1900, 1100), 19.0, 10.0)
     forward, reverse = thrusters.thrust_n
     assert thrusters.power_w == pytest.approx(1.2 * (forward**1.5 + abs(reverse) ** 1.5))

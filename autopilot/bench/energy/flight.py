@@ -32,6 +32,7 @@ from sitl import scenario_tables as sc
 from sitl.contact import Cylinder
 from sitl.currents import CurrentField, current_field
 from sitl.plant import Plant, Truth
+from sitl.thrusters import wrench_of
 from sitl.world import World
 
 STEP_US = 50_000
@@ -138,7 +139,7 @@ def nmpc_pilot(
 
 def los_pilot(vehicle: Vehicle, gains: LosGains) -> Pilot:
     """Line of sight with PID loops."""
-    follower = LosPid(vehicle.model4.to_model(), vehicle.radius_m, gains, STEP_US * 1e-6)
+    follower = LosPid(vehicle.to_model(), vehicle.radius_m, gains, STEP_US * 1e-6)
 
     def pilot(t_us: int, nav: NavState, goal: Goal, fence: Fence) -> FloatArray:
         return follower.thrust(nav, goal, fence, 12.0)
@@ -164,7 +165,7 @@ def fly(
     """
     plant = plant_of(case, vehicle)
     power = PowerModel.of(vehicle)
-    columns = np.array([_column(t.position_frd_m, t.direction_frd) for t in vehicle.thruster])
+    columns = np.array(wrench_of(vehicle)).T
     fence = (TANK if corridor else TANK_CLOSED) if case.tank else OPEN_WATER
     goals = [_goal(goal, case, index, cruise_m_s) for index, goal in _sequence(case, laps or case.laps)]
     t_us, index, begin_us, spent, top = 0, 0, 0, 0.0, 0.0
@@ -269,12 +270,6 @@ def _reached(truth: Truth, goal: Goal) -> bool:
     if float(np.linalg.norm(truth.pos_ned_m - goal.pos_ned_m)) > goal.accept_radius_m:
         return False
     return goal.yaw_rad is None or abs(wrap_pi(float(truth.rpy_rad[2]) - goal.yaw_rad)) <= goal.accept_yaw_rad
-
-
-def _column(position_frd_m: tuple[float, float, float], direction_frd: tuple[float, float, float]) -> FloatArray:
-    """(6,) force and moment of 1 N of a thruster."""
-    direction = np.array(direction_frd) / np.linalg.norm(direction_frd)
-    return np.concatenate([direction, np.cross(np.array(position_frd_m), direction)])
 
 
 def _three(values: FloatArray) -> tuple[float, float, float]:

@@ -74,7 +74,7 @@ class _Water:
 def bench_latency(runs: int = RUNS, slowness: float = 1.0) -> Iterator[LatencyRow]:
     """Rows one by one."""
     vehicle = load_vehicle("lbv150")
-    planner = EnergyPlanner(vehicle.model4.to_model(), PowerModel.of(vehicle))
+    planner = EnergyPlanner(vehicle.to_model(), PowerModel.of(vehicle))
     planner.warm()
     for water in _waters(runs):
         took: dict[Kind, list[float]] = {kind: [] for kind in Kind}

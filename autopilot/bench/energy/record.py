@@ -165,7 +165,7 @@ def case_of(name: str) -> Case:
 
 def _record(vehicle: Vehicle, name: str, records: dict[str, Record]) -> Record:
     case = case_of(name)
-    model, power = vehicle.model4.to_model(), PowerModel.of(vehicle)
+    model, power = vehicle.to_model(), PowerModel.of(vehicle)
     intervals, substeps = grid_of(case)
     found = _solve(model, power, name, records)
     best = found[0]
@@ -205,7 +205,7 @@ def _solve(model: Model4, power: PowerModel, name: str, records: dict[str, Recor
 
 def _heavier_j(vehicle: Vehicle, case: Case, drag: float, found: list[Optimum]) -> float:
     """What the best classes take with the vehicle that is flown where the controller's model is wrong."""
-    model, (intervals, substeps) = vehicle.model4.to_model(), grid_of(case)
+    model, (intervals, substeps) = vehicle.to_model(), grid_of(case)
     surge, sway, heave, yaw = model.mass_kg
     more_kg = (MASS - 1.0) * vehicle.body.mass_kg
     d1, d2, d3, d4 = model.quadratic_drag
@@ -221,7 +221,7 @@ def _heavier_j(vehicle: Vehicle, case: Case, drag: float, found: list[Optimum]) 
 
 def grid_energy_j(vehicle: Vehicle, case: Case) -> float:
     """Dijkstra over steady speeds: no inertia, no turning, to the border of each region along the way."""
-    table = speed_table(vehicle.model4.to_model(), PowerModel.of(vehicle), SPEED_CAP_M_S)
+    table = speed_table(vehicle.to_model(), PowerModel.of(vehicle), SPEED_CAP_M_S)
     start = nav_state(plant_of(case, vehicle).truth)
     fence = TANK if case.tank else Fence()
     features, total = Features(fence), 0.0

@@ -54,7 +54,7 @@ class _Score:
         if self.session is None or self.finished:
             return
         truth, vehicle = self.session.device.truth, self.session.vehicle
-        now_s, thrust = truth.t_us * 1e-6, truth.thrust_n[: len(vehicle.thruster)]
+        now_s, thrust = truth.t_us * 1e-6, truth.thrust_n[: len(vehicle.thrusters)]
         if self._last_s is None:
             if float(np.abs(thrust).max()) == 0.0:
                 return

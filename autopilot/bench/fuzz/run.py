@@ -171,7 +171,7 @@ class Fuzzer:
         parts: Any = replace(self.session.parts, server=self._witness)  # type: ignore[arg-type]
         self._service = Autopilot(parts)
         drive = self.session.vehicle.drive
-        self._neutral = (drive.neutral_us,) * len(self.session.vehicle.thruster)
+        self._neutral = (drive.neutral_us,) * len(self.session.vehicle.thrusters)
         self._low_us, self._high_us = drive.neutral_us - drive.span_us, drive.neutral_us + drive.span_us
         self._beat_us = 0
         self._t_us = 0

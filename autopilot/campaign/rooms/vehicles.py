@@ -63,7 +63,8 @@ def _varied(tables: dict[str, Any], number: int) -> dict[str, Any]:
     drive["deadband_duty"] = round(some(0.0, 0.08), 3)
     drive["power_w_n15"] = round(some(0.8, 1.6), 2)
     for thruster in tables["thruster"]:
-        thruster["position_frd_m"] = [each * size for each in thruster["position_frd_m"]]
+        _scale(thruster, size, "position_frd_m")
+    _scale(body["thruster_offset_frd_m"], size, *body["thruster_offset_frd_m"])
     tables["model4"] = _model4(tables)
     tables["sources"] = {"all": f"{SHIPPED}, varied at random"}
     return tables
@@ -77,20 +78,15 @@ def _scale(table: dict[str, Any], factor: float, *keys: str) -> None:
 
 def _model4(tables: dict[str, Any]) -> dict[str, Any]:
     """What the controller believes: as the body, four axes."""
-    body, arms = tables["body"], [thruster["position_frd_m"] for thruster in tables["thruster"]]
+    body = tables["body"]
     mass = [body["mass_kg"] + added for added in body["added_mass_kg"]]
     yaw = body["inertia_kg_m2"][2] + body["added_inertia_kg_m2"][2]
     return {
         "mass_kg": [*mass, yaw],
+        "dry_mass_kg": body["mass_kg"],
         "linear_drag": [*body["linear_drag_n_s_m"], body["angular_linear_drag_n_m_s"][2]],
         "quadratic_drag": [*body["quadratic_drag_n_s2_m2"], body["angular_quadratic_drag_n_m_s2"][2]],
         "buoyancy_excess_n": body["buoyancy_excess_n"],
-        "allocation": [
-            [1.0, 1.0, 0.0, 0.0],
-            [0.0, 0.0, 0.0, 1.0],
-            [0.0, 0.0, 1.0, 0.0],
-            [-arms[0][1], -arms[1][1], 0.0, 0.0],
-        ],
     }
 
 

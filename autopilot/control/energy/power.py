@@ -31,7 +31,8 @@ class PowerModel:
     @classmethod
     def of(cls, vehicle: Vehicle) -> "PowerModel":
         """From the vehicle file."""
-        return cls(hotel_w=vehicle.hotel_power_w, thrust_w_n15=(vehicle.drive.power_w_n15,) * len(vehicle.thruster))
+        watts = tuple(thruster.drive.power_w_n15 for thruster in vehicle.thrusters)
+        return cls(hotel_w=vehicle.hotel_power_w, thrust_w_n15=watts)
 
     def thrust_w(self, thrust_n: Any) -> Any:
         """Power of each thruster at ``thrust_n``: (..., n) or CasADi columns (n, m)."""

@@ -25,7 +25,7 @@ class LatencyCare:
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._params = params
-        self._delay = ActuationDelay(vehicle.model4.to_model(), vehicle.drive.time_constant_s)
+        self._delay = ActuationDelay(vehicle.to_model(), vehicle.drive.time_constant_s)
         self._kept_us = round(float(self._delay.delays_s[-1]) * 1e6) + 1
         self._sent: deque[tuple[int, FloatArray]] = deque()
         self._doubt_us: int | None = None

@@ -21,7 +21,7 @@ class ThrusterCare:
     """Combines what operators tell (THRn_HEALTH) with what is found (THR_DETECT), the smaller counts."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
-        self._names = tuple(thruster.name for thruster in vehicle.thruster)
+        self._names = tuple(thruster.name for thruster in vehicle.thrusters)
         self._params = params
         self._sharing = Sharing.of(vehicle)
         self._health = ThrusterHealth(
@@ -40,15 +40,15 @@ class ThrusterCare:
         t_us: int,
         nav: NavState | None,
         pulse_n: FloatArray,
-        capability_n: float,
+        capability_n: FloatArray,
         goal: Goal | None,
         *,
         armed: bool,
     ) -> ThrusterHealthState | None:
         """``pulse_n`` (n,) is what sound thrusters would give with the pulses since the last call.
 
-        ``capability_n`` is what a sound one can give, ``goal`` where the vehicle is to be. The result is for the log:
-        at times, and when something changes.
+        ``capability_n`` (4,) is what sound ones can give, ``goal`` where the vehicle is to be. The result is
+        for the log: at times, and when something changes.
         """
         self._find(t_us, nav, pulse_n, armed)
         before = self.share
@@ -58,7 +58,7 @@ class ThrusterCare:
         self._ticks += 1
         if not changed and not due:
             return None
-        self.problem = self._problem(nav, goal, min(capability_n, self._params["THR_LIMIT"]))
+        self.problem = self._problem(nav, goal, np.minimum(capability_n, self._params["THR_LIMIT"]))
         detects = int(self._params["THR_DETECT"])
         self.unseen = tuple(n for n, seen in zip(self._names, self._health.seen, strict=True) if detects and not seen)
         return ThrusterHealthState(
@@ -76,7 +76,7 @@ class ThrusterCare:
         else:
             self._health.step(t_us, nav, pulse_n)
 
-    def _problem(self, nav: NavState | None, goal: Goal | None, capability_n: float) -> str:
+    def _problem(self, nav: NavState | None, goal: Goal | None, capability_n: FloatArray) -> str:
         """Named by the weak thrusters; a current that is too strong for sound ones is not their failure.
 
         With all thrusters alive a goal's heading may be met in passing; with a dead one it must be possible to stay.
