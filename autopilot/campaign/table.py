@@ -82,6 +82,10 @@ class TableRow:
     lap_j: Middle
     """Of the mean lap of each run."""
     lap_s: Middle
+    pos_mm: Middle
+    """Root mean square error of the estimated position until the mission is complete,"""
+    worst_mm: float | None
+    """and the largest of all runs."""
     fallbacks_pct: Middle
     cpu_s: Middle
     """Of a whole run."""
@@ -142,6 +146,8 @@ def row_of(identity: Identity, results: Iterable[RunResult]) -> TableRow:
         rough=share(sum(bool(each.rough) for each in flown), len(flown)),
         lap_j=_laps(flown, lambda each: each.energy_j),
         lap_s=_laps(flown, lambda each: each.lap_s),
+        pos_mm=middle([1e3 * each.pos_rms_m for each in flown]),
+        worst_mm=max((1e3 * each.pos_max_m for each in flown), default=None),
         fallbacks_pct=middle([100.0 * each.fallbacks / each.steps for each in flown if each.steps]),
         cpu_s=middle([each.cpu_s for each in flown]),
     )
@@ -195,7 +201,7 @@ HEADS = (
         "least distance kept",
         "thruster alarms",
     ),
-    *("failsafes", "not smooth", "lap J", "lap s", "fallbacks %", "CPU s a run"),
+    *("failsafes", "not smooth", "lap J", "lap s", "estimate mm", "at worst", "fallbacks %", "CPU s a run"),
 )
 
 
@@ -206,7 +212,8 @@ def cells(row: TableRow) -> tuple[str, ...]:
         *(row.scenario, row.mode + extra, str(row.runs), str(row.arrived), str(row.failed)),
         *(str(row.contacts), str(row.beyond), "" if row.least_m is None else f"{1000.0 * row.least_m:.0f} mm"),
         *(str(row.alarmed), ", ".join(row.failsafes) or "none", str(row.rough)),
-        *(row.lap_j.text(0), row.lap_s.text(1), row.fallbacks_pct.text(1), row.cpu_s.text(0)),
+        *(row.lap_j.text(0), row.lap_s.text(1), row.pos_mm.text(1)),
+        *("" if row.worst_mm is None else f"{row.worst_mm:.0f}", row.fallbacks_pct.text(1), row.cpu_s.text(0)),
     )
 
 

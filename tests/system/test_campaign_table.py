@@ -73,7 +73,7 @@ def print_table(*arguments: str) -> str:
 def both(tmp_path: Path) -> tuple[str, str]:
     """One set in both modes: ten runs each, in one mode with an alarm, a contact and a run that never began."""
     quadratic = keep(tmp_path / "r1-0", 0.0, [flown(k, 100 + k, 900.0 + k) for k in range(10)])
-    least = [flown(k, 100 + k, 500.0 + k) for k in range(7)]
+    least = [flown(k, 100 + k, 500.0 + k, pos_rms_m=0.002 * k, pos_max_m=0.01 * k) for k in range(7)]
     least.append(flown(7, 107, 500.0, events=["3.50 s Thruster port gives 62 % of its thrust"]))
     least.append(flown(8, 108, 500.0, laps=2, contacts=1, failsafes=["geofence"]))
     broken = define("r1").task(9)
@@ -92,6 +92,8 @@ def test_rows_say_what_the_runs_did(both: tuple[str, str]) -> None:
     assert (second["arrived"]["hits"], second["failed"]["hits"]) == (8, 2)
     assert (second["alarmed"]["hits"], second["alarmed"]["count"]) == (1, 9)
     assert second["failsafes"] == ["geofence"]
+    assert second["pos_mm"]["median"] == pytest.approx(4.0)
+    assert second["worst_mm"] == pytest.approx(60.0)
 
 
 def test_modes_are_compared_run_by_run(both: tuple[str, str], tmp_path: Path) -> None:
