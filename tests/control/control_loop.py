@@ -111,7 +111,7 @@ def fly(
     """Fly to the goals one after the other (``hold``: stay at the last until the time is up)."""
     params = params or ParamSet()
     rng = np.random.default_rng(seed)
-    x, acting, believed = np.array(start, dtype=float), np.zeros(4), np.zeros(3)
+    x, acting, believed = np.array(start, dtype=float), np.zeros(model.thrusters), np.zeros(3)
     states, thrusts, outputs, reached, index = [], [], [], [], 0
     for step in range(int(limit_s * 1e6 / STEP_US)):
         t_us = step * STEP_US
