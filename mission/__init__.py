@@ -1,1 +1,1 @@
-"""Missions: items, validation, plan files, fence geometry, geodesy, sequencing."""
+"""Missions: items, validation, plan files, fences, sequencing."""

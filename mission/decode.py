@@ -11,8 +11,15 @@ import numpy as np
 
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import wrap_pi
+from autopilot.core.geodesy import (
+    MAX_RANGE_M,
+    Origin,
+    deg_from_e7,
+    m_from_local_e4,
+    ned_from_geodetic,
+    surface_distance_m,
+)
 from autopilot.core.plan import MissionResult, PlanItem, PlanRejection
-from mission.geodesy import MAX_RANGE_M, Origin, deg_from_e7, m_from_local_e4, ned_from_geodetic, surface_distance_m
 from mission.items import (
     AMSL_FRAMES,
     GLOBAL_FRAMES,

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle, Fence, Polygon, Shape
 from autopilot.core.plan import MissionResult, PlanItem, PlanRejection
 from autopilot.core.shapes import crossing_edges, signed_area_m2
 from mission.decode import ItemRefusedError, horizontal_ned_m, number, refuse
-from mission.geodesy import Origin
 from mission.items import Command
 from mission.room import Room
 

@@ -1,20 +1,20 @@
 """Are the plans fit to be flown? One question of pure data, one answer: done beside the loop, for it takes a while."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
 
 from autopilot.core.desk import Cancel
+from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Fence
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
 from mission.fence import FenceShape, build_fence, read_fence
 from mission.gaps import narrow_gaps
-from mission.geodesy import Origin
 from mission.items import GoTo, Step
 from mission.plan_model import PlanFile
 from mission.reach import widest_m
@@ -26,9 +26,9 @@ from mission.validation import (
     gap_text,
     joint_problems,
     mission_problems,
-    rally_problems,
     read_mission,
     read_rally,
+    sequence_problems,
 )
 
 PLAN_PARAMETERS = ("DEPTH_MAX", "DEPTH_MIN", "FENCE_GAP_CHK", "MPC_MARGIN", "SPD_PLANAR_MAX", "WP_ACCEPT_RADIUS")
@@ -110,11 +110,19 @@ def judge(question: Question, cancel: Cancel) -> Verdict:
     """Look at all plans. Raises :class:`autopilot.core.desk.WithdrawnError` soon after ``cancel``."""
     look = cancel.check
     ctx, plans = question.context, question.plans
-    own = tuple(_own_problems(plans, ctx, look))
-    look()
     steps, broken_steps = read_mission(plans[PlanKind.MISSION], ctx.origin)
     shapes, broken_shapes = read_fence(plans[PlanKind.FENCE], ctx.origin)
     rally, broken_points = read_rally(plans[PlanKind.RALLY], ctx.origin)
+    own = tuple(
+        PlanProblem(kind=kind, seq=p.seq, result=p.result, reason=p.reason)
+        for kind, problems in (
+            (PlanKind.MISSION, mission_problems(steps, broken_steps, ctx.params)),
+            (PlanKind.FENCE, fence_problems(shapes, broken_shapes, ctx, look)),
+            (PlanKind.RALLY, broken_points),
+        )
+        for p in chain(sequence_problems(kind, plans[kind]), problems)
+    )
+    look()
     if broken_steps or broken_shapes or broken_points:
         return Verdict(question=question, own=own)
     joint = list(joint_problems(steps, shapes, rally, ctx, look))
@@ -146,18 +154,6 @@ def judge(question: Question, cancel: Cancel) -> Verdict:
         goal_room=tuple((f"item {step.seq}", float(c)) for step, c in zip(goals, clearance, strict=True)),
         widest_m=widest_m(fence) - ctx.radius_m,
     )
-
-
-def _own_problems(plans: Plans3, ctx: PlanContext, look: Callable[[], None]) -> Iterator[PlanProblem]:
-    """What is wrong with each plan by itself."""
-    checks = (
-        (PlanKind.MISSION, mission_problems(plans[PlanKind.MISSION], ctx)),
-        (PlanKind.FENCE, fence_problems(plans[PlanKind.FENCE], ctx, look)),
-        (PlanKind.RALLY, rally_problems(plans[PlanKind.RALLY], ctx)),
-    )
-    for kind, problems in checks:
-        for p in problems:
-            yield PlanProblem(kind=kind, seq=p.seq, result=p.result, reason=p.reason)
 
 
 def judge_file(plan: PlanFile, origin: Origin, params: Mapping[str, float], radius_m: float) -> Verdict:

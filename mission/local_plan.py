@@ -41,8 +41,8 @@ import msgspec
 import numpy as np
 
 from autopilot.core.errors import ConfigError, PlanError
+from autopilot.core.geodesy import Origin, geodetic_from_ned
 from autopilot.core.plan import PlanItem
-from mission.geodesy import Origin, geodetic_from_ned
 from mission.items import Command, Frame
 from mission.plan_model import PlanFile, make_item
 

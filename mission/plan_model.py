@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from autopilot.core.errors import PlanError
+from autopilot.core.geodesy import Origin, deg_from_e7, e7_from_deg, local_e4_from_m
 from autopilot.core.plan import PlanItem, PlanKind
-from mission.geodesy import Origin, deg_from_e7, e7_from_deg, local_e4_from_m
 from mission.items import Frame
 
 FLOAT32_MAX = 3.4028234e38

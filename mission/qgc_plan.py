@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from autopilot.core.errors import ConfigError, PlanError
+from autopilot.core.geodesy import Origin, deg_from_e7, m_from_local_e4
 from autopilot.core.plan import PlanItem
-from mission.geodesy import Origin, deg_from_e7, m_from_local_e4
 from mission.items import Command, Frame
 from mission.plan_model import PlanFile, make_item
 

@@ -14,11 +14,10 @@ import numpy as np
 
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
+from autopilot.core.geodesy import MAX_RANGE_M, Origin, Place, far_text, geodetic_from_ned, ned_from_geodetic
 from autopilot.core.geometry import Fence
 from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, PlanProblem, PlanRejection, PlanStore
-from mission.decode import horizontal_ned_m
 from mission.fence import FenceShape, build_fence
-from mission.geodesy import MAX_RANGE_M, Origin, Place, far_text, geodetic_from_ned, ned_from_geodetic
 from mission.items import Step
 from mission.judgement import EMPTY, PLAN_PARAMETERS, Plans3, Question, Verdict, WaterCheck, judge
 from mission.validation import check_item
@@ -180,11 +179,6 @@ class Plans(PlanStore):
     def fence(self) -> Fence:
         """The workspace in local metres with the depth band of the parameters; open water when there is no fence."""
         return build_fence(self.shapes(), self._params)
-
-    def rally_ned_m(self) -> FloatArray:
-        """(n, 2) rally points."""
-        points = [horizontal_ned_m(item, self._origin) for item in self._plans[PlanKind.RALLY]]
-        return np.array(points).reshape(-1, 2)
 
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the fence but tolerated by FENCE_GAP_CHK = 0, and what the water is like there."""

@@ -1,9 +1,9 @@
 """Is a plan fit to be flown? Items alone, a plan as a whole, and the plans against each other.
 
-What is wrong with a plan by itself (:func:`mission_problems`, :func:`fence_problems`, :func:`rally_problems`) refuses
-it. What is wrong only between plans (:func:`joint_problems`) does not, for operators send them one after the other: it
-forbids to fly. Every finding is a :class:`PlanRejection`: where, the MAV_MISSION_RESULT, and a line whose first 75
-characters say what is wrong and what to do (ground stations cut at 100).
+What is wrong with a plan by itself (:func:`sequence_problems`, :func:`mission_problems`, :func:`fence_problems`)
+refuses it. What is wrong only between plans (:func:`joint_problems`) does not, for operators send them one after the
+other: it forbids to fly. Every finding is a :class:`PlanRejection`: where, the MAV_MISSION_RESULT, and a line whose
+first 75 characters say what is wrong and what to do (ground stations cut at 100).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,11 +12,11 @@ from itertools import islice
 
 import numpy as np
 
+from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
 from mission.decode import ItemRefusedError, depth_m, horizontal_ned_m, parse_step, refuse
-from mission.fence import FenceShape, build_fence, check_fence_item, read_fence
+from mission.fence import FenceShape, build_fence, check_fence_item
 from mission.gaps import Gap, narrow_gaps
-from mission.geodesy import Origin
 from mission.items import ChangeSpeed, Command, GoTo, Jump, ReturnHome, SetHome, Step, Surface, Wait
 from mission.reach import free_regions, has_room
 from mission.room import Room
@@ -94,13 +94,13 @@ def sequence_problems(kind: PlanKind, items: Sequence[PlanItem]) -> Iterator[Pla
             return
 
 
-def mission_problems(items: Sequence[PlanItem], ctx: PlanContext) -> Iterator[PlanRejection]:
-    """What is wrong with a mission by itself."""
-    yield from sequence_problems(PlanKind.MISSION, items)
-    steps, broken = read_mission(items, ctx.origin)
+def mission_problems(
+    steps: Sequence[Step], broken: Sequence[PlanRejection], params: Mapping[str, float]
+) -> Iterator[PlanRejection]:
+    """What is wrong with a mission by itself, as it was read."""
     yield from broken
     for step in steps:
-        yield from _limit_problems(step, ctx.params)
+        yield from _limit_problems(step, params)
     if not broken:
         yield from _jump_problems(steps)
 
@@ -171,12 +171,10 @@ def _spins(steps: Sequence[Step], start: Jump) -> bool:
 
 
 def fence_problems(
-    items: Sequence[PlanItem], ctx: PlanContext, look: Callable[[], None] = lambda: None
+    shapes: Sequence[FenceShape], broken: Sequence[PlanRejection], ctx: PlanContext, look: Callable[[], None]
 ) -> Iterator[PlanRejection]:
-    """What is wrong with a fence by itself. ``look`` is called between the steps (it may raise, to end the work)."""
-    yield from sequence_problems(PlanKind.FENCE, items)
-    shapes, problems = read_fence(items, ctx.origin)
-    yield from problems
+    """What is wrong with a fence by itself, as it was read. ``look`` is called between the steps, and may raise."""
+    yield from broken
     if ctx.params["FENCE_GAP_CHK"]:
         gaps = narrow_gaps(shapes, 2.0 * ctx.radius_m, look)
         yield from (_gap_rejection(gap, ctx.radius_m) for gap in islice(gaps, MAX_GAPS))
@@ -203,12 +201,6 @@ def gap_text(gap: Gap, radius_m: float) -> str:
 def _gap_rejection(gap: Gap, radius_m: float) -> PlanRejection:
     text = gap_text(gap, radius_m) + ", or set FENCE_GAP_CHK to 0"
     return PlanRejection(seq=gap.second.seq, result=MissionResult.INVALID, reason=text)
-
-
-def rally_problems(items: Sequence[PlanItem], ctx: PlanContext) -> Iterator[PlanRejection]:
-    """What is wrong with rally points by themselves."""
-    yield from sequence_problems(PlanKind.RALLY, items)
-    yield from read_rally(items, ctx.origin)[1]
 
 
 def read_rally(

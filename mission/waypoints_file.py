@@ -8,8 +8,8 @@ read as home unless all other lines are in frame 0 too.
 import math
 
 from autopilot.core.errors import ConfigError, PlanError
+from autopilot.core.geodesy import Origin
 from autopilot.core.plan import PlanItem
-from mission.geodesy import Origin
 from mission.items import Command, Frame
 from mission.plan_model import PlanFile, make_item
 

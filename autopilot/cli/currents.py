@@ -22,7 +22,7 @@ def currents() -> None:
 def check(file: str, plan: str | None, origin: tuple[float, float] | None, as_json: bool) -> None:
     """What the map FILE holds, and whether it fits a plan: exit 1 if not, 3 with a warning."""
     from autopilot.command.map_check import describe_map, open_map, plan_findings
-    from mission.geodesy import Origin
+    from autopilot.core.geodesy import Origin
 
     where = None if origin is None else Origin(lat_deg=origin[0], lon_deg=origin[1])
     water = open_map(Path(file), where)

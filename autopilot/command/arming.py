@@ -4,10 +4,10 @@ import math
 from collections.abc import Callable
 
 from autopilot.command.failsafes import Conditions, FailsafeRules
+from autopilot.core.geodesy import MAX_RANGE_M, far_text
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.phrases import PLAN_REASON
-from mission.geodesy import MAX_RANGE_M, far_text
 from mission.goals import Goals
 from mission.store import Plans
 

@@ -20,13 +20,13 @@ from autopilot.command.refusals import Refusals, denied
 from autopilot.command.watch import Watch
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
+from autopilot.core.geodesy import Origin, Place, refuse_place
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Event, NavState, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
-from mission.geodesy import Origin, refuse_place
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode
 from mission.goals import Goals
 from mission.judgement import Verdict
 from mission.sequencer import Position
@@ -201,7 +201,7 @@ class Commander:
 
     # Requests: places
 
-    def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
+    def go_to(self, point: Place | None, yaw_rad: float | None) -> Answer:
         """Reposition and hold there; None = hold here."""
         if point is None:
             answer = self.set_mode(FlightMode.HOLD)
@@ -220,7 +220,7 @@ class Commander:
             self._modes.fly_to(self._goals.at(target_ned_m, yaw_rad))
         return answer
 
-    def set_home(self, point: GeoPoint | None) -> Answer:
+    def set_home(self, point: Place | None) -> Answer:
         """Home (None = here)."""
         nav = self._modes.nav
         if point is not None:
@@ -237,7 +237,7 @@ class Commander:
         """After a restart: home (3,) is where it was, for the mission too. Why it is not taken, "" when it is."""
         return self._mission.set_home(pos_ned_m)
 
-    def set_origin(self, point: GeoPoint) -> Answer:
+    def set_origin(self, point: Place) -> Answer:
         """Move the local origin. Plans drawn on the map move with the map, so only while disarmed."""
         if self._modes.armed:
             return denied("Origin denied: disarm first")

@@ -11,10 +11,10 @@ from autopilot.control.water.current_map import CurrentMap
 from autopilot.control.water.map_reading import load_current_map
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.frames import FloatArray
+from autopilot.core.geodesy import Origin, ned_from_geodetic
 from autopilot.core.geometry import Fence, Polygon, Shape
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
-from mission.geodesy import Origin, ned_from_geodetic
 from mission.items import GoTo, Step
 from mission.plan_files import read_plan
 from mission.room import Room

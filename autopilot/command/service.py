@@ -57,10 +57,9 @@ from autopilot.core.messages import (
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack, PowerSample, plausible
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import GeoPoint, VehicleView
+from autopilot.mavlink.api import VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from estimator.protocol import Estimator
-from mission.geodesy import Place
 from mission.store import Plans
 
 CONTROL_EVERY_TICKS = 5
@@ -524,8 +523,8 @@ class Autopilot:
             command=self._command,
             progress=None if decision is None else decision.progress,
             target_ned_m=None if self._goal is None else self._goal.pos_ned_m,
-            origin=_geo(parts.plans.origin),
-            home=_geo(parts.plans.home),
+            origin=parts.plans.origin,
+            home=parts.plans.home,
             prearm_reasons=commander.readiness,
             failsafes=0 if decision is None else decision.failsafes,
             cpu_load=inputs.cpu_load,
@@ -541,7 +540,3 @@ class Autopilot:
 def _length_m(way: FloatArray) -> float | None:
     """Of a polyline (m, 2), None when there is none."""
     return float(np.hypot(*np.diff(way, axis=0).T).sum()) if len(way) > 1 else None
-
-
-def _geo(point: Place) -> GeoPoint:
-    return GeoPoint(lat_deg=point.lat_deg, lon_deg=point.lon_deg, alt_m=point.alt_m)

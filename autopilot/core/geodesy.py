@@ -8,6 +8,12 @@ Source: NIMA TR8350.2 (WGS-84 ellipsoid); geodetic to ECEF to local tangent plan
 """
 
 import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.errors import ConfigError
+from autopilot.core.frames import FloatArray
 
 SEMI_MAJOR_M = 6378137.0
 """WGS-84 semi-major axis [m] (NIMA TR8350.2)."""
@@ -23,6 +29,37 @@ _INVERSE_RANGE_M = 2.0 * MAX_RANGE_M
 _INVERSE_STEPS = 24
 """Each step shrinks the error by range / earth radius * tan(latitude), 0.18 at most; they stop at rounding error."""
 _CLOSED_RAD = 1e-15
+DEG_PER_E7 = 1e-7
+"""MAVLink's latitude and longitude unit [deg]."""
+LOCAL_PER_METRE = 1e4
+"""MAVLink's x and y unit in local frames: metres * 1e4 (MISSION_ITEM_INT)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """A geodetic position."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float = 0.0
+    """Metres AMSL."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin(Place):
+    """Where local axes can be put; its altitude is the water surface. ConfigError if out of range."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be an origin."""
+        if not abs(self.lat_deg) <= MAX_ORIGIN_LAT_DEG:
+            raise ConfigError(
+                f"origin latitude {self.lat_deg:g} deg is out of range; use -{MAX_ORIGIN_LAT_DEG:g} to "
+                f"{MAX_ORIGIN_LAT_DEG:g}"
+            )
+        if not abs(self.lon_deg) <= 180.0:
+            raise ConfigError(f"origin longitude {self.lon_deg:g} deg is out of range; use -180 to 180")
+        if not math.isfinite(self.alt_m):
+            raise ConfigError(f"origin altitude {self.alt_m} m is not finite; give the water surface's altitude")
 
 
 def radii_m(lat_rad: float) -> tuple[float, float]:
@@ -73,24 +110,72 @@ def lat_dlon_rad(lat0_rad: float, level_m: float, north_m: float, east_m: float)
     return lat_rad, dlon_rad
 
 
-def distance_m(lat0_deg: float, lon0_deg: float, lat_deg: float, lon_deg: float) -> float:
-    """Great-circle distance [m] on a sphere: good to 0.5 %, for telling near from far."""
-    lat0_rad, lat_rad = math.radians(lat0_deg), math.radians(lat_deg)
+def ned_from_geodetic(origin: Place, lat_deg: float, lon_deg: float, alt_m: float) -> FloatArray:
+    """Position (3,) north, east, depth [m] of a point given by latitude, longitude [deg] and altitude AMSL [m]."""
+    dlon = wrap_rad(math.radians(lon_deg - origin.lon_deg))
+    north, east = north_east_m(math.radians(origin.lat_deg), origin.alt_m, math.radians(lat_deg), dlon)
+    return np.array([north, east, origin.alt_m - alt_m])
+
+
+def place_from_ned(origin: Place, north_m: float, east_m: float, down_m: float) -> Place | None:
+    """Geodetic position of a local one; None so far out that it cannot be meant."""
+    found = lat_dlon_rad(math.radians(origin.lat_deg), origin.alt_m, north_m, east_m)
+    if found is None:
+        return None
+    lon_deg = math.degrees(wrap_rad(math.radians(origin.lon_deg) + found[1]))
+    return Place(lat_deg=math.degrees(found[0]), lon_deg=lon_deg, alt_m=origin.alt_m - down_m)
+
+
+def geodetic_from_ned(origin: Place, pos_ned_m: FloatArray) -> tuple[float, float, float]:
+    """Latitude, longitude [deg], altitude AMSL [m] of a local position (3,): inverse of :func:`ned_from_geodetic`.
+
+    ConfigError for a position so far out that it cannot be meant.
+    """
+    north, east, down = (float(v) for v in pos_ned_m)
+    place = place_from_ned(origin, north, east, down)
+    if place is None:
+        raise ConfigError(f"local position {north:g}, {east:g} m is {far_text(math.hypot(north, east))}")
+    return place.lat_deg, place.lon_deg, place.alt_m
+
+
+def surface_distance_m(origin: Place, lat_deg: float, lon_deg: float) -> float:
+    """Great-circle distance [m] to the origin on a sphere: good to 0.5 %, for telling near from far."""
+    lat0_rad, lat_rad = math.radians(origin.lat_deg), math.radians(lat_deg)
     half_chord_sq = (
         math.sin(0.5 * (lat_rad - lat0_rad)) ** 2
-        + math.cos(lat0_rad) * math.cos(lat_rad) * math.sin(0.5 * math.radians(lon_deg - lon0_deg)) ** 2
+        + math.cos(lat0_rad) * math.cos(lat_rad) * math.sin(0.5 * math.radians(lon_deg - origin.lon_deg)) ** 2
     )
     return 2.0 * SEMI_MAJOR_M * math.asin(min(1.0, math.sqrt(half_chord_sq)))
 
 
-def place_problem(lat0_deg: float, lon0_deg: float, lat_deg: float, lon_deg: float) -> str:
-    """Why a place cannot be given in metres from an origin, "" if it can."""
+def refuse_place(origin: Place, lat_deg: float, lon_deg: float) -> str:
+    """Why a geodetic position cannot be given in metres from this origin, "" if it can."""
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
         return f"{lat_deg:.7f}, {lon_deg:.7f} is no place: latitude goes to 90 deg, longitude to 180"
-    away_m = distance_m(lat0_deg, lon0_deg, lat_deg, lon_deg)
+    away_m = surface_distance_m(origin, lat_deg, lon_deg)
     return "" if away_m <= MAX_RANGE_M else far_text(away_m)
 
 
 def far_text(away_m: float) -> str:
     """What is said of a place that is too far away."""
     return f"{away_m / 1e3:.1f} km from the origin, limit {MAX_RANGE_M / 1e3:g}: set the origin there first"
+
+
+def e7_from_deg(angle_deg: float) -> int:
+    """Degrees as MAVLink's 1e-7 degree integer, rounded to nearest (1 unit = 11 mm of latitude)."""
+    return round(angle_deg / DEG_PER_E7)
+
+
+def deg_from_e7(angle_e7: int) -> float:
+    """MAVLink's 1e-7 degree integer in degrees."""
+    return angle_e7 / 1e7
+
+
+def local_e4_from_m(length_m: float) -> int:
+    """Metres as MAVLink's local integer (0.1 mm)."""
+    return round(length_m * LOCAL_PER_METRE)
+
+
+def m_from_local_e4(length_e4: int) -> float:
+    """MAVLink's local integer in metres."""
+    return length_e4 / LOCAL_PER_METRE

@@ -9,6 +9,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.geodesy import Place
 from autopilot.core.messages import MissionProgress, NavDoubt, NavState, NmpcStatus, ThrusterCommand
 from autopilot.core.samples import PowerSample
 
@@ -70,15 +71,6 @@ class ParamSaving(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GeoPoint:
-    """Geodetic position: degrees and metres AMSL."""
-
-    lat_deg: float
-    lon_deg: float
-    alt_m: float
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VehicleView:
     """What telemetry shows, refreshed once per tick."""
@@ -94,8 +86,8 @@ class VehicleView:
     progress: MissionProgress | None
     target_ned_m: FloatArray | None
     """(3,) where the vehicle is going."""
-    origin: GeoPoint
-    home: GeoPoint
+    origin: Place
+    home: Place
     prearm_reasons: tuple[str, ...]
     """Why arming would be refused now; empty = ready."""
     failsafes: int
@@ -146,7 +138,7 @@ class VehicleCommands(Protocol):
         """Choose the item that runs next."""
         ...
 
-    def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
+    def go_to(self, point: Place | None, yaw_rad: float | None) -> Answer:
         """Reposition and hold there (None = here). Checked against the fence."""
         ...
 
@@ -154,10 +146,10 @@ class VehicleCommands(Protocol):
         """Speed for what runs now, None = the default again."""
         ...
 
-    def set_home(self, point: GeoPoint | None) -> Answer:
+    def set_home(self, point: Place | None) -> Answer:
         """Home (None = here)."""
         ...
 
-    def set_origin(self, point: GeoPoint) -> Answer:
+    def set_origin(self, point: Place) -> Answer:
         """Local origin. Refused while armed."""
         ...

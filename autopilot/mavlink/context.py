@@ -14,7 +14,6 @@ from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import ParamSaving, VehicleCommands, VehicleView
-from autopilot.mavlink.geo import TangentPlane
 from autopilot.mavlink.profiles import Profile
 from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.wire import LinkEncoder, Message
@@ -86,19 +85,11 @@ class Context:
     _said: Recent[tuple[int, int, str]] = field(default_factory=lambda: Recent(SAME_TEXT_US))
     """Texts of the last seconds by link and client."""
     _text_id: int = 0
-    _plane: TangentPlane | None = None
 
     @property
     def boot_ms(self) -> int:
         """MAVLink's time_boot_ms."""
         return (self.t_us // 1000) & 0xFFFF_FFFF
-
-    @property
-    def plane(self) -> TangentPlane:
-        """The tangent plane at the present origin."""
-        if self._plane is None or self._plane.origin != self.view.origin:
-            self._plane = TangentPlane(self.view.origin)
-        return self._plane
 
     def add_link(self, index: int) -> None:
         """Make sure that a link exists."""

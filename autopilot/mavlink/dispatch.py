@@ -6,12 +6,13 @@ from functools import partial
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.geodesy import Place
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, ParamSaving, VehicleCommands, VehicleView
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, ParamSaving, VehicleCommands, VehicleView
 from autopilot.mavlink.commands import Commands
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
 from autopilot.mavlink.external import ExternalPoses
@@ -128,7 +129,7 @@ class Dispatcher:
         """When a greeting is due, and whose."""
         self._heartbeat_us = 0
         self._mode_shown: tuple[bool, FlightMode, FlightMode] | None = None
-        self._place_shown: tuple[GeoPoint, GeoPoint] | None = None
+        self._place_shown: tuple[Place, Place] | None = None
         self.last_gcs_t_us: int | None = None
 
     def _table(self) -> Mapping[int, Handler]:

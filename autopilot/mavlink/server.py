@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from autopilot.core.geodesy import Place
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
-from autopilot.mavlink.api import FlightMode, GeoPoint, ParamSaving, VehicleCommands, VehicleView
+from autopilot.mavlink.api import FlightMode, ParamSaving, VehicleCommands, VehicleView
 from autopilot.mavlink.profiles import profile_by_name
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 NAME = "Underwater Autopilot"
 """The true name, in the greeting."""
 
-_NOWHERE = GeoPoint(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
+_NOWHERE = Place(lat_deg=0.0, lon_deg=0.0, alt_m=0.0)
 
 
 class MavlinkServer:

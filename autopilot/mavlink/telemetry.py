@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.geodesy import Place, ned_from_geodetic, place_from_ned
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
-from autopilot.mavlink.api import GeoPoint
 from autopilot.mavlink.context import Context, f32, i16, i32, limited, u16
 from autopilot.mavlink.wire import Message
 
@@ -111,10 +111,10 @@ class Telemetry:
             self._motion = None if nav is None else motion_of(nav)
         return self._motion
 
-    def here(self) -> GeoPoint | None:
+    def here(self) -> Place | None:
         """The present geodetic position, None without an estimate."""
         m = self.motion()
-        return None if m is None else self._ctx.plane.geo_from_ned(m.north, m.east, m.down)
+        return None if m is None else place_from_ned(self._ctx.view.origin, m.north, m.east, m.down)
 
     def attitude(self) -> Message | None:
         """ATTITUDE."""
@@ -257,7 +257,8 @@ class Telemetry:
     def home_position(self) -> Message | None:
         """HOME_POSITION, also in local metres."""
         home = self._ctx.view.home
-        north, east, down = self._ctx.plane.ned_from_geo(home)
+        origin = self._ctx.view.origin
+        north, east, down = ned_from_geodetic(origin, home.lat_deg, home.lon_deg, home.alt_m).tolist()
         return mav.MAVLink_home_position_message(
             i32(home.lat_deg * 1e7),
             i32(home.lon_deg * 1e7),

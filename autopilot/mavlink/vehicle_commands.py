@@ -5,12 +5,12 @@ from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.geodesy import MAX_ORIGIN_LAT_DEG, far_text
+from autopilot.core.geodesy import MAX_ORIGIN_LAT_DEG, Place, far_text, place_from_ned
 from autopilot.core.messages import Severity
 from autopilot.core.phrases import ARMING_CHECK
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode
 from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG, STANDARD_MODES
@@ -225,19 +225,19 @@ class VehicleService:
         lat_deg, lon_deg = latitude / 1e7, longitude / 1e7
         if not _usable(lat_deg, lon_deg):
             return _no_place("origin", lat_deg, lon_deg).answer
-        answer = self._ctx.vehicle.set_origin(GeoPoint(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=altitude / 1e3))
+        answer = self._ctx.vehicle.set_origin(Place(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=altitude / 1e3))
         if answer.result is CommandResult.ACCEPTED:
             self._ctx.announce_place = True
         return answer
 
-    def _point(self, call: Call, what: str) -> GeoPoint | Reply:
+    def _point(self, call: Call, what: str) -> Place | Reply:
         """The position of a command, or the refusal when it has none that can be used. What is not given = here."""
         ctx = self._ctx
         given = math.isfinite(call.x) and math.isfinite(call.y)
         if given and not call.exact:
             return Reply(INT_ONLY)
         if call.frame == mav.MAV_FRAME_LOCAL_NED and given and math.isfinite(call.z):
-            place = ctx.plane.geo_from_ned(call.x, call.y, call.z)
+            place = place_from_ned(ctx.view.origin, call.x, call.y, call.z)
             return denied(f"{what}: {far_text(math.hypot(call.x, call.y))}") if place is None else place
         if call.frame not in _GLOBAL and call.frame not in _RELATIVE:
             reason = f"{what}: frame {call.frame} is not supported, use 0, 3 or (with a whole position) 1"
@@ -254,7 +254,7 @@ class VehicleService:
                 alt_m = here.alt_m
         if not _usable(lat_deg, lon_deg):
             return _no_place(what, lat_deg, lon_deg)
-        return GeoPoint(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)
+        return Place(lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)
 
 
 def _no_place(what: str, lat_deg: float, lon_deg: float) -> Reply:

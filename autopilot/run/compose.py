@@ -14,6 +14,7 @@ from autopilot.control.water.currents import CurrentForecast
 from autopilot.control.way.desks import Desks
 from autopilot.core.desk import Desk
 from autopilot.core.errors import PlanError
+from autopilot.core.geodesy import Origin
 from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSet
@@ -25,7 +26,6 @@ from autopilot.replay.setup import options_of
 from autopilot.run.config import system_id
 from autopilot.run.provenance import revision
 from estimator.protocol import create_estimator
-from mission.geodesy import Origin
 from mission.plan_files import PlanFile
 from mission.store import Plans, WaterCheck
 

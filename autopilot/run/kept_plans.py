@@ -21,12 +21,12 @@ from autopilot.core.desk import Desk
 from autopilot.core.disk import cause_of
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.frames import FloatArray
+from autopilot.core.geodesy import Origin
 from autopilot.core.keeper import Keeper
 from autopilot.core.messages import Severity
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.core.state_file import StateFile
 from autopilot.run.compose import load_plan
-from mission.geodesy import Origin
 from mission.plan_files import PlanFile
 from mission.sequencer import Position
 

@@ -29,6 +29,7 @@ from autopilot.control.water.currents import (
 from autopilot.core.camera import CameraModel
 from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError, LogError, PlanError
+from autopilot.core.geodesy import Origin
 from autopilot.core.lane import DaemonLane
 from autopilot.core.marker_files import load_marker_map, marker_file_text
 from autopilot.core.markers import MarkerMap
@@ -56,7 +57,6 @@ from drivers.protocols import Link
 from estimator.frame_door import FrameDoor
 from estimator.vision import MarkerDetector
 from estimator.vision_lane import VisionWorker
-from mission.geodesy import Origin
 from mission.plan_files import read_plan
 from sitl.backend import SimulatedVehicle, simulated_vehicle
 from sitl.currents import current_field

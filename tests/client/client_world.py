@@ -9,18 +9,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from autopilot.core.frames import wrap_pi
+from autopilot.core.geodesy import Origin, Place
 from autopilot.core.messages import Event, MavlinkFrame, NavHealth, NavState, ProgressState
 from autopilot.core.params import ParamSet
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, VehicleView
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleView
 from autopilot.mavlink.server import MavlinkServer
-from mission.geodesy import Origin
 from mission.sequencer import Sequencer
 from mission.store import Plans
 
 TICK_US = 10_000
 RADIUS_M = 0.3
 ORIGIN = Origin(lat_deg=37.9755, lon_deg=23.7790)
-_POINT = GeoPoint(lat_deg=ORIGIN.lat_deg, lon_deg=ORIGIN.lon_deg, alt_m=ORIGIN.alt_m)
+_POINT = Place(lat_deg=ORIGIN.lat_deg, lon_deg=ORIGIN.lon_deg, alt_m=ORIGIN.alt_m)
 OK = Answer(result=CommandResult.ACCEPTED)
 NO = Answer(result=CommandResult.UNSUPPORTED)
 
@@ -67,16 +67,16 @@ class StraightVehicle:
     def set_current_item(self, seq: int) -> Answer:
         return NO
 
-    def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
+    def go_to(self, point: Place | None, yaw_rad: float | None) -> Answer:
         return NO
 
     def change_speed(self, speed_m_s: float | None) -> Answer:
         return NO
 
-    def set_home(self, point: GeoPoint | None) -> Answer:
+    def set_home(self, point: Place | None) -> Answer:
         return NO
 
-    def set_origin(self, point: GeoPoint) -> Answer:
+    def set_origin(self, point: Place) -> Answer:
         return NO
 
     def tick(self, t_us: int) -> tuple[tuple[int, ...], VehicleView]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
+from autopilot.core.geodesy import Place
 from autopilot.core.messages import (
     Event,
     MavlinkFrame,
@@ -21,12 +22,12 @@ from autopilot.core.messages import (
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection
 from autopilot.core.samples import PowerSample
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint, VehicleView
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from mission.store import Change
 
 TICK_US = 10_000
-ORIGIN = GeoPoint(lat_deg=37.9755, lon_deg=23.7790, alt_m=12.0)
+ORIGIN = Place(lat_deg=37.9755, lon_deg=23.7790, alt_m=12.0)
 OK = Answer(result=CommandResult.ACCEPTED)
 NAN = float("nan")
 
@@ -107,16 +108,16 @@ class RecordingVehicle:
         self.on_set_current(seq)
         return self._note("set_current_item", seq)
 
-    def go_to(self, point: GeoPoint | None, yaw_rad: float | None) -> Answer:
+    def go_to(self, point: Place | None, yaw_rad: float | None) -> Answer:
         return self._note("go_to", point, yaw_rad)
 
     def change_speed(self, speed_m_s: float | None) -> Answer:
         return self._note("change_speed", speed_m_s)
 
-    def set_home(self, point: GeoPoint | None) -> Answer:
+    def set_home(self, point: Place | None) -> Answer:
         return self._note("set_home", point)
 
-    def set_origin(self, point: GeoPoint) -> Answer:
+    def set_origin(self, point: Place) -> Answer:
         return self._note("set_origin", point)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from mavlink_harness import NAN, ORIGIN, Client, World, mav, nav_state, upload, waypoint
 
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
+from autopilot.core.geodesy import Place
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode
 
 R = CommandResult
 PROFILES = ("generic", "px4", "ardusub")
@@ -339,7 +340,7 @@ def test_places_that_are_none(world: World, client: Client, x: int, y: int) -> N
 
 def test_set_home_to_a_place(world: World, client: Client) -> None:
     assert client.command_int(179, 0, (0, 0, 0, 0), e7(37.9756), e7(23.7791), 12.0) == R.ACCEPTED
-    assert world.vehicle.calls == [("set_home", GeoPoint(lat_deg=37.9756, lon_deg=23.7791, alt_m=12.0))]
+    assert world.vehicle.calls == [("set_home", Place(lat_deg=37.9756, lon_deg=23.7791, alt_m=12.0))]
     world.run(0.05)
     assert client.got("HOME_POSITION")
 
@@ -354,7 +355,7 @@ def test_get_home(world: World, client: Client) -> None:
 def test_origin_by_command(world: World, client: Client) -> None:
     world.run(0.1)
     assert client.command_int(611, 0, (0, 0, 0, 0), e7(38.0), e7(24.0), 3.0) == R.ACCEPTED
-    assert world.vehicle.calls == [("set_origin", GeoPoint(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))]
+    assert world.vehicle.calls == [("set_origin", Place(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))]
     assert len(client.got("GPS_GLOBAL_ORIGIN")) == 1
     assert client.command_int(611, 3, (0, 0, 0, 0), e7(38.0), e7(24.0), 3.0) == R.UNSUPPORTED_FRAME
     assert client.command_int(611, 0, (0, 0, 0, 0), INT32_MAX, e7(24.0), 3.0) == R.DENIED
@@ -367,7 +368,7 @@ def test_origin_by_message_is_answered_with_the_new_one(world: World) -> None:
     client.rx.clear()
     client.send(mav.MAVLink_set_gps_global_origin_message(1, e7(38.0), e7(24.0), 3000))
     world.tick()
-    world.show(origin=GeoPoint(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))
+    world.show(origin=Place(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))
     world.run(0.05)
     (origin,) = client.got("GPS_GLOBAL_ORIGIN")
     assert (origin.latitude, origin.longitude, origin.altitude) == (380_000_000, 240_000_000, 3000)

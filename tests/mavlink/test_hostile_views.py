@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mavlink_harness import World, base_view, mav, nav_state
 
+from autopilot.core.geodesy import Place
 from autopilot.core.messages import (
     Fallback,
     MavlinkFrame,
@@ -21,7 +22,7 @@ from autopilot.core.messages import (
     ThrusterCommand,
 )
 from autopilot.core.samples import PowerSample
-from autopilot.mavlink.api import FlightMode, GeoPoint, VehicleView
+from autopilot.mavlink.api import FlightMode, VehicleView
 
 anything = st.one_of(
     st.sampled_from((0.0, math.nan, math.inf, -math.inf, 1.7e308, -1.7e308, 3.4028236e38, -3.5e38, -2e68, 1e9, 5e-324)),
@@ -34,7 +35,7 @@ def array(size: int) -> st.SearchStrategy[np.ndarray]:
     return st.lists(anything, min_size=size, max_size=size).map(np.array)
 
 
-places = st.builds(GeoPoint, lat_deg=st.floats(-90, 90), lon_deg=st.floats(-180, 180), alt_m=anything)
+places = st.builds(Place, lat_deg=st.floats(-90, 90), lon_deg=st.floats(-180, 180), alt_m=anything)
 navs = st.none() | st.builds(
     nav_state,
     health=st.sampled_from(NavHealth),

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from mavlink_harness import World
 
+from autopilot.core.geodesy import Place
 from autopilot.core.messages import MavlinkFrame, MissionProgress, ProgressState
 from autopilot.core.plan import PlanKind
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, GeoPoint
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode
 
 mavsdk = pytest.importorskip("mavsdk")
 
@@ -146,7 +147,7 @@ def test_mavsdk_gets_along(link: tuple[World, Any]) -> None:
     assert (point.lat_deg, point.lon_deg, point.alt_m) == pytest.approx((37.9756, 23.7791, 11.5), abs=2e-7)
     assert yaw_rad == pytest.approx(math.pi / 2)
 
-    world.show(origin=GeoPoint(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))
+    world.show(origin=Place(lat_deg=38.0, lon_deg=24.0, alt_m=3.0))
     action.set_gps_global_origin(38.0, 24.0, 3.0)
 
     assert param.get_param_float("SPD_CRUISE") == pytest.approx(0.35)

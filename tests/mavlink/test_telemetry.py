@@ -11,14 +11,13 @@ from hypothesis import strategies as st
 from mavlink_harness import NAN, ORIGIN, World, base_view, mav, nav_state
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.geodesy import Place
 from autopilot.core.messages import Event, Fallback, MavlinkFrame, NavHealth, NmpcStatus, SolveStatus
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import PowerSample
-from autopilot.mavlink.api import FlightMode, GeoPoint
-from autopilot.mavlink.geo import TangentPlane
+from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mavlink.status import version_number
-from mission.geodesy import Origin, geodetic_from_ned, ned_from_geodetic
 
 PROFILES = ("generic", "px4", "ardusub")
 
@@ -325,7 +324,7 @@ def test_origin_and_home_are_told_when_they_change(world: World) -> None:
     client = world.client()
     world.run(1.0)
     client.rx.clear()
-    world.show(home=GeoPoint(lat_deg=37.97551, lon_deg=23.77901, alt_m=11.0))
+    world.show(home=Place(lat_deg=37.97551, lon_deg=23.77901, alt_m=11.0))
     world.tick()
     (home,) = client.got("HOME_POSITION")
     assert home.z == pytest.approx(1.0) and home.x == pytest.approx(1.11, abs=0.01)
@@ -409,23 +408,6 @@ def test_there_are_no_logs_to_fetch(world: World) -> None:
     client = world.client()
     (entry,) = client.ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.1)
     assert (entry.num_logs, entry.last_log_num) == (0, 0)
-
-
-# Geometry
-
-
-@given(st.floats(-80, 80), st.floats(-2000, 2000), st.floats(-2000, 2000))
-@settings(max_examples=60, deadline=None)
-def test_the_tangent_plane_is_the_services_own(lat_deg: float, north_m: float, east_m: float) -> None:
-    plane = TangentPlane(GeoPoint(lat_deg=lat_deg, lon_deg=23.0, alt_m=5.0))
-    exact = Origin(lat_deg=lat_deg, lon_deg=23.0, alt_m=5.0)
-    point = plane.geo_from_ned(north_m, east_m, 3.0)
-    lat, lon, alt = geodetic_from_ned(exact, np.array([north_m, east_m, 3.0]))
-    back = ned_from_geodetic(exact, point.lat_deg, point.lon_deg, point.alt_m)
-    assert back[:2] == pytest.approx((north_m, east_m), abs=0.02)
-    assert plane.ned_from_geo(GeoPoint(lat_deg=lat, lon_deg=lon, alt_m=alt)) == pytest.approx(
-        (north_m, east_m, 3.0), abs=0.02
-    )
 
 
 # Same input, same output

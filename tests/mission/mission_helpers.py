@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from autopilot.core.geodesy import Origin
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanItem
-from mission.geodesy import Origin
 from mission.items import Command, Frame
 from mission.validation import PlanContext
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from mission_helpers import NAN
 
 from autopilot.core.errors import PlanError
+from autopilot.core.geodesy import Origin
 from autopilot.core.plan import PlanItem, PlanKind
-from mission.geodesy import Origin
 from mission.paper import paper_plan
 from mission.plan_files import read_plan, write_plan
 from mission.plan_model import PlanFile

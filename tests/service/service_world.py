@@ -7,12 +7,12 @@ import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.control.water.currents import NoCurrent
+from autopilot.core.geodesy import Origin
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import AhrsSample, PoseSample, PowerSample, Sample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.run.compose import ServiceSetup, build_service
-from mission.geodesy import Origin
 
 TICK_US = 10_000
 ORIGIN = Origin(lat_deg=37.9755, lon_deg=23.7790)

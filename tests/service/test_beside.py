@@ -10,9 +10,9 @@ from autopilot.bench.faults.pilot import PilotedFlight, piloted
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.robust import regions
 from autopilot.control.way.planner import Planner
+from autopilot.core.geodesy import geodetic_from_ned
 from autopilot.core.messages import Outputs, Severity
 from autopilot.core.plan import PlanKind
-from mission.geodesy import geodetic_from_ned
 from mission.paper import paper_plan
 
 WARNING = "No energy plan: flying the plain route"

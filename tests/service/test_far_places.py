@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mav
 from service_world import ORIGIN, ServiceWorld
 
-from autopilot.core.geodesy import MAX_RANGE_M, distance_m
-from mission.geodesy import Origin
+from autopilot.core.geodesy import MAX_RANGE_M, Origin, surface_distance_m
 
 ACCEPTED, DENIED = mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_DENIED
 WORLD = ServiceWorld()
@@ -32,7 +31,7 @@ def test_home_is_taken_near_and_refused_far(lat: float, lon: float, alt: float) 
     before = WORLD.parts.plans.home
     WORLD.run(0.5)
     result = WORLD.command_int(mav.MAV_CMD_DO_SET_HOME, lat, lon, alt)
-    away_m = distance_m(ORIGIN.lat_deg, ORIGIN.lon_deg, lat, lon)
+    away_m = surface_distance_m(ORIGIN, lat, lon)
     if abs(lat) <= 89.0 and abs(lon) <= 180.0 and away_m < 0.99 * MAX_RANGE_M:
         assert result in (ACCEPTED, DENIED)
     else:

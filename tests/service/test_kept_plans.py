@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from autopilot.command.service import Parts
 from autopilot.core.desk import Desk
+from autopilot.core.geodesy import Origin
 from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS, Keeper
 from autopilot.core.plan import PlanKind
 from autopilot.core.state_file import StateFile
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.sitl_session import open_sitl
-from mission.geodesy import Origin
 from mission.paper import paper_plan
 from mission.sequencer import Position
 from mission.store import Plans

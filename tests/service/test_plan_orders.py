@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from autopilot.command.arming import CHECKING
 from autopilot.core import free_space
 from autopilot.core.desk import Cancel, Desk
+from autopilot.core.geodesy import Place
 from autopilot.core.plan import PlanItem, PlanKind
-from autopilot.mavlink.api import CommandResult, FlightMode, GeoPoint
+from autopilot.mavlink.api import CommandResult, FlightMode
 from mission.fence import fence_clearance_m
 from mission.judgement import judge
 from mission.store import CHECK_TICKS, Change, plan_checksum
@@ -110,7 +111,7 @@ class Yard(Bench):
         elif order in PARAMETERS:
             self.params.set(order, value)
         elif order == "origin":
-            point = GeoPoint(lat_deg=at_home.lat_deg + value, lon_deg=at_home.lon_deg, alt_m=0.0)
+            point = Place(lat_deg=at_home.lat_deg + value, lon_deg=at_home.lon_deg, alt_m=0.0)
             armed = commander.armed
             assert not (commander.set_origin(point).result is OK and armed)
         elif order == "arm":
@@ -127,7 +128,7 @@ class Yard(Bench):
         elif order == "item":
             commander.set_current_item(0)
         elif order == "go to":
-            commander.go_to(GeoPoint(lat_deg=at_home.lat_deg, lon_deg=at_home.lon_deg, alt_m=-0.5), None)
+            commander.go_to(Place(lat_deg=at_home.lat_deg, lon_deg=at_home.lon_deg, alt_m=-0.5), None)
         else:
             start = {
                 "start": lambda: commander.start_mission(None),

@@ -12,9 +12,9 @@ from autopilot.bench.faults.pilot import KEPT_FREE, PilotedFlight, crowded_plan,
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.robust import terminal
 from autopilot.control.way.planner import Planner
+from autopilot.core.geodesy import geodetic_from_ned
 from autopilot.core.messages import Outputs, Severity
 from autopilot.core.plan import PlanKind
-from mission.geodesy import geodetic_from_ned
 from mission.paper import paper_plan
 
 P99_MS, MAX_MS = 10.0, 50.0

@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError
-from autopilot.mavlink.api import GeoPoint
-from autopilot.mavlink.geo import TangentPlane
-from mission.geodesy import (
+from autopilot.core.geodesy import (
     ECCENTRICITY_SQ,
     SEMI_MAJOR_M,
     Origin,
@@ -73,15 +71,6 @@ def test_round_trip_through_wire_integers_is_within_their_resolution(north: floa
 def test_degrees_survive_both_ways(value: int) -> None:
     assert e7_from_deg(deg_from_e7(value)) == value
     assert local_e4_from_m(m_from_local_e4(value)) == value
-
-
-@given(origins.filter(lambda o: abs(o.lat_deg) < 65.0), st.floats(-2000.0, 2000.0), st.floats(-2000.0, 2000.0))
-def test_telemetry_and_missions_mean_the_same_place(origin: Origin, north: float, east: float) -> None:
-    plane = TangentPlane(GeoPoint(lat_deg=origin.lat_deg, lon_deg=origin.lon_deg, alt_m=origin.alt_m))
-    shown = plane.geo_from_ned(north, east, 1.0)
-    assert ned_from_geodetic(origin, shown.lat_deg, shown.lon_deg, shown.alt_m) == pytest.approx(
-        [north, east, 1.0], abs=0.005
-    )
 
 
 def test_depth_does_not_change_with_distance() -> None:
