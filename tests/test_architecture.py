@@ -88,6 +88,14 @@ def test_no_circle_of_rooms() -> None:
     assert rooms.circles(found) == []
 
 
+def test_no_circle_of_files_in_the_libraries() -> None:
+    known = rooms.modules()
+    files = {name: rooms.imports_of(path, known) - {name} for name, path in known.items()}
+    libraries = tuple(f"{NAMES}.{room}." for room in ("core", "control", "command", "mavlink", "log", "run"))
+    found = rooms.circles(files)
+    assert not [group for group in found if group[0].startswith((*libraries, "mission.", "sitl.", "drivers."))]
+
+
 def test_deciding_knows_the_estimators_protocol_only() -> None:
     for path in _files("autopilot/command"):
         estimators = {name for name in _imports(path) if name.split(".")[0] == "estimator"}

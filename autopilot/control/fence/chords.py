@@ -6,18 +6,12 @@ ends holds in between. The nearest place of a straight edge is always met at a n
 chord crosses altogether (walls of no thickness) ends the path: later nodes are held where the path was last in order.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from autopilot.control.fence.features import FAR_M, TINY_M, BoolArray, ComplexArray, as_complex, away
+from autopilot.control.fence.features import FAR_M, TINY_M, BoolArray, Boundaries, ComplexArray, as_complex, away
 from autopilot.core.frames import FloatArray
-
-if TYPE_CHECKING:
-    from autopilot.control.fence.obstacles import Features
 
 RECOVERY_M_S = 0.2
 """How fast the vehicle is asked to come back from where it must not be."""
@@ -58,7 +52,7 @@ class Path:
 
     def __init__(
         self,
-        features: Features,
+        features: Boundaries,
         points_ned_m: FloatArray,
         t_s: FloatArray,
         radius_m: FloatArray | float,

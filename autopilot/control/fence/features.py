@@ -1,4 +1,5 @@
-"""The boundaries of a fence as arrays: edges of polygons, circles, and corners that stand out into free ground.
+"""The boundaries of a fence as arrays: edges of polygons, circles, and corners that stand out into free ground; and
+how they look from points.
 
 Horizontal positions are complex numbers north + i east.
 """
@@ -20,6 +21,12 @@ TINY_M = 1e-9
 
 FAR_M = 1e6
 """Stands for "no boundary anywhere near"."""
+
+MANY_FEATURES = 16
+"""Of more features than that, those are left out that are not near."""
+
+ON_EDGE = 1e-9
+"""A projection beyond an edge by this share still counts as on the edge."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -83,7 +90,83 @@ class Seen:
     """Edges that a point is behind, None if there is none."""
 
 
-def features_of(fence: Fence) -> tuple[Edges, Rounds]:
+class Boundaries:
+    """The features of a fence, and how they look from points."""
+
+    def __init__(self, fence: Fence) -> None:
+        self.edges, self.rounds = _features_of(fence)
+        self.count = len(self.edges.a) + self.rounds.circles
+        """Number of edges and circles."""
+        self.many = self.count > MANY_FEATURES
+        self.everything = np.arange(len(self.edges.a)), np.arange(len(self.rounds.center))
+        self._groups = _groups(self.edges.polygon)
+
+    def within(self, points: ComplexArray, reach_m: float) -> tuple[IntArray, IntArray]:
+        """Edges and rounds that matter within ``reach_m`` of the points.
+
+        Of a polygon in reach those edges stay that may be the nearest to one of the points: they tell its sides apart.
+        """
+        low, high = complex(points.real.min(), points.imag.min()), complex(points.real.max(), points.imag.max())
+        middle, spread = 0.5 * (low + high), 0.5 * abs(high - low)
+        reach_m += spread
+        edges, rounds = self.edges, self.rounds
+        near = rounds.side * np.abs(rounds.center - middle) - rounds.side * rounds.radius < reach_m
+        kept_rounds = np.flatnonzero(near)
+        if not len(edges.a):
+            return self.everything[0], kept_rounds
+        half = 0.5 * np.abs(edges.ab)
+        distance = np.abs(edges.a + 0.5 * edges.ab - middle)
+        surely = np.minimum.reduceat(distance + half, self._groups[0]) + 2.0 * spread
+        near = distance - half < np.maximum(surely, reach_m)[edges.polygon]
+        away = edges.keep_outside & (np.abs(edges.center - middle) - edges.reach > reach_m)
+        return np.flatnonzero(near & ~away[edges.polygon]), kept_rounds
+
+    def look(self, points: ComplexArray, keep: IntArray) -> Seen:
+        """The edges ``keep`` as points see them."""
+        edges = self.edges
+        whole = len(keep) == len(edges.a)
+        pick: IntArray | slice = slice(None) if whole else keep
+        normal_of_edge = edges.normal[pick]
+        ray = points[:, None] - edges.a[pick]
+        share = (ray * edges.along[pick]).real
+        gap = ray - np.minimum(np.maximum(share, 0.0), 1.0) * edges.ab[pick]
+        rho = np.abs(gap)
+        line = (ray * np.conj(normal_of_edge)).real
+        if rho.min(initial=FAR_M) < TINY_M:
+            normal = np.where(rho < TINY_M, normal_of_edge, gap / np.maximum(rho, TINY_M))
+        else:
+            normal = gap / rho
+        distance = np.where(share >= 1.0, FAR_M, rho)
+        bad = self._behind(keep, share, rho, line)
+        if bad is not None:
+            # Of a polygon that a point is inside (outside) only the nearest edge counts, and it pushes the other way
+            # (but not from the line itself).
+            first, group = self._groups if whole else _groups(edges.polygon[keep])
+            distance[np.logical_or.reduceat(bad, first, axis=1)[:, group]] = FAR_M
+            distance[bad] = -rho[bad]
+            normal[bad & (rho >= TINY_M)] *= -1.0
+        offset = (np.conj(normal) * (points[:, None] - gap)).real
+        return Seen(share=share, rho=rho, distance=distance, normal=normal, offset=offset, line=line, bad=bad)
+
+    def _behind(self, keep: IntArray, share: FloatArray, rho: FloatArray, line: FloatArray) -> BoolArray | None:
+        """Which nearest edges (m, E) of a polygon have the point on the wrong side; None if none has.
+
+        A polygon is on the wrong side of a point if its nearest edge says so, or the corner that is nearest.
+        """
+        if line.min(initial=0.0) >= 0.0:
+            return None
+        edges, whole = self.edges, len(keep) == len(self.edges.a)
+        pick: IntArray | slice = slice(None) if whole else keep
+        first, group = self._groups if whole else _groups(edges.polygon[keep])
+        nearest = rho <= np.minimum.reduceat(rho, first, axis=1)[:, group]
+        if not (nearest & (line < 0.0)).any():
+            return None
+        corner = np.where(share < -ON_EDGE, edges.begin_hides[pick], edges.end_hides[pick])
+        bad: BoolArray = nearest & np.where((share < -ON_EDGE) | (share > 1.0 + ON_EDGE), corner, line < 0.0)
+        return bad if bad.any() else None
+
+
+def _features_of(fence: Fence) -> tuple[Edges, Rounds]:
     """The boundaries of a fence."""
     polygons: list[tuple[FloatArray, bool]] = []
     circles: list[tuple[Circle, float]] = []
@@ -196,3 +279,10 @@ def away(ray: ComplexArray, rho: FloatArray) -> ComplexArray:
         return np.where(rho < TINY_M, 1.0, ray / np.maximum(rho, TINY_M))
     result: ComplexArray = ray / rho
     return result
+
+
+def _groups(polygon: IntArray) -> tuple[IntArray, IntArray]:
+    """Where each polygon's edges begin, and (E,) the number of its group."""
+    begins = np.ones(len(polygon), dtype=bool)
+    begins[1:] = polygon[1:] != polygon[:-1]
+    return np.flatnonzero(begins), np.cumsum(begins) - 1
