@@ -184,7 +184,7 @@ def watch(
     on_tick: Callable[[Outputs, NavState | None], None] | None,
 ) -> None:
     """Let the watchers see every tick: the samples of this one and the thrust that the last one's pulses give."""
-    step, allocation = session.service.step, session.parts.allocation
+    step, allocation = session.service.step, session.parts.actuation.allocation
     count = len(session.vehicle.thrusters)
     thrust_n, supply_v, ticks = np.zeros(count), None, 0
 

@@ -1,7 +1,7 @@
 """Runs the parts of a tick so that one that fails does not take the others with it.
 
 An exception inside a part is a :class:`Fault`: kept with its traceback and with what the part was given, counted, and
-handed to whoever decides what it means (:mod:`autopilot.command.fault_care`). Nothing is hidden: where the guard is
+handed to whoever decides what it means (:mod:`autopilot.command.fault_response`). Nothing is hidden: where the guard is
 set to raise (tests, continuous integration), the exception goes on.
 """
 

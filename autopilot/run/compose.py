@@ -5,11 +5,12 @@ from dataclasses import dataclass
 
 from autopilot import __version__
 from autopilot.command.commander import Commander
+from autopilot.command.parts import Parts
 from autopilot.command.readiness import MarginCheck
-from autopilot.command.service import Autopilot, Parts
+from autopilot.command.service import Autopilot
 from autopilot.control.controller import MotionController
 from autopilot.control.energy.request import TrajectoryPlanner
-from autopilot.control.thrust.allocation import Allocation
+from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.control.way.desks import Desks
 from autopilot.core.desk import Desk
@@ -89,7 +90,7 @@ def build_service(
             shadow=params["EST_SHADOW"] > 0.0,
         ),
         controller=controller,
-        allocation=Allocation(vehicle.thrusters),
+        actuation=Actuation(vehicle, params),
         commander=commander,
         server=MavlinkServer(
             sysid=system_id(params, setup.instance),

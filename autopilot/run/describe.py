@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from autopilot.command.service import Parts
+from autopilot.command.parts import Parts
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.log.description import AcceptBounds, Obstacle, RunDescription, Waypoint, fence_shapes
 from autopilot.mavlink.api import FlightMode

@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from autopilot.command.service import Parts
+from autopilot.command.parts import Parts
 from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Desk
 from autopilot.core.disk import cause_of

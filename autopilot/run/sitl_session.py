@@ -13,7 +13,8 @@ import msgspec
 
 from autopilot import __version__
 from autopilot.command.map_check import MapCheck, open_map
-from autopilot.command.service import Autopilot, Parts
+from autopilot.command.parts import Parts
+from autopilot.command.service import Autopilot
 from autopilot.control.water.current_learning import Basin, LearnedCurrent
 from autopilot.control.water.current_map import CurrentMap
 from autopilot.control.water.currents import (

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.command.service import Parts
+from autopilot.command.parts import Parts
 from autopilot.core.desk import Desk
 from autopilot.core.geodesy import Origin
 from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS, Keeper

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession
 from wire_client import Harbour, WireClient
 
-from autopilot.command.camera_care import FOGGY, SILENT, TEXTS, WELL
+from autopilot.command.camera_watch import FOGGY, SILENT, TEXTS, WELL
 from autopilot.core.messages import Outputs
 from autopilot.log.analysis import last_counts
 from autopilot.log.packing.estimate import COUNTER_NAMES

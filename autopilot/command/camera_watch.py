@@ -1,6 +1,6 @@
 """What is wrong with the camera, for the operator: black, over-exposed, frozen, torn, foggy or silent.
 
-Pictures that cannot be used are refused at the door of the vision front end and come here by name. Others may be too
+Pictures that cannot be used are refused before the vision front end sees them and come here by name. Others may be too
 dark, too bright or too foggy for markers: that counts only while none is found in them.
 """
 
@@ -38,7 +38,7 @@ TEXTS = {
 WELL = "Camera is well again"
 
 
-class CameraCare:
+class CameraWatch:
     """Remembers how pictures have been and says what has changed."""
 
     def __init__(self) -> None:

@@ -8,14 +8,16 @@ costs that message.
 """
 
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 
 import numpy as np
 
+from autopilot.command.commander import Commander
+from autopilot.command.motion import Motion
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.core.frames import FloatArray
-from autopilot.core.guard import Fault
-from autopilot.core.messages import DeviceRole, DeviceTrouble, Event, NavHealth, NavState, Severity
+from autopilot.core.guard import Fault, Guard
+from autopilot.core.messages import Event, NavHealth, NavState, Severity
 from autopilot.core.model4 import NX, YAW
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
@@ -33,33 +35,36 @@ SHOWN_US = 5_000_000
 MAX_KINDS = 64
 """Kinds of fault that are remembered; with more of them the oldest goes."""
 
-DEVICE_OVER_US = 1_000_000
-"""A device that has worked for so long works again."""
 
-_DEVICE_NAMES = {
-    DeviceRole.SENSORS: "Sensors",
-    DeviceRole.CAMERA: "Camera",
-    DeviceRole.THRUSTERS: "Thrusters",
-}
+class FaultResponse:
+    """Remembers faults, and acts upon them: a station that is held without the controller, or neutral thrusters."""
 
-
-class FaultCare:
-    """Remembers faults and says what they mean."""
-
-    def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
+    def __init__(self, vehicle: Vehicle, params: ParamSet, guard: Guard, commander: Commander, motion: Motion) -> None:
         self._sharing = Sharing.of(vehicle)
         self._params = params
+        self._guard = guard
+        self._commander = commander
+        self._motion = motion
         self._seen: set[tuple[str, str]] = set()
         self._said_us: dict[tuple[str, str], int] = {}
         self._last: Fault | None = None
         self._since_us: int | None = None
         self._order: Hashable = None
         self._place: FloatArray | None = None
+        self._faults: list[Fault] = []
+        self._events: list[Event] = []
+        self.stopped = False
+        """Disarmed by a fault though the commander does not know: for good."""
 
     @property
     def holding(self) -> bool:
         """Whether the controller is out."""
         return self._since_us is not None
+
+    @property
+    def drives(self) -> bool:
+        """Whether thrusters may turn."""
+        return self._commander.armed and not self.stopped
 
     def problem(self, t_us: int) -> str:
         """What has failed of late of what thrust comes from, "" when nothing has."""
@@ -67,38 +72,69 @@ class FaultCare:
             return ""
         return f"internal fault in {self._last.part}"
 
-    def take(self, faults: Sequence[Fault], *, armed: bool) -> tuple[list[Event], bool]:
-        """Take note of faults: lines for the operator, and whether they disarm."""
-        events: list[Event] = []
+    def judge(self) -> None:
+        """Act upon what has failed since the last call: hold, or disarm."""
+        faults = self._guard.take()
+        if not faults:
+            return
+        commander, guard = self._commander, self._guard
+        self._faults += faults
+        held = self.holding
+        if self._take(faults, armed=commander.armed):
+            text = f"Disarmed: {faults[-1].part} failed twice the same way"
+            self._events.append(Event(t_us=guard.t_us, severity=Severity.CRITICAL, text=text))
+            guard.run("disarming", lambda: commander.disarm(True), None)
+            self.stopped = commander.armed
+        elif self.holding and not held:
+            guard.run("holding", commander.fall_back, None)
+            guard.run("controller", self._motion.reset, None)
+            # Orders as of now: others let the controller try again.
+            self._order = self._given_order()
+
+    def step(self) -> None:
+        """Once per tick: disarming forgets, another order ends the fallback."""
+        if not self._commander.armed:
+            self._seen.clear()
+        if not self._commander.armed or self._given_order() != self._order:
+            self._since_us = self._place = None
+
+    def take_faults(self) -> tuple[Fault, ...]:
+        """Faults since the last call, for the log."""
+        faults, self._faults = tuple(self._faults), []
+        return faults
+
+    def take_events(self) -> list[Event]:
+        """Lines for the operator since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def _given_order(self) -> Hashable:
+        return self._commander.mode, self._commander.orders
+
+    def _take(self, faults: tuple[Fault, ...], *, armed: bool) -> bool:
+        """Take note of faults; whether they disarm."""
         disarms = False
         for fault in faults:
             if fault.part in FLIGHT_PARTS:
                 self._last = fault
-            said_us = self._said_us.get(fault.key)
-            if said_us is None or fault.t_us - said_us >= SAY_EVERY_US:
-                self._said_us.pop(fault.key, None)
-                while len(self._said_us) >= MAX_KINDS:
-                    del self._said_us[next(iter(self._said_us))]
-                self._said_us[fault.key] = fault.t_us
-                events.append(Event(t_us=fault.t_us, severity=Severity.CRITICAL, text=fault.line))
+            self._say(fault)
             if not armed or fault.part not in FLIGHT_PARTS:
                 continue
             disarms = disarms or fault.key in self._seen
             self._seen.add(fault.key)
             if self._since_us is None:
                 self._since_us, self._place = fault.t_us, None
-        return events, disarms
+        return disarms
 
-    def ordered(self, order: Hashable) -> None:
-        """Orders as of now, once the vehicle has been told to hold: others let the controller try again."""
-        self._order = order
-
-    def step(self, order: Hashable, *, armed: bool) -> None:
-        """Once per tick: disarming forgets, another order ends the fallback."""
-        if not armed:
-            self._seen.clear()
-        if not armed or order != self._order:
-            self._since_us = self._place = None
+    def _say(self, fault: Fault) -> None:
+        said_us = self._said_us.get(fault.key)
+        if said_us is not None and fault.t_us - said_us < SAY_EVERY_US:
+            return
+        self._said_us.pop(fault.key, None)
+        while len(self._said_us) >= MAX_KINDS:
+            del self._said_us[next(iter(self._said_us))]
+        self._said_us[fault.key] = fault.t_us
+        self._events.append(Event(t_us=fault.t_us, severity=Severity.CRITICAL, text=fault.line))
 
     def thrust_n(self, t_us: int, nav: NavState | None, limit_n: FloatArray) -> FloatArray:
         """Thrust (n,) while the controller is out."""
@@ -116,36 +152,3 @@ class FaultCare:
         return station_keeping_thrust(
             self._sharing, x, self._place, current, np.minimum(limit_n, self._params["THR_LIMIT"])
         )
-
-
-class DeviceCare:
-    """Says when a device fails and when it works again."""
-
-    def __init__(self) -> None:
-        self._said_us: dict[DeviceRole, int] = {}
-        self._last_us: dict[DeviceRole, int] = {}
-        self.counts = dict.fromkeys(DeviceRole, 0)
-        """Ticks on which a device could not be used."""
-
-    @property
-    def thruster_problem(self) -> str:
-        """Why commands do not reach the thrusters, "" while they do."""
-        return "thruster output fails" if DeviceRole.THRUSTERS in self._last_us else ""
-
-    def step(self, t_us: int, troubles: Sequence[DeviceTrouble]) -> list[Event]:
-        """Lines for the operator."""
-        events = []
-        for trouble in troubles:
-            device, name = trouble.device, _DEVICE_NAMES[trouble.device]
-            self.counts[device] += 1
-            said_us = self._said_us.get(device)
-            if said_us is None or t_us - said_us >= SAY_EVERY_US:
-                self._said_us[device] = t_us
-                events.append(Event(t_us=t_us, severity=Severity.CRITICAL, text=f"{name} failed: {trouble.text}"))
-            self._last_us[device] = t_us
-        for device, last_us in tuple(self._last_us.items()):
-            if t_us - last_us > DEVICE_OVER_US:
-                del self._last_us[device]
-                text = f"{_DEVICE_NAMES[device]}: working again"
-                events.append(Event(t_us=t_us, severity=Severity.NOTICE, text=text))
-        return events

@@ -1,0 +1,50 @@
+"""Devices that fail and work again: told once, counted always."""
+
+from collections.abc import Sequence
+
+from autopilot.core.messages import DeviceRole, DeviceTrouble, Event, Severity
+
+SAY_EVERY_US = 5_000_000
+"""The same trouble is said again after so long."""
+
+DEVICE_OVER_US = 1_000_000
+"""A device that has worked for so long works again."""
+
+_DEVICE_NAMES = {
+    DeviceRole.SENSORS: "Sensors",
+    DeviceRole.CAMERA: "Camera",
+    DeviceRole.THRUSTERS: "Thrusters",
+}
+
+
+class DeviceWatch:
+    """Says when a device fails and when it works again."""
+
+    def __init__(self) -> None:
+        self._said_us: dict[DeviceRole, int] = {}
+        self._last_us: dict[DeviceRole, int] = {}
+        self.counts = dict.fromkeys(DeviceRole, 0)
+        """Ticks on which a device could not be used."""
+
+    @property
+    def thruster_problem(self) -> str:
+        """Why commands do not reach the thrusters, "" while they do."""
+        return "thruster output fails" if DeviceRole.THRUSTERS in self._last_us else ""
+
+    def step(self, t_us: int, troubles: Sequence[DeviceTrouble]) -> list[Event]:
+        """Lines for the operator."""
+        events = []
+        for trouble in troubles:
+            device, name = trouble.device, _DEVICE_NAMES[trouble.device]
+            self.counts[device] += 1
+            said_us = self._said_us.get(device)
+            if said_us is None or t_us - said_us >= SAY_EVERY_US:
+                self._said_us[device] = t_us
+                events.append(Event(t_us=t_us, severity=Severity.CRITICAL, text=f"{name} failed: {trouble.text}"))
+            self._last_us[device] = t_us
+        for device, last_us in tuple(self._last_us.items()):
+            if t_us - last_us > DEVICE_OVER_US:
+                del self._last_us[device]
+                text = f"{_DEVICE_NAMES[device]}: working again"
+                events.append(Event(t_us=t_us, severity=Severity.NOTICE, text=text))
+        return events

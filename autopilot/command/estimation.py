@@ -1,0 +1,103 @@
+"""The estimator inside the service: what stands in for one that fails, and what is told of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from autopilot.core.guard import Guard
+from autopilot.core.messages import (
+    AID_SENSORS,
+    AidStatus,
+    EstimatorInputs,
+    Event,
+    Inputs,
+    NavDoubt,
+    NavHealth,
+    NavState,
+    Severity,
+    ShadowStatus,
+)
+from estimator.protocol import Estimator
+
+LAST_ESTIMATE_US = 200_000
+"""So long the last estimate stands in for an estimator that fails; then there is none."""
+
+GOOD_FRAMES = ("frames.ok", "frames.late", "frames.foggy")
+"""Counts of pictures that are not of refused ones."""
+UNUSED_COUNTS = ("rejected", "late", "duplicate", "future", "malformed")
+"""Counts of samples and measurements that were not used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Estimated:
+    """What the estimator said on a tick."""
+
+    nav: NavState | None
+    ahrs_us: int | None
+    aids: tuple[AidStatus, ...] = ()
+    shadow: ShadowStatus | None = None
+    doubts: frozenset[NavDoubt] = frozenset()
+
+
+class Estimation:
+    """Runs the estimator under the guard."""
+
+    def __init__(self, estimator: Estimator, guard: Guard) -> None:
+        self._estimator = estimator
+        self._guard = guard
+        self._estimated_us = 0
+        self._ahrs_us: int | None = None
+        self._remarks: list[Event] = []
+        self.nav: NavState | None = None
+        """The estimate of the last tick."""
+        self.doubts: frozenset[NavDoubt] = frozenset()
+        """What speaks against it or its sensors."""
+        self.aid_ratio: dict[str, float] = {}
+        """Test ratio of the newest measurement of each aiding sensor."""
+        self.errors = (0, 0, 0, 0)
+        """AHRS samples refused, fixes not used, other aiding measurements not used, resets."""
+
+    def step(self, inputs: Inputs, given: EstimatorInputs) -> Estimated:
+        """Estimate of this tick; when the estimator fails the last one for a moment, then none that is valid."""
+        last = self.nav
+        if last is not None:
+            stale = inputs.t_us - self._estimated_us > LAST_ESTIMATE_US
+            last = replace(last, t_us=inputs.t_us, health=NavHealth.INVALID if stale else last.health)
+        otherwise = Estimated(nav=last, ahrs_us=self._ahrs_us, doubts=self.doubts)
+        found = self._guard.run("estimator", lambda: self._estimate(inputs, given), otherwise, lambda: (inputs, given))
+        self.nav, self._ahrs_us = found.nav, found.ahrs_us
+        self.aid_ratio.update((aid.sensor, aid.test_ratio) for aid in found.aids)
+        return found
+
+    def _estimate(self, inputs: Inputs, given: EstimatorInputs) -> Estimated:
+        estimator, t_us = self._estimator, inputs.t_us
+        nav = estimator.step(t_us, inputs.samples + given.samples, given.thrust_n)
+        self._estimated_us = t_us
+        self.doubts = estimator.doubts
+        remarks = estimator.take_remarks()
+        self._remarks += [Event(t_us=t_us, severity=Severity.WARNING, text=text) for text in remarks]
+        return Estimated(
+            nav=nav,
+            ahrs_us=estimator.ahrs_us,
+            aids=estimator.take_aids(),
+            shadow=estimator.shadow,
+            doubts=self.doubts,
+        )
+
+    def take_remarks(self) -> list[Event]:
+        """What the estimator has to say to the operator, since the last call."""
+        remarks, self._remarks = self._remarks, []
+        return remarks
+
+    def counts(self, pictures: Mapping[str, int]) -> dict[str, int]:
+        """Its counts and those of the ``pictures``, for the log; in short they are :attr:`errors`."""
+        counts = self._estimator.counters()
+        unused = {sensor: sum(counts.get(f"{sensor}.{what}", 0) for what in UNUSED_COUNTS) for sensor in AID_SENSORS}
+        fixes = unused["markers"] + unused["external"]
+        refused = sum(count for name, count in pictures.items() if name not in GOOD_FRAMES)
+        self.errors = (
+            sum(counts.get(f"ahrs.{what}", 0) for what in (*UNUSED_COUNTS, "old", "stuck")),
+            fixes + refused,
+            sum(unused.values()) - fixes,
+            counts.get("resets", 0),
+        )
+        return {**counts, **pictures}

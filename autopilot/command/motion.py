@@ -1,0 +1,80 @@
+"""From goal to thrust: the controller on its ticks, its inner loop in between, and what is flown without either."""
+
+import numpy as np
+
+from autopilot.command.decision import Decision
+from autopilot.control.controller import MotionController
+from autopilot.control.fence.tracks import Tracks
+from autopilot.control.thrust.actuation import Actuation
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import ControlOutput, Fallback, Goal, NavState, NmpcStatus, SolveStatus
+from autopilot.core.params import ParamSet
+
+BLIND_ASCENT_SHARE = 0.35
+"""Share of the thrust limit that lifts a vehicle without a position: about 0.2 m/s for the LBV150."""
+
+
+class Motion:
+    """Asks the controller, and keeps what it said for the ticks until it is asked again."""
+
+    def __init__(self, controller: MotionController, actuation: Actuation, params: ParamSet, tracks: Tracks) -> None:
+        self._controller = controller
+        self._actuation = actuation
+        self._params = params
+        self._tracks = tracks
+        self.thrust_n: FloatArray = actuation.nothing()
+        """(n,) wanted now."""
+        self.status: NmpcStatus | None = None
+        """Of the last control step, None while nothing is controlled."""
+        self.solver_failures = 0
+        """Control steps in a row without a solution."""
+        self.way_left_m: float | None = None
+        """Length of the way to the goal as the controller flies it, None = it has none."""
+
+    def reset(self) -> None:
+        """Nothing has been planned."""
+        self.solver_failures, self.status, self.way_left_m = 0, None, None
+        self._controller.reset()
+
+    def step(
+        self, t_us: int, nav: NavState | None, decision: Decision, last_goal: Goal | None, fence: Fence, *, due: bool
+    ) -> ControlOutput | None:
+        """One tick. ``due``: a tick of the controller; a goal that appears does not wait for one."""
+        goal = decision.goal
+        if goal is None or nav is None:
+            limit_n = BLIND_ASCENT_SHARE * self._params["THR_LIMIT"]
+            actuation = self._actuation
+            self.thrust_n = actuation.lift_n(limit_n) if decision.blind_ascent else actuation.nothing()
+            if last_goal is not None:
+                self.reset()
+            return None
+        nav = self._actuation.believed(t_us, nav)
+        if due or last_goal is None:
+            return self._control(t_us, nav, goal, fence)
+        between = self._controller.tick(t_us, nav)
+        self.thrust_n = self.thrust_n if between is None else between
+        return None
+
+    def _control(self, t_us: int, nav: NavState, goal: Goal, fence: Fence) -> ControlOutput:
+        actuation = self._actuation
+        control = self._controller.step(
+            t_us,
+            nav,
+            goal,
+            fence,
+            self._params,
+            actuation.limit_n,
+            self._tracks.at(t_us),
+            delay_s=None if actuation.doubtful else actuation.delay_s,
+        )
+        solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
+        self.solver_failures = 0 if solved or actuation.doubtful else self.solver_failures + 1
+        self.thrust_n, self.status = control.thrust_n, control.status
+        self.way_left_m = _length_m(control.route_ned_m)
+        return control
+
+
+def _length_m(way: FloatArray) -> float | None:
+    """Of a polyline (m, 2), None when there is none."""
+    return float(np.hypot(*np.diff(way, axis=0).T).sum()) if len(way) > 1 else None

@@ -1,0 +1,31 @@
+"""What the service is made of."""
+
+from dataclasses import dataclass
+
+from autopilot.command.commander import Commander
+from autopilot.control.controller import MotionController
+from autopilot.control.thrust.actuation import Actuation
+from autopilot.core.desk import Desk
+from autopilot.core.guard import Guard
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle
+from autopilot.mavlink.server import MavlinkServer
+from estimator.protocol import Estimator
+from mission.store import Plans
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Parts:
+    """Everything that the composition root puts together."""
+
+    vehicle: Vehicle
+    params: ParamSet
+    plans: Plans
+    estimator: Estimator
+    controller: MotionController
+    actuation: Actuation
+    commander: Commander
+    server: MavlinkServer
+    guard: Guard
+    desks: tuple[Desk, ...] = ()
+    """Where slow work is asked for: while the loop waits there it attends to its links."""

@@ -1,0 +1,54 @@
+"""What comes in with a tick beside the estimator's samples: power, obstacles, pictures, devices that fail."""
+
+from collections.abc import Mapping
+
+from autopilot.command.camera_watch import CameraWatch
+from autopilot.command.device_watch import DeviceWatch
+from autopilot.control.fence.tracks import Tracks
+from autopilot.core.messages import Event, Inputs
+from autopilot.core.samples import ObstacleTrack, PowerSample, plausible
+
+
+class Surroundings:
+    """The newest of everything."""
+
+    def __init__(self) -> None:
+        self._bad_power = 0
+        self._events: list[Event] = []
+        self.devices = DeviceWatch()
+        self.camera = CameraWatch()
+        self.tracks = Tracks()
+        """Obstacles beside the fence."""
+        self.power: PowerSample | None = None
+
+    @property
+    def supply_v(self) -> float | None:
+        """Measured voltage, None while none has come."""
+        return None if self.power is None else self.power.voltage_v
+
+    def note(self, inputs: Inputs) -> None:
+        """Take a tick's inputs."""
+        self._events += self.devices.step(inputs.t_us, inputs.troubles)
+        self._events += self.camera.step(inputs.t_us, inputs.pictures, inputs.samples)
+        for sample in inputs.samples:
+            if isinstance(sample, PowerSample):
+                if plausible(sample):
+                    self.power = sample
+                else:
+                    self._bad_power += 1
+            elif isinstance(sample, ObstacleTrack):
+                self.tracks.note(inputs.t_us, sample)
+
+    def take_events(self) -> list[Event]:
+        """Lines for the operator since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def pictures(self, frames: Mapping[str, int] | None) -> dict[str, int]:
+        """Counts of the pictures, those that were too foggy among them; empty without a camera."""
+        return {} if frames is None else {**frames, "frames.foggy": self.camera.foggy}
+
+    def counts(self) -> dict[str, int]:
+        """Ticks without a device and power samples that were no power samples, for the log."""
+        troubles = {f"devices.{role.name.lower()}": count for role, count in self.devices.counts.items() if count}
+        return {**troubles, "power.malformed": self._bad_power} if self._bad_power else troubles

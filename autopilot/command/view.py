@@ -1,0 +1,45 @@
+"""What telemetry shows of a tick."""
+
+from autopilot.command.decision import Decision
+from autopilot.command.estimation import Estimation
+from autopilot.command.parts import Parts
+from autopilot.core.messages import Inputs, NavState, NmpcStatus, ThrusterCommand
+from autopilot.core.samples import PowerSample
+from autopilot.mavlink.api import VehicleView
+
+
+def vehicle_view(
+    parts: Parts,
+    inputs: Inputs,
+    nav: NavState | None,
+    estimation: Estimation,
+    power: PowerSample | None,
+    control: NmpcStatus | None,
+    decision: Decision | None,
+    command: ThrusterCommand | None,
+) -> VehicleView:
+    """The estimate is of this tick, ``decision`` and ``command`` are of the last one."""
+    commander = parts.commander
+    goal = None if decision is None else decision.goal
+    return VehicleView(
+        t_us=inputs.t_us,
+        armed=commander.armed,
+        mode=commander.mode,
+        intended_mode=commander.intended_mode,
+        nav=nav,
+        power=power,
+        command=command,
+        progress=None if decision is None else decision.progress,
+        target_ned_m=None if goal is None else goal.pos_ned_m,
+        origin=parts.plans.origin,
+        home=parts.plans.home,
+        prearm_reasons=commander.readiness,
+        failsafes=0 if decision is None else decision.failsafes,
+        cpu_load=inputs.cpu_load,
+        under_way=commander.under_way,
+        dropped_rx=parts.server.dropped_rx,
+        aid_ratio=estimation.aid_ratio,
+        nav_errors=estimation.errors,
+        nav_doubts=estimation.doubts,
+        control=control,
+    )

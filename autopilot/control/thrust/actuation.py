@@ -1,0 +1,131 @@
+"""Thrust goes in, pulses and what they will give come out.
+
+The thrusters as the service has them: the curve from thrust to pulses, what is lost of their thrust, and how late they
+do what they are told. The order within a tick: :meth:`Actuation.send` at its beginning, :meth:`Actuation.learn` when
+the estimate is there, :meth:`Actuation.command` (or :meth:`Actuation.neutral`) at its end.
+"""
+
+import numpy as np
+
+from autopilot.control.thrust.allocation import Allocation
+from autopilot.control.thrust.delay import LatencyCare
+from autopilot.control.thrust.losses import ThrusterCare
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import MAX_THRUSTERS, Goal, NavState, ThrusterCommand, ThrusterHealthState
+from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
+from autopilot.core.vehicle import Vehicle
+
+MUCH_N = 1e3
+"""More than any thruster is asked for: what counts is how they share."""
+
+NO_LIFT = 1e-6
+"""Less than this of a newton per newton of heave is rounding."""
+
+
+class Actuation:
+    """All thrusters of a vehicle (n of them), in the order of its file."""
+
+    def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
+        self._sharing = Sharing.of(vehicle)
+        self._care = ThrusterCare(vehicle, params)
+        self._latency = LatencyCare(vehicle, params)
+        self._count = self._sharing.model.thrusters
+        self._pulse_n = self.nothing()
+        """What sound thrusters will give with the pulses of the last command."""
+        self.allocation = Allocation(vehicle.thrusters)
+        self.supply_v: float | None = None
+        """Measured voltage, None = nominal."""
+
+    def nothing(self) -> FloatArray:
+        """No thrust (n,)."""
+        return np.zeros(self._count)
+
+    # What is known
+
+    @property
+    def share(self) -> FloatArray:
+        """(n,) what each gives of its thrust; a dead one 0."""
+        return self._care.share
+
+    @property
+    def problem(self) -> str:
+        """What the thrust that is left does not allow, "" while the vehicle can stay where it is."""
+        return self._care.problem
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Thrusters that have been asked for too little so far to be judged."""
+        return self._care.unseen
+
+    @property
+    def delay_s(self) -> float:
+        """So late commands act, 0 while that is not beyond doubt."""
+        return self._latency.delay_s
+
+    @property
+    def doubtful(self) -> bool:
+        """Thrust has shown no effect yet, and it is not known how late it will: no more of it."""
+        return self._latency.doubtful
+
+    @property
+    def limit_n(self) -> FloatArray:
+        """(n,) what the thrusters can give at the present supply: a sagging battery and losses lower the bounds."""
+        return self.allocation.capability_n(self.supply_v) * self._care.share
+
+    def believed(self, t_us: int, nav: NavState) -> NavState:
+        """The estimate for the controller: just after a delay has been found with the current of before."""
+        return self._latency.believed(t_us, nav)
+
+    # One tick
+
+    def not_taken(self) -> None:
+        """The last command has not reached the thrusters: they stand."""
+        self._pulse_n = self.nothing()
+
+    def send(self, t_us: int) -> FloatArray:
+        """The last command is on its way. The result (n,) is what sound thrusters give of what acts now."""
+        return self._latency.send(t_us, self._pulse_n)
+
+    def learn(
+        self, t_us: int, nav: NavState | None, acting_n: FloatArray, goal: Goal | None, *, armed: bool, reached: bool
+    ) -> ThrusterHealthState | None:
+        """Late commands and lost thrust, from the estimate of now and what :meth:`send` said.
+
+        ``reached``: the device takes the commands. The result is for the log, at times.
+        """
+        capability_n = self.allocation.capability_n(self.supply_v)
+        self._latency.step(t_us, nav, armed=armed)
+        # What never reached the thrusters says nothing about them.
+        prompt = armed and self._latency.prompt and reached
+        return self._care.step(t_us, nav, acting_n, capability_n, goal, armed=prompt)
+
+    def lift_n(self, limit_n: float) -> FloatArray:
+        """(n,) straight up, the thruster that has to give most giving ``limit_n``; nothing when none can lift."""
+        wanted = np.array([0.0, 0.0, -1.0, 0.0])
+        up = self._sharing.thrust_n(wanted, np.where(self._care.share > 0.0, MUCH_N, 0.0))
+        most = float(np.abs(up).max())
+        if most < NO_LIFT:
+            return self.nothing()
+        up[np.abs(up) < NO_LIFT * most] = 0.0
+        return up * (limit_n / most)
+
+    def command(self, t_us: int, thrust_n: FloatArray, *, armed: bool) -> ThrusterCommand:
+        """Pulses for thrust (n,), neutral ones while disarmed."""
+        if not armed:
+            self._pulse_n = self.nothing()
+            return self._told(t_us, self._pulse_n, self.allocation.neutral_us)
+        pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._care.share)
+        # What the pulses will give, deadband and saturation included: the estimator's model lives on it.
+        self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v)
+        return self._told(t_us, thrust_n, pulses_us)
+
+    def neutral(self, t_us: int) -> ThrusterCommand:
+        """No thrust; needs nothing that could fail."""
+        self._pulse_n = self.nothing()
+        return self._told(t_us, self._pulse_n, self.allocation.neutral_us)
+
+    def _told(self, t_us: int, thrust_n: FloatArray, pulses_us: tuple[int, ...]) -> ThrusterCommand:
+        padded_n = np.zeros(MAX_THRUSTERS)
+        padded_n[: self._count] = thrust_n
+        return ThrusterCommand(t_us=t_us, thrust_n=padded_n, pwm_us=pulses_us + (0,) * (MAX_THRUSTERS - self._count))
