@@ -29,6 +29,7 @@ from estimator.measure_pose import PoseFix
 from estimator.measurement import CHI2_999, Measurement, Moment
 from estimator.motion import moved
 from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from estimator.protocol import Estimator, EstimatorContext
 from estimator.states import (
     ACCEL_BIAS,
     CURRENT,
@@ -195,3 +196,8 @@ def create_complementary(
 ) -> Engine:
     """The observer behind :class:`estimator.protocol.Estimator`."""
     return Engine(ObserverCore(), vehicle, markers, floor_depth_m, replace(options, current_3d=False))
+
+
+def of_context(context: EstimatorContext) -> Estimator:
+    """The observer by name ("complementary")."""
+    return create_complementary(context.vehicle, context.markers, context.floor_depth_m, context.options)

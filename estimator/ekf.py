@@ -5,6 +5,7 @@ from autopilot.core.vehicle import Vehicle
 from estimator.engine import Engine
 from estimator.kalman import KalmanCore
 from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from estimator.protocol import Estimator, EstimatorContext
 
 
 def create_ekf(
@@ -15,3 +16,8 @@ def create_ekf(
 ) -> Engine:
     """The extended Kalman filter behind :class:`estimator.protocol.Estimator`."""
     return Engine(KalmanCore(current_3d=options.current_3d), vehicle, markers, floor_depth_m, options)
+
+
+def of_context(context: EstimatorContext) -> Estimator:
+    """The EKF by name ("ekf")."""
+    return create_ekf(context.vehicle, context.markers, context.floor_depth_m, context.options)

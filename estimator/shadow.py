@@ -7,7 +7,6 @@ biases, the vehicle model, covariances, history.
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -30,18 +29,10 @@ AFTER_US = 1_000_000
 """So long the difference must be too large, or within its bounds again."""
 
 
-class Solving(Estimator, Protocol):
-    """An estimator that also hands out what it made of pictures."""
-
-    def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
-        """Poses and ranges from pictures since the last call, stamped as the pictures were."""
-        ...
-
-
 class Shadowed:
     """:class:`estimator.protocol.Estimator`: says what the flown one says, and how far the other is from it."""
 
-    def __init__(self, flown: Solving, other: Estimator) -> None:
+    def __init__(self, flown: Estimator, other: Estimator) -> None:
         self._flown = flown
         self._other = other
         self._status: ShadowStatus | None = None
@@ -68,6 +59,10 @@ class Shadowed:
     def take_aids(self) -> tuple[AidStatus, ...]:
         """Of the flown estimator."""
         return self._flown.take_aids()
+
+    def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
+        """Nothing: the shadow has had it."""
+        return ()
 
     def take_remarks(self) -> tuple[str, ...]:
         """Of the flown estimator."""

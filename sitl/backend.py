@@ -19,25 +19,13 @@ from sitl.depth_sensor import SimDepthSensor
 from sitl.dvl import SimDvl
 from sitl.floor import build_floor
 from sitl.obstacle_sensor import SimObstacleSensor
-from sitl.plant import Truth, build_plant
+from sitl.plant import Truth
 from sitl.pose_sensor import SimPoseSensor
+from sitl.protocol import PlantContext, PlantLike, create_plant
 from sitl.scenario import Scenario
 
 POWER_PERIOD_US = 500_000
 """The battery monitor reports at 2 Hz."""
-
-
-class PlantLike(Protocol):
-    """What the back end needs of a plant (:class:`sitl.plant.Plant`)."""
-
-    @property
-    def truth(self) -> Truth:
-        """The present truth."""
-        ...
-
-    def advance(self, t_us: int, pwm_us: Sequence[int]) -> None:
-        """Move on to a time with these pulses held."""
-        ...
 
 
 class Observer(Protocol):
@@ -250,16 +238,23 @@ def simulated_vehicle(
     seed: int | None = None,
     position: Literal["camera", "pose"] | None = None,
     paced: bool = False,
+    plant: str | None = None,
+    plant_asked_by: str | None = None,
 ) -> SimulatedVehicle:
-    """The vehicle of a scenario with its plant; ``seed`` and ``position`` None = as the scenario says.
+    """The vehicle of a scenario with its plant; ``seed``, ``position`` and ``plant`` None = as the scenario says.
 
-    ``paced``: whoever asks does not wait for pictures, they come when they are ready.
+    ``paced``: whoever asks does not wait for pictures, they come when they are ready. ``plant_asked_by``: option or
+    variable that named the plant, for errors.
     """
+    seed = scenario.scenario.seed if seed is None else seed
+    if plant is None:
+        plant, plant_asked_by = scenario.plugins.plant, "`$.plugins.plant`"
+    context = PlantContext(scenario=scenario, vehicle=vehicle, seed=seed)
     return SimulatedVehicle(
         scenario,
         vehicle,
-        build_plant(scenario, vehicle),
-        seed=scenario.scenario.seed if seed is None else seed,
+        create_plant(plant, context, plant_asked_by),
+        seed=seed,
         position=scenario.sensors.position if position is None else position,
         paced=paced,
     )

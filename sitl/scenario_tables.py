@@ -267,6 +267,15 @@ class Controller(_Table, frozen=True, kw_only=True):
             raise ValueError(f'`map` needs `currents` = "map", not "{self.currents}"')
 
 
+class Plugins(_Table, frozen=True, kw_only=True):
+    """``[plugins]``: who flies, who estimates and what moves. A shipped name, one of an installed package, or
+    "package:Class" (docs/extend.md)."""
+
+    controller: str = "nmpc"
+    estimator: str = "ekf"
+    plant: str = "rigid-body"
+
+
 class ThrusterLoss(_Table, frozen=True, kw_only=True, tag_field="kind", tag="thruster_loss"):
     """A thruster gives only ``1 - loss`` of its thrust."""
 
@@ -368,6 +377,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     camera: CameraLook = CameraLook()
     markers: Markers = Markers()
     controller: Controller = Controller()
+    plugins: Plugins = Plugins()
     fault: list[Fault] = []
     params: dict[str, float] = {}
     """Parameters of the vehicle that this scenario is flown with (``[params]``); saved ones and ``--param`` win."""

@@ -18,6 +18,7 @@ from autopilot.control.nmpc.grid import TimeGrid, geometric_grid
 from autopilot.control.nmpc.lag import ThrusterLag
 from autopilot.control.nmpc.reversal import Reversals
 from autopilot.control.nmpc.solver import NmpcResult
+from autopilot.control.protocol import Controller, ControllerContext
 from autopilot.control.robust.fallback import FallbackWatch
 from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.margins import Tighten
@@ -262,6 +263,16 @@ class MotionController:
         self._command = self._reversals.worth(thrust)
         return self._command
 
+    def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
+        """What the margins leave of the planar speed with this estimate."""
+        return self.margins.planar_speed_m_s(nav, params)
+
+    def refusals(
+        self, nav: NavState, goals: Sequence[tuple[str, float]], fence_half_m: float, params: ParamSet
+    ) -> tuple[str, ...]:
+        """What the margins have against arming (:meth:`autopilot.control.robust.margins.Margins.refusals`)."""
+        return self.margins.refusals(nav, goals, fence_half_m, params)
+
     def take_news(self) -> list[tuple[Severity, str]]:
         """Severity and text of what the operator should know since the last call."""
         parts = (self.margins, self.regions, self._penalty, self._fallbacks, self._guidance)
@@ -390,3 +401,10 @@ class MotionController:
             horizon_ned_m=here.copy(),
             route_ned_m=here[:, :2].copy(),
         )
+
+
+def of_context(context: ControllerContext) -> Controller:
+    """The shipped controller by name ("nmpc")."""
+    return MotionController(
+        context.vehicle, currents=context.currents, desks=context.desks, trajectories=context.trajectories
+    )

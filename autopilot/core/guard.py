@@ -91,7 +91,7 @@ class Guard:
             self._pending.append(self._fault(part, error, given))
 
     def _fault(self, part: str, error: Exception, given: Callable[[], object]) -> Fault:
-        kind, place = type(error).__name__, _place(error)
+        kind, place = type(error).__name__, place_of(error)
         said_us = self._described_us.get((kind, place))
         brief = said_us is not None and 0 <= self.t_us - said_us < DESCRIBE_EVERY_US
         if not brief:
@@ -122,7 +122,7 @@ class Guard:
         return self._counts
 
 
-def _place(error: Exception) -> str:
+def place_of(error: Exception) -> str:
     """File, line and function that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     return f"{Path(frames[-1].filename).name}:{frames[-1].lineno} in {frames[-1].name}" if frames else "unknown"

@@ -194,7 +194,7 @@ def _measure(flight: PilotedFlight) -> None:
     flight.session.runtime.wrap_step(timed_step)
     for name in ("step", "tick"):
         setattr(controller, name, _timed(getattr(controller, name), flight))
-    for desk in controller.desks.lanes:
+    for desk in flight.session.parts.desks:
         desk.wait = _not_counted(desk.wait, flight)  # type: ignore[method-assign, assignment]
 
 

@@ -1,0 +1,65 @@
+"""What a plant is to the simulation, and how one is made (docs/extend.md)."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from autopilot.core.plugins import Plugin, find_plugin
+from autopilot.core.vehicle import Vehicle
+from sitl.plant import Plant, Truth, build_plant
+from sitl.scenario import Scenario
+
+PLANTS = {"rigid-body": "sitl.protocol:rigid_body"}
+"""Shipped plants: name -> what makes one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PlantContext:
+    """What a plant is made of. What a scenario asks for and a plant cannot do it refuses with ConfigError."""
+
+    scenario: Scenario
+    """Start, tank, obstacles, current, tether, mismatch and thruster faults are the plant's business."""
+    vehicle: Vehicle
+    """The vehicle file; ``body`` and ``thruster`` are meant for plants."""
+    seed: int
+    """Of the run; all randomness comes from it."""
+
+
+class PlantLike(Protocol):
+    """Pulses in, truth out: the vehicle in its world. Sensors, faults of sensors, and late commands are not its part.
+
+    World NED with the surface at depth 0, body FRD, SI, radians. Deterministic: the same calls give the same truth bit
+    for bit. What raises ends the run: without a world there is nothing to fly in.
+    """
+
+    @property
+    @abstractmethod
+    def truth(self) -> Truth:
+        """The present truth; asked for at the times at which sensors look, and by the log."""
+        ...
+
+    @abstractmethod
+    def advance(self, t_us: int, pwm_us: Sequence[int]) -> None:
+        """Move on to ``t_us``, no earlier than the last one, with these pulses held: one per thruster in the order of
+        the vehicle file, missing or 0 = off."""
+        ...
+
+
+def create_plant(name: str, context: PlantContext, asked_by: str | None = None) -> PlantLike:
+    """The plant of that name (shipped, of an installed package, or package:Class).
+
+    ConfigError names ``asked_by`` (default ``--plant``), the value and what to do.
+    """
+    made: PlantLike = find_plant(name, asked_by).make(context, PlantLike)
+    return made
+
+
+def find_plant(name: str, asked_by: str | None = None) -> Plugin:
+    """Where the plant of that name comes from. ConfigError if there is none."""
+    return find_plugin("plant", name, PLANTS, asked_by)
+
+
+def rigid_body(context: PlantContext) -> Plant:
+    """The shipped plant ("rigid-body"): six degrees of freedom."""
+    return build_plant(context.scenario, context.vehicle)
