@@ -66,12 +66,15 @@ def define(
     name_or_path: str,
     *,
     seed: int | None = None,
-    estimator: str = "ekf",
+    estimator: str | None = None,
     sensors: str | None = None,
     duration_s: float | None = None,
     params: dict[str, float] | None = None,
 ) -> Campaign:
-    """The campaign over a scenario; ``seed`` None = the scenario's. ConfigError, PlanError: it cannot be flown."""
+    """The campaign over a scenario; ``seed``, ``estimator`` None = the scenario's.
+
+    ConfigError, PlanError: it cannot be flown.
+    """
     scenario, tables = load_scenario(name_or_path), load_tables(name_or_path)
     plan = plan_path(name_or_path, scenario)
     if plan is None:
@@ -92,7 +95,7 @@ def define(
         plan_name=plan.name,
         plan=plan.read_text(encoding="utf-8"),
         seed=scenario.scenario.seed if seed is None else seed,
-        estimator=estimator,
+        estimator=estimator or scenario.plugins.estimator,
         sensors=sensors,
         duration_s=duration_s,
         params=params or {},

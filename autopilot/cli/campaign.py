@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import click
 
 from autopilot.cli.output import emit_json, print_table
-from autopilot.run.config import ESTIMATORS, SENSORS
+from autopilot.cli.part_name import part_name
+from autopilot.run.config import SENSORS
 
 if TYPE_CHECKING:
     from autopilot.campaign.engines import Engine
@@ -88,7 +89,7 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
 @click.option("--shard", default="1/1", show_default=True, help="I/N: only every N-th run, from the I-th on.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the campaign (default: the scenario's).")
 @click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End every run after so many seconds.")
-@click.option("--estimator", type=click.Choice(ESTIMATORS), default="ekf", show_default=True)
+@click.option("--estimator", callback=part_name, help="Default: the scenario's, else ekf.")
 @click.option("--sensors", type=click.Choice(SENSORS), help="Default: the scenario's.")
 @click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Histograms in the folder.")
@@ -102,7 +103,7 @@ def fly(
     shard: str,
     seed: int | None,
     duration: float | None,
-    estimator: str,
+    estimator: str | None,
     sensors: str | None,
     param: tuple[str, ...],
     figures: bool,

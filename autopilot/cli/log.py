@@ -9,7 +9,7 @@ import click
 
 from autopilot.cli.log_tlog import tlog
 from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
-from autopilot.run.config import ESTIMATORS
+from autopilot.cli.part_name import part_name
 
 if TYPE_CHECKING:
     from autopilot.control.nmpc.unsolved import Trial
@@ -98,7 +98,7 @@ def plot(log_file: Path, out: Path | None) -> None:
 
 @log.command()
 @_LOG
-@click.option("--estimator", type=click.Choice(ESTIMATORS), help="Another estimator than the run's.")
+@click.option("--estimator", callback=part_name, help="Another estimator than the run's.")
 @click.option("--set", "changes", multiple=True, metavar="NAME=VALUE", help="Change an estimator option; repeatable.")
 @click.option("--out", type=click.Path(path_type=Path), help="Write the replayed states to a .csv or .mcap file.")
 @_JSON

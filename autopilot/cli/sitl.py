@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.output import EXIT_LOSS
+from autopilot.cli.part_name import part_name
 from autopilot.core.errors import AutopilotError
-from autopilot.run.config import BASINS, CURRENTS, ESTIMATORS, PROFILES, SENSORS, UNTIL
+from autopilot.run.config import BASINS, CURRENTS, PROFILES, SENSORS, UNTIL
 
 if TYPE_CHECKING:
     from autopilot.run.sitl_console import RunWatch
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
 @click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End after so many seconds.")
 @click.option("--log", type=click.Path(dir_okay=False), help="Log file (default: one per arming in the log folder).")
 @click.option("--connect", multiple=True, help="MAVLink connection; repeatable, replaces the defaults.")
-@click.option("--estimator", type=click.Choice(ESTIMATORS), help="Default: ekf.")
+@click.option("--controller", callback=part_name, help="Default: the scenario's, else nmpc.")
+@click.option("--estimator", callback=part_name, help="ekf, complementary (default: the scenario's, else ekf).")
+@click.option("--plant", callback=part_name, help="Default: the scenario's, else rigid-body.")
 @click.option("--sensors", type=click.Choice(SENSORS), help="Rendered camera, or a noisy pose (default: scenario's).")
 @click.option("--markers", type=click.Path(dir_okay=False), help="Marker map that it is told (default: the true one).")
 @click.option(

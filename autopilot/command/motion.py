@@ -3,8 +3,8 @@
 import numpy as np
 
 from autopilot.command.decision import Decision
-from autopilot.control.controller import MotionController
 from autopilot.control.fence.tracks import Tracks
+from autopilot.control.protocol import Controller, sound, sound_thrust_n
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
@@ -18,13 +18,15 @@ BLIND_ASCENT_SHARE = 0.35
 class Motion:
     """Asks the controller, and keeps what it said for the ticks until it is asked again."""
 
-    def __init__(self, controller: MotionController, actuation: Actuation, params: ParamSet, tracks: Tracks) -> None:
+    def __init__(self, controller: Controller, actuation: Actuation, params: ParamSet, tracks: Tracks) -> None:
         self._controller = controller
         self._actuation = actuation
         self._params = params
         self._tracks = tracks
         self.thrust_n: FloatArray = actuation.nothing()
         """(n,) wanted now."""
+        self._limit_n: FloatArray = actuation.nothing()
+        """(n,) of the last control step."""
         self.status: NmpcStatus | None = None
         """Of the last control step, None while nothing is controlled."""
         self.solver_failures = 0
@@ -53,21 +55,23 @@ class Motion:
         if due or last_goal is None:
             return self._control(t_us, nav, goal, fence)
         between = self._controller.tick(t_us, nav)
-        self.thrust_n = self.thrust_n if between is None else between
+        self.thrust_n = self.thrust_n if between is None else sound_thrust_n(between, self._limit_n)
         return None
 
     def _control(self, t_us: int, nav: NavState, goal: Goal, fence: Fence) -> ControlOutput:
         actuation = self._actuation
+        self._limit_n = limit_n = np.minimum(actuation.limit_n, self._params["THR_LIMIT"])
         control = self._controller.step(
             t_us,
             nav,
             goal,
             fence,
             self._params,
-            actuation.limit_n,
+            limit_n,
             self._tracks.at(t_us),
             delay_s=None if actuation.doubtful else actuation.delay_s,
         )
+        control = sound(control, limit_n)
         solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
         self.solver_failures = 0 if solved or actuation.doubtful else self.solver_failures + 1
         self.thrust_n, self.status = control.thrust_n, control.status

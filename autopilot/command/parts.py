@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from autopilot.command.commander import Commander
-from autopilot.control.controller import MotionController
+from autopilot.control.protocol import Controller
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.core.desk import Desk
 from autopilot.core.guard import Guard
@@ -22,7 +22,7 @@ class Parts:
     params: ParamSet
     plans: Plans
     estimator: Estimator
-    controller: MotionController
+    controller: Controller
     actuation: Actuation
     commander: Commander
     server: MavlinkServer

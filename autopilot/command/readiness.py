@@ -1,8 +1,8 @@
-"""What the margins of the controller forbid before arming: a tightened set that is empty, water that is too fast."""
+"""What the controller forbids before arming (a tightened set that is empty), and water that is too fast."""
 
 import numpy as np
 
-from autopilot.control.robust.margins import Margins
+from autopilot.control.protocol import Controller
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
 from mission.store import Plans
@@ -11,17 +11,17 @@ from mission.store import Plans
 class MarginCheck:
     """Reasons against arming; the geometry of the plans comes from their check."""
 
-    def __init__(self, margins: Margins, params: ParamSet, plans: Plans) -> None:
-        self._margins, self._params, self._plans = margins, params, plans
+    def __init__(self, controller: Controller, params: ParamSet, plans: Plans) -> None:
+        self._controller, self._params, self._plans = controller, params, plans
 
     def planar_speed_m_s(self, nav: NavState) -> float:
-        """What the margins leave of the planar speed with this estimate."""
-        return self._margins.planar_speed_m_s(nav, self._params)
+        """What the controller leaves of the planar speed with this estimate."""
+        return self._controller.planar_speed_m_s(nav, self._params)
 
     def __call__(self, nav: NavState) -> tuple[str, ...]:
         """Why the vehicle must not be armed with this estimate; empty when it may."""
         verdict = self._plans.verdict
-        reasons = self._margins.refusals(nav, verdict.goal_room, verdict.widest_m, self._params)
+        reasons = self._controller.refusals(nav, verdict.goal_room, verdict.widest_m, self._params)
         current = float(np.hypot(*nav.current_ned_m_s[:2]))
         limit = self._params["SPD_PLANAR_MAX"]
         if current >= limit:

@@ -94,7 +94,7 @@ class Controller(Protocol):
         """Once, a second after the start: have prepared beside the loop what first answers need."""
 
     def take_news(self) -> list[tuple[Severity, str]]:
-        """Severity and text (50 characters) of what the operator should know since the last call; asked every tick."""
+        """Severity and text of what the operator should know since the last call (DEBUG: for the log); every tick."""
         return []
 
     @property

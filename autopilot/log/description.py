@@ -83,12 +83,28 @@ class Waypoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PartOrigin:
+    """Where a controller, an estimator or a plant comes from: enough to find the very same again."""
+
+    name: str
+    """As it was asked for: a shipped name, a package's, or package:Class."""
+    target: str
+    """``module:attribute`` that made it."""
+    version: str
+    """Distribution and version, "" for a file that is of none."""
+    sha256: str = ""
+    """Of that module's file; "" for a shipped one, which version and revision of the run tell."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RunDescription:
     """Everything about a run that is not a time series."""
 
     scenario: str
     """Name of the scenario; on hardware the name of the site or an empty string."""
     vehicle: str
+    parts: dict[str, PartOrigin] = field(default_factory=dict)
+    """By role: controller, estimator, plant; empty in logs that do not say."""
     seed: int | None = None
     speed: float | None = None
     """Requested speed relative to real time, 0 = as fast as possible; None on hardware."""

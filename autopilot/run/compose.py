@@ -8,8 +8,8 @@ from autopilot.command.commander import Commander
 from autopilot.command.parts import Parts
 from autopilot.command.readiness import MarginCheck
 from autopilot.command.service import Autopilot
-from autopilot.control.controller import MotionController
 from autopilot.control.energy.request import TrajectoryPlanner
+from autopilot.control.protocol import ControllerContext, create_controller
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.control.way.desks import Desks
@@ -43,6 +43,12 @@ class ServiceSetup:
     floor_depth_m: float | None
     """Depth of the floor that the laser points at, None = unknown."""
     estimator: str
+    """Name, or package:Class (docs/extend.md)."""
+    estimator_asked_by: str | None = None
+    """Option, variable or key that names it, for errors."""
+    controller: str = "nmpc"
+    """As ``estimator``."""
+    controller_asked_by: str | None = None
     profile: str
     instance: int
     currents: CurrentForecast
@@ -71,8 +77,15 @@ def build_service(
     desks = desks or Desks.beside(patient=setup.waits_for_plans)
     checks = Desk(ThreadPoolExecutor(1, thread_name_prefix="plans"), patient=setup.waits_for_plans)
     plans = Plans(params, vehicle.radius_m, setup.origin, setup.water, checks)
-    controller = MotionController(vehicle, currents=setup.currents, desks=desks, trajectories=trajectories)
-    check = MarginCheck(controller.margins, params, plans)
+    context = ControllerContext(
+        vehicle=vehicle,
+        model=vehicle.model4.to_model(),
+        currents=setup.currents,
+        desks=desks,
+        trajectories=trajectories,
+    )
+    controller = create_controller(setup.controller, context, setup.controller_asked_by)
+    check = MarginCheck(controller, params, plans)
     commander = Commander(vehicle, params, plans, controller_check=check, speed_m_s=check.planar_speed_m_s)
     guard = Guard()
     parts = Parts(
@@ -88,6 +101,7 @@ def build_service(
             floor_depth_m=setup.floor_depth_m,
             options=options_of(params),
             shadow=params["EST_SHADOW"] > 0.0,
+            asked_by=setup.estimator_asked_by,
         ),
         controller=controller,
         actuation=Actuation(vehicle, params),

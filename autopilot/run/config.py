@@ -19,11 +19,15 @@ ENVIRONMENT_PREFIX = "AUTOPILOT_"
 """AUTOPILOT_STATE_DIR and so on: every setting's name in capitals."""
 
 PROFILES = ("generic", "px4", "ardusub")
+CONTROLLERS = ("nmpc",)
 ESTIMATORS = ("ekf", "complementary")
+PLANTS = ("rigid-body",)
 SENSORS = ("camera", "pose")
 UNTIL = ("complete",)
 CURRENTS = ("estimate", "map", "memory", "none", "uniform")
 BASINS = ("closed", "open", "unknown")
+SHIPPED_PARTS = {"controller": CONTROLLERS, "estimator": ESTIMATORS, "plant": PLANTS}
+"""What stands in the tables of the rooms (:data:`autopilot.control.protocol.CONTROLLERS` and so on), for --help."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +75,9 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
         "plan": None,
         "log": None,
         "connect": default_connections(instance),
-        "estimator": "ekf",
+        "controller": None,
+        "estimator": None,
+        "plant": None,
         "sensors": None,
         "markers": None,
         "currents": None,
@@ -97,11 +103,25 @@ _FROM_TEXT: dict[str, Any] = {
 }
 
 
+def is_part(kind: str, name: str) -> bool:
+    """Whether there may be a controller, estimator or plant of that name."""
+    from autopilot.core.plugins import is_plugin_name  # not for --help
+
+    return is_plugin_name(kind, name, SHIPPED_PARTS[kind])
+
+
+def part_names(kind: str) -> str:
+    """What a controller, estimator or plant may be called."""
+    return f"{' or '.join(SHIPPED_PARTS[kind])}, or package:Class for your own"
+
+
 _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "speed": (lambda value: 0.0 <= value < math.inf, "0 or more"),
     "seed": (lambda value: value >= 0, "0 or more"),
     "duration": (lambda value: 0.0 < value < math.inf, "a number of seconds above 0"),
-    "estimator": (lambda value: value in ESTIMATORS, " or ".join(ESTIMATORS)),
+    "controller": (lambda value: is_part("controller", value), part_names("controller")),
+    "estimator": (lambda value: is_part("estimator", value), part_names("estimator")),
+    "plant": (lambda value: is_part("plant", value), part_names("plant")),
     "sensors": (lambda value: value in SENSORS, " or ".join(SENSORS)),
     "currents": (lambda value: value in CURRENTS, ", ".join(CURRENTS)),
     "basin": (lambda value: value in BASINS, ", ".join(BASINS)),
@@ -135,6 +155,15 @@ def gather(defaults: dict[str, Any], given: dict[str, Any], environment: dict[st
         if given.get(name) not in (None, ()):
             settings.put(name, given[name], "command line")
     return settings
+
+
+def chosen_part(settings: Settings, kind: str, in_scenario: str) -> tuple[str, str]:
+    """Name of the controller, estimator or plant, and the option, variable or key that says so, for errors."""
+    setting = settings.table[kind]
+    if setting.value is None:
+        return in_scenario, f"{settings['scenario']}: `$.plugins.{kind}`"
+    by = setting.origin.removeprefix("environment ")
+    return setting.value, f"--{kind}" if by == "command line" else by
 
 
 def parse_overrides(texts: tuple[str, ...]) -> dict[str, float]:

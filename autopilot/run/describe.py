@@ -6,7 +6,7 @@ import msgspec
 
 from autopilot.command.parts import Parts
 from autopilot.core.plan import PlanItem, PlanKind
-from autopilot.log.description import AcceptBounds, Obstacle, RunDescription, Waypoint, fence_shapes
+from autopilot.log.description import AcceptBounds, Obstacle, PartOrigin, RunDescription, Waypoint, fence_shapes
 from autopilot.mavlink.api import FlightMode
 from mission.items import GoTo, Jump
 from mission.store import Plans
@@ -15,8 +15,10 @@ from sitl.scenario_tables import MovingObstacle, PrismObstacle, SphereObstacle
 from sitl.scenario_tables import Obstacle as SolidTable
 
 
-def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -> RunDescription:
-    """The description of a simulated run as things stand now."""
+def describe_run(
+    scenario: Scenario, parts: Parts, *, seed: int, speed: float, origins: Mapping[str, PartOrigin] | None = None
+) -> RunDescription:
+    """The description of a simulated run as things stand now. ``origins``: of controller, estimator and plant."""
     params = parts.params
     tank = scenario.tank
     waypoints, laps = _tour(parts)
@@ -24,6 +26,7 @@ def describe_run(scenario: Scenario, parts: Parts, *, seed: int, speed: float) -
     return RunDescription(
         scenario=scenario.scenario.name,
         vehicle=parts.vehicle.name,
+        parts=dict(origins or {}),
         seed=seed,
         speed=speed,
         origin_lat_deg=parts.plans.origin.lat_deg,

@@ -38,18 +38,19 @@ from autopilot.core.messages import Outputs, Severity, ThrusterCommand
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.log.description import RunDescription
+from autopilot.log.description import PartOrigin, RunDescription
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
 from autopilot.log.writer import LogHead, Payload
 from autopilot.mavlink.api import ParamSaving
 from autopilot.replay.setup import estimator_attachments
 from autopilot.run.compose import ServiceSetup, build_service, load_plan
-from autopilot.run.config import Settings, system_id
+from autopilot.run.config import Settings, chosen_part, system_id
 from autopilot.run.describe import describe_run, plan_items, plans_json
 from autopilot.run.doorstep import sitl_params, state_folder
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.param_file import PersistentParams
+from autopilot.run.parts import part_origins
 from autopilot.run.provenance import revision
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.runtime import Peer, Runtime, make_clock
@@ -170,6 +171,8 @@ class _World:
     """The map that the controller is told, None without a file."""
     markers: MarkerMap | None
     """The marker map that the vehicle is told, None when there are no pictures."""
+    parts: dict[str, PartOrigin]
+    """Where controller, estimator and plant come from."""
 
 
 def open_sitl(
@@ -271,7 +274,10 @@ def _world(settings: Settings, scenario: Scenario, params: ParamSet) -> _World:
     sensors = scenario.sensors.position if settings["sensors"] is None else settings["sensors"]
     position = cast(Literal["camera", "pose"], sensors)
     speed = float(settings["speed"])
-    simulated = simulated_vehicle(scenario, vehicle, seed=seed, position=position, paced=speed > 0.0)
+    plant, plant_by = chosen_part(settings, "plant", scenario.plugins.plant)
+    simulated = simulated_vehicle(
+        scenario, vehicle, seed=seed, position=position, paced=speed > 0.0, plant=plant, plant_asked_by=plant_by
+    )
     origin = Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"])
     return _World(
         scenario=scenario,
@@ -282,6 +288,7 @@ def _world(settings: Settings, scenario: Scenario, params: ParamSet) -> _World:
         origin=origin,
         water=_map(settings, scenario, origin),
         markers=_told_markers(settings, scenario, simulated.markers),
+        parts=part_origins(settings, scenario),
     )
 
 
@@ -298,6 +305,8 @@ def _service(
     settings: Settings, world: _World, params: ParamSet, instance: int, *, links: int, saving: ParamSaving
 ) -> tuple[Autopilot, Parts]:
     """The service for that world: it learns marker map, floor depth and origin, and nothing of the truth."""
+    controller, controller_by = chosen_part(settings, "controller", world.scenario.plugins.controller)
+    estimator, estimator_by = chosen_part(settings, "estimator", world.scenario.plugins.estimator)
     return build_service(
         ServiceSetup(
             vehicle=world.vehicle,
@@ -305,7 +314,10 @@ def _service(
             origin=world.origin,
             markers=world.markers,
             floor_depth_m=told_floor_m(world.scenario),
-            estimator=settings["estimator"],
+            estimator=estimator,
+            estimator_asked_by=estimator_by,
+            controller=controller,
+            controller_asked_by=controller_by,
             profile=settings["profile"],
             instance=instance,
             currents=_currents(settings, world),
@@ -465,7 +477,7 @@ class _LogContents:
             "seed": str(world.seed),
             "speed": f"{world.speed:g}",
             "vehicle": parts.vehicle.name,
-            "estimator": str(settings["estimator"]),
+            **{kind: part.name for kind, part in world.parts.items()},
             "currents": _knowledge(settings, world.scenario),
             "basin": settings["basin"] or world.scenario.controller.basin,
             "currents_map": "" if world.water is None else world.water.name,
@@ -476,14 +488,20 @@ class _LogContents:
             "scenario.json": msgspec.json.encode(world.scenario),
             "vehicle.json": msgspec.json.encode(parts.vehicle),
             **estimator_attachments(
-                str(settings["estimator"]), parts.params, world.markers, told_floor_m(world.scenario)
+                world.parts["estimator"].name, parts.params, world.markers, told_floor_m(world.scenario)
             ),
             **_marker_file(settings, world),
         }
 
     def description(self) -> RunDescription:
         """The run as things stand now."""
-        return describe_run(self._world.scenario, self._parts, seed=self._world.seed, speed=self._world.speed)
+        return describe_run(
+            self._world.scenario,
+            self._parts,
+            seed=self._world.seed,
+            speed=self._world.speed,
+            origins=self._world.parts,
+        )
 
     def plans(self) -> dict[str, Payload]:
         """The plans in force now, to be encoded by whoever writes them."""
