@@ -30,7 +30,7 @@ class PlantLike(Protocol):
     """Pulses in, truth out: the vehicle in its world. Sensors, faults of sensors, and late commands are not its part.
 
     World NED with the surface at depth 0, body FRD, SI, radians. Deterministic: the same calls give the same truth bit
-    for bit. What raises ends the run: without a world there is nothing to fly in.
+    for bit. What raises is told as sensors that failed, and the plant is asked again on the next tick.
     """
 
     @property
