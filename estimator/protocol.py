@@ -125,7 +125,7 @@ def create_estimator(
         floor_depth_m = float(markers.corners_ned_m[..., 2].mean())
     context = EstimatorContext(
         vehicle=vehicle,
-        model=vehicle.model4.to_model(),
+        model=vehicle.to_model(),
         markers=markers,
         floor_depth_m=floor_depth_m,
         options=options,

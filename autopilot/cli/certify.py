@@ -86,8 +86,8 @@ def _goals(path: Path | None, params: "ParamSet", vehicle: "Vehicle") -> "tuple[
     """Waypoints of a plan (no place twice) and its fence. PlanError if there is none or it does not pass the checks."""
     from autopilot.core.errors import PlanError
     from autopilot.core.messages import Goal
-    from autopilot.run.compose import load_plan
     from mission.items import GoTo
+    from mission.loading import load_plan
     from mission.paper import paper_plan
     from mission.plan_files import read_plan
     from mission.store import Plans

@@ -48,8 +48,8 @@ def list_(as_json: bool) -> None:
 def check(file: Path, as_json: bool) -> None:
     """Check a parameter file and show what differs from the defaults. Exit 3 if it has names that do not exist."""
     from autopilot.core.errors import ConfigError
+    from autopilot.core.param_file import scan_param_file
     from autopilot.core.params import ParamSet
-    from autopilot.run.param_file import scan_param_file
 
     found = scan_param_file(file)
     if found.errors:
@@ -75,8 +75,8 @@ def check(file: Path, as_json: bool) -> None:
 @click.argument("file", type=click.Path(path_type=Path))
 def defaults(file: Path) -> None:
     """Write a parameter file with all defaults."""
+    from autopilot.core.param_file import write_param_file
     from autopilot.core.params import ParamSet
-    from autopilot.run.param_file import write_param_file
 
     write_param_file(file, ParamSet())
     click.echo(f"{file}: {len(ParamSet())} parameters")

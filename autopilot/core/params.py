@@ -1,13 +1,14 @@
 """Parameters: what an operator may change over MAVLink. One table gives name, default, unit, range and help.
 
 Names have at most 16 characters (MAVLink). Values live in a :class:`ParamSet`; who changes one gets a clear refusal
-instead of a clamped value. Keeping them on disk is the runtime's business (:mod:`autopilot.run.param_file`).
+instead of a clamped value. Keeping them on disk is not this module's business (:mod:`autopilot.core.param_file`).
 """
 
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
 
 from autopilot.core.errors import ConfigError
 
@@ -169,3 +170,25 @@ class ParamSet(Mapping[str, float]):
         if self._values[name] != value:
             self._values[name] = float(value)
             self.revision += 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Saved:
+    """What became of parameters that were to be kept."""
+
+    number: int
+    """Every request up to this one is settled."""
+    failure: str
+    """Why they are not on disk, in two or three words; "" when they are."""
+
+
+class ParamSaving(Protocol):
+    """Where parameters are kept. Never waits for a disk."""
+
+    def save(self, tick: int, name: str) -> int | None:
+        """Have the value in force kept; the number of the request, None when nothing has to be waited for."""
+        ...
+
+    def saved(self, tick: int) -> Saved | None:
+        """What became of requests, once."""
+        ...

@@ -49,28 +49,6 @@ class Answer:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Saved:
-    """What became of parameters that were to be kept."""
-
-    number: int
-    """Every request up to this one is settled."""
-    failure: str
-    """Why they are not on disk, in two or three words; "" when they are."""
-
-
-class ParamSaving(Protocol):
-    """Where parameters are kept. Never waits for a disk."""
-
-    def save(self, tick: int, name: str) -> int | None:
-        """Have the value in force kept; the number of the request, None when nothing has to be waited for."""
-        ...
-
-    def saved(self, tick: int) -> Saved | None:
-        """What became of requests, once."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VehicleView:
     """What telemetry shows, refreshed once per tick."""

@@ -10,10 +10,10 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.core.clients import EVERYONE
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
-from autopilot.core.params import ParamSet
+from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
-from autopilot.mavlink.api import ParamSaving, VehicleCommands, VehicleView
+from autopilot.mavlink.api import VehicleCommands, VehicleView
 from autopilot.mavlink.profiles import Profile
 from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.wire import LinkEncoder, Message

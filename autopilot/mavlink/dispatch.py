@@ -9,10 +9,10 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.core.geodesy import Place
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
-from autopilot.core.params import ParamSet
+from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, ParamSaving, VehicleCommands, VehicleView
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleCommands, VehicleView
 from autopilot.mavlink.commands import Commands
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
 from autopilot.mavlink.external import ExternalPoses

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from autopilot.core.geodesy import Place
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame
-from autopilot.core.params import ParamSet
+from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
-from autopilot.mavlink.api import FlightMode, ParamSaving, VehicleCommands, VehicleView
+from autopilot.mavlink.api import FlightMode, VehicleCommands, VehicleView
 from autopilot.mavlink.profiles import profile_by_name
 
 if TYPE_CHECKING:

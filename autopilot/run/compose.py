@@ -14,20 +14,16 @@ from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.control.way.desks import Desks
 from autopilot.core.desk import Desk
-from autopilot.core.errors import PlanError
 from autopilot.core.geodesy import Origin
 from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
-from autopilot.core.params import ParamSet
-from autopilot.core.plan import PlanKind
+from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import ParamSaving
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.replay.setup import options_of
 from autopilot.run.config import system_id
 from autopilot.run.provenance import revision
 from estimator.protocol import create_estimator
-from mission.plan_files import PlanFile
 from mission.store import Plans, WaterCheck
 
 
@@ -79,7 +75,7 @@ def build_service(
     plans = Plans(params, vehicle.radius_m, setup.origin, setup.water, checks)
     context = ControllerContext(
         vehicle=vehicle,
-        model=vehicle.model4.to_model(),
+        model=vehicle.to_model(),
         currents=setup.currents,
         desks=desks,
         trajectories=trajectories,
@@ -122,14 +118,3 @@ def build_service(
         ),
     )
     return Autopilot(parts), parts
-
-
-def load_plan(plans: Plans, plan: PlanFile, origin: str) -> str:
-    """Take fence, mission and rally of a plan file, before the loop runs. The result is why they cannot be flown yet,
-    "" if they can. PlanError with the reason when a plan is wrong by itself."""
-    for kind, items in ((PlanKind.FENCE, plan.fence), (PlanKind.MISSION, plan.mission), (PlanKind.RALLY, plan.rally)):
-        if items:
-            rejection = plans.replace(kind, items)
-            if rejection is not None:
-                raise PlanError(f"{origin}: {kind.name.lower()}: {rejection.reason}")
-    return plans.problem

@@ -16,10 +16,10 @@ from typing import Self
 from autopilot.core.desk import Desk
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import MavlinkFrame
+from autopilot.core.param_file import PersistentParams
 from autopilot.core.params import ParamSet
 from autopilot.mavlink.boot import BootLink
 from autopilot.run.config import Settings, system_id
-from autopilot.run.param_file import PersistentParams
 from drivers.links import open_link
 from drivers.protocols import Link
 from sitl.scenario import Scenario, load_scenario

@@ -35,21 +35,20 @@ from autopilot.core.lane import DaemonLane
 from autopilot.core.marker_files import load_marker_map, marker_file_text
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import Outputs, Severity, ThrusterCommand
-from autopilot.core.params import ParamSet
+from autopilot.core.param_file import PersistentParams
+from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.description import PartOrigin, RunDescription
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
 from autopilot.log.writer import LogHead, Payload
-from autopilot.mavlink.api import ParamSaving
 from autopilot.replay.setup import estimator_attachments
-from autopilot.run.compose import ServiceSetup, build_service, load_plan
+from autopilot.run.compose import ServiceSetup, build_service
 from autopilot.run.config import Settings, chosen_part, system_id
 from autopilot.run.describe import describe_run, plan_items, plans_json
 from autopilot.run.doorstep import sitl_params, state_folder
 from autopilot.run.kept_plans import KeptPlans
-from autopilot.run.param_file import PersistentParams
 from autopilot.run.parts import part_origins
 from autopilot.run.provenance import revision
 from autopilot.run.recorder import NullRecorder, RunRecorder
@@ -59,6 +58,7 @@ from drivers.protocols import Link
 from estimator.frame_door import FrameDoor
 from estimator.vision import MarkerDetector
 from estimator.vision_lane import VisionWorker
+from mission.loading import load_plan
 from mission.plan_files import read_plan
 from sitl.backend import SimulatedVehicle, simulated_vehicle
 from sitl.currents import current_field
@@ -397,7 +397,7 @@ def _kept_plans(settings: Settings, parts: Parts, instance: int, disk: Desk) -> 
     """Where plans are kept, None without --keep-plans: a simulation begins anew each time unless it is told to."""
     if not settings["keep_plans"]:
         return None
-    return KeptPlans(state_folder(settings, instance) / "plans.json", parts, disk)
+    return KeptPlans(state_folder(settings, instance) / "plans.json", parts.plans, parts.commander, disk)
 
 
 def _make_folder(folder: Path) -> None:

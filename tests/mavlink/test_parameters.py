@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mavlink_harness import NAN, Client, World, mav
 
-from autopilot.core.params import PARAMETERS, ParamType
-from autopilot.mavlink.api import Saved
+from autopilot.core.params import PARAMETERS, ParamType, Saved
 from autopilot.mavlink.parameters import shortest_decimal
 
 INT32, REAL32 = mav.MAV_PARAM_TYPE_INT32, mav.MAV_PARAM_TYPE_REAL32

@@ -39,7 +39,7 @@ def _upload(plans: Plans) -> None:
 def _written(folder: Path) -> tuple[Path, Parts]:
     """A file with the paper's plan, home and a position in the second lap."""
     path, parts = folder / "plans.json", _parts(folder)
-    kept = KeptPlans(path, parts)
+    kept = KeptPlans(path, parts.plans, parts.commander)
     assert kept.load() == ()
     _upload(parts.plans)
     parts.plans.set_home(parts.plans.home_ned_m + np.array([1.25, -0.5, 0.0]))
@@ -62,7 +62,7 @@ def _same(a: Parts, b: Parts) -> bool:
 def test_everything_comes_back(tmp_path: Path) -> None:
     path, before = _written(tmp_path)
     after = _parts(tmp_path)
-    assert KeptPlans(path, after).load() == ()
+    assert KeptPlans(path, after.plans, after.commander).load() == ()
     assert _same(before, after)
     assert after.commander.mission_position == before.commander.mission_position
     assert not after.commander.armed
@@ -71,7 +71,7 @@ def test_everything_comes_back(tmp_path: Path) -> None:
 
 def test_any_damage_is_found_and_the_copy_before_is_used(tmp_path: Path) -> None:
     path, before = _written(tmp_path)
-    kept = KeptPlans(path, before)
+    kept = KeptPlans(path, before.plans, before.commander)
     before.plans.set_home(before.plans.home_ned_m + np.array([0.0, 0.0, 0.0]))
     kept.tick(10_000)
     kept.finish()
@@ -82,7 +82,7 @@ def test_any_damage_is_found_and_the_copy_before_is_used(tmp_path: Path) -> None
     spoilt += [whole[:n] + bytes([whole[n] ^ 1]) + whole[n + 1 :] for n in range(0, len(whole) - 1, 83)]
     for data in spoilt:
         path.write_bytes(data)
-        (warning,) = KeptPlans(path, parts).load()
+        (warning,) = KeptPlans(path, parts.plans, parts.commander).load()
         assert str(path) in warning
         assert _same(before, parts)
         assert not path.exists() and StateFile(path).previous.read_bytes() == previous
@@ -93,7 +93,7 @@ def test_without_a_whole_copy_there_is_no_plan_and_that_is_said(tmp_path: Path) 
     for data in (b"", b"{}", path.read_bytes().replace(b'"version":1', b'"version":2')):
         path.write_bytes(data)
         parts = _parts(tmp_path)
-        warnings = KeptPlans(path, parts).load()
+        warnings = KeptPlans(path, parts.plans, parts.commander).load()
         assert "no plan on board" in warnings[-1]
         assert not any(parts.plans.items(kind) for kind in PlanKind)
         assert StateFile(path).damaged.read_bytes() == data
@@ -104,7 +104,7 @@ def test_a_plan_that_is_wrong_today_leaves_none_behind(tmp_path: Path) -> None:
     path, before = _written(tmp_path)
     parts = _parts(tmp_path)
     parts.params.set("DEPTH_MAX", 0.2)
-    warnings = KeptPlans(path, parts).load()
+    warnings = KeptPlans(path, parts.plans, parts.commander).load()
     if parts.plans.items(PlanKind.MISSION):
         assert parts.commander.arm(force=False).result != 0
     else:
@@ -117,7 +117,7 @@ def test_plans_that_are_refused_today_are_set_aside_and_nothing_of_them_is_in_fo
     """The origin was moved before they were kept: it is not in force without them either."""
     parts = _parts(tmp_path)
     path, configured = tmp_path / "plans.json", parts.plans.origin
-    kept = KeptPlans(path, parts)
+    kept = KeptPlans(path, parts.plans, parts.commander)
     moved = Origin(lat_deg=configured.lat_deg + 1e-5, lon_deg=configured.lon_deg, alt_m=configured.alt_m)
     assert parts.plans.set_origin(moved) is None
     _upload(parts.plans)
@@ -126,7 +126,7 @@ def test_plans_that_are_refused_today_are_set_aside_and_nothing_of_them_is_in_fo
     whole = path.read_bytes()
     after = _parts(tmp_path)
     after.params.set("DEPTH_MAX", 0.2)
-    kept = KeptPlans(path, after)
+    kept = KeptPlans(path, after.plans, after.commander)
     (warning,) = kept.load()
     assert "plans.json.damaged" in warning and "upload them again" in warning
     assert not any(after.plans.items(kind) for kind in PlanKind)
@@ -135,21 +135,21 @@ def test_plans_that_are_refused_today_are_set_aside_and_nothing_of_them_is_in_fo
     kept.tick((KEEP_TICKS + 1) * 10_000)
     assert StateFile(path).damaged.read_bytes() == whole
     third = _parts(tmp_path)
-    assert KeptPlans(path, third).load() == ()
+    assert KeptPlans(path, third.plans, third.commander).load() == ()
     assert not any(third.plans.items(kind) for kind in PlanKind)
 
 
 def test_the_mission_goes_home_to_where_home_was_before_the_restart(tmp_path: Path) -> None:
     path, before = _written(tmp_path)
     after = _parts(tmp_path)
-    KeptPlans(path, after).load()
+    KeptPlans(path, after.plans, after.commander).load()
     assert (after.commander._mission.sequencer._home_ned_m == before.plans.home_ned_m).all()
 
 
 def test_a_disk_that_fails_once_is_tried_again_without_a_change(tmp_path: Path) -> None:
     folder, parts = tmp_path / "gone", _parts(tmp_path)
     folder.write_bytes(b"in the way")
-    kept = KeptPlans(folder / "plans.json", parts)
+    kept = KeptPlans(folder / "plans.json", parts.plans, parts.commander)
     kept.load()
     _upload(parts.plans)
     for tick in range(RETRY_TICKS):
@@ -160,14 +160,14 @@ def test_a_disk_that_fails_once_is_tried_again_without_a_change(tmp_path: Path) 
         kept.tick(tick * 10_000)
     assert kept.failure is None
     again = _parts(tmp_path)
-    assert KeptPlans(folder / "plans.json", again).load() == ()
+    assert KeptPlans(folder / "plans.json", again.plans, again.commander).load() == ()
     assert _same(parts, again)
 
 
 def test_a_disk_that_fails_is_told_once_and_tried_with_the_next_change(tmp_path: Path) -> None:
     folder, parts = tmp_path / "gone", _parts(tmp_path)
     folder.write_bytes(b"in the way")
-    kept = KeptPlans(folder / "plans.json", parts)
+    kept = KeptPlans(folder / "plans.json", parts.plans, parts.commander)
     assert len(kept.load()) <= 1
     for k in range(4):
         parts.plans.set_home(parts.plans.home_ned_m + np.array([1.0, 0.0, 0.0]))
@@ -216,7 +216,7 @@ def test_the_newest_state_is_always_the_one_that_is_written(steps: list[tuple[bo
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 0.1 + 0.2, -0.0])
 def test_numbers_come_back_bit_for_bit(value: float) -> None:
     from autopilot.core.plan import PlanItem
-    from autopilot.run.kept_plans import _item, _plan_item
+    from autopilot.run.plans_format import plan_item, stored_item
 
     item = PlanItem(seq=0, frame=3, command=16, param1=value, param4=value, z=value)
-    assert repr(_plan_item(_item(item))) == repr(item)
+    assert repr(plan_item(stored_item(item))) == repr(item)

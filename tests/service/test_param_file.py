@@ -13,8 +13,8 @@ from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
 from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS, Keeper
 from autopilot.core.lane import DaemonLane
+from autopilot.core.param_file import PersistentParams, scan_param_file, write_param_file
 from autopilot.core.params import PARAMETERS, ParamSet, ParamType
-from autopilot.run.param_file import PersistentParams, scan_param_file, write_param_file
 
 
 @st.composite

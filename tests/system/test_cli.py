@@ -15,8 +15,8 @@ from system_harness import PAPER_PLAN, ROOT, OpenSession, RunningService, free_p
 from wire_client import Harbour, WireClient
 
 from autopilot.cli.main import cli, run
+from autopilot.core.param_file import scan_param_file
 from autopilot.run.children import Child, autopilot_command
-from autopilot.run.param_file import scan_param_file
 from mission.plan_files import read_plan
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()

@@ -15,9 +15,8 @@ from autopilot.core.desk import Desk
 from autopilot.core.disk import cause_of
 from autopilot.core.errors import ConfigError
 from autopilot.core.keeper import Keeper
-from autopilot.core.params import ParamSet, ParamType
+from autopilot.core.params import ParamSet, ParamType, Saved
 from autopilot.core.state_file import StateFile
-from autopilot.mavlink.api import Saved
 
 MAV_PARAM_TYPE = {ParamType.INT32: 6, ParamType.REAL32: 9}
 """MAV_PARAM_TYPE (common.xml)."""
