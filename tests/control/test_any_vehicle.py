@@ -32,7 +32,7 @@ def slow_flow(_: FloatArray) -> FloatArray:
 def flown(vehicle: Vehicle, cost: int = 0) -> Flight:
     params = ParamSet({"DEPTH_MAX": 5.0, "MPC_COST": cost})
     controller = MotionController(vehicle, cpu_clock=lambda: 0.0)
-    model = vehicle.model4.to_model()
+    model = vehicle.to_model()
     return fly(controller, GOALS, START, fence=OPEN, params=params, current=slow_flow, model=model, limit_s=40.0)
 
 
@@ -55,12 +55,12 @@ def test_thrusters_anywhere_reach_goals_within_bounds(thrusters: int) -> None:
 
 @pytest.mark.parametrize("vehicle", [LBV150, bluerov2()])
 def test_the_order_of_thrusters_does_not_matter(vehicle: Vehicle) -> None:
-    allocation = np.array(vehicle.model4.allocation)
+    allocation = np.array(vehicle.to_model().allocation)
     order = np.random.default_rng(3).permutation(allocation.shape[1])
     hull = {name: getattr(vehicle.model4, name) for name in ("mass_kg", "linear_drag", "quadratic_drag")}
     other = vehicle_with(allocation[:, order], buoyancy_excess_n=vehicle.model4.buoyancy_excess_n, **hull)
     controllers, params = [MotionController(each, cpu_clock=lambda: 0.0) for each in (vehicle, other)], ParamSet()
-    x, model = np.array(START), vehicle.model4.to_model()
+    x, model = np.array(START), vehicle.to_model()
     for step in range(40):
         t_us = step * STEP_US
         plain, mixed = (c.step(t_us, nav_state(t_us, x), GOALS[0], OPEN, params).thrust_n for c in controllers)
@@ -72,7 +72,7 @@ def test_the_order_of_thrusters_does_not_matter(vehicle: Vehicle) -> None:
 def test_solvers_find_what_other_means_find() -> None:
     rng, grid = np.random.default_rng(1), uniform_grid(10)
     for thrusters in (5, 6, 8):
-        model = drawn(rng, thrusters).model4.to_model()
+        model = drawn(rng, thrusters).to_model()
         steps = (QpStep(model, grid, 8, ocp.HPIPM), QpStep(model, grid, 8, ocp.PIQP))
         assert all(passes_self_test(step, model, grid) for step in steps)
         try:
@@ -85,7 +85,7 @@ def test_solvers_find_what_other_means_find() -> None:
 @pytest.mark.parametrize("lost", [0, 5])
 def test_a_lost_thruster_of_a_bluerov2_is_made_up_for(lost: int) -> None:
     vehicle, params = bluerov2(), ParamSet({"DEPTH_MAX": 5.0})
-    model, controller = vehicle.model4.to_model(), MotionController(vehicle, cpu_clock=lambda: 0.0)
+    model, controller = vehicle.to_model(), MotionController(vehicle, cpu_clock=lambda: 0.0)
     x, acting, limit = np.array(START), np.zeros(6), np.full(6, 12.0)
     reached_s = math.inf
     for step in range(400):
@@ -107,7 +107,7 @@ def test_a_lost_thruster_of_a_bluerov2_is_made_up_for(lost: int) -> None:
 
 def test_the_fallback_holds_a_heavy_with_a_lost_thruster() -> None:
     vehicle = bluerov2(4)
-    model, sharing, limit = vehicle.model4.to_model(), Sharing.of(vehicle), np.full(8, 12.0)
+    model, sharing, limit = vehicle.to_model(), Sharing.of(vehicle), np.full(8, 12.0)
     limit[2] = 0.0
     x, held, flow = np.array([0.5, -0.3, 1.0, 0.6, 0.0, 0.0, 0.0, 0.0]), np.zeros(8), np.array([0.1, -0.1, 0.0])
     held[2] = 1.2

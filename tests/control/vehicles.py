@@ -7,7 +7,8 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.sharing import lacking_thrust
-from autopilot.core.vehicle import Model4Table, Thruster, Vehicle, load_vehicle
+from autopilot.core.thrusters import ThrusterTable
+from autopilot.core.vehicle import Model4Table, Vehicle, load_vehicle
 
 LBV150 = load_vehicle("lbv150")
 
@@ -35,12 +36,15 @@ def vectored(verticals: int) -> FloatArray:
 
 
 def vehicle_with(allocation: FloatArray, like: Vehicle = LBV150, **hull: object) -> Vehicle:
-    """The vehicle with other thrusters (columns of ``allocation``) and another hull."""
-    table = msgspec.structs.replace(like.model4, allocation=tuple(tuple(row) for row in allocation.tolist()), **hull)
-    names = [f"t{i + 1}" for i in range(allocation.shape[1])]
-    thrusters = [Thruster(name=name, position_frd_m=(0.0,) * 3, direction_frd=(1.0, 0.0, 0.0)) for name in names]
+    """The vehicle with other thrusters (columns of ``allocation``: a direction and what it turns) and another hull."""
+    tables = []
+    for i, (x, y, z, turn) in enumerate(allocation.T.tolist()):
+        arm = turn / max(x * x + y * y, 1e-12)
+        tables.append(ThrusterTable(name=f"t{i + 1}", position_frd_m=(arm * y, -arm * x, 0.0), direction_frd=(x, y, z)))
+    table = msgspec.structs.replace(like.model4, **hull)
     assert isinstance(table, Model4Table)
-    return msgspec.structs.replace(like, name="made", model4=table, thruster=thrusters)
+    body = msgspec.structs.replace(like.body, thruster_offset_frd_m={})
+    return msgspec.structs.replace(like, name="made", model4=table, body=body, thruster_tables=tuple(tables))
 
 
 def bluerov2(verticals: int = 2) -> Vehicle:
@@ -56,5 +60,5 @@ def drawn(rng: np.random.Generator, thrusters: int) -> Vehicle:
         place = rng.uniform(-0.2, 0.2, size=(2, thrusters))
         yaw = place[0] * direction[1] - place[1] * direction[0]
         vehicle = vehicle_with(np.vstack([direction, yaw]))
-        if not lacking_thrust(vehicle.model4.to_model(), np.full(thrusters, 0.25 * vehicle.drive.limit_n)):
+        if not lacking_thrust(vehicle.to_model(), np.full(thrusters, 0.25 * vehicle.drive.limit_n)):
             return vehicle

@@ -18,7 +18,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import Model4
 from autopilot.core.sharing import Sharing, lacking_thrust
 
-MODEL = LBV150.model4.to_model()
+MODEL = LBV150.to_model()
 LIMIT_N = np.full(4, 12.0)
 WANTED = np.array([8.0, -5.0, 3.0, 0.6])
 
@@ -120,4 +120,4 @@ def test_the_axis_that_lacks_thrust_is_named(drop: list[int], says: str) -> None
 def test_too_little_thrust_is_named_with_what_it_needs() -> None:
     weak = np.array([12.0, 12.0, 0.5, 12.0])
     assert lacking_thrust(MODEL, weak).startswith("too little thrust in heave: 0.50 N alone, needs 1.")
-    assert lacking_thrust(vehicle_with(vectored(2), **BLUEROV2_HULL).model4.to_model(), np.full(6, 12.0)) == ""
+    assert lacking_thrust(vehicle_with(vectored(2), **BLUEROV2_HULL).to_model(), np.full(6, 12.0)) == ""

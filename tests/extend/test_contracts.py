@@ -23,8 +23,8 @@ from sitl.protocol import PlantContext, PlantLike, create_plant
 from sitl.scenario import load_scenario
 
 VEHICLE = load_vehicle("lbv150")
-MODEL = VEHICLE.model4.to_model()
-N = len(VEHICLE.thruster)
+MODEL = VEHICLE.to_model()
+N = len(VEHICLE.thrusters)
 LIMIT_N = np.full(N, 9.0)
 TANK = Fence(
     inclusions=(Polygon(vertices_ned_m=np.array([[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]])),),

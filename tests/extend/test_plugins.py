@@ -25,7 +25,7 @@ WRITTEN = "lab_written"
 
 
 def context() -> ControllerContext:
-    return ControllerContext(vehicle=VEHICLE, model=VEHICLE.model4.to_model(), currents=NoCurrent(), desks=Desks())
+    return ControllerContext(vehicle=VEHICLE, model=VEHICLE.to_model(), currents=NoCurrent(), desks=Desks())
 
 
 @pytest.fixture
