@@ -404,6 +404,7 @@ class Engine:
     def _use_fix(self, history: History, node: Node, fix: PoseFix, aid: Aid) -> bool:
         """True if ``node`` has changed."""
         relocation = self._relocations[aid.sensor]
+        known = () if node.state.sheets is None else node.state.sheets.which
         missed = self._fuse(history, node, fix, aid)
         if aid is self._sources.markers or not self._markers_in_view(fix.t_us):
             assert self._judged is not None
@@ -411,7 +412,7 @@ class Engine:
         changed = self._watch_map(history, node, fix, rejected=missed is not None)
         if missed is None:
             relocation.accepted()
-            self._learn_sheets(history, node, fix)
+            self._learn_sheets(history, node, fix, known)
             if aid is self._sources.external:
                 self._sources.external_jumped = False
             elif fix.tilt_rad is not None and node.moment.inertial.real:
@@ -442,16 +443,19 @@ class Engine:
             self._counts["sheets.loosened"] += 1
         return bool(loose)
 
-    def _learn_sheets(self, history: History, node: Node, fix: PoseFix) -> None:
-        """Every so often a picture is asked how its sheets lie to each other."""
-        if fix.ties is None or abs(fix.t_us - self._learned_us) < LEARN_EVERY_US:
+    def _learn_sheets(self, history: History, node: Node, fix: PoseFix, known: Sequence[int]) -> None:
+        """Every so often a picture is asked how its sheets lie to each other, and whenever it shows a new one: the pose
+        takes the blame for what is wrong with a sheet until somebody asks."""
+        if fix.ties is None or fix.ground is None:
+            return
+        if abs(fix.t_us - self._learned_us) < LEARN_EVERY_US and set(fix.ground.sheets) <= set(known):
             return
         self._learned_us = fix.t_us
         innovation = self._core.innovation(node.state, fix.ties, node.moment, 0.0)
         if innovation.test_ratio <= 1.0:
             history.correct(node, fix.ties, innovation)
             self._counts["sheets.fused"] += 1
-            if self._map is not None and fix.ground is not None:
+            if self._map is not None:
                 self._map.look_at_sheets(fix.t_us, node.state.sheets, fix.ground.sheets)
         else:
             self._counts["sheets.rejected"] += 1

@@ -146,7 +146,7 @@ def fit_on_sheets(
         shrink += float(delta[6])
         offset = offset + delta[7:]
         residual = residual - jac @ delta
-        if float(np.abs(delta[:6]).max()) < CONVERGED:
+        if max(float(np.abs(delta[:6]).max()), float(np.abs(delta[7:]).max())) < CONVERGED:
             fits = corners_that_fit(residual / _expected(seen))
             if (fits == keep).all() or step == STEPS - 1:
                 break

@@ -67,6 +67,17 @@ def test_a_hand_laid_floor(
     assert off_mm(refined, true, seen) < max(0.55 * off_mm(told, true, seen), 0.5)
 
 
+def test_a_new_sheet_is_not_held_against_the_position(make_ekf: Make, floor: MarkerMap) -> None:
+    """At the start nothing is known: neither the pose nor the sheets that come into view one after the other."""
+    told = sheets_of(floor, (0.0042, 0.0146))
+    worst_mm = []
+    for seed in range(12):
+        true = laid(told, np.random.default_rng(seed), 0.0042, 0.0146)
+        track, _ = flown(make_ekf(markers=told), LaidWorld(true, seed), 0.8)
+        worst_mm.append(1e3 * float(np.abs(track.pos_error()[:, :2]).max()))
+    assert max(worst_mm) < 12.0, worst_mm
+
+
 def test_a_moved_marker_is_named(make_ekf: Make, floor: MarkerMap) -> None:
     told = sheets_of(floor, (0.002, 0.006))
     moved = int(np.hypot(floor.centers_ned_m[:, 0] + 1.2, floor.centers_ned_m[:, 1] + 0.3).argmin())
