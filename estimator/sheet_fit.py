@@ -204,12 +204,12 @@ def _weights(
     expected = _expected(seen)
     away_m = np.maximum(points[:, 0, 2] - pos[2], 0.05)
     print_px = seen.sigma_m * camera.focal_water_px / away_m
-    scale, share = _scatter(residual / expected, keep, print_px / expected[::8], unknowns)
+    scale, share = scatter(residual / expected, keep, print_px / expected[::8], unknowns)
     result: FloatArray = np.repeat(1.0 / ((scale * expected[::8]) ** 2 + 4.0 * share * print_px**2), 8)
     return result
 
 
-def _scatter(residual: FloatArray, keep: FloatArray, print_sigma: FloatArray, unknowns: int) -> tuple[float, float]:
+def scatter(residual: FloatArray, keep: FloatArray, print_sigma: FloatArray, unknowns: int) -> tuple[float, float]:
     """Standard deviation of corners over what is expected, and variance of markers on their sheets over what the map
     says: by how corners scatter within markers (8m,), and how these do. ``print_sigma`` (m,): in the same unit.
 

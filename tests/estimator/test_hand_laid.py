@@ -20,6 +20,7 @@ from estimator.kalman import KalmanCore
 from estimator.measure_heading import heading_of
 from estimator.measure_pose import PoseFix
 from estimator.measurement import Measurement, Moment
+from estimator.sheet_fit import scatter
 from estimator.states import NX, FilterState
 
 FLIGHT_S = 13.0
@@ -143,6 +144,20 @@ def test_how_well_sheets_were_laid_shows(seed: int, place: float, turn: float, c
         believed = math.sqrt((4.0 + real**2 * (count - 1)) / (3.0 + count))  # the map's word is in it
         assert abs(math.log(found / believed)) < spread + 0.15
     assert (laid_scales(pivots[:1], offsets[:1], sigma[:1]) == 1.0).all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.0, 3.0), st.floats(0.6, 3.0), st.integers(30, 60))
+def test_how_well_markers_were_printed_shows(seed: int, printed: float, corners: float, count: int) -> None:
+    """By what the corners of a marker are off together, beyond what they scatter."""
+    rng = np.random.default_rng(seed)
+    residual = corners * rng.normal(size=(count, 4, 2)) + printed * rng.normal(size=(count, 1, 2))
+    keep = np.ones(8 * count, dtype=bool)
+    scale, share = scatter(residual.reshape(-1), keep, np.ones(count), 0)
+    assert scale == pytest.approx(corners, rel=0.25)
+    believed = (6.0 + 2 * count * printed**2) / (6.0 + 2 * count)  # the map's word is in it
+    assert abs(share - believed) < 4.0 * (printed**2 + 0.25 * corners**2) / math.sqrt(count)
+    assert scatter(residual[:2].reshape(-1), keep[:16], np.ones(2), 7)[1] == 1.0, "two markers tell nothing"
 
 
 class Big:
