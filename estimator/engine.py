@@ -5,6 +5,7 @@ before their time of validity, and the nodes after it are computed again. What i
 carried on to now.
 """
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -30,6 +31,7 @@ from autopilot.core.samples import (
 from autopilot.core.vehicle import Vehicle
 from estimator.aiding import Aid
 from estimator.attitude import AttitudeSource
+from estimator.camera_doubt import CameraWatch
 from estimator.core import FilterCore, Innovation
 from estimator.doubt import STEADY_M_S2, STEADY_RAD_S
 from estimator.evidence import Evidence
@@ -48,9 +50,19 @@ from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from estimator.output import judge_health, nav_state
 from estimator.refined import refined_map
 from estimator.relocation import Relocation
-from estimator.sources import Sources
+from estimator.sources import OF_PICTURES, Sources
 from estimator.startup import StartUp
-from estimator.states import ACCEL_BIAS, CURRENT, INITIAL_SIGMA, LASER_BIAS, YAW, initial_state
+from estimator.states import (
+    ACCEL_BIAS,
+    CURRENT,
+    GYRO_BIAS,
+    INITIAL_SIGMA,
+    LASER_BIAS,
+    POS,
+    VEL,
+    YAW,
+    initial_state,
+)
 from estimator.thrust import ThrustLag
 from estimator.tilt import TiltTrim
 
@@ -81,6 +93,10 @@ ANCHORED_US = 500_000
 """With a sensor that is not believed the estimate is good only when fixes have been used for so long."""
 LEARN_EVERY_US = 200_000
 """How often a picture is asked how sheets lie to each other: in between its errors are nearly the same."""
+CARRIED_US = 3_000
+"""Smaller changes of what is known of the stamps leave the estimate as it is."""
+CARRIED_SIGMA = np.array([0.005, 0.005, 0.005, 0.01])
+"""m, rad; besides all of what it was carried forward."""
 RELOCATED_VARIANCE = 1e-3
 """Added to the variance of the fix that a reset goes to (m^2, rad^2): it has been carried on to now."""
 
@@ -111,6 +127,10 @@ class Engine:
         self._imu = ImuWatch(self._model, self._follow)
         self._evidence = Evidence()
         self._markers = markers
+        self._camera = CameraWatch(vehicle.camera)
+        self._camera_down_m = vehicle.camera.position_frd_m[2]
+        self._latency_s = vehicle.camera.latency_s
+        self._focal_share, self._focal_changed, self._stamps_changed = 0.0, False, False
         self._map = None if markers is None else MapWatch(markers)
         self._judged: Innovation | None = None
         self._anchored_since_us: int | None = None
@@ -126,7 +146,8 @@ class Engine:
         self._ground_us: int | None = None
         self._ahrs_us: int | None = None
         self._learned_us = -LEARN_EVERY_US
-        names = ("resets", "clock.backwards", "ahrs.blind_steps", "sheets.fused", "sheets.rejected", "sheets.loosened")
+        sheets = ("sheets.fused", "sheets.rejected", "sheets.loosened")
+        names = ("resets", "clock.backwards", "ahrs.blind_steps", *sheets, "stamps.retimed", "focal.rescaled")
         self._counts = dict.fromkeys(names, 0)
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
@@ -137,6 +158,8 @@ class Engine:
         self._now_us = t_us
         self._thrust.advance(t_us, thrust_n)
         self._take_in(samples)
+        if self._stamps_changed:
+            self._retime(self._history)
         if self._history is not None:
             self._go_blind(self._history)
         elif self._recent:
@@ -144,6 +167,10 @@ class Engine:
         if self._history is None:
             return None
         self._fuse_due(self._history)
+        if self._options.compensate_latency and self._camera.look_at_stamps():
+            self._retime(self._history)
+        if self._focal_changed:
+            self._rescale(self._history)
         newest = self._history.newest
         tracked = self._ground_us is not None and t_us - self._ground_us <= TRACKED_US
         doubts = self._doubts(t_us)
@@ -152,6 +179,8 @@ class Engine:
             newest, self._core, self._fix_age_us(t_us), self._options, tracked=tracked, doubted=doubted
         )
         more = self._evidence.unexplained_variance(t_us, newest.state.x.item(LASER_BIAS))
+        rate = newest.moment.inertial.yaw_rate_rad_s
+        more = more + self._camera.unexplained_variance(self._height_m(newest), newest.state.x, rate)
         if self._map is not None:
             more = more + self._map.more_variance(newest.state.x)
         self._last = nav_state(self._core, newest, t_us, health, self._counts["resets"], more, doubts)
@@ -183,7 +212,7 @@ class Engine:
 
     def take_remarks(self) -> tuple[str, ...]:
         """See :class:`estimator.protocol.Estimator`."""
-        return () if self._map is None else self._map.take_texts()
+        return self._camera.take_texts() + (() if self._map is None else self._map.take_texts())
 
     @property
     def refined_map(self) -> MarkerMap | None:
@@ -226,11 +255,16 @@ class Engine:
                 sample = self._mount.at_center(sample)
                 inertial = level(sample, self._trim.at(sample))
                 self._recent.append(inertial)
+                self._camera.stamps.feel(inertial)
                 if self._history is not None:
                     self._advance(self._history, inertial)
         for other in samples:
             if isinstance(other, AIDING):
-                self._intake.admit(self._sources.on_our_clock(other), self._now_us)
+                aiding = self._sources.on_our_clock(other)
+                self._intake.admit(aiding, self._now_us)
+                if isinstance(aiding, PoseSample | MarkerSighting):
+                    ahead_us = aiding.t_us - self._now_us
+                    self._stamps_changed |= self._camera.stamps.arrives(ahead_us, self._latency_s)
 
     def _advance(self, history: History, inertial: Inertial) -> None:
         """One node more, with the measurements that every so many AHRS samples bring."""
@@ -277,7 +311,7 @@ class Engine:
             model_dt_s=1e-6 * MODEL_EVERY * (node.t_us - before.t_us) * (self._samples_since % MODEL_EVERY == 0),
             anchored=anchored,
             denied=self._evidence.denies,
-            heading_denied=self._evidence.denies_heading,
+            heading_denied=self._evidence.denies_heading and not self._camera.stamps.suspects,
             model_rejected=self._sources.model.rejected_in_row,
             compass_rejected=self._sources.heading.rejected_in_row,
         )
@@ -309,6 +343,8 @@ class Engine:
             found.add(NavDoubt.GYRO)
         if self._map is not None and self._map.doubtful(t_us):
             found.add(NavDoubt.MAP)
+        if self._camera.doubtful:
+            found.add(NavDoubt.CALIBRATION)
         return frozenset(found)
 
     def _harmless(self, doubts: frozenset[NavDoubt], t_us: int) -> bool:
@@ -350,6 +386,7 @@ class Engine:
                 turn * 1e-6 * step_us,
             )
             self._recent.append(inertial)
+            self._camera.stamps.feel(inertial)
             self._advance(history, inertial)
             self._counts["ahrs.blind_steps"] += 1
 
@@ -409,6 +446,9 @@ class Engine:
         if aid is self._sources.markers or not self._markers_in_view(fix.t_us):
             assert self._judged is not None
             self._evidence.weigh(self._judged, None if missed is None else relocation.agreeing_with(fix))
+        if aid is self._sources.markers:
+            self._camera.stamps.see(fix, missed=missed is not None or self._evidence.shows)
+            self._focal_changed |= fix.focal is not None and self._camera.look_at_focal(*fix.focal)
         changed = self._watch_map(history, node, fix, rejected=missed is not None)
         if missed is None:
             relocation.accepted()
@@ -500,15 +540,67 @@ class Engine:
         aid.reset(self._now_us)
         return True
 
+    def _retime(self, history: History | None) -> None:
+        """Pictures are stamped later than was thought: what comes from now on is put right, and the estimate, which has
+        followed pictures that lay behind, is carried forward."""
+        self._stamps_changed = False
+        late_us = round(1e6 * self._camera.stamps.late_s)
+        more_us, self._sources.late_us = late_us - self._sources.late_us, late_us
+        self._intake.retime(OF_PICTURES, -more_us)
+        if history is None or abs(more_us) < CARRIED_US:
+            return
+        newest, more_s = history.newest, 1e-6 * more_us
+        x, inertial = newest.state.x, newest.moment.inertial
+        c, s = math.cos(x.item(YAW)), math.sin(x.item(YAW))
+        forward, right, down = (a - x.item(ACCEL_BIAS.start + i) for i, a in enumerate(inertial.accel_level_m_s2))
+        velocity = more_s * np.array([c * forward - s * right, s * forward + c * right, down])
+        turn = inertial.yaw_rate_rad_s - x.item(GYRO_BIAS)
+        self._carry(newest, more_s * np.append(x[VEL], turn), velocity)
+        self._counts["stamps.retimed"] += 1
+
+    def _rescale(self, history: History) -> None:
+        """The focal length is another than was thought: pictures and the estimate come nearer to the markers, or go
+        away from them."""
+        self._focal_changed = False
+        newest, before = history.newest, self._focal_share
+        self._focal_share = self._camera.focal_share
+        self._sources.believe_focal(self._focal_share)
+        share = (1.0 + self._focal_share) / (1.0 + before) - 1.0
+        self._carry(newest, np.array([0.0, 0.0, self._height_m(newest) * share, 0.0]), np.zeros(3))
+        self._counts["focal.rescaled"] += 1
+
+    def _height_m(self, node: Node) -> float:
+        """Of the camera over the floor with the markers, 0 = there is none."""
+        if self._markers is None:
+            return 0.0
+        return max(self._markers.floor_m - node.state.x.item(2) - self._camera_down_m, 0.0)
+
+    def _carry(self, newest: Node, along: FloatArray, velocity: FloatArray) -> None:
+        """The calibration was off: move the estimate by ``along`` (4,) [m, rad] and its ``velocity`` (3,), and forget
+        what has followed it: inertial biases, doubts, and the past."""
+        x = newest.state.x
+        noise = np.diag(CARRIED_SIGMA**2 + along**2)
+        state = self._core.relocate(newest.state, np.append(x[POS], x[YAW]) + along, noise, x[VEL] + velocity)
+        for part in (GYRO_STATE, ACCEL_BIAS):
+            state = self._core.reopen(state, part, float((INITIAL_SIGMA[part] ** 2).max()))
+        self._imu.accel.believe()
+        self._imu.gyro.believe()
+        self._begin_at(Node(newest.t_us, newest.moment, None, state))
+        self._evidence.forgive()
+
+    def _begin_at(self, node: Node) -> None:
+        """Forget the past."""
+        self._history = History(self._core, node)
+        for relocation in self._relocations.values():
+            relocation.accepted()
+
     def _relocate(self, history: History, fix: PoseFix, turn_rad: float, vel_ned_m_s: FloatArray) -> None:
         """Believe the fixes and not ourselves: move the newest node there and forget the past."""
         newest = history.newest
         pos = fix.z[:3] + 1e-6 * (newest.t_us - fix.t_us) * vel_ned_m_s
         pose = np.append(pos, newest.state.x[YAW] + turn_rad)
         state = self._core.relocate(newest.state, pose, fix.noise + np.eye(4) * RELOCATED_VARIANCE, vel_ned_m_s)
-        self._history = History(self._core, Node(newest.t_us, newest.moment, None, state))
-        for relocation in self._relocations.values():
-            relocation.accepted()
+        self._begin_at(Node(newest.t_us, newest.moment, None, state))
         self._evidence.begin_anew(self._now_us)
         aid = self._positions(fix)
         aid.reset(self._now_us)

@@ -50,6 +50,11 @@ class Evidence:
         return self.denied >= CONTRADICTIONS or self._fix_ratio > RATIO_DENIES
 
     @property
+    def shows(self) -> bool:
+        """Whether they miss it by more than they should."""
+        return self._fix_ratio > RATIO_SHOWS
+
+    @property
     def denies_heading(self) -> bool:
         """Whether they do by their heading."""
         return self._heading_ratio > RATIO_DENIES
@@ -74,8 +79,12 @@ class Evidence:
 
     def begin_anew(self, t_us: int) -> None:
         """The filter has been moved to where fixes are."""
-        self.denied, self._fix_ratio, self._heading_ratio, self._fix_miss = 0, 0.0, 0.0, np.zeros(4)
+        self.forgive()
         self._resets_us.append(t_us)
+
+    def forgive(self) -> None:
+        """What fixes have said so far was due to something that has been put right."""
+        self.denied, self._fix_ratio, self._heading_ratio, self._fix_miss = 0, 0.0, 0.0, np.zeros(4)
 
     def doubts(self, t_us: int, laser_bias_m: float) -> set[NavDoubt]:
         """What speaks against the estimate."""

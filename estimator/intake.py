@@ -2,6 +2,8 @@
 
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import replace
+from types import UnionType
 from typing import TypeAlias
 
 from autopilot.core.messages import AID_SENSORS
@@ -47,6 +49,10 @@ class Intake:
         else:
             self._seen[kind].append(sample.t_us)
             self._waiting.append(sample)
+
+    def retime(self, kinds: UnionType, later_us: int) -> None:
+        """What waits of these kinds was valid at another time than was thought."""
+        self._waiting = [replace(s, t_us=s.t_us + later_us) if isinstance(s, kinds) else s for s in self._waiting]
 
     def due(self, until_us: int) -> Iterable[AidingSample]:
         """What was valid at or before ``until_us``, oldest first; the rest waits."""

@@ -16,9 +16,10 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.map_errors import STATES, MapErrors
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.samples import MarkerSighting
+from estimator.camera_doubt import LEAST_MARKERS, LOOK_EVERY_US, focal_look
 from estimator.ground import SheetTies, believed
 from estimator.measure_pose import Ground, PoseFix, Stray
-from estimator.pnp import solve_pose
+from estimator.pnp import inward_of, linearise_corners, solve_pose
 from estimator.sheet_fit import SheetCorners, fit_on_sheets
 from estimator.states import SheetStates
 
@@ -69,7 +70,7 @@ class MarkerSolver:
     """Poses from sightings for one camera over one floor. Functions of their arguments, which are counted."""
 
     def __init__(self, camera: CameraModel, markers: MarkerMap) -> None:
-        self._camera = camera
+        self._camera = self._told_camera = camera
         self._corners_ned_m = markers.corners_ned_m
         self._plane_m = markers.corners_ned_m[..., 0] + 1j * markers.corners_ned_m[..., 1]
         self._depth_m = markers.centers_ned_m[:, 2]
@@ -77,6 +78,7 @@ class MarkerSolver:
         """Markers that the map does not have; fits that are bad, or that lean off the AHRS's tilt."""
         self._errors = markers.errors
         self._centers_m = markers.centers_ned_m[:, :2]
+        self._focal_us = -LOOK_EVERY_US
         self._level = markers.level
         self._floor_m = markers.floor_m
         lean_m = np.ptp(markers.corners_ned_m[..., 2], axis=1)
@@ -85,6 +87,12 @@ class MarkerSolver:
         self._by_id: dict[int, list[tuple[int, complex]]] = {}
         for j, (i, center) in enumerate(zip(markers.ids.tolist(), self._centers, strict=True)):
             self._by_id.setdefault(i, []).append((j, center))
+
+    def believe_focal(self, share: float) -> None:
+        """From now on take the focal length for too long by that share of what it should be."""
+        told = self._told_camera
+        fx, fy = (f / (1.0 + share) for f in told.focal_px)
+        self._camera = replace(told, focal_px=(fx, fy))
 
     def well_formed(self, sighting: MarkerSighting) -> bool:
         """Whether the arrays have the right shapes and hold pixels that an image can have."""
@@ -288,8 +296,9 @@ class MarkerSolver:
         pixels, points = sighting.corners_px[seen], self._corners_ned_m[placed]
         sigma_px = None if sighting.sigma_px is None else sighting.sigma_px[seen]
         good = np.ones(len(seen), dtype=bool)
-        best = None
+        used, best = good, None
         for round_left in reversed(range(REJECT_ROUNDS)):
+            used = good.copy()
             best = solve_pose(
                 self._camera,
                 points[good].reshape(-1, 3),
@@ -309,9 +318,17 @@ class MarkerSolver:
         if best is None or not self._good(best.rms_px, best.rpy_rad, rpy):
             return None
         z = np.append(best.pos_ned_m, best.rpy_rad[2])
+        focal = None
+        if self._focal_due(sighting.t_us, len(best.residual_px) // 4):
+            corners, at = pixels[used].reshape(-1, 2), points[used].reshape(-1, 3)
+            linear = linearise_corners(self._camera, at, corners, best.pos_ned_m, r_ned_from_frd(best.rpy_rad))
+            if linear is not None:
+                jacobian = np.column_stack((linear[1], inward_of(corners)))
+                focal = focal_look(self._camera, corners, best.residual_px.reshape(-1), jacobian)
         return PoseFix(
             sensor="markers",
             t_us=sighting.t_us,
+            focal=focal,
             z=z,
             noise=best.covariance,
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
@@ -325,6 +342,13 @@ class MarkerSolver:
             return False
         self.counts["misfit"] += rms_px > MISFIT_RMS_PX
         self.counts["leaning"] += float(np.abs(found_rpy_rad[:2] - rpy_rad[:2]).max()) > LEANING_RAD
+        return True
+
+    def _focal_due(self, t_us: int, markers: int) -> bool:
+        """Whether this picture is to be asked for the focal length."""
+        if markers < LEAST_MARKERS or abs(t_us - self._focal_us) < LOOK_EVERY_US:
+            return False
+        self._focal_us = t_us
         return True
 
     def _refine_on_sheets(
@@ -380,9 +404,14 @@ class MarkerSolver:
         if len(best.ties):
             ground = Ground(which, sigma, best.ties, np.zeros(len(best.at)), learns=True)
             ties = SheetTies(sensor="sheets", t_us=sighting.t_us, z=best.ties_z, noise=best.ties_noise, ground=ground)
+        focal = None
+        if self._focal_due(sighting.t_us, len(corners.sheet)):
+            residual = best.residual_px.reshape(-1)
+            focal = focal_look(self._camera, corners.pixels.reshape(-1, 2), residual, best.jacobian)
         return PoseFix(
             sensor="markers",
             t_us=sighting.t_us,
+            focal=focal,
             z=best.z,
             noise=best.noise,
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),

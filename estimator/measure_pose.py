@@ -68,6 +68,8 @@ class PoseFix:
     """How the pose depends on sheets, None = the map is exact."""
     ties: Measurement | None = None
     """What the same image says of its sheets among each other."""
+    focal: tuple[float, float] | None = None
+    """Share by which the image says that the focal length is too long, and its standard deviation; None = nothing."""
     strained: tuple[int, ...] = ()
     """Sheets of the image that do not fit to the others; left out of the pose."""
     strays: tuple[Stray, ...] = ()

@@ -71,6 +71,8 @@ class SheetPose(NamedTuple):
     strain: FloatArray
     """(n,) squared distance of each sheet's offset from the belief, of 4."""
     sigma_tilt_rad: float
+    jacobian: FloatArray
+    """(8m, 7 + 4n) of the pixels by pose, blur and offsets."""
     residual_px: FloatArray
     """(m, 4, 2)"""
     rms_px: float
@@ -160,7 +162,7 @@ def fit_on_sheets(
     full = information.copy()
     full[7:, 7:] += prior
     posterior: FloatArray = np.asarray(np.linalg.inv(full), dtype=np.float64)
-    return _pieces(information, gradient, posterior, pos, rotation, offset, (believed, covariance), residual, rms)
+    return _pieces(information, gradient, posterior, pos, rotation, offset, (believed, covariance), residual, rms, jac)
 
 
 def _points(seen: SheetCorners, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -256,6 +258,7 @@ def _pieces(
     belief: tuple[FloatArray, FloatArray],
     residual: FloatArray,
     rms: float,
+    jacobian: FloatArray,
 ) -> SheetPose:
     """The two independent pieces: pose given the offsets, and the offsets alone."""
     size = len(offset)
@@ -295,6 +298,7 @@ def _pieces(
         ties_noise=np.eye(len(ties)) + (ties * floor) @ ties.T,
         strain=np.array(strain),
         sigma_tilt_rad=float(np.sqrt(max(posterior[3, 3], posterior[4, 4]))),
+        jacobian=jacobian,
         residual_px=residual.reshape(-1, 4, 2),
         rms_px=rms,
     )

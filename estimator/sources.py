@@ -30,6 +30,8 @@ from estimator.measure_velocity import velocity_from_sample
 from estimator.measurement import Measurement
 from estimator.states import DEPTH_OFFSET, HEADING_OFFSET, LASER_BIAS, VEL, YAW
 
+OF_PICTURES = PoseSample | MarkerSighting | LaserSample
+"""Kinds of samples that have a picture's stamp."""
 LOST_AFTER = 3
 """Sightings in a row that do not fit the predicted pose before the whole floor is searched."""
 
@@ -77,6 +79,8 @@ class Sources:
             ExternalPoseSample: round(1e6 * vehicle.external_pose.time_offset_s),
         }
         self._camera_us = camera_us
+        self.late_us = 0
+        """What else has been found to be taken off the stamps of pictures."""
         self._made: deque[PoseSample | LaserSample] = deque(maxlen=64)
         self._unfit_in_row = 0
         self._frame: Alignment | None = None
@@ -92,7 +96,14 @@ class Sources:
     def on_our_clock(self, sample: AidingSample) -> AidingSample:
         """The sample with its sensor's time offset taken off."""
         offset_us = self._offset_us[type(sample)]
+        if self.late_us and isinstance(sample, OF_PICTURES):
+            offset_us -= self.late_us
         return replace(sample, t_us=sample.t_us + offset_us) if offset_us else sample
+
+    def believe_focal(self, share: float) -> None:
+        """From now on take the camera's focal length for too long by that share."""
+        if self._solver is not None:
+            self._solver.believe_focal(share)
 
     def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
         """What was made of pictures since the last call, stamped as the pictures were."""
@@ -141,7 +152,7 @@ class Sources:
                 return None, self.laser
             self.laser.counts["received"] += 1
             sample = LaserSample(t_us=sample.t_us, range_m=dot[0], sigma_m=dot[1])
-            self._made.append(replace(sample, t_us=sample.t_us - self._camera_us))
+            self._made.append(replace(sample, t_us=sample.t_us - self._camera_us + self.late_us))
         if not isinstance(sample, LaserSample) or self._floor_depth_m is None:
             return None, self.laser
         laser = range_from_sample(sample, self._floor_depth_m, self._laser_frd_m, self._beam_frd)
@@ -173,7 +184,7 @@ class Sources:
             sigma = np.sqrt(fix.noise.diagonal())
             self._made.append(
                 PoseSample(
-                    t_us=fix.t_us - self._camera_us,
+                    t_us=fix.t_us - self._camera_us + self.late_us,
                     pos_ned_m=fix.z[:3],
                     yaw_rad=float(fix.z[3]),
                     sigma_pos_m=sigma[:3],

@@ -163,9 +163,14 @@ def extrinsic_values(flight: Flight, fit: MotionFit, arm: LeverArm | None) -> di
             f" {rms[0]:.2f} (roll), {rms[1]:.2f} (pitch), {rms[2]:.2f} deg (yaw) rms; turn it about at least two axes,"
             " by hand if need be"
         )
-    values = {"camera.mounting_rpy_rad": [round(v, 6) for v in mounting_rpy_rad(fit.r_frd_from_cam).tolist()]}
+    values = {
+        "camera.mounting_rpy_rad": [round(v, 6) for v in mounting_rpy_rad(fit.r_frd_from_cam).tolist()],
+        "camera.mounting_sigma_rad": [round(v, 6) for v in fit.sigma_mounting_rad.tolist()],
+    }
     if arm is not None and arm.observable.any():
         new = arm.arm_frd_m + np.array(flight.vehicle.ahrs.position_frd_m)
         place = np.where(arm.observable, new, flight.camera.position_frd_m)
         values["camera.position_frd_m"] = [round(v, 4) for v in place.tolist()]
+        sigma_m = np.where(arm.observable, arm.sigma_m, flight.vehicle.camera.position_sigma_m)
+        values["camera.position_sigma_m"] = [round(v, 4) for v in sigma_m.tolist()]
     return values

@@ -42,6 +42,11 @@ LEAST_SIGMA_PX = 0.1
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 
+LEAST_FOCAL_SIGMA = 5e-4
+AIR_FOCAL_SIGMA = 0.02
+"""Of a focal length, as a share: no calibration is better than the first; one in air is off by the second."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Intrinsics:
     """A calibrated camera."""
@@ -259,6 +264,12 @@ def _medium_remarks(result: Intrinsics, expected: Camera | None, medium: str) ->
     return out
 
 
+def focal_sigma(result: Intrinsics, *, into_water: bool = False) -> float:
+    """Standard deviation of the focal length as a share of it, twice what the fit says: errors of views are alike."""
+    share = 2.0 * float((result.sigma[:2] / result.values[:2]).max())
+    return math.hypot(max(share, LEAST_FOCAL_SIGMA), AIR_FOCAL_SIGMA if into_water else 0.0)
+
+
 def camera_values(result: Intrinsics, *, into_water: bool = False) -> dict[str, Any]:
     """The keys of ``[camera]``; ``into_water`` turns a calibration in air into what it would be under water, for rays
     near the axis: they leave the port n times flatter, so that x becomes n x in the air's formulas."""
@@ -269,6 +280,7 @@ def camera_values(result: Intrinsics, *, into_water: bool = False) -> dict[str, 
         "camera.width_px": result.width_px,
         "camera.height_px": result.height_px,
         "camera.focal_px": [round(n * fx, 3), round(n * fy, 3)],
+        "camera.focal_sigma": round(focal_sigma(result, into_water=into_water), 6),
         "camera.center_px": [round(cx, 3), round(cy, 3)],
         "camera.distortion": [round(k, 6) for k in distortion],
     }

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from autopilot.calibrate.flight import Flight
 
 
+LEAST_SIGMA_S = 0.0005
+"""Of the stamps: drivers jitter."""
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 _OUT = click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), help="Vehicle file to write (default: print the keys)."
@@ -182,7 +184,10 @@ def latency(log_file: Path, vehicle: str | None, map_file: Path | None, out: Pat
     fit = fit_motion(flight)
     offset_s = flight.vehicle.camera.time_offset_s - fit.late_s
     total_s = flight.vehicle.camera.latency_s + fit.late_s
-    values = {"camera.time_offset_s": round(offset_s, 5)}
+    values = {
+        "camera.time_offset_s": round(offset_s, 5),
+        "camera.time_offset_sigma_s": round(max(fit.sigma_late_s, LEAST_SIGMA_S), 5),
+    }
     if as_json:
         emit_json({"late_s": fit.late_s, "sigma_s": fit.sigma_late_s, "latency_s": total_s, "keys": values})
     else:

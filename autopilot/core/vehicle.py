@@ -122,8 +122,15 @@ class Camera(Table, frozen=True, kw_only=True):
     """Exposure to the arrival of the detection."""
     time_offset_s: float = 0.0
     """Added to the times that pictures come with: negative when these are too late."""
+    time_offset_sigma_s: NonNegative = 0.0
+    """Standard deviation of that: positions are off by so much times the velocity."""
+    focal_sigma: NonNegative = 0.0
+    """Standard deviation of the focal length, as a share of it: heights are off by that share."""
     mounting_rpy_rad: Vec3 = (0.0, 0.0, 0.0)
     """How the camera is turned from looking straight down: roll, pitch, yaw about the body's axes."""
+    position_sigma_m: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    mounting_sigma_rad: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    """Standard deviations of place and turn: positions and headings are off by them."""
     model: Literal["pinhole", "fisheye", "flat_port"] = "pinhole"
     """What focal length, centre and distortion belong to: a calibration in water, or with "flat_port" one in air."""
     port: Port | None = None

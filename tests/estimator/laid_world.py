@@ -18,6 +18,8 @@ VEHICLE = load_vehicle("lbv150")
 CAMERA = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
 CORNER_PX, SHRINK_PX = 0.12, 0.25
 LATENCY_US = 60_000
+REST_US = 1_000_000
+"""So long the vehicle holds still first."""
 SHEET_M = 0.6
 
 
@@ -72,20 +74,35 @@ def see(
 class LaidWorld(World):
     """The vehicle of :class:`truth.World` with a camera instead of a pose sensor.
 
-    ``camera`` is the true one, ``stamped_late_us`` what stamps are later than exposures."""
+    ``camera`` is the true one, ``stamped_late_us`` what stamps are later than exposures; sightings come so much later
+    as well, as from a driver that stamps by arrival, unless ``ahead``: then they may come before their stamps."""
 
-    def __init__(self, true: MarkerMap, seed: int, *, camera: CameraModel = CAMERA, stamped_late_us: int = 0) -> None:
+    def __init__(
+        self,
+        true: MarkerMap,
+        seed: int,
+        *,
+        camera: CameraModel = CAMERA,
+        stamped_late_us: int = 0,
+        ahead: bool = False,
+        rest_us: int = REST_US,
+    ) -> None:
         super().__init__(no_current, Faults(seed=seed, tilt_error=math.radians(0.3)))
         self._true = true
         self._camera = camera
         self._late_us = stamped_late_us
+        self._latency_us = LATENCY_US + (0 if ahead else max(0, stamped_late_us))
+        self._rest_us = rest_us
         self._noise = np.random.default_rng((seed, 7))
+
+    def _command(self) -> FloatArray:
+        return super()._command() if self.t_us >= self._rest_us else np.array([0.0, 0.0, 0.6, 0.0])
 
     def _look(self, t: float) -> None:
         pos, rpy = np.array([self.n, self.e, self.d]), np.array([*self.tilt_angles(), self.yaw])
         sighting = see(self._camera, self._true, self.t_us + self._late_us, pos, rpy, self._noise)
         if sighting is not None and sighting.ids:
-            self.pending.append((self.t_us + LATENCY_US, sighting))
+            self.pending.append((self.t_us + self._latency_us, sighting))
 
 
 def flown(estimator: Engine, world: World, seconds: float) -> tuple[Track, list[str]]:

@@ -1,0 +1,153 @@
+"""What a camera's calibration is off, found in flight: stamps that are late, a focal length that does not fit.
+
+How late stamps are is found by :mod:`estimator.stamp_watch`. The focal length: in a level picture a wrong one passes
+for another height, which nothing denies; only where the lens bends the picture it shows, because the bend grows
+with the focal length and the height does not: every picture tells the share that fits its residuals best, and hundreds
+together are sure.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.core.camera import CameraModel
+from autopilot.core.frames import FloatArray
+from autopilot.core.vehicle import Camera
+from estimator.stamp_watch import StampWatch
+from estimator.states import VEL, YAW
+
+LATE_S = 0.005
+LATE_SHARE = 0.1
+"""Stamps are called late from here on, when it is known to this share of it."""
+FOCAL_SHARE, FOCAL_NAMED = 0.003, 0.01
+FOCAL_SIGMAS, FOCAL_LOOKS = 6.0, 10
+"""A focal length is corrected from the first share on, when it is so sure and after so many looks, and named from the
+second one on."""
+FOCAL_SEEMS = 3.0
+"""What is known less surely than that does not even count as error."""
+FOCAL_STEP = 0.001
+"""Smaller changes of what is known are not worth it."""
+FOCAL_PRIOR, BEND_SIGMA = 0.04, 0.004
+"""The bend shows how far focal length and distortion together are off. What is seen is divided between them by how far
+either may be off (share, one standard deviation); the height hangs on the first only."""
+ASIDE_M = 0.1
+"""A picture whose scale is wrong is off sideways by that share of this: its middle is not below the vehicle."""
+LOOK_EVERY_US = 200_000
+PATTERN_NOISE = 3.0
+"""Corner errors of one place and of one lens are alike: a picture's own standard deviation counts so many times."""
+FORGET_LOOKS = 600
+"""Looks (two minutes) after which older ones count for less."""
+LEAST_MARKERS = 6
+"""Fewer show no pattern,"""
+LEAST_POWER_PX = 1.0
+"""nor does a lens that bends all corners of a picture by less than this together."""
+
+
+def focal_look(
+    camera: CameraModel, pixels: FloatArray, residual_px: FloatArray, jacobian: FloatArray
+) -> tuple[float, float] | None:
+    """Share by which the focal length is too long, and its standard deviation, from one picture.
+
+    ``pixels`` (m, 2) of the corners, ``residual_px`` (2m,) of the fit and its ``jacobian`` (2m, k) by all that was
+    fitted. None where a lens that does not bend tells nothing."""
+    both = np.column_stack(((pixels - np.array(camera.center_px)).reshape(-1), residual_px))
+    across, *_ = np.linalg.lstsq(jacobian, both, rcond=None)
+    pattern, rest = (both - jacobian @ across).T
+    power = float(pattern @ pattern)
+    if power < LEAST_POWER_PX * LEAST_POWER_PX:
+        return None
+    share = float(pattern @ rest) / power
+    noise = rest - share * pattern
+    sigma = math.sqrt(float(noise @ noise) / max(len(noise) - jacobian.shape[1] - 1, 1) / power)
+    return -share, PATTERN_NOISE * sigma
+
+
+def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
+    """Variances forward, right, down [m^2] and of the heading that the mounting's uncertainty is worth; None = none.
+
+    A picture shows where the camera is and how it is turned; the vehicle is the lever arm away from it."""
+    x, y, z = camera.position_frd_m
+    by_x, by_y, by_z = (sigma * sigma for sigma in camera.position_sigma_m)
+    roll, pitch, yaw = (sigma * sigma for sigma in camera.mounting_sigma_rad)
+    forward = by_x + pitch * z * z + yaw * y * y
+    right = by_y + roll * z * z + yaw * x * x
+    down = by_z + roll * y * y + pitch * x * x
+    return (forward, right, down, yaw) if forward + right + down + yaw > 0.0 else None
+
+
+class CameraWatch:
+    """Of one estimator."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.stamps = StampWatch()
+        self._focal_sigma = camera.focal_sigma
+        self._stamp_sigma_s = camera.time_offset_sigma_s
+        self._mounting = _of_mounting(camera)
+        self._texts: list[str] = []
+        self._late_told = self._focal_told = False
+        self._weight = self._sum = 0.0
+        self._looks = 0
+        self.focal_share = 0.0
+        """By which the focal length is taken to be too long, 0 = it fits as far as is known."""
+        self._found_focal_sigma = 0.0
+        self._focal_pending = 0.0
+        """What else it seems to be off, not yet surely or not worth correcting."""
+
+    def unexplained_variance(self, height_m: float, x: FloatArray, yaw_rate_rad_s: float) -> FloatArray:
+        """(4,) north, east, down, yaw that the calibration's uncertainty is worth, so high above the markers."""
+        share = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
+        across = share * ASIDE_M
+        late_s = self.stamps.sigma_s or self._stamp_sigma_s
+        more = np.array([across * across, across * across, (share * height_m) ** 2, (late_s * yaw_rate_rad_s) ** 2])
+        more[:3] += (late_s * x[VEL]) ** 2
+        if self._mounting is not None:
+            forward, right, down, yaw = self._mounting
+            c2 = math.cos(x.item(YAW)) ** 2
+            more += forward * c2 + right * (1.0 - c2), forward * (1.0 - c2) + right * c2, down, yaw
+        return more
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the calibration is wrong."""
+        return self._late or self._focal_told
+
+    @property
+    def _late(self) -> bool:
+        return abs(self.stamps.late_s) >= LATE_S
+
+    def take_texts(self) -> tuple[str, ...]:
+        """What is new, for the operator."""
+        texts, self._texts = tuple(self._texts), []
+        return texts
+
+    def look_at_stamps(self) -> bool:
+        """Whether stamps have been found to be late, or late by another time than was known."""
+        changed = self.stamps.look()
+        late_s = self.stamps.late_s
+        if self._late and not self._late_told and self.stamps.sigma_s < LATE_SHARE * max(abs(late_s), 2.0 * LATE_S):
+            self._late_told = True
+            what = "late" if late_s > 0.0 else "early"
+            self._texts.append(f"Picture stamps {1e3 * abs(late_s):.0f} ms {what}: calibrate latency")
+        return changed
+
+    def look_at_focal(self, share: float, sigma: float) -> bool:
+        """One more picture's opinion of the focal length. True if :attr:`focal_share` has changed."""
+        weight = sigma**-2
+        keep = 1.0 - 1.0 / FORGET_LOOKS
+        self._weight, self._sum = keep * self._weight + weight, keep * self._sum + weight * (self.focal_share + share)
+        self._looks += 1
+        mean, spread = self._sum / self._weight, self._weight**-0.5
+        prior, bend = max(self._focal_sigma, FOCAL_PRIOR) ** 2, BEND_SIGMA**2 + spread**2
+        known = mean * prior / (prior + bend)
+        self._focal_pending = known - self.focal_share if abs(mean) > FOCAL_SEEMS * spread else 0.0
+        if self._looks < FOCAL_LOOKS or abs(mean) <= FOCAL_SIGMAS * spread:
+            return False
+        if abs(known) >= FOCAL_NAMED and not self._focal_told:
+            self._focal_told = True
+            what = "long" if mean > 0.0 else "short"
+            self._texts.append(f"Focal length {100.0 * abs(mean):.1f} % too {what}: recalibrate camera")
+        if abs(self._focal_pending) < (FOCAL_STEP if self.focal_share else FOCAL_SHARE):
+            return False
+        self.focal_share, self._focal_pending = known, 0.0
+        self._found_focal_sigma = math.sqrt(prior * bend / (prior + bend))
+        return True

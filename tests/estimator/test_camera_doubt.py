@@ -1,0 +1,160 @@
+"""A calibration of yesterday: stamps that are late, a focal length that is off, and what the files say of both."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from laid_world import VEHICLE, LaidWorld, flown
+from makers import Make
+from truth import Track, rms
+
+from autopilot.core.camera import CameraModel
+from autopilot.core.markers import MarkerMap
+from autopilot.core.messages import NavDoubt
+from autopilot.core.samples import MarkerSighting, PoseSample
+from autopilot.core.vehicle import Vehicle
+from estimator.camera_doubt import CameraWatch, focal_look
+from estimator.ekf import create_ekf
+
+SOME = np.random.default_rng(20261122)
+
+
+def with_camera(**changes: object) -> Vehicle:
+    return msgspec.structs.replace(VEHICLE, camera=msgspec.structs.replace(VEHICLE.camera, **changes))
+
+
+def nees(track: Track, columns: slice) -> float:
+    """Mean squared distance per coordinate, by the variance that is told."""
+    variance = np.array([nav.variance[columns] for nav in track.nav])
+    return float((track.pos_error()[:, columns] ** 2 / variance).mean())
+
+
+@pytest.mark.parametrize("late_ms", [60.0, *(round(float(ms), 1) for ms in SOME.uniform(8.0, 130.0, 2)), -25.0])
+def test_late_stamps_are_found_and_put_right(make_ekf: Make, floor: MarkerMap, late_ms: float) -> None:
+    estimator = make_ekf(markers=floor)
+    world = LaidWorld(floor, round(100 + late_ms), stamped_late_us=round(1e3 * late_ms))
+    track, told = flown(estimator, world, 6.0)
+    assert len(told) == 1
+    words = told[0].split()
+    assert told[0].startswith("Picture stamps ")
+    assert told[0].endswith(f"ms {'late' if late_ms > 0.0 else 'early'}: calibrate latency")
+    assert len(told[0]) <= 50
+    # The world's Euler steps put it 2.5 ms ahead of its gyro.
+    assert float(words[2]) == pytest.approx(abs(late_ms), abs=5.0)
+    assert NavDoubt.CALIBRATION in track.nav[-1].doubts
+    assert not any({NavDoubt.GYRO, NavDoubt.ACCELEROMETER} & nav.doubts for nav in track.nav)
+    after = track.after(4.0)
+    assert after.nav[0].reset_count == after.nav[-1].reset_count
+    assert rms(after.pos_error()[:, :2]) < 0.003
+    assert math.degrees(np.abs(after.yaw_error()).max()) < 0.3
+    assert nees(after, slice(0, 2)) < 4.0
+
+
+def test_stamps_from_the_future_are_late(make_ekf: Make, floor: MarkerMap) -> None:
+    """The driver adds what it should take off: pictures arrive before their stamps."""
+    estimator = make_ekf(markers=floor)
+    track, told = flown(estimator, LaidWorld(floor, 21, stamped_late_us=110_000, ahead=True), 5.0)
+    assert [text.split()[:2] for text in told] == [["Picture", "stamps"]]
+    assert float(told[0].split()[2]) == pytest.approx(110.0, abs=5.0)
+    assert rms(track.after(4.0).pos_error()[:, :2]) < 0.003
+
+
+def test_good_stamps_are_not_suspected(make_ekf: Make, floor: MarkerMap) -> None:
+    estimator = make_ekf(markers=floor)
+    track, told = flown(estimator, LaidWorld(floor, 12), 5.0)
+    assert told == []
+    assert not any(nav.doubts for nav in track.nav)
+    counts = estimator.counters()
+    assert counts["stamps.retimed"] == counts["focal.rescaled"] == 0
+    assert rms(track.after(2.0).pos_error()[:, :2]) < 0.001
+
+
+def test_at_rest_nothing_is_found(make_ekf: Make, floor: MarkerMap) -> None:
+    estimator = make_ekf(markers=floor)
+    world = LaidWorld(floor, 22, stamped_late_us=60_000, rest_us=10_000_000)
+    _, told = flown(estimator, world, 4.0)
+    assert told == []
+    assert estimator.counters()["stamps.retimed"] == 0
+
+
+def test_poses_of_pictures_keep_the_stamps_of_the_pictures(make_ekf: Make, floor: MarkerMap) -> None:
+    """What the other estimator gets says nothing of what this one thinks of stamps."""
+    estimator, stamps, made = make_ekf(markers=floor), set(), set()
+    for truth, samples, command in LaidWorld(floor, 23, stamped_late_us=40_000).run(3.0):
+        estimator.step(truth.t_us, samples, command)
+        stamps |= {s.t_us for s in samples if isinstance(s, MarkerSighting)}
+        made |= {s.t_us for s in estimator.take_made() if isinstance(s, PoseSample)}
+    assert estimator.counters()["stamps.retimed"] > 0
+    assert len(made) > 60
+    assert made <= stamps
+
+
+@pytest.mark.parametrize("percent", [3.0, *(round(float(p), 1) for p in SOME.uniform(-4.0, -1.5, 1)), 5.0])
+def test_a_wrong_focal_length_is_named_and_put_right(floor: MarkerMap, percent: float) -> None:
+    focal = tuple((1.0 + 0.01 * percent) * f for f in VEHICLE.camera.focal_px)
+    estimator = create_ekf(with_camera(focal_px=focal), floor, 1.5)
+    track, told = flown(estimator, LaidWorld(floor, 13), 6.0)
+    what = "long" if percent > 0.0 else "short"
+    named = [text for text in told if text.startswith("Focal length ")]
+    assert len(named) == 1
+    assert named[0].endswith(f"% too {what}: recalibrate camera")
+    assert float(named[0].split()[2]) == pytest.approx(abs(percent), rel=0.15)
+    assert len(named[0]) <= 50
+    assert NavDoubt.CALIBRATION in track.nav[-1].doubts
+    after = track.after(5.0)
+    assert np.abs(after.pos_error()[:, 2]).max() < 0.003, "it was 10 to 50 mm"
+    assert nees(after, slice(2, 3)) < 4.0
+    assert rms(after.pos_error()[:, :2]) < 0.002
+
+
+def test_a_bend_that_is_off_stays_within_what_is_said_of_the_height(floor: MarkerMap) -> None:
+    """It leaves the pattern of a wrong focal length: the height may then be as far off as the variance says."""
+    for share in (-0.01, 0.015):
+        k1, *others = VEHICLE.camera.distortion
+        estimator = create_ekf(with_camera(distortion=((1.0 + share) * k1, *others)), floor, 1.5)
+        track, _ = flown(estimator, LaidWorld(floor, 15), 5.0)
+        after = track.after(4.5)
+        assert nees(after, slice(2, 3)) < 9.0
+
+
+def test_a_lens_that_does_not_bend_tells_nothing() -> None:
+    straight = CameraModel.of(msgspec.structs.replace(VEHICLE.camera, distortion=(0.0,) * 5), VEHICLE.laser)
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(-300.0, 300.0, (2, 40))
+    pixels = np.column_stack((x, y)) + np.array(straight.center_px)
+    jacobian = np.zeros((80, 3))
+    jacobian[0::2, 0] = jacobian[1::2, 1] = 1.0
+    jacobian[:, 2] = (pixels - np.array(straight.center_px)).reshape(-1)  # height
+    assert focal_look(straight, pixels, rng.normal(0.0, 0.1, 80), jacobian) is None
+
+
+def test_what_pictures_say_of_the_focal_length_counts_before_it_is_sure() -> None:
+    watch = CameraWatch(VEHICLE.camera)
+    assert not watch.look_at_focal(0.02, 0.005)
+    variance = watch.unexplained_variance(1.0, np.zeros(21), 0.0)
+    assert 0.015 < math.sqrt(variance[2]) < 0.03
+    assert watch.take_texts() == ()
+
+
+def test_what_calibration_leaves_open_is_in_the_variance(floor: MarkerMap) -> None:
+    """As the ``calibrate`` commands write it."""
+    open_ = {
+        "focal_sigma": 0.01,
+        "time_offset_sigma_s": 0.02,
+        "position_sigma_m": (0.003, 0.004, 0.005),
+        "mounting_sigma_rad": (0.01, 0.02, 0.03),
+    }
+    variance = []
+    for vehicle in (VEHICLE, with_camera(**open_)):
+        estimator = create_ekf(vehicle, floor, 1.5)
+        track, _ = flown(estimator, LaidWorld(floor, 14), 4.0)
+        variance.append(track.nav[-1].variance)
+        speed = float(np.linalg.norm(track.truth[-1].vel[:2]))
+        height = 1.5 - float(track.truth[-1].pos[2]) - VEHICLE.camera.position_frd_m[2]
+    more = variance[1] - variance[0]
+    arm = VEHICLE.camera.position_frd_m[2]
+    assert more[2] == pytest.approx((0.01 * height) ** 2 + 0.005**2, rel=0.2)
+    across = (0.02 * speed) ** 2 + 0.003**2 + 0.004**2 + (0.01**2 + 0.02**2) * arm**2
+    assert more[0] + more[1] == pytest.approx(across, rel=0.1)
+    assert more[5] > 0.03**2
