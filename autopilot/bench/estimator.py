@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from autopilot.bench.calibration_rows import bench_calibration
 from autopilot.bench.estimator_figures import (
     EstimatorBenchRow,
     Flights,
@@ -69,7 +70,7 @@ HAZE = {"camera": {"turbidity_1_m": 1.0}}
 MM, DEG = 1e3, 180.0 / np.pi
 XY, Z, YAW, VELOCITY = slice(0, 2), slice(2, 3), slice(3, 4), slice(4, 7)
 
-LAID, COST = "laid", "cost"
+LAID, CALIBRATION, COST = "laid", "calibration", "cost"
 
 Runs = Mapping[str, Sequence[Mapping[str, Watched]]]
 """Flight -> one entry per seed: estimator -> what it said."""
@@ -110,22 +111,23 @@ def bench_estimator(
     groups: Sequence[str] | None = None,
 ) -> list[EstimatorBenchRow]:
     """Fly everything with these seeds (what has rendered pictures with the second ones), in so many processes, and
-    judge it. ``groups``: only these of :data:`GROUPS`, and :data:`LAID`."""
+    judge it. ``groups``: only these of :data:`GROUPS`, and :data:`LAID`, :data:`CALIBRATION`."""
     wanted = [name for name in GROUPS if groups is None or name in groups]
     needed = {flight for name in wanted for flight in GROUPS[name][0]}
     specs = [spec for spec in flight_specs(seeds, camera_seeds) if spec.name in needed]
     with ProcessPoolExecutor(max_workers=workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         flown = list(pool.map(fly, specs))
         laid = bench_laid(seeds, pool) if groups is None or LAID in groups else []
+        off = bench_calibration(seeds, pool) if groups is None or CALIBRATION in groups else []
     runs: dict[str, list[Mapping[str, Watched]]] = {name: [] for name in needed}
     for spec, watched in zip(specs, flown, strict=True):
         runs[spec.name].append(watched)
-    return [*judged(runs, wanted), *laid]
+    return [*judged(runs, wanted), *laid, *off]
 
 
 def group_names() -> tuple[str, ...]:
     """Of all rows, as they are shown."""
-    return (*GROUPS, LAID, COST)
+    return (*GROUPS, LAID, CALIBRATION, COST)
 
 
 def flight_specs(seeds: Sequence[int], camera_seeds: Sequence[int]) -> list[FlightSpec]:

@@ -73,10 +73,11 @@ def bench(
     with 2, 10 and 50 obstacles; failures from 200 random starts; start-up and memory (minutes; less with --short).
     sitl: speed against real time, CPU time per tick and memory, with a rendered camera and with pose samples.
     estimator: accuracy, honesty, gaps, outliers and delays of the estimator in flights of the whole vehicle, beside
-    what the project asks for, over floors whose sheets somebody has laid, and its cost, with the least, median and
+    what the project asks for, over floors whose sheets somebody has laid, with a camera calibrated wrongly, and its
+    cost, with the least, median and
     largest of the seeds; 20 seeds take half an hour, 3 (--short, or when no NAME is given) five minutes, --seeds
     201..220 an hour: all with pictures, too. --only GROUP (repeatable) shows some of it: steady, pictures, haze,
-    currents, gaps, outliers, late, compass, laid, cost.
+    currents, gaps, outliers, late, compass, laid, calibration, cost.
     With --images instead: poses from rendered pictures against height and turbidity (five minutes, half with --short).
     With --attitude instead: attitude from gyros, accelerometers and magnetometer, in recorded trials and made-up
     motions, beside a filter of fixed gain; the parameters of both chosen without the row that they are tried on (ten
