@@ -264,6 +264,7 @@ class StepProgram:
             np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS]),
             np.full(self.nmpc.model.thrusters, params["MPC_R_THRUST"]),
             math.hypot(*(now.x0[:2] - place).tolist()),
+            sampled=not int(params["MPC_COST"]),
         )
         cost = None if int(params["MPC_COST"]) else self.regions.cost_at(reference.x[-1], goal)
         return reference.terminal if cost is None else cost

@@ -179,14 +179,17 @@ def test_regions_are_certified_beside_the_loop_and_told_to_the_log_once() -> Non
     assert regions.cost_at(end + np.array([0.1, 0, 0, 0, 0, 0, 0, 0]), B) is None
 
 
-def test_the_controller_certifies_its_goal_while_it_flies() -> None:
-    controller, params = MotionController(VEHICLE, cpu_clock=lambda: 0.0), ParamSet()
+@pytest.mark.parametrize("cost", [0.0, 1.0])
+def test_the_controller_certifies_its_goal_while_it_flies(cost: float) -> None:
+    """By least energy the region is no cost of the program: its size is told, and no sample is looked at."""
+    controller, params = MotionController(VEHICLE, cpu_clock=lambda: 0.0), ParamSet({"MPC_COST": cost})
     x: FloatArray = np.array([*A.pos_ned_m, 0.0, 0.0, 0.0, 0.0, 0.0])
     fence = Fence(exclusions=(Circle(center_ned_m=np.array([0.9375, 0.0]), radius_m=0.16),), depth_max_m=1.2)
     for step in range(90):
         controller.step(step * 50_000, nav_state(step * 50_000, x), A, fence, params)
     certificate = controller.regions.certificate
-    assert certificate is not None and certificate.violations == 0 and certificate.samples == SAMPLES
+    assert certificate is not None and certificate.alpha > 0.0 and certificate.violations == 0
+    assert certificate.samples == (0 if cost else SAMPLES)
     assert [severity for severity, text in controller.take_news() if "alpha" in text] == [Severity.DEBUG]
 
 

@@ -1,7 +1,8 @@
 """The terminal region of the goal in force: made when the goal or its water changes, certified beside the loop.
 
 The law (steady input, gain, cost) is there at once and costs half a millisecond; the 20,000 samples of its certificate
-are looked at elsewhere. What was verified goes to the log; an operator hears of it only when there is no region at all.
+are looked at elsewhere, and only where the law is a cost of the program: plans of least energy end otherwise. What was
+verified goes to the log; an operator hears of it only when there is no region at all.
 """
 
 import math
@@ -10,11 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.control.robust.terminal import (
+    SAMPLES,
     Certificate,
     Terminal,
     TerminalLimits,
     certify,
     terminal_law,
+    unit_samples,
 )
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
@@ -47,11 +50,13 @@ class _Request:
     law: Terminal
     goal: Goal
     limits: TerminalLimits
+    sampled: bool
 
 
 def _certified(request: _Request, cancel: Cancel) -> Certificate:
-    """The whole certificate."""
-    return certify(request.model, request.law, request.goal, request.limits, look=cancel.check)
+    """The whole certificate, or what the limits alone say of the region."""
+    samples = unit_samples(SAMPLES if request.sampled else 0)
+    return certify(request.model, request.law, request.goal, request.limits, samples, look=cancel.check)
 
 
 class TerminalRegions:
@@ -91,14 +96,24 @@ class TerminalRegions:
         q: FloatArray,
         r: FloatArray,
         away_m: float = 0.0,
+        *,
+        sampled: bool = True,
     ) -> None:
         """One control step with this goal, ``away_m`` from it in the plane; ``yaw_rad`` is the heading in which the
-        vehicle will stay there."""
+        vehicle will stay there. ``sampled``: that the cost falls in the region is looked at, too."""
         self._step += 1
         if self.certificate is not None and self.certificate.alpha <= 0.0:
             self._warn(goal, self.certificate, away_m)
         yaw = goal.yaw_rad if goal.yaw_rad is not None else round(yaw_rad, 1)
-        key = (*goal.pos_ned_m.tolist(), yaw, goal.accept_radius_m, limits.clearance_m, *q.tolist(), *r.tolist())
+        key = (
+            *goal.pos_ned_m.tolist(),
+            yaw,
+            goal.accept_radius_m,
+            limits.clearance_m,
+            *q.tolist(),
+            *r.tolist(),
+            sampled,
+        )
         moved = float(np.abs(current_ned_m_s - self._current).max()) > CURRENT_STEP_M_S
         if key != self._key or (moved and self._ticket is None):
             self._key, self._goal, self._current = key, goal, current_ned_m_s.copy()
@@ -106,7 +121,7 @@ class TerminalRegions:
             self._cost = self.law.cost_ned()
             self.certificate = None
             self._withdraw()
-            request = _Request(model=self._sharing.model, law=self.law, goal=goal, limits=limits)
+            request = _Request(model=self._sharing.model, law=self.law, goal=goal, limits=limits, sampled=sampled)
             self._ticket = self._desk.submit(self._step + ANSWER_STEPS, _certified, request)
         answer = None if self._ticket is None else self._ticket.poll(self._step)
         if answer is None:

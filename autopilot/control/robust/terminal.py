@@ -125,7 +125,8 @@ class Certificate:
                 f"acceptance ball {self.accept_radius_m:g} m does not fit {self.fit_room_m:.3f} m of {self.fit_limit}"
             )
             small = f"; {ball}, region made smaller"
-        return f"alpha {self.alpha:.3g} ({size}) by {self.binding}, {self.violations} of {self.samples} violate{small}"
+        looked = f"{self.violations} of {self.samples} violate" if self.samples else "not sampled"
+        return f"alpha {self.alpha:.3g} ({size}) by {self.binding}, {looked}{small}"
 
 
 def terminal_law(
