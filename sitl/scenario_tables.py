@@ -250,7 +250,7 @@ class Markers(_Table, frozen=True, kw_only=True):
 class Controller(_Table, frozen=True, kw_only=True):
     """``[controller]``: what the vehicle is told."""
 
-    currents: Literal["estimate", "map", "memory", "none", "uniform"] = "estimate"
+    currents: Literal["estimate", "map", "none", "uniform"] = "estimate"
     """A flow through all estimates, a map, what was estimated where, still water, or the estimate everywhere."""
     basin: Literal["closed", "open", "unknown"] = "unknown"
     """For ``currents = "estimate"``: whether what flows comes back within the fence. A belief, not a fact: estimates

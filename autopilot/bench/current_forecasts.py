@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 from autopilot.bench.nmpc import TANK
 from autopilot.control.water.current_learning import LearnedCurrent
 from autopilot.control.water.currents import (
-    TANK_SCALE_M,
     CurrentForecast,
     EstimatedCurrent,
     NoCurrent,
-    RememberedCurrent,
 )
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
@@ -66,7 +64,6 @@ def compare_forecasts(path: Path) -> list[ForecastRow]:
     forecasts: dict[str, CurrentForecast] = {
         "none": NoCurrent(),
         "uniform": EstimatedCurrent(),
-        "memory": RememberedCurrent(TANK_SCALE_M),
         "estimate": flow,
     }
     return [row for name, forecast in forecasts.items() for row in _judge(name, forecast, flight)]

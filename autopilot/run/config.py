@@ -24,7 +24,7 @@ ESTIMATORS = ("ekf", "complementary")
 PLANTS = ("rigid-body",)
 SENSORS = ("camera", "pose")
 UNTIL = ("complete",)
-CURRENTS = ("estimate", "map", "memory", "none", "uniform")
+CURRENTS = ("estimate", "map", "none", "uniform")
 BASINS = ("closed", "open", "unknown")
 SHIPPED_PARTS = {"controller": CONTROLLERS, "estimator": ESTIMATORS, "plant": PLANTS}
 """What stands in the tables of the rooms (:data:`autopilot.control.protocol.CONTROLLERS` and so on), for --help."""

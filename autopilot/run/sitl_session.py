@@ -25,7 +25,6 @@ from autopilot.control.water.currents import (
     MappedCurrent,
     NoCurrent,
     PointwiseField,
-    RememberedCurrent,
 )
 from autopilot.core.camera import CameraModel
 from autopilot.core.desk import Desk
@@ -383,8 +382,6 @@ def _currents(settings: Settings, world: _World) -> CurrentForecast:
             return MappedCurrent(world.water)
         case "map":
             return MappedCurrent(PointwiseField(current_field(world.scenario.current).velocity, scale_m))
-        case "memory":
-            return RememberedCurrent(scale_m)
         case "none":
             return NoCurrent()
         case "uniform":

@@ -82,8 +82,8 @@ def test_what_does_not_fit_is_refused_before_anything_runs(
         opened(plan=plan, currents_map=str(tmp_path / "small.npz"), start=True)
     assert opened(plan=plan, currents_map=str(tmp_path / "small.npz")).parts.plans.problem
     assert "current map small.npz: does not cover" in capsys.readouterr().err
-    with pytest.raises(ConfigError, match="--currents-map needs --currents map, not memory"):
-        opened(currents="memory", currents_map=str(tmp_path / "small.npz"))
+    with pytest.raises(ConfigError, match="--currents-map needs --currents map, not uniform"):
+        opened(currents="uniform", currents_map=str(tmp_path / "small.npz"))
     with pytest.raises(ConfigError, match="cannot be read"):
         opened(currents_map=str(tmp_path / "nothing.npz"))
     with pytest.raises(ConfigError, match="AUTOPILOT_CURRENTS='maps' is not valid; use estimate, map"):

@@ -379,7 +379,7 @@ def _scenario(
         sensors["depth"] = {}
     if rng.random() < 0.2:
         sensors["dvl"] = {}
-    told = str(rng.choice(["estimate", "map", "memory", "uniform"], p=[0.68, 0.18, 0.07, 0.07]))
+    told = str(rng.choice(["estimate", "map", "uniform"], p=[0.68, 0.18, 0.14]))
     tables: dict[str, Any] = {
         "scenario": {"name": f"room-{seed}", "description": f"room {seed}: {kind}", "seed": seed},
         "obstacle": [_solid_table(solid) for solid in layout.solids],

@@ -2,7 +2,6 @@
 estimated where, or nothing."""
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol, TypeAlias
@@ -144,67 +143,37 @@ class EstimatedCurrent(_Anywhere):
         return self._revision.look(nav.current_ned_m_s, nav.t_us * 1e-6)
 
 
-class _Corrected(_Anywhere, ABC):
-    """A belief of the water and a memory of what it lacked where; both corrected by what they lack here and now."""
+class MappedCurrent(_Anywhere):
+    """A map of the current, and near visited places what it lacked there; both corrected by what they lack here and
+    now."""
 
-    def __init__(self, scale_m: float, drift_m_s: Callable[[float, float], float] = _no_drift) -> None:
-        self._scale_m = scale_m
-        self._memory = CurrentMemory(scale_m)
-        self._revision = Revision(drift_m_s)
-
-    @abstractmethod
-    def _lesson(self, nav: NavState) -> FloatArray:
-        """(3,) what the memory is to learn here."""
+    def __init__(self, field: CurrentField) -> None:
+        self._field = field
+        self._memory = CurrentMemory(field.scale_m)
+        self._revision = Revision(field.drift_m_s)
 
     def view(self, nav: NavState) -> NavState:
         """Unchanged; learns from it."""
         if nav.health is NavHealth.GOOD and bool(np.isfinite(nav.current_ned_m_s).all()):
-            self._memory.learn(nav.t_us, nav.pos_ned_m, self._lesson(nav), float(nav.variance[9:11].mean()))
+            here = self._field.velocity(nav.pos_ned_m[None], np.array([nav.t_us * 1e-6]))[0]
+            variance = float(nav.variance[9:11].mean())
+            self._memory.learn(nav.t_us, nav.pos_ned_m, nav.current_ned_m_s - here, variance)
         return nav
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
-        """Belief and memory at each predicted place and time, plus the correction as far as it holds there and then."""
+        """Map and memory at each predicted place and time, plus the correction as far as it holds there and then."""
         forecast = self._forecast(nav, np.vstack((pos_ned_m, nav.pos_ned_m)), np.append(t_s, 0.0))
         out[:] = forecast[:-1]
-        share = correction_share(nav, pos_ned_m, t_s, self._scale_m)
+        share = correction_share(nav, pos_ned_m, t_s, self._field.scale_m)
         out += share[:, None] * (nav.current_ned_m_s - forecast[-1])
 
     def revision(self, nav: NavState) -> int:
-        """The estimate surprises by something else than at the last revision, or the belief has moved on."""
+        """The estimate surprises by something else than at the last revision, or the map has moved on."""
         here = self._forecast(nav, nav.pos_ned_m[None], np.zeros(1))[0]
         return self._revision.look(nav.current_ned_m_s - here, nav.t_us * 1e-6)
 
-    @abstractmethod
     def _forecast(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
-        """(n, 3) belief and memory at places, ``t_s`` after ``nav``."""
-
-
-class RememberedCurrent(_Corrected):
-    """Near visited places what was estimated there, elsewhere the present estimate."""
-
-    def __init__(self, scale_m: float = TANK_SCALE_M) -> None:
-        super().__init__(scale_m)
-
-    def _lesson(self, nav: NavState) -> FloatArray:
-        return nav.current_ned_m_s
-
-    def _forecast(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
-        return self._memory.recall(nav.t_us, pos_ned_m, nav.current_ned_m_s)
-
-
-class MappedCurrent(_Corrected):
-    """A map of the current, and near visited places what it lacked there."""
-
-    def __init__(self, field: CurrentField) -> None:
-        super().__init__(field.scale_m, field.drift_m_s)
-        self._field = field
-
-    def _lesson(self, nav: NavState) -> FloatArray:
-        here = self._field.velocity(nav.pos_ned_m[None], np.array([nav.t_us * 1e-6]))[0]
-        lack: FloatArray = nav.current_ned_m_s - here
-        return lack
-
-    def _forecast(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray) -> FloatArray:
+        """(n, 3) map and memory at places, ``t_s`` after ``nav``."""
         on_map = self._field.velocity(pos_ned_m, t_s + nav.t_us * 1e-6)
         return on_map + self._memory.recall(nav.t_us, pos_ned_m, np.zeros(3))
 
