@@ -10,7 +10,6 @@ from autopilot.core.errors import ConfigError, DriverError
 
 BACKENDS: dict[str, dict[str, str]] = {
     "sensor": {"ig500": "drivers.ig500:Ig500"},
-    "port": {"serial": "drivers.serial_port:SerialPort"},
     "link": {
         "udpin": "drivers.udp:UdpIn",
         "udpout": "drivers.udp:UdpOut",
@@ -18,7 +17,6 @@ BACKENDS: dict[str, dict[str, str]] = {
         "tcpout": "drivers.tcp:TcpClient",
         "serial": "drivers.serial_port:SerialLink",
     },
-    "vehicle": {"sitl": "sitl.backend:simulated_vehicle"},
 }
 """Kind -> name -> ``module:class``."""
 

@@ -219,13 +219,6 @@ class Plans(PlanStore):
         self._home = None
         return None
 
-    def recheck(self) -> str:
-        """Bring the verdict up to date at once: :attr:`problem`."""
-        if not self._is_current():
-            self._drop()
-            self._take(judge(self._question(), Cancel()))
-        return self._verdict.problem
-
     def local_ned_m(self, lat_deg: float, lon_deg: float, alt_m: float) -> FloatArray:
         """A geodetic position in local metres (3,)."""
         return ned_from_geodetic(self._origin, lat_deg, lon_deg, alt_m)

@@ -30,7 +30,6 @@ SEARCH_STEP_S = 0.01
 DERIVATIVE_S = 0.002
 CONVERGED = 1e-6
 ROUNDS = 8
-OUT_OF_RANGE = f"the lateness of the pictures is not between -{SEARCH_S:g} and {SEARCH_S:g} s; check the clocks"
 BIAS_MOVED_RAD_S = 2e-5
 """By so much the bias may change before the gyros are integrated again."""
 MIN_PAIRS = 50

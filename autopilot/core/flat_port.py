@@ -36,15 +36,6 @@ class FlatPort:
         """Where the water begins, from the centre of projection."""
         return self.distance_m + self.thickness_m
 
-    @property
-    def paraxial_center_m(self) -> float:
-        """Where the centre of projection seems to be for rays near the axis (negative: behind the lens)."""
-        return (
-            self.outside_m
-            - self.distance_m * self.water_index
-            - self.thickness_m * (self.water_index / self.glass_index)
-        )
-
     def exit_radius(self, slope_air: FloatArray) -> FloatArray:
         """Radius [m] at which rays (...) of that tangent in the air enter the water."""
         result: FloatArray = self.distance_m * slope_air + self.thickness_m * _refracted(slope_air, self.glass_index)

@@ -151,12 +151,11 @@ def pinhole_for(camera: CameraModel, depths_m: FloatArray) -> tuple[CameraModel,
 
 
 def test_a_pinhole_calibrated_in_water_sits_8_millimetres_behind_the_lens() -> None:
-    """Pane 20 mm before the lens: (n - 1) 20 mm = 6.7 mm on the axis, 8.5 mm over the whole of a wide picture. Whoever
+    """Pane 20 mm before the lens: 8.5 mm over the whole of a wide picture (on the axis (n - 1) 20 mm = 6.7 mm). Whoever
     takes the lens for the centre of the pinhole is that much off in height, at every height."""
     wide = replace(WIDE, distortion=(0.0, 0.0, 0.0, 0.0, 0.0), port=replace(PORT, thickness_m=0.0))
     pinhole, before_m = pinhole_for(wide, np.array([0.3, 0.6, 0.9, 1.2]))
     assert wide.port is not None
-    assert wide.port.paraxial_center_m == pytest.approx(-0.333 * 0.02)
     assert before_m == pytest.approx(-0.0085, abs=0.0008)
     assert pinhole.focal_px[0] == pytest.approx(694.0, rel=0.02)
 

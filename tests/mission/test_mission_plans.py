@@ -268,9 +268,9 @@ def test_parameters_that_change_later_are_noticed() -> None:
     params = ParamSet()
     store = Plans(params, RADIUS_M, ORIGIN)
     assert store.replace(PlanKind.MISSION, (waypoint(0, 0, 0, depth=1.0),)) is None
-    assert store.recheck() == ""
+    assert store.problem == ""
     params.set("DEPTH_MAX", 0.8)
-    assert "DEPTH_MAX 0.8" in store.recheck()
+    assert "DEPTH_MAX 0.8" in store.problem
     assert store.items(PlanKind.MISSION) != ()
     params.set("DEPTH_MAX", 1.0)
     assert store.problem == ""

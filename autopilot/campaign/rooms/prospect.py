@@ -12,7 +12,7 @@ import numpy as np
 
 from autopilot.campaign.rooms.chart import NO_WAY, Chart, Flow, Way, still
 from autopilot.campaign.rooms.room import MARGIN_M, Room, current_table
-from autopilot.campaign.rooms.shapes import Point, clearance_m
+from autopilot.campaign.rooms.shapes import Point
 from autopilot.campaign.rooms.vehicles import speed_held_m_s
 from autopilot.campaign.rooms.waters import flow_of
 
@@ -203,8 +203,3 @@ class _Judge:
                 if drag > 0.6 * thrusters * params["THR_LIMIT"]:
                     return False
         return True
-
-
-def place_clearance_m(room: Room, place: Point) -> float:
-    """Distance of a place from everything fenced."""
-    return clearance_m(room.layout, place)

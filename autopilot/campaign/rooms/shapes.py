@@ -39,8 +39,6 @@ class Layout:
     outline_m: Corners | None
     """Walls all round, None = open water."""
     solids: tuple[Solid, ...] = ()
-    keep_in: bool = True
-    """The outline is an inclusion fence (always so with walls)."""
     walls: bool = True
     """The outline is solid; else it is only the fence."""
     doors_m: tuple[float, ...] = field(default=())
