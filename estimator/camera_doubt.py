@@ -16,6 +16,18 @@ from autopilot.core.vehicle import Camera
 from estimator.stamp_watch import StampWatch
 from estimator.states import VEL, YAW
 
+NO_CAMERA = Camera(
+    width_px=1,
+    height_px=1,
+    rate_hz=1.0,
+    focal_px=(1.0, 1.0),
+    center_px=(0.0, 0.0),
+    distortion=(0.0,) * 5,
+    position_frd_m=(0.0,) * 3,
+    latency_s=0.0,
+)
+"""Stands for the camera of a vehicle that has none: no picture of it will come."""
+
 LATE_S = 0.005
 LATE_SHARE = 0.1
 """Stamps are called late from here on, when it is known to this share of it."""

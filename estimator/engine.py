@@ -31,7 +31,7 @@ from autopilot.core.samples import (
 from autopilot.core.vehicle import Vehicle
 from estimator.aiding import Aid
 from estimator.attitude import AttitudeSource
-from estimator.camera_doubt import CameraWatch
+from estimator.camera_doubt import NO_CAMERA, CameraWatch
 from estimator.core import FilterCore, Innovation
 from estimator.doubt import STEADY_M_S2, STEADY_RAD_S
 from estimator.evidence import Evidence
@@ -116,7 +116,7 @@ class Engine:
         self._options = options
         self._model = vehicle.to_model()
         self._follow = added_share(vehicle)
-        solver = None if markers is None else MarkerSolver(CameraModel.of(vehicle.camera, vehicle.laser), markers)
+        solver = None if markers is None else MarkerSolver(CameraModel.of_vehicle(vehicle), markers)
         self._sources = Sources(vehicle, solver, floor_depth_m)
         self._intake = Intake(self._sources.aid_of)
         self._door = AhrsDoor()
@@ -127,9 +127,10 @@ class Engine:
         self._imu = ImuWatch(self._model, self._follow)
         self._evidence = Evidence()
         self._markers = markers
-        self._camera = CameraWatch(vehicle.camera)
-        self._camera_down_m = vehicle.camera.position_frd_m[2]
-        self._latency_s = vehicle.camera.latency_s
+        camera = vehicle.camera or NO_CAMERA
+        self._camera = CameraWatch(camera)
+        self._camera_down_m = camera.position_frd_m[2]
+        self._latency_s = camera.latency_s
         self._focal_share, self._focal_changed, self._stamps_changed = 0.0, False, False
         self._map = None if markers is None else MapWatch(markers)
         self._judged: Innovation | None = None

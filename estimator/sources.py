@@ -16,7 +16,7 @@ from autopilot.core.samples import (
     PoseSample,
     VelocitySample,
 )
-from autopilot.core.vehicle import Vehicle
+from autopilot.core.vehicle import Laser, Vehicle
 from estimator.aiding import Aid
 from estimator.history import Node
 from estimator.inertial import Inertial
@@ -36,6 +36,9 @@ LOST_AFTER = 3
 """Sightings in a row that do not fit the predicted pose before the whole floor is searched."""
 
 
+NO_LASER = Laser(position_frd_m=(0.0, 0.0, 0.0))
+"""Stands for the laser of a vehicle that has none: no sample of it will come."""
+
 T = TypeVar("T")
 
 
@@ -49,8 +52,9 @@ class Sources:
     def __init__(self, vehicle: Vehicle, solver: MarkerSolver | None, floor_depth_m: float | None) -> None:
         self._solver = solver
         self._floor_depth_m = floor_depth_m
-        self._laser_frd_m = vehicle.laser.position_frd_m
-        bx, by, bz = vehicle.laser.direction_frd
+        laser = vehicle.laser or NO_LASER
+        self._laser_frd_m = laser.position_frd_m
+        bx, by, bz = laser.direction_frd
         length = math.sqrt(bx * bx + by * by + bz * bz)
         self._beam_frd = (bx / length, by / length, bz / length)
         self._depth_frd_m = vehicle.depth_sensor.position_frd_m
@@ -69,7 +73,7 @@ class Sources:
             ExternalPoseSample: self.external,
         }
         """Kind of sample -> whose it is."""
-        camera_us = round(1e6 * vehicle.camera.time_offset_s)
+        camera_us = 0 if vehicle.camera is None else round(1e6 * vehicle.camera.time_offset_s)
         self._offset_us: dict[type, int] = {
             PoseSample: camera_us,
             MarkerSighting: camera_us,

@@ -115,7 +115,7 @@ class MarkerDetector:
             each = [self._search(grey, hazy, ids) for ids in self._acquisition()]
         else:
             each = [self._track(grey, hazy, *expected) for expected in self._expected(hint)]
-        laser = find_dot(image, self._camera, self._laser_range_m(hint))
+        laser = find_dot(image, self._camera, self._laser_range_m(hint)) if self._camera.has_laser else None
         ids = tuple(int(i) for some in each for i in some.ids)
         return MarkerSighting(
             t_us=frame.t_us,

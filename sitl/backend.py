@@ -157,9 +157,10 @@ class SimulatedVehicle(Closing):
                     f"scenario {scenario.scenario.name!r} has no [tank], so there is no floor for the camera;"
                     " use --sensors pose"
                 )
-            model = true_camera(CameraModel.of(vehicle.camera, vehicle.laser), scenario.camera, sensors.laser)
-            renderer = SimCamera(model, floor, scenario.camera, seed, laser=sensors.laser.enabled)
-            self._camera = CameraFeed(renderer, sensors.camera, vehicle.camera, faults, seed)
+            model = true_camera(CameraModel.of_vehicle(vehicle), scenario.camera, sensors.laser)
+            shines = sensors.laser.enabled and vehicle.laser is not None
+            renderer = SimCamera(model, floor, scenario.camera, seed, laser=shines)
+            self._camera = CameraFeed(renderer, sensors.camera, vehicle.eye, faults, seed)
             self._camera.paced = paced
             self._observers.append(self._camera)
             self.markers = floor.markers

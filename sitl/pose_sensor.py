@@ -11,7 +11,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import LaserSample, PoseSample
-from autopilot.core.vehicle import Vehicle
+from autopilot.core.vehicle import Laser, Vehicle
 from drivers.base import AlwaysOpen
 from sitl.outages import OutageClock
 from sitl.plant import Truth
@@ -24,6 +24,9 @@ LEAST_SCALE = 0.3
 """Close to the floor the errors shrink no further: fewer markers are in view."""
 LASER_LEAST_RANGE_M, LASER_MOST_RANGE_M = 0.15, 2.0
 """Where the dot is in the picture, and bright enough."""
+
+POSE_RATE_HZ, POSE_LATENCY_S = 30.0, 0.06
+"""Of a vehicle without a camera, where the scenario does not say: those of the shipped cameras."""
 
 
 class SimPoseSensor(AlwaysOpen):
@@ -42,12 +45,15 @@ class SimPoseSensor(AlwaysOpen):
         self._pose = pose
         self._laser = laser
         self._floor_depth_m = floor_depth_m
-        self._camera_frd_m = np.array(vehicle.camera.position_frd_m)
-        self._laser_frd_m = np.array(vehicle.laser.position_frd_m)
-        beam_frd = np.array(vehicle.laser.direction_frd)
+        camera = vehicle.camera
+        self._camera_frd_m = np.array((0.0, 0.0, 0.0) if camera is None else camera.position_frd_m)
+        self._ranges = laser.enabled and vehicle.laser is not None
+        beam = vehicle.laser or Laser(position_frd_m=(0.0, 0.0, 0.0))
+        self._laser_frd_m, beam_frd = np.array(beam.position_frd_m), np.array(beam.direction_frd)
         self._beam_frd = beam_frd / np.linalg.norm(beam_frd)
-        self._rate_hz = pose.rate_hz or vehicle.camera.rate_hz
-        self._latency_s = vehicle.camera.latency_s if pose.latency_s is None else pose.latency_s
+        self._rate_hz = pose.rate_hz or (POSE_RATE_HZ if camera is None else camera.rate_hz)
+        latency_s = POSE_LATENCY_S if camera is None else camera.latency_s
+        self._latency_s = latency_s if pose.latency_s is None else pose.latency_s
         self._faults = OpticalFaults(faults)
         self._rng = np.random.default_rng((seed, 20))
         self._outages = OutageClock(pose.outages, faults, np.random.default_rng((seed, 21)))
@@ -106,7 +112,7 @@ class SimPoseSensor(AlwaysOpen):
         return max(LEAST_SCALE, (self._floor_depth_m - camera_m) / REFERENCE_HEIGHT_M)
 
     def _range(self, truth: Truth, r: FloatArray, noise: float, chance: list[float]) -> LaserSample | None:
-        if self._floor_depth_m is None or not self._laser.enabled:
+        if self._floor_depth_m is None or not self._ranges:
             return None
         down = float(r[2] @ self._beam_frd)
         if down <= 0.0:

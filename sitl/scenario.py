@@ -8,6 +8,8 @@ Scenarios ship in ``sitl/scenarios``.
 from importlib import resources
 from pathlib import Path
 
+import msgspec
+
 from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import convert, load_vehicle, read_toml
@@ -205,6 +207,15 @@ def _check_params(scenario: Scenario, origin: str) -> None:
             params.set(name, value)
         except ConfigError as error:
             raise ConfigError(f"{origin}: `$.params.{name}`: {error}") from error
+
+
+def with_vehicle(scenario: Scenario, vehicle: str, origin: str) -> Scenario:
+    """The scenario with another vehicle in it (a shipped name or a file). ConfigError, beginning with ``origin``, if
+    there is none of that name, or a fault or mismatch does not fit it."""
+    start = msgspec.structs.replace(scenario.vehicle, model=vehicle)
+    changed = msgspec.structs.replace(scenario, vehicle=start)
+    _check_vehicle(changed, origin)
+    return changed
 
 
 def _check_vehicle(scenario: Scenario, origin: str) -> None:

@@ -71,7 +71,7 @@ def fly_case(recording: Recording, case: Case, seed: int) -> OverFloor:
     """One case with one seed."""
     camera, late_us = Camera(recording), round(1e6 * case.late_s)
     camera.poses = {t_us + late_us: pose for t_us, pose in camera.poses.items()}
-    told, vehicle = recording.vehicle.camera, recording.vehicle
+    told, vehicle = recording.vehicle.eye, recording.vehicle
     fx, fy = ((1.0 + case.focal) * f for f in told.focal_px)
     vehicle = msgspec.structs.replace(vehicle, camera=msgspec.structs.replace(told, focal_px=(fx, fy)))
     wrong = replace(recording, vehicle=vehicle, ticks=_later(recording.ticks, late_us))

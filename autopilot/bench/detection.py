@@ -133,7 +133,7 @@ def _rendered(dictionary: str, count: int, seed: int) -> Iterator[_Picture]:
     floor = build_floor(replace_struct(scenario, markers=replace_struct(scenario.markers, dictionary=dictionary)))
     assert floor is not None, "the scenario has a printed floor"
     markers = floor.markers
-    camera = CameraModel.of(vehicle.camera, vehicle.laser)
+    camera = CameraModel.of_vehicle(vehicle)
     detector = MarkerDetector(camera, markers)
     truth = replace(
         build_plant(scenario, vehicle).truth, vel_frd_m_s=np.array([SPEED_M_S, 0.0, 0.0]), rate_frd_rad_s=np.zeros(3)

@@ -166,7 +166,7 @@ class Camera:
     """What the vehicle's camera shows of a floor during a recording."""
 
     def __init__(self, recording: Recording) -> None:
-        self._camera = CameraModel.of(recording.vehicle.camera, recording.vehicle.laser)
+        self._camera = CameraModel.of_vehicle(recording.vehicle)
         truth = recording.truth
         times = [sample.t_us for _, samples, _ in recording.ticks for sample in samples if _is_pose(sample)]
         t_s = 1e-6 * np.array(times)

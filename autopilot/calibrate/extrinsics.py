@@ -171,6 +171,6 @@ def extrinsic_values(flight: Flight, fit: MotionFit, arm: LeverArm | None) -> di
         new = arm.arm_frd_m + np.array(flight.vehicle.ahrs.position_frd_m)
         place = np.where(arm.observable, new, flight.camera.position_frd_m)
         values["camera.position_frd_m"] = [round(v, 4) for v in place.tolist()]
-        sigma_m = np.where(arm.observable, arm.sigma_m, flight.vehicle.camera.position_sigma_m)
+        sigma_m = np.where(arm.observable, arm.sigma_m, flight.vehicle.eye.position_sigma_m)
         values["camera.position_sigma_m"] = [round(v, 4) for v in sigma_m.tolist()]
     return values

@@ -69,7 +69,7 @@ def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = N
     ``vehicle``: another vehicle file than the one attached to the log; ``markers``: another marker map."""
     log = open_log(path)
     known = load_vehicle(vehicle) if vehicle is not None else read_vehicle(log)
-    camera = CameraModel.of(known.camera, known.laser)
+    camera = CameraModel.of_vehicle(known)
     floor = marker_map(log, markers)
     sightings = _table(log, "/in/markers", "it needs a camera: fly with --sensors camera")
     poses, used = [], []
@@ -86,7 +86,7 @@ def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = N
         )
     rows = sightings[used]
     laser_px = np.where(rows["laser_found"][:, None] == 1, rows["laser_px"], np.nan)
-    t_s = rows["t_us"] * 1e-6 + known.camera.time_offset_s
+    t_s = rows["t_us"] * 1e-6 + known.eye.time_offset_s
     order = np.argsort(t_s, kind="stable")
     order = order[np.diff(t_s[order], prepend=-math.inf) > 0.0]
     return Flight(

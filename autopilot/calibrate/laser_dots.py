@@ -83,7 +83,7 @@ def picture_dots(log: Log, flight: Flight) -> Dots:
     if "/in/camera" not in log:
         return _joined(parts)
     before = np.full(3, np.inf)
-    offset_s = flight.vehicle.camera.time_offset_s
+    offset_s = flight.vehicle.eye.time_offset_s
     for number, message in enumerate(log.messages("/in/camera")):
         t_s = message.t_us * 1e-6 + offset_s
         n = int(np.argmin(np.abs(flight.t_s - t_s)))

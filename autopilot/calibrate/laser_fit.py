@@ -175,7 +175,8 @@ def beam_values(beam: Beam, camera: CameraModel, vehicle: Vehicle) -> dict[str, 
     r = camera.r_frd_from_cam
     direction = r @ np.append(beam.slope, 1.0)
     point = camera.position_frd_m + r @ np.append(beam.base_m, 0.0)
-    start = point + direction * (vehicle.laser.position_frd_m[2] - point[2]) / direction[2]
+    depth_m = 0.0 if vehicle.laser is None else vehicle.laser.position_frd_m[2]
+    start = point + direction * (depth_m - point[2]) / direction[2]
     unit = direction / direction[2]
     return {
         "laser.position_frd_m": [round(v, 5) for v in start.tolist()],

@@ -114,7 +114,7 @@ def camera(
     from autopilot.calibrate.views import collect_views, image_files, live_images, read_images
     from autopilot.core.vehicle import load_vehicle
 
-    expected = load_vehicle(vehicle).camera
+    expected = load_vehicle(vehicle).eye
     made = _board(board, **spec)
     live = source.startswith("/dev/") or Path(source).is_file()
     images = live_images(made, source, views, save) if live else read_images(image_files(Path(source)))
@@ -182,8 +182,8 @@ def latency(log_file: Path, vehicle: str | None, map_file: Path | None, out: Pat
 
     flight = read_flight(log_file, vehicle, map_file)
     fit = fit_motion(flight)
-    offset_s = flight.vehicle.camera.time_offset_s - fit.late_s
-    total_s = flight.vehicle.camera.latency_s + fit.late_s
+    offset_s = flight.vehicle.eye.time_offset_s - fit.late_s
+    total_s = flight.vehicle.eye.latency_s + fit.late_s
     values = {
         "camera.time_offset_s": round(offset_s, 5),
         "camera.time_offset_sigma_s": round(max(fit.sigma_late_s, LEAST_SIGMA_S), 5),
@@ -289,7 +289,7 @@ def laser(
 
     if source.is_dir():
         known = load_vehicle(vehicle or "lbv150")
-        model = CameraModel.of(known.camera, known.laser)
+        model = CameraModel.of_vehicle(known)
         dots = board_dots(_board(board, **spec), model, source)
         title = f"{source}: {dots.pictures} pictures with green dots"
     else:

@@ -148,7 +148,7 @@ def check(file: str, vehicle: str, as_json: bool) -> None:
     layout = load_marker_map(Path(file))
     boat = load_vehicle(vehicle)
     rows = describe_markers(layout)
-    shares = view_shares(layout, CameraModel.of(boat.camera, boat.laser)) if layout.level else []
+    shares = view_shares(layout, CameraModel.of_vehicle(boat)) if layout.level else []
     warnings = map_warnings(layout)
     if as_json:
         emit_json({**dict(rows), "view_shares": shares, "warnings": warnings})
@@ -362,7 +362,7 @@ def _views(sources: tuple[str, ...], wanted: "MarkerMap", **options: Any) -> "tu
         camera = load_camera(Path(options["camera"]), options["fisheye"])
     if vehicle is not None:
         boat = load_vehicle(vehicle)
-        camera = CameraModel.of(boat.camera, boat.laser)
+        camera = CameraModel.of_vehicle(boat)
     if any(source.endswith(".mcap") for source in sources):
         if len(sources) > 1:
             raise click.UsageError("give one log, or images")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("scenario", required=False)
+@click.option("--vehicle", help="Another vehicle than the scenario's: a shipped name or a vehicle file.")
 @click.option("--plan", type=click.Path(exists=True, dir_okay=False), help="Preload mission, fence and rally.")
 @click.option("--speed", type=click.FloatRange(min=0.0), help="1 = real time (default), 0 = as fast as possible.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of all randomness (default: the scenario's).")

@@ -15,7 +15,7 @@ import numpy as np
 from autopilot.core.flat_port import FlatPort, lens_in_air
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.lens import BrownLens, FisheyeLens, Lens
-from autopilot.core.vehicle import Camera, Laser
+from autopilot.core.vehicle import Camera, Laser, Vehicle
 
 R_FRD_FROM_CAM: FloatArray = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """(3, 3) a camera that looks straight down: image x points to starboard, image y to aft, the optical axis down."""
@@ -49,6 +49,8 @@ class CameraModel:
     r_frd_from_cam: FloatArray = field(default_factory=lambda: R_FRD_FROM_CAM)
     """(3, 3) mounting."""
     fisheye: bool = False
+    has_laser: bool = True
+    """Whether there is a laser at all."""
     port: FlatPort | None = None
     """The flat pane before the lens; None when the intrinsics are those of a calibration in water."""
     view_slope: float = field(init=False)
@@ -72,9 +74,16 @@ class CameraModel:
         object.__setattr__(self, "view_offset_m", float(np.hypot(missed[:, 0], missed[:, 1]).max()))
 
     @staticmethod
-    def of(camera: Camera, laser: Laser) -> "CameraModel":
+    def of_vehicle(vehicle: Vehicle) -> "CameraModel":
+        """The camera of a vehicle. ConfigError if it has none."""
+        return CameraModel.of(vehicle.eye, vehicle.laser)
+
+    @staticmethod
+    def of(camera: Camera, laser: Laser | None) -> "CameraModel":
         """The model of a vehicle file's ``[camera]`` and ``[laser]``."""
         position = np.array(camera.position_frd_m)
+        has_laser = laser is not None
+        laser = laser or Laser(position_frd_m=camera.position_frd_m)
         direction = np.array(laser.direction_frd)
         r_frd_from_cam = r_ned_from_frd(np.array(camera.mounting_rpy_rad)) @ R_FRD_FROM_CAM
         return CameraModel(
@@ -88,6 +97,7 @@ class CameraModel:
             laser_direction_cam=r_frd_from_cam.T @ (direction / np.linalg.norm(direction)),
             r_frd_from_cam=r_frd_from_cam,
             fisheye=camera.model == "fisheye",
+            has_laser=has_laser,
             port=None if camera.port is None else camera.port.to_port(),
         )
 

@@ -9,13 +9,14 @@ For a square T_A that is the plain answer, each thruster cut at its bound.
 
 import math
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import AXES, Model4, steady_force
-from autopilot.core.vehicle import Vehicle
+from autopilot.core.thrusters import Thruster
 
 AXIS_NAMES = ("surge", "sway", "heave", "yaw")
 
@@ -67,6 +68,19 @@ def least_in_box(h: FloatArray, g: FloatArray, bound: FloatArray) -> FloatArray:
     return x
 
 
+class ThrusterBearing(Protocol):
+    """What is needed of a vehicle file."""
+
+    @property
+    def thrusters(self) -> tuple[Thruster, ...]:
+        """All thrusters."""
+        ...
+
+    def to_model(self) -> Model4:
+        """What is believed of the vehicle."""
+        ...
+
+
 class Sharing:
     """Thrust of the thrusters of one vehicle. ``watts`` (n,): what each takes, relative to the others."""
 
@@ -81,7 +95,7 @@ class Sharing:
         self._square = model.thrusters == AXES and self._plain is not None
 
     @classmethod
-    def of(cls, vehicle: Vehicle) -> "Sharing":
+    def of(cls, vehicle: "ThrusterBearing") -> "Sharing":
         """From the vehicle file."""
         return cls(vehicle.to_model(), [thruster.drive.power_w_n15 for thruster in vehicle.thrusters])
 

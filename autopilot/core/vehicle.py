@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import numpy as np
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.flat_port import FlatPort
 from autopilot.core.model4 import Model4
+from autopilot.core.sharing import lacking_thrust
 from autopilot.core.thrusters import (
     MAX_THRUSTERS,
     MIN_THRUSTERS,
@@ -215,8 +217,10 @@ class Vehicle(Table, frozen=True, kw_only=True):
     """Of every thruster without one of its own."""
     battery: Battery
     tether: Tether
-    camera: Camera
-    laser: Laser
+    camera: Camera | None = None
+    """Absent: it finds its position otherwise."""
+    laser: Laser | None = None
+    """Absent: the altitude comes from markers, depth sensor or DVL."""
     ahrs: Ahrs
     depth_sensor: DepthMount = DepthMount()
     dvl: DvlMount = DvlMount()
@@ -236,6 +240,13 @@ class Vehicle(Table, frozen=True, kw_only=True):
     def thrusters(self) -> tuple[Thruster, ...]:
         """All thrusters with their drives and limits, in the file's order."""
         return thrusters_of(self.thruster_tables, self.drive)
+
+    @property
+    def eye(self) -> Camera:
+        """The camera. ConfigError without one."""
+        if self.camera is None:
+            raise ConfigError(f"vehicle {self.name!r} has no [camera]; add one, or use --sensors pose")
+        return self.camera
 
     def to_model(self) -> Model4:
         """What controller and estimator believe of it, allocation (4, N) included."""
@@ -311,4 +322,7 @@ def load_vehicle(name_or_path: str) -> Vehicle:
                 f"vehicle {name_or_path!r} is not known; use one of {', '.join(vehicle_names())} or a .toml file"
             )
     vehicle: Vehicle = convert(read_toml(path), Vehicle, str(path))
+    lack = lacking_thrust(vehicle.to_model(), np.array([thruster.limit_n for thruster in vehicle.thrusters]))
+    if lack:
+        raise ConfigError(f"{path}: {lack}")
     return vehicle

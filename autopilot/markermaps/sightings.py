@@ -55,7 +55,7 @@ def log_camera(log: Log) -> CameraModel:
         vehicle = msgspec.json.decode(raw, type=Vehicle)
     except msgspec.ValidationError as error:
         raise LogError(f"{log.path}: vehicle.json: {error}; give --vehicle FILE") from error
-    return CameraModel.of(vehicle.camera, vehicle.laser)
+    return CameraModel.of_vehicle(vehicle)
 
 
 def views_of_log(path: Path, most: int) -> tuple[list[View], Log]:

@@ -69,6 +69,7 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
     """Settings of `autopilot sitl` before environment and command line."""
     return {
         "scenario": "paper-tank",
+        "vehicle": None,
         "speed": 1.0,
         "seed": None,
         "duration": None,

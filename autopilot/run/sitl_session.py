@@ -64,7 +64,7 @@ from sitl.currents import current_field
 from sitl.floor import told_floor_m, told_markers
 from sitl.operator import ScriptedOperator
 from sitl.plant import Truth
-from sitl.scenario import GridCurrent, Scenario, load_scenario, plan_path
+from sitl.scenario import GridCurrent, Scenario, load_scenario, plan_path, with_vehicle
 
 SITL_EPOCH_NS = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
 """Log time of simulated time zero: fixed, so that two runs of a scenario and seed give the same log."""
@@ -190,6 +190,8 @@ def open_sitl(
     """
     sys.setswitchinterval(THREAD_SWITCH_S)
     scenario = load_scenario(settings["scenario"])
+    if settings["vehicle"] is not None:
+        scenario = with_vehicle(scenario, settings["vehicle"], "--vehicle")
     disk = Desk(DaemonLane("disk"), patient=float(settings["speed"]) == 0.0)
     params, persistent, warnings = sitl_params(settings, scenario, overrides, instance, disk)
     world = _world(settings, scenario, params)
@@ -345,7 +347,7 @@ def _vision(world: _World) -> VisionWorker | None:
     """Detection beside the loop, None when there are no pictures."""
     if world.markers is None:
         return None
-    camera = world.vehicle.camera
+    camera = world.vehicle.eye
     detector = MarkerDetector(CameraModel.of(camera, world.vehicle.laser), world.markers)
     return VisionWorker(
         detector,

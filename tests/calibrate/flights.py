@@ -53,7 +53,7 @@ def make_flight(
     """The flight as a log would give it; the vehicle file knows nothing of the errors."""
     rng = np.random.default_rng(seed)
     vehicle: Vehicle = load_vehicle("lbv150")
-    camera = CameraModel.of(vehicle.camera, vehicle.laser)
+    camera = CameraModel.of_vehicle(vehicle)
     ahrs_t = np.arange(-1.0, duration_s + 1.0, 0.01)
     gyro_noise, accel_noise = 8.7e-3 * noise, 0.025 * noise
     ahrs = Ahrs(

@@ -17,7 +17,7 @@ from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("lbv150")
-CAMERA = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
+CAMERA = CameraModel.of_vehicle(VEHICLE)
 SLOPE, BASE_M = np.array([0.012, -0.02]), np.array([0.055, 0.004])
 
 

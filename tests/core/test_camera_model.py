@@ -11,7 +11,7 @@ from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("lbv150")
-CAMERA = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
+CAMERA = CameraModel.of_vehicle(VEHICLE)
 
 
 def test_projection_is_opencvs() -> None:

@@ -15,7 +15,7 @@ from estimator.markers_pose import MarkerSolver
 
 def test_a_turned_camera_and_a_slanting_beam() -> None:
     vehicle = load_vehicle("lbv150")
-    straight = CameraModel.of(vehicle.camera, vehicle.laser)
+    straight = CameraModel.of_vehicle(vehicle)
     turn = (0.02, -0.03, 0.05)
     camera = msgspec.structs.replace(vehicle.camera, mounting_rpy_rad=turn)
     slanting = Laser(position_frd_m=vehicle.laser.position_frd_m, direction_frd=(0.0, -0.1, 2.0))

@@ -18,7 +18,7 @@ from autopilot.core.markers import grid_floor
 from autopilot.core.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("lbv150")
-WATER = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
+WATER = CameraModel.of_vehicle(VEHICLE)
 PORT = FlatPort(distance_m=0.02, thickness_m=0.006, glass_index=1.49, water_index=1.333)
 WIDE = replace(
     WATER, focal_px=(521.0, 521.0), center_px=(319.5, 239.5), distortion=(-0.1, 0.02, 1e-3, -2e-3, 0.0), port=PORT
@@ -191,4 +191,4 @@ def test_vehicle_file(tmp_path: Path, extra: str, message: str) -> None:
             load_vehicle(str(file))
     else:
         vehicle = load_vehicle(str(file))
-        assert CameraModel.of(vehicle.camera, vehicle.laser).fisheye
+        assert CameraModel.of_vehicle(vehicle).fisheye

@@ -23,7 +23,7 @@ from autopilot.core.markers import ID_SPAN, MarkerMap
 from autopilot.core.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("lbv150")
-CAMERA = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
+CAMERA = CameraModel.of_vehicle(VEHICLE)
 
 MIXED = """
 name = "two boards, a tag on a block and one on the wall"

@@ -15,7 +15,7 @@ from autopilot.core.vehicle import load_vehicle
 from sitl.scenario import load_scenario
 
 VEHICLE = load_vehicle("lbv150")
-CAMERA = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
+CAMERA = CameraModel.of_vehicle(VEHICLE)
 TANK = np.array([[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]])
 DEPTH_M = 1.5
 

@@ -38,7 +38,7 @@ def tank() -> Floor:
 
 @pytest.fixture(scope="session")
 def detector(tank: Floor, vehicle: Vehicle) -> MarkerDetector:
-    return MarkerDetector(CameraModel.of(vehicle.camera, vehicle.laser), tank.markers)
+    return MarkerDetector(CameraModel.of_vehicle(vehicle), tank.markers)
 
 
 @pytest.fixture

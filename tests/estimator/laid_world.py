@@ -15,7 +15,7 @@ from autopilot.core.vehicle import load_vehicle
 from estimator.engine import Engine
 
 VEHICLE = load_vehicle("lbv150")
-CAMERA = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
+CAMERA = CameraModel.of_vehicle(VEHICLE)
 CORNER_PX, SHRINK_PX = 0.12, 0.25
 LATENCY_US = 60_000
 REST_US = 1_000_000

@@ -20,7 +20,7 @@ from estimator.markers_pose import MarkerSolver
 from estimator.pnp import solve_pose
 
 VEHICLE = load_vehicle("lbv150")
-CAMERA = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
+CAMERA = CameraModel.of_vehicle(VEHICLE)
 
 
 def sight(

@@ -10,7 +10,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.markermaps.sightings import View
 
 VEHICLE = load_vehicle("lbv150")
-CAMERA = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
+CAMERA = CameraModel.of_vehicle(VEHICLE)
 
 
 def laid_by_hand(

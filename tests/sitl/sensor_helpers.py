@@ -16,7 +16,7 @@ from sitl.scenario import CameraLook, load_scenario
 
 VEHICLE = load_vehicle("lbv150")
 SCENARIO = load_scenario("paper-tank")
-CAMERA = CameraModel.of(VEHICLE.camera, VEHICLE.laser)
+CAMERA = CameraModel.of_vehicle(VEHICLE)
 FLOOR_M = 1.5
 CLEAN = CameraLook(
     turbidity_1_m=0.0, blur_px=0.0, exposure_s=0.0, noise_levels=0.0, vignetting=0.0, caustics=0.0, laser_brightness=0.0
