@@ -24,6 +24,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
     "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),
     "sitl": ("autopilot.cli.sitl:sitl", "Run the service on a simulated vehicle."),
+    "vehicle": ("autopilot.cli.vehicle:vehicle", "Vehicle files: check one, write a template, list what is shipped."),
 }
 """Name -> (module:attribute, one line of help)."""
 
