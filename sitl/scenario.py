@@ -210,10 +210,17 @@ def _check_params(scenario: Scenario, origin: str) -> None:
 
 
 def with_vehicle(scenario: Scenario, vehicle: str, origin: str) -> Scenario:
-    """The scenario with another vehicle in it (a shipped name or a file). ConfigError, beginning with ``origin``, if
-    there is none of that name, or a fault or mismatch does not fit it."""
-    start = msgspec.structs.replace(scenario.vehicle, model=vehicle)
-    changed = msgspec.structs.replace(scenario, vehicle=start)
+    """The scenario with another vehicle in it (a shipped name or a file); clearances are judged by its ball.
+
+    ConfigError, beginning with ``origin``, if there is none of that name, or a fault or mismatch does not fit it."""
+    wider_m = load_vehicle(vehicle).radius_m - load_vehicle(scenario.vehicle.model).radius_m
+    start, accept = msgspec.structs.replace(scenario.vehicle, model=vehicle), scenario.accept
+    accept = msgspec.structs.replace(
+        accept,
+        cylinder_clearance_m=max(0.0, accept.cylinder_clearance_m + wider_m),
+        wall_clearance_m=max(0.0, accept.wall_clearance_m + wider_m),
+    )
+    changed = msgspec.structs.replace(scenario, vehicle=start, accept=accept)
     _check_vehicle(changed, origin)
     return changed
 

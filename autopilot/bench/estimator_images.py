@@ -119,7 +119,7 @@ class ImageBench:
         assert floor is not None, "the scenario has a printed floor"
         self._floor: Floor = floor
         self._camera = CameraModel.of_vehicle(vehicle)
-        assert vehicle.laser is not None, "the shipped vehicle has a laser"
+        assert vehicle.laser is not None, "the vehicle has a laser"
         self._laser_frd_m = np.array(vehicle.laser.position_frd_m)
         self._detector = MarkerDetector(self._camera, floor.markers)
         self._solver = MarkerSolver(self._camera, floor.markers)

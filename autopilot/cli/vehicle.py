@@ -73,7 +73,12 @@ def check(file: str, as_json: bool) -> None:
     )
     click.echo(f"hover {facts.hover_w:.1f} W, ahead at {CRUISE_M_S:g} m/s {facts.cruise_w:.1f} W")
     tilts = " and ".join(facts.tilts)
-    click.echo(f"{tilts} can be pushed: levelled in flight" if tilts else "roll and pitch are left to the buoyancy")
+    if tilts:
+        click.echo(
+            f"{tilts} can be pushed" + (": levelled in flight" if known.levelling else "; add [levelling] to level it")
+        )
+    else:
+        click.echo("roll and pitch are left to the buoyancy")
     for line in facts.missing:
         click.echo(f"missing: {line}")
 

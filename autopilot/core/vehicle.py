@@ -70,6 +70,15 @@ class Model4Table(Table, frozen=True, kw_only=True):
     buoyancy_excess_n: float
 
 
+class LevellingTable(Table, frozen=True, kw_only=True):
+    """Roll and pitch held level by the thrusters, where these can push them."""
+
+    inertia_kg_m2: tuple[Positive, Positive]
+    """About roll and pitch as the autopilot is told, water that turns with the hull included."""
+    natural_rad_s: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 2.0
+    """How quickly it levels; a third of what the thrusters' lag allows, 1 / (3 lag), is quick."""
+
+
 class Battery(Table, frozen=True, kw_only=True):
     """Supply voltage falls linearly with the energy used and with the current drawn."""
 
@@ -215,6 +224,8 @@ class Vehicle(Table, frozen=True, kw_only=True):
     """As in the file; use :attr:`thrusters`."""
     drive: Drive
     """Of every thruster without one of its own."""
+    levelling: LevellingTable | None = None
+    """Absent: roll and pitch are left to the buoyancy."""
     battery: Battery
     tether: Tether
     camera: Camera | None = None
@@ -321,8 +332,12 @@ def load_vehicle(name_or_path: str) -> Vehicle:
             raise ConfigError(
                 f"vehicle {name_or_path!r} is not known; use one of {', '.join(vehicle_names())} or a .toml file"
             )
-    vehicle: Vehicle = convert(read_toml(path), Vehicle, str(path))
+    return checked(convert(read_toml(path), Vehicle, str(path)), str(path))
+
+
+def checked(vehicle: Vehicle, origin: str) -> Vehicle:
+    """The vehicle, if it can be flown. ConfigError, beginning with ``origin``, names the axis that lacks thrust."""
     lack = lacking_thrust(vehicle.to_model(), np.array([thruster.limit_n for thruster in vehicle.thrusters]))
     if lack:
-        raise ConfigError(f"{path}: {lack}")
+        raise ConfigError(f"{origin}: {lack}")
     return vehicle

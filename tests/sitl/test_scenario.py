@@ -62,7 +62,7 @@ def test_shipped_scenarios_load_and_the_vehicle_starts_free(name: str) -> None:
 
 
 def test_the_shipped_set() -> None:
-    expected = {"paper-tank", "paper-tank-still", "open-water", "vortex", "harbour", "narrow-gap", "b1"}
+    expected = {"paper-tank", "paper-tank-still", "open-water", "vortex", "harbour", "narrow-gap", "b1", "pool"}
     assert expected <= set(scenario_names())
 
 

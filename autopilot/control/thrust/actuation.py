@@ -9,6 +9,7 @@ import numpy as np
 
 from autopilot.control.thrust.allocation import Allocation
 from autopilot.control.thrust.delay import LatencyCare
+from autopilot.control.thrust.levelling import Levelling
 from autopilot.control.thrust.losses import ThrusterCare
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS, Goal, NavState, ThrusterCommand, ThrusterHealthState
@@ -30,6 +31,8 @@ class Actuation:
         self._sharing = Sharing.of(vehicle)
         self._care = ThrusterCare(vehicle, params)
         self._latency = LatencyCare(vehicle, params)
+        self._levelling = Levelling(vehicle)
+        self._nav: NavState | None = None
         self._count = self._sharing.model.thrusters
         self._pulse_n = self.nothing()
         """What sound thrusters will give with the pulses of the last command."""
@@ -70,7 +73,14 @@ class Actuation:
 
     @property
     def limit_n(self) -> FloatArray:
-        """(n,) what the thrusters can give at the present supply: a sagging battery and losses lower the bounds."""
+        """(n,) what the controller may ask for at the present supply: a sagging battery, losses and what levelling
+        keeps for itself lower the bounds."""
+        can_n = self._can_n
+        return can_n - self._levelling.reserve_n(can_n)
+
+    @property
+    def _can_n(self) -> FloatArray:
+        """(n,) what the thrusters can give."""
         return self.allocation.capability_n(self.supply_v) * self._care.share
 
     def believed(self, t_us: int, nav: NavState) -> NavState:
@@ -94,6 +104,7 @@ class Actuation:
 
         ``reached``: the device takes the commands. The result is for the log, at times.
         """
+        self._nav = nav
         capability_n = self.allocation.capability_n(self.supply_v)
         self._latency.step(t_us, nav, armed=armed)
         # What never reached the thrusters says nothing about them.
@@ -111,10 +122,13 @@ class Actuation:
         return up * (limit_n / most)
 
     def command(self, t_us: int, thrust_n: FloatArray, *, armed: bool) -> ThrusterCommand:
-        """Pulses for thrust (n,), neutral ones while disarmed."""
+        """Pulses for thrust (n,), with that which levels the vehicle; neutral ones while disarmed."""
         if not armed:
             self._pulse_n = self.nothing()
             return self._told(t_us, self._pulse_n, self.allocation.neutral_us)
+        if self._nav is not None:
+            tilt, turning = self._nav.rpy_rad, self._nav.rate_frd_rad_s
+            thrust_n = self._levelling.thrust_n(thrust_n, self._can_n, tilt, turning)
         pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._care.share)
         # What the pulses will give, deadband and saturation included: the estimator's model lives on it.
         self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v)

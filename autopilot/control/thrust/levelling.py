@@ -1,0 +1,94 @@
+"""Roll and pitch of a vehicle whose thrusters can push them: held level by an inner loop from the AHRS.
+
+The controller steers surge, sway, heave and yaw and knows nothing of tilt. Where thrusters push below or above the
+centre of gravity its thrust tilts the vehicle; a heavy frame's righting moment is small against that. This loop adds
+thrust that makes a moment about roll and pitch and no force or moment in the four controlled axes: what the
+controller's own thrust would tilt by is cancelled at once, what is left is damped and turned back.
+
+The moments belong to inertia I and natural frequency w: M = -I (w^2 angle + 2 w rate) - tilt by thrust. The share of
+each thruster that this may take (:meth:`Levelling.reserve_n`) is not the controller's.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.thrusters import wrench_matrix
+from autopilot.core.vehicle import Vehicle
+
+MOST = 0.5
+"""At most this share of a thruster's limit is kept for levelling."""
+
+SMALL = 1e-6
+"""Less than this of a newton per newton metre is rounding."""
+
+CONTROLLED = (0, 1, 2, 5)
+"""Rows of a wrench that the controller steers."""
+
+MOST_TILT_RAD = math.radians(60.0)
+"""Beyond this an angle counts as so much."""
+
+
+class Levelling:
+    """The loop of one vehicle; does nothing for one without ``[levelling]`` or without the thrusters for it."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        thrusters, table = vehicle.thrusters, vehicle.levelling
+        places, ways = [t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]
+        wrench = np.array(wrench_matrix(places, ways))
+        self._controlled, self._tilt = wrench[list(CONTROLLED)], wrench[3:5]
+        self._inertia = np.zeros(2) if table is None else np.array(table.inertia_kg_m2)
+        self._rate_rad_s = 0.0 if table is None else table.natural_rad_s
+        self._given = table is not None
+        self._ways: dict[bytes, FloatArray] = {}
+
+    def reserve_n(self, limit_n: FloatArray) -> FloatArray:
+        """(n,) what of ``limit_n`` (n,), 0 for a dead thruster, is kept from the controller.
+
+        As much as cancels the tilt of all others at their limits, at most :data:`MOST` of the thruster's own.
+        """
+        ways = self._ways_of(limit_n)
+        levels = np.abs(ways).max(axis=1) > 0.0
+        worst = np.abs(self._tilt) @ np.where(levels, 0.0, limit_n)
+        reserve: FloatArray = np.minimum(MOST * limit_n, np.abs(ways) @ worst) * levels
+        return reserve
+
+    def thrust_n(
+        self, wanted_n: FloatArray, limit_n: FloatArray, rpy_rad: FloatArray, rate_frd_rad_s: FloatArray
+    ) -> FloatArray:
+        """(n,) the controller's thrust ``wanted_n`` with that of levelling added, within ``limit_n``; when there is no
+        room for all of it as much as leaves the four controlled axes alone."""
+        ways = self._ways_of(limit_n)
+        if not ways.any():
+            return wanted_n
+        angle = np.clip(rpy_rad[:2], -MOST_TILT_RAD, MOST_TILT_RAD)
+        w = self._rate_rad_s
+        moment = -self._inertia * (w * w * angle + 2.0 * w * rate_frd_rad_s[:2]) - self._tilt @ wanted_n
+        more = ways @ moment
+        used = np.abs(more) > SMALL
+        if not used.any() or not np.isfinite(more).all():
+            return wanted_n
+        room = (limit_n - wanted_n * np.sign(more))[used] / np.abs(more)[used]
+        result: FloatArray = wanted_n + min(1.0, max(0.0, float(room.min()))) * more
+        return result
+
+    def _ways_of(self, limit_n: FloatArray) -> FloatArray:
+        """(n, 2) thrust for 1 N m about roll and pitch by the thrusters that are alive; 0 for what they cannot push."""
+        key = (limit_n > 0.0).tobytes()
+        if key not in self._ways:
+            self._ways[key] = self._found(limit_n > 0.0) if self._given else np.zeros((len(limit_n), 2))
+        return self._ways[key]
+
+    def _found(self, alive: np.ndarray) -> FloatArray:
+        """By least squares: a tilt that comes only with another axis is left alone."""
+        ways = np.zeros((len(alive), 2))
+        pushed = np.vstack([self._controlled, self._tilt]) * alive
+        inverse = np.linalg.pinv(pushed, rcond=SMALL)
+        for tilt in range(2):
+            way = inverse[:, 4 + tilt] * alive
+            effect = pushed @ way
+            effect[4 + tilt] -= 1.0
+            if float(np.abs(effect).max()) < 1e-3:
+                ways[:, tilt] = np.where(np.abs(way) > SMALL, way, 0.0)
+        return ways

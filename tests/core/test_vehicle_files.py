@@ -1,0 +1,164 @@
+"""Vehicle files: what is wrong is told in one line, before anything moves; geometry becomes the allocation."""
+
+import copy
+import itertools
+import math
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from autopilot.calibrate.vehicle_edit import toml_value
+from autopilot.core.errors import ConfigError
+from autopilot.core.vehicle import Vehicle, checked, convert, load_vehicle, vehicle_names
+from autopilot.core.vehicle_facts import facts_of, terminal_speed, tilts_of
+
+FOLDER = resources.files("autopilot") / "data"
+
+
+def tables(name: str) -> dict[str, Any]:
+    return tomllib.loads((FOLDER / "vehicles" / f"{name}.toml").read_text())
+
+
+def written(path: Path, made: dict[str, Any]) -> str:
+    """The tables as a file; its path."""
+
+    def text(value: Any) -> str:
+        if isinstance(value, bool):
+            return str(value).lower()
+        if isinstance(value, dict):
+            return "{ " + ", ".join(f'"{key}" = {text(inner)}' for key, inner in value.items()) + " }"
+        if isinstance(value, list):
+            return "[" + ", ".join(text(inner) for inner in value) + "]"
+        return toml_value(value)
+
+    path.write_text("\n".join(f"{key} = {text(value)}" for key, value in made.items()))
+    return str(path)
+
+
+def refusal(tmp_path: Path, made: dict[str, Any]) -> str:
+    with pytest.raises(ConfigError) as found:
+        load_vehicle(written(tmp_path / "made.toml", made))
+    text = str(found.value)
+    assert "\n" not in text and "made.toml" in text
+    return text
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_every_value_of_a_shipped_vehicle_has_a_source(name: str) -> None:
+    vehicle = load_vehicle(name)
+    assert vehicle.name == name
+    assert not [line for line in facts_of(vehicle).missing if "says nothing" in line]
+
+
+def test_the_template_is_a_vehicle() -> None:
+    made = tomllib.loads((FOLDER / "templates" / "vehicle.toml").read_text())
+    vehicle: Vehicle = convert(made, Vehicle, "template")
+    assert len(vehicle.thrusters) == 4
+
+
+def test_matrices_are_the_published_ones() -> None:
+    heavy = np.array(load_vehicle("bluerov2-heavy").to_model().allocation)
+    c, turn = math.sqrt(0.5), math.sqrt(0.5) * (0.156 + 0.111)
+    assert np.allclose(heavy[0], [c, c, -c, -c, 0, 0, 0, 0])
+    assert np.allclose(heavy[1], [-c, c, -c, c, 0, 0, 0, 0])
+    assert np.allclose(heavy[2], [0, 0, 0, 0, 1, 1, 1, 1])
+    assert np.allclose(heavy[3], [-turn, turn, turn, -turn, 0, 0, 0, 0])
+    assert load_vehicle("lbv150").to_model().allocation == (
+        (1.0, 1.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0, 1.0),
+        (0.0, 0.0, 1.0, 0.0),
+        (0.12, -0.12, 0.0, 0.0),
+    )
+
+
+def test_what_vehicles_can_do() -> None:
+    assert tilts_of(load_vehicle("lbv150")) == ()
+    assert tilts_of(load_vehicle("bluerov2")) == ("roll",)
+    assert tilts_of(load_vehicle("bluerov2-heavy")) == ("roll", "pitch")
+    facts = facts_of(load_vehicle("lbv150"))
+    assert [round(axis.authority, 2) for axis in facts.axes] == pytest.approx([24.0, 12.0, 12.0, 2.88], abs=0.011)
+    assert [round(axis.speed, 2) for axis in facts.axes] == [0.83, 0.42, 0.39, 1.43]  # plant.md 2: 0.83, 0.41, -, 1.43
+    assert facts.hover_w == pytest.approx(12.0 + 1.2 * 0.6**1.5)
+    assert terminal_speed(8.0, 2.0, 0.0) == 4.0 and terminal_speed(-1.0, 2.0, 1.0) == 0.0
+
+
+def _change(made: dict[str, Any], change: str) -> None:
+    """Python on the tables: ``t`` the thrusters, ``d`` the drive, ``m`` everything."""
+    exec(change, {"m": made, "t": made["thruster"], "d": made["drive"], "copy": copy})  # the cases below
+
+
+BAD = {
+    "two on one channel": ("lbv150", "t[3]['channel'] = 2", ("starboard, lateral", "`channel` = 2")),
+    "two of one name": ("lbv150", "t[3]['name'] = 'port'", ("`thruster[0]` and `thruster[3]`", "'port'")),
+    "channel nought": ("lbv150", "t[0]['channel'] = 0", ("channel", ">= 1")),
+    "no direction": ("lbv150", "t[1]['direction_frd'] = [0.0, 0.0, 0.0]", ("direction_frd", "no direction")),
+    "two thrusters": ("lbv150", "del t[2:]", ("thruster", ">= 3")),
+    "nine thrusters": ("bluerov2-heavy", "t.append({**t[0], 'name': 'ninth'})", ("thruster", "<= 8")),
+    "no vertical": ("lbv150", "t[2]['direction_frd'] = [0.0, 1.0, 0.0]", ("no thrust in heave",)),
+    "no lateral": ("lbv150", "del t[3]; del m['body']['thruster_offset_frd_m']", ("no thrust in sway",)),
+    "no arm": ("lbv150", "t[0]['position_frd_m'] = t[1]['position_frd_m'] = [0.0, 0.0, 0.0]", ("no thrust in yaw",)),
+    "singular": ("lbv150", "t[1]['position_frd_m'] = [0.0, -0.12, 0.0]", ("surge and yaw", "independently")),
+    "weak": ("lbv150", "t[2]['limit_n'] = 0.5", ("too little thrust in heave", "needs")),
+    "no limit": ("lbv150", "t[2]['limit_n'] = 0.0", ("limit_n", "> 0")),
+    "coefficient nought": ("lbv150", "d['forward_n_v2'] = 0.0", ("forward_n_v2", "> 0")),
+    "mass below nought": ("bluerov2", "m['model4']['mass_kg'][1] = -1.0", ("model4.mass_kg", "> 0")),
+    "brushed without c": ("lbv150", "del d['reverse_n_v2']", ("brushed", "reverse_n_v2")),
+    "curve without curve": ("bluerov2", "del d['curve']", ("[[drive.curve]]",)),
+    "both laws": ("bluerov2", "d['deadband_duty'] = 0.1", ("curve", "deadband_duty")),
+    "falling": ("bluerov2", "d['curve'][2]['thrust_n'][-1] = 1.0", ("thrust_n[39]", "not monotonic")),
+    "pulses back": ("bluerov2", "d['curve'][0]['pulse_us'][3] = 1100", ("pulse_us[3]", "not monotonic")),
+    "lengths": ("bluerov2", "d['curve'][0]['pulse_us'].append(1950)", ("41 of `pulse_us` and 40 of `thrust_n`",)),
+    "no deadband": ("bluerov2", "d['neutral_us'] = 1450; d['span_us'] = 300", ("wrong side",)),
+    "short curve": ("bluerov2", "d['span_us'] = 450", ("1050 to 1950",)),
+    "voltages": ("bluerov2", "d['curve'].reverse()", ("supply_v", "rises")),
+    "old allocation": ("lbv150", "m['model4']['allocation'] = [[1.0]]", ("`allocation`", "model4")),
+    "offset of nobody": ("lbv150", "m['body']['thruster_offset_frd_m'] = {'bow': [0.0, 0.0, 0.1]}", ("'bow'",)),
+    "levelling nought": ("bluerov2", "m['levelling']['inertia_kg_m2'] = [0.0, 1.0]", ("inertia_kg_m2", "> 0")),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_mistakes_are_told_in_one_line(tmp_path: Path, name: str) -> None:
+    like, change, says = BAD[name]
+    made = tables(like)
+    _change(made, change)
+    text = refusal(tmp_path, made)
+    assert all(part in text for part in says), text
+
+
+def test_order_does_not_matter(tmp_path: Path) -> None:
+    made = tables("lbv150")
+    for order in itertools.islice(itertools.permutations(range(4)), 0, 24, 5):
+        other = {**made, "thruster": [made["thruster"][i] for i in order]}
+        vehicle = load_vehicle(written(tmp_path / "made.toml", other))
+        columns = np.array(vehicle.to_model().allocation)
+        assert np.array_equal(columns, np.array(load_vehicle("lbv150").to_model().allocation)[:, list(order)])
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=60)
+def test_any_geometry_is_a_vehicle_or_is_refused_with_the_axis(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    made = tables("lbv150")
+    count, grid = int(rng.integers(3, 9)), rng.uniform() < 0.5
+    made["thruster"], made["body"]["thruster_offset_frd_m"] = [], {}
+    for index, channel in enumerate(rng.permutation(16)[:count].tolist()):
+        way = rng.integers(-1, 2, 3) if grid else rng.normal(size=3)
+        place = rng.integers(-1, 2, 3) * 0.1 if grid else rng.uniform(-0.3, 0.3, 3)
+        table = {"name": f"t{index}", "position_frd_m": place.tolist(), "direction_frd": [float(x) for x in way]}
+        made["thruster"].append({**table, "channel": channel + 1, "reversed": bool(rng.uniform() < 0.3)})
+    try:
+        vehicle = checked(convert(made, Vehicle, "made"), "made")
+    except ConfigError as error:
+        text = str(error)
+        assert "\n" not in text
+        assert any(axis in text for axis in ("surge", "sway", "heave", "yaw", "direction_frd")), text
+        return
+    assert all(axis.authority > 0.0 and axis.speed > 0.0 for axis in facts_of(vehicle).axes)
+    assert len(vehicle.to_model().allocation[0]) == count
