@@ -123,7 +123,7 @@ class Engine:
         self._attitude = AttitudeSource()
         self._mount = AhrsMount(vehicle.ahrs.position_frd_m)
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
-        self._thrust = ThrustLag(vehicle.drive.time_constant_s, vehicle.drive.limit_n, len(vehicle.thrusters))
+        self._thrust = ThrustLag(vehicle.thrusters)
         self._imu = ImuWatch(self._model, self._follow)
         self._evidence = Evidence()
         self._markers = markers

@@ -5,15 +5,17 @@ from collections import deque
 from collections.abc import Sequence
 
 from autopilot.core.frames import FloatArray
+from autopilot.core.thrusters import Thruster
 
 
 class ThrustLag:
     """F' = (command - F) / tau of every thruster, sampled at every tick."""
 
-    def __init__(self, time_constant_s: float, limit_n: float, thrusters: int) -> None:
-        self._time_constant_s = time_constant_s
-        self._limit_n = limit_n
-        self._none = (0.0,) * thrusters
+    def __init__(self, thrusters: Sequence[Thruster]) -> None:
+        self._time_constants_s = [thruster.drive.time_constant_s for thruster in thrusters]
+        self._limits_n = [thruster.limit_n for thruster in thrusters]
+        self._alike = len(set(self._time_constants_s)) == 1
+        self._none = (0.0,) * len(thrusters)
         self._track: deque[tuple[int, tuple[float, ...]]] = deque([(-1, self._none)], maxlen=64)
         self.malformed = 0
 
@@ -21,15 +23,20 @@ class ThrustLag:
         """The command (n,) held since the last call until ``t_us``; what follows the n thrusters is not looked at. A
         malformed one counts as zero thrust."""
         last_us, before = self._track[-1]
-        limit = self._limit_n
         # Comparisons with NaN are false.
         values: Sequence[float] = command_n.tolist()[: len(before)]
         if len(values) != len(before) or not all(-math.inf < value < math.inf for value in values):
             self.malformed += 1
             values = self._none
-        share = 1.0 - math.exp(1e-6 * (last_us - t_us) / self._time_constant_s)
+        since_s = 1e-6 * (last_us - t_us)
+        shares = [1.0 - math.exp(since_s / tau) for tau in self._time_constants_s[: 1 if self._alike else None]]
+        if self._alike:
+            shares *= len(before)
         acting = tuple(
-            [a + share * (min(limit, max(-limit, value)) - a) for a, value in zip(before, values, strict=True)]
+            [
+                a + share * (min(limit, max(-limit, value)) - a)
+                for a, value, share, limit in zip(before, values, shares, self._limits_n, strict=True)
+            ]
         )
         self._track.append((t_us, acting))
 

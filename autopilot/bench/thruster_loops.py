@@ -21,6 +21,7 @@ from autopilot.control.thrust.thruster_health import ThrusterHealth, usable
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import Model4, body_acceleration
+from autopilot.core.response import Response
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from sitl.currents import current_field
@@ -244,7 +245,7 @@ def fly(
         mismatch=mismatch,
         losses=losses,
     )
-    health = ThrusterHealth(model, drive.time_constant_s, submerged_m=SUBMERGED * believed.hull_half_height_m)
+    health = ThrusterHealth(model, Response.of(believed.thrusters), submerged_m=SUBMERGED * believed.hull_half_height_m)
     pilot, estimator, allocation = _Pilot(rng, model), _Estimator(rng, model), Allocation(believed.thrusters)
     acting, pulse_n, flown, used = np.zeros(THRUSTERS), np.zeros(THRUSTERS), Flown(), []
     tug_s = float(rng.uniform(8.0, 30.0))

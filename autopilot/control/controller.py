@@ -30,6 +30,7 @@ from autopilot.control.way import shortest
 from autopilot.control.way.desks import Desks
 from autopilot.control.way.guidance import Guidance, Reference, RouteGuidance, Situation
 from autopilot.control.way.planner import Planner
+from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import (
@@ -44,8 +45,9 @@ from autopilot.core.messages import (
 )
 from autopilot.core.model4 import NX, YAW, U
 from autopilot.core.params import ParamSet
+from autopilot.core.response import Response
 from autopilot.core.samples import ObstacleTrack
-from autopilot.core.sharing import Sharing
+from autopilot.core.sharing import Sharing, lacking_thrust
 from autopilot.core.vehicle import Vehicle
 
 LONGEST_SHIFT_S = 1.0
@@ -55,7 +57,7 @@ JUMP_M = 0.5
 """A reference that moves by so much between two steps has nothing to do with the last one."""
 
 SLEW_SHARE_1_S = 4.5
-"""Commands change by at most so many times the drive's limit per second (2.7 N from step to step; 0.44 s from full
+"""Commands change by at most so many times the thruster's limit per second (2.7 N from step to step; 0.44 s from full
 ahead to full astern, as long as the thrusters' own lag takes): a reference that jumps does not tear at the drive."""
 
 BLIND_WAY_M = 0.15
@@ -92,7 +94,11 @@ class MotionController:
         grid = grid or geometric_grid(n, horizon_s)
         self.desks = desks = desks or Desks()
         """Whoever owns the loop closes them, and says what is attended to while an answer is waited for."""
-        sharing = Sharing.of(vehicle)
+        sharing, response = Sharing.of(vehicle), Response.of(vehicle.thrusters)
+        self._most_n = np.array([thruster.limit_n for thruster in vehicle.thrusters])
+        lacking = lacking_thrust(self._model, self._most_n)
+        if lacking:
+            raise ConfigError(f"vehicle {vehicle.name}: {lacking}")
         self._program = StepProgram(
             sharing,
             grid,
@@ -102,14 +108,14 @@ class MotionController:
             tuple(each.name for each in vehicle.thrusters),
         )
         self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
-        self._lag = ThrusterLag(self._model, vehicle.drive.time_constant_s)
+        self._lag = ThrusterLag(self._model, response)
         self._forecast = currents or EstimatedCurrent()
         self._inner = InnerLoop(self.margins.ancillary, grid)
         self._station = StationKeeper(sharing)
-        self._reversals = Reversals(self._model.thrusters, vehicle.drive.limit_n)
+        self._reversals = Reversals(self._most_n)
         self._penalty = PenaltyWatch()
         self._fallbacks = FallbackWatch()
-        self._nominal_t_s = vehicle.drive.time_constant_s + grid.t_s
+        self._nominal_t_s = response.mean_s + grid.t_s
         self._plan_current = np.zeros(3)
         self.trajectories = trajectories = trajectories or EnergyPlanner(self._model, PowerModel.of(vehicle))
         """Makes plans of least energy."""
@@ -178,7 +184,7 @@ class MotionController:
         late; None = it is in doubt whether they do at all: no thrust.
         """
         began = self._cpu_clock()
-        limit_n = np.full(self._model.thrusters, params["THR_LIMIT"])
+        limit_n = np.minimum(self._most_n, params["THR_LIMIT"])
         if thruster_limit_n is not None:
             limit_n = np.minimum(limit_n, thruster_limit_n)
         elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
@@ -371,7 +377,7 @@ class MotionController:
     def _slewed(self, thrust_n: FloatArray, limit_n: FloatArray, elapsed_s: float) -> FloatArray:
         """Thrust (n,) within the limits (n,) and no farther from the last step's command than it may change."""
         if self._stepped is not None:
-            most = SLEW_SHARE_1_S * self._vehicle.drive.limit_n * max(elapsed_s, 0.0)
+            most = SLEW_SHARE_1_S * self._most_n * max(elapsed_s, 0.0)
             thrust_n = np.minimum(np.maximum(thrust_n, self._stepped - most), self._stepped + most)
         result: FloatArray = np.minimum(np.maximum(thrust_n, -limit_n), limit_n)
         return result

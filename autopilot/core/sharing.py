@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import AXES, Model4, steady_force
+from autopilot.core.thrusters import AXES as AXIS_NAMES
 from autopilot.core.thrusters import Thruster
-
-AXIS_NAMES = ("surge", "sway", "heave", "yaw")
 
 EXACT = 1e6
 """How much more a missing force counts than the thrust that would make it."""
@@ -97,7 +96,9 @@ class Sharing:
     @classmethod
     def of(cls, vehicle: "ThrusterBearing") -> "Sharing":
         """From the vehicle file."""
-        return cls(vehicle.to_model(), [thruster.drive.power_w_n15 for thruster in vehicle.thrusters])
+        drives = [thruster.drive for thruster in vehicle.thrusters]
+        both = [0.5 * (drive.power_w_n15 + (drive.reverse_power_w_n15 or drive.power_w_n15)) for drive in drives]
+        return cls(vehicle.to_model(), both)
 
     def thrust_n(self, force: FloatArray, limit_n: FloatArray) -> FloatArray:
         """(..., n) thrust within +-``limit_n`` (n,) (inf = as it comes) for forces (..., 4) X, Y, Z [N], N [N m]."""

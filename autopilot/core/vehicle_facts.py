@@ -7,7 +7,8 @@ import msgspec
 import numpy as np
 
 from autopilot.core.model4 import AXES
-from autopilot.core.sharing import AXIS_NAMES, Sharing
+from autopilot.core.sharing import Sharing
+from autopilot.core.thrusters import AXES as AXIS_NAMES
 from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle
 

@@ -9,6 +9,7 @@ import numpy as np
 from autopilot.control.thrust.allocation import Allocation
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
+from autopilot.core.response import Response
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.reader import Log, Table, open_log
 from autopilot.replay.setup import read_vehicle
@@ -114,7 +115,7 @@ def _table(log: Log, topic: str) -> Table:
 
 def _acting(log: Log, sent: Table, vehicle: Vehicle, t_s: FloatArray) -> FloatArray:
     """(len(t_s), thrusters) mean thrust over the step from each time on, of pulses and supply, behind the lag."""
-    allocation, tau = Allocation(vehicle.thrusters), vehicle.drive.time_constant_s
+    allocation, response = Allocation(vehicle.thrusters), Response.of(vehicle.thrusters)
     count, power = len(vehicle.thrusters), log.get("/in/power_raw")
     fine_s = np.arange(float(t_s[0]), float(t_s[-1]) + STEP_S, LAG_STEP_S)
     held = np.clip(np.searchsorted(sent["t_us"] * 1e-6, fine_s + 1e-9, side="right") - 1, 0, None)
@@ -127,7 +128,7 @@ def _acting(log: Log, sent: Table, vehicle: Vehicle, t_s: FloatArray) -> FloatAr
             for row, volts in zip(sent["pwm_us"], supply, strict=True)
         ]
     )[held]
-    acting, share, level = np.empty_like(settled), 1.0 - math.exp(-LAG_STEP_S / tau), np.zeros(count)
+    acting, share, level = np.empty_like(settled), response.share(LAG_STEP_S), np.zeros(count)
     for n, target in enumerate(settled):
         before = level
         level = level + share * (target - level)

@@ -14,6 +14,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Fallback, NavHealth
 from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
+from autopilot.core.response import Response
 
 LAG_S = VEHICLE.drive.time_constant_s
 CURRENT = np.array([0.15, -0.1, 0.0])
@@ -33,7 +34,7 @@ class Line:
     """A vehicle at the end of a line that may be late, and the estimator beside it."""
 
     def __init__(self, plant: Model4 = MODEL, lag_s: float = LAG_S) -> None:
-        self.found = ActuationDelay(MODEL, LAG_S)
+        self.found = ActuationDelay(MODEL, Response([LAG_S] * 4))
         self.plant, self.lag_s = plant, lag_s
         self.rng = np.random.default_rng(1)
         self.x, self.acting, self.t_s = np.zeros(8), np.zeros(4), 0.0
@@ -122,7 +123,7 @@ def test_a_line_that_becomes_late_and_prompt_again() -> None:
 
 
 def test_without_thrust_or_estimate_nothing_is_concluded() -> None:
-    delay = ActuationDelay(MODEL, LAG_S)
+    delay = ActuationDelay(MODEL, Response([LAG_S] * 4))
     for tick in range(500):
         nav = nav_state(tick * 20_000, np.zeros(8), health=NavHealth.DEAD_RECKONING)
         assert not delay.step(tick * 20_000, nav if tick % 2 else None, np.full(4, 5.0))
@@ -175,7 +176,7 @@ def test_pulses_under_way_reach_estimator_and_thrusters_when_they_act() -> None:
 
 
 def test_the_prediction_goes_through_what_is_under_way_and_learns_what_it_misses() -> None:
-    lag, rng = ThrusterLag(MODEL, LAG_S), np.random.default_rng(4)
+    lag, rng = ThrusterLag(MODEL, Response([LAG_S] * 4)), np.random.default_rng(4)
     lag.act_late(0.6)
     pushed = Model4(
         mass_kg=MODEL.mass_kg,

@@ -13,6 +13,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
+from autopilot.core.response import Response
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import load_vehicle
 
@@ -40,7 +41,7 @@ def _fly(
 ) -> tuple[ThrusterHealth, float | None]:
     """The estimator beside a plant that thrusts with ``gain`` from FAULT_S on; when it first declared something."""
     rng = np.random.default_rng(1)
-    health = ThrusterHealth(MODEL, LAG_S)
+    health = ThrusterHealth(MODEL, Response([LAG_S] * 4))
     x, acting, dt = np.zeros(8), np.zeros(4), 0.05
     first: float | None = None
     for tick in range(round(seconds / dt)):
@@ -144,7 +145,7 @@ def test_a_thruster_that_comes_back_is_sound_again() -> None:
 
 
 def test_without_a_good_estimate_and_at_rest_nothing_is_concluded() -> None:
-    health, rng = ThrusterHealth(MODEL, LAG_S), np.random.default_rng(1)
+    health, rng = ThrusterHealth(MODEL, Response([LAG_S] * 4)), np.random.default_rng(1)
     for tick in range(1000):
         nav = _nav(np.zeros(8), rng, 0.0, health=NavHealth.DEAD_RECKONING)
         assert not health.step(tick * 20_000, nav, np.full(4, 5.0))

@@ -1,6 +1,7 @@
 """What motion costs: J = integral of (hotel power + sum of c |F|^1.5) dt."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,13 +27,17 @@ class PowerModel:
 
     hotel_w: float
     thrust_w_n15: tuple[float, ...]
-    """c in P = c |F|^1.5 of each of the n thrusters."""
+    """c in P = c |F|^1.5 of each of the n thrusters, ahead."""
+    reverse_w_n15: tuple[float, ...] = ()
+    """The same astern; () = as ahead."""
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> "PowerModel":
         """From the vehicle file."""
-        watts = tuple(thruster.drive.power_w_n15 for thruster in vehicle.thrusters)
-        return cls(hotel_w=vehicle.hotel_power_w, thrust_w_n15=watts)
+        drives = [thruster.drive for thruster in vehicle.thrusters]
+        ahead = tuple(drive.power_w_n15 for drive in drives)
+        astern = tuple(drive.reverse_power_w_n15 or drive.power_w_n15 for drive in drives)
+        return cls(hotel_w=vehicle.hotel_power_w, thrust_w_n15=ahead, reverse_w_n15=() if astern == ahead else astern)
 
     def thrust_w(self, thrust_n: Any) -> Any:
         """Power of each thruster at ``thrust_n``: (..., n) or CasADi columns (n, m)."""
@@ -44,9 +49,18 @@ class PowerModel:
         return 0.75 * self._each(thrust_n) * squared * (squared + THRUST_SMOOTHING_N2) ** -1.25
 
     def _each(self, thrust_n: Any) -> Any:
-        if isinstance(thrust_n, np.ndarray):
-            return np.array(self.thrust_w_n15)
-        return ca.repmat(ca.DM(self.thrust_w_n15), 1, thrust_n.shape[1])
+        """c of every thruster at its thrust; from one side to the other it goes over smoothly (10 mN)."""
+        ahead = _like(thrust_n, self.thrust_w_n15)
+        if not self.reverse_w_n15:
+            return ahead
+        astern = _like(thrust_n, self.reverse_w_n15)
+        way = thrust_n * (thrust_n * thrust_n + THRUST_SMOOTHING_N2) ** -0.5
+        return 0.5 * (ahead + astern) + 0.5 * (ahead - astern) * way
+
+
+def _like(thrust_n: Any, values: Sequence[float]) -> Any:
+    """Values (n,) to be multiplied with thrusts (..., n) or CasADi columns (n, m)."""
+    return np.array(values) if isinstance(thrust_n, np.ndarray) else ca.repmat(ca.DM(values), 1, thrust_n.shape[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

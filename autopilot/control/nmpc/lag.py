@@ -17,6 +17,7 @@ import numpy as np
 from autopilot.control.nmpc.ocp import bind, discrete_dynamics
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.model4 import NX, YAW, Model4
+from autopilot.core.response import Response
 
 Sent: TypeAlias = tuple[float, float, FloatArray]
 """From when until when [s] a command (n,) was sent."""
@@ -34,8 +35,10 @@ LEARN_S = 3.0
 class ThrusterLag:
     """Follows the acting thrust and predicts the state one lag ahead, with a delay that and the lag."""
 
-    def __init__(self, model: Model4, lag_s: float) -> None:
-        self._lag_s = lag_s
+    def __init__(self, model: Model4, response: Response) -> None:
+        self._response = response
+        # Thrusters that differ: together they give what all would with the mean.
+        self._lag_s = lag_s = response.mean_s
         self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(model.thrusters), np.zeros(3), np.zeros(NX)
         self._lag_owner, self._through_lag = self._bound(model, lag_s)
         self._way_owner, self._under_way = self._bound(model, UNDER_WAY_S)
@@ -129,7 +132,7 @@ class ThrusterLag:
                 self._respond(acting, command, min(until_s, end_s) - max(sent_s, begin_s))
 
     def _respond(self, acting: FloatArray, command_n: FloatArray, elapsed_s: float) -> None:
-        acting += (1.0 - math.exp(-elapsed_s / self._lag_s)) * (command_n - acting)
+        acting += self._response.share(elapsed_s) * (command_n - acting)
 
     def _bound(self, model: Model4, dt_s: float) -> tuple[object, Callable[[], None]]:
         """(owner, call): the call takes ``_x`` over ``dt_s`` to ``_out`` with ``_u`` and ``_c``."""

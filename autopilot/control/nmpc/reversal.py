@@ -12,16 +12,16 @@ less than half of the force that margins take for unmodelled anyway. What an est
 class Reversals:
     """Which way every thruster turned last."""
 
-    def __init__(self, count: int, limit_n: float) -> None:
+    def __init__(self, limit_n: FloatArray) -> None:
         self._least_n = LEAST_SHARE * limit_n
-        self._way = np.zeros(count)
+        self._way = np.zeros(len(limit_n))
 
     def reset(self) -> None:
         """They stand still: either way is as good."""
         self._way[:] = 0.0
 
     def worth(self, thrust_n: FloatArray) -> FloatArray:
-        """Thrust (count,) without what is not worth a reversal."""
+        """Thrust (n,) without what is not worth a reversal."""
         rests = (thrust_n * self._way < 0.0) & (np.abs(thrust_n) < self._least_n)
         result: FloatArray = np.where(rests, 0.0, thrust_n)
         np.copyto(self._way, np.sign(result), where=result != 0.0)

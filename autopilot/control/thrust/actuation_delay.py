@@ -25,6 +25,7 @@ from autopilot.control.thrust.unexplained import push_sigma, thrustless_motion
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import AXES, Model4
+from autopilot.core.response import Response
 
 UNLEARNED_LOOKS = 10
 """So many looks (1 s) are taken back when the estimate ceases to be good."""
@@ -86,9 +87,9 @@ class DelayTuning:
 class ActuationDelay:
     """Estimate of the delay between a command and its thrust. :meth:`step` at every tick, deterministic."""
 
-    def __init__(self, model: Model4, lag_s: float, tuning: DelayTuning | None = None) -> None:
+    def __init__(self, model: Model4, response: Response, tuning: DelayTuning | None = None) -> None:
         self._model = model
-        self._lag_s = lag_s
+        self._response = response
         self._tuning = tuning or DelayTuning()
         self._effect = np.array(model.allocation) / np.array(model.mass_kg)[:, None]
         self._sway = np.array(model.allocation)[1]
@@ -143,7 +144,7 @@ class ActuationDelay:
         dt_s = 0.0 if self._t_us is None else (t_us - self._t_us) * 1e-6
         self._t_us = t_us
         share = 1.0 - math.exp(-dt_s / self._tuning.filter_s)
-        self._acting += (1.0 - math.exp(-dt_s / self._lag_s)) * (thrust_n - self._acting)
+        self._acting += self._response.share(dt_s) * (thrust_n - self._acting)
         self._thrust += share * (self._acting - self._thrust)
         self._since_s += dt_s
         due = self._since_s >= self._tuning.interval_s - 1e-9

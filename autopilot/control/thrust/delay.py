@@ -10,6 +10,7 @@ from autopilot.control.thrust.actuation_delay import ActuationDelay
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
+from autopilot.core.response import Response
 from autopilot.core.vehicle import Vehicle
 
 LONGEST_DOUBT_S = 2.5
@@ -25,7 +26,7 @@ class LatencyCare:
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._params = params
-        self._delay = ActuationDelay(vehicle.to_model(), vehicle.drive.time_constant_s)
+        self._delay = ActuationDelay(vehicle.to_model(), Response.of(vehicle.thrusters))
         self._kept_us = round(float(self._delay.delays_s[-1]) * 1e6) + 1
         self._sent: deque[tuple[int, FloatArray]] = deque()
         self._doubt_us: int | None = None

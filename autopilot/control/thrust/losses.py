@@ -6,6 +6,7 @@ from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_probl
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ThrusterHealthState
 from autopilot.core.params import ParamSet
+from autopilot.core.response import Response
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 
@@ -25,7 +26,9 @@ class ThrusterCare:
         self._params = params
         self._sharing = Sharing.of(vehicle)
         self._health = ThrusterHealth(
-            self._sharing.model, vehicle.drive.time_constant_s, submerged_m=SUBMERGED * vehicle.hull_half_height_m
+            self._sharing.model,
+            Response.of(vehicle.thrusters),
+            submerged_m=SUBMERGED * vehicle.hull_half_height_m,
         )
         self._ticks = 0
         self.share = np.ones(len(self._names))

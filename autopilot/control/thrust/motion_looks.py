@@ -15,6 +15,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import Model4
+from autopilot.core.response import Response
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -44,10 +45,12 @@ class Look:
 class MotionLooks:
     """Makes looks of estimates and thrust. :meth:`step` at every tick."""
 
-    def __init__(self, model: Model4, lag_s: float, *, filter_s: float, interval_s: float, current_s: float) -> None:
+    def __init__(
+        self, model: Model4, response: Response, *, filter_s: float, interval_s: float, current_s: float
+    ) -> None:
         """``current_s``: the estimated current is followed within this time."""
         self._model = model
-        self._lag_s = lag_s
+        self._response = response
         self._filter_s = filter_s
         self._interval_s = interval_s
         self._current_s = current_s
@@ -78,7 +81,7 @@ class MotionLooks:
         dt_s = (t_us - self._t_us) * 1e-6
         self._t_us = t_us
         self._follow_current(nav, dt_s)
-        self._acting = self._acting + (1.0 - math.exp(-dt_s / self._lag_s)) * (thrust_n - self._acting)
+        self._acting = self._acting + self._response.share(dt_s) * (thrust_n - self._acting)
         terms = self._terms(nav)
         self._filtered = self._filtered + (1.0 - math.exp(-dt_s / self._filter_s)) * (terms - self._filtered)
         self._since_s += dt_s

@@ -20,6 +20,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS, NavHealth, NavState
 from autopilot.core.model4 import Model4, steady_force
 from autopilot.core.params import ParamSet
+from autopilot.core.response import Response
 from autopilot.core.sharing import Sharing
 
 HEALTH_PARAMS = tuple(f"THR{i + 1}_HEALTH" for i in range(MAX_THRUSTERS))
@@ -78,7 +79,7 @@ class ThrusterHealth:
     def __init__(
         self,
         model: Model4,
-        lag_s: float,
+        response: Response,
         *,
         submerged_m: float = 0.0,
         tuning: Tuning | None = None,
@@ -92,7 +93,7 @@ class ThrusterHealth:
         # Those that push along several axes are measured against each other; the others have an axis each.
         self._paired = (np.array(model.allocation) != 0.0).sum(axis=0) > 1
         self._looks = MotionLooks(
-            model, lag_s, filter_s=tuning.filter_s, interval_s=tuning.interval_s, current_s=tuning.current_s
+            model, response, filter_s=tuning.filter_s, interval_s=tuning.interval_s, current_s=tuning.current_s
         )
         self._reset_count = -1
         self._paused = True

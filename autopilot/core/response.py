@@ -1,0 +1,30 @@
+"""How thrusters follow their commands: first order, each with its own time constant."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.thrusters import Thruster
+
+
+class Response:
+    """F' = (command - F) / T per thruster."""
+
+    def __init__(self, time_constants_s: Iterable[float]) -> None:
+        self.time_constants_s = tuple(time_constants_s)
+        self._alike = len(set(self.time_constants_s)) == 1
+        self.mean_s = self.time_constants_s[0] if self._alike else float(np.mean(self.time_constants_s))
+        """What one number can say of all."""
+
+    @classmethod
+    def of(cls, thrusters: Iterable[Thruster]) -> "Response":
+        """From the vehicle file."""
+        return cls(thruster.drive.time_constant_s for thruster in thrusters)
+
+    def share(self, dt_s: float) -> float | FloatArray:
+        """How much of the way to the command is made in that time; one number or (n,)."""
+        if self._alike:
+            return 1.0 - math.exp(-dt_s / self.mean_s)
+        return np.array([1.0 - math.exp(-dt_s / each) for each in self.time_constants_s])
