@@ -162,13 +162,13 @@ def _metric(allocation: FloatArray, watts: FloatArray) -> FloatArray:
 
 
 def lost_axes(allocation: FloatArray) -> tuple[int, ...]:
-    """Axes of T_A (4, n) that no thrust pushes without pushing another as well."""
+    """Axes of T_A (4, n) that no thrust pushes without pushing another as well, the most dependent one first."""
     size = np.abs(allocation).max(axis=1)
-    rows = allocation / np.where(size > 0.0, size, 1.0)[:, None]
-    left, stretch, _ = np.linalg.svd(rows)
+    left, stretch, _ = np.linalg.svd(allocation / np.where(size > 0.0, size, 1.0)[:, None])
     stretch = np.append(stretch, np.zeros(AXES - len(stretch)))
-    null = left[:, stretch <= SINGULAR * stretch[0]]
-    return tuple(np.flatnonzero(np.abs(null).max(axis=1, initial=0.0) > 1e-3).tolist())
+    part = np.abs(left[:, stretch <= SINGULAR * stretch[0]]).max(axis=1, initial=0.0)
+    lost = [axis for axis in range(AXES) if part[axis] > 1e-3]
+    return tuple(sorted(lost, key=lambda axis: (-round(float(part[axis]), 6), -axis)))
 
 
 def lacking_thrust(model: Model4, limit_n: FloatArray) -> str:
@@ -180,9 +180,9 @@ def lacking_thrust(model: Model4, limit_n: FloatArray) -> str:
     none = [AXIS_NAMES[i] for i in range(AXES) if not (np.abs(allocation[i]) @ limit_n > 0.0)]
     if none:
         return f"no thrust in {' and '.join(none)}: no thruster pushes that way; add one"
-    together = [AXIS_NAMES[i] for i in lost_axes(allocation)]
-    if together:
-        return f"{' and '.join(together)} cannot be pushed independently: move or turn a thruster, or add one"
+    axis, *others = [AXIS_NAMES[i] for i in lost_axes(allocation)] or ("",)
+    if axis:
+        return f"no thrust in {axis} alone: it comes only with {' and '.join(others)}; turn a thruster or add one"
     reach = Sharing(model).reach(limit_n)
     for i, (name, unit) in enumerate(zip(AXIS_NAMES, ("N", "N", "N", "N m"), strict=True)):
         way = [SLOWEST[j] if j == i else 0.0 for j in range(AXES)]

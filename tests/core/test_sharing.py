@@ -108,7 +108,7 @@ def test_reach_is_what_one_axis_gives_with_no_other() -> None:
         ([3], "no thrust in sway: no thruster pushes that way"),
         ([2], "no thrust in heave"),
         ([0, 1], "no thrust in surge and yaw"),
-        ([1], "surge and yaw cannot be pushed independently"),
+        ([1], "no thrust in yaw alone: it comes only with surge; turn a thruster or add one"),
     ],
 )
 def test_the_axis_that_lacks_thrust_is_named(drop: list[int], says: str) -> None:
