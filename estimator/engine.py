@@ -492,9 +492,12 @@ class Engine:
         if abs(fix.t_us - self._learned_us) < LEARN_EVERY_US and set(fix.ground.sheets) <= set(known):
             return
         self._learned_us = fix.t_us
-        innovation = self._core.innovation(node.state, fix.ties, node.moment, 0.0)
+        ties = fix.ties()
+        if ties is None:
+            return
+        innovation = self._core.innovation(node.state, ties, node.moment, 0.0)
         if innovation.test_ratio <= 1.0:
-            history.correct(node, fix.ties, innovation)
+            history.correct(node, ties, innovation)
             self._counts["sheets.fused"] += 1
             if self._map is not None:
                 self._map.look_at_sheets(fix.t_us, node.state.sheets, fix.ground.sheets)

@@ -8,6 +8,8 @@ lie anywhere in any attitude: each is looked for at its own depth, and votes by 
 
 import math
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +22,7 @@ from estimator.camera_doubt import LEAST_MARKERS, LOOK_EVERY_US, focal_look
 from estimator.ground import SheetTies, believed
 from estimator.measure_pose import Ground, PoseFix, Stray
 from estimator.pnp import inward_of, linearise_corners, solve_pose
-from estimator.sheet_fit import SheetCorners, fit_on_sheets
+from estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets
 from estimator.states import SheetStates
 
 NEAREST_M = 0.45
@@ -66,6 +68,27 @@ MAX_PIXEL = 1e5
 """Pixels farther out than any image is large are garbage."""
 
 
+class _Match(NamedTuple):
+    """Which marker of the map each marker of an image is, near a predicted pose."""
+
+    known: IntArray
+    """(n,) markers of the image whose id the map has,"""
+    taken: IntArray
+    """(n,) the marker of the map that each is taken for, -1 = none,"""
+    shift_m: np.ndarray
+    """(n,) complex, from where it seems to lie to where that one lies,"""
+    rays_cam: FloatArray
+    """(n, 3) and its ray in the camera frame, z = 1."""
+
+
+class _Solved(NamedTuple):
+    """A pose, and what it leaves."""
+
+    fix: PoseFix
+    worst_px: float
+    """How far the worst of all the corners lies from its projection; infinite when a marker was left out."""
+
+
 class MarkerSolver:
     """Poses from sightings for one camera over one floor. Functions of their arguments, which are counted."""
 
@@ -84,9 +107,18 @@ class MarkerSolver:
         lean_m = np.ptp(markers.corners_ned_m[..., 2], axis=1)
         self._leaning = lean_m > math.sin(LEVEL_RAD) * np.maximum(markers.sizes_m, 1e-9)
         self._centers: list[complex] = self._plane_m.mean(axis=1).tolist()
-        self._by_id: dict[int, list[tuple[int, complex]]] = {}
-        for j, (i, center) in enumerate(zip(markers.ids.tolist(), self._centers, strict=True)):
-            self._by_id.setdefault(i, []).append((j, center))
+        self._by_id: dict[int, list[int]] = {}
+        for j, i in enumerate(markers.ids.tolist()):
+            self._by_id.setdefault(i, []).append(j)
+        self._row = {i: row for row, i in enumerate(self._by_id)}
+        most = max(map(len, self._by_id.values()), default=1)
+        self._candidates = np.full((len(self._by_id), most), -1)
+        """(ids, most) markers of each id, -1 = no more,"""
+        self._candidate_centers = np.full(self._candidates.shape, complex(math.inf, 0.0))
+        """and where they lie, north + i east [m]."""
+        for row, of_id in enumerate(self._by_id.values()):
+            self._candidates[row, : len(of_id)] = of_id
+            self._candidate_centers[row, : len(of_id)] = [self._centers[j] for j in of_id]
 
     def believe_focal(self, share: float) -> None:
         """From now on take the focal length for too long by that share of what it should be."""
@@ -117,52 +149,69 @@ class MarkerSolver:
     ) -> PoseFix | None:
         """Fix near a predicted pose, None if the markers do not fit to it. ``sheets``: where they are by now believed
         to lie."""
-        known = [k for k, i in enumerate(sighting.ids) if i in self._by_id]
-        self.counts["unknown"] += len(sighting.ids) - len(known)
-        if not known:
+        match = self._match(sighting, pos_ned_m, rpy_rad)
+        if match is None:
+            return None
+        found = match.taken >= 0
+        shifts = match.shift_m[found]
+        common = complex(_median(shifts.real.tolist()), _median(shifts.imag.tolist()))
+        alike = np.abs(shifts - common) <= COMMON_SHIFT_M
+        count = int(alike.sum())
+        if 2 * count < len(alike) or not count:
+            return None
+        start = pos_ned_m + np.array([common.real, common.imag, 0.0])
+        seen, placed = match.known[found][alike], match.taken[found][alike]
+        solved = self._refine(sighting, seen, placed, start, rpy_rad, sheets)
+        if solved is None:
+            return None
+        away_m = self._floor_m - float(pos_ned_m[2])
+        if count < STRAYS_FROM or (
+            count == len(match.known) and solved.worst_px * away_m < 0.5 * STRAY_M * self._camera.focal_water_px
+        ):
+            return solved.fix
+        return replace(solved.fix, strays=self._strays(sighting, match, solved.fix))
+
+    def _match(self, sighting: MarkerSighting, pos_ned_m: FloatArray, rpy_rad: FloatArray) -> _Match | None:
+        """The nearest marker of its id to where each marker of the image seems to lie; None if there is none at all."""
+        rows = [self._row.get(i, -1) for i in sighting.ids]
+        known = np.array([k for k, row in enumerate(rows) if row >= 0], dtype=np.intp)
+        self.counts["unknown"] += len(rows) - len(known)
+        if not len(known):
             return None
         r_ned = r_ned_from_frd(rpy_rad)
         eye = pos_ned_m + r_ned @ self._camera.position_frd_m
-        rays = self._camera.normalized(0.25 * sighting.corners_px[known].sum(axis=1))
-        rays_ned = np.column_stack((rays, np.ones(len(rays)))) @ (r_ned @ self._camera.r_frd_from_cam).T
-        scale = (self._floor_m - eye[2]) / np.maximum(rays_ned[:, 2], 0.1)
-        seen = eye[0] + 1j * eye[1] + scale * (rays_ned[:, 0] + 1j * rays_ned[:, 1])
-        matched, which, shifts = [], [], []
-        for k, place, ray in zip(known, seen.tolist(), rays_ned, strict=True):
-            candidates = self._by_id[sighting.ids[k]]
-            if self._level:
-                offset, best, shift = min((abs(center - place), j, center - place) for j, center in candidates)
-            else:
-                offset, best, shift = min(self._miss(j, eye, ray) for j, _ in candidates)
-            if offset <= NEAREST_M:
-                matched.append(k)
-                which.append(best)
-                shifts.append(shift)
-        if not matched:
-            return None
-        common = complex(_median([s.real for s in shifts]), _median([s.imag for s in shifts]))
-        alike = [k for k, shift in enumerate(shifts) if abs(shift - common) <= COMMON_SHIFT_M]
-        if 2 * len(alike) < len(matched) or not alike:
-            return None
-        start = pos_ned_m + np.array([common.real, common.imag, 0.0])
-        fix = self._refine(sighting, np.array(matched)[alike], np.array(which)[alike], start, rpy_rad, sheets)
-        if fix is None or len(alike) < STRAYS_FROM:
-            return fix
-        taken = np.full(len(sighting.ids), -1)
-        taken[matched] = which
-        return replace(fix, strays=self._strays(sighting, np.array(known), taken[known], fix))
+        rays_cam = np.ones((len(known), 3))
+        rays_cam[:, :2] = self._camera.normalized(0.25 * sighting.corners_px[known].sum(axis=1))
+        rays_ned = rays_cam @ (r_ned @ self._camera.r_frd_from_cam).T
+        if self._level:
+            scale = (self._floor_m - eye[2]) / np.maximum(rays_ned[:, 2], 0.1)
+            place = complex(eye[0], eye[1]) + scale * (rays_ned[:, 0] + 1j * rays_ned[:, 1])
+            row = np.array(rows)[known]
+            shifts = self._candidate_centers[row] - place[:, None]
+            off_m = np.abs(shifts)
+            best = off_m.argmin(axis=1)
+            each = np.arange(len(known))
+            off_m, shift, taken = off_m[each, best], shifts[each, best], self._candidates[row, best]
+        else:
+            nearest = [
+                min(self._miss(j, eye, ray) for j in self._by_id[sighting.ids[k]])
+                for k, ray in zip(known.tolist(), rays_ned, strict=True)
+            ]
+            off_m, taken, shift = (np.array(column) for column in zip(*nearest, strict=True))
+        taken = np.where(off_m <= NEAREST_M, taken, -1)
+        return _Match(known, taken, shift, rays_cam) if (taken >= 0).any() else None
 
-    def _strays(self, sighting: MarkerSighting, known: IntArray, taken: IntArray, fix: PoseFix) -> tuple[Stray, ...]:
+    def _strays(self, sighting: MarkerSighting, match: _Match, fix: PoseFix) -> tuple[Stray, ...]:
         """Markers of the image that do not lie at their places, seen from the pose that the others ask for."""
         assert fix.tilt_rad is not None
+        taken = match.taken
         r_ned = r_ned_from_frd(np.array([*fix.tilt_rad, fix.z[3]]))
         eye = fix.z[:3] + r_ned @ self._camera.position_frd_m
-        rays = self._camera.normalized(0.25 * sighting.corners_px[known].sum(axis=1))
-        rays_ned = np.column_stack((rays, np.ones(len(rays)))) @ (r_ned @ self._camera.r_frd_from_cam).T
+        rays_ned = match.rays_cam @ (r_ned @ self._camera.r_frd_from_cam).T
         depth_m = np.where(taken >= 0, self._depth_m[taken], self._floor_m)
         along = (depth_m - eye[2]) / np.maximum(rays_ned[:, 2], 0.1)
         seen = eye[:2] + along[:, None] * rays_ned[:, :2]
-        moved = np.zeros((len(known), 2))
+        moved = np.zeros((len(taken), 2))
         if self._errors is not None and fix.ground is not None:
             offset = fix.ground.at.reshape(-1, STATES)
             for k, sheet in enumerate(fix.ground.sheets):
@@ -172,11 +221,11 @@ class MarkerSolver:
             # Of sheets that are not in the pose nothing is known.
             unknown = (taken >= 0) & ~np.isin(self._errors.sheet[taken], (-1, *fix.ground.sheets))
         else:
-            unknown = np.zeros(len(known), dtype=bool)
+            unknown = np.zeros(len(taken), dtype=bool)
         seen = seen - moved
         off = np.where(taken >= 0, np.hypot(*(seen - self._centers_m[taken]).T), np.inf)
         return tuple(
-            Stray(sighting.ids[int(known[n])], int(taken[n]), float(seen[n, 0]), float(seen[n, 1]))
+            Stray(sighting.ids[int(match.known[n])], int(taken[n]), float(seen[n, 0]), float(seen[n, 1]))
             for n in np.flatnonzero((off > STRAY_M) & ~unknown)
         )
 
@@ -195,7 +244,7 @@ class MarkerSolver:
     ) -> PoseFix | None:
         """Fix from nothing but the tilt: every marker of the image votes, None without a clear winner."""
         q = self._level_rays(sighting.corners_px, roll_rad, pitch_rad)
-        pairs = [(k, j) for k, i in enumerate(sighting.ids) for j, _ in self._by_id.get(i, ())]
+        pairs = [(k, j) for k, i in enumerate(sighting.ids) for j in self._by_id.get(i, ())]
         if not pairs:
             return None
         seen, placed = np.array(pairs).T
@@ -211,7 +260,8 @@ class MarkerSolver:
         rpy = np.array([roll_rad, pitch_rad, math.atan2(a_mean.imag, a_mean.real)])
         eye = np.array([b_mean.real, b_mean.imag, eye_depth[chosen].mean()])
         pos = eye - r_ned_from_frd(rpy) @ self._camera.position_frd_m
-        return self._refine(sighting, seen[chosen], placed[chosen], pos, rpy, sheets)
+        solved = self._refine(sighting, seen[chosen], placed[chosen], pos, rpy, sheets)
+        return None if solved is None else solved.fix
 
     def _votes(self, q: np.ndarray, seen: IntArray, placed: IntArray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where the camera would be if quadrilateral ``seen`` were marker ``placed`` (both (n,)): height over the
@@ -289,7 +339,7 @@ class MarkerSolver:
         pos: FloatArray,
         rpy: FloatArray,
         sheets: SheetStates | None,
-    ) -> PoseFix | None:
+    ) -> _Solved | None:
         """Least squares over the corners; markers that do not fit are left out and it is done again."""
         if self._errors is not None and (self._errors.sheet[placed] >= 0).any():
             return self._refine_on_sheets(sighting, seen, placed, pos, rpy, self._errors, sheets)
@@ -311,13 +361,13 @@ class MarkerSolver:
             if best is None:
                 self.counts["misfit"] += 1
                 return None
-            fits = _fitting(best.residual_px.reshape(-1, 4, 2))
+            off_px = _worst_px(best.residual_px.reshape(-1, 4, 2))
+            fits = _fitting(off_px)
             if fits.all():
                 break
             good[np.flatnonzero(good)[~fits]] = False
         if best is None or not self._good(best.rms_px, best.rpy_rad, rpy):
             return None
-        z = np.append(best.pos_ned_m, best.rpy_rad[2])
         focal = None
         if self._focal_due(sighting.t_us, len(best.residual_px) // 4):
             corners, at = pixels[used].reshape(-1, 2), points[used].reshape(-1, 3)
@@ -325,15 +375,16 @@ class MarkerSolver:
             if linear is not None:
                 jacobian = np.column_stack((linear[1], inward_of(corners)))
                 focal = focal_look(self._camera, corners, best.residual_px.reshape(-1), jacobian)
-        return PoseFix(
+        fix = PoseFix(
             sensor="markers",
             t_us=sighting.t_us,
             focal=focal,
-            z=z,
+            z=np.append(best.pos_ned_m, best.rpy_rad[2]),
             noise=best.covariance,
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
             sigma_tilt_rad=best.sigma_tilt_rad,
         )
+        return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
 
     def _good(self, rms_px: float, found_rpy_rad: FloatArray, rpy_rad: FloatArray) -> bool:
         """Whether a fit may be a fix; what is odd about it is counted. ``rpy_rad``: the attitude it began with."""
@@ -360,7 +411,7 @@ class MarkerSolver:
         rpy: FloatArray,
         errors: MapErrors,
         sheets: SheetStates | None,
-    ) -> PoseFix | None:
+    ) -> _Solved | None:
         """The same where the sheets that the markers lie on may be off."""
         strained: list[int] = []
         good = np.ones(len(seen), dtype=bool)
@@ -368,6 +419,9 @@ class MarkerSolver:
         for round_left in reversed(range(REJECT_ROUNDS)):
             numbers, place = np.unique(errors.sheet[placed[good]], return_inverse=True)
             exact = int(numbers[0] < 0)
+            if len(numbers) == exact:  # all sheets have been left out
+                solved = self._refine(sighting, seen[good], placed[good], pos, rpy, sheets)
+                return None if solved is None else _Solved(replace(solved.fix, strained=tuple(strained)), math.inf)
             which = tuple(numbers[exact:].tolist())
             sigma = errors.sigma[list(which)]
             corners = SheetCorners(
@@ -389,7 +443,8 @@ class MarkerSolver:
             if best is None:
                 self.counts["misfit"] += 1
                 return None
-            fits = _fitting(best.residual_px)
+            off_px = _worst_px(best.residual_px)
+            fits = _fitting(off_px)
             k = int(best.strain.argmax())
             mine = corners.sheet == k
             if fits.all() and best.strain[k] > STRAIN_MOST and int((~mine).sum()) >= 2:
@@ -400,15 +455,11 @@ class MarkerSolver:
             good[np.flatnonzero(good)[~fits]] = False
         if best is None or not self._good(best.rms_px, best.rpy_rad, rpy):
             return None
-        ties = None
-        if len(best.ties):
-            ground = Ground(which, sigma, best.ties, np.zeros(len(best.at)), learns=True)
-            ties = SheetTies(sensor="sheets", t_us=sighting.t_us, z=best.ties_z, noise=best.ties_noise, ground=ground)
         focal = None
         if self._focal_due(sighting.t_us, len(corners.sheet)):
             residual = best.residual_px.reshape(-1)
             focal = focal_look(self._camera, corners.pixels.reshape(-1, 2), residual, best.jacobian)
-        return PoseFix(
+        fix = PoseFix(
             sensor="markers",
             t_us=sighting.t_us,
             focal=focal,
@@ -417,15 +468,31 @@ class MarkerSolver:
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
             sigma_tilt_rad=best.sigma_tilt_rad,
             ground=Ground(which, sigma, best.by_offsets, best.at),
-            ties=ties,
+            ties=partial(_ties, best, sighting.t_us, which, sigma),
             strained=tuple(strained),
         )
+        return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
 
 
-def _fitting(residual_px: FloatArray) -> np.ndarray:
-    """(n,) which markers fit to the others, by the worst of their corners' residuals (n, 4, 2)."""
-    worst = np.sqrt((residual_px**2).sum(axis=2)).max(axis=1)
-    result: np.ndarray = worst <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * _median(worst.tolist()))
+def _ties(best: SheetPose, t_us: int, which: tuple[int, ...], sigma: FloatArray) -> SheetTies | None:
+    """What a fit says of its sheets among each other."""
+    rows, z, noise = best.ties()
+    if not len(rows):
+        return None
+    ground = Ground(which, sigma, rows, np.zeros(len(best.at)), learns=True)
+    return SheetTies(sensor="sheets", t_us=t_us, z=z, noise=noise, ground=ground)
+
+
+def _worst_px(residual_px: FloatArray) -> FloatArray:
+    """(n,) the worst of each marker's corners' residuals (n, 4, 2)."""
+    x, y = residual_px[..., 0], residual_px[..., 1]
+    result: FloatArray = np.sqrt((x * x + y * y).max(axis=1))
+    return result
+
+
+def _fitting(worst_px: FloatArray) -> np.ndarray:
+    """(n,) which markers fit to the others, by the worst of their corners (n,)."""
+    result: np.ndarray = worst_px <= max(REJECT_FLOOR_PX, REJECT_SIGMAS * _median(worst_px.tolist()))
     return result
 
 

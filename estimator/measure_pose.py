@@ -1,6 +1,7 @@
 """Position and heading of the vehicle from markers or from a pose sensor."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -66,8 +67,8 @@ class PoseFix:
     sigma_tilt_rad: float = 0.0
     ground: Ground | None = None
     """How the pose depends on sheets, None = the map is exact."""
-    ties: Measurement | None = None
-    """What the same image says of its sheets among each other."""
+    ties: Callable[[], Measurement | None] | None = None
+    """What the same image says of its sheets among each other: made when it is asked for, which is not every time."""
     focal: tuple[float, float] | None = None
     """Share by which the image says that the focal length is too long, and its standard deviation; None = nothing."""
     strained: tuple[int, ...] = ()

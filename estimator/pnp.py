@@ -86,45 +86,56 @@ def solve_pose(
     rotation = r_ned_from_frd(rpy_rad)
     up_prior = rotation.T[:, 2].copy()
     few = len(points_ned_m) <= FEW_POINTS
-    sigma_tilt = TILT_SIGMA_FEW_RAD if few else TILT_SIGMA_MANY_RAD
+    tilt = (TILT_SIGMA_FEW_RAD if few else TILT_SIGMA_MANY_RAD) ** -2
     inward = inward_of(pixels)
     shrink = shrink_px
-    keep = np.ones(2 * len(pixels), dtype=bool)
     expected = expected_px(sigma_px, len(pixels))
+    keep = np.ones(2 * len(pixels), dtype=bool)
+    jac = np.empty((2 * len(pixels), 7))
+    linear = None
     for step in range(STEPS):
-        linear = linearise_corners(camera, points_ned_m, pixels, pos, rotation)
         if linear is None:
-            return None
-        residual, jac = linear
-        residual = residual - shrink * inward
-        jac = np.column_stack((jac, inward))
-        sigma = corner_scale(residual[keep] / expected[keep]) * expected[keep]
-        information, gradient = _normal_equations(
-            residual[keep], jac[keep], sigma, rotation, up_prior, sigma_tilt, shrink_px - shrink
-        )
+            linear = linearise_corners(camera, points_ned_m, pixels, pos, rotation)
+            if linear is None:
+                return None
+            jac[:, :6], jac[:, 6] = linear[1], inward
+            residual = linear[0] - shrink * inward
+            left = residual
+        weighted = jac.T * (keep / (expected * expected))
+        seen, toward = weighted @ jac, weighted @ residual
+        scale = corner_scale((left / expected)[keep])
+        information, gradient = _with_priors(seen, toward, scale, rotation, up_prior, tilt, shrink_px - shrink)
         delta: FloatArray = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
+        left = residual - jac @ delta
+        settled = float(np.abs(delta[:6]).max()) < CONVERGED
+        if settled:
+            fits = corners_that_fit(left / expected)
+            if not ((fits == keep).all() or step == STEPS - 1):
+                keep = fits  # so near, the derivatives are what they were
+                continue
         pos = pos + delta[:3]
         rotation = turn_matrix(delta[3:6]) @ rotation
         shrink += float(delta[6])
-        residual = residual - jac @ delta
-        if float(np.abs(delta[:6]).max()) < CONVERGED:
-            fits = corners_that_fit(residual / expected)
-            if (fits == keep).all() or step == STEPS - 1:
-                break
-            keep = fits
+        if settled:
+            break
+        linear = None
     else:
         return None
-    rms = _rms(residual)
+    rms = _rms(left)
     if not rms <= max_rms_px or (few and math.acos(min(1.0, float(rotation[2] @ up_prior))) > LEAN_MAX_RAD):
         return None
-    sigma = corner_scale(residual[keep] / expected[keep]) * expected[keep]
-    information, _ = _normal_equations(residual[keep], jac[keep], sigma, rotation, up_prior, sigma_tilt, 0.0)
-    covariance = INFLATION * np.linalg.inv(information)
-    pick = np.array([0, 1, 2, 5])
-    noise = covariance[np.ix_(pick, pick)]
-    noise[np.arange(4), np.arange(4)] += np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2
+    scale = corner_scale((left / expected)[keep])
+    information, _ = _with_priors(seen, toward, scale, rotation, up_prior, tilt, 0.0)
+    covariance: FloatArray = INFLATION * np.asarray(np.linalg.inv(information), dtype=np.float64)
+    noise = covariance[_POSE]
+    noise[_DIAGONAL] += _FLOOR
     sigma_tilt_rad = float(np.sqrt(max(covariance[3, 3], covariance[4, 4])))
-    return Pose(pos, rpy_from_r(rotation), noise, sigma_tilt_rad, residual.reshape(-1, 2), rms)
+    return Pose(pos, rpy_from_r(rotation), noise, sigma_tilt_rad, left.reshape(-1, 2), rms)
+
+
+_POSE = np.ix_([0, 1, 2, 5], [0, 1, 2, 5])
+_DIAGONAL = np.arange(4), np.arange(4)
+_FLOOR = np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2
 
 
 def inward_of(pixels: FloatArray) -> FloatArray:
@@ -145,8 +156,12 @@ def corners_that_fit(residual: FloatArray) -> np.ndarray:
     than three corners would stay.
 
     The median of the length of a normally distributed two-dimensional error is 1.18 standard deviations."""
-    off = np.sqrt((residual.reshape(-1, 2) ** 2).sum(axis=1))
-    fits = off <= max(CORNER_FLOOR, CORNER_SIGMAS * float(np.median(off)) / 1.1774)
+    x, y = residual[0::2], residual[1::2]
+    off = np.sqrt(x * x + y * y)
+    half = len(off) // 2
+    middle = np.partition(off, (half - 1, half))  # an even number: four of each marker
+    median = 0.5 * float(middle[half - 1] + middle[half])
+    fits = off <= max(CORNER_FLOOR, CORNER_SIGMAS * median / 1.1774)
     if 4 * int(fits.sum()) < 3 * len(fits):
         fits[:] = True
     return np.repeat(fits, 2)
@@ -182,22 +197,20 @@ def linearise_corners(
     return residual.reshape(-1), jac
 
 
-def _normal_equations(
-    residual: FloatArray,
-    jac: FloatArray,
-    sigma_px: FloatArray,
+def _with_priors(
+    seen: FloatArray,
+    toward: FloatArray,
+    scale: float,
     rotation: FloatArray,
     up_prior: FloatArray,
-    sigma_tilt: float,
+    tilt: float,
     shrink_off_px: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (7, 7) and gradient (7,) of pixels with these sigmas (k,), tilt prior and shrink prior."""
-    weighted = jac.T / (sigma_px * sigma_px)
-    information = weighted @ jac
-    gradient = weighted @ residual
+    """Information (7, 7) and gradient (7,) of pixels whose errors are ``scale`` times what is expected, of the tilt
+    prior (information ``tilt``) and of the shrink prior."""
+    information, gradient = seen / (scale * scale), toward / (scale * scale)
     # The prior's vertical, seen through this rotation, leans off the vertical: turning by (-lean_e, lean_n) rights it.
     lean = rotation @ up_prior
-    tilt = 1.0 / (sigma_tilt * sigma_tilt)
     information[3, 3] += tilt
     information[4, 4] += tilt
     gradient[3] += tilt * float(lean[1])

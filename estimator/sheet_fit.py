@@ -62,12 +62,8 @@ class SheetPose(NamedTuple):
     """(4, 4n) d z / d offsets."""
     at: FloatArray
     """(4n,)"""
-    ties: FloatArray
-    """(r, 4n) rows of what the picture says of the offsets alone,"""
-    ties_z: FloatArray
-    """(r,) what it says,"""
-    ties_noise: FloatArray
-    """(r, r) and how well."""
+    alone: tuple[FloatArray, FloatArray]
+    """(4n, 4n), (4n,) information and gradient of the offsets alone, about ``at``; see :meth:`ties`."""
     strain: FloatArray
     """(n,) squared distance of each sheet's offset from the belief, of 4."""
     sigma_tilt_rad: float
@@ -76,6 +72,16 @@ class SheetPose(NamedTuple):
     residual_px: FloatArray
     """(m, 4, 2)"""
     rms_px: float
+
+    def ties(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What the picture says of the offsets alone: rows (r, 4n), what it says of them (r,), and how well (r, r)."""
+        alone, toward = self.alone
+        share, rows = np.linalg.eigh(0.5 * (alone + alone.T))
+        known = share > LEAST_SHARE * max(float(share[-1]), 1.0)
+        ties = np.sqrt(share[known])[:, None] * rows[:, known].T
+        z = ties @ self.at + rows[:, known].T @ toward / np.sqrt(share[known])
+        floor = np.tile(np.array(TIE_FLOOR) ** 2, len(self.at) // STATES)
+        return ties, z, np.eye(len(ties)) + (ties * floor) @ ties.T
 
 
 class SheetCorners(NamedTuple):
@@ -124,67 +130,87 @@ def fit_on_sheets(
     prior = np.linalg.inv(covariance + np.eye(size) * BELIEF_FLOOR**2)
     offset = believed.copy()
     pixels = seen.pixels.reshape(-1, 2)
-    inward = inward_of(pixels)
+    inward, expected = inward_of(pixels), _expected(seen)
     shrink = SHRINK_PX
     keep = np.ones(2 * len(pixels), dtype=bool)
+    places = _places(seen, 7 + size)
+    jac = np.zeros((2 * len(pixels), 7 + size))
+    jac[:, 6] = inward
+    linear = None
     for step in range(STEPS):
-        points, by_offset = _points(seen, offset)
-        linear = linearise_corners(camera, points.reshape(-1, 3), pixels, pos, rotation)
         if linear is None:
-            return None
-        residual, jac6 = linear
-        residual = residual - shrink * inward
-        jac = np.empty((len(residual), 7 + size))
-        jac[:, :6], jac[:, 6] = jac6, inward
-        jac[:, 7:] = -np.matmul(jac6[:, None, :3], np.repeat(by_offset, 2, axis=0))[:, 0]
-        weight = _weights(camera, seen, residual, keep, pos, points, 7 + size)
-        information, gradient = _information(residual, jac, weight * keep, rotation, up_prior, shrink)
-        full, toward = information.copy(), gradient.copy()
+            points, arm = _points(seen, offset)
+            linear = linearise_corners(camera, points.reshape(-1, 3), pixels, pos, rotation)
+            if linear is None:
+                return None
+            jac[:, :6] = linear[1]
+            jac.reshape(-1)[places] = _by_offsets(linear[1], arm)[seen.sheet >= 0]
+            residual = linear[0] - shrink * inward
+            left = residual
+        weighted = jac.T * (_weights(camera, seen, left, expected, keep, pos, points, 7 + size) * keep)
+        information, gradient = weighted @ jac, weighted @ residual
+        _add_priors(information, gradient, rotation, up_prior, shrink)
+        full, toward = information.copy(), gradient
         full[7:, 7:] += prior
         toward[7:] += prior @ (believed - offset)
         delta: FloatArray = np.asarray(np.linalg.solve(full, toward), dtype=np.float64)
+        left = residual - jac @ delta
+        settled = max(float(np.abs(delta[:6]).max()), float(np.abs(delta[7:]).max())) < CONVERGED
+        if settled:
+            fits = corners_that_fit(left / expected)
+            if not ((fits == keep).all() or step == STEPS - 1):
+                keep = fits  # so near, the derivatives are what they were
+                continue
         pos = pos + delta[:3]
         rotation = turn_matrix(delta[3:6]) @ rotation
         shrink += float(delta[6])
         offset = offset + delta[7:]
-        residual = residual - jac @ delta
-        if max(float(np.abs(delta[:6]).max()), float(np.abs(delta[7:]).max())) < CONVERGED:
-            fits = corners_that_fit(residual / _expected(seen))
-            if (fits == keep).all() or step == STEPS - 1:
-                break
-            keep = fits
+        if settled:
+            break
+        linear = None
     else:
         return None
-    rms = math.sqrt(float(residual @ residual) / len(residual))
+    rms = math.sqrt(float(left @ left) / len(left))
     if not rms <= max_rms_px:
         return None
-    _, gradient = _information(residual, jac, weight * keep, rotation, up_prior, shrink)
-    full = information.copy()
-    full[7:, 7:] += prior
+    gradient = weighted @ left
+    _add_priors(None, gradient, rotation, up_prior, shrink)
     posterior: FloatArray = np.asarray(np.linalg.inv(full), dtype=np.float64)
-    return _pieces(information, gradient, posterior, pos, rotation, offset, (believed, covariance), residual, rms, jac)
+    return _pieces(information, gradient, posterior, pos, rotation, offset, (believed, covariance), left, rms, jac)
 
 
 def _points(seen: SheetCorners, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Corners (m, 4, 3) with the sheets moved, and their derivatives by the offsets (4m, 3, 4n)."""
-    m, n = len(seen.sheet), len(offset) // STATES
-    by_sheet = offset.reshape(n, STATES)
-    on = seen.sheet >= 0
-    k = np.where(on, seen.sheet, 0)
-    move = np.where(on[:, None], by_sheet[k], 0.0)
-    arm = seen.corners_ned_m - seen.pivot_ned_m[k][:, None]
+    """Corners (m, 4, 3) with the sheets moved, and (m, 4, 2) from the pivot of their sheet, north and east."""
+    by_sheet = np.vstack((offset.reshape(-1, STATES), np.zeros(STATES)))  # the last one: on none
+    pivot = np.vstack((seen.pivot_ned_m[:, :2], np.zeros(2)))
+    move = by_sheet[seen.sheet]
+    arm = seen.corners_ned_m[..., :2] - pivot[seen.sheet][:, None]
     c, s = np.cos(move[:, 3])[:, None], np.sin(move[:, 3])[:, None]
-    north, east = c * arm[..., 0] - s * arm[..., 1], s * arm[..., 0] + c * arm[..., 1]
+    turned = np.empty_like(arm)
+    turned[..., 0] = c * arm[..., 0] - s * arm[..., 1]
+    turned[..., 1] = s * arm[..., 0] + c * arm[..., 1]
     points = seen.corners_ned_m + move[:, None, :3]
-    points[..., 0] += north - arm[..., 0]
-    points[..., 1] += east - arm[..., 1]
-    by = np.zeros((m, 4, 3, STATES * n))
-    rows = np.flatnonzero(on)
-    for axis in range(3):
-        by[rows, :, axis, STATES * k[rows] + axis] = 1.0
-    by[rows, :, 0, STATES * k[rows] + 3] = -east[rows]
-    by[rows, :, 1, STATES * k[rows] + 3] = north[rows]
-    return points, by.reshape(4 * m, 3, STATES * n)
+    points[..., :2] += turned - arm
+    return points, turned
+
+
+def _places(seen: SheetCorners, width: int) -> IntArray:
+    """(k, 8, 4) where the derivatives by the offsets stand in the flat Jacobian; k markers lie on sheets."""
+    on = np.flatnonzero(seen.sheet >= 0)
+    rows = 8 * on[:, None, None] + np.arange(8)[:, None]
+    columns = 7 + STATES * seen.sheet[on][:, None, None] + np.arange(STATES)
+    result: IntArray = rows * width + columns
+    return result
+
+
+def _by_offsets(jac: FloatArray, arm: FloatArray) -> FloatArray:
+    """(m, 8, 4) d projection / d offset of the marker's sheet from that by the pose (8m, 6): a point that moves is a
+    vehicle that moves the other way."""
+    by_pos = jac[:, :3].reshape(-1, 4, 2, 3)
+    result = np.empty((len(arm), 4, 2, STATES))
+    np.negative(by_pos, out=result[..., :3])
+    result[..., 3] = by_pos[..., 0] * arm[..., 1:] - by_pos[..., 1] * arm[..., :1]
+    return result.reshape(-1, 8, STATES)
 
 
 def _expected(seen: SheetCorners) -> FloatArray:
@@ -196,6 +222,7 @@ def _weights(
     camera: CameraModel,
     seen: SheetCorners,
     residual: FloatArray,
+    expected: FloatArray,
     keep: FloatArray,
     pos: FloatArray,
     points: FloatArray,
@@ -203,7 +230,6 @@ def _weights(
 ) -> FloatArray:
     """(8m,) inverse variance of each pixel coordinate: of corners, and of markers on their sheets, which all four
     corners share."""
-    expected = _expected(seen)
     away_m = np.maximum(points[:, 0, 2] - pos[2], 0.05)
     print_px = seen.sigma_m * camera.focal_water_px / away_m
     scale, share = scatter(residual / expected, keep, print_px / expected[::8], unknowns)
@@ -230,22 +256,19 @@ def scatter(residual: FloatArray, keep: FloatArray, print_sigma: FloatArray, unk
     return math.sqrt(corner2), max(share, 0.0)
 
 
-def _information(
-    residual: FloatArray, jac: FloatArray, weight: FloatArray, rotation: FloatArray, up_prior: FloatArray, shrink: float
-) -> tuple[FloatArray, FloatArray]:
-    """Information and gradient of pixels, tilt prior and shrink prior; the belief of the offsets is not in it."""
-    weighted = jac * weight[:, None]
-    information = weighted.T @ jac
-    gradient = weighted.T @ residual
+def _add_priors(
+    information: FloatArray | None, gradient: FloatArray, rotation: FloatArray, up_prior: FloatArray, shrink: float
+) -> None:
+    """Tilt prior and shrink prior on top of what the pixels say; the belief of the offsets is not among them."""
     lean = rotation @ up_prior
     tilt = TILT_SIGMA_RAD**-2
-    information[3, 3] += tilt
-    information[4, 4] += tilt
+    if information is not None:
+        information[3, 3] += tilt
+        information[4, 4] += tilt
+        information[6, 6] += SHRINK_SIGMA_PX**-2
     gradient[3] += tilt * float(lean[1])
     gradient[4] -= tilt * float(lean[0])
-    information[6, 6] += SHRINK_SIGMA_PX**-2
     gradient[6] += SHRINK_SIGMA_PX**-2 * (SHRINK_PX - shrink)
-    return information, gradient
 
 
 def _pieces(
@@ -262,10 +285,11 @@ def _pieces(
 ) -> SheetPose:
     """The two independent pieces: pose given the offsets, and the offsets alone."""
     size = len(offset)
-    rest = [*KEPT, *range(7, 7 + size)]
+    rest = np.array([*KEPT, *range(7, 7 + size)])
     # Tilt and blur are nobody's: taken out with their priors.
-    held = np.linalg.solve(information[np.ix_(NUISANCE, NUISANCE)], information[np.ix_(NUISANCE, rest)])
-    less = information[np.ix_(rest, rest)] - information[np.ix_(rest, NUISANCE)] @ held
+    mixed = information[np.array(NUISANCE)[:, None], rest]
+    held = np.linalg.solve(information[_NUISANCE], mixed)
+    less = information[rest[:, None], rest] - mixed.T @ held
     toward = gradient[rest] - held.T @ gradient[NUISANCE]
     noise: FloatArray = np.asarray(np.linalg.inv(less[:4, :4]), dtype=np.float64)
     rpy = rpy_from_r(rotation)
@@ -273,19 +297,11 @@ def _pieces(
     z = np.append(pos, rpy[2]) + noise @ toward[:4]
     alone = less[4:, 4:] - less[4:, :4] @ by_offsets
     alone_toward = toward[4:] - by_offsets.T @ toward[:4]
-    share, rows = np.linalg.eigh(0.5 * (alone + alone.T))
-    known = share > LEAST_SHARE * max(float(share[-1]), 1.0)
-    ties = np.sqrt(share[known])[:, None] * rows[:, known].T
-    ties_z = ties @ offset + rows[:, known].T @ alone_toward / np.sqrt(share[known])
-    floor = np.tile(np.array(TIE_FLOOR) ** 2, size // STATES)
-    noise = noise.copy()
-    noise[np.arange(4), np.arange(4)] += np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2
+    noise[_DIAGONAL] += _FLOOR
     believed, covariance = belief
-    strain = []
-    for k in range(size // STATES):
-        part = slice(STATES * k, STATES * (k + 1))
-        off = offset[part] - believed[part]
-        strain.append(float(off @ np.linalg.solve(covariance[part, part] + np.eye(STATES) * BELIEF_FLOOR**2, off)))
+    off = (offset - believed).reshape(-1, STATES)
+    blocks = covariance.reshape(-1, STATES, len(off), STATES)[range(len(off)), :, range(len(off))]
+    held_by = np.linalg.solve(blocks + np.eye(STATES) * BELIEF_FLOOR**2, off[..., None])[..., 0]
     return SheetPose(
         pos_ned_m=pos,
         rpy_rad=rpy,
@@ -293,12 +309,15 @@ def _pieces(
         noise=noise,
         by_offsets=by_offsets,
         at=offset,
-        ties=ties,
-        ties_z=ties_z,
-        ties_noise=np.eye(len(ties)) + (ties * floor) @ ties.T,
-        strain=np.array(strain),
+        alone=(alone, alone_toward),
+        strain=(off * held_by).sum(axis=1),
         sigma_tilt_rad=float(np.sqrt(max(posterior[3, 3], posterior[4, 4]))),
         jacobian=jacobian,
         residual_px=residual.reshape(-1, 4, 2),
         rms_px=rms,
     )
+
+
+_NUISANCE = np.ix_(NUISANCE, NUISANCE)
+_DIAGONAL = np.arange(4), np.arange(4)
+_FLOOR = np.array([MIN_SIGMA_POS_M] * 3 + [MIN_SIGMA_YAW_RAD]) ** 2
