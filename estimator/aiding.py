@@ -110,7 +110,5 @@ class Aid:
 
 def _three(values: FloatArray) -> FloatArray:
     """First three components (3,), missing ones 0."""
-    result = np.zeros(3)
-    n = min(3, len(values))
-    result[:n] = values[:n]
-    return result
+    given = values.tolist()[:3]
+    return np.array(given + [0.0] * (3 - len(given)))

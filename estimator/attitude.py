@@ -17,7 +17,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import AhrsSample, ImuSample
 from estimator.gyro_bias import GyroBias
-from estimator.inertial import GRAVITY_M_S2, MAX_ACCEL_M_S2, MAX_RATE_RAD_S
+from estimator.inertial import GRAVITY_M_S2, MAX_ACCEL_M_S2, MAX_RATE_RAD_S, within
 from estimator.magnetic import FieldWatch
 from estimator.rotation import (
     IDENTITY,
@@ -57,6 +57,8 @@ MIN_HORIZONTAL = 0.05
 MIN_FORCE_M_S2 = 0.5 * GRAVITY_M_S2
 """A smaller mean of the specific force tells no vertical."""
 
+WATCH_EVERY_US = 35_000
+"""An AHRS is watched by samples at least so far apart, every fourth one at 100 Hz: five degrees need no more."""
 APART_RAD = math.radians(5.0)
 APART_US = 1_000_000
 """An AHRS whose tilt is so far from the filter's for so long disagrees with its own gyros and accelerometers."""
@@ -183,7 +185,7 @@ class AttitudeSource:
         self._raw = AttitudeFilter()
         self._watch = AttitudeFilter()
         self._last: ImuSample | None = None
-        self._watched_us = -1
+        self._watched_us = -WATCH_EVERY_US
         self._apart_since_us: int | None = None
         self.disagreements = 0
         """How often the AHRS's tilt left its own gyros' and accelerometers'."""
@@ -211,7 +213,7 @@ class AttitudeSource:
 
     def watch(self, sample: AhrsSample) -> None:
         """Compare a good sample's tilt with what its gyros and accelerometers say."""
-        if sample.t_us <= self._watched_us:
+        if sample.t_us < self._watched_us + WATCH_EVERY_US:
             return
         self._watched_us = sample.t_us
         own = self._watch.step(
@@ -233,8 +235,8 @@ def usable(rate_frd_rad_s: FloatArray, accel_frd_m_s2: FloatArray) -> bool:
     """Whether gyros and accelerometers read what they can read (comparisons with NaN are false)."""
     return (
         rate_frd_rad_s.shape == accel_frd_m_s2.shape == (3,)
-        and all(-MAX_RATE_RAD_S <= a <= MAX_RATE_RAD_S for a in rate_frd_rad_s.tolist())
-        and all(-MAX_ACCEL_M_S2 <= a <= MAX_ACCEL_M_S2 for a in accel_frd_m_s2.tolist())
+        and within(rate_frd_rad_s.tolist(), MAX_RATE_RAD_S)
+        and within(accel_frd_m_s2.tolist(), MAX_ACCEL_M_S2)
     )
 
 

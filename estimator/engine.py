@@ -81,10 +81,11 @@ COAST_AFTER_US = 300_000
 """Time without a fix or a velocity over ground after which the current is held."""
 TRACKED_US = 1_000_000
 """So recent a velocity over ground keeps dead reckoning going."""
-FIXES = PoseSample | MarkerSighting | ExternalPoseSample
-SCALARS = LaserSample | DepthSample | VelocitySample | MarkerSighting
-AIDING = FIXES | SCALARS
-"""Kinds of samples that give a pose, that give something else, and all of them."""
+INERTIAL = (AhrsSample, ImuSample)
+FIXES = (PoseSample, MarkerSighting, ExternalPoseSample)
+SCALARS = (LaserSample, DepthSample, VelocitySample, MarkerSighting)
+AIDING = (PoseSample, MarkerSighting, ExternalPoseSample, LaserSample, DepthSample, VelocitySample)
+"""Kinds of samples that make a node, that give a pose, that give something else, and all of the last two."""
 REDRIVEN_US = 800_000
 """A sensor that ceases to be believed has been wrong for up to so long."""
 DOUBT_US = 1_000_000
@@ -240,7 +241,7 @@ class Engine:
     # Samples in.
 
     def _take_in(self, samples: Sequence[Sample]) -> None:
-        inertial_samples = [s for s in samples if isinstance(s, AhrsSample | ImuSample)]
+        inertial_samples = [s for s in samples if isinstance(s, INERTIAL)]
         if len(inertial_samples) > 1:
             inertial_samples.sort(key=lambda s: s.t_us)
         for given in inertial_samples:
@@ -251,7 +252,7 @@ class Engine:
             newest_us = self._recent[-1].t_us if self._recent else -1
             if self._door.let_in(sample, self._now_us, newest_us):
                 self._ahrs_us = self._now_us
-                if own:
+                if own and self._options.watch_tilt:
                     self._attitude.watch(sample)
                 sample = self._mount.at_center(sample)
                 inertial = level(sample, self._trim.at(sample))

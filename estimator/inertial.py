@@ -193,6 +193,12 @@ def cross(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float]:
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
+def within(values: Sequence[float], most: float) -> bool:
+    """Whether three values are numbers of at most that size: a comparison with NaN is false."""
+    a, b, c = values
+    return -most <= a <= most and -most <= b <= most and -most <= c <= most
+
+
 class AhrsDoor:
     """Lets good AHRS samples in and counts the others."""
 
@@ -214,10 +220,10 @@ class AhrsDoor:
         tilt, speeds, forces = rpy.tolist(), rate.tolist(), accel.tolist()
         # Comparisons with NaN are false, so a NaN anywhere is malformed as well.
         if not (
-            all(-TURN <= a <= TURN for a in tilt)
+            within(tilt, TURN)
             and -0.25 * TURN <= tilt[1] <= 0.25 * TURN
-            and all(-MAX_RATE_RAD_S <= a <= MAX_RATE_RAD_S for a in speeds)
-            and all(-MAX_ACCEL_M_S2 <= a <= MAX_ACCEL_M_S2 for a in forces)
+            and within(speeds, MAX_RATE_RAD_S)
+            and within(forces, MAX_ACCEL_M_S2)
         ):
             return Verdict.MALFORMED
         if sample.t_us > now_us + FUTURE_TOLERANCE_US:

@@ -11,6 +11,7 @@ Roll and pitch are left out: the level frame stands for the body's planar axes. 
 """
 
 import math
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -135,8 +136,8 @@ def _push(model: Model4, thrust_n: Sequence[float]) -> tuple[float, float]:
     """Acceleration by the model's thrust in surge and sway [m/s^2]."""
     surge, sway = model.allocation[:2]
     return (
-        sum(a * f for a, f in zip(surge, thrust_n, strict=True)) / model.mass_kg[0],
-        sum(a * f for a, f in zip(sway, thrust_n, strict=True)) / model.mass_kg[1],
+        sum(map(operator.mul, surge, thrust_n)) / model.mass_kg[0],
+        sum(map(operator.mul, sway, thrust_n)) / model.mass_kg[1],
     )
 
 

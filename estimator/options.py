@@ -17,6 +17,8 @@ class EstimatorOptions:
     """Time without a fix after which the estimate is called dead reckoning."""
     invalid_after_s: float = 5.0
     """Time without a fix after which the estimate is called invalid, unless the velocity over ground is measured."""
+    watch_tilt: bool = True
+    """False: an AHRS's tilt is not held against its own gyros and accelerometers (the shadow: the flown one does)."""
     sigma_limit_m: float = 0.25
     """Standard deviation of the planar position beyond which the estimate is called invalid: nearly a body radius."""
 

@@ -135,7 +135,8 @@ def create_estimator(
         return flown
     from estimator.shadow import Shadowed
 
-    return Shadowed(flown, find_estimator(SHADOW_OF.get(name, "ekf")).make(replace(context, markers=None), Estimator))
+    unwatched = replace(context, markers=None, options=replace(context.options, watch_tilt=False))
+    return Shadowed(flown, find_estimator(SHADOW_OF.get(name, "ekf")).make(unwatched, Estimator))
 
 
 def find_estimator(name: str, asked_by: str | None = None) -> Plugin:

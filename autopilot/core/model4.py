@@ -48,7 +48,7 @@ def body_acceleration(model: Model4, nu: Sequence[Any], thrust_n: Sequence[Any],
     """Acceleration relative to the water (4): u', v', w' [m/s^2], r' [rad/s^2] from nu = (u_r, v_r, w_r, r)."""
     u, v, w, r = nu[0], nu[1], nu[2], nu[3]
     m11, m22, m33, m44 = model.mass_kg
-    forces = [sum(row[j] * thrust_n[j] for j in range(len(row)) if row[j] != 0.0) for row in model.allocation]
+    forces = [sum([a * thrust_n[j] for j, a in enumerate(row) if a != 0.0]) for row in model.allocation]
     drag = [
         model.linear_drag[i] * a + model.quadratic_drag[i] * ops.sqrt(a * a + ABS_SMOOTHING_M2_S2) * a
         for i, a in enumerate((u, v, w, r))
