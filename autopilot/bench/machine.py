@@ -5,6 +5,7 @@ most of this service is. It took 4.5 us on the machine and day on which the proj
 """
 
 import time
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,7 @@ def slowness() -> float:
     """CPU time of the yardstick over what it was then: 2 = half as fast. The best of a few rounds."""
     from filterpy.kalman import ExtendedKalmanFilter
 
-    kalman = ExtendedKalmanFilter(16, 3)
-    kalman.x = np.zeros(16)
+    kalman = _yardstick(ExtendedKalmanFilter)
     best_s = float("inf")
     for _ in range(ROUNDS):
         begin_s = time.process_time()
@@ -27,3 +27,32 @@ def slowness() -> float:
             kalman.predict()
         best_s = min(best_s, (time.process_time() - begin_s) / CALLS)
     return 1e6 * best_s / REFERENCE_US
+
+
+class Pace:
+    """The yardstick laid beside the work, a little at a time: what others do on a shared core slows both alike."""
+
+    def __init__(self) -> None:
+        from filterpy.kalman import ExtendedKalmanFilter
+
+        self._kalman = _yardstick(ExtendedKalmanFilter)
+        self._spent_s, self._calls = 0.0, 0
+
+    def look(self, calls: int = 20) -> None:
+        """Some calls more."""
+        begin_s = time.thread_time()
+        for _ in range(calls):
+            self._kalman.predict()
+        self._spent_s += time.thread_time() - begin_s
+        self._calls += calls
+
+    @property
+    def slowness(self) -> float:
+        """Of all looks so far; at least one."""
+        return 1e6 * self._spent_s / self._calls / REFERENCE_US
+
+
+def _yardstick(kind: type) -> Any:
+    kalman = kind(16, 3)
+    kalman.x = np.zeros(16)
+    return kalman
