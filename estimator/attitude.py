@@ -189,6 +189,8 @@ class AttitudeSource:
         self._apart_since_us: int | None = None
         self.disagreements = 0
         """How often the AHRS's tilt left its own gyros' and accelerometers'."""
+        self.field_disturbances = 0
+        """How often the magnetometer of a device without an attitude of its own ceased to be believed."""
         self.disagrees = False
 
     def attitude(self, sample: ImuSample) -> AhrsSample:
@@ -202,7 +204,9 @@ class AttitudeSource:
             magnet = sample.mag_frd
             if magnet is not None and not (magnet.shape == (3,) and bool(np.isfinite(magnet).all())):
                 sample = replace(sample, mag_frd=None)
+            disturbed = self._raw.field_disturbed
             rpy_rad = self._raw.step(sample)
+            self.field_disturbances += self._raw.field_disturbed and not disturbed
             self._last = sample
         return AhrsSample(
             t_us=sample.t_us,

@@ -199,6 +199,7 @@ class Engine:
         result = dict(self._counts)
         result.update({f"ahrs.{verdict.value}": count for verdict, count in self._door.counts.items()})
         result["ahrs.tilt_disagreements"] = self._attitude.disagreements
+        result["ahrs.field_disturbances"] = self._attitude.field_disturbances
         result["doubt.accel"], result["doubt.gyro"] = self._imu.accel.count, self._imu.gyro.count
         result["doubt.jumps"] = self._evidence.jumps
         result["doubt.compass_jumps"] = self._imu.gyro.jumps

@@ -14,7 +14,7 @@ from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ProgressState
 from autopilot.log.description import FenceShape, Obstacle, Point2, RunDescription, Waypoint
-from autopilot.log.packing.estimate import COUNTER_NAMES
+from autopilot.log.packing.estimate import COUNTER_NAMES, LAST_NAMES
 from autopilot.log.reader import Log, Table
 from autopilot.log.schemas import layout
 from autopilot.log.topics import type_of
@@ -196,10 +196,11 @@ def last_counts(log: Log) -> dict[str, int]:
     """What was counted by the end of the log, by name; empty if it has no counters or those of another version."""
     table = log.get("/nav/counters")
     fields = (layout("autopilot_msgs/NavCounters").dtype.names or ())[1:]
-    if table is None or not len(table) or not set(fields) <= set(table.dtype.names or ()):
+    has = () if table is None else table.dtype.names or ()
+    if table is None or not len(table) or not set(fields[:-1]) <= set(has):
         return {}
-    values = np.concatenate([np.ravel(table[field][-1]) for field in fields]).tolist()
-    return {name: int(count) for name, count in zip((*COUNTER_NAMES, "faults", "other"), values, strict=True) if name}
+    values = np.concatenate([np.ravel(table[field][-1]) for field in fields if field in has]).tolist()
+    return {name: int(count) for name, count in zip((*COUNTER_NAMES, *LAST_NAMES), values, strict=False) if name}
 
 
 def _track(log: Log, topic: str) -> Track | None:

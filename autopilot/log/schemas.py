@@ -85,6 +85,7 @@ uint32[4] devices  # ticks on which it failed: 0 sensors, 1 camera, 2 thrusters
 uint32 power_malformed
 uint32 faults  # inside the service
 uint32 other  # counted, and not one of these
+uint32 ahrs_field_disturbances  # how often the magnetometer ceased to be believed
 """,
     "autopilot_msgs/ShadowStatus": """
 std_msgs/Header header

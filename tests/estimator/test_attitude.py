@@ -15,7 +15,10 @@ from autopilot.bench.attitude_fixed import FixedGainFilter, FixedGains
 from autopilot.bench.attitude_motions import FAMILIES, record
 from autopilot.bench.attitude_recordings import load_trials
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
+from autopilot.core.messages import NavCounters
 from autopilot.core.samples import AhrsSample, ImuSample, Sample
+from autopilot.log.packing.estimate import nav_counters
+from autopilot.log.schemas import layout
 from estimator.attitude import APART_RAD, AttitudeFilter, AttitudeSource
 from estimator.gyro_bias import MAX_RAD_S
 from estimator.protocol import Estimator
@@ -268,6 +271,23 @@ def test_bad_raw_samples_are_counted(make: Make) -> None:
     assert counts["ahrs.malformed"] == 1
     assert counts["ahrs.stuck"] >= 10
     assert counts["ahrs.old"] + counts["clock.backwards"] >= 1
+
+
+def test_a_magnet_beside_raw_sensors_reaches_the_counters_and_the_log(make: Make) -> None:
+    estimator = make()
+    for n in range(1, 2200):
+        sample = still(10_000 * n, np.array([0.0, 0.0, 0.5]), 1e-4 * (n % 3))
+        if 1200 < n < 1500 or n > 1900:
+            assert sample.mag_frd is not None
+            sample = magnet(sample, (sample.mag_frd + np.array([30.0, 0.0, -20.0])).tolist())
+        estimator.step(sample.t_us + 3000, (sample,), np.zeros(4))
+    counts = estimator.counters()
+    assert counts["ahrs.field_disturbances"] == 2
+    packed = nav_counters(0, NavCounters(t_us=22_000_000, counts=counts))
+    kind = layout("autopilot_msgs/NavCounters").dtype
+    (row,) = np.frombuffer(packed[len(packed) - kind.itemsize :], kind)
+    assert row["ahrs_field_disturbances"] == 2
+    assert row["other"] == 0
 
 
 def test_an_ahrs_whose_tilt_leaves_its_own_sensors_is_noticed() -> None:

@@ -67,8 +67,11 @@ def _names() -> tuple[str, ...]:
 
 
 COUNTER_NAMES = _names()
-"""Of the values of NavCounters one by one, but for the last two: faults, and whatever has no place of its own."""
-_PLACED = frozenset(COUNTER_NAMES)
+"""Of the values of NavCounters one by one, but for those of :data:`LAST_NAMES`."""
+FIELD_DISTURBANCES = "ahrs.field_disturbances"
+LAST_NAMES = ("faults", "other", FIELD_DISTURBANCES)
+"""Behind them: all faults together, whatever has no place of its own, and what logs have not always had."""
+_PLACED = frozenset((*COUNTER_NAMES, FIELD_DISTURBANCES))
 
 
 def nav_covariance(stamp_ns: int, nav: NavState) -> bytes:
@@ -94,6 +97,7 @@ def nav_counters(stamp_ns: int, value: NavCounters) -> bytes:
     counts.append(sum(count for name, count in value.counts.items() if name.startswith("faults.")))
     placed = sum(count for name, count in value.counts.items() if name in _PLACED)
     counts.append(sum(value.counts.values()) - placed - counts[-1])
+    counts.append(value.counts.get(FIELD_DISTURBANCES, 0))
     return _nav_counters(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *(clip(count, UINT32) for count in counts))
 
 
