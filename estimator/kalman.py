@@ -1,5 +1,6 @@
 """The extended Kalman filter: filterpy's, with our motion, our gate and pure functions around it."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,13 +26,17 @@ from estimator.states import (
     FilterState,
     SheetStates,
 )
-from estimator.tuning import process_noise
+from estimator.tuning import TILTED_GYRO_NOISE, process_noise
 
 VERTICAL_CURRENT_VARIANCE = 0.02**2
 """The vertical current is taken as zero unless it is a state; this is how wrong that may be [m^2/s^2]."""
 
 MAX_SHEETS = 96
 """Sheets held at a time: more than a lap sees of sheets of half a metre. Beyond, the first ones seen are forgotten."""
+
+LEANING_M_S2 = 0.5
+"""An offset of the accelerometer beyond this, forward and right together, is gravity that leaks in: the AHRS's tilt is
+wrong by 3 degrees and more, and with it the axis of turning."""
 
 RELOCATED_SIGMA_VEL_M_S = 0.1
 """Of the velocity after a reset, which is the mean over the last fixes."""
@@ -81,6 +86,8 @@ class KalmanCore:
         kf, sheets = self._kf, state.sheets
         kf.x, kf.P = state.x, state.p
         np.multiply(self._noise[step.mode], step.dt_s, out=kf.Q)
+        if math.hypot(state.x.item(8), state.x.item(9)) > LEANING_M_S2:
+            kf.Q[YAW, YAW] += TILTED_GYRO_NOISE**2 * step.dt_s
         kf.predict(step)
         if sheets is not None:  # they lie where they lie
             sheets = sheets._replace(cross=kf.F.dot(sheets.cross))

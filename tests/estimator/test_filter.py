@@ -14,7 +14,7 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import VelocityLock
 from autopilot.core.vehicle import load_vehicle
 from estimator.inertial import Inertial, Mode, Step
-from estimator.kalman import KalmanCore
+from estimator.kalman import LEANING_M_S2, KalmanCore
 from estimator.measure_depth import Depth
 from estimator.measure_heading import heading_of
 from estimator.measure_laser import LaserRange
@@ -24,7 +24,7 @@ from estimator.measure_velocity import BodyVelocity
 from estimator.measurement import CHI2_999, Measurement, Moment
 from estimator.motion import fill_jacobian, moved
 from estimator.states import NX, YAW, FilterState
-from estimator.tuning import process_noise
+from estimator.tuning import TILTED_GYRO_NOISE, process_noise
 
 VEHICLE = load_vehicle("lbv150")
 unit = st.floats(-1.0, 1.0, allow_subnormal=False)
@@ -173,9 +173,26 @@ def test_prediction_is_the_textbooks(x: FloatArray, dt: float, ax: float, r: flo
     step = Step(dt, r, (ax, -ax, 0.3), Mode.NOMINAL)
     f = np.eye(NX)
     fill_jacobian(f, x, step)
+    noise = process_noise(Mode.NOMINAL)
+    if math.hypot(x[8], x[9]) > LEANING_M_S2:
+        noise[YAW, YAW] += TILTED_GYRO_NOISE**2
     after = KalmanCore().predict(FilterState(x, p), step)
     np.testing.assert_allclose(after.x, moved(x, step), atol=1e-12)
-    np.testing.assert_allclose(after.p, f @ p @ f.T + dt * process_noise(Mode.NOMINAL), atol=1e-12)
+    np.testing.assert_allclose(after.p, f @ p @ f.T + dt * noise, atol=1e-12)
+
+
+def test_an_accelerometer_believed_with_a_tilts_offset_leaves_the_heading_unsure() -> None:
+    """Pitching at 0.1 rad/s with 0.3 rad of false roll turns the heading by 0.03 rad/s that is not there."""
+    sure, leaning = np.zeros(NX), np.zeros(NX)
+    leaning[9] = 0.3 * 9.81
+    grown = []
+    for x in (sure, leaning):
+        state = FilterState(x, np.zeros((NX, NX)))
+        for _ in range(100):
+            state = KalmanCore().predict(state, Step(0.01, 0.0, (0.0, float(x[9]), 0.0), Mode.TRIMMED))
+        grown.append(math.sqrt(state.p[YAW, YAW]))
+    assert grown[0] < math.radians(0.1)
+    assert grown[1] > math.radians(0.5)
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-3.1, 3.1))
