@@ -34,8 +34,7 @@
 """
 
 import math
-import tomllib
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -43,6 +42,7 @@ import numpy as np
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.geodesy import Origin, geodetic_from_ned
 from autopilot.core.plan import PlanItem
+from autopilot.core.toml_table import Table, convert, parse_toml
 from mission.items import Command, Frame
 from mission.plan_model import PlanFile, make_item
 
@@ -51,11 +51,7 @@ _GROUND_SPEED = 1.0
 _NO_CHANGE = -1.0
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A TOML table: unknown keys are errors."""
-
-
-class OriginTable(_Table, frozen=True, kw_only=True):
+class OriginTable(Table, frozen=True, kw_only=True):
     """Where local zero lies."""
 
     lat_deg: float
@@ -63,7 +59,7 @@ class OriginTable(_Table, frozen=True, kw_only=True):
     alt_m: float = 0.0
 
 
-class WaypointTable(_Table, frozen=True, kw_only=True):
+class WaypointTable(Table, frozen=True, kw_only=True):
     """One waypoint."""
 
     x_m: float
@@ -75,27 +71,27 @@ class WaypointTable(_Table, frozen=True, kw_only=True):
     speed_m_s: float | None = None
 
 
-class RepeatTable(_Table, frozen=True, kw_only=True):
+class RepeatTable(Table, frozen=True, kw_only=True):
     """Which waypoints are visited how often."""
 
     first_waypoint: Annotated[int, msgspec.Meta(ge=0)] = 0
     laps: Annotated[int, msgspec.Meta(ge=1, le=65535)]
 
 
-class EndTable(_Table, frozen=True, kw_only=True):
+class EndTable(Table, frozen=True, kw_only=True):
     """What follows the last waypoint."""
 
     action: Literal["hold", "return", "surface"] = "hold"
 
 
-class PolygonTable(_Table, frozen=True, kw_only=True):
+class PolygonTable(Table, frozen=True, kw_only=True):
     """A prism."""
 
     points_m: list[tuple[float, float]]
     inclusion: bool = False
 
 
-class CircleTable(_Table, frozen=True, kw_only=True):
+class CircleTable(Table, frozen=True, kw_only=True):
     """A cylinder."""
 
     x_m: float
@@ -104,56 +100,39 @@ class CircleTable(_Table, frozen=True, kw_only=True):
     inclusion: bool = False
 
 
-class FenceTable(_Table, frozen=True, kw_only=True):
+class FenceTable(Table, frozen=True, kw_only=True):
     """All shapes."""
 
-    polygon: list[PolygonTable] = []
-    circle: list[CircleTable] = []
+    polygon: list[PolygonTable] = msgspec.field(default_factory=list)
+    circle: list[CircleTable] = msgspec.field(default_factory=list)
 
 
-class PlaceTable(_Table, frozen=True, kw_only=True):
+class PlaceTable(Table, frozen=True, kw_only=True):
     """A point at the surface."""
 
     x_m: float
     y_m: float
 
 
-class LocalPlan(_Table, frozen=True, kw_only=True):
+class LocalPlan(Table, frozen=True, kw_only=True):
     """The whole file."""
 
     description: str = ""
     origin: OriginTable
-    waypoint: list[WaypointTable] = []
+    waypoint: list[WaypointTable] = msgspec.field(default_factory=list)
     repeat: RepeatTable | None = None
     end: EndTable = EndTable()
     fence: FenceTable = FenceTable()
-    rally: list[PlaceTable] = []
+    rally: list[PlaceTable] = msgspec.field(default_factory=list)
 
 
 def read_local_plan(text: str, name: str) -> PlanFile:
     """The plan in a local-metres TOML text. PlanError names file, key and remedy."""
     try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise PlanError(f"{name}: is not valid TOML: {error}") from error
-    try:
-        local = msgspec.convert(tables, LocalPlan)
-    except msgspec.ValidationError as error:
-        raise PlanError(f"{name}: {error}; correct or remove that key") from error
-    _check_finite(tables, name, "")
+        local: LocalPlan = convert(parse_toml(text, name), LocalPlan, name)
+    except ConfigError as error:
+        raise PlanError(str(error)) from error
     return plan_of_local(local, name)
-
-
-def _check_finite(value: Any, name: str, path: str) -> None:
-    """TOML knows nan and inf; a plan does not."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            _check_finite(inner, name, f"{path}.{key}" if path else key)
-    elif isinstance(value, list):
-        for index, inner in enumerate(value):
-            _check_finite(inner, name, f"{path}[{index}]")
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise PlanError(f"{name}: {path} is {value}; give a number")
 
 
 def plan_of_local(local: LocalPlan, name: str = "plan") -> PlanFile:

@@ -4,12 +4,12 @@ from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
-from autopilot.core.toml_table import NonNegative, Positive, Vec3
+from autopilot.core.toml_table import NonNegative, Positive, Table, Vec3
 
 Angle = Annotated[float, msgspec.Meta(ge=-3.15, le=3.15)]
 
 
-class _Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _Fault(Table, frozen=True, kw_only=True):
     """When it holds."""
 
     at_s: NonNegative

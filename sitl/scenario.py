@@ -12,7 +12,8 @@ import msgspec
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
-from autopilot.core.vehicle import convert, load_vehicle, read_toml
+from autopilot.core.toml_table import convert, read_toml
+from autopilot.core.vehicle import load_vehicle
 from sitl.mismatch import mismatched
 from sitl.scenario_tables import (
     Accept,

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
-from autopilot.core.toml_table import NonNegative, Positive, Vec2, Vec3
+from autopilot.core.toml_table import NonNegative, Positive, Table, Vec2, Vec3
 from sitl.fault_tables import SensorFault
 from sitl.sensor_tables import CameraLook, Probability, Sensors
 
@@ -14,11 +14,7 @@ Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 Seed = Annotated[int, msgspec.Meta(ge=0)]
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A TOML table: immutable, unknown keys are errors."""
-
-
-class Header(_Table, frozen=True, kw_only=True):
+class Header(Table, frozen=True, kw_only=True):
     """``[scenario]``"""
 
     name: str
@@ -30,7 +26,7 @@ class Header(_Table, frozen=True, kw_only=True):
     """Plan file that ``sitl --start`` flies, relative to the scenario file (:func:`plan_path`)."""
 
 
-class Origin(_Table, frozen=True, kw_only=True):
+class Origin(Table, frozen=True, kw_only=True):
     """``[origin]``: where the local frame lies on the earth. Default: the campus of NTU Athens, the paper's authors."""
 
     lat_deg: Latitude = 37.9755
@@ -38,7 +34,7 @@ class Origin(_Table, frozen=True, kw_only=True):
     alt_m: float = 0.0
 
 
-class Tank(_Table, frozen=True, kw_only=True):
+class Tank(Table, frozen=True, kw_only=True):
     """``[tank]``: vertical walls and a flat floor. Absent = open water."""
 
     polygon_m: Annotated[list[Vec2], msgspec.Meta(min_length=3)]
@@ -71,7 +67,7 @@ def _cross(a: Vec2, b: Vec2, c: Vec2, d: Vec2) -> bool:
     return _side(a, b, c) * _side(a, b, d) < 0.0 and _side(c, d, a) * _side(c, d, b) < 0.0
 
 
-class CylinderObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="cylinder"):
+class CylinderObstacle(Table, frozen=True, kw_only=True, tag_field="kind", tag="cylinder"):
     """A vertical cylinder from the floor to above the surface."""
 
     center_m: Vec2
@@ -80,14 +76,14 @@ class CylinderObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag=
     """The obstacle sensor reports it as it comes into range; whoever drew the fence did not know of it."""
 
 
-class SphereObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="sphere"):
+class SphereObstacle(Table, frozen=True, kw_only=True, tag_field="kind", tag="sphere"):
     """A sphere."""
 
     center_m: Vec3
     radius_m: Positive
 
 
-class PrismObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="prism"):
+class PrismObstacle(Table, frozen=True, kw_only=True, tag_field="kind", tag="prism"):
     """A vertical prism from the floor to above the surface: a box, an inner wall, a quay."""
 
     polygon_m: Annotated[list[Vec2], msgspec.Meta(min_length=3)]
@@ -97,7 +93,7 @@ class PrismObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="pr
         _check_outline(self.polygon_m)
 
 
-class MovingObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="moving"):
+class MovingObstacle(Table, frozen=True, kw_only=True, tag_field="kind", tag="moving"):
     """A vertical cylinder through the whole depth that moves along a polyline; the obstacle sensor reports it."""
 
     path_m: Annotated[list[Vec2], msgspec.Meta(min_length=2)]
@@ -119,11 +115,11 @@ class MovingObstacle(_Table, frozen=True, kw_only=True, tag_field="kind", tag="m
 Obstacle: TypeAlias = CylinderObstacle | SphereObstacle | PrismObstacle | MovingObstacle
 
 
-class NoCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="none"):
+class NoCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="none"):
     """Still water."""
 
 
-class UniformCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="uniform"):
+class UniformCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="uniform"):
     """The same everywhere; optionally with a tide: velocity + tide * sin(2 pi t / period)."""
 
     velocity_m_s: Vec3
@@ -132,7 +128,7 @@ class UniformCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="u
     """Default: the M2 tide, 12.42 h."""
 
 
-class JetCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="jet"):
+class JetCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="jet"):
     """Jet along +x in the middle of a rectangular tank, return flow along its walls."""
 
     speed_m_s: float = 0.25
@@ -143,7 +139,7 @@ class JetCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="jet")
     """The whole field turned about its centre, clockwise seen from above; then it does not follow the walls."""
 
 
-class VortexCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="vortex"):
+class VortexCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="vortex"):
     """Lamb-Oseen vortex."""
 
     center_m: Vec2 = (0.0, 0.0)
@@ -152,7 +148,7 @@ class VortexCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="vo
     core_m: Positive
 
 
-class ShearCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="shear"):
+class ShearCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="shear"):
     """Linear shear: along x, growing with y."""
 
     speed_m_s: float = 0.0
@@ -161,7 +157,7 @@ class ShearCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="she
     center_y_m: float = 0.0
 
 
-class BickleyCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="bickley"):
+class BickleyCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="bickley"):
     """Bickley jet along x: speed * sech^2((y - center_y) / width)."""
 
     speed_m_s: float
@@ -169,14 +165,14 @@ class BickleyCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="b
     center_y_m: float = 0.0
 
 
-class GyreCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="gyre"):
+class GyreCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="gyre"):
     """Taylor-Green gyres of size cell_m."""
 
     speed_m_s: float
     cell_m: Positive
 
 
-class GridCurrent(_Table, frozen=True, kw_only=True, tag_field="kind", tag="grid"):
+class GridCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="grid"):
     """Gridded, linear between the nodes in space and time (:mod:`sitl.grid_current`)."""
 
     file: str
@@ -188,14 +184,14 @@ Current: TypeAlias = (
 )
 
 
-class VehicleStart(_Table, frozen=True, kw_only=True):
+class VehicleStart(Table, frozen=True, kw_only=True):
     """``[vehicle]``"""
 
     model: str = "lbv150"
     """Name of a shipped vehicle or path of a vehicle file (beside the scenario file, else from the current folder)."""
     start_m: Vec3
     start_yaw_rad: float = 0.0
-    mismatch: dict[str, NonNegative] = {}
+    mismatch: dict[str, NonNegative] = msgspec.field(default_factory=dict)
     """Factors that make the plant differ from the vehicle file (sitl.mismatch.MISMATCH_KEYS)."""
     tether_entry_m: Vec3 | None = None
     """Where the tether enters the water; absent = no tether."""
@@ -205,7 +201,7 @@ class VehicleStart(_Table, frozen=True, kw_only=True):
     """From the service's command to the amplifiers (tether electronics)."""
 
 
-class LaidByHand(_Table, frozen=True, kw_only=True):
+class LaidByHand(Table, frozen=True, kw_only=True):
     """``[markers.laid]``: the floor is of sheets that somebody laid by ruler and tape; the vehicle has the plan."""
 
     sheet_m: Positive = 0.6
@@ -226,7 +222,7 @@ class LaidByHand(_Table, frozen=True, kw_only=True):
     """None = the scenario's."""
 
 
-class Markers(_Table, frozen=True, kw_only=True):
+class Markers(Table, frozen=True, kw_only=True):
     """``[markers]``: the board on the floor. Default: two markers in view at any yaw from 0.45 m above the floor."""
 
     file: str | None = None
@@ -247,7 +243,7 @@ class Markers(_Table, frozen=True, kw_only=True):
             raise ValueError(f"`size_m` = {self.size_m:g} must be smaller than `pitch_m` = {self.pitch_m:g}")
 
 
-class Controller(_Table, frozen=True, kw_only=True):
+class Controller(Table, frozen=True, kw_only=True):
     """``[controller]``: what the vehicle is told."""
 
     currents: Literal["estimate", "map", "none", "uniform"] = "estimate"
@@ -267,7 +263,7 @@ class Controller(_Table, frozen=True, kw_only=True):
             raise ValueError(f'`map` needs `currents` = "map", not "{self.currents}"')
 
 
-class Plugins(_Table, frozen=True, kw_only=True):
+class Plugins(Table, frozen=True, kw_only=True):
     """``[plugins]``: who flies, who estimates and what moves. A shipped name, one of an installed package, or
     "package:Class" (docs/extend.md)."""
 
@@ -276,7 +272,7 @@ class Plugins(_Table, frozen=True, kw_only=True):
     plant: str = "rigid-body"
 
 
-class ThrusterLoss(_Table, frozen=True, kw_only=True, tag_field="kind", tag="thruster_loss"):
+class ThrusterLoss(Table, frozen=True, kw_only=True, tag_field="kind", tag="thruster_loss"):
     """A thruster gives only ``1 - loss`` of its thrust."""
 
     at_s: NonNegative
@@ -285,14 +281,14 @@ class ThrusterLoss(_Table, frozen=True, kw_only=True, tag_field="kind", tag="thr
     loss: Probability = 1.0
 
 
-class CameraBlackout(_Table, frozen=True, kw_only=True, tag_field="kind", tag="camera_blackout"):
+class CameraBlackout(Table, frozen=True, kw_only=True, tag_field="kind", tag="camera_blackout"):
     """Pictures (and the poses and ranges made of them) stop."""
 
     at_s: NonNegative
     duration_s: Positive
 
 
-class CameraPicture(_Table, frozen=True, kw_only=True, tag_field="kind", tag="camera_picture"):
+class CameraPicture(Table, frozen=True, kw_only=True, tag_field="kind", tag="camera_picture"):
     """Pictures come in time and show nothing of use."""
 
     at_s: NonNegative
@@ -301,14 +297,14 @@ class CameraPicture(_Table, frozen=True, kw_only=True, tag_field="kind", tag="ca
     """Lens covered, over-exposed, fogged, or the same picture again and again."""
 
 
-class AhrsFreeze(_Table, frozen=True, kw_only=True, tag_field="kind", tag="ahrs_freeze"):
+class AhrsFreeze(Table, frozen=True, kw_only=True, tag_field="kind", tag="ahrs_freeze"):
     """The AHRS repeats its last values in well-formed frames."""
 
     at_s: NonNegative
     duration_s: Positive
 
 
-class SensorSilence(_Table, frozen=True, kw_only=True, tag_field="kind", tag="sensor_silence"):
+class SensorSilence(Table, frozen=True, kw_only=True, tag_field="kind", tag="sensor_silence"):
     """A pressure sensor or Doppler log says nothing."""
 
     at_s: NonNegative
@@ -319,7 +315,7 @@ class SensorSilence(_Table, frozen=True, kw_only=True, tag_field="kind", tag="se
 Fault: TypeAlias = ThrusterLoss | CameraBlackout | CameraPicture | AhrsFreeze | SensorSilence | SensorFault
 
 
-class Accept(_Table, frozen=True, kw_only=True):
+class Accept(Table, frozen=True, kw_only=True):
     """``[accept]``: the bounds that a run is judged by, on the plant's truth. Defaults: the paper's, section IV."""
 
     cylinder_clearance_m: NonNegative = 0.46
@@ -346,7 +342,7 @@ class Accept(_Table, frozen=True, kw_only=True):
             )
 
 
-class Spread(_Table, frozen=True, kw_only=True):
+class Spread(Table, frozen=True, kw_only=True):
     """One entry of ``[spread]``: what a campaign draws for a key of the scenario, evenly distributed."""
 
     low: float | None = None
@@ -364,13 +360,13 @@ class Spread(_Table, frozen=True, kw_only=True):
             raise ValueError(f"`high` = {self.high:g} is below `low` = {self.low:g}")
 
 
-class Scenario(_Table, frozen=True, kw_only=True):
+class Scenario(Table, frozen=True, kw_only=True):
     """One scenario file."""
 
     scenario: Header
     origin: Origin = Origin()
     tank: Tank | None = None
-    obstacle: list[Obstacle] = []
+    obstacle: list[Obstacle] = msgspec.field(default_factory=list)
     current: Current = NoCurrent()
     vehicle: VehicleStart
     sensors: Sensors = Sensors()
@@ -378,9 +374,9 @@ class Scenario(_Table, frozen=True, kw_only=True):
     markers: Markers = Markers()
     controller: Controller = Controller()
     plugins: Plugins = Plugins()
-    fault: list[Fault] = []
-    params: dict[str, float] = {}
+    fault: list[Fault] = msgspec.field(default_factory=list)
+    params: dict[str, float] = msgspec.field(default_factory=dict)
     """Parameters of the vehicle that this scenario is flown with (``[params]``); saved ones and ``--param`` win."""
     accept: Accept = Accept()
-    spread: dict[str, Spread] = {}
+    spread: dict[str, Spread] = msgspec.field(default_factory=dict)
     """Key of this file ("vehicle.mismatch.drag", "fault[0].at_s") -> what a campaign draws for it."""

@@ -7,17 +7,13 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from autopilot.core.toml_table import NonNegative, Positive, Vec2, Vec3
+from autopilot.core.toml_table import NonNegative, Positive, Table, Vec2, Vec3
 from autopilot.core.vehicle import Port
 
 Probability = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A TOML table: immutable, unknown keys are errors."""
-
-
-class AhrsSensor(_Table, frozen=True, kw_only=True):
+class AhrsSensor(Table, frozen=True, kw_only=True):
     """``[sensors.ahrs]``. Defaults: an attitude reference of the SBG IG-500 class in a steel tank, all assumed."""
 
     attitude: bool = True
@@ -55,7 +51,7 @@ class AhrsSensor(_Table, frozen=True, kw_only=True):
     """Per frame, one byte damaged."""
 
 
-class Outages(_Table, frozen=True, kw_only=True):
+class Outages(Table, frozen=True, kw_only=True):
     """Gaps in a sensor's output, beginning at random."""
 
     per_minute: NonNegative = 0.0
@@ -67,7 +63,7 @@ class Outages(_Table, frozen=True, kw_only=True):
             raise ValueError(f"`max_s` = {self.max_s:g} is below `min_s` = {self.min_s:g}")
 
 
-class CameraSensor(_Table, frozen=True, kw_only=True):
+class CameraSensor(Table, frozen=True, kw_only=True):
     """``[sensors.camera]``: when pictures come. How they look is ``[camera]``."""
 
     rate_hz: Positive | None = None
@@ -82,7 +78,7 @@ class CameraSensor(_Table, frozen=True, kw_only=True):
     outages: Outages = Outages()
 
 
-class PoseSensor(_Table, frozen=True, kw_only=True):
+class PoseSensor(Table, frozen=True, kw_only=True):
     """``[sensors.pose]``: stands for camera and marker processing in fast studies."""
 
     rate_hz: Positive | None = None
@@ -102,7 +98,7 @@ class PoseSensor(_Table, frozen=True, kw_only=True):
     outages: Outages = Outages()
 
 
-class LaserSensor(_Table, frozen=True, kw_only=True):
+class LaserSensor(Table, frozen=True, kw_only=True):
     """``[sensors.laser]``: the dot in the picture, or a range beside the pose sensor."""
 
     enabled: bool = True
@@ -116,7 +112,7 @@ class LaserSensor(_Table, frozen=True, kw_only=True):
     outlier_m: NonNegative = 0.3
 
 
-class ObstacleSensor(_Table, frozen=True, kw_only=True):
+class ObstacleSensor(Table, frozen=True, kw_only=True):
     """``[sensors.obstacles]``: reports moving obstacles, and standing ones that are a surprise, as tracks."""
 
     range_m: NonNegative = 1.0
@@ -129,7 +125,7 @@ class ObstacleSensor(_Table, frozen=True, kw_only=True):
     latency_s: NonNegative = 0.1
 
 
-class DepthSensor(_Table, frozen=True, kw_only=True):
+class DepthSensor(Table, frozen=True, kw_only=True):
     """``[sensors.depth]``: a pressure sensor; without the table there is none."""
 
     rate_hz: Positive | None = None
@@ -149,7 +145,7 @@ class DepthSensor(_Table, frozen=True, kw_only=True):
     outages: Outages = Outages()
 
 
-class DvlSensor(_Table, frozen=True, kw_only=True):
+class DvlSensor(Table, frozen=True, kw_only=True):
     """``[sensors.dvl]``: a Doppler velocity log; without the table there is none."""
 
     lock: Literal["bottom", "water"] = "bottom"
@@ -174,7 +170,7 @@ class DvlSensor(_Table, frozen=True, kw_only=True):
     outages: Outages = Outages()
 
 
-class Sensors(_Table, frozen=True, kw_only=True):
+class Sensors(Table, frozen=True, kw_only=True):
     """``[sensors]``"""
 
     position: Literal["camera", "pose"] = "camera"
@@ -188,7 +184,7 @@ class Sensors(_Table, frozen=True, kw_only=True):
     dvl: DvlSensor | None = None
 
 
-class CameraLook(_Table, frozen=True, kw_only=True):
+class CameraLook(Table, frozen=True, kw_only=True):
     """``[camera]``: how pictures look. Defaults: a lit tank with clear water."""
 
     focal_factor: Positive = 1.0

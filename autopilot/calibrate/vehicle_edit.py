@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TypeAlias
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.vehicle import Vehicle, convert, vehicle_names
+from autopilot.core.toml_table import convert
+from autopilot.core.vehicle import Vehicle, vehicle_names
 
 Value: TypeAlias = float | int | str | Sequence[float]
 Changes: TypeAlias = Mapping[str, Value]

@@ -20,8 +20,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.map_errors import PRINT_SIGMA_M, SHEET_SIGMA_M, Laid, map_errors
 from autopilot.core.markers import CORNER_SIGNS, ID_SPAN, MarkerMap
-from autopilot.core.toml_table import Vec3
-from autopilot.core.vehicle import convert, read_toml
+from autopilot.core.toml_table import Table, Vec3, convert, read_toml
 
 AMBIGUITY_M = 0.9
 """Markers of one id must lie this far apart: the estimator takes the nearest within half of it."""
@@ -41,11 +40,7 @@ NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=MAX_SIZE_M)]
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A TOML table: immutable, unknown keys are errors."""
-
-
-class Defaults(_Table, frozen=True, kw_only=True):
+class Defaults(Table, frozen=True, kw_only=True):
     """``[defaults]``: for markers and boards that do not say."""
 
     dictionary: str | None = None
@@ -58,7 +53,7 @@ class Defaults(_Table, frozen=True, kw_only=True):
     """Of a marker's place on its sheet."""
 
 
-class Frame(_Table, frozen=True, kw_only=True):
+class Frame(Table, frozen=True, kw_only=True):
     """``[frame]``: standard deviations of the whole map against the frame that it was laid in."""
 
     sigma_m: NonNegative = 0.0
@@ -67,7 +62,7 @@ class Frame(_Table, frozen=True, kw_only=True):
     sigma_rad: NonNegative = 0.0
 
 
-class Marker(_Table, frozen=True, kw_only=True):
+class Marker(Table, frozen=True, kw_only=True):
     """``[[marker]]``"""
 
     id: Index
@@ -91,7 +86,7 @@ class Marker(_Table, frozen=True, kw_only=True):
             raise ValueError("give either `yaw_rad` or `rpy_rad`")
 
 
-class Board(_Table, frozen=True, kw_only=True):
+class Board(Table, frozen=True, kw_only=True):
     """``[[board]]``: a grid; its first marker is at the top left, the following ones to the right, row by row."""
 
     rows: Count
@@ -122,14 +117,14 @@ class Board(_Table, frozen=True, kw_only=True):
             raise ValueError(f"`ids` has {len(self.ids)} entries; {self.rows} x {self.columns} markers need one each")
 
 
-class MarkerFile(_Table, frozen=True, kw_only=True):
+class MarkerFile(Table, frozen=True, kw_only=True):
     """One marker map file."""
 
     name: str = ""
     defaults: Defaults = Defaults()
     frame: Frame = Frame()
-    marker: list[Marker] = []
-    board: list[Board] = []
+    marker: list[Marker] = msgspec.field(default_factory=list)
+    board: list[Board] = msgspec.field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

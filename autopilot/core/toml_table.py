@@ -1,8 +1,14 @@
-"""What the tables of a TOML file are made of."""
+"""TOML files: how they are read, and what their tables are made of."""
 
-from typing import Annotated, TypeAlias
+import math
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
 
 import msgspec
+
+from autopilot.core.errors import ConfigError
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -16,3 +22,44 @@ NonNegative4: TypeAlias = tuple[NonNegative, NonNegative, NonNegative, NonNegati
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A TOML table: immutable, unknown keys are errors."""
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; ConfigError names the file and the line when it is not one."""
+    try:
+        return parse_toml(path.read_text(encoding="utf-8"), str(path))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
+
+
+def parse_toml(text: str, origin: str) -> dict[str, Any]:
+    """The tables of a TOML text; ConfigError begins with ``origin`` and names the line when it is not one."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{origin}: is not valid TOML: {error}; correct it there") from error
+
+
+def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
+    """``tables`` as ``kind``; ConfigError names the path of the key, what is wrong with it, and the file."""
+    for place, value in _leaves(tables, "$"):
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"{origin}: `{place}` = {value} is not a finite number; correct or remove that key")
+    try:
+        return msgspec.convert(tables, kind, strict=True)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{origin}: {error}; correct or remove that key") from error
+
+
+def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """Every value of nested tables and arrays with the path of its key."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{place}.{key}")
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from _leaves(inner, f"{place}[{index}]")
+    else:
+        yield place, value

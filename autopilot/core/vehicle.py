@@ -3,12 +3,10 @@
 Vehicles ship in ``autopilot/data/vehicles``; every value there has its origin in ``[sources]``.
 """
 
-import math
-import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -36,6 +34,8 @@ from autopilot.core.toml_table import (
     Table,
     Vec2,
     Vec3,
+    convert,
+    read_toml,
 )
 
 
@@ -279,41 +279,6 @@ def _once(key: str, values: Sequence[object], thrusters: Sequence[Thruster]) -> 
             said = f"`thruster[{first}]` and `thruster[{index}]`"
             named = "" if key == "name" else f" ({thrusters[first].name}, {thrusters[index].name})"
             raise ValueError(f"{said}{named}: both have `{key}` = {value!r}; each needs one of its own")
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; ConfigError names the file and the line when it is not one."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: is not valid TOML: {error}; correct it there") from error
-
-
-def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
-    """``tables`` as ``kind``; ConfigError names the path of the key, what is wrong with it, and the file."""
-    for place, value in _leaves(tables, "$"):
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ConfigError(f"{origin}: `{place}` = {value} is not a finite number; correct or remove that key")
-    try:
-        return msgspec.convert(tables, kind, strict=True)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"{origin}: {error}; correct or remove that key") from error
-
-
-def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
-    """Every value of nested tables and arrays with the path of its key."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _leaves(inner, f"{place}.{key}")
-    elif isinstance(value, list):
-        for index, inner in enumerate(value):
-            yield from _leaves(inner, f"{place}[{index}]")
-    else:
-        yield place, value
 
 
 def vehicle_names() -> list[str]:

@@ -9,7 +9,8 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.markers import grid_floor
 from autopilot.core.samples import MarkerSighting
-from autopilot.core.vehicle import Laser, convert, load_vehicle
+from autopilot.core.toml_table import convert
+from autopilot.core.vehicle import Laser, load_vehicle
 from estimator.markers_pose import MarkerSolver
 
 

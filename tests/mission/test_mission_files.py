@@ -281,8 +281,8 @@ def test_local_metres(tmp_path: Path) -> None:
     [
         (("depth_m = 0.4", "depth = 0.4"), "depth"),
         (("x_m = 1.0", "x_m = 'far'"), "$.waypoint[0].x_m"),
-        (("x_m = 1.0", "x_m = nan"), "waypoint[0].x_m is nan"),
-        (("hold_s = 2.0", "hold_s = inf"), "waypoint[0].hold_s is inf"),
+        (("x_m = 1.0", "x_m = nan"), "waypoint[0].x_m` = nan"),
+        (("hold_s = 2.0", "hold_s = inf"), "waypoint[0].hold_s` = inf"),
         (("first_waypoint = 0", "first_waypoint = 2"), "first_waypoint 2 does not exist"),
         (("laps = 4", "laps = 0"), "$.repeat.laps"),
         (('action = "surface"', 'action = "dive"'), "$.end.action"),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.core.vehicle import convert
+from autopilot.core.toml_table import convert
 from sitl.currents import (
     Bickley,
     CurrentField,

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from autopilot.core.vehicle import Vehicle, convert, read_toml
+from autopilot.core.toml_table import convert, read_toml
+from autopilot.core.vehicle import Vehicle
 
 VEHICLES = 12
 """Number 0 is the shipped one."""
