@@ -32,15 +32,24 @@ from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 from estimator.protocol import Estimator, EstimatorContext
 from estimator.states import (
     ACCEL_BIAS,
+    BIAS_AHEAD,
+    BIAS_DOWN,
+    BIAS_RIGHT,
     CURRENT,
     DEPTH_OFFSET,
+    EAST,
     GYRO_BIAS,
     HEADING_OFFSET,
     INITIAL_SIGMA,
     LASER_BIAS,
+    NORTH,
     NX,
     POS,
+    POSE,
     VEL,
+    VEL_DOWN,
+    VEL_EAST,
+    VEL_NORTH,
     YAW,
     FilterState,
 )
@@ -135,7 +144,7 @@ class ObserverCore:
         x, p = state.x.copy(), state.p.copy()
         x[HEADING_OFFSET] -= pose[3] - x[YAW]
         x[POS], x[YAW], x[VEL] = pose[:3], pose[3], vel_ned_m_s
-        p[:4] = noise.diagonal()
+        p[POSE] = noise.diagonal()
         p[VEL] = RELOCATED_SIGMA_VEL_M_S**2
         return FilterState(x, p)
 
@@ -157,26 +166,26 @@ class ObserverCore:
     def variance(self, state: FilterState, cos_yaw: float, sin_yaw: float) -> list[float]:
         """Of the current a constant is told: the observer does not know it."""
         p = state.p.tolist()
-        water = max(p[4], p[5]) + CURRENT_VARIANCE
-        down = p[6] + VERTICAL_CURRENT_VARIANCE
-        return [*p[:4], water, water, down, CURRENT_VARIANCE, CURRENT_VARIANCE, VERTICAL_CURRENT_VARIANCE]
+        water = max(p[VEL_NORTH], p[VEL_EAST]) + CURRENT_VARIANCE
+        down = p[VEL_DOWN] + VERTICAL_CURRENT_VARIANCE
+        return [*p[POSE], water, water, down, CURRENT_VARIANCE, CURRENT_VARIANCE, VERTICAL_CURRENT_VARIANCE]
 
     def planar_variance(self, state: FilterState) -> float:
         """See :class:`estimator.core.FilterCore`."""
-        return max(state.p.item(0), state.p.item(1))
+        return max(state.p.item(NORTH), state.p.item(EAST))
 
 
 def _fix_gain(gain: FloatArray, x: FloatArray) -> FloatArray:
     """The adaptive gain (21, 4) with the fixed rows for velocity and biases; the position's share sets their size."""
     c, s = np.cos(x[YAW]), np.sin(x[YAW])
     gain[VEL] = 0.0
-    gain[4, 0] = gain[5, 1] = gain[6, 2] = K_VEL
+    gain[VEL_NORTH, 0] = gain[VEL_EAST, 1] = gain[VEL_DOWN, 2] = K_VEL
     gain[GYRO_BIAS] = 0.0
     gain[GYRO_BIAS, 3] = -K_GYRO_BIAS
     gain[ACCEL_BIAS] = 0.0
-    gain[8, 0], gain[8, 1] = -K_BIAS * c, -K_BIAS * s
-    gain[9, 0], gain[9, 1] = K_BIAS * s, -K_BIAS * c
-    gain[10, 2] = -K_BIAS
+    gain[BIAS_AHEAD, 0], gain[BIAS_AHEAD, 1] = -K_BIAS * c, -K_BIAS * s
+    gain[BIAS_RIGHT, 0], gain[BIAS_RIGHT, 1] = K_BIAS * s, -K_BIAS * c
+    gain[BIAS_DOWN, 2] = -K_BIAS
     return gain
 
 

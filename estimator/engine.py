@@ -54,7 +54,11 @@ from estimator.sources import OF_PICTURES, Sources
 from estimator.startup import StartUp
 from estimator.states import (
     ACCEL_BIAS,
+    BIAS_AHEAD,
+    BIAS_DOWN,
+    BIAS_RIGHT,
     CURRENT,
+    DOWN,
     GYRO_BIAS,
     INITIAL_SIGMA,
     LASER_BIAS,
@@ -384,7 +388,7 @@ class Engine:
             inertial = made_up(
                 newest.t_us + step_us,
                 newest.moment.inertial,
-                (ax + float(x[8]), ay + float(x[9]), az + float(x[10])),
+                (ax + float(x[BIAS_AHEAD]), ay + float(x[BIAS_RIGHT]), az + float(x[BIAS_DOWN])),
                 BLIND_TILT_DECAY,
                 turn * 1e-6 * step_us,
             )
@@ -579,7 +583,7 @@ class Engine:
         """Of the camera over the floor with the markers, 0 = there is none."""
         if self._markers is None:
             return 0.0
-        return max(self._markers.floor_m - node.state.x.item(2) - self._camera_down_m, 0.0)
+        return max(self._markers.floor_m - node.state.x.item(DOWN) - self._camera_down_m, 0.0)
 
     def _carry(self, newest: Node, along: FloatArray, velocity: FloatArray) -> None:
         """The calibration was off: move the estimate by ``along`` (4,) [m, rad] and its ``velocity`` (3,), and forget

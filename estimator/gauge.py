@@ -9,7 +9,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES, MapErrors
-from estimator.states import SheetStates
+from estimator.states import EAST, NORTH, SheetStates
 
 KNOWN_SHARE = 0.25
 """An offset is known when its variance is this share of what it was believed to be."""
@@ -84,7 +84,7 @@ class Gauge:
     def more_variance(self, x: FloatArray) -> FloatArray:
         """(4,) variance of north, east, down, yaw at the state's place beyond the filter's; less than nothing where
         sheets were laid better than the map says."""
-        north, east = float(x[0] - self._middle[0]), float(x[1] - self._middle[1])
+        north, east = float(x[NORTH] - self._middle[0]), float(x[EAST] - self._middle[1])
         turn = np.eye(STATES)
         turn[0, 3], turn[1, 3] = -east, north
         result: FloatArray = np.einsum("ij,jk,ik->i", turn, self._more, turn)

@@ -16,12 +16,20 @@ from estimator.measurement import CHI2_999, Measurement, Moment, chi2_999
 from estimator.motion import add_model, fill_jacobian, moved, reset_model
 from estimator.states import (
     CURRENT_DOWN,
+    CURRENT_EAST,
+    CURRENT_NORTH,
+    EAST,
     HEADING_OFFSET,
     INITIAL_SIGMA,
     INITIAL_SIGMA_CURRENT_DOWN_M_S,
+    NORTH,
     NX,
     POS,
+    POSE,
     VEL,
+    VEL_DOWN,
+    VEL_EAST,
+    VEL_NORTH,
     YAW,
     FilterState,
     SheetStates,
@@ -172,7 +180,7 @@ class KalmanCore:
         for part in (range(4), range(4, 7)):
             p[part, :] = 0.0
             p[:, part] = 0.0
-        p[:4, :4] = noise
+        p[POSE, POSE] = noise
         p[VEL, VEL] = np.eye(3) * RELOCATED_SIGMA_VEL_M_S**2
         return FilterState(x, p, _forgotten(sheets, slice(0, 7)))
 
@@ -201,18 +209,23 @@ class KalmanCore:
         """From the covariance; velocity relative to the water with its correlation between ground and current."""
         p = state.p
         pn, pe, pd, yaw, vn, ve, vd, _, _, _, _, cn, ce, _, _, _, _, _, cd, _, _ = p.diagonal().tolist()
-        nn = vn + cn - 2.0 * p.item(4, 11)
-        ee = ve + ce - 2.0 * p.item(5, 12)
-        ne = p.item(4, 5) + p.item(11, 12) - p.item(4, 12) - p.item(5, 11)
+        nn = vn + cn - 2.0 * p.item(VEL_NORTH, CURRENT_NORTH)
+        ee = ve + ce - 2.0 * p.item(VEL_EAST, CURRENT_EAST)
+        ne = (
+            p.item(VEL_NORTH, VEL_EAST)
+            + p.item(CURRENT_NORTH, CURRENT_EAST)
+            - p.item(VEL_NORTH, CURRENT_EAST)
+            - p.item(VEL_EAST, CURRENT_NORTH)
+        )
         c2, s2, mix = cos_yaw * cos_yaw, sin_yaw * sin_yaw, 2.0 * cos_yaw * sin_yaw * ne
         forward, right = max(c2 * nn + s2 * ee + mix, 0.0), max(s2 * nn + c2 * ee - mix, 0.0)
         below = self._down_variance + cd
-        down = max(vd + below - 2.0 * p.item(6, CURRENT_DOWN), 0.0)
+        down = max(vd + below - 2.0 * p.item(VEL_DOWN, CURRENT_DOWN), 0.0)
         return [pn, pe, pd, yaw, forward, right, down, cn, ce, below]
 
     def planar_variance(self, state: FilterState) -> float:
         """From the diagonal."""
-        return max(state.p.item(0, 0), state.p.item(1, 1))
+        return max(state.p.item(NORTH, NORTH), state.p.item(EAST, EAST))
 
 
 def _symmetric(p: FloatArray) -> FloatArray:

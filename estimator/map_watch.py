@@ -11,7 +11,7 @@ from autopilot.core.map_errors import STATES
 from autopilot.core.markers import ID_SPAN, MarkerMap
 from estimator.gauge import KNOWN_SHARE, Gauge
 from estimator.measure_pose import PoseFix, Stray
-from estimator.states import SheetStates
+from estimator.states import EAST, NORTH, SheetStates
 
 SIGHTINGS = 8
 """Pictures that must show a marker at the same wrong place."""
@@ -82,7 +82,7 @@ class MapWatch:
         if self._frame is None:
             return more
         across, down, turn = self._frame
-        north, east = x.item(0) - self._middle[0], x.item(1) - self._middle[1]
+        north, east = x.item(NORTH) - self._middle[0], x.item(EAST) - self._middle[1]
         swing = turn * turn * np.array([east * east, north * north])
         frame = [across * across + swing[0], across * across + swing[1], down * down, turn * turn]
         result: FloatArray = more + np.array(frame)

@@ -9,7 +9,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.samples import DepthSample
 from estimator.inertial import down_of
 from estimator.measurement import Moment
-from estimator.states import DEPTH_OFFSET, NX
+from estimator.states import DEPTH_OFFSET, DOWN, NX, VEL_DOWN
 
 MIN_SIGMA_M = 0.003
 """Floor of the noise: waves, and the pressure of the flow round the hull (v^2/2g is 6 mm at 0.35 m/s)."""
@@ -33,13 +33,15 @@ class Depth:
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Depth of the centre of gravity, plus how far below it the sensor is, plus offset."""
-        return np.array([x[2] + after_s * x[6] + down_of(moment.inertial, self.mount_frd_m) + x[DEPTH_OFFSET]])
+        return np.array(
+            [x[DOWN] + after_s * x[VEL_DOWN] + down_of(moment.inertial, self.mount_frd_m) + x[DEPTH_OFFSET]]
+        )
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """d/d depth, heave speed and offset."""
         jac = np.zeros((1, NX))
-        jac[0, 2] = jac[0, DEPTH_OFFSET] = 1.0
-        jac[0, 6] = after_s
+        jac[0, DOWN] = jac[0, DEPTH_OFFSET] = 1.0
+        jac[0, VEL_DOWN] = after_s
         return jac
 
     def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.samples import LaserSample
 from estimator.inertial import Inertial, down_of
 from estimator.measurement import Moment
-from estimator.states import LASER_BIAS, NX
+from estimator.states import DOWN, LASER_BIAS, NX, VEL_DOWN
 
 MIN_SIGMA_M = 0.005
 """Floor of the range noise: waves of the floor, calibration."""
@@ -41,14 +41,14 @@ class LaserRange:
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """(floor - depth of the laser) / cosine of the tilt, plus bias."""
         below, cosine = self._tilt(moment.inertial)
-        return np.array([(self.floor_depth_m - x[2] - after_s * x[6] - below) / cosine + x[LASER_BIAS]])
+        return np.array([(self.floor_depth_m - x[DOWN] - after_s * x[VEL_DOWN] - below) / cosine + x[LASER_BIAS]])
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """d/d depth, heave speed and bias."""
         _, cosine = self._tilt(moment.inertial)
         jac = np.zeros((1, NX))
-        jac[0, 2] = -1.0 / cosine
-        jac[0, 6] = -after_s / cosine
+        jac[0, DOWN] = -1.0 / cosine
+        jac[0, VEL_DOWN] = -after_s / cosine
         jac[0, LASER_BIAS] = 1.0
         return jac
 

@@ -22,7 +22,25 @@ from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
 from autopilot.core.vehicle import Vehicle
 from estimator.inertial import Inertial
 from estimator.measurement import Moment
-from estimator.states import ACCEL_BIAS, CURRENT_DOWN, DRAG_EXCESS, GYRO_BIAS, NX, THRUST_EXCESS, YAW
+from estimator.states import (
+    ACCEL_BIAS,
+    BIAS_AHEAD,
+    BIAS_DOWN,
+    BIAS_RIGHT,
+    CURRENT_DOWN,
+    CURRENT_EAST,
+    CURRENT_NORTH,
+    CURRENT_RATE_EAST,
+    CURRENT_RATE_NORTH,
+    DRAG_EXCESS,
+    GYRO_BIAS,
+    NX,
+    THRUST_EXCESS,
+    VEL_DOWN,
+    VEL_EAST,
+    VEL_NORTH,
+    YAW,
+)
 
 IDLE_THRUST_N = 0.3
 IDLE_SPEED_M_S = 0.03
@@ -49,7 +67,7 @@ class ModelAid:
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Acceleration of the model plus the bias of the AHRS."""
         expected = expected_acceleration(self.model, self.follow, x, moment)
-        return np.array([a + x.item(8 + i) for i, a in enumerate(expected[: len(self.z)])])
+        return np.array([a + x.item(BIAS_AHEAD + i) for i, a in enumerate(expected[: len(self.z)])])
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Rows forward, right (and down)."""
@@ -61,28 +79,29 @@ class ModelAid:
         cross_v, cross_u = (m22 / m11 - 1.0) * r, (1.0 - m11 / m22) * r
         jac = np.zeros((len(self.z), NX))
         # Through u_r = c rn + s re and v_r = c re - s rn, with d u_r/d yaw = v_r and d v_r/d yaw = -u_r.
-        jac[0, 4] = fu * c - cross_v * s
-        jac[0, 5] = fu * s + cross_v * c
-        jac[1, 4] = cross_u * c - fv * s
-        jac[1, 5] = cross_u * s + fv * c
-        jac[:2, 11] = -jac[:2, 4]
-        jac[:2, 12] = -jac[:2, 5]
+        jac[0, VEL_NORTH] = fu * c - cross_v * s
+        jac[0, VEL_EAST] = fu * s + cross_v * c
+        jac[1, VEL_NORTH] = cross_u * c - fv * s
+        jac[1, VEL_EAST] = cross_u * s + fv * c
+        jac[:2, CURRENT_NORTH] = -jac[:2, VEL_NORTH]
+        jac[:2, CURRENT_EAST] = -jac[:2, VEL_EAST]
         k0, k1 = self.follow
-        gn, ge = float(x[13]), float(x[14])
+        gn, ge = float(x[CURRENT_RATE_NORTH]), float(x[CURRENT_RATE_EAST])
         jac[0, YAW] = fu * v - cross_v * u + k0 * (c * ge - s * gn)
         jac[1, YAW] = cross_u * v - fv * u - k1 * (c * gn + s * ge)
         jac[0, GYRO_BIAS] = -(m22 / m11 - 1.0) * v
         jac[1, GYRO_BIAS] = -(1.0 - m11 / m22) * u
-        jac[0, 8] = jac[1, 9] = 1.0
+        jac[0, BIAS_AHEAD] = jac[1, BIAS_RIGHT] = 1.0
         drag_u, drag_v = _drag(self.model, u, v)
         jac[0, DRAG_EXCESS], jac[1, DRAG_EXCESS] = -drag_u, -drag_v
         jac[0, THRUST_EXCESS], jac[1, THRUST_EXCESS] = _push(self.model, moment.thrust_n)
-        jac[0, 13], jac[0, 14] = k0 * c, k0 * s
-        jac[1, 13], jac[1, 14] = -k1 * s, k1 * c
+        jac[0, CURRENT_RATE_NORTH], jac[0, CURRENT_RATE_EAST] = k0 * c, k0 * s
+        jac[1, CURRENT_RATE_NORTH], jac[1, CURRENT_RATE_EAST] = -k1 * s, k1 * c
         if len(self.z) == 3:
-            jac[2, 6] = -(lin[2] + quad[2] * _slope(x.item(6) - x.item(CURRENT_DOWN))) / self.model.mass_kg[2]
-            jac[2, CURRENT_DOWN] = -jac[2, 6]
-            jac[2, 10] = 1.0
+            heave = x.item(VEL_DOWN) - x.item(CURRENT_DOWN)
+            jac[2, VEL_DOWN] = -(lin[2] + quad[2] * _slope(heave)) / self.model.mass_kg[2]
+            jac[2, CURRENT_DOWN] = -jac[2, VEL_DOWN]
+            jac[2, BIAS_DOWN] = 1.0
         return jac
 
     def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
@@ -96,8 +115,9 @@ def expected_acceleration(
 ) -> tuple[float, float, float, float]:
     """Acceleration over ground forward, right, down in the level frame [m/s^2], and of the yaw rate [rad/s^2]."""
     u, v, r, c, s = _relative(x, moment)
-    du, dv, dw, dr = body_acceleration(model, (u, v, x.item(6) - x.item(CURRENT_DOWN), r), moment.thrust_n, math)
-    gn, ge, excess, more = float(x[13]), float(x[14]), float(x[DRAG_EXCESS]), float(x[THRUST_EXCESS])
+    du, dv, dw, dr = body_acceleration(model, (u, v, x.item(VEL_DOWN) - x.item(CURRENT_DOWN), r), moment.thrust_n, math)
+    gn, ge = x.item(CURRENT_RATE_NORTH), x.item(CURRENT_RATE_EAST)
+    excess, more = x.item(DRAG_EXCESS), x.item(THRUST_EXCESS)
     drag_u, drag_v = _drag(model, u, v)
     push_u, push_v = _push(model, moment.thrust_n)
     return (
@@ -120,7 +140,7 @@ def idle(moment: Moment, x: FloatArray) -> bool:
     """No thrust and no motion."""
     if max(map(abs, moment.thrust_n)) > IDLE_THRUST_N:
         return False
-    return math.hypot(x.item(4), x.item(5)) < IDLE_SPEED_M_S
+    return math.hypot(x.item(VEL_NORTH), x.item(VEL_EAST)) < IDLE_SPEED_M_S
 
 
 def _drag(model: Model4, u: float, v: float) -> tuple[float, float]:
@@ -164,7 +184,7 @@ def _relative(x: FloatArray, moment: Moment) -> tuple[float, float, float, float
     """u_r, v_r [m/s], yaw rate [rad/s], cos and sin of the heading."""
     yaw = float(x[YAW])
     c, s = math.cos(yaw), math.sin(yaw)
-    rn, re = float(x[4] - x[11]), float(x[5] - x[12])
+    rn, re = float(x[VEL_NORTH] - x[CURRENT_NORTH]), float(x[VEL_EAST] - x[CURRENT_EAST])
     return c * rn + s * re, c * re - s * rn, moment.inertial.yaw_rate_rad_s - float(x[GYRO_BIAS]), c, s
 
 

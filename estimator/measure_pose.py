@@ -10,7 +10,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import PoseSample
 from estimator.measurement import Measurement, Moment
-from estimator.states import GYRO_BIAS, NX, POS, VEL, YAW
+from estimator.states import DOWN, EAST, GYRO_BIAS, NORTH, NX, POS, VEL, VEL_DOWN, VEL_EAST, VEL_NORTH, YAW
 
 MIN_SIGMA_POS_M = 5e-5
 MIN_SIGMA_YAW_RAD = 5e-5
@@ -86,8 +86,8 @@ class PoseFix:
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Rows north, east, down, yaw."""
         jac = np.zeros((4, NX))
-        jac[0, 0] = jac[1, 1] = jac[2, 2] = jac[3, YAW] = 1.0
-        jac[0, 4] = jac[1, 5] = jac[2, 6] = after_s
+        jac[0, NORTH] = jac[1, EAST] = jac[2, DOWN] = jac[3, YAW] = 1.0
+        jac[0, VEL_NORTH] = jac[1, VEL_EAST] = jac[2, VEL_DOWN] = after_s
         jac[3, GYRO_BIAS] = -after_s
         return jac
 

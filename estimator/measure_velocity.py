@@ -8,7 +8,21 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.samples import VelocityLock, VelocitySample
 from estimator.inertial import Inertial, cross
 from estimator.measurement import Moment
-from estimator.states import ACCEL_BIAS, CURRENT, CURRENT_DOWN, GYRO_BIAS, NX, VEL, YAW
+from estimator.states import (
+    ACCEL_BIAS,
+    BIAS_AHEAD,
+    BIAS_DOWN,
+    BIAS_RIGHT,
+    CURRENT,
+    CURRENT_DOWN,
+    GYRO_BIAS,
+    NX,
+    VEL,
+    VEL_DOWN,
+    VEL_EAST,
+    VEL_NORTH,
+    YAW,
+)
 
 MIN_SIGMA_M_S = 0.002
 MAX_SIGMA_M_S = 5.0
@@ -48,8 +62,8 @@ class BodyVelocity:
         jac = np.zeros((3, NX))
         jac[:, VEL] = frd_from_level @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         if self.lock is VelocityLock.WATER:
-            jac[:, CURRENT] = -jac[:, 4:6]
-            jac[:, CURRENT_DOWN] = -jac[:, 6]
+            jac[:, CURRENT] = -jac[:, VEL_NORTH : VEL_EAST + 1]
+            jac[:, CURRENT_DOWN] = -jac[:, VEL_DOWN]
         forward, right, _ = self._level(x, moment, 0.0, (c, s)).tolist()
         jac[:, YAW] = frd_from_level @ np.array([right, -forward, 0.0])
         jac[:, GYRO_BIAS] = -after_s * jac[:, YAW]
@@ -73,7 +87,7 @@ class BodyVelocity:
             v[2] -= x[CURRENT_DOWN]
         n, e, d = v.tolist()
         ax, ay, az = moment.inertial.accel_level_m_s2
-        moved = (ax - x.item(8), ay - x.item(9), az - x.item(10))
+        moved = (ax - x.item(BIAS_AHEAD), ay - x.item(BIAS_RIGHT), az - x.item(BIAS_DOWN))
         return np.array([c * n + s * e, c * e - s * n, d]) + after_s * np.array(moved)
 
 

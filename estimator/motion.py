@@ -6,18 +6,39 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from estimator.inertial import Step
-from estimator.states import NX
+from estimator.states import (
+    ACCEL_BIAS,
+    BIAS_AHEAD,
+    BIAS_DOWN,
+    BIAS_RIGHT,
+    CURRENT_EAST,
+    CURRENT_NORTH,
+    CURRENT_RATE_EAST,
+    CURRENT_RATE_NORTH,
+    DOWN,
+    EAST,
+    GYRO_BIAS,
+    NORTH,
+    NX,
+    POS,
+    VEL,
+    VEL_DOWN,
+    VEL_EAST,
+    VEL_NORTH,
+    YAW,
+)
 from estimator.tuning import CURRENT_RATE_TIME_S
 
 _ENTRIES = (
-    (0, 4), (0, 3), (0, 8), (0, 9),
-    (1, 5), (1, 3), (1, 8), (1, 9),
-    (2, 6), (2, 10),
-    (3, 7),
-    (4, 3), (4, 8), (4, 9),
-    (5, 3), (5, 8), (5, 9),
-    (6, 10),
-    (11, 13), (12, 14), (13, 13), (14, 14),
+    (NORTH, VEL_NORTH), (NORTH, YAW), (NORTH, BIAS_AHEAD), (NORTH, BIAS_RIGHT),
+    (EAST, VEL_EAST), (EAST, YAW), (EAST, BIAS_AHEAD), (EAST, BIAS_RIGHT),
+    (DOWN, VEL_DOWN), (DOWN, BIAS_DOWN),
+    (YAW, GYRO_BIAS),
+    (VEL_NORTH, YAW), (VEL_NORTH, BIAS_AHEAD), (VEL_NORTH, BIAS_RIGHT),
+    (VEL_EAST, YAW), (VEL_EAST, BIAS_AHEAD), (VEL_EAST, BIAS_RIGHT),
+    (VEL_DOWN, BIAS_DOWN),
+    (CURRENT_NORTH, CURRENT_RATE_NORTH), (CURRENT_EAST, CURRENT_RATE_EAST),
+    (CURRENT_RATE_NORTH, CURRENT_RATE_NORTH), (CURRENT_RATE_EAST, CURRENT_RATE_EAST),
 )  # fmt: skip
 _PLACES = np.array([NX * row + column for row, column in _ENTRIES])
 """Where the Jacobian differs from the identity: one call that fills them all is four times faster than one by one."""
@@ -61,10 +82,10 @@ def moved(x: FloatArray, step: Step) -> list[float]:
 def fill_jacobian(jac: FloatArray, x: FloatArray, step: Step) -> None:
     """Write d moved / dx into ``jac`` (21, 21), which must be the identity or a matrix filled by this function."""
     dt = step.dt_s
-    yaw = x.item(3)
+    yaw = x.item(YAW)
     c, s = math.cos(yaw), math.sin(yaw)
     ax, ay, _ = step.accel_level_m_s2
-    fx, fy = ax - x.item(8), ay - x.item(9)
+    fx, fy = ax - x.item(BIAS_AHEAD), ay - x.item(BIAS_RIGHT)
     an, ae = c * fx - s * fy, s * fx + c * fy
     half = 0.5 * dt * dt
     cdt, sdt, chalf, shalf = c * dt, s * dt, c * half, s * half
@@ -86,12 +107,12 @@ def add_model(jac: FloatArray, x: FloatArray, step: Step, slope: FloatArray) -> 
 
     ``slope`` (3, 21) is d acceleration / d state in the level frame. The offset of the accelerometer plays no part.
     Call :func:`reset_model` before the matrix is filled for another step."""
-    yaw, dt = x.item(3), step.dt_s
+    yaw, dt = x.item(YAW), step.dt_s
     c, s = math.cos(yaw), math.sin(yaw)
-    jac[0:7, 8:11] = 0.0
+    jac[: VEL.stop, ACCEL_BIAS] = 0.0
     turned = np.vstack((c * slope[0] - s * slope[1], s * slope[0] + c * slope[1], slope[2]))
-    jac[4:7] += dt * turned
-    jac[0:3] += 0.5 * dt * dt * turned
+    jac[VEL] += dt * turned
+    jac[POS] += 0.5 * dt * dt * turned
 
 
 def reset_model(jac: FloatArray) -> None:

@@ -28,7 +28,7 @@ from estimator.measure_laser import range_from_sample
 from estimator.measure_pose import PoseFix, fix_from_sample
 from estimator.measure_velocity import velocity_from_sample
 from estimator.measurement import Measurement
-from estimator.states import DEPTH_OFFSET, HEADING_OFFSET, LASER_BIAS, VEL, YAW
+from estimator.states import DEPTH_OFFSET, HEADING_OFFSET, LASER_BIAS, POS, VEL, YAW
 
 OF_PICTURES = PoseSample | MarkerSighting | LaserSample
 """Kinds of samples that have a picture's stamp."""
@@ -174,7 +174,7 @@ class Sources:
         after_s = 1e-6 * (sighting.t_us - node.t_us)
         rpy = np.array([inertial.roll_rad, inertial.pitch_rad, x[YAW] + after_s * inertial.yaw_rate_rad_s])
         sheets = () if node.state.sheets is None else (node.state.sheets,)
-        fix = solver.track(sighting, x[:3] + after_s * x[4:7], rpy, *sheets)
+        fix = solver.track(sighting, x[POS] + after_s * x[VEL], rpy, *sheets)
         self._unfit_in_row = 0 if fix is not None and self.markers.rejected_in_row == 0 else self._unfit_in_row + 1
         if self._unfit_in_row > LOST_AFTER:
             fix = solver.locate(sighting, inertial.roll_rad, inertial.pitch_rad, *sheets) or fix
@@ -207,7 +207,7 @@ class Sources:
         if self._frame is None:
             after_s = 1e-6 * (sample.t_us - node.t_us)
             yaw = float(x[YAW]) + after_s * inertial.yaw_rate_rad_s
-            point = tracked_point(x[:3] + after_s * x[4:7], yaw, inertial, self._external_frd_m)
+            point = tracked_point(x[POS] + after_s * x[VEL], yaw, inertial, self._external_frd_m)
             self._frame = aligned(sample, point, yaw)
         return fix_from_external(sample, inertial, self._external_frd_m, self._frame)
 

@@ -11,20 +11,27 @@ NX = 21
 
 POS = slice(0, 3)
 """Position of the centre of gravity, NED [m]."""
+NORTH, EAST, DOWN = range(POS.start, POS.stop)
 YAW = 3
 """Heading [rad], not wrapped: it counts turns."""
+POSE = slice(0, 4)
+"""Position and heading."""
 VEL = slice(4, 7)
 """Velocity over ground, NED [m/s]."""
+VEL_NORTH, VEL_EAST, VEL_DOWN = range(VEL.start, VEL.stop)
 GYRO_BIAS = 7
 """Offset of the heading rate [rad/s]."""
 ACCEL_BIAS = slice(8, 11)
 """Offset of the acceleration in the level frame that turns with the heading [m/s^2].
 
 The accelerometer's own offset and, mostly, gravity that leaks in through the AHRS's error of roll and pitch."""
+BIAS_AHEAD, BIAS_RIGHT, BIAS_DOWN = range(ACCEL_BIAS.start, ACCEL_BIAS.stop)
 CURRENT = slice(11, 13)
 """Velocity of the water, north and east [m/s]."""
+CURRENT_NORTH, CURRENT_EAST = range(CURRENT.start, CURRENT.stop)
 CURRENT_RATE = slice(13, 15)
 """How fast the current changes at the moving vehicle, north and east [m/s^2]."""
+CURRENT_RATE_NORTH, CURRENT_RATE_EAST = range(CURRENT_RATE.start, CURRENT_RATE.stop)
 HEADING_OFFSET = 15
 """Heading that the AHRS shows minus true heading [rad]."""
 LASER_BIAS = 16
