@@ -102,6 +102,27 @@ def test_deciding_knows_the_estimators_protocol_only() -> None:
         assert estimators <= {"estimator.protocol"}, path
 
 
+def _reached(start: str) -> set[str]:
+    """Modules of ours that importing ``start`` loads."""
+    known = rooms.modules()
+    found, left = {start}, [start]
+    while left:
+        new = rooms.imports_of(known[left[-1]], known) - found
+        left.pop()
+        found |= new
+        left += new
+    return found
+
+
+def test_what_hardware_shares_knows_no_simulation() -> None:
+    """Of the composition only ``sitl_*`` and the demo know the simulator: a vehicle of real drivers needs the rest."""
+    for path in _files("autopilot/run"):
+        if path.stem.startswith("sitl_") or path.stem == "demo":
+            continue
+        reached = _reached(f"autopilot.run.{path.stem}" if path.stem != "__init__" else "autopilot.run")
+        assert not {name for name in reached if name.split(".")[0] == "sitl"}, path
+
+
 def test_the_drawing_is_of_today() -> None:
     assert rooms.PAGE.read_text(encoding="utf-8") == rooms.page_with(rooms.drawing()), "python docs/rooms.py --write"
 

@@ -10,7 +10,7 @@ from autopilot.campaign.results import RunResult, Task
 from autopilot.campaign.watch import Watch
 from autopilot.core.messages import Outputs
 from autopilot.run.config import Settings, gather, sitl_defaults
-from autopilot.run.describe import describe_run
+from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_session import open_sitl
 
 

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the simulated vehicle of SCENARIO (a shipped name or a TOML file; default paper-tank)."""
     from autopilot.run.config import gather, parse_overrides, sitl_defaults
-    from autopilot.run.doorstep import open_doorstep
+    from autopilot.run.sitl_params import open_sitl_links
 
     settings = gather(sitl_defaults(instance), {"scenario": scenario, **given})
     stopped_by: list[int] = []
@@ -62,17 +62,17 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     overrides = parse_overrides(param)
-    with open_doorstep(settings, overrides, instance=instance) as doorstep:
+    with open_sitl_links(settings, overrides, instance=instance) as boot:
         from autopilot.run.sitl_console import Console, RunWatch
         from autopilot.run.sitl_session import open_sitl
 
         session = open_sitl(
-            settings, overrides, instance=instance, links=doorstep.links, on_tick=lambda outputs: watch.step(outputs)
+            settings, overrides, instance=instance, links=boot.links, on_tick=lambda outputs: watch.step(outputs)
         )
         # A full garbage collection over all that was imported would take five ticks: it leaves out what there is now.
         gc.collect()
         gc.freeze()
-    session.runtime.take_over(doorstep.take_unanswered())
+    session.runtime.take_over(boot.take_unanswered())
     for warning in session.warnings:
         click.echo(f"warning: {warning}", err=True)
     console = None if quiet else Console()
@@ -98,10 +98,10 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
 
 def _conclude(session: "SitlSession", watch: "RunWatch", *, interrupted: bool, to_the_end: bool) -> None:
     """Warnings on stderr, and the exit code."""
-    if session.persistent.failure:
-        click.echo(f"warning: {session.persistent.failure}", err=True)
-    if session.kept is not None and session.kept.failure:
-        click.echo(f"warning: {session.kept.failure}", err=True)
+    if session.kept.params.failure:
+        click.echo(f"warning: {session.kept.params.failure}", err=True)
+    if session.kept.plans is not None and session.kept.plans.failure:
+        click.echo(f"warning: {session.kept.plans.failure}", err=True)
     if session.recorder.failure:
         lost = f"{session.recorder.dropped} messages lost"
         click.echo(f"warning: the log is not whole, {lost}: {session.recorder.failure}", err=True)

@@ -1,4 +1,4 @@
-"""What a log says of its run: scenario, geometry, plan, bounds and parameters (``run.json``)."""
+"""What a log says of its run: geometry, plan, bounds and parameters (``run.json``); any vehicle's part of it."""
 
 from collections.abc import Mapping
 
@@ -6,61 +6,28 @@ import msgspec
 
 from autopilot.command.parts import Parts
 from autopilot.core.plan import PlanItem, PlanKind
-from autopilot.log.description import AcceptBounds, Obstacle, PartOrigin, RunDescription, Waypoint, fence_shapes
+from autopilot.log.description import AcceptBounds, RunDescription, Waypoint, fence_shapes
 from autopilot.mavlink.api import FlightMode
 from mission.items import GoTo, Jump
 from mission.store import Plans
-from sitl.scenario import Scenario
-from sitl.scenario_tables import MovingObstacle, PrismObstacle, SphereObstacle
-from sitl.scenario_tables import Obstacle as SolidTable
 
 
-def describe_run(
-    scenario: Scenario, parts: Parts, *, seed: int, speed: float, origins: Mapping[str, PartOrigin] | None = None
-) -> RunDescription:
-    """The description of a simulated run as things stand now. ``origins``: of controller, estimator and plant."""
+def describe_service(parts: Parts, place: str) -> RunDescription:
+    """What the service knows of its run as things stand now; ``place`` names the site or the scenario."""
     params = parts.params
-    tank = scenario.tank
     waypoints, laps = _tour(parts)
-    accept = scenario.accept
     return RunDescription(
-        scenario=scenario.scenario.name,
+        scenario=place,
         vehicle=parts.vehicle.name,
-        parts=dict(origins or {}),
-        seed=seed,
-        speed=speed,
         origin_lat_deg=parts.plans.origin.lat_deg,
         origin_lon_deg=parts.plans.origin.lon_deg,
         origin_alt_m=parts.plans.origin.alt_m,
         body_radius_m=parts.vehicle.radius_m,
-        # The plant's power holds the hotel load already.
-        hotel_power_w=0.0,
         thruster_names=tuple(thruster.name for thruster in parts.vehicle.thrusters),
-        tank_polygon_m=() if tank is None else tuple(tank.polygon_m),
-        tank_depth_m=None if tank is None else tank.depth_m,
-        # Logs know round obstacles; a prism is judged and drawn as what the fence holds.
-        obstacles=tuple(
-            _obstacle(obstacle, number)
-            for number, obstacle in enumerate(scenario.obstacle, start=1)
-            if not isinstance(obstacle, PrismObstacle)
-        ),
         fence=fence_shapes(parts.commander.fence),
         waypoints=waypoints,
         closed_tour=laps is not None,
-        accept=AcceptBounds(
-            laps=laps,
-            cylinder_clearance_m=accept.cylinder_clearance_m,
-            wall_clearance_m=accept.wall_clearance_m,
-            tolerance_m=accept.tolerance_m,
-            depth_min_m=accept.depth_min_m,
-            depth_max_m=accept.depth_max_m,
-            planar_speed_m_s=accept.planar_speed_m_s,
-            heave_m_s=accept.heave_m_s,
-            yaw_rate_rad_s=accept.yaw_rate_rad_s,
-            thrust_n=accept.thrust_n,
-            pos_rms_m=accept.pos_rms_m,
-            yaw_rms_deg=accept.yaw_rms_deg,
-        ),
+        accept=AcceptBounds(laps=laps),
         paper_bounds={
             "planar_speed_m_s": params["SPD_PLANAR_MAX"],
             "heave_m_s": params["SPD_HEAVE_MAX"],
@@ -70,22 +37,6 @@ def describe_run(
         mode_names={str(parts.server.custom_mode(mode)): mode.name for mode in FlightMode},
         parameters=dict(params),
     )
-
-
-def _obstacle(obstacle: SolidTable, number: int) -> Obstacle:
-    assert not isinstance(obstacle, PrismObstacle)
-    if isinstance(obstacle, MovingObstacle):
-        return Obstacle(
-            center_m=tuple(obstacle.path_m[0]),
-            radius_m=obstacle.radius_m,
-            name=f"moving {number}",
-            path_m=tuple(obstacle.path_m),
-            speed_m_s=obstacle.speed_m_s,
-            ends=obstacle.ends,
-            start_s=obstacle.start_s,
-        )
-    kind = "sphere" if isinstance(obstacle, SphereObstacle) else "cylinder"
-    return Obstacle(center_m=tuple(obstacle.center_m), radius_m=obstacle.radius_m, name=f"{kind} {number}")
 
 
 def plan_items(plans: Plans) -> dict[PlanKind, tuple[PlanItem, ...]]:

@@ -10,9 +10,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from autopilot.command.service import Autopilot
 from autopilot.core.clock import TICK_US, Clock
@@ -24,21 +24,20 @@ from autopilot.core.messages import (
     DeviceTrouble,
     Event,
     Inputs,
-    LoopStats,
     MavlinkFrame,
     Outputs,
     Severity,
     ThrusterCommand,
 )
 from autopilot.core.samples import CameraFrame, Sample
+from autopilot.run.loop_account import LoopAccount
+from autopilot.run.outside import Peer, Recorder, VehicleIo
 from autopilot.run.transport import Transport
 from drivers.protocols import Link
 from estimator.vision_lane import VisionWorker
 
 SERVE_MARGIN_S = 0.0005
 """Serving ends so long before a tick."""
-STATS_EVERY_TICKS = 100
-"""Loop statistics once per second."""
 
 NO_SAMPLES: Sequence[Sample] = ()
 NO_PICTURES: Sequence[CameraFrame] = ()
@@ -49,121 +48,13 @@ MAX_SHOWN_FAULTS = 20
 T = TypeVar("T")
 
 
-class Device(Protocol):
-    """The vehicle's hardware, real or simulated."""
-
-    def advance(self, t_us: int) -> None:
-        """Let the outside world go on to ``t_us``."""
-        ...
-
-    def poll(self, t_us: int) -> Sequence[Sample]:
-        """Samples that have arrived by ``t_us``."""
-        ...
-
-    def frames(self, t_us: int) -> Sequence[CameraFrame]:
-        """Images that have arrived by ``t_us``."""
-        ...
-
-    def write(self, t_us: int, command: ThrusterCommand) -> None:
-        """Drive the thrusters."""
-        ...
-
-    # What cannot be had raises DriverError or OSError, is told to the service, and tried again on the next tick.
-
-    def close(self) -> None:
-        """Thrusters to neutral, devices closed."""
-        ...
-
-
-class Recorder(Protocol):
-    """Where every tick is recorded."""
-
-    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
-        """Log one tick."""
-        ...
-
-    def loop_stats(self, stats: LoopStats) -> None:
-        """Log the health of the loop."""
-        ...
-
-    @property
-    def dropped(self) -> int:
-        """Messages lost so far."""
-        ...
-
-
-class Peer(Protocol):
-    """An in-process MAVLink client that lives in the same time as the vehicle (scripted operators, tests)."""
-
-    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
-        """Datagrams that the vehicle sent since the last call -> datagrams for the vehicle."""
-        ...
-
-
-class PacedClock:
-    """Wall clock scaled by ``speed``."""
-
-    def __init__(self, speed: float) -> None:
-        self._speed = speed
-        self._start_s = time.monotonic()
-
-    def now_us(self) -> int:
-        """Scaled microseconds since the clock was made."""
-        return int((time.monotonic() - self._start_s) * 1e6 * self._speed)
-
-    def wait_until(self, t_us: int) -> int:
-        """Sleep until ``t_us``."""
-        time.sleep(self.left_s(t_us))
-        return self.now_us()
-
-    def left_s(self, t_us: int) -> float:
-        """Real seconds until ``t_us``."""
-        return max(0.0, (t_us - self.now_us()) * 1e-6 / self._speed)
-
-
-class LockstepClock:
-    """Time is what the loop says: no waiting, never late."""
-
-    def __init__(self) -> None:
-        self._t_us = 0
-
-    def now_us(self) -> int:
-        """Time of the present tick."""
-        return self._t_us
-
-    def wait_until(self, t_us: int) -> int:
-        """Jump."""
-        self._t_us = t_us
-        return t_us
-
-    def left_s(self, t_us: int) -> float:
-        """Nothing to wait for."""
-        return 0.0
-
-
-def make_clock(speed: float) -> Clock:
-    """Speed 0 = as fast as possible."""
-    return PacedClock(speed) if speed > 0.0 else LockstepClock()
-
-
-@dataclass(slots=True)
-class LoopCounters:
-    """What the loop has seen so far."""
-
-    ticks: int = 0
-    overruns: int = 0
-    worst_tick_s: float = 0.0
-    """Wall time of the longest tick."""
-    cpu_load: float = 0.0
-
-
 class Runtime:
     """Owns the outside world of one service."""
 
     def __init__(
         self,
         service: Autopilot,
-        device: Device,
+        device: VehicleIo,
         vision: VisionWorker | None,
         links: Sequence[Link],
         recorder: Recorder,
@@ -193,13 +84,11 @@ class Runtime:
         self._shown_faults: set[tuple[str, str]] = set()
         self._rest: ThrusterCommand | None = None
         self._peer_rx: list[MavlinkFrame] = []
-        self._cpu_mark_s = time.process_time()
-        self._busy_s = 0.0
-        self._worst_tick_s = 0.0
         self.watch = Stopwatch()
         """What the parts of the present tick have cost so far."""
         service.marks = self.watch
-        self.counters = LoopCounters()
+        self._spent = LoopAccount(self.watch, paced=paced)
+        self.counters = self._spent.counters
 
     def take_over(self, frames: Sequence[MavlinkFrame]) -> None:
         """What came over the links before the first tick; it is received with that."""
@@ -350,7 +239,7 @@ class Runtime:
         self._transport.send(answers)
         self._between_rx += received
         self._between_tx += answers
-        self._busy_s += time.perf_counter() - begin_s
+        self._spent.busy(time.perf_counter() - begin_s)
 
     def _receive(self, t_us: int) -> tuple[MavlinkFrame, ...]:
         received = self._transport.receive(t_us) + self._peer_rx
@@ -374,30 +263,10 @@ class Runtime:
         return inputs, outputs
 
     def _account(self, t_us: int, tick_s: float) -> None:
-        counters = self.counters
-        counters.ticks += 1
-        self._busy_s += tick_s
-        self._worst_tick_s = max(self._worst_tick_s, tick_s)
-        if counters.ticks % STATS_EVERY_TICKS:
-            return
-        cpu_s = time.process_time()
-        part_s, part_cpu_s = self.watch.take_slowest()
-        self._recorder.loop_stats(
-            LoopStats(
-                t_us=t_us,
-                tick_s=self._worst_tick_s,
-                cpu_s=cpu_s - self._cpu_mark_s,
-                overruns=counters.overruns,
-                dropped_log=self._recorder.dropped,
-                dropped_frames=0 if self._vision is None else self._vision.dropped,
-                part_s=part_s,
-                part_cpu_s=part_cpu_s,
-            )
-        )
-        if self._paced:
-            counters.cpu_load = min(1.0, self._busy_s / (STATS_EVERY_TICKS * TICK_US * 1e-6))
-        counters.worst_tick_s = max(counters.worst_tick_s, self._worst_tick_s)
-        self._cpu_mark_s, self._busy_s, self._worst_tick_s = cpu_s, 0.0, 0.0
+        dropped_frames = 0 if self._vision is None else self._vision.dropped
+        stats = self._spent.tick(t_us, tick_s, dropped_log=self._recorder.dropped, dropped_frames=dropped_frames)
+        if stats is not None:
+            self._recorder.loop_stats(stats)
 
 
 def _show(text: str) -> None:

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.core.errors import DriverError
 from autopilot.mavlink.boot import MAX_PARSERS, STARTING, BootLink
 from autopilot.mavlink.wire import LinkParser
-from autopilot.run.doorstep import TURN_S, Doorstep
+from autopilot.run.boot_links import TURN_S, BootLinks
 from drivers.protocols import Received
 
 ARM = mav.MAVLink_command_long_message(1, 1, mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
@@ -87,16 +87,16 @@ class Line:
 def test_a_link_that_breaks_takes_no_other_with_it(error: Exception, capfd: pytest.CaptureFixture[str]) -> None:
     broken, good = Line(), Line()
     broken.error = error
-    with Doorstep([broken, good], 1, "generic") as doorstep:
+    with BootLinks([broken, good], 1, "generic") as boot:
         assert kinds(*good.sent) == ["HEARTBEAT"]
         good.inbox.append(packed(ARM, COUNT))
         while "COMMAND_ACK" not in kinds(*good.sent):
-            assert doorstep._thread.is_alive()
+            assert boot._thread.is_alive()
             time.sleep(TURN_S)
         broken.error = None
         while not broken.sent:
-            assert doorstep._thread.is_alive()
+            assert boot._thread.is_alive()
             time.sleep(TURN_S)
-        kept = doorstep.take_unanswered()
+        kept = boot.take_unanswered()
     assert [(frame.link, frame.client, kinds(frame.data)) for frame in kept] == [(1, 5, ["MISSION_COUNT"])]
     assert capfd.readouterr().err.count("Traceback") == isinstance(error, ValueError)

@@ -9,7 +9,8 @@ import pytest
 from autopilot.core.marks import LoopPart, Stopwatch
 from autopilot.core.messages import Inputs, LoopStats, MavlinkFrame, ModeState, Outputs, ThrusterCommand
 from autopilot.core.samples import CameraFrame, Sample
-from autopilot.run.runtime import LockstepClock, Runtime
+from autopilot.run.clocks import LockstepClock
+from autopilot.run.runtime import Runtime
 from drivers.protocols import Received
 
 

@@ -461,8 +461,8 @@ def test_full_disk_for_parameters_does_not_stop_the_vehicle(session: OpenSession
     client.send(mav.MAVLink_param_set_message(1, 1, b"SPD_CRUISE", 0.2, mav.MAV_PARAM_TYPE_REAL32))
     run_.run()
     assert run_.parts.params["SPD_CRUISE"] == pytest.approx(0.2)
-    assert run_.persistent.failure is not None
-    assert "parameters are not saved: " in run_.persistent.failure
+    assert run_.kept.params.failure is not None
+    assert "parameters are not saved: " in run_.kept.params.failure
     told = [text for text in client.texts() if text.startswith("Not saved")]
     assert told == ["Not saved (folder gone), lost at restart: SPD_CRUISE"]
 

@@ -105,7 +105,7 @@ def test_a_slow_detector_does_not_hold_the_loop(tmp_path: Path, monkeypatch: pyt
     progress = Progress()
     monkeypatch.setattr(SlowDetector, "progress", progress, raising=False)
     monkeypatch.setattr(SlowDetector, "seen_us", [], raising=False)
-    monkeypatch.setattr("autopilot.run.sitl_session.MarkerDetector", SlowDetector)
+    monkeypatch.setattr("autopilot.run.session.MarkerDetector", SlowDetector)
     session = _session(
         tmp_path, speed=1.0, sensors="camera", duration=4.0, on_tick=progress.tick, log=str(tmp_path / "a.mcap")
     )

@@ -92,7 +92,7 @@ def test_a_station_that_only_listens_hears_it_as_early(
     [("--param", "SPEED=1"), ("--plan", "nothing.plan"), ("--sensors", "camera"), ("--instance", "99")],
 )
 def test_what_cannot_start_lets_go_of_its_port(argument: tuple[str, str]) -> None:
-    """An error before or behind the doorstep."""
+    """An error before or after the links are open."""
     port = free_port()
     scenario = "open-water" if argument == ("--sensors", "camera") else "paper-tank"
     broken = () if argument[0] != "--instance" else ("--param", "SYSID_THISMAV=200")

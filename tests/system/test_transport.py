@@ -22,9 +22,10 @@ from autopilot.core.guard import Guard
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.log.reader import open_log
+from autopilot.run.clocks import LockstepClock
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.recorder import NullRecorder
-from autopilot.run.runtime import LockstepClock, Runtime
+from autopilot.run.runtime import Runtime
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from autopilot.run.transport import Transport
 from drivers.links import open_link

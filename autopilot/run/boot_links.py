@@ -9,20 +9,14 @@ import threading
 import time
 import traceback
 from collections.abc import Hashable, Sequence
-from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from autopilot.core.desk import Desk
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import MavlinkFrame
-from autopilot.core.param_file import PersistentParams
-from autopilot.core.params import ParamSet
 from autopilot.mavlink.boot import BootLink
-from autopilot.run.config import Settings, system_id
 from drivers.links import open_link
 from drivers.protocols import Link
-from sitl.scenario import Scenario, load_scenario
 
 HEARTBEAT_S = 1.0
 TURN_S = 0.05
@@ -32,7 +26,7 @@ MAX_KEPT = 256
 """Requests that are kept; one that is asked again takes the place of the one before."""
 
 
-class Doorstep:
+class BootLinks:
     """Answers on open links from ``with`` to its end; then they are the service's. An error closes them."""
 
     def __init__(self, links: Sequence[Link], sysid: int, profile: str) -> None:
@@ -46,7 +40,7 @@ class Doorstep:
         self._kept: dict[Hashable, tuple[float, MavlinkFrame]] = {}
         """By link, client and what is asked, the oldest first."""
         self._end = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="doorstep", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="boot links", daemon=True)
 
     def __enter__(self) -> Self:
         """The first heartbeats are out when this returns."""
@@ -112,45 +106,13 @@ class Doorstep:
         self._kept[key] = (now_s, frame)
 
 
-def open_doorstep(settings: Settings, overrides: dict[str, float], *, instance: int) -> Doorstep:
-    """Open a SITL run's links. ConfigError and DriverError name what is wrong; nothing is open then."""
-    params, *_ = sitl_params(settings, load_scenario(settings["scenario"]), overrides, instance)
-    sysid = system_id(params, instance)
+def open_boot_links(connections: Sequence[str], sysid: int, profile: str) -> BootLinks:
+    """Open links. DriverError names what is wrong; nothing is open then."""
     links: list[Link] = []
     try:
-        links.extend(open_link(connection) for connection in settings["connect"])
-        return Doorstep(links, sysid, settings["profile"])
+        links.extend(open_link(connection) for connection in connections)
+        return BootLinks(links, sysid, profile)
     except BaseException:
         for link in links:
             link.close()
         raise
-
-
-def sitl_params(
-    settings: Settings, scenario: Scenario, overrides: dict[str, float], instance: int, disk: Desk | None = None
-) -> tuple[ParamSet, PersistentParams, tuple[str, ...]]:
-    """Defaults < scenario's origin, disturbance bounds and parameters < saved by earlier runs < command line.
-
-    The last of the result is what is wrong with the saved ones. Without the lane of the ``disk`` they are only looked
-    at: nothing is cleaned up, nothing set aside.
-    """
-    params = ParamSet()
-    params.set("ORIGIN_LAT", scenario.origin.lat_deg)
-    params.set("ORIGIN_LON", scenario.origin.lon_deg)
-    params.set("ORIGIN_ALT", scenario.origin.alt_m)
-    told = scenario.controller
-    for bound, value in (("MPC_W_FORCE", told.disturbance_n), ("MPC_W_MOMENT", told.disturbance_n_m)):
-        if value is not None:
-            params.set(bound, value)
-    for name, value in scenario.params.items():
-        params.set(name, value)
-    persistent = PersistentParams(state_folder(settings, instance) / "parameters.params", params, disk)
-    warnings = persistent.load(mend=disk is not None)
-    for name, value in overrides.items():
-        params.set(name, value)
-    return params, persistent, warnings
-
-
-def state_folder(settings: Settings, instance: int) -> Path:
-    """What an instance keeps between runs."""
-    return Path(settings["state_dir"]) / f"sitl-{instance}"

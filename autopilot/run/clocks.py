@@ -1,0 +1,51 @@
+"""The loop's pace: wall time at any speed, or none."""
+
+import time
+
+from autopilot.core.clock import Clock
+
+
+class PacedClock:
+    """Wall clock scaled by ``speed``."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._start_s = time.monotonic()
+
+    def now_us(self) -> int:
+        """Scaled microseconds since the clock was made."""
+        return int((time.monotonic() - self._start_s) * 1e6 * self._speed)
+
+    def wait_until(self, t_us: int) -> int:
+        """Sleep until ``t_us``."""
+        time.sleep(self.left_s(t_us))
+        return self.now_us()
+
+    def left_s(self, t_us: int) -> float:
+        """Real seconds until ``t_us``."""
+        return max(0.0, (t_us - self.now_us()) * 1e-6 / self._speed)
+
+
+class LockstepClock:
+    """Time is what the loop says: no waiting, never late."""
+
+    def __init__(self) -> None:
+        self._t_us = 0
+
+    def now_us(self) -> int:
+        """Time of the present tick."""
+        return self._t_us
+
+    def wait_until(self, t_us: int) -> int:
+        """Jump."""
+        self._t_us = t_us
+        return t_us
+
+    def left_s(self, t_us: int) -> float:
+        """Nothing to wait for."""
+        return 0.0
+
+
+def make_clock(speed: float) -> Clock:
+    """Speed 0 = as fast as possible."""
+    return PacedClock(speed) if speed > 0.0 else LockstepClock()

@@ -1,0 +1,65 @@
+"""What the ticks of a loop cost: statistics once per second, and what the run comes to."""
+
+import time
+from dataclasses import dataclass
+
+from autopilot.core.clock import TICK_US
+from autopilot.core.marks import Stopwatch
+from autopilot.core.messages import LoopStats
+
+STATS_EVERY_TICKS = 100
+"""Loop statistics once per second."""
+
+
+@dataclass(slots=True)
+class LoopCounters:
+    """What the loop has seen so far."""
+
+    ticks: int = 0
+    overruns: int = 0
+    worst_tick_s: float = 0.0
+    """Wall time of the longest tick."""
+    cpu_load: float = 0.0
+
+
+class LoopAccount:
+    """Adds ticks up."""
+
+    def __init__(self, watch: Stopwatch, *, paced: bool) -> None:
+        """``watch`` times the parts of a tick; without a pace there is no load."""
+        self._watch = watch
+        self._paced = paced
+        self._cpu_mark_s = time.process_time()
+        self._busy_s = 0.0
+        self._worst_tick_s = 0.0
+        self.counters = LoopCounters()
+
+    def busy(self, time_s: float) -> None:
+        """Work between two ticks."""
+        self._busy_s += time_s
+
+    def tick(self, t_us: int, tick_s: float, *, dropped_log: int, dropped_frames: int) -> LoopStats | None:
+        """A tick has taken so long; once per second what the ticks since the last answer were like."""
+        counters = self.counters
+        counters.ticks += 1
+        self._busy_s += tick_s
+        self._worst_tick_s = max(self._worst_tick_s, tick_s)
+        if counters.ticks % STATS_EVERY_TICKS:
+            return None
+        cpu_s = time.process_time()
+        part_s, part_cpu_s = self._watch.take_slowest()
+        stats = LoopStats(
+            t_us=t_us,
+            tick_s=self._worst_tick_s,
+            cpu_s=cpu_s - self._cpu_mark_s,
+            overruns=counters.overruns,
+            dropped_log=dropped_log,
+            dropped_frames=dropped_frames,
+            part_s=part_s,
+            part_cpu_s=part_cpu_s,
+        )
+        if self._paced:
+            counters.cpu_load = min(1.0, self._busy_s / (STATS_EVERY_TICKS * TICK_US * 1e-6))
+        counters.worst_tick_s = max(counters.worst_tick_s, self._worst_tick_s)
+        self._cpu_mark_s, self._busy_s, self._worst_tick_s = cpu_s, 0.0, 0.0
+        return stats

@@ -1,0 +1,58 @@
+"""What the loop needs of whatever it is put into: hardware or simulation, a log, clients in the same process."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from autopilot.core.messages import Inputs, LoopStats, Outputs, ThrusterCommand
+from autopilot.core.samples import CameraFrame, Sample
+
+
+class VehicleIo(Protocol):
+    """All of a vehicle's devices as one, real or simulated."""
+
+    def advance(self, t_us: int) -> None:
+        """Let the outside world go on to ``t_us``."""
+        ...
+
+    def poll(self, t_us: int) -> Sequence[Sample]:
+        """Samples that have arrived by ``t_us``."""
+        ...
+
+    def frames(self, t_us: int) -> Sequence[CameraFrame]:
+        """Images that have arrived by ``t_us``."""
+        ...
+
+    def write(self, t_us: int, command: ThrusterCommand) -> None:
+        """Drive the thrusters."""
+        ...
+
+    # What cannot be had raises DriverError or OSError, is told to the service, and tried again on the next tick.
+
+    def close(self) -> None:
+        """Thrusters to neutral, devices closed."""
+        ...
+
+
+class Recorder(Protocol):
+    """Where every tick is recorded."""
+
+    def record(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
+        """Log one tick."""
+        ...
+
+    def loop_stats(self, stats: LoopStats) -> None:
+        """Log the health of the loop."""
+        ...
+
+    @property
+    def dropped(self) -> int:
+        """Messages lost so far."""
+        ...
+
+
+class Peer(Protocol):
+    """An in-process MAVLink client that lives in the same time as the vehicle (scripted operators, tests)."""
+
+    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        """Datagrams that the vehicle sent since the last call -> datagrams for the vehicle."""
+        ...

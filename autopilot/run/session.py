@@ -1,0 +1,176 @@
+"""A run of the service on a vehicle, simulated or real: the loop with all that it is connected to, until its end."""
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from autopilot.command.parts import Parts
+from autopilot.command.service import Autopilot
+from autopilot.core.camera import CameraModel
+from autopilot.core.desk import Desk
+from autopilot.core.errors import PlanError
+from autopilot.core.markers import MarkerMap
+from autopilot.core.messages import Outputs, Severity
+from autopilot.core.param_file import PersistentParams
+from autopilot.core.vehicle import Vehicle
+from autopilot.run.clocks import make_clock
+from autopilot.run.kept_plans import KeptPlans
+from autopilot.run.outside import Peer, VehicleIo
+from autopilot.run.recorder import NullRecorder, RunRecorder
+from autopilot.run.runtime import Runtime
+from drivers.links import open_link
+from drivers.protocols import Link
+from estimator.frame_door import FrameDoor
+from estimator.vision import MarkerDetector
+from estimator.vision_lane import VisionWorker
+from mission.loading import load_plan
+from mission.plan_files import read_plan
+
+THREAD_SWITCH_S = 0.0005
+"""Python's default of 5 ms would let a busy thread delay a tick by half its length."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Outside:
+    """What a service is connected to. ``speed``: 1 on hardware, 0 = as fast as possible."""
+
+    device: VehicleIo
+    vision: VisionWorker | None
+    links: Sequence[Link]
+    peers: Sequence[Peer]
+    recorder: RunRecorder | NullRecorder
+    speed: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Kept:
+    """What outlives a run."""
+
+    params: PersistentParams
+    plans: KeptPlans | None
+    """Where the plans are kept, None when they are not."""
+    disk: Desk
+    """The lane on which both write."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Session:
+    """A run that is ready to go."""
+
+    vehicle: Vehicle
+    service: Autopilot
+    parts: Parts
+    device: VehicleIo
+    runtime: Runtime
+    recorder: RunRecorder | NullRecorder
+    kept: Kept
+    warnings: tuple[str, ...]
+    """What the operator should know of what was kept by earlier runs."""
+    duration_s: float | None
+
+    def run(self, stop: Callable[[], bool] = lambda: False) -> float:
+        """Run to the end; the result is the wall time it took [s]."""
+        begin_s = time.monotonic()
+        with contextlib.ExitStack() as end:  # whatever one of them raises, the others are done
+            end.callback(self._end_slow_work)
+            if self.kept.plans is not None:
+                end.callback(self.kept.plans.finish)
+            end.callback(self.kept.params.finish)
+            end.callback(self.recorder.close)
+            self.runtime.run(duration_s=self.duration_s, stop=stop)
+        return time.monotonic() - begin_s
+
+    def _end_slow_work(self) -> None:
+        """Nobody wants routes, plans and checks any more: what has not begun does not begin."""
+        try:
+            self.parts.plans.close()
+            self.parts.controller.reset()
+        finally:
+            for desk in (*self.parts.desks, self.kept.disk):
+                desk.close()
+
+
+def loop_round(
+    service: Autopilot,
+    parts: Parts,
+    outside: Outside,
+    kept: Kept,
+    warnings: Sequence[str],
+    on_tick: Callable[[Outputs], None],
+) -> Runtime:
+    """The loop round a service, ready to run. ``warnings`` are told to operators on the first tick."""
+    sys.setswitchinterval(THREAD_SWITCH_S)
+    plans, recorder = kept.plans, outside.recorder
+    news: list[tuple[Severity, str]] = [(Severity.WARNING, text) for text in warnings]
+
+    def each_tick(outputs: Outputs) -> None:
+        if plans is not None:
+            plans.tick(outputs.t_us)
+        on_tick(outputs)
+
+    def notices() -> Sequence[tuple[Severity, str]]:
+        told = (*news, *recorder.take_notices(), *(() if plans is None else plans.take_notices()))
+        news.clear()
+        return told
+
+    runtime = Runtime(
+        service,
+        outside.device,
+        outside.vision,
+        outside.links,
+        recorder,
+        make_clock(outside.speed),
+        peers=outside.peers,
+        on_tick=each_tick,
+        paced=outside.speed > 0.0,
+        notices=notices,
+    )
+    for desk in (*parts.desks, kept.disk):
+        desk.idle = runtime.attend
+    return runtime
+
+
+def take_plans(parts: Parts, plan: Path | None, kept: KeptPlans | None, *, flown_at_once: bool) -> tuple[str, ...]:
+    """The plan to have on board: of a file, else what was kept. The result is what an operator should know.
+
+    PlanError if the file is no plan, or cannot be flown though it is to be ``flown_at_once``.
+    """
+    if plan is None:
+        return () if kept is None else kept.load()
+    problem = load_plan(parts.plans, read_plan(plan), str(plan))
+    if problem and flown_at_once:
+        raise PlanError(f"{plan}: cannot be flown: {problem}; mend the plan, or start without --start")
+    if problem:
+        print(f"warning: {plan}: {problem}; the vehicle will not arm before that is mended", file=sys.stderr)
+    if kept is not None:
+        kept.skip()
+    return ()
+
+
+@contextlib.contextmanager
+def opened(device: VehicleIo, connections: Sequence[str], links: Sequence[Link] | None) -> Iterator[Sequence[Link]]:
+    """The ``connections`` as links, or those ``links`` that are open already; an error in here closes them and the
+    device."""
+    found: list[Link] = [] if links is None else list(links)
+    try:
+        if links is None:
+            found.extend(open_link(connection) for connection in connections)
+        yield found
+    except BaseException:
+        device.close()
+        for link in found:
+            link.close()
+        raise
+
+
+def marker_vision(vehicle: Vehicle, markers: MarkerMap | None, *, paced: bool) -> VisionWorker | None:
+    """Detection beside the loop, None when there are no pictures."""
+    if markers is None:
+        return None
+    camera = vehicle.eye
+    detector = MarkerDetector(CameraModel.of(camera, vehicle.laser), markers)
+    door = FrameDoor(camera.width_px, camera.height_px)
+    return VisionWorker(detector, delay_s=0.5 * camera.latency_s, door=door, paced=paced)

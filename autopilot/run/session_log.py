@@ -1,0 +1,141 @@
+"""The log of a session: one file where ``--log`` says, else one per arming in the log folder."""
+
+import time
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from autopilot import __version__
+from autopilot.command.parts import Parts
+from autopilot.core.errors import LogError
+from autopilot.core.marker_files import marker_file_text
+from autopilot.core.markers import MarkerMap
+from autopilot.log.description import RunDescription
+from autopilot.log.recover import recover_unfinished
+from autopilot.log.session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
+from autopilot.log.writer import LogHead, Payload
+from autopilot.replay.setup import estimator_attachments
+from autopilot.run.config import Settings
+from autopilot.run.describe import plan_items, plans_json
+from autopilot.run.provenance import revision
+from autopilot.run.recorder import RunRecorder, TruthSource
+
+
+class LogContents:
+    """What the logs of a session begin with. What does not change is made once, at the start and not in a tick."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        parts: Parts,
+        describe: Callable[[], RunDescription],
+        *,
+        estimator: str,
+        markers: MarkerMap | None,
+        floor_depth_m: float | None,
+        metadata: Mapping[str, str],
+        attachments: Mapping[str, bytes],
+    ) -> None:
+        """``describe`` makes the description of now; ``estimator`` is its name, ``markers`` and ``floor_depth_m``
+        what it was told. ``metadata`` and ``attachments`` are the world's: the service's own come from here."""
+        self._parts = parts
+        self._describe = describe
+        self._metadata = {
+            "version": __version__,
+            "revision": revision(),
+            "vehicle": parts.vehicle.name,
+            **metadata,
+        }
+        self._attachments = {
+            "config.json": msgspec.json.encode(settings.values(), enc_hook=str),
+            "vehicle.json": msgspec.json.encode(parts.vehicle),
+            **estimator_attachments(estimator, parts.params, markers, floor_depth_m),
+            **attachments,
+        }
+
+    def description(self) -> RunDescription:
+        """The run as things stand now."""
+        return self._describe()
+
+    def plans(self) -> dict[str, Payload]:
+        """The plans in force now, to be encoded by whoever writes them."""
+        items = plan_items(self._parts.plans)
+        return {"plans.json": lambda: plans_json(items)}
+
+    def head(self, path: Callable[[], Path]) -> Callable[[], LogHead]:
+        """What a log that begins now starts with, to be made by whoever writes it."""
+        items = plan_items(self._parts.plans)
+        return lambda: LogHead(
+            path=path(),
+            metadata={**self._metadata, "started": datetime.now(UTC).isoformat(timespec="seconds")},
+            attachments={**self._attachments, "plans.json": plans_json(items)},
+        )
+
+
+def marker_attachment(markers: MarkerMap) -> dict[str, bytes]:
+    """A marker map that came from a file."""
+    return {"markers.toml": marker_file_text(markers).encode()}
+
+
+def open_recorder(
+    settings: Settings,
+    parts: Parts,
+    contents: LogContents,
+    *,
+    epoch_ns: int,
+    lockstep: bool,
+    truth: TruthSource | None = None,
+) -> RunRecorder:
+    """The recorder of a session whose time zero is ``epoch_ns``. LogError if there is no place for its logs.
+
+    In lockstep a log is made and finished in the tick, which is the same on every machine; at a speed beside the loop,
+    but for a file that is there from the start. ``truth``: a simulated vehicle's, None on hardware.
+    """
+    fixed = None if settings["log"] is None else Path(settings["log"])
+    folder = Path(settings["log_dir"])
+    if fixed is None:
+        _make_folder(folder)
+        recover_unfinished(folder)
+    opened = 0
+
+    def open_log() -> RunLog:
+        nonlocal opened
+        opened += 1
+        at_start = opened == 1 and fixed is not None
+
+        def path() -> Path:
+            if fixed is None:
+                return log_path(folder, time.time_ns())
+            return fixed if at_start else free_path(fixed)
+
+        head, description = contents.head(path), contents.description()
+        if not (lockstep or at_start):
+            return open_run_log_beside(head, epoch_ns=epoch_ns, description=description)
+        given = head()
+        return open_run_log(
+            given.path,
+            epoch_ns=epoch_ns,
+            description=description,
+            metadata=given.metadata,
+            attachments=given.attachments,
+            lossless=lockstep,
+        )
+
+    return RunRecorder(
+        open_log,
+        lambda: (contents.description(), contents.plans()),
+        plan_revision=lambda: parts.plans.revision,
+        truth=truth,
+        per_arming=fixed is None,
+        waits=lockstep,
+    )
+
+
+def _make_folder(folder: Path) -> None:
+    """The log folder, now and not at the first arming. LogError if it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(f"log folder {folder}: cannot be made ({error.strerror}); choose another place") from error

@@ -1,0 +1,65 @@
+"""What the log of a simulated run says beside what any vehicle's says: the world, and what the run is judged by."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from autopilot.command.parts import Parts
+from autopilot.log.description import AcceptBounds, Obstacle, PartOrigin, RunDescription
+from autopilot.run.describe import describe_service
+from sitl.scenario import Scenario
+from sitl.scenario_tables import MovingObstacle, PrismObstacle, SphereObstacle
+from sitl.scenario_tables import Obstacle as SolidTable
+
+
+def describe_run(
+    scenario: Scenario, parts: Parts, *, seed: int, speed: float, origins: Mapping[str, PartOrigin] | None = None
+) -> RunDescription:
+    """The description of a simulated run as things stand now. ``origins``: of controller, estimator and plant."""
+    tank, accept = scenario.tank, scenario.accept
+    service = describe_service(parts, scenario.scenario.name)
+    return replace(
+        service,
+        parts=dict(origins or {}),
+        seed=seed,
+        speed=speed,
+        # The plant's power holds the hotel load already.
+        hotel_power_w=0.0,
+        tank_polygon_m=() if tank is None else tuple(tank.polygon_m),
+        tank_depth_m=None if tank is None else tank.depth_m,
+        # Logs know round obstacles; a prism is judged and drawn as what the fence holds.
+        obstacles=tuple(
+            _obstacle(obstacle, number)
+            for number, obstacle in enumerate(scenario.obstacle, start=1)
+            if not isinstance(obstacle, PrismObstacle)
+        ),
+        accept=AcceptBounds(
+            laps=service.accept.laps,
+            cylinder_clearance_m=accept.cylinder_clearance_m,
+            wall_clearance_m=accept.wall_clearance_m,
+            tolerance_m=accept.tolerance_m,
+            depth_min_m=accept.depth_min_m,
+            depth_max_m=accept.depth_max_m,
+            planar_speed_m_s=accept.planar_speed_m_s,
+            heave_m_s=accept.heave_m_s,
+            yaw_rate_rad_s=accept.yaw_rate_rad_s,
+            thrust_n=accept.thrust_n,
+            pos_rms_m=accept.pos_rms_m,
+            yaw_rms_deg=accept.yaw_rms_deg,
+        ),
+    )
+
+
+def _obstacle(obstacle: SolidTable, number: int) -> Obstacle:
+    assert not isinstance(obstacle, PrismObstacle)
+    if isinstance(obstacle, MovingObstacle):
+        return Obstacle(
+            center_m=tuple(obstacle.path_m[0]),
+            radius_m=obstacle.radius_m,
+            name=f"moving {number}",
+            path_m=tuple(obstacle.path_m),
+            speed_m_s=obstacle.speed_m_s,
+            ends=obstacle.ends,
+            start_s=obstacle.start_s,
+        )
+    kind = "sphere" if isinstance(obstacle, SphereObstacle) else "cylinder"
+    return Obstacle(center_m=tuple(obstacle.center_m), radius_m=obstacle.radius_m, name=f"{kind} {number}")

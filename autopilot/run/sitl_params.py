@@ -1,0 +1,46 @@
+"""Parameters of a simulated run, and its links, which are open before anything else of it is loaded."""
+
+from pathlib import Path
+
+from autopilot.core.desk import Desk
+from autopilot.core.param_file import PersistentParams
+from autopilot.core.params import ParamSet
+from autopilot.run.boot_links import BootLinks, open_boot_links
+from autopilot.run.config import Settings, system_id
+from sitl.scenario import Scenario, load_scenario
+
+
+def open_sitl_links(settings: Settings, overrides: dict[str, float], *, instance: int) -> BootLinks:
+    """Open a SITL run's links. ConfigError and DriverError name what is wrong; nothing is open then."""
+    params, *_ = sitl_params(settings, load_scenario(settings["scenario"]), overrides, instance)
+    return open_boot_links(settings["connect"], system_id(params, instance), settings["profile"])
+
+
+def sitl_params(
+    settings: Settings, scenario: Scenario, overrides: dict[str, float], instance: int, disk: Desk | None = None
+) -> tuple[ParamSet, PersistentParams, tuple[str, ...]]:
+    """Defaults < scenario's origin, disturbance bounds and parameters < saved by earlier runs < command line.
+
+    The last of the result is what is wrong with the saved ones. Without the lane of the ``disk`` they are only looked
+    at: nothing is cleaned up, nothing set aside.
+    """
+    params = ParamSet()
+    params.set("ORIGIN_LAT", scenario.origin.lat_deg)
+    params.set("ORIGIN_LON", scenario.origin.lon_deg)
+    params.set("ORIGIN_ALT", scenario.origin.alt_m)
+    told = scenario.controller
+    for bound, value in (("MPC_W_FORCE", told.disturbance_n), ("MPC_W_MOMENT", told.disturbance_n_m)):
+        if value is not None:
+            params.set(bound, value)
+    for name, value in scenario.params.items():
+        params.set(name, value)
+    persistent = PersistentParams(state_folder(settings, instance) / "parameters.params", params, disk)
+    warnings = persistent.load(mend=disk is not None)
+    for name, value in overrides.items():
+        params.set(name, value)
+    return params, persistent, warnings
+
+
+def state_folder(settings: Settings, instance: int) -> Path:
+    """What an instance keeps between runs."""
+    return Path(settings["state_dir"]) / f"sitl-{instance}"

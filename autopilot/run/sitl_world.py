@@ -1,0 +1,119 @@
+"""What a scenario and the settings make of the world, and what the vehicle is told of it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast
+
+from autopilot.command.map_check import open_map
+from autopilot.control.water.current_learning import Basin, LearnedCurrent
+from autopilot.control.water.current_map import CurrentMap
+from autopilot.control.water.currents import (
+    OPEN_WATER_SCALE_M,
+    TANK_SCALE_M,
+    CurrentForecast,
+    EstimatedCurrent,
+    MappedCurrent,
+    NoCurrent,
+    PointwiseField,
+)
+from autopilot.core.errors import ConfigError
+from autopilot.core.geodesy import Origin
+from autopilot.core.marker_files import load_marker_map
+from autopilot.core.markers import MarkerMap
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.log.description import PartOrigin
+from autopilot.run.config import Settings, chosen_part
+from autopilot.run.sitl_parts import part_origins
+from sitl.backend import SimulatedVehicle, simulated_vehicle
+from sitl.currents import current_field
+from sitl.floor import told_markers
+from sitl.scenario import GridCurrent, Scenario
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class World:
+    """What a scenario and the settings make of the world."""
+
+    scenario: Scenario
+    vehicle: Vehicle
+    simulated: SimulatedVehicle
+    seed: int
+    speed: float
+    origin: Origin
+    """Of the local frame at the start."""
+    water: CurrentMap | None
+    """The map that the controller is told, None without a file."""
+    markers: MarkerMap | None
+    """The marker map that the vehicle is told, None when there are no pictures."""
+    parts: dict[str, PartOrigin]
+    """Where controller, estimator and plant come from."""
+
+
+def make_world(settings: Settings, scenario: Scenario, params: ParamSet) -> World:
+    """Scenario, vehicle and the simulated vehicle, and what the controller may know of the water."""
+    vehicle = load_vehicle(scenario.vehicle.model)
+    seed = scenario.scenario.seed if settings["seed"] is None else settings["seed"]
+    sensors = scenario.sensors.position if settings["sensors"] is None else settings["sensors"]
+    position = cast(Literal["camera", "pose"], sensors)
+    speed = float(settings["speed"])
+    plant, plant_by = chosen_part(settings, "plant", scenario.plugins.plant)
+    simulated = simulated_vehicle(
+        scenario, vehicle, seed=seed, position=position, paced=speed > 0.0, plant=plant, plant_asked_by=plant_by
+    )
+    origin = Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"])
+    return World(
+        scenario=scenario,
+        vehicle=vehicle,
+        simulated=simulated,
+        seed=seed,
+        speed=speed,
+        origin=origin,
+        water=_map(settings, scenario, origin),
+        markers=_told_markers(settings, scenario, simulated.markers),
+        parts=part_origins(settings, scenario),
+    )
+
+
+def _told_markers(settings: Settings, scenario: Scenario, true: MarkerMap | None) -> MarkerMap | None:
+    """The map of ``--markers``, else what the scenario gives to the vehicle. ConfigError if there is no use for it."""
+    if settings["markers"] is None:
+        return None if true is None else told_markers(scenario)
+    if true is None:
+        raise ConfigError("--markers needs pictures, and this run has none; use --sensors camera or leave it out")
+    return load_marker_map(Path(settings["markers"]))
+
+
+def knowledge(settings: Settings, scenario: Scenario) -> str:
+    """What the controller is told of the water: the setting, a given map, or what the scenario says."""
+    if settings["currents"] is not None:
+        return str(settings["currents"])
+    return "map" if settings["currents_map"] is not None else scenario.controller.currents
+
+
+def _map(settings: Settings, scenario: Scenario, origin: Origin) -> CurrentMap | None:
+    """The map file of the settings, else the scenario's; None when there is none. ConfigError if it is no good."""
+    if knowledge(settings, scenario) != "map":
+        if settings["currents_map"] is not None:
+            raise ConfigError(f"--currents-map needs --currents map, not {settings['currents']}")
+        return None
+    path = settings["currents_map"] or scenario.controller.map
+    if path is None and isinstance(scenario.current, GridCurrent):
+        path = scenario.current.file
+    return None if path is None else open_map(Path(path), origin, settings["currents_start"])
+
+
+def forecast(settings: Settings, world: World) -> CurrentForecast:
+    """What the controller is told of the current. Without a map file a map is the scenario's own formula."""
+    scale_m = OPEN_WATER_SCALE_M if world.scenario.tank is None else TANK_SCALE_M
+    match knowledge(settings, world.scenario):
+        case "map" if world.water is not None:
+            return MappedCurrent(world.water)
+        case "map":
+            return MappedCurrent(PointwiseField(current_field(world.scenario.current).velocity, scale_m))
+        case "none":
+            return NoCurrent()
+        case "uniform":
+            return EstimatedCurrent()
+        case _:
+            return LearnedCurrent(Basin(settings["basin"] or world.scenario.controller.basin))
