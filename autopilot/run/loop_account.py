@@ -25,9 +25,8 @@ class LoopCounters:
 class LoopAccount:
     """Adds ticks up."""
 
-    def __init__(self, watch: Stopwatch, *, paced: bool) -> None:
-        """``watch`` times the parts of a tick; without a pace there is no load."""
-        self._watch = watch
+    def __init__(self, *, paced: bool) -> None:
+        """Without a pace there is no load."""
         self._paced = paced
         self._cpu_mark_s = time.process_time()
         self._busy_s = 0.0
@@ -38,8 +37,9 @@ class LoopAccount:
         """Work between two ticks."""
         self._busy_s += time_s
 
-    def tick(self, t_us: int, tick_s: float, *, dropped_log: int, dropped_frames: int) -> LoopStats | None:
-        """A tick has taken so long; once per second what the ticks since the last answer were like."""
+    def tick(self, t_us: int, watch: Stopwatch, *, dropped_log: int, dropped_frames: int) -> LoopStats | None:
+        """A tick that ``watch`` has timed is over; once per second what the ticks since the last answer were like."""
+        tick_s = watch.end()
         counters = self.counters
         counters.ticks += 1
         self._busy_s += tick_s
@@ -47,7 +47,7 @@ class LoopAccount:
         if counters.ticks % STATS_EVERY_TICKS:
             return None
         cpu_s = time.process_time()
-        part_s, part_cpu_s = self._watch.take_slowest()
+        part_s, part_cpu_s = watch.take_slowest()
         stats = LoopStats(
             t_us=t_us,
             tick_s=self._worst_tick_s,

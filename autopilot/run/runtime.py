@@ -87,7 +87,7 @@ class Runtime:
         self.watch = Stopwatch()
         """What the parts of the present tick have cost so far."""
         service.marks = self.watch
-        self._spent = LoopAccount(self.watch, paced=paced)
+        self._spent = LoopAccount(paced=paced)
         self.counters = self._spent.counters
 
     def take_over(self, frames: Sequence[MavlinkFrame]) -> None:
@@ -152,7 +152,7 @@ class Runtime:
         guard.run("log", lambda: self._recorder.record(*self._with_between(inputs, outputs), frames), None)
         guard.run("outside", lambda: self._on_tick(outputs), None)
         watch.mark(LoopPart.RECORD)
-        self._account(t_us, watch.end())
+        self._account(t_us)
         return outputs
 
     def close(self) -> None:
@@ -262,9 +262,9 @@ class Runtime:
             outputs = replace(outputs, mavlink_tx=(*tx, *outputs.mavlink_tx))
         return inputs, outputs
 
-    def _account(self, t_us: int, tick_s: float) -> None:
+    def _account(self, t_us: int) -> None:
         dropped_frames = 0 if self._vision is None else self._vision.dropped
-        stats = self._spent.tick(t_us, tick_s, dropped_log=self._recorder.dropped, dropped_frames=dropped_frames)
+        stats = self._spent.tick(t_us, self.watch, dropped_log=self._recorder.dropped, dropped_frames=dropped_frames)
         if stats is not None:
             self._recorder.loop_stats(stats)
 
