@@ -1,0 +1,108 @@
+"""Levelling on the plant: pushing ahead tilts a heavy frame over; the inner loop holds it and leaves the axes alone."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from autopilot.control.thrust.actuation import Actuation
+from autopilot.control.thrust.levelling import MOST, Levelling
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
+from autopilot.core.thrusters import wrench_matrix
+from autopilot.core.vehicle import Vehicle, load_vehicle
+from sitl.plant import Plant, Truth
+from sitl.world import World
+
+HEAVY = load_vehicle("bluerov2-heavy")
+TICK_US = 10_000
+
+
+def without(vehicle: Vehicle) -> Vehicle:
+    return msgspec.structs.replace(vehicle, levelling=None)
+
+
+def nav_of(truth: Truth) -> NavState:
+    return NavState(
+        t_us=truth.t_us,
+        health=NavHealth.GOOD,
+        pos_ned_m=truth.pos_ned_m,
+        rpy_rad=truth.rpy_rad,
+        vel_frd_m_s=truth.vel_frd_m_s,
+        vel_water_frd_m_s=truth.vel_water_frd_m_s,
+        rate_frd_rad_s=truth.rate_frd_rad_s,
+        current_ned_m_s=truth.current_ned_m_s,
+        variance=np.full(12, 1e-4),
+    )
+
+
+def tilts(vehicle: Vehicle, force: FloatArray, seconds: float = 12.0, lost: int | None = None) -> tuple[float, Truth]:
+    """Largest tilt [rad] after the first two seconds with a steady force X, Y, Z [N], N [N m], by way of the pulses."""
+    params = ParamSet() if lost is None else ParamSet({f"THR{lost + 1}_HEALTH": 0.0})
+    actuation = Actuation(vehicle, params)
+    plant = Plant(vehicle, World(), start_pos_ned_m=(0.0, 0.0, 20.0), start_rpy_rad=(0.1, -0.1, 0.0))
+    if lost is not None:
+        plant.set_thruster_loss(vehicle.thrusters[lost].name, 1.0)
+    most, sharing, thrust = 0.0, Sharing.of(vehicle), np.zeros(len(vehicle.thrusters))
+    for tick in range(round(seconds * 1e6 / TICK_US)):
+        t_us, truth = tick * TICK_US, plant.truth
+        nav = nav_of(truth)
+        acting_n = actuation.send(t_us)
+        actuation.learn(t_us, nav, acting_n, None, armed=True, reached=True)
+        thrust = sharing.thrust_n(force, actuation.limit_n) if tick % 5 == 0 else thrust
+        command = actuation.command(t_us, thrust, armed=True)
+        plant.advance(t_us + TICK_US, command.pwm_us[: len(vehicle.thrusters)])
+        if t_us > 2_000_000:
+            most = max(most, float(np.abs(truth.rpy_rad[:2]).max()))
+    return most, plant.truth
+
+
+AHEAD = np.array([25.0, 0.0, 1.0, 0.0])
+
+
+def test_a_heavy_pushed_ahead_tilts_over_without_it_and_stays_level_with_it() -> None:
+    tilted, wild = tilts(without(HEAVY), AHEAD)
+    level, straight = tilts(HEAVY, AHEAD)
+    assert tilted > math.radians(40.0)
+    assert level < math.radians(6.0)
+    assert straight.vel_frd_m_s[0] > 0.3
+    assert np.linalg.norm(straight.pos_ned_m[:2]) > np.linalg.norm(wild.pos_ned_m[:2])
+
+
+def test_pushed_aside_and_turning_with_a_vertical_thruster_lost() -> None:
+    level, _ = tilts(HEAVY, np.array([0.0, 15.0, 1.0, 1.0]), seconds=8.0, lost=4)
+    assert level < math.radians(12.0)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=50)
+def test_the_axes_are_left_alone_and_the_reserve_is_enough(seed: int) -> None:
+    rng, vehicle = np.random.default_rng(seed), HEAVY
+    loop = Levelling(vehicle)
+    thrusters = vehicle.thrusters
+    wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
+    limit = rng.uniform(5.0, 30.0, 8) * (np.arange(8) != rng.integers(4, 12))
+    reserve = loop.reserve_n(limit)
+    assert (reserve >= 0.0).all() and (reserve <= MOST * limit + 1e-12).all() and not reserve[:4].any()
+    wanted = rng.uniform(-1.0, 1.0, 8) * (limit - reserve)
+    thrust = loop.thrust_n(wanted, limit, rng.normal(size=3) * 0.3, rng.normal(size=3) * 0.5)
+    assert (np.abs(thrust) <= limit + 1e-9).all()
+    assert np.allclose(wrench[[0, 1, 2, 5]] @ (thrust - wanted), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["lbv150", "bluerov2"])
+def test_what_cannot_be_pushed_is_left_alone(name: str) -> None:
+    vehicle = load_vehicle(name)
+    n = len(vehicle.thrusters)
+    loop, limit, wanted = Levelling(vehicle), np.full(n, 10.0), np.linspace(-3.0, 3.0, n)
+    turned = loop.thrust_n(wanted, limit, np.array([0.0, 0.4, 0.0]), np.array([0.0, 0.3, 0.0]))
+    thrusters = vehicle.thrusters
+    wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
+    assert np.allclose(wrench[4] @ (turned - wanted), 0.0)
+    if name == "lbv150":
+        assert np.array_equal(turned, wanted) and not loop.reserve_n(limit).any()
