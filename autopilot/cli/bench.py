@@ -9,7 +9,7 @@ import click
 
 from autopilot.cli.output import emit_json, print_table
 
-APART = ("modes", "faults", "sensor-faults", "thruster-health", "detection", "fuzz")
+APART = ("modes", "faults", "sensor-faults", "thruster-health", "vehicles", "detection", "fuzz")
 """Only when they are named."""
 NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "energy-latency", "loop", *APART)
 LONG = ("estimator", "pockets", "energy", "energy-latency")
@@ -40,13 +40,16 @@ LONG = ("estimator", "pockets", "energy", "energy-latency")
 @click.option("--markdown", is_flag=True, help="faults: print the table as docs/reliability.md has it.")
 @click.option("--messages", type=click.IntRange(1), help="fuzz: how many (default 1000000, with --short 20000).")
 @click.option(
-    "--runs", "sound_runs", type=click.IntRange(1), help="thruster-health: sound flights (default 300, with --short 4)."
+    "--runs",
+    "sound_runs",
+    type=click.IntRange(1),
+    help="thruster-health: sound flights (default 300); vehicles: how many (default 40); with --short 4.",
 )
 @click.option(
     "--out", type=click.Path(file_okay=False), help="thruster-health: keep flights here, go on where it was stopped."
 )
 @click.option("--frames", type=click.IntRange(1), help="detection: pictures (default 10000, with --short 400).")
-@click.option("--seed", type=int, help="fuzz, detection: where the messages or pictures come from (default 1).")
+@click.option("--seed", type=int, help="fuzz, detection, vehicles: where these come from (default 1).")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def bench(
     name: str | None,
@@ -104,6 +107,9 @@ def bench(
     random vehicles in random waters: false alarms with their bound, time to find (300 take hours, --out goes on where
     it was stopped; exit code 1 if a sound thruster is blamed).
 
+    vehicles: vehicles with 3 to 8 thrusters anywhere: each flies 20 s in open water or is refused with the axis that
+    lacks thrust (an hour; exit code 1 if one does neither).
+
     Times depend on the machine and on what else it does: each table says how slow the machine is just now.
     """
     if recompute and name != "energy":
@@ -125,12 +131,14 @@ def bench(
         raise click.UsageError("--part and --markdown belong to the benchmark faults")
     if messages is not None and name != "fuzz":
         raise click.UsageError("--messages belongs to the benchmark fuzz")
-    if seed is not None and name not in ("fuzz", "detection"):
-        raise click.UsageError("--seed belongs to the benchmarks fuzz and detection")
+    if seed is not None and name not in ("fuzz", "detection", "vehicles"):
+        raise click.UsageError("--seed belongs to the benchmarks fuzz, detection and vehicles")
     if frames is not None and name != "detection":
         raise click.UsageError("--frames belongs to the benchmark detection")
-    if (sound_runs is not None or out is not None) and name != "thruster-health":
-        raise click.UsageError("--runs and --out belong to the benchmark thruster-health")
+    if sound_runs is not None and name not in ("thruster-health", "vehicles"):
+        raise click.UsageError("--runs belongs to the benchmarks thruster-health and vehicles")
+    if out is not None and name != "thruster-health":
+        raise click.UsageError("--out belongs to the benchmark thruster-health")
     if recompute:
         _recompute()
     if attitude:
@@ -147,6 +155,9 @@ def bench(
         return
     if name == "thruster-health":
         _thruster_health(sound_runs or (4 if short else 300), out, as_json=as_json)
+        return
+    if name == "vehicles":
+        _vehicles(sound_runs or (4 if short else 40), 1 if seed is None else seed, as_json=as_json)
         return
     if name == "sensor-faults":
         _sensor_faults(short, as_json=as_json)
@@ -273,6 +284,23 @@ def _detection(frames: int, seed: int, *, as_json: bool) -> None:
     else:
         _print("detection", [asdict(row) for row in rows])
     if rows[-1].false_ids or rows[-1].blind_false_ids:
+        raise SystemExit(1)
+
+
+def _vehicles(runs: int, first: int, *, as_json: bool) -> None:
+    """Make and fly vehicles; exit code 1 if one neither flies nor is refused for an axis."""
+    from autopilot.bench.any_vehicle import fly
+
+    outcomes = []
+    for seed in range(first, first + runs):
+        outcomes.append(fly(seed))
+        click.echo(f"vehicle {seed}: {outcomes[-1].problem or outcomes[-1].refused or 'flown'}", err=True)
+    rows = [{**asdict(each), "problem": each.problem} for each in outcomes]
+    if as_json:
+        emit_json(rows)
+    else:
+        _print("vehicles", rows)
+    if any(each.problem for each in outcomes):
         raise SystemExit(1)
 
 

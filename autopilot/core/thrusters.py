@@ -18,10 +18,8 @@ MIN_THRUSTERS, MAX_THRUSTERS = 3, 8
 MAX_CHANNEL = 16
 """Outputs of the amplifiers' boards."""
 
-AXES = ("surge", "sway", "heave", "yaw")
-"""The controlled axes, rows of :func:`allocation`."""
-_ROWS = (0, 1, 2, 5)
-"""Of a wrench: surge, sway, heave, yaw."""
+CONTROLLED = (0, 1, 2, 5)
+"""Rows of a wrench that the controller steers: surge, sway, heave, yaw."""
 _DIGITS = 12
 """Decimals of a matrix: cos(90 deg) is 0 and not 6e-17, which the optimiser would take for a way to push."""
 
@@ -187,4 +185,4 @@ def wrench_matrix(positions_frd_m: Sequence[Vec3], directions_frd: Sequence[Vec3
 def allocation(thrusters: Sequence[Thruster]) -> tuple[Row, ...]:
     """(4, N) rows surge, sway, heave [N] and yaw [N m], columns the thrusters."""
     rows = wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters])
-    return tuple(rows[i] for i in _ROWS)
+    return tuple(rows[i] for i in CONTROLLED)

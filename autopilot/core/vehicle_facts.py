@@ -9,7 +9,7 @@ import numpy as np
 from autopilot.core.model4 import AXES
 from autopilot.core.sharing import Sharing
 from autopilot.core.thrusters import AXES as AXIS_NAMES
-from autopilot.core.thrusters import wrench_matrix
+from autopilot.core.thrusters import CONTROLLED, wrench_matrix
 from autopilot.core.vehicle import Vehicle
 
 CRUISE_M_S = 0.3
@@ -84,7 +84,7 @@ def tilts_of(vehicle: Vehicle) -> tuple[str, ...]:
     """Of roll and pitch those that thrust can push while surge, sway, heave and yaw stay as they are."""
     thrusters = vehicle.thrusters
     wrench = np.array(wrench_matrix([t.position_frd_m for t in thrusters], [t.direction_frd for t in thrusters]))
-    controlled, found = wrench[[0, 1, 2, 5]], []
+    controlled, found = wrench[list(CONTROLLED)], []
     idle = np.eye(len(thrusters)) - np.linalg.pinv(controlled) @ controlled
     for name, row in (("roll", 3), ("pitch", 4)):
         if float(np.abs(wrench[row] @ idle).max()) > TILTING * max(float(np.abs(wrench[3:]).max()), TILTING):

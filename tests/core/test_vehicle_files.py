@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.calibrate.vehicle_edit import toml_value
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import Vehicle, checked, convert, load_vehicle, vehicle_names
 from autopilot.core.vehicle_facts import facts_of, terminal_speed, tilts_of
+from sitl.toml_text import toml_text
 
 FOLDER = resources.files("autopilot") / "data"
 
@@ -27,17 +27,7 @@ def tables(name: str) -> dict[str, Any]:
 
 def written(path: Path, made: dict[str, Any]) -> str:
     """The tables as a file; its path."""
-
-    def text(value: Any) -> str:
-        if isinstance(value, bool):
-            return str(value).lower()
-        if isinstance(value, dict):
-            return "{ " + ", ".join(f'"{key}" = {text(inner)}' for key, inner in value.items()) + " }"
-        if isinstance(value, list):
-            return "[" + ", ".join(text(inner) for inner in value) + "]"
-        return toml_value(value)
-
-    path.write_text("\n".join(f"{key} = {text(value)}" for key, value in made.items()))
+    path.write_text(toml_text(made))
     return str(path)
 
 

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.thrusters import wrench_matrix
+from autopilot.core.thrusters import CONTROLLED, wrench_matrix
 from autopilot.core.vehicle import Vehicle
 
 MOST = 0.5
@@ -22,9 +22,6 @@ MOST = 0.5
 
 SMALL = 1e-6
 """Less than this of a newton per newton metre is rounding."""
-
-CONTROLLED = (0, 1, 2, 5)
-"""Rows of a wrench that the controller steers."""
 
 MOST_TILT_RAD = math.radians(60.0)
 """Beyond this an angle counts as so much."""
