@@ -1,5 +1,6 @@
 """The command line: bad input gets one line on stderr that names the thing and the remedy, and leaves nothing."""
 
+import json
 import re
 import signal
 import socket
@@ -501,3 +502,26 @@ def test_a_disk_that_recovers_has_the_parameters_and_the_operator_knows(session:
     harbour.until(lambda: "Parameters are saved now" in client.texts(least=mav.MAV_SEVERITY_INFO), 6.0)
     assert scan_param_file(tmp_path / "state/sitl-0/parameters.params").values == {"SPD_CRUISE": pytest.approx(0.2)}
     assert len([text for text in client.texts() if text.startswith("Not saved")]) == 1
+
+
+def test_vehicle_new_check_and_fly(autopilot: Command, tmp_path: Path) -> None:
+    """What a newcomer does: a template, a look at it, a mistake, a flight."""
+    assert autopilot("vehicle", "new", "mine").code == 0
+    again = autopilot("vehicle", "new", "mine")
+    assert again.code == 1 and "mine.toml exists" in again.err
+    checked = autopilot("vehicle", "check", "mine.toml", "--json")
+    assert checked.code == 0
+    assert [axis["axis"] for axis in json.loads(checked.out)["axes"]] == ["surge", "sway", "heave", "yaw"]
+    file = Path("mine.toml")
+    text = file.read_text()
+    file.write_text(text.replace("# channel = 1 #", "channel = 2 #"))
+    done = autopilot("vehicle", "check", "mine.toml")
+    assert done.code == 1 and len(done.err.splitlines()) == 1 and "both have `channel` = 2" in done.err
+    file.write_text(re.sub(r"\[camera\].*?\n\n", "", text, flags=re.S))
+    blind = _sitl(autopilot, "paper-tank", "--vehicle", "mine.toml", "--sensors", "camera")
+    _assert_refused(blind, "'mine' has no [camera]", "--sensors pose")
+    assert _sitl(autopilot, "paper-tank", "--vehicle", "mine.toml").code == 0
+    unfit = _sitl(autopilot, "thruster-loss", "--vehicle", "bluerov2")
+    _assert_refused(unfit, "--vehicle: `$.fault[0].thruster`", "use one of front-starboard")
+    names = [each["name"] for each in json.loads(autopilot("vehicle", "list", "--json").out)]
+    assert names == ["bluerov2", "bluerov2-heavy", "lbv150"]
