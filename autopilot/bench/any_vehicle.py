@@ -17,7 +17,7 @@ import numpy as np
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import Outputs
-from autopilot.core.sharing import AXIS_NAMES
+from autopilot.core.model4 import AXIS_NAMES
 from autopilot.core.thrusters import MAX_CHANNEL, MAX_THRUSTERS, MIN_THRUSTERS
 from autopilot.core.vehicle import load_vehicle
 from autopilot.run.config import gather, sitl_defaults

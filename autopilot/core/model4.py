@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 NX = 8
-AXES = 4
-"""Surge, sway, heave, yaw."""
+AXIS_NAMES = ("surge", "sway", "heave", "yaw")
+AXES = len(AXIS_NAMES)
 
 X, Y, Z, YAW, U, V, W, R = range(NX)
 """Indices of the state."""

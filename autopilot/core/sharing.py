@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import AXES, Model4, steady_force
-from autopilot.core.thrusters import AXES as AXIS_NAMES
+from autopilot.core.model4 import AXES, AXIS_NAMES, Model4, steady_force
 from autopilot.core.thrusters import Thruster
 
 EXACT = 1e6

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from autopilot.core.model4 import AXES
+from autopilot.core.model4 import AXES, AXIS_NAMES
 from autopilot.core.sharing import Sharing
-from autopilot.core.thrusters import AXES as AXIS_NAMES
 from autopilot.core.thrusters import CONTROLLED, wrench_matrix
 from autopilot.core.vehicle import Vehicle
 

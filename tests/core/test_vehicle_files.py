@@ -3,6 +3,7 @@
 import copy
 import itertools
 import math
+import re
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -152,3 +153,12 @@ def test_any_geometry_is_a_vehicle_or_is_refused_with_the_axis(seed: int) -> Non
         return
     assert all(axis.authority > 0.0 and axis.speed > 0.0 for axis in facts_of(vehicle).axes)
     assert len(vehicle.to_model().allocation[0]) == count
+
+
+def test_the_service_reads_nothing_of_the_plants_tables() -> None:
+    root = Path(__file__).parents[2]
+    rooms = ("estimator", "mission", "drivers", "autopilot/command", "autopilot/control", "autopilot/mavlink")
+    files = [file for room in rooms for file in (root / room).rglob("*.py")]
+    assert len(files) > 100
+    found = [file.name for file in files if re.search(r"\.(body|battery|tether)\.|added_mass", file.read_text())]
+    assert found == []
