@@ -28,7 +28,7 @@ def tables(name: str) -> dict[str, Any]:
 
 def written(path: Path, made: dict[str, Any]) -> str:
     """The tables as a file; its path."""
-    path.write_text(toml_text(made))
+    path.write_text(toml_text({**made, "sources": {}}))
     return str(path)
 
 
