@@ -1,6 +1,7 @@
 """What a campaign is: a scenario with its spread, a seed, and everything else that its results depend on."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -11,7 +12,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
 from autopilot.run.provenance import revision
 from mission.plan_files import read_plan
-from sitl.scenario import Scenario, load_scenario, load_tables, plan_path
+from sitl.scenario import Scenario, load_scenario, load_tables, plan_path, with_vehicle
 from sitl.spread import Tables, drawn_tables, drawn_values, run_seed
 from sitl.toml_text import toml_text
 
@@ -70,12 +71,16 @@ def define(
     sensors: str | None = None,
     duration_s: float | None = None,
     params: dict[str, float] | None = None,
+    vehicle: str | None = None,
 ) -> Campaign:
-    """The campaign over a scenario; ``seed``, ``estimator`` None = the scenario's.
+    """The campaign over a scenario; ``seed``, ``estimator``, ``vehicle`` (a shipped name or a file) None = its own.
 
     ConfigError, PlanError: it cannot be flown.
     """
     scenario, tables = load_scenario(name_or_path), load_tables(name_or_path)
+    if vehicle is not None:
+        scenario = with_vehicle(scenario, vehicle, "--vehicle")
+        tables = _flown_by(vehicle, scenario, tables)
     plan = plan_path(name_or_path, scenario)
     if plan is None:
         raise ConfigError(f"scenario {scenario.scenario.name!r} has no plan; name one in scenario.plan")
@@ -101,6 +106,21 @@ def define(
         params=params or {},
     )
     return Campaign(identity=identity, scenario=scenario, tables=tables)
+
+
+def _flown_by(vehicle: str, scenario: Scenario, tables: Tables) -> Tables:
+    """The tables with that vehicle and the clearances that its ball leaves."""
+    accept = scenario.accept
+    clearances = {
+        "cylinder_clearance_m": accept.cylinder_clearance_m,
+        "wall_clearance_m": accept.wall_clearance_m,
+    }
+    model = str(Path(vehicle).resolve()) if vehicle.endswith(".toml") else vehicle
+    return {
+        **tables,
+        "vehicle": {**tables["vehicle"], "model": model},
+        "accept": {**tables.get("accept", {}), **clearances},
+    }
 
 
 def first_difference(old: Any, new: Any, place: str) -> str:

@@ -88,6 +88,7 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
 @click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (default: one per core).")
 @click.option("--shard", default="1/1", show_default=True, help="I/N: only every N-th run, from the I-th on.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the campaign (default: the scenario's).")
+@click.option("--vehicle", help="Another vehicle than the scenario's: a shipped name or a vehicle file.")
 @click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End every run after so many seconds.")
 @click.option("--estimator", callback=part_name, help="Default: the scenario's, else ekf.")
 @click.option("--sensors", type=click.Choice(SENSORS), help="Default: the scenario's.")
@@ -102,6 +103,7 @@ def fly(
     jobs: int | None,
     shard: str,
     seed: int | None,
+    vehicle: str | None,
     duration: float | None,
     estimator: str | None,
     sensors: str | None,
@@ -129,6 +131,7 @@ def fly(
         sensors=sensors,
         duration_s=duration,
         params=parse_overrides(param),
+        vehicle=vehicle,
     )
     name = defined.scenario.scenario.name
     results, stopped = _fly(defined, make_engine(engine, jobs), out, runs, Shard.parse(shard), quiet=as_json)

@@ -6,6 +6,7 @@ import signal
 import socket
 import sys
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -525,3 +526,14 @@ def test_vehicle_new_check_and_fly(autopilot: Command, tmp_path: Path) -> None:
     _assert_refused(unfit, "--vehicle: `$.fault[0].thruster`", "use one of front-starboard")
     names = [each["name"] for each in json.loads(autopilot("vehicle", "list", "--json").out)]
     assert names == ["bluerov2", "bluerov2-heavy", "lbv150"]
+
+
+def test_a_campaign_of_another_vehicle_is_judged_by_its_ball() -> None:
+    from autopilot.campaign.definition import define
+
+    task = define("r1", vehicle="bluerov2").task(3)
+    tables = tomllib.loads(task.scenario_toml)
+    assert tables["vehicle"]["model"] == "bluerov2"
+    assert tables["accept"]["cylinder_clearance_m"] == pytest.approx(0.48)
+    assert tables["accept"]["wall_clearance_m"] == pytest.approx(0.32)
+    assert define("r1").task(3).drawn == task.drawn
