@@ -21,7 +21,7 @@ class PlantContext:
     scenario: Scenario
     """Start, tank, obstacles, current, tether, mismatch and thruster faults are the plant's business."""
     vehicle: Vehicle
-    """The vehicle file; ``body`` and ``thruster`` are meant for plants."""
+    """The vehicle file; ``body`` and ``thrusters`` are meant for plants."""
     seed: int
     """Of the run; all randomness comes from it."""
 
@@ -41,8 +41,8 @@ class PlantLike(Protocol):
 
     @abstractmethod
     def advance(self, t_us: int, pwm_us: Sequence[int]) -> None:
-        """Move on to ``t_us``, no earlier than the last one, with these pulses held: one per thruster in the order of
-        the vehicle file, missing or 0 = off."""
+        """Move on to ``t_us``, no earlier than the last one, with these pulses held: one per channel (from 1 on),
+        missing or 0 = off."""
         ...
 
 
