@@ -115,6 +115,23 @@ def test_a_controller_says_what_it_has_against_arming(controller: Controller) ->
     assert 0.0 < controller.planar_speed_m_s(nav, params) <= params["SPD_PLANAR_MAX"]
 
 
+@pytest.mark.parametrize("name", ["lbv150", "bluerov2", "bluerov2-heavy"])
+def test_the_example_flies_vehicles_with_any_number_of_thrusters(name: str) -> None:
+    vehicle = load_vehicle(name)
+    given = ControllerContext(vehicle=vehicle, model=vehicle.to_model(), currents=EstimatedCurrent(), desks=Desks())
+    controller, params = create_controller("my_controller:Follower", given), ParamSet()
+    limit_n = np.full(len(vehicle.thrusters), 9.0)
+    x, begin_m = np.array(START), math.hypot(*(GOAL.pos_ned_m[:2] - START[:2]))
+    for step in range(160):
+        t_us = step * 50_000
+        control = controller.step(t_us, nav_at(t_us, x), GOAL, TANK, params, limit_n, (), delay_s=0.0)
+        thrust_n = sound(control, limit_n).thrust_n
+        for _ in range(5):
+            x = rk4(lambda y, n=thrust_n: np.array(state_derivative(given.model, y, n, CURRENT, np)), x, 0.01)
+    assert math.hypot(*(GOAL.pos_ned_m[:2] - x[:2])) < begin_m - 1.0
+    assert abs(x[2] - GOAL.pos_ned_m[2]) < 0.1
+
+
 def test_no_estimate_is_no_reason_to_raise(controller: Controller) -> None:
     params, x = ParamSet(), np.array(START)
     for step, health in enumerate((NavHealth.GOOD, NavHealth.DEAD_RECKONING, NavHealth.INVALID, NavHealth.GOOD)):
