@@ -165,6 +165,10 @@ def test_bad_vehicle(autopilot: Command, tmp_path: Path, name: str) -> None:
         (("--plan", "missing.plan"), 2, ("missing.plan", "sitl --help")),
         (("--log", "/proc/none/run.mcap"), 1, ("/proc/none/run.mcap", "choose another place")),
         (("--estimator", "ukf"), 2, ("'ukf'", "'ekf', 'complementary'")),
+        (("--controller", "pid"), 2, ("'--controller'", "'pid'", "'nmpc'", "package:Class")),
+        (("--controller", "nowhere:Pid"), 1, ("--controller 'nowhere:Pid'", "no module 'nowhere'", "PYTHONPATH")),
+        (("--plant", "json:JSONEncoder"), 1, ("--plant 'json:JSONEncoder'", "PlantContext", "docs/extend.md")),
+        (("--estimator", "json:Loud"), 1, ("--estimator 'json:Loud'", "has no 'Loud'")),
         (("--seed", "-3"), 2, ("-3", "--seed")),
         (("--speeed", "3"), 2, ("--speeed", "sitl --help")),
     ],
@@ -185,6 +189,7 @@ def test_start_needs_a_plan(autopilot: Command, tmp_path: Path) -> None:
     ("variable", "text", "use"),
     [
         ("ESTIMATOR", "ukf", "use ekf or complementary"),
+        ("CONTROLLER", "pid", "use nmpc, or package:Class"),
         ("SENSORS", "sonar", "use camera or pose"),
         ("PROFILE", "apm", "use generic, px4, ardusub"),
         ("SPEED", "-3", "use 0 or more"),
