@@ -12,6 +12,14 @@ from sitl.scenario import Fault, Outages
 T = TypeVar("T")
 
 
+def arrived(queue: deque[tuple[int, T]], t_us: int) -> list[T]:
+    """What is due up to ``t_us`` of a queue of due times and samples; it is taken out."""
+    due = []
+    while queue and queue[0][0] <= t_us:
+        due.append(queue.popleft()[1])
+    return due
+
+
 class DelayedSamples(Generic[T]):
     """When samples are taken, which are lost, and the queue of those that are under way."""
 
@@ -56,7 +64,4 @@ class DelayedSamples(Generic[T]):
 
     def poll(self, t_us: int) -> Sequence[T]:
         """What has arrived up to ``t_us``."""
-        due = []
-        while self._queue and self._queue[0][0] <= t_us:
-            due.append(self._queue.popleft()[1])
-        return due
+        return arrived(self._queue, t_us)

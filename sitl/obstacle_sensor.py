@@ -11,6 +11,7 @@ import numpy as np
 
 from autopilot.core.samples import ObstacleTrack
 from drivers.base import AlwaysOpen
+from sitl.delayed import arrived
 from sitl.moving import Motion, MovingPath
 from sitl.plant import Truth
 from sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, ObstacleSensor
@@ -63,7 +64,4 @@ class SimObstacleSensor(AlwaysOpen):
 
     def poll(self, t_us: int) -> list[ObstacleTrack]:
         """What has arrived by ``t_us``."""
-        due = []
-        while self._queue and self._queue[0][0] <= t_us:
-            due.append(self._queue.popleft()[1])
-        return due
+        return arrived(self._queue, t_us)

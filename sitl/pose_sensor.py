@@ -13,6 +13,7 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import LaserSample, PoseSample
 from autopilot.core.vehicle import Laser, Vehicle
 from drivers.base import AlwaysOpen
+from sitl.delayed import arrived
 from sitl.outages import OutageClock
 from sitl.plant import Truth
 from sitl.scenario import Fault, LaserSensor, PoseSensor
@@ -82,10 +83,7 @@ class SimPoseSensor(AlwaysOpen):
 
     def poll(self, t_us: int) -> list[PoseSample | LaserSample]:
         """What is due up to ``t_us``."""
-        due = []
-        while self._queue and self._queue[0][0] <= t_us:
-            due.append(self._queue.popleft()[1])
-        return due
+        return arrived(self._queue, t_us)
 
     def _measured(self, truth: Truth, r: FloatArray, noise: list[float], chance: list[float]) -> PoseSample:
         scale = self._scale(truth, r)

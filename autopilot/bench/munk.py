@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.bench.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.ocp import discrete_dynamics
-from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Goal, NavHealth, NavState
+from autopilot.core.messages import Goal
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import load_vehicle
@@ -81,7 +81,7 @@ def munk_case(*, step_ticks: int = 20, inner: bool, seconds: float) -> MunkRow:
     rows, commands = [], []
     lag = 1.0 - math.exp(-TICK_US * 1e-6 / vehicle.drive.time_constant_s)
     for tick in range(int(seconds * 1e6 / TICK_US)):
-        nav = _nav(tick * TICK_US, x)
+        nav = estimate_of(tick * TICK_US, x)
         if tick % step_ticks == 0:
             command = controller.step(tick * TICK_US, nav, goal, Fence(depth_max_m=5.0), params).thrust_n
         elif inner:
@@ -104,18 +104,4 @@ def munk_case(*, step_ticks: int = 20, inner: bool, seconds: float) -> MunkRow:
         yaw_max_deg=float(np.abs(yaw_deg).max()),
         side_rms_m=float(np.sqrt((flown[:, 1] ** 2).mean())),
         thrust_travel_n_s=float(travel / (seconds - SETTLE_S)),
-    )
-
-
-def _nav(t_us: int, x: FloatArray) -> NavState:
-    return NavState(
-        t_us=t_us,
-        health=NavHealth.GOOD,
-        pos_ned_m=x[:3],
-        rpy_rad=np.array([0.0, 0.0, math.remainder(float(x[3]), 2.0 * math.pi)]),
-        vel_frd_m_s=x[4:7],
-        vel_water_frd_m_s=x[4:7],
-        rate_frd_rad_s=np.array([0.0, 0.0, x[7]]),
-        current_ned_m_s=np.zeros(3),
-        variance=np.zeros(12),
     )

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.bench.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.ocp import discrete_dynamics
 from autopilot.control.way.guidance import VELOCITY_WEIGHTS
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.geometry import Circle, Fence, Polygon
-from autopilot.core.messages import ControlOutput, Goal, NavHealth, NavState
+from autopilot.core.messages import ControlOutput, Goal
 from autopilot.core.model4 import YAW
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
@@ -81,7 +82,9 @@ def fly(
     solve_s: list[float] = []
     planning_s: list[float] = []
     for step in range(steps):
-        output = controller.step(step * STEP_US, nav_state(step * STEP_US, x), goals[index], fence, params)
+        output = controller.step(
+            step * STEP_US, estimate_of(step * STEP_US, x, current_ned_m_s=CURRENT_NED_M_S), goals[index], fence, params
+        )
         (solve_s if output.status.iterations == 1 else planning_s).append(output.status.solve_s)
         failures += output.status.status.name != "OK" or not bool(np.isfinite(output.thrust_n).all())
         watch(step, output)
@@ -107,19 +110,4 @@ def waypoint(x: float, y: float, z: float, yaw: float) -> Goal:
     """A goal with the paper's acceptance."""
     return Goal(
         pos_ned_m=np.array([x, y, z]), yaw_rad=yaw, speed_m_s=0.35, accept_radius_m=0.3, accept_yaw_rad=0.15, seq=-1
-    )
-
-
-def nav_state(t_us: int, x: FloatArray) -> NavState:
-    """A perfect estimate of the state x (8,)."""
-    return NavState(
-        t_us=t_us,
-        health=NavHealth.GOOD,
-        pos_ned_m=x[:3],
-        rpy_rad=np.array([0.0, 0.0, wrap_pi(float(x[YAW]))]),
-        vel_frd_m_s=x[4:7],
-        vel_water_frd_m_s=x[4:7],
-        rate_frd_rad_s=np.array([0.0, 0.0, x[7]]),
-        current_ned_m_s=CURRENT_NED_M_S,
-        variance=np.zeros(12),
     )

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.bench.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.nmpc.ocp import discrete_dynamics
-from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon
-from autopilot.core.messages import Goal, NavHealth, NavState
-from autopilot.core.model4 import YAW
+from autopilot.core.messages import Goal
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
 
@@ -123,7 +123,7 @@ def fly_to_goal(
     track, waits, reached_s = [x[:2].copy()], 0, math.inf
     controller.reset()
     for step in range(round(LIMIT_S * 1e6 / STEP_US)):
-        thrust = controller.step(step * STEP_US, _nav(step * STEP_US, x), goal, fence, params).thrust_n
+        thrust = controller.step(step * STEP_US, estimate_of(step * STEP_US, x), goal, fence, params).thrust_n
         waits += controller.unreachable
         acting = acting + (thrust - acting) * share
         x = move(x, acting)
@@ -146,18 +146,4 @@ def _goal() -> Goal:
         accept_radius_m=0.2,
         accept_yaw_rad=0.15,
         seq=-1,
-    )
-
-
-def _nav(t_us: int, x: FloatArray) -> NavState:
-    return NavState(
-        t_us=t_us,
-        health=NavHealth.GOOD,
-        pos_ned_m=x[:3],
-        rpy_rad=np.array([0.0, 0.0, wrap_pi(float(x[YAW]))]),
-        vel_frd_m_s=x[4:7],
-        vel_water_frd_m_s=x[4:7],
-        rate_frd_rad_s=np.array([0.0, 0.0, x[7]]),
-        current_ned_m_s=np.zeros(3),
-        variance=np.zeros(12),
     )

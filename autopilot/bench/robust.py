@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.bench.estimates import estimate_of
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.grid import TimeGrid, geometric_grid, uniform_grid
 from autopilot.control.robust.disturbance import DisturbanceBound
@@ -18,7 +19,7 @@ from autopilot.control.robust.terminal import TerminalLimits, certify, terminal_
 from autopilot.control.way.guidance import VELOCITY_WEIGHTS
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Goal, NavHealth, NavState
+from autopilot.core.messages import Goal, NavState
 from autopilot.core.model4 import Model4, U
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
@@ -272,17 +273,7 @@ def _timed(call: Callable[..., object], spent: list[float], clock: Callable[[], 
 
 def _nav(sigmas: Sequence[float], x: FloatArray | None = None, t_us: int = 0) -> NavState:
     """An estimate of the state ``x`` (8,) with these standard deviations (see ESTIMATES)."""
-    x = np.zeros(8) if x is None else x
     place, depth, planar, heave, current = sigmas
     yaw = 0.001 if place else 0.0
-    return NavState(
-        t_us=t_us,
-        health=NavHealth.GOOD,
-        pos_ned_m=x[:3],
-        rpy_rad=np.array([0.0, 0.0, math.remainder(float(x[3]), 2.0 * math.pi)]),
-        vel_frd_m_s=x[4:7],
-        vel_water_frd_m_s=x[4:7],
-        rate_frd_rad_s=np.array([0.0, 0.0, x[7]]),
-        current_ned_m_s=np.zeros(3),
-        variance=np.array([place, place, depth, 0, 0, yaw, planar, planar, heave, current, current, 0.02]) ** 2,
-    )
+    sigma = np.array([place, place, depth, 0, 0, yaw, planar, planar, heave, current, current, 0.02])
+    return estimate_of(t_us, np.zeros(8) if x is None else x, sigma=sigma)
