@@ -94,7 +94,7 @@ BAD = {
     "no vertical": ("lbv150", "t[2]['direction_frd'] = [0.0, 1.0, 0.0]", ("no thrust in heave",)),
     "no lateral": ("lbv150", "del t[3]; del m['body']['thruster_offset_frd_m']", ("no thrust in sway",)),
     "no arm": ("lbv150", "t[0]['position_frd_m'] = t[1]['position_frd_m'] = [0.0, 0.0, 0.0]", ("no thrust in yaw",)),
-    "singular": ("lbv150", "t[1]['position_frd_m'] = [0.0, -0.12, 0.0]", ("surge and yaw", "independently")),
+    "singular": ("lbv150", "t[1]['position_frd_m'] = [0.0, -0.12, 0.0]", ("no thrust in yaw alone", "surge")),
     "weak": ("lbv150", "t[2]['limit_n'] = 0.5", ("too little thrust in heave", "needs")),
     "no limit": ("lbv150", "t[2]['limit_n'] = 0.0", ("limit_n", "> 0")),
     "coefficient nought": ("lbv150", "d['forward_n_v2'] = 0.0", ("forward_n_v2", "> 0")),
