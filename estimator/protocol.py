@@ -1,4 +1,4 @@
-"""What an estimator is to the rest of the vehicle, and how one is made (docs/extend.md).
+"""What an estimator is to the rest of the vehicle, and what it is made of (docs/extend.md).
 
 Two estimators stand behind the same interface: an extended Kalman filter (the default) and an observer of the
 complementary type. Both take samples as they arrive, late and out of order as they may be, and say where the vehicle is
@@ -7,26 +7,16 @@ complementary type. Both take samples as they arrive, late and out of order as t
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import AidStatus, NavDoubt, NavState, ShadowStatus
 from autopilot.core.model4 import Model4
-from autopilot.core.plugins import Plugin, find_plugin
 from autopilot.core.samples import LaserSample, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle
 from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
-
-ESTIMATORS = {
-    "ekf": "estimator.ekf:of_context",
-    "complementary": "estimator.complementary:of_context",
-}
-"""Shipped estimators: name -> what makes one."""
-
-SHADOW_OF = {"ekf": "complementary"}
-"""Who flies in whose shadow; in that of all others the EKF."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -102,43 +92,3 @@ class Estimator(Protocol):
     def counters(self) -> Mapping[str, int]:
         """Running counts by name, e.g. ``markers.fused``, ``ahrs.malformed``, ``resets``."""
         return {}
-
-
-def create_estimator(
-    name: str,
-    vehicle: Vehicle,
-    markers: MarkerMap | None,
-    *,
-    floor_depth_m: float | None = None,
-    options: EstimatorOptions = DEFAULT_OPTIONS,
-    shadow: bool = False,
-    asked_by: str | None = None,
-) -> Estimator:
-    """The estimator of that name (shipped, of an installed package, or package:Class) for that vehicle.
-
-    ``markers`` is the surveyed floor (None: marker sightings cannot be used, poses can). ``floor_depth_m`` is what the
-    laser points at; None = the depth of the markers, and without markers no laser. ``shadow``: another estimator runs
-    beside it and is compared with it. ConfigError names ``asked_by`` (default ``--estimator``), the value and what to
-    do.
-    """
-    if floor_depth_m is None and markers is not None:
-        floor_depth_m = float(markers.corners_ned_m[..., 2].mean())
-    context = EstimatorContext(
-        vehicle=vehicle,
-        model=vehicle.to_model(),
-        markers=markers,
-        floor_depth_m=floor_depth_m,
-        options=options,
-    )
-    flown: Estimator = find_estimator(name, asked_by).make(context, Estimator)
-    if not shadow:
-        return flown
-    from estimator.shadow import Shadowed
-
-    unwatched = replace(context, markers=None, options=replace(context.options, watch_tilt=False))
-    return Shadowed(flown, find_estimator(SHADOW_OF.get(name, "ekf")).make(unwatched, Estimator))
-
-
-def find_estimator(name: str, asked_by: str | None = None) -> Plugin:
-    """Where the estimator of that name comes from. ConfigError if there is none."""
-    return find_plugin("estimator", name, ESTIMATORS, asked_by)

@@ -13,7 +13,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.run.sitl_session import SitlSession
-from estimator.protocol import create_estimator
+from estimator.create import create_estimator
 from sitl.floor import told_markers
 
 ESTIMATOR_BAR_PCT, VISION_BAR_PCT, LATE_BAR_PCT = 5.0, 30.0, 1.0

@@ -26,7 +26,7 @@ from autopilot.core.samples import LaserSample, MarkerSighting, PoseSample, Samp
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.analysis import Track, load_flight
 from autopilot.log.reader import open_log
-from estimator.protocol import create_estimator
+from estimator.create import create_estimator
 from sitl.floor import sheets_moved, sheets_of, told_markers
 from sitl.scenario import load_scenario
 

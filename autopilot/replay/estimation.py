@@ -23,8 +23,8 @@ from autopilot.log.reader import Log, Table
 from autopilot.log.replay_inputs import estimator_ticks
 from autopilot.log.writer import LogWriter
 from autopilot.replay.setup import EstimatorSetup, read_markers, read_setup, read_vehicle
+from estimator.create import create_estimator
 from estimator.options import EstimatorOptions
-from estimator.protocol import create_estimator
 
 _Bits: TypeAlias = dict[str, NDArray[Any]]
 

@@ -16,8 +16,8 @@ from autopilot.core.errors import LogError
 from autopilot.core.samples import AhrsSample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.log.tlog_file import DamagedPiece, Origin, read_tlog
+from estimator.create import create_estimator
 from estimator.inertial import GRAVITY_M_S2
-from estimator.protocol import create_estimator
 
 GAP_SHARE = 3.0
 """More than so many median intervals between two messages are a gap."""

@@ -23,7 +23,7 @@ from autopilot.mavlink.server import MavlinkServer
 from autopilot.replay.setup import options_of
 from autopilot.run.config import system_id
 from autopilot.run.provenance import revision
-from estimator.protocol import create_estimator
+from estimator.create import create_estimator
 from mission.store import Plans, WaterCheck
 
 

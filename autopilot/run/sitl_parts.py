@@ -5,7 +5,7 @@ from autopilot.control.protocol import find_controller
 from autopilot.core.plugins import Plugin
 from autopilot.log.description import PartOrigin
 from autopilot.run.config import Settings, chosen_part
-from estimator.protocol import find_estimator
+from estimator.create import find_estimator
 from sitl.protocol import find_plant
 from sitl.scenario import Scenario
 

@@ -28,10 +28,10 @@ from autopilot.core.samples import (
 )
 from autopilot.core.vehicle import load_vehicle
 from estimator.complementary import create_complementary
+from estimator.create import create_estimator
 from estimator.ekf import create_ekf
 from estimator.engine import Engine
 from estimator.options import EstimatorOptions
-from estimator.protocol import create_estimator
 
 VEHICLE = load_vehicle("lbv150")
 

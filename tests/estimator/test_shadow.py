@@ -15,10 +15,10 @@ from autopilot.core.samples import LaserSample, MarkerSighting, PoseSample, Samp
 from autopilot.core.vehicle import Vehicle
 from estimator import engine
 from estimator.complementary import create_complementary
+from estimator.create import create_estimator
 from estimator.ekf import create_ekf
 from estimator.markers_pose import MarkerSolver
 from estimator.measure_pose import PoseFix
-from estimator.protocol import create_estimator
 from estimator.shadow import Shadowed
 from estimator.states import SheetStates
 

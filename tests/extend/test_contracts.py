@@ -16,7 +16,7 @@ from autopilot.core.messages import ControlOutput, Goal, NavHealth, NavState
 from autopilot.core.model4 import rk4, state_derivative
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
-from estimator.protocol import create_estimator
+from estimator.create import create_estimator
 from sitl.backend import simulated_vehicle
 from sitl.plant import Truth
 from sitl.protocol import PlantContext, PlantLike, create_plant

@@ -15,7 +15,7 @@ from autopilot.run.config import CONTROLLERS as CONTROLLER_NAMES
 from autopilot.run.config import ESTIMATORS as ESTIMATOR_NAMES
 from autopilot.run.config import PLANTS as PLANT_NAMES
 from autopilot.run.config import chosen_part, gather, sitl_defaults
-from estimator.protocol import ESTIMATORS, create_estimator
+from estimator.create import ESTIMATORS, create_estimator
 from sitl.protocol import PLANTS, PlantContext, create_plant
 from sitl.scenario import load_scenario
 

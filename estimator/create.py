@@ -1,0 +1,57 @@
+"""Estimators by name, and one in the shadow of another."""
+
+from dataclasses import replace
+
+from autopilot.core.markers import MarkerMap
+from autopilot.core.plugins import Plugin, find_plugin
+from autopilot.core.vehicle import Vehicle
+from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from estimator.protocol import Estimator, EstimatorContext
+from estimator.shadow import Shadowed
+
+ESTIMATORS = {
+    "ekf": "estimator.ekf:of_context",
+    "complementary": "estimator.complementary:of_context",
+}
+"""Shipped estimators: name -> what makes one."""
+
+SHADOW_OF = {"ekf": "complementary"}
+"""Who flies in whose shadow; in that of all others the EKF."""
+
+
+def create_estimator(
+    name: str,
+    vehicle: Vehicle,
+    markers: MarkerMap | None,
+    *,
+    floor_depth_m: float | None = None,
+    options: EstimatorOptions = DEFAULT_OPTIONS,
+    shadow: bool = False,
+    asked_by: str | None = None,
+) -> Estimator:
+    """The estimator of that name (shipped, of an installed package, or package:Class) for that vehicle.
+
+    ``markers`` is the surveyed floor (None: marker sightings cannot be used, poses can). ``floor_depth_m`` is what the
+    laser points at; None = the depth of the markers, and without markers no laser. ``shadow``: another estimator runs
+    beside it and is compared with it. ConfigError names ``asked_by`` (default ``--estimator``), the value and what to
+    do.
+    """
+    if floor_depth_m is None and markers is not None:
+        floor_depth_m = float(markers.corners_ned_m[..., 2].mean())
+    context = EstimatorContext(
+        vehicle=vehicle,
+        model=vehicle.to_model(),
+        markers=markers,
+        floor_depth_m=floor_depth_m,
+        options=options,
+    )
+    flown: Estimator = find_estimator(name, asked_by).make(context, Estimator)
+    if not shadow:
+        return flown
+    unwatched = replace(context, markers=None, options=replace(context.options, watch_tilt=False))
+    return Shadowed(flown, find_estimator(SHADOW_OF.get(name, "ekf")).make(unwatched, Estimator))
+
+
+def find_estimator(name: str, asked_by: str | None = None) -> Plugin:
+    """Where the estimator of that name comes from. ConfigError if there is none."""
+    return find_plugin("estimator", name, ESTIMATORS, asked_by)
