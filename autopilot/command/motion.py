@@ -51,7 +51,7 @@ class Motion:
             if last_goal is not None:
                 self.reset()
             return None
-        nav = self._actuation.believed(t_us, nav)
+        nav = self._actuation.nav_for_control(t_us, nav)
         if due or last_goal is None:
             return self._control(t_us, nav, goal, fence)
         between = self._controller.tick(t_us, nav)

@@ -9,7 +9,7 @@ from control_loop import MODEL, STEP_US, TANK, VEHICLE, A, nav_state, rk4, still
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.lag import ThrusterLag
 from autopilot.control.thrust.actuation_delay import ActuationDelay
-from autopilot.control.thrust.delay import LONGEST_DOUBT_S, LatencyCare
+from autopilot.control.thrust.command_delay import LONGEST_DOUBT_S, CommandDelay
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Fallback, NavHealth
 from autopilot.core.model4 import Model4
@@ -135,7 +135,7 @@ def test_without_thrust_or_estimate_nothing_is_concluded() -> None:
 
 
 def test_thrusters_that_never_respond_are_doubted_for_a_while_only() -> None:
-    care = LatencyCare(VEHICLE, ParamSet())
+    care = CommandDelay(VEHICLE, ParamSet())
     thrust, doubted_us = np.array([4.0, 4.0, 1.0, 2.0]), 0
     for tick in range(1500):
         t_us = tick * 10_000
@@ -148,7 +148,7 @@ def test_thrusters_that_never_respond_are_doubted_for_a_while_only() -> None:
 
 
 def test_pulses_under_way_reach_estimator_and_thrusters_when_they_act() -> None:
-    care, line, off = LatencyCare(VEHICLE, ParamSet()), Line(), LatencyCare(VEHICLE, ParamSet({"LAT_DETECT": 0}))
+    care, line, off = CommandDelay(VEHICLE, ParamSet()), Line(), CommandDelay(VEHICLE, ParamSet({"LAT_DETECT": 0}))
     acting, thrusts = [], []
     for tick in range(500):
         t_us, thrust = tick * 10_000, _thrust(tick * 0.01)

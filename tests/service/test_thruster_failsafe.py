@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from commander_bench import Bench
 
-from autopilot.control.thrust.losses import ThrusterCare
+from autopilot.control.thrust.losses import ThrusterLosses
 from autopilot.core.messages import Failsafe, NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
@@ -35,7 +35,7 @@ def test_after_a_flight_it_is_said_of_which_thrusters_silence_says_nothing() -> 
 
 def test_thrusters_that_were_never_asked_for_anything_are_not_taken_for_sound() -> None:
     vehicle, params = load_vehicle("lbv150"), ParamSet()
-    care = ThrusterCare(vehicle, params)
+    care = ThrusterLosses(vehicle, params)
     for tick in range(300):
         care.step(tick * 10_000, _at_rest(tick * 10_000), np.zeros(4), 12.0, None, armed=True)
     assert care.unseen == ("port", "starboard", "vertical", "lateral")

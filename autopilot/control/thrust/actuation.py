@@ -8,9 +8,9 @@ the estimate is there, :meth:`Actuation.command` (or :meth:`Actuation.neutral`) 
 import numpy as np
 
 from autopilot.control.thrust.allocation import Allocation
-from autopilot.control.thrust.delay import LatencyCare
+from autopilot.control.thrust.command_delay import CommandDelay
 from autopilot.control.thrust.levelling import Levelling
-from autopilot.control.thrust.losses import ThrusterCare
+from autopilot.control.thrust.losses import ThrusterLosses
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS, Goal, NavState, ThrusterCommand, ThrusterHealthState
 from autopilot.core.params import ParamSet
@@ -29,8 +29,8 @@ class Actuation:
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._sharing = Sharing.of(vehicle)
-        self._care = ThrusterCare(vehicle, params)
-        self._latency = LatencyCare(vehicle, params)
+        self._losses = ThrusterLosses(vehicle, params)
+        self._delay = CommandDelay(vehicle, params)
         self._levelling = Levelling(vehicle)
         self._nav: NavState | None = None
         self._count = self._sharing.model.thrusters
@@ -49,27 +49,27 @@ class Actuation:
     @property
     def share(self) -> FloatArray:
         """(n,) what each gives of its thrust; a dead one 0."""
-        return self._care.share
+        return self._losses.share
 
     @property
     def problem(self) -> str:
         """What the thrust that is left does not allow, "" while the vehicle can stay where it is."""
-        return self._care.problem
+        return self._losses.problem
 
     @property
     def unseen(self) -> tuple[str, ...]:
         """Thrusters that have been asked for too little so far to be judged."""
-        return self._care.unseen
+        return self._losses.unseen
 
     @property
     def delay_s(self) -> float:
         """So late commands act, 0 while that is not beyond doubt."""
-        return self._latency.delay_s
+        return self._delay.delay_s
 
     @property
     def doubtful(self) -> bool:
         """Thrust has shown no effect yet, and it is not known how late it will: no more of it."""
-        return self._latency.doubtful
+        return self._delay.doubtful
 
     @property
     def limit_n(self) -> FloatArray:
@@ -81,11 +81,11 @@ class Actuation:
     @property
     def _can_n(self) -> FloatArray:
         """(n,) what the thrusters can give."""
-        return self.allocation.capability_n(self.supply_v) * self._care.share
+        return self.allocation.capability_n(self.supply_v) * self._losses.share
 
-    def believed(self, t_us: int, nav: NavState) -> NavState:
+    def nav_for_control(self, t_us: int, nav: NavState) -> NavState:
         """The estimate for the controller: just after a delay has been found with the current of before."""
-        return self._latency.believed(t_us, nav)
+        return self._delay.nav_for_control(t_us, nav)
 
     # One tick
 
@@ -95,7 +95,7 @@ class Actuation:
 
     def send(self, t_us: int) -> FloatArray:
         """The last command is on its way. The result (n,) is what sound thrusters give of what acts now."""
-        return self._latency.send(t_us, self._pulse_n)
+        return self._delay.send(t_us, self._pulse_n)
 
     def learn(
         self, t_us: int, nav: NavState | None, acting_n: FloatArray, goal: Goal | None, *, armed: bool, reached: bool
@@ -106,15 +106,15 @@ class Actuation:
         """
         self._nav = nav
         capability_n = self.allocation.capability_n(self.supply_v)
-        self._latency.step(t_us, nav, armed=armed)
+        self._delay.step(t_us, nav, armed=armed)
         # What never reached the thrusters says nothing about them.
-        prompt = armed and self._latency.prompt and reached
-        return self._care.step(t_us, nav, acting_n, capability_n, goal, armed=prompt)
+        prompt = armed and self._delay.prompt and reached
+        return self._losses.step(t_us, nav, acting_n, capability_n, goal, armed=prompt)
 
     def lift_n(self, limit_n: float) -> FloatArray:
         """(n,) straight up, the thruster that has to give most giving ``limit_n``; nothing when none can lift."""
         wanted = np.array([0.0, 0.0, -1.0, 0.0])
-        up = self._sharing.thrust_n(wanted, np.where(self._care.share > 0.0, MUCH_N, 0.0))
+        up = self._sharing.thrust_n(wanted, np.where(self._losses.share > 0.0, MUCH_N, 0.0))
         most = float(np.abs(up).max())
         if most < NO_LIFT:
             return self.nothing()
@@ -129,7 +129,7 @@ class Actuation:
         if self._nav is not None:
             tilt, turning = self._nav.rpy_rad, self._nav.rate_frd_rad_s
             thrust_n = self._levelling.thrust_n(thrust_n, self._can_n, tilt, turning)
-        pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._care.share)
+        pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.share)
         # What the pulses will give, deadband and saturation included: the estimator's model lives on it.
         self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v)
         return self._told(t_us, thrust_n, pulses_us)

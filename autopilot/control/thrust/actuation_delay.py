@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.thrust.unexplained import push_sigma, thrustless_motion
+from autopilot.control.thrust.thrustless_motion import push_sigma, thrustless_motion
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import AXES, Model4

@@ -18,7 +18,7 @@ SUBMERGED = 1.5
 """Above so many half heights of the hull below the surface heave tells nothing of what pushes down."""
 
 
-class ThrusterCare:
+class ThrusterLosses:
     """Combines what operators tell (THRn_HEALTH) with what is found (THR_DETECT), the smaller counts."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:

@@ -21,7 +21,7 @@ SETTLE_S = 4.0
 """The position estimator needs so long to forget the current that it saw in thrust that had not acted yet."""
 
 
-class LatencyCare:
+class CommandDelay:
     """Finds the delay of commands while armed (LAT_DETECT) and keeps the pulses that are under way."""
 
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
@@ -68,7 +68,7 @@ class LatencyCare:
         self._doubt_us = (self._doubt_us or t_us) if self._delay.doubtful else None
         self.doubtful = self._doubt_us is not None and t_us - self._doubt_us < LONGEST_DOUBT_S * 1e6
 
-    def believed(self, t_us: int, nav: NavState) -> NavState:
+    def nav_for_control(self, t_us: int, nav: NavState) -> NavState:
         """The estimate for the controller: just after a delay has been found with the current of before."""
         if self._found_us is None or t_us - self._found_us > SETTLE_S * 1e6:
             return nav
