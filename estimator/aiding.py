@@ -13,7 +13,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import AidState, AidStatus
-from estimator.core import Innovation
+from estimator.filter_core import Innovation
 
 START_COUNT = 5
 """Measurements used in a row before a sensor counts as active."""

@@ -17,8 +17,8 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
 from autopilot.core.vehicle import Vehicle
-from estimator.core import Innovation
 from estimator.engine import Engine
+from estimator.filter_core import Innovation
 from estimator.ground import ground_of
 from estimator.inertial import Mode, Step
 from estimator.kalman import RELOCATED_SIGMA_VEL_M_S, VERTICAL_CURRENT_VARIANCE
@@ -81,7 +81,7 @@ OFFSET_NOISE, LASER_BIAS_NOISE, DEPTH_OFFSET_NOISE = 0.0087, 1e-3, 3e-4
 
 
 class ObserverCore:
-    """:class:`estimator.core.FilterCore` with one variance per state."""
+    """:class:`estimator.filter_core.FilterCore` with one variance per state."""
 
     def __init__(self) -> None:
         self._growth = np.zeros(NX)
@@ -140,7 +140,7 @@ class ObserverCore:
         return FilterState(state.x + innovation.gain @ innovation.y, p)
 
     def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray) -> FilterState:
-        """See :class:`estimator.core.FilterCore`."""
+        """See :class:`estimator.filter_core.FilterCore`."""
         x, p = state.x.copy(), state.p.copy()
         x[HEADING_OFFSET] -= pose[3] - x[YAW]
         x[POS], x[YAW], x[VEL] = pose[:3], pose[3], vel_ned_m_s
@@ -151,7 +151,7 @@ class ObserverCore:
     def reopen(
         self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
     ) -> FilterState:
-        """See :class:`estimator.core.FilterCore`."""
+        """See :class:`estimator.filter_core.FilterCore`."""
         x, p = state.x, state.p.copy()
         p[part] = variance
         if value is not None:
@@ -171,7 +171,7 @@ class ObserverCore:
         return [*p[POSE], water, water, down, CURRENT_VARIANCE, CURRENT_VARIANCE, VERTICAL_CURRENT_VARIANCE]
 
     def planar_variance(self, state: FilterState) -> float:
-        """See :class:`estimator.core.FilterCore`."""
+        """See :class:`estimator.filter_core.FilterCore`."""
         return max(state.p.item(NORTH), state.p.item(EAST))
 
 

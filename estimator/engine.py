@@ -32,9 +32,9 @@ from autopilot.core.vehicle import Vehicle
 from estimator.aiding import Aid
 from estimator.attitude import AttitudeSource
 from estimator.camera_doubt import NO_CAMERA, CameraWatch
-from estimator.core import FilterCore, Innovation
 from estimator.doubt import STEADY_M_S2, STEADY_RAD_S
 from estimator.evidence import Evidence
+from estimator.filter_core import FilterCore, Innovation
 from estimator.history import History, Loosening, Node, Reopening
 from estimator.imu_watch import GYRO_STATE, HEADING_STATES, NOTHING_NEW, ImuWatch
 from estimator.inertial import AhrsDoor, AhrsMount, Inertial, Mode, level, made_up, step_between

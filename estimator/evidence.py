@@ -7,8 +7,8 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavDoubt
-from estimator.core import Innovation
 from estimator.doubt import CONTRADICTIONS
+from estimator.filter_core import Innovation
 from estimator.measurement import CHI2_999
 
 RATIO_SHARE = 0.2

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from autopilot.core.messages import AID_SENSORS
-from estimator.core import FilterCore, Innovation
+from estimator.filter_core import FilterCore, Innovation
 from estimator.inertial import Inertial, Step
 from estimator.measurement import Measurement, Moment
 from estimator.states import FilterState

@@ -80,7 +80,7 @@ class Step(NamedTuple):
 
 
 class Verdict(Enum):
-    """What became of a sample at the door."""
+    """What became of a sample at the intake."""
 
     GOOD = "good"
     MALFORMED = "malformed"

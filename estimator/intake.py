@@ -1,4 +1,4 @@
-"""The door for samples that are measured at one moment and arrive later: each is checked and counted here."""
+"""The intake of samples that are measured at one moment and arrive later: each is checked and counted here."""
 
 from collections import deque
 from collections.abc import Iterable

@@ -8,7 +8,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from autopilot.core.frames import FloatArray
-from estimator.core import Innovation
+from estimator.filter_core import Innovation
 from estimator.ground import columns_of, entered, ground_of
 from estimator.inertial import Mode, Step
 from estimator.measure_pose import Ground
@@ -71,7 +71,7 @@ class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no ty
 
 
 class KalmanCore:
-    """:class:`estimator.core.FilterCore` by filterpy: predict() and update() are its own."""
+    """:class:`estimator.filter_core.FilterCore` by filterpy: predict() and update() are its own."""
 
     def __init__(self, *, current_3d: bool = False) -> None:
         """``current_3d``: the vertical current is a state."""
@@ -187,7 +187,7 @@ class KalmanCore:
     def reopen(
         self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
     ) -> FilterState:
-        """See :class:`estimator.core.FilterCore`."""
+        """See :class:`estimator.filter_core.FilterCore`."""
         x, p = state.x, state.p.copy()
         p[part, :] = 0.0
         p[:, part] = 0.0
@@ -198,7 +198,7 @@ class KalmanCore:
         return FilterState(x, p, _forgotten(state.sheets, part))
 
     def loosen(self, state: FilterState, sheet: int, sigma: Sequence[float], variance: Sequence[float]) -> FilterState:
-        """See :class:`estimator.core.FilterCore`."""
+        """See :class:`estimator.filter_core.FilterCore`."""
         sheets = entered(state.sheets, (sheet,), np.array([sigma]), MAX_SHEETS)
         cov = sheets.cov.copy()
         columns = columns_of(sheets.which, (sheet,))

@@ -6,7 +6,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
-from estimator.core import FilterCore
+from estimator.filter_core import FilterCore
 from estimator.history import Node
 from estimator.inertial import Mode, hold
 from estimator.motion import moved

@@ -18,7 +18,7 @@ import cv2
 from autopilot.core.guard import Guard
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.samples import CameraFrame, FrameVerdict, MarkerSighting, PictureReport
-from estimator.frame_door import FrameDoor
+from estimator.frame_filter import FrameFilter
 from estimator.vision import Hint
 
 ACQUISITION_EVERY = 6
@@ -57,10 +57,10 @@ class _Pending:
 class VisionWorker:
     """One thread of detection."""
 
-    def __init__(self, detector: Detector, *, delay_s: float, door: FrameDoor, paced: bool = False) -> None:
+    def __init__(self, detector: Detector, *, delay_s: float, frame_filter: FrameFilter, paced: bool = False) -> None:
         """``paced``: time does not wait for the detector, so the newest frame wins."""
         self._detector = detector
-        self._door = door
+        self._frame_filter = frame_filter
         self._delay_us = round(delay_s * 1e6)
         self._paced = paced
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vision")
@@ -79,7 +79,7 @@ class VisionWorker:
 
     def submit(self, t_us: int, frame: CameraFrame, nav: NavState | None) -> None:
         """Start the detection of a frame that came in at ``t_us``; one that is no picture of a floor is dropped."""
-        if self._door.judge(frame) is not FrameVerdict.OK:
+        if self._frame_filter.judge(frame) is not FrameVerdict.OK:
             return
         hint = None
         if nav is not None and nav.health is not NavHealth.INVALID:
@@ -135,11 +135,11 @@ class VisionWorker:
 
     def take_reports(self) -> tuple[PictureReport, ...]:
         """What the pictures since the last call looked like."""
-        return self._door.take_reports()
+        return self._frame_filter.take_reports()
 
     def counters(self) -> Mapping[str, int]:
         """Frames so far by what became of them: ``frames.ok``, ``frames.dark``, ..., ``frames.failed``."""
-        result = {f"frames.{verdict.value}": count for verdict, count in self._door.counts.items()}
+        result = {f"frames.{verdict.value}": count for verdict, count in self._frame_filter.counts.items()}
         result["frames.dropped"] = self.dropped
         result["frames.failed"] = self.failed
         if self._paced:

@@ -12,7 +12,7 @@ from autopilot.cli.output import emit_json, print_table
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def tlog(file: Path, as_json: bool) -> None:
-    """Attitude in a .tlog of any MAVLink vehicle: rate, gaps and their causes, and what the AHRS door makes of it.
+    """Attitude in a .tlog of any MAVLink vehicle: rate, gaps and their causes, and what the AHRS intake makes of it.
 
     Exit codes: 0 every gap is explained by what the file shows, 1 not.
     """

@@ -1,7 +1,7 @@
 """A ground station's .tlog of any vehicle through the attitude path: how regular its attitude is, and why it is not.
 
 ATTITUDE messages (https://mavlink.io/en/messages/common.html#ATTITUDE) become AHRS
-samples, stamped by the sender's own clock, with the acceleration of the last RAW_IMU, and pass the same door as a
+samples, stamped by the sender's own clock, with the acceleration of the last RAW_IMU, and pass the same intake as a
 driver's. Every gap between two of them is explained by what the file itself shows: the sender's clock, sequence
 numbers, other traffic, bytes that are no message.
 """
@@ -81,7 +81,7 @@ class TlogReplay:
     damaged: dict[str, int]
     """What in the whole file is no message -> how often."""
     counters: dict[str, int]
-    """What the AHRS door made of the samples: ``ahrs.*``."""
+    """What the AHRS intake made of the samples: ``ahrs.*``."""
 
     @property
     def unexplained(self) -> list[Gap]:

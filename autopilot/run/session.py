@@ -23,7 +23,7 @@ from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.runtime import Runtime
 from drivers.links import open_link
 from drivers.protocols import Link
-from estimator.frame_door import FrameDoor
+from estimator.frame_filter import FrameFilter
 from estimator.vision import MarkerDetector
 from estimator.vision_lane import VisionWorker
 from mission.loading import load_plan
@@ -172,5 +172,5 @@ def marker_vision(vehicle: Vehicle, markers: MarkerMap | None, *, paced: bool) -
         return None
     camera = vehicle.eye
     detector = MarkerDetector(CameraModel.of(camera, vehicle.laser), markers)
-    door = FrameDoor(camera.width_px, camera.height_px)
-    return VisionWorker(detector, delay_s=0.5 * camera.latency_s, door=door, paced=paced)
+    frame_filter = FrameFilter(camera.width_px, camera.height_px)
+    return VisionWorker(detector, delay_s=0.5 * camera.latency_s, frame_filter=frame_filter, paced=paced)

@@ -18,7 +18,7 @@ from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavHealth
 from autopilot.core.samples import CameraFrame, MarkerSighting
-from estimator.frame_door import FrameDoor, FrameVerdict
+from estimator.frame_filter import FrameFilter, FrameVerdict
 from estimator.markers_pose import MarkerSolver
 from estimator.pnp import solve_pose
 from estimator.vision import Hint, MarkerDetector
@@ -39,8 +39,8 @@ def pictures(tank: Floor) -> list[np.ndarray]:
 
 
 def verdicts(*images: object) -> list[FrameVerdict]:
-    door = FrameDoor(CAMERA.width_px, CAMERA.height_px)
-    return [door.judge(CameraFrame(t_us=k, image_bgr=image)) for k, image in enumerate(images)]
+    frame_filter = FrameFilter(CAMERA.width_px, CAMERA.height_px)
+    return [frame_filter.judge(CameraFrame(t_us=k, image_bgr=image)) for k, image in enumerate(images)]
 
 
 def test_each_kind_of_bad_picture_has_a_name(pictures: list[np.ndarray]) -> None:
@@ -83,7 +83,7 @@ def test_refused_pictures_are_counted_and_never_searched(pictures: list[np.ndarr
             searched.append(frame.t_us)
             return MarkerSighting(t_us=frame.t_us, ids=(), corners_px=np.empty((0, 4, 2)), laser_px=None)
 
-    worker = VisionWorker(Counting(), delay_s=0.0, door=FrameDoor(CAMERA.width_px, CAMERA.height_px))
+    worker = VisionWorker(Counting(), delay_s=0.0, frame_filter=FrameFilter(CAMERA.width_px, CAMERA.height_px))
     images = [pictures[0], pictures[0], np.zeros_like(pictures[0]), pictures[0][:100], pictures[1]]
     for k, image in enumerate(images):
         worker.submit(k, CameraFrame(t_us=k, image_bgr=image), None)

@@ -21,7 +21,7 @@ from autopilot.log.reader import open_log
 from autopilot.log.session import MAX_PROGRAMS
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from estimator.frame_door import FrameDoor
+from estimator.frame_filter import FrameFilter
 from estimator.vision import Hint
 from estimator.vision_lane import VisionWorker
 
@@ -312,7 +312,7 @@ class Blind:
 
 @pytest.mark.parametrize("error", [cv2.error("bad picture"), ValueError("a bug")])
 def test_a_picture_that_detection_fails_at_is_no_sighting(error: Exception) -> None:
-    worker = VisionWorker(Blind(error), delay_s=0.05, door=FrameDoor(64, 48))
+    worker = VisionWorker(Blind(error), delay_s=0.05, frame_filter=FrameFilter(64, 48))
     worker.guard.raises = False
     picture = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
     worker.submit(10_000, CameraFrame(t_us=10_000, image_bgr=picture), None)

@@ -1,4 +1,4 @@
-"""The door for pictures: what cannot be a picture of the floor is refused by name before anybody looks for markers.
+"""The filter for pictures: what cannot be a picture of the floor is refused by name before anybody looks for markers.
 
 A refused picture costs nothing else: the filter gets no fix, and says that it is blind when that lasts.
 """
@@ -23,7 +23,7 @@ TORN_SHARE = 0.05
 """An image of which this share of rows, up from the bottom, is one single colour has not arrived whole."""
 
 
-class FrameDoor:
+class FrameFilter:
     """Looks at each picture once, in the order in which they come."""
 
     def __init__(self, width_px: int, height_px: int) -> None:
