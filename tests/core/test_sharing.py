@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
@@ -36,6 +36,7 @@ def made(seed: int) -> tuple[Model4, np.random.Generator]:
             return with_columns(columns), rng
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_a_force_within_reach_is_made_with_least_energy(seed: int) -> None:
     model, rng = made(seed)
@@ -51,6 +52,7 @@ def test_a_force_within_reach_is_made_with_least_energy(seed: int) -> None:
             assert (watts * (thrust + step * other) ** 2).sum() > (watts * thrust**2).sum()
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_bounds_are_hard_and_what_is_out_of_reach_comes_nearest(seed: int) -> None:
     model, rng = made(seed)
@@ -70,6 +72,7 @@ def test_bounds_are_hard_and_what_is_out_of_reach_comes_nearest(seed: int) -> No
         assert (thrust**2).sum() <= (best**2).sum() + 1e-3
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_the_order_of_thrusters_does_not_matter(seed: int) -> None:
     model, rng = made(seed)

@@ -46,7 +46,7 @@ def _fly(flight: PilotedFlight, seconds: float) -> list[Outputs]:
 
 
 def _at_rest(flight: PilotedFlight, outputs: Outputs) -> bool:
-    return set(outputs.command.pwm_us[:4]) == {flight.session.vehicle.drive.neutral_us}
+    return {pulse for pulse in outputs.command.pwm_us if pulse} == {flight.session.vehicle.drive.neutral_us}
 
 
 def _beats(ticks: Sequence[Outputs]) -> int:

@@ -88,7 +88,7 @@ of the estimate when a vehicle sets out), unless its plan was made ahead: it is 
 known, and its goal would be missed by centimetres."""
 
 SET_OUT_STEPS = 20
-"""So long (1 s) the vehicle sets out gently, with that weight: the lateral thruster's peak in the
+"""So long (1 s) the vehicle sets out gently, with that weight: the lateral thrust's peak in the
 paper's tank is 7 N instead of 12."""
 
 BOUND_SHARE = 0.96
