@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.control.fence.features import FAR_M, TINY_M, BoolArray, Boundaries, ComplexArray, as_complex, away
+from autopilot.control.fence.features import FAR_M, TINY_M, BoolArray, Boundaries, ComplexArray, as_complex, unit_rays
 from autopilot.core.frames import FloatArray
 
 RECOVERY_M_S = 0.2
@@ -97,7 +97,9 @@ class Path:
         gap = rays[:-1] + at * step
         rho = np.abs(gap)
         met_rim = rim if len(rim) == 1 else rim[:-1] + at * (rim[1:] - rim[:-1])
-        return _Met(at=at, distance=(rho - met_rim) * self._side, normal=away(gap, rho) * self._side, leaves=leaves)
+        return _Met(
+            at=at, distance=(rho - met_rim) * self._side, normal=unit_rays(gap, rho) * self._side, leaves=leaves
+        )
 
     def margin_m(self) -> float:
         """Smallest clearance beyond the radius."""

@@ -273,7 +273,7 @@ def as_complex(points_ned_m: FloatArray) -> ComplexArray:
     return np.ascontiguousarray(points_ned_m, dtype=float).view(np.complex128)[:, 0]
 
 
-def away(ray: ComplexArray, rho: FloatArray) -> ComplexArray:
+def unit_rays(ray: ComplexArray, rho: FloatArray) -> ComplexArray:
     """Unit vectors along rays; north where there is none."""
     if rho.min(initial=FAR_M) < TINY_M:
         return np.where(rho < TINY_M, 1.0, ray / np.maximum(rho, TINY_M))

@@ -19,7 +19,7 @@ from autopilot.control.fence.features import (
     ComplexArray,
     IntArray,
     as_complex,
-    away,
+    unit_rays,
 )
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
@@ -52,7 +52,7 @@ class Features(Boundaries):
         center, side = self.rounds.center[circles], self.rounds.side[circles]
         ray = points[:, None] - center
         rho = np.abs(ray)
-        normal = away(ray, rho) * side
+        normal = unit_rays(ray, rho) * side
         signed_radius = side * self.rounds.radius[circles]
         offset = (np.conj(normal) * center).real + signed_radius
         return (

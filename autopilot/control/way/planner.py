@@ -79,9 +79,9 @@ class Planner:
 
     def __init__(self, fence: Fence, radius_m: float) -> None:
         self.features = Features(fence)
-        self._looks = (
-            _Look(fence, self.features, radius_m, PLANNING_EXTRA_M),
-            _Look(fence, self.features, radius_m, 0.0),
+        self._finders = (
+            _PathFinder(fence, self.features, radius_m, PLANNING_EXTRA_M),
+            _PathFinder(fence, self.features, radius_m, 0.0),
         )
 
     def path(self, start_ned_m: FloatArray, goal_ned_m: FloatArray, cancel: Cancel | None = None) -> FloatArray | None:
@@ -90,7 +90,7 @@ class Planner:
         Ends with WithdrawnError once ``cancel`` is requested.
         """
         start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
-        for look in self._looks:
+        for look in self._finders:
             path = look.path(start, goal, cancel or Cancel())
             if path is not None:
                 return path
@@ -99,14 +99,14 @@ class Planner:
     def sees(self, start_ned_m: FloatArray, goal_ned_m: FloatArray) -> bool:
         """Whether the straight line is such a path (and a comfortable one)."""
         start, goal = np.asarray(start_ned_m[:2], dtype=float), np.asarray(goal_ned_m[:2], dtype=float)
-        return self._looks[0].sees(start, goal)
+        return self._finders[0].sees(start, goal)
 
     def free(self, path_ned_m: FloatArray) -> bool:
         """Whether a path (m, 2) that was made for another fence can be gone on with for the next metres."""
-        return self._looks[1].free(path_ned_m)
+        return self._finders[1].free(path_ned_m)
 
 
-class _Look:
+class _PathFinder:
     """Paths that keep ``extra_m`` beyond a radius."""
 
     def __init__(self, fence: Fence, features: Features, radius_m: float, extra_m: float) -> None:
