@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.bench.ipopt import IpoptNmpc
-from autopilot.bench.nmpc_flight import TANK, WAYPOINTS, Flight, basin, fly
+from autopilot.bench.nmpc_flight import TANK, WAYPOINTS, LoopFlight, basin, fly
 from autopilot.control.controller import MotionController
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.nmpc import ocp
@@ -169,7 +169,7 @@ class _Other:
 
 
 def _step_row(
-    name: str, n: int, solver: str, flight: Flight, slowness: float, asked: tuple[float, float] | None, gap_n: float
+    name: str, n: int, solver: str, flight: LoopFlight, slowness: float, asked: tuple[float, float] | None, gap_n: float
 ) -> NmpcBenchRow:
     times = flight.solve_s
     tail = float(np.percentile(times, 99) / np.median(times)) if len(times) else math.nan

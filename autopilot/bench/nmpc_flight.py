@@ -47,7 +47,7 @@ def basin(obstacles: int, seed: int = 3) -> Fence:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Flight:
+class LoopFlight:
     """What a closed loop cost."""
 
     x: FloatArray
@@ -71,7 +71,7 @@ def fly(
     fence: Fence = TANK,
     first: int = 0,
     watch: Callable[[int, ControlOutput], None] = lambda step, output: None,
-) -> Flight:
+) -> LoopFlight:
     """From ``start`` (8,) to the waypoints in turn, beginning with number ``first``."""
     move = discrete_dynamics(vehicle.to_model(), STEP_US * 1e-6, 1)
     params, goals, index = ParamSet({"MPC_COST": 0}), [waypoint(*w) for w in WAYPOINTS], first
@@ -97,7 +97,7 @@ def fly(
         cost += float(error @ (weights * error) + params["MPC_R_THRUST"] * acting @ acting)
         if np.linalg.norm(error[:3]) < goal.accept_radius_m and abs(turned) < goal.accept_yaw_rad:
             index = 1 - index
-    return Flight(
+    return LoopFlight(
         x=np.array(states),
         solve_s=np.array(solve_s),
         planning_s=np.array(planning_s),

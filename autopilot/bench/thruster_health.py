@@ -36,7 +36,7 @@ SURE = 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Flight:
+class HealthFlight:
     """One flight."""
 
     kind: str
@@ -90,25 +90,25 @@ class Row:
     asked_s: float | None = None
 
 
-def planned(sound: int, lossy: int) -> list[Flight]:
+def planned(sound: int, lossy: int) -> list[HealthFlight]:
     """Flights in the order in which they are worth most: sets, modes and thrusters in turn, a random one after each."""
-    flights: list[Flight] = []
+    flights: list[HealthFlight] = []
     for k in range(max(sound, lossy)):
         kind, run = SETS[k % 4], k // 4
         cost = (run + k) % 2
         if k < sound:
-            flights.append(Flight(kind=kind, run=run, cost=cost, seconds=90.0))
-            flights.append(Flight(kind=RANDOM, run=k, cost=0, seconds=60.0))
+            flights.append(HealthFlight(kind=kind, run=run, cost=cost, seconds=90.0))
+            flights.append(HealthFlight(kind=RANDOM, run=k, cost=0, seconds=60.0))
         if k < lossy:
             thruster, share, at_s = (k + k // 4) % 4, SHARES[(k // 4) % 3 == 2], 12.0 + 7.0 * (k % 5)
-            whole = Flight(
+            whole = HealthFlight(
                 kind=kind, run=100 + run, cost=cost, seconds=at_s + 35.0, thruster=thruster, share=share, at_s=at_s
             )
             flights += [whole, replace(whole, kind=RANDOM, run=10_000 + k, cost=0, seconds=50.0, at_s=15.0)]
     return flights
 
 
-def fly_flight(flight: Flight) -> Outcome:
+def fly_flight(flight: HealthFlight) -> Outcome:
     """Fly it."""
     return _fly_random(flight) if flight.kind == RANDOM else _fly_campaign(flight)
 
@@ -143,7 +143,7 @@ def _kept(folder: Path | None) -> Iterable[Outcome]:
             yield outcome
 
 
-def _rows(flown: list[tuple[Flight, Outcome]]) -> Iterator[Row]:
+def _rows(flown: list[tuple[HealthFlight, Outcome]]) -> Iterator[Row]:
     for random in (False, True):
         where = "random vehicles" if random else "R1 to R4"
         mine = [(flight, outcome) for flight, outcome in flown if (flight.kind == RANDOM) is random]
@@ -155,7 +155,7 @@ def _rows(flown: list[tuple[Flight, Outcome]]) -> Iterator[Row]:
                     yield _row(f"{where}, {what} {name}", these, ASKED_S[share])
 
 
-def _row(what: str, flown: list[tuple[Flight, Outcome]], asked_s: float | None) -> Row:
+def _row(what: str, flown: list[tuple[HealthFlight, Outcome]], asked_s: float | None) -> Row:
     outcomes = [outcome for _, outcome in flown]
     false = sum(bool(outcome.false) for outcome in outcomes)
     row = Row(
@@ -194,7 +194,7 @@ def upper_bound(bad: int, runs: int) -> float:
     return high
 
 
-def _fly_random(flight: Flight) -> Outcome:
+def _fly_random(flight: HealthFlight) -> Outcome:
     loss = None
     if flight.thruster is not None:
         loss = Loss(thruster=flight.thruster, share=flight.share, at_s=flight.at_s)
@@ -208,7 +208,7 @@ def _fly_random(flight: Flight) -> Outcome:
     )
 
 
-def _fly_campaign(flight: Flight) -> Outcome:
+def _fly_campaign(flight: HealthFlight) -> Outcome:
     task = define(flight.kind, duration_s=flight.seconds).task(flight.run)
     toml = task.scenario_toml
     if flight.thruster is not None:
@@ -232,7 +232,7 @@ def _fly_campaign(flight: Flight) -> Outcome:
 class _Watch:
     """Looks at every tick."""
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: HealthFlight) -> None:
         self._flight = flight
         self._armed_us = 0
         self._last_us = 0

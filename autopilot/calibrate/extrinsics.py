@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from autopilot.calibrate.flight import Flight
+from autopilot.calibrate.flight import CameraFlight
 from autopilot.calibrate.gyro_path import GyroPath
 from autopilot.calibrate.least_squares import covariance, huber_weights, robust_sigma, solve_weighted
 from autopilot.calibrate.motion_fit import SIGMA_FACTOR, MotionFit
@@ -66,7 +66,7 @@ def mounting_rpy_rad(r_frd_from_cam: FloatArray) -> FloatArray:
     return rpy_from_r(r_frd_from_cam @ R_FRD_FROM_CAM.T)
 
 
-def check_attitude(flight: Flight, fit: MotionFit) -> AttitudeCheck:
+def check_attitude(flight: CameraFlight, fit: MotionFit) -> AttitudeCheck:
     """Compare the attitudes themselves, which the fit did not use."""
     t_s = flight.t_s - fit.late_s
     ahrs = flight.ahrs
@@ -85,7 +85,7 @@ def check_attitude(flight: Flight, fit: MotionFit) -> AttitudeCheck:
     return AttitudeCheck(mean_rad=middle + off.mean(axis=0), spread_rad=spread, sigma_mean_rad=sigma)
 
 
-def fit_lever_arm(flight: Flight, fit: MotionFit) -> LeverArm | None:
+def fit_lever_arm(flight: CameraFlight, fit: MotionFit) -> LeverArm | None:
     """The lever arm by linear least squares, None if the pictures are too sparse.
 
     Over two hops from t0 by t1 to t2 the camera's places give the combination
@@ -128,7 +128,7 @@ def fit_lever_arm(flight: Flight, fit: MotionFit) -> LeverArm | None:
 
 
 def _double_integrals(
-    flight: Flight, path: GyroPath, fit: MotionFit, r0_ned: FloatArray, when: FloatArray
+    flight: CameraFlight, path: GyroPath, fit: MotionFit, r0_ned: FloatArray, when: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Twice integrated acceleration (2, n, 3) from t0 to t2 and to t1, NED, and its derivatives (2, n, 3, 3) by minus
     the bias of the accelerometers; attitude from the camera at t0 and the gyros from there."""
@@ -150,7 +150,7 @@ def _double_integrals(
     return force, by_bias
 
 
-def extrinsic_values(flight: Flight, fit: MotionFit, arm: LeverArm | None) -> dict[str, list[float]]:
+def extrinsic_values(flight: CameraFlight, fit: MotionFit, arm: LeverArm | None) -> dict[str, list[float]]:
     """The keys of ``[camera]``; components of the lever arm that the flight does not show stay as they are.
 
     LogError if the rotation is not known well enough."""

@@ -40,7 +40,7 @@ class Ahrs:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Flight:
+class CameraFlight:
     """A log's camera poses and AHRS samples."""
 
     vehicle: Vehicle
@@ -63,7 +63,7 @@ class Flight:
     """In the log, usable or not."""
 
 
-def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = None) -> Flight:
+def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = None) -> CameraFlight:
     """Poses of all sightings in a log. LogError if there are too few; ConfigError for a wrong vehicle or map file.
 
     ``vehicle``: another vehicle file than the one attached to the log; ``markers``: another marker map."""
@@ -89,7 +89,7 @@ def read_flight(path: Path, vehicle: str | None = None, markers: Path | None = N
     t_s = rows["t_us"] * 1e-6 + known.eye.time_offset_s
     order = np.argsort(t_s, kind="stable")
     order = order[np.diff(t_s[order], prepend=-math.inf) > 0.0]
-    return Flight(
+    return CameraFlight(
         vehicle=known,
         camera=camera,
         t_s=t_s[order],

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from autopilot.calibrate.boards import Board
-from autopilot.calibrate.flight import Flight
+from autopilot.calibrate.flight import CameraFlight
 from autopilot.calibrate.laser_fit import Dots, floor_depths
 from autopilot.calibrate.views import image_files, read_images
 from autopilot.core.camera import CameraModel
@@ -63,7 +63,7 @@ def green_dots(image_bgr: Any) -> FloatArray:
     return np.array(out).reshape(-1, 2)
 
 
-def logged_dots(flight: Flight) -> Dots:
+def logged_dots(flight: CameraFlight) -> Dots:
     """The dots that the flight's own detector found."""
     found = np.flatnonzero(np.isfinite(flight.laser_px[:, 0]))
     found = found[_moved(flight.eye_ned_m[found])]
@@ -77,7 +77,7 @@ def logged_dots(flight: Flight) -> Dots:
     return Dots(picture=found, ideal=ideal, depth_m=np.array(depth).reshape(-1))
 
 
-def picture_dots(log: Log, flight: Flight) -> Dots:
+def picture_dots(log: Log, flight: CameraFlight) -> Dots:
     """Dots in the pictures of a log, wherever they are; empty if the log holds no pictures."""
     parts: list[tuple[int, FloatArray, FloatArray]] = []
     if "/in/camera" not in log:
@@ -150,7 +150,7 @@ def _joined(parts: list[tuple[int, FloatArray, FloatArray]]) -> Dots:
     return Dots(picture=picture[good].astype(np.int64), ideal=ideal[good], depth_m=depth_m[good])
 
 
-def log_dots(path: Path, flight: Flight) -> Dots:
+def log_dots(path: Path, flight: CameraFlight) -> Dots:
     """The dots of a log: the flight's own if its detector found them most of the time, else those in its pictures."""
     if float(np.isfinite(flight.laser_px[:, 0]).mean()) > OWN_SHARE:
         return logged_dots(flight)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from autopilot.calibrate.flight import Flight
+from autopilot.calibrate.flight import CameraFlight
 from autopilot.calibrate.gyro_path import GyroPath
 from autopilot.calibrate.least_squares import covariance, huber_weights, robust_sigma, solve_weighted
 from autopilot.core.errors import LogError
@@ -68,7 +68,7 @@ class MotionFit:
     """(m, 2) lateness [s] and correlation of the yaw rates, the scan that the fit began with."""
 
 
-def fit_motion(flight: Flight) -> MotionFit:
+def fit_motion(flight: CameraFlight) -> MotionFit:
     """Mounting and lateness together. LogError if the vehicle hardly turned or pictures and AHRS do not overlap."""
     path = GyroPath(flight.ahrs, np.zeros(3))
     first, second = _pairs(flight.t_s)

@@ -11,7 +11,6 @@ from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
 
 if TYPE_CHECKING:
     from autopilot.calibrate.boards import Board
-    from autopilot.calibrate.flight import Flight
 
 
 LEAST_SIGMA_S = 0.0005
@@ -338,12 +337,12 @@ def laser(
     _keep(values, f"autopilot calibrate laser: {source.name}", vehicle or known.name, out, as_json)
 
 
-def flight_place(flight: "Flight", arm: Any) -> list[float]:
+def flight_place(flight: "CameraFlight", arm: Any) -> list[float]:
     """Camera in the body frame."""
     return [a + b for a, b in zip(arm.arm_frd_m.tolist(), flight.vehicle.ahrs.position_frd_m, strict=True)]
 
 
-def _title(log_file: Path, flight: "Flight") -> str:
+def _title(log_file: Path, flight: "CameraFlight") -> str:
     return (
         f"{log_file}: {len(flight.t_s)} of {flight.sightings} sightings, {flight.t_s[-1] - flight.t_s[0]:.0f} s,"
         f" corners {float(sorted(flight.rms_px)[len(flight.rms_px) // 2]):.2f} px"

@@ -15,7 +15,7 @@ _KINDS = {"udp": "udpin", "udpin": "udpin", "udpout": "udpout", "tcp": "tcp", "t
 HINT = "use udpout:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT"
 
 
-class Link(Protocol):
+class ClientLink(Protocol):
     """Carries bytes to the vehicle and back."""
 
     def send(self, data: bytes) -> None:
@@ -40,7 +40,7 @@ def parse_connection(text: str) -> tuple[str, str, int]:
     return _KINDS[kind], host or "127.0.0.1", int(port)
 
 
-def open_link(text: str) -> Link:
+def open_link(text: str) -> ClientLink:
     """Open a connection. DriverError names it and what to do when that fails."""
     kind, host, port = parse_connection(text)
     try:

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.command_client import CommandSend
 from autopilot.client.exchange import Exchange, Message, Outcome, Target, Timers
-from autopilot.client.links import Link, open_link
+from autopilot.client.links import ClientLink, open_link
 from autopilot.client.plan_client import PlanDownload, PlanUpload, same_on_the_wire
 from autopilot.client.texts import Text, TextCollector
 from autopilot.core.errors import AutopilotError, DriverError, PlanError
@@ -83,7 +83,7 @@ class Session:
 
     def __init__(
         self,
-        connection: str | Link,
+        connection: str | ClientLink,
         timers: Timers | None = None,
         clock_s: Callable[[], float] = time.monotonic,
         at_work: Callable[[], bool] | None = None,

@@ -8,7 +8,7 @@ import pytest
 
 from autopilot.bench.energy.bench import against_optimum
 from autopilot.bench.energy.cases import CASES, REGION_M, Case, EnergyGoal, uniform
-from autopilot.bench.energy.flight import Flight, fly, los_pilot, plant_field
+from autopilot.bench.energy.flight import EnergyFlight, fly, los_pilot, plant_field
 from autopilot.bench.energy.los_pid import LosGains
 from autopilot.bench.energy.optimum import (
     Guess,
@@ -129,7 +129,7 @@ def test_a_vehicle_that_is_not_as_believed_is_compared_with_its_own_optimum() ->
 
 def test_rows_show_the_comparator_and_its_joules() -> None:
     """Of a flight that is three laps through the open corridor, whatever it took."""
-    flight = Flight(
+    flight = EnergyFlight(
         case="b1", pilot="any", finished=True, energy_j=1230.0, leg_j=(205.0,) * 6, leg_s=(12.0,) * 6,
         nearest_m=0.02, top_m_s=0.48, track=np.zeros((1, 2)), laps=3,
     )  # fmt: skip

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from autopilot.calibrate.flight import Ahrs, Flight
+from autopilot.calibrate.flight import Ahrs, CameraFlight
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.vehicle import Vehicle, load_vehicle
@@ -49,7 +49,7 @@ def make_flight(
     seed: int = 1,
     duration_s: float = 60.0,
     noise: float = 1.0,
-) -> Flight:
+) -> CameraFlight:
     """The flight as a log would give it; the vehicle file knows nothing of the errors."""
     rng = np.random.default_rng(seed)
     vehicle: Vehicle = load_vehicle("lbv150")
@@ -67,7 +67,7 @@ def make_flight(
     attitude = motion.attitude(t)
     mounting = Rotation.from_matrix(r_ned_from_frd(np.array(mounting_rpy)) @ camera.r_frd_from_cam)
     turned = Rotation.from_rotvec(noise * np.array([4e-4, 3e-4, 1e-4]) * rng.standard_normal((len(t), 3)))
-    return Flight(
+    return CameraFlight(
         vehicle=vehicle,
         camera=camera,
         t_s=t + late_s,

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from autopilot.bench.energy.cases import CASES
-from autopilot.bench.energy.flight import ENERGY_PARAMS, QUADRATIC_PARAMS, Flight, fly, los_pilot, nmpc_pilot
+from autopilot.bench.energy.flight import ENERGY_PARAMS, QUADRATIC_PARAMS, EnergyFlight, fly, los_pilot, nmpc_pilot
 from autopilot.bench.energy.los_pid import LosGains
 from autopilot.bench.energy.record import DRAGS, Record, comparator, load_records
 from autopilot.bench.energy.service_flight import fly_service
@@ -59,14 +59,14 @@ class EnergyResult:
     """Rows of the table and what was flown."""
 
     rows: list[EnergyRow]
-    flights: list[Flight]
+    flights: list[EnergyFlight]
 
 
 def bench_energy(short: bool = False, progress: Callable[[str], None] = lambda _: None) -> EnergyResult:
     """Every row; ``short``: B1 with its rivals in one lap, B5."""
     vehicle, records = load_vehicle("lbv150"), load_records()
     rows: list[EnergyRow] = []
-    flights: list[Flight] = []
+    flights: list[EnergyFlight] = []
     for flight, (bar, goal) in _flights(vehicle, short):
         flights.append(flight)
         rows.append(against_optimum(flight, bar, goal, records))
@@ -79,7 +79,7 @@ def bench_energy(short: bool = False, progress: Callable[[str], None] = lambda _
     return EnergyResult(rows=rows, flights=flights)
 
 
-def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[Flight, tuple[float, float]]]:
+def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[EnergyFlight, tuple[float, float]]]:
     """Flights with bar and goal."""
     for name in ("b1", "b5") if short else CASES:
         case = CASES[name]
@@ -100,7 +100,7 @@ def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[Flight, tuple[floa
                 yield fly_service(CASES[name], scenario, drag, currents), ESTIMATED
 
 
-def _rivals(vehicle: Vehicle, laps: int) -> list[Flight]:
+def _rivals(vehicle: Vehicle, laps: int) -> list[EnergyFlight]:
     """The best of each kind on B1, over as many laps; and the quadratic one at the speed that nobody has tuned."""
     case = CASES["b1"]
     quadratic = [
@@ -123,22 +123,22 @@ def _rivals(vehicle: Vehicle, laps: int) -> list[Flight]:
     return [_best(quadratic), _best(unaware), pid, shipped]
 
 
-def _best(flights: list[Flight]) -> Flight:
+def _best(flights: list[EnergyFlight]) -> EnergyFlight:
     return min(flights, key=lambda flight: flight.energy_j if flight.finished else math.inf)
 
 
-def against_optimum(flight: Flight, bar: float, goal: float, records: dict[str, Record]) -> EnergyRow:
+def against_optimum(flight: EnergyFlight, bar: float, goal: float, records: dict[str, Record]) -> EnergyRow:
     """A flight beside the optimum with its freedom."""
     other = comparator(records, flight.case, flight.laps, flight.corridor, flight.drag)
     return _row(flight, flight.pilot, flight, other.name, other.lap_j, bar, goal)
 
 
-def _against_rival(own: Flight, rival: Flight) -> EnergyRow:
+def _against_rival(own: EnergyFlight, rival: EnergyFlight) -> EnergyRow:
     return _row(rival, "energy, flow known", own, rival.pilot, rival.lap_j, RIVAL_BARS[rival.pilot], None)
 
 
 def _row(
-    shown: Flight, pilot: str, flown: Flight, against: str, against_j: float, bar: float, goal: float | None
+    shown: EnergyFlight, pilot: str, flown: EnergyFlight, against: str, against_j: float, bar: float, goal: float | None
 ) -> EnergyRow:
     """Energy of ``flown``; clearance and speed of ``shown``. A rival that has not arrived proves nothing."""
     ratio = flown.lap_j / against_j if shown.finished else math.inf

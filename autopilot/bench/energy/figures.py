@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from autopilot.bench.energy.cases import CASES, CYLINDERS, REGION_M, TANK_X_M, TANK_Y_M, Case
-from autopilot.bench.energy.flight import Flight
+from autopilot.bench.energy.flight import EnergyFlight
 from autopilot.bench.energy.record import CORRIDOR_LAPS, Record, comparator, load_records
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#999999")
@@ -16,7 +16,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F
 DPI = 110
 
 
-def draw(flights: Sequence[Flight], folder: str) -> list[str]:
+def draw(flights: Sequence[EnergyFlight], folder: str) -> list[str]:
     """Write ``energy_CASE.png`` for every case that was flown and ``energy_bars.png``; the result is their paths."""
     import matplotlib
 
@@ -46,7 +46,7 @@ def draw(flights: Sequence[Flight], folder: str) -> list[str]:
     return [*written, str(path)]
 
 
-def _map(axes: Any, case: Case, record: Record, flights: Sequence[Flight]) -> None:
+def _map(axes: Any, case: Case, record: Record, flights: Sequence[EnergyFlight]) -> None:
     """East to the right, north up."""
     everything = np.vstack([record.track_ned_m, *(flight.track for flight in flights)])
     low, high = everything.min(axis=0) - 1.5, everything.max(axis=0) + 1.5
@@ -82,7 +82,7 @@ def _map(axes: Any, case: Case, record: Record, flights: Sequence[Flight]) -> No
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.02, 0.5))
 
 
-def _bars(axes: Any, flights: Sequence[Flight], records: dict[str, Record]) -> None:
+def _bars(axes: Any, flights: Sequence[EnergyFlight], records: dict[str, Record]) -> None:
     """Energy per lap over that of the optimum with the same freedom."""
     others = [comparator(records, each.case, each.laps, each.corridor, each.drag) for each in flights]
     ratios = [flight.lap_j / other.lap_j for flight, other in zip(flights, others, strict=True)]

@@ -68,7 +68,7 @@ Pilot: TypeAlias = Callable[[int, NavState, Goal, Fence], FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Flight:
+class EnergyFlight:
     """What was flown."""
 
     case: str
@@ -157,7 +157,7 @@ def fly(
     laps: int = 0,
     corridor: bool = True,
     clock_us: int = 0,
-) -> Flight:
+) -> EnergyFlight:
     """Fly all laps of a case (or ``laps``); a leg ends when its region is entered.
 
     ``corridor``: the way between cylinder and south wall is open, as in the tank; else a fence closes it. ``clock_us``:
@@ -190,7 +190,7 @@ def fly(
             index, begin_us = index + 1, t_us
     way = np.array(track)
     near = float(clearance_m(TANK, way).min()) - vehicle.radius_m if case.tank else math.inf
-    return Flight(
+    return EnergyFlight(
         case=case.name,
         pilot=name,
         finished=index == len(goals),

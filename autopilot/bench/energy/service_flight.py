@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from autopilot.bench.energy.cases import REGION_M, REGION_YAW_RAD, Case
-from autopilot.bench.energy.flight import Flight
+from autopilot.bench.energy.flight import EnergyFlight
 from autopilot.bench.energy.record import DRAGS, MASS
 from autopilot.bench.nmpc import TANK
 from autopilot.control.energy.power import PowerModel
@@ -72,7 +72,7 @@ class _Score:
             self._before_j, self._begin_s = self.spent_j, now_s
 
 
-def fly_service(case: Case, scenario: str, drag: float, currents: str = "estimate") -> Flight:
+def fly_service(case: Case, scenario: str, drag: float, currents: str = "estimate") -> EnergyFlight:
     """The scenario ``scenario`` with 20 % more mass and ``drag`` times the drag.
 
     ``currents``: what it knows of the flow, "estimate" or "map" (a map of the true flow, corrected by the estimate).
@@ -94,7 +94,7 @@ def fly_service(case: Case, scenario: str, drag: float, currents: str = "estimat
         score.session = session
         session.run(stop=lambda: score.finished)
     way = np.array(score.track)
-    return Flight(
+    return EnergyFlight(
         case=case.name,
         pilot=f"service, {currents}, drag {drag:g}",
         finished=score.finished,
