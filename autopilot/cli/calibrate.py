@@ -11,6 +11,7 @@ from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
 
 if TYPE_CHECKING:
     from autopilot.calibrate.boards import Board
+    from autopilot.calibrate.flight import CameraFlight
 
 
 LEAST_SIGMA_S = 0.0005
