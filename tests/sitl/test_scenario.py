@@ -133,7 +133,11 @@ def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
         ("[2.5, 1.5], [-2.5, 1.5]]", "[-2.5, 1.5], [2.5, 1.5]]", r"cross - at `\$\.tank`"),
         ("[2.5, 1.5], [-2.5, 1.5]]", "[2.5, 1.5], [2.5, 1.5]]", r"repeats the corner \[2\.5, 1\.5\] - at `\$\.tank`"),
         ("[scenario]", "[scenarios]", r"scenario"),
-        ("[vehicle]", '[vehicle]\nmodel = "lbv999"', r"vehicle 'lbv999' is not known; use one of bluerov2, bluerov2-heavy, lbv150"),
+        (
+            "[vehicle]",
+            '[vehicle]\nmodel = "lbv999"',
+            r"vehicle 'lbv999' is not known; use one of bluerov2, bluerov2-heavy, lbv150",
+        ),
         ("[tank]", "[tank", r"is not valid TOML"),
     ],
 )
