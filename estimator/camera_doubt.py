@@ -60,9 +60,11 @@ def focal_look(
 ) -> tuple[float, float] | None:
     """Share by which the focal length is too long, and its standard deviation, from one picture.
 
-    ``pixels`` (m, 2) of the corners, ``residual_px`` (2m,) of the fit and its ``jacobian`` (2m, k) by all that was
-    fitted. None where a lens that does not bend tells nothing."""
-    both = np.column_stack(((pixels - np.array(camera.center_px)).reshape(-1), residual_px))
+    ``pixels`` (m, 2) of the corners as seen, ``residual_px`` (2m,) of the fit, seen minus fitted, and its ``jacobian``
+    (2m, k) by all that was fitted. None where a lens that does not bend tells nothing."""
+    # Of the corners as fitted: those seen hold the noise of the residuals, all the pattern that a straight lens has.
+    fitted = (pixels - np.array(camera.center_px)).reshape(-1) - residual_px
+    both = np.column_stack((fitted, residual_px))
     across, *_ = np.linalg.lstsq(jacobian, both, rcond=None)
     pattern, rest = (both - jacobian @ across).T
     power = float(pattern @ pattern)

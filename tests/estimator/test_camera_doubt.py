@@ -126,7 +126,9 @@ def test_a_lens_that_does_not_bend_tells_nothing() -> None:
     jacobian = np.zeros((80, 3))
     jacobian[0::2, 0] = jacobian[1::2, 1] = 1.0
     jacobian[:, 2] = (pixels - np.array(straight.center_px)).reshape(-1)  # height
-    assert focal_look(straight, pixels, rng.normal(0.0, 0.1, 80), jacobian) is None
+    for noise_px in (0.0, 0.1, 1.0):
+        off = rng.normal(0.0, noise_px, 80)
+        assert focal_look(straight, pixels + off.reshape(-1, 2), off, jacobian) is None
 
 
 def test_what_pictures_say_of_the_focal_length_counts_before_it_is_sure() -> None:
