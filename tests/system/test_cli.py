@@ -494,7 +494,7 @@ def test_a_log_that_cannot_be_closed_does_not_lose_the_parameters(
             run_.run()
     assert scan_param_file(tmp_path / "state/sitl-0/parameters.params").values == {"SPD_CRUISE": pytest.approx(0.2)}
     with pytest.raises(RuntimeError, match="disk"):
-        run_.disk.submit(0, lambda request, _: request, None)
+        run_.kept.disk.submit(0, lambda request, _: request, None)
 
 
 def test_a_disk_that_recovers_has_the_parameters_and_the_operator_knows(session: OpenSession, tmp_path: Path) -> None:

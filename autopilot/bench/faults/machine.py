@@ -178,7 +178,7 @@ def _texts() -> Measured:
             session.runtime.close()
     messages = [message for message in pilot.heard if message.get_type() == "STATUSTEXT"]
     pieces = sum(message.id != 0 for message in messages)
-    figures = sum("violate" in message.text for message in messages)
+    figures = sum("alpha" in message.text for message in messages)
     counts = Counter(message.text for message in messages if "no mode" in message.text)
     repeats = max(counts.values(), default=0)
     return Measured(
