@@ -72,7 +72,7 @@ def test_four_measured_markers_give_tenths_of_millimetres(laid: tuple[MarkerMap,
 def test_without_a_map_from_one_marker_on(laid: tuple[MarkerMap, MarkerMap, list[View]]) -> None:
     """Nothing known but dictionary, size and depth: right up to where the first marker lies."""
     _, true, views = laid
-    from autopilot.cli.markers import _rough_map
+    from autopilot.cli.markers_survey import _rough_map
 
     rough = _rough_map(rough=None, dictionary="DICT_4X4_1000", size=0.07, depth=1.5, rough_sigma=None)
     survey = survey_map(CAMERA, views, rough, fixed=NONE)

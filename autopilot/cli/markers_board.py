@@ -1,0 +1,125 @@
+"""``autopilot markers board``: boards to print."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from autopilot.core.markers import MarkerMap
+
+
+@click.command()
+@click.argument("file", type=click.Path(exists=True, dir_okay=False), required=False)
+@click.option("--rows", type=click.IntRange(1, 1000), help="Grid: rows,")
+@click.option("--columns", type=click.IntRange(1, 1000), help="columns,")
+@click.option(
+    "--floor", nargs=2, type=click.FloatRange(min=0.0, min_open=True), metavar="NORTH EAST", help="or metres to fill."
+)
+@click.option(
+    "--size", type=click.FloatRange(min=0.0, min_open=True), default=0.06, show_default=True, help="Black square [m]."
+)
+@click.option("--gap", type=click.FloatRange(min=0.0), default=0.02, show_default=True, help="White between them [m].")
+@click.option("--dictionary", default="DICT_4X4_1000", show_default=True, help="OpenCV's name, AprilTags too.")
+@click.option("--first-id", type=click.IntRange(min=0), default=0, show_default=True, help="Of the grid.")
+@click.option("--seed", type=click.IntRange(min=0), default=7, show_default=True, help="Order of ids of a floor.")
+@click.option(
+    "--at", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar="N E D", help="Middle of the board in the map."
+)
+@click.option("--heading", type=float, default=0.0, show_default=True, help="Where the board's top points [deg].")
+@click.option("--paper", default="A4", show_default=True, help="A0 to A4, or WIDTHxHEIGHT in mm.")
+@click.option("--landscape", is_flag=True, help="Paper on its side.")
+@click.option("--margin", type=click.FloatRange(min=0.0), default=8.0, show_default=True, help="The printer's, mm.")
+@click.option("--out", type=click.Path(file_okay=False), required=True, help="Folder for board.pdf, sheets, map.toml.")
+def board(file: str | None, **options: Any) -> None:
+    """Make printable sheets in true size (PDF and SVG) and the map file, of a grid, a whole floor or the map FILE."""
+    from autopilot.core.marker_files import load_marker_map, marker_file_text
+    from autopilot.markermaps.page import pdf_bytes, svg_text
+    from autopilot.markermaps.sheets import make_sheets, on_sheets, paper_of, plane_of
+
+    heading = math.radians(options["heading"])
+    given = [
+        file is not None,
+        options["rows"] is not None or options["columns"] is not None,
+        options["floor"] is not None,
+    ]
+    if sum(given) != 1:
+        raise click.UsageError("give a map FILE, --rows and --columns, or --floor")
+    if file is not None:
+        layout, pitch_m = load_marker_map(Path(file)), None
+        title = Path(file).stem
+    else:
+        layout = _grid(heading_rad=heading, **options)
+        pitch_m = options["size"] + options["gap"]
+        title = "floor" if options["floor"] is not None else "board"
+    paper = paper_of(options["paper"], options["landscape"], options["margin"])
+    plane = plane_of(layout, heading, pitch_m)
+    pages = make_sheets(plane, paper, title)
+    folder = Path(options["out"])
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "board.pdf").write_bytes(pdf_bytes(pages))
+    for number, page in enumerate(pages, start=1):
+        (folder / f"sheet-{number:03d}.svg").write_text(svg_text(page), encoding="utf-8")
+    notes = [
+        f"{title}: {len(layout.ids)} markers on {len(pages)} sheets of {options['paper']}",
+        "as printed; survey it once it is laid, or say with sigma_m and sigma_rad how well",
+    ]
+    (folder / "map.toml").write_text(marker_file_text(on_sheets(plane, paper), notes), encoding="utf-8")
+    click.echo(f"{folder}: {len(layout.ids)} markers on {len(pages)} sheets (board.pdf, sheet-NNN.svg), map.toml")
+    click.echo("print at 100 % and measure the scale bar")
+
+
+def _grid(*, heading_rad: float, **options: Any) -> "MarkerMap":
+    """The board or floor that the options ask for."""
+    import numpy as np
+
+    from autopilot.core.dictionaries import dictionary_size, resolve_dictionary
+    from autopilot.core.errors import ConfigError
+    from autopilot.core.frames import r_ned_from_frd
+    from autopilot.core.marker_files import Board as BoardTable
+    from autopilot.core.marker_files import PlacedMarker, board_offsets, make_map, placed_markers
+    from autopilot.core.markers import grid_floor
+
+    options["dictionary"] = resolve_dictionary(options["dictionary"], Path(), "--dictionary")
+    r = r_ned_from_frd(np.array([0.0, 0.0, heading_rad]))
+    middle = np.array(options["at"])
+    if options["floor"] is not None:
+        half = 0.5 * np.array(options["floor"])
+        corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
+        pitch_m = options["size"] + options["gap"]
+        flat = grid_floor(
+            polygon_m=corners,
+            depth_m=0.0,
+            pitch_m=pitch_m,
+            size_m=options["size"],
+            seed=options["seed"],
+            dictionary=options["dictionary"],
+        )
+        places = [(m.id, m.center_ned_m) for m in placed_markers(flat)]
+    else:
+        rows, columns = options["rows"] or 1, options["columns"] or 1
+        table = BoardTable(
+            rows=rows, columns=columns, gap_m=options["gap"], first_id=options["first_id"], center_m=(0.0, 0.0, 0.0)
+        )
+        places = [(options["first_id"] + n, offset) for n, offset in enumerate(board_offsets(table, options["size"]))]
+    count = dictionary_size(options["dictionary"]) or 0
+    last = max(i for i, _ in places)
+    if last >= count:
+        raise ConfigError(
+            f"the board needs ids up to {last} and the dictionary has {count}; use a larger one or --floor"
+        )
+    return make_map(
+        [
+            PlacedMarker(
+                place="",
+                dictionary=options["dictionary"],
+                id=i,
+                size_m=options["size"],
+                center_ned_m=middle + r @ offset,
+                r_ned_from_marker=r,
+            )
+            for i, offset in places
+        ],
+        "board",
+    )
