@@ -24,7 +24,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.dictionaries import opencv_dictionary
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
-from autopilot.core.samples import CameraFrame, MarkerSighting
+from autopilot.core.samples import MAX_SIGHTED, CameraFrame, MarkerSighting
 from estimator.laser_dot import find_dot
 from estimator.marker_looks import corner_sigma_px, looks_of, patterns_of
 
@@ -94,6 +94,11 @@ class Hint:
     """(3,)"""
 
 
+def _spread_out(count: int) -> IntArray:
+    """Which of so many markers a sighting holds: all, or as many as it can, spread over the picture."""
+    return np.unique(np.linspace(0, count - 1, min(count, MAX_SIGHTED)).round().astype(np.int64))
+
+
 class MarkerDetector:
     """Finds the markers of one map with one camera."""
 
@@ -116,13 +121,15 @@ class MarkerDetector:
         else:
             each = [self._track(grey, hazy, *expected) for expected in self._expected(hint)]
         laser = find_dot(image, self._camera, self._laser_range_m(hint)) if self._camera.has_laser else None
-        ids = tuple(int(i) for some in each for i in some.ids)
+        ids = np.array([int(i) for some in each for i in some.ids], dtype=np.int64)
+        kept = _spread_out(len(ids))
+        corners_px = np.concatenate([np.empty((0, 4, 2)), *(some.corners_px for some in each)])
         return MarkerSighting(
             t_us=frame.t_us,
-            ids=ids,
-            corners_px=np.concatenate([np.empty((0, 4, 2)), *(some.corners_px for some in each)]),
+            ids=tuple(ids[kept].tolist()),
+            corners_px=corners_px[kept],
             laser_px=laser,
-            sigma_px=np.concatenate([some.sigma_px for some in each]) if ids else None,
+            sigma_px=np.concatenate([some.sigma_px for some in each])[kept] if len(ids) else None,
         )
 
     def _acquisition(self) -> list[IntArray]:

@@ -75,6 +75,10 @@ class PictureReport:
     """Shares of the pixels that are white, black."""
 
 
+MAX_SIGHTED = 64
+"""Markers that one sighting holds, as a logged one does: a replay has what the flight had."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MarkerSighting:
     """What the vision front end found in one image. ``t_us`` is the time of exposure."""

@@ -78,3 +78,17 @@ def test_a_recorded_flight_gives_the_same_bits(
     ticks["t_us"] += 1_000_000
     with pytest.raises(LogError, match="already running"):
         replay(log, setup)
+
+
+def test_a_wide_view_replays_too(session: OpenSession, tmp_path: Path) -> None:
+    """The BlueROV2's camera sees twice as many markers as a logged sighting holds."""
+    log_file = tmp_path / "wide.mcap"
+    session(vehicle="bluerov2", sensors="camera", plan=str(PAPER_PLAN), start=True, duration=1.2, log=log_file).run()
+    log = open_log(log_file)
+    sightings = log["/in/markers"]
+    assert sightings["count"].max() == 64
+    middles = sightings["corners_px"][-1].reshape(64, 4, 2).mean(axis=1)
+    assert (np.ptp(middles, axis=0) > [500.0, 350.0]).all()
+    states = replay(log, read_setup(log))
+    assert len(states) > 40
+    assert [match.topic for match in matches(log, states) if not match.same] == []

@@ -7,6 +7,7 @@ import numpy as np
 
 from autopilot.core.frames import quat_from_rpy
 from autopilot.core.samples import (
+    MAX_SIGHTED,
     AhrsSample,
     DepthSample,
     ExternalPoseSample,
@@ -40,7 +41,7 @@ _HEADER = struct.Struct("<4siII4sH")
 _marker_offset = {name: entry[1] for name, entry in (_MARKERS.dtype.fields or {}).items()}
 _ZERO9 = (0.0,) * 9
 
-MAX_MARKERS = 64
+MAX_MARKERS = MAX_SIGHTED
 """Markers that one logged sighting holds; more are left out."""
 
 
