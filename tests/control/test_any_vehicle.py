@@ -26,6 +26,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
+from autopilot.identify.prediction import Coefficients, model_of, predict
 
 OPEN = Fence(depth_max_m=5.0)
 GOALS = (goal(1.6, 0.8, 1.0, 1.0), goal(0.0, 0.0, 0.6, -0.6))
@@ -194,3 +195,20 @@ def test_a_lost_horizontal_thruster_of_a_bluerov2_is_found_in_any_order(lost: in
             assert not any(health.lost)
     assert health.lost == tuple(i == at for i in range(6))
     assert health.found[at] < 0.35
+
+
+def test_identification_predicts_with_any_thrusters() -> None:
+    model, rng = bluerov2().to_model(), np.random.default_rng(2)
+    values = Coefficients.of(model).base
+    assert model_of(values, model).allocation == model.allocation
+    values[13] = 0.02
+    armed = model_of(values, model)
+    assert np.allclose(
+        np.array(armed.allocation)[3], np.array(model.allocation)[3] + 0.02 * np.array(model.allocation)[1]
+    )
+    x, thrusts = np.array(START), rng.normal(0.0, 3.0, (20, 6))
+    told = np.hstack([thrusts, np.zeros((20, 4))])
+    seen = predict(values, model, x, told, np.zeros(2), 0.05)
+    for thrust in thrusts:
+        x = rk4(armed, x, thrust, still, 0.05)
+    assert np.allclose(seen[-1], x[[0, 1, 2, 3, 7]], atol=1e-9)

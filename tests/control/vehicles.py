@@ -1,6 +1,7 @@
 """Vehicles with any thrusters, for tests: hulls and drives of the LBV150 or a BlueROV2 under other allocations."""
 
 import math
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,7 +13,7 @@ from autopilot.core.vehicle import Model4Table, Vehicle, load_vehicle
 
 LBV150 = load_vehicle("lbv150")
 
-BLUEROV2_HULL = {
+BLUEROV2_HULL: dict[str, Any] = {
     "mass_kg": (17.0, 24.2, 26.07, 0.28),
     "linear_drag": (4.03, 6.22, 5.18, 0.07),
     "quadratic_drag": (18.18, 21.66, 36.99, 1.55),
