@@ -11,7 +11,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Shape
-from autopilot.core.shapes import PAIRS, Edges, bounding_box, signed_m
+from autopilot.core.shapes import PAIRS, BoolArray, Edges, bounding_box, signed_m
 
 
 class Room:
@@ -29,6 +29,9 @@ class Room:
         self._edges = Edges.of(polygons)
         self._first = np.cumsum([0] + [len(p) for p in polygons[:-1]]) if polygons else np.zeros(0, dtype=int)
         self._sign = np.array([-1.0 if inclusion else 1.0 for _, inclusion in shapes])
+        boxes = [bounding_box(shape) for shape, _ in shapes]
+        self._low = np.array([low for low, _ in boxes]).reshape(-1, 2)
+        self._high = np.array([high for _, high in boxes]).reshape(-1, 2)
 
     @classmethod
     def of(cls, fence: Fence) -> "Room":
@@ -64,14 +67,17 @@ class Room:
     def near(self, places: FloatArray, reach_m: float) -> tuple[FloatArray, FloatArray]:
         """(n,) clearance cut off at +-``reach_m``, and (n, 2) its slope (zero where it is cut off)."""
         best, slope = np.full(len(places), reach_m), np.zeros((len(places), 2))
+        beside = self._beside(places, reach_m)
+        if not beside[self._sign < 0.0].all():
+            return np.full(len(places), -reach_m), slope
         order = np.argsort(places[:, 0], kind="stable")
         north = places[order, 0]
-        for shape, inclusion in self._shapes:
-            low, high = bounding_box(shape)
+        for k in np.flatnonzero(beside):
+            (shape, inclusion), low, high = self._shapes[k], self._low[k], self._high[k]
             first, last = np.searchsorted(north, (low[0] - reach_m, high[0] + reach_m))
             slab = order[first:last]
-            beside = places[slab, 1]
-            at = slab[(beside >= low[1] - reach_m) & (beside <= high[1] + reach_m)]
+            east = places[slab, 1]
+            at = slab[(east >= low[1] - reach_m) & (east <= high[1] + reach_m)]
             if inclusion:
                 away = np.ones(len(places), dtype=bool)
                 away[at] = False
@@ -84,3 +90,11 @@ class Room:
         cut = np.abs(best) >= reach_m
         slope[cut] = 0.0
         return np.clip(best, -reach_m, reach_m), slope
+
+    def _beside(self, places: FloatArray, reach_m: float) -> BoolArray:
+        """(shapes,) whether any of the places can be that near to a shape, by the box round them all."""
+        if not len(places):
+            return np.zeros(len(self._shapes), dtype=bool)
+        near_low, near_high = self._low - reach_m <= places.max(axis=0), self._high + reach_m >= places.min(axis=0)
+        beside: BoolArray = (near_low & near_high).all(axis=1)
+        return beside
