@@ -166,12 +166,12 @@ def test_pulses_under_way_reach_estimator_and_thrusters_when_they_act() -> None:
     assert off.prompt
     # The estimator's current of these seconds is not believed at once.
     nav = nav_state(5_000_000, line.x, np.array([-0.4, 0.2, 0.0]))
-    believed = care.believed(5_000_000, nav)
+    believed = care.nav_for_control(5_000_000, nav)
     assert believed.current_ned_m_s == pytest.approx([0.0, 0.0, 0.0])
     assert believed.vel_water_frd_m_s == pytest.approx(nav.vel_frd_m_s)
-    assert care.believed(15_000_000, nav) is nav
+    assert care.nav_for_control(15_000_000, nav) is nav
     care.step(5_010_000, None, armed=False)
-    assert care.believed(5_010_000, nav) is nav
+    assert care.nav_for_control(5_010_000, nav) is nav
     assert care.prompt
 
 

@@ -133,7 +133,7 @@ def test_a_console_that_takes_nothing_holds_nobody_up() -> None:
     """A terminal that is held: lines wait, then are dropped, and closing does not wait for ever."""
     read, write = os.pipe()
     code = (
-        "import sys\nfrom autopilot.sitl_console import Console\nconsole = Console()\n"
+        "import sys\nfrom autopilot.run.sitl_console import Console\nconsole = Console()\n"
         "for number in range(100_000):\n    console.print(f'{number} ' + 80 * 'x')\n"
         "console.close(0.1)\nprint('went on', file=sys.stderr)\nsys.stderr.flush()\nimport os\nos._exit(0)\n"
     )
