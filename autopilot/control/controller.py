@@ -108,6 +108,9 @@ class MotionController:
             tuple(each.name for each in vehicle.thrusters),
         )
         self.nmpc, self.margins, self.regions = self._program.nmpc, self._program.margins, self._program.regions
+        self._solver_news = [(Severity.DEBUG, f"Solver: {self.solver}")]
+        if self.nmpc.slower:
+            self._solver_news.insert(0, (Severity.WARNING, f"Slower solver ({self.nmpc.solver}): see log, reinstall"))
         self._lag = ThrusterLag(self._model, response)
         self._forecast = currents or EstimatedCurrent()
         self._inner = InnerLoop(self.margins.ancillary, grid)
@@ -281,8 +284,15 @@ class MotionController:
 
     def take_news(self) -> list[tuple[Severity, str]]:
         """Severity and text of what the operator should know since the last call."""
+        first, self._solver_news = self._solver_news, []
         parts = (self.margins, self.regions, self._penalty, self._fallbacks, self._guidance)
-        return [news for part in parts for news in part.take_news()]
+        return first + [news for part in parts for news in part.take_news()]
+
+    @property
+    def solver(self) -> str:
+        """Which one makes the plans, and why no quicker one."""
+        slower = f" ({self.nmpc.slower})" if self.nmpc.slower else ""
+        return self.nmpc.solver + slower
 
     def _follow_lag(self, t_us: int) -> None:
         elapsed_s = 0.0 if self._followed_us is None else (t_us - self._followed_us) * 1e-6

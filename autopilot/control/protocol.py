@@ -98,6 +98,11 @@ class Controller(Protocol):
         return []
 
     @property
+    def solver(self) -> str:
+        """What makes its plans, in words, for the log and the report; empty = nothing to say."""
+        return ""
+
+    @property
     def unreachable(self) -> bool:
         """Whether no way to the goal is found; mission and operator are told, WP_STUCK_ACT says what then."""
         return False

@@ -105,6 +105,8 @@ class RunDescription:
     vehicle: str
     parts: dict[str, PartOrigin] = field(default_factory=dict)
     """By role: controller, estimator, plant; empty in logs that do not say."""
+    solver: str = ""
+    """What made the controller's plans, and why nothing quicker; empty in logs that do not say."""
     seed: int | None = None
     speed: float | None = None
     """Requested speed relative to real time, 0 = as fast as possible; None on hardware."""

@@ -89,7 +89,7 @@ def _header(flight: Flight) -> str:
     pairs: list[tuple[str, str]] = [(key, value) for key, value in log.run.items() if key != "epoch_ns"]
     if run is not None:
         seed = "" if run.seed is None else str(run.seed)
-        pairs = [("scenario", run.scenario), ("vehicle", run.vehicle), ("seed", seed), *pairs]
+        pairs = [("scenario", run.scenario), ("vehicle", run.vehicle), ("solver", run.solver), ("seed", seed), *pairs]
     pairs += [
         ("judged on", "truth" if flight.truth is not None else "estimate"),
         ("armed", f"{armed.start_s:.1f} s to {armed.end_s:.1f} s"),

@@ -19,6 +19,7 @@ def describe_service(parts: Parts, place: str) -> RunDescription:
     return RunDescription(
         scenario=place,
         vehicle=parts.vehicle.name,
+        solver=parts.controller.solver,
         origin_lat_deg=parts.plans.origin.lat_deg,
         origin_lon_deg=parts.plans.origin.lon_deg,
         origin_alt_m=parts.plans.origin.alt_m,

@@ -96,7 +96,8 @@ class QpStep:
         n = grid.n
         self.backend = backend
         function = _build(dataclasses.astuple(model), _grid_key(grid), planes, backend)
-        arguments = [np.zeros(shape[::-1]) for shape in ocp.argument_shapes(n, planes, model.thrusters).values()]
+        self.told = ocp.Arguments(n, planes, model.thrusters)
+        arguments = list(self.told.arrays.values())
         self.x_guess, self.u_guess, self.x_ref, self.u_ref, self.current = arguments[:5]
         self.weight_x, self.weight_u, self.terminal, self.limits, self.thrust_limit = arguments[5:10]
         self.plane_n, self.plane_d = arguments[10].reshape(n - 1, planes, 2), arguments[11]
@@ -189,8 +190,10 @@ def _condensed(model: Model4, grid: TimeGrid) -> tuple[FloatArray, FloatArray, F
     return hessian, gradient, state, effect
 
 
-def choose_step(model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.QpBackend, ...]) -> QpStep | NativeStep:
-    """The first backend that loads and passes the self-test; ConfigError if none does."""
+def choose_step(
+    model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.QpBackend, ...]
+) -> tuple[QpStep | NativeStep, tuple[str, ...]]:
+    """The first backend that works, and why those before it do not; ConfigError if none passes its self-test."""
     reasons = []
     for backend in backends:
         try:
@@ -200,7 +203,7 @@ def choose_step(model: Model4, grid: TimeGrid, planes: int, backends: tuple[ocp.
             reasons.append(f"{backend.plugin}: {str(error).splitlines()[-1]}")
             continue
         if passes_self_test(step, model, grid):
-            return step
+            return step, tuple(reasons)
         reasons.append(f"{backend.plugin}: wrong answer in the self-test")
     raise ConfigError(f"no QP solver works ({'; '.join(reasons)}); reinstall casadi from its binary wheel")
 
@@ -218,7 +221,9 @@ class Nmpc:
     ) -> None:
         self.model, self.grid = model, grid
         self.planes = planes
-        self._step = choose_step(model, grid, planes, backends)
+        self._step, passed_over = choose_step(model, grid, planes, backends)
+        self.slower = "; ".join(passed_over)
+        """Why solvers that are quicker than the one in use are not used; empty when there is none."""
         self._fastest = ocp.fastest_guess(model)
         self._shifts: dict[float, tuple[FloatArray, FloatArray]] = {}
         self.x = np.zeros((grid.n + 1, NX))
@@ -273,7 +278,7 @@ class Nmpc:
         step.thrust_limit[:] = problem.thrust_limit_n
         step.plane_n[:] = problem.plane_n
         step.plane_d[:] = problem.plane_d_m
-        if not float(np.abs(step.x_guess[:, U:]).max()) < GUESS_LIMIT:
+        if not (float(np.abs(step.x_guess[:, U:]).max()) < GUESS_LIMIT and step.told.complete()):
             return NmpcResult(
                 status=SolveStatus.NOT_FINITE,
                 x=self.x,

@@ -5,15 +5,18 @@
  * stages; thrust bounds are diagonal; every soft row looks at two or three states, and the two slacks of a stage are
  * eliminated by hand. Constant sizes, no allocation, no global state.
  *
- * `NU`, the number of thrusters, is put in front of this file, and so is `model_slope` (generated from the model): dx/dt
- * and its Jacobian with respect to thrust and state, (x[8], u[NU], current[3]) -> (dx[8], J[8][NU + 8]). The current along the plan does not depend on the place, so
- * columns of x, y and z are zero.
+ * Compiled once per number of thrusters and kind of processor by library.c's build (setup.py): `NU`, the number of
+ * thrusters, stands in front of this file, and so does `model_slope` (model.c, generated from the model): dx/dt and its
+ * Jacobian with respect to force and state, (x[8], force[4], current[3], coefficients[13]) -> (dx[8], J[8][4 + 8]). The
+ * current along the plan does not depend on the place, so columns of x, y and z are zero.
  */
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
 
-enum { NX = 8, NV = NX + NU, PLANES = 8, ROWS = PLANES + 4, LIMITS = 5, FIRST_ACTIVE = 3 };
+#include "task.h"
+
+enum { NX = 8, AXES = 4, NV = NX + NU, PLANES = 8, LIMITS = 5, FIRST_ACTIVE = 3 };
 
 /* Inequalities of a stage: thrust above, thrust below, half-planes, depth, planar speed, heave, turn, two slacks; filled
  * up to a multiple of four. */
@@ -42,15 +45,6 @@ static const double START_PRODUCT = 30.0, START_DISTANCE_N = 0.5, START_SLACK = 
 static const double LOOSER = 1e3; /* what is left when iterations or digits are used up may be this much larger */
 
 typedef struct {
-    long n;
-    double slack_l1, slack_l2;
-    const double *step_s, *steps, *scale; /* per interval: length and number of RK steps, weight of the stage */
-    const double *x_guess, *u_guess, *x_ref, *u_ref, *current, *weight_x, *weight_u, *terminal, *limits, *thrust_limit,
-        *plane_n, *plane_d;
-    double *x, *u, *slack, *figures, *work;
-} Task;
-
-typedef struct {
     double m[NX][NV], mt[NV][NX];       /* [B A] and its transpose */
     double e[NX], pe[NX];               /* residual of the dynamics; P of the next stage times that */
     double hx[NX], gx[NX], hu[NU], gu[NU]; /* diagonal Hessian and gradient at dx = 0, du = 0 */
@@ -65,27 +59,35 @@ typedef struct {
 } Stage;
 
 /* Of `work`: the stages and the gaps of the guess. */
-long workspace_bytes(long n) { return (long)sizeof(Stage) * (n + 1) + (long)sizeof(double) * NX * n; }
+long WORKSPACE_BYTES(long n) { return (long)sizeof(Stage) * (n + 1) + (long)sizeof(double) * NX * n; }
 
 /* One Runge-Kutta step of order 4 of length h: next state and its Jacobian [B A] with respect to (u, x). */
-static void runge_kutta(const double *x, const double *u, const double *c, double h, double *next, double m[NX][NV]) {
+static void runge_kutta(
+    const Task *task, const double *x, const double *u, const double *c, double h, double *next, double m[NX][NV]) {
     static const double share[4] = {0.0, 0.5, 0.5, 1.0}, weight[4] = {1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0};
-    double slope[NX] = {0.0}, ds[NX][NV] = {{0.0}}, state[NX];
+    double slope[NX] = {0.0}, ds[NX][NV] = {{0.0}}, state[NX], force[AXES] = {0.0};
+    for (int i = 0; i < AXES; i++)
+        for (int v = 0; v < NU; v++) force[i] += task->allocation[NU * i + v] * u[v];
     memcpy(next, x, NX * sizeof(double));
     memset(m, 0, NX * sizeof *m);
     for (int i = 0; i < NX; i++) m[i][NU + i] = 1.0;
     for (int stage = 0; stage < 4; stage++) {
-        double jacobian[NX][NV], chain[NX][NV];
+        double jacobian[NX][AXES + NX], chain[NX][NV] = {{0.0}};
         const double ahead = share[stage] * h;
         for (int i = 0; i < NX; i++) state[i] = x[i] + ahead * slope[i];
-        const double *arg[3] = {state, u, c};
+        const double *arg[4] = {state, force, c, task->coefficients};
         double *res[2] = {slope, &jacobian[0][0]};
         model_slope(arg, res, NULL, NULL, 0);
-        memcpy(chain, jacobian, sizeof chain);
+        for (int i = 0; i < NX; i++) {
+            memcpy(chain[i] + NU, jacobian[i] + AXES, NX * sizeof(double));
+            if (i >= NX - AXES) /* places change with velocities only */
+                for (int a = 0; a < AXES; a++)
+                    for (int v = 0; v < NU; v++) chain[i][v] += jacobian[i][a] * task->allocation[NU * a + v];
+        }
         if (stage > 0)
             for (int i = 0; i < NX; i++)
                 for (int j = FIRST_ACTIVE; j < NX; j++)
-                    for (int v = 0; v < NV; v++) chain[i][v] += jacobian[i][NU + j] * ahead * ds[j][v];
+                    for (int v = 0; v < NV; v++) chain[i][v] += jacobian[i][AXES + j] * ahead * ds[j][v];
         memcpy(ds, chain, sizeof ds);
         for (int i = 0; i < NX; i++) {
             next[i] += weight[stage] * h * slope[i];
@@ -98,12 +100,12 @@ static void linearise(const Task *task, Stage *st, double *gap_max) {
     for (long k = 0; k < task->n; k++, st++) {
         double next[NX];
         const double *x = task->x_guess + NX * k, *u = task->u_guess + NU * k, *c = task->current + 3 * k;
-        runge_kutta(x, u, c, task->step_s[k], next, st->m);
+        runge_kutta(task, x, u, c, task->step_s[k], next, st->m);
         for (int more = 1; more < (int)task->steps[k]; more++) {
             double state[NX], before[NX][NV], m[NX][NV];
             memcpy(state, next, sizeof state);
             memcpy(before, st->m, sizeof before);
-            runge_kutta(state, u, c, task->step_s[k], next, m);
+            runge_kutta(task, state, u, c, task->step_s[k], next, m);
             for (int i = 0; i < NX; i++) {
                 double row[NV] = {0.0};
                 for (int j = 0; j < NU; j++) row[j] = m[i][j];
@@ -624,7 +626,7 @@ static int iterate(
 /* The step. Figures 6 and 7 are the iterations and what is left unsolved (0 = converged, else 1). A start that leads
  * nowhere is followed by one farther inside that stays away from the boundaries: programs far from their guess, with
  * weights or thrusts that differ by orders of magnitude, jam against them. */
-void control_step(const Task *task) {
+void CONTROL_STEP(const Task *task) {
     Stage *st = (Stage *)task->work;
     double gap_max = 0.0, unsolved = 1.0;
     double *gap = (double *)(st + task->n + 1);

@@ -1,0 +1,78 @@
+"""The part of the build that pyproject.toml cannot say: the control step in C, where there is a compiler.
+
+Optional: without one the package installs and works, and the service says what is slower. One library serves all
+vehicles (`THRUSTERS`) and, on x86-64, processors with and without AVX2.
+"""
+
+import platform
+import runpy
+from pathlib import Path
+
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+
+HERE = Path(__file__).resolve().parent
+SOURCES = HERE / "autopilot" / "data" / "native"
+THRUSTERS = range(4, 9)
+FLAGS = ["-O2", "-g0", "-std=c99", "-fno-math-errno", "-fno-trapping-math", "-fno-wrapv", "-fvisibility=hidden"]
+WIDE = """\
+#if defined(__clang__)
+#pragma clang attribute push(__attribute__((target("avx2,fma"))), apply_to = function)
+#else
+#pragma GCC target("avx2,fma")
+#endif
+"""
+WIDE_END = """\
+#if defined(__clang__)
+#pragma clang attribute pop
+#endif
+"""
+
+
+def variants() -> list[tuple[int, str]]:
+    """Thrusters and kind of processor."""
+    kinds = ("plain", "wide") if platform.machine().lower() in ("x86_64", "amd64") else ("plain",)
+    return [(thrusters, kind) for thrusters in THRUSTERS for kind in kinds]
+
+
+class BuildStep(build_ext):
+    """Writes one source per variant, has them compiled, and seals the library."""
+
+    def build_extension(self, ext: Extension) -> None:
+        work = Path(self.build_temp) / "step"
+        work.mkdir(parents=True, exist_ok=True)
+        for thrusters, kind in variants():
+            path = work / f"step_{thrusters}_{kind}.c"
+            names = "".join(
+                f"#define {name.upper()} {name}_{thrusters}_{kind}\n" for name in ("control_step", "workspace_bytes")
+            )
+            wide = kind == "wide"
+            path.write_text(
+                f"{WIDE if wide else ''}{names}enum {{ NU = {thrusters} }};\n"
+                f'#include "model.c"\n#include "step.c"\n{WIDE_END if wide else ""}'
+            )
+            ext.sources.append(str(path))
+        listed = " ".join(f"VARIANT({thrusters}, {kind})" for thrusters, kind in variants())
+        library = work / "library.c"
+        wide = "#define WIDE\n" if any(kind == "wide" for _, kind in variants()) else ""
+        library.write_text(f"{wide}#define VARIANTS {listed}\n#include <library.c>\n")
+        ext.sources.append(str(library))
+        super().build_extension(ext)
+        tools = runpy.run_path(str(HERE / "autopilot" / "control" / "nmpc" / "seal.py"))
+        tools["seal"](Path(self.get_ext_fullpath(ext.name)), SOURCES)
+
+
+setup(
+    ext_modules=[
+        Extension(
+            "autopilot.control.nmpc._step",
+            sources=[],
+            include_dirs=[str(SOURCES)],
+            depends=[str(path) for path in SOURCES.glob("*.[ch]")],
+            extra_compile_args=FLAGS,
+            libraries=["m"],
+            optional=True,
+        )
+    ],
+    cmdclass={"build_ext": BuildStep},
+)

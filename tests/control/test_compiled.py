@@ -1,0 +1,167 @@
+"""The compiled step: what it is made of, what is done about a library that is not what it should be."""
+
+import ctypes
+from pathlib import Path
+
+import numpy as np
+import pytest
+from control_loop import MODEL
+from vehicles import drawn
+
+from autopilot.control.nmpc import native, ocp
+from autopilot.control.nmpc.grid import grid_of, uniform_grid
+from autopilot.control.nmpc.model_code import COEFFICIENTS, coefficients, model_code, model_function
+from autopilot.control.nmpc.seal import DIGEST, MAGIC, flaw, seal
+from autopilot.control.nmpc.solver import Nmpc
+from autopilot.core.model4 import AXES, NX, Model4, state_derivative
+
+GRID = uniform_grid(5)
+compiled = pytest.mark.skipif(native.missing() is not None, reason="not compiled")
+
+
+def test_the_model_in_c_is_the_model() -> None:
+    text = (native.SOURCES / "model.c").read_text(encoding="utf-8")
+    assert text == model_code(), "run python -m autopilot.control.nmpc.model_code"
+
+
+def test_forces_of_thrusters_enter_the_generated_model_through_their_matrix() -> None:
+    rng, function = np.random.default_rng(4), model_function()
+    for thrusters in (4, 6, 8):
+        model = drawn(rng, thrusters).to_model()
+        assert len(coefficients(model)) == COEFFICIENTS
+        x, thrust, current = rng.normal(size=NX), rng.normal(size=thrusters), rng.normal(size=3)
+        force = np.array(model.allocation) @ thrust
+        slope, jacobian = (value.full() for value in function(x, force, current, coefficients(model)))
+        assert np.allclose(slope.ravel(), state_derivative(model, x, thrust, current, np), atol=1e-12)
+        by_state = jacobian.T[:, AXES:]
+        for axis in range(NX):
+            aside = x.astype(complex)
+            aside[axis] += 1e-20j
+            exact = np.imag(np.array(state_derivative(model, aside, thrust, current, np))) / 1e-20
+            assert np.allclose(by_state[:, axis], exact, atol=1e-9)
+
+
+@compiled
+@pytest.mark.parametrize("thrusters", [4, 5, 6, 7, 8])
+def test_one_library_linearises_every_vehicle(thrusters: int) -> None:
+    model = drawn(np.random.default_rng(thrusters), thrusters).to_model()
+    grid = grid_of(np.array([0.1, 0.3, 0.7]))
+    step = native.NativeStep(model, grid, 8, ocp.NATIVE)
+    rng = np.random.default_rng(thrusters)
+    step.x_guess[:] = 0.2 * rng.normal(size=(4, NX))
+    step.u_guess[:] = rng.normal(size=(3, thrusters))
+    step.current[:] = 0.1
+    step.weight_x[:], step.weight_u[:], step.terminal[:] = 1.0, 0.1, np.eye(NX)
+    step.x_ref[:], step.limits[:], step.thrust_limit[:] = step.x_guess, [9.0, 9.0, 9.0, -9.0, 9.0], 10.0
+    step.plane_d[:] = -1.0
+    step.evaluate()
+    longest, gaps = ocp.longest_step_s(model), []
+    for k, (dt, substeps) in enumerate(zip(grid.dt_s, grid.substeps(longest), strict=True)):
+        interval = ocp.discrete_dynamics(model, dt, substeps)
+        after, by_x, by_u = (v.full() for v in interval(step.x_guess[k], step.u_guess[k], step.current[k]))
+        gaps.append(np.abs(after.ravel() - step.x_guess[k + 1]).max())
+        moved = by_x @ (step.x[k] - step.x_guess[k]) + by_u @ (step.u[k] - step.u_guess[k])
+        assert np.allclose(step.x[k + 1], after.ravel() + moved, atol=1e-7)
+    assert step.figures[7] == 0.0
+    assert step.figures[2] == pytest.approx(max(gaps), abs=1e-12)
+
+
+@compiled
+def test_vehicles_that_the_library_is_not_made_for_are_left_to_the_next_solver() -> None:
+    eleven = Model4(
+        mass_kg=MODEL.mass_kg,
+        linear_drag=MODEL.linear_drag,
+        quadratic_drag=MODEL.quadratic_drag,
+        buoyancy_excess_n=0.0,
+        allocation=tuple(row + row + row[:3] for row in MODEL.allocation),
+    )
+    with pytest.raises(RuntimeError, match="11 thrusters"):
+        native.NativeStep(eleven, GRID, 8, ocp.NATIVE)
+    assert Nmpc(eleven, GRID).solver == "hpipm"
+
+
+def _falls_back(monkeypatch: pytest.MonkeyPatch, library: Path, said: str) -> None:
+    monkeypatch.setattr(native, "LIBRARY", library)
+    assert said in str(native.missing())
+    assert "pip install" in str(native.missing())
+    nmpc = Nmpc(MODEL, GRID)
+    assert nmpc.solver == "hpipm"
+    assert said in nmpc.slower
+
+
+def test_without_the_library_the_next_solver_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _falls_back(monkeypatch, tmp_path / "none.so", "not compiled")
+
+
+def test_it_can_be_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(native.SWITCH, native.OFF)
+    nmpc = Nmpc(MODEL, GRID)
+    assert nmpc.solver == "hpipm"
+    assert native.SWITCH in nmpc.slower
+
+
+@compiled
+def test_a_library_cut_short_anywhere_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, rng = native.LIBRARY.read_bytes(), np.random.default_rng(2)
+    lengths = [0, 1, 63, 4096, len(whole) - 1, *rng.integers(1, len(whole), 20).tolist()]
+    for i, length in enumerate(lengths):
+        path = tmp_path / f"{i}.so"
+        path.write_bytes(whole[:length])
+        assert flaw(path, native.SOURCES) == "is damaged or unfinished"
+    _falls_back(monkeypatch, tmp_path / "5.so", "is damaged or unfinished")
+
+
+@compiled
+def test_a_library_with_a_changed_byte_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = bytearray(native.LIBRARY.read_bytes())
+    whole[len(whole) // 2] ^= 1
+    path = tmp_path / "changed.so"
+    path.write_bytes(whole)
+    _falls_back(monkeypatch, path, "is damaged or unfinished")
+
+
+@compiled
+def test_a_library_of_other_sources_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    older = tmp_path / "sources"
+    older.mkdir()
+    (older / "step.c").write_text("/* of last year */")
+    path = tmp_path / "old.so"
+    path.write_bytes(_unsealed())
+    seal(path, older)
+    _falls_back(monkeypatch, path, "other sources")
+
+
+@compiled
+def test_a_library_of_another_processor_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content = bytearray(_unsealed())
+    content[18:20] = (0x5A).to_bytes(2, "little")  # ELF e_machine of no processor of ours
+    path = tmp_path / "other.so"
+    path.write_bytes(content)
+    seal(path, native.SOURCES)
+    _falls_back(monkeypatch, path, "cannot be loaded")
+
+
+@compiled
+def test_a_library_that_has_other_functions_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "other.so"
+    path.write_bytes(_unsealed().replace(b"control_step\0", b"control_stop\0"))
+    seal(path, native.SOURCES)
+    _falls_back(monkeypatch, path, "cannot be loaded")
+
+
+@compiled
+def test_a_library_with_another_struct_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Longer(ctypes.Structure):
+        _fields_ = (*native._Task._fields_, ("more", ctypes.c_long))
+
+    monkeypatch.setattr(native, "_Task", Longer)
+    native._load.cache_clear()
+    try:
+        with pytest.raises(RuntimeError, match="another version"):
+            native.load()
+    finally:
+        native._load.cache_clear()
+
+
+def _unsealed() -> bytes:
+    return native.LIBRARY.read_bytes()[: -(len(MAGIC) + 2 * DIGEST)]
