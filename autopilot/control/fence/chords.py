@@ -12,6 +12,7 @@ import numpy as np
 
 from autopilot.control.fence.features import FAR_M, TINY_M, BoolArray, Boundaries, ComplexArray, as_complex, unit_rays
 from autopilot.core.frames import FloatArray
+from autopilot.core.quick import quick
 
 RECOVERY_M_S = 0.2
 """How fast the vehicle is asked to come back from where it must not be."""
@@ -34,6 +35,7 @@ class Movers:
     """(K,) of the radius"""
 
 
+@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Met:
     """Round things as chords meet them; (m - 1, C)."""
