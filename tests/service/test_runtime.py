@@ -181,3 +181,26 @@ def test_thrusters_go_neutral_when_the_service_fails() -> None:
         runtime.run(duration_s=1.0, stop=lambda: False)
     assert device.calls[-1] == "close"
     assert service.inputs == []
+
+
+def test_that_the_cpu_clock_is_read_after_long_parts_only() -> None:
+    now_s, cpu_s, asked = [0.0], [0.0], [0]
+
+    def cpu() -> float:
+        asked[0] += 1
+        return cpu_s[0]
+
+    watch = Stopwatch(wall_s=lambda: now_s[0], cpu_s=cpu)
+    watch.begin(0.0)
+    begun = asked[0]
+    for part, took_s, busy_s in (
+        (LoopPart.DEVICE, 0.0001, 0.0001),
+        (LoopPart.ESTIMATE, 0.0200, 0.0040),  # had to wait for the processor
+        (LoopPart.CONTROL, 0.0004, 0.0004),
+    ):
+        now_s[0] += took_s
+        cpu_s[0] += busy_s
+        watch.mark(part)
+        assert watch.part_s[part] == pytest.approx(took_s)
+        assert watch.part_cpu_s[part] == pytest.approx(busy_s)
+    assert asked[0] == begun + 1

@@ -159,6 +159,8 @@ class Allocation:
         self._sides = [-1 if thruster.reversed else 1 for thruster in self._thrusters]
         self.neutral_us = tuple(thruster.drive.neutral_us for thruster in self._thrusters)
         """The pulses that stop them."""
+        self._able: tuple[float | None, FloatArray] | None = None
+        """Supply voltage and capability of the last question: it is asked several times per tick."""
 
     def pulse_us(self, index: int, thrust_n: float, supply_v: float | None = None) -> int:
         """Pulse [us] for the thrust [N] of one thruster; neutral for anything that is not a number."""
@@ -194,10 +196,14 @@ class Allocation:
         return np.array([self.thrust_n(index, pulse, supply_v) for index, pulse in enumerate(pulses_us)])
 
     def capability_n(self, supply_v: float | None = None) -> FloatArray:
-        """(n,) largest thrust that both directions reach at this supply, at most the limits."""
-        return np.array(
-            [
-                min(thruster.limit_n, law.capability_n(supply_v))
-                for thruster, law in zip(self._thrusters, self._laws, strict=True)
-            ]
-        )
+        """(n,) largest thrust that both directions reach at this supply, at most the limits. Not to be written to."""
+        if self._able is None or self._able[0] != supply_v:
+            able_n = np.array(
+                [
+                    min(thruster.limit_n, law.capability_n(supply_v))
+                    for thruster, law in zip(self._thrusters, self._laws, strict=True)
+                ]
+            )
+            able_n.setflags(write=False)
+            self._able = (supply_v, able_n)
+        return self._able[1]
