@@ -21,7 +21,7 @@ demo: $(VENV)/installed
 	$(BIN)/autopilot demo --out out/demo
 
 test: $(VENV)/tools
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(VENV)/tools
 	$(BIN)/ruff check .
