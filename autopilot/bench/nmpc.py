@@ -17,6 +17,7 @@ import numpy as np
 
 from autopilot.bench.ipopt import IpoptNmpc
 from autopilot.bench.nmpc_flight import TANK, WAYPOINTS, LoopFlight, basin, fly
+from autopilot.bench.nmpc_parts import QP, parts_of
 from autopilot.control.controller import MotionController
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.nmpc import ocp
@@ -32,6 +33,9 @@ __all__ = ["TANK", "NmpcBenchRow", "bench_nmpc", "standard_grids"]
 ASKED_MS = {("geometric", 20): (1.0, 0.5), ("uniform", 20): (0.55, 0.33), ("uniform", 40): (1.2, 0.74)}
 ASKED_MS |= {("uniform", 80): (2.3, 1.34)}
 """Bar and goal of the median: 1.25 and 0.75 times a tuned acados called from Python on such a machine."""
+
+ASKED_RATIO = {20: (2.4, 1.8), 40: (2.2, 1.5), 80: (1.5, 1.2)}
+"""Bar and goal of the whole step over its QP, uniform grids: 5.5, 3.8 and 2.2 when they were set."""
 
 START = np.array([*WAYPOINTS[1], 0.0, 0.0, 0.0, 0.0])
 OBSTACLES = (2, 10, 50)
@@ -124,11 +128,42 @@ def _bench_grid(
         flights = np.concatenate([flight.planning_s, again.planning_s])
     else:
         flights = flight.planning_s
+    rows += _part_rows(name, grid, steps, vehicle, cpu_clock, slowness)
     for other, (_, title, _) in zip(others, OTHERS, strict=True):
         note = f"{other.failed} of {len(other.seconds)} not solved" if other.failed else ""
         rows.append(_row(f"{name}, the same problems", grid.n, title, np.array(other.seconds), slowness, note))
     rows.append(_row(f"{name}, steps with a new route", grid.n, "", flights, slowness))
     return rows
+
+
+def _part_rows(
+    name: str,
+    grid: TimeGrid,
+    steps: int,
+    vehicle: Vehicle,
+    cpu_clock: Callable[[], float],
+    slowness: float,
+) -> list[NmpcBenchRow]:
+    """Where the step's time goes, and the whole step over its QP, in a flight of its own."""
+    controller = MotionController(vehicle, grid=grid, cpu_clock=cpu_clock)
+    flight, parts = parts_of(controller, vehicle, START, steps, cpu_clock)
+    whole = float(np.median(flight.solve_s))
+    ratio, asked = whole / parts[QP], ASKED_RATIO.get(grid.n) if name == "uniform" else None
+    wanted = f" (bar {asked[0]}, goal {asked[1]})" if asked else ""
+    parts["rest"] = whole - sum(parts.values())
+    return [
+        NmpcBenchRow(
+            what=f"{name}, part: {part}",
+            n=grid.n,
+            solver=controller.nmpc.solver if part == QP else "",
+            samples=len(flight.solve_s),
+            median_ms=1e3 * seconds,
+            normal_ms=1e3 * seconds / slowness,
+            note=f"{100.0 * seconds / whole:.0f} % of {1e3 * whole:.3f} ms"
+            + (f"; whole step / QP {ratio:.2f}{wanted}" if part == QP else ""),
+        )
+        for part, seconds in parts.items()
+    ]
 
 
 class _Other:

@@ -18,6 +18,12 @@ def test_bench_gives_rows_per_grid_and_solutions_that_agree() -> None:
     assert whole[0].median_ms == pytest.approx(1.0)
     assert whole[0].normal_ms == pytest.approx(0.5)
     assert float(whole[0].note.split("within ")[1].split(" N")[0]) < 0.3
+    parts = [row for row in rows if "part:" in row.what]
+    assert len(parts) == 6
+    shares = [float(row.note.split(" %")[0]) for row in parts]
+    assert sum(shares) == pytest.approx(100.0, abs=3.0)
+    assert min(shares[:4]) > 0.0
+    assert "whole step / QP" in parts[0].note
     for solver in ("IPOPT, warm", "fatrop, warm"):
         row = by_name["uniform, the same problems", solver]
         assert row.samples == 3
