@@ -94,5 +94,10 @@ def _decoded(log: Log, name: str, kind: type) -> Any:
         raise LogError(f"{log.path}: has no attachment {name}; replay needs a log of this version or later")
     try:
         return msgspec.json.decode(data, type=kind)
+    except msgspec.ValidationError as error:
+        raise LogError(
+            f"{log.path}: attachment {name} is of another version ({error}); use the revision that made the log, which "
+            "autopilot log info tells"
+        ) from error
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise LogError(f"{log.path}: attachment {name} is damaged ({error}); the log cannot be replayed") from error
