@@ -20,6 +20,7 @@ import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.faults.wire import LOCAL, Station, free_port
+from autopilot.bench.predict_clock import PredictClock
 from autopilot.core.errors import AutopilotError
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import Outputs
@@ -91,7 +92,8 @@ def bench_loop() -> list[LoopRow]:
         for name, value in given.items():
             settings.put(name, value, "benchmark")
         session = open_sitl(settings, {})
-        cpu_s, parts = _measure(session)
+        clock = PredictClock()
+        cpu_s, parts = _measure(session, clock)
         code = f"from autopilot.bench.loop import client; client({port})"
         child = subprocess.Popen(python_command(code), stdout=subprocess.PIPE, text=True)
         try:
@@ -102,10 +104,10 @@ def bench_loop() -> list[LoopRow]:
     if not text.strip():
         raise AutopilotError("the client did not end: the service was too slow, or refused its plans")
     heard = json.loads(text)
-    return _rows(session, np.array(cpu_s), parts, heard)
+    return _rows(session, np.array(cpu_s), parts, heard) + _mean_rows(np.array(cpu_s), clock)
 
 
-def _measure(session: SitlSession) -> tuple[list[float], list[tuple[float, tuple[float, ...]]]]:
+def _measure(session: SitlSession, clock: PredictClock) -> tuple[list[float], list[tuple[float, tuple[float, ...]]]]:
     """CPU time of every tick [s], and with it what its parts cost."""
     cpu_s: list[float] = []
     parts: list[tuple[float, tuple[float, ...]]] = []
@@ -117,6 +119,7 @@ def _measure(session: SitlSession) -> tuple[list[float], list[tuple[float, tuple
         outputs = whole(t_us)
         cpu_s.append(time.thread_time() - begin_s)
         parts.append((cpu_s[-1], tuple(runtime.watch.part_cpu_s)))
+        clock.tick(runtime.watch.part_cpu_s)
         return outputs
 
     setattr(runtime, "tick", timed)  # noqa: B010 - a method, which cannot be assigned
@@ -144,6 +147,20 @@ def _rows(
         LoopRow(what=f"upload of {ITEMS} items", value=heard["mission_s"], unit="s", asked=None),
         LoopRow(what=f"upload of {OCTAGONS} octagons", value=heard["fence_s"], unit="s", asked=None),
         LoopRow(what="refused uploads", value=heard["refused"], unit="", asked=0.0),
+    ]
+
+
+def _mean_rows(cpu_s: np.ndarray, clock: PredictClock) -> list[LoopRow]:
+    """The mean tick, in ms and in the unit of :class:`PredictClock`, and what it goes into."""
+    mean_ms, unit_us = 1e3 * float(cpu_s.mean()), clock.predict_us
+    return [
+        LoopRow(what="tick CPU mean", value=mean_ms, unit="ms", asked=None),
+        LoopRow(what="filterpy's predict, 16 states", value=unit_us, unit="us", asked=None, note="in the same run"),
+        LoopRow(what="tick CPU mean / that", value=1e3 * mean_ms / unit_us, unit="", asked=None),
+        *(
+            LoopRow(what=f"of it {part.name.lower()}", value=ms, unit="ms", asked=None)
+            for part, ms in clock.parts_ms.items()
+        ),
     ]
 
 
