@@ -466,7 +466,8 @@ def is_inside(goal: Goal, nav: NavState) -> bool:
     if nav.health is NavHealth.INVALID:
         return False
     radius_m = _shrunk(goal.accept_radius_m, float(nav.variance[:3].sum()))
-    if not float(np.linalg.norm(nav.pos_ned_m - goal.pos_ned_m)) <= radius_m:
+    away = nav.pos_ned_m - goal.pos_ned_m
+    if not math.sqrt(away.dot(away)) <= radius_m:
         return False
     band_rad = _shrunk(goal.accept_yaw_rad, float(nav.variance[_YAW_VARIANCE]))
     return goal.yaw_rad is None or abs(wrap_pi(float(nav.rpy_rad[2]) - goal.yaw_rad)) <= band_rad

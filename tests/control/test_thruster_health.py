@@ -169,7 +169,7 @@ def test_a_vertical_thruster_that_only_holds_the_buoyancy_is_said_not_to_be_seen
 
 
 def test_told_values_and_compensated_pulses() -> None:
-    assert told(ParamSet({"THR2_HEALTH": 0.4}), 4).tolist() == [1.0, 0.4, 1.0, 1.0]
+    assert told(ParamSet({"THR2_HEALTH": 0.4}), 4) == [1.0, 0.4, 1.0, 1.0]
     allocation = Allocation(VEHICLE.thrusters)
     share = np.array([0.5, 1.0, 0.5, 0.0])
     pulses = allocation.pulses_us([3.0, 3.0, -11.0, 4.0], 19.0, share)

@@ -31,6 +31,8 @@ class ThrusterLosses:
             submerged_m=SUBMERGED * vehicle.hull_half_height_m,
         )
         self._ticks = 0
+        self._known: tuple[list[float], FloatArray] | None = None
+        """What is told and what is found, of the last look."""
         self.share = np.ones(len(self._names))
         """(n,) effectiveness that bounds and allocation go by; dead thrusters have 0."""
         self.problem = ""
@@ -54,9 +56,7 @@ class ThrusterLosses:
         for the log: at times, and when something changes.
         """
         self._find(t_us, nav, pulse_n, armed)
-        before = self.share
-        self.share = usable(np.minimum(told(self._params, len(self._names)), self._health.found))
-        changed = bool((self.share != before).any())
+        changed = self._look()
         due = self._ticks % REPORT_EVERY_TICKS == 0
         self._ticks += 1
         if not changed and not due:
@@ -70,6 +70,16 @@ class ThrusterLosses:
             estimate=self._health.effectiveness,
             sigma=self._health.sigma,
         )
+
+    def _look(self) -> bool:
+        """Whether :attr:`share` is another one than on the last tick."""
+        said, found = told(self._params, len(self._names)), self._health.found
+        if self._known is not None and said == self._known[0] and found is self._known[1]:
+            return False
+        self._known = (said, found)
+        before = self.share
+        self.share = usable(np.minimum(said, found))
+        return bool((self.share != before).any())
 
     def _find(self, t_us: int, nav: NavState | None, pulse_n: FloatArray, armed: bool) -> None:
         if not int(self._params["THR_DETECT"]):

@@ -93,15 +93,16 @@ class MotionLooks:
     def _follow_current(self, nav: NavState, dt_s: float) -> None:
         share = 1.0 - math.exp(-dt_s / self._current_s)
         north, east = self._current
-        dn, de = share * (float(nav.current_ned_m_s[0]) - north), share * (float(nav.current_ned_m_s[1]) - east)
+        dn, de = share * (nav.current_ned_m_s.item(0) - north), share * (nav.current_ned_m_s.item(1) - east)
         self._current = (north + dn, east + de)
         self._moved = (self._moved[0] + dn, self._moved[1] + de)
 
     def _terms(self, nav: NavState) -> FloatArray:
         """(23 + n,) everything that is filtered."""
         model, (m22_m11, m11_m22, munk) = self._model, self._ratios
-        ground_u, ground_v, ground_w = (float(value) for value in nav.vel_frd_m_s)
-        c, s, r = math.cos(nav.rpy_rad[2]), math.sin(nav.rpy_rad[2]), float(nav.rate_frd_rad_s[2])
+        ground_u, ground_v, ground_w = nav.vel_frd_m_s.tolist()
+        heading, r = nav.rpy_rad.item(2), nav.rate_frd_rad_s.item(2)
+        c, s = math.cos(heading), math.sin(heading)
         north, east = self._current
         flow_u, flow_v = c * north + s * east, c * east - s * north
         u, v = ground_u - flow_u, ground_v - flow_v
@@ -129,7 +130,7 @@ class MotionLooks:
                 *(c * sway[0] - s * sway[1], s * sway[0] + c * sway[1]),
                 *(c * yaw[0] - s * yaw[1], s * yaw[0] + c * yaw[1]),
                 *(c, s),
-                *self._acting,
+                *self._acting.tolist(),
             ]
         )
 

@@ -221,9 +221,9 @@ class ThrusterHealth:
         return True
 
 
-def told(params: ParamSet, thrusters: int) -> FloatArray:
+def told(params: ParamSet, thrusters: int) -> list[float]:
     """(n,) what the parameters say of the thrusters."""
-    return np.array([params[name] for name in HEALTH_PARAMS[:thrusters]])
+    return [params[name] for name in HEALTH_PARAMS[:thrusters]]
 
 
 def usable(effectiveness: FloatArray) -> FloatArray:

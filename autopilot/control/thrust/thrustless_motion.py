@@ -16,9 +16,10 @@ from autopilot.core.model4 import Model4, body_acceleration
 
 def thrustless_motion(model: Model4, nav: NavState, current_ned_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Velocity over ground and yaw rate (4,), and their rate of change without thrust (4,) in that current."""
-    ground_u, ground_v, ground_w = (float(value) for value in nav.vel_frd_m_s)
-    north, east, down = (float(value) for value in current_ned_m_s)
-    c, s, r = math.cos(nav.rpy_rad[2]), math.sin(nav.rpy_rad[2]), float(nav.rate_frd_rad_s[2])
+    ground_u, ground_v, ground_w = nav.vel_frd_m_s.tolist()
+    north, east, down = current_ned_m_s.tolist()
+    yaw, r = nav.rpy_rad.item(2), nav.rate_frd_rad_s.item(2)
+    c, s = math.cos(yaw), math.sin(yaw)
     flow_u, flow_v = c * north + s * east, c * east - s * north
     nu = (ground_u - flow_u, ground_v - flow_v, ground_w - down, r)
     du, dv, dw, dr = body_acceleration(model, nu, (0.0,) * model.thrusters, math)
