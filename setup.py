@@ -56,16 +56,16 @@ class BuildStep(build_ext):
         library = work / "library.c"
         wide = "#define WIDE\n" if any(kind == "wide" for _, kind in variants()) else ""
         library.write_text(f"{wide}#define VARIANTS {listed}\n#include <library.c>\n")
-        ext.sources.append(str(library))
+        ext.sources += [str(library), str(SOURCES / "surroundings.c")]
         super().build_extension(ext)
-        tools = runpy.run_path(str(HERE / "autopilot" / "control" / "nmpc" / "seal.py"))
+        tools = runpy.run_path(str(HERE / "autopilot" / "core" / "seal.py"))
         tools["seal"](Path(self.get_ext_fullpath(ext.name)), SOURCES)
 
 
 setup(
     ext_modules=[
         Extension(
-            "autopilot.control.nmpc._step",
+            "autopilot.core._compiled",
             sources=[],
             include_dirs=[str(SOURCES)],
             depends=[str(path) for path in SOURCES.glob("*.[ch]")],

@@ -1,26 +1,33 @@
 """The compiled step: what it is made of, what is done about a library that is not what it should be."""
 
 import ctypes
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
-from control_loop import MODEL
+from control_loop import MODEL, nav_state
 from vehicles import drawn
 
+from autopilot.control.fence.obstacles import Features
 from autopilot.control.nmpc import native, ocp
 from autopilot.control.nmpc.grid import grid_of, uniform_grid
 from autopilot.control.nmpc.model_code import COEFFICIENTS, coefficients, model_code, model_function
-from autopilot.control.nmpc.seal import DIGEST, MAGIC, flaw, seal
 from autopilot.control.nmpc.solver import Nmpc
+from autopilot.control.robust.margins import Margins
+from autopilot.core import compiled
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.model4 import AXES, NX, Model4, state_derivative
+from autopilot.core.params import ParamSet
+from autopilot.core.seal import DIGEST, MAGIC, flaw, seal
 
 GRID = uniform_grid(5)
-compiled = pytest.mark.skipif(native.missing() is not None, reason="not compiled")
+needs_library = pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
 
 
 def test_the_model_in_c_is_the_model() -> None:
-    text = (native.SOURCES / "model.c").read_text(encoding="utf-8")
+    text = (compiled.SOURCES / "model.c").read_text(encoding="utf-8")
     assert text == model_code(), "run python -m autopilot.control.nmpc.model_code"
 
 
@@ -41,7 +48,7 @@ def test_forces_of_thrusters_enter_the_generated_model_through_their_matrix() ->
             assert np.allclose(by_state[:, axis], exact, atol=1e-9)
 
 
-@compiled
+@needs_library
 @pytest.mark.parametrize("thrusters", [4, 5, 6, 7, 8])
 def test_one_library_linearises_every_vehicle(thrusters: int) -> None:
     model = drawn(np.random.default_rng(thrusters), thrusters).to_model()
@@ -66,7 +73,7 @@ def test_one_library_linearises_every_vehicle(thrusters: int) -> None:
     assert step.figures[2] == pytest.approx(max(gaps), abs=1e-12)
 
 
-@compiled
+@needs_library
 def test_vehicles_that_the_library_is_not_made_for_are_left_to_the_next_solver() -> None:
     eleven = Model4(
         mass_kg=MODEL.mass_kg,
@@ -81,9 +88,9 @@ def test_vehicles_that_the_library_is_not_made_for_are_left_to_the_next_solver()
 
 
 def _falls_back(monkeypatch: pytest.MonkeyPatch, library: Path, said: str) -> None:
-    monkeypatch.setattr(native, "LIBRARY", library)
-    assert said in str(native.missing())
-    assert "pip install" in str(native.missing())
+    monkeypatch.setattr(compiled, "LIBRARY", library)
+    assert said in str(compiled.missing())
+    assert "pip install" in str(compiled.missing())
     nmpc = Nmpc(MODEL, GRID)
     assert nmpc.solver == "hpipm"
     assert said in nmpc.slower
@@ -94,33 +101,33 @@ def test_without_the_library_the_next_solver_is_taken(tmp_path: Path, monkeypatc
 
 
 def test_it_can_be_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(native.SWITCH, native.OFF)
+    monkeypatch.setenv(compiled.SWITCH, compiled.OFF)
     nmpc = Nmpc(MODEL, GRID)
     assert nmpc.solver == "hpipm"
-    assert native.SWITCH in nmpc.slower
+    assert compiled.SWITCH in nmpc.slower
 
 
-@compiled
+@needs_library
 def test_a_library_cut_short_anywhere_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, rng = native.LIBRARY.read_bytes(), np.random.default_rng(2)
+    whole, rng = compiled.LIBRARY.read_bytes(), np.random.default_rng(2)
     lengths = [0, 1, 63, 4096, len(whole) - 1, *rng.integers(1, len(whole), 20).tolist()]
     for i, length in enumerate(lengths):
         path = tmp_path / f"{i}.so"
         path.write_bytes(whole[:length])
-        assert flaw(path, native.SOURCES) == "is damaged or unfinished"
+        assert flaw(path, compiled.SOURCES) == "is damaged or unfinished"
     _falls_back(monkeypatch, tmp_path / "5.so", "is damaged or unfinished")
 
 
-@compiled
+@needs_library
 def test_a_library_with_a_changed_byte_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = bytearray(native.LIBRARY.read_bytes())
+    whole = bytearray(compiled.LIBRARY.read_bytes())
     whole[len(whole) // 2] ^= 1
     path = tmp_path / "changed.so"
     path.write_bytes(whole)
     _falls_back(monkeypatch, path, "is damaged or unfinished")
 
 
-@compiled
+@needs_library
 def test_a_library_of_other_sources_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     older = tmp_path / "sources"
     older.mkdir()
@@ -131,37 +138,103 @@ def test_a_library_of_other_sources_is_not_loaded(tmp_path: Path, monkeypatch: p
     _falls_back(monkeypatch, path, "other sources")
 
 
-@compiled
+@needs_library
 def test_a_library_of_another_processor_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content = bytearray(_unsealed())
     content[18:20] = (0x5A).to_bytes(2, "little")  # ELF e_machine of no processor of ours
     path = tmp_path / "other.so"
     path.write_bytes(content)
-    seal(path, native.SOURCES)
+    seal(path, compiled.SOURCES)
     _falls_back(monkeypatch, path, "cannot be loaded")
 
 
-@compiled
+@needs_library
 def test_a_library_that_has_other_functions_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "other.so"
     path.write_bytes(_unsealed().replace(b"control_step\0", b"control_stop\0"))
-    seal(path, native.SOURCES)
+    seal(path, compiled.SOURCES)
     _falls_back(monkeypatch, path, "cannot be loaded")
 
 
-@compiled
+@needs_library
 def test_a_library_with_another_struct_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     class Longer(ctypes.Structure):
         _fields_ = (*native._Task._fields_, ("more", ctypes.c_long))
 
     monkeypatch.setattr(native, "_Task", Longer)
-    native._load.cache_clear()
-    try:
-        with pytest.raises(RuntimeError, match="another version"):
-            native.load()
-    finally:
-        native._load.cache_clear()
+    with pytest.raises(RuntimeError, match="another version"):
+        native.NativeStep(MODEL, GRID, 8, ocp.NATIVE)
 
 
 def _unsealed() -> bytes:
-    return native.LIBRARY.read_bytes()[: -(len(MAGIC) + 2 * DIGEST)]
+    return compiled.LIBRARY.read_bytes()[: -(len(MAGIC) + 2 * DIGEST)]
+
+
+def _fence(rng: np.random.Generator) -> Fence:
+    """A tank, sometimes an octagon or concave, with pillars, islands and sometimes a round outside."""
+    angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, rng.integers(4, 8)))
+    reach = rng.uniform(2.0, 4.0, len(angles))
+    inclusions: list[Polygon | Circle] = [
+        Polygon(vertices_ned_m=np.stack([reach * np.cos(angles), reach * np.sin(angles)], axis=1))
+    ]
+    if rng.random() < 0.3:
+        inclusions.append(Circle(center_ned_m=rng.normal(size=2), radius_m=4.0))
+    exclusions: list[Polygon | Circle] = [
+        Circle(center_ned_m=rng.uniform(-2.0, 2.0, 2), radius_m=rng.uniform(0.0, 0.4))
+        for _ in range(rng.integers(0, 4))
+    ]
+    if rng.random() < 0.5:
+        corner = rng.uniform(-1.5, 1.5, 2)
+        exclusions.append(Polygon(vertices_ned_m=corner + np.array([[0.0, 0.0], [0.5, 0.1], [0.4, 0.6], [0.2, 0.3]])))
+    return Fence(inclusions=tuple(inclusions), exclusions=tuple(exclusions), depth_max_m=2.0)
+
+
+@needs_library
+def test_half_planes_are_those_of_the_code_that_says_what_they_mean() -> None:
+    rng, quick = np.random.default_rng(8), 0
+    for _ in range(400):
+        features, slots, m = Features(_fence(rng)), int(rng.integers(2, 10)), int(rng.integers(1, 20))
+        if features.many:
+            continue
+        x = np.zeros((m + 2, 8))
+        x[:, :2] = rng.uniform(-1.5, 1.5, 2) + np.cumsum(rng.normal(size=(m + 2, 2)) * 0.1, axis=0)
+        path, t_s = x[: m + 1, :2], np.linspace(0.0, 4.0, m + 1)
+        keep = rng.uniform(0.2, 0.5, m) if rng.random() < 0.8 else 0.33
+        normals, offsets = np.full((m, slots, 2), 7.0), np.full((m, slots), 7.0)
+        assert features._quick is not None
+        margin = features._quick.margin_m(path, t_s, keep, slots, normals, offsets)
+        if margin is None:
+            continue
+        quick += 1
+        assert features._quick.margin_m(path, t_s, keep) == margin
+        features._quick, plain_n, plain_d = None, np.zeros_like(normals), np.zeros_like(offsets)
+        assert margin == pytest.approx(features.half_planes(path, t_s, keep, slots, plain_n, plain_d), abs=1e-12)
+        for row in range(m):
+            ours, theirs = (_in_order(n[row], d[row]) for n, d in ((normals, offsets), (plain_n, plain_d)))
+            assert np.allclose(ours, theirs, atol=1e-9)
+    assert quick > 150
+
+
+def _in_order(normals: FloatArray, offsets: FloatArray) -> FloatArray:
+    """Half-planes of a node (slots, 3), sorted: solvers do not care which is first."""
+    rows = np.concatenate([normals, offsets[:, None]], axis=1)
+    return rows[np.lexsort(np.round(rows, 6).T)]
+
+
+@needs_library
+@pytest.mark.parametrize("thrusters", [4, 8])
+def test_margins_of_the_tube_are_those_of_the_code_that_says_what_they_mean(thrusters: int) -> None:
+    rng, grid, params = np.random.default_rng(3), uniform_grid(12), ParamSet()
+    model = drawn(rng, thrusters).to_model()
+    tube = Margins(model, grid).tube
+    plain = Margins(model, grid).tube
+    plain._quick = None
+    for _ in range(50):
+        nav = nav_state(0, rng.normal(size=8))
+        nav = dataclasses.replace(
+            nav, variance=np.abs(rng.normal(size=nav.variance.shape)) * 10.0 ** rng.uniform(-6, 0)
+        )
+        x = 0.4 * rng.normal(size=(13, 8))
+        ours, theirs = (each.back_offs(nav, x, np.zeros((12, thrusters)), params) for each in (tube, plain))
+        for field in dataclasses.fields(ours):
+            assert np.allclose(getattr(ours, field.name), getattr(theirs, field.name), rtol=1e-12, atol=1e-15)

@@ -15,6 +15,7 @@ from autopilot.control.nmpc.solver import PLANES, Nmpc, NmpcProblem, QpStep, cho
 from autopilot.control.way.guidance import SteadyThrust
 from autopilot.control.way.planner import Planner
 from autopilot.control.way.reference import Route, Target, build_reference
+from autopilot.core import compiled
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import SolveStatus
 from autopilot.core.sharing import Sharing
@@ -55,7 +56,7 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
     )
 
 
-NATIVE = (ocp.NATIVE,) if native.missing() is None else ()
+NATIVE = (ocp.NATIVE,) if compiled.missing() is None else ()
 """The solver in C, where it was compiled at installation."""
 
 GRID_20 = geometric_grid(20, 8.0)

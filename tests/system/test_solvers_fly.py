@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from system_harness import PAPER_PLAN, OpenSession
 
-from autopilot.control.nmpc import native
+from autopilot.core import compiled
 from autopilot.log.reader import Log, open_log
 
 
@@ -20,9 +20,9 @@ def _said(log: Log) -> list[str]:
 
 
 def test_both_solvers_fly_the_same_way(session: OpenSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    why = native.missing()
+    why = compiled.missing()
     logs = [_flown(session, tmp_path / "as_installed.mcap")]
-    monkeypatch.setenv(native.SWITCH, native.OFF)
+    monkeypatch.setenv(compiled.SWITCH, compiled.OFF)
     logs.append(_flown(session, tmp_path / "not_compiled.mcap"))
     solvers = [log.description.solver if log.description else "" for log in logs]
     assert solvers[0].split(" ")[0] == ("native" if why is None else "hpipm")

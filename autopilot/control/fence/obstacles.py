@@ -21,6 +21,8 @@ from autopilot.control.fence.features import (
     as_complex,
     unit_rays,
 )
+from autopilot.control.fence.quick import QuickFence
+from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 
@@ -35,6 +37,11 @@ POINTS_AT_ONCE = 4096
 
 class Features(Boundaries):
     """A fence, ready for many questions."""
+
+    def __init__(self, fence: Fence) -> None:
+        super().__init__(fence)
+        library = compiled.library() if self.count > 0 and not self.many else None
+        self._quick = None if library is None else QuickFence(library, self.edges, self.rounds)
 
     def nearest(
         self, points: ComplexArray, keep: tuple[IntArray, IntArray] | None = None
@@ -154,6 +161,10 @@ class Features(Boundaries):
         back. Unused slots get a zero normal and offset -1, which is always satisfied. Returns the smallest clearance
         beyond ``radius_m`` of the path, chords included (of many features, those within NEAR_M are looked at).
         """
+        if self._quick is not None and movers is None:
+            margin = self._quick.margin_m(points_ned_m, t_s, radius_m, slots, normals, offsets)
+            if margin is not None:
+                return margin
         normals[:], offsets[:] = 0.0, -1.0
         if self.count == 0 and movers is None:
             return FAR_M
@@ -168,7 +179,10 @@ class Features(Boundaries):
         """The smallest clearance beyond ``radius_m`` of a path, as :meth:`half_planes` returns it."""
         if self.count == 0 and movers is None:
             return FAR_M
-        return Path(self, points_ned_m, t_s, radius_m, movers).margin_m()
+        margin = None
+        if self._quick is not None and movers is None:
+            margin = self._quick.margin_m(points_ned_m, t_s, radius_m)
+        return Path(self, points_ned_m, t_s, radius_m, movers).margin_m() if margin is None else margin
 
 
 def clearance_m(fence: Fence, points_ned_m: Sequence[Sequence[float]] | FloatArray) -> FloatArray:

@@ -1,33 +1,20 @@
 """The control step in C: the problem of ``nmpc/ocp.py``, four times faster than with a solver from a library.
 
-Compiled once, when the package is installed where a C compiler is at hand (``setup.py``); running, nothing is compiled
-or cached. Only the file inside the package is loaded, and that only if it is whole and made of the C sources beside it
-(:mod:`autopilot.control.nmpc.seal`). One library serves all vehicles: the hull's coefficients are arguments. Nothing
-needs it: where it is missing, damaged, old, of another processor or fails the self-test, the next solver is used. The
-environment variable ``AUTOPILOT_COMPILED=no`` switches it off.
+Part of the compiled library (:mod:`autopilot.core.compiled`), which serves all vehicles: the hull's coefficients are
+arguments. Where that is missing, not made for a vehicle or fails the self-test, the next solver is used.
 """
 
 import ctypes
-import os
-import sysconfig
-from functools import lru_cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.nmpc.model_code import coefficients
-from autopilot.control.nmpc.seal import flaw
+from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, Model4
 
-SWITCH = "AUTOPILOT_COMPILED"
-OFF = "no"
-LIBRARY = Path(__file__).with_name(f"_step{sysconfig.get_config_var('EXT_SUFFIX')}")
-SOURCES = Path(__file__).resolve().parents[2] / "data" / "native"
-AGAIN = "run pip install again with a C compiler at hand"
 PLANES = 8
 """Half-plane slots that the C code is written for."""
 
@@ -53,41 +40,6 @@ class _Task(ctypes.Structure):
     )
 
 
-def missing() -> str | None:
-    """Why the compiled step is not used, and what to do about it; None if it is."""
-    try:
-        load()
-    except RuntimeError as error:
-        return str(error)
-    return None
-
-
-def load() -> Any:
-    """The library. RuntimeError says why there is none."""
-    if os.environ.get(SWITCH, "").strip().lower() == OFF:
-        raise RuntimeError(f"switched off by {SWITCH}={OFF}")
-    return _load(LIBRARY)
-
-
-@lru_cache(maxsize=2)
-def _load(path: Path) -> Any:
-    if not path.exists():
-        raise RuntimeError(f"not compiled when it was installed; {AGAIN}")
-    try:
-        wrong = flaw(path, SOURCES)
-        if wrong:
-            raise RuntimeError(f"{path.name} {wrong}; {AGAIN}")
-        library = ctypes.CDLL(str(path))
-        library.workspace_bytes.restype = library.task_bytes.restype = ctypes.c_long
-        library.workspace_bytes.argtypes = [ctypes.c_long, ctypes.c_long]
-        library.control_step.restype = None
-    except (OSError, AttributeError) as error:
-        raise RuntimeError(f"{path.name} cannot be loaded ({error}); {AGAIN}") from error
-    if library.task_bytes() != ctypes.sizeof(_Task):
-        raise RuntimeError(f"{path.name} was built for another version; {AGAIN}")
-    return library
-
-
 class NativeStep:
     """The step in C with its argument and result arrays; the same interface as ``solver.QpStep``.
 
@@ -97,7 +49,9 @@ class NativeStep:
     def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
         if planes != PLANES:
             raise RuntimeError(f"made for {PLANES} half-planes, not {planes}")
-        library = load()
+        library = compiled.load()
+        if library.task_bytes() != ctypes.sizeof(_Task):
+            raise RuntimeError(f"the compiled library is of another version; {compiled.AGAIN}")
         size = library.workspace_bytes(grid.n, model.thrusters)
         if size == 0:
             raise RuntimeError(f"not made for {model.thrusters} thrusters")

@@ -18,6 +18,7 @@ from autopilot.control.robust.disturbance import DisturbanceBound, EstimateSprea
 from autopilot.control.robust.error_model import CHANNELS, disturbance_matrix, error_jacobian, input_matrix
 from autopilot.control.robust.riccati import exponential
 from autopilot.control.robust.tightening import BackOffs, FixedMargins
+from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Y, Z
@@ -49,6 +50,9 @@ GROWTH_STEP_S = 0.05
 GROUPS = 3
 """Force, moment, current error: their variances come at run time."""
 
+GIVEN = 26
+"""Numbers that the compiled library is told: see its enum."""
+
 STATES_OUT = 10
 """xx, xy, yy, zz, yaw, uu, uv, vv, ww, rr; the thrusts follow."""
 
@@ -59,12 +63,12 @@ class TubeTable:
     def __init__(self, model: Model4, grid: TimeGrid, ancillary: Ancillary) -> None:
         self.variance = _growth(model, grid, ancillary)
         self._nodes = np.arange(grid.n + 1)
-        self._first, self._step = float(SURGES_M_S[0]), float(SURGES_M_S[1] - SURGES_M_S[0])
+        self.first_m_s, self.step_m_s = float(SURGES_M_S[0]), float(SURGES_M_S[1] - SURGES_M_S[0])
 
     def along(self, surge_m_s: FloatArray, variances: FloatArray) -> FloatArray:
         """(nodes, STATES_OUT + thrusters) for planned surge (nodes,) and variances (GROUPS,)."""
         mixed = self.variance @ variances
-        place = np.minimum(np.maximum((surge_m_s - self._first) / self._step, 0.0), len(mixed) - 1.0)
+        place = np.minimum(np.maximum((surge_m_s - self.first_m_s) / self.step_m_s, 0.0), len(mixed) - 1.0)
         low = np.minimum(place.astype(np.intp), len(mixed) - 2)
         share = (place - low)[:, None]
         below = mixed[low, self._nodes]
@@ -122,10 +126,16 @@ class TubeMargins:
     def __init__(self, model: Model4, grid: TimeGrid, ancillary: Ancillary, fixed: FixedMargins) -> None:
         self.table = TubeTable(model, grid, ancillary)
         self._fixed = fixed
+        library = compiled.library()
+        self._quick = None if library is None else library.tube_back_offs
+        self._given, (self._speeds, nodes, width, _) = np.zeros(GIVEN), self.table.variance.shape
+        self._n, self._thrusters = nodes - 1, width - STATES_OUT
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
         """See :class:`autopilot.control.robust.tightening.Tightening`."""
         spread = EstimateSpread.of(nav)
+        if self._quick is not None and x.flags.c_contiguous and x.dtype == np.float64:
+            return self._quickly(spread, x, self._fixed.back_offs(nav, x, thrust_n, params), params)
         rows = self.table.along(x[:, U], channel_variances(DisturbanceBound.of(params), spread))
         inner, fixed = rows[1:-1], self._fixed.back_offs(nav, x, thrust_n, params)
         speed_sigmas = ESTIMATE_SPEED_SIGMAS / BAND_SIGMAS
@@ -153,6 +163,34 @@ class TubeMargins:
                 BAND_SIGMAS * np.sqrt(inner[:, 9]), fixed.yaw_rate_rad_s, LARGEST_SHARE * params["SPD_YAW_MAX"]
             ),
             thrust_n=BAND_SIGMAS * np.sqrt(rows[:-1, STATES_OUT:]),
+        )
+
+    def _quickly(self, spread: EstimateSpread, x: FloatArray, fixed: BackOffs, params: ParamSet) -> BackOffs:
+        """The same by the compiled library (``data/native/surroundings.c``)."""
+        share, band = (ESTIMATE_SPEED_SIGMAS / BAND_SIGMAS) ** 2, max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
+        self._given[:] = (
+            *channel_variances(DisturbanceBound.of(params), spread).tolist(),
+            *(spread.position_m2, spread.depth_m2, share * spread.planar_m2_s2, share * spread.heave_m2_s2, 0.0),
+            *(float(fixed.clearance_m[0]), float(fixed.depth_m[0]), float(fixed.planar_speed_m_s[0])),
+            *(float(fixed.heave_m_s[0]), float(fixed.yaw_rate_rad_s[0])),
+            *(LARGEST_CLEARANCE_M, 0.5 * LARGEST_SHARE * band, LARGEST_SHARE * params["SPD_PLANAR_MAX"]),
+            *(LARGEST_SHARE * params["SPD_HEAVE_MAX"], LARGEST_SHARE * params["SPD_YAW_MAX"]),
+            *(DISC_SIGMAS, BAND_SIGMAS, BAND_SIGMAS, BAND_SIGMAS, BAND_SIGMAS),
+            *(self.table.first_m_s, self.table.step_m_s, BAND_SIGMAS),
+        )
+        states, thrust = np.empty((5, self._n - 1)), np.empty((self._n, self._thrusters))
+        sizes = self._speeds, self._n, self._thrusters
+        arrays = (self._given, x, states, thrust)
+        assert self._quick is not None
+        self._quick(self.table.variance.ctypes.data, *sizes, *(array.ctypes.data for array in arrays))
+        clearance, depth, planar, heave, yaw_rate = states
+        return BackOffs(
+            clearance_m=clearance,
+            depth_m=depth,
+            planar_speed_m_s=planar,
+            heave_m_s=heave,
+            yaw_rate_rad_s=yaw_rate,
+            thrust_n=thrust,
         )
 
 

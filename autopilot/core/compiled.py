@@ -1,0 +1,66 @@
+"""The library in C: compiled once, when the package is installed where a C compiler is at hand (``setup.py``).
+
+Running, nothing is compiled or cached. Only the file inside the package is loaded, and that only if it is whole and
+made of the C sources beside it (:mod:`autopilot.core.seal`). Nothing needs it: where it is missing, damaged, old or of
+another processor, slower ways do the same. The environment variable ``AUTOPILOT_COMPILED=no`` switches it off.
+"""
+
+import ctypes
+import os
+import sysconfig
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from autopilot.core.seal import flaw
+
+SWITCH = "AUTOPILOT_COMPILED"
+OFF = "no"
+LIBRARY = Path(__file__).with_name(f"_compiled{sysconfig.get_config_var('EXT_SUFFIX')}")
+SOURCES = Path(__file__).resolve().parents[1] / "data" / "native"
+AGAIN = "run pip install again with a C compiler at hand"
+
+
+def missing() -> str | None:
+    """Why the library is not used, and what to do about it; None if it is."""
+    try:
+        load()
+    except RuntimeError as error:
+        return str(error)
+    return None
+
+
+def library() -> Any | None:
+    """The library, None where there is none: for parts that only get slower without it."""
+    try:
+        return load()
+    except RuntimeError:
+        return None
+
+
+def load() -> Any:
+    """The library. RuntimeError says why there is none."""
+    if os.environ.get(SWITCH, "").strip().lower() == OFF:
+        raise RuntimeError(f"switched off by {SWITCH}={OFF}")
+    return _load(LIBRARY)
+
+
+@lru_cache(maxsize=2)
+def _load(path: Path) -> Any:
+    if not path.exists():
+        raise RuntimeError(f"not compiled when it was installed; {AGAIN}")
+    try:
+        wrong = flaw(path, SOURCES)
+        if wrong:
+            raise RuntimeError(f"{path.name} {wrong}; {AGAIN}")
+        library = ctypes.CDLL(str(path))
+        address, whole = ctypes.c_void_p, ctypes.c_long
+        library.workspace_bytes.restype = library.task_bytes.restype = whole
+        library.workspace_bytes.argtypes = [whole, whole]
+        library.control_step.restype = library.tube_back_offs.restype = None
+        library.half_planes.restype = ctypes.c_double
+        library.half_planes.argtypes = [address, whole, address, whole, address, address, whole, address, address]
+        library.tube_back_offs.argtypes = [address, whole, whole, whole, address, address, address, address]
+    except (OSError, AttributeError) as error:
+        raise RuntimeError(f"{path.name} cannot be loaded ({error}); {AGAIN}") from error
+    return library
