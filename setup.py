@@ -56,7 +56,9 @@ class BuildStep(build_ext):
         library = work / "library.c"
         wide = "#define WIDE\n" if any(kind == "wide" for _, kind in variants()) else ""
         library.write_text(f"{wide}#define VARIANTS {listed}\n#include <library.c>\n")
-        ext.sources += [str(library), str(SOURCES / "surroundings.c")]
+        surroundings = work / "surroundings_once.c"
+        surroundings.write_text("#include <surroundings.c>\n")
+        ext.sources += [str(library), str(surroundings)]
         super().build_extension(ext)
         tools = runpy.run_path(str(HERE / "autopilot" / "core" / "seal.py"))
         tools["seal"](Path(self.get_ext_fullpath(ext.name)), SOURCES)
@@ -68,7 +70,7 @@ setup(
             "autopilot.core._compiled",
             sources=[],
             include_dirs=[str(SOURCES)],
-            depends=[str(path) for path in SOURCES.glob("*.[ch]")],
+            depends=[str(path.relative_to(HERE)) for path in SOURCES.glob("*.[ch]")],
             extra_compile_args=FLAGS,
             libraries=["m"],
             optional=True,
