@@ -88,6 +88,7 @@ def test_vehicles_that_the_library_is_not_made_for_are_left_to_the_next_solver()
 
 
 def _falls_back(monkeypatch: pytest.MonkeyPatch, library: Path, said: str) -> None:
+    monkeypatch.delenv(compiled.SWITCH, raising=False)
     monkeypatch.setattr(compiled, "LIBRARY", library)
     assert said in str(compiled.missing())
     assert "pip install" in str(compiled.missing())
