@@ -420,6 +420,7 @@ TITLES = {
     " called good for at most 1 s when far off, no contact, nothing blamed on thrusters",
     "thruster-health": "Sound and lossy thrusters; false = flights with a word about a sound one, false_below with 95 %"
     " confidence; times from the loss on, inf = not within 35 s",
+    "vehicles": "Vehicles made at random, 20 s in open water each: flown or refused with the axis that lacks thrust",
     "detection": "Markers shown and found with a prediction, by OpenCV's defaults, by these and not by us, false ids;"
     " the same without a prediction; median CPU time [ms] of ours, of OpenCV's, of ours at the reference speed",
     "nmpc": "One control step, CPU time; normal_ms = the median at the reference speed, bar and goal are for that",

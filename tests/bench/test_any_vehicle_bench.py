@@ -1,8 +1,10 @@
 """Vehicles made at random: flown by the whole service or refused with the axis that lacks thrust, no exception."""
 
 import pytest
+from click.testing import CliRunner
 
 from autopilot.bench.any_vehicle import Outcome, fly, vehicle_tables
+from autopilot.cli.bench import APART, TITLES, bench
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import Vehicle, checked, convert
 
@@ -31,3 +33,14 @@ def test_what_neither_flies_nor_lacks_an_axis_is_told() -> None:
     assert "without an axis" in Outcome(**common, refused="no", left_m=0.0, faults=()).problem
     assert "fault" in Outcome(**common, refused="", left_m=0.0, faults=("boom",)).problem
     assert "left" in Outcome(**common, refused="", left_m=2.0, faults=()).problem
+
+
+def test_the_command_prints_what_came_of_each() -> None:
+    first = next(seed for seed in range(100) if refused(seed))
+    done = CliRunner().invoke(bench, ["vehicles", "--runs", "1", "--seed", str(first)])
+    assert done.exit_code == 0, done.output
+    assert TITLES["vehicles"].split(",")[0] in " ".join(done.output.split())
+
+
+def test_every_benchmark_has_a_title() -> None:
+    assert set(APART) <= set(TITLES)
