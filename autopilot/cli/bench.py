@@ -466,14 +466,28 @@ HEADS = {
     "cpu_ms": "cpu ms",
     "search_ms": "start ms",
     "normal_ms": "norm. ms",
+    "simulated_s": "sim. s",
+    "cpu_s_per_s": "cpu s/s",
+    "beside_s_per_s": "beside",
+    "tick_mean_ms": "tick ms",
+    "predict_us": "pred. us",
+    "tick_per_predict": "ratio",
+    "tick_median_ms": "median",
+    "tick_p99_ms": "p99",
+    "step_median_ms": "step ms",
+    "step_p99_ms": "p99",
+    "step_max_ms": "max",
 }
 """Heads of columns that are long."""
 
 
 def _print(name: str, rows: list[dict[str, object]]) -> None:
-    columns = list(rows[0])
-    heads = [HEADS.get(column, column) if name in ("images", "attitude") else column for column in columns]
+    columns = [column for column in rows[0] if column != "parts"]
+    heads = [HEADS.get(column, column) if name in ("images", "attitude", "sitl") else column for column in columns]
     print_table(TITLES[name], heads, [[_figure(row[column]) for column in columns] for row in rows])
+    for row in rows:
+        if "parts" in row:
+            click.echo(f"{row[columns[0]]}, mean tick by part [ms]: {row['parts']}")
 
 
 def _figure(value: object) -> str:
