@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 from autopilot.core.errors import ConfigError
-from autopilot.core.quick import quick
 
 SYNC = b"\xff\x02"
 END = 0x03
@@ -75,7 +74,6 @@ def crc16(data: bytes) -> int:
     return _REVERSED[plain & 0xFF] << 8 | _REVERSED[plain >> 8]
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class Frame:
     """One frame whose checksum was right."""

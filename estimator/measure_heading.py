@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.quick import quick
 from estimator.inertial import Inertial
 from estimator.measurement import Moment
 from estimator.states import HEADING_OFFSET, NX, YAW
@@ -20,7 +19,6 @@ _NOISE: FloatArray = np.array([[SIGMA_RAD**2]])
 _NOISE.flags.writeable = False
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Heading:
     """z = yaw of the AHRS [rad], at the very moment of its sample."""

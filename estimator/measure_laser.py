@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.quick import quick
 from autopilot.core.samples import LaserSample
 from estimator.inertial import Inertial, down_of
 from estimator.measurement import Moment
@@ -19,7 +18,6 @@ MAX_RANGE_M = 50.0
 MAX_SIGMA_M = 10.0
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LaserRange:
     """z = range from the laser to a level floor [m]."""

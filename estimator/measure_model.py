@@ -19,7 +19,6 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
-from autopilot.core.quick import quick
 from autopilot.core.vehicle import Vehicle
 from estimator.inertial import Inertial
 from estimator.measurement import Moment
@@ -51,7 +50,6 @@ SIGMA_M_S2 = 0.06
 """Error of the modelled acceleration: tether, drag and thrust coefficients. For 50 looks per second that share it."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModelAid:
     """z = acceleration of the AHRS in the level frame, forward, right (and down) [m/s^2], at its sample's moment."""

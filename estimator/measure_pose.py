@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.quick import quick
 from autopilot.core.samples import PoseSample
 from estimator.measurement import Measurement, Moment
 from estimator.states import DOWN, EAST, GYRO_BIAS, NORTH, NX, POS, VEL, VEL_DOWN, VEL_EAST, VEL_NORTH, YAW
@@ -53,7 +52,6 @@ class Stray(NamedTuple):
     """Where it is seen."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PoseFix:
     """Pose of the centre of gravity: z = (north, east, down [m], yaw [rad])."""

@@ -13,7 +13,6 @@ from autopilot.core.desk import Cancel
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Fence
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
-from autopilot.core.quick import quick
 from mission.fence import FenceShape, build_fence, read_fence
 from mission.gaps import narrow_gaps
 from mission.items import GoTo, Step
@@ -52,7 +51,6 @@ class WaterCheck(Protocol):
         ...
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Question:
     """Everything that an answer depends on."""

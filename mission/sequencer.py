@@ -14,7 +14,6 @@ import numpy as np
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, MissionProgress, NavHealth, NavState, ProgressState
-from autopilot.core.quick import quick
 from mission.items import ChangeSpeed, GoTo, Jump, ReturnHome, SetHeading, SetHome, Step, Surface, Wait
 from mission.lookahead import next_waypoint
 
@@ -34,7 +33,6 @@ class Action(StrEnum):
     """The mission is complete; the goal stays where it is."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SequencerOutput:
     """Result of one tick."""

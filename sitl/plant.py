@@ -15,7 +15,6 @@ import numpy as np
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, quat_from_rpy
 from autopilot.core.messages import MAX_THRUSTERS
-from autopilot.core.quick import quick
 from autopilot.core.toml_table import Vec3
 from autopilot.core.vehicle import Vehicle
 from sitl.battery import Battery
@@ -42,7 +41,6 @@ Push: TypeAlias = tuple[float, float, float, float, float, float]
 """Force [N] and moment [N m] in the body frame."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Truth:
     """Where the vehicle really is and what it really does."""

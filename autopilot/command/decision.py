@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 from autopilot.core.messages import Goal, MissionProgress
-from autopilot.core.quick import quick
 from autopilot.mavlink.api import FlightMode
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Decision:
     """Of the commander, for everything after it in the tick."""

@@ -16,7 +16,6 @@ from autopilot.core.messages import (
     Severity,
     ShadowStatus,
 )
-from autopilot.core.quick import quick
 from estimator.protocol import Estimator
 
 LAST_ESTIMATE_US = 200_000
@@ -28,7 +27,6 @@ UNUSED_COUNTS = ("rejected", "late", "duplicate", "future", "malformed")
 """Counts of samples and measurements that were not used."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Estimated:
     """What the estimator said on a tick."""

@@ -9,7 +9,6 @@ from typing import Literal, TypeAlias
 
 from autopilot.core.messages import Event, Failsafe, NavDoubt, NavHealth, NavState, Severity
 from autopilot.core.params import ParamSet
-from autopilot.core.quick import quick
 from autopilot.core.samples import PowerSample
 
 Action: TypeAlias = Literal["hold", "surface", "disarm"]
@@ -23,7 +22,6 @@ THRUSTER_TIMEOUT_S = 3.0
 _RANK: dict[Action, int] = {"hold": 1, "surface": 2, "disarm": 3}
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Conditions:
     """Facts of this tick that rules and arming look at."""

@@ -28,7 +28,6 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus, UnsolvedProgram
 from autopilot.core.model4 import YAW, U, Z
 from autopilot.core.params import ParamSet
-from autopilot.core.quick import quick
 from autopilot.core.sharing import Sharing
 
 CONVERGED_N = 0.05
@@ -64,7 +63,6 @@ SLOWEST_CAP_M_S = 0.05
 """Margins do not lower the cap of the planar speed below this."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Solution:
     """What has come of a step's program."""

@@ -14,14 +14,12 @@ from autopilot.core.clients import EVERYONE
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.marks import LoopPart
-from autopilot.core.quick import quick
 from autopilot.core.samples import ExternalPoseSample, PictureReport, Sample
 
 MAX_THRUSTERS = 8
 """Width of the thruster arrays in logs and outputs."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MavlinkFrame:
     """Raw bytes of one datagram or packet on one link."""
@@ -35,7 +33,6 @@ class MavlinkFrame:
     """What operators call the client it came from, "" when it goes out or nobody knows."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Inputs:
     """All that the outside world said since the last tick."""
@@ -65,7 +62,6 @@ class DeviceRole(IntEnum):
     THRUSTERS = 2
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DeviceTrouble:
     """A device that could not be used on this tick; it is tried again on the next."""
@@ -106,7 +102,6 @@ class NavDoubt(Enum):
     """The estimate has begun anew again and again."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NavState:
     """The estimate at ``t_us``."""
@@ -142,7 +137,6 @@ class AidState(IntEnum):
     REJECTING = 3
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AidStatus:
     """What became of one measurement. Unused components are 0."""
@@ -166,7 +160,6 @@ AID_SENSORS = ("heading", "model", "markers", "external", "velocity", "depth", "
 """Aiding sensors of the estimator, in the order in which measurements of the same time are used."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NavCounters:
     """What the estimator has counted so far, once per second."""
@@ -176,7 +169,6 @@ class NavCounters:
     """By name: ``ahrs.stuck``, ``markers.fused``, ``resets``, ... (:meth:`estimator.protocol.Estimator.counters`)."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ShadowStatus:
     """Estimate of the flown estimator minus that of the one in its shadow."""
@@ -196,7 +188,6 @@ class ShadowStatus:
 # Decide.
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Goal:
     """Where the vehicle should be: a terminal region, and how fast it may go there."""
@@ -228,7 +219,6 @@ class ProgressState(IntEnum):
     COMPLETE = 5
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MissionProgress:
     """How far the mission is."""
@@ -270,7 +260,6 @@ FALLBACK_TEXT = "Controller: no solution"
 """What an operator hears of a fallback begins so."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NmpcStatus:
     """Health of the controller, one per NMPC step."""
@@ -291,7 +280,6 @@ class NmpcStatus:
     """Largest multiplier of a soft limit over the slope of its penalty: at 1 the penalty is no longer exact."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class UnsolvedProgram:
     """A program of the optimiser that its solver has failed to solve, with all that it takes to solve it again."""
@@ -303,7 +291,6 @@ class UnsolvedProgram:
     """See :mod:`autopilot.control.nmpc.unsolved`."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EnergyPlan:
     """A trajectory of least energy that has just come into force."""
@@ -320,7 +307,6 @@ class EnergyPlan:
     """Plans so far that were not there when they were due."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ControlOutput:
     """One NMPC step's result."""
@@ -349,7 +335,6 @@ class ControlOutput:
 # Out.
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ThrusterCommand:
     """What goes to the thrusters."""
@@ -361,7 +346,6 @@ class ThrusterCommand:
     """(8,) unused = 0; neutral when disarmed."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ThrusterHealthState:
     """How much of its thrust each thruster gives, 1 = as the vehicle file says."""
@@ -375,7 +359,6 @@ class ThrusterHealthState:
     """(n,) standard deviation of the estimate."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ModeState:
     """What the vehicle is doing."""
@@ -413,7 +396,6 @@ class Severity(IntEnum):
     DEBUG = 7
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Event:
     """A line for the operator and for the log. ``severity`` is a :class:`Severity`."""
@@ -423,7 +405,6 @@ class Event:
     text: str
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LoopStats:
     """Health of the loop, once per second."""
@@ -448,7 +429,6 @@ class LoopStats:
         return LoopPart(max(range(len(self.part_s)), key=self.part_s.__getitem__))
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EstimatorInputs:
     """What the estimator was given in one tick beside ``Inputs.samples``: with them, all that it went by."""
@@ -459,7 +439,6 @@ class EstimatorInputs:
     """Poses that came over MAVLink."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Outputs:
     """All that should happen, and all that was decided, in one tick."""

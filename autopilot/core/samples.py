@@ -8,10 +8,8 @@ from enum import Enum, IntEnum
 from typing import Any, TypeAlias
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.quick import quick
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AhrsSample:
     """One AHRS frame. ``t_us`` is the time of validity as the driver knows it (arrival minus declared latency)."""
@@ -25,7 +23,6 @@ class AhrsSample:
     """(3,) specific force: at rest about (0, 0, -9.81)."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ImuSample:
     """One frame of a device that gives no attitude. ``t_us`` is the time of validity."""
@@ -39,7 +36,6 @@ class ImuSample:
     """(3,) magnetic field in any unit, None without a (new) reading."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraFrame:
     """One image. ``t_us`` is the time of exposure; pixels are BGR uint8 (rows, columns, 3)."""
@@ -66,7 +62,6 @@ class FrameVerdict(Enum):
     """The same picture as before under a new time: noise never repeats, so the camera hangs."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PictureReport:
     """What a picture looks like, before anybody has looked for markers."""
@@ -84,7 +79,6 @@ MAX_SIGHTED = 64
 """Markers that one sighting holds, as a logged one does: a replay has what the flight had."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MarkerSighting:
     """What the vision front end found in one image. ``t_us`` is the time of exposure."""
@@ -102,7 +96,6 @@ class MarkerSighting:
     """Time that detection took, for the log."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PoseSample:
     """A measured pose of the vehicle (marker-pose sensor, external vision). ``t_us`` is the time of validity."""
@@ -116,7 +109,6 @@ class PoseSample:
     sigma_yaw_rad: float
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LaserSample:
     """Range along the laser beam to the floor (for sensors that deliver a range and not a picture)."""
@@ -126,7 +118,6 @@ class LaserSample:
     sigma_m: float
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DepthSample:
     """Depth by pressure. ``t_us`` is the time of validity."""
@@ -144,7 +135,6 @@ class VelocityLock(IntEnum):
     BOTTOM = 1
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VelocitySample:
     """Velocity of the sensor in the body frame (DVL). ``t_us`` is the time of validity."""
@@ -166,7 +156,6 @@ class ExternalFrame(IntEnum):
     """Level, down is down, but origin and direction of its x axis are the source's own."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ExternalPoseSample:
     """A pose from outside of the vehicle's own sensors. ``t_us`` is the time of validity."""
@@ -182,7 +171,6 @@ class ExternalPoseSample:
     """Changes when the source's pose has jumped."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PowerSample:
     """Battery terminals."""
@@ -209,7 +197,6 @@ def plausible(power: PowerSample) -> bool:
     )
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ObstacleTrack:
     """An obstacle that something on board or outside has seen, as an upright cylinder. ``t_us``: time of validity."""

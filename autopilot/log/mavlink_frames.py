@@ -6,8 +6,6 @@ packets are kept too, so that a replay sees the same stream.
 
 from dataclasses import dataclass
 
-from autopilot.core.quick import quick
-
 STX_V1 = 0xFE
 STX_V2 = 0xFD
 SETUP_SIGNING = 256
@@ -19,7 +17,6 @@ _ID_AT, _ID_END = 7, 10
 _SETUP_SIGNING_ID = SETUP_SIGNING.to_bytes(3, "little")
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class Piece:
     """A run of bytes of the stream, at most MAX_BYTES long."""

@@ -11,7 +11,6 @@ from typing import Protocol
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Place
 from autopilot.core.messages import MissionProgress, NavDoubt, NavState, NmpcStatus, ThrusterCommand
-from autopilot.core.quick import quick
 from autopilot.core.samples import PowerSample
 
 
@@ -50,7 +49,6 @@ class Answer:
     reason: str = ""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class VehicleView:
     """What telemetry shows, refreshed once per tick."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from autopilot.control.fence.features import FAR_M, TINY_M, BoolArray, Boundaries, ComplexArray, as_complex, unit_rays
 from autopilot.core.frames import FloatArray
-from autopilot.core.quick import quick
 
 RECOVERY_M_S = 0.2
 """How fast the vehicle is asked to come back from where it must not be."""
@@ -35,7 +34,6 @@ class Movers:
     """(K,) of the radius"""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Met:
     """Round things as chords meet them; (m - 1, C)."""

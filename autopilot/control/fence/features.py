@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
-from autopilot.core.quick import quick
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 IntArray: TypeAlias = NDArray[np.intp]
@@ -72,7 +71,6 @@ class Rounds:
     """How many circles there are."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Seen:
     """Edges as points see them; (m, E)."""

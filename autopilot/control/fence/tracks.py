@@ -16,7 +16,6 @@ from autopilot.control.fence.chords import Movers
 from autopilot.control.fence.features import BoolArray
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
-from autopilot.core.quick import quick
 from autopilot.core.samples import ObstacleTrack
 
 STANDING_M_S = 0.03
@@ -98,7 +97,6 @@ def movers_of(tracks: Iterable[ObstacleTrack], t_us: int) -> Movers | None:
     )
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Way:
     """How fast the vehicle is, and where it wants to go."""

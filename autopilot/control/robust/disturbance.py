@@ -9,7 +9,6 @@ from autopilot.control.robust.error_model import CHANNELS
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
-from autopilot.core.quick import quick
 
 BOUND_SIGMAS = 3.0
 """A bound is read as three standard deviations."""
@@ -19,7 +18,6 @@ VELOCITY_VARIANCE_LIMIT_M2_S2 = 0.3**2
 """An estimate worse than this is one that navigation failsafes act upon; margins do not grow for ever with it."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisturbanceBound:
     """Bounds of what the model does not know, after the estimator has absorbed what lasts."""
@@ -44,7 +42,6 @@ class DisturbanceBound:
         return bound
 
 
-@quick
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimateSpread:
     """Variances of the estimate, the worse of two horizontal axes each."""

@@ -22,7 +22,6 @@ from autopilot.core import model4
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, X, Z
-from autopilot.core.quick import quick
 from autopilot.core.sharing import Sharing
 
 KAPPA = 1.3
@@ -38,7 +37,6 @@ FREE_YAW_RAD = 0.5
 """Band of the heading where a goal leaves it free: beyond, the linearisation is another one."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class TerminalLimits:
     """What the region has to stay inside, back-offs already taken off."""

@@ -9,14 +9,12 @@ from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
-from autopilot.core.quick import quick
 
 YAW_RATE_SHARE = 0.92
 HEAVE_SHARE = 0.92
 """Shares of the heave and yaw rate limits that the optimiser may use; the rest is for estimation error."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BackOffs:
     """What is taken off every limit at nodes 1 .. N-1 (thrust: at nodes 0 .. N-1). Never negative."""

@@ -23,7 +23,6 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import EnergyPlan, Goal, NavState, Severity
 from autopilot.core.model4 import YAW, R, U
 from autopilot.core.params import ParamSet
-from autopilot.core.quick import quick
 from autopilot.core.sharing import Sharing
 
 VELOCITY_WEIGHTS = (8.0, 8.0, 8.0, 0.5)
@@ -41,7 +40,6 @@ PATIENCE_STEPS = 20
 search is left to end, and its route is taken if it is free."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Situation:
     """What guidance goes by in one step."""
@@ -66,7 +64,6 @@ class Situation:
     """(N+1, 8) what the optimiser predicted on the last step, from then on; None if it had no plan."""
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Reference:
     """What the optimiser compares its prediction with, and how it weighs the difference."""

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray, unwrap_near, wrap_pi
 from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z
-from autopilot.core.quick import quick
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 
@@ -152,7 +151,6 @@ def turn_target(yaw_rad: float, goal_yaw_rad: float, previous_rad: float | None)
     return previous_rad if abs(previous_rad - yaw_rad) < math.pi + TURN_HYSTERESIS_RAD else nearest
 
 
-@quick
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Target:
     """Where the reference goes and how fast."""
