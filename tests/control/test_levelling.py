@@ -1,6 +1,7 @@
 """Levelling on the plant: pushing ahead tilts a heavy frame over; the inner loop holds it and leaves the axes alone."""
 
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autopilot.bench.energy.flight import nav_state
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.thrust.levelling import MOST, Levelling
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.thrusters import wrench_matrix
@@ -28,17 +30,7 @@ def without(vehicle: Vehicle) -> Vehicle:
 
 
 def nav_of(truth: Truth) -> NavState:
-    return NavState(
-        t_us=truth.t_us,
-        health=NavHealth.GOOD,
-        pos_ned_m=truth.pos_ned_m,
-        rpy_rad=truth.rpy_rad,
-        vel_frd_m_s=truth.vel_frd_m_s,
-        vel_water_frd_m_s=truth.vel_water_frd_m_s,
-        rate_frd_rad_s=truth.rate_frd_rad_s,
-        current_ned_m_s=truth.current_ned_m_s,
-        variance=np.full(12, 1e-4),
-    )
+    return replace(nav_state(truth), variance=np.full(12, 1e-4))
 
 
 def tilts(vehicle: Vehicle, force: FloatArray, seconds: float = 12.0, lost: int | None = None) -> tuple[float, Truth]:
