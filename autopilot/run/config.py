@@ -91,6 +91,7 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
         "until": None,
         "state_dir": platformdirs.user_state_dir("underwater-autopilot", appauthor=False),
         "log_dir": str(Path(platformdirs.user_data_dir("underwater-autopilot", appauthor=False)) / "logs"),
+        "log_quota_mb": 0.0,
     }
 
 
@@ -98,6 +99,7 @@ _FROM_TEXT: dict[str, Any] = {
     "speed": float,
     "seed": int,
     "duration": float,
+    "log_quota_mb": float,
     "connect": lambda text: tuple(text.split(",")),
     "start": lambda text: text.lower() in ("1", "true", "yes"),
     "keep_plans": lambda text: text.lower() in ("1", "true", "yes"),
@@ -120,6 +122,7 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "speed": (lambda value: 0.0 <= value < math.inf, "0 or more"),
     "seed": (lambda value: value >= 0, "0 or more"),
     "duration": (lambda value: 0.0 < value < math.inf, "a number of seconds above 0"),
+    "log_quota_mb": (lambda value: 0.0 <= value < math.inf, "0 (no limit) or a number of megabytes"),
     "controller": (lambda value: is_part("controller", value), part_names("controller")),
     "estimator": (lambda value: is_part("estimator", value), part_names("estimator")),
     "plant": (lambda value: is_part("plant", value), part_names("plant")),

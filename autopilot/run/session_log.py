@@ -1,7 +1,7 @@
 """The log of a session: one file where ``--log`` says, else one per arming in the log folder."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from autopilot.core.errors import LogError
 from autopilot.core.marker_files import marker_file_text
 from autopilot.core.markers import MarkerMap
 from autopilot.log.description import RunDescription
+from autopilot.log.quota import make_room
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
 from autopilot.log.writer import LogHead, Payload
@@ -64,14 +65,26 @@ class LogContents:
         items = plan_items(self._parts.plans)
         return {"plans.json": lambda: plans_json(items)}
 
-    def head(self, path: Callable[[], Path]) -> Callable[[], LogHead]:
-        """What a log that begins now starts with, to be made by whoever writes it."""
+    def head(self, path: Callable[[], Path], make_room: Callable[[], Sequence[Path]] = tuple) -> Callable[[], LogHead]:
+        """What a log that begins now starts with, to be made by whoever writes it.
+
+        ``make_room`` is done first; the logs that it gives have been removed, and the new one says so.
+        """
         items = plan_items(self._parts.plans)
-        return lambda: LogHead(
-            path=path(),
-            metadata={**self._metadata, "started": datetime.now(UTC).isoformat(timespec="seconds")},
-            attachments={**self._attachments, "plans.json": plans_json(items)},
-        )
+
+        def made() -> LogHead:
+            gone = ", ".join(f"{log.parent.name}/{log.name}" for log in make_room())
+            return LogHead(
+                path=path(),
+                metadata={
+                    **self._metadata,
+                    "started": datetime.now(UTC).isoformat(timespec="seconds"),
+                    **({"removed_logs": gone} if gone else {}),
+                },
+                attachments={**self._attachments, "plans.json": plans_json(items)},
+            )
+
+        return made
 
 
 def marker_attachment(markers: MarkerMap) -> dict[str, bytes]:
@@ -98,7 +111,11 @@ def open_recorder(
     if fixed is None:
         _make_folder(folder)
         recover_unfinished(folder)
+    quota_bytes = round(settings["log_quota_mb"] * 1e6)
     opened = 0
+
+    def room() -> Sequence[Path]:
+        return make_room(folder, quota_bytes) if fixed is None and quota_bytes else ()
 
     def open_log() -> RunLog:
         nonlocal opened
@@ -110,7 +127,7 @@ def open_recorder(
                 return log_path(folder, time.time_ns())
             return fixed if at_start else free_path(fixed)
 
-        head, description = contents.head(path), contents.description()
+        head, description = contents.head(path, room), contents.description()
         if not (lockstep or at_start):
             return open_run_log_beside(head, epoch_ns=epoch_ns, description=description)
         given = head()

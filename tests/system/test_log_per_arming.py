@@ -44,3 +44,17 @@ def test_one_log_per_arming(tmp_path: Path) -> None:
         assert mode["t_us"][0] * 1e-6 == pytest.approx(begin_s, abs=0.02)
         assert path.with_suffix(".tlog").exists()
         assert set(json.loads(log.attachments["plans.json"])) == {"mission", "fence", "rally"}
+
+
+def test_old_logs_make_room_for_a_new_one_which_says_so(tmp_path: Path) -> None:
+    old = tmp_path / "logs" / "2020-02-02" / "10_20_30.mcap"
+    old.parent.mkdir(parents=True)
+    old.write_bytes(bytes(2_000_000))
+    settings = gather(sitl_defaults(0), {"speed": 0.0, "sensors": "pose", "duration": 3.0}, {})
+    places = {"connect": (), "state_dir": str(tmp_path / "state"), "log_dir": str(tmp_path / "logs")}
+    for name, value in {**places, "log_quota_mb": 1.0}.items():
+        settings.put(name, value, "test")
+    open_sitl(settings, {}, peers=[Switch({2.0: 1})]).run()
+    (new,) = sorted((tmp_path / "logs").rglob("*.mcap"))
+    assert new != old
+    assert open_log(new).metadata["run"]["removed_logs"] == "2020-02-02/10_20_30.mcap"
