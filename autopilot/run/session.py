@@ -21,6 +21,7 @@ from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Peer, VehicleIo
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.runtime import Runtime
+from autopilot.run.service_manager import ServiceManager
 from drivers.links import open_link
 from drivers.protocols import Link
 from estimator.frame_filter import FrameFilter
@@ -74,14 +75,27 @@ class Session:
     def run(self, stop: Callable[[], bool] = lambda: False) -> float:
         """Run to the end; the result is the wall time it took [s]."""
         begin_s = time.monotonic()
+        manager = ServiceManager()
+
+        def stops() -> bool:
+            manager.tick(self._status)
+            return stop()
+
         with contextlib.ExitStack() as end:  # whatever one of them raises, the others are done
+            end.callback(manager.close)
             end.callback(self._end_slow_work)
             if self.kept.plans is not None:
                 end.callback(self.kept.plans.finish)
             end.callback(self.kept.params.finish)
             end.callback(self.recorder.close)
-            self.runtime.run(duration_s=self.duration_s, stop=stop)
+            end.callback(manager.stopping)
+            self.runtime.run(duration_s=self.duration_s, stop=stops)
         return time.monotonic() - begin_s
+
+    def _status(self) -> str:
+        """One line for who asks the service manager."""
+        commander = self.parts.commander
+        return f"{self.vehicle.name}: {'armed' if commander.armed else 'disarmed'}, {commander.mode.name}"
 
     def _end_slow_work(self) -> None:
         """Nobody wants routes, plans and checks any more: what has not begun does not begin."""
