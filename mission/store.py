@@ -110,6 +110,13 @@ class Plans(PlanStore):
         """Asked before plans are taken that came by :meth:`propose`."""
         self.revision = 0
         """Grows by one whenever a plan or the origin changes."""
+        self.keeper: Callable[[], bool] | None = None
+        """Whether what is in force now is kept (or cannot be), asked of whoever keeps it."""
+
+    @property
+    def kept(self) -> bool:
+        """Whether the plans in force are where they are kept, or known not to get there; always where none are."""
+        return self.keeper is None or self.keeper()
 
     @property
     def origin(self) -> Origin:

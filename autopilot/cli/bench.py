@@ -9,7 +9,7 @@ import click
 
 from autopilot.cli.output import emit_json, print_table
 
-APART = ("modes", "faults", "sensor-faults", "thruster-health", "vehicles", "detection", "fuzz")
+APART = ("modes", "faults", "sensor-faults", "thruster-health", "vehicles", "detection", "fuzz", "kills")
 """Only when they are named."""
 NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "energy-latency", "loop", *APART)
 LONG = ("estimator", "pockets", "energy", "energy-latency")
@@ -43,13 +43,13 @@ LONG = ("estimator", "pockets", "energy", "energy-latency")
     "--runs",
     "sound_runs",
     type=click.IntRange(1),
-    help="thruster-health: sound flights (default 300); vehicles: how many (default 40); with --short 4.",
+    help="thruster-health: sound flights (300); vehicles: how many (40); kills: how many (100); with --short 4.",
 )
 @click.option(
     "--out", type=click.Path(file_okay=False), help="thruster-health: keep flights here, go on where it was stopped."
 )
 @click.option("--frames", type=click.IntRange(1), help="detection: pictures (default 10000, with --short 400).")
-@click.option("--seed", type=int, help="fuzz, detection, vehicles: where these come from (default 1).")
+@click.option("--seed", type=int, help="fuzz, detection, vehicles, kills: where these come from (default 1).")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def bench(
     name: str | None,
@@ -110,6 +110,9 @@ def bench(
     vehicles: vehicles with 3 to 8 thrusters anywhere: each flies 20 s in open water or is refused with the axis that
     lacks thrust (an hour; exit code 1 if one does neither).
 
+    kills: SIGKILL at random moments of uploads, changes of parameters and logging: nothing that was accepted may be
+    lost, every log is readable (ten minutes; exit code 1 otherwise).
+
     Times depend on the machine and on what else it does: each table says how slow the machine is just now.
     """
     if recompute and name != "energy":
@@ -131,12 +134,12 @@ def bench(
         raise click.UsageError("--part and --markdown belong to the benchmark faults")
     if messages is not None and name != "fuzz":
         raise click.UsageError("--messages belongs to the benchmark fuzz")
-    if seed is not None and name not in ("fuzz", "detection", "vehicles"):
-        raise click.UsageError("--seed belongs to the benchmarks fuzz, detection and vehicles")
+    if seed is not None and name not in ("fuzz", "detection", "vehicles", "kills"):
+        raise click.UsageError("--seed belongs to the benchmarks fuzz, detection, vehicles and kills")
     if frames is not None and name != "detection":
         raise click.UsageError("--frames belongs to the benchmark detection")
-    if sound_runs is not None and name not in ("thruster-health", "vehicles"):
-        raise click.UsageError("--runs belongs to the benchmarks thruster-health and vehicles")
+    if sound_runs is not None and name not in ("thruster-health", "vehicles", "kills"):
+        raise click.UsageError("--runs belongs to the benchmarks thruster-health, vehicles and kills")
     if out is not None and name != "thruster-health":
         raise click.UsageError("--out belongs to the benchmark thruster-health")
     if recompute:
@@ -158,6 +161,9 @@ def bench(
         return
     if name == "vehicles":
         _vehicles(sound_runs or (4 if short else 40), 1 if seed is None else seed, as_json=as_json)
+        return
+    if name == "kills":
+        _kills(sound_runs or (4 if short else 100), 1 if seed is None else seed, as_json=as_json)
         return
     if name == "sensor-faults":
         _sensor_faults(short, as_json=as_json)
@@ -304,6 +310,24 @@ def _vehicles(runs: int, first: int, *, as_json: bool) -> None:
         raise SystemExit(1)
 
 
+def _kills(runs: int, seed: int, *, as_json: bool) -> None:
+    """Kill and look; exit code 1 if something accepted is lost or a log is damaged."""
+    from autopilot.bench.kills import run
+
+    found = run(runs, seed, lambda kills: click.echo(f"kill {kills} of {runs}", err=True))
+    row = asdict(found)
+    if as_json:
+        emit_json(row)
+    else:
+        starts = sorted(row.pop("start_cpu_s"))
+        shown = {"start_cpu_s": f"{starts[len(starts) // 2]:.1f} ({starts[-1]:.1f} at most)"}
+        _print("kills", [{**row, **{key: len(row[key]) for key in ("lost", "damaged_logs")}, **shown}])
+        for line in (*found.lost, *found.damaged_logs):
+            click.echo(line)
+    if found.lost or found.damaged_logs:
+        raise SystemExit(1)
+
+
 def _thruster_health(runs: int, out: str | None, *, as_json: bool) -> None:
     """Fly and print; exit code 1 if a sound thruster is blamed."""
     from autopilot.bench.thruster_health import bench_thruster_health
@@ -420,6 +444,7 @@ TITLES = {
     " called good for at most 1 s when far off, no contact, nothing blamed on thrusters",
     "thruster-health": "Sound and lossy thrusters; false = flights with a word about a sound one, false_below with 95 %"
     " confidence; times from the loss on, inf = not within 35 s",
+    "kills": "A service killed at random moments: changes accepted, killed in the middle of one, lost, and its logs",
     "vehicles": "Vehicles made at random, 20 s in open water each: flown or refused with the axis that lacks thrust",
     "detection": "Markers shown and found with a prediction, by OpenCV's defaults, by these and not by us, false ids;"
     " the same without a prediction; median CPU time [ms] of ours, of OpenCV's, of ours at the reference speed",

@@ -208,6 +208,11 @@ class Session:
         return self._clock_s() - clock_s if self._stamp is None else self.vehicle_s - vehicle_s
 
     @property
+    def vehicle_clock_s(self) -> float | None:
+        """The vehicle's time since its start as it was last heard [s], None before it has told it."""
+        return None if self._stamp is None else 1e-3 * self._stamp[0]
+
+    @property
     def _silent_s(self) -> float:
         """How long nothing has been heard."""
         return self._clock_s() - self._heard_s

@@ -110,3 +110,8 @@ class PlanStore(Protocol):
     def propose(self, plans: Mapping[PlanKind, tuple[PlanItem, ...]]) -> PlanChange:
         """Have plans checked and take all of them, or refuse and keep those in force. Replaces an open change."""
         ...
+
+    @property
+    def kept(self) -> bool:
+        """Whether the plans in force are where they are kept, or known not to get there; always where none are."""
+        ...

@@ -1,9 +1,9 @@
 """Mission protocol for the three plan types: upload, download, clear. https://mavlink.io/en/services/mission.html
 
 An upload is atomic: items are collected aside and the plan in force changes only when the last one has come and the
-whole plan has been accepted. The store checks it beside the loop; the final answer goes out when it has, and nothing
-else is begun until then. One upload at a time; a second client is DENIED and the first goes on. Downloads read a
-snapshot, so that a plan that changes meanwhile cannot mix.
+whole plan has been accepted. The store checks it beside the loop; the final answer goes out when it has and the
+plan is on disk (where plans are kept), and nothing else is begun until then. One upload at a time; a second client is
+DENIED and the first goes on. Downloads read a snapshot, so that a plan that changes meanwhile cannot mix.
 """
 
 from dataclasses import dataclass, field
@@ -31,6 +31,8 @@ REPEAT_US = 5_000_000
 """The final answer to an upload is repeated so long when the client sends its last item again."""
 REPEAT_PAUSE_US = 200_000
 """But not more often than this: a duplicated datagram is not a repetition."""
+SLOW_DISK_US = 1_000_000
+"""A plan in force waits so long for the disk before it is called accepted (a client's last retry comes after 1.5 s)."""
 MAX_DOWNLOADS = 16
 """Snapshots kept at once; the oldest goes."""
 
@@ -65,6 +67,8 @@ class Checking:
     mission_type: int
     upload: Upload | None
     """None = these plans are cleared."""
+    taken_us: int | None = None
+    """Since when the plans are in force and on their way to the disk."""
 
 
 @dataclass(slots=True)
@@ -259,6 +263,8 @@ class Missions:
         checking = self._checking
         if checking is None or not checking.change.done:
             return
+        if checking.change.rejection is None and not self._on_disk(checking):
+            return
         self._checking = None
         ctx, refusal, upload = self._ctx, checking.change.rejection, checking.upload
         if refusal is None:
@@ -278,6 +284,21 @@ class Missions:
                 ctx.log(Severity.INFO, f"cleared: {names}")
             else:
                 ctx.say(Severity.WARNING, f"Not cleared ({names}): {refusal.reason}", checking.peer)
+
+    def _on_disk(self, checking: Checking) -> bool:
+        """Whether accepting can be said: nothing that was accepted is to be lost with the power.
+
+        A disk that does not answer is spoken of, for the plans are in force.
+        """
+        ctx = self._ctx
+        if ctx.plans.kept:
+            return True
+        if checking.taken_us is None:
+            checking.taken_us = ctx.t_us
+        if ctx.t_us - checking.taken_us < SLOW_DISK_US * ctx.patience:
+            return False
+        ctx.say(Severity.WARNING, "Plan in force, not on disk yet")
+        return True
 
     def _end(self, upload: Upload, result: MissionResult, reason: str) -> None:
         """Close the transfer with its answer; a refusal leaves the plan in force."""

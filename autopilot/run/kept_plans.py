@@ -66,6 +66,7 @@ class KeptPlans:
         self._notices: list[tuple[Severity, str]] = []
         self.failure: str | None = None
         """Why the last change is not on disk; None while all is well."""
+        plans.keeper = self._settled
 
     def load(self) -> tuple[str, ...]:
         """Take what was kept, before the loop runs. The result is what an operator should know."""
@@ -120,6 +121,10 @@ class KeptPlans:
         """Write what is not yet on disk."""
         error = self._keeper.finish()
         self.failure = None if error is None else f"plans are not saved: {self._file.path}: {error}"
+
+    def _settled(self) -> bool:
+        """Whether what is in force is on disk, or the disk has refused it."""
+        return self._plans.revision == self._revision and not self._keeper.busy
 
     def _take_none(self, home_ned_m: FloatArray) -> None:
         """Back to what a service without stored plans has; that is what is kept from the first tick on."""

@@ -42,6 +42,8 @@ class MemoryPlans:
         self.slow = False
         """Changes wait for :meth:`decide`."""
         self.waiting: list[Change] = []
+        self.kept = True
+        """Whether what is in force is on disk."""
 
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
         return self.stored[kind]

@@ -542,3 +542,20 @@ def test_fences_have_no_home_item() -> None:
     client = world.client()
     assert upload(client, plan(2, 1), 1) == R.ACCEPTED
     assert len(world.plans.items(PlanKind.FENCE)) == 2
+
+
+def test_a_plan_is_called_accepted_when_it_is_on_disk(world: World) -> None:
+    client, items = world.client(), plan(3)
+    world.plans.kept = False
+    uploader = Uploader(client, items)
+    assert uploader.run(0.5) is None
+    assert len(world.plans.items(PlanKind.MISSION)) == 3, "it is in force"
+    world.plans.kept = True
+    assert uploader.run(0.5) == R.ACCEPTED
+
+
+def test_a_disk_that_does_not_answer_is_spoken_of(world: World) -> None:
+    client = world.client()
+    world.plans.kept = False
+    assert upload(client, plan(3)) == R.ACCEPTED
+    assert "Plan in force, not on disk yet" in client.texts()

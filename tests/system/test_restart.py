@@ -9,9 +9,11 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mav
 from system_harness import free_port
 
+from autopilot.client.plan_client import same_on_the_wire
 from autopilot.client.session import Session
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.run.children import Child, autopilot_command
+from autopilot.run.plans_format import decode, plan_item
 from mission.paper import paper_plan
 
 
@@ -101,11 +103,20 @@ def test_a_killed_service_comes_up_with_what_it_had(tmp_path: Path) -> None:
     assert left - kept <= {"plans.json.new"}, "a write that the second kill broke off, and nothing of the first"
 
 
+def test_what_is_accepted_is_on_disk(tmp_path: Path) -> None:
+    path = tmp_path / "state" / "sitl-0" / "plans.json"
+    with vehicle(tmp_path) as now:
+        for laps in range(1, 8):
+            plan = paper_plan(laps=laps)
+            now.session.upload(PlanKind.MISSION, plan.mission)
+            stored = decode(path.read_bytes()).mission
+            assert same_on_the_wire(tuple(plan_item(item) for item in stored), plan.mission)
+
+
 def test_a_damaged_file_is_said_and_no_plan_is_shown(tmp_path: Path) -> None:
     with vehicle(tmp_path) as before:
         before.session.upload(PlanKind.FENCE, paper_plan().fence)
         path = tmp_path / "state" / "sitl-0" / "plans.json"
-        before.wait(lambda _: path.exists())
     path.write_bytes(path.read_bytes()[:-40])
     path.with_name("plans.json.previous").unlink(missing_ok=True)
     with vehicle(tmp_path) as after:
