@@ -14,6 +14,9 @@ from setuptools.command.build_ext import build_ext
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE / "autopilot" / "data" / "native"
 THRUSTERS = range(4, 9)
+ONCE = ("surroundings", "reference", "program")
+"""Sources that are the same for all vehicles and processors."""
+
 FLAGS = ["-O2", "-g0", "-std=c99", "-fno-math-errno", "-fno-trapping-math", "-fno-wrapv", "-fvisibility=hidden"]
 WIDE = """\
 #if defined(__clang__)
@@ -56,9 +59,11 @@ class BuildStep(build_ext):
         library = work / "library.c"
         wide = "#define WIDE\n" if any(kind == "wide" for _, kind in variants()) else ""
         library.write_text(f"{wide}#define VARIANTS {listed}\n#include <library.c>\n")
-        surroundings = work / "surroundings_once.c"
-        surroundings.write_text("#include <surroundings.c>\n")
-        ext.sources += [str(library), str(surroundings)]
+        ext.sources.append(str(library))
+        for name in ONCE:
+            once = work / f"{name}_once.c"
+            once.write_text(f"#include <{name}.c>\n")
+            ext.sources.append(str(once))
         super().build_extension(ext)
         tools = runpy.run_path(str(HERE / "autopilot" / "core" / "seal.py"))
         tools["seal"](Path(self.get_ext_fullpath(ext.name)), SOURCES)

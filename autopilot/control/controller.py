@@ -319,6 +319,9 @@ class MotionController:
         tracks: Sequence[ObstacleTrack],
     ) -> Fence:
         """The fence with the tracks that routes have to go round; takes note of those that move."""
+        if not tracks and self._obstructions.idle:
+            self._movers = None
+            return fence
         here = np.array(nav.pos_ned_m[:2], dtype=float)
         way = Way(
             speed_m_s=math.hypot(*nav.vel_frd_m_s[:2]),

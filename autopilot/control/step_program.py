@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from autopilot.control.bounds import SLOWEST_CAP_M_S, PlanRoom, ProgramBounds, left_n
 from autopilot.control.fence.obstacles import Movers
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid
@@ -20,13 +21,12 @@ from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.terminal import TerminalLimits
 from autopilot.control.robust.tightening import BackOffs
-from autopilot.control.robust.tube import LARGEST_THRUST_SHARE
-from autopilot.control.way.guidance import VELOCITY_WEIGHTS, Reference, Situation
+from autopilot.control.way.guidance import Reference, Situation, Weights
 from autopilot.control.way.planner import Planner
 from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus, UnsolvedProgram
-from autopilot.core.model4 import YAW, U, Z
+from autopilot.core.model4 import YAW, U
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 
@@ -58,9 +58,6 @@ CHANGE_STEP_S = 0.05
 
 PLAUSIBLE = 4.0
 """m/s, rad/s: no vehicle that this controller is for moves or turns faster."""
-
-SLOWEST_CAP_M_S = 0.05
-"""Margins do not lower the cap of the planar speed below this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -96,17 +93,21 @@ class StepProgram:
         self.nmpc = Nmpc(model, grid, backends=backends)
         self.margins = Margins(model, grid)
         self.regions = TerminalRegions(sharing, certificates)
-        self.tube_m: FloatArray = np.zeros(grid.n + 1)
+        self._bounds = bounds = ProgramBounds(grid, model.thrusters, radius_m)
+        self.tube_m = bounds.tube_m
         """(N+1,) distance that every node of the last plan keeps from boundaries beyond the body."""
         self._radius_m = radius_m
         self._plane_n = np.zeros((grid.n - 1, self.nmpc.planes, 2))
         self._plane_d = np.zeros((grid.n - 1, self.nmpc.planes))
-        self._limits = np.zeros((grid.n - 1, ocp.N_LIMITS))
+        self._path = self.nmpc.x[: grid.n, :2]
+        self._t_s = grid.t_s[: grid.n]
+        self._room = PlanRoom(self._path[1:], self._plane_n, self._plane_d)
+        self._weights = Weights(model.thrusters)
         self._currents = np.zeros((grid.n, 3))
         self._unsolved: list[tuple[SolveStatus, NmpcProblem, FloatArray, FloatArray]] = []
         self._speed_back_off_m_s = 0.0
         self._last_us = 0
-        self._cleared: tuple[Planner, FloatArray, float] | None = None
+        self._cleared: tuple[Planner, list[float], float] | None = None
 
     def reset(self) -> None:
         """Forget what the last steps left behind."""
@@ -129,41 +130,45 @@ class StepProgram:
 
         ``movers`` are the obstacles that move along the prediction.
         """
-        nmpc, n = self.nmpc, self.nmpc.grid.n
-        now.forecast.fill(now.nav, nmpc.x[:n, :3], nmpc.grid.t_s[:n], self._currents)
+        nmpc, bounds = self.nmpc, self._bounds
+        now.forecast.fill(now.nav, nmpc.x[: nmpc.grid.n, :3], self._t_s, self._currents)
         self.margins.look(now.nav, now.params)
         back_off = self.margins.back_offs(now.nav, nmpc.x, nmpc.u, now.params)
-        self._fill_limits(back_off, now)
+        bounds.fill(back_off, now, reference, nmpc.u, self._change_weight(start, now))
         self._speed_back_off_m_s = float(back_off.planar_speed_m_s[-1])
-        self.tube_m[1:-1] = back_off.clearance_m
-        self.tube_m[0], self.tube_m[-1] = back_off.clearance_m[0], back_off.clearance_m[-1]
         terminal = self._terminal(now, reference, back_off)
-        problem = NmpcProblem(
-            x0=now.x0,
-            x_ref=reference.x,
-            thrust_ref_n=reference.thrust_n,
-            current_ned_m_s=self._currents,
-            weight_x=reference.weight_x,
-            weight_u=reference.weight_u,
-            terminal=terminal,
-            limits=self._limits,
-            thrust_limit_n=_left(now.thrust_limit_n, back_off.thrust_n),
-            plane_n=self._plane_n,
-            plane_d_m=self._plane_d,
-        )
-        keep_m = self._radius_m + back_off.clearance_m
+
+        def problem(thrust_ref_n: FloatArray, weight_u: FloatArray) -> NmpcProblem:
+            return NmpcProblem(
+                x0=now.x0,
+                x_ref=reference.x,
+                thrust_ref_n=thrust_ref_n,
+                current_ned_m_s=self._currents,
+                weight_x=reference.weight_x,
+                weight_u=weight_u,
+                terminal=terminal,
+                limits=bounds.limits,
+                thrust_limit_n=bounds.thrust_n,
+                plane_n=self._plane_n,
+                plane_d_m=self._plane_d,
+            )
+
         states, thrusts = nmpc.x.copy(), nmpc.u.copy()
         self._unsolved.clear()
-        held = problem if start else self._held(problem, now)
-        found = self._iterate(start, held, now.planner, keep_m, movers)
+        free = reference.thrust_n, reference.weight_u
+        # In flight the program pays for what it changes of the last plan's thrust as well.
+        begun = problem(*free) if start else problem(bounds.held_ref_n, bounds.held_weight)
+        found = self._iterate(start, begun, now.planner, movers)
         # Around a guess that has run away no step is any good: once more from the reference, then from standing still.
         for again in (self.begin,) * (not start) + (self._stand,):
             if found.result.status is SolveStatus.OK and _plausible(nmpc.x):
                 break
             again(now, reference)
-            found = self._iterate(True, problem, now.planner, keep_m, movers, found.qps)
+            found = self._iterate(True, problem(*free), now.planner, movers, found.qps)
         if found.result.status is not SolveStatus.OK:
             nmpc.set_plan(states, thrusts)
+        if not self._unsolved:
+            return found
         return replace(found, unsolved=tuple(saved(now.t_us, nmpc, *one) for one in self._unsolved))
 
     def _stand(self, now: Situation, _: Reference) -> None:
@@ -177,14 +182,13 @@ class StepProgram:
         start: bool,
         problem: NmpcProblem,
         planner: Planner,
-        keep_m: FloatArray,
         movers: Movers | None,
         before: int = 0,
     ) -> Solution:
         """QPs around the plan, each with the half-planes of the one before, until the first thrust stands still.
         ``before``: QPs that have been solved in vain."""
-        nmpc, n = self.nmpc, self.nmpc.grid.n
-        path, t_s, share, last_n = nmpc.x[:n, :2], nmpc.grid.t_s[:n], 1.0, math.inf
+        nmpc, keep_m = self.nmpc, self._bounds.keep_m
+        path, t_s, share, last_n = self._path, self._t_s, 1.0, math.inf
         last, grown, may_grow = np.zeros(nmpc.model.thrusters), False, True
         good: tuple[FloatArray, FloatArray, NmpcResult, float] | None = None
         for qps in range(1, MOST_QPS + 1):
@@ -196,7 +200,7 @@ class StepProgram:
                 planes = {"plane_n": self._plane_n.copy(), "plane_d_m": self._plane_d.copy()}
                 self._unsolved.append((result.status, replace(problem, **planes), guess, thrust))
             change = nmpc.u[0] - thrust[0]
-            change_n = float(np.abs(change).max())
+            change_n = max(map(abs, change.tolist()))
             calm = change_n < CONVERGED_N or (qps == 1 and not start and change_n < RESTLESS_N)
             if result.status is not SolveStatus.OK and good is not None and not start:
                 # What the QP before has found is a plan; that it has not converged is no reason to give it up.
@@ -215,67 +219,47 @@ class StepProgram:
             last, last_n = change, change_n
         if result.status is SolveStatus.OK:
             # The half-planes certify the new plan, chords included; only where they do not it is looked at again.
-            room = self._plane_n[..., 0] * path[1:, :1] + self._plane_n[..., 1] * path[1:, 1:] - self._plane_d
-            margin = min(margin, float(room.min()))
+            margin = min(margin, self._room.least_m())
             if margin < 0.0:
                 margin = planner.features.margin_m(path, t_s, keep_m, movers)
         return Solution(result=result, margin_m=margin, qps=before + qps, anew=start)
 
-    def _held(self, problem: NmpcProblem, now: Situation) -> NmpcProblem:
-        """The program that pays for what it changes of the last plan's thrust as well."""
+    def _change_weight(self, start: bool, now: Situation) -> float:
+        """Weight on what is changed of the last plan's thrust."""
+        if start:
+            return 0.0
         elapsed_s, self._last_us = (now.t_us - self._last_us) * 1e-6, now.t_us
-        change = now.params["MPC_R_CHANGE"] * min(1.0, CHANGE_STEP_S / max(elapsed_s, 1e-3))
-        limit, weight = problem.thrust_limit_n, problem.weight_u
-        wanted = np.minimum(np.maximum(problem.thrust_ref_n, -limit), limit)
-        both: FloatArray = weight + change
-        return replace(problem, weight_u=both, thrust_ref_n=(weight * wanted + change * self.nmpc.u) / both)
-
-    def _fill_limits(self, back_off: BackOffs, now: Situation) -> None:
-        """Limits (N-1, 5) of the prediction."""
-        limits, params, fence, depth_m = self._limits, now.params, now.fence, float(now.x0[Z])
-        limits[:, 0] = np.maximum(params["SPD_PLANAR_MAX"] - back_off.planar_speed_m_s, SLOWEST_CAP_M_S)
-        limits[:, 1] = np.maximum(params["SPD_HEAVE_MAX"] - back_off.heave_m_s, 0.0)
-        limits[:, 2] = np.maximum(params["SPD_YAW_MAX"] - back_off.yaw_rate_rad_s, 0.0)
-        limits[:, 3] = np.minimum(depth_m, max(fence.depth_min_m, params["DEPTH_MIN"]) + back_off.depth_m)
-        limits[:, 4] = np.maximum(depth_m, min(fence.depth_max_m, params["DEPTH_MAX"]) - back_off.depth_m)
+        return now.params["MPC_R_CHANGE"] * min(1.0, CHANGE_STEP_S / max(elapsed_s, 1e-3))
 
     def _terminal(self, now: Situation, reference: Reference, back_off: BackOffs) -> FloatArray:
         """Terminal Hessian (8, 8): the goal's own where the reference ends there, else what guidance gives."""
-        goal, params = now.goal, now.params
-        q = params["MPC_Q_POS"]
-        place = goal.pos_ned_m[:2]
-        if self._cleared is None or self._cleared[0] is not now.planner or not (self._cleared[1] == place).all():
-            room = float(now.planner.features.clearance_m(place[None])[0])
-            self._cleared = (now.planner, place.copy(), room - self._radius_m - params["MPC_MARGIN"])
-        self.regions.follow(
-            goal,
-            float(reference.x[-1, YAW]),
-            now.nav.current_ned_m_s,
-            TerminalLimits(
-                thrust_n=_left(now.thrust_limit_n, back_off.thrust_n[-1]),
+        goal, params, regions = now.goal, now.params, self.regions
+        place = goal.pos_ned_m[:2].tolist()
+        if self._cleared is None or self._cleared[0] is not now.planner or self._cleared[1] != place:
+            room = float(now.planner.features.clearance_m(np.array([place]))[0])
+            self._cleared = (now.planner, place, room - self._radius_m - params["MPC_MARGIN"])
+        weights, free = self._weights.look(params), not int(params["MPC_COST"])
+
+        def limits() -> TerminalLimits:
+            return TerminalLimits(
+                thrust_n=left_n(now.thrust_limit_n, back_off.thrust_n[-1]),
                 planar_speed_m_s=params["SPD_PLANAR_MAX"] - float(back_off.planar_speed_m_s[-1]),
                 heave_m_s=params["SPD_HEAVE_MAX"] - float(back_off.heave_m_s[-1]),
                 yaw_rate_rad_s=params["SPD_YAW_MAX"] - float(back_off.yaw_rate_rad_s[-1]),
                 depth_min_m=max(now.fence.depth_min_m, params["DEPTH_MIN"]) + float(back_off.depth_m[-1]),
                 depth_max_m=min(now.fence.depth_max_m, params["DEPTH_MAX"]) - float(back_off.depth_m[-1]),
-                clearance_m=self._cleared[2],
+                clearance_m=clearance_m,
                 thrusters=self._thrusters,
-            ),
-            np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS]),
-            np.full(self.nmpc.model.thrusters, params["MPC_R_THRUST"]),
-            math.hypot(*(now.x0[:2] - place).tolist()),
-            sampled=not int(params["MPC_COST"]),
-        )
-        cost = None if int(params["MPC_COST"]) else self.regions.cost_at(reference.x[-1], goal)
+            )
+
+        clearance_m, end = self._cleared[2], reference.x[-1]
+        away_m = math.hypot(float(now.x0[0]) - place[0], float(now.x0[1]) - place[1])
+        asked = goal, float(end[YAW]), now.nav.current_ned_m_s, clearance_m, limits, weights.x, weights.u, away_m
+        regions.follow(*asked, sampled=free)
+        cost = regions.cost_at(end, goal) if free else None
         return reference.terminal if cost is None else cost
 
 
 def _plausible(x: FloatArray) -> bool:
     """Whether a plan (N+1, 8) moves as a vehicle can: a step of the iteration may run away with an unstable plant."""
     return float(np.abs(x[:, U:]).max()) < PLAUSIBLE
-
-
-def _left(limit_n: FloatArray, back_off_n: FloatArray) -> FloatArray:
-    """What the margins leave of thrust limits (n,)."""
-    left: FloatArray = limit_n - np.minimum(back_off_n, LARGEST_THRUST_SHARE * limit_n)
-    return left

@@ -58,6 +58,10 @@ def _load(path: Path) -> Any:
         library.workspace_bytes.restype = library.task_bytes.restype = whole
         library.workspace_bytes.argtypes = [whole, whole]
         library.control_step.restype = library.tube_back_offs.restype = None
+        library.program_bounds.restype, library.least_room.restype = None, ctypes.c_double
+        library.least_room.argtypes = [whole, whole, address, whole, address, address]
+        library.march.restype = library.steady_thrust.restype = whole
+        library.march.argtypes, library.steady_thrust.argtypes = [address] * 2, [address, whole, address, address]
         library.half_planes.restype = ctypes.c_double
         library.half_planes.argtypes = [address, whole, address, whole, address, address, whole, address, address]
         library.tube_back_offs.argtypes = [address, whole, whole, whole, address, address, address, address]

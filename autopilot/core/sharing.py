@@ -91,6 +91,7 @@ class Sharing:
         self._metric = _metric(self._allocation, self._watts)
         self._plain = self._of(self._all)
         self._square = model.thrusters == AXES and self._plain is not None
+        self._impossible = np.full((AXES, model.thrusters), np.nan)
 
     @classmethod
     def of(cls, vehicle: "ThrusterBearing") -> "Sharing":
@@ -110,6 +111,24 @@ class Sharing:
         for i in np.flatnonzero(beyond):
             thrust[i] = self._nearest(rows[i], limit_n)
         return thrust.reshape(*force.shape[:-1], len(limit_n))
+
+    @property
+    def square(self) -> bool:
+        """As many thrusters as axes: what exceeds a limit is cut, there is nobody to share it."""
+        return self._square
+
+    def linear(self, limit_n: FloatArray) -> FloatArray:
+        """(4, n) contiguous: forces times that is the thrust of thrusters whose limits (n,) are not reached; not
+        finite where those that are left do not make every force."""
+        inverse = self._plain if self._square else self._of(limit_n > 0.0)
+        return self._impossible if inverse is None else inverse
+
+    def hold_n(self, nu: FloatArray, limit_n: FloatArray) -> FloatArray:
+        """(m, n) thrust for velocities (m, 4) u, v, w, r: drag, buoyancy and Munk moment against T_A tau. Within
+        ``limit_n`` (n,): what it cannot hold it comes nearest to."""
+        force = np.empty_like(nu)
+        force.T[:] = steady_force(self.model, (nu[:, 0], nu[:, 1], nu[:, 2], nu[:, 3]), np)
+        return self.thrust_n(force, limit_n)
 
     def makes(self, force: FloatArray, limit_n: FloatArray) -> bool:
         """Whether thrusters that give up to ``limit_n`` (n,) make that force (4,)."""

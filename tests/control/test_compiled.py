@@ -236,6 +236,9 @@ def test_margins_of_the_tube_are_those_of_the_code_that_says_what_they_mean(thru
             nav, variance=np.abs(rng.normal(size=nav.variance.shape)) * 10.0 ** rng.uniform(-6, 0)
         )
         x = 0.4 * rng.normal(size=(13, 8))
-        ours, theirs = (each.back_offs(nav, x, np.zeros((12, thrusters)), params) for each in (tube, plain))
+        share = rng.uniform(0.2, 1.0)
+        ours, theirs = (each.back_offs(nav, x, np.zeros((12, thrusters)), params, share) for each in (tube, plain))
         for field in dataclasses.fields(ours):
             assert np.allclose(getattr(ours, field.name), getattr(theirs, field.name), rtol=1e-12, atol=1e-15)
+        at_rest = plain.back_offs(nav, np.zeros((13, 8)), np.zeros((12, thrusters)), params).planar_speed_m_s[-1]
+        assert tube.rest_speed_m_s(nav, params) == pytest.approx(at_rest, rel=1e-12)

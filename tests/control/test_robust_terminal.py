@@ -162,7 +162,7 @@ def test_regions_are_certified_beside_the_loop_and_told_to_the_log_once() -> Non
     still = np.zeros(3)
     steps = 0
     while regions.certificate is None:
-        regions.follow(B, math.pi, still, limits(), Q, R)
+        regions.follow(B, math.pi, still, 0.3225, limits, Q, R)
         assert regions.law is not None, "the law is there at once"
         steps += 1
         assert steps < 200
@@ -171,7 +171,7 @@ def test_regions_are_certified_beside_the_loop_and_told_to_the_log_once() -> Non
     news = regions.take_news()
     assert len(news) == 1 and news[0][0] is Severity.DEBUG and "Item 0: alpha" in news[0][1]
     for _ in range(2 * steps):
-        regions.follow(B, math.pi, np.array([0.07, 0.0, 0.0]), limits(), Q, R)
+        regions.follow(B, math.pi, np.array([0.07, 0.0, 0.0]), 0.3225, limits, Q, R)
     assert regions.take_news() == [], "another current, the same story"
     assert regions.law is not None and regions.law.nu[0] == pytest.approx(0.07)
     end = np.array([*B.pos_ned_m, math.pi, *regions.law.nu])
@@ -196,7 +196,7 @@ def test_the_controller_certifies_its_goal_while_it_flies(cost: float) -> None:
 def test_a_goal_without_a_region_is_something_to_mend() -> None:
     regions = TerminalRegions(SHARING, Desk())
     for _ in range(2 * ANSWER_STEPS):
-        regions.follow(B, math.pi, np.zeros(3), limits(clearance_m=-0.01), Q, R)
+        regions.follow(B, math.pi, np.zeros(3), -0.01, lambda: limits(clearance_m=-0.01), Q, R)
     told = [text for severity, text in regions.take_news() if severity <= Severity.INFO]
     assert told == ["Item 0: beyond the clearance limit, move it"]
 

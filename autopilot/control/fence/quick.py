@@ -49,6 +49,7 @@ class QuickFence:
             **addresses,
         )
         self._reference, self._call = ctypes.byref(self._struct), library.half_planes
+        self._seen: tuple[tuple[FloatArray | None, ...], tuple[int | None, ...]] = (None,) * 5, ()
 
     def margin_m(
         self,
@@ -63,6 +64,9 @@ class QuickFence:
         where this is not a common case: nothing is told then of what the arrays hold."""
         m = len(points_ned_m) - 1
         keep_m = np.full(m, radius_m) if isinstance(radius_m, float) else radius_m
+        seen, known = self._seen
+        if all(a is b for a, b in zip(seen, (points_ned_m, t_s, keep_m, normals, offsets), strict=True)):
+            return self._margin_m(m, known, slots)
         tight = points_ned_m.strides[1] == t_s.itemsize and t_s.flags.c_contiguous and keep_m.flags.c_contiguous
         if not tight or not points_ned_m.dtype == t_s.dtype == keep_m.dtype == np.float64:
             return None
@@ -72,7 +76,12 @@ class QuickFence:
             if not (normals.flags.c_contiguous and offsets.flags.c_contiguous):
                 return None
             out = normals.ctypes.data, offsets.ctypes.data
-        margin: float = self._call(
-            self._reference, m, points_ned_m.ctypes.data, stride, t_s.ctypes.data, keep_m.ctypes.data, slots, *out
-        )
+        # The optimiser's arrays are the same at every step; to ask for an address takes as long as the call.
+        known = (points_ned_m.ctypes.data, stride, t_s.ctypes.data, keep_m.ctypes.data, *out)
+        self._seen = (points_ned_m, t_s, keep_m, normals, offsets), known
+        return self._margin_m(m, known, slots)
+
+    def _margin_m(self, m: int, known: tuple[int | None, ...], slots: int) -> float | None:
+        points, stride, t_s, keep_m, *out = known
+        margin: float = self._call(self._reference, m, points, stride, t_s, keep_m, slots, *out)
         return None if math.isnan(margin) else margin

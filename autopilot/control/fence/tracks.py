@@ -125,6 +125,11 @@ class Obstructions:
         self._detour_until_us = -1
         self._in_the_way: tuple[Circle, ...] = ()
 
+    @property
+    def idle(self) -> bool:
+        """Nothing stands, blocks or has been waited for: a step without tracks leaves the fence as it is."""
+        return not self._standing and not self._in_the_way and self._waits_since_us is None
+
     def sort(self, t_us: int, fence: Fence, tracks: Sequence[ObstacleTrack], way: Way) -> tuple[Fence, Movers | None]:
         """The fence with everything that routes have to go round (the same object while that is the same), and the
         moving obstacles now."""

@@ -1,5 +1,7 @@
 """A thruster is not turned round for next to nothing: where its thrust goes through zero it rests for a while."""
 
+import math
+
 import numpy as np
 
 from autopilot.core.frames import FloatArray
@@ -13,16 +15,19 @@ class Reversals:
     """Which way every thruster turned last."""
 
     def __init__(self, limit_n: FloatArray) -> None:
-        self._least_n = LEAST_SHARE * limit_n
-        self._way = np.zeros(len(limit_n))
+        self._least_n: list[float] = (LEAST_SHARE * limit_n).tolist()
+        self._way = [0.0] * len(limit_n)
 
     def reset(self) -> None:
         """They stand still: either way is as good."""
-        self._way[:] = 0.0
+        self._way = [0.0] * len(self._way)
 
     def worth(self, thrust_n: FloatArray) -> FloatArray:
         """Thrust (n,) without what is not worth a reversal."""
-        rests = (thrust_n * self._way < 0.0) & (np.abs(thrust_n) < self._least_n)
-        result: FloatArray = np.where(rests, 0.0, thrust_n)
-        np.copyto(self._way, np.sign(result), where=result != 0.0)
-        return result
+        worth: list[float] = thrust_n.tolist()
+        for i, (thrust, least) in enumerate(zip(worth, self._least_n, strict=True)):
+            if thrust * self._way[i] < 0.0 and abs(thrust) < least:
+                worth[i] = 0.0
+            elif thrust != 0.0:
+                self._way[i] = math.copysign(1.0, thrust)
+        return np.array(worth)

@@ -49,10 +49,8 @@ class Margins:
         mode = Tighten(int(params["MPC_TIGHTEN"]))
         if mode is Tighten.TUBE:
             self._told = False
-            tube = self.tube.back_offs(nav, x, thrust_n, params)
             # The fixed margin stays: a vehicle that is faster through the water than it believes shows nothing of it.
-            least = np.minimum(tube.planar_speed_m_s, params["MPC_SPEED_MARGIN"])
-            return replace(tube, planar_speed_m_s=np.maximum(self.evidence.share * tube.planar_speed_m_s, least))
+            return self.tube.back_offs(nav, x, thrust_n, params, self.evidence.share)
         if mode is Tighten.LIPSCHITZ:
             if not self._told:
                 self._told = True
@@ -64,8 +62,8 @@ class Margins:
     def look(self, nav: NavState, params: ParamSet) -> None:
         """Once per control step, before :meth:`back_offs`: what the estimate says about keeping the planar speed."""
         if Tighten(int(params["MPC_TIGHTEN"])) is Tighten.TUBE:
-            tube = self.tube.back_offs(nav, self._rest, self._idle, params).planar_speed_m_s
-            self.evidence.look(nav, params["SPD_PLANAR_MAX"], float(tube[-1]), params["MPC_SPEED_MARGIN"])
+            tube_m_s = self.tube.rest_speed_m_s(nav, params)
+            self.evidence.look(nav, params["SPD_PLANAR_MAX"], tube_m_s, params["MPC_SPEED_MARGIN"])
         else:
             self.evidence.reset()
 

@@ -6,6 +6,7 @@ verified goes to the log; an operator hears of it only when there is no region a
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from autopilot.control.robust.terminal import (
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, Severity
-from autopilot.core.model4 import Model4
+from autopilot.core.model4 import YAW, Model4, U
 from autopilot.core.sharing import Sharing
 
 ANSWER_STEPS = 20
@@ -71,13 +72,14 @@ class TerminalRegions:
         """There is no goal."""
         self._withdraw()
         self._step = 0
-        self._key: tuple[float, ...] = ()
+        self._key: tuple[object, ...] = ()
         self._goal: Goal | None = None
         self._told = ""
         self._warned = ""
-        self._current = np.zeros(3)
+        self._current: list[float] = [0.0, 0.0, 0.0]
         self._cost: FloatArray | None = None
         self._news: list[tuple[Severity, str]] = []
+        self._nu: list[float] = []
         self.law: Terminal | None = None
         self.certificate: Certificate | None = None
         """Of the present goal, None while it is being made."""
@@ -92,7 +94,8 @@ class TerminalRegions:
         goal: Goal,
         yaw_rad: float,
         current_ned_m_s: FloatArray,
-        limits: TerminalLimits,
+        clearance_m: float,
+        limits: Callable[[], TerminalLimits],
         q: FloatArray,
         r: FloatArray,
         away_m: float = 0.0,
@@ -100,28 +103,23 @@ class TerminalRegions:
         sampled: bool = True,
     ) -> None:
         """One control step with this goal, ``away_m`` from it in the plane; ``yaw_rad`` is the heading in which the
-        vehicle will stay there. ``sampled``: that the cost falls in the region is looked at, too."""
+        vehicle will stay there. ``clearance_m``: that of ``limits``, which are asked for when there is something to
+        certify. ``sampled``: that the cost falls in the region is looked at, too."""
         self._step += 1
         if self.certificate is not None and self.certificate.alpha <= 0.0:
             self._warn(goal, self.certificate, away_m)
         yaw = goal.yaw_rad if goal.yaw_rad is not None else round(yaw_rad, 1)
-        key = (
-            *goal.pos_ned_m.tolist(),
-            yaw,
-            goal.accept_radius_m,
-            limits.clearance_m,
-            *q.tolist(),
-            *r.tolist(),
-            sampled,
-        )
-        moved = float(np.abs(current_ned_m_s - self._current).max()) > CURRENT_STEP_M_S
+        place, current = goal.pos_ned_m.tolist(), current_ned_m_s.tolist()
+        key = (place, yaw, goal.accept_radius_m, clearance_m, q.tobytes(), r.tobytes(), sampled)
+        moved = max(abs(now - then) for now, then in zip(current, self._current, strict=True)) > CURRENT_STEP_M_S
         if key != self._key or (moved and self._ticket is None):
-            self._key, self._goal, self._current = key, goal, current_ned_m_s.copy()
-            self.law = terminal_law(self._sharing, yaw, current_ned_m_s, q, r, limits.thrust_n)
-            self._cost = self.law.cost_ned()
+            self._key, self._goal, self._current = key, goal, current
+            told = limits()
+            self.law = terminal_law(self._sharing, yaw, current_ned_m_s, q, r, told.thrust_n)
+            self._cost, self._nu = self.law.cost_ned(), self.law.nu.tolist()
             self.certificate = None
             self._withdraw()
-            request = _Request(model=self._sharing.model, law=self.law, goal=goal, limits=limits, sampled=sampled)
+            request = _Request(model=self._sharing.model, law=self.law, goal=goal, limits=told, sampled=sampled)
             self._ticket = self._desk.submit(self._step + ANSWER_STEPS, _certified, request)
         answer = None if self._ticket is None else self._ticket.poll(self._step)
         if answer is None:
@@ -139,14 +137,12 @@ class TerminalRegions:
 
     def cost_at(self, x_end: FloatArray, goal: Goal) -> FloatArray | None:
         """(8, 8) terminal Hessian for a reference that ends in ``x_end`` (8,): that of the goal if it ends there."""
-        law, place = self.law, goal.pos_ned_m
-        if law is None or self._goal is None:
+        law, end = self.law, x_end.tolist()
+        if law is None or self._goal is None or math.dist(end[:3], goal.pos_ned_m.tolist()) >= AT_GOAL_M:
             return None
-        off = math.dist(x_end[:3].tolist(), place.tolist())
-        turn = math.remainder(float(x_end[3]) - law.yaw_rad, 2.0 * math.pi)
-        still = float(np.abs(x_end[4:] - law.nu).max())
-        at_goal = off < AT_GOAL_M and abs(turn) < AT_GOAL_RAD and still < CURRENT_STEP_M_S
-        return self._cost if at_goal else None
+        turn = math.remainder(end[YAW] - law.yaw_rad, 2.0 * math.pi)
+        still = max(abs(a - b) for a, b in zip(end[U:], self._nu, strict=True))
+        return self._cost if abs(turn) < AT_GOAL_RAD and still < CURRENT_STEP_M_S else None
 
     def _tell(self, goal: Goal, certificate: Certificate) -> None:
         """For the log; what an operator can do about it, for the operator."""

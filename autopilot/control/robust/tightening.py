@@ -45,27 +45,45 @@ class Tightening(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FixedValues:
+    """What is taken off at every node."""
+
+    clearance_m: float
+    planar_speed_m_s: float
+    heave_m_s: float
+    yaw_rate_rad_s: float
+
+
 class FixedMargins:
     """The same margins at every node: MPC_MARGIN, MPC_SPEED_MARGIN and shares of the other speeds."""
 
     def __init__(self, grid: TimeGrid, thrusters: int) -> None:
         self._n, self._thrusters = grid.n, thrusters
-        self._values: tuple[float, ...] = ()
+        self._values: FixedValues | None = None
         self._back_offs: BackOffs | None = None
+
+    def values(self, params: ParamSet) -> FixedValues:
+        """As the parameters are now."""
+        return FixedValues(
+            clearance_m=params["MPC_MARGIN"],
+            planar_speed_m_s=params["MPC_SPEED_MARGIN"],
+            heave_m_s=(1.0 - HEAVE_SHARE) * params["SPD_HEAVE_MAX"],
+            yaw_rate_rad_s=(1.0 - YAW_RATE_SHARE) * params["SPD_YAW_MAX"],
+        )
 
     def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
         """See :class:`Tightening`."""
-        names = ("MPC_MARGIN", "MPC_SPEED_MARGIN", "SPD_HEAVE_MAX", "SPD_YAW_MAX")
-        values = tuple(params[name] for name in names)
+        values = self.values(params)
         if self._back_offs is None or values != self._values:
             self._values = values
-            margin, speed, heave, yaw_rate = (np.full(self._n - 1, value) for value in values)
+            nodes = self._n - 1
             self._back_offs = BackOffs(
-                clearance_m=margin,
-                depth_m=np.zeros(self._n - 1),
-                planar_speed_m_s=speed,
-                heave_m_s=(1.0 - HEAVE_SHARE) * heave,
-                yaw_rate_rad_s=(1.0 - YAW_RATE_SHARE) * yaw_rate,
+                clearance_m=np.full(nodes, values.clearance_m),
+                depth_m=np.zeros(nodes),
+                planar_speed_m_s=np.full(nodes, values.planar_speed_m_s),
+                heave_m_s=np.full(nodes, values.heave_m_s),
+                yaw_rate_rad_s=np.full(nodes, values.yaw_rate_rad_s),
                 thrust_n=np.zeros((self._n, self._thrusters)),
             )
         return self._back_offs

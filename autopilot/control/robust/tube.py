@@ -10,6 +10,8 @@ estimate comes on top at all nodes: feedback follows the estimate, so that its e
 Back-offs are frozen for one QP, as the real-time iteration is one QP.
 """
 
+import math
+
 import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
@@ -50,8 +52,10 @@ GROWTH_STEP_S = 0.05
 GROUPS = 3
 """Force, moment, current error: their variances come at run time."""
 
-GIVEN = 26
+GIVEN = 28
 """Numbers that the compiled library is told: see its enum."""
+
+SPEED_SHARE = ESTIMATE_SPEED_SIGMAS / BAND_SIGMAS
 
 STATES_OUT = 10
 """xx, xy, yy, zz, yaw, uu, uv, vv, ww, rr; the thrusts follow."""
@@ -126,20 +130,56 @@ class TubeMargins:
     def __init__(self, model: Model4, grid: TimeGrid, ancillary: Ancillary, fixed: FixedMargins) -> None:
         self.table = TubeTable(model, grid, ancillary)
         self._fixed = fixed
+        self._speeds, nodes, width, _ = self.table.variance.shape
+        self._n, self._thrusters = nodes - 1, width - STATES_OUT
         library = compiled.library()
         self._quick = None if library is None else library.tube_back_offs
-        self._given, (self._speeds, nodes, width, _) = np.zeros(GIVEN), self.table.variance.shape
-        self._n, self._thrusters = nodes - 1, width - STATES_OUT
+        self._given, self._states = np.zeros(GIVEN), np.zeros((5, self._n - 1))
+        self._thrust = np.zeros((self._n, self._thrusters))
+        self._given[18:26] = (
+            *(DISC_SIGMAS, BAND_SIGMAS, BAND_SIGMAS, BAND_SIGMAS, BAND_SIGMAS),
+            *(self.table.first_m_s, self.table.step_m_s, BAND_SIGMAS),
+        )
+        arrays = self._given, self._states, self._thrust
+        self._addresses = tuple(array.ctypes.data for array in (self.table.variance, *arrays))
+        self._plan: FloatArray | None = None
+        self._plan_address = 0
+        self._nav: NavState | None = None
+        self._spread = EstimateSpread(
+            position_m2=0.0, depth_m2=0.0, yaw_rad2=0.0, planar_m2_s2=0.0, heave_m2_s2=0.0, current_m2_s2=0.0
+        )
+        self._told: tuple[ParamSet, int] | None = None
+        self._bound = DisturbanceBound(force_n=0.0, moment_n_m=0.0, current_m_s=0.0)
+        at_rest = [self.table.along(np.zeros(nodes), unit)[-2, 5:8] for unit in np.eye(GROUPS)]
+        self._rest = np.stack(at_rest, axis=1).tolist()
 
-    def back_offs(self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet) -> BackOffs:
-        """See :class:`autopilot.control.robust.tightening.Tightening`."""
-        spread = EstimateSpread.of(nav)
+    def rest_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
+        """Back-off of the planar speed at the last node but one of a vehicle that stays at rest."""
+        self._look(nav, params)
+        mix = channel_variances(self._bound, self._spread).tolist()
+        rows = [sum(a * b for a, b in zip(row, mix, strict=True)) for row in self._rest]
+        half = 0.5 * (rows[0] - rows[2])
+        size = 0.5 * (rows[0] + rows[2]) + math.sqrt(half * half + rows[1] * rows[1])
+        wanted = BAND_SIGMAS * math.sqrt(size + SPEED_SHARE**2 * self._spread.planar_m2_s2)
+        return max(min(wanted, LARGEST_SHARE * params["SPD_PLANAR_MAX"]), params["MPC_SPEED_MARGIN"])
+
+    def back_offs(
+        self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet, speed_share: float = 1.0
+    ) -> BackOffs:
+        """See :class:`autopilot.control.robust.tightening.Tightening`. ``speed_share``: of the planar speed's, as far
+        as the fixed margin leaves room for it."""
+        self._look(nav, params)
         if self._quick is not None and x.flags.c_contiguous and x.dtype == np.float64:
-            return self._quickly(spread, x, self._fixed.back_offs(nav, x, thrust_n, params), params)
-        rows = self.table.along(x[:, U], channel_variances(DisturbanceBound.of(params), spread))
+            return self._quickly(x, params, speed_share)
+        spread = self._spread
+        rows = self.table.along(x[:, U], channel_variances(self._bound, spread))
         inner, fixed = rows[1:-1], self._fixed.back_offs(nav, x, thrust_n, params)
-        speed_sigmas = ESTIMATE_SPEED_SIGMAS / BAND_SIGMAS
         band = max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
+        planar = _between(
+            BAND_SIGMAS * np.sqrt(largest(inner, 5) + SPEED_SHARE**2 * spread.planar_m2_s2),
+            fixed.planar_speed_m_s,
+            LARGEST_SHARE * params["SPD_PLANAR_MAX"],
+        )
         return BackOffs(
             clearance_m=_between(
                 DISC_SIGMAS * np.sqrt(largest(inner, 0) + spread.position_m2), fixed.clearance_m, LARGEST_CLEARANCE_M
@@ -149,13 +189,9 @@ class TubeMargins:
                 fixed.depth_m,
                 0.5 * LARGEST_SHARE * band,
             ),
-            planar_speed_m_s=_between(
-                BAND_SIGMAS * np.sqrt(largest(inner, 5) + speed_sigmas**2 * spread.planar_m2_s2),
-                fixed.planar_speed_m_s,
-                LARGEST_SHARE * params["SPD_PLANAR_MAX"],
-            ),
+            planar_speed_m_s=np.maximum(speed_share * planar, np.minimum(planar, params["MPC_SPEED_MARGIN"])),
             heave_m_s=_between(
-                BAND_SIGMAS * np.sqrt(inner[:, 8] + speed_sigmas**2 * spread.heave_m2_s2),
+                BAND_SIGMAS * np.sqrt(inner[:, 8] + SPEED_SHARE**2 * spread.heave_m2_s2),
                 fixed.heave_m_s,
                 LARGEST_SHARE * params["SPD_HEAVE_MAX"],
             ),
@@ -165,32 +201,42 @@ class TubeMargins:
             thrust_n=BAND_SIGMAS * np.sqrt(rows[:-1, STATES_OUT:]),
         )
 
-    def _quickly(self, spread: EstimateSpread, x: FloatArray, fixed: BackOffs, params: ParamSet) -> BackOffs:
-        """The same by the compiled library (``data/native/surroundings.c``)."""
-        share, band = (ESTIMATE_SPEED_SIGMAS / BAND_SIGMAS) ** 2, max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
-        self._given[:] = (
-            *channel_variances(DisturbanceBound.of(params), spread).tolist(),
-            *(spread.position_m2, spread.depth_m2, share * spread.planar_m2_s2, share * spread.heave_m2_s2, 0.0),
-            *(float(fixed.clearance_m[0]), float(fixed.depth_m[0]), float(fixed.planar_speed_m_s[0])),
-            *(float(fixed.heave_m_s[0]), float(fixed.yaw_rate_rad_s[0])),
+    def _look(self, nav: NavState, params: ParamSet) -> None:
+        """Take note of the spread of this estimate, and of parameters that have changed."""
+        if nav is not self._nav:
+            self._nav, self._spread = nav, EstimateSpread.of(nav)
+        told = params, params.revision
+        if told == self._told:
+            return
+        self._told, self._bound = told, DisturbanceBound.of(params)
+        fixed = self._fixed.values(params)
+        band = max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
+        self._given[8:18] = (
+            *(fixed.clearance_m, 0.0, fixed.planar_speed_m_s, fixed.heave_m_s, fixed.yaw_rate_rad_s),
             *(LARGEST_CLEARANCE_M, 0.5 * LARGEST_SHARE * band, LARGEST_SHARE * params["SPD_PLANAR_MAX"]),
             *(LARGEST_SHARE * params["SPD_HEAVE_MAX"], LARGEST_SHARE * params["SPD_YAW_MAX"]),
-            *(DISC_SIGMAS, BAND_SIGMAS, BAND_SIGMAS, BAND_SIGMAS, BAND_SIGMAS),
-            *(self.table.first_m_s, self.table.step_m_s, BAND_SIGMAS),
         )
-        states, thrust = np.empty((5, self._n - 1)), np.empty((self._n, self._thrusters))
-        sizes = self._speeds, self._n, self._thrusters
-        arrays = (self._given, x, states, thrust)
+        self._given[27] = params["MPC_SPEED_MARGIN"]
+
+    def _quickly(self, x: FloatArray, params: ParamSet, speed_share: float) -> BackOffs:
+        """The same by the compiled library (``data/native/surroundings.c``)."""
+        given, spread, share = self._given, self._spread, SPEED_SHARE**2
+        given[:3] = channel_variances(self._bound, spread)
+        given[3:7] = (spread.position_m2, spread.depth_m2, share * spread.planar_m2_s2, share * spread.heave_m2_s2)
+        given[26] = speed_share
+        if x is not self._plan:
+            self._plan, self._plan_address = x, x.ctypes.data
+        table, told, states, thrust = self._addresses
         assert self._quick is not None
-        self._quick(self.table.variance.ctypes.data, *sizes, *(array.ctypes.data for array in arrays))
-        clearance, depth, planar, heave, yaw_rate = states
+        self._quick(table, self._speeds, self._n, self._thrusters, told, self._plan_address, states, thrust)
+        clearance, depth, planar, heave, yaw_rate = self._states.copy()
         return BackOffs(
             clearance_m=clearance,
             depth_m=depth,
             planar_speed_m_s=planar,
             heave_m_s=heave,
             yaw_rate_rad_s=yaw_rate,
-            thrust_n=thrust,
+            thrust_n=self._thrust.copy(),
         )
 
 

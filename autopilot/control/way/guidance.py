@@ -5,6 +5,7 @@ cost), the energy guidance follows a trajectory of least energy (:mod:`autopilot
 """
 
 import cmath
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,13 +16,14 @@ from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.control.way.desks import Mishaps
 from autopilot.control.way.planner import Planner
+from autopilot.control.way.quick import QuickMarch
 from autopilot.control.way.reference import TURN_AHEAD_M, Route, Target, build_reference, turn_target
-from autopilot.core import model4
+from autopilot.core import compiled
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import EnergyPlan, Goal, NavState, Severity
-from autopilot.core.model4 import YAW, R, U
+from autopilot.core.model4 import NX, YAW, R, U
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 
@@ -109,6 +111,34 @@ class Guidance(Protocol):
         ...
 
 
+class Weights:
+    """Weights of the running cost as the parameters give them; made anew when those change."""
+
+    def __init__(self, thrusters: int) -> None:
+        self._thrusters = thrusters
+        self._of: tuple[ParamSet, int] | None = None
+        self._r = math.nan
+        self.x: FloatArray = np.zeros(NX)
+        """(8,)"""
+        self.u: FloatArray = np.zeros(thrusters)
+        """(n,)"""
+        self.terminal: FloatArray = np.zeros((NX, NX))
+        """(8, 8) TERMINAL_STAGES of those of the states."""
+
+    def look(self, params: ParamSet, r: float | None = None) -> "Weights":
+        """As they are now; ``r``: weight on the thrust, None = the parameter's."""
+        of, r = (params, params.revision), params["MPC_R_THRUST"] if r is None else r
+        if of != self._of:
+            self._of, q = of, params["MPC_Q_POS"]
+            self.x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
+            self.terminal = np.diag(TERMINAL_STAGES * self.x)
+            self.x.setflags(write=False)
+        if r != self._r:
+            self._r, self.u = r, np.full(self._thrusters, r)
+            self.u.setflags(write=False)
+        return self
+
+
 class SteadyThrust:
     """Thrust that holds velocities through the water."""
 
@@ -118,9 +148,7 @@ class SteadyThrust:
     def __call__(self, nu: FloatArray, limit_n: FloatArray) -> FloatArray:
         """(m, n) thrust for velocities (m, 4) u, v, w, r: drag, buoyancy and Munk moment against T_A tau. Within
         ``limit_n`` (n,): what it cannot hold it comes nearest to."""
-        force = np.empty_like(nu)
-        force.T[:] = model4.steady_force(self._sharing.model, (nu[:, 0], nu[:, 1], nu[:, 2], nu[:, 3]), np)
-        return self._sharing.thrust_n(force, limit_n)
+        return self._sharing.hold_n(nu, limit_n)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -150,6 +178,9 @@ class RouteGuidance:
     def __init__(self, sharing: Sharing, grid: TimeGrid, desk: Desk) -> None:
         self._t_s = grid.t_s
         self._steady = SteadyThrust(sharing)
+        self._weights = Weights(sharing.model.thrusters)
+        library = compiled.library()
+        self._quick = None if library is None else QuickMarch(library, sharing, grid.t_s)
         self._desk = desk
         self._ticket: Ticket[FloatArray | None] | None = None
         self._mishaps = Mishaps("route search", "Route search failed: holding, send another goal")
@@ -179,17 +210,10 @@ class RouteGuidance:
     def reference(self, situation: Situation) -> Reference:
         """See :class:`Guidance`."""
         fresh, route = self._update(situation)
-        x = self._march(situation, route)
-        params = situation.params
-        q = params["MPC_Q_POS"]
-        weight_x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
+        x, thrust = self._march(situation, route)
+        weights = self._weights.look(situation.params)
         return Reference(
-            x=x,
-            thrust_n=self._steady(x[:-1, U : R + 1], situation.thrust_limit_n),
-            weight_x=weight_x,
-            weight_u=np.full(len(situation.thrust_limit_n), params["MPC_R_THRUST"]),
-            terminal=np.diag(TERMINAL_STAGES * weight_x),
-            fresh=fresh,
+            x=x, thrust_n=thrust, weight_x=weights.x, weight_u=weights.u, terminal=weights.terminal, fresh=fresh
         )
 
     @property
@@ -301,8 +325,8 @@ class RouteGuidance:
             self._ticket.cancel()
         self._ticket = None
 
-    def _march(self, now: Situation, route: Route) -> FloatArray:
-        """References (N+1, 8) along the route; chooses the way round to the heading."""
+    def _march(self, now: Situation, route: Route) -> tuple[FloatArray, FloatArray]:
+        """References (N+1, 8) along the route and their thrust (N, n); chooses the way round to the heading."""
         hold, goal, x0, params = self._hold, now.goal, now.x0, now.params
         if hold is not None:
             self._yaw_target = float(hold[YAW])
@@ -324,4 +348,8 @@ class RouteGuidance:
             heave_limit_m_s=params["SPD_HEAVE_MAX"],
             yaw_rate_limit_rad_s=params["SPD_YAW_MAX"],
         )
-        return build_reference(self._t_s, x0, target, now.nav.current_ned_m_s)
+        current, limit_n = now.nav.current_ned_m_s, now.thrust_limit_n
+        if self._quick is not None:
+            return self._quick(x0, target, current, limit_n)
+        x = build_reference(self._t_s, x0, target, current)
+        return x, self._steady(x[:-1, U : R + 1], limit_n)

@@ -63,6 +63,10 @@ class Route:
         legs = (z[:-1].tolist(), self._tangent.tolist(), self._s[:-1].tolist(), length.tolist())
         self._legs: list[tuple[complex, complex, float, float]] = list(zip(*legs, strict=True))
 
+    def arrays(self) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+        """Corners (m + 1,), unit tangents (m,) of the legs, arc lengths (m + 1,) of the corners, contiguous."""
+        return self._corner, self._tangent, self._s
+
     def project(self, point: FloatArray, s_hint: float, window_m: float = 0.5) -> tuple[float, float]:
         """Arc length of the nearest point within a window round ``s_hint``, and the distance to it."""
         p = complex(point[0], point[1])

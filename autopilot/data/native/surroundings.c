@@ -160,7 +160,7 @@ EXPORT double half_planes(const Boundaries *b, long m, const double *points, lon
 
 /* As autopilot/control/robust/tube.py: what the numbers of `Tube.given` mean. */
 enum { CLEARANCE, DEPTH, PLANAR, HEAVE, YAW_RATE, KINDS };
-enum { MIX = 0, ADDED = 3, LEAST = ADDED + KINDS, MOST = LEAST + KINDS, SIGMAS = MOST + KINDS, FIRST = SIGMAS + KINDS, STEP, BAND };
+enum { MIX = 0, ADDED = 3, LEAST = ADDED + KINDS, MOST = LEAST + KINDS, SIGMAS = MOST + KINDS, FIRST = SIGMAS + KINDS, STEP, BAND, SHARE, SPEED };
 enum { GROUPS = 3, STATES_OUT = 10, STATE = 8, SURGE = 4 };
 
 static double largest(const double *v) {
@@ -197,5 +197,7 @@ EXPORT void tube_back_offs(const double *table, long speeds, long n, long thrust
             const double wanted = given[SIGMAS + kind] * sqrt(variance[kind] + given[ADDED + kind]);
             states[(n - 1) * kind + k - 1] = fmax(fmin(wanted, given[MOST + kind]), given[LEAST + kind]);
         }
+        double *planar = states + (n - 1) * PLANAR + k - 1; /* evidence leaves a share of it, beyond the fixed margin */
+        *planar = fmax(given[SHARE] * *planar, fmin(*planar, given[SPEED]));
     }
 }

@@ -1,0 +1,59 @@
+/* What the program of a step is told beside its reference and half-planes: limits, bounds, what holds the last plan.
+ *
+ * The same numbers as autopilot/control/bounds.py, which says what they mean and is used without this library;
+ * tests/control/test_compiled_program.py holds them against each other.
+ */
+#include <math.h>
+
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+enum { CLEARANCE, DEPTH, PLANAR, HEAVE, YAW_RATE, KINDS };
+
+typedef struct {
+    long n, thrusters;
+    double radius_m, planar_m_s, heave_m_s, yaw_rate_rad_s, depth_min_m, depth_max_m, depth_m, slowest_m_s;
+    double largest_thrust_share, change;
+    const double *back_off, *thrust_back_off, *limit_n;  /* (KINDS, n - 1), (n, thrusters), (thrusters) */
+    const double *thrust_ref, *thrust, *weight;          /* (n, thrusters), (n, thrusters), (thrusters) */
+    double *limits, *left, *keep_m, *tube_m, *held, *held_weight; /* (n - 1, KINDS), (n, thrusters), (n - 1), (n + 1) */
+} Program;
+
+EXPORT void program_bounds(const Program *a) {
+    const long inner = a->n - 1;
+    for (long k = 0; k < inner; k++) {
+        const double *off = a->back_off + k;
+        double *limit = a->limits + KINDS * k;
+        limit[0] = fmax(a->planar_m_s - off[PLANAR * inner], a->slowest_m_s);
+        limit[1] = fmax(a->heave_m_s - off[HEAVE * inner], 0.0);
+        limit[2] = fmax(a->yaw_rate_rad_s - off[YAW_RATE * inner], 0.0);
+        limit[3] = fmin(a->depth_m, a->depth_min_m + off[DEPTH * inner]);
+        limit[4] = fmax(a->depth_m, a->depth_max_m - off[DEPTH * inner]);
+        a->keep_m[k] = a->radius_m + off[CLEARANCE * inner];
+        a->tube_m[k + 1] = off[CLEARANCE * inner];
+    }
+    a->tube_m[0] = a->tube_m[1];
+    a->tube_m[a->n] = a->tube_m[inner];
+    for (long v = 0; v < a->thrusters; v++) a->held_weight[v] = a->weight[v] + a->change;
+    for (long k = 0; k < a->n; k++)
+        for (long v = 0; v < a->thrusters; v++) {
+            const long i = a->thrusters * k + v;
+            const double limit = a->limit_n[v];
+            const double left = limit - fmin(a->thrust_back_off[i], a->largest_thrust_share * limit);
+            const double wanted = fmin(fmax(a->thrust_ref[i], -left), left);
+            a->left[i] = left;
+            a->held[i] = (a->weight[v] * wanted + a->change * a->thrust[i]) / a->held_weight[v];
+        }
+}
+
+/* Smallest distance by which points (m, 2), `stride` doubles apart, meet their half-planes (m, slots). */
+EXPORT double least_room(long m, long slots, const double *points, long stride, const double *normals, const double *offsets) {
+    double least = INFINITY;
+    for (long k = 0; k < m; k++)
+        for (long i = k * slots; i < (k + 1) * slots; i++)
+            least = fmin(least, normals[2 * i] * points[stride * k] + normals[2 * i + 1] * points[stride * k + 1] - offsets[i]);
+    return least;
+}
