@@ -43,7 +43,7 @@ from autopilot.core.messages import (
     Severity,
     SolveStatus,
 )
-from autopilot.core.model4 import NX, YAW, U
+from autopilot.core.model4 import YAW, U
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 from autopilot.core.samples import ObstacleTrack
@@ -195,7 +195,7 @@ class MotionController:
         self._follow_lag(t_us)
         nav = self._forecast.view(nav)
         x, current = self._state(nav), nav.current_ned_m_s
-        if nav.health is NavHealth.INVALID or not math.isfinite(float(x.sum() + current.sum())) or delay_s is None:
+        if nav.health is NavHealth.INVALID or not _finite(x, current) or delay_s is None:
             return self._neutral(t_us, nav, began)
         if delay_s:
             goal = replace(goal, speed_m_s=min(goal.speed_m_s, BLIND_WAY_M / delay_s))
@@ -245,7 +245,7 @@ class MotionController:
                 cost=result.cost if math.isfinite(result.cost) else 0.0,
                 slack_max=result.slack_max if math.isfinite(result.slack_max) else 0.0,
                 margin_m=found.margin_m,
-                tube_m=float(self._program.tube_m.max()),
+                tube_m=max(self._program.tube_m.tolist()),
                 penalty_use=result.penalty_use if math.isfinite(result.penalty_use) else 0.0,
             ),
             horizon_ned_m=self.nmpc.x[:, :3].copy(),
@@ -266,7 +266,7 @@ class MotionController:
             return None
         nav = self._forecast.view(nav)
         x, current = self._state(nav), nav.current_ned_m_s
-        if not math.isfinite(float(x.sum() + current.sum())):
+        if not _finite(x, current):
             return None
         thrust = self._inner.thrust(t_us, self._lag.ahead(x, current), current, self._limit_n)
         self._command = self._reversals.worth(thrust)
@@ -285,8 +285,9 @@ class MotionController:
     def take_news(self) -> list[tuple[Severity, str]]:
         """Severity and text of what the operator should know since the last call."""
         first, self._solver_news = self._solver_news, []
-        parts = (self.margins, self.regions, self._penalty, self._fallbacks, self._guidance)
-        return first + [news for part in parts for news in part.take_news()]
+        for part in (self.margins, self.regions, self._penalty, self._fallbacks, self._guidance):
+            first += part.take_news()
+        return first
 
     @property
     def solver(self) -> str:
@@ -302,12 +303,8 @@ class MotionController:
     def _state(self, nav: NavState) -> FloatArray:
         yaw = float(nav.rpy_rad[2])
         self._yaw_rad = yaw if self._yaw_rad is None else unwrap_near(yaw, self._yaw_rad)
-        x = np.empty(NX)
-        x[:3] = nav.pos_ned_m
-        x[YAW] = self._yaw_rad
-        x[4:7] = nav.vel_water_frd_m_s
-        x[7] = nav.rate_frd_rad_s[2]
-        return x
+        water = nav.vel_water_frd_m_s.tolist()
+        return np.array([*nav.pos_ned_m.tolist(), self._yaw_rad, *water, nav.rate_frd_rad_s.item(2)])
 
     def _go_round(
         self,
@@ -420,6 +417,11 @@ class MotionController:
             horizon_ned_m=here.copy(),
             route_ned_m=here[:, :2].copy(),
         )
+
+
+def _finite(x: FloatArray, current: FloatArray) -> bool:
+    """Whether state and current are numbers."""
+    return math.isfinite(sum(x.tolist()) + sum(current.tolist()))
 
 
 def of_context(context: ControllerContext) -> Controller:

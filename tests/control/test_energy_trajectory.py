@@ -131,7 +131,7 @@ def test_a_track_runs_on_into_the_next_one() -> None:
     assert np.allclose(thrust[-1], second.thrust_n[k], atol=1e-6)
     track.locate(first.x[-1], float(first.t_s[-1]))
     at, current = np.linspace(0.0, 3.0, 61), np.array([0.1, 0.0, 0.0])
-    assert track.missing == 0.0 and np.allclose(track.sample(at, current, then)[0][1:, :2], then._states(at[1:])[:, :2])
+    assert track.missing == 0.0 and np.allclose(track.sample(at, current, then)[0][1:, :2], then._at(at[1:])[:, :2])
     # Who is at the end and not in the region is brought to the goal's centre, not all at once.
     samples = []
     while track.missing < 1.0:

@@ -22,7 +22,7 @@ from autopilot.control.energy.track import Track, joined
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.way.desks import Mishaps
-from autopilot.control.way.guidance import VELOCITY_WEIGHTS, Reference, RouteGuidance, Situation, SteadyThrust
+from autopilot.control.way.guidance import Reference, RouteGuidance, Situation, SteadyThrust, Weights
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import EnergyPlan, Goal, Severity
@@ -106,6 +106,10 @@ class EnergyGuidance:
     ) -> None:
         """``route`` flies what ``planner`` has no plan for."""
         self._t_s = grid.t_s
+        self._last_s, self._stages = float(grid.t_s[-2]), np.diff(grid.t_s)[1:] / REFERENCE_DT_S
+        self._reach_s = float(2.0 * grid.t_s[-1] - grid.t_s[-2])
+        """Time from which on the end of a trajectory is out of sight: see _shares."""
+        self._weights = Weights(sharing.model.thrusters)
         self._steady = SteadyThrust(sharing)
         self._desk, self._route = desk, route
         # Not a method: work that is under way must not keep whoever asked for it, who keeps the work.
@@ -173,43 +177,43 @@ class EnergyGuidance:
     def _along(self, track: Track, now: Situation, fresh: bool) -> Reference:
         """The reference along a trajectory, and on into the next one."""
         current, params = now.nav.current_ned_m_s, now.params
-        weight_u = params["MPC_R_THRUST"]
-        if track.rest_s > 0.0:
+        weight_u, rest_s = params["MPC_R_THRUST"], track.rest_s
+        if rest_s > 0.0:
             weight_u = max(weight_u, FOLLOWING_THRUST_WEIGHT)
         then = self._next
         x, thrust = track.sample(self._t_s, current, then)
         rest = 1.0 if then is None else track.missing
-        if rest > 0.0:
-            after = self._t_s[:-1] >= track.rest_s
+        if rest > 0.0 and self._last_s >= rest_s:
+            after = self._t_s[:-1] >= rest_s
             steady = self._steady(x[:-1][after][:, U : R + 1], now.thrust_limit_n)
             thrust[after] += rest * (steady - thrust[after])
-        q = params["MPC_Q_POS"]
-        weight_x = np.array([q, q, params["MPC_Q_Z"], params["MPC_Q_YAW"], *VELOCITY_WEIGHTS])
-        nodes, terminal = self._weights(weight_x, track)
+        weights = self._weights.look(params, weight_u)
+        nodes, terminal = weights.x, weights.terminal
+        # The end of a trajectory weighs where the prediction reaches it.
+        if track.complete and 0.0 < rest_s < self._reach_s:
+            nodes, last = self._end_weights(weights.x, track)
+            terminal = np.diag(last)
         return Reference(
             x=x,
             thrust_n=thrust,
             weight_x=nodes,
-            weight_u=np.full(len(now.thrust_limit_n), weight_u),
-            terminal=np.diag(terminal),
+            weight_u=weights.u,
+            terminal=terminal,
             fresh=fresh,
             plan=self._take_news(),
         )
 
-    def _weights(self, weight_x: FloatArray, track: Track) -> tuple[FloatArray, FloatArray]:
+    def _end_weights(self, weight_x: FloatArray, track: Track) -> tuple[FloatArray, FloatArray]:
         """(N-1, 8) and (8,) weights of the nodes and of the last one: more for the end of a trajectory that enters its
         goal's region, shared by the nodes before and after it, so that nothing jumps as it comes nearer."""
+        share, end = self._shares(track.rest_s), END_STAGES * weight_x[:U]
+        if track.goal.yaw_rad is not None:
+            # Headings count by how much of the room that is left to them they use up, as places do.
+            room = (1.0 - RADIUS_SHARE) * track.goal.accept_radius_m, (1.0 - YAW_SHARE) * track.goal.accept_yaw_rad
+            end[YAW] = max(end[YAW], end[0] * min(room[0] / max(room[1], 1e-3), 1.0) ** 2)
         nodes, terminal = np.tile(weight_x, (len(self._t_s) - 2, 1)), TERMINAL_STAGES * weight_x
-        if track.complete and track.rest_s > 0.0:
-            share = self._shares(track.rest_s)
-            stages = np.diff(self._t_s)[1:] / REFERENCE_DT_S
-            end = END_STAGES * weight_x[:U]
-            if track.goal.yaw_rad is not None:
-                # Headings count by how much of the room that is left to them they use up, as places do.
-                room = (1.0 - RADIUS_SHARE) * track.goal.accept_radius_m, (1.0 - YAW_SHARE) * track.goal.accept_yaw_rad
-                end[YAW] = max(end[YAW], end[0] * min(room[0] / max(room[1], 1e-3), 1.0) ** 2)
-            nodes[:, :U] += (share[1:-1] / stages)[:, None] * end
-            terminal[:U] += float(share[-1]) * end
+        nodes[:, :U] += (share[1:-1] / self._stages)[:, None] * end
+        terminal[:U] += float(share[-1]) * end
         return nodes, terminal
 
     def _shares(self, at_s: float) -> FloatArray:

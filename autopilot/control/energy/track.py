@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.control.energy.trajectory import Trajectory
+from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, unwrap_near
 from autopilot.core.messages import Goal
-from autopilot.core.model4 import YAW, R, U, V, W, X, Z
+from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Z
 
 YAW_LEVER_M = 0.3
 """A radian of heading counts as so many metres when the nearest point of the trajectory is looked for."""
@@ -24,6 +25,9 @@ SEARCH_POINTS = 41
 ARRIVING_S, MISSING_S = 0.1, 0.2
 """By the clock, which goes at its slowest there: after so long behind the end the reference begins to go over to the
 goal's centre, and takes so long for it (0.3 and 0.7 s)."""
+
+MOST_COLUMNS = 32
+"""That the compiled library looks at together: states and thrusters."""
 
 SETTLE_S = 1.5
 """Time constant with which the reference goes on to the goal's centre after the end of the trajectory."""
@@ -43,6 +47,12 @@ class Track:
         self._impulse = np.vstack(
             [np.zeros(trajectory.thrust_n.shape[1]), np.cumsum(trajectory.thrust_n * dt[:, None], axis=0)]
         )
+
+        # States and impulse side by side: one look finds both.
+        self._rows = np.hstack([trajectory.x, self._impulse])
+        self._t_s = np.ascontiguousarray(trajectory.t_s, dtype=float)
+        self._library, self._away_m = compiled.library(), np.zeros(1)
+        self._table = (*self._rows.shape, self._t_s.ctypes.data, self._rows.ctypes.data)
 
     @property
     def length_s(self) -> float:
@@ -68,17 +78,26 @@ class Track:
 
     def _nearest(self, x0: FloatArray, around_s: float) -> tuple[float, float]:
         """Time of the point nearest to a state, heading counted, and how far its place is [m]."""
-        window = np.linspace(max(0.0, around_s - WINDOW_S), around_s + WINDOW_S, SEARCH_POINTS)
-        places = self._states(window)
+        begin_s, end_s = max(0.0, around_s - WINDOW_S), around_s + WINDOW_S
+        if self._library is not None and self._rows.shape[1] <= MOST_COLUMNS:
+            here, step_s = np.array(x0, dtype=float), (end_s - begin_s) / (SEARCH_POINTS - 1)
+            told = compiled.address(here), begin_s, step_s, SEARCH_POINTS, YAW_LEVER_M, compiled.address(self._away_m)
+            found_s: float = self._library.nearest_at(*self._table, *told)
+            return found_s, float(self._away_m[0])
+        window = np.linspace(begin_s, end_s, SEARCH_POINTS)
+        places = self._at(window)
         turn = places[:, YAW] - unwrap_near(float(x0[YAW]), float(places[0, YAW]))
         gap = ((places[:, :2] - x0[:2]) ** 2).sum(axis=1)
         nearest = int((gap + (YAW_LEVER_M * turn) ** 2).argmin())
         return float(window[nearest]), math.sqrt(float(gap[nearest]))
 
-    def _states(self, t_s: FloatArray) -> FloatArray:
-        """States (m, 8) on the trajectory, its ends held."""
-        own = self.trajectory
-        return np.stack([np.interp(t_s, own.t_s, column) for column in own.x.T], axis=1)
+    def _at(self, t_s: FloatArray) -> FloatArray:
+        """States and thrust integrated from the beginning [N s] (m, 8 + n) on the trajectory, its ends held."""
+        if self._library is None:
+            return np.stack([np.interp(t_s, self._t_s, column) for column in self._rows.T], axis=1)
+        times, out = np.array(t_s, dtype=float), np.empty((len(t_s), self._rows.shape[1]))
+        self._library.rows_at(*self._table, len(times), compiled.address(times), compiled.address(out))
+        return out
 
     def sample(
         self, t_s: FloatArray, current_ned_m_s: FloatArray, then: "Track | None" = None
@@ -91,16 +110,18 @@ class Track:
         """
         at = self.clock_s + t_s
         end_s = float(self.trajectory.t_s[-1])
-        x, impulse = self._states(at), self._impulse_at(at)
+        both = self._at(at)
+        x, impulse = both[:, :NX].copy(), both[:, NX:]
         late = np.flatnonzero(at > end_s)
         onward = then is not None and self.missing < 1.0
         if len(late) and self.complete and not (onward and self.missing == 0.0):
             self._settle(x, at, late, current_ned_m_s)
         if len(late) and then is not None and onward:
-            coming = then._states(at[late] - end_s)
+            follows = then._at(at[late] - end_s)
+            coming = follows[:, :NX]
             coming[:, YAW] += _turn_rad(self.trajectory, then.trajectory)
             x[late] = coming if self.missing == 0.0 else coming + self.missing * (x[late] - coming)
-            impulse[late] += then._impulse_at(at[late] - end_s)
+            impulse[late] += follows[:, NX:]
         return x, np.diff(impulse, axis=0) / np.diff(t_s)[:, None]
 
     @property
@@ -110,10 +131,6 @@ class Track:
         Not at once: the end is reached by what is predicted for when commands act, the region by the vehicle.
         """
         return min(max(-self.rest_s - ARRIVING_S, 0.0) / MISSING_S, 1.0)
-
-    def _impulse_at(self, t_s: FloatArray) -> FloatArray:
-        """Thrust integrated (m, 4) [N s] from the beginning."""
-        return np.stack([np.interp(t_s, self.trajectory.t_s, column) for column in self._impulse.T], axis=1)
 
     def _settle(self, x: FloatArray, at: FloatArray, late: NDArray[np.intp], current_ned_m_s: FloatArray) -> None:
         """Fill the states after the end: exponentially to the goal's centre and heading."""

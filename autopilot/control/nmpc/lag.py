@@ -6,15 +6,19 @@ thrust states. Commands that are known to act late take the vehicle further befo
 is still under way has acted.
 """
 
+import ctypes
 import math
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import TypeAlias
+from functools import partial
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
+from autopilot.control.nmpc.model_code import coefficients
 from autopilot.control.nmpc.ocp import bind, discrete_dynamics
+from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.model4 import NX, YAW, Model4
 from autopilot.core.response import Response
@@ -28,8 +32,22 @@ KEPT_S = 3.0
 UNDER_WAY_S = 0.05
 """Interval of the prediction through commands that are under way."""
 
+STEPS = 2
+"""Runge-Kutta steps of an interval."""
+
 LEARN_S = 3.0
 """Predictions learn within this time how far they have been off."""
+
+
+class _Ahead(ctypes.Structure):
+    """The struct of follow.c."""
+
+    _fields_ = (
+        ("thrusters", ctypes.c_long),
+        ("steps", ctypes.c_long),
+        ("dt_s", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in ("coefficients", "allocation", "x", "thrust", "current", "after")),
+    )
 
 
 class ThrusterLag:
@@ -136,7 +154,21 @@ class ThrusterLag:
 
     def _bound(self, model: Model4, dt_s: float) -> tuple[object, Callable[[], None]]:
         """(owner, call): the call takes ``_x`` over ``dt_s`` to ``_out`` with ``_u`` and ``_c``."""
-        interval = discrete_dynamics(model, dt_s, 2)
+        library = compiled.library()
+        if library is not None:
+            return _compiled_ahead(library, model, dt_s, (self._x, self._u, self._c), self._out)
+        interval = discrete_dynamics(model, dt_s, STEPS)
         x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
         function = ca.Function("ahead", [x, u, c], [interval(x, u, c)[0]])
         return bind(function, (self._x, self._u, self._c), (self._out,))
+
+
+def _compiled_ahead(
+    library: Any, model: Model4, dt_s: float, given: tuple[FloatArray, FloatArray, FloatArray], out: FloatArray
+) -> tuple[object, Callable[[], None]]:
+    """The same by the compiled library (``data/native/follow.c``)."""
+    arrays = (np.array(coefficients(model)), np.array(model.allocation), *given, out)
+    names = ("coefficients", "allocation", "x", "thrust", "current", "after")
+    addresses = {name: array.ctypes.data for name, array in zip(names, arrays, strict=True)}
+    told = _Ahead(thrusters=model.thrusters, steps=STEPS, dt_s=dt_s, **addresses)
+    return (arrays, told), partial(library.state_ahead, ctypes.byref(told))

@@ -4,13 +4,16 @@ The plan begins one thruster lag ahead of now (:mod:`autopilot.control.nmpc.lag`
 with.
 """
 
+import ctypes
 import math
+from typing import Any
 
 import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
-from autopilot.control.robust.ancillary import Ancillary
+from autopilot.control.robust.ancillary import SURGES_M_S, Ancillary
 from autopilot.control.robust.error_model import error_of
+from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, YAW, U, V, W
 
@@ -28,6 +31,8 @@ class InnerLoop:
         self._begin_us = 0
         self.active = False
         """There is a plan to follow."""
+        library = compiled.library()
+        self._quick = None if library is None else _Quick(library, ancillary, grid, self._x, self._u, self._current)
 
     def start(self, t_us: int, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> None:
         """Follow the plan x (N+1, 8), thrust (N, n) that begins now and believes in this current (3,)."""
@@ -41,6 +46,8 @@ class InnerLoop:
 
     def thrust(self, t_us: int, x: FloatArray, current_ned_m_s: FloatArray, limit_n: FloatArray) -> FloatArray:
         """Thrust (n,) for the state ``x`` (8,), cut to ``limit_n`` (n,)."""
+        if self._quick is not None:
+            return self._quick.thrust((t_us - self._begin_us) * 1e-6, x, current_ned_m_s, limit_n)
         after_s = min(max((t_us - self._begin_us) * 1e-6, 0.0), self._t_s[-1])
         k = 0
         while after_s > self._t_s[k + 1]:
@@ -51,6 +58,56 @@ class InnerLoop:
         thrust = self._u[k] + gain @ plan_error(x, z, current_ned_m_s, self._current)
         result: FloatArray = np.minimum(np.maximum(thrust, -limit_n), limit_n)
         return result
+
+
+_ARRAYS = ("t_s", "gains", "plan", "plan_thrust", "x", "current", "planned_current", "limit_n", "thrust")
+
+
+class _Inner(ctypes.Structure):
+    """The struct of follow.c."""
+
+    _fields_ = (
+        ("n", ctypes.c_long),
+        ("thrusters", ctypes.c_long),
+        ("surges", ctypes.c_long),
+        ("first_m_s", ctypes.c_double),
+        ("step_m_s", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in _ARRAYS),
+    )
+
+
+class _Quick:
+    """:meth:`InnerLoop.thrust` by the compiled library (``data/native/follow.c``), of these arrays."""
+
+    def __init__(
+        self,
+        library: Any,
+        ancillary: Ancillary,
+        grid: TimeGrid,
+        x: FloatArray,
+        thrust_n: FloatArray,
+        current_ned_m_s: FloatArray,
+    ) -> None:
+        surges, thrusters, _ = ancillary.gains.shape
+        self._state, self._current = np.zeros(NX), np.zeros(3)
+        self._limit_n, self._thrust_n = np.zeros(thrusters), np.zeros(thrusters)
+        self._gains, self._t_s = np.ascontiguousarray(ancillary.gains), np.ascontiguousarray(grid.t_s)
+        arrays = (self._t_s, self._gains, x, thrust_n, self._state, self._current, current_ned_m_s)
+        addresses = [array.ctypes.data for array in (*arrays, self._limit_n, self._thrust_n)]
+        self._told = _Inner(
+            n=grid.n,
+            thrusters=thrusters,
+            surges=surges,
+            first_m_s=float(SURGES_M_S[0]),
+            step_m_s=float(SURGES_M_S[1] - SURGES_M_S[0]),
+            **dict(zip(_ARRAYS, addresses, strict=True)),
+        )
+        self._reference, self._call = ctypes.byref(self._told), library.inner_thrust
+
+    def thrust(self, after_s: float, x: FloatArray, current_ned_m_s: FloatArray, limit_n: FloatArray) -> FloatArray:
+        self._state[:], self._current[:], self._limit_n[:] = x, current_ned_m_s, limit_n
+        self._call(self._reference, after_s)
+        return self._thrust_n.copy()
 
 
 def plan_error(x: FloatArray, z: FloatArray, current_ned_m_s: FloatArray, planned_ned_m_s: FloatArray) -> FloatArray:

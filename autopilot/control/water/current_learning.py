@@ -11,13 +11,15 @@ everywhere" it is not used (:mod:`autopilot.control.water.current_trust`).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
 from autopilot.control.water.current_trust import Trust
 from autopilot.control.water.currents import Revision, correction_share
+from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import NavHealth, NavState
@@ -80,8 +82,8 @@ class _Cell:
     """Weighted sums of what was estimated in one square."""
 
     weight_s: float
-    moment: FloatArray
-    """(4,) of north, east [m] and current north, east [m/s]"""
+    moment: tuple[float, float, float, float]
+    """Of north, east [m] and current north, east [m/s]."""
     seen_us: int
 
 
@@ -96,9 +98,19 @@ class Fit:
     """(2, n) how every cell pulls at the varying part of the flow, north and east [m/s]."""
     mean_m_s: FloatArray
     """(2,) uniform part."""
+    addresses: tuple[int, int, int] = field(init=False)
+    """Of the three."""
+
+    def __post_init__(self) -> None:
+        arrays = self.places_ned_m, self.pull, self.mean_m_s
+        # Frozen: what is derived is set past the guard.
+        object.__setattr__(self, "addresses", tuple(compiled.address(array) for array in arrays))
 
     def flow(self, places: FloatArray) -> FloatArray:
         """(m, 2) at places (m, 2)."""
+        library = compiled.library()
+        if library is not None:
+            return self._quickly(library, places)
         out = np.tile(self.mean_m_s, (len(places), 1))
         if len(self.places_ned_m):
             dx, dy, bell = _bell(places, self.places_ned_m, self.length_m)
@@ -106,6 +118,13 @@ class Fit:
             across = bell * dx * dy
             out[:, 0] += (bell * (1.0 - dy * dy)) @ north + across @ east
             out[:, 1] += (bell * (1.0 - dx * dx)) @ east + across @ north
+        return out
+
+    def _quickly(self, library: Any, places: FloatArray) -> FloatArray:
+        """The same by the compiled library (``data/native/water.c``)."""
+        here, out = np.array(places, dtype=float, order="C"), np.empty((len(places), 2))
+        at, cells, told = compiled.address(here), len(self.places_ned_m), self.addresses
+        library.flow_at(len(here), at, 2, cells, *told[:2], self.length_m, told[2], compiled.address(out))
         return out
 
 
@@ -156,7 +175,7 @@ class LearnedCurrent:
         """Unchanged; learns from it."""
         elapsed_s = 0.0 if self._last_us is None else (nav.t_us - self._last_us) * 1e-6
         self._last_us = nav.t_us
-        if nav.health is not NavHealth.GOOD or not bool(np.isfinite(nav.current_ned_m_s).all()):
+        if nav.health is not NavHealth.GOOD or not math.isfinite(sum(nav.current_ned_m_s.tolist())):
             return nav
         if elapsed_s > 0.0 or not self._cells:
             self._learn(nav, min(max(elapsed_s, 0.01), 0.2))
@@ -182,24 +201,30 @@ class LearnedCurrent:
 
     def _learn(self, nav: NavState, duration_s: float) -> None:
         size = self._length_m / CELLS_PER_LENGTH
-        x, y = float(nav.pos_ned_m[0]), float(nav.pos_ned_m[1])
+        x, y, _ = nav.pos_ned_m.tolist()
         key = (math.floor(x / size), math.floor(y / size))
         cell = self._cells.pop(key, None)
         if cell is None:
-            cell = _Cell(0.0, np.zeros(4), nav.t_us)
+            cell = _Cell(0.0, (0.0, 0.0, 0.0, 0.0), nav.t_us)
             if len(self._cells) >= MAX_CELLS:
                 del self._cells[next(iter(self._cells))]
         fade = math.exp((cell.seen_us - nav.t_us) * 1e-6 / FORGET_S)
-        row = np.array([x, y, nav.current_ned_m_s[0], nav.current_ned_m_s[1]])
+        north, east, _ = nav.current_ned_m_s.tolist()
         cell.weight_s = fade * cell.weight_s + duration_s
-        cell.moment = fade * cell.moment + duration_s * row
+        a, b, c, d = cell.moment
+        cell.moment = (
+            fade * a + duration_s * x,
+            fade * b + duration_s * y,
+            fade * c + duration_s * north,
+            fade * d + duration_s * east,
+        )
         cell.seen_us = nav.t_us
         self._cells[key] = cell
 
     def _refit(self, now_us: int) -> None:
         """All models through the cells, mixed by how likely they are (Rasmussen and Williams 2006, eq. 5.8)."""
         cells = list(self._cells.values())
-        rows = np.array([cell.moment / cell.weight_s for cell in cells])
+        rows = np.array([cell.moment for cell in cells]) / np.array([[cell.weight_s] for cell in cells])
         weight = np.array(
             [cell.weight_s * math.exp((cell.seen_us - now_us) * 1e-6 / FORGET_S) / FULL_WEIGHT_S for cell in cells]
         )
@@ -216,6 +241,7 @@ class LearnedCurrent:
         self._belief = belief = belief / belief.sum()
         pull = np.einsum("ij,i,ijk->k", belief, np.square(FLOW_M_S), alpha).reshape(2, -1)
         mean = np.einsum("ij,j,ijk->k", belief, np.square(_MEANS_M_S), alpha).reshape(2, -1).sum(axis=1)
+        pull = np.ascontiguousarray(pull)
         self._fit = Fit(length_m=self._length_m, places_ned_m=places, pull=pull, mean_m_s=mean)
 
 

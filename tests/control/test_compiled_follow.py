@@ -1,0 +1,89 @@
+"""What follows a plan by the compiled library, against the code that says what it means."""
+
+import numpy as np
+import pytest
+from vehicles import drawn
+
+from autopilot.control.energy.track import Track
+from autopilot.control.energy.trajectory import Trajectory
+from autopilot.control.nmpc.grid import geometric_grid
+from autopilot.control.nmpc.lag import ThrusterLag
+from autopilot.control.robust.ancillary import Ancillary
+from autopilot.control.robust.inner import InnerLoop
+from autopilot.control.water.current_learning import Fit
+from autopilot.core import compiled
+from autopilot.core.frames import FloatArray
+from autopilot.core.response import Response
+
+needs_library = pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
+
+
+@needs_library
+@pytest.mark.parametrize("thrusters", [4, 6])
+def test_the_state_ahead_and_the_inner_loop(thrusters: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, grid = np.random.default_rng(thrusters), geometric_grid()
+    model = drawn(rng, thrusters).to_model()
+    ancillary, response = Ancillary(model), Response([0.15] * thrusters)
+    ours = ThrusterLag(model, response), InnerLoop(ancillary, grid)
+    monkeypatch.setenv(compiled.SWITCH, compiled.OFF)
+    plain = ThrusterLag(model, response), InnerLoop(ancillary, grid)
+    assert plain[1]._quick is None
+    for _ in range(40):
+        x, current, pushed = rng.normal(size=8), 0.2 * rng.normal(size=3), 5.0 * rng.normal(size=thrusters)
+        ahead = []
+        for lag, _ in (ours, plain):
+            lag.follow(pushed, 0.05)
+            ahead.append(lag.ahead(x, current))
+        assert np.allclose(*ahead, rtol=1e-11, atol=1e-11)
+        begin_us, plan, thrust = (
+            int(rng.integers(10**6)),
+            rng.normal(size=(grid.n + 1, 8)),
+            rng.normal(size=(grid.n, thrusters)),
+        )
+        now_us, limit_n = (
+            begin_us + int(rng.choice([-1, 0, 10_000, 250_000, 5_000_000, 20_000_000])),
+            rng.uniform(0.0, 9.0, thrusters),
+        )
+        answers = []
+        for _, inner in (ours, plain):
+            inner.start(begin_us, plan, thrust, current)
+            answers.append(inner.thrust(now_us, 4.0 * x, current + 0.1, limit_n))
+        assert np.allclose(*answers, rtol=1e-9, atol=1e-9)
+
+
+def _trajectory(rng: np.random.Generator, thrusters: int = 4) -> Trajectory:
+    nodes = int(rng.integers(2, 30))
+    t_s = np.concatenate([[0.0], np.cumsum(rng.uniform(0.05, 0.6, nodes - 1))])
+    x = np.cumsum(0.1 * rng.normal(size=(nodes, 8)), axis=0)
+    thrust_n = rng.normal(size=(nodes - 1, thrusters))
+    return Trajectory(t_s=t_s, x=x, thrust_n=thrust_n, energy_j=0.0, cost_j=0.0, solved=True)
+
+
+@needs_library
+def test_places_on_a_trajectory() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(60):
+        ours = Track(_trajectory(rng), None, True)  # type: ignore[arg-type]
+        plain = Track(ours.trajectory, None, True)  # type: ignore[arg-type]
+        plain._library = None
+        times: FloatArray = np.concatenate([ours.trajectory.t_s, rng.uniform(-1.0, 1.3 * ours.length_s, 30)])
+        assert np.allclose(ours._at(times), plain._at(times), rtol=1e-12, atol=1e-12)
+        x0, around_s = ours.trajectory.x[0] + rng.normal(size=8), rng.uniform(0.0, ours.length_s)
+        for found, meant in zip(ours._nearest(x0, around_s), plain._nearest(x0, around_s), strict=True):
+            assert found == pytest.approx(meant, abs=1e-9)
+
+
+@needs_library
+@pytest.mark.parametrize("cells", [0, 1, 40])
+def test_the_learned_flow(cells: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(cells)
+    fit = Fit(
+        length_m=0.7,
+        places_ned_m=rng.normal(size=(cells, 2)),
+        pull=rng.normal(size=(2, cells)),
+        mean_m_s=rng.normal(size=2),
+    )
+    places = rng.normal(size=(21, 3))[:, :2]
+    ours = fit.flow(places)
+    monkeypatch.setenv(compiled.SWITCH, compiled.OFF)
+    assert np.allclose(ours, fit.flow(places), rtol=1e-11, atol=1e-11)
