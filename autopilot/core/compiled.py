@@ -39,7 +39,7 @@ def library() -> Any | None:
 
 
 def address(array: Any) -> int:
-    """Of the memory of a contiguous numpy array that can be written to: a tenth of the time of ``array.ctypes.data``."""
+    """Of the memory of a contiguous, writable numpy array: a tenth of the time of ``array.ctypes.data``."""
     return ctypes.addressof(ctypes.c_char.from_buffer(array)) if array.size else 0
 
 
