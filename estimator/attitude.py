@@ -16,7 +16,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import AhrsSample, ImuSample
-from estimator.gyro_bias import GyroBias
+from estimator.gyro_bias import LOOK_S, GyroBias
 from estimator.inertial import GRAVITY_M_S2, MAX_ACCEL_M_S2, MAX_RATE_RAD_S, within
 from estimator.magnetic import FieldWatch
 from estimator.rotation import (
@@ -46,6 +46,8 @@ class AttitudeTuning:
     other estimator behind it: 16 mm instead of 10)."""
     heading_noise_rad_s: float = math.radians(5.0)
     """The same of the heading's corrections."""
+    look_s: float = LOOK_S
+    """How long corrections are gathered before the gyros' bias learns from them."""
 
 
 DEFAULT_TUNING = AttitudeTuning()
@@ -59,6 +61,8 @@ MIN_FORCE_M_S2 = 0.5 * GRAVITY_M_S2
 
 WATCH_EVERY_US = 35_000
 """An AHRS is watched by samples at least so far apart, every fourth one at 100 Hz: five degrees need no more."""
+WATCH_TUNING = AttitudeTuning(look_s=0.5)
+"""Nor do they need the gyros' bias ten times a second."""
 APART_RAD = math.radians(5.0)
 APART_US = 1_000_000
 """An AHRS whose tilt is so far from the filter's for so long disagrees with its own gyros and accelerometers."""
@@ -69,7 +73,7 @@ class AttitudeFilter:
 
     def __init__(self, tuning: AttitudeTuning = DEFAULT_TUNING) -> None:
         self._tuning = tuning
-        self._bias = GyroBias(tuning.tilt_s, tuning.tilt_noise_rad_s, tuning.heading_noise_rad_s)
+        self._bias = GyroBias(tuning.tilt_s, tuning.tilt_noise_rad_s, tuning.heading_noise_rad_s, tuning.look_s)
         self._field = FieldWatch()
         self._t_us = self._magnet_us = -1
         self._age_s = 0.0
@@ -183,7 +187,7 @@ class AttitudeSource:
 
     def __init__(self) -> None:
         self._raw = AttitudeFilter()
-        self._watch = AttitudeFilter()
+        self._watch = AttitudeFilter(WATCH_TUNING)
         self._last: ImuSample | None = None
         self._watched_us = -WATCH_EVERY_US
         self._apart_since_us: int | None = None

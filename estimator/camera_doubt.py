@@ -13,7 +13,7 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.vehicle import Camera
-from estimator.stamp_watch import StampWatch
+from estimator.stamp_watch import LOOK_S, StampWatch
 from estimator.states import VEL, YAW
 
 NO_CAMERA = Camera(
@@ -92,8 +92,8 @@ def _of_mounting(camera: Camera) -> tuple[float, float, float, float] | None:
 class CameraWatch:
     """Of one estimator."""
 
-    def __init__(self, camera: Camera) -> None:
-        self.stamps = StampWatch()
+    def __init__(self, camera: Camera, stamps_every_s: float = LOOK_S) -> None:
+        self.stamps = StampWatch(stamps_every_s)
         self._focal_sigma = camera.focal_sigma
         self._stamp_sigma_s = camera.time_offset_sigma_s
         self._mounting = _of_mounting(camera)

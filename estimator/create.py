@@ -18,6 +18,9 @@ ESTIMATORS = {
 SHADOW_OF = {"ekf": "complementary"}
 """Who flies in whose shadow; in that of all others the EKF."""
 
+SHADOW_STAMPS_S = 4.0
+"""A window of the stamps' watch is two seconds long: the shadow looks at every second one."""
+
 
 def create_estimator(
     name: str,
@@ -48,7 +51,8 @@ def create_estimator(
     flown: Estimator = find_estimator(name, asked_by).make(context, Estimator)
     if not shadow:
         return flown
-    unwatched = replace(context, markers=None, options=replace(context.options, watch_tilt=False))
+    options = replace(context.options, watch_tilt=False, stamps_every_s=SHADOW_STAMPS_S)
+    unwatched = replace(context, markers=None, options=options)
     return Shadowed(flown, find_estimator(SHADOW_OF.get(name, "ekf")).make(unwatched, Estimator))
 
 

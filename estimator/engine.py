@@ -133,7 +133,7 @@ class Engine:
         self._evidence = Evidence()
         self._markers = markers
         camera = vehicle.camera or NO_CAMERA
-        self._camera = CameraWatch(camera)
+        self._camera = CameraWatch(camera, options.stamps_every_s)
         self._camera_down_m = camera.position_frd_m[2]
         self._latency_s = camera.latency_s
         self._focal_share, self._focal_changed, self._stamps_changed = 0.0, False, False
@@ -418,8 +418,7 @@ class Engine:
     # Measurements.
 
     def _fuse_due(self, history: History) -> None:
-        """Use what is due; computing later nodes again is put off while measurements share a node."""
-        dirty: Node | None = None
+        """Use what is due."""
         for sample in self._intake.due(history.newest.t_us):
             if not self._options.compensate_latency:
                 sample = replace(sample, t_us=history.newest.t_us)
@@ -427,26 +426,21 @@ class Engine:
             if node is None:
                 self._sources.aid_of[type(sample)].counts["late"] += 1
                 continue
-            if dirty is not None and dirty is not node:
-                history.replay(dirty)
-                dirty = None
             fix, aid = self._sources.fix(sample, node) if isinstance(sample, FIXES) else (None, self._sources.markers)
-            if fix is not None and self._use_fix(history, node, fix, aid):
-                dirty = node
+            if fix is not None:
+                self._use_fix(history, node, fix, aid)
             if self._history is not history:  # moved to another pose: the old history is gone
                 return
             if isinstance(sample, SCALARS):
                 scalar, aid = self._sources.scalars(sample)
-                if scalar is not None and self._use_scalar(history, node, scalar, aid):
-                    dirty = node
-        if dirty is not None:
-            history.replay(dirty)
+                if scalar is not None:
+                    self._use_scalar(history, node, scalar, aid)
 
     def _positions(self, fix: PoseFix) -> Aid:
         return self._sources.external if fix.sensor == "external" else self._sources.markers
 
-    def _use_fix(self, history: History, node: Node, fix: PoseFix, aid: Aid) -> bool:
-        """True if ``node`` has changed."""
+    def _use_fix(self, history: History, node: Node, fix: PoseFix, aid: Aid) -> None:
+        """Gate one fix, and what follows from it for sheets, tilt, doubts and resets."""
         relocation = self._relocations[aid.sensor]
         known = () if node.state.sheets is None else node.state.sheets.which
         missed = self._fuse(history, node, fix, aid)
@@ -456,7 +450,7 @@ class Engine:
         if aid is self._sources.markers:
             self._camera.stamps.see(fix, missed=missed is not None or self._evidence.shows)
             self._focal_changed |= fix.focal is not None and self._camera.look_at_focal(*fix.focal)
-        changed = self._watch_map(history, node, fix, rejected=missed is not None)
+        self._watch_map(history, node, fix, rejected=missed is not None)
         if missed is None:
             relocation.accepted()
             self._learn_sheets(history, node, fix, known)
@@ -464,31 +458,28 @@ class Engine:
                 self._sources.external_jumped = False
             elif fix.tilt_rad is not None and node.moment.inertial.real:
                 self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
-            return True
+            return
         lost = self._fix_age_us(fix.t_us) > 1e6 * self._options.dead_reckoning_after_s
         lost = lost or self._imu.since_us is not None
         if aid is self._sources.external:
             if self._markers_in_view(fix.t_us):
-                return changed  # they know better
+                return  # they know better
             lost = lost or self._sources.external_jumped
         velocity = relocation.rejected(fix, lost)
         if velocity is not None:
             if not lost:
                 self._evidence.note_jump(self._now_us, np.abs(missed.y))
             self._relocate(history, fix, float(missed.y[3]), velocity)
-        return changed
 
-    def _watch_map(self, history: History, node: Node, fix: PoseFix, *, rejected: bool) -> bool:
-        """Look for what does not lie where the map has it. True if ``node`` has changed."""
+    def _watch_map(self, history: History, node: Node, fix: PoseFix, *, rejected: bool) -> None:
+        """Look for what does not lie where the map has it."""
         if self._map is None or fix.sensor != "markers":
-            return False
+            return
         if not rejected:
             self._map.look(fix)
-        loose = self._map.loosened(fix, rejected=rejected)
-        for sheet in loose:
+        for sheet in self._map.loosened(fix, rejected=rejected):
             history.loosen(node, Loosening("sheets", fix.t_us, sheet, self._map.laid(sheet), LOOSE_VARIANCE))
             self._counts["sheets.loosened"] += 1
-        return bool(loose)
 
     def _learn_sheets(self, history: History, node: Node, fix: PoseFix, known: Sequence[int]) -> None:
         """Every so often a picture is asked how its sheets lie to each other, and whenever it shows a new one: the pose
@@ -515,14 +506,13 @@ class Engine:
         seen_us = self._sources.markers.last_fused_us
         return seen_us is not None and t_us - seen_us <= 1e6 * self._options.dead_reckoning_after_s
 
-    def _use_scalar(self, history: History, node: Node, measurement: Measurement, aid: Aid) -> bool:
-        """True if ``node`` has changed."""
+    def _use_scalar(self, history: History, node: Node, measurement: Measurement, aid: Aid) -> None:
+        """Gate one measurement that is not of a pose."""
         missed = self._fuse(history, node, measurement, aid)
         if missed is not None:
-            return self._reopen(history, node, measurement, aid, missed)
-        if isinstance(measurement, BodyVelocity) and measurement.lock is VelocityLock.BOTTOM:
+            self._reopen(history, node, measurement, aid, missed)
+        elif isinstance(measurement, BodyVelocity) and measurement.lock is VelocityLock.BOTTOM:
             self._ground_us = max(measurement.t_us, -1 if self._ground_us is None else self._ground_us)
-        return True
 
     def _fuse(self, history: History, node: Node, measurement: Measurement, aid: Aid) -> Innovation | None:
         """Gate and use one measurement. None if it was used, else what spoke against it."""
@@ -534,21 +524,20 @@ class Engine:
         self._statuses.append(aid.judged(measurement.t_us, self._now_us, innovation, fused))
         return None if fused else innovation
 
-    def _reopen(self, history: History, node: Node, measurement: Measurement, aid: Aid, missed: Innovation) -> bool:
-        """Reset a sensor that keeps missing by the same amount: forget its own states. True if ``node`` has changed."""
+    def _reopen(self, history: History, node: Node, measurement: Measurement, aid: Aid, missed: Innovation) -> None:
+        """Reset a sensor that keeps missing by the same amount: forget its own states."""
         miss = aid.agreed_miss(missed)
         if miss is None or aid.own is None:
-            return False
+            return
         part = aid.own
         if isinstance(measurement, BodyVelocity):
             if measurement.lock is VelocityLock.WATER:
                 part = CURRENT
             elif self._fix_age_us(measurement.t_us) <= 1e6 * self._options.dead_reckoning_after_s:
-                return False  # fixes know the velocity better
+                return  # fixes know the velocity better
         variance = max(miss, float((INITIAL_SIGMA[part] ** 2).max()))
         history.reopen(node, Reopening(aid.sensor, measurement.t_us, part, variance))
         aid.reset(self._now_us)
-        return True
 
     def _retime(self, history: History | None) -> None:
         """Pictures are stamped later than was thought: what comes from now on is put right, and the estimate, which has

@@ -55,20 +55,24 @@ class Node:
 
 
 class History:
-    """Nodes of the last second, oldest first."""
+    """Nodes of the last second, oldest first. What changes a node is told to those after it when they are asked for."""
 
     def __init__(self, core: FilterCore, first: Node) -> None:
         self._core = core
         self._nodes: deque[Node] = deque([first])
+        self._changed: Node | None = None
+        """The oldest node whose change the nodes after it do not know yet."""
 
     @property
     def newest(self) -> Node:
         """The latest node."""
-        return self._nodes[-1]
+        node = self._nodes[-1]
+        self._settle(node)
+        return node
 
     def append(self, t_us: int, moment: Moment, step: Step) -> Node:
         """Predict from the newest node to a new one."""
-        state = self._core.predict(self._nodes[-1].state, step)
+        state = self._core.predict(self.newest.state, step)
         node = Node(t_us, moment, step, state, state)
         self._nodes.append(node)
         while self._nodes[0].t_us < t_us - SPAN_US:
@@ -79,41 +83,49 @@ class History:
         """The last node at or before that time; None if that is too old."""
         for node in reversed(self._nodes):
             if node.t_us <= t_us:
+                self._settle(node)
                 return node
         return None
 
     def correct(self, node: Node, measurement: Measurement, innovation: Innovation) -> None:
-        """Use a measurement at ``node``, without telling the later nodes: call :meth:`replay` when done."""
+        """Use a measurement at ``node``."""
         if self._place(node, measurement):
             node.state = self._core.correct(node.state, innovation)
 
     def reopen(self, node: Node, reopening: Reopening) -> None:
-        """Forget states at ``node``, without telling the later nodes: call :meth:`replay` when done."""
+        """Forget states at ``node``."""
         if self._place(node, reopening):
             node.state = self._core.reopen(node.state, reopening.part, reopening.variance, reopening.value)
 
     def loosen(self, node: Node, loosening: Loosening) -> None:
-        """Believe less of a sheet at ``node``, without telling the later nodes: call :meth:`replay` when done."""
+        """Believe less of a sheet at ``node``."""
         if self._place(node, loosening):
             node.state = self._core.loosen(node.state, loosening.sheet, loosening.sigma, loosening.variance)
 
-    def replay(self, node: Node) -> None:
-        """Compute all nodes after ``node`` again, with the measurements that they have."""
+    def _settle(self, until: Node) -> None:
+        """Compute the nodes after the one that has changed again, up to and with ``until``, with the measurements that
+        they have. Those behind it wait until somebody asks for them: what comes in one tick may change them once more.
+        """
+        if self._changed is None or until.t_us <= self._changed.t_us:
+            return
         later = []
         for other in reversed(self._nodes):
-            if other is node:
+            if other is self._changed:
                 break
-            later.append(other)
-        state = node.state
+            if other.t_us <= until.t_us:
+                later.append(other)
+        state = self._changed.state
         for other in reversed(later):
             assert other.step is not None
             other.prior = self._core.predict(state, other.step)
             state = other.state = self._corrected(other, other.prior)
+        self._changed = None if until is self._nodes[-1] else until
 
     def redrive(self, from_us: int, drive: Callable[[Node, Inertial], tuple[Inertial, Step]], without: str) -> None:
         """Compute the nodes after ``from_us`` again with other steps, and without the measurements of one sensor.
 
         ``drive`` gives the inertial moment of a node and the step to it from the node before."""
+        self._settle(self._nodes[-1])
         before: Node | None = None
         for node in self._nodes:
             if before is not None and node.t_us > from_us:
@@ -128,6 +140,9 @@ class History:
         """Put it among what the node has used. True if it comes last, else the node has been computed again.
 
         The order does not depend on when things arrived, so neither does the result."""
+        self._settle(node)
+        if node is not self._nodes[-1] and (self._changed is None or node.t_us < self._changed.t_us):
+            self._changed = node
         place = len(node.used)
         if node.prior is not None:
             while place and _rank(node.used[place - 1]) > _rank(new):

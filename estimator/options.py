@@ -19,6 +19,9 @@ class EstimatorOptions:
     """Time without a fix after which the estimate is called invalid, unless the velocity over ground is measured."""
     watch_tilt: bool = True
     """False: an AHRS's tilt is not held against its own gyros and accelerometers (the shadow: the flown one does)."""
+    stamps_every_s: float = 0.5
+    """How often the stamps of pictures are held against gyro and accelerometer while nothing is amiss (the shadow:
+    less often, the flown one has the same pictures)."""
     sigma_limit_m: float = 0.25
     """Standard deviation of the planar position beyond which the estimate is called invalid: nearly a body radius."""
 

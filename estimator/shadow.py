@@ -23,8 +23,8 @@ YAW_FLOOR_RAD = math.radians(5.0)
 """What is allowed beyond the sigmas: the observer's variances know no correlations."""
 AHRS_EVERY_US = 25_000
 """The shadow gets AHRS samples that are at least so far apart, every third one at 100 Hz: a third of the cost."""
-EVERY_TICKS = 4
-"""The shadow is stepped this often (with the thrust of the last tick): nobody needs its estimate in between."""
+EVERY_TICKS = 10
+"""The shadow is stepped this often (with the thrust of the last tick): the comparison is told ten times a second."""
 AFTER_US = 1_000_000
 """So long the difference must be too large, or within its bounds again."""
 

@@ -27,8 +27,8 @@ MARGIN_US = 260_000
 """So long before its first fix a window needs inertial samples."""
 GAP_US = 150_000
 """Inertial sensors that are silent for longer begin a new window."""
-LOOK_US = 500_000
-"""How often all is added up;"""
+LOOK_S = 0.5
+"""How often all is added up, unless told otherwise;"""
 LOOKS_SOON = 30
 """while fixes miss with each of them, so many at most before the next that does not."""
 FORGET_S = 60.0
@@ -52,7 +52,8 @@ APART_S, APART_FIRST_S = 0.001, 0.003
 class StampWatch:
     """Of one estimator."""
 
-    def __init__(self) -> None:
+    def __init__(self, every_s: float = LOOK_S) -> None:
+        self._every_us = round(1e6 * every_s)
         self.late_s = 0.0
         """By which stamps are late as far as is known: what is to be taken off."""
         self.sigma_s = 0.0
@@ -102,7 +103,7 @@ class StampWatch:
         if not self._fixes or not self._imu:
             return False
         now_us = self._fixes[-1][0]
-        if now_us - self._looked_us < (1 if 0 < self._soon <= LOOKS_SOON else LOOK_US):
+        if now_us - self._looked_us < (1 if 0 < self._soon <= LOOKS_SOON else self._every_us):
             return False
         self._looked_us = now_us
         window = self._window()
