@@ -42,7 +42,7 @@ from estimator.intake import Intake
 from estimator.map_watch import LOOSE_VARIANCE, MapWatch
 from estimator.markers_pose import MarkerSolver
 from estimator.measure_heading import heading_of
-from estimator.measure_model import added_share, expected_acceleration, idle, model_aid_of
+from estimator.measure_model import VehicleAcceleration, added_share, idle, model_aid_of
 from estimator.measure_pose import PoseFix
 from estimator.measure_velocity import BodyVelocity
 from estimator.measurement import Measurement, Moment
@@ -119,8 +119,7 @@ class Engine:
     ) -> None:
         self._core = core
         self._options = options
-        self._model = vehicle.to_model()
-        self._follow = added_share(vehicle)
+        self._model = VehicleAcceleration(vehicle.to_model(), added_share(vehicle))
         solver = None if markers is None else MarkerSolver(CameraModel.of_vehicle(vehicle), markers)
         self._sources = Sources(vehicle, solver, floor_depth_m)
         self._intake = Intake(self._sources.aid_of)
@@ -129,7 +128,7 @@ class Engine:
         self._mount = AhrsMount(vehicle.ahrs.position_frd_m)
         self._ahrs_offset_us = round(1e6 * vehicle.ahrs.time_offset_s)
         self._thrust = ThrustLag(vehicle.thrusters)
-        self._imu = ImuWatch(self._model, self._follow)
+        self._imu = ImuWatch(self._model)
         self._evidence = Evidence()
         self._markers = markers
         camera = vehicle.camera or NO_CAMERA
@@ -302,7 +301,7 @@ class Engine:
             if missed is not None:
                 self._reopen(history, node, heading, self._sources.heading, missed)
         if not still and self._imu.accel.since_us is None and self._samples_since % MODEL_EVERY == 0:
-            model = model_aid_of(inertial, self._model, self._follow, vertical=self._options.current_3d)
+            model = model_aid_of(inertial, self._model, vertical=self._options.current_3d)
             self._fuse(history, node, model, self._sources.model)
 
     def _watch_imu(self, history: History, before: Node, node: Node, raw: Inertial, *, anchored: bool) -> None:
@@ -384,7 +383,7 @@ class Engine:
         while history.newest.t_us + step_us <= until_us:
             newest = history.newest
             x = newest.state.x
-            ax, ay, az, turn = expected_acceleration(self._model, self._follow, x, newest.moment)
+            ax, ay, az, turn = self._model.at(x, newest.moment)
             inertial = made_up(
                 newest.t_us + step_us,
                 newest.moment.inertial,

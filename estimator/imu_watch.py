@@ -8,11 +8,10 @@ import math
 from typing import NamedTuple
 
 from autopilot.core.frames import wrap_pi
-from autopilot.core.model4 import Model4
 from estimator.doubt import AccelDoubt, GyroDoubt
 from estimator.history import Node
 from estimator.inertial import Inertial, Mode, Step, step_between
-from estimator.measure_model import expected_acceleration, idle, model_slope
+from estimator.measure_model import VehicleAcceleration, idle
 from estimator.states import ACCEL_BIAS, GYRO_BIAS, HEADING_OFFSET, YAW
 
 TURN_MAX_RAD_S = 2.0
@@ -39,9 +38,8 @@ NOTHING_NEW = Verdicts()
 class ImuWatch:
     """Both doubts of one estimator."""
 
-    def __init__(self, model: Model4, follow: tuple[float, float]) -> None:
-        self._model = model
-        self._follow = follow
+    def __init__(self, vehicle: VehicleAcceleration) -> None:
+        self._vehicle = vehicle
         self.accel = AccelDoubt()
         self.gyro = GyroDoubt()
 
@@ -67,8 +65,8 @@ class ImuWatch:
             if idle(before.moment, x):
                 ax, ay, az = 0.0, 0.0, 0.0
             else:
-                ax, ay, az, _ = expected_acceleration(self._model, self._follow, x, before.moment)
-                slope = model_slope(self._model, self._follow, x, before.moment)
+                ax, ay, az, _ = self._vehicle.at(x, before.moment)
+                slope = self._vehicle.slope(x, before.moment)
             inertial = inertial._replace(accel_level_m_s2=(ax + bias[0], ay + bias[1], az + bias[2]))
         mode = Mode.MODEL_COMPASS if by_model and by_compass else Mode.MODEL if by_model else Mode.COMPASS
         return inertial, step_between(last, inertial, mode, slope)
@@ -108,7 +106,7 @@ class ImuWatch:
         accel = False
         accel_offset = gyro_offset = None
         if model_dt_s > 0.0 and not idle(node.moment, x):
-            expected = expected_acceleration(self._model, self._follow, x, node.moment)
+            expected = self._vehicle.at(x, node.moment)
             over = [a - e for a, e in zip(raw.accel_level_m_s2, expected, strict=False)]
             bias = x[ACCEL_BIAS].tolist()
             accel = self.accel.look(

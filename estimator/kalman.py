@@ -13,7 +13,7 @@ from estimator.ground import columns_of, entered, ground_of
 from estimator.inertial import Mode, Step
 from estimator.measure_pose import Ground
 from estimator.measurement import CHI2_999, Measurement, Moment, chi2_999
-from estimator.motion import add_model, fill_jacobian, moved, reset_model
+from estimator.motion import MotionModel
 from estimator.states import (
     CURRENT_DOWN,
     CURRENT_EAST,
@@ -55,19 +55,15 @@ class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no ty
 
     x: FloatArray
     P: FloatArray
-    driven = False
-    """Whether F is that of a step that the vehicle model made."""
+
+    def __init__(self, dim_x: int, dim_z: int) -> None:
+        super().__init__(dim_x, dim_z)
+        self._motion = MotionModel()
+        self.F = self._motion.jacobian
 
     def predict_x(self, u: Any = 0) -> None:
         """Move the state and linearise about where it was."""
-        if self.driven:
-            reset_model(self.F)
-            self.driven = False
-        fill_jacobian(self.F, self.x, u)
-        if u.slope is not None:
-            add_model(self.F, self.x, u, u.slope)
-            self.driven = True
-        self.x = np.array(moved(self.x, u))
+        self.x = self._motion.step(self.x, u)
 
 
 class KalmanCore:

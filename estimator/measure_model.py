@@ -12,11 +12,13 @@ Roll and pitch are left out: the level frame stands for the body's planar axes. 
 
 import math
 import operator
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from autopilot.core.compiled import library
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
 from autopilot.core.vehicle import Vehicle
@@ -60,54 +62,126 @@ class ModelAid:
     """(2,) or, with the vertical, (3,)"""
     noise: FloatArray
     """(2, 2) or (3, 3)"""
-    model: Model4
-    follow: tuple[float, float]
-    """:func:`added_share` of the vehicle."""
+    vehicle: "VehicleAcceleration"
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Acceleration of the model plus the bias of the AHRS."""
-        expected = expected_acceleration(self.model, self.follow, x, moment)
-        return np.array([a + x.item(BIAS_AHEAD + i) for i, a in enumerate(expected[: len(self.z)])])
+        ahead, right, down, _ = self.vehicle.at(x, moment)
+        if len(self.z) == 2:
+            return np.array((ahead + x.item(BIAS_AHEAD), right + x.item(BIAS_RIGHT)))
+        return np.array((ahead + x.item(BIAS_AHEAD), right + x.item(BIAS_RIGHT), down + x.item(BIAS_DOWN)))
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Rows forward, right (and down)."""
-        u, v, r, c, s = _relative(x, moment)
-        m11, m22 = self.model.mass_kg[:2]
-        lin, quad = self.model.linear_drag, self.model.quadratic_drag
-        more = 1.0 + float(x[DRAG_EXCESS])
-        fu, fv = -more * (lin[0] + quad[0] * _slope(u)) / m11, -more * (lin[1] + quad[1] * _slope(v)) / m22
-        cross_v, cross_u = (m22 / m11 - 1.0) * r, (1.0 - m11 / m22) * r
-        jac = np.zeros((len(self.z), NX))
-        # Through u_r = c rn + s re and v_r = c re - s rn, with d u_r/d yaw = v_r and d v_r/d yaw = -u_r.
-        jac[0, VEL_NORTH] = fu * c - cross_v * s
-        jac[0, VEL_EAST] = fu * s + cross_v * c
-        jac[1, VEL_NORTH] = cross_u * c - fv * s
-        jac[1, VEL_EAST] = cross_u * s + fv * c
-        jac[:2, CURRENT_NORTH] = -jac[:2, VEL_NORTH]
-        jac[:2, CURRENT_EAST] = -jac[:2, VEL_EAST]
-        k0, k1 = self.follow
-        gn, ge = float(x[CURRENT_RATE_NORTH]), float(x[CURRENT_RATE_EAST])
-        jac[0, YAW] = fu * v - cross_v * u + k0 * (c * ge - s * gn)
-        jac[1, YAW] = cross_u * v - fv * u - k1 * (c * gn + s * ge)
-        jac[0, GYRO_BIAS] = -(m22 / m11 - 1.0) * v
-        jac[1, GYRO_BIAS] = -(1.0 - m11 / m22) * u
-        jac[0, BIAS_AHEAD] = jac[1, BIAS_RIGHT] = 1.0
-        drag_u, drag_v = _drag(self.model, u, v)
-        jac[0, DRAG_EXCESS], jac[1, DRAG_EXCESS] = -drag_u, -drag_v
-        jac[0, THRUST_EXCESS], jac[1, THRUST_EXCESS] = _push(self.model, moment.thrust_n)
-        jac[0, CURRENT_RATE_NORTH], jac[0, CURRENT_RATE_EAST] = k0 * c, k0 * s
-        jac[1, CURRENT_RATE_NORTH], jac[1, CURRENT_RATE_EAST] = -k1 * s, k1 * c
-        if len(self.z) == 3:
-            heave = x.item(VEL_DOWN) - x.item(CURRENT_DOWN)
-            jac[2, VEL_DOWN] = -(lin[2] + quad[2] * _slope(heave)) / self.model.mass_kg[2]
-            jac[2, CURRENT_DOWN] = -jac[2, VEL_DOWN]
-            jac[2, BIAS_DOWN] = 1.0
-        return jac
+        return self.vehicle.jacobian(x, moment)[: len(self.z)].copy()
 
     def residual(self, z: FloatArray, predicted: FloatArray) -> FloatArray:
         """z - h"""
         y: FloatArray = z - predicted
         return y
+
+
+_INPUTS = struct.Struct("9d")
+_THRUSTERS = 8
+_VEHICLE_AT = NX + 1 + _THRUSTERS
+_ACCELERATION_AT = _VEHICLE_AT + 16 + 4 * _THRUSTERS
+_JACOBIAN_AT = _ACCELERATION_AT + 4
+"""As autopilot/data/native/estimator.c lays out a ``Look`` (in doubles)."""
+
+
+class VehicleAcceleration:
+    """:func:`expected_acceleration` of one vehicle and its Jacobian, compiled where there is the library.
+
+    What was asked last is remembered by the identity of its arguments: states and moments are never changed in place.
+    """
+
+    def __init__(self, model: Model4, follow: tuple[float, float]) -> None:
+        """``follow``: :func:`added_share` of the vehicle."""
+        self._model, self._follow = model, follow
+        self._work = np.zeros(_JACOBIAN_AT + 3 * NX)
+        self._address, self._buffer = self._work.ctypes.data, self._work.data
+        self._jacobian: FloatArray | None = None
+        self._acceleration = (0.0, 0.0, 0.0, 0.0)
+        self._asked: tuple[FloatArray | None, Moment | None] = (None, None)
+        compiled = library()
+        fits = model.thrusters <= _THRUSTERS
+        if compiled is not None and not (fits and compiled.look_doubles() == len(self._work)):
+            compiled = None
+        self._compiled = None if compiled is None else compiled.model_look
+        allocation = np.zeros((4, _THRUSTERS))
+        if fits:
+            allocation[:, : model.thrusters] = model.allocation
+        constants = (*model.mass_kg, *model.linear_drag, *model.quadratic_drag, model.buoyancy_excess_n, *follow)
+        self._work[_VEHICLE_AT:_ACCELERATION_AT] = [*constants, ABS_SMOOTHING_M2_S2, *allocation.flat]
+        self._none = (0.0,) * (_THRUSTERS - model.thrusters)
+
+    def at(self, x: FloatArray, moment: Moment) -> tuple[float, float, float, float]:
+        """See :func:`expected_acceleration`."""
+        self._ask(x, moment)
+        return self._acceleration
+
+    def jacobian(self, x: FloatArray, moment: Moment) -> FloatArray:
+        """See :func:`acceleration_jacobian`; not to be kept."""
+        self._ask(x, moment)
+        if self._jacobian is None:
+            self._jacobian = acceleration_jacobian(self._model, self._follow, x, moment)
+        return self._jacobian
+
+    def slope(self, x: FloatArray, moment: Moment) -> FloatArray:
+        """The same without what the offset of the accelerometer does; a new array."""
+        slope = self.jacobian(x, moment).copy()
+        slope[:, ACCEL_BIAS] = 0.0
+        return slope
+
+    def _ask(self, x: FloatArray, moment: Moment) -> None:
+        if x is self._asked[0] and moment is self._asked[1]:
+            return
+        self._asked = x, moment
+        if self._compiled is None:
+            self._acceleration = expected_acceleration(self._model, self._follow, x, moment)
+            self._jacobian = None
+            return
+        self._work[:NX] = x
+        _INPUTS.pack_into(self._buffer, 8 * NX, moment.inertial.yaw_rate_rad_s, *moment.thrust_n, *self._none)
+        self._compiled(self._address)
+        ahead, right, down, turn = self._work[_ACCELERATION_AT:_JACOBIAN_AT].tolist()
+        self._acceleration = ahead, right, down, turn
+        self._jacobian = self._work[_JACOBIAN_AT:].reshape(3, NX)
+
+
+def acceleration_jacobian(model: Model4, follow: tuple[float, float], x: FloatArray, moment: Moment) -> FloatArray:
+    """d of what the AHRS measures, :func:`expected_acceleration` plus its offset, / dx (3, 21)."""
+    u, v, r, c, s = _relative(x, moment)
+    m11, m22 = model.mass_kg[:2]
+    lin, quad = model.linear_drag, model.quadratic_drag
+    more = 1.0 + float(x[DRAG_EXCESS])
+    fu, fv = -more * (lin[0] + quad[0] * _slope(u)) / m11, -more * (lin[1] + quad[1] * _slope(v)) / m22
+    cross_v, cross_u = (m22 / m11 - 1.0) * r, (1.0 - m11 / m22) * r
+    jac = np.zeros((3, NX))
+    # Through u_r = c rn + s re and v_r = c re - s rn, with d u_r/d yaw = v_r and d v_r/d yaw = -u_r.
+    jac[0, VEL_NORTH] = fu * c - cross_v * s
+    jac[0, VEL_EAST] = fu * s + cross_v * c
+    jac[1, VEL_NORTH] = cross_u * c - fv * s
+    jac[1, VEL_EAST] = cross_u * s + fv * c
+    jac[:2, CURRENT_NORTH] = -jac[:2, VEL_NORTH]
+    jac[:2, CURRENT_EAST] = -jac[:2, VEL_EAST]
+    k0, k1 = follow
+    gn, ge = float(x[CURRENT_RATE_NORTH]), float(x[CURRENT_RATE_EAST])
+    jac[0, YAW] = fu * v - cross_v * u + k0 * (c * ge - s * gn)
+    jac[1, YAW] = cross_u * v - fv * u - k1 * (c * gn + s * ge)
+    jac[0, GYRO_BIAS] = -(m22 / m11 - 1.0) * v
+    jac[1, GYRO_BIAS] = -(1.0 - m11 / m22) * u
+    jac[0, BIAS_AHEAD] = jac[1, BIAS_RIGHT] = 1.0
+    drag_u, drag_v = _drag(model, u, v)
+    jac[0, DRAG_EXCESS], jac[1, DRAG_EXCESS] = -drag_u, -drag_v
+    jac[0, THRUST_EXCESS], jac[1, THRUST_EXCESS] = _push(model, moment.thrust_n)
+    jac[0, CURRENT_RATE_NORTH], jac[0, CURRENT_RATE_EAST] = k0 * c, k0 * s
+    jac[1, CURRENT_RATE_NORTH], jac[1, CURRENT_RATE_EAST] = -k1 * s, k1 * c
+    heave = x.item(VEL_DOWN) - x.item(CURRENT_DOWN)
+    jac[2, VEL_DOWN] = -(lin[2] + quad[2] * _slope(heave)) / model.mass_kg[2]
+    jac[2, CURRENT_DOWN] = -jac[2, VEL_DOWN]
+    jac[2, BIAS_DOWN] = 1.0
+    return jac
 
 
 def expected_acceleration(
@@ -126,14 +200,6 @@ def expected_acceleration(
         dw,
         dr,
     )
-
-
-def model_slope(model: Model4, follow: tuple[float, float], x: FloatArray, moment: Moment) -> FloatArray:
-    """d :func:`expected_acceleration` / dx (3, 21), of the accelerations."""
-    aid = ModelAid(sensor="model", t_us=0, z=np.zeros(3), noise=_NOISE, model=model, follow=follow)
-    slope = aid.jacobian(x, moment, 0.0)
-    slope[:, ACCEL_BIAS] = 0.0
-    return slope
 
 
 def idle(moment: Moment, x: FloatArray) -> bool:
@@ -165,12 +231,11 @@ _NOISE: FloatArray = np.eye(3) * SIGMA_M_S2**2
 _NOISE.flags.writeable = False
 
 
-def model_aid_of(inertial: Inertial, model: Model4, follow: tuple[float, float], *, vertical: bool = False) -> ModelAid:
+def model_aid_of(inertial: Inertial, vehicle: VehicleAcceleration, *, vertical: bool = False) -> ModelAid:
     """The measurement that one AHRS sample makes with the model, in the plane or with the ``vertical`` as well."""
     rows = 3 if vertical else 2
     z = np.array(inertial.accel_level_m_s2[:rows])
-    noise = _NOISE[:rows, :rows]
-    return ModelAid(sensor="model", t_us=inertial.t_us, z=z, noise=noise, model=model, follow=follow)
+    return ModelAid(sensor="model", t_us=inertial.t_us, z=z, noise=_NOISE[:rows, :rows], vehicle=vehicle)
 
 
 def added_share(vehicle: Vehicle) -> tuple[float, float]:

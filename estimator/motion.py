@@ -1,9 +1,11 @@
 """How the state moves in one step, shared by both estimators, with its Jacobian."""
 
 import math
+import struct
 
 import numpy as np
 
+from autopilot.core.compiled import library
 from autopilot.core.frames import FloatArray
 from estimator.inertial import Step
 from estimator.states import (
@@ -42,6 +44,47 @@ _ENTRIES = (
 )  # fmt: skip
 _PLACES = np.array([NX * row + column for row, column in _ENTRIES])
 """Where the Jacobian differs from the identity: one call that fills them all is four times faster than one by one."""
+
+
+_INPUTS = struct.Struct("6d")
+_INPUTS_AT, _MOVED_AT, _JACOBIAN_AT = NX, NX + 6, 2 * NX + 6
+"""As autopilot/data/native/estimator.c lays out a ``Motion`` (in doubles)."""
+
+
+class MotionModel:
+    """:func:`moved` and :func:`fill_jacobian` in one call, compiled where there is the library."""
+
+    def __init__(self) -> None:
+        self._work = np.zeros(_JACOBIAN_AT + NX * NX)
+        self.jacobian = self._work[_JACOBIAN_AT:].reshape(NX, NX)
+        """(21, 21) of the last step; the same array every time."""
+        self._x, self._moved = self._work[:NX], self._work[_MOVED_AT:_JACOBIAN_AT]
+        self._driven = False
+        reset_model(self.jacobian)
+        compiled = library()
+        if compiled is not None and compiled.motion_doubles() != len(self._work):
+            compiled = None
+        self._compiled = None if compiled is None else compiled.motion_step
+        self._address, self._buffer = self._work.ctypes.data, self._work.data
+
+    def step(self, x: FloatArray, step: Step) -> FloatArray:
+        """State (21,) after the step, a new array; :attr:`jacobian` holds its derivative by ``x``."""
+        if self._driven:
+            reset_model(self.jacobian)
+            self._driven = False
+        if self._compiled is None:
+            fill_jacobian(self.jacobian, x, step)
+            after = np.array(moved(x, step))
+        else:
+            self._x[:] = x
+            dt_s, rate, accel, mode, _ = step
+            _INPUTS.pack_into(self._buffer, 8 * _INPUTS_AT, dt_s, rate, *accel, CURRENT_RATE_TIME_S[mode])
+            self._compiled(self._address)
+            after = self._moved.copy()
+        if step.slope is not None:
+            add_model(self.jacobian, x, step, step.slope)
+            self._driven = True
+        return after
 
 
 def moved(x: FloatArray, step: Step) -> list[float]:

@@ -76,6 +76,9 @@ def _load(path: Path) -> Any:
         library.march.argtypes, library.steady_thrust.argtypes = [address] * 2, [address, whole, address, address]
         library.half_planes.restype = ctypes.c_double
         library.half_planes.argtypes = [address, whole, address, whole, address, address, whole, address, address]
+        library.motion_doubles.restype = library.look_doubles.restype = whole
+        library.motion_step.restype = library.model_look.restype = None
+        library.motion_step.argtypes = library.model_look.argtypes = [address]
         library.tube_back_offs.argtypes = [address, whole, whole, whole, address, address, address, address]
     except (OSError, AttributeError) as error:
         raise RuntimeError(f"{path.name} cannot be loaded ({error}); {AGAIN}") from error

@@ -18,7 +18,7 @@ from estimator.kalman import LEANING_M_S2, KalmanCore
 from estimator.measure_depth import Depth
 from estimator.measure_heading import heading_of
 from estimator.measure_laser import LaserRange
-from estimator.measure_model import ModelAid, added_share, model_aid_of
+from estimator.measure_model import ModelAid, VehicleAcceleration, added_share, model_aid_of
 from estimator.measure_pose import PoseFix
 from estimator.measure_velocity import BodyVelocity
 from estimator.measurement import CHI2_999, Measurement, Moment
@@ -27,6 +27,7 @@ from estimator.states import NX, YAW, FilterState
 from estimator.tuning import TILTED_GYRO_NOISE, process_noise
 
 VEHICLE = load_vehicle("lbv150")
+ACCELERATION = VehicleAcceleration(VEHICLE.to_model(), added_share(VEHICLE))
 unit = st.floats(-1.0, 1.0, allow_subnormal=False)
 SCALE = np.array([2, 2, 1, 4, 0.5, 0.5, 0.2, 0.05, 0.1, 0.1, 0.1, 0.3, 0.3, 0.1, 0.1, 0.2, 0.02, 0.3, 0.1, 0.1, 0.3])
 
@@ -84,8 +85,8 @@ def measurements(inertial: Inertial) -> list[Measurement]:
             floor_depth_m=1.5,
             mount_frd_m=(0.1, 0.05, 0.1),
         ),
-        model_aid_of(inertial, VEHICLE.to_model(), added_share(VEHICLE)),
-        model_aid_of(inertial, VEHICLE.to_model(), added_share(VEHICLE), vertical=True),
+        model_aid_of(inertial, ACCELERATION),
+        model_aid_of(inertial, ACCELERATION, vertical=True),
         Depth(sensor="depth", t_us=0, z=np.ones(1), noise=np.eye(1), mount_frd_m=(0.2, -0.1, 0.15)),
         *(
             BodyVelocity(
