@@ -104,6 +104,10 @@ class ObserverCore:
             p[POS] += 2.0 * step.dt_s * np.sqrt(p[POS] * p[VEL])
         return FilterState(np.array(moved(state.x, step)), p)
 
+    def transition(self) -> FloatArray | None:
+        """Its gains are not the covariance's: nothing can be carried."""
+        return None
+
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
         """Gate on the sum of squares of the normalised residuals."""
         x, p = state.x, state.p

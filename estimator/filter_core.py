@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from autopilot.core.frames import FloatArray
+from estimator.carry import Look
 from estimator.inertial import Step
 from estimator.measurement import Measurement, Moment
 from estimator.states import FilterState
@@ -24,6 +25,8 @@ class Innovation(NamedTuple):
     """(21, m) covariance between state and residual."""
     after: FilterState | None = None
     """The state if it is used, when that is known already."""
+    look: Look | None = None
+    """The update for :mod:`estimator.carry`; None where its effect cannot be carried on."""
 
 
 class FilterCore(Protocol):
@@ -35,6 +38,10 @@ class FilterCore(Protocol):
 
     def predict(self, state: FilterState, step: Step) -> FilterState:
         """State after the step."""
+        ...
+
+    def transition(self) -> FloatArray | None:
+        """Jacobian (21, 21) of the last prediction, a new array; None: what this filter corrects cannot be carried."""
         ...
 
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:

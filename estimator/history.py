@@ -5,7 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from autopilot.core.frames import FloatArray
 from autopilot.core.messages import AID_SENSORS
+from estimator.carry import Correction, Look
 from estimator.filter_core import FilterCore, Innovation
 from estimator.inertial import Inertial, Step
 from estimator.measurement import Measurement, Moment
@@ -52,6 +54,12 @@ class Node:
     """Before them; None for the first node, which takes them in the order of their arrival."""
     used: list[Measurement | Reopening | Loosening] = field(default_factory=list)
     """What has been used here, in the order of :func:`_rank`."""
+    looks: list[Look | None] = field(default_factory=list)
+    """The updates that it made."""
+    transition: FloatArray | None = None
+    """Jacobian (21, 21) of the step."""
+    pending: list[Correction] = field(default_factory=list)
+    """What late measurements of earlier nodes change in :attr:`state`, and it does not hold yet."""
 
 
 class History:
@@ -61,7 +69,9 @@ class History:
         self._core = core
         self._nodes: deque[Node] = deque([first])
         self._changed: Node | None = None
-        """The oldest node whose change the nodes after it do not know yet."""
+        """The oldest node whose change the nodes after it do not know yet,"""
+        self._correction: Correction | None = None
+        """and that change; None = it can only be computed again."""
 
     @property
     def newest(self) -> Node:
@@ -73,7 +83,7 @@ class History:
     def append(self, t_us: int, moment: Moment, step: Step) -> Node:
         """Predict from the newest node to a new one."""
         state = self._core.predict(self.newest.state, step)
-        node = Node(t_us, moment, step, state, state)
+        node = Node(t_us, moment, step, state, state, transition=self._core.transition())
         self._nodes.append(node)
         while self._nodes[0].t_us < t_us - SPAN_US:
             self._nodes.popleft()
@@ -89,37 +99,57 @@ class History:
 
     def correct(self, node: Node, measurement: Measurement, innovation: Innovation) -> None:
         """Use a measurement at ``node``."""
-        if self._place(node, measurement):
+        look = innovation.look
+        if self._place(node, measurement, None if look is None else Correction(look.gain, look.spread, look.y)):
             node.state = self._core.correct(node.state, innovation)
+            node.looks.append(look)
 
     def reopen(self, node: Node, reopening: Reopening) -> None:
         """Forget states at ``node``."""
         if self._place(node, reopening):
             node.state = self._core.reopen(node.state, reopening.part, reopening.variance, reopening.value)
+            node.looks.append(None)
 
     def loosen(self, node: Node, loosening: Loosening) -> None:
         """Believe less of a sheet at ``node``."""
         if self._place(node, loosening):
             node.state = self._core.loosen(node.state, loosening.sheet, loosening.sigma, loosening.variance)
+            node.looks.append(None)
 
     def _settle(self, until: Node) -> None:
-        """Compute the nodes after the one that has changed again, up to and with ``until``, with the measurements that
-        they have. Those behind it wait until somebody asks for them: what comes in one tick may change them once more.
-        """
-        if self._changed is None or until.t_us <= self._changed.t_us:
-            return
-        later = []
-        for other in reversed(self._nodes):
-            if other is self._changed:
-                break
-            if other.t_us <= until.t_us:
-                later.append(other)
-        state = self._changed.state
-        for other in reversed(later):
-            assert other.step is not None
-            other.prior = self._core.predict(state, other.step)
-            state = other.state = self._corrected(other, other.prior)
-        self._changed = None if until is self._nodes[-1] else until
+        """Tell the nodes after the one that has changed of it, up to and with ``until``: carry the change on, or
+        compute them again with the measurements that they have. Those behind wait until somebody asks for them, for
+        what comes in one tick may change them once more."""
+        changed = self._changed
+        if changed is not None and until.t_us > changed.t_us:
+            later = []
+            for other in reversed(self._nodes):
+                if other is changed:
+                    break
+                if other.t_us <= until.t_us:
+                    later.append(other)
+            later.reverse()
+            correction = self._correction
+            if correction is not None and all(None not in other.looks for other in later):
+                self._correction = _carried(correction, later)
+            else:
+                self._correction = None
+                self._compute(changed, later)
+            self._changed = None if until is self._nodes[-1] else until
+        if until.pending:
+            for correction in until.pending:
+                until.state = correction.on(until.state)
+            until.pending.clear()
+
+    def _compute(self, before: Node, nodes: list[Node]) -> None:
+        """Predict and correct these nodes after ``before`` again."""
+        for node in nodes:
+            assert node.step is not None
+            node.pending.clear()
+            node.prior = self._core.predict(before.state, node.step)
+            node.transition = self._core.transition()
+            node.state = self._corrected(node, node.prior)
+            before = node
 
     def redrive(self, from_us: int, drive: Callable[[Node, Inertial], tuple[Inertial, Step]], without: str) -> None:
         """Compute the nodes after ``from_us`` again with other steps, and without the measurements of one sensor.
@@ -129,42 +159,85 @@ class History:
         before: Node | None = None
         for node in self._nodes:
             if before is not None and node.t_us > from_us:
+                self._settle(before)
                 inertial, node.step = drive(before, node.moment.inertial)
                 node.moment = node.moment._replace(inertial=inertial)
                 node.used = [item for item in node.used if item.sensor != without]
-                node.prior = self._core.predict(before.state, node.step)
-                node.state = self._corrected(node, node.prior)
+                self._compute(before, [node])
             before = node
 
-    def _place(self, node: Node, new: Measurement | Reopening | Loosening) -> bool:
+    def _place(
+        self, node: Node, new: Measurement | Reopening | Loosening, correction: Correction | None = None
+    ) -> bool:
         """Put it among what the node has used. True if it comes last, else the node has been computed again.
 
         The order does not depend on when things arrived, so neither does the result."""
         self._settle(node)
-        if node is not self._nodes[-1] and (self._changed is None or node.t_us < self._changed.t_us):
-            self._changed = node
         place = len(node.used)
         if node.prior is not None:
             while place and _rank(node.used[place - 1]) > _rank(new):
                 place -= 1
+        last = place == len(node.used)
+        if node is not self._nodes[-1]:
+            self._note(node, correction if last else None)
         node.used.insert(place, new)
-        if place == len(node.used) - 1:
+        if last:
             return True
-        assert node.prior is not None
-        node.state = self._corrected(node, node.prior)
+        before = self._before(node)
+        if before is None:  # the first one that is left
+            assert node.prior is not None
+            node.state = self._corrected(node, node.prior)
+        else:
+            self._compute(before, [node])
         return False
 
+    def _note(self, node: Node, correction: Correction | None) -> None:
+        """A node changes that has been settled: by a correction that can be carried on, or None."""
+        if self._changed is None:
+            self._changed, self._correction = node, correction
+        elif self._changed is node and self._correction is not None and correction is not None:
+            self._correction = self._correction.joined(correction)
+        else:
+            self._changed, self._correction = node, None
+        if self._correction is not None and not self._correction.small:
+            self._correction = None
+
+    def _before(self, node: Node) -> Node | None:
+        """The node before, settled."""
+        before = None
+        for other in self._nodes:
+            if other is node:
+                break
+            before = other
+        if before is not None:
+            self._settle(before)
+        return before
+
     def _corrected(self, node: Node, state: FilterState) -> FilterState:
+        node.looks = []
         for item in node.used:
+            look = None
             if isinstance(item, Reopening):
                 state = self._core.reopen(state, item.part, item.variance, item.value)
-                continue
-            if isinstance(item, Loosening):
+            elif isinstance(item, Loosening):
                 state = self._core.loosen(state, item.sheet, item.sigma, item.variance)
-                continue
-            after_s = 1e-6 * (item.t_us - node.t_us)
-            state = self._core.correct(state, self._core.innovation(state, item, node.moment, after_s))
+            else:
+                innovation = self._core.innovation(state, item, node.moment, 1e-6 * (item.t_us - node.t_us))
+                state, look = self._core.correct(state, innovation), innovation.look
+            node.looks.append(look)
         return state
+
+
+def _carried(correction: Correction, nodes: list[Node]) -> Correction:
+    """The correction at the last of these nodes, when it has gone through all of them."""
+    for node in nodes:
+        assert node.transition is not None
+        correction = correction._replace(w=node.transition.dot(correction.w))
+        for i, look in enumerate(node.looks):
+            assert look is not None
+            correction, node.looks[i] = correction.through(look)
+        node.pending.append(correction)
+    return correction
 
 
 _ORDER = {name: number for number, name in enumerate(AID_SENSORS)}

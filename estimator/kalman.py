@@ -8,6 +8,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from autopilot.core.frames import FloatArray
+from estimator.carry import Look
 from estimator.filter_core import Innovation
 from estimator.ground import columns_of, entered, ground_of
 from estimator.inertial import Mode, Step
@@ -97,6 +98,10 @@ class KalmanCore:
             sheets = sheets._replace(cross=kf.F.dot(sheets.cross))
         return FilterState(kf.x, kf.P, sheets)
 
+    def transition(self) -> FloatArray | None:
+        """See :class:`estimator.filter_core.FilterCore`."""
+        return self._kf.F.copy()
+
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
         """filterpy's update (Joseph form), and a joint chi-square test at 99.9 % of whether it may be kept.
 
@@ -120,7 +125,8 @@ class KalmanCore:
         if sheets is not None:  # considered, not corrected: this says next to nothing of them
             sheets = sheets._replace(cross=sheets.cross - kf.K.dot(h.dot(sheets.cross)))
         after = FilterState(kf.x, _symmetric(kf.P), sheets)
-        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, kf.K.dot(kf.S), after)
+        look = None if sheets is not None else Look(kf.K, h, kf.S, kf.y)
+        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, kf.K.dot(kf.S), after, look)
 
     def _on_sheets(
         self, state: FilterState, measurement: Measurement, ground: Ground, moment: Moment, after_s: float

@@ -141,12 +141,16 @@ def end_of(estimator: Engine, late_ticks: list[int]) -> NavState:
     return nav
 
 
-@pytest.mark.parametrize("create", [create_ekf, create_complementary])
+@pytest.mark.parametrize(("create", "share"), [(create_ekf, 0.02), (create_complementary, 1e-7)])
 @settings(max_examples=5, deadline=None)
 @given(late_ticks=st.lists(st.integers(0, 15), min_size=1, max_size=20))
-def test_out_of_order_ends_where_in_order_does(create: Callable[..., Engine], late_ticks: list[int]) -> None:
-    """Samples of all sensors, up to 150 ms late and mixed up, give the state that prompt ones give."""
+def test_out_of_order_ends_where_in_order_does(
+    create: Callable[..., Engine], share: float, late_ticks: list[int]
+) -> None:
+    """Samples of all sensors, up to 150 ms late and mixed up, give the state that prompt ones give, to a share of the
+    standard deviations: the Kalman filter carries small corrections on by the Jacobians that it had."""
     prompt, late = (end_of(create(VEHICLE, None, 1.5), ticks) for ticks in ([0], late_ticks))
-    np.testing.assert_allclose(late.pos_ned_m, prompt.pos_ned_m, atol=1e-9)
-    np.testing.assert_allclose(late.vel_water_frd_m_s, prompt.vel_water_frd_m_s, atol=1e-9)
-    np.testing.assert_allclose(late.variance, prompt.variance, rtol=1e-9)
+    pos_sigma, water_sigma = np.sqrt(prompt.variance[:3]), np.sqrt(prompt.variance[6:9])
+    assert (np.abs(late.pos_ned_m - prompt.pos_ned_m) <= share * pos_sigma).all()
+    assert (np.abs(late.vel_water_frd_m_s - prompt.vel_water_frd_m_s) <= share * water_sigma).all()
+    np.testing.assert_allclose(late.variance, prompt.variance, rtol=2.0 * share)

@@ -1,0 +1,81 @@
+"""A late measurement's effect on the nodes after its own, without predicting and updating all of them again.
+
+What one update changes is small in rank: x by W e and P by -W C W', with W the gain, C the residual's covariance and e
+the residual. A step carries W on by its Jacobian. An update on the way keeps that form: with the gain K, the Jacobian
+H, the residual y and its covariance S that it had, and V = (H W)',
+
+    S' = S - V' C V     W' = W - K V'     C' = C + C V S'^-1 V' C     e' = e + C V S'^-1 (V' e - y)
+    y' = y - V' e       K' = K - W' C V S'^-1
+
+is what the update would have been (insert P - W C W' and x + W e into the filter's equations). So the result is that of
+computing everything again but for one thing: Jacobians stay those of the states before, an error of second order in
+the correction. Larger corrections are not carried (:data:`LINEAR`).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from estimator.states import CURRENT, DRAG_EXCESS, NX, VEL, YAW, FilterState
+
+LINEAR: FloatArray = np.full(NX, np.inf)
+LINEAR[YAW], LINEAR[VEL], LINEAR[CURRENT], LINEAR[DRAG_EXCESS] = 0.002, 0.004, 0.004, 0.02
+"""(21,) A state that is corrected by more turns or drags otherwise than the Jacobians say."""
+MOST_COLUMNS = 12
+"""With more, computing again is cheaper."""
+
+
+class Look(NamedTuple):
+    """An update that has been made."""
+
+    gain: FloatArray
+    """(21, m)"""
+    jacobian: FloatArray
+    """(m, 21)"""
+    spread: FloatArray
+    """(m, m) covariance of the residual."""
+    y: FloatArray
+    """(m,) residual."""
+
+
+class Correction(NamedTuple):
+    """x changes by W e, the covariance by -W C W'."""
+
+    w: FloatArray
+    """(21, k)"""
+    c: FloatArray
+    """(k, k)"""
+    e: FloatArray
+    """(k,)"""
+
+    @property
+    def small(self) -> bool:
+        """Whether Jacobians hold over it."""
+        if len(self.e) > MOST_COLUMNS:
+            return False
+        change = np.abs(self.w.dot(self.e))
+        return bool((change <= LINEAR).all())
+
+    def joined(self, other: "Correction") -> "Correction":
+        """First this one, then the other at the same node."""
+        k, m = len(self.e), len(other.e)
+        c = np.zeros((k + m, k + m))
+        c[:k, :k], c[k:, k:] = self.c, other.c
+        return Correction(np.concatenate((self.w, other.w), axis=1), c, np.concatenate((self.e, other.e)))
+
+    def through(self, look: Look) -> tuple["Correction", Look]:
+        """Behind an update that had been made without it, and what that update is with it."""
+        w, c, e = self
+        v = look.jacobian.dot(w).T
+        cv = c.dot(v)
+        spread = look.spread - v.T.dot(cv)
+        pull = cv.dot(np.linalg.inv(spread))
+        behind = w - look.gain.dot(v.T)
+        known = v.T.dot(e)
+        after = Correction(behind, c + pull.dot(cv.T), e + pull.dot(known - look.y))
+        return after, Look(look.gain - behind.dot(pull), look.jacobian, spread, look.y - known)
+
+    def on(self, state: FilterState) -> FilterState:
+        """The state with it."""
+        return FilterState(state.x + self.w.dot(self.e), state.p - self.w.dot(self.c).dot(self.w.T))
