@@ -12,12 +12,14 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from autopilot.core import compiled
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, quat_from_rpy
 from autopilot.core.messages import MAX_THRUSTERS
 from autopilot.core.toml_table import Vec3
 from autopilot.core.vehicle import Vehicle
 from sitl.battery import Battery
+from sitl.compiled_hull import CompiledHull
 from sitl.contact import NEAR_M, ContactLog, ContactRecord, Surroundings
 from sitl.mismatch import mismatched
 from sitl.rigid_body import ForceNed, State, Water, Wrench, make_derivative, rk4_step
@@ -89,8 +91,8 @@ class _Instant(NamedTuple):
     water: Water
     force: ForceNed | None
     """What acts on the hull from outside, None in open water without a tether."""
-    change: State
-    """Derivative of the state without thrust."""
+    change: State | CompiledHull
+    """Derivative of the state without thrust, or who keeps it."""
 
 
 class Plant:
@@ -147,12 +149,13 @@ class Plant:
                 " move the start away from it"
             )
         self._contacts = ContactLog()
-        self._thrusters = Thrusters(self._vehicle.thrusters)
+        self._columns = list(zip(*wrench_of(self._vehicle), strict=True))
+        self._compiled = self._by_library(froude_krylov)
+        self._thrusters = Thrusters(self._vehicle.thrusters, self._compiled)
         self._losses = sorted(losses, key=lambda loss: loss.at_s)
         for loss in self._losses:
             self._thruster_index(loss.thruster)
         self._no_thrust = (0.0,) * (MAX_THRUSTERS - len(self._vehicle.thrusters))
-        self._columns = list(zip(*wrench_of(self._vehicle), strict=True))
         body = self._vehicle.body
         mass = [body.mass_kg + added for added in body.added_mass_kg]
         inertia = [rigid + added for rigid, added in zip(body.inertia_kg_m2, body.added_inertia_kg_m2, strict=True)]
@@ -173,38 +176,11 @@ class Plant:
     @property
     def truth(self) -> Truth:
         """The present truth."""
-        _, _, z, ew, ex, ey, ez, u, v, w, p, q, r = self._state
-        r11, r12, r13 = 1.0 - 2.0 * (ey * ey + ez * ez), 2.0 * (ex * ey - ez * ew), 2.0 * (ex * ez + ey * ew)
-        r21, r22, r23 = 2.0 * (ex * ey + ez * ew), 1.0 - 2.0 * (ex * ex + ez * ez), 2.0 * (ey * ez - ex * ew)
-        r31, r32, r33 = 2.0 * (ex * ez - ey * ew), 2.0 * (ey * ez + ex * ew), 1.0 - 2.0 * (ex * ex + ey * ey)
         instant = self._here()
-        cn, ce, cd = instant.water.current_ned_m_s
-        thrust_n = self._thrusters.thrust_n
-        if self._held:
-            ax = ay = az = 0.0
+        if isinstance(instant.change, CompiledHull):
+            numbers = instant.change.measured(self._held)
         else:
-            fx, fy, fz, *_ = self._push(thrust_n)
-            mx, my, mz, *_ = self._masses
-            du, dv, dw = instant.change[7:10]
-            ax, ay, az = du + fx / mx + q * w - r * v, dv + fy / my + r * u - p * w, dw + fz / mz + p * v - q * u
-        rpy = math.atan2(r32, r33), math.asin(max(-1.0, min(1.0, -r31))), math.atan2(r21, r11)
-        numbers = np.array(
-            [
-                *self._state,
-                *rpy,
-                cn,
-                ce,
-                cd,
-                u - r11 * cn - r21 * ce - r31 * cd,
-                v - r12 * cn - r22 * ce - r32 * cd,
-                w - r13 * cn - r23 * ce - r33 * cd,
-                ax - GRAVITY_M_S2 * r31,
-                ay - GRAVITY_M_S2 * r32,
-                az - GRAVITY_M_S2 * r33,
-                *thrust_n,
-                *self._no_thrust,
-            ]
-        )
+            numbers = np.array(self._numbers(instant.water, instant.change))
         return Truth(
             t_us=self._t_us,
             pos_ned_m=numbers[0:3],
@@ -224,7 +200,7 @@ class Plant:
             contact_depth_m=self._contacts.depth_m,
             contact_count=self._contacts.count,
             max_penetration_m=self._contacts.max_depth_m,
-            emerged_m=max(0.0, self._vehicle.hull_half_height_m - z),
+            emerged_m=max(0.0, self._vehicle.hull_half_height_m - self._state[2]),
         )
 
     def advance(self, t_us: int, pwm_us: Sequence[int]) -> None:
@@ -248,6 +224,54 @@ class Plant:
         self._instant = None
 
     # Inside.
+
+    def _numbers(self, water: Water, change: State) -> list[float]:
+        """What a truth is made of: state, roll, pitch, yaw, current, velocity in the water, specific force, thrust."""
+        _, _, _, ew, ex, ey, ez, u, v, w, p, q, r = self._state
+        r11, r12, r13 = 1.0 - 2.0 * (ey * ey + ez * ez), 2.0 * (ex * ey - ez * ew), 2.0 * (ex * ez + ey * ew)
+        r21, r22, r23 = 2.0 * (ex * ey + ez * ew), 1.0 - 2.0 * (ex * ex + ez * ez), 2.0 * (ey * ez - ex * ew)
+        r31, r32, r33 = 2.0 * (ex * ez - ey * ew), 2.0 * (ey * ez + ex * ew), 1.0 - 2.0 * (ex * ex + ey * ey)
+        cn, ce, cd = water.current_ned_m_s
+        thrust_n = self._thrusters.thrust_n
+        if self._held:
+            ax = ay = az = 0.0
+        else:
+            fx, fy, fz, *_ = self._push(thrust_n)
+            mx, my, mz, *_ = self._masses
+            du, dv, dw = change[7:10]
+            ax, ay, az = du + fx / mx + q * w - r * v, dv + fy / my + r * u - p * w, dw + fz / mz + p * v - q * u
+        rpy = math.atan2(r32, r33), math.asin(max(-1.0, min(1.0, -r31))), math.atan2(r21, r11)
+        return [
+            *self._state,
+            *rpy,
+            cn,
+            ce,
+            cd,
+            u - r11 * cn - r21 * ce - r31 * cd,
+            v - r12 * cn - r22 * ce - r32 * cd,
+            w - r13 * cn - r23 * ce - r33 * cd,
+            ax - GRAVITY_M_S2 * r31,
+            ay - GRAVITY_M_S2 * r32,
+            az - GRAVITY_M_S2 * r33,
+            *thrust_n,
+            *self._no_thrust,
+        ]
+
+    def _by_library(self, froude_krylov: bool) -> CompiledHull | None:
+        """The compiled hull, None where there is no library."""
+        library = compiled.library()
+        if library is None:
+            return None
+        return CompiledHull(
+            library,
+            self._vehicle.body,
+            self._vehicle.thrusters,
+            self._columns,
+            self._tether,
+            hull_half_height_m=self._vehicle.hull_half_height_m,
+            froude_krylov=froude_krylov,
+            gravity_m_s2=GRAVITY_M_S2,
+        )
 
     def _thruster_index(self, name: str) -> int:
         names = [thruster.name for thruster in self._vehicle.thrusters]
@@ -273,7 +297,11 @@ class Plant:
             self._held = False
         if self._held:
             return
-        push, change = self._push(self._thrusters.mean_n), instant.change
+        change = instant.change
+        if isinstance(change, CompiledHull):
+            self._state = change.step(dt_s)
+            return
+        push = self._push(self._thrusters.mean_n)
         fx, fy, fz, kx, ky, kz, fn, fe, fd = self._external
         px, py, pz, pk, pm, pn = push
         wrench: Wrench = (fx + px, fy + py, fz + pz, kx + pk, ky + pm, kz + pn, fn, fe, fd)
@@ -293,7 +321,12 @@ class Plant:
             flow = None if field.steady_uniform else (field.gradient(place, t_s), field.rate(place, t_s))
             water = Water(field.velocity(place, t_s), place, flow)
             force = self._outside if near or self._tether is not None else None
-            change = self._derivative(self._state, 0.0, self._external, water, force)
+            change: State | CompiledHull
+            if self._compiled is not None and not near:
+                change = self._compiled
+                change.look(self._state, water, self._external)
+            else:
+                change = self._derivative(self._state, 0.0, self._external, water, force)
             self._instant = _Instant(near, water, force, change)
         return self._instant
 

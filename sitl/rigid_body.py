@@ -41,6 +41,11 @@ class Water(NamedTuple):
     """Gradient [1/s] and rate at a fixed place [m/s^2]; None where the current is steady and uniform."""
 
 
+def displaced_mass_kg(body: Body) -> float:
+    """Of the water that the hull displaces."""
+    return body.mass_kg * (body.weight_n + body.buoyancy_excess_n) / body.weight_n
+
+
 Derivative: TypeAlias = Callable[[Sequence[float], float, Wrench, Water, ForceNed | None], State]
 
 
@@ -55,7 +60,7 @@ def make_derivative(  # one function on purpose: it runs 500 times per simulated
     (lp, lq, lr), (qp, qq, qr) = body.angular_linear_drag_n_m_s, body.angular_quadratic_drag_n_m_s2
     weight, (bx, by, bz) = body.weight_n, body.center_of_buoyancy_frd_m
     buoyancy = weight + body.buoyancy_excess_n
-    displaced = m * buoyancy / weight if froude_krylov else 0.0
+    displaced = displaced_mass_kg(body) if froude_krylov else 0.0
 
     def derivative(
         state: Sequence[float], elapsed_s: float, wrench: Wrench, water: Water, force: ForceNed | None

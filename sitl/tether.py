@@ -5,7 +5,7 @@ the place where the tether enters the water. The tether is neutrally buoyant (LB
 """
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 
 from autopilot.core.toml_table import Vec3
 from autopilot.core.vehicle import Tether
@@ -17,19 +17,28 @@ SLACK_M = 0.2
 """Closer than this to its entry point the tether loses its pull in proportion (assumed: one bend radius)."""
 
 
-def make_tether(tether: Tether, entry_ned_m: Vec3) -> Callable[[Vec3, Vec3], Vec3]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TetherForce:
     """Force on the vehicle (3,) NED [N] as a function of its position and its velocity relative to the water, NED."""
-    area_m2 = tether.diameter_m * tether.length_in_flow_m
-    drag_n_s2_m2 = 0.5 * WATER_DENSITY_KG_M3 * tether.drag_coefficient * area_m2
-    pull_n = tether.pull_n
-    entry_n, entry_e, entry_d = entry_ned_m
 
-    def force_ned_n(pos_ned_m: Vec3, vel_water_ned_m_s: Vec3) -> Vec3:
+    drag_n_s2_m2: float
+    pull_n: float
+    entry_ned_m: Vec3
+    slack_m: float = SLACK_M
+
+    def __call__(self, pos_ned_m: Vec3, vel_water_ned_m_s: Vec3) -> Vec3:
+        """The force [N]."""
         x, y, z = pos_ned_m
         vn, ve, vd = vel_water_ned_m_s
+        entry_n, entry_e, entry_d = self.entry_ned_m
         an, ae, ad = x - entry_n, y - entry_e, z - entry_d
-        drag = drag_n_s2_m2 * math.sqrt(vn * vn + ve * ve + vd * vd)
-        pull = pull_n / max(math.sqrt(an * an + ae * ae + ad * ad), SLACK_M)
+        drag = self.drag_n_s2_m2 * math.sqrt(vn * vn + ve * ve + vd * vd)
+        pull = self.pull_n / max(math.sqrt(an * an + ae * ae + ad * ad), self.slack_m)
         return -drag * vn - pull * an, -drag * ve - pull * ae, -drag * vd - pull * ad
 
-    return force_ned_n
+
+def make_tether(tether: Tether, entry_ned_m: Vec3) -> TetherForce:
+    """The force of a vehicle's tether that enters the water there."""
+    area_m2 = tether.diameter_m * tether.length_in_flow_m
+    drag_n_s2_m2 = 0.5 * WATER_DENSITY_KG_M3 * tether.drag_coefficient * area_m2
+    return TetherForce(drag_n_s2_m2=drag_n_s2_m2, pull_n=tether.pull_n, entry_ned_m=entry_ned_m)

@@ -8,16 +8,22 @@ the autopilot inverts this by its own code from its own, possibly wrong, numbers
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import MutableSequence, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from autopilot.core.thrusters import Drive, ThrustCurve, Thruster, wrench_matrix
 from autopilot.core.toml_table import Vec3
 from autopilot.core.vehicle import Vehicle
 
+if TYPE_CHECKING:
+    from sitl.compiled_hull import CompiledHull
+
 OFF_US = 0
 """This pulse length means: no pulses."""
+
+MOST_KNOWN = 4096
+"""Pulses of a thruster of which is kept what they give: more than an amplifier tells apart."""
 
 
 class Held(NamedTuple):
@@ -88,24 +94,35 @@ def wrench_of(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
 class Thrusters:
     """The thrusters of one vehicle, in the order of its file."""
 
-    def __init__(self, thrusters: Sequence[Thruster]) -> None:
+    def __init__(self, thrusters: Sequence[Thruster], compiled: "CompiledHull | None" = None) -> None:
+        """``compiled`` keeps the numbers and turns the thrusters where it is given."""
         self._thrusters = tuple(thrusters)
+        self._compiled = compiled
         count = len(self._thrusters)
-        self._motor_n = [0.0] * count
-        self._gain = [1.0] * count
+        self._motor_n: MutableSequence[float] = [0.0] * count if compiled is None else compiled.motor_n
+        self._gain: MutableSequence[float] = [1.0] * count if compiled is None else compiled.gain
+        self._gain[:count] = [1.0] * count
         self._pwm_us: tuple[int, ...] | None = None
         self._held: list[Held] = []
-        self.mean_n = [0.0] * count
+        self._known: list[dict[int, Held]] = [{} for _ in self._thrusters]
+        self._mean_n: MutableSequence[float] = [0.0] * count if compiled is None else compiled.mean_n
+
+    @property
+    def mean_n(self) -> list[float]:
         """Acting thrust, averaged over the last step: what the body feels during that step [N]."""
+        return list(self._mean_n[: len(self._thrusters)])
 
     @property
     def thrust_n(self) -> list[float]:
         """Acting thrust now [N], one per thruster."""
-        return [gain * motor for gain, motor in zip(self._gain, self._motor_n, strict=True)]
+        count = len(self._thrusters)
+        return [gain * motor for gain, motor in zip(self._gain[:count], self._motor_n[:count], strict=True)]
 
     @property
     def power_w(self) -> float:
         """Electrical power of all thrusters, sum of c |F|^1.5. A lossy thruster takes the power of a sound one."""
+        if self._compiled is not None:
+            return self._compiled.power_w
         total = 0.0
         for thruster, motor in zip(self._thrusters, self._motor_n, strict=True):
             drive, force = thruster.drive, abs(motor)
@@ -129,10 +146,14 @@ class Thrusters:
         pulses = tuple(pwm_us)
         if pulses != self._pwm_us:
             self._pwm_us, self._held = pulses, self._holds(pulses)
-        motor_n, mean_n, gain = self._motor_n, self.mean_n, self._gain
-        for index, (thruster, one) in enumerate(zip(self._thrusters, self._held, strict=True)):
+        goals = [one.at(supply_v) for one in self._held]
+        if self._compiled is not None:
+            self._compiled.goal_n[: len(goals)] = goals
+            self._compiled.turn(dt_s)
+            return
+        motor_n, mean_n, gain = self._motor_n, self._mean_n, self._gain
+        for index, (thruster, goal) in enumerate(zip(self._thrusters, goals, strict=True)):
             decay, mean_weight = _lag(thruster.drive.time_constant_s, dt_s)
-            goal = one.at(supply_v)
             error = motor_n[index] - goal
             motor_n[index] = goal + decay * error
             mean_n[index] = gain[index] * (goal + mean_weight * error)
@@ -140,11 +161,14 @@ class Thrusters:
     def _holds(self, pwm_us: Sequence[int]) -> list[Held]:
         """What each thruster makes of the pulse on its channel."""
         result = []
-        for thruster in self._thrusters:
+        for thruster, known in zip(self._thrusters, self._known, strict=True):
             pulse = pwm_us[thruster.channel - 1] if thruster.channel <= len(pwm_us) else OFF_US
-            if thruster.reversed and pulse != OFF_US:
-                pulse = 2 * thruster.drive.neutral_us - pulse
-            result.append(held(thruster.drive, pulse))
+            if pulse not in known:
+                if len(known) >= MOST_KNOWN:
+                    known.clear()
+                mirrored = thruster.reversed and pulse != OFF_US
+                known[pulse] = held(thruster.drive, 2 * thruster.drive.neutral_us - pulse if mirrored else pulse)
+            result.append(known[pulse])
         return result
 
 

@@ -80,6 +80,11 @@ def _load(path: Path) -> Any:
         library.motion_step.restype = library.model_look.restype = None
         library.motion_step.argtypes = library.model_look.argtypes = [address]
         library.tube_back_offs.argtypes = [address, whole, whole, whole, address, address, address, address]
+        library.plant_bytes.restype, library.plant_bytes.argtypes = whole, [whole]
+        for plain in (library.plant_look, library.plant_measure):
+            plain.restype, plain.argtypes = None, [address, address]
+        for timed in (library.plant_turn, library.plant_step):
+            timed.restype, timed.argtypes = None, [address, address, ctypes.c_double]
     except (OSError, AttributeError) as error:
         raise RuntimeError(f"{path.name} cannot be loaded ({error}); {AGAIN}") from error
     return library
