@@ -18,9 +18,12 @@ class SafeThrusterOutput(Closing):
     def __init__(self, vehicle: Vehicle) -> None:
         thrusters = vehicle.thrusters
         self._channels = tuple(thruster.channel for thruster in thrusters)
+        self._places = tuple(
+            self._channels.index(channel) if channel in self._channels else None
+            for channel in range(1, max(self._channels) + 1)
+        )
         drives = [thruster.drive for thruster in thrusters]
-        self._low_us = tuple(drive.neutral_us - drive.span_us for drive in drives)
-        self._high_us = tuple(drive.neutral_us + drive.span_us for drive in drives)
+        self._ends_us = tuple((drive.neutral_us - drive.span_us, drive.neutral_us + drive.span_us) for drive in drives)
         self._neutral_us = self._by_channel([drive.neutral_us for drive in drives])
         self._timeout_us = round(min(drive.command_timeout_s for drive in drives) * 1e6)
         self._last_us: int | None = None
@@ -60,11 +63,12 @@ class SafeThrusterOutput(Closing):
         if len(pwm_us) < count:
             self.neutral()
             raise DriverError(f"{len(pwm_us)} pulses for {count} thrusters; give one per thruster")
-        wanted = tuple(int(pulse) for pulse in pwm_us[:count])
-        sent = tuple(
-            min(high, max(low, pulse)) for pulse, low, high in zip(wanted, self._low_us, self._high_us, strict=True)
-        )
-        self.clamped_count += sum(a != b for a, b in zip(wanted, sent, strict=True))
+        wanted = [int(pulse) for pulse in pwm_us[:count]]
+        sent = [
+            high if pulse > high else max(low, pulse) for pulse, (low, high) in zip(wanted, self._ends_us, strict=True)
+        ]
+        if sent != wanted:
+            self.clamped_count += sum(a != b for a, b in zip(wanted, sent, strict=True))
         self._at_rest = False
         try:
             self._put(self._by_channel(sent))
@@ -101,10 +105,7 @@ class SafeThrusterOutput(Closing):
 
     def _by_channel(self, pulses_us: Sequence[int]) -> tuple[int, ...]:
         """Pulses per thruster in the order of the channels; a channel without a thruster gets none (0)."""
-        result = [0] * max(self._channels)
-        for channel, pulse in zip(self._channels, pulses_us, strict=True):
-            result[channel - 1] = pulse
-        return tuple(result)
+        return tuple([0 if place is None else pulses_us[place] for place in self._places])
 
     def _try_neutral(self) -> bool:
         """Neutral if the wire still takes it; whether it did."""

@@ -64,7 +64,7 @@ class Question:
 
     def same(self, other: "Question") -> bool:
         """Whether the answer to both is the same (plans are compared as objects)."""
-        return (
+        return self is other or (
             self.limits == other.limits
             and self.origin == other.origin
             and all(self.plans[kind] is other.plans[kind] for kind in PlanKind)

@@ -9,6 +9,7 @@ import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -77,6 +78,9 @@ class Change(PlanChange):
         self.end(PlanRejection(seq=0, result=MissionResult.OPERATION_CANCELLED, reason=text))
 
 
+_limits: Callable[[Mapping[str, float]], tuple[float, ...]] = itemgetter(*PLAN_PARAMETERS)
+
+
 class Plans(PlanStore):
     """Implements :class:`PlanStore`; also gives the plans in local metres.
 
@@ -105,6 +109,7 @@ class Plans(PlanStore):
         self._ticket: Ticket[Verdict] | None = None
         self._asked: Question | None = None
         self._change: Change | None = None
+        self._wanted: Question | None = None
         self._verdict = Verdict(question=self._question())
         self.guard: Guard = lambda kinds, verdict: None
         """Asked before plans are taken that came by :meth:`propose`."""
@@ -320,13 +325,22 @@ class Plans(PlanStore):
         return self._verdict.question.same(self._question())
 
     def _question(self, change: Change | None = None) -> Question:
-        return Question(
+        """What is to be known now; without a change the same object as long as it is the same question."""
+        limits = _limits(self._params)
+        known = self._wanted
+        asked_before = known is not None and known.plans is self._plans and known.origin is self._origin
+        if change is None and known is not None and asked_before and known.limits == limits:
+            return known
+        wanted = Question(
             plans=self._plans if change is None else {**self._plans, **change.plans},
             origin=self._origin,
-            limits=tuple(self._params[name] for name in PLAN_PARAMETERS),
+            limits=limits,
             radius_m=self._radius_m,
             water=self._water,
         )
+        if change is None:
+            self._wanted = wanted
+        return wanted
 
 
 def _failed(question: Question, error: Exception) -> Verdict:

@@ -98,7 +98,7 @@ class Ig500Emulator(AlwaysOpen):
         noise, chance = self._drawn()
         values = self._measured(truth, noise)
         if any(fault.at_s <= truth.t_us / 1e6 < fault.at_s + fault.duration_s for fault in self._freezes):
-            values = self._held or values
+            values = {**values, **(self._held or {})}
         self._held = values
         self._count += 1
         self.next_us = round(self._count * 1e6 / self._rate_hz)
@@ -135,17 +135,19 @@ class Ig500Emulator(AlwaysOpen):
         roll += self._roll.step(noise[12]) + more_roll
         pitch += self._pitch.step(noise[13]) + more_pitch
         off = self._yaw.step(noise[14]) + self._yaw_offset_rad + self._field_rad(truth.pos_ned_m) + more_yaw
-        field = r_ned_from_frd(truth.rpy_rad).T @ np.array([math.cos(off), -math.sin(off), math.tan(DIP_RAD)])
         yaw += off
-        return {
+        values: dict[Field, tuple[float, ...]] = {
             Field.QUATERNION: tuple(quat_from_rpy((roll, pitch, yaw)).tolist()),
             Field.EULER: (roll, pitch, yaw),
             Field.GYRO: tuple(felt[0:3]),
             Field.ACCEL: tuple(felt[3:6]),
-            Field.MAG: tuple(field.tolist()),
             Field.STATUS: (STATUS_GOOD,),
             Field.ATTITUDE_ACCURACY: (ACCURACY_RAD,),
         }
+        if Field.MAG in self._codec.parts:
+            field = r_ned_from_frd(truth.rpy_rad).T @ np.array([math.cos(off), -math.sin(off), math.tan(DIP_RAD)])
+            values[Field.MAG] = tuple(field.tolist())
+        return values
 
     def _field_rad(self, pos_ned_m: FloatArray) -> float:
         """Magnetic disturbance of the heading at a place."""

@@ -47,6 +47,7 @@ class Watch:
         self._unreachable = False
         self._thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
         self._share: dict[str, float] = {}
+        self._shares: tuple[float, ...] | None = None
         self._armed_us: int | None = None
         self._delay_s = 0.0
 
@@ -56,7 +57,7 @@ class Watch:
         texts: list[tuple[Severity, str]] = []
         health = NavHealth.INVALID if nav is None else nav.health
         new = conditions.nav_doubts - self._doubts if armed else frozenset()
-        texts += [(Severity.WARNING, _DOUBT_TEXTS[doubt]) for doubt in NavDoubt if doubt in new]
+        texts += [(Severity.WARNING, _DOUBT_TEXTS[doubt]) for doubt in NavDoubt if doubt in new] if new else []
         self._doubts = self._doubts | new if armed else frozenset()
         # The text of a doubt says already why the fixes do not count.
         told = health is NavHealth.DEAD_RECKONING and (bool(new) or NavDoubt.FIXES in conditions.nav_doubts)
@@ -86,6 +87,9 @@ class Watch:
     def _of_thrusters(self, shares: tuple[float, ...]) -> list[tuple[Severity, str]]:
         """A thruster that gives less than it should, or again what it should."""
         texts: list[tuple[Severity, str]] = []
+        if shares == self._shares:
+            return texts
+        self._shares = shares
         for name, share in zip(self._thrusters, shares, strict=False):
             said = self._share.get(name, 1.0)
             if abs(share - said) < SHARE_NEWS and not (share == 1.0 != said):

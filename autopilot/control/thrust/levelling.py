@@ -56,8 +56,8 @@ class Levelling:
     ) -> FloatArray:
         """(n,) the controller's thrust ``wanted_n`` with that of levelling added, within ``limit_n``; when there is no
         room for all of it as much as leaves the four controlled axes alone."""
-        ways = self._ways_of(limit_n)
-        if not ways.any():
+        ways = self._ways_of(limit_n) if self._given else None
+        if ways is None or not ways.any():
             return wanted_n
         angle = np.clip(rpy_rad[:2], -MOST_TILT_RAD, MOST_TILT_RAD)
         w = self._rate_rad_s
