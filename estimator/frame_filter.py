@@ -29,6 +29,8 @@ class FrameFilter:
     def __init__(self, width_px: int, height_px: int) -> None:
         self._shape = (height_px, width_px, 3)
         self._before: NDArray[np.uint8] | None = None
+        self._levels: NDArray[np.int64] = np.zeros(256, dtype=np.int64)
+        """Of the last picture: how many of the pixels that are looked at have each grey level."""
         self.counts = dict.fromkeys(FrameVerdict, 0)
         self._reports: list[PictureReport] = []
 
@@ -45,8 +47,8 @@ class FrameFilter:
                 t_us=frame.t_us,
                 verdict=verdict,
                 contrast=float(steps.std()) * math.sqrt(0.5),
-                white_share=float((sparse >= WHITE_LEVEL).mean()),
-                black_share=float((sparse <= BLACK_LEVEL).mean()),
+                white_share=int(self._levels[WHITE_LEVEL:].sum()) / sparse.size,
+                black_share=int(self._levels[: BLACK_LEVEL + 1].sum()) / sparse.size,
             )
         self._reports.append(report)
         return verdict
@@ -62,17 +64,27 @@ class FrameFilter:
             return FrameVerdict.WRONG_SIZE
         if image.dtype != np.uint8:
             return FrameVerdict.WRONG_TYPE
-        sparse = image[::STEP_PX, ::STEP_PX, 1]
-        low, high = np.percentile(sparse, (100.0 * (1.0 - MOST), 100.0 * MOST))
-        if float(high) < DARK_LEVEL:
+        sparse = np.ascontiguousarray(image[::STEP_PX, ::STEP_PX, 1])
+        levels = self._levels = np.bincount(sparse.ravel(), minlength=256)
+        if quantile(levels, MOST) < DARK_LEVEL:
             return FrameVerdict.DARK
-        if float(low) > BRIGHT_LEVEL:
+        if quantile(levels, 1.0 - MOST) > BRIGHT_LEVEL:
             return FrameVerdict.BRIGHT
-        if int(sparse.max()) - int(sparse.min()) <= FLAT_LEVELS:
+        there = np.flatnonzero(levels)
+        if int(there[-1]) - int(there[0]) <= FLAT_LEVELS:
             return FrameVerdict.FLAT
         tail = image[-max(2, round(TORN_SHARE * self._shape[0])) :: 2, ::STEP_PX]
         if (tail == tail[-1, -1]).all():
             return FrameVerdict.TORN
         alike = self._before is not None and np.array_equal(self._before, sparse)
-        self._before = sparse.copy()
+        self._before = sparse
         return FrameVerdict.FROZEN if alike else FrameVerdict.OK
+
+
+def quantile(levels: NDArray[np.int64], share: float) -> float:
+    """What this share of the pixels counted in ``levels`` (256,) does not exceed, linear between two of them."""
+    up_to = levels.cumsum()
+    place = share * (int(up_to[-1]) - 1)
+    first = math.floor(place)
+    below, above = np.searchsorted(up_to, (first, min(first + 1, int(up_to[-1]) - 1)), side="right").tolist()
+    return float(below + (above - below) * (place - first))

@@ -38,14 +38,14 @@ def find_dot(image_bgr: Any, camera: CameraModel, range_m: float | None) -> Floa
         near, far = RANGE_BAND[0] * range_m - RANGE_SLACK_M, RANGE_BAND[1] * range_m + RANGE_SLACK_M
     near = max(near, 0.1)
     ranges = 1.0 / np.linspace(1.0 / near, 1.0 / max(far, 1.1 * near), 12)
-    line = np.array([camera.laser_pixel(float(r)) for r in ranges])
+    line = camera.laser_pixels(ranges)
     left, top = (math.floor(v) - PAD_PX for v in line.min(axis=0))
     right, bottom = (math.ceil(v) + PAD_PX + 1 for v in line.max(axis=0))
     left, top = max(left, 0), max(top, 0)
     right, bottom = min(right, camera.width_px), min(bottom, camera.height_px)
     if right - left < 2 * PAD_PX or bottom - top < PAD_PX:
         return None
-    patch = image_bgr[top:bottom, left:right].astype(np.float32)
+    patch = image_bgr[top:bottom, left:right, :2].astype(np.float32)
     # Under one light, black and white print differ in brightness alone: green follows blue along a straight line, which
     # tint and haze only shift. What lies above that line is the laser's.
     blue, green = patch[:, :, 0], patch[:, :, 1]

@@ -52,13 +52,10 @@ def looks_of(grey: Any, quads: FloatArray, patterns: FloatArray) -> Looks:
     """Of markers with corners ``quads`` (n, 4, 2) [px] and cells ``patterns`` (n, s, s), 1 white, border included."""
     n, cells = patterns.shape[:2]
     to_px = _homographies(quads)
-    center = (np.arange(cells) + 0.5) / cells
     steps = quads - np.roll(quads, -1, axis=1)
-    side_px = float(np.median(np.sqrt((steps * steps).sum(axis=2))))
-    off = min(OFF_CENTER / cells, OFF_CENTER_PX / side_px)
-    v, u = np.meshgrid(center, center, indexing="ij")
-    inside = np.stack([np.stack((u + du, v + dv), axis=-1) for du in (-off, off) for dv in (-off, off)])
-    samples = _sample(grey, to_px, inside.reshape(-1, 2)).reshape(n, 4, cells, cells)
+    sides_px = np.sqrt((steps * steps).sum(axis=2))
+    off = min(OFF_CENTER / cells, OFF_CENTER_PX / float(np.median(sides_px)))
+    samples = _sample(grey, to_px, _around_centers(cells, off)).reshape(n, 4, cells, cells)
     level = samples.mean(axis=1)
     noise = np.sqrt(np.square(samples - level[:, None]).sum(axis=(1, 2, 3)) / (3.0 * cells * cells))
     bits = patterns - patterns.mean(axis=(1, 2), keepdims=True)
@@ -67,17 +64,15 @@ def looks_of(grey: Any, quads: FloatArray, patterns: FloatArray) -> Looks:
     along = (apart * bits).sum(axis=(1, 2))
     spread = np.square(samples - level.mean(axis=(1, 2))[:, None, None, None]).mean(axis=1).sum(axis=(1, 2))
     fit = along / np.sqrt(np.maximum(power * spread, 1e-12))
-    return Looks(along / power, noise, fit, _widths_px(grey, to_px, quads, cells))
+    return Looks(along / power, noise, fit, _widths_px(grey, to_px, sides_px.mean(axis=1), cells))
 
 
 def misread_cells(grey: Any, quads: FloatArray, patterns: FloatArray) -> IntArray:
     """(n,) how many cells of markers at ``quads`` (n, 4, 2) are not as in ``patterns`` (n, s, s)."""
     n, cells = patterns.shape[:2]
-    center = (np.arange(cells) + 0.5) / cells
-    v, u = np.meshgrid(center, center, indexing="ij")
-    off = MISREAD_CENTER / cells  # near the middle, where slanted cells are not blurred into each other
-    inside = np.stack([np.stack((u + du, v + dv), axis=-1) for du in (-off, off) for dv in (-off, off)])
-    level = _sample(grey, _homographies(quads), inside.reshape(-1, 2)).reshape(n, 4, cells, cells).mean(axis=1)
+    # Near the middle, where slanted cells are not blurred into each other.
+    inside = _around_centers(cells, MISREAD_CENTER / cells)
+    level = _sample(grey, _homographies(quads), inside).reshape(n, 4, cells, cells).mean(axis=1)
     white = (level * patterns).sum(axis=(1, 2)) / np.maximum(patterns.sum(axis=(1, 2)), 1.0)
     black = (level * (1.0 - patterns)).sum(axis=(1, 2)) / np.maximum((1.0 - patterns).sum(axis=(1, 2)), 1.0)
     wrong = (level > 0.5 * (white + black)[:, None, None]) != (patterns > 0.5)
@@ -109,25 +104,43 @@ def _homographies(quads: FloatArray) -> FloatArray:
     return result
 
 
-def _sample(grey: Any, to_px: FloatArray, points: FloatArray) -> FloatArray:
-    """Grey levels (n, k) at points (k, 2) of n unit squares, between pixels by interpolation."""
-    full = np.column_stack((points, np.ones(len(points)))) @ to_px.transpose(0, 2, 1)
-    pixels = (full[..., :2] / full[..., 2:]).astype(np.float32)
-    seen = cv2.remap(grey, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(seen, dtype=np.float64)
+def _around_centers(cells: int, off: float) -> FloatArray:
+    """(2, 4 cells^2) points of the unit square: four about the centre of each cell, so far off along both axes."""
+    center = (np.arange(cells) + 0.5) / cells
+    low_high = np.array([center - off, center + off])
+    shape = (2, 2, cells, cells)  # offset along u, offset along v, row, column
+    u, v = low_high[:, None, None, :], low_high[None, :, :, None]
+    return np.stack((np.broadcast_to(u, shape), np.broadcast_to(v, shape))).reshape(2, -1)
 
 
-def _widths_px(grey: Any, to_px: FloatArray, quads: FloatArray, cells: int) -> FloatArray:
-    """(n,) widths of the outlines."""
+@lru_cache(maxsize=16)
+def _across_edges(cells: int) -> FloatArray:
+    """(2, k) points of the unit square: profiles across its four sides. Not to be changed."""
     along = (np.arange(EDGE_PLACES) + 1.5) / (EDGE_PLACES + 2)
     across = np.linspace(-EDGE_CELLS, EDGE_CELLS, EDGE_STEPS) / cells  # from outside to inside
     a, b = np.meshgrid(along, across, indexing="ij")
     sides = np.stack([np.stack(s, axis=-1) for s in ((a, b), (1.0 - b, a), (a, 1.0 - b), (b, a))])
-    levels = _sample(grey, to_px, sides.reshape(-1, 2)).reshape(len(quads), -1, EDGE_STEPS).mean(axis=1)
+    return np.ascontiguousarray(sides.reshape(-1, 2).T)
+
+
+def _sample(grey: Any, to_px: FloatArray, points: FloatArray) -> FloatArray:
+    """Grey levels (n, k) at points (2, k) of n unit squares, between pixels by interpolation."""
+    u, v = points
+    # One axis at a time: a product of matrices with three columns costs several times as much.
+    x, y, scale = (to_px[:, row, 0:1] * u + to_px[:, row, 1:2] * v + to_px[:, row, 2:3] for row in range(3))
+    x /= scale
+    y /= scale
+    x_px, y_px = x.astype(np.float32), y.astype(np.float32)
+    seen = cv2.remap(grey, x_px, y_px, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(seen, dtype=np.float64)
+
+
+def _widths_px(grey: Any, to_px: FloatArray, sides_px: FloatArray, cells: int) -> FloatArray:
+    """(n,) widths of the outlines of markers whose sides are (n,) long."""
+    levels = _sample(grey, to_px, _across_edges(cells)).reshape(len(to_px), -1, EDGE_STEPS).mean(axis=1)
     steepest = np.maximum((levels[:, :-1] - levels[:, 1:]).max(axis=1), 1e-6)
     high = levels.max(axis=1) - levels.min(axis=1)
-    steps = quads - np.roll(quads, -1, axis=1)
-    step_px = np.sqrt((steps * steps).sum(axis=2)).mean(axis=1) / cells * (2.0 * EDGE_CELLS / (EDGE_STEPS - 1))
+    step_px = sides_px / cells * (2.0 * EDGE_CELLS / (EDGE_STEPS - 1))
     return np.asarray(np.maximum(high / steepest * step_px, MIN_WIDTH_PX), dtype=np.float64)
 
 

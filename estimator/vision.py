@@ -143,9 +143,7 @@ class MarkerDetector:
         eye_m = float((hint.pos_ned_m + r @ self._camera.position_frd_m)[2])
         above_m = max(self._floor_m - eye_m, 0.05)
         margin_px = max(HINT_MARGIN_PX, HINT_MARGIN_M * self._camera.focal_water_px / above_m)
-        seen = self._markers.visible(self._camera, hint.pos_ned_m, r, -margin_px)
-        in_cam = self._camera.cam_from_ned(self._markers.corners_ned_m[seen], hint.pos_ned_m, r)
-        corners = self._camera.project(in_cam)
+        seen, corners = self._markers.in_view(self._camera, hint.pos_ned_m, r, -margin_px)
         kinds = self._markers.ids[seen] // ID_SPAN
         return [(self._markers.ids[seen[kinds == kind]], corners[kinds == kind]) for kind in np.unique(kinds)]
 
@@ -325,11 +323,11 @@ def grey_of(image_bgr: Any) -> tuple[Any, bool]:
     """The image (rows, columns) in which markers are looked for, and whether it is hazy.
 
     Water takes red first. Green alone is the cheapest that keeps contrast; where noise matters, blue has as much."""
-    green = np.ascontiguousarray(image_bgr[:, :, 1])
+    green = cv2.extractChannel(image_bgr, 1)
     _, spread = cv2.meanStdDev(np.ascontiguousarray(green[::4, ::4]))
     if float(spread[0, 0]) >= HAZY_STD_DEV:
         return green, False
-    both = cv2.addWeighted(np.ascontiguousarray(image_bgr[:, :, 0]), 0.5, green, 0.5, 0.0)
+    both = cv2.addWeighted(cv2.extractChannel(image_bgr, 0), 0.5, green, 0.5, 0.0)
     return both, True
 
 

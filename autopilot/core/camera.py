@@ -233,6 +233,10 @@ class CameraModel:
         """Pixel (2,) of the laser dot at ``range_m`` along the beam from where it starts."""
         return self.project(self.laser_offset_cam_m + range_m * self.laser_direction_cam)
 
+    def laser_pixels(self, ranges_m: FloatArray) -> FloatArray:
+        """Pixels (n, 2) at ranges (n,)."""
+        return self.project(self.laser_offset_cam_m + ranges_m[:, None] * self.laser_direction_cam)
+
     def inside(self, pixels: FloatArray, margin_px: float = 0.0) -> np.ndarray:
         """Whether pixels (..., 2) lie in the image and at least ``margin_px`` from its border; False for NaN."""
         x, y = pixels[..., 0], pixels[..., 1]

@@ -95,6 +95,12 @@ class MarkerMap:
         ``margin_px`` > 0 asks for that distance from the image border, < 0 adds markers that far outside of it (for
         an uncertain pose).
         """
+        return self.in_view(camera, pos_ned_m, r_ned_from_frd, margin_px)[0]
+
+    def in_view(
+        self, camera: CameraModel, pos_ned_m: FloatArray, r_ned_from_frd: FloatArray, margin_px: float = 0.0
+    ) -> tuple[IntArray, FloatArray]:
+        """As :meth:`visible`, and the pixels (m, 4, 2) of their corners."""
         north, east, radius = self._footprint(camera, pos_ned_m, r_ned_from_frd, margin_px)
         dn, de = self._north_m - north, self._east_m - east
         near = np.flatnonzero(dn * dn + de * de < radius * radius)
@@ -102,8 +108,7 @@ class MarkerMap:
         shown = camera.inside(pixels, margin_px).all(axis=1)
         if not self.level:
             shown &= _cross_2d(pixels[..., 0], pixels[..., 1]) > 0.0
-        result: IntArray = near[shown]
-        return result
+        return near[shown], pixels[shown]
 
     def _footprint(
         self, camera: CameraModel, pos_ned_m: FloatArray, r_ned_from_frd: FloatArray, margin_px: float

@@ -18,7 +18,7 @@ from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavHealth
 from autopilot.core.samples import CameraFrame, MarkerSighting
-from estimator.frame_filter import FrameFilter, FrameVerdict
+from estimator.frame_filter import FrameFilter, FrameVerdict, quantile
 from estimator.markers_pose import MarkerSolver
 from estimator.pnp import solve_pose
 from estimator.vision import Hint, MarkerDetector
@@ -216,3 +216,12 @@ def test_a_single_marker_that_contradicts_the_ahrs_gives_no_fix(floor: MarkerMap
     one = sight(floor, pos, rpy, rng, sigma_px=0.05, most=1)
     assert MarkerSolver(CAMERA, floor).track(one, pos, rpy) is not None
     assert MarkerSolver(CAMERA, floor).track(one, pos, np.array([-0.2, 0.2, 0.5])) is None
+
+
+def test_the_levels_of_a_picture_are_ranked_as_numpy_ranks_its_pixels() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        pixels = rng.integers(0, int(rng.integers(1, 257)), int(rng.integers(1, 5000))).astype(np.uint8)
+        levels = np.bincount(pixels, minlength=256)
+        for share in (0.1, 0.5, 0.9, 1.0):
+            assert quantile(levels, share) == pytest.approx(float(np.percentile(pixels, 100.0 * share)), abs=1e-9)
