@@ -133,10 +133,11 @@ class MadeGood:
     def idle_s(self, t_us: int, goal: Goal, nav: NavState, way_m: float | None, step_m: float) -> float:
         """Time since the way left was last shorter by ``step_m`` than ever before. ``way_m``: as the guidance knows it
         (horizontal), None = straight. Time without a good position does not count."""
-        place = goal.pos_ned_m - nav.pos_ned_m
-        left_m = math.hypot(float(place[0]), float(place[1])) if way_m is None else way_m
-        left_m += abs(float(place[2]))
-        key = (goal.seq, *goal.pos_ned_m.tolist())
+        north, east, down = goal.pos_ned_m.tolist()
+        here_n, here_e, here_d = nav.pos_ned_m.tolist()
+        left_m = math.hypot(north - here_n, east - here_e) if way_m is None else way_m
+        left_m += abs(down - here_d)
+        key = (goal.seq, north, east, down)
         self._look(t_us, left_m, same=key == self._goal and nav.health is NavHealth.GOOD)
         if key != self._goal:
             self._goal, self._anew = key, 0

@@ -58,7 +58,8 @@ def _load(path: Path) -> Any:
         wrong = flaw(path, SOURCES)
         if wrong:
             raise RuntimeError(f"{path.name} {wrong}; {AGAIN}")
-        library = ctypes.CDLL(str(path))
+        # Calls of microseconds: if each gave the interpreter away the loop would wait for other threads to return it.
+        library = ctypes.PyDLL(str(path))
         address, whole = ctypes.c_void_p, ctypes.c_long
         library.workspace_bytes.restype = library.task_bytes.restype = whole
         library.workspace_bytes.argtypes = [whole, whole]

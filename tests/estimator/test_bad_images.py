@@ -17,8 +17,8 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavHealth
-from autopilot.core.samples import CameraFrame, MarkerSighting
-from estimator.frame_filter import FrameFilter, FrameVerdict, quantile
+from autopilot.core.samples import CameraFrame, FrameVerdict, MarkerSighting
+from estimator.frame_filter import FrameFilter, quantile
 from estimator.markers_pose import MarkerSolver
 from estimator.pnp import solve_pose
 from estimator.vision import Hint, MarkerDetector

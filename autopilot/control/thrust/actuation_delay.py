@@ -108,8 +108,8 @@ class ActuationDelay:
         self._known: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque(maxlen=UNLEARNED_LOOKS)
         self._past = np.zeros((n, nu))
         self._acting, self._thrust = np.zeros(nu), np.zeros(nu)
-        self._nu: FloatArray | None = None
-        self._drift: FloatArray = np.zeros(4)
+        self._followed: FloatArray | None = None
+        """(8,) of :func:`thrustless_motion`, filtered."""
         self._current: FloatArray | None = None
         self._t_us: int | None = None
         self._since_s = self._wait_s = self._certain_s = 0.0
@@ -154,27 +154,26 @@ class ActuationDelay:
             self._past[1:] = self._past[:-1]
             self._past[0] = self._thrust
         if nav is None or nav.health is not NavHealth.GOOD:
-            self._nu = None
+            self._followed = None
             self._unlearn()
             return False
         if self._current is None:
             self._current = nav.current_ned_m_s.copy()
-        nu, drift = thrustless_motion(self._model, nav, self._current)
-        if self._nu is None or nav.reset_count != self._reset_count:
-            self._wait_s = 0.0 if self._nu is None and self._reset_count < 0 else 3.0 * self._tuning.filter_s
-            self._reset_count, self._nu, self._drift = nav.reset_count, nu, drift
+        motion, followed = thrustless_motion(self._model, nav, self._current), self._followed
+        if followed is None or nav.reset_count != self._reset_count:
+            self._wait_s = 0.0 if followed is None and self._reset_count < 0 else 3.0 * self._tuning.filter_s
+            self._reset_count, self._followed = nav.reset_count, motion
             return False
         self._wait_s -= dt_s
         self._current += dt_s / self._tuning.current_s * (nav.current_ned_m_s - self._current)
-        self._drift += share * (drift - self._drift)
-        self._nu += share * (nu - self._nu)
+        followed += share * (motion - followed)
         if not due or self._wait_s > 0.0:
             return False
         self._known.append((self._x, self._p, self._evidence))
         self._look(
             look_s,
             push_sigma(self._model, nav, self._tuning.push, self._tuning.flow_m_s),
-            (nu - self._nu) / self._tuning.filter_s - self._drift,
+            (motion[:AXES] - followed[:AXES]) / self._tuning.filter_s - followed[AXES:],
         )
         return self._declare(look_s)
 

@@ -14,8 +14,8 @@ from autopilot.core.messages import NavState
 from autopilot.core.model4 import Model4, body_acceleration
 
 
-def thrustless_motion(model: Model4, nav: NavState, current_ned_m_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Velocity over ground and yaw rate (4,), and their rate of change without thrust (4,) in that current."""
+def thrustless_motion(model: Model4, nav: NavState, current_ned_m_s: FloatArray) -> FloatArray:
+    """(8,) velocity over ground and yaw rate, and their rate of change without thrust in that current."""
     ground_u, ground_v, ground_w = nav.vel_frd_m_s.tolist()
     north, east, down = current_ned_m_s.tolist()
     yaw, r = nav.rpy_rad.item(2), nav.rate_frd_rad_s.item(2)
@@ -24,8 +24,7 @@ def thrustless_motion(model: Model4, nav: NavState, current_ned_m_s: FloatArray)
     nu = (ground_u - flow_u, ground_v - flow_v, ground_w - down, r)
     du, dv, dw, dr = body_acceleration(model, nu, (0.0,) * model.thrusters, math)
     # A steady current turns in the body frame.
-    drift = np.array([du + r * flow_v, dv - r * flow_u, dw, dr])
-    return np.array([ground_u, ground_v, ground_w, r]), drift
+    return np.array([ground_u, ground_v, ground_w, r, du + r * flow_v, dv - r * flow_u, dw, dr])
 
 
 def push_sigma(model: Model4, nav: NavState, at_rest: tuple[float, ...], flow_m_s: float) -> FloatArray:
