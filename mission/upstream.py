@@ -137,7 +137,7 @@ class MadeGood:
         here_n, here_e, here_d = nav.pos_ned_m.tolist()
         left_m = math.hypot(north - here_n, east - here_e) if way_m is None else way_m
         left_m += abs(down - here_d)
-        key = (goal.seq, north, east, down)
+        key: tuple[float, ...] = (goal.seq, north, east, down)
         self._look(t_us, left_m, same=key == self._goal and nav.health is NavHealth.GOOD)
         if key != self._goal:
             self._goal, self._anew = key, 0
