@@ -14,7 +14,7 @@ from setuptools.command.build_ext import build_ext
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE / "autopilot" / "data" / "native"
 THRUSTERS = range(4, 9)
-ONCE = ("surroundings", "reference", "program", "follow", "water", "estimator", "plant")
+ONCE = ("surroundings", "reference", "program", "follow", "water", "estimator", "plant", "interval")
 """Sources that are the same for all vehicles and processors."""
 
 FLAGS = ["-O2", "-g0", "-std=c99", "-fno-math-errno", "-fno-trapping-math", "-fno-wrapv", "-fvisibility=hidden"]

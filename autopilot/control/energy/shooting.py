@@ -5,25 +5,27 @@ the trajectory; what they give is put into the sparse matrices of the whole by c
 whole program would be 48 times as large: 40 MB for one RK4 step per interval, 70 MB for two, and a second to build.
 
 Variables: thrust (one per thruster) and next state (8) of every interval, then the end time. Rows: the :data:`ROWS` of
-every interval, then :data:`END_ROWS`. All rows but those of the motion are at most 0.
+every interval, then :data:`END_ROWS`. All rows but those of the motion are at most 0. Limits of single variables
+(thrusts, heave, yaw rate, depth, end time) are bounds and no rows: they cost the linear algebra nothing.
 """
 
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from autopilot.control.energy.interval import steps
 from autopilot.control.energy.power import PowerModel
-from autopilot.core import model4
+from autopilot.control.nmpc.model_code import coefficients
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, Z
+from autopilot.core.model4 import NX, YAW, Model4, U, V
 
 PLANES = 6
 """Half-planes per node."""
 
-ROWS = NX + 1 + 2 + 2 + 2 + PLANES
-"""Of an interval: motion, planar speed, heave, yaw rate, depth, half-planes."""
+ROWS = NX + 1 + PLANES
+"""Of an interval: motion, planar speed, half-planes."""
 
 END_ROWS = 3
 """Distance from the goal, heading."""
@@ -35,9 +37,6 @@ COAST_S = 1.0
 
 SMALL_THRUST_N = 0.3
 """See :meth:`Shooting._second`."""
-
-Entries: TypeAlias = list[tuple[int, int]]
-"""Rows and columns."""
 
 
 def shapes_of(n: int) -> dict[str, tuple[int, int]]:
@@ -53,7 +52,6 @@ def shapes_of(n: int) -> dict[str, tuple[int, int]]:
         "plane_n": (2, PLANES * (n + 1)),
         "plane_d": (PLANES, n + 1),
         "planar": (1, n + 1),
-        "limits": (4, n + 1),
         "end": (2, 1),
     }
 
@@ -79,31 +77,31 @@ class Shooting:
             ["triu_hess_gamma_x_x"],
         )
         jacobian = ca.Function("jacobian", [z, p], [rows, self._jacobian(z, p)], ["x", "p"], ["g", "jac_g_x"])
-        self.derivatives: dict[str, Any] = {"hess_lag": hessian, "jac_g": jacobian}
+        gradient = ca.Function("gradient", [z, p], [cost, self._gradient(z, p)], ["x", "p"], ["f", "grad_f_x"])
+        self.derivatives: dict[str, Any] = {"hess_lag": hessian, "jac_g": jacobian, "grad_f": gradient}
         motion = np.tile(np.arange(ROWS) < NX, n)
         self.lower: FloatArray = np.concatenate([np.where(motion, 0.0, -np.inf), np.full(END_ROWS, -np.inf)])
         self.upper: FloatArray = np.zeros(ROWS * n + END_ROWS)
 
     def _interval(self, model: Model4) -> None:
-        """One interval: motion and cost, slopes, Hessian, over state, thrust and end time."""
-        z, of_motion, of_cost = ca.SX.sym("z", self._block + 1), ca.SX.sym("of_motion", NX), ca.SX.sym("of_cost")
-        water = [ca.SX.sym("c", 3), ca.SX.sym("g", 4), ca.SX.sym("p0", 2)]
-        x, u, end_s = z[:NX], z[NX : self._block], z[self._block]
-        moved = _step(model, self._substeps)(x, u, *water, end_s / self._n)
-        cost = COST_SCALE * end_s / self._n * ca.sum1(self._power.thrust_w(u))
+        """One interval: motion with slopes and Hessian; power of its thrusters with theirs."""
+        n, interval = self._n, steps(self._substeps)
+        self._matrix = np.array(model.allocation)
+        self._coefficients = ca.repmat(ca.DM(coefficients(model)), 1, n)
+        self._moved, self._slopes, self._curved = (
+            each.map(n) for each in (interval.moved, interval.slopes, interval.curved)
+        )
+        u = ca.SX.sym("u", self._nu)
+        watts = ca.sum1(self._power.thrust_w(u))
+        slope = ca.gradient(watts, u)
         # For a power |F|^1.5 Newton's step from F leads to -F, which costs the same: thrusts that ought to be zero
         # swing from side to side, until the iterations have run out. A step with the slope over F as curvature leads to
         # zero. So the difference of both is added, fading out where thrusts are not small and it would only make steps
         # shorter. The solution is the same.
-        lacking = ca.SX(self._block + 1, 1)
         gap = self._power.secant_over_tangent(u) / (1.0 + (u / SMALL_THRUST_N) ** 2)
-        lacking[NX : self._block] = of_cost * COST_SCALE * end_s / self._n * gap
-        whole, _ = ca.hessian(of_cost * cost + ca.dot(of_motion, moved), z)
-        n = self._n
-        self._moved = ca.Function("moved", [z, *water], [moved, cost]).map(n)
-        self._slopes = ca.Function("slopes", [z, *water], [ca.densify(ca.jacobian(moved, z))]).map(n)
-        curved = ca.densify(whole + ca.diag(lacking))
-        self._curved = ca.Function("curved", [z, *water, of_motion, of_cost], [curved]).map(n)
+        self._watts = ca.Function("watts", [u], [watts]).map(n)
+        self._watt_slopes = ca.Function("watt_slopes", [u], [watts, slope]).map(n)
+        self._watt_curved = ca.Function("watt_curved", [u], [slope, ca.diag(ca.jacobian(slope, u)) + gap]).map(n)
 
     def _end(self) -> None:
         """What holds at the last node: rows and cost, slopes, Hessian, over its state."""
@@ -119,127 +117,138 @@ class Shooting:
         curved, _ = ca.hessian(of_cost * cost + ca.dot(of_rows, rows), x)
         self._end_values = ca.Function("end", known, [rows, cost])
         self._end_slopes = ca.Function("end_slopes", known, [ca.densify(ca.jacobian(rows, x))])
+        self._end_gradient = ca.Function("end_gradient", known, [ca.densify(ca.gradient(cost, x))])
         self._end_curved = ca.Function("end_curved", [*known, of_rows, of_cost], [ca.densify(curved)])
 
     def _split(self, z: Any, p: Any) -> tuple[dict[str, Any], Any, Any, list[Any], list[Any]]:
-        """Parameters by name, next states (8, n), intervals (9 + thrusters, n), their water, what the end needs."""
+        """Parameters by name, next states (8, n), thrusts (thrusters, n), what the motion needs, what the end needs."""
         n, parts, at = self._n, {}, 0
         for name, (rows, columns) in shapes_of(n).items():
             parts[name] = ca.reshape(p[at : at + rows * columns], rows, columns)
             at += rows * columns
         table = ca.reshape(z[:-1], self._block, n)
-        following = table[self._nu :, :]
+        following, thrusts = table[self._nu :, :], table[: self._nu, :]
         state = ca.horzcat(parts["x0"], following[:, : n - 1])
-        intervals = ca.vertcat(state, table[: self._nu, :], ca.repmat(z[-1], 1, n))
-        water = [parts[name][:, :n] for name in ("current", "gradient", "places")]
+        length = z[-1] / (n * self._substeps)
+        variables = ca.vertcat(state, ca.mtimes(ca.DM(self._matrix), thrusts), ca.repmat(length, 1, n))
+        motion = [variables, *(parts[name][:, :n] for name in ("current", "gradient", "places")), self._coefficients]
         end = [following[:, n - 1], parts["goal"], parts["band"], parts["end"], parts["current"][:2, n]]
-        return parts, following, intervals, water, end
+        return parts, following, thrusts, motion, end
 
     def _values(self, z: Any, p: Any) -> tuple[Any, Any]:
         """Cost and rows."""
         n = self._n
-        parts, x, intervals, water, end = self._split(z, p)
-        moved, costs = self._moved(intervals, *water)
-        limits = parts["limits"][:, 1:]
+        parts, x, thrusts, motion, end = self._split(z, p)
         normals, offsets = parts["plane_n"][:, PLANES:], parts["plane_d"][:, 1:]
         along = [ca.sum1(normals[:, i::PLANES] * x[:2, :]) for i in range(PLANES)]
         rows = ca.vertcat(
-            moved - x,
+            self._moved(*motion) - x,
             x[U, :] ** 2 + x[V, :] ** 2 - parts["planar"][:, 1:] ** 2,
-            x[W, :] - limits[0, :],
-            -x[W, :] - limits[0, :],
-            x[R, :] - limits[1, :],
-            -x[R, :] - limits[1, :],
-            limits[2, :] - x[Z, :],
-            x[Z, :] - limits[3, :],
             offsets - ca.vertcat(*along),
         )
         end_rows, end_cost = self._end_values(*end)
-        cost = COST_SCALE * self._power.hotel_w * z[-1] + ca.sum2(costs) + end_cost
+        cost = COST_SCALE * z[-1] * (self._power.hotel_w + ca.sum2(self._watts(thrusts)) / n) + end_cost
         assert rows.shape == (ROWS, n)
         return cost, ca.vertcat(ca.vec(rows), end_rows)
+
+    def _gradient(self, z: Any, p: Any) -> Any:
+        """Of the cost."""
+        n = self._n
+        _, _, thrusts, _, end = self._split(z, p)
+        watts, slopes = self._watt_slopes(thrusts)
+        table = ca.MX.zeros(self._block, n)
+        table[: self._nu, :] = COST_SCALE * z[-1] / n * slopes
+        table[self._nu :, n - 1] = self._end_gradient(*end)
+        return ca.vertcat(ca.vec(table), COST_SCALE * (self._power.hotel_w + ca.sum2(watts) / n))
 
     def _jacobian(self, z: Any, p: Any) -> Any:
         """Of the rows."""
         n = self._n
-        parts, x, intervals, water, end = self._split(z, p)
-        entries: Entries = []
-        for k in range(n):
-            entries += [(ROWS * k + row, column) for column in self._columns(k) for row in range(NX)]
-        values = [ca.vec(self._slopes(intervals, *water))]
-        fixed = [(row, row, -1.0) for row in range(NX)]
-        fixed += [(NX + 1 + i, column, sign) for i, (column, sign) in enumerate(SIGNED)]
-        for row, column, value in fixed:
-            entries += [(ROWS * k + row, self._state(k + 1, column)) for k in range(n)]
-            values.append(value * ca.DM.ones(n, 1))
+        parts, x, _, motion, end = self._split(z, p)
+        matrix = _Sparse(ROWS * n + END_ROWS, self._block * n + 1)
+        matrix.add(
+            self._slopes(*motion),
+            [
+                [(ROWS * k + row, column, share) for column, share in columns]
+                for k in range(n)
+                for columns in self._columns(k)
+                for row in range(NX)
+            ],
+        )
+        for row in range(NX):
+            matrix.add(-ca.DM.ones(n, 1), [[(ROWS * k + row, self._state(k + 1, row), 1.0)] for k in range(n)])
         for column in (U, V):
-            entries += [(ROWS * k + NX, self._state(k + 1, column)) for k in range(n)]
-            values.append(2.0 * x[column, :].T)
+            places = [[(ROWS * k + NX, self._state(k + 1, column), 1.0)] for k in range(n)]
+            matrix.add(2.0 * x[column, :].T, places)
         first = ROWS - PLANES
         for column in (0, 1):
-            entries += [(ROWS * k + first + i, self._state(k + 1, column)) for k in range(n) for i in range(PLANES)]
-            values.append(-parts["plane_n"][column, PLANES:].T)
-        entries += [(ROWS * n + row, self._state(n, column)) for column in range(NX) for row in range(END_ROWS)]
-        values.append(ca.vec(self._end_slopes(*end)))
-        return _sparse(ROWS * n + END_ROWS, self._block * n + 1, entries, ca.vertcat(*values))
+            matrix.add(
+                -parts["plane_n"][column, PLANES:].T,
+                [[(ROWS * k + first + i, self._state(k + 1, column), 1.0)] for k in range(n) for i in range(PLANES)],
+            )
+        places = [[(ROWS * n + row, self._state(n, column), 1.0)] for column in range(NX) for row in range(END_ROWS)]
+        matrix.add(self._end_slopes(*end), places)
+        return matrix.filled()
 
     def _hessian(self, z: Any, p: Any, of_cost: Any, of_rows: Any) -> Any:
         """Of the Lagrangian, upper triangle."""
-        n = self._n
-        _, _, intervals, water, end = self._split(z, p)
+        n, nu = self._n, self._nu
+        _, _, thrusts, motion, end = self._split(z, p)
         table = ca.reshape(of_rows[: ROWS * n], ROWS, n)
-        curved = self._curved(intervals, *water, table[:NX, :], ca.repmat(of_cost, 1, n))
-        entries: Entries = []
+        matrix = _Sparse(self._block * n + 1, self._block * n + 1, upper=True)
+        places = []
         for k in range(n):
             columns = self._columns(k)
-            entries += [(row, column) for column in columns for row in columns]
-        values = [ca.vec(curved)]
+            for right in columns:
+                places += [[(i, j, a * b) for i, a in left for j, b in right] for left in columns]
+        matrix.add(self._curved(*motion, table[:NX, :]), places)
+        slopes, curved = self._watt_curved(thrusts)
+        at = [self._block * k + i for k in range(n) for i in range(nu)]
+        matrix.add(of_cost * COST_SCALE * z[-1] / n * curved, [[(i, i, 1.0)] for i in at])
+        matrix.add(of_cost * COST_SCALE / n * slopes, [[(i, self._block * n, 1.0)] for i in at])
         for column in (U, V):
-            entries += [(self._state(k + 1, column),) * 2 for k in range(n)]
-            values.append(2.0 * table[NX, :].T)
+            matrix.add(2.0 * table[NX, :].T, [[(self._state(k + 1, column),) * 2 + (1.0,)] for k in range(n)])
         last = [self._state(n, i) for i in range(NX)]
-        entries += [(row, column) for column in last for row in last]
-        values.append(ca.vec(self._end_curved(*end, of_rows[ROWS * n :], of_cost)))
-        size = self._block * n + 1
-        return _sparse(size, size, [(r, c) if r <= c else (-1, -1) for r, c in entries], ca.vertcat(*values))
+        places = [[(row, column, 1.0)] for column in last for row in last]
+        matrix.add(self._end_curved(*end, of_rows[ROWS * n :], of_cost), places)
+        return matrix.filled()
 
-    def _columns(self, k: int) -> list[int]:
-        """Of state, thrust and end time of an interval; -1 = no variable."""
-        state = [self._state(k, i) for i in range(NX)]
-        return [*state, *(self._block * k + i for i in range(self._nu)), self._block * self._n]
+    def _columns(self, k: int) -> list[list[tuple[int, float]]]:
+        """Where the variables of an interval's motion come from: columns and shares; none for the first state."""
+        state = [[(column, 1.0)] if (column := self._state(k, i)) >= 0 else [] for i in range(NX)]
+        force = [[(self._block * k + j, float(share)) for j, share in enumerate(row) if share] for row in self._matrix]
+        return [*state, *force, [(self._block * self._n, 1.0 / (self._n * self._substeps))]]
 
     def _state(self, node: int, i: int) -> int:
         """Column of a state of a node; the first node's are known (-1)."""
         return self._block * (node - 1) + self._nu + i if node else -1
 
 
-SIGNED = ((W, 1.0), (W, -1.0), (R, 1.0), (R, -1.0), (Z, -1.0), (Z, 1.0))
-"""States that are bounded on one side by each of the rows after that of the planar speed."""
+class _Sparse:
+    """A sparse matrix put together from values, each with its places (row, column) and its shares in them."""
 
+    def __init__(self, rows: int, columns: int, *, upper: bool = False) -> None:
+        self._shape, self._upper = (rows, columns), upper
+        self._values: list[Any] = []
+        self._entries: list[tuple[int, int, int, float]] = []
+        self._count = 0
 
-def _sparse(rows: int, columns: int, entries: Entries, values: Any) -> Any:
-    """A sparse matrix of ``values`` (m,) at ``entries`` (m,), summed where they meet, left out where negative."""
-    at = np.array(entries)
-    used = np.flatnonzero((at >= 0).all(axis=1))
-    # CasADi counts down the columns.
-    order, place = np.unique(at[used, 1] * rows + at[used, 0], return_inverse=True)
-    pattern = ca.Sparsity.triplet(rows, columns, (order % rows).tolist(), (order // rows).tolist())
-    choice = ca.DM.triplet(place.tolist(), used.tolist(), ca.DM.ones(len(used), 1), len(order), len(entries))
-    return ca.MX(pattern, ca.mtimes(choice, values))
+    def add(self, values: Any, places: Sequence[Sequence[tuple[int, int, float]]]) -> None:
+        """``values`` column by column, with the places of each; what meets is summed."""
+        self._values.append(ca.vec(values))
+        assert self._values[-1].shape[0] == len(places)
+        for source, found in enumerate(places, self._count):
+            self._entries += [(row, column, source, share) for row, column, share in found]
+        self._count += len(places)
 
-
-def _step(model: Model4, substeps: int) -> ca.Function:
-    """RK4 over one interval in water that changes with the place."""
-    x, u = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters)
-    c, g, p0, dt = ca.SX.sym("c", 3), ca.SX.sym("g", 4), ca.SX.sym("p0", 2), ca.SX.sym("dt")
-
-    def f(state: Any) -> Any:
-        dx, dy = state[0] - p0[0], state[1] - p0[1]
-        current: Sequence[Any] = [c[0] + g[0] * dx + g[1] * dy, c[1] + g[2] * dx + g[3] * dy, c[2]]
-        return ca.vertcat(*model4.state_derivative(model, ca.vertsplit(state), ca.vertsplit(u), current, ca))
-
-    h = dt / substeps
-    state = x
-    for _ in range(substeps):
-        state = model4.rk4(f, state, h)
-    return ca.Function("step", [x, u, c, g, p0, dt], [state])
+    def filled(self) -> Any:
+        """The matrix, or its upper triangle."""
+        rows, columns = self._shape
+        entries = [entry for entry in self._entries if entry[0] <= entry[1] or not self._upper]
+        at = np.array([entry[:3] for entry in entries])
+        # CasADi counts down the columns.
+        order, place = np.unique(at[:, 1] * rows + at[:, 0], return_inverse=True)
+        pattern = ca.Sparsity.triplet(rows, columns, (order % rows).tolist(), (order // rows).tolist())
+        shares = ca.DM([entry[3] for entry in entries])
+        choice = ca.DM.triplet(place.tolist(), at[:, 2].tolist(), shares, len(order), self._count)
+        return ca.MX(pattern, ca.mtimes(choice, ca.vertcat(*self._values)))

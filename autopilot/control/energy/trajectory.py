@@ -17,7 +17,7 @@ from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.shooting import COST_SCALE, Shooting
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NX, Model4
+from autopilot.core.model4 import NX, Model4, R, W, Z
 
 SUBSTEP_S = 0.5
 """Longest RK4 step: with longer ones the program makes a profit of integration errors in the unstable sway-yaw mode."""
@@ -103,16 +103,9 @@ class Program:
             ask.plane_n,
             ask.plane_d,
             ask.planar_m_s,
-            ask.limits,
             ask.end_slope_j_m,
         )
-        width = block * n
-        lower, upper = np.full(width + 1, -np.inf), np.full(width + 1, np.inf)
-        thrusts = slice(0, width), np.arange(width) % block < self._thrusters
-        bound = np.tile(ask.thrust_limit_n, n)
-        lower[thrusts[0]][thrusts[1]] = -bound
-        upper[thrusts[0]][thrusts[1]] = bound
-        lower[-1], upper[-1] = MIN_INTERVAL_S * n, ask.longest_s
+        lower, upper = self._bounds(ask)
         guess = np.concatenate([np.hstack([thrust_n, x[1:]]).ravel(), [min(max(end_s, lower[-1]), upper[-1])]])
         answer = self._solver(
             x0=guess,
@@ -139,6 +132,17 @@ class Program:
             cost_j=float(answer["f"]) / COST_SCALE,
             solved=solved and bool(np.isfinite(z).all()),
         )
+
+    def _bounds(self, ask: Ask) -> tuple[FloatArray, FloatArray]:
+        """Of the variables."""
+        n, thrusters = self.n, self._thrusters
+        upper = np.full((n, thrusters + NX), np.inf)
+        upper[:, :thrusters] = ask.thrust_limit_n
+        upper[:, thrusters + W], upper[:, thrusters + R] = ask.limits[1:, 0], ask.limits[1:, 1]
+        lower = -upper
+        lower[:, thrusters + Z], upper[:, thrusters + Z] = ask.limits[1:, 2], ask.limits[1:, 3]
+        ends = MIN_INTERVAL_S * n, ask.longest_s
+        return np.append(lower, ends[0]), np.append(upper, ends[1])
 
     def _energy_j(self, end_s: float, thrust_n: FloatArray) -> float:
         return end_s * (self._power.hotel_w + float(self._power.thrust_w(thrust_n).sum()) / self.n)
@@ -191,6 +195,7 @@ OPTIONS: dict[str, Any] = {
     "show_eval_warnings": False,
     # Nobody wants them, and after a program that was not solved they are warned about.
     "calc_lam_p": False,
+    "no_nlp_grad": True,
     "ipopt": {
         "print_level": 0,
         "sb": "yes",

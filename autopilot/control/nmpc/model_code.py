@@ -30,21 +30,24 @@ def coefficients(model: Model4) -> list[float]:
     return [*model.mass_kg, *model.linear_drag, *model.quadratic_drag, model.buoyancy_excess_n]
 
 
-def model_function() -> ca.Function:
-    """(x (8,), force (4,), current (3,), coefficients (13,)) -> (dx/dt (8,), its Jacobian by force and state, rows).
-
-    One "thruster" per axis: what real ones do is a matrix in front, whatever their number.
-    """
-    x, force, current = ca.SX.sym("x", NX), ca.SX.sym("force", AXES), ca.SX.sym("current", 3)
-    values = ca.SX.sym("coefficients", COEFFICIENTS)
+def model_of(values: Any) -> Model4:
+    """The model of symbolic coefficients (13,) with one "thruster" per axis: what real ones do is a matrix in front,
+    whatever their number."""
     parts: Any = ca.vertsplit(values)
-    model = Model4(
+    return Model4(
         mass_kg=tuple(parts[:AXES]),
         linear_drag=tuple(parts[AXES : 2 * AXES]),
         quadratic_drag=tuple(parts[2 * AXES : 3 * AXES]),
         buoyancy_excess_n=parts[3 * AXES],
         allocation=tuple(tuple(float(i == j) for j in range(AXES)) for i in range(AXES)),
     )
+
+
+def model_function() -> ca.Function:
+    """(x (8,), force (4,), current (3,), coefficients (13,)) -> (dx/dt (8,), its Jacobian by force and state, rows)."""
+    x, force, current = ca.SX.sym("x", NX), ca.SX.sym("force", AXES), ca.SX.sym("current", 3)
+    values = ca.SX.sym("coefficients", COEFFICIENTS)
+    model = model_of(values)
     slope = ca.vertcat(*model4.state_derivative(model, ca.vertsplit(x), ca.vertsplit(force), ca.vertsplit(current), ca))
     jacobian = ca.densify(ca.horzcat(ca.jacobian(slope, force), ca.jacobian(slope, x)).T)
     return ca.Function("model_slope", [x, force, current, values], [slope, jacobian])
