@@ -5,8 +5,7 @@ the trajectory; what they give is put into the sparse matrices of the whole by c
 whole program would be 48 times as large: 40 MB for one RK4 step per interval, 70 MB for two, and a second to build.
 
 Variables: thrust (one per thruster) and next state (8) of every interval, then the end time. Rows: the :data:`ROWS` of
-every interval, then :data:`END_ROWS`. All rows but those of the motion are at most 0. Limits of single variables
-(thrusts, heave, yaw rate, depth, end time) are bounds and no rows: they cost the linear algebra nothing.
+every interval, then :data:`END_ROWS`. All rows but those of the motion are at most 0.
 """
 
 from collections.abc import Sequence
@@ -19,13 +18,17 @@ from autopilot.control.energy.interval import steps
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.nmpc.model_code import coefficients
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NX, YAW, Model4, U, V
+from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, Z
 
 PLANES = 6
 """Half-planes per node."""
 
-ROWS = NX + 1 + PLANES
-"""Of an interval: motion, planar speed, half-planes."""
+SIGNED = ((W, 1.0), (W, -1.0), (R, 1.0), (R, -1.0), (Z, -1.0), (Z, 1.0))
+"""States that a row bounds on one side each. (As bounds of the variables, or as rows between two limits, they take a
+tenth off an iteration, and long trajectories in open water are not solved from guesses that are beyond them.)"""
+
+ROWS = NX + 1 + len(SIGNED) + PLANES
+"""Of an interval: motion, planar speed, heave, yaw rate, depth, half-planes."""
 
 END_ROWS = 3
 """Distance from the goal, heading."""
@@ -52,6 +55,7 @@ def shapes_of(n: int) -> dict[str, tuple[int, int]]:
         "plane_n": (2, PLANES * (n + 1)),
         "plane_d": (PLANES, n + 1),
         "planar": (1, n + 1),
+        "limits": (4, n + 1),
         "end": (2, 1),
     }
 
@@ -139,11 +143,14 @@ class Shooting:
         """Cost and rows."""
         n = self._n
         parts, x, thrusts, motion, end = self._split(z, p)
+        heave, turn, shallow, deep = ca.vertsplit(parts["limits"][:, 1:])
+        limits = (heave, heave, turn, turn, -shallow, deep)
         normals, offsets = parts["plane_n"][:, PLANES:], parts["plane_d"][:, 1:]
         along = [ca.sum1(normals[:, i::PLANES] * x[:2, :]) for i in range(PLANES)]
         rows = ca.vertcat(
             self._moved(*motion) - x,
             x[U, :] ** 2 + x[V, :] ** 2 - parts["planar"][:, 1:] ** 2,
+            ca.vertcat(*(sign * x[i, :] - limit for (i, sign), limit in zip(SIGNED, limits, strict=True))),
             offsets - ca.vertcat(*along),
         )
         end_rows, end_cost = self._end_values(*end)
@@ -180,6 +187,9 @@ class Shooting:
         for column in (U, V):
             places = [[(ROWS * k + NX, self._state(k + 1, column), 1.0)] for k in range(n)]
             matrix.add(2.0 * x[column, :].T, places)
+        for i, (state, sign) in enumerate(SIGNED):
+            places = [[(ROWS * k + NX + 1 + i, self._state(k + 1, state), sign)] for k in range(n)]
+            matrix.add(ca.DM.ones(n, 1), places)
         first = ROWS - PLANES
         for column in (0, 1):
             matrix.add(

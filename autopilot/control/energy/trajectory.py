@@ -17,7 +17,7 @@ from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.shooting import COST_SCALE, Shooting
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NX, Model4, R, W, Z
+from autopilot.core.model4 import NX, Model4
 
 SUBSTEP_S = 0.5
 """Longest RK4 step: with longer ones the program makes a profit of integration errors in the unstable sway-yaw mode."""
@@ -103,6 +103,7 @@ class Program:
             ask.plane_n,
             ask.plane_d,
             ask.planar_m_s,
+            ask.limits,
             ask.end_slope_j_m,
         )
         lower, upper = self._bounds(ask)
@@ -138,11 +139,7 @@ class Program:
         n, thrusters = self.n, self._thrusters
         upper = np.full((n, thrusters + NX), np.inf)
         upper[:, :thrusters] = ask.thrust_limit_n
-        upper[:, thrusters + W], upper[:, thrusters + R] = ask.limits[1:, 0], ask.limits[1:, 1]
-        lower = -upper
-        lower[:, thrusters + Z], upper[:, thrusters + Z] = ask.limits[1:, 2], ask.limits[1:, 3]
-        ends = MIN_INTERVAL_S * n, ask.longest_s
-        return np.append(lower, ends[0]), np.append(upper, ends[1])
+        return np.append(-upper, MIN_INTERVAL_S * n), np.append(upper, ask.longest_s)
 
     def _energy_j(self, end_s: float, thrust_n: FloatArray) -> float:
         return end_s * (self._power.hotel_w + float(self._power.thrust_w(thrust_n).sum()) / self.n)
