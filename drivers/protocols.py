@@ -6,9 +6,12 @@ Opening may raise DriverError; bad data from a device never raises, it is counte
 
 from collections.abc import Sequence
 from types import TracebackType
-from typing import NamedTuple, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar
 
 from autopilot.core.clients import EVERYONE
+
+if TYPE_CHECKING:  # links are opened before anything heavy is loaded
+    from autopilot.core.messages import Below
 
 T = TypeVar("T")
 
@@ -67,6 +70,18 @@ class ThrusterOutput(Device, Protocol):
 
     def neutral(self) -> None:
         """Stop all thrusters now."""
+        ...
+
+
+class FlightController(Sensor[Any], ThrusterOutput, Protocol):
+    """An autopilot below ours: it measures, and drives the thrusters with what we ask for as long as it is asked to."""
+
+    def command(self, t_us: int, *, armed: bool) -> None:
+        """To be called every tick before ``write``: whether our thrust is meant to act."""
+        ...
+
+    def below(self, t_us: int) -> "Below":
+        """Who has the vehicle now. After ``poll`` on the same tick."""
         ...
 
 

@@ -1,6 +1,7 @@
 """Back ends by name. A back end is imported when it is asked for, so that a missing library breaks only its own.
 
-To add one: write it in a file of its own against :mod:`drivers.protocols`, and add a line here.
+To add one: write it in a file of its own against :mod:`drivers.protocols`, and add a line here. What stands in
+``[devices]`` of a vehicle configuration is made by :mod:`drivers.devices`.
 """
 
 from importlib import import_module
@@ -9,7 +10,14 @@ from typing import Any
 from autopilot.core.errors import ConfigError, DriverError
 
 BACKENDS: dict[str, dict[str, str]] = {
-    "sensor": {"ig500": "drivers.ig500:Ig500"},
+    "ahrs": {"ig500": "drivers.ig500_device:Ig500Device"},
+    "camera": {},
+    "depth": {},
+    "dvl": {},
+    "battery": {},
+    "leak": {},
+    "thrusters": {},
+    "flight_controller": {},
     "link": {
         "udpin": "drivers.udp:UdpIn",
         "udpout": "drivers.udp:UdpOut",
@@ -19,6 +27,9 @@ BACKENDS: dict[str, dict[str, str]] = {
     },
 }
 """Kind -> name -> ``module:class``."""
+
+DEVICE_KINDS = tuple(kind for kind in BACKENDS if kind != "link")
+"""What ``[devices]`` may name, one of each."""
 
 
 def backend_names(kind: str) -> list[str]:
@@ -32,7 +43,8 @@ def load_backend(kind: str, name: str) -> Any:
     """The class of a back end. ConfigError for an unknown name, DriverError if a library that it needs is missing."""
     names = backend_names(kind)
     if name not in names:
-        raise ConfigError(f"{kind} driver {name!r} is not known; use one of {', '.join(names)}")
+        known = f"use one of {', '.join(names)}" if names else "there is none yet"
+        raise ConfigError(f"{kind} driver {name!r} is not known; {known}")
     module_name, _, attribute = BACKENDS[kind][name].partition(":")
     try:
         return getattr(import_module(module_name), attribute)

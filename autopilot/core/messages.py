@@ -52,6 +52,33 @@ class Inputs:
     """How the camera's pictures of this tick look."""
     frame_counts: Mapping[str, int] | None = None
     """What became of pictures so far, by name (``frames.ok`` ...); None without a camera."""
+    below: "Below | None" = None
+    """Whether the flight controller below takes our thrust; None without one."""
+
+
+class Authority(Enum):
+    """Who has a vehicle that has a flight controller of its own."""
+
+    OURS = "ours"
+    """It does what we ask for, or will when armed."""
+    PILOT = "pilot"
+    """It is in a mode in which somebody else flies: nothing is asked for until it is given back."""
+    STOPPED = "stopped"
+    """It is disarmed though it was armed for us, or does not arm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Below:
+    """The flight controller below us."""
+
+    t_us: int
+    authority: Authority
+    acts: bool
+    """Whether thrusters do now what they are commanded."""
+    text: str = ""
+    """Its mode, or why it has stopped."""
+    refusals: tuple[str, ...] = ()
+    """Why it would not fly for us, for the arming checks; a line each."""
 
 
 class DeviceRole(IntEnum):
@@ -344,6 +371,8 @@ class ThrusterCommand:
     """(8,) unused = 0."""
     pwm_us: tuple[int, ...]
     """(8,) unused = 0; neutral when disarmed."""
+    armed: bool = False
+    """Whether thrusters may turn: a flight controller below us is armed and disarmed with it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

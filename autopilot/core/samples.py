@@ -183,6 +183,14 @@ class PowerSample:
     """0..1"""
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LeakSample:
+    """A water sensor inside the hull. ``t_us`` is the time of validity."""
+
+    t_us: int
+    wet: bool
+
+
 MAX_VOLTAGE_V, MAX_CURRENT_A, MAX_ENERGY_J = 1e3, 1e4, 1e12
 """Beyond these no battery is read, a wire is broken."""
 
@@ -221,5 +229,6 @@ Sample: TypeAlias = (
     | VelocitySample
     | ExternalPoseSample
     | PowerSample
+    | LeakSample
     | ObstacleTrack
 )

@@ -21,15 +21,15 @@ def test_every_back_end_can_be_loaded(kind: str, name: str) -> None:
 
 def test_unknown_names_are_refused_with_the_known_ones() -> None:
     with pytest.raises(ConfigError, match="'lidar' is not known; use one of ig500"):
-        load_backend("sensor", "lidar")
-    with pytest.raises(ConfigError, match="'radar'; use one of sensor"):
+        load_backend("ahrs", "lidar")
+    with pytest.raises(ConfigError, match="'radar'; use one of ahrs"):
         backend_names("radar")
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(registry.BACKENDS["sensor"], "odd", "library_that_is_not_there.driver:Odd")
+    monkeypatch.setitem(registry.BACKENDS["ahrs"], "odd", "library_that_is_not_there.driver:Odd")
     with pytest.raises(DriverError, match="needs the Python module 'library_that_is_not_there'"):
-        load_backend("sensor", "odd")
+        load_backend("ahrs", "odd")
 
 
 def test_registry_and_links_import_no_back_end() -> None:

@@ -132,14 +132,17 @@ class Actuation:
         pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.share)
         # What the pulses will give, deadband and saturation included: the estimator's model lives on it.
         self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v)
-        return self._told(t_us, thrust_n, pulses_us)
+        return self._told(t_us, thrust_n, pulses_us, armed=True)
 
     def neutral(self, t_us: int) -> ThrusterCommand:
         """No thrust; needs nothing that could fail."""
         self._pulse_n = self.nothing()
         return self._told(t_us, self._pulse_n, self.allocation.neutral_us)
 
-    def _told(self, t_us: int, thrust_n: FloatArray, pulses_us: tuple[int, ...]) -> ThrusterCommand:
+    def _told(
+        self, t_us: int, thrust_n: FloatArray, pulses_us: tuple[int, ...], *, armed: bool = False
+    ) -> ThrusterCommand:
         padded_n = np.zeros(MAX_THRUSTERS)
         padded_n[: self._count] = thrust_n
-        return ThrusterCommand(t_us=t_us, thrust_n=padded_n, pwm_us=pulses_us + (0,) * (MAX_THRUSTERS - self._count))
+        padded_us = pulses_us + (0,) * (MAX_THRUSTERS - self._count)
+        return ThrusterCommand(t_us=t_us, thrust_n=padded_n, pwm_us=padded_us, armed=armed)

@@ -1,0 +1,147 @@
+"""What a pulse gives and which pulse gives a thrust: the calibrated curve of a thruster's drive (:class:`Drive`).
+
+A brushed thruster behind its amplifier: pulse -> duty -> voltage = duty * supply -> F = c V |V|, with different c
+forward and reverse and a band of duty in which the motor does not turn. A brushless one behind its ESC: the maker's
+tables. Either inverse jumps the band in which nothing turns: a request of at least half the smallest thrust gets the
+smallest thrust, a smaller one gets none.
+"""
+
+import bisect
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from autopilot.core.thrusters import Drive
+
+ROUNDING = 1e-9
+"""Keeps a duty that is a whole pulse in exact arithmetic on that pulse."""
+
+CREDIBLE_SUPPLY = 10.0
+"""A supply of more than so many times the nominal one is a broken wire: the nominal one is taken. Less than that part
+of it counts as that part: pulses are at their limits long before."""
+
+
+class ThrustLaw(ABC):
+    """What pulses of one drive give. ``supply_v`` is the measured voltage; None = nominal. Offsets count from neutral
+    in the direction that pushes ahead."""
+
+    def __init__(self, drive: Drive) -> None:
+        self.drive = drive
+
+    def supply(self, supply_v: float | None) -> float:
+        """The voltage to reckon with."""
+        if supply_v is None or not 0.0 < supply_v <= CREDIBLE_SUPPLY * self.drive.nominal_supply_v:
+            return self.drive.nominal_supply_v
+        return max(supply_v, self.drive.nominal_supply_v / CREDIBLE_SUPPLY)
+
+    @abstractmethod
+    def offset_us(self, thrust_n: float, limit_n: float, supply_v: float | None) -> int:
+        """Offset for one thrust [N], a number other than 0, within what ``limit_n`` allows."""
+
+    @abstractmethod
+    def thrust_n(self, offset_us: int, supply_v: float | None) -> float:
+        """Steady thrust [N] of an offset."""
+
+    def capability_n(self, supply_v: float | None) -> float:
+        """Largest thrust that both directions reach."""
+        span = self.drive.span_us
+        return min(self.thrust_n(span, supply_v), -self.thrust_n(-span, supply_v))
+
+
+class BrushedLaw(ThrustLaw):
+    """F = c V |V| beyond a deadband of duty."""
+
+    def __init__(self, drive: Drive) -> None:
+        super().__init__(drive)
+        deadband_duty, self._forward, self._reverse = drive.brushed_law
+        self._edge_us = math.floor(deadband_duty * drive.span_us + ROUNDING) + 1
+        """Smallest offset that turns: strictly beyond the band."""
+
+    def offset_us(self, thrust_n: float, limit_n: float, supply_v: float | None) -> int:
+        """By the square root."""
+        supply, span = self.supply(supply_v), self.drive.span_us
+        sign = 1 if thrust_n > 0.0 else -1
+        wanted = min(abs(thrust_n), limit_n)
+        coefficient = self._forward if sign > 0 else self._reverse
+        offset = round(math.sqrt(wanted / coefficient) / supply * span)
+        if offset < self._edge_us:
+            smallest = coefficient * (self._edge_us / span * supply) ** 2
+            if wanted < 0.5 * smallest:
+                return 0
+            offset = self._edge_us
+        offset = min(offset, span)
+        while offset > self._edge_us and coefficient * (offset / span * supply) ** 2 > limit_n:
+            offset -= 1
+        return sign * offset
+
+    def thrust_n(self, offset_us: int, supply_v: float | None) -> float:
+        """F = c V |V|."""
+        span = self.drive.span_us
+        offset = max(-span, min(span, offset_us))
+        if abs(offset) < self._edge_us:
+            return 0.0
+        volts = offset / span * self.supply(supply_v)
+        return (self._forward if offset > 0 else self._reverse) * volts * abs(volts)
+
+    def capability_n(self, supply_v: float | None) -> float:
+        """At full duty."""
+        supply = self.supply(supply_v)
+        return min(self._forward, self._reverse) * supply * supply
+
+
+class CurveLaw(ThrustLaw):
+    """Tables of thrust over pulse per voltage; linear between, with V^2 beyond the first and the last."""
+
+    def __init__(self, drive: Drive) -> None:
+        super().__init__(drive)
+        span = drive.span_us
+        offsets = np.arange(-span, span + 1)
+        self._supplies = [curve.supply_v for curve in drive.curve]
+        self._thrusts = np.stack(
+            [np.interp(offsets, np.array(curve.pulse_us) - drive.neutral_us, curve.thrust_n) for curve in drive.curve]
+        )
+        """(voltages, 2 span + 1) per whole pulse."""
+        self._table_v = math.nan
+        self._table: list[float] = []
+
+    def _at(self, supply_v: float | None) -> list[float]:
+        """Thrust over offset (2 span + 1) at a voltage; kept for the next question, which comes with the same one."""
+        supply = self.supply(supply_v)
+        if supply != self._table_v:
+            low, high = self._supplies[0], self._supplies[-1]
+            if supply <= low or supply >= high:
+                end, index = (low, 0) if supply <= low else (high, -1)
+                table = self._thrusts[index] * (supply / end) ** 2
+            else:
+                index = bisect.bisect_right(self._supplies, supply)
+                share = (supply - self._supplies[index - 1]) / (self._supplies[index] - self._supplies[index - 1])
+                table = (1.0 - share) * self._thrusts[index - 1] + share * self._thrusts[index]
+            self._table_v, self._table = supply, table.tolist()
+        return self._table
+
+    def offset_us(self, thrust_n: float, limit_n: float, supply_v: float | None) -> int:
+        """The whole pulse whose thrust is nearest."""
+        table, span = self._at(supply_v), self.drive.span_us
+        wanted = min(abs(thrust_n), limit_n)
+        if thrust_n > 0.0:
+            side = table[span:]
+        else:
+            side = [-value for value in reversed(table[: span + 1])]
+        edge = bisect.bisect_right(side, 0.0)
+        if edge > span or wanted < 0.5 * side[edge]:
+            return 0
+        offset = min(max(bisect.bisect_left(side, wanted), edge), span)
+        if offset > edge and (side[offset] > limit_n or wanted - side[offset - 1] < side[offset] - wanted):
+            offset -= 1
+        return offset if thrust_n > 0.0 else -offset
+
+    def thrust_n(self, offset_us: int, supply_v: float | None) -> float:
+        """By the tables."""
+        span = self.drive.span_us
+        return self._at(supply_v)[max(-span, min(span, offset_us)) + span]
+
+
+def law_of(drive: Drive) -> ThrustLaw:
+    """The law of a drive, by its kind."""
+    return CurveLaw(drive) if drive.curve else BrushedLaw(drive)

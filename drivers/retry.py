@@ -1,0 +1,195 @@
+"""A device that may be unplugged: opened beside the loop, opened again when it comes back, never an exception.
+
+Back ends say what is wrong by DriverError or OSError and try nothing twice; here it is told once, the device is closed
+and opened again with a growing pause. Opening and closing may take long and are done on a thread of the device's own.
+A device that is there and says nothing is told, too; what an old reading means is for the failsafes.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from enum import Enum
+from typing import Any, Generic, TypeVar
+
+from autopilot.core.errors import DriverError
+from autopilot.core.lane import DaemonLane
+from autopilot.core.messages import Severity
+from drivers.protocols import Device, FlightController, Sensor, ThrusterOutput
+
+FIRST_PAUSE_US = 500_000
+LONGEST_PAUSE_US = 10_000_000
+"""The pause before the next try doubles from the first to the longest."""
+
+SILENT_US = 3_000_000
+"""An open device that has said nothing for so long is silent. The slowest (battery, leak) speak every second."""
+
+GIVE_UP_WRITES = 50
+"""Writes that fail in a row before an output is opened anew (0.5 s): a single one may be noise on the wire."""
+
+D = TypeVar("D", bound=Device)
+T = TypeVar("T")
+
+
+class DeviceState(Enum):
+    """How a device is."""
+
+    DOWN = "down"
+    SILENT = "silent"
+    UP = "up"
+
+
+class Steady(Generic[D]):
+    """A device with what it takes to live with its absence. ``name`` is what operators call it."""
+
+    def __init__(self, device: D, name: str) -> None:
+        self.device = device
+        self.name = name
+        self.problem = "not opened yet"
+        """Why it is not there, "" while it is."""
+        self.opened_count = 0
+        self._lane = DaemonLane(f"device {name}")
+        self._opening: Future[None] | None = None
+        self._up = False
+        self._silent = False
+        self._heard_us = 0
+        self._retry_us = 0
+        self._pause_us = FIRST_PAUSE_US
+        self._notices: list[tuple[Severity, str]] = []
+        self._told = ""
+
+    @property
+    def state(self) -> DeviceState:
+        """How it is now."""
+        if not self._up:
+            return DeviceState.DOWN
+        return DeviceState.SILENT if self._silent else DeviceState.UP
+
+    def take_notices(self) -> Sequence[tuple[Severity, str]]:
+        """What operators should know since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def attend(self, t_us: int) -> bool:
+        """Whether the device can be used now; what it takes to get it back is begun."""
+        if self._up:
+            return True
+        if self._opening is not None and self._opening.done():
+            opening, self._opening = self._opening, None
+            error = opening.exception()
+            if error is None:
+                self._begin(t_us)
+                return True
+            if not isinstance(error, DriverError | OSError):
+                self._fail(t_us, f"internal fault ({type(error).__name__})")
+                raise error
+            self._fail(t_us, str(error))
+        if self._opening is None and t_us >= self._retry_us:
+            self._opening = self._lane.submit(self.device.open)
+        return False
+
+    def use(self, t_us: int, work: Callable[[], T], otherwise: T) -> T:
+        """Use the device if it is there; what it raises costs the device."""
+        if not self.attend(t_us):
+            return otherwise
+        try:
+            return work()
+        except (DriverError, OSError) as error:
+            self.lose(t_us, str(error))
+            return otherwise
+        except Exception as error:
+            self.lose(t_us, f"internal fault ({type(error).__name__})")
+            raise
+
+    def heard(self, t_us: int, something: object) -> None:
+        """Note whether it has said anything at ``t_us``."""
+        if something:
+            self._heard_us = t_us
+            if self._silent:
+                self._silent = False
+                self._tell(Severity.NOTICE, "working again")
+        elif self._up and not self._silent and t_us - self._heard_us > SILENT_US:
+            self._silent = True
+            self._tell(Severity.WARNING, "silent: check power and settings")
+
+    def lose(self, t_us: int, problem: str) -> None:
+        """It is gone: close it, and try again after a pause."""
+        self._up = False
+        self._lane.submit(self.device.close)
+        self._fail(t_us, problem)
+
+    def close(self) -> None:
+        """Let go of the device."""
+        self._up = False
+        self._lane.shutdown(wait=False, cancel_futures=True)
+        self.device.close()
+
+    def _begin(self, t_us: int) -> None:
+        self._up, self._silent, self._heard_us = True, False, t_us
+        self.opened_count += 1
+        self.problem, self._pause_us = "", FIRST_PAUSE_US
+        if self._told or self.opened_count > 1:
+            self._told = ""
+            self._tell(Severity.NOTICE, "there again" if self.opened_count > 1 else "there")
+
+    def _fail(self, t_us: int, problem: str) -> None:
+        self.problem = problem
+        self._retry_us = t_us + self._pause_us
+        self._pause_us = min(2 * self._pause_us, LONGEST_PAUSE_US)
+        if problem != self._told:
+            self._told = problem
+            self._tell(Severity.WARNING, f"down: {problem}")
+
+    def _tell(self, severity: Severity, text: str) -> None:
+        self._notices.append((severity, f"{self.name}: {text}"))
+
+
+class SteadySensor(Steady[Sensor[Any]]):
+    """A sensor that gives nothing while it is away."""
+
+    def poll(self, t_us: int) -> list[Any]:
+        """What has arrived."""
+        nothing: list[Any] = []
+        samples = self.use(t_us, lambda: self.device.poll(t_us), nothing)
+        self.heard(t_us, samples)
+        return samples
+
+
+Out = TypeVar("Out", bound=ThrusterOutput)
+
+
+class SteadyOutput(Steady[Out]):
+    """Thrusters that may be away. That a command does not reach them is said by DriverError, on every tick."""
+
+    def __init__(self, device: Out, name: str) -> None:
+        super().__init__(device, name)
+        self._failed = 0
+
+    def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
+        """Command one pulse per thruster [us]."""
+        if not self.attend(t_us):
+            raise DriverError(f"{self.name} down: {self.problem}")
+        try:
+            self.device.write(t_us, pwm_us)
+        except (DriverError, OSError) as error:
+            self._failed += 1
+            if self._failed >= GIVE_UP_WRITES:
+                self._failed = 0
+                self.lose(t_us, str(error))
+            raise
+        self._failed = 0
+        self._heard_us = t_us
+
+    def check(self, t_us: int) -> None:
+        """Once per tick: stale commands stop the thrusters."""
+        if self.attend(t_us):
+            self.device.check(t_us)
+
+
+class SteadyController(SteadyOutput[FlightController]):
+    """A flight controller below us."""
+
+    def poll(self, t_us: int) -> list[Any]:
+        """What it has measured."""
+        nothing: list[Any] = []
+        samples = self.use(t_us, lambda: self.device.poll(t_us), nothing)
+        self.heard(t_us, samples)
+        return samples
