@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar
 from autopilot.core.clients import EVERYONE
 
 if TYPE_CHECKING:  # links are opened before anything heavy is loaded
-    from autopilot.core.messages import Below
+    from autopilot.core.messages import Below, Severity
 
 T = TypeVar("T")
 
@@ -82,6 +82,10 @@ class FlightController(Sensor[Any], ThrusterOutput, Protocol):
 
     def below(self, t_us: int) -> "Below":
         """Who has the vehicle now. After ``poll`` on the same tick."""
+        ...
+
+    def take_notices(self) -> "Sequence[tuple[Severity, str]]":
+        """What it says that operators should know, since the last call."""
         ...
 
 

@@ -17,7 +17,7 @@ BACKENDS: dict[str, dict[str, str]] = {
     "battery": {},
     "leak": {},
     "thrusters": {},
-    "flight_controller": {},
+    "flight_controller": {"ardusub": "drivers.ardusub:ArduSub"},
     "link": {
         "udpin": "drivers.udp:UdpIn",
         "udpout": "drivers.udp:UdpOut",

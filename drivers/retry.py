@@ -166,6 +166,8 @@ class SteadyOutput(Steady[Out]):
     def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
         """Command one pulse per thruster [us]."""
         if not self.attend(t_us):
+            if self.opened_count == 0 and not self._told:  # the first opening is still under way
+                return
             raise DriverError(f"{self.name} down: {self.problem}")
         try:
             self.device.write(t_us, pwm_us)

@@ -18,11 +18,13 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "config": ("autopilot.cli.config:config", "Show the effective configuration and where it comes from."),
     "currents": ("autopilot.cli.currents:currents", "Check current maps, make the benchmark's."),
     "demo": ("autopilot.cli.demo:demo", "Fly the paper's mission in the simulated tank and judge it."),
+    "emulate": ("autopilot.cli.emulate:emulate", "Be a vehicle's flight controller, to try `run` on."),
     "identify": ("autopilot.cli.identify:identify", "Masses and drags of a vehicle from logs of its flights."),
     "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot, replay, programs, tlog."),
     "markers": ("autopilot.cli.markers:markers", "Print marker boards, check and survey marker maps."),
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
     "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),
+    "run": ("autopilot.cli.run:run", "Run the service on a real vehicle."),
     "sitl": ("autopilot.cli.sitl:sitl", "Run the service on a simulated vehicle."),
     "vehicle": ("autopilot.cli.vehicle:vehicle", "Vehicle files: check one, write a template, list what is shipped."),
 }

@@ -1,14 +1,12 @@
 """``autopilot sitl``: the service on a simulated vehicle."""
 
-import gc
-import signal
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from autopilot.cli.output import EXIT_LOSS
 from autopilot.cli.part_name import part_name
+from autopilot.cli.service_run import StopSignals, settle_memory, tell_losses
 from autopilot.core.errors import AutopilotError
 from autopilot.run.config import BASINS, CURRENTS, PROFILES, SENSORS, UNTIL
 
@@ -52,26 +50,17 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     from autopilot.run.sitl_params import open_sitl_links
 
     settings = gather(sitl_defaults(instance), {"scenario": scenario, **given})
-    stopped_by: list[int] = []
-
-    def stop(number: int, _frame: FrameType | None) -> None:
-        """Let the tick end; a second signal does not wait."""
-        stopped_by.append(number)
-        signal.signal(number, signal.SIG_DFL)
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
+    stop = StopSignals()
     overrides = parse_overrides(param)
     with open_sitl_links(settings, overrides, instance=instance) as boot:
-        from autopilot.run.sitl_console import Console, RunWatch
+        from autopilot.run.console import Console
+        from autopilot.run.sitl_console import RunWatch
         from autopilot.run.sitl_session import open_sitl
 
         session = open_sitl(
             settings, overrides, instance=instance, links=boot.links, on_tick=lambda outputs: watch.step(outputs)
         )
-        # A full garbage collection over all that was imported would take five ticks: it leaves out what there is now.
-        gc.collect()
-        gc.freeze()
+        settle_memory()
     session.runtime.take_over(boot.take_unanswered())
     for warning in session.warnings:
         click.echo(f"warning: {warning}", err=True)
@@ -82,7 +71,7 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     show(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
     to_the_end = settings["until"] == "complete"
     try:
-        wall_s = session.run(stop=lambda: bool(stopped_by) or (to_the_end and watch.ended))
+        wall_s = session.run(stop=lambda: bool(stop) or (to_the_end and watch.ended))
         counters = session.runtime.counters
         ran_s = counters.ticks * 0.01
         show(
@@ -93,23 +82,17 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     finally:
         if console is not None:
             console.close()
-    _conclude(session, watch, interrupted=signal.SIGINT in stopped_by, to_the_end=to_the_end)
+    _conclude(session, watch, interrupted=stop.interrupted, to_the_end=to_the_end)
 
 
 def _conclude(session: "SitlSession", watch: "RunWatch", *, interrupted: bool, to_the_end: bool) -> None:
     """Warnings on stderr, and the exit code."""
-    if session.kept.params.failure:
-        click.echo(f"warning: {session.kept.params.failure}", err=True)
-    if session.kept.plans is not None and session.kept.plans.failure:
-        click.echo(f"warning: {session.kept.plans.failure}", err=True)
-    if session.recorder.failure:
-        lost = f"{session.recorder.dropped} messages lost"
-        click.echo(f"warning: the log is not whole, {lost}: {session.recorder.failure}", err=True)
+    not_whole = tell_losses(session)
     if watch.contacts:
         click.echo(f"warning: {watch.contacts} contacts with walls, floor or obstacles", err=True)
     if interrupted:
         raise click.Abort
     if to_the_end and not watch.complete:
         raise AutopilotError("the run ended before its mission was complete; look at the messages above, or at /rosout")
-    if session.recorder.failure or watch.contacts:
+    if not_whole or watch.contacts:
         click.get_current_context().exit(EXIT_LOSS)

@@ -266,6 +266,7 @@ class Commander:
         self._watch_check(conditions.t_us)
         for severity, text in self._watch.look(conditions, armed=modes.armed):
             self._operator.say(severity, text)
+        modes.watch_below(conditions.below, self._may_resume)
         modes.apply_failsafes(conditions)
         if not modes.armed and self._ticks % READINESS_EVERY_TICKS == 0:
             self._readiness = self.prearm_reasons()
@@ -275,11 +276,15 @@ class Commander:
             armed=modes.armed,
             mode=modes.mode,
             goal=goal,
-            blind_ascent=modes.armed and modes.nav is None and modes.mode is FlightMode.SURFACE,
+            blind_ascent=(modes.armed and not modes.yielded and modes.nav is None and modes.mode is FlightMode.SURFACE),
             progress=self._mission.sequencer.progress(conditions.t_us),
             reached=reached,
             failsafes=self._failsafes.bits,
         )
+
+    def _may_resume(self) -> bool:
+        """Whether a mission that a pilot has interrupted goes on."""
+        return self._params["PILOT_BACK"] > 0.0 and self._refusals.of_mode(FlightMode.MISSION) is None
 
     def _watch_plan(self) -> None:
         """A new mission is loaded at once; one that replaces a running mission is not started."""

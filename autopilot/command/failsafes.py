@@ -7,7 +7,7 @@ over after the condition has gone.
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from autopilot.core.messages import Event, Failsafe, NavDoubt, NavHealth, NavState, Severity
+from autopilot.core.messages import Below, Event, Failsafe, NavDoubt, NavHealth, NavState, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import PowerSample
 
@@ -51,6 +51,10 @@ class Conditions:
     """So late commands reach the thrusters, beyond doubt."""
     fault: str = ""
     """What has failed inside the service of late."""
+    below: Below | None = None
+    """The flight controller below us, None without one."""
+    wet: bool = False
+    """The leak probe says so."""
 
 
 class FailsafeRules:
@@ -97,6 +101,10 @@ class FailsafeRules:
             reasons.append(f"{conditions.thruster_problem}: repair it, or correct THRn_HEALTH")
         if conditions.fault:
             reasons.append(f"{conditions.fault}: see the log, restart the service")
+        if conditions.below is not None:
+            reasons += conditions.below.refusals
+        if conditions.wet:
+            reasons.append("water in the hull: open and dry it")
         power = conditions.power
         if power is not None and power.remaining < self._params["FS_BATT_LOW"]:
             reasons.append(f"battery at {100.0 * power.remaining:.0f} %: charge it")
@@ -146,6 +154,8 @@ class FailsafeRules:
             found[Failsafe.LATENCY] = ("commands act too late", soft_actions[int(p["FS_LAT_ACT"])])
         if conditions.fault:
             found[Failsafe.FAULT] = (conditions.fault, None)
+        if conditions.wet:
+            found[Failsafe.LEAK] = ("water in the hull", soft_actions[int(p["FS_LEAK_ACT"])])
         power = conditions.power
         if power is not None and power.remaining < p["FS_BATT_LOW"]:
             text = f"battery below {100.0 * p['FS_BATT_LOW']:.0f} %"

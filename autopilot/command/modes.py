@@ -1,10 +1,12 @@
 """The state machine: armed or not, which mode is in force, and where it goes."""
 
+from collections.abc import Callable
+
 from autopilot.command.announcements import Announcements
 from autopilot.command.failsafes import Conditions, FailsafeRules
 from autopilot.command.mission_run import MissionRun
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Goal, NavHealth, NavState, Severity
+from autopilot.core.messages import Authority, Below, Goal, NavHealth, NavState, Severity
 from autopilot.mavlink.api import FlightMode
 from mission.goals import Goals
 from mission.sequencer import Action, is_inside
@@ -26,6 +28,10 @@ class Modes:
         self.conditions: Conditions | None = None
         """Of the last tick, None before the first one."""
         self.armed = False
+        self.yielded = False
+        """The pilot of the flight controller below has the vehicle: nothing is commanded."""
+        self._before = FlightMode.HOLD
+        """The mode when he took it."""
         self.chosen = FlightMode.HOLD
         """The operator's mode."""
         self.goal: Goal | None = None
@@ -68,7 +74,7 @@ class Modes:
         """Thrusters stand; the next arming begins in HOLD."""
         if not self.armed:
             return
-        self.armed = False
+        self.armed = self.yielded = False
         self._override = None
         self.enter(FlightMode.HOLD)
         severity, text = (Severity.WARNING, "Emergency stop") if force else (Severity.INFO, "Disarmed")
@@ -112,6 +118,29 @@ class Modes:
         if self.armed and self._override is None:
             self.enter(FlightMode.HOLD)
 
+    # The flight controller below
+
+    def watch_below(self, below: Below | None, may_resume: Callable[[], bool]) -> None:
+        """Let go when its pilot takes the vehicle, take it back when he gives it back, and stop when it has stopped."""
+        if below is None or not self.armed:
+            return
+        if below.authority is Authority.STOPPED:
+            self._operator.say(Severity.CRITICAL, f"Stopped below: {below.text}")
+            self.disarm(force=True)
+        elif below.authority is Authority.PILOT and not self.yielded:
+            self._before = self.chosen
+            self.enter(FlightMode.HOLD)
+            self.yielded, self.goal = True, None
+            self._operator.say(Severity.WARNING, f"Pilot has taken over ({below.text}): let go")
+        elif below.authority is Authority.OURS and self.yielded:
+            self.yielded = False
+            if not self._failsafes.acting:
+                self._override = None
+                self._failsafes.clear()
+            resumes = self._before is FlightMode.MISSION and self._override is None and may_resume()
+            self._operator.say(Severity.NOTICE, f"Pilot has given back: {'mission goes on' if resumes else 'holding'}")
+            self.enter(FlightMode.MISSION if resumes else FlightMode.HOLD)
+
     # One tick
 
     def apply_failsafes(self, conditions: Conditions) -> None:
@@ -119,7 +148,7 @@ class Modes:
         for event in self._failsafes.update(conditions, armed=self.armed):
             self._operator.pass_on(event)
         action = self._failsafes.action
-        if not self.armed or action is None:
+        if not self.armed or self.yielded or action is None:
             return
         if action == "disarm":
             self._operator.say(Severity.CRITICAL, f"Failsafe disarms: {self._failsafes.describe()}")
@@ -135,7 +164,7 @@ class Modes:
     def advance(self, conditions: Conditions) -> tuple[Goal | None, tuple[int, ...]]:
         """Goal of this tick, and the mission items that have been reached on it."""
         nav = self.nav
-        if not self.armed or nav is None:
+        if not self.armed or self.yielded or nav is None:
             return None, ()
         reached: tuple[int, ...] = ()
         if self.mode is FlightMode.MISSION:

@@ -27,6 +27,8 @@ class Refusals:
 
     def of_mode(self, mode: FlightMode) -> Answer | None:
         """The refusal of a mode that cannot be entered, None if it can."""
+        if self._modes.yielded:
+            return denied("Denied: the pilot has the vehicle below us")
         if self._modes.overridden and mode is not FlightMode.SURFACE and self._failsafes.acting:
             return denied(f"Mode change denied: failsafe active ({self._failsafes.describe()})")
         if mode is FlightMode.MISSION:

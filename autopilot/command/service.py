@@ -175,6 +175,8 @@ class Autopilot:
         if any(trouble.device is DeviceRole.THRUSTERS for trouble in inputs.troubles):
             self._actuation.not_taken()
         self._surroundings.note(inputs)
+        if inputs.below is not None and not inputs.below.acts:
+            self._actuation.not_taken()
         self._actuation.supply_v = self._surroundings.supply_v
 
     def _counted(self, inputs: Inputs) -> NavCounters:
@@ -201,7 +203,7 @@ class Autopilot:
         """Late commands and lost thrust."""
 
         def watch() -> ThrusterHealthState | None:
-            reached = not self._surroundings.devices.thruster_problem
+            reached = self._surroundings.acts
             armed = self._parts.commander.armed
             return self._actuation.learn(t_us, nav, acting_n, self._goal, armed=armed, reached=reached)
 
@@ -231,10 +233,12 @@ class Autopilot:
             nav_disagrees=shadow is not None and shadow.disagrees,
             nav_doubts=estimated.doubts,
             thruster_share=tuple(actuation.share.tolist()),
-            thruster_problem=self._surroundings.devices.thruster_problem or actuation.problem,
+            thruster_problem=self._surroundings.thruster_problem or actuation.problem,
             thrusters_unseen=actuation.unseen,
             command_delay_s=actuation.delay_s,
             fault=self._faults.problem(t_us),
+            below=self._surroundings.below,
+            wet=self._surroundings.wet,
         )
 
     def _undecided(self, t_us: int) -> Decision:

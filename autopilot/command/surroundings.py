@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from autopilot.command.camera_watch import CameraWatch
 from autopilot.command.device_watch import DeviceWatch
 from autopilot.control.fence.tracks import Tracks
-from autopilot.core.messages import Event, Inputs
-from autopilot.core.samples import ObstacleTrack, PowerSample, plausible
+from autopilot.core.messages import Below, Event, Inputs
+from autopilot.core.samples import LeakSample, ObstacleTrack, PowerSample, plausible
 
 
 class Surroundings:
@@ -20,6 +20,10 @@ class Surroundings:
         self.tracks = Tracks()
         """Obstacles beside the fence."""
         self.power: PowerSample | None = None
+        self.below: Below | None = None
+        """The flight controller below us."""
+        self.wet = False
+        """What the leak probe said last."""
 
     @property
     def supply_v(self) -> float | None:
@@ -30,14 +34,28 @@ class Surroundings:
         """Take a tick's inputs."""
         self._events += self.devices.step(inputs.t_us, inputs.troubles)
         self._events += self.camera.step(inputs.t_us, inputs.pictures, inputs.samples)
+        self.below = inputs.below
         for sample in inputs.samples:
             if isinstance(sample, PowerSample):
                 if plausible(sample):
                     self.power = sample
                 else:
                     self._bad_power += 1
+            elif isinstance(sample, LeakSample):
+                self.wet = sample.wet
             elif isinstance(sample, ObstacleTrack):
                 self.tracks.note(inputs.t_us, sample)
+
+    @property
+    def thruster_problem(self) -> str:
+        """Why commands do not become thrust, "" while they do."""
+        below = self.below
+        return self.devices.thruster_problem or ("" if below is None else below.problem)
+
+    @property
+    def acts(self) -> bool:
+        """Whether thrusters do what they are commanded, as far as their device says."""
+        return not self.thruster_problem and (self.below is None or self.below.acts)
 
     def take_events(self) -> list[Event]:
         """Lines for the operator since the last call."""

@@ -77,6 +77,8 @@ class Below:
     """Whether thrusters do now what they are commanded."""
     text: str = ""
     """Its mode, or why it has stopped."""
+    problem: str = ""
+    """How its thrusters do something else than what they are commanded, "" while they do not."""
     refusals: tuple[str, ...] = ()
     """Why it would not fly for us, for the arming checks; a line each."""
 
@@ -410,6 +412,7 @@ class Failsafe(IntEnum):
     LATENCY = 5
     NAV_CHECK = 6
     FAULT = 7
+    LEAK = 8
 
 
 class Severity(IntEnum):

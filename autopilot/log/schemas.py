@@ -245,6 +245,10 @@ float64 current_a
 float64 energy_used_j
 float64 remaining
 """,
+    "autopilot_msgs/LeakRaw": """
+std_msgs/Header header
+uint8 wet
+""",
     "autopilot_msgs/MavlinkFrame": """
 std_msgs/Header header
 uint8[280] data

@@ -20,6 +20,7 @@ from autopilot.core.samples import (
     ExternalPoseSample,
     ImuSample,
     LaserSample,
+    LeakSample,
     MarkerSighting,
     ObstacleTrack,
     PoseSample,
@@ -308,6 +309,8 @@ class RunLog:
                 self._write("/in/external", t_us, sensors.external_pose(stamp_ns, sample))
             case ObstacleTrack():
                 self._write("/in/tracks", t_us, sensors.obstacle_track(stamp_ns, sample))
+            case LeakSample():
+                self._write("/in/leak", t_us, sensors.leak_raw(stamp_ns, sample))
             case PowerSample():
                 self._write("/in/power_raw", t_us, sensors.power_raw(stamp_ns, sample))
                 self._write("/in/power", t_us, visuals.battery_state(stamp_ns, sample))

@@ -41,6 +41,7 @@ TOPICS: dict[str, str] = {
     "/in/tracks": "autopilot_msgs/ObstacleTrack",
     "/in/power": "sensor_msgs/BatteryState",
     "/in/power_raw": "autopilot_msgs/PowerRaw",
+    "/in/leak": "autopilot_msgs/LeakRaw",
     "/in/mavlink": "autopilot_msgs/MavlinkFrame",
     "/rosout": "rcl_interfaces/Log",
     "/viz/pose": "geometry_msgs/PoseStamped",

@@ -5,7 +5,7 @@ What belongs to a world or a vehicle is in files of their own (scenario, vehicle
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -95,6 +95,16 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
     }
 
 
+def vehicle_defaults(instance: int) -> dict[str, Any]:
+    """Settings of `autopilot run` before its file, environment and command line."""
+    shared = ("profile", "state_dir", "log_dir", "log_quota_mb", "plan", "log", "duration", "controller", "estimator")
+    sitl = sitl_defaults(instance)
+    return {
+        **{name: sitl[name] for name in shared},
+        "connect": (f"udpin:0.0.0.0:{14540 + instance}", f"tcpin:127.0.0.1:{5760 + 10 * instance}"),
+    }
+
+
 _FROM_TEXT: dict[str, Any] = {
     "speed": float,
     "seed": int,
@@ -137,22 +147,37 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
 
 def _from_environment(name: str, variable: str, text: str) -> Any:
     """A variable's value; ConfigError if the setting cannot have it."""
-    allowed, use = _ALLOWED.get(name, (lambda _: True, ""))
     try:
         value = _FROM_TEXT.get(name, str)(text)
     except ValueError as error:
         raise ConfigError(f"{variable}={text!r} is not a number; correct or unset it") from error
+    return _allowed(name, value, f"{variable}={text!r}", "unset")
+
+
+def _allowed(name: str, value: Any, said: str, undo: str) -> Any:
+    """A setting's value; ConfigError if it cannot have it."""
+    allowed, use = _ALLOWED.get(name, (lambda _: True, ""))
     if not allowed(value):
-        raise ConfigError(f"{variable}={text!r} is not valid; use {use}, or unset it")
+        raise ConfigError(f"{said} is not valid; use {use}, or {undo} it")
     return value
 
 
-def gather(defaults: dict[str, Any], given: dict[str, Any], environment: dict[str, str] | None = None) -> Settings:
-    """Layer defaults, environment and command line (``given``: None or empty = not given)."""
+def gather(
+    defaults: dict[str, Any],
+    given: dict[str, Any],
+    environment: dict[str, str] | None = None,
+    *,
+    file: Mapping[str, Any] | None = None,
+    file_name: str = "",
+) -> Settings:
+    """Layer defaults, ``file``, environment and command line (``given``: None or empty = not given)."""
     settings = Settings()
     env = dict(os.environ) if environment is None else environment
     for name, value in defaults.items():
         settings.put(name, value, "default")
+        if file is not None and name in file:
+            said = f"{file_name}: `$.service.{name}` = {file[name]!r}"
+            settings.put(name, _allowed(name, file[name], said, "remove"), f"file {file_name}")
         variable = ENVIRONMENT_PREFIX + name.upper()
         if variable in env:
             settings.put(name, _from_environment(name, variable, env[variable]), f"environment {variable}")
@@ -165,6 +190,8 @@ def chosen_part(settings: Settings, kind: str, in_scenario: str) -> tuple[str, s
     """Name of the controller, estimator or plant, and the option, variable or key that says so, for errors."""
     setting = settings.table[kind]
     if setting.value is None:
+        if "scenario" not in settings.table:
+            return in_scenario, "the default"
         return in_scenario, f"{settings['scenario']}: `$.plugins.{kind}`"
     by = setting.origin.removeprefix("environment ")
     return setting.value, f"--{kind}" if by == "command line" else by

@@ -20,6 +20,7 @@ from autopilot.core.errors import DriverError
 from autopilot.core.guard import Guard
 from autopilot.core.marks import LoopPart, Stopwatch
 from autopilot.core.messages import (
+    Below,
     DeviceRole,
     DeviceTrouble,
     Event,
@@ -64,8 +65,11 @@ class Runtime:
         on_tick: Callable[[Outputs], None] = lambda _: None,
         paced: bool = False,
         notices: Callable[[], Sequence[tuple[Severity, str]]] = lambda: (),
+        below: Callable[[int], Below | None] = lambda _: None,
     ) -> None:
-        """``notices``: what operators should know of the outside world (severity, text), asked for once per tick."""
+        """``notices``: what operators should know of the outside world (severity, text), asked for once per tick.
+        ``below``: who has the vehicle, where there is a flight controller below."""
+        self._below = below
         self._notices = notices
         self._service = service
         self._step: Callable[[Inputs], Outputs] = service.step
@@ -138,6 +142,7 @@ class Runtime:
                 *self._transport.take_notices(t_us),
                 *(Event(t_us=t_us, severity=severity, text=text) for severity, text in self._notices()),
             ),
+            below=self._try(t_us, DeviceRole.THRUSTERS, lambda: self._below(t_us), None),
         )
         self._troubles = []
         watch.mark(LoopPart.RECEIVE)

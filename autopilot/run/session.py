@@ -13,7 +13,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.desk import Desk
 from autopilot.core.errors import PlanError
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import Outputs, Severity
+from autopilot.core.messages import Below, Outputs, Severity
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.vehicle import Vehicle
 from autopilot.run.clocks import make_clock
@@ -44,6 +44,10 @@ class Outside:
     peers: Sequence[Peer]
     recorder: RunRecorder | NullRecorder
     speed: float
+    below: Callable[[int], Below | None] = lambda _: None
+    """Who has the vehicle at a time, where there is a flight controller below."""
+    notices: Callable[[], Sequence[tuple[Severity, str]]] = lambda: ()
+    """What operators should know of the devices."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -126,7 +130,8 @@ def loop_round(
         on_tick(outputs)
 
     def notices() -> Sequence[tuple[Severity, str]]:
-        told = (*news, *recorder.take_notices(), *(() if plans is None else plans.take_notices()))
+        kept_news = () if plans is None else plans.take_notices()
+        told = (*news, *recorder.take_notices(), *kept_news, *outside.notices())
         news.clear()
         return told
 
@@ -141,6 +146,7 @@ def loop_round(
         on_tick=each_tick,
         paced=outside.speed > 0.0,
         notices=notices,
+        below=outside.below,
     )
     for desk in (*parts.desks, kept.disk):
         desk.idle = runtime.attend

@@ -3,62 +3,24 @@
 Contacts and obstacles that the fence does not have come from the simulated world; the service never hears of them here.
 """
 
-import queue
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Outputs, ProgressState, Severity
+from autopilot.core.messages import Outputs, ProgressState
 from autopilot.core.plan import PlanKind
 from autopilot.core.shapes import clearance_m
 from autopilot.core.toml_table import Vec2
+from autopilot.run.console import EventLines, Print
 from autopilot.run.sitl_session import SitlSession
 from sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, PrismObstacle, Scenario
 
-REPEAT_US = 5_000_000
-"""The same line is not shown twice within this time."""
 KNOWN_M = 0.02
 """A fence comes over the wire on a grid of 11 mm: an obstacle may stand out of its shape by so much."""
 RIM_POINTS = 24
-MAX_WAITING = 1000
-"""Lines that wait for a console that does not take them."""
-
-Print = Callable[[str], None]
-
-
-class Console:
-    """Prints beside the loop: a terminal that is held or a pipe that nobody reads stops no vehicle."""
-
-    def __init__(self) -> None:
-        self._lines: queue.Queue[str | None] = queue.Queue(MAX_WAITING)
-        self._thread = threading.Thread(target=self._run, name="console", daemon=True)
-        self._thread.start()
-
-    def print(self, line: str) -> None:
-        """Print when the console takes it; lines beyond what can wait are dropped."""
-        try:
-            self._lines.put_nowait(line)
-        except queue.Full:
-            return
-
-    def close(self, patience_s: float = 2.0) -> None:
-        """Print what waits, if the console takes it."""
-        try:
-            self._lines.put(None, timeout=patience_s)
-        except queue.Full:
-            return
-        self._thread.join(patience_s)
-
-    def _run(self) -> None:
-        while (line := self._lines.get()) is not None:
-            try:
-                print(line, flush=True)
-            except (OSError, ValueError):  # nobody reads any more
-                return
 
 
 class RunWatch:
@@ -66,8 +28,7 @@ class RunWatch:
 
     def __init__(self, session: SitlSession, show: Print) -> None:
         self._session = session
-        self._show = show
-        self._shown_us: dict[str, int] = {}
+        self._lines = EventLines(show)
         self._armed = self._was_active = False
         self._looked_at: int | None = None
         self.contacts = 0
@@ -79,10 +40,7 @@ class RunWatch:
 
     def step(self, outputs: Outputs) -> None:
         """Look at a tick."""
-        for event in outputs.events:
-            if event.severity < Severity.DEBUG:
-                mark = "" if event.severity > Severity.WARNING else "! "
-                self._line(outputs.t_us, f"{mark}{event.text}")
+        self._lines.step(outputs)
         self._look_for_contacts(outputs.t_us)
         armed, begins = outputs.mode.armed, outputs.mode.armed and not self._armed
         self._look_at_the_fence(outputs.t_us, arming=begins)
@@ -97,19 +55,13 @@ class RunWatch:
         """Whether a run that is to end with its mission ends now."""
         return self.complete or self.over
 
-    def _line(self, t_us: int, text: str) -> None:
-        if t_us - self._shown_us.get(text, -REPEAT_US) >= REPEAT_US:
-            self._shown_us = {line: when for line, when in self._shown_us.items() if t_us - when < REPEAT_US}
-            self._shown_us[text] = t_us
-            self._show(f"{t_us * 1e-6:8.2f} s  {text}")
-
     def _look_for_contacts(self, t_us: int) -> None:
         truth = self._session.device.truth
         if truth.contact_count > self.contacts:
             self.contacts = truth.contact_count
             x, y, z = truth.pos_ned_m
             depth_mm = 1e3 * truth.contact_depth_m
-            self._line(
+            self._lines.line(
                 t_us, f"! Contact {self.contacts}: {depth_mm:.0f} mm at north {x:.2f}, east {y:.2f}, depth {z:.2f} m"
             )
 
@@ -121,7 +73,7 @@ class RunWatch:
         if arming or any(plans.items(kind) for kind in (PlanKind.MISSION, PlanKind.FENCE)):
             self._looked_at = plans.revision
             for text in unknown_obstacles(self._session.scenario, self._session.parts.commander.fence):
-                self._line(t_us, f"! {text}")
+                self._lines.line(t_us, f"! {text}")
 
 
 def unknown_obstacles(scenario: Scenario, fence: Fence) -> tuple[str, ...]:

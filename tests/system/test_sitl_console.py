@@ -11,7 +11,8 @@ from system_harness import ROOT
 
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.run.children import autopilot_command
-from autopilot.run.sitl_console import Console, unknown_obstacles
+from autopilot.run.console import Console
+from autopilot.run.sitl_console import unknown_obstacles
 from sitl.scenario import load_scenario
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
@@ -133,7 +134,7 @@ def test_a_console_that_takes_nothing_holds_nobody_up() -> None:
     """A terminal that is held: lines wait, then are dropped, and closing does not wait for ever."""
     read, write = os.pipe()
     code = (
-        "import sys\nfrom autopilot.run.sitl_console import Console\nconsole = Console()\n"
+        "import sys\nfrom autopilot.run.console import Console\nconsole = Console()\n"
         "for number in range(100_000):\n    console.print(f'{number} ' + 80 * 'x')\n"
         "console.close(0.1)\nprint('went on', file=sys.stderr)\nsys.stderr.flush()\nimport os\nos._exit(0)\n"
     )

@@ -13,6 +13,7 @@ from autopilot.core.samples import (
     ExternalPoseSample,
     ImuSample,
     LaserSample,
+    LeakSample,
     MarkerSighting,
     ObstacleTrack,
     PoseSample,
@@ -33,6 +34,7 @@ _pose_fix = layout("autopilot_msgs/PoseFix").packer.pack
 _obstacle_track = layout("autopilot_msgs/ObstacleTrack").packer.pack
 _laser_raw = layout("autopilot_msgs/LaserRaw").packer.pack
 _range = layout("sensor_msgs/Range").packer.pack
+_leak_raw = layout("autopilot_msgs/LeakRaw").packer.pack
 _power_raw = layout("autopilot_msgs/PowerRaw").packer.pack
 
 _CAM = (4, b"cam\0")
@@ -175,6 +177,11 @@ def obstacle_track(stamp_ns: int, track: ObstacleTrack) -> bytes:
         track.radius_m,
         clip(track.track_id, UINT32),
     )
+
+
+def leak_raw(stamp_ns: int, sample: LeakSample) -> bytes:
+    """LeakRaw."""
+    return _leak_raw(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, int(sample.wet))
 
 
 def power_raw(stamp_ns: int, sample: PowerSample) -> bytes:

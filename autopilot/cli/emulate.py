@@ -1,0 +1,62 @@
+"""``autopilot emulate``: a flight controller with a simulated vehicle, to try ``autopilot run`` on."""
+
+from pathlib import Path
+
+import click
+
+from autopilot.cli.output import emit_json
+from autopilot.cli.service_run import StopSignals
+
+
+@click.command()
+@click.argument("scenario", default="paper-tank")
+@click.option("--vehicle", default="bluerov2", show_default=True, help="A shipped vehicle or a vehicle file.")
+@click.option("--frame", type=click.Choice(["vectored", "vectored_6dof"]), default="vectored", show_default=True)
+@click.option(
+    "--link",
+    multiple=True,
+    default=("udpout:127.0.0.1:14555",),
+    show_default=True,
+    help="Where the flight controller speaks; repeatable.",
+)
+@click.option(
+    "--pose",
+    multiple=True,
+    default=("udpout:127.0.0.1:14540",),
+    show_default=True,
+    help="Where a tracking system sends the vehicle's pose; repeatable.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End after so many seconds.")
+@click.option("--truth", type=click.Path(dir_okay=False, path_type=Path), help="File for true poses, a JSON line each.")
+def emulate(
+    scenario: str,
+    vehicle: str,
+    frame: str,
+    link: tuple[str, ...],
+    pose: tuple[str, ...],
+    seed: int,
+    duration: float | None,
+    truth: Path | None,
+) -> None:
+    """Be a BlueROV2 with ArduSub in the water of SCENARIO, in real time, for `autopilot run --config` to fly.
+
+    At its end it prints what has become of the vehicle.
+    """
+    stop = StopSignals()
+    from msgspec import structs
+
+    from autopilot.run.sitl_emulated import emulate as run
+
+    flight = run(
+        scenario,
+        vehicle,
+        frame,
+        links=link,
+        pose=pose,
+        seed=seed,
+        duration_s=duration,
+        truth_file=truth,
+        stop=lambda: bool(stop),
+    )
+    emit_json(structs.asdict(flight))

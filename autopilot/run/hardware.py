@@ -1,0 +1,118 @@
+"""All devices of a real vehicle as one, whatever is plugged in of them."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from autopilot.core.messages import Authority, Below, Severity, ThrusterCommand
+from autopilot.core.samples import CameraFrame, Sample
+from autopilot.run.vehicle_config import VehicleConfig
+from drivers.devices import CAMERA, FLIGHT_CONTROLLER, THRUSTERS
+from drivers.protocols import ThrusterOutput
+from drivers.retry import Steady, SteadyController, SteadyOutput, SteadySensor
+
+NAMES = {
+    "ahrs": "AHRS",
+    "camera": "Camera",
+    "depth": "Depth sensor",
+    "dvl": "DVL",
+    "battery": "Battery monitor",
+    "leak": "Leak probe",
+    "thrusters": "Thrusters",
+    "flight_controller": "Flight controller",
+}
+"""As operators know them."""
+
+REPLACES = {
+    "ahrs": ("AhrsSample", "ImuSample"),
+    "depth": ("DepthSample",),
+    "battery": ("PowerSample",),
+    "leak": ("LeakSample",),
+}
+"""What a device of its own takes the place of that a flight controller says too."""
+
+
+class HardwareVehicle:
+    """A :class:`autopilot.run.outside.VehicleIo`. Nothing is opened before the first tick, nothing waits."""
+
+    def __init__(self, config: VehicleConfig) -> None:
+        vehicle = config.vehicle
+        self._thrusters = len(vehicle.thrusters)
+        made = {kind: setup.make(vehicle) for kind, setup in config.devices.items()}
+        self._sensors: dict[str, SteadySensor] = {}
+        self._camera: SteadySensor | None = None
+        self._below: SteadyController | None = None
+        self._output: SteadyOutput[Any] | None = None
+        for kind, device in made.items():
+            if kind == FLIGHT_CONTROLLER:
+                self._output = self._below = SteadyController(device, NAMES[kind])
+            elif kind == THRUSTERS:
+                output: ThrusterOutput = device
+                self._output = SteadyOutput(output, NAMES[kind])
+            elif kind == CAMERA:
+                self._camera = SteadySensor(device, NAMES[kind])
+            else:
+                self._sensors[kind] = SteadySensor(device, NAMES[kind])
+        self._passed_over = {name for kind in self._sensors for name in REPLACES.get(kind, ())}
+        self._t_us = 0
+
+    @property
+    def devices(self) -> tuple[Steady[Any], ...]:
+        """All of them, for the doctor."""
+        rest = (self._camera, self._output)
+        return (*self._sensors.values(), *(device for device in rest if device is not None))
+
+    def advance(self, t_us: int) -> None:
+        """Commands that have become too old stop the thrusters."""
+        self._t_us = t_us
+        if self._output is not None:
+            self._output.check(t_us)
+
+    def poll(self, t_us: int) -> Sequence[Sample]:
+        """Samples that have arrived."""
+        samples: list[Sample] = []
+        if self._below is not None:
+            found = self._below.poll(t_us)
+            passed = self._passed_over
+            samples += [s for s in found if type(s).__name__ not in passed] if passed else found
+        for sensor in self._sensors.values():
+            samples += sensor.poll(t_us)
+        return samples
+
+    def frames(self, t_us: int) -> Sequence[CameraFrame]:
+        """Images that have arrived."""
+        return () if self._camera is None else self._camera.poll(t_us)
+
+    def write(self, t_us: int, command: ThrusterCommand) -> None:
+        """Drive the thrusters. DriverError while they are away."""
+        if self._below is not None and self._below.attend(t_us):
+            self._below.device.command(t_us, armed=command.armed)
+        if self._output is not None:
+            self._output.write(t_us, command.pwm_us[: self._thrusters])
+
+    def below(self, t_us: int) -> Below | None:
+        """Who has the vehicle, None without a flight controller."""
+        if self._below is None:
+            return None
+        if self._below.attend(t_us):
+            return self._below.device.below(t_us)
+        text = f"flight controller down: {self._below.problem}"
+        return Below(t_us=t_us, authority=Authority.OURS, acts=False, refusals=(text,))
+
+    def take_notices(self) -> Sequence[tuple[Severity, str]]:
+        """Which devices have gone or come."""
+        told = [notice for device in self.devices for notice in device.take_notices()]
+        if self._below is not None:
+            told += self._below.device.take_notices()
+        return told
+
+    def close(self) -> None:
+        """Thrusters to neutral first, whatever the others raise."""
+        closing: list[Callable[[], None]] = [device.close for device in reversed(self.devices)]
+        failed: Exception | None = None
+        for close in closing:
+            try:
+                close()
+            except Exception as error:  # noqa: BLE001 - the others are closed all the same
+                failed = failed or error
+        if failed is not None:
+            raise failed

@@ -1,0 +1,177 @@
+"""A run on a real vehicle: configuration -> devices, service, links, log, loop. What SITL shares stands in
+:mod:`autopilot.run.session`."""
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+
+from autopilot.command.parts import Parts
+from autopilot.command.service import Autopilot
+from autopilot.control.water.current_learning import Basin, LearnedCurrent
+from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent, NoCurrent
+from autopilot.core.desk import Desk
+from autopilot.core.geodesy import Origin
+from autopilot.core.lane import DaemonLane
+from autopilot.core.marker_files import load_marker_map
+from autopilot.core.markers import MarkerMap
+from autopilot.core.messages import Outputs
+from autopilot.core.param_file import PersistentParams
+from autopilot.core.params import ParamSet
+from autopilot.run.boot_links import BootLinks, open_boot_links
+from autopilot.run.compose import ServiceSetup, build_service
+from autopilot.run.config import Settings, chosen_part, system_id
+from autopilot.run.describe import describe_service
+from autopilot.run.hardware import HardwareVehicle
+from autopilot.run.kept_plans import KeptPlans
+from autopilot.run.recorder import NullRecorder, RunRecorder
+from autopilot.run.session import Kept, Outside, Session, loop_round, marker_vision, opened, take_plans
+from autopilot.run.session_log import LogContents, marker_attachment, open_recorder
+from autopilot.run.vehicle_config import VehicleConfig, apply_parameters
+from drivers.protocols import Link
+
+
+def open_vehicle_links(
+    settings: Settings, config: VehicleConfig, overrides: dict[str, float], *, instance: int
+) -> BootLinks:
+    """Open a vehicle's links. ConfigError and DriverError name what is wrong; nothing is open then."""
+    params, *_ = vehicle_params(settings, config, overrides, instance)
+    return open_boot_links(settings["connect"], system_id(params, instance), settings["profile"])
+
+
+def vehicle_params(
+    settings: Settings, config: VehicleConfig, overrides: dict[str, float], instance: int, disk: Desk | None = None
+) -> tuple[ParamSet, PersistentParams, tuple[str, ...]]:
+    """Defaults < the file's < saved by earlier runs < command line; as in SITL (:mod:`autopilot.run.sitl_params`)."""
+    params = ParamSet()
+    apply_parameters(config, params)
+    persistent = PersistentParams(state_folder(settings, config, instance) / "parameters.params", params, disk)
+    warnings = persistent.load(mend=disk is not None)
+    for name, value in overrides.items():
+        params.set(name, value)
+    return params, persistent, warnings
+
+
+def state_folder(settings: Settings, config: VehicleConfig, instance: int) -> Path:
+    """What an instance keeps between runs."""
+    return Path(settings["state_dir"]) / f"{config.vehicle.name}-{instance}"
+
+
+def open_vehicle(
+    settings: Settings,
+    config: VehicleConfig,
+    overrides: dict[str, float],
+    *,
+    instance: int = 0,
+    links: Sequence[Link] | None = None,
+    on_tick: Callable[[Outputs], None] = lambda _: None,
+) -> Session:
+    """Everything of a run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
+
+    ``links``: the connections of the settings if they are already open (:mod:`autopilot.run.boot_links`).
+    """
+    disk = Desk(DaemonLane("disk"), patient=False)
+    params, persistent, warnings = vehicle_params(settings, config, overrides, instance, disk)
+    markers = None if config.markers is None else load_marker_map(config.markers)
+    service, parts = _service(settings, config, params, markers, persistent, instance=instance)
+    plans = KeptPlans(state_folder(settings, config, instance) / "plans.json", parts.plans, parts.commander, disk)
+    plan = None if settings["plan"] is None else Path(settings["plan"])
+    warnings += take_plans(parts, plan, plans, flown_at_once=False)
+    device = HardwareVehicle(config)
+    with opened(device, settings["connect"], links) as open_links:
+        recorder = _recorder(settings, config, parts, markers)
+    outside = Outside(
+        device=device,
+        vision=marker_vision(config.vehicle, markers, paced=True),
+        links=open_links,
+        peers=(),
+        recorder=recorder,
+        speed=1.0,
+        below=device.below,
+        notices=device.take_notices,
+    )
+    kept = Kept(params=persistent, plans=plans, disk=disk)
+    return Session(
+        vehicle=config.vehicle,
+        service=service,
+        parts=parts,
+        device=device,
+        runtime=loop_round(service, parts, outside, kept, warnings, on_tick),
+        recorder=recorder,
+        kept=kept,
+        warnings=warnings,
+        duration_s=settings["duration"],
+    )
+
+
+def _service(
+    settings: Settings,
+    config: VehicleConfig,
+    params: ParamSet,
+    markers: MarkerMap | None,
+    saving: PersistentParams,
+    *,
+    instance: int,
+) -> tuple[Autopilot, Parts]:
+    """The service for that vehicle and place."""
+    controller, controller_by = chosen_part(settings, "controller", "nmpc")
+    estimator, estimator_by = chosen_part(settings, "estimator", "ekf")
+    return build_service(
+        ServiceSetup(
+            vehicle=config.vehicle,
+            params=params,
+            origin=Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"]),
+            markers=markers,
+            floor_depth_m=config.file.place.floor_depth_m,
+            estimator=estimator,
+            estimator_asked_by=estimator_by,
+            controller=controller,
+            controller_asked_by=controller_by,
+            profile=settings["profile"],
+            instance=instance,
+            currents=_currents(config),
+            links=len(settings["connect"]),
+            patience=1.0,
+            waits_for_plans=False,
+            saving=saving,
+        )
+    )
+
+
+def _currents(config: VehicleConfig) -> CurrentForecast:
+    """What the controller is told of the water."""
+    match config.file.place.currents:
+        case "none":
+            return NoCurrent()
+        case "uniform":
+            return EstimatedCurrent()
+        case _:
+            return LearnedCurrent(Basin(config.file.place.basin))
+
+
+def _recorder(
+    settings: Settings, config: VehicleConfig, parts: Parts, markers: MarkerMap | None
+) -> RunRecorder | NullRecorder:
+    """The log; its time is the clock's."""
+    place = config.file.place
+    contents = LogContents(
+        settings,
+        parts,
+        lambda: describe_service(parts, place.name),
+        estimator=chosen_part(settings, "estimator", "ekf")[0],
+        markers=markers,
+        floor_depth_m=place.floor_depth_m,
+        metadata={
+            "config": config.path.name,
+            "place": place.name,
+            "currents": place.currents,
+            "basin": place.basin,
+            **{f"device.{kind}": setup.driver for kind, setup in config.devices.items()},
+        },
+        attachments={
+            "config_file.json": msgspec.json.encode(config.file),
+            **({} if markers is None else marker_attachment(markers)),
+        },
+    )
+    return open_recorder(settings, parts, contents, epoch_ns=time.time_ns(), lockstep=False)

@@ -1,0 +1,79 @@
+"""A flight controller with a simulated vehicle, in real time and on real links: what ``autopilot run`` is tried on."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+
+from autopilot.core.vehicle import load_vehicle
+from autopilot.run.clocks import make_clock
+from drivers.links import open_link
+from sitl.ardusub_vehicle import ArduSubVehicle
+from sitl.scenario import load_scenario, with_vehicle
+
+STEP_US = 5_000
+"""Its main loop."""
+
+
+class EmulatedFlight(msgspec.Struct, kw_only=True):
+    """What has become of the vehicle, as only a simulation knows it."""
+
+    seconds: float = 0.0
+    late_steps: int = 0
+    contacts: int = 0
+    max_penetration_m: float = 0.0
+    energy_j: float = 0.0
+    longest_way_m: float = 0.0
+    """Farthest from the start that it has been."""
+
+
+def emulate(
+    scenario_name: str,
+    vehicle_name: str,
+    frame: str,
+    *,
+    links: Sequence[str],
+    pose: Sequence[str],
+    seed: int,
+    duration_s: float | None,
+    truth_file: Path | None,
+    stop: Callable[[], bool],
+) -> EmulatedFlight:
+    """Run until ``stop``. ``links``: where the flight controller speaks; ``pose``: where a tracking system reports."""
+    scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
+    vehicle = ArduSubVehicle(scenario, load_vehicle(vehicle_name), frame, seed=seed)
+    ends = [open_link(text) for text in links]
+    trackers = [open_link(text) for text in pose]
+    clock, flight, t_us = make_clock(1.0), EmulatedFlight(), 0
+    start = vehicle.truth.pos_ned_m.copy()
+    encoder = msgspec.json.Encoder()
+    track = None if truth_file is None else truth_file.open("wb")
+    try:
+        while not stop() and (duration_s is None or t_us < 1e6 * duration_s):
+            t_us += STEP_US
+            flight.late_steps += clock.wait_until(t_us) - t_us > STEP_US
+            for index, link in enumerate(ends):
+                for received in link.recv(t_us):
+                    vehicle.controller.hear(t_us, received.data, index)
+            for data in vehicle.advance(t_us):
+                for link in ends:
+                    link.send(data)
+            told = vehicle.pose(t_us)
+            for link in trackers if told is not None else ():
+                link.recv(t_us)
+                link.send(told or b"")
+            truth = vehicle.truth
+            away = float(((truth.pos_ned_m - start) ** 2).sum()) ** 0.5
+            flight.longest_way_m = max(flight.longest_way_m, away)
+            if track is not None and t_us % 100_000 == 0:
+                row = [1e-6 * t_us, *truth.pos_ned_m.tolist(), float(truth.rpy_rad[2]), *vehicle.controller.servos_us]
+                track.write(encoder.encode(row) + b"\n")
+    finally:
+        truth = vehicle.truth
+        flight.seconds, flight.contacts = 1e-6 * t_us, truth.contact_count
+        flight.max_penetration_m, flight.energy_j = truth.max_penetration_m, truth.energy_used_j
+        for link in (*ends, *trackers):
+            link.close()
+        if track is not None:
+            track.close()
+    return flight

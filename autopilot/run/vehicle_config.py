@@ -1,0 +1,158 @@
+"""The configuration of a real vehicle (``autopilot run --config``): which vehicle, where, and what is plugged in.
+
+A TOML file. Wiring and place stand here, tuning and limits are parameters; ``[parameters]`` gives them other defaults.
+Paths in it are relative to the file. Unknown keys are errors that name the key.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from autopilot.core.errors import ConfigError
+from autopilot.core.params import ParamSet
+from autopilot.core.toml_table import NonNegative, Positive, Table, convert, read_toml
+from autopilot.core.vehicle import Vehicle, load_vehicle, vehicle_names
+from drivers.devices import CAMERA, DeviceSetup, read_devices
+
+Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
+Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+
+
+class PlaceTable(Table, frozen=True, kw_only=True):
+    """``[place]``: where it swims and what is known of the place."""
+
+    name: str = "unnamed place"
+    """For logs."""
+    origin_lat_deg: Latitude | None = None
+    origin_lon_deg: Longitude | None = None
+    """Of the local frame; absent = as saved, or ORIGIN_LAT and ORIGIN_LON."""
+    origin_alt_m: float | None = None
+    markers: str | None = None
+    """Marker map (TOML) of the floor that the camera sees."""
+    floor_depth_m: Positive | None = None
+    """Depth of the floor that the laser points at."""
+    currents: Literal["estimate", "none", "uniform"] = "estimate"
+    basin: Literal["closed", "open", "unknown"] = "unknown"
+    """Whether what flows comes back within the fence."""
+
+    def __post_init__(self) -> None:
+        if (self.origin_lat_deg is None) != (self.origin_lon_deg is None):
+            raise ValueError("`origin_lat_deg` and `origin_lon_deg` go together; give both or neither")
+
+
+class ServiceTable(Table, frozen=True, kw_only=True):
+    """``[service]``: settings that the command line and the environment have as well, and may overrule."""
+
+    connect: tuple[str, ...] | None = None
+    profile: Literal["generic", "px4", "ardusub"] | None = None
+    controller: str | None = None
+    estimator: str | None = None
+    log_dir: str | None = None
+    log_quota_mb: NonNegative | None = None
+    state_dir: str | None = None
+
+    def given(self, folder: Path) -> dict[str, Any]:
+        """What stands in the file, by name; folders relative to ``folder``."""
+        told = {name: value for name, value in msgspec.structs.asdict(self).items() if value is not None}
+        for name in ("log_dir", "state_dir"):
+            if name in told:
+                told[name] = str(folder / Path(told[name]).expanduser())
+        return told
+
+
+class ConfigFile(Table, frozen=True, kw_only=True):
+    """The whole file."""
+
+    vehicle: str
+    """A shipped vehicle's name, or a vehicle file."""
+    place: PlaceTable = PlaceTable()
+    service: ServiceTable = ServiceTable()
+    parameters: dict[str, float] = msgspec.field(default_factory=dict)
+    devices: dict[str, dict[str, Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class VehicleConfig:
+    """A configuration that has been looked through."""
+
+    path: Path
+    file: ConfigFile
+    vehicle: Vehicle
+    devices: Mapping[str, DeviceSetup]
+    """By kind."""
+    markers: Path | None
+
+    @property
+    def has_camera(self) -> bool:
+        """Whether there are pictures."""
+        return CAMERA in self.devices
+
+
+def config_names() -> list[str]:
+    """The configurations that ship with the autopilot."""
+    folder = resources.files("autopilot") / "data" / "configs"
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def load_config(name_or_path: str) -> VehicleConfig:
+    """A configuration by path, or a shipped one by name. ConfigError names file, key, value and remedy."""
+    path = Path(name_or_path)
+    shipped = name_or_path.removesuffix(".toml")
+    if not path.exists() and shipped in config_names():
+        path = Path(str(resources.files("autopilot") / "data" / "configs" / f"{shipped}.toml"))
+    file: ConfigFile = convert(read_toml(path), ConfigFile, str(path))
+    vehicle = load_vehicle(_vehicle_of(file.vehicle, path))
+    config = VehicleConfig(
+        path=path,
+        file=file,
+        vehicle=vehicle,
+        devices=read_devices(file.devices, str(path)),
+        markers=None if file.place.markers is None else path.parent / file.place.markers,
+    )
+    _check(config)
+    return config
+
+
+def _vehicle_of(name: str, path: Path) -> str:
+    return name if name in vehicle_names() else str(path.parent / name)
+
+
+def _check(config: VehicleConfig) -> None:
+    """What does not go together. ConfigError."""
+    origin = str(config.path)
+    apply_parameters(config, ParamSet())
+    if config.has_camera and config.vehicle.camera is None:
+        raise ConfigError(
+            f"{origin}: `$.devices.camera`: vehicle {config.vehicle.name!r} has no [camera]; add one to the vehicle"
+            " file, or remove the device"
+        )
+    if config.has_camera and config.markers is None:
+        raise ConfigError(
+            f"{origin}: `$.devices.camera` without `$.place.markers`: name the marker map of the floor, or remove the"
+            " camera"
+        )
+    if config.markers is not None and not config.has_camera:
+        raise ConfigError(
+            f"{origin}: `$.place.markers` = {config.file.place.markers!r} without `$.devices.camera`: nothing would see"
+            " them; add a camera, or remove the map"
+        )
+    for kind, setup in config.devices.items():
+        try:
+            setup.make(config.vehicle)
+        except ConfigError as error:
+            raise ConfigError(f"{origin}: `$.devices.{kind}`: {error}") from error
+
+
+def apply_parameters(config: VehicleConfig, params: ParamSet) -> None:
+    """Origin and ``[parameters]`` of the file as defaults. ConfigError names file and key."""
+    place = config.file.place
+    told = {"ORIGIN_LAT": place.origin_lat_deg, "ORIGIN_LON": place.origin_lon_deg, "ORIGIN_ALT": place.origin_alt_m}
+    for name, value in ({k: v for k, v in told.items() if v is not None} | config.file.parameters).items():
+        try:
+            params.set(name, value)
+        except ConfigError as error:
+            raise ConfigError(f"{config.path}: `$.parameters.{name}`: {error}") from error

@@ -1,0 +1,132 @@
+"""Who has a vehicle with ArduSub on board: we, its pilot, or nobody.
+
+We fly in its MANUAL mode and in no other: any other mode is the pilot's, and so is the choice. Nothing here sets a
+mode. It is armed and disarmed together with us, by its own checks.
+"""
+
+from typing import Any
+
+from autopilot.core.messages import Authority
+
+MANUAL = 19
+MODE_NAMES = {
+    0: "STABILIZE",
+    1: "ACRO",
+    2: "ALT_HOLD",
+    3: "AUTO",
+    4: "GUIDED",
+    7: "CIRCLE",
+    9: "SURFACE",
+    16: "POSHOLD",
+    MANUAL: "MANUAL",
+    20: "MOTOR_DETECT",
+    21: "SURFTRAK",
+}
+ARMED_FLAG = 128
+"""MAV_MODE_FLAG_SAFETY_ARMED."""
+SPOOL_US = 1_050_000
+"""From arming to full thrust: half a second of neutral, then half a second (MOT_SPOOL_TIME) in which heave grows."""
+ASK_EVERY_US = 1_000_000
+GIVE_UP_US = 5_000_000
+"""So long it may take to arm."""
+ARM_DISARM = 400
+
+
+class AuthorityWatch:
+    """Follows heartbeats, answers and texts."""
+
+    def __init__(self) -> None:
+        self.mode: int | None = None
+        """None before the first heartbeat."""
+        self.armed = False
+        """Below."""
+        self.wanted = False
+        """By us."""
+        self._armed_us = 0
+        self._wanted_us = 0
+        self._asked_us = -ASK_EVERY_US
+        self._had = False
+        """Whether it has been armed since we wanted it."""
+        self._stopped = ""
+        self._refusal = ""
+
+    @property
+    def authority(self) -> Authority:
+        """Who has it now."""
+        if self.mode is not None and self.mode != MANUAL:
+            return Authority.PILOT
+        return Authority.STOPPED if self._stopped else Authority.OURS
+
+    @property
+    def text(self) -> str:
+        """Its mode, or why it has stopped."""
+        if self.authority is Authority.STOPPED:
+            return self._stopped
+        return "" if self.mode is None else mode_name(self.mode)
+
+    def acts(self, t_us: int) -> bool:
+        """Whether thrust acts as commanded now."""
+        ours = self.authority is Authority.OURS
+        return ours and self.wanted and self.armed and t_us - self._armed_us > SPOOL_US
+
+    @property
+    def takes_commands(self) -> bool:
+        """Whether we are to send any."""
+        return self.wanted and self.authority is Authority.OURS
+
+    def want(self, t_us: int, *, armed: bool) -> None:
+        """Told every tick."""
+        if armed != self.wanted:
+            self.wanted = armed
+            self._wanted_us, self._asked_us = t_us, t_us - ASK_EVERY_US
+            self._stopped = self._refusal = ""
+            if armed:
+                self._had = self.armed
+
+    def due(self, t_us: int) -> bool | None:
+        """Whether it is to be asked now to arm (True) or disarm (False)."""
+        if self.mode != MANUAL or self._stopped or self.armed == self.wanted:
+            return None
+        if not self.wanted and not self._had:  # somebody else armed it: not ours to end
+            return None
+        if self.wanted and t_us - self._wanted_us > GIVE_UP_US:
+            self._stopped = f"does not arm: {self._refusal or 'no answer'}"
+            return None
+        if t_us - self._asked_us < ASK_EVERY_US:
+            return None
+        self._asked_us = t_us
+        return self.wanted
+
+    def take(self, t_us: int, message: Any) -> None:
+        """Note a message."""
+        match message.get_type():
+            case "HEARTBEAT":
+                self.mode = int(message.custom_mode)
+                self._set_armed(t_us, bool(message.base_mode & ARMED_FLAG), "")
+            case "STATUSTEXT":
+                text = message.text.strip()
+                lower = text.lower()
+                if lower.startswith("disarming motors"):
+                    self._set_armed(t_us, False, "")
+                elif lower.startswith(("prearm:", "arm:", "arming")) and message.severity <= 4:
+                    self._refusal = text
+            case "COMMAND_ACK" if message.command == ARM_DISARM and message.result != 0:
+                self._refusal = self._refusal or f"refused (result {message.result})"
+            case _:
+                return
+
+    def _set_armed(self, t_us: int, armed: bool, why: str) -> None:
+        if armed and not self.armed:
+            self._armed_us = t_us
+        lost = self.armed and not armed
+        self.armed = armed
+        self._had |= armed and self.wanted
+        if lost and self.wanted and self.mode == MANUAL:
+            self._stopped = why or "disarmed by pilot or failsafe"
+        if not armed and not self.wanted:
+            self._had = False
+
+
+def mode_name(number: int) -> str:
+    """As pilots know it."""
+    return MODE_NAMES.get(number, f"mode {number}")

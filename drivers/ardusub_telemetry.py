@@ -1,0 +1,118 @@
+"""What ArduSub measures, as our samples."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from autopilot.core.samples import AhrsSample, DepthSample, LeakSample, PowerSample, Sample
+from autopilot.core.vehicle import Vehicle
+from drivers.ig500 import DeviceClock
+
+G_M_S2 = 9.80665
+FRESH_IMU_US = 50_000
+"""An acceleration older than this beside an attitude: the sample is left out."""
+LEAK_HOLD_US = 45_000_000
+"""It repeats its warning every 20 s while the probe is wet."""
+LEAK_EVERY_US = 1_000_000
+PA_HPA = 100.0
+
+
+class Telemetry:
+    """Messages in, samples out. Stamps are those of its clock, moved to ours."""
+
+    def __init__(
+        self, vehicle: Vehicle, *, density_kg_m3: float, depth_sigma_m: float, ground_pa: float | None
+    ) -> None:
+        """``ground_pa``: pressure at the surface, None = its own."""
+        self._vehicle = vehicle
+        self._density = density_kg_m3
+        self._depth_sigma_m = depth_sigma_m
+        self._told_ground_pa = ground_pa
+        self._clock = DeviceClock()
+        self._accel: tuple[int, list[float]] | None = None
+        self._last_us = -(1 << 62)
+        self._leak_us: int | None = None
+        self._leak_told_us = -LEAK_EVERY_US
+        self.supply_v: float | None = None
+        self.parameters: dict[str, float] = {}
+        """Its own, as far as they are known."""
+        self.bad_samples = 0
+        """Messages whose numbers are none."""
+
+    def take(self, t_us: int, message: Any) -> list[Sample]:
+        """The samples that a message makes."""
+        match message.get_type():
+            case "RAW_IMU":
+                accel = [message.xacc, message.yacc, message.zacc]
+                self._accel = (t_us, [1e-3 * G_M_S2 * part for part in accel])
+            case "ATTITUDE":
+                return self._attitude(t_us, message)
+            case "SCALED_PRESSURE2":
+                return self._depth(t_us, message)
+            case "BATTERY_STATUS" if message.id == 0:
+                return self._power(t_us, message)
+            case "STATUSTEXT" if "leak detected" in message.text.lower():
+                self._leak_us = t_us
+                return self.leak(t_us)
+            case _:
+                return []
+        return []
+
+    def leak(self, t_us: int) -> list[Sample]:
+        """What the leak probe says, once per second: it warns at times, and says nothing while it is dry."""
+        wet = self._leak_us is not None and t_us - self._leak_us < LEAK_HOLD_US
+        if t_us - self._leak_told_us < LEAK_EVERY_US and self._leak_us != t_us:
+            return []
+        self._leak_told_us = t_us
+        return [LeakSample(t_us=t_us, wet=wet)]
+
+    def _attitude(self, t_us: int, message: Any) -> list[Sample]:
+        if self._accel is None or t_us - self._accel[0] > FRESH_IMU_US:
+            return []
+        numbers = [message.roll, message.pitch, message.yaw, message.rollspeed, message.pitchspeed, message.yawspeed]
+        if not all(math.isfinite(number) for number in numbers):
+            self.bad_samples += 1
+            return []
+        stamp_us = self._clock.stamp(t_us, int(message.time_boot_ms) * 1000)
+        stamp_us -= round(1e6 * self._vehicle.ahrs.latency_s)
+        if stamp_us <= self._last_us:
+            self.bad_samples += 1
+            return []
+        self._last_us = stamp_us
+        return [
+            AhrsSample(
+                t_us=stamp_us,
+                rpy_rad=np.array(numbers[:3]),
+                rate_frd_rad_s=np.array(numbers[3:]),
+                accel_frd_m_s2=np.array(self._accel[1]),
+            )
+        ]
+
+    def _depth(self, t_us: int, message: Any) -> list[Sample]:
+        """By the sensor outside of the hull."""
+        told_pa = self._told_ground_pa
+        ground_pa = self.parameters.get("BARO2_GND_PRESS") if told_pa is None else told_pa
+        if ground_pa is None or ground_pa <= 0.0 or not math.isfinite(message.press_abs):
+            return []
+        depth_m = (PA_HPA * message.press_abs - ground_pa) / (self._density * G_M_S2)
+        stamp_us = t_us - round(1e6 * self._vehicle.depth_sensor.latency_s)
+        return [DepthSample(t_us=stamp_us, depth_m=depth_m, sigma_m=self._depth_sigma_m)]
+
+    def _power(self, t_us: int, message: Any) -> list[Sample]:
+        cells = [cell for cell in message.voltages if cell != 65535]
+        if not cells:
+            return []
+        voltage_v = 1e-3 * sum(cells)
+        current_a = max(0.0, 1e-2 * message.current_battery)
+        used_j = 100.0 * message.energy_consumed if message.energy_consumed >= 0 else 0.0
+        if used_j == 0.0 and message.current_consumed > 0:
+            used_j = 3.6 * message.current_consumed * voltage_v
+        self.supply_v = voltage_v
+        if message.battery_remaining >= 0:
+            remaining = 0.01 * message.battery_remaining
+        else:
+            remaining = min(1.0, max(0.0, 1.0 - used_j / self._vehicle.battery.capacity_j))
+        return [
+            PowerSample(t_us=t_us, voltage_v=voltage_v, current_a=current_a, energy_used_j=used_j, remaining=remaining)
+        ]

@@ -1,0 +1,98 @@
+"""The MAVLink side of the ArduSub driver: frames in, messages out, and what it sends."""
+
+import importlib
+from collections.abc import Iterator
+from typing import Any
+
+from autopilot.core.errors import DriverError
+from drivers.framing import FrameCutter
+from drivers.protocols import Link
+
+AUTOPILOT = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
+US_COMPONENT = 190
+"""MAV_COMP_ID_MISSIONPLANNER: what counts as a ground station."""
+
+GCS, INVALID_AUTOPILOT, ACTIVE = 6, 8, 4
+"""MAV_TYPE_GCS, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE."""
+
+ARM_DISARM, SET_INTERVAL = 400, 511
+"""MAV_CMD_COMPONENT_ARM_DISARM, MAV_CMD_SET_MESSAGE_INTERVAL."""
+
+KEEP_US = 65535
+"""In an override: this channel is not ours."""
+
+HIDDEN_CHANNELS = 12
+"""Channels 7 to 18, which are nobody's."""
+
+
+class Wire:
+    """Talks to one flight controller over one link. Whatever else is on the link is passed over."""
+
+    def __init__(self, link: Link, *, system: int, ours: int) -> None:
+        """``system``: its id. ``ours``: the id that it takes for its ground station (MAV_GCS_SYSID)."""
+        try:
+            self._dialect: Any = importlib.import_module("pymavlink.dialects.v20.ardupilotmega")
+        except ModuleNotFoundError as error:
+            raise DriverError("the driver needs the Python module 'pymavlink', which is not installed") from error
+        self._link = link
+        self._system = system
+        self._cutters: dict[int, FrameCutter] = {}
+        self._reader: Any = self._dialect.MAVLink(None)
+        self._mav: Any = self._dialect.MAVLink(None, srcSystem=ours, srcComponent=US_COMPONENT)
+        self.bad_frames = 0
+        """Frames that were damaged, or unknown."""
+
+    def receive(self, t_us: int) -> Iterator[Any]:
+        """Its messages since the last call."""
+        for data, client, _ in self._link.recv(t_us):
+            cutter = self._cutters.get(client)
+            if cutter is None:
+                if len(self._cutters) >= 16:
+                    self._cutters.clear()
+                cutter = self._cutters[client] = FrameCutter()
+            for frame in cutter.feed(data):
+                message = self._decoded(frame)
+                if message is None:
+                    self.bad_frames += 1
+                elif (message.get_srcSystem(), message.get_srcComponent()) == (self._system, AUTOPILOT):
+                    yield message
+
+    def _decoded(self, frame: bytes) -> Any | None:
+        try:
+            return self._reader.decode(bytearray(frame))
+        except self._dialect.MAVError:
+            return None
+
+    def heartbeat(self) -> None:
+        """We are here: its failsafe counts from the last one."""
+        self._send(self._mav.heartbeat_encode(GCS, INVALID_AUTOPILOT, 0, 0, ACTIVE))
+
+    def override(self, channels_us: tuple[int, ...]) -> None:
+        """Pulses of the first channels; the others are left alone."""
+        pulses = channels_us + (KEEP_US,) * (8 - len(channels_us))
+        self._send(self._mav.rc_channels_override_encode(self._system, AUTOPILOT, *pulses))
+
+    def arm(self, *, armed: bool) -> None:
+        """Ask for it, by its own checks."""
+        self._command(ARM_DISARM, float(armed))
+
+    def interval(self, message_id: int, rate_hz: float) -> None:
+        """Ask for a message so often."""
+        self._command(SET_INTERVAL, float(message_id), 1e6 / rate_hz)
+
+    def read_parameter(self, name: str) -> None:
+        """Ask for one."""
+        self._send(self._mav.param_request_read_encode(self._system, AUTOPILOT, name.encode(), -1))
+
+    def _command(self, command: int, first: float, second: float = 0.0) -> None:
+        self._send(
+            self._mav.command_long_encode(self._system, AUTOPILOT, command, 0, first, second, 0.0, 0.0, 0.0, 0.0, 0.0)
+        )
+
+    def _send(self, message: Any) -> None:
+        self._link.send(bytes(message.pack(self._mav)))
+
+    def close(self) -> None:
+        """Let go of the link."""
+        self._link.close()
