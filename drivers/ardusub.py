@@ -41,6 +41,8 @@ REST_SENDS = 3
 """How often 1500 is sent after the last command."""
 
 SERVO_RATE_HZ, SLOW_HZ, PRESSURE_HZ = 50.0, 2.0, 20.0
+ENOUGH = 0.7
+"""Share of a rate below which it is asked for anew."""
 SERVO_WITHIN_US = 150_000
 """What comes out belongs to one of the commands of so long before: 20 ms to act, and the way back."""
 SERVO_TOLERANCE_US = 4
@@ -98,7 +100,8 @@ class ArduSub(Closing):
         self._notices: list[tuple[Severity, str]] = []
         self._t_us = 0
         self._heard_us: int | None = None
-        self._heard_of: dict[str, int] = {}
+        self._heard_of = dict.fromkeys(self._rates_hz, 0)
+        """How often each has come since it was last looked at."""
         self._beat_us = self._asked_us = self._read_us = -(1 << 62)
         self._command_us: int | None = None
         self._sent_us = 0
@@ -138,7 +141,7 @@ class ArduSub(Closing):
         if self._wire is None:
             wire = Wire(open_link(self._options.connect), system=self._options.system, ours=self._options.gcs_system)
             self._telemetry, self._watch = self._new_telemetry(), AuthorityWatch()
-            self._heard_us, self._heard_of = None, {}
+            self._heard_us, self._heard_of = None, dict.fromkeys(self._rates_hz, 0)
             self._beat_us = self._asked_us = self._read_us = -(1 << 62)
             self.settings.forget()
             self._wire = wire
@@ -171,8 +174,9 @@ class ArduSub(Closing):
             self._beat_us = t_us
             wire.heartbeat()
         if self._heard_us is not None and t_us - self._asked_us >= ASK_EVERY_US:
+            passed_s = 1e-6 * min(t_us - self._asked_us, 10 * ASK_EVERY_US)
             self._asked_us = t_us
-            self._ask(wire, t_us)
+            self._ask(wire, t_us, passed_s)
         return samples
 
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
@@ -187,7 +191,9 @@ class ArduSub(Closing):
 
     def _hear(self, t_us: int, message: Any) -> list[Sample]:
         kind = message.get_type()
-        self._heard_us = self._heard_of[kind] = t_us
+        self._heard_us = t_us
+        if kind in self._heard_of:
+            self._heard_of[kind] += 1
         if kind == "PARAM_VALUE":
             if self.settings.take(message.param_id, float(message.param_value)):
                 self._telemetry.parameters = self.settings.values
@@ -204,11 +210,12 @@ class ArduSub(Closing):
             self._notices.append((Severity(message.severity), f"FC: {message.text.strip()}"))
         return self._telemetry.take(t_us, message)
 
-    def _ask(self, wire: Wire, t_us: int) -> None:
+    def _ask(self, wire: Wire, t_us: int, passed_s: float) -> None:
         """For messages that do not come as often as they should, and for parameters."""
         for kind, rate_hz in self._rates_hz.items():
-            if t_us - self._heard_of.get(kind, -(1 << 62)) > max(2e6 / rate_hz, ASK_EVERY_US / 2):
+            if self._heard_of[kind] < int(ENOUGH * rate_hz * passed_s):
                 wire.interval(self._ids[kind], rate_hz)
+            self._heard_of[kind] = 0
         if self._read_us < 0:
             self._read_us = t_us
         if t_us - self._read_us > READ_AGAIN_US and not self._watch.wanted:

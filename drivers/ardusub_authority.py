@@ -108,6 +108,8 @@ class AuthorityWatch:
                 lower = text.lower()
                 if lower.startswith("disarming motors"):
                     self._set_armed(t_us, False, "")
+                elif lower.startswith("arming motors"):
+                    self._set_armed(t_us, True, "")
                 elif lower.startswith(("prearm:", "arm:", "arming")) and message.severity <= 4:
                     self._refusal = text
             case "COMMAND_ACK" if message.command == ARM_DISARM and message.result != 0:

@@ -26,7 +26,7 @@ from autopilot.run.describe import describe_service
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.recorder import NullRecorder, RunRecorder
-from autopilot.run.session import Kept, Outside, Session, loop_round, marker_vision, opened, take_plans
+from autopilot.run.session import FASTEST, Kept, Outside, Session, loop_round, marker_vision, opened, take_plans
 from autopilot.run.session_log import LogContents, marker_attachment, open_recorder
 from autopilot.run.vehicle_config import VehicleConfig, apply_parameters
 from drivers.protocols import Link
@@ -65,29 +65,31 @@ def open_vehicle(
     *,
     instance: int = 0,
     links: Sequence[Link] | None = None,
+    speed: float = 1.0,
     on_tick: Callable[[Outputs], None] = lambda _: None,
 ) -> Session:
     """Everything of a run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
 
-    ``links``: the connections of the settings if they are already open (:mod:`autopilot.run.boot_links`).
+    ``links``: the connections of the settings if they are already open (:mod:`autopilot.run.boot_links`). ``speed``: of
+    the devices' time; 0 where they, being emulated, follow the ticks.
     """
-    disk = Desk(DaemonLane("disk"), patient=False)
+    disk = Desk(DaemonLane("disk"), patient=speed == 0.0)
     params, persistent, warnings = vehicle_params(settings, config, overrides, instance, disk)
     markers = None if config.markers is None else load_marker_map(config.markers)
-    service, parts = _service(settings, config, params, markers, persistent, instance=instance)
+    service, parts = _service(settings, config, params, markers, persistent, instance=instance, speed=speed)
     plans = KeptPlans(state_folder(settings, config, instance) / "plans.json", parts.plans, parts.commander, disk)
     plan = None if settings["plan"] is None else Path(settings["plan"])
     warnings += take_plans(parts, plan, plans, flown_at_once=False)
     device = HardwareVehicle(config)
     with opened(device, settings["connect"], links) as open_links:
-        recorder = _recorder(settings, config, parts, markers)
+        recorder = _recorder(settings, config, parts, markers, lockstep=speed == 0.0)
     outside = Outside(
         device=device,
-        vision=marker_vision(config.vehicle, markers, paced=True),
+        vision=marker_vision(config.vehicle, markers, paced=speed > 0.0),
         links=open_links,
         peers=(),
         recorder=recorder,
-        speed=1.0,
+        speed=speed,
         below=device.below,
         notices=device.take_notices,
     )
@@ -113,6 +115,7 @@ def _service(
     saving: PersistentParams,
     *,
     instance: int,
+    speed: float,
 ) -> tuple[Autopilot, Parts]:
     """The service for that vehicle and place."""
     controller, controller_by = chosen_part(settings, "controller", "nmpc")
@@ -132,8 +135,8 @@ def _service(
             instance=instance,
             currents=_currents(config),
             links=len(settings["connect"]),
-            patience=1.0,
-            waits_for_plans=False,
+            patience=FASTEST if speed == 0.0 else max(1.0, speed),
+            waits_for_plans=speed == 0.0,
             saving=saving,
         )
     )
@@ -151,7 +154,7 @@ def _currents(config: VehicleConfig) -> CurrentForecast:
 
 
 def _recorder(
-    settings: Settings, config: VehicleConfig, parts: Parts, markers: MarkerMap | None
+    settings: Settings, config: VehicleConfig, parts: Parts, markers: MarkerMap | None, *, lockstep: bool
 ) -> RunRecorder | NullRecorder:
     """The log; its time is the clock's."""
     place = config.file.place
@@ -174,4 +177,4 @@ def _recorder(
             **({} if markers is None else marker_attachment(markers)),
         },
     )
-    return open_recorder(settings, parts, contents, epoch_ns=time.time_ns(), lockstep=False)
+    return open_recorder(settings, parts, contents, epoch_ns=time.time_ns(), lockstep=lockstep)

@@ -30,6 +30,9 @@ from estimator.vision_lane import VisionWorker
 from mission.loading import load_plan
 from mission.plan_files import read_plan
 
+FASTEST = 20.0
+"""How much faster than real time a run without pace may be: clients get that much more of the service's time."""
+
 THREAD_SWITCH_S = 0.0005
 """Python's default of 5 ms would let a busy thread delay a tick by half its length."""
 

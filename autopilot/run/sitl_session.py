@@ -21,7 +21,7 @@ from autopilot.run.config import Settings, chosen_part, system_id
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Peer
 from autopilot.run.recorder import NullRecorder, RunRecorder
-from autopilot.run.session import Kept, Outside, Session, loop_round, marker_vision, opened, take_plans
+from autopilot.run.session import FASTEST, Kept, Outside, Session, loop_round, marker_vision, opened, take_plans
 from autopilot.run.session_log import LogContents, marker_attachment, open_recorder
 from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_params import sitl_params, state_folder
@@ -35,9 +35,6 @@ from sitl.scenario import Scenario, load_scenario, plan_path, with_vehicle
 
 SITL_EPOCH_NS = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
 """Log time of simulated time zero: fixed, so that two runs of a scenario and seed give the same log."""
-
-FASTEST = 20.0
-"""How much faster than real time a run without pace may be: clients get that much more of the service's time."""
 
 
 class SimulatedDevice:

@@ -1,0 +1,327 @@
+"""The ArduSub driver against the emulated flight controller, over UDP; time is handed in to both."""
+
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from autopilot.core.errors import ConfigError, DriverError
+from autopilot.core.messages import Authority
+from autopilot.core.samples import AhrsSample, DepthSample, LeakSample, PowerSample
+from autopilot.core.vehicle import load_vehicle
+from drivers.ardusub import ArduSub, ArduSubOptions
+from drivers.devices import read_devices
+from drivers.links import open_link
+from sitl.ardusub_vehicle import ArduSubVehicle
+from sitl.scenario import load_scenario, with_vehicle
+
+TICK_US = 10_000
+NEUTRAL = (1500,) * 6
+FORWARD = (1600, 1600, 1400, 1400, 1500, 1500)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Bench:
+    """Driver, wire and vehicle."""
+
+    def __init__(self, parameters: dict[str, float] | None = None, directions: tuple[int, ...] | None = None) -> None:
+        port = free_port()
+        scenario = with_vehicle(load_scenario("open-water"), "bluerov2", "--vehicle")
+        vehicle = load_vehicle("bluerov2")
+        more: dict[str, Any] = {"parameters": parameters, "directions": directions}
+        self.world = ArduSubVehicle(scenario, vehicle, "vectored", seed=3, **more)
+        self.below = self.world.controller
+        self.driver = ArduSub(vehicle, ArduSubOptions(connect=f"udpin:127.0.0.1:{port}", frame="vectored"))
+        self.driver.open()
+        self.wire = open_link(f"udpout:127.0.0.1:{port}")
+        self.t_us = 0
+        self.samples: list[Any] = []
+        self.heard: list[bytes] = []
+        """What the driver has said on the last tick."""
+        self.armed = False
+        self.pulses = NEUTRAL
+        self.silent = False
+        self.pilot: Any = self.below.codec(255, 190)
+
+    def close(self) -> None:
+        self.driver.close()
+        self.wire.close()
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * 100)):
+            self.tick()
+
+    def tick(self) -> None:
+        self.t_us += TICK_US
+        for data in self.world.advance(self.t_us):
+            self.wire.send(data)
+        self.heard = []
+        if not self.silent:
+            self.driver.check(self.t_us)
+            self.samples += self.driver.poll(self.t_us)
+            self.driver.command(self.t_us, armed=self.armed)
+            self.driver.write(self.t_us, self.pulses)
+        for received in self.wire.recv(self.t_us):
+            self.heard.append(received.data)
+            self.below.hear(self.t_us, received.data)
+
+    def ready(self) -> None:
+        self.run(4.0)
+        assert self.state.refusals == ()
+
+    def fly(self, pulses: tuple[int, ...] = FORWARD) -> None:
+        self.ready()
+        self.armed = True
+        self.pulses = pulses
+        self.run(2.0)
+        assert self.state.acts
+
+    @property
+    def state(self) -> Any:
+        return self.driver.below(self.t_us)
+
+    @property
+    def overrides(self) -> list[Any]:
+        """Of the last tick."""
+        reader: Any = self.below.codec(1, 1)
+        messages = [message for data in self.heard for message in reader.parse_buffer(data) or ()]
+        return [message for message in messages if message.get_type() == "RC_CHANNELS_OVERRIDE"]
+
+    def says(self, message: Any) -> None:
+        """The pilot, on a line of his own."""
+        self.below.hear(self.t_us, bytes(message.pack(self.pilot)), link=9)
+
+    def set_mode(self, mode: int) -> None:
+        self.says(self.pilot.command_long_encode(1, 1, 176, 0, 1, mode, 0, 0, 0, 0, 0))
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    made = Bench()
+    yield made
+    made.close()
+
+
+def test_it_measures_what_the_vehicle_does(bench: Bench) -> None:
+    bench.run(3.0)
+    bench.samples.clear()
+    bench.run(2.0)
+    truth = bench.world.truth
+    ahrs = [sample for sample in bench.samples if isinstance(sample, AhrsSample)]
+    depth = [sample for sample in bench.samples if isinstance(sample, DepthSample)]
+    power = [sample for sample in bench.samples if isinstance(sample, PowerSample)]
+    assert 190 <= len(ahrs) <= 201
+    assert 38 <= len(depth) <= 41
+    assert 3 <= len(power) <= 5
+    assert np.abs(ahrs[-1].rpy_rad - truth.rpy_rad).max() < 0.06
+    assert ahrs[-1].accel_frd_m_s2[2] == pytest.approx(-9.81, abs=0.2)
+    assert depth[-1].depth_m == pytest.approx(truth.pos_ned_m[2], abs=0.02)
+    assert power[-1].voltage_v == pytest.approx(truth.voltage_v, abs=0.01)
+    stamps = np.diff([sample.t_us for sample in ahrs])
+    assert stamps.min() > 0
+    assert not any(sample.wet for sample in bench.samples if isinstance(sample, LeakSample))
+
+
+def test_thrust_goes_ahead_and_comes_out_as_it_was_meant(bench: Bench) -> None:
+    bench.fly()
+    truth = bench.world.truth
+    assert truth.vel_water_frd_m_s[0] > 0.3
+    front, rear = truth.thrust_n[:2], truth.thrust_n[2:4]
+    assert front[0] == pytest.approx(front[1], abs=0.01) and front[0] > 4.0
+    assert rear[0] == pytest.approx(rear[1], abs=0.01) and rear[0] < -3.5
+    bench.run(2.0)
+    assert bench.driver.mismatch_count == 0
+    assert bench.state.problem == ""
+
+
+@pytest.mark.parametrize("directions", [(1, 1, -1, -1, -1, 1), (-1,) * 6])
+def test_motors_that_are_wired_the_other_way_make_no_difference(directions: tuple[int, ...]) -> None:
+    speeds = []
+    for wired in ((1,) * 6, directions):
+        bench = Bench(directions=wired)
+        bench.fly()
+        bench.run(1.0)
+        speeds.append(bench.world.truth.vel_frd_m_s[0])
+        assert bench.driver.mismatch_count == 0
+        bench.close()
+    assert speeds[0] == pytest.approx(speeds[1], abs=0.01)
+
+
+def test_overrides_go_fifty_times_a_second_and_stop_with_neutral(bench: Bench) -> None:
+    bench.fly()
+    count = 0
+    for _ in range(100):
+        bench.tick()
+        count += len(bench.overrides)
+    assert count == 50
+    bench.armed = False
+    bench.pulses = NEUTRAL
+    bench.tick()
+    said = bench.overrides
+    assert said and (said[0].chan5_raw, said[0].chan3_raw, said[0].chan7_raw) == (1500, 1500, 65535)
+    bench.run(0.5)
+    assert not bench.below.armed
+    bench.tick()
+    bench.tick()
+    assert not bench.overrides  # a pilot has his channels for himself
+
+
+def test_a_mode_switch_takes_the_vehicle_within_a_tick_and_gives_it_back(bench: Bench) -> None:
+    bench.fly()
+    bench.set_mode(0)
+    bench.tick()
+    assert bench.state.authority is Authority.PILOT
+    assert bench.state.text == "STABILIZE"
+    assert not bench.state.acts
+    assert [message.chan5_raw for message in bench.overrides] == [1500]
+    for _ in range(100):
+        bench.tick()
+        assert not bench.overrides
+        bench.says(bench.pilot.manual_control_encode(1, 300, 0, 500, 0, 0))
+    assert bench.below.armed
+    bench.set_mode(19)
+    bench.tick()
+    assert bench.state.authority is Authority.OURS
+    bench.run(0.2)
+    assert bench.state.acts
+    assert bench.overrides or bench.tick() is None
+    assert bench.driver.mismatch_count < 10
+
+
+def test_disarmed_below_is_told_and_not_undone(bench: Bench) -> None:
+    bench.fly()
+    bench.says(bench.pilot.command_long_encode(1, 1, 400, 0, 0, 0, 0, 0, 0, 0, 0))
+    bench.run(0.03)
+    assert bench.state.authority is Authority.STOPPED
+    bench.run(2.0)
+    assert not bench.below.armed
+    bench.armed = False
+    bench.run(0.5)
+    bench.armed = True
+    bench.run(1.5)
+    assert bench.below.armed  # asked for anew
+
+
+def test_a_process_that_dies_leaves_the_thrusters_to_its_failsafe(bench: Bench) -> None:
+    bench.fly()
+    assert bench.below.servos_us != NEUTRAL
+    bench.silent = True
+    bench.run(0.55)
+    assert bench.below.servos_us == NEUTRAL
+
+
+def test_closing_leaves_it_neutral_and_disarmed(bench: Bench) -> None:
+    bench.fly()
+    bench.driver.close()
+    bench.silent = True
+    bench.run(0.05)
+    assert bench.below.servos_us == NEUTRAL
+    assert not bench.below.armed
+
+
+def test_commands_that_stop_coming_are_stopped_by_the_driver(bench: Bench) -> None:
+    bench.fly()
+    for _ in range(60):
+        bench.t_us += TICK_US
+        for data in bench.world.advance(bench.t_us):
+            bench.wire.send(data)
+        bench.driver.check(bench.t_us)
+        bench.driver.poll(bench.t_us)
+        for received in bench.wire.recv(bench.t_us):
+            bench.below.hear(bench.t_us, received.data)
+    assert bench.below.servos_us == NEUTRAL
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("FRAME_CONFIG", 2.0, "FRAME_CONFIG = 2: set 1"),
+        ("FS_PILOT_INPUT", 0.0, "FS_PILOT_INPUT = 0: set 1"),
+        ("FS_PILOT_TIMEOUT", 3.0, "FS_PILOT_TIMEOUT = 3: set 0.5"),
+        ("MOT_FV_CPLNG_K", 1.0, "MOT_FV_CPLNG_K = 1: set 0"),
+        ("RC5_TRIM", 1520.0, "RC5_TRIM = 1520: set 1500"),
+        ("RC3_REVERSED", 1.0, "RC3_REVERSED = 1: set 0"),
+        ("MAV_GCS_SYSID", 254.0, "it obeys system 254: set MAV_GCS_SYSID 255"),
+    ],
+)
+def test_a_parameter_that_thrust_depends_on_refuses_arming(name: str, value: float, text: str) -> None:
+    bench = Bench({name: value})
+    bench.run(5.0)
+    assert [line for line in bench.state.refusals if text in line]
+    assert bench.below.parameters[name] == value  # never written
+    bench.close()
+
+
+def test_a_joystick_that_is_on_is_noticed(bench: Bench) -> None:
+    bench.fly()
+    for _ in range(100):
+        bench.tick()
+        bench.says(bench.pilot.manual_control_encode(1, 0, 800, 500, 0, 0))
+    assert "motor" in bench.state.problem
+    bench.run(1.0)
+    assert bench.state.problem == ""
+
+
+def test_a_cable_that_is_off_and_on_again(bench: Bench) -> None:
+    bench.fly()
+    bench.below.mute = True
+    with pytest.raises(DriverError, match="silent: check cable"):
+        bench.run(1.0)
+    assert bench.state.refusals == ("flight controller is silent: check cable and link",)
+    assert not bench.state.acts
+    bench.below.mute = False
+    bench.armed = False
+    bench.run(2.0)
+    assert bench.state.refusals == ()
+
+
+def test_water_in_the_hull_is_told(bench: Bench) -> None:
+    bench.ready()
+    bench.below.wet = True
+    bench.samples.clear()
+    bench.run(1.5)
+    assert [sample.wet for sample in bench.samples if isinstance(sample, LeakSample)][-1]
+    assert any("Leak" in text for _, text in bench.driver.take_notices())
+
+
+def test_junk_on_the_line_is_counted(bench: Bench) -> None:
+    bench.ready()
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        bench.wire.send(rng.integers(0, 256, size=int(rng.integers(1, 60)), dtype=np.uint8).tobytes())
+        bench.tick()
+    bench.run(1.0)
+    assert bench.state.refusals == ()
+    assert bench.state.authority is Authority.OURS
+
+
+def test_options_are_checked_by_name() -> None:
+    def refused(**table: Any) -> str:
+        with pytest.raises(ConfigError) as refusal:
+            read_devices({"flight_controller": {"driver": "ardusub", **table}}, "rov.toml")
+        return str(refusal.value)
+
+    assert "`connect`" in refused(frame="vectored")
+    assert "$.devices.flight_controller.frame" in refused(connect="udpin:127.0.0.1:1", frame="hexa")
+    assert "`spede`" in refused(connect="udpin:127.0.0.1:1", frame="vectored", spede=1)
+    with pytest.raises(ConfigError, match="both `thrusters` and `flight_controller`"):
+        read_devices(_both(), "rov.toml")
+
+
+def _both() -> dict[str, dict[str, Any]]:
+    from drivers.registry import backend_names
+
+    outputs = backend_names("thrusters")
+    if not outputs:
+        pytest.skip("no thruster output is registered")
+    return {
+        "flight_controller": {"driver": "ardusub", "connect": "udpin:127.0.0.1:1", "frame": "vectored"},
+        "thrusters": {"driver": outputs[0]},
+    }

@@ -1,0 +1,179 @@
+"""`autopilot run`'s composition on the emulated BlueROV2: service, driver and wire as on the vehicle, in lockstep."""
+
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from autopilot.core.messages import Outputs
+from autopilot.core.vehicle import load_vehicle
+from autopilot.mavlink.api import FlightMode
+from autopilot.run.config import Settings, gather, vehicle_defaults
+from autopilot.run.demo import paper_plan
+from autopilot.run.hardware_session import open_vehicle
+from autopilot.run.session import Session
+from autopilot.run.vehicle_config import config_names, load_config
+from drivers.links import open_link
+from mission.plan_files import write_plan
+from sitl.ardusub_vehicle import ArduSubVehicle
+from sitl.operator import ScriptedOperator
+from sitl.scenario import load_scenario, with_vehicle
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Tank:
+    """A BlueROV2 with ArduSub in the paper's tank, the service on its companion, an operator and a pilot."""
+
+    def __init__(self, folder: Path, **parameters: float) -> None:
+        below, ours = free_port(), free_port()
+        path = folder / "rov.toml"
+        path.write_text(
+            f'vehicle = "bluerov2"\n[devices.flight_controller]\ndriver = "ardusub"\nframe = "vectored"\n'
+            f'connect = "udpin:127.0.0.1:{below}"\n'
+        )
+        plan = folder / "paper.plan"
+        write_plan(plan, paper_plan(1))
+        settings: Settings = gather(
+            vehicle_defaults(0),
+            {
+                "connect": (f"udpin:127.0.0.1:{ours}",),
+                "state_dir": str(folder),
+                "log": str(folder / "run.mcap"),
+                "plan": str(plan),
+            },
+            {},
+        )
+        scenario = with_vehicle(load_scenario("paper-tank"), "bluerov2", "--vehicle")
+        self.world = ArduSubVehicle(scenario, load_vehicle("bluerov2"), "vectored", seed=1)
+        self.below = self.world.controller
+        self._wire = open_link(f"udpout:127.0.0.1:{below}")
+        self._client = open_link(f"udpout:127.0.0.1:{ours}")
+        self._operator = ScriptedOperator(1)
+        self._pilot: Any = self.below.codec(255, 190)
+        self.texts: list[tuple[float, str]] = []
+        self.outputs: Outputs | None = None
+        self.session: Session = open_vehicle(
+            settings, load_config(str(path)), parameters, speed=0.0, on_tick=self._tick
+        )
+        self._t_us = 0
+
+    def _tick(self, outputs: Outputs) -> None:
+        """After the service's tick: the world goes on, and everybody speaks."""
+        self.outputs = outputs
+        self.texts += [(1e-6 * event.t_us, event.text) for event in outputs.events]
+        t_us = outputs.t_us
+        for received in self._wire.recv(t_us):
+            self.below.hear(t_us, received.data)
+        for data in self.world.advance(t_us):
+            self._wire.send(data)
+        pose = self.world.pose(t_us)
+        if pose is not None:
+            self._client.send(pose)
+        for data in self._operator.step(t_us, [received.data for received in self._client.recv(t_us)]):
+            self._client.send(data)
+
+    def run(self, until: Callable[[Outputs], bool], at_most_s: float) -> None:
+        """Ticks until something is so."""
+        for _ in range(round(at_most_s * 100)):
+            self._t_us += 10_000
+            self.session.runtime.tick(self._t_us)
+            assert self.outputs is not None
+            if until(self.outputs):
+                return
+        pytest.fail(f"not within {at_most_s} s; {self.texts[-12:]}")
+
+    def pilot(self, message: Any) -> None:
+        self.below.hear(self._t_us, bytes(message.pack(self._pilot)), link=9)
+
+    def pilot_mode(self, mode: int) -> None:
+        self.pilot(self._pilot.command_long_encode(1, 1, 176, 0, 1, mode, 0, 0, 0, 0, 0))
+
+    def stick(self, x: int) -> None:
+        self.pilot(self._pilot.manual_control_encode(1, x, 0, 500, 0, 0))
+
+    def said(self, text: str) -> bool:
+        return any(text in line for _, line in self.texts)
+
+    def close(self) -> None:
+        self.session.runtime.close()
+        self.session.recorder.close()
+        self.session.kept.params.finish()
+        if self.session.kept.plans is not None:
+            self.session.kept.plans.finish()
+        self.session._end_slow_work()
+        self._wire.close()
+        self._client.close()
+
+
+@pytest.fixture
+def tank(tmp_path: Path) -> Iterator[Callable[..., Tank]]:
+    made: list[Tank] = []
+
+    def make(**parameters: float) -> Tank:
+        made.append(Tank(tmp_path, **parameters))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def _flies(outputs: Outputs) -> bool:
+    return outputs.progress is not None and outputs.progress.reached_seq >= 0 and outputs.goal is not None
+
+
+def test_a_pilot_takes_the_vehicle_in_a_mission_gives_it_back_and_stops_it(tank: Callable[..., Tank]) -> None:
+    flight = tank(PILOT_BACK=1.0)
+    commander = flight.session.parts.commander
+    flight.run(_flies, 60.0)
+    assert flight.below.armed
+    flight.run(lambda outputs: bool(outputs.t_us % 1_000_000 == 0), 2.0)
+    flight.pilot_mode(0)
+    count = len(flight.texts)
+    flight.run(lambda _: True, 0.01)
+    flight.run(lambda _: True, 0.01)  # what is said on one tick is heard on the next
+    assert any("Pilot has taken over (STABILIZE): let go" in line for _, line in flight.texts[count:])
+    assert commander.armed and commander.mode is FlightMode.HOLD
+    end_us = flight._t_us + 3_000_000
+
+    def steers(outputs: Outputs) -> bool:
+        flight.stick(-150)
+        return outputs.t_us >= end_us
+
+    flight.run(steers, 4.0)
+    assert flight.below.armed
+    # His stick alone is on the motors: -150 of 1000 at half gain is 30 us astern.
+    assert sorted(set(flight.below.servos_us[:4])) == [1470, 1530]
+    flight.stick(0)
+    flight.pilot_mode(19)
+    flight.run(lambda _: commander.mode is FlightMode.MISSION, 0.1)
+    assert flight.said("Pilot has given back: mission goes on")
+    assert not flight.said("Failsafe")
+    # Once more: without the parameter it holds.
+    flight.session.parts.params.set("PILOT_BACK", 0.0)
+    flight.pilot_mode(2)
+    flight.run(lambda _: flight.said("Pilot has taken over (ALT_HOLD)"), 0.1)
+    flight.pilot_mode(19)
+    flight.run(lambda _: flight.said("Pilot has given back: holding"), 0.1)
+    assert commander.mode is FlightMode.HOLD and commander.armed
+    where, end_us = flight.world.truth.pos_ned_m, flight._t_us + 3_000_000
+    flight.run(lambda outputs: outputs.t_us >= end_us, 4.0)
+    assert ((flight.world.truth.pos_ned_m - where) ** 2).sum() < 0.5**2
+    # And stopped below: the end of the flight, for the service too.
+    flight.pilot(flight._pilot.command_long_encode(1, 1, 400, 0, 0, 0, 0, 0, 0, 0, 0))
+    flight.run(lambda outputs: not outputs.mode.armed, 0.1)
+    flight.run(lambda _: flight.said("Stopped below"), 0.1)
+    assert flight.world.truth.contact_count == 0
+
+
+@pytest.mark.parametrize("name", config_names())
+def test_shipped_configurations_are_sound(name: str) -> None:
+    config = load_config(name)
+    assert config.devices
