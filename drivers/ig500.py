@@ -10,11 +10,17 @@ from drivers.base import Closing
 from drivers.ig500_protocol import (
     AHRS_MASK,
     CONTINUOUS_OUTPUT,
+    GET_OUTPUT_MASK,
     RAW_MASK,
+    RETURN_OUTPUT_MASK,
+    STATUS_GOOD,
     Field,
     FrameParser,
     OutputCodec,
+    Status,
+    decode_output_mask,
     encode_continuous_mode,
+    encode_frame,
     encode_output_mask,
 )
 from drivers.protocols import BytePort
@@ -64,7 +70,11 @@ class DeviceClock:
 
 
 class Ig500(Closing):
-    """The driver. Frames of the body: the device is mounted with its axes forward, right, down."""
+    """The driver. Frames of the body: the device is mounted with its axes forward, right, down.
+
+    A measurement does not say which fields it holds, so none is believed before the device has said that its mask is
+    the one that was asked for; after a reset of the device it is asked anew.
+    """
 
     def __init__(self, port: BytePort, latency_s: float, divider: int = 1, *, attitude: bool = True) -> None:
         """``attitude`` False: ask for the raw sensors only, magnetometer included."""
@@ -76,7 +86,10 @@ class Ig500(Closing):
         parts = self._codec.parts
         self._quaternion, self._magnet = parts.get(Field.QUATERNION), parts.get(Field.MAG)
         self._gyro, self._accel = parts[Field.GYRO], parts[Field.ACCEL]
-        self._time = parts[Field.TIME_SINCE_RESET].start
+        self._time, self._status = parts[Field.TIME_SINCE_RESET].start, parts[Field.STATUS].start
+        self._confirmed = False
+        self.status: Status | None = None
+        """What the device says of itself with its last measurement."""
         self._parser = FrameParser()
         self._clock = DeviceClock()
         self._silent_polls = 0
@@ -106,7 +119,9 @@ class Ig500(Closing):
         samples: list[AhrsSample | ImuSample] = []
         for arrival_us, data in self._port.read(t_us):
             for frame in self._parser.feed(data):
-                if frame.command == CONTINUOUS_OUTPUT:
+                if frame.command == RETURN_OUTPUT_MASK:
+                    self._confirmed = decode_output_mask(frame.data) == self._mask
+                elif frame.command == CONTINUOUS_OUTPUT and self._confirmed:
                     sample = self._sample(arrival_us, frame.data)
                     if sample is None:
                         self.bad_samples += 1
@@ -118,8 +133,17 @@ class Ig500(Closing):
             self._configure()
         return samples
 
+    @property
+    def warnings(self) -> list[str]:
+        """Parts of the device that are not in order by its own account."""
+        if self.status is None:
+            return []
+        return [str(bit.name).lower() for bit in Status if bit & STATUS_GOOD & ~self.status]
+
     def _configure(self) -> None:
+        self._confirmed = False
         self._port.write(encode_output_mask(self._mask))
+        self._port.write(encode_frame(GET_OUTPUT_MASK))
         self._port.write(encode_continuous_mode(self._divider))
         self.configured_count += 1
 
@@ -134,7 +158,11 @@ class Ig500(Closing):
         device_us = int(numbers[self._time]) * 1000
         if device_us == self._last_device_us:
             return None
-        self._last_device_us = device_us
+        reset, self._last_device_us = device_us < self._last_device_us, device_us
+        if reset:  # it has been without power: its mask is its own again
+            self._configure()
+            return None
+        self.status = Status(int(numbers[self._status]) & STATUS_GOOD)
         t_us = self._clock.stamp(arrival_us, device_us) - self._latency_us
         if t_us <= self._last_us:
             return None

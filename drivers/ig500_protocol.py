@@ -23,7 +23,7 @@ OVERHEAD = 8
 """Bytes of a frame beside its data."""
 
 ACKNOWLEDGE = 0x01
-SET_OUTPUT_MASK = 0x50
+SET_OUTPUT_MASK, GET_OUTPUT_MASK, RETURN_OUTPUT_MASK = 0x50, 0x51, 0x52
 SET_CONTINUOUS_MODE = 0x53
 CONTINUOUS_OUTPUT = 0x90
 
@@ -42,6 +42,24 @@ class Field(IntFlag):
     STATUS = 1 << 12
     ATTITUDE_ACCURACY = 1 << 21
 
+
+class Status(IntFlag):
+    """Bits of the device's status that this driver looks at: 1 = in order, 0 = a warning."""
+
+    CALIBRATION = 1 << 0
+    SETTINGS = 1 << 1
+    ACCEL_X = 1 << 2
+    ACCEL_Y = 1 << 3
+    ACCEL_Z = 1 << 4
+    ACCEL_RANGE = 1 << 5
+    GYRO_X = 1 << 6
+    GYRO_Y = 1 << 7
+    GYRO_Z = 1 << 8
+    GYRO_RANGE = 1 << 9
+
+
+STATUS_GOOD = Status(0x3FF)
+"""All that it looks at is in order."""
 
 _LAYOUT: dict[Field, str] = {
     Field.QUATERNION: "4f",
@@ -93,6 +111,11 @@ def encode_frame(command: int, data: bytes = b"") -> bytes:
 def encode_output_mask(mask: Field) -> bytes:
     """Command that chooses the fields of the continuous output, until the next power-up."""
     return encode_frame(SET_OUTPUT_MASK, struct.pack(">BI", 0, mask))
+
+
+def decode_output_mask(data: bytes) -> int | None:
+    """The mask that the device says it has; None if that is no answer."""
+    return int.from_bytes(data, "big") if len(data) == 4 else None
 
 
 def encode_continuous_mode(divider: int) -> bytes:
@@ -152,6 +175,7 @@ class OutputCodec:
         known = Field(sum(_LAYOUT))
         if int(mask) & ~int(known):
             raise ConfigError(f"IG-500 output mask 0x{int(mask):x} has unknown bits; use bits of 0x{int(known):x}")
+        self.mask = mask
         self._fields = [field for field in _LAYOUT if field & mask]
         self._struct = struct.Struct(">" + "".join(_LAYOUT[field] for field in self._fields))
         self.parts: dict[Field, slice] = {}

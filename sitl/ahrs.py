@@ -18,8 +18,11 @@ from drivers.base import AlwaysOpen
 from drivers.ig500_protocol import (
     ACKNOWLEDGE,
     CONTINUOUS_OUTPUT,
+    GET_OUTPUT_MASK,
+    RETURN_OUTPUT_MASK,
     SET_CONTINUOUS_MODE,
     SET_OUTPUT_MASK,
+    STATUS_GOOD,
     Field,
     FrameParser,
     OutputCodec,
@@ -31,7 +34,6 @@ from sitl.sensor_faults import ImuFaults
 
 POWER_UP_MASK = Field.EULER | Field.GYRO | Field.ACCEL
 """What the device would send before it is told otherwise."""
-STATUS_GOOD = 0
 DIP_RAD = math.radians(55.0)
 """Of the magnetic field below the horizontal, as in southern Europe. The field's horizontal part has size 1."""
 ACCURACY_RAD = 0.02
@@ -166,13 +168,17 @@ class Ig500Emulator(AlwaysOpen):
         return arrived
 
     def write(self, data: bytes) -> None:
-        """Commands of the driver. Each that is understood is acknowledged with error code 0."""
+        """Commands of the driver: questions are answered, orders that are understood acknowledged with error code 0."""
         for frame in self._parser.feed(data):
             if frame.command == SET_OUTPUT_MASK and len(frame.data) == 5:
                 self._codec = OutputCodec(Field(struct.unpack(">BI", frame.data)[1]))
             elif frame.command == SET_CONTINUOUS_MODE and len(frame.data) == 3:
                 _, mode, divider = frame.data
                 self._sending, self._divider = mode == 1, max(1, divider)
+            elif frame.command == GET_OUTPUT_MASK:
+                answer = encode_frame(RETURN_OUTPUT_MASK, struct.pack(">I", self._codec.mask))
+                self._queue.append((self._last_arrival_us, answer))
+                continue
             else:
                 continue
             self._queue.append((self._last_arrival_us, encode_frame(ACKNOWLEDGE, struct.pack(">H", 0))))

@@ -19,11 +19,15 @@ from drivers.ig500 import ASK_AGAIN_POLLS, DeviceClock, Ig500
 from drivers.ig500_protocol import (
     AHRS_MASK,
     CONTINUOUS_OUTPUT,
+    GET_OUTPUT_MASK,
+    RETURN_OUTPUT_MASK,
     SET_CONTINUOUS_MODE,
     SET_OUTPUT_MASK,
+    STATUS_GOOD,
     Field,
     FrameParser,
     OutputCodec,
+    Status,
     encode_frame,
 )
 from drivers.serial_port import SerialPort
@@ -32,11 +36,13 @@ CODEC = OutputCodec(AHRS_MASK)
 
 
 class ScriptedPort(Closing):
-    """A byte port whose content the test writes down beforehand."""
+    """A byte port whose content the test writes down beforehand, and which says ``mask`` when it is asked."""
 
-    def __init__(self) -> None:
+    def __init__(self, mask: int = AHRS_MASK) -> None:
         self.chunks: list[tuple[int, bytes]] = []
         self.written = b""
+        self.mask = mask
+        self._answers: list[tuple[int, bytes]] = []
 
     def open(self) -> None:
         pass
@@ -47,13 +53,16 @@ class ScriptedPort(Closing):
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
         due = [chunk for chunk in self.chunks if chunk[0] <= t_us]
         self.chunks = [chunk for chunk in self.chunks if chunk[0] > t_us]
-        return due
+        answers, self._answers = self._answers, []
+        return answers + due
 
     def write(self, data: bytes) -> None:
         self.written += data
+        if FrameParser().feed(data)[0].command == GET_OUTPUT_MASK:
+            self._answers.append((0, encode_frame(RETURN_OUTPUT_MASK, struct.pack(">I", self.mask))))
 
 
-def frame(device_ms: int, yaw_rad: float = 0.0, scale: float = 1.0) -> bytes:
+def frame(device_ms: int, yaw_rad: float = 0.0, scale: float = 1.0, status: int = STATUS_GOOD) -> bytes:
     """One 0x90 frame; ``scale`` spoils the quaternion."""
     quat = scale * quat_from_rpy(np.array([0.01, -0.02, yaw_rad]))
     return encode_frame(
@@ -64,7 +73,7 @@ def frame(device_ms: int, yaw_rad: float = 0.0, scale: float = 1.0) -> bytes:
                 Field.GYRO: (0.1, 0.2, 0.3),
                 Field.ACCEL: (0.0, 0.1, -9.81),
                 Field.TIME_SINCE_RESET: (device_ms,),
-                Field.STATUS: (0,),
+                Field.STATUS: (status,),
                 Field.ATTITUDE_ACCURACY: (0.01,),
             }
         ),
@@ -75,7 +84,7 @@ def test_configures_mask_before_output_and_reads_samples() -> None:
     port = ScriptedPort()
     with Ig500(port, latency_s=0.015) as driver:
         sent = FrameParser().feed(port.written)
-        assert [f.command for f in sent] == [SET_OUTPUT_MASK, SET_CONTINUOUS_MODE]
+        assert [f.command for f in sent] == [SET_OUTPUT_MASK, GET_OUTPUT_MASK, SET_CONTINUOUS_MODE]
         assert struct.unpack(">BI", sent[0].data)[1] == AHRS_MASK
         port.chunks = [(115_000, frame(100, 1.5))]
         assert driver.poll(110_000) == []
@@ -159,7 +168,44 @@ def test_configures_again_when_the_device_falls_silent() -> None:
     assert driver.configured_count == 1
     driver.poll(ASK_AGAIN_POLLS)
     assert driver.configured_count == 2
-    assert len(FrameParser().feed(port.written)) == 4
+    assert len(FrameParser().feed(port.written)) == 6
+
+
+def test_measurements_count_only_once_the_device_has_said_its_mask() -> None:
+    port = ScriptedPort(mask=AHRS_MASK ^ Field.GYRO ^ Field.MAG)  # a mask of the same size: nothing else would show it
+    driver = Ig500(port, latency_s=0.0)
+    driver.open()
+    port.chunks = [(1, frame(10)), (2, frame(20))]
+    assert driver.poll(5) == []
+    port.mask = AHRS_MASK
+    for k in range(ASK_AGAIN_POLLS):
+        driver.poll(10 + k)
+    port.chunks = [(200, frame(30))]
+    assert len(driver.poll(200)) == 1
+
+
+def test_a_device_that_was_without_power_is_configured_again_at_once() -> None:
+    port = ScriptedPort()
+    driver = Ig500(port, latency_s=0.0)
+    driver.open()
+    port.chunks = [(1, frame(50_000)), (2, frame(10)), (3, frame(20))]
+    assert len(driver.poll(5)) == 1
+    assert driver.configured_count == 2
+    port.chunks = [(10, frame(30))]
+    assert len(driver.poll(10)) == 1
+
+
+def test_says_what_is_not_in_order_by_the_device_s_own_account() -> None:
+    port = ScriptedPort()
+    driver = Ig500(port, latency_s=0.0)
+    driver.open()
+    assert driver.warnings == []
+    port.chunks = [(1, frame(10, status=STATUS_GOOD & ~Status.ACCEL_RANGE))]
+    driver.poll(1)
+    assert driver.warnings == ["accel_range"]
+    port.chunks = [(2, frame(20))]
+    driver.poll(2)
+    assert driver.warnings == []
 
 
 def test_over_a_real_serial_line() -> None:
@@ -179,8 +225,9 @@ def test_over_a_real_serial_line() -> None:
     try:
         with Ig500(SerialPort(os.ttyname(line), 115200), latency_s=0.01) as driver:
             parser = FrameParser()
-            commands = soon(lambda: parser.feed(os.read(device, 1024)), 2)
-            assert [f.command for f in commands] == [SET_OUTPUT_MASK, SET_CONTINUOUS_MODE]
+            commands = soon(lambda: parser.feed(os.read(device, 1024)), 3)
+            assert [f.command for f in commands] == [SET_OUTPUT_MASK, GET_OUTPUT_MASK, SET_CONTINUOUS_MODE]
+            os.write(device, encode_frame(RETURN_OUTPUT_MASK, struct.pack(">I", AHRS_MASK)))
             assert driver.poll(0) == []
             data = frame(40, 0.5)
             os.write(device, data[:20])
