@@ -11,6 +11,9 @@ from autopilot.core.errors import DriverError
 from autopilot.core.vehicle import Vehicle
 from drivers.base import Closing
 
+INSPECT_EVERY = 25
+"""Commands between two looks at a device that acknowledges commands even when it does not follow them (0.25 s)."""
+
 
 class SafeThrusterOutput(Closing):
     """Template of a thruster output: derive from it and give :meth:`_acquire`, :meth:`_put` and :meth:`_release`."""
@@ -29,6 +32,8 @@ class SafeThrusterOutput(Closing):
         self._last_us: int | None = None
         self._open = False
         self._at_rest = False
+        self._writes = 0
+        self._doubtful = False
         self.stale_count = 0
         """How often the outputs went to neutral because commands stopped coming."""
         self.clamped_count = 0
@@ -44,16 +49,25 @@ class SafeThrusterOutput(Closing):
     def _put(self, pwm_us: tuple[int, ...]) -> None:
         """Put one pulse per channel [us] on the wire, 0 = none. May raise DriverError or OSError."""
 
+    def _inspect(self) -> None:
+        """Ask the device whether it still does what it is told. DriverError or OSError if not; nothing: cannot."""
+
     @abstractmethod
     def _release(self) -> None:
-        """Close the device; the outputs are neutral already."""
+        """Close the device, which may be half open or gone; the outputs are neutral where that was possible. Never
+        raises."""
 
     def open(self) -> None:
-        """Open the device and set it to neutral."""
-        if not self._open:
+        """Open the device and set it to neutral. DriverError or OSError if it cannot be had; it is closed then."""
+        if self._open:
+            return
+        try:
             self._acquire()
-            self._open = True
-            self.neutral()
+            self._put(self._neutral_us)
+        except BaseException:
+            self._release()
+            raise
+        self._open, self._at_rest, self._doubtful, self._last_us = True, True, False, None
 
     def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
         """Command one pulse per thruster [us]. DriverError (and neutral) if too few, closed, or the wire fails."""
@@ -70,7 +84,14 @@ class SafeThrusterOutput(Closing):
         if sent != wanted:
             self.clamped_count += sum(a != b for a, b in zip(wanted, sent, strict=True))
         self._at_rest = False
+        self._writes += 1
         try:
+            if self._doubtful or self._writes % INSPECT_EVERY == 0:
+                self._doubtful = (
+                    True  # and stays so until it passes, lest the commands between looks seem to get through
+                )
+                self._inspect()
+                self._doubtful = False
             self._put(self._by_channel(sent))
         except (DriverError, OSError) as error:
             self._try_neutral()
