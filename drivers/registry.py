@@ -10,13 +10,17 @@ from typing import Any
 from autopilot.core.errors import ConfigError, DriverError
 
 BACKENDS: dict[str, dict[str, str]] = {
-    "ahrs": {"ig500": "drivers.ig500_device:Ig500Device"},
+    "ahrs": {"ellipse": "drivers.ellipse:Ellipse", "ig500": "drivers.ig500_device:Ig500Device"},
     "camera": {},
-    "depth": {},
-    "dvl": {},
-    "battery": {},
-    "leak": {},
-    "thrusters": {},
+    "depth": {"ms5837": "drivers.ms5837:Ms5837"},
+    "dvl": {"waterlinked_a50": "drivers.waterlinked_a50:WaterLinkedA50"},
+    "battery": {"ads1115": "drivers.ads1115:Ads1115", "ina219": "drivers.ina219:Ina219"},
+    "leak": {"gpio": "drivers.leak_gpio:GpioLeak"},
+    "thrusters": {
+        "pca9685": "drivers.pca9685:Pca9685",
+        "sabertooth": "drivers.sabertooth:Sabertooth",
+        "sysfs_pwm": "drivers.sysfs_pwm:SysfsPwm",
+    },
     "flight_controller": {"ardusub": "drivers.ardusub:ArduSub"},
     "link": {
         "udpin": "drivers.udp:UdpIn",

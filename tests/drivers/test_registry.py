@@ -20,7 +20,7 @@ def test_every_back_end_can_be_loaded(kind: str, name: str) -> None:
 
 
 def test_unknown_names_are_refused_with_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match="'lidar' is not known; use one of ig500"):
+    with pytest.raises(ConfigError, match="'lidar' is not known; use one of ellipse, ig500"):
         load_backend("ahrs", "lidar")
     with pytest.raises(ConfigError, match="'radar'; use one of ahrs"):
         backend_names("radar")

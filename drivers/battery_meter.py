@@ -1,0 +1,30 @@
+"""What every battery monitor makes of voltage and current: energy used and the share that is left."""
+
+from autopilot.core.samples import PowerSample, plausible
+
+LONGEST_GAP_US = 2_000_000
+"""A longer gap is bridged with no more than this much of the present power: nobody knows what was drawn meanwhile."""
+
+
+class EnergyMeter:
+    """Integrates power over time."""
+
+    def __init__(self, capacity_j: float) -> None:
+        self._capacity_j = capacity_j
+        self._used_j = 0.0
+        self._last: tuple[int, float] | None = None
+
+    def sample(self, t_us: int, voltage_v: float, current_a: float) -> PowerSample | None:
+        """The sample of a reading; None if no battery can say that."""
+        power_w = voltage_v * current_a
+        before_us, before_w = (t_us, power_w) if self._last is None else self._last
+        gap_s = 1e-6 * min(max(0, t_us - before_us), LONGEST_GAP_US)
+        used_j = max(0.0, self._used_j + 0.5 * (power_w + before_w) * gap_s)
+        remaining = min(1.0, max(0.0, 1.0 - used_j / self._capacity_j))
+        sample = PowerSample(
+            t_us=t_us, voltage_v=voltage_v, current_a=current_a, energy_used_j=used_j, remaining=remaining
+        )
+        if not plausible(sample):
+            return None
+        self._used_j, self._last = used_j, (t_us, power_w)
+        return sample

@@ -1,0 +1,169 @@
+"""Wire format of SBG Systems' Ellipse references (sbgECom), both directions.
+
+Frame: ``FF 5A | message u8 | class u8 | size u16 | data | crc u16 | 33``, numbers little-endian, the CRC that of the
+IG-500 over everything between sync and itself. Logs say themselves what they are; later firmware appends fields.
+"""
+
+import math
+import struct
+from dataclasses import dataclass
+
+from drivers.ig500_protocol import crc16
+
+SYNC = b"\xff\x5a"
+END = 0x33
+MAX_DATA = 4086
+OVERHEAD = 9
+"""Bytes of a frame beside its data."""
+
+LOGS, COMMANDS = 0x00, 0x10
+"""Classes."""
+ACKNOWLEDGE, OUTPUT_CONF = 0, 30
+"""Commands."""
+IMU_DATA, EKF_QUATERNION = 3, 7
+"""Logs."""
+PORT_A = 0
+MODE_OFF, MAIN_LOOP = 0, 1
+"""Output modes; others divide the main loop's 200 Hz."""
+
+ATTITUDE_VALID = 1 << 4
+"""Bit of the solution's status."""
+IMU_WORKS = 1 << 0
+"""Bit of the inertial sensors' status: they talk to the filter."""
+
+_IMU = struct.Struct("<IH6f")
+_QUATERNION = struct.Struct("<I7fI")
+_CONF = struct.Struct("<BBBH")
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame whose checksum was right."""
+
+    message: int
+    kind: int
+    """Class."""
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """Log 3."""
+
+    device_us: int
+    status: int
+    accel_frd_m_s2: tuple[float, ...]
+    rate_frd_rad_s: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Attitude:
+    """Log 7."""
+
+    device_us: int
+    quaternion: tuple[float, ...]
+    """w x y z."""
+    status: int
+
+
+def encode_frame(message: int, kind: int, data: bytes = b"") -> bytes:
+    """The bytes of one frame."""
+    if len(data) > MAX_DATA:
+        raise ValueError(f"{len(data)} bytes do not fit in a frame, at most {MAX_DATA} do")
+    body = struct.pack("<BBH", message, kind, len(data)) + data
+    return SYNC + body + struct.pack("<HB", crc16(body), END)
+
+
+def encode_output(log: int, mode: int) -> bytes:
+    """Command: how often a log is sent."""
+    return encode_frame(OUTPUT_CONF, COMMANDS, _CONF.pack(PORT_A, log, LOGS, mode))
+
+
+def encode_question(log: int) -> bytes:
+    """Command: ask how often a log is sent."""
+    return encode_frame(OUTPUT_CONF, COMMANDS, struct.pack("<BBB", PORT_A, log, LOGS))
+
+
+def decode_output(data: bytes) -> tuple[int, int] | None:
+    """(log, mode) of an order or of the device's answer; None if it is neither."""
+    if len(data) != _CONF.size:
+        return None
+    _, log, kind, mode = _CONF.unpack(data)
+    return (log, mode) if kind == LOGS else None
+
+
+def encode_imu(imu: Imu) -> bytes:
+    """A frame of log 3; temperature and increments are 0."""
+    data = _IMU.pack(imu.device_us, imu.status, *imu.accel_frd_m_s2, *imu.rate_frd_rad_s) + bytes(28)
+    return encode_frame(IMU_DATA, LOGS, data)
+
+
+def decode_imu(data: bytes) -> Imu | None:
+    """None if it is too short or a number is not finite."""
+    if len(data) < _IMU.size:
+        return None
+    device_us, status, *numbers = _IMU.unpack_from(data)
+    if not all(map(math.isfinite, numbers)):
+        return None
+    return Imu(device_us, status, tuple(numbers[0:3]), tuple(numbers[3:6]))
+
+
+def encode_attitude(attitude: Attitude) -> bytes:
+    """A frame of log 7; the accuracies are 0."""
+    data = _QUATERNION.pack(attitude.device_us, *attitude.quaternion, 0.0, 0.0, 0.0, attitude.status)
+    return encode_frame(EKF_QUATERNION, LOGS, data)
+
+
+def decode_attitude(data: bytes) -> Attitude | None:
+    """None if it is too short or a number is not finite."""
+    if len(data) < _QUATERNION.size:
+        return None
+    device_us, *numbers, status = _QUATERNION.unpack_from(data)
+    if not all(map(math.isfinite, numbers)):
+        return None
+    return Attitude(device_us, tuple(numbers[0:4]), status)
+
+
+class FrameParser:
+    """Bytes in, frames out, however the bytes are cut. Never raises; the counters say what was thrown away."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.skipped = 0
+        """Bytes outside of any good frame."""
+        self.bad_frames = 0
+        """Frames with a wrong size, checksum or end."""
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """The frames that are complete now, oldest first."""
+        self._buffer += data
+        buffer, frames, at = self._buffer, [], 0
+        while True:
+            start = buffer.find(SYNC, at)
+            if start < 0:
+                keep = 1 if buffer[-1:] == SYNC[:1] and len(buffer) > at else 0
+                self.skipped += len(buffer) - at - keep
+                at = len(buffer) - keep
+                break
+            self.skipped += start - at
+            at = start
+            if len(buffer) < at + 6:
+                break
+            size = buffer[at + 4] | buffer[at + 5] << 8
+            end = at + size + OVERHEAD
+            if size <= MAX_DATA and len(buffer) < end:
+                break
+            if size > MAX_DATA or not self._good(buffer, at, end):
+                self.bad_frames += 1
+                self.skipped += len(SYNC)
+                at += len(SYNC)  # not the whole frame: the size itself may be what is damaged
+                continue
+            frames.append(Frame(buffer[at + 2], buffer[at + 3], bytes(buffer[at + 6 : end - 3])))
+            at = end
+        del buffer[:at]
+        return frames
+
+    @staticmethod
+    def _good(buffer: bytearray, at: int, end: int) -> bool:
+        crc = buffer[end - 3] | buffer[end - 2] << 8
+        return buffer[end - 1] == END and crc == crc16(bytes(buffer[at + 2 : end - 3]))

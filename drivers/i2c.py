@@ -1,0 +1,96 @@
+"""An I2C bus: transactions with a device at an address, over Linux's ``/dev/i2c-N``."""
+
+import fcntl
+from typing import Any, Protocol
+
+from autopilot.core.errors import DriverError
+from drivers.base import Closing
+from drivers.protocols import Device
+
+_I2C_RETRIES, _I2C_TIMEOUT = 0x0701, 0x0702
+"""Requests of linux/i2c-dev.h."""
+BUS_TIMEOUT_10MS = 1
+"""A bus that hangs costs the loop one tick per attempt, not the kernel's second."""
+
+
+class I2cBus(Device, Protocol):
+    """Transactions. OSError when nobody acknowledges or the bus hangs."""
+
+    def write(self, address: int, data: bytes) -> None:
+        """Send bytes to a device."""
+        ...
+
+    def read(self, address: int, count: int) -> bytes:
+        """Bytes from a device."""
+        ...
+
+    def exchange(self, address: int, data: bytes, count: int) -> bytes:
+        """Send, then read after a repeated start: how registers are read."""
+        ...
+
+
+class LinuxI2c(Closing):
+    """``/dev/i2c-N`` through smbus2. Several drivers may each have one of the same number."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+        self._bus: Any = None
+        self._message: Any = None
+
+    def open(self) -> None:
+        """Open the bus; DriverError says why that fails."""
+        if self._bus is not None:
+            return
+        try:
+            from smbus2 import SMBus, i2c_msg
+        except ModuleNotFoundError as error:
+            raise DriverError(
+                "I2C needs the Python module 'smbus2'; install it with pip install 'underwater-autopilot[hardware]'"
+            ) from error
+        try:
+            self._bus, self._message = SMBus(self._number), i2c_msg
+            fcntl.ioctl(self._bus.fd, _I2C_TIMEOUT, BUS_TIMEOUT_10MS)
+            fcntl.ioctl(self._bus.fd, _I2C_RETRIES, 0)
+        except OSError as error:
+            self.close()
+            raise DriverError(
+                f"/dev/i2c-{self._number} cannot be opened ({error.strerror}); enable I2C, check number and rights"
+            ) from error
+
+    def close(self) -> None:
+        """Close the bus."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            bus.close()
+
+    def write(self, address: int, data: bytes) -> None:
+        """Send bytes to a device."""
+        bus, message = self._parts()
+        bus.i2c_rdwr(message.write(address, data))
+
+    def read(self, address: int, count: int) -> bytes:
+        """Bytes from a device."""
+        bus, message = self._parts()
+        reply = message.read(address, count)
+        bus.i2c_rdwr(reply)
+        return bytes(reply)
+
+    def exchange(self, address: int, data: bytes, count: int) -> bytes:
+        """Send, then read."""
+        bus, message = self._parts()
+        reply = message.read(address, count)
+        bus.i2c_rdwr(message.write(address, data), reply)
+        return bytes(reply)
+
+    def _parts(self) -> tuple[Any, Any]:
+        if self._bus is None:
+            raise DriverError(f"/dev/i2c-{self._number} is closed; open it before use")
+        return self._bus, self._message
+
+
+def register(bus: I2cBus, address: int, number: int, count: int = 1) -> int:
+    """A register, high byte first. OSError also when the answer is cut short."""
+    data = bus.exchange(address, bytes([number]), count)
+    if len(data) != count:
+        raise OSError(f"{len(data)} of {count} bytes from 0x{address:02x}")
+    return int.from_bytes(data, "big")

@@ -1,0 +1,162 @@
+"""Water Linked DVL A50 on TCP: one JSON report per line.
+
+Frame: forward, right, down of the device; the vehicle file says where it sits, ``turned_rad`` how it is turned. A
+report says how old it was when it was sent, by the device's own clock.
+"""
+
+import math
+import socket
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from autopilot.core.errors import DriverError
+from autopilot.core.frames import FloatArray
+from autopilot.core.samples import VelocityLock, VelocitySample
+from autopilot.core.toml_table import Positive, Table
+from autopilot.core.vehicle import Vehicle
+from drivers.base import Closing
+
+CONNECT_S = 2.0
+CHUNK = 65536
+MAX_LINE = 65536
+"""Longer than any report: what has no end of line is no JSON."""
+DEAD_US = 3_000_000
+"""The device reports several times a second, locked or not: without a byte for so long the connection is dead."""
+MOST_M_S = 10.0
+MOST_DELAY_US = 2_000_000
+
+
+class Report(msgspec.Struct):
+    """What is read of a report; fields that are not known are left alone."""
+
+    type: str
+    vx: float = 0.0
+    vy: float = 0.0
+    vz: float = 0.0
+    fom: float = 0.0
+    """Standard deviation of the velocity [m/s]."""
+    covariance: tuple[tuple[float, ...], ...] = ()
+    altitude: float = -1.0
+    velocity_valid: bool = False
+    status: int = 0
+    tracking_mode: str = "bottom"
+    time_of_validity: int = 0
+    """Microseconds of the device's clock."""
+    time_of_transmission: int = 0
+
+
+class WaterLinkedA50Options(Table, frozen=True, kw_only=True):
+    """``[devices.dvl]`` with ``driver = "waterlinked_a50"``."""
+
+    host: str = "192.168.194.95"
+    """The device's address; the default is the one it falls back to."""
+    port: Annotated[int, msgspec.Meta(ge=1, le=65535)] = 16171
+    turned_rad: float = 0.0
+    """Heading of the device's forward axis in the vehicle, clockwise from above."""
+    least_sigma_m_s: Positive = 0.003
+    """The device's own figure is taken no smaller than this."""
+
+
+class WaterLinkedA50(Closing):
+    """A :class:`drivers.protocols.Sensor`."""
+
+    Options = WaterLinkedA50Options
+
+    def __init__(self, vehicle: Vehicle, options: WaterLinkedA50Options) -> None:
+        self._options = options
+        self._latency_us = round(vehicle.dvl.latency_s * 1e6)
+        cos, sin = math.cos(options.turned_rad), math.sin(options.turned_rad)
+        self._turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        self._socket: socket.socket | None = None
+        self._buffer = b""
+        self._heard_us: int | None = None
+        self._last_us = -(1 << 62)
+        self._decoder = msgspec.json.Decoder(Report)
+        self.bad_frames = 0
+        """Lines that are no report."""
+        self.bad_samples = 0
+        """Reports that no vehicle gives."""
+        self.unlocked = 0
+        """Reports without a velocity: nothing to measure against in reach."""
+        self.altitude_m: float | None = None
+        """Above the bottom, last report with a lock."""
+
+    def open(self) -> None:
+        """Connect. DriverError if nobody answers."""
+        if self._socket is not None:
+            return
+        host, port = self._options.host, self._options.port
+        try:
+            self._socket = socket.create_connection((host, port), timeout=CONNECT_S)
+            self._socket.setblocking(False)
+        except OSError as error:
+            why = error.strerror or str(error) or "no answer"
+            raise DriverError(f"nobody answers at {host}:{port} ({why}); check address, cable and power") from error
+        self._buffer, self._heard_us = b"", None
+
+    def close(self) -> None:
+        """Hang up."""
+        connection, self._socket = self._socket, None
+        if connection is not None:
+            connection.close()
+
+    def poll(self, t_us: int) -> list[VelocitySample]:
+        """What has arrived. DriverError when the connection is gone."""
+        if self._socket is None:
+            return []
+        self._heard_us = t_us if self._heard_us is None else self._heard_us
+        data = b""
+        try:
+            data = self._socket.recv(CHUNK)
+            if not data:
+                raise DriverError("connection closed by the device")
+            self._heard_us = t_us
+        except BlockingIOError:
+            if t_us - self._heard_us > DEAD_US:
+                raise DriverError("connection is dead; check cable and power") from None
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        if len(self._buffer) > MAX_LINE:
+            self._buffer = b""
+            self.bad_frames += 1
+        samples = [self._sample(t_us, line) for line in lines if line.strip()]
+        return [sample for sample in samples if sample is not None]
+
+    def _sample(self, t_us: int, line: bytes) -> VelocitySample | None:
+        try:
+            report = self._decoder.decode(line)
+        except (msgspec.DecodeError, UnicodeDecodeError):
+            self.bad_frames += 1
+            return None
+        if report.type != "velocity":
+            return None
+        if not report.velocity_valid:
+            self.unlocked += 1
+            return None
+        vel = np.array([report.vx, report.vy, report.vz])
+        delay_us = report.time_of_transmission - report.time_of_validity
+        if not 0 < delay_us <= MOST_DELAY_US:
+            delay_us = self._latency_us
+        taken_us = t_us - delay_us
+        if not float(np.abs(vel).max()) <= MOST_M_S or taken_us <= self._last_us:
+            self.bad_samples += 1
+            return None
+        self._last_us = taken_us
+        self.altitude_m = report.altitude if report.altitude >= 0.0 else None
+        return VelocitySample(
+            t_us=taken_us,
+            vel_frd_m_s=self._turn @ vel,
+            sigma_m_s=self._sigma(report),
+            lock=VelocityLock.WATER if report.tracking_mode == "water" else VelocityLock.BOTTOM,
+        )
+
+    def _sigma(self, report: Report) -> FloatArray:
+        rows = report.covariance
+        if len(rows) == 3 and all(len(row) == 3 for row in rows):
+            turned = self._turn @ np.array(rows) @ self._turn.T
+            sigma = np.sqrt(np.maximum(turned.diagonal(), 0.0))
+        else:
+            sigma = np.full(3, max(0.0, report.fom))
+        result: FloatArray = np.maximum(sigma, self._options.least_sigma_m_s)
+        return result

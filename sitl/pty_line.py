@@ -1,0 +1,68 @@
+"""A serial line that is none: a pseudo-terminal with an emulated device at its far end (POSIX)."""
+
+import contextlib
+import os
+import pty
+import tempfile
+import tty
+from pathlib import Path
+
+from drivers.base import Closing
+from drivers.protocols import BytePort
+
+CHUNK = 4096
+
+
+class PtyLine(Closing):
+    """Carries bytes between an emulator and whoever opens :attr:`path`, as a cable does. Unplugging makes the path
+    vanish, as a USB adapter's does."""
+
+    def __init__(self, device: BytePort, name: str = "ttyEmulated") -> None:
+        self._device = device
+        self._folder = tempfile.TemporaryDirectory(prefix="line-")
+        self.path = Path(self._folder.name) / name
+        """What a driver opens; there while the line is plugged in."""
+        self._far: int | None = None
+        self._near: int | None = None
+        self.lost_bytes = 0
+        """Bytes of the device that the line did not take."""
+
+    def open(self) -> None:
+        """Plug the device in."""
+        if self._far is None:
+            self._far, self._near = pty.openpty()  # the near end stays open: it has to outlive drivers that come and go
+            tty.setraw(self._near)
+            os.set_blocking(self._far, False)
+            self.path.symlink_to(os.ttyname(self._near))
+
+    def unplug(self) -> None:
+        """Pull the device out; :meth:`open` plugs it in again."""
+        self.path.unlink(missing_ok=True)
+        for end in (self._far, self._near):
+            if end is not None:
+                os.close(end)
+        self._far = self._near = None
+
+    def close(self) -> None:
+        """Unplug for good."""
+        self.unplug()
+        self._folder.cleanup()
+
+    def pump(self, t_us: int) -> None:
+        """Carry what has been written and what has been sent up to ``t_us``."""
+        for _, data in self._device.read(t_us):
+            self.send(data)
+        if self._far is not None:
+            with contextlib.suppress(OSError):  # nothing there
+                while data := os.read(self._far, CHUNK):
+                    self._device.write(data)
+            for _, data in self._device.read(t_us):
+                self.send(data)
+
+    def send(self, data: bytes) -> None:
+        """Put bytes on the line as if the device had sent them; a line that is unplugged or full loses them."""
+        sent = 0
+        if self._far is not None:
+            with contextlib.suppress(OSError):
+                sent = os.write(self._far, data)
+        self.lost_bytes += len(data) - sent
