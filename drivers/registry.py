@@ -11,7 +11,7 @@ from autopilot.core.errors import ConfigError, DriverError
 
 BACKENDS: dict[str, dict[str, str]] = {
     "ahrs": {"ellipse": "drivers.ellipse:Ellipse", "ig500": "drivers.ig500_device:Ig500Device"},
-    "camera": {},
+    "camera": {"opencv": "drivers.opencv_camera:OpenCvCamera", "playback": "drivers.playback:Playback"},
     "depth": {"ms5837": "drivers.ms5837:Ms5837"},
     "dvl": {"waterlinked_a50": "drivers.waterlinked_a50:WaterLinkedA50"},
     "battery": {"ads1115": "drivers.ads1115:Ads1115", "ina219": "drivers.ina219:Ina219"},

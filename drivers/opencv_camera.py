@@ -1,0 +1,215 @@
+"""Camera through OpenCV's VideoCapture: V4L2, RTSP and other network streams, or a GStreamer pipeline.
+
+A thread of its own grabs and stamps, so that neither a slow nor a hanging camera holds up the loop; of several pictures
+since the last poll the newest wins. The stamp is taken at the grab; what passes between exposure and grab is
+``latency_s``, and ``autopilot calibrate latency`` finds what is left of it.
+"""
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from autopilot.core.errors import DriverError
+from autopilot.core.samples import CameraFrame
+from autopilot.core.toml_table import NonNegative, Positive, Table
+from autopilot.core.vehicle import Vehicle
+from drivers.base import Closing
+
+DEAD_US = 3_000_000
+"""Without a picture for so long the camera is gone."""
+TIMEOUT_MS = 3000
+"""For opening and reading network streams."""
+JOIN_S = 0.5
+LATENCY_SHARE = 0.5
+"""Part of the vehicle file's camera latency that passes before the grab; the rest is for finding the markers."""
+LOW_DELAY = "fflags;nobuffer|flags;low_delay|analyzeduration;200000|probesize;65536"
+"""FFmpeg's options for live streams."""
+FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+
+_OPENING = threading.Lock()
+
+_BACKENDS = {"v4l2": "CAP_V4L2", "ffmpeg": "CAP_FFMPEG", "gstreamer": "CAP_GSTREAMER"}
+
+
+class OpenCvCameraOptions(Table, frozen=True, kw_only=True):
+    """``[devices.camera]`` with ``driver = "opencv"``."""
+
+    source: str
+    """"/dev/video0", "rtsp://192.168.2.2:8554/video", "http://...", or a pipeline that ends in "! appsink"."""
+    backend: Literal["auto", "v4l2", "ffmpeg", "gstreamer"] = "auto"
+    """auto: V4L2 for a device, GStreamer for a pipeline, FFmpeg for the rest."""
+    format: Annotated[str, msgspec.Meta(pattern="^[A-Z0-9]{4}$")] | None = None
+    """V4L2: four letters, e.g. "MJPG"."""
+    exposure: float | None = None
+    """V4L2: fixed exposure in the camera's own unit (often 0.1 ms); absent = left alone. Markers want a short one."""
+    gain: float | None = None
+    latency_s: NonNegative | None = None
+    """Exposure to grab; absent = half of the vehicle file's ``camera.latency_s``."""
+    rate_hz: Positive | None = None
+    """V4L2: absent = the vehicle file's."""
+
+    @property
+    def chosen(self) -> str:
+        """The back end that "auto" stands for."""
+        if self.backend != "auto":
+            return self.backend
+        if self.source.startswith("/dev/"):
+            return "v4l2"
+        return "gstreamer" if "!" in self.source else "ffmpeg"
+
+
+@contextmanager
+def _ffmpeg_options(value: str) -> Iterator[None]:
+    """OpenCV hears FFmpeg's options by the environment only: set while a stream is opened, unless they are."""
+    with _OPENING:
+        given = os.environ.get(FFMPEG_OPTIONS)
+        os.environ[FFMPEG_OPTIONS] = value if given is None else given
+        try:
+            yield
+        finally:
+            if given is None:
+                del os.environ[FFMPEG_OPTIONS]
+
+
+class _Grabber:
+    """The thread of one opening: it owns its capture and lets go of it when it ends, even late."""
+
+    def __init__(self, capture: Any) -> None:
+        self._capture = capture
+        self._lock = threading.Lock()
+        self._newest: tuple[int, Any] | None = None
+        self.stopped = False
+        self.failed = ""
+        self.missed = 0
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread.start()
+
+    def take(self) -> tuple[int, Any] | None:
+        """The newest picture that has not been taken, with the time of its grab [ns]."""
+        with self._lock:
+            newest, self._newest = self._newest, None
+        return newest
+
+    def stop(self) -> None:
+        """End soon; a camera that hangs is left to its thread."""
+        self.stopped = True
+        self._thread.join(JOIN_S)
+
+    def _run(self) -> None:
+        try:
+            while not self.stopped:
+                if not self._capture.grab():
+                    self.failed = "gives no more pictures"
+                    return
+                grabbed_ns = time.monotonic_ns()
+                good, image = self._capture.retrieve()
+                if not good or image is None:
+                    self.missed += 1
+                    continue
+                with self._lock:
+                    self.missed += self._newest is not None
+                    self._newest = grabbed_ns, image
+        except Exception as error:  # noqa: BLE001 - OpenCV raises errors of its own; the loop is told by poll
+            self.failed = str(error) or type(error).__name__
+        finally:
+            self._capture.release()
+
+
+class OpenCvCamera(Closing):
+    """A :class:`drivers.protocols.Sensor` of pictures."""
+
+    Options = OpenCvCameraOptions
+
+    def __init__(self, vehicle: Vehicle, options: OpenCvCameraOptions) -> None:
+        eye = vehicle.eye
+        self._options = options
+        self._size = eye.width_px, eye.height_px
+        self._rate_hz = options.rate_hz or eye.rate_hz
+        latency_s = LATENCY_SHARE * eye.latency_s if options.latency_s is None else options.latency_s
+        self._latency_us = round(1e6 * latency_s)
+        self._grabber: _Grabber | None = None
+        self._heard_us: int | None = None
+        self._last_us = -(1 << 62)
+        self.remarks: list[str] = []
+        """What the camera did not accept."""
+
+    @property
+    def missed(self) -> int:
+        """Pictures that were replaced by newer ones, or were damaged, since the camera was opened."""
+        return 0 if self._grabber is None else self._grabber.missed
+
+    def open(self) -> None:
+        """Open the camera, which may take seconds. DriverError if it is not there."""
+        if self._grabber is not None:
+            return
+        import cv2
+
+        options, backend = self._options, self._options.chosen
+        times = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, TIMEOUT_MS]
+        params = times if backend == "ffmpeg" else []
+        try:
+            with _ffmpeg_options(LOW_DELAY):
+                capture = cv2.VideoCapture(options.source, getattr(cv2, _BACKENDS[backend]), params)
+        except cv2.error as error:
+            raise DriverError(f"{options.source}: {error}; check `source` and `backend`") from error
+        if not capture.isOpened():
+            raise DriverError(f"{options.source} cannot be opened by {backend}; check name, cable and users of it")
+        self.remarks = self._set_up(capture, cv2) if backend == "v4l2" else []
+        self._heard_us, self._grabber = None, _Grabber(capture)
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        grabber, self._grabber = self._grabber, None
+        if grabber is not None:
+            grabber.stop()
+
+    def poll(self, t_us: int) -> list[CameraFrame]:
+        """The newest picture, if there is a new one. DriverError when the camera is gone."""
+        grabber = self._grabber
+        if grabber is None:
+            return []
+        newest = grabber.take()
+        if newest is None:
+            if grabber.failed:
+                raise DriverError(f"{self._options.source} {grabber.failed}; check cable and power")
+            self._heard_us = t_us if self._heard_us is None else self._heard_us
+            if t_us - self._heard_us > DEAD_US:
+                raise DriverError(f"{self._options.source} hangs; check cable and power")
+            return []
+        grabbed_ns, image = newest
+        self._heard_us = t_us
+        taken_us = t_us - max(0, time.monotonic_ns() - grabbed_ns) // 1000 - self._latency_us
+        if taken_us <= self._last_us:
+            return []
+        self._last_us = taken_us
+        return [CameraFrame(t_us=taken_us, image_bgr=image)]
+
+    def _set_up(self, capture: Any, cv2: Any) -> list[str]:
+        """Size, rate, exposure, and a buffer of one picture; what is not accepted."""
+        options, width_height = self._options, self._size
+        wanted: list[tuple[str, int, float]] = []
+        if options.format is not None:
+            code = cv2.VideoWriter_fourcc(*options.format)
+            wanted.append((f"format {options.format}", cv2.CAP_PROP_FOURCC, code))
+        wanted += [
+            (f"width {width_height[0]}", cv2.CAP_PROP_FRAME_WIDTH, width_height[0]),
+            (f"height {width_height[1]}", cv2.CAP_PROP_FRAME_HEIGHT, width_height[1]),
+            (f"rate {self._rate_hz:g} Hz", cv2.CAP_PROP_FPS, self._rate_hz),
+        ]
+        if options.exposure is not None:
+            capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, 1)  # V4L2: manual
+            wanted.append((f"exposure {options.exposure:g}", cv2.CAP_PROP_EXPOSURE, options.exposure))
+        if options.gain is not None:
+            wanted.append((f"gain {options.gain:g}", cv2.CAP_PROP_GAIN, options.gain))
+        for _, number, value in wanted:
+            capture.set(number, value)
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        found = [(name, value, float(capture.get(number))) for name, number, value in wanted]
+        return [
+            f"{name}: the camera says {got:g}" for name, value, got in found if abs(got - value) > 0.02 * abs(value)
+        ]
