@@ -35,6 +35,11 @@ class Ig500Device(Closing):
         self._driver = Ig500(self._port, vehicle.ahrs.latency_s, options.divider, attitude=options.attitude)
 
     @property
+    def driver(self) -> Ig500:
+        """What speaks the protocol."""
+        return self._driver
+
+    @property
     def bad_frames(self) -> int:
         """Frames dropped for their checksum, size or end."""
         return self._driver.bad_frames

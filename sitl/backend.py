@@ -18,6 +18,7 @@ from sitl.camera_feed import CameraFeed
 from sitl.depth_sensor import SimDepthSensor
 from sitl.dvl import SimDvl
 from sitl.floor import build_floor
+from sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
 from sitl.obstacle_sensor import SimObstacleSensor
 from sitl.plant import Truth
 from sitl.pose_sensor import SimPoseSensor
@@ -122,20 +123,28 @@ class SimulatedVehicle(Closing):
         seed: int,
         position: Literal["camera", "pose"],
         paced: bool = False,
+        hil: frozenset[Wire] = frozenset(),
     ) -> None:
-        """``position``: localised by rendered pictures or by pose samples. ConfigError if the scenario has no floor."""
+        """``position``: localised by rendered pictures or by pose samples. ConfigError if the scenario has no floor.
+        ``hil``: which devices have a real driver and an operating system between them and the service."""
         sensors, faults = scenario.sensors, scenario.fault
         self._plant = plant
         self._t_us = 0
         self._truth: Truth | None = None
-        self.output = SimThrusterOutput(vehicle)
+        plain = SimThrusterOutput(vehicle)
+        self.output: SimThrusterOutput | BoardOutput = BoardOutput(vehicle) if "pwm" in hil else plain
         """A :class:`drivers.protocols.ThrusterOutput`."""
-        self._line = CommandLine(scenario.vehicle.command_latency_s, self.output.pwm_us)
+        self._line = CommandLine(scenario.vehicle.command_latency_s, plain.pwm_us)
         emulator = Ig500Emulator(sensors.ahrs, vehicle.ahrs, faults, seed)
-        self._ahrs = Ig500(emulator, vehicle.ahrs.latency_s, attitude=sensors.ahrs.attitude)
+        attitude = sensors.ahrs.attitude
+        self._ahrs: Ig500 | SerialAhrs = (
+            SerialAhrs(emulator, vehicle, attitude=attitude)
+            if "serial" in hil
+            else Ig500(emulator, vehicle.ahrs.latency_s, attitude=attitude)
+        )
         self._power = PowerMonitor()
         self._pose: SimPoseSensor | None = None
-        self._camera: CameraFeed | None = None
+        self._camera: CameraFeed | NetworkCamera | None = None
         self.markers: MarkerMap | None = None
         """The true marker map; None when there are no pictures."""
         self._observers: list[Observer] = [emulator, self._power]
@@ -160,9 +169,10 @@ class SimulatedVehicle(Closing):
             model = true_camera(CameraModel.of_vehicle(vehicle), scenario.camera, sensors.laser)
             shines = sensors.laser.enabled and vehicle.laser is not None
             renderer = SimCamera(model, floor, scenario.camera, seed, laser=shines)
-            self._camera = CameraFeed(renderer, sensors.camera, vehicle.eye, faults, seed)
-            self._camera.paced = paced
-            self._observers.append(self._camera)
+            feed = CameraFeed(renderer, sensors.camera, vehicle.eye, faults, seed)
+            feed.paced = paced
+            self._camera = NetworkCamera(feed, vehicle) if "camera" in hil else feed
+            self._observers.append(feed)
             self.markers = floor.markers
         self._due_us = 0
 
@@ -190,7 +200,7 @@ class SimulatedVehicle(Closing):
     @property
     def ahrs(self) -> Ig500:
         """The driver, for its counters."""
-        return self._ahrs
+        return self._ahrs.driver if isinstance(self._ahrs, SerialAhrs) else self._ahrs
 
     def advance(self, t_us: int) -> None:
         """Move the plant on to ``t_us`` with the last pulses; every sensor looks at its own times on the way."""
@@ -239,6 +249,7 @@ def simulated_vehicle(
     seed: int | None = None,
     position: Literal["camera", "pose"] | None = None,
     paced: bool = False,
+    hil: frozenset[Wire] = frozenset(),
     plant: str | None = None,
     plant_asked_by: str | None = None,
 ) -> SimulatedVehicle:
@@ -258,4 +269,5 @@ def simulated_vehicle(
         seed=seed,
         position=scenario.sensors.position if position is None else position,
         paced=paced,
+        hil=hil,
     )

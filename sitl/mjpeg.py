@@ -23,7 +23,7 @@ class MjpegServer(Closing):
         """``port`` 0: any that is free."""
         self.port = port
         self._listener: socket.socket | None = None
-        self._newest: tuple[int, bytes] = (0, b"")
+        self._newest: tuple[int, CameraFrame | None] = (0, None)
         self._fresh = threading.Condition()
         self._clients = 0
 
@@ -55,12 +55,10 @@ class MjpegServer(Closing):
             self._fresh.notify_all()
 
     def show(self, frame: CameraFrame) -> None:
-        """Send this picture from now on."""
-        good, jpeg = cv2.imencode(".jpg", frame.image_bgr, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-        if good:
-            with self._fresh:
-                self._newest = self._newest[0] + 1, jpeg.tobytes()
-                self._fresh.notify_all()
+        """Send this picture from now on. It is packed by those who send it."""
+        with self._fresh:
+            self._newest = self._newest[0] + 1, frame
+            self._fresh.notify_all()
 
     def _accept(self, listener: socket.socket) -> None:
         with suppress(OSError):  # closed
@@ -88,4 +86,8 @@ class MjpegServer(Closing):
         """Wait for a picture that is newer than number ``shown``: its number and bytes; none after a while."""
         with self._fresh:
             self._fresh.wait_for(lambda: self._newest[0] != shown or self._listener is not listener, 1.0)
-            return self._newest if self._newest[0] != shown else (shown, b"")
+            number, frame = self._newest
+        if number == shown or frame is None:
+            return shown, b""
+        good, jpeg = cv2.imencode(".jpg", frame.image_bgr, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        return number, jpeg.tobytes() if good else b""

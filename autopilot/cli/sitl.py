@@ -8,7 +8,7 @@ from autopilot.cli.output import EXIT_LOSS
 from autopilot.cli.part_name import part_name
 from autopilot.cli.service_run import StopSignals, settle_memory, tell_losses
 from autopilot.core.errors import AutopilotError
-from autopilot.run.config import BASINS, CURRENTS, PROFILES, SENSORS, UNTIL
+from autopilot.run.config import BASINS, CURRENTS, PROFILES, SENSORS, UNTIL, WIRES
 
 if TYPE_CHECKING:
     from autopilot.run.sitl_console import RunWatch
@@ -28,6 +28,12 @@ if TYPE_CHECKING:
 @click.option("--estimator", callback=part_name, help="ekf, complementary (default: the scenario's, else ekf).")
 @click.option("--plant", callback=part_name, help="Default: the scenario's, else rigid-body.")
 @click.option("--sensors", type=click.Choice(SENSORS), help="Rendered camera, or a noisy pose (default: scenario's).")
+@click.option(
+    "--hil",
+    multiple=True,
+    type=click.Choice(WIRES),
+    help="Through real drivers and wires; repeatable: AHRS on a serial line, camera as a network stream, PWM board.",
+)
 @click.option("--markers", type=click.Path(dir_okay=False), help="Marker map that it is told (default: the true one).")
 @click.option(
     "--currents", type=click.Choice(CURRENTS), help="What the controller knows of them (default: scenario's)."

@@ -24,6 +24,8 @@ ESTIMATORS = ("ekf", "complementary")
 PLANTS = ("rigid-body",)
 SENSORS = ("camera", "pose")
 UNTIL = ("complete",)
+WIRES = ("serial", "camera", "pwm")
+"""As :data:`sitl.hil.WIRES`."""
 CURRENTS = ("estimate", "map", "none", "uniform")
 BASINS = ("closed", "open", "unknown")
 SHIPPED_PARTS = {"controller": CONTROLLERS, "estimator": ESTIMATORS, "plant": PLANTS}
@@ -80,6 +82,7 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
         "estimator": None,
         "plant": None,
         "sensors": None,
+        "hil": (),
         "markers": None,
         "currents": None,
         "basin": None,
@@ -111,6 +114,7 @@ _FROM_TEXT: dict[str, Any] = {
     "duration": float,
     "log_quota_mb": float,
     "connect": lambda text: tuple(text.split(",")),
+    "hil": lambda text: tuple(text.split(",")),
     "start": lambda text: text.lower() in ("1", "true", "yes"),
     "keep_plans": lambda text: text.lower() in ("1", "true", "yes"),
 }
@@ -139,6 +143,7 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "sensors": (lambda value: value in SENSORS, " or ".join(SENSORS)),
     "currents": (lambda value: value in CURRENTS, ", ".join(CURRENTS)),
     "basin": (lambda value: value in BASINS, ", ".join(BASINS)),
+    "hil": (lambda value: set(value) <= set(WIRES), ", ".join(WIRES)),
     "until": (lambda value: value in UNTIL, " or ".join(UNTIL)),
     "profile": (lambda value: value in PROFILES, ", ".join(PROFILES)),
 }

@@ -28,6 +28,7 @@ from autopilot.run.sitl_parts import part_origins
 from sitl.backend import SimulatedVehicle, simulated_vehicle
 from sitl.currents import current_field
 from sitl.floor import told_markers
+from sitl.hil import Wire, wires
 from sitl.scenario import GridCurrent, Scenario
 
 
@@ -59,7 +60,14 @@ def make_world(settings: Settings, scenario: Scenario, params: ParamSet) -> Worl
     speed = float(settings["speed"])
     plant, plant_by = chosen_part(settings, "plant", scenario.plugins.plant)
     simulated = simulated_vehicle(
-        scenario, vehicle, seed=seed, position=position, paced=speed > 0.0, plant=plant, plant_asked_by=plant_by
+        scenario,
+        vehicle,
+        seed=seed,
+        position=position,
+        paced=speed > 0.0,
+        hil=_wires(settings),
+        plant=plant,
+        plant_asked_by=plant_by,
     )
     origin = Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"])
     return World(
@@ -73,6 +81,13 @@ def make_world(settings: Settings, scenario: Scenario, params: ParamSet) -> Worl
         markers=_told_markers(settings, scenario, simulated.markers),
         parts=part_origins(settings, scenario),
     )
+
+
+def _wires(settings: Settings) -> frozenset[Wire]:
+    """What is wired as on a real vehicle. ConfigError when no clock runs."""
+    if settings["hil"] and float(settings["speed"]) == 0.0:
+        raise ConfigError("--hil needs a clock that runs, --speed 0 has none; use --speed 1")
+    return wires(settings["hil"])
 
 
 def _told_markers(settings: Settings, scenario: Scenario, true: MarkerMap | None) -> MarkerMap | None:

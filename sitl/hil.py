@@ -1,0 +1,109 @@
+"""The wires of a real vehicle round the simulated one: hardware drivers with emulated devices at their far ends.
+
+What is set between plant and service here is what a vehicle has: a serial line, a network camera, an I2C board. Bytes
+take the operating system's own time, so that a clock has to run.
+"""
+
+from collections.abc import Sequence
+from typing import Literal
+
+from autopilot.core.samples import AhrsSample, CameraFrame, ImuSample
+from autopilot.core.vehicle import Vehicle
+from drivers.base import Closing
+from drivers.ig500 import Ig500
+from drivers.ig500_device import Ig500Device, Ig500Options
+from drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
+from drivers.pca9685 import Pca9685, Pca9685Options
+from drivers.retry import SteadySensor
+from sitl.ahrs import Ig500Emulator
+from sitl.camera_feed import CameraFeed
+from sitl.i2c_bus import EmulatedI2c, Pca9685Chip
+from sitl.mjpeg import MjpegServer
+from sitl.pty_line import PtyLine
+
+Wire = Literal["serial", "camera", "pwm"]
+"""AHRS on a pseudo-terminal, pictures as a network stream, pulses through a PCA9685 on an emulated bus."""
+WIRES: tuple[Wire, ...] = ("serial", "camera", "pwm")
+
+OSCILLATOR_HZ = 25.6e6
+"""Of the board's own clock, which nobody asks: Navigator's is fed from outside."""
+
+
+class SerialAhrs(Closing):
+    """The AHRS with its emulator at the end of a pseudo-terminal."""
+
+    def __init__(self, emulator: Ig500Emulator, vehicle: Vehicle, *, attitude: bool) -> None:
+        self.line = PtyLine(emulator, "ttyAHRS")
+        """The cable: may be pulled."""
+        self._device = Ig500Device(vehicle, Ig500Options(port=str(self.line.path), attitude=attitude))
+        self._steady = SteadySensor(self._device, "AHRS")
+
+    @property
+    def driver(self) -> Ig500:
+        """The driver, for its counters."""
+        return self._device.driver
+
+    def open(self) -> None:
+        """Plug the device in."""
+        self.line.open()
+
+    def close(self) -> None:
+        """Close the driver, then pull the cable."""
+        self._steady.close()
+        self.line.close()
+
+    def poll(self, t_us: int) -> list[AhrsSample | ImuSample]:
+        """What has come through the line."""
+        self.line.pump(t_us)
+        return self._steady.poll(t_us)
+
+
+class NetworkCamera(Closing):
+    """Rendered pictures as they come over a network."""
+
+    def __init__(self, feed: CameraFeed, vehicle: Vehicle) -> None:
+        self._feed, self._vehicle = feed, vehicle
+        self.server = MjpegServer()
+        """The camera's end: may be closed and opened again."""
+        self._steady: SteadySensor | None = None
+
+    def open(self) -> None:
+        """Start rendering and the stream."""
+        self._feed.open()
+        self.server.open()
+        camera = OpenCvCamera(self._vehicle, OpenCvCameraOptions(source=self.server.url))
+        self._steady = SteadySensor(camera, "Camera")
+
+    def close(self) -> None:
+        """Stop both."""
+        self.server.close()
+        if self._steady is not None:
+            self._steady.close()
+        self._feed.close()
+
+    def poll(self, t_us: int) -> list[CameraFrame]:
+        """The picture that has come through the network."""
+        for frame in self._feed.poll(t_us):
+            self.server.show(frame)
+        return [] if self._steady is None else self._steady.poll(t_us)
+
+
+class BoardOutput(Pca9685):
+    """Thruster output through the real driver and an emulated board: what the amplifiers see is read off its pins."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.bus = EmulatedI2c()
+        self.chip = Pca9685Chip(OSCILLATOR_HZ, external_hz=Pca9685Options().clock_hz)
+        self.bus.chips[Pca9685Options().address] = self.chip
+        super().__init__(vehicle, Pca9685Options(), bus=self.bus)
+        self._count = max(thruster.channel for thruster in vehicle.thrusters)
+
+    @property
+    def pwm_us(self) -> tuple[int, ...]:
+        """Pulses at the pins, to the microsecond."""
+        return tuple(round(pulse) for pulse in self.chip.pulses_us[: self._count])
+
+
+def wires(names: Sequence[str]) -> frozenset[Wire]:
+    """The wires of these names; others are left out (the command line knows no others)."""
+    return frozenset(wire for wire in WIRES if wire in names)
