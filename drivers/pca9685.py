@@ -67,7 +67,7 @@ class Pca9685(SafeThrusterOutput):
         self._mode = INCREMENT | (EXTERNAL if options.external_clock else 0)
         self._prescale = min(255, max(3, round(options.clock_hz / (COUNTS * options.rate_hz)) - 1))
         self._count_us = (self._prescale + 1) / options.clock_hz * 1e6
-        longest_us = max(self._high_us) + max(options.trim_us.values(), default=0.0)
+        longest_us = self._longest_us + max(options.trim_us.values(), default=0.0)
         if longest_us >= (COUNTS - 1) * self._count_us:
             raise ConfigError(
                 f"`rate_hz` = {options.rate_hz:g}: a pulse of {longest_us:g} us does not fit; use a lower one"

@@ -37,9 +37,9 @@ class SysfsPwm(SafeThrusterOutput):
         super().__init__(vehicle)
         self._chip = Path(options.chip)
         self._period_ns = round(1e9 / options.rate_hz)
-        if 1000 * max(self._high_us) >= self._period_ns:
+        if 1000 * self._longest_us >= self._period_ns:
             raise ConfigError(
-                f"`rate_hz` = {options.rate_hz:g}: a pulse of {max(self._high_us)} us does not fit; use a lower one"
+                f"`rate_hz` = {options.rate_hz:g}: a pulse of {self._longest_us} us does not fit; use a lower one"
             )
         names = [thruster.name for thruster in vehicle.thrusters]
         unknown = sorted(set(options.outputs) - set(names))

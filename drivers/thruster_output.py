@@ -27,6 +27,8 @@ class SafeThrusterOutput(Closing):
         )
         drives = [thruster.drive for thruster in thrusters]
         self._ends_us = tuple((drive.neutral_us - drive.span_us, drive.neutral_us + drive.span_us) for drive in drives)
+        self._longest_us = max(high for _, high in self._ends_us)
+        """The longest pulse that may be commanded."""
         self._neutral_us = self._by_channel([drive.neutral_us for drive in drives])
         self._timeout_us = round(min(drive.command_timeout_s for drive in drives) * 1e6)
         self._last_us: int | None = None
