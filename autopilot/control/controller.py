@@ -386,11 +386,12 @@ class MotionController:
 
     def _slewed(self, thrust_n: FloatArray, limit_n: FloatArray, elapsed_s: float) -> FloatArray:
         """Thrust (n,) within the limits (n,) and no farther from the last step's command than it may change."""
+        thrust, limits = thrust_n.tolist(), limit_n.tolist()
         if self._stepped is not None:
-            most = SLEW_SHARE_1_S * self._most_n * max(elapsed_s, 0.0)
-            thrust_n = np.minimum(np.maximum(thrust_n, self._stepped - most), self._stepped + most)
-        result: FloatArray = np.minimum(np.maximum(thrust_n, -limit_n), limit_n)
-        return result
+            share = SLEW_SHARE_1_S * max(elapsed_s, 0.0)
+            stepped, most = self._stepped.tolist(), [share * each for each in self._most_n.tolist()]
+            thrust = [min(max(t, s - m), s + m) for t, s, m in zip(thrust, stepped, most, strict=True)]
+        return np.array([min(max(t, -limit), limit) for t, limit in zip(thrust, limits, strict=True)])
 
     def _neutral(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
         """Without an estimate there is nothing to control: no thrust, and the plan is void."""

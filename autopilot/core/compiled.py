@@ -71,7 +71,10 @@ def _load(path: Path) -> Any:
         library.rows_at.argtypes = [whole, whole, address, address, whole, address, address]
         library.nearest_at.restype, number = ctypes.c_double, ctypes.c_double
         library.nearest_at.argtypes = [whole, whole, *[address] * 3, number, number, whole, number, address]
-        library.flow_at.restype = None
+        library.nearest_on_route.restype = number
+        library.nearest_on_route.argtypes = [whole, *[address] * 3, *[number] * 4, ctypes.POINTER(number)]
+        library.flow_at.restype = library.fill_currents.restype = None
+        library.fill_currents.argtypes = [address]
         library.flow_at.argtypes = [whole, address, whole, whole, address, address, number, address, address]
         library.march.restype = library.steady_thrust.restype = whole
         library.march.argtypes, library.steady_thrust.argtypes = [address] * 2, [address, whole, address, address]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from control_loop import nav_state
 from vehicles import drawn
 
 from autopilot.control.energy.track import Track
@@ -10,7 +11,8 @@ from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.nmpc.lag import ThrusterLag
 from autopilot.control.robust.ancillary import Ancillary
 from autopilot.control.robust.inner import InnerLoop
-from autopilot.control.water.current_learning import Fit
+from autopilot.control.water.current_learning import Fit, LearnedCurrent
+from autopilot.control.way.reference import Route
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.response import Response
@@ -84,6 +86,26 @@ def test_the_learned_flow(cells: int, monkeypatch: pytest.MonkeyPatch) -> None:
         mean_m_s=rng.normal(size=2),
     )
     places = rng.normal(size=(21, 3))[:, :2]
-    ours = fit.flow(places)
+    ours, quick, plain = fit.flow(places), LearnedCurrent(), LearnedCurrent()
+    nav, t_s = nav_state(0, rng.normal(size=8), rng.normal(size=3)), np.linspace(0.0, 40.0, 21)
+    along, filled, meant = rng.normal(size=(21, 8))[:, :3], np.zeros((21, 3)), np.zeros((21, 3))
+    for forecast in (quick, plain):
+        forecast._fit, forecast._trust.share = fit, 0.7
+    quick.fill(nav, along, t_s, filled)
     monkeypatch.setenv(compiled.SWITCH, compiled.OFF)
+    plain._quick = None
+    plain.fill(nav, along, t_s, meant)
     assert np.allclose(ours, fit.flow(places), rtol=1e-11, atol=1e-11)
+    assert np.allclose(filled, meant, rtol=1e-11, atol=1e-11)
+
+
+@needs_library
+def test_the_nearest_place_of_a_route(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, found = np.random.default_rng(9), []
+    routes = [np.cumsum(rng.normal(size=(rng.integers(1, 9), 2)) * rng.uniform(0.0, 1.0), axis=0) for _ in range(80)]
+    asked = [(rng.normal(size=2), rng.uniform(-0.2, 1.2), rng.uniform(0.1, 2.0)) for _ in range(80)]
+    for switch in ("", compiled.OFF):
+        monkeypatch.setenv(compiled.SWITCH, switch)
+        made = [Route(corners) for corners in routes]
+        found.append([r.project(p, share * r.length_m, w) for r, (p, share, w) in zip(made, asked, strict=True)])
+    assert np.allclose(*found, rtol=1e-11, atol=1e-11)

@@ -33,6 +33,9 @@ SETTLE_S = 1.5
 """Time constant with which the reference goes on to the goal's centre after the end of the trajectory."""
 
 
+_NONE = np.zeros(0, dtype=np.intp)
+
+
 class Track:
     """One trajectory towards one goal, followed by its clock."""
 
@@ -112,7 +115,7 @@ class Track:
         end_s = float(self.trajectory.t_s[-1])
         both = self._at(at)
         x, impulse = both[:, :NX].copy(), both[:, NX:]
-        late = np.flatnonzero(at > end_s)
+        late = np.flatnonzero(at > end_s) if at[-1] > end_s else _NONE
         onward = then is not None and self.missing < 1.0
         if len(late) and self.complete and not (onward and self.missing == 0.0):
             self._settle(x, at, late, current_ned_m_s)
@@ -122,7 +125,7 @@ class Track:
             coming[:, YAW] += _turn_rad(self.trajectory, then.trajectory)
             x[late] = coming if self.missing == 0.0 else coming + self.missing * (x[late] - coming)
             impulse[late] += follows[:, NX:]
-        return x, np.diff(impulse, axis=0) / np.diff(t_s)[:, None]
+        return x, (impulse[1:] - impulse[:-1]) / (t_s[1:] - t_s[:-1])[:, None]
 
     @property
     def missing(self) -> float:

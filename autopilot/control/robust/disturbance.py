@@ -67,12 +67,10 @@ class EstimateSpread:
         )
 
 
-def channel_variances(bound: DisturbanceBound, spread: EstimateSpread) -> FloatArray:
+def channel_variances(bound: DisturbanceBound, spread: EstimateSpread) -> tuple[float, ...]:
     """(3,) variances of force [N^2], moment [N^2 m^2] and current error [m^2/s^2]."""
-    return np.array(
-        [
-            (bound.force_n / BOUND_SIGMAS) ** 2,
-            (bound.moment_n_m / BOUND_SIGMAS) ** 2,
-            (bound.current_m_s / BOUND_SIGMAS) ** 2 + spread.current_m2_s2,
-        ]
+    return (
+        (bound.force_n / BOUND_SIGMAS) ** 2,
+        (bound.moment_n_m / BOUND_SIGMAS) ** 2,
+        (bound.current_m_s / BOUND_SIGMAS) ** 2 + spread.current_m2_s2,
     )

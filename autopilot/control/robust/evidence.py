@@ -9,8 +9,6 @@ half of the tube and MPC_SPEED_MARGIN are kept in any case.
 
 import math
 
-import numpy as np
-
 from autopilot.core.messages import NavHealth, NavState
 
 NEAR_SHARE = 0.8
@@ -78,6 +76,6 @@ class SpeedEvidence:
     def _move(self, current_share: float, per_m_s2: float) -> None:
         """Towards what is needed, as far as the current asks for it."""
         needed = min(1.0, max(LEAST_SHARE, math.sqrt(self._needed)))
-        asked = float(np.clip((current_share - STRONG_SHARE) / (STRONGEST_SHARE - STRONG_SHARE), 0.0, 1.0))
+        asked = min(max((current_share - STRONG_SHARE) / (STRONGEST_SHARE - STRONG_SHARE), 0.0), 1.0)
         step = 1.0 - asked * (1.0 - needed) - self.share
         self.share += min(max(step, -SHRINK_M_S2 * per_m_s2), GROW_M_S2 * per_m_s2)

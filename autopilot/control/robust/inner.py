@@ -37,7 +37,8 @@ class InnerLoop:
     def start(self, t_us: int, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> None:
         """Follow the plan x (N+1, 8), thrust (N, n) that begins now and believes in this current (3,)."""
         self._x[:], self._u[:], self._current[:] = x, thrust_n, current_ned_m_s
-        self._k = self._ancillary.gain(float(x[0, U]))
+        if self._quick is None:
+            self._k = self._ancillary.gain(float(x[0, U]))
         self._begin_us, self.active = t_us, True
 
     def stop(self) -> None:

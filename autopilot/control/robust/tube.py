@@ -150,16 +150,17 @@ class TubeMargins:
         )
         self._told: tuple[ParamSet, int] | None = None
         self._bound = DisturbanceBound(force_n=0.0, moment_n_m=0.0, current_m_s=0.0)
+        self._mix = (0.0,) * GROUPS
         at_rest = [self.table.along(np.zeros(nodes), unit)[-2, 5:8] for unit in np.eye(GROUPS)]
         self._rest = np.stack(at_rest, axis=1).tolist()
 
     def rest_speed_m_s(self, nav: NavState, params: ParamSet) -> float:
         """Back-off of the planar speed at the last node but one of a vehicle that stays at rest."""
         self._look(nav, params)
-        mix = channel_variances(self._bound, self._spread).tolist()
-        rows = [sum(a * b for a, b in zip(row, mix, strict=True)) for row in self._rest]
-        half = 0.5 * (rows[0] - rows[2])
-        size = 0.5 * (rows[0] + rows[2]) + math.sqrt(half * half + rows[1] * rows[1])
+        a, b, c = self._mix
+        xx, xy, yy = (row[0] * a + row[1] * b + row[2] * c for row in self._rest)
+        half = 0.5 * (xx - yy)
+        size = 0.5 * (xx + yy) + math.sqrt(half * half + xy * xy)
         wanted = BAND_SIGMAS * math.sqrt(size + SPEED_SHARE**2 * self._spread.planar_m2_s2)
         return max(min(wanted, LARGEST_SHARE * params["SPD_PLANAR_MAX"]), params["MPC_SPEED_MARGIN"])
 
@@ -172,7 +173,7 @@ class TubeMargins:
         if self._quick is not None and x.flags.c_contiguous and x.dtype == np.float64:
             return self._quickly(x, params, speed_share)
         spread = self._spread
-        rows = self.table.along(x[:, U], channel_variances(self._bound, spread))
+        rows = self.table.along(x[:, U], np.array(self._mix))
         inner, fixed = rows[1:-1], self._fixed.back_offs(nav, x, thrust_n, params)
         band = max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
         planar = _between(
@@ -203,12 +204,15 @@ class TubeMargins:
 
     def _look(self, nav: NavState, params: ParamSet) -> None:
         """Take note of the spread of this estimate, and of parameters that have changed."""
-        if nav is not self._nav:
-            self._nav, self._spread = nav, EstimateSpread.of(nav)
         told = params, params.revision
-        if told == self._told:
+        same = told == self._told
+        if nav is self._nav and same:
             return
-        self._told, self._bound = told, DisturbanceBound.of(params)
+        self._nav, self._spread = nav, EstimateSpread.of(nav)
+        self._told, self._bound = told, self._bound if same else DisturbanceBound.of(params)
+        self._mix = channel_variances(self._bound, self._spread)
+        if same:
+            return
         fixed = self._fixed.values(params)
         band = max(params["DEPTH_MAX"] - params["DEPTH_MIN"], 0.0)
         self._given[8:18] = (
@@ -221,8 +225,8 @@ class TubeMargins:
     def _quickly(self, x: FloatArray, params: ParamSet, speed_share: float) -> BackOffs:
         """The same by the compiled library (``data/native/surroundings.c``)."""
         given, spread, share = self._given, self._spread, SPEED_SHARE**2
-        given[:3] = channel_variances(self._bound, spread)
-        given[3:7] = (spread.position_m2, spread.depth_m2, share * spread.planar_m2_s2, share * spread.heave_m2_s2)
+        added = (spread.position_m2, spread.depth_m2, share * spread.planar_m2_s2, share * spread.heave_m2_s2)
+        given[:7] = (*self._mix, *added)
         given[26] = speed_share
         if x is not self._plan:
             self._plan, self._plan_address = x, x.ctypes.data

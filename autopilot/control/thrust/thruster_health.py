@@ -192,7 +192,8 @@ class ThrusterHealth:
         """Accept what is beyond doubt; True when the declared effectiveness has changed."""
         tuning, bank = self._tuning, self._bank
         evidence, changed_to = bank.evidence, bank.changed_to
-        others = np.array([max(np.delete(evidence, i)) for i in range(self._n)])
+        *_, second, first = sorted(evidence.tolist())
+        others = np.where(evidence == first, second, first)
         certain = (evidence > self._needed()) & (evidence > others + tuning.ahead)
         certain &= np.array(bank.lossy) | (changed_to < tuning.lost_below)
         self._certain_s = np.where(certain, self._certain_s + dt_s, 0.0)

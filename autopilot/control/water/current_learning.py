@@ -10,6 +10,7 @@ What the flow foretells is compared all the time with what is then estimated. Wh
 everywhere" it is not used (:mod:`autopilot.control.water.current_trust`).
 """
 
+import ctypes
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from autopilot.control.water.current_trust import Trust
-from autopilot.control.water.currents import Revision, correction_share
+from autopilot.control.water.currents import FADE_S, FULL_WITHIN_M, LASTING_S, Revision, correction_share
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
@@ -137,6 +138,8 @@ class LearnedCurrent:
         self._fenced = False
         self._last_us: int | None = None
         self._revision = Revision()
+        library = compiled.library()
+        self._quick = None if library is None else _Quick(library)
         self._forget()
 
     @property
@@ -187,6 +190,9 @@ class LearnedCurrent:
 
     def fill(self, nav: NavState, pos_ned_m: FloatArray, t_s: FloatArray, out: FloatArray) -> None:
         """Learned flow as far as it is trusted, corrected by what the estimate says it lacks here and now."""
+        if self._quick is not None:
+            self._quick.fill(nav, pos_ned_m, t_s, out, self._fit, self._length_m, self.trust)
+            return
         estimate = nav.current_ned_m_s
         flow = self._fit.flow(np.vstack([pos_ned_m[:, :2], nav.pos_ned_m[:2]]))
         share = correction_share(nav, pos_ned_m, t_s, self._length_m)[:, None]
@@ -243,6 +249,53 @@ class LearnedCurrent:
         mean = np.einsum("ij,j,ijk->k", belief, np.square(_MEANS_M_S), alpha).reshape(2, -1).sum(axis=1)
         pull = np.ascontiguousarray(pull)
         self._fit = Fit(length_m=self._length_m, places_ned_m=places, pull=pull, mean_m_s=mean)
+
+
+class _Forecast(ctypes.Structure):
+    """The struct of water.c."""
+
+    _fields_ = (
+        *((name, ctypes.c_long) for name in ("m", "stride", "cells")),
+        *((name, ctypes.c_double) for name in ("length_m", "trust", "scale_m")),
+        *((name, ctypes.c_double) for name in ("full_within_m", "lasting_s", "fade_s")),
+        *((name, ctypes.c_void_p) for name in ("places", "t_s", "here", "estimate", "cell", "pull", "mean", "out")),
+    )
+
+
+class _Quick:
+    """:meth:`LearnedCurrent.fill` by the compiled library (``data/native/water.c``)."""
+
+    def __init__(self, library: Any) -> None:
+        self._here, self._estimate = np.zeros(3), np.zeros(3)
+        self._told = _Forecast(
+            full_within_m=FULL_WITHIN_M,
+            lasting_s=LASTING_S,
+            fade_s=FADE_S,
+            here=self._here.ctypes.data,
+            estimate=self._estimate.ctypes.data,
+        )
+        self._reference, self._call = ctypes.byref(self._told), library.fill_currents
+
+    def fill(
+        self,
+        nav: NavState,
+        pos_ned_m: FloatArray,
+        t_s: FloatArray,
+        out: FloatArray,
+        fit: Fit,
+        scale_m: float,
+        trust: float,
+    ) -> None:
+        """See :meth:`LearnedCurrent.fill`."""
+        told, m = self._told, len(pos_ned_m)
+        places, times, made = np.array(pos_ned_m, dtype=float, order="C"), np.array(t_s, dtype=float), np.empty((m, 3))
+        self._here[:], self._estimate[:] = nav.pos_ned_m, nav.current_ned_m_s
+        told.m, told.stride, told.cells = m, 3, len(fit.places_ned_m)
+        told.length_m, told.trust, told.scale_m = fit.length_m, trust, scale_m
+        told.places, told.t_s, told.out = (compiled.address(array) for array in (places, times, made))
+        told.cell, told.pull, told.mean = fit.addresses
+        self._call(self._reference)
+        out[:] = made
 
 
 def _weights(

@@ -1,5 +1,6 @@
 """What the prediction is compared with: the goal as it is approached along the route, stage by stage."""
 
+import ctypes
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, unwrap_near, wrap_pi
 from autopilot.core.model4 import NX, YAW, R, U, V, W, X, Y, Z
 
@@ -62,6 +64,8 @@ class Route:
         """(m, 2)"""
         legs = (z[:-1].tolist(), self._tangent.tolist(), self._s[:-1].tolist(), length.tolist())
         self._legs: list[tuple[complex, complex, float, float]] = list(zip(*legs, strict=True))
+        self._library, self._distance = compiled.library(), ctypes.c_double()
+        self._table = (len(length), *(compiled.address(array) for array in self.arrays()))
 
     def arrays(self) -> tuple[ComplexArray, ComplexArray, FloatArray]:
         """Corners (m + 1,), unit tangents (m,) of the legs, arc lengths (m + 1,) of the corners, contiguous."""
@@ -69,6 +73,10 @@ class Route:
 
     def project(self, point: FloatArray, s_hint: float, window_m: float = 0.5) -> tuple[float, float]:
         """Arc length of the nearest point within a window round ``s_hint``, and the distance to it."""
+        if self._library is not None:
+            told = point.item(0), point.item(1), s_hint, window_m, self._distance
+            found_s: float = self._library.nearest_on_route(*self._table, *told)
+            return found_s, self._distance.value
         p = complex(point[0], point[1])
         best_s, best = 0.0, math.inf
         first = max(0, int(self._s.searchsorted(s_hint - window_m)) - 1)

@@ -71,6 +71,26 @@ static double ground_speed(const March *a, Place tangent) {
     return fmax(a->slowest_m_s, fmin(a->cruise_m_s, room > 0.0 ? reachable : 0.0));
 }
 
+/* Arc length of the nearest point of a route within a window round a hint, and the distance to it (see Route.project). */
+EXPORT double nearest_on_route(long legs, const Place *corner, const Place *tangent, const double *s, double x, double y,
+                               double hint, double window, double *distance) {
+    double best_s = 0.0, best = INFINITY;
+    for (long i = 0; i < legs; i++) {
+        const double low = fmax(0.0, hint - window - s[i]), high = fmin(s[i + 1] - s[i], hint + window - s[i]);
+        if (i + 1 < legs && s[i + 1] < hint - window) continue;
+        if (low > high) break;
+        const double dx = x - corner[i].x, dy = y - corner[i].y;
+        const double along = fmin(fmax(dx * tangent[i].x + dy * tangent[i].y, low), high);
+        const double off = hypot(dx - along * tangent[i].x, dy - along * tangent[i].y);
+        if (off < best) {
+            best = off;
+            best_s = s[i] + along;
+        }
+    }
+    *distance = best;
+    return best_s;
+}
+
 static long leg_at(const March *a, double s) {
     long leg = 0;
     while (leg < a->legs - 1 && s >= a->s[leg + 1]) leg++;
