@@ -81,4 +81,5 @@ class Motion:
 
 def _length_m(way: FloatArray) -> float | None:
     """Of a polyline (m, 2), None when there is none."""
-    return float(np.hypot(*np.diff(way, axis=0).T).sum()) if len(way) > 1 else None
+    step = way[1:] - way[:-1]
+    return float(np.hypot(step[:, 0], step[:, 1]).sum()) if len(step) else None

@@ -137,3 +137,20 @@ class PlanRoom:
         n, path = self._plane_n, self._path
         room = n[..., 0] * path[:, :1] + n[..., 1] * path[:, 1:] - self._plane_d_m
         return float(room.min(initial=math.inf))
+
+
+class Gaps:
+    """Largest differences between tables of states."""
+
+    def __init__(self) -> None:
+        library = compiled.library()
+        self._call = None if library is None else library.largest_gap
+
+    def largest(self, a: FloatArray, b: FloatArray | None, first: int, width: int) -> float:
+        """Of ``width`` columns from ``first`` on of contiguous tables (m, 8); None = from zero. NaN if there is one."""
+        if self._call is not None:
+            other = None if b is None else compiled.address(b)
+            gap: float = self._call(*a.shape, first, width, compiled.address(a), other)
+            return gap
+        columns = slice(first, first + width)
+        return float(np.abs(a[:, columns] if b is None else a[:, columns] - b[:, columns]).max())

@@ -43,7 +43,7 @@ from autopilot.core.messages import (
     Severity,
     SolveStatus,
 )
-from autopilot.core.model4 import YAW, U
+from autopilot.core.model4 import YAW, U, X
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 from autopilot.core.samples import ObstacleTrack
@@ -157,7 +157,7 @@ class MotionController:
         self._planned: FloatArray | None = None
         self._command = np.zeros(self._model.thrusters)
         self._stepped: FloatArray | None = None
-        self._reference_ned_m: FloatArray | None = None
+        self._reference: FloatArray | None = None
         self._limit_n = np.zeros(self._model.thrusters)
         self._penalty.reset()
         self._fallbacks.reset()
@@ -343,9 +343,9 @@ class MotionController:
 
     def _warm_start(self, now: Situation, reference: Reference, elapsed_s: float) -> bool:
         """The plan to begin with: the last one moved on, or (True) the reference."""
-        meant, self._reference_ned_m = self._reference_ned_m, reference.x[:, :2]
+        meant, self._reference = self._reference, reference.x
         # Around a plan that goes another way round an obstacle than the reference no step finds the way back.
-        jumped = meant is not None and float(np.abs(reference.x[:, :2] - meant).max()) > JUMP_M
+        jumped = meant is not None and self._program.gaps.largest(reference.x, meant, X, 2) > JUMP_M
         if reference.fresh or jumped or self._plan_age_s is None or not 0.0 <= elapsed_s <= LONGEST_SHIFT_S:
             self._plan_age_s = self._planned = None
             self._program.begin(now, reference)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autopilot.control.bounds import SLOWEST_CAP_M_S, PlanRoom, ProgramBounds, left_n
+from autopilot.control.bounds import SLOWEST_CAP_M_S, Gaps, PlanRoom, ProgramBounds, left_n
 from autopilot.control.fence.obstacles import Movers
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import TimeGrid
@@ -26,7 +26,7 @@ from autopilot.control.way.planner import Planner
 from autopilot.core.desk import Desk
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import SolveStatus, UnsolvedProgram
-from autopilot.core.model4 import YAW, U
+from autopilot.core.model4 import AXES, YAW, U
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 
@@ -102,7 +102,7 @@ class StepProgram:
         self._path = self.nmpc.x[: grid.n, :2]
         self._t_s = grid.t_s[: grid.n]
         self._room = PlanRoom(self._path[1:], self._plane_n, self._plane_d)
-        self._weights = Weights(model.thrusters)
+        self._weights, self.gaps = Weights(model.thrusters), Gaps()
         self._currents = np.zeros((grid.n, 3))
         self._unsolved: list[tuple[SolveStatus, NmpcProblem, FloatArray, FloatArray]] = []
         self._speed_back_off_m_s = 0.0
@@ -161,7 +161,7 @@ class StepProgram:
         found = self._iterate(start, begun, now.planner, movers)
         # Around a guess that has run away no step is any good: once more from the reference, then from standing still.
         for again in (self.begin,) * (not start) + (self._stand,):
-            if found.result.status is SolveStatus.OK and _plausible(nmpc.x):
+            if found.result.status is SolveStatus.OK and self._plausible():
                 break
             again(now, reference)
             found = self._iterate(True, problem(*free), now.planner, movers, found.qps)
@@ -259,7 +259,6 @@ class StepProgram:
         cost = regions.cost_at(end, goal) if free else None
         return reference.terminal if cost is None else cost
 
-
-def _plausible(x: FloatArray) -> bool:
-    """Whether a plan (N+1, 8) moves as a vehicle can: a step of the iteration may run away with an unstable plant."""
-    return float(np.abs(x[:, U:]).max()) < PLAUSIBLE
+    def _plausible(self) -> bool:
+        """Whether the plan moves as a vehicle can: a step of the iteration may run away with an unstable plant."""
+        return self.gaps.largest(self.nmpc.x, None, U, AXES) < PLAUSIBLE

@@ -65,6 +65,7 @@ def _load(path: Path) -> Any:
         library.workspace_bytes.argtypes = [whole, whole]
         library.control_step.restype = library.tube_back_offs.restype = None
         library.program_bounds.restype, library.least_room.restype = None, ctypes.c_double
+        library.largest_gap.restype, library.largest_gap.argtypes = ctypes.c_double, [*[whole] * 4, address, address]
         library.least_room.argtypes = [whole, whole, address, whole, address, address]
         library.state_ahead.restype = library.inner_thrust.restype = library.rows_at.restype = None
         library.inner_thrust.argtypes = [address, ctypes.c_double]

@@ -1,17 +1,25 @@
 """Limits and bounds of a program by the compiled library against those of the code that says what they mean."""
 
+import sys
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from autopilot.control.bounds import PlanRoom, ProgramBounds
+from autopilot.bench.nmpc import START
+from autopilot.bench.nmpc_flight import fly
+from autopilot.control.bounds import Gaps, PlanRoom, ProgramBounds
+from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.grid import uniform_grid
 from autopilot.control.robust.tightening import BackOffs
 from autopilot.core import compiled
+from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
+from autopilot.core.messages import ControlOutput
 from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import load_vehicle
 
 needs_library = pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
 MADE = ("limits", "thrust_n", "keep_m", "tube_m", "held_ref_n", "held_weight")
@@ -54,3 +62,56 @@ def test_room_of_a_plan_is_that_of_its_worst_half_plane() -> None:
     for _ in range(50):
         x[:], normals[:], offsets[:] = (rng.normal(size=each.shape) for each in (x, normals, offsets))
         assert room.least_m() == pytest.approx(plain.least_m(), rel=1e-12, abs=1e-12)
+
+
+@needs_library
+def test_gaps_between_tables() -> None:
+    rng, gaps, plain = np.random.default_rng(2), Gaps(), Gaps()
+    plain._call = None
+    for _ in range(20):
+        a, b = rng.normal(size=(9, 8)), rng.normal(size=(9, 8))
+        for other, first, width in ((b, 0, 2), (None, 4, 4)):
+            assert gaps.largest(a, other, first, width) == plain.largest(a, other, first, width)
+    a[3, 5] = np.nan
+    assert not gaps.largest(a, None, 4, 4) < 4.0
+
+
+def _flown(steps: int, watch: Callable[[], None] = lambda: None) -> FloatArray:
+    """(steps, 4) thrust of a controller on the model, from rest towards the first goal."""
+    vehicle, thrust = load_vehicle("lbv150"), []
+
+    def each(step: int, output: ControlOutput) -> None:
+        thrust.append(output.thrust_n)
+        watch()
+
+    fly(MotionController(vehicle), vehicle, START, steps, watch=each)
+    return np.array(thrust)
+
+
+@needs_library
+def test_a_steady_step_is_a_few_hundred_calls() -> None:
+    # Of functions of Python and of C, the model under it included: 700 with reference, limits and margins by numpy.
+    counts, calls = [], [0]
+
+    def count(frame: object, event: str, argument: object) -> None:
+        calls[0] += event in ("call", "c_call")
+
+    def each() -> None:
+        counts.append(calls[0])
+        calls[0] = 0
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        _flown(60, each)
+    finally:
+        sys.setprofile(before)
+    assert np.median(counts[20:]) < 500
+
+
+@needs_library
+def test_the_whole_step_with_and_without_what_surrounds_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours = _flown(60)
+    # Only the solver loads the library: all else asks whether there is one, and goes without.
+    monkeypatch.setattr(compiled, "library", lambda: None)
+    assert np.allclose(ours, _flown(60), atol=1e-6)

@@ -4,6 +4,7 @@
  * tests/control/test_compiled_program.py holds them against each other.
  */
 #include <math.h>
+#include <stddef.h>
 
 #if defined(_WIN32)
 #define EXPORT __declspec(dllexport)
@@ -56,4 +57,16 @@ EXPORT double least_room(long m, long slots, const double *points, long stride, 
         for (long i = k * slots; i < (k + 1) * slots; i++)
             least = fmin(least, normals[2 * i] * points[stride * k] + normals[2 * i + 1] * points[stride * k + 1] - offsets[i]);
     return least;
+}
+
+/* Largest difference of `width` columns of two tables (m, columns); b may be NULL: of a from zero. */
+EXPORT double largest_gap(long m, long columns, long first, long width, const double *a, const double *b) {
+    double largest = 0.0;
+    for (long k = 0; k < m; k++)
+        for (long i = columns * k + first; i < columns * k + first + width; i++) {
+            const double gap = fabs(a[i] - (b != NULL ? b[i] : 0.0));
+            if (isnan(gap)) return gap;
+            largest = gap > largest ? gap : largest;
+        }
+    return largest;
 }
