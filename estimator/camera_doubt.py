@@ -55,6 +55,10 @@ LEAST_POWER_PX = 1.0
 """nor does a lens that bends all corners of a picture by less than this together."""
 
 
+_NOTHING: FloatArray = np.zeros(4)
+_NOTHING.flags.writeable = False
+
+
 def focal_look(
     camera: CameraModel, pixels: FloatArray, residual_px: FloatArray, jacobian: FloatArray
 ) -> tuple[float, float] | None:
@@ -112,8 +116,17 @@ class CameraWatch:
         share = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
         across = share * ASIDE_M
         late_s = self.stamps.sigma_s or self._stamp_sigma_s
-        more = np.array([across * across, across * across, (share * height_m) ** 2, (late_s * yaw_rate_rad_s) ** 2])
-        more[:3] += (late_s * x[VEL]) ** 2
+        if share == late_s == 0.0 and self._mounting is None:
+            return _NOTHING
+        north, east, down = x[VEL].tolist()
+        more = np.array(
+            [
+                across * across + (late_s * north) ** 2,
+                across * across + (late_s * east) ** 2,
+                (share * height_m) ** 2 + (late_s * down) ** 2,
+                (late_s * yaw_rate_rad_s) ** 2,
+            ]
+        )
         if self._mounting is not None:
             forward, right, down, yaw = self._mounting
             c2 = math.cos(x.item(YAW)) ** 2

@@ -20,7 +20,7 @@ from autopilot.core.frames import FloatArray
 from estimator.states import CURRENT, DRAG_EXCESS, NX, VEL, YAW, FilterState
 
 LINEAR: FloatArray = np.full(NX, np.inf)
-LINEAR[YAW], LINEAR[VEL], LINEAR[CURRENT], LINEAR[DRAG_EXCESS] = 0.002, 0.004, 0.004, 0.02
+LINEAR[YAW], LINEAR[VEL], LINEAR[CURRENT], LINEAR[DRAG_EXCESS] = 0.002, 0.006, 0.008, 0.02
 """(21,) A state that is corrected by more turns or drags otherwise than the Jacobians say."""
 MOST_COLUMNS = 12
 """With more, computing again is cheaper."""

@@ -69,6 +69,7 @@ FIX_FLOOR = (0.008, 0.004)
 """m, rad: fixes are never taken as better than this, which sets k1 to about 8 /s in steady state."""
 GATE_FLOOR = (0.03, 0.02)
 """m, rad: standard deviation of the residual that the gate allows at least; the variances here know no correlations."""
+_FIX_VARIANCE, _GATE_VARIANCE = (np.array([pos, pos, pos, yaw]) ** 2 for pos, yaw in (FIX_FLOOR, GATE_FLOOR))
 MODEL_GATE_SIGMA_M_S2 = 0.4
 POS_NOISE = 0.012
 YAW_NOISE = 0.008
@@ -121,10 +122,10 @@ class ObserverCore:
             return self._result(y, variance, _model_gain(x), np.zeros((NX, 2)))
         h = measurement.jacobian(x, moment, after_s)
         spread = p[:, None] * h.T
-        seen = (h.T * spread).sum(axis=0)
+        seen = np.add.reduce(h.T * spread)
         if isinstance(measurement, PoseFix):
-            noise = np.maximum(noise, np.array([FIX_FLOOR[0]] * 3 + [FIX_FLOOR[1]]) ** 2)
-            variance = np.maximum(seen + noise, np.array([GATE_FLOOR[0]] * 3 + [GATE_FLOOR[1]]) ** 2)
+            noise = np.maximum(noise, _FIX_VARIANCE)
+            variance = np.maximum(seen + noise, _GATE_VARIANCE)
             return self._result(y, variance, _fix_gain(spread / (seen + noise), x), spread)
         variance = seen + noise
         gain = spread / variance
@@ -133,12 +134,13 @@ class ObserverCore:
         return self._result(y, variance, gain, spread)
 
     def _result(self, y: FloatArray, variance: FloatArray, gain: FloatArray, spread: FloatArray) -> Innovation:
-        ratio = float((y * y / variance).sum()) / CHI2_999[len(y)]
+        ratio = float(y.dot(y / variance)) / CHI2_999[len(y)]
         return Innovation(y, variance, ratio, gain, spread)
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
         """x + K y; variances shrink by what was learned."""
-        p = np.maximum(state.p - (innovation.gain * innovation.spread).sum(axis=1), 1e-10)
+        assert innovation.spread is not None
+        p = np.maximum(state.p - np.add.reduce(innovation.gain * innovation.spread, axis=1), 1e-10)
         if len(innovation.y) == 4:
             p[VEL] *= VEL_SHRINK
         return FilterState(state.x + innovation.gain @ innovation.y, p)

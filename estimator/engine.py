@@ -1,8 +1,8 @@
 """The estimator around a filter core: takes samples in, keeps history, gates, watches over the sensors, reports.
 
 The filter lives on the time axis of the AHRS: every good AHRS sample makes a node. Measurements go to the node at or
-before their time of validity, and the nodes after it are told (:mod:`estimator.history`). What is told to the vehicle is
-the newest node carried on to now.
+before their time of validity, and the nodes after it change with it (:mod:`estimator.history`). What is told to the
+vehicle is the newest node carried on to now.
 """
 
 import math

@@ -31,6 +31,10 @@ RESETS, RESETS_US = 3, 30_000_000
 """So many resets within so long are no accident: map, camera or stamps are wrong."""
 
 
+_NOTHING: FloatArray = np.zeros(4)
+_NOTHING.flags.writeable = False
+
+
 class Evidence:
     """Judges every fix that met its gate."""
 
@@ -99,11 +103,14 @@ class Evidence:
 
     def unexplained_variance(self, t_us: int, laser_bias_m: float) -> FloatArray:
         """(4,) on top of the filter's, north, east, down, yaw: what sensors deny each other and no state explains."""
+        far = abs(laser_bias_m) > RANGE_MISS_M
+        if self._jump_us is None and self._fix_ratio <= RATIO_SHOWS and not far:
+            return _NOTHING
         more = np.zeros(4)
         if self._jump_us is not None:
             more += self._jump_m_rad**2 * math.exp(-1e-6 * (t_us - self._jump_us) / JUMP_FADE_S)
         if self._fix_ratio > RATIO_SHOWS:
             more += self._fix_miss**2
-        if abs(laser_bias_m) > RANGE_MISS_M:
+        if far:
             more[2] += laser_bias_m * laser_bias_m
         return more

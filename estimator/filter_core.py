@@ -21,8 +21,8 @@ class Innovation(NamedTuple):
     """Squared distance over its gate, > 1 = to be rejected."""
     gain: FloatArray
     """(21, m) what a unit of residual moves."""
-    spread: FloatArray
-    """(21, m) covariance between state and residual."""
+    spread: FloatArray | None
+    """(21, m) covariance between state and residual; None where :attr:`after` is known."""
     after: FilterState | None = None
     """The state if it is used, when that is known already."""
     look: Look | None = None

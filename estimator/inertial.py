@@ -142,11 +142,11 @@ def step_between(a: Inertial, b: Inertial, mode: Mode, slope: FloatArray | None 
     """The step from ``a`` to ``b`` with the means of both ends."""
     (ax, ay, az), (bx, by, bz) = a.accel_level_m_s2, b.accel_level_m_s2
     return Step(
-        dt_s=1e-6 * (b.t_us - a.t_us),
-        yaw_rate_rad_s=0.5 * (a.yaw_rate_rad_s + b.yaw_rate_rad_s),
-        accel_level_m_s2=(0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)),
-        mode=mode,
-        slope=slope,
+        1e-6 * (b.t_us - a.t_us),
+        0.5 * (a.yaw_rate_rad_s + b.yaw_rate_rad_s),
+        (0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)),
+        mode,
+        slope,
     )
 
 

@@ -73,7 +73,7 @@ class KalmanCore:
     def __init__(self, *, current_3d: bool = False) -> None:
         """``current_3d``: the vertical current is a state."""
         self._kf = _Filter(NX, 4)
-        self._noise = {mode: process_noise(mode, current_3d=current_3d) for mode in Mode}
+        self._noise = [process_noise(mode, current_3d=current_3d) for mode in sorted(Mode)]
         self._sigma = INITIAL_SIGMA.copy()
         self._down_variance = VERTICAL_CURRENT_VARIANCE
         if current_3d:
@@ -126,7 +126,7 @@ class KalmanCore:
             sheets = sheets._replace(cross=sheets.cross - kf.K.dot(h.dot(sheets.cross)))
         after = FilterState(kf.x, _symmetric(kf.P), sheets)
         look = None if sheets is not None else Look(kf.K, h, kf.S, kf.y)
-        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, kf.K.dot(kf.S), after, look)
+        return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, None, after, look)
 
     def _on_sheets(
         self, state: FilterState, measurement: Measurement, ground: Ground, moment: Moment, after_s: float
@@ -167,7 +167,7 @@ class KalmanCore:
             cov = _symmetric(cov - pull.dot(spread))
         sheets = SheetStates(sheets.which, offset, sheets.cross - gain.dot(spread), cov)
         after = FilterState(kf.x[:NX], _symmetric(kf.P[:NX, :NX]), sheets)
-        return Innovation(kf.y, kf.S.diagonal(), ratio, gain, gain.dot(kf.S), after)
+        return Innovation(kf.y, kf.S.diagonal(), ratio, gain, None, after)
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
         """What filterpy's update has made of it."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import PoseSample
+from estimator.inertial import within
 from estimator.measurement import Measurement, Moment
 from estimator.states import DOWN, EAST, GYRO_BIAS, NORTH, NX, POS, VEL, VEL_DOWN, VEL_EAST, VEL_NORTH, YAW
 
@@ -105,13 +106,13 @@ def fix_from_sample(sample: PoseSample, sensor: str) -> PoseFix | None:
     if pos.shape != (3,) or sigma.shape != (3,):
         return None
     # Comparisons with NaN are false, so a NaN anywhere is malformed as well.
-    if not (abs(pos) <= MAX_DISTANCE_M).all() or not abs(sample.yaw_rad) <= MAX_YAW_RAD:
+    if not within(pos.tolist(), MAX_DISTANCE_M) or not abs(sample.yaw_rad) <= MAX_YAW_RAD:
         return None
-    if not ((sigma >= 0.0) & (sigma <= MAX_SIGMA_POS_M)).all() or not 0.0 <= sample.sigma_yaw_rad <= math.pi:
+    sigmas = sigma.tolist()
+    if not (within(sigmas, MAX_SIGMA_POS_M) and min(sigmas) >= 0.0) or not 0.0 <= sample.sigma_yaw_rad <= math.pi:
         return None
     noise = np.zeros((4, 4))
-    for i in range(3):
-        noise[i, i] = max(float(sigma[i]), MIN_SIGMA_POS_M) ** 2
-    noise[3, 3] = max(sample.sigma_yaw_rad, MIN_SIGMA_YAW_RAD) ** 2
-    z = np.append(pos, sample.yaw_rad)
+    sigmas = [max(value, MIN_SIGMA_POS_M) for value in sigmas] + [max(sample.sigma_yaw_rad, MIN_SIGMA_YAW_RAD)]
+    noise.flat[::5] = [value * value for value in sigmas]
+    z = np.array([*pos.tolist(), sample.yaw_rad])
     return PoseFix(sensor=sensor, t_us=sample.t_us, z=z, noise=noise)

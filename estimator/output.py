@@ -23,6 +23,7 @@ TILT_VARIANCE_RAD2 = {
 }
 """Roll and pitch: of the AHRS, trimmed by vision, or without AHRS level as the righting moment keeps the vehicle. An
 accelerometer that is not believed may be right, and the tilt wrong."""
+_TILT_VARIANCE_RAD2 = tuple(TILT_VARIANCE_RAD2[mode] for mode in sorted(Mode))
 
 LEAST_LESS = -0.9
 """What is known beyond the filter takes at most this share off its variances."""
@@ -62,8 +63,10 @@ def nav_state(
         return [cp * forward - sp * down, cr * right + sr * below, cr * below - sr * right]
 
     pn, pe, pd, pyaw, pu, pv, pw, pcn, pce, pcd = core.variance(node.state, cy, sy)
-    more_n, more_e, more_d, more_yaw = np.maximum(more, LEAST_LESS * np.array([pn, pe, pd, pyaw])).tolist()
-    tilt = TILT_VARIANCE_RAD2[node.step.mode if node.step is not None else Mode.NOMINAL]
+    more_n, more_e, more_d, more_yaw = [
+        max(extra, LEAST_LESS * own) for extra, own in zip(more.tolist(), (pn, pe, pd, pyaw), strict=True)
+    ]
+    tilt = _TILT_VARIANCE_RAD2[node.step.mode if node.step is not None else Mode.NOMINAL]
     return NavState(
         t_us=t_us,
         health=health,

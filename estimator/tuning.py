@@ -48,15 +48,7 @@ CURRENT_WALK = 0.02
 CURRENT_RATE_WALK = 0.04
 """m/s^2/sqrt(s): with CURRENT_RATE_TIME_S a stationary 0.04 m/s^2. The jet crossed at cruise speed does twice that
 for a moment, but a larger value lets errors of the drag pass for current."""
-CURRENT_RATE_TIME_S = {
-    Mode.NOMINAL: 2.0,
-    Mode.TRIMMED: 2.0,
-    Mode.COASTING: 0.25,
-    Mode.BLIND: 0.25,
-    Mode.MODEL: 0.25,
-    Mode.COMPASS: 0.25,
-    Mode.MODEL_COMPASS: 0.25,
-}
+CURRENT_RATE_TIME_S = tuple(2.0 if mode in (Mode.NOMINAL, Mode.TRIMMED) else 0.25 for mode in sorted(Mode))
 """Correlation time of the current's rate of change by mode: the jet's width at cruise speed. Without fixes an error of
 the rate would be carried on for two seconds, into most of the drift at the end of a gap: there it is soon forgotten."""
 HEADING_OFFSET_WALK = 0.0087
