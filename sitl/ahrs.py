@@ -99,7 +99,9 @@ class Ig500Emulator(AlwaysOpen):
         """Take the sample that is due at ``truth.t_us`` and put its frame on the line."""
         noise, chance = self._drawn()
         values = self._measured(truth, noise)
-        if any(fault.at_s <= truth.t_us / 1e6 < fault.at_s + fault.duration_s for fault in self._freezes):
+        if self._freezes and any(
+            fault.at_s <= truth.t_us / 1e6 < fault.at_s + fault.duration_s for fault in self._freezes
+        ):
             values = {**values, **(self._held or {})}
         self._held = values
         self._count += 1

@@ -46,6 +46,8 @@ class ImuFaults:
 
     def attitude_rad(self, t_us: int) -> tuple[float, float, float]:
         """Added to roll, pitch, yaw."""
+        if not self._attitude:
+            return 0.0, 0.0, 0.0
         active = [fault for fault in self._attitude if fault.holds(t_us)]
         return sum(f.roll_rad for f in active), sum(f.pitch_rad for f in active), sum(f.yaw_rad for f in active)
 

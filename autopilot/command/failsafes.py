@@ -113,6 +113,8 @@ class FailsafeRules:
     def update(self, conditions: Conditions, *, armed: bool) -> list[Event]:
         """Evaluate all rules; events report what began and what ended."""
         found = self._evaluate(conditions)
+        if not found and not self._active:
+            return []
         events = [
             Event(t_us=conditions.t_us, severity=Severity.CRITICAL, text=f"Failsafe: {text}")
             for rule, (text, _) in found.items()
