@@ -242,3 +242,9 @@ def test_margins_of_the_tube_are_those_of_the_code_that_says_what_they_mean(thru
             assert np.allclose(getattr(ours, field.name), getattr(theirs, field.name), rtol=1e-12, atol=1e-15)
         at_rest = plain.back_offs(nav, np.zeros((13, 8)), np.zeros((12, thrusters)), params).planar_speed_m_s[-1]
         assert tube.rest_speed_m_s(nav, params) == pytest.approx(at_rest, rel=1e-12)
+
+
+@needs_library
+def test_a_call_keeps_the_interpreter() -> None:
+    """Else each of the tick's many short calls would offer it to the threads beside the loop."""
+    assert isinstance(compiled.load(), ctypes.PyDLL)
