@@ -231,19 +231,24 @@ class LegTask:
             return (nearest,)
         return (nearest, nearest + math.copysign(2.0 * math.pi, start - nearest))
 
-    def refine(self, guess: Trajectory, rounds: int) -> Trajectory:
-        """Solve, linearise anew around the solution, and so on; the last solution, solved or not."""
+    def screened(self, guess: Trajectory) -> Trajectory:
+        """A candidate: as good as it takes to tell which is best."""
+        return self.refine(guess, SCREEN_ROUNDS, rough=True)
+
+    def refine(self, guess: Trajectory, rounds: int, *, rough: bool = False) -> Trajectory:
+        """Solve, linearise anew around the solution, and so on; the last solution, solved if any was."""
         request, trajectory = self._request, guess
         program = self._program(1.1 * float(guess.t_s[-1]))
         for _ in range(rounds):
             self._cancel.check()
             end_s, cost_j = float(trajectory.t_s[-1]), trajectory.cost_j if trajectory.solved else math.inf
-            trajectory = program.solve(
-                self._ask(trajectory, request), trajectory.x, trajectory.thrust_n, end_s, self._cancel
+            found = program.solve(
+                self._ask(trajectory, request), trajectory.x, trajectory.thrust_n, end_s, self._cancel, rough=rough
             )
-            if not trajectory.solved:
+            if not found.solved:
                 self._cancel.check()
-                break
+                return trajectory if trajectory.solved else found
+            trajectory = found
             if abs(trajectory.cost_j - cost_j) < SETTLED_SHARE * cost_j:
                 break
         return trajectory

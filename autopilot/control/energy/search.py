@@ -7,7 +7,7 @@ import numpy as np
 
 from autopilot.control.energy.field import LONGEST_MOVE, EnergyField, EnergyToGo, Way, other_ways
 from autopilot.control.energy.flow import LEAST_SAMPLES, Flow, FlowSamples, area_of
-from autopilot.control.energy.leg_task import INTERVALS, LONGEST_S, POLISH_ROUNDS, SCREEN_ROUNDS, LegTask
+from autopilot.control.energy.leg_task import INTERVALS, LONGEST_S, POLISH_ROUNDS, LegTask
 from autopilot.control.energy.patience import Kind
 from autopilot.control.energy.power import PowerModel, SpeedTable, speed_table
 from autopilot.control.energy.request import Plan, Request, no_plan
@@ -108,8 +108,12 @@ class EnergyPlanner:
             winner = close[int(np.argmin(onward))]
         if warm is not None and warm.solved and winner.cost_j > CHEAPER_SHARE * warm.cost_j:
             return replace(task.plan(warm), stay=True)
-        polished = task.refine(winner, POLISH_ROUNDS)
-        return task.plan(polished if polished.solved else winner)
+        for one in [winner, *(one for one in solved if one is not winner)]:
+            # Candidates are rough, and what they would do is not flown before it is solved to the end.
+            polished = task.refine(replace(one, solved=False), POLISH_ROUNDS)
+            if polished.solved:
+                return task.plan(polished)
+        return no_plan(request.goal, f"none of {len(solved)} candidates solved to the end")
 
     def _field(
         self, request: Request, features: Features, flow: Flow, table: SpeedTable
@@ -138,7 +142,7 @@ class EnergyPlanner:
         for way in others:
             if way.energy_j <= KEEP_WITHIN * best.energy_j:
                 guesses += task.guesses(way)
-        return [task.refine(guess, SCREEN_ROUNDS) for guess in guesses]
+        return [task.screened(guess) for guess in guesses]
 
     def _onward(
         self, task: LegTask, ends: Sequence[Trajectory], field: EnergyField, beyond: EnergyToGo, features: Features
