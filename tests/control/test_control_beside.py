@@ -307,8 +307,8 @@ def test_no_plan_and_no_way_are_no_reason_to_stop_where_the_route_goes_on() -> N
 
 
 def test_a_trajectory_that_is_not_solved_is_not_flown(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsolved(self: Program, ask: Ask, *guess: object) -> Trajectory:
-        found: Trajectory = solve(self, ask, *guess)  # type: ignore[arg-type]
+    def unsolved(self: Program, ask: Ask, *guess: object, rough: bool) -> Trajectory:
+        found: Trajectory = solve(self, ask, *guess, rough=rough)  # type: ignore[arg-type]
         return replace(found, solved=False)
 
     solve = Program.solve
