@@ -18,7 +18,7 @@ from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
 from drivers.gpio import GpioLine, LinuxGpio
 from drivers.i2c import I2cBus, LinuxI2c, register
-from drivers.thruster_output import SafeThrusterOutput
+from drivers.keeper import KeptOutput
 
 MODE1, MODE2, LED0, ALL_OFF_HIGH, PRESCALE = 0x00, 0x01, 0x06, 0xFD, 0xFE
 RESTART, EXTERNAL, INCREMENT, SLEEP = 0x80, 0x40, 0x20, 0x10
@@ -45,10 +45,11 @@ class Pca9685Options(Table, frozen=True, kw_only=True):
     """Line of the chip's output enable (active low; Navigator 26); absent = wired to be on."""
 
 
-class Pca9685(SafeThrusterOutput):
+class Pca9685(KeptOutput):
     """The driver."""
 
     Options = Pca9685Options
+    driver = "pca9685"
 
     def __init__(
         self,
@@ -57,8 +58,12 @@ class Pca9685(SafeThrusterOutput):
         *,
         bus: I2cBus | None = None,
         enable: GpioLine | None = None,
+        kept: bool | None = None,
     ) -> None:
-        super().__init__(vehicle)
+        """``kept``: whether a keeper stands by; None = on a real bus."""
+        # The line of the output enable stays with whoever has it: the keeper has the bus only.
+        told = msgspec.structs.replace(options, enable_line=None)
+        super().__init__(vehicle, told, kept=bus is None if kept is None else kept)
         self._bus = LinuxI2c(options.bus) if bus is None else bus
         if enable is None and options.enable_line is not None:
             enable = LinuxGpio(options.enable_chip, options.enable_line, output=True, active_low=True)

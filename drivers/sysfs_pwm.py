@@ -15,7 +15,7 @@ import msgspec
 from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
-from drivers.thruster_output import SafeThrusterOutput
+from drivers.keeper import KeptOutput
 
 
 class SysfsPwmOptions(Table, frozen=True, kw_only=True):
@@ -28,13 +28,15 @@ class SysfsPwmOptions(Table, frozen=True, kw_only=True):
     """Name of a thruster -> number of the chip's output; absent = its channel less 1."""
 
 
-class SysfsPwm(SafeThrusterOutput):
+class SysfsPwm(KeptOutput):
     """The driver."""
 
     Options = SysfsPwmOptions
+    driver = "sysfs_pwm"
 
-    def __init__(self, vehicle: Vehicle, options: SysfsPwmOptions) -> None:
-        super().__init__(vehicle)
+    def __init__(self, vehicle: Vehicle, options: SysfsPwmOptions, *, kept: bool = True) -> None:
+        """``kept``: whether a keeper stands by."""
+        super().__init__(vehicle, options, kept=kept)
         self._chip = Path(options.chip)
         self._period_ns = round(1e9 / options.rate_hz)
         if 1000 * self._longest_us >= self._period_ns:

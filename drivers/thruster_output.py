@@ -19,6 +19,7 @@ class SafeThrusterOutput(Closing):
     """Template of a thruster output: derive from it and give :meth:`_acquire`, :meth:`_put` and :meth:`_release`."""
 
     def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle = vehicle
         thrusters = vehicle.thrusters
         self._channels = tuple(thruster.channel for thruster in thrusters)
         self._places = tuple(

@@ -127,7 +127,7 @@ class SysfsPwmRig(OutputRig):
     def __init__(self, folder: Path) -> None:
         self.chip = folder / "pwmchip0"
         self.plug()
-        super().__init__(lambda: SysfsPwm(VEHICLE, SysfsPwmOptions(chip=str(self.chip))))
+        super().__init__(lambda: SysfsPwm(VEHICLE, SysfsPwmOptions(chip=str(self.chip)), kept=False))
 
     def pulses_us(self) -> tuple[float, ...]:
         def pulse(number: int) -> float:
