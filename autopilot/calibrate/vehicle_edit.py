@@ -39,8 +39,8 @@ def snippet(changes: Changes) -> str:
     return "\n\n".join("\n".join([f"[{table}]", *lines]) for table, lines in tables.items()) + "\n"
 
 
-def edited(text: str, changes: Changes, source: str, origin: str) -> str:
-    """The text of a vehicle file with the changes made, and ``source`` as their origin in ``[sources]``.
+def edited(text: str, changes: Changes, source: str, origin: str, notes: Mapping[str, str] | None = None) -> str:
+    """The text of a vehicle file with the changes made, and ``source`` as their origin in ``[sources]``, and ``notes``.
 
     ConfigError, beginning with ``origin``, if the result is not a good vehicle file."""
     lines = text.splitlines()
@@ -48,6 +48,8 @@ def edited(text: str, changes: Changes, source: str, origin: str) -> str:
         table, _, key = place.rpartition(".")
         _put(lines, table, key, toml_value(value))
         _put(lines, "sources", f'"{place}"', toml_value(source))
+    for place, note in (notes or {}).items():
+        _put(lines, "sources", f'"{place}"', toml_value(note))
     result = "\n".join(lines) + "\n"
     try:
         tables = tomllib.loads(result)
@@ -65,6 +67,26 @@ def write_updated(vehicle: str, changes: Changes, source: str, target: Path) -> 
     try:
         text = path.read_text(encoding="utf-8")
         target.write_text(edited(text, changes, source, str(path)), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{error.filename}: {error.strerror}; choose another place with --out") from error
+
+
+def write_curves(vehicle: str, curves: str, source: str, target: Path) -> None:
+    """Copy the vehicle to ``target`` with these ``[[drive.curve]]`` tables for its own. ConfigError if that fails."""
+    path = Path(vehicle)
+    if vehicle in vehicle_names():
+        path = Path(str(resources.files("autopilot") / "data" / "vehicles" / f"{vehicle}.toml"))
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        kept, inside = [], False
+        for line in lines:
+            inside = _name(line) == "drive.curve" if _name(line) is not None else inside
+            if not inside:
+                kept.append(line)
+        at = next(n for n, line in enumerate(kept) if _name(line) == "drive") + 1
+        at = next((n for n in range(at, len(kept)) if _name(kept[n]) is not None), len(kept))
+        text = "\n".join([*kept[:at], *curves.splitlines(), "", *kept[at:]])
+        target.write_text(edited(text, {}, source, str(path), notes={"drive.curve": source}), encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{error.filename}: {error.strerror}; choose another place with --out") from error
 

@@ -1,4 +1,4 @@
-"""``autopilot calibrate``: camera, laser, extrinsics, latency. Each prints what it found and writes a vehicle file."""
+"""``autopilot calibrate``: camera, laser, extrinsics, latency, thrusters. Each prints its find or writes it."""
 
 import math
 from collections.abc import Mapping
@@ -336,6 +336,47 @@ def laser(
             rows,
         )
     _keep(values, f"autopilot calibrate laser: {source.name}", vehicle or known.name, out, as_json)
+
+
+@calibrate.command()
+@click.argument("table", metavar="TABLE", type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle whose drive it is.")
+@click.option("--thruster", help="Which one, if the table holds several.")
+@_OUT
+@_JSON
+def thrusters(table: Path, vehicle: str, thruster: str | None, out: Path | None, as_json: bool) -> None:
+    """The thrust curve of the drive from a load cell's TABLE (CSV: pulse_us, thrust_n, supply_v)."""
+    from autopilot.calibrate.thrust_curve import curves_text, fit_brushed, fit_curves, read_table
+    from autopilot.calibrate.vehicle_edit import write_curves
+    from autopilot.core.vehicle import load_vehicle
+
+    drive = load_vehicle(vehicle).drive
+    readings = read_table(table, thruster)
+    origin = f"autopilot calibrate thrusters: {table.name}, {len(readings)} readings"
+    if drive.kind == "brushed":
+        fit = fit_brushed(readings, drive, str(table))
+        values: dict[str, Any] = {
+            "drive.deadband_duty": fit.deadband_duty,
+            "drive.forward_n_v2": fit.forward_n_v2,
+            "drive.reverse_n_v2": fit.reverse_n_v2,
+        }
+        if as_json:
+            emit_json({"readings": len(readings), "rms_n": fit.rms_n, "keys": values})
+        else:
+            rows = [(name, f"{value:.5g}") for name, value in values.items()]
+            print_table(f"{table}: {len(readings)} readings, rms {fit.rms_n:.2f} N", ("", "value"), rows)
+        _keep(values, origin, vehicle, out, as_json)
+        return
+    found = fit_curves(readings, drive, str(table))
+    if as_json:
+        curves = [{"supply_v": c.supply_v, "pulse_us": c.pulse_us, "thrust_n": c.thrust_n} for c in found.curves]
+        emit_json({"readings": len(readings), "rms_n": found.rms_n, "curves": curves})
+    else:
+        click.echo(f"{table}: {len(readings)} readings, {len(found.curves)} voltages, rms {found.rms_n:.2f} N")
+    if out is not None:
+        write_curves(vehicle, curves_text(found.curves), origin, out)
+    elif not as_json:
+        click.echo(curves_text(found.curves))
 
 
 def flight_place(flight: "CameraFlight", arm: Any) -> list[float]:
