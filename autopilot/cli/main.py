@@ -12,7 +12,7 @@ from autopilot.core.errors import AutopilotError
 
 _COMMANDS: dict[str, tuple[str, str]] = {
     "bench": ("autopilot.cli.bench:bench", "Benchmarks, side by side with their baselines."),
-    "calibrate": ("autopilot.cli.calibrate:calibrate", "Calibrate camera, laser, mounting and latency."),
+    "calibrate": ("autopilot.cli.calibrate:calibrate", "Calibrate camera, laser, mounting, latency, thrusters."),
     "campaign": ("autopilot.cli.campaign:campaign", "Monte Carlo over seeds and spreads of a scenario, resumable."),
     "certify": ("autopilot.cli.certify:certify", "Margins, Lipschitz sets and terminal regions of a plan."),
     "config": ("autopilot.cli.config:config", "Show the effective configuration and where it comes from."),
@@ -23,6 +23,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot, replay, programs, tlog."),
     "markers": ("autopilot.cli.markers:markers", "Print marker boards, check and survey marker maps."),
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
+    "motors": ("autopilot.cli.motors:motors", "Turn thrusters one by one, a little, on the bench."),
     "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),
     "run": ("autopilot.cli.run:run", "Run the service on a real vehicle."),
     "sitl": ("autopilot.cli.sitl:sitl", "Run the service on a simulated vehicle."),
