@@ -27,6 +27,16 @@ def _termios() -> ModuleType:
     return termios
 
 
+def _others() -> str:
+    """Which lines there are, for an error; nothing without pyserial, which knows them by their makers' names."""
+    try:
+        from serial.tools.list_ports import comports
+    except ModuleNotFoundError:
+        return ""
+    found = sorted(f"{port.device} ({port.description})" for port in comports())
+    return f"; there is {', '.join(found)}" if found else "; there is no serial line"
+
+
 class SerialPort(Closing):
     """8 data bits, no parity, 1 stop bit, no flow control, no translation."""
 
@@ -56,7 +66,8 @@ class SerialPort(Closing):
             fd = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError as error:
             raise DriverError(
-                f"serial line {self._device} cannot be opened ({error.strerror}); check cable, name and rights"
+                f"serial line {self._device} cannot be opened ({error.strerror});"
+                f" check cable, name and rights{_others()}"
             ) from error
         try:
             control = termios.CS8 | termios.CREAD | termios.CLOCAL
