@@ -41,6 +41,7 @@ REST_SENDS = 3
 """How often 1500 is sent after the last command."""
 
 SERVO_RATE_HZ, SLOW_HZ, PRESSURE_HZ = 50.0, 2.0, 20.0
+REBOOT_MS = 1000
 ENOUGH = 0.7
 """Share of a rate below which it is asked for anew."""
 SERVO_WITHIN_US = 150_000
@@ -98,7 +99,7 @@ class ArduSub(Closing):
         """Its parameters."""
         self._timeout_us = round(1e6 * min(thruster.drive.command_timeout_s for thruster in vehicle.thrusters))
         self._notices: list[tuple[Severity, str]] = []
-        self._t_us = 0
+        self._boot_ms = 0
         self._heard_us: int | None = None
         self._heard_of = dict.fromkeys(self._rates_hz, 0)
         """How often each has come since it was last looked at."""
@@ -164,7 +165,6 @@ class ArduSub(Closing):
     def poll(self, t_us: int) -> list[Sample]:
         """What has arrived; and what has to be asked for or told regularly."""
         wire = self._open_wire()
-        self._t_us = t_us
         samples: list[Sample] = []
         for message in wire.receive(t_us):
             samples += self._hear(t_us, message)
@@ -179,6 +179,10 @@ class ArduSub(Closing):
             self._ask(wire, t_us, passed_s)
         return samples
 
+    def advice(self) -> tuple[tuple[str, str], ...]:
+        """Settings with which it flies, and others that would be better."""
+        return self.settings.advice()
+
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
         """What it says that our operators should know."""
         notices, self._notices = self._notices, []
@@ -192,6 +196,10 @@ class ArduSub(Closing):
     def _hear(self, t_us: int, message: Any) -> list[Sample]:
         kind = message.get_type()
         self._heard_us = t_us
+        if kind == "ATTITUDE":
+            if message.time_boot_ms < self._boot_ms - REBOOT_MS:  # rebooted: its parameters may be others
+                self.settings.forget()
+            self._boot_ms = message.time_boot_ms
         if kind in self._heard_of:
             self._heard_of[kind] += 1
         if kind == "PARAM_VALUE":

@@ -74,8 +74,16 @@ class Settings:
         """Note that it is asked for."""
         self._asked[name] += 1
 
+    def advice(self) -> tuple[tuple[str, str], ...]:
+        """What would be better, and how to set it."""
+        if self.values.get("FS_PILOT_INPUT", 1.0) < 1.5:
+            return ()
+        found = "FS_PILOT_INPUT = 2: a pilot who takes over without a joystick is disarmed after FS_PILOT_TIMEOUT"
+        return ((found, "set 1"),)
+
     def forget(self) -> None:
-        """Everything is to be read anew; what is known holds until then."""
+        """Everything is to be read anew, and nothing holds until then."""
+        self.values.clear()
         self._asked = dict.fromkeys(self._asked, 0)
 
     def take(self, name: str, value: float) -> bool:

@@ -84,6 +84,10 @@ class FlightController(Sensor[Any], ThrusterOutput, Protocol):
         """Who has the vehicle now. After ``poll`` on the same tick."""
         ...
 
+    def advice(self) -> tuple[tuple[str, str], ...]:
+        """What could be set better though it flies, and how."""
+        ...
+
     def take_notices(self) -> "Sequence[tuple[Severity, str]]":
         """What it says that operators should know, since the last call."""
         ...

@@ -53,6 +53,8 @@ class Conditions:
     """What has failed inside the service of late."""
     below: Below | None = None
     """The flight controller below us, None without one."""
+    refusals: tuple[str, ...] = ()
+    """What devices have against arming."""
     wet: bool = False
     """The leak probe says so."""
 
@@ -101,8 +103,7 @@ class FailsafeRules:
             reasons.append(f"{conditions.thruster_problem}: repair it, or correct THRn_HEALTH")
         if conditions.fault:
             reasons.append(f"{conditions.fault}: see the log, restart the service")
-        if conditions.below is not None:
-            reasons += conditions.below.refusals
+        reasons += conditions.refusals
         if conditions.wet:
             reasons.append("water in the hull: open and dry it")
         power = conditions.power

@@ -238,6 +238,7 @@ class Autopilot:
             command_delay_s=actuation.delay_s,
             fault=self._faults.problem(t_us),
             below=self._surroundings.below,
+            refusals=self._surroundings.refusals,
             wet=self._surroundings.wet,
         )
 

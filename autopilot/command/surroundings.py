@@ -22,6 +22,8 @@ class Surroundings:
         self.power: PowerSample | None = None
         self.below: Below | None = None
         """The flight controller below us."""
+        self.refusals: tuple[str, ...] = ()
+        """What devices have against arming."""
         self.wet = False
         """What the leak probe said last."""
 
@@ -34,7 +36,7 @@ class Surroundings:
         """Take a tick's inputs."""
         self._events += self.devices.step(inputs.t_us, inputs.troubles)
         self._events += self.camera.step(inputs.t_us, inputs.pictures, inputs.samples)
-        self.below = inputs.below
+        self.below, self.refusals = inputs.below, inputs.refusals
         for sample in inputs.samples:
             if isinstance(sample, PowerSample):
                 if plausible(sample):

@@ -54,6 +54,8 @@ class Inputs:
     """What became of pictures so far, by name (``frames.ok`` ...); None without a camera."""
     below: "Below | None" = None
     """Whether the flight controller below takes our thrust; None without one."""
+    refusals: tuple[str, ...] = ()
+    """What devices have against arming, a line each."""
 
 
 class Authority(Enum):

@@ -8,7 +8,7 @@ from autopilot.core.samples import CameraFrame, Sample
 from autopilot.run.vehicle_config import VehicleConfig
 from drivers.devices import CAMERA, FLIGHT_CONTROLLER, THRUSTERS
 from drivers.protocols import ThrusterOutput
-from drivers.retry import Steady, SteadyController, SteadyOutput, SteadySensor
+from drivers.retry import DeviceState, Steady, SteadyController, SteadyOutput, SteadySensor
 
 NAMES = {
     "ahrs": "AHRS",
@@ -97,6 +97,23 @@ class HardwareVehicle:
             return self._below.device.below(t_us)
         text = f"flight controller down: {self._below.problem}"
         return Below(t_us=t_us, authority=Authority.OURS, acts=False, refusals=(text,))
+
+    def refusals(self, t_us: int) -> tuple[str, ...]:
+        """Why the vehicle must not be armed: what the configuration names and is not there, a line each."""
+        found = [f"{d.name} {d.state.value}: {d.problem or 'check power and settings'}" for d in self._missing()]
+        below = self.below(t_us)
+        return tuple(found) if below is None or not self._heard_below() else (*found, *below.refusals)
+
+    def advice(self) -> tuple[tuple[str, str], ...]:
+        """What could be set better, and how."""
+        device = None if self._below is None else self._below.device
+        return () if device is None else device.advice()
+
+    def _missing(self) -> list[Steady[Any]]:
+        return [device for device in self.devices if device.state is not DeviceState.UP]
+
+    def _heard_below(self) -> bool:
+        return self._below is not None and self._below.state is not DeviceState.DOWN
 
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
         """Which devices have gone or come."""

@@ -92,6 +92,7 @@ def open_vehicle(
         speed=speed,
         below=device.below,
         notices=device.take_notices,
+        refusals=device.refusals,
     )
     kept = Kept(params=persistent, plans=plans, disk=disk)
     return Session(

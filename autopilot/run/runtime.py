@@ -66,9 +66,12 @@ class Runtime:
         paced: bool = False,
         notices: Callable[[], Sequence[tuple[Severity, str]]] = lambda: (),
         below: Callable[[int], Below | None] = lambda _: None,
+        refusals: Callable[[int], tuple[str, ...]] = lambda _: (),
     ) -> None:
         """``notices``: what operators should know of the outside world (severity, text), asked for once per tick.
-        ``below``: who has the vehicle, where there is a flight controller below."""
+        ``below``: who has the vehicle, where there is a flight controller below; ``refusals``: what its devices have
+        against arming."""
+        self._refusals = refusals
         self._below = below
         self._notices = notices
         self._service = service
@@ -142,6 +145,7 @@ class Runtime:
                 *self._transport.take_notices(t_us),
                 *(Event(t_us=t_us, severity=severity, text=text) for severity, text in self._notices()),
             ),
+            refusals=self._refusals(t_us),
             below=self._try(t_us, DeviceRole.THRUSTERS, lambda: self._below(t_us), None),
         )
         self._troubles = []

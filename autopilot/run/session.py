@@ -51,6 +51,8 @@ class Outside:
     """Who has the vehicle at a time, where there is a flight controller below."""
     notices: Callable[[], Sequence[tuple[Severity, str]]] = lambda: ()
     """What operators should know of the devices."""
+    refusals: Callable[[int], tuple[str, ...]] = lambda _: ()
+    """What they have against arming."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -150,6 +152,7 @@ def loop_round(
         paced=outside.speed > 0.0,
         notices=notices,
         below=outside.below,
+        refusals=outside.refusals,
     )
     for desk in (*parts.desks, kept.disk):
         desk.idle = runtime.attend

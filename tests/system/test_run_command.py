@@ -1,0 +1,97 @@
+"""`autopilot run` and `autopilot doctor` as processes, and what is wrong with a vehicle's configuration."""
+
+import json
+import signal
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from autopilot.core.errors import ConfigError
+from autopilot.log.reader import open_log
+from autopilot.run.children import autopilot_command
+from autopilot.run.vehicle_config import load_config
+
+ARDUSUB = '[devices.flight_controller]\ndriver = "ardusub"\nframe = "vectored"\nconnect = "udpin:127.0.0.1:{port}"\n'
+
+
+def _port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _file(folder: Path, text: str) -> Path:
+    path = folder / "rov.toml"
+    path.write_text(text)
+    return path
+
+
+def _rov(folder: Path) -> Path:
+    text = 'vehicle = "bluerov2"\n[service]\nstate_dir = "state"\nlog_dir = "logs"\n'
+    return _file(folder, text + f'connect = ["udpin:127.0.0.1:{_port()}"]\n' + ARDUSUB.format(port=_port()))
+
+
+def test_sigterm_ends_a_run_with_a_whole_log(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    command = autopilot_command("run", "--config", str(_rov(tmp_path)), "--log", str(log))
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "MAVLink on" in line:
+                break
+        process.send_signal(signal.SIGTERM)
+        rest = process.stdout.read()
+    assert process.returncode == 0, rest
+    assert "overruns" in rest
+    assert open_log(log).topics  # closed, not recovered
+
+
+def test_the_doctor_says_what_is_not_there_and_what_to_do(tmp_path: Path) -> None:
+    command = autopilot_command("doctor", "--config", str(_rov(tmp_path)), "--seconds", "1", "--json")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    findings = json.loads(done.stdout)
+    failed = {line["what"]: line for line in findings if line["verdict"] == "fail"}
+    assert failed["attitude"]["found"].startswith("0.0 Hz")
+    assert any("cable and link" in line["remedy"] for line in failed.values())
+    assert all(line["remedy"] for line in failed.values())
+
+
+def test_the_doctor_says_what_is_wrong_with_the_file(tmp_path: Path) -> None:
+    path = _file(tmp_path, 'vehicle = "bluerov2"\n[devices.sonar]\ndriver = "x"\n')
+    done = subprocess.run(
+        autopilot_command("doctor", "--config", str(path), "--json"), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "$.devices.sonar" in json.loads(done.stdout)[0]["found"]
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ('vehicle = "bluerov2"\n[devices]\n', "neither `thrusters` nor `flight_controller`"),
+        ('vehicle = "bluerov2"\nspeed = 1\n' + ARDUSUB, "unknown field `speed`"),
+        ('vehicle = "lbv150"\n' + ARDUSUB, "give as many thrusters"),
+        ('vehicle = "bluerov2-heavy"\n' + ARDUSUB, "has motors 1 to 6"),
+        ('vehicle = "nautilus.toml"\n' + ARDUSUB, "nautilus.toml"),
+        ('vehicle = "bluerov2"\n[parameters]\nNO_SUCH = 1\n' + ARDUSUB, "NO_SUCH"),
+        ('vehicle = "bluerov2"\n[parameters]\nFS_LEAK_ACT = 7\n' + ARDUSUB, "FS_LEAK_ACT"),
+        ('vehicle = "bluerov2"\n[place]\nmarkers = "floor.toml"\n' + ARDUSUB, "without `$.devices.camera`"),
+        ('vehicle = "bluerov2"\n[place]\norigin_lat_deg = 1\n' + ARDUSUB, "give both or neither"),
+        ('vehicle = "bluerov2"\n[place]\nfloor_depth_m = "deep"\n' + ARDUSUB, "$.place.floor_depth_m"),
+        (
+            'vehicle = "bluerov2"\n' + ARDUSUB.replace('"vectored"', '"vectored"\nsurface_pa = -5'),
+            "$.devices.flight_controller.surface_pa",
+        ),
+        ('vehicle = "bluerov2"\n' + ARDUSUB.replace('"ardusub"', '"ardupilot"'), "$.devices.flight_controller.driver"),
+        ('vehicle = "bluerov2"\n[devices.flight_controller]\nframe = "vectored"\n', "names no `driver`"),
+    ],
+)
+def test_a_wrong_configuration_is_named_with_its_key(tmp_path: Path, text: str, wrong: str) -> None:
+    path = _file(tmp_path, text.replace("{port}", "14555"))
+    with pytest.raises(ConfigError) as refusal:
+        load_config(str(path))
+    assert wrong in str(refusal.value)
+    assert any(word in str(refusal.value) for word in ("; ", "correct", "use "))
