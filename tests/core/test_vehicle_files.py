@@ -160,5 +160,7 @@ def test_the_service_reads_nothing_of_the_plants_tables() -> None:
     rooms = ("estimator", "mission", "drivers", "autopilot/command", "autopilot/control", "autopilot/mavlink")
     files = [file for room in rooms for file in (root / room).rglob("*.py")]
     assert len(files) > 100
-    found = [file.name for file in files if re.search(r"\.(body|battery|tether)\.|added_mass", file.read_text())]
+    # What a battery holds is printed on it: battery monitors count down from there.
+    plants = re.compile(r"\.(body|battery(?!\.capacity_j)|tether)\.|added_mass")
+    found = [file.name for file in files if plants.search(file.read_text())]
     assert found == []
