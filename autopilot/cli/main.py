@@ -20,6 +20,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("autopilot.cli.demo:demo", "Fly the paper's mission in the simulated tank and judge it."),
     "doctor": ("autopilot.cli.doctor:doctor", "Look a real vehicle over: what is there, what is wrong, what to do."),
     "emulate": ("autopilot.cli.emulate:emulate", "Be a vehicle's flight controller, to try `run` on."),
+    "failsafes": ("autopilot.cli.failsafes:failsafes", "The table of failsafes: conditions, parameters, effects."),
     "identify": ("autopilot.cli.identify:identify", "Masses and drags of a vehicle from logs of its flights."),
     "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot, replay, programs, tlog."),
     "markers": ("autopilot.cli.markers:markers", "Print marker boards, check and survey marker maps."),

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable
 
-from autopilot.command.failsafes import Conditions, FailsafeRules
+from autopilot.command.conditions import Conditions
+from autopilot.command.failsafes import FailsafeRules
 from autopilot.core.geodesy import MAX_RANGE_M, far_text
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet

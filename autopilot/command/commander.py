@@ -11,12 +11,14 @@ import numpy as np
 
 from autopilot.command.announcements import Announcements
 from autopilot.command.arming import CHECKING, STARTING, ArmingChecks, ControllerCheck
+from autopilot.command.conditions import Conditions
 from autopilot.command.decision import Decision
-from autopilot.command.failsafes import Conditions, FailsafeRules
+from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.mission_run import MissionRun
 from autopilot.command.modes import Modes
 from autopilot.command.plan_watch import FenceGuard, PlanCheckNews
 from autopilot.command.refusals import Refusals, denied
+from autopilot.command.situation import Situation
 from autopilot.command.watch import Watch
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
@@ -55,9 +57,10 @@ class Commander:
         self._params = params
         self._plans = plans
         self._operator = Announcements()
-        self._failsafes = FailsafeRules(params)
         self._goals = Goals(vehicle, params, plans)
         self._mission = MissionRun(params, plans, self._operator, speed_m_s or (lambda _: params["SPD_PLANAR_MAX"]))
+        self._situation = Situation(vehicle, params, plans, self._goals, self._mission.sequencer)
+        self._failsafes = FailsafeRules(params, self._situation)
         self._modes = Modes(self._goals, self._mission, self._failsafes, self._operator)
         self._refusals = Refusals(plans, self._goals, self._mission, self._modes, self._failsafes)
         self._watch = Watch(vehicle, plans, self._goals)
@@ -267,6 +270,13 @@ class Commander:
         for severity, text in self._watch.look(conditions, armed=modes.armed):
             self._operator.say(severity, text)
         modes.watch_below(conditions.below, self._may_resume)
+        mode = modes.mode
+        self._situation.look(
+            conditions,
+            armed=modes.armed,
+            surfacing=mode is FlightMode.SURFACE,
+            on_mission=mode is FlightMode.MISSION,
+        )
         modes.apply_failsafes(conditions)
         if not modes.armed and self._ticks % READINESS_EVERY_TICKS == 0:
             self._readiness = self.prearm_reasons()
@@ -280,6 +290,8 @@ class Commander:
             progress=self._mission.sequencer.progress(conditions.t_us),
             reached=reached,
             failsafes=self._failsafes.bits,
+            drop_weight=modes.drop_weight,
+            hand_back=modes.handed_back,
         )
 
     def _may_resume(self) -> bool:

@@ -18,3 +18,8 @@ class Decision:
     progress: MissionProgress
     reached: tuple[int, ...]
     failsafes: int
+    """Bits of :class:`autopilot.core.messages.Failsafe`."""
+    drop_weight: bool = False
+    """A failsafe wants the drop weight off."""
+    hand_back: bool = False
+    """A failsafe has given the thrusters to the flight controller below."""

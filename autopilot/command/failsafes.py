@@ -1,92 +1,88 @@
-"""Failsafe rules: conditions -> bits, messages and the action that overrides the operator's mode.
+"""Failsafe rules: evaluates :data:`autopilot.command.failsafe_table.ROWS` once per tick.
 
-One row per rule; the most severe action wins and never weakens until the vehicle is disarmed or the operator takes
-over after the condition has gone.
+The most severe effect wins and never weakens until the vehicle is disarmed or the operator takes over: by another mode
+when the condition has gone, at once for the rows that FS_OVERRIDE names. Text is made when something begins or ends.
 """
 
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+import math
+from collections.abc import Iterator, Mapping, Sequence
 
-from autopilot.core.messages import Below, Event, Failsafe, NavDoubt, NavHealth, NavState, Severity
+from autopilot.command.conditions import Conditions
+from autopilot.command.failsafe_table import RANK, ROWS, Bound, Effect, Row
+from autopilot.command.situation import Situation
+from autopilot.core.messages import Event, Failsafe, NavDoubt, NavHealth, Severity
 from autopilot.core.params import ParamSet
-from autopilot.core.samples import PowerSample
-
-Action: TypeAlias = Literal["hold", "surface", "disarm"]
 
 AHRS_TIMEOUT_S = 0.5
 """50 AHRS frames missing: attitude is no longer known."""
 
-THRUSTER_TIMEOUT_S = 3.0
-"""So long the thrusters must be too weak: the current that counts is an estimate."""
 
-_RANK: dict[Action, int] = {"hold": 1, "surface": 2, "disarm": 3}
+class _Watch:
+    """One row and how it stands."""
 
+    __slots__ = (
+        *("active", "effect", "enter", "enter_us", "leave", "leave_us"),
+        *("level", "row", "sign", "since_us", "text"),
+    )
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Conditions:
-    """Facts of this tick that rules and arming look at."""
+    def __init__(self, row: Row) -> None:
+        self.row = row
+        self.level = row.level
+        self.sign = -1.0 if row.below else 1.0
+        self.enter = self.leave = math.inf
+        self.enter_us = 0.0
+        self.leave_us = row.leave_s * 1e6
+        self.effect: Effect = "off"
+        self.active = False
+        self.since_us = -1
+        """Since when it is about to change, -1 = it is not."""
+        self.text = ""
+        """What was said when it began."""
 
-    t_us: int
-    nav: NavState | None
-    power: PowerSample | None
-    ahrs_age_s: float | None
-    """Since the last good sample (a frozen device sends none); None = nothing heard yet."""
-    solver_failures: int
-    """NMPC steps in a row without a solution."""
-    unreachable: bool = False
-    """The controller finds no way to its goal."""
-    way_left_m: float | None = None
-    """Length of the way to the goal as the controller flies it, None = it has none."""
-    nav_doubts: frozenset[NavDoubt] = frozenset()
-    """What speaks against the estimate or its sensors."""
-    nav_disagrees: bool = False
-    """The estimator in the shadow of the flown one has been somewhere else for a while."""
-    thruster_share: tuple[float, ...] = ()
-    """What each thruster gives of its thrust, in the order of the vehicle file; empty = not known."""
-    thruster_problem: str = ""
-    """What the thrusters that are left cannot do any more."""
-    thrusters_unseen: tuple[str, ...] = ()
-    """Those of which nobody would know had they lost half of their thrust."""
-    command_delay_s: float = 0.0
-    """So late commands reach the thrusters, beyond doubt."""
-    fault: str = ""
-    """What has failed inside the service of late."""
-    below: Below | None = None
-    """The flight controller below us, None without one."""
-    refusals: tuple[str, ...] = ()
-    """What devices have against arming."""
-    wet: bool = False
-    """The leak probe says so."""
+    def configure(self, params: Mapping[str, float]) -> None:
+        """Take over parameters."""
+        row = self.row
+        bound, self.enter_us = _value(row.enter, params), _value(row.enter_s, params) * 1e6
+        self.effect = row.effects[int(params[row.action])] if row.action else row.effects[0]
+        off = self.effect == "off" or (row.zero_is_off and bound == 0.0)
+        self.enter = math.inf if off else self.sign * bound
+        self.leave = self.enter - row.gap
+        if int(params["FS_OVERRIDE"]) >> row.rule & 1 and RANK[self.effect] > 0:
+            self.effect = "warn"
 
 
 class FailsafeRules:
     """State of all failsafes."""
 
-    def __init__(self, params: ParamSet) -> None:
+    def __init__(self, params: ParamSet, situation: Situation) -> None:
         self._params = params
-        self._active: dict[Failsafe, tuple[str, Action | None]] = {}
-        self._nav_good_us: int | None = None
-        self._thrusters_good_us = 0
-        self.action: Action | None = None
+        self._situation = situation
+        self._watches = tuple(_Watch(row) for row in ROWS)
+        self._grounded = tuple(watch for watch in self._watches if not watch.row.flying)
+        self._revision = -1
+        self._overridden = self._told_override = 0
+        self._armed = False
+        self._judge = True
+        """Whether what acts may have changed."""
+        self.bits = 0
+        """Active failsafes as bits of :class:`Failsafe`."""
+        self.action: Effect | None = None
         """The most severe action since arming, None while nothing has happened."""
 
-    @property
-    def bits(self) -> int:
-        """Active failsafes as bits of :class:`Failsafe`."""
-        return sum(1 << int(rule) for rule in self._active)
-
     def describe(self) -> str:
-        """Active conditions in one line."""
-        return "; ".join(text for text, _ in self._active.values()) or "condition has gone"
+        """Active conditions in one line, those that act before those that warn."""
+        active = sorted((watch for watch in self._watches if watch.active), key=lambda watch: -RANK[watch.effect])
+        return "; ".join(watch.text for watch in active) or "condition has gone"
 
     @property
     def acting(self) -> bool:
         """Whether a condition that asks for an action (not only a warning) holds."""
-        return any(action is not None for _, action in self._active.values())
+        return any(watch.active and RANK[watch.effect] > 0 for watch in self._watches)
 
     def clear(self) -> None:
-        """Forget past actions (on arming)."""
+        """Forget past actions (on arming, and when the operator takes over)."""
         self.action = None
+        self._judge = True
 
     def prearm_reasons(self, conditions: Conditions) -> tuple[str, ...]:
         """Why the vehicle must not be armed."""
@@ -99,68 +95,128 @@ class FailsafeRules:
             reasons.append("position is not good: markers must be in view")
         if NavDoubt.ACCELEROMETER in conditions.nav_doubts or NavDoubt.GYRO in conditions.nav_doubts:
             reasons.append("AHRS readings are wrong: check range and mounting, restart it")
-        if conditions.thruster_problem:
-            reasons.append(f"{conditions.thruster_problem}: repair it, or correct THRn_HEALTH")
-        if conditions.fault:
-            reasons.append(f"{conditions.fault}: see the log, restart the service")
         reasons += conditions.refusals
-        if conditions.wet:
-            reasons.append("water in the hull: open and dry it")
-        power = conditions.power
-        if power is not None and power.remaining < self._params["FS_BATT_LOW"]:
-            reasons.append(f"battery at {100.0 * power.remaining:.0f} %: charge it")
+        self._configure()
+        words = _Words(self._params, conditions, self._situation)
+        for watch in self._watches:
+            arming = watch.row.arming
+            if arming and watch.sign * watch.level(conditions, self._situation) >= watch.enter:
+                reasons.append(words.put_in(arming))
         return tuple(reasons)
 
-    def update(self, conditions: Conditions, *, armed: bool) -> list[Event]:
-        """Evaluate all rules; events report what began and what ended."""
-        found = self._evaluate(conditions)
-        if not found and not self._active:
-            return []
-        events = [
-            Event(t_us=conditions.t_us, severity=Severity.CRITICAL, text=f"Failsafe: {text}")
-            for rule, (text, _) in found.items()
-            if rule not in self._active and armed
-        ]
-        events += [
-            Event(t_us=conditions.t_us, severity=Severity.NOTICE, text=f"Failsafe over: {text}")
-            for rule, (text, _) in self._active.items()
-            if rule not in found and armed
-        ]
-        self._active = found
-        if armed:
-            for _, action in found.values():
-                if action is not None and _RANK[action] > (0 if self.action is None else _RANK[self.action]):
-                    self.action = action
+    def update(self, conditions: Conditions, *, armed: bool) -> Sequence[Event]:
+        """Evaluate all rows; events report what began and what ended."""
+        if self._params.revision != self._revision:
+            self._configure()
+        events: list[Event] = []
+        if armed is not self._armed:
+            self._armed, self._judge = armed, True
+            if not armed:
+                self._land()
+        if self._told_override != self._overridden and armed:
+            self._told_override = self._overridden
+            events.append(_override_event(conditions.t_us, self._overridden))
+        elif not armed:
+            self._told_override = 0
+        t_us, situation = conditions.t_us, self._situation
+        for watch in self._watches if armed else self._grounded:
+            level = watch.sign * watch.level(conditions, situation)
+            if watch.active:
+                if level >= watch.leave:
+                    watch.since_us = -1
+                    continue
+                delay_us = watch.leave_us
+            elif level >= watch.enter:
+                delay_us = watch.enter_us
+            else:
+                watch.since_us = -1
+                continue
+            if watch.since_us < 0:
+                watch.since_us = t_us
+            if t_us - watch.since_us >= delay_us:
+                self._turn(watch, conditions, events)
+        if self._judge and armed:
+            self._judge = False
+            worst = self._worst()
+            if worst is not None and (self.action is None or RANK[worst] > RANK[self.action]):
+                self.action = worst
         return events
 
-    def _evaluate(self, conditions: Conditions) -> dict[Failsafe, tuple[str, Action | None]]:
-        p = self._params
-        found: dict[Failsafe, tuple[str, Action | None]] = {}
-        nav = conditions.nav
-        if nav is not None and nav.health is not NavHealth.INVALID:
-            self._nav_good_us = conditions.t_us
-        if self._nav_good_us is not None and conditions.t_us - self._nav_good_us > p["FS_NAV_TIMEOUT"] * 1e6:
-            nav_actions: tuple[Action | None, ...] = (None, "disarm", "surface")
-            found[Failsafe.NAV_LOST] = ("position lost", nav_actions[int(p["FS_NAV_ACT"])])
-        if conditions.ahrs_age_s is not None and conditions.ahrs_age_s > AHRS_TIMEOUT_S:
-            found[Failsafe.AHRS_STALE] = ("AHRS silent or frozen", "surface")
-        if conditions.nav_disagrees:
-            found[Failsafe.NAV_CHECK] = ("estimators disagree", None)
-        soft_actions: tuple[Action | None, ...] = (None, "hold", "surface")
-        if conditions.solver_failures >= p["FS_SOLVER_N"]:
-            found[Failsafe.SOLVER] = ("controller finds no solution", soft_actions[int(p["FS_SOLVER_ACT"])])
-        if not conditions.thruster_problem:
-            self._thrusters_good_us = conditions.t_us
-        elif conditions.t_us - self._thrusters_good_us > THRUSTER_TIMEOUT_S * 1e6:
-            found[Failsafe.THRUSTER] = (conditions.thruster_problem, soft_actions[int(p["FS_THR_ACT"])])
-        if conditions.command_delay_s > p["FS_LAT_MAX"]:
-            found[Failsafe.LATENCY] = ("commands act too late", soft_actions[int(p["FS_LAT_ACT"])])
-        if conditions.fault:
-            found[Failsafe.FAULT] = (conditions.fault, None)
-        if conditions.wet:
-            found[Failsafe.LEAK] = ("water in the hull", soft_actions[int(p["FS_LEAK_ACT"])])
+    def _worst(self) -> Effect | None:
+        """The most severe effect that acts now."""
+        effects = [watch.effect for watch in self._watches if watch.active and RANK[watch.effect] > 0]
+        return max(effects, key=RANK.__getitem__, default=None)
+
+    def _turn(self, watch: _Watch, conditions: Conditions, events: list[Event]) -> None:
+        """A row begins or ends."""
+        watch.active, watch.since_us = not watch.active, -1
+        self.bits ^= 1 << watch.row.rule
+        self._judge = True
+        if watch.active:
+            watch.text = _Words(self._params, conditions, self._situation).put_in(watch.row.text)
+        if self._armed:
+            severity, told = Severity.NOTICE, f"Failsafe over: {watch.text}"
+            if watch.active:
+                acts = RANK[watch.effect] > 0
+                severity, told = Severity.CRITICAL if acts else watch.row.severity, f"Failsafe: {watch.text}"
+            events.append(Event(t_us=conditions.t_us, severity=severity, text=told))
+
+    def _land(self) -> None:
+        """Disarmed: what is looked at only in flight is over."""
+        for watch in self._watches:
+            if watch.row.flying:
+                watch.since_us = -1
+                if watch.active:
+                    watch.active = False
+                    self.bits &= ~(1 << watch.row.rule)
+
+    def _configure(self) -> None:
+        """Take over parameters. What the operator overrides acts no more: that alone weakens an action."""
+        params = self._params
+        if params.revision == self._revision:
+            return
+        self._revision = params.revision
+        for watch in self._watches:
+            watch.configure(params)
+        self._judge = True
+        overridden = int(params["FS_OVERRIDE"])
+        if overridden & ~self._overridden:
+            self.action = self._worst()
+        self._overridden = overridden
+
+
+class _Words(Mapping[str, object]):
+    """What the braces of a text stand for: parameters, and facts of the tick."""
+
+    def __init__(self, params: ParamSet, conditions: Conditions, situation: Situation) -> None:
         power = conditions.power
-        if power is not None and power.remaining < p["FS_BATT_LOW"]:
-            text = f"battery below {100.0 * p['FS_BATT_LOW']:.0f} %"
-            found[Failsafe.BATTERY] = (text, soft_actions[int(p["FS_BATT_ACT"])])
-        return found
+        self._facts = {
+            "thruster_problem": conditions.thruster_problem,
+            "fault": conditions.fault,
+            "silent_sensor": situation.silent_sensor,
+            "remaining": 0.0 if power is None else power.remaining,
+        }
+        self._params = params
+
+    def __getitem__(self, name: str) -> object:
+        return self._facts[name] if name in self._facts else self._params[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._facts, *self._params))
+
+    def __len__(self) -> int:
+        return len(self._facts) + len(self._params)
+
+    def put_in(self, text: str) -> str:
+        """The text with its braces filled."""
+        return text.format_map(self).replace("%", " %").replace("  %", " %")
+
+
+def _override_event(t_us: int, bits: int) -> Event:
+    names = ", ".join(rule.name for rule in Failsafe if bits >> rule & 1)
+    text = f"Operator overrides failsafes: {names}" if names else "Failsafe override ended"
+    return Event(t_us=t_us, severity=Severity.WARNING, text=text)
+
+
+def _value(bound: Bound, params: Mapping[str, float]) -> float:
+    return params[bound] if isinstance(bound, str) else bound

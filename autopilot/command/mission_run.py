@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 
 from autopilot.command.announcements import Announcements
-from autopilot.command.failsafes import Conditions
+from autopilot.command.conditions import Conditions
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, Severity
 from autopilot.core.params import ParamSet

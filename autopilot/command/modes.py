@@ -3,7 +3,9 @@
 from collections.abc import Callable
 
 from autopilot.command.announcements import Announcements
-from autopilot.command.failsafes import Conditions, FailsafeRules
+from autopilot.command.conditions import Conditions
+from autopilot.command.failsafe_table import Effect
+from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.mission_run import MissionRun
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Authority, Below, Goal, NavHealth, NavState, Severity
@@ -36,6 +38,10 @@ class Modes:
         """The operator's mode."""
         self.goal: Goal | None = None
         """Where the mode in force goes, None as long as it has not been asked."""
+        self.drop_weight = False
+        """A failsafe has let the drop weight go, since the last arming."""
+        self.handed_back = False
+        """A failsafe has given the thrusters to the flight controller below, since the last arming."""
         self.orders = 0
         """Grows whenever the vehicle is told to do something else."""
 
@@ -65,6 +71,7 @@ class Modes:
     def arm(self) -> None:
         """Thrusters may turn; home is here. The mode is to be entered then."""
         self.armed = True
+        self.drop_weight = self.handed_back = False
         self._failsafes.clear()
         if self.nav is not None:
             self._move_home(self.nav.pos_ned_m)
@@ -150,16 +157,30 @@ class Modes:
         action = self._failsafes.action
         if not self.armed or self.yielded or action is None:
             return
-        if action == "disarm":
-            self._operator.say(Severity.CRITICAL, f"Failsafe disarms: {self._failsafes.describe()}")
+        if action == "disarm" or action == "hand back":
+            verb = "disarms" if action == "disarm" else "hands back"
+            self._operator.say(Severity.CRITICAL, f"Failsafe {verb}: {self._failsafes.describe()}")
+            self.handed_back = action == "hand back"
             self.disarm(force=True)
             return
-        mode = FlightMode.SURFACE if action == "surface" else FlightMode.HOLD
+        if action == "drop" and not self.drop_weight:
+            self.drop_weight = True
+            self._operator.say(Severity.CRITICAL, f"Failsafe drops weight: {self._failsafes.describe()}")
+        mode = self._mode_of(action)
         if self._override is not mode and self._override is not FlightMode.SURFACE:
             self._override = mode
             self._mission.sequencer.pause()
             self.goal = self._goal_here(mode)
             self._operator.say(Severity.CRITICAL, f"Failsafe {mode.name}: {self._failsafes.describe()}")
+
+    def _mode_of(self, action: Effect) -> FlightMode:
+        """What a failsafe's effect flies. It goes on with what it has begun: home that is lost on the way holds."""
+        if action == "hold":
+            return FlightMode.HOLD
+        if action != "return":
+            return FlightMode.SURFACE
+        back = self._override is FlightMode.RETURN or not self._goals.refuse_home()
+        return FlightMode.RETURN if back else FlightMode.HOLD
 
     def advance(self, conditions: Conditions) -> tuple[Goal | None, tuple[int, ...]]:
         """Goal of this tick, and the mission items that have been reached on it."""

@@ -10,9 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
+from autopilot.command.conditions import Conditions
 from autopilot.command.decision import Decision
 from autopilot.command.estimation import Estimated, Estimation
-from autopilot.command.failsafes import Conditions
+from autopilot.command.facts import Facts
 from autopilot.command.fault_response import FaultResponse
 from autopilot.command.motion import Motion
 from autopilot.command.parts import Parts
@@ -66,7 +67,7 @@ class Autopilot:
         """Takes the time of the parts of a tick, for the loop's statistics; nothing in here looks at it."""
         self._tick = 0
         self._actuation = parts.actuation
-        self._surroundings = Surroundings()
+        self._surroundings = Surroundings(parts.vehicle, parts.params)
         self._estimation = Estimation(parts.estimator, parts.guard)
         self._motion = Motion(parts.controller, parts.actuation, parts.params, self._surroundings.tracks)
         self._faults = FaultResponse(parts.vehicle, parts.params, parts.guard, parts.commander, self._motion)
@@ -146,6 +147,8 @@ class Autopilot:
             control=control,
             progress=decision.progress,
             thrusters=thrusters,
+            drop_weight=decision.drop_weight,
+            hand_back=decision.hand_back,
             events=inputs.notices + self._events + self._run("telemetry", parts.server.take_notices, NO_EVENTS),
         )
 
@@ -159,6 +162,8 @@ class Autopilot:
             command=self._actuation.neutral(t_us),
             nav=self.nav,
             mode=self._mode_state(t_us, armed=self._faults.drives, decision=self._decision, fault=True),
+            drop_weight=self._decision is not None and self._decision.drop_weight,
+            hand_back=self._decision is not None and self._decision.hand_back,
             events=self._events,
         )
 
@@ -239,8 +244,18 @@ class Autopilot:
             fault=self._faults.problem(t_us),
             below=self._surroundings.below,
             refusals=self._surroundings.refusals,
-            wet=self._surroundings.wet,
+            facts=self._facts(),
         )
+
+    def _facts(self) -> Facts:
+        """What has been heard, with what the links and the controller know."""
+        server, facts = self._parts.server, self._surroundings.facts
+        if server.last_gcs_t_us is not None:
+            facts.gcs_us = server.last_gcs_t_us
+        if server.last_pilot_t_us is not None:
+            facts.pilot_us = server.last_pilot_t_us
+        facts.thrust_n = self._motion.thrust_n
+        return facts
 
     def _undecided(self, t_us: int) -> Decision:
         """Stands in for a commander that fails: hold, as far as the fallback does."""
@@ -254,6 +269,8 @@ class Autopilot:
             progress=blank if last is None else replace(last.progress, t_us=t_us),
             reached=(),
             failsafes=_with_fault(last),
+            drop_weight=last is not None and last.drop_weight,
+            hand_back=last is not None and last.hand_back,
         )
 
     def _control(self, t_us: int, nav: NavState | None, decision: Decision) -> ControlOutput | None:

@@ -4,15 +4,20 @@ from collections.abc import Mapping
 
 from autopilot.command.camera_watch import CameraWatch
 from autopilot.command.device_watch import DeviceWatch
+from autopilot.command.facts import Facts, Jolts
 from autopilot.control.fence.tracks import Tracks
 from autopilot.core.messages import Below, Event, Inputs
-from autopilot.core.samples import LeakSample, ObstacleTrack, PowerSample, plausible
+from autopilot.core.params import ParamSet
+from autopilot.core.samples import AhrsSample, ImuSample, ObstacleTrack, PowerSample, plausible
+from autopilot.core.vehicle import Vehicle
 
 
 class Surroundings:
     """The newest of everything."""
 
-    def __init__(self) -> None:
+    def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
+        self._params = params
+        self._jolts = Jolts(vehicle.to_model())
         self._bad_power = 0
         self._events: list[Event] = []
         self.devices = DeviceWatch()
@@ -24,8 +29,8 @@ class Surroundings:
         """The flight controller below us."""
         self.refusals: tuple[str, ...] = ()
         """What devices have against arming."""
-        self.wet = False
-        """What the leak probe said last."""
+        self.facts = Facts()
+        """What failsafes go by."""
 
     @property
     def supply_v(self) -> float | None:
@@ -37,16 +42,22 @@ class Surroundings:
         self._events += self.devices.step(inputs.t_us, inputs.troubles)
         self._events += self.camera.step(inputs.t_us, inputs.pictures, inputs.samples)
         self.below, self.refusals = inputs.below, inputs.refusals
+        facts = self.facts
+        facts.note(inputs)
         for sample in inputs.samples:
-            if isinstance(sample, PowerSample):
+            if isinstance(sample, AhrsSample | ImuSample):
+                if self._jolts.look(sample, facts.thrust_n, self._params["FS_COLL_ACC"]):
+                    facts.collided_us = inputs.t_us
+            elif isinstance(sample, PowerSample):
                 if plausible(sample):
                     self.power = sample
+                    facts.note_sample(inputs.t_us, sample)
                 else:
                     self._bad_power += 1
-            elif isinstance(sample, LeakSample):
-                self.wet = sample.wet
             elif isinstance(sample, ObstacleTrack):
                 self.tracks.note(inputs.t_us, sample)
+            else:
+                facts.note_sample(inputs.t_us, sample)
 
     @property
     def thruster_problem(self) -> str:

@@ -1,6 +1,6 @@
 """What the operator is told without having asked: position lost or found, no way to the goal, a new fence."""
 
-from autopilot.command.failsafes import Conditions
+from autopilot.command.conditions import Conditions
 from autopilot.core.messages import NavDoubt, NavHealth, NavState, Severity
 from autopilot.core.vehicle import Vehicle
 from mission.goals import Goals

@@ -50,6 +50,10 @@ class Inputs:
     """Devices that failed since the last tick."""
     pictures: tuple[PictureReport, ...] = ()
     """How the camera's pictures of this tick look."""
+    log_lost: bool = False
+    """What happens is not being recorded though it should be: disk full, gone or too slow."""
+    clock_jump_s: float = 0.0
+    """By how much the machine's clock of day has jumped against the one that only counts, since the last tick."""
     frame_counts: Mapping[str, int] | None = None
     """What became of pictures so far, by name (``frames.ok`` ...); None without a camera."""
     below: "Below | None" = None
@@ -404,7 +408,7 @@ class ModeState:
 
 
 class Failsafe(IntEnum):
-    """Bit positions of ModeState.failsafes."""
+    """Bit positions of ModeState.failsafes. What each is about: :mod:`autopilot.command.failsafe_table`."""
 
     NAV_LOST = 0
     SOLVER = 1
@@ -414,7 +418,26 @@ class Failsafe(IntEnum):
     LATENCY = 5
     NAV_CHECK = 6
     FAULT = 7
-    LEAK = 8
+    GCS = 8
+    PILOT = 9
+    DEAD_RECKONING = 10
+    SENSOR = 11
+    DOUBT = 12
+    BATTERY_CRITICAL = 13
+    ENERGY = 14
+    LEAK = 15
+    PRESSURE = 16
+    TEMPERATURE = 17
+    CAGE_SOFT = 18
+    CAGE_HARD = 19
+    TILT = 20
+    COLLISION = 21
+    STUCK = 22
+    TETHER = 23
+    LOOP = 24
+    LOG = 25
+    CLOCK = 26
+    ASCENT = 27
 
 
 class Severity(IntEnum):
@@ -495,6 +518,10 @@ class Outputs:
     """None without an estimator in the shadow of the flown one."""
     thrusters: ThrusterHealthState | None = None
     """Twice per second and when a thruster's health changes."""
+    drop_weight: bool = False
+    """A failsafe wants the drop weight off."""
+    hand_back: bool = False
+    """A failsafe has given the thrusters to whatever is below us; ``command`` is neutral."""
     events: tuple[Event, ...] = field(default=())
     faults: tuple[Fault, ...] = ()
     """Exceptions inside the service on this tick."""

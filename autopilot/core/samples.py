@@ -206,6 +206,24 @@ def plausible(power: PowerSample) -> bool:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class HullSample:
+    """The air inside the hull. ``t_us`` is the time of validity."""
+
+    t_us: int
+    pressure_pa: float | None
+    """Absolute, None = this device does not measure it."""
+    temperature_c: float | None
+    """The same."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PilotSample:
+    """A device has heard the pilot's sticks (a flight controller below us, a receiver). ``t_us``: when."""
+
+    t_us: int
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ObstacleTrack:
     """An obstacle that something on board or outside has seen, as an upright cylinder. ``t_us``: time of validity."""
 
@@ -230,5 +248,7 @@ Sample: TypeAlias = (
     | ExternalPoseSample
     | PowerSample
     | LeakSample
+    | HullSample
+    | PilotSample
     | ObstacleTrack
 )

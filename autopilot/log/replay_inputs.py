@@ -130,7 +130,7 @@ READERS: dict[str, Callable[[Any], Sample]] = {
 }
 """Topic -> how a row of it becomes a sample."""
 
-OTHERS = ("/in/tracks", "/in/power_raw", "/in/leak")
+OTHERS = ("/in/tracks", "/in/power_raw", "/in/leak", "/in/hull", "/in/pilot")
 """Samples that estimators have no use for: only counted."""
 
 

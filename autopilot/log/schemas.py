@@ -156,7 +156,7 @@ uint8 state  # MISSION_STATE
 std_msgs/Header header
 uint8 armed
 uint32 custom_mode
-uint32 failsafes  # bits: 0 nav lost, 1 solver, 2 battery, 3 AHRS stale, 4 thruster, 5 late, 6 nav check, 7 fault
+uint32 failsafes  # bits: docs/failsafes.md
 """,
     "autopilot_msgs/LoopStats": """
 std_msgs/Header header
@@ -248,6 +248,15 @@ float64 remaining
     "autopilot_msgs/LeakRaw": """
 std_msgs/Header header
 uint8 wet
+""",
+    "autopilot_msgs/HullRaw": """
+std_msgs/Header header
+float64 pressure_pa  # absolute, inside the hull; NaN not measured
+float64 temperature_c  # the same
+""",
+    "autopilot_msgs/PilotRaw": """
+std_msgs/Header header
+uint8 heard  # 1
 """,
     "autopilot_msgs/MavlinkFrame": """
 std_msgs/Header header

@@ -18,11 +18,13 @@ from autopilot.core.samples import (
     CameraFrame,
     DepthSample,
     ExternalPoseSample,
+    HullSample,
     ImuSample,
     LaserSample,
     LeakSample,
     MarkerSighting,
     ObstacleTrack,
+    PilotSample,
     PoseSample,
     PowerSample,
     Sample,
@@ -311,6 +313,10 @@ class RunLog:
                 self._write("/in/tracks", t_us, sensors.obstacle_track(stamp_ns, sample))
             case LeakSample():
                 self._write("/in/leak", t_us, sensors.leak_raw(stamp_ns, sample))
+            case HullSample():
+                self._write("/in/hull", t_us, sensors.hull_raw(stamp_ns, sample))
+            case PilotSample():
+                self._write("/in/pilot", t_us, sensors.pilot_raw(stamp_ns, sample))
             case PowerSample():
                 self._write("/in/power_raw", t_us, sensors.power_raw(stamp_ns, sample))
                 self._write("/in/power", t_us, visuals.battery_state(stamp_ns, sample))

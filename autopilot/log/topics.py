@@ -42,6 +42,8 @@ TOPICS: dict[str, str] = {
     "/in/power": "sensor_msgs/BatteryState",
     "/in/power_raw": "autopilot_msgs/PowerRaw",
     "/in/leak": "autopilot_msgs/LeakRaw",
+    "/in/hull": "autopilot_msgs/HullRaw",
+    "/in/pilot": "autopilot_msgs/PilotRaw",
     "/in/mavlink": "autopilot_msgs/MavlinkFrame",
     "/rosout": "rcl_interfaces/Log",
     "/viz/pose": "geometry_msgs/PoseStamped",

@@ -131,6 +131,7 @@ class Dispatcher:
         self._mode_shown: tuple[bool, FlightMode, FlightMode] | None = None
         self._place_shown: tuple[Place, Place] | None = None
         self.last_gcs_t_us: int | None = None
+        self.last_pilot_t_us: int | None = None
 
     def _table(self) -> Mapping[int, Handler]:
         missions, parameters, utility = self.missions, self.parameters, self.utility
@@ -160,6 +161,7 @@ class Dispatcher:
             mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST: lambda peer, msg: utility.on_log_request_list(peer),
             mav.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE: self._external.on_vision_position_estimate,
             mav.MAVLINK_MSG_ID_ODOMETRY: self._external.on_odometry,
+            mav.MAVLINK_MSG_ID_MANUAL_CONTROL: self._on_manual_control,
             mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._on_request_data_stream,
         }
 
@@ -331,6 +333,11 @@ class Dispatcher:
     def _on_heartbeat(self, peer: Peer, msg: Message) -> None:
         if msg.type in _OPERATORS:
             self.last_gcs_t_us = self._ctx.t_us
+
+    def _on_manual_control(self, peer: Peer, msg: Message) -> None:
+        """Sticks: no mode is flown by them yet; that somebody holds them is what the pilot failsafe goes by."""
+        if msg.target in (0, self._ctx.sysid):
+            self.last_pilot_t_us = self._ctx.t_us
 
     def _on_set_mode(self, peer: Peer, msg: Message) -> None:
         self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))

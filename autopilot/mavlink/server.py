@@ -121,6 +121,11 @@ class MavlinkServer:
         return self._dispatcher.last_gcs_t_us
 
     @property
+    def last_pilot_t_us(self) -> int | None:
+        """When a pilot's sticks (MANUAL_CONTROL) were last heard; None before the first."""
+        return self._dispatcher.last_pilot_t_us
+
+    @property
     def uploading(self) -> bool:
         """A plan is being transferred to us."""
         return self._dispatcher.missions.uploading

@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 
 from autopilot.command.commander import Commander
+from autopilot.command.conditions import Conditions
 from autopilot.command.decision import Decision
-from autopilot.command.failsafes import Conditions
+from autopilot.command.facts import Facts
 from autopilot.core.desk import Desk
-from autopilot.core.messages import NavHealth, NavState
+from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import PowerSample
@@ -43,6 +44,8 @@ class Bench:
         self.thruster_problem = ""
         self.thrusters_unseen: tuple[str, ...] = ()
         self.command_delay_s = 0.0
+        self.doubts: frozenset[NavDoubt] = frozenset()
+        self.facts = Facts()
         self.texts: list[str] = []
 
     def nav(self) -> NavState | None:
@@ -78,6 +81,8 @@ class Bench:
                     thruster_problem=self.thruster_problem,
                     thrusters_unseen=self.thrusters_unseen,
                     command_delay_s=self.command_delay_s,
+                    nav_doubts=self.doubts,
+                    facts=self.facts,
                 )
             )
             self.texts += [event.text for event in self.commander.drain_events()]

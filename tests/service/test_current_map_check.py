@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from autopilot.bench.flow_maps import b6_map, forecast_of, write_flow_map
 from autopilot.cli.main import cli
 from autopilot.command.commander import Commander
-from autopilot.command.failsafes import Conditions
+from autopilot.command.conditions import Conditions
 from autopilot.command.map_check import MapCheck, params_origin, parse_utc
 from autopilot.command.watch import Watch
 from autopilot.control.water.current_map import CurrentMap

@@ -11,11 +11,13 @@ from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
     ExternalPoseSample,
+    HullSample,
     ImuSample,
     LaserSample,
     LeakSample,
     MarkerSighting,
     ObstacleTrack,
+    PilotSample,
     PoseSample,
     PowerSample,
     VelocitySample,
@@ -35,6 +37,8 @@ _obstacle_track = layout("autopilot_msgs/ObstacleTrack").packer.pack
 _laser_raw = layout("autopilot_msgs/LaserRaw").packer.pack
 _range = layout("sensor_msgs/Range").packer.pack
 _leak_raw = layout("autopilot_msgs/LeakRaw").packer.pack
+_hull_raw = layout("autopilot_msgs/HullRaw").packer.pack
+_pilot_raw = layout("autopilot_msgs/PilotRaw").packer.pack
 _power_raw = layout("autopilot_msgs/PowerRaw").packer.pack
 
 _CAM = (4, b"cam\0")
@@ -195,3 +199,20 @@ def power_raw(stamp_ns: int, sample: PowerSample) -> bytes:
         sample.energy_used_j,
         sample.remaining,
     )
+
+
+def hull_raw(stamp_ns: int, sample: HullSample) -> bytes:
+    """HullRaw."""
+    pressure_pa, temperature_c = sample.pressure_pa, sample.temperature_c
+    return _hull_raw(
+        ENCAPSULATION,
+        *divmod(stamp_ns, NS),
+        *FRD,
+        math.nan if pressure_pa is None else pressure_pa,
+        math.nan if temperature_c is None else temperature_c,
+    )
+
+
+def pilot_raw(stamp_ns: int, sample: PilotSample) -> bytes:
+    """PilotRaw."""
+    return _pilot_raw(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, 1)

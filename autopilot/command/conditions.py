@@ -1,0 +1,44 @@
+"""Facts of a tick that failsafes and arming go by."""
+
+from dataclasses import dataclass, field
+
+from autopilot.command.facts import Facts
+from autopilot.core.messages import Below, NavDoubt, NavState
+from autopilot.core.samples import PowerSample
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Conditions:
+    """Facts of this tick that rules and arming look at."""
+
+    t_us: int
+    nav: NavState | None
+    power: PowerSample | None
+    ahrs_age_s: float | None
+    """Since the last good sample (a frozen device sends none); None = nothing heard yet."""
+    solver_failures: int
+    """NMPC steps in a row without a solution."""
+    unreachable: bool = False
+    """The controller finds no way to its goal."""
+    way_left_m: float | None = None
+    """Length of the way to the goal as the controller flies it, None = it has none."""
+    nav_doubts: frozenset[NavDoubt] = frozenset()
+    """What speaks against the estimate or its sensors."""
+    nav_disagrees: bool = False
+    """The estimator in the shadow of the flown one has been somewhere else for a while."""
+    thruster_share: tuple[float, ...] = ()
+    """What each thruster gives of its thrust, in the order of the vehicle file; empty = not known."""
+    thruster_problem: str = ""
+    """What the thrusters that are left cannot do any more."""
+    thrusters_unseen: tuple[str, ...] = ()
+    """Those of which nobody would know had they lost half of their thrust."""
+    command_delay_s: float = 0.0
+    """So late commands reach the thrusters, beyond doubt."""
+    fault: str = ""
+    """What has failed inside the service of late."""
+    below: Below | None = None
+    """The flight controller below us, None without one."""
+    refusals: tuple[str, ...] = ()
+    """What devices have against arming."""
+    facts: Facts = field(default_factory=Facts)
+    """What has been heard beside the estimate."""

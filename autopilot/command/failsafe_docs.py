@@ -1,0 +1,81 @@
+"""The table of failsafes for people: docs/failsafes.md and ``autopilot failsafes``."""
+
+import re
+from dataclasses import dataclass
+
+from autopilot.command.failsafe_table import EFFECTS, ROWS, Row
+from autopilot.core.params import ParamSet
+
+_NAMED = re.compile(r"`([A-Z0-9_]+)`")
+_FORMAT = re.compile(r"\{(\w+):[^}]*\}")
+
+BEGIN, END = "<!-- failsafes:begin -->", "<!-- failsafes:end -->"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FailsafeText:
+    """One row in words."""
+
+    bit: int
+    name: str
+    condition: str
+    over: str
+    """When it ends, and whether it counts on the ground."""
+    action: str
+    said: str
+
+
+def failsafe_texts() -> list[FailsafeText]:
+    """All rows with the default values of their parameters, by bit."""
+    params = ParamSet()
+    return [_text(row, params) for row in sorted(ROWS, key=lambda row: row.rule)]
+
+
+def failsafe_markdown() -> str:
+    """What docs/failsafes.md holds between its marks."""
+    lines = ["| bit | failsafe | begins when | over | what is done | text |", "| --- | --- | --- | --- | --- | --- |"]
+    lines += [
+        f"| {text.bit} | {text.name} | {text.condition} | {text.over} | {text.action} | {text.said} |"
+        for text in failsafe_texts()
+    ]
+    lines += ["", "| effect, weakest first | |", "| --- | --- |"]
+    lines += [f"| {effect} | {meaning} |" for effect, meaning in EFFECTS.items()]
+    return "\n".join(lines) + "\n"
+
+
+def with_table(page: str) -> str:
+    """A page with the table between its marks made anew."""
+    begin, end = page.index(BEGIN) + len(BEGIN), page.index(END)
+    return f"{page[:begin]}\n{failsafe_markdown()}{page[end:]}"
+
+
+def _text(row: Row, params: ParamSet) -> FailsafeText:
+    return FailsafeText(
+        bit=int(row.rule),
+        name=row.rule.name,
+        condition=_NAMED.sub(lambda found: _with_default(found[1], params), row.condition),
+        over=_over(row),
+        action=_action(row, params),
+        said=_FORMAT.sub(r"{\1}", row.text) + ("; no arming" if row.arming else ""),
+    )
+
+
+def _with_default(name: str, params: ParamSet) -> str:
+    if name not in params:
+        return f"`{name}`"
+    spec = params.spec(name)
+    return f"`{name}` ({f'{spec.default:g} {spec.unit}'.rstrip()})"
+
+
+def _over(row: Row) -> str:
+    parts = [f"back by {row.gap:g}" if row.gap else "at once" if not row.leave_s else "gone"]
+    parts += [f"for {row.leave_s:g} s"] if row.leave_s else []
+    return " ".join(parts) + (", at disarming" if row.flying else "")
+
+
+def _action(row: Row, params: ParamSet) -> str:
+    if not row.action:
+        return row.effects[0]
+    chosen = int(params[row.action])
+    choices = ", ".join(f"**{n} {e}**" if n == chosen else f"{n} {e}" for n, e in enumerate(row.effects))
+    return f"`{row.action}`: {choices}"

@@ -1,0 +1,381 @@
+"""The failsafes, one row each: condition, when it begins and ends, what is done, what is said.
+
+Data only. :mod:`autopilot.command.failsafes` evaluates it once per tick, docs/failsafes.md is generated from it
+(``autopilot failsafes --markdown``), and every row has a fault scenario (:mod:`autopilot.campaign.failsafes`).
+
+A row looks at one quantity. It begins when that has been at its bound or beyond for ``enter_s`` and ends when it has
+been back by ``gap`` for ``leave_s``. NaN is neither: what nobody measures raises nothing.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from autopilot.command.conditions import Conditions
+from autopilot.command.facts import LATCHED_US, SHOWN_US
+from autopilot.command.situation import Situation
+from autopilot.core.messages import Failsafe, NavDoubt, Severity
+
+Effect: TypeAlias = Literal["off", "warn", "hold", "return", "surface", "drop", "hand back", "disarm"]
+
+RANK: dict[Effect, int] = {
+    "off": -1,
+    "warn": 0,
+    "hold": 1,
+    "return": 2,
+    "surface": 3,
+    "drop": 4,
+    "hand back": 5,
+    "disarm": 6,
+}
+"""The most severe of several wins."""
+
+EFFECTS: dict[Effect, str] = {
+    "off": "not looked at",
+    "warn": "the operator is told, nothing else",
+    "hold": "mode HOLD: comes to rest and keeps its station",
+    "return": "mode RETURN: home within the fence; HOLD where home cannot be returned to",
+    "surface": "mode SURFACE: up under the constraints of the flight; without a position straight up",
+    "drop": "as surface, and the drop weight is let go (where a device can)",
+    "hand back": "thrusters go to the flight controller below; where there is none they are neutral, disarmed",
+    "disarm": "thrusters neutral, disarmed",
+}
+
+ACTIONS: tuple[Effect, ...] = ("warn", "hold", "surface", "return", "disarm", "drop", "hand back")
+"""Values of most FS_..._ACT parameters, from 0."""
+
+Level: TypeAlias = Callable[[Conditions, Situation], float]
+Bound: TypeAlias = str | float
+"""A parameter's name or a number."""
+
+_NAN = math.nan
+_DOUBTS = frozenset({NavDoubt.FIXES, NavDoubt.RANGE, NavDoubt.MAP, NavDoubt.CALIBRATION, NavDoubt.RESETS})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One failsafe."""
+
+    rule: Failsafe
+    condition: str
+    """For people; parameters by name."""
+    level: Level
+    """What is looked at, once per tick: no text is made here."""
+    enter: Bound
+    gap: float = 0.0
+    """Hysteresis: it is over when the quantity is back by so much."""
+    below: bool = False
+    """Low values are the bad ones."""
+    zero_is_off: bool = False
+    """A bound of 0 switches the row off."""
+    enter_s: Bound = 0.0
+    leave_s: float = 0.0
+    action: str = ""
+    """Parameter that chooses among ``effects``, "" = the only one."""
+    effects: tuple[Effect, ...] = ACTIONS
+    severity: Severity = Severity.CRITICAL
+    """Of what is said when it begins."""
+    text: str
+    """What has happened and what to do. Names in braces are parameters and facts, put in when it is said."""
+    arming: str = ""
+    """Why the vehicle must not be armed meanwhile, "" = it may."""
+    flying: bool = False
+    """Looked at only while armed."""
+
+
+def _age(t_us: int, since_us: float) -> float:
+    return 1e-6 * (t_us - since_us)
+
+
+ROWS: tuple[Row, ...] = (
+    Row(
+        rule=Failsafe.NAV_LOST,
+        condition="estimate not valid for `FS_NAV_TIMEOUT`, once it has been valid",
+        level=lambda c, s: s.nav_lost,
+        enter=1.0,
+        enter_s="FS_NAV_TIMEOUT",
+        action="FS_NAV_ACT",
+        effects=("warn", "disarm", "surface", "drop", "hand back"),
+        text="position lost",
+    ),
+    Row(
+        rule=Failsafe.SOLVER,
+        condition="`FS_SOLVER_N` control steps in a row without a solution: the whole chain is exhausted",
+        level=lambda c, s: c.solver_failures,
+        enter="FS_SOLVER_N",
+        action="FS_SOLVER_ACT",
+        text="controller finds no solution",
+    ),
+    Row(
+        rule=Failsafe.BATTERY,
+        condition="share of the battery below `FS_BATT_LOW`, or voltage below `BATT_LOW_VOLT` for `BATT_LOW_TIMER`",
+        level=lambda c, s: _NAN if c.power is None else min(c.power.remaining, s.low_voltage),
+        enter="FS_BATT_LOW",
+        below=True,
+        gap=0.02,
+        action="FS_BATT_ACT",
+        text="battery below {FS_BATT_LOW:.0%}",
+        arming="battery at {remaining:.0%}: charge it",
+    ),
+    Row(
+        rule=Failsafe.AHRS_STALE,
+        condition="no AHRS sample for 0.5 s, or the same again and again",
+        level=lambda c, s: _NAN if c.ahrs_age_s is None else c.ahrs_age_s,
+        enter=0.5,
+        effects=("surface",),
+        text="AHRS silent or frozen",
+    ),
+    Row(
+        rule=Failsafe.THRUSTER,
+        condition="what is left of the thrusters holds no depth, heading or place, or commands do not reach them",
+        level=lambda c, s: 1.0 if c.thruster_problem else 0.0,
+        enter=1.0,
+        enter_s=3.0,
+        action="FS_THR_ACT",
+        text="{thruster_problem}",
+        arming="{thruster_problem}: repair it, or correct THRn_HEALTH",
+    ),
+    Row(
+        rule=Failsafe.LATENCY,
+        condition="commands act later than `FS_LAT_MAX`",
+        level=lambda c, s: c.command_delay_s,
+        enter="FS_LAT_MAX",
+        action="FS_LAT_ACT",
+        text="commands act too late",
+    ),
+    Row(
+        rule=Failsafe.NAV_CHECK,
+        condition="the estimator in the shadow of the flown one is somewhere else",
+        level=lambda c, s: c.nav_disagrees,
+        enter=1.0,
+        effects=("warn",),
+        text="estimators disagree",
+    ),
+    Row(
+        rule=Failsafe.FAULT,
+        condition="something inside has failed within the last 5 s ([reliability.md](reliability.md))",
+        level=lambda c, s: 1.0 if c.fault else 0.0,
+        enter=1.0,
+        effects=("warn",),
+        text="{fault}",
+        arming="{fault}: see the log, restart the service",
+    ),
+    Row(
+        rule=Failsafe.GCS,
+        condition="a ground station has been heard and is silent for `FS_GCS_TIMEOUT`",
+        level=lambda c, s: _age(c.t_us, c.facts.gcs_us),
+        enter="FS_GCS_TIMEOUT",
+        action="FS_GCS_ENABLE",
+        effects=("off", "warn", "disarm", "hold", "surface", "return"),
+        severity=Severity.WARNING,
+        text="ground station lost: check the link",
+    ),
+    Row(
+        rule=Failsafe.PILOT,
+        condition="a pilot has steered since arming (MANUAL_CONTROL, or below us) and is silent for `FS_PILOT_TIMEOUT`",
+        level=lambda c, s: _age(c.t_us, c.facts.pilot_us) if c.facts.pilot_us >= s.armed_us else _NAN,
+        enter="FS_PILOT_TIMEOUT",
+        action="FS_PILOT_INPUT",
+        effects=("off", "warn", "disarm", "hold"),
+        severity=Severity.WARNING,
+        text="pilot input lost: check the joystick",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.DEAD_RECKONING,
+        condition="no position fix for `FS_DR_TIME`: the estimate is carried on by model and AHRS alone",
+        level=lambda c, s: s.no_fix_s,
+        enter="FS_DR_TIME",
+        action="FS_DR_ACT",
+        severity=Severity.WARNING,
+        text="no fix for {FS_DR_TIME:.0f} s: go to markers",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.SENSOR,
+        condition="depth sensor, velocity log, power monitor, leak probe or hull sensor has spoken and is silent, or "
+        "repeats one reading to the last digit, for `FS_SENS_TIME`",
+        level=lambda c, s: s.silent_s,
+        enter="FS_SENS_TIME",
+        action="FS_SENS_ACT",
+        severity=Severity.WARNING,
+        text="{silent_sensor} silent or frozen",
+        arming="{silent_sensor} silent or frozen: check its cable",
+    ),
+    Row(
+        rule=Failsafe.DOUBT,
+        condition="fixes, range, map or calibration contradict each other ([estimation.md](estimation.md#doubt))",
+        level=lambda c, s: 0.0 if c.nav_doubts.isdisjoint(_DOUBTS) else 1.0,
+        enter=1.0,
+        enter_s=1.0,
+        leave_s=1.0,
+        action="FS_DOUBT_ACT",
+        severity=Severity.WARNING,
+        text="map or calibration doubtful: check both",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.BATTERY_CRITICAL,
+        condition="share of the battery below `FS_BATT_CRT`, or voltage below `BATT_CRT_VOLT` for `BATT_LOW_TIMER`",
+        level=lambda c, s: _NAN if c.power is None else min(c.power.remaining, s.critical_voltage),
+        enter="FS_BATT_CRT",
+        below=True,
+        gap=0.02,
+        action="FS_BATT_CRT_ACT",
+        text="battery critical: come up",
+    ),
+    Row(
+        rule=Failsafe.ENERGY,
+        condition="the rest of the plan, at what a metre cost of late, leaves less than `FS_ENRG_RES` of the battery",
+        level=lambda c, s: s.energy_lack,
+        enter=0.0,
+        gap=0.02,
+        enter_s=5.0,
+        action="FS_ENRG_ACT",
+        severity=Severity.WARNING,
+        text="battery too low for the plan: shorten it",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.LEAK,
+        condition=f"a leak probe is wet, or has been within the last {LATCHED_US // 10**6} s",
+        level=lambda c, s: c.facts.wet_us + LATCHED_US >= c.t_us,
+        enter=1.0,
+        action="FS_LEAK_ENABLE",
+        effects=("off", "warn", "surface", "drop"),
+        text="water in the hull",
+        arming="water in the hull: open and dry it",
+    ),
+    Row(
+        rule=Failsafe.PRESSURE,
+        condition="pressure inside the hull above `FS_PRESS_MAX` for 2 s",
+        level=lambda c, s: c.facts.hull_pa,
+        enter="FS_PRESS_MAX",
+        gap=500.0,
+        enter_s=2.0,
+        action="FS_PRESS_ENABLE",
+        effects=("off", "warn", "surface"),
+        severity=Severity.WARNING,
+        text="hull pressure high: check for leaks",
+        arming="hull pressure high: check seals, vent the hull",
+    ),
+    Row(
+        rule=Failsafe.TEMPERATURE,
+        condition="temperature inside the hull above `FS_TEMP_MAX` for 2 s",
+        level=lambda c, s: c.facts.hull_c,
+        enter="FS_TEMP_MAX",
+        gap=2.0,
+        enter_s=2.0,
+        action="FS_TEMP_ENABLE",
+        effects=("off", "warn", "surface"),
+        severity=Severity.WARNING,
+        text="hull too hot: let it cool in water",
+        arming="hull too hot: let it cool in water",
+    ),
+    Row(
+        rule=Failsafe.CAGE_SOFT,
+        condition="the vehicle's ball reaches beyond fence or depth band by `FS_CAGE_SOFT` for 0.5 s",
+        level=lambda c, s: s.beyond_m,
+        enter="FS_CAGE_SOFT",
+        gap=0.05,
+        enter_s=0.5,
+        effects=("warn",),
+        severity=Severity.WARNING,
+        text="beyond fence or depth band",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.CAGE_HARD,
+        condition="the same by `FS_CAGE_HARD`",
+        level=lambda c, s: s.beyond_m,
+        enter="FS_CAGE_HARD",
+        gap=0.05,
+        enter_s=0.5,
+        action="FS_CAGE_ACT",
+        text="far beyond fence or depth band",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.TILT,
+        condition="lean from upright beyond `FS_CRASH_ANGLE` for 2 s",
+        level=lambda c, s: s.tilt_deg,
+        enter="FS_CRASH_ANGLE",
+        gap=5.0,
+        enter_s=2.0,
+        action="FS_CRASH_CHECK",
+        effects=("off", "warn", "disarm", "hold", "surface"),
+        text="leans over {FS_CRASH_ANGLE:.0f} deg: look at it",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.COLLISION,
+        condition=f"a jolt above `FS_COLL_ACC`, over in 0.3 s, not by thrust; shown for {SHOWN_US // 10**6} s",
+        level=lambda c, s: c.facts.collided_us + SHOWN_US >= c.t_us,
+        enter=1.0,
+        action="FS_COLL_ACT",
+        severity=Severity.WARNING,
+        text="hit something: look at the camera",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.STUCK,
+        condition="on its way, a thruster at a third of `THR_LIMIT`, and slower than 0.05 m/s for `FS_STUCK_TIME`",
+        level=lambda c, s: s.stuck_s,
+        enter="FS_STUCK_TIME",
+        action="FS_STUCK_ACT",
+        severity=Severity.WARNING,
+        text="thrust and no motion: stuck, or current",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.TETHER,
+        condition="tether paid out (`TETHER_COUNT`: distance from home, or way travelled) to `TETHER_LEN`",
+        level=lambda c, s: s.tether_m,
+        enter="TETHER_LEN",
+        gap=0.2,
+        zero_is_off=True,
+        action="FS_TETHER_ACT",
+        text="tether is out: come back",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.LOOP,
+        condition="share of late ticks above `FS_LOOP_MAX` for 3 s",
+        level=lambda c, s: c.facts.late_share,
+        enter="FS_LOOP_MAX",
+        enter_s=3.0,
+        leave_s=2.0,
+        action="FS_LOOP_ACT",
+        severity=Severity.WARNING,
+        text="loop too slow: machine overloaded",
+    ),
+    Row(
+        rule=Failsafe.LOG,
+        condition="what happens is not recorded: disk full, gone or read-only",
+        level=lambda c, s: c.facts.log_lost,
+        enter=1.0,
+        action="FS_LOG_ACT",
+        severity=Severity.WARNING,
+        text="no log: free the disk",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.CLOCK,
+        condition=f"clock of day jumped by 0.5 s or more; shown for {SHOWN_US // 10**6} s",
+        level=lambda c, s: c.facts.jumped_us + SHOWN_US >= c.t_us,
+        enter=1.0,
+        action="FS_CLOCK_ACT",
+        severity=Severity.WARNING,
+        text="clock jumped: check time source",
+    ),
+    Row(
+        rule=Failsafe.ASCENT,
+        condition="surfacing without a position for `FS_ASCENT_TIME`",
+        level=lambda c, s: s.blind_s,
+        enter="FS_ASCENT_TIME",
+        action="FS_ASCENT_ACT",
+        text="ascent takes too long: heave it in",
+        flying=True,
+    ),
+)

@@ -1,0 +1,212 @@
+"""Where the vehicle is and how it gets on, as failsafes look at it: plain numbers, most made ten times a second.
+
+NaN is what is not known, or does not apply now.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from autopilot.core.messages import NavHealth
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle
+from mission.goals import Goals
+from mission.items import Jump, Step
+from mission.sequencer import Position, Sequencer
+from mission.store import Plans
+
+if TYPE_CHECKING:
+    from autopilot.command.conditions import Conditions
+
+LOOK_TICKS = 10
+"""What needs geometry is looked at so often, energy at each tenth time."""
+
+SLOW_M_S = 0.05
+"""Slower is not moving,"""
+PUSHED = 1.0 / 3.0
+"""when a thruster is at this share of its limit"""
+AWAY_M = 0.3
+"""and there is so much way left."""
+
+WINDOW_S = 60.0
+"""What a metre costs is taken over so long,"""
+LEAST_S = 15.0
+LEAST_M = 1.0
+"""and not known before so much has been flown."""
+
+MAX_STEPS = 2000
+"""Steps of a mission, with its jumps, that are looked at."""
+
+NEVER = math.nan
+
+
+class Situation:
+    """Numbers of now."""
+
+    def __init__(self, vehicle: Vehicle, params: ParamSet, plans: Plans, goals: Goals, sequencer: Sequencer) -> None:
+        self._radius_m = vehicle.radius_m
+        self._capacity_j = vehicle.battery.capacity_j
+        self._params = params
+        self._plans = plans
+        self._goals = goals
+        self._sequencer = sequencer
+        self._ticks = 0
+        self._known = False
+        self._fix_us = 0
+        self._blind_us: int | None = None
+        self._slow_us: int | None = None
+        self._last_m: tuple[float, float, float] | None = None
+        self._travelled_m = 0.0
+        self._spent: deque[tuple[int, float, float]] = deque(maxlen=int(WINDOW_S))
+        self._rest: tuple[Position | None, int, float] | None = None
+        self._low_us: int | None = None
+        self._critical_us: int | None = None
+        self.armed_us: float = math.inf
+        """When it was armed; inf = it is not."""
+        self.nav_lost = 0.0
+        """1 = the estimate is not valid though it has been."""
+        self.no_fix_s = NEVER
+        self.beyond_m = NEVER
+        """How far the vehicle's ball reaches beyond fence or depth band, negative = inside."""
+        self.tilt_deg = NEVER
+        self.stuck_s = NEVER
+        self.tether_m = NEVER
+        self.blind_s = NEVER
+        """Time of the ascent without a position."""
+        self.energy_lack = NEVER
+        """Share of the battery that is missing for the rest of the mission and the reserve."""
+        self.silent_s = NEVER
+        self.silent_sensor = ""
+        self.low_voltage = self.critical_voltage = math.inf
+        """-1 = the voltage is too low and has been for BATT_LOW_TIMER, else inf."""
+
+    def look(self, conditions: "Conditions", *, armed: bool, surfacing: bool, on_mission: bool) -> None:
+        """Once per tick."""
+        t_us, nav = conditions.t_us, conditions.nav
+        valid = nav is not None and nav.health is not NavHealth.INVALID
+        self._known = self._known or valid
+        self.nav_lost = 1.0 if self._known and not valid else 0.0
+        if not armed:
+            self.armed_us = math.inf
+        elif self.armed_us == math.inf:
+            self._begin(t_us)
+        if nav is not None and nav.health is NavHealth.GOOD:
+            self._fix_us = t_us
+        self._ticks += 1
+        if self._ticks % LOOK_TICKS:
+            return
+        self.no_fix_s = 1e-6 * (t_us - self._fix_us) if self._known else NEVER
+        self._look_ascent(t_us, blind=armed and surfacing and not valid)
+        self.silent_s, self.silent_sensor = conditions.facts.silent(t_us)
+        self._look_voltage(conditions)
+        if nav is None or not valid:
+            self.beyond_m = self.stuck_s = self.tether_m = NEVER
+        elif armed:
+            self._look_place(conditions, on_mission=on_mission)
+        if nav is not None:
+            roll, pitch, _ = nav.rpy_rad.tolist()
+            self.tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, math.cos(roll) * math.cos(pitch)))))
+
+    def _begin(self, t_us: int) -> None:
+        """Armed."""
+        self.armed_us = t_us
+        self._travelled_m, self._last_m, self._slow_us = 0.0, None, None
+        self._spent.clear()
+        self.beyond_m = self.stuck_s = self.tether_m = self.energy_lack = NEVER
+
+    def _look_ascent(self, t_us: int, *, blind: bool) -> None:
+        if not blind:
+            self._blind_us, self.blind_s = None, NEVER
+            return
+        self._blind_us = t_us if self._blind_us is None else self._blind_us
+        self.blind_s = 1e-6 * (t_us - self._blind_us)
+
+    def _look_voltage(self, conditions: "Conditions") -> None:
+        power, params = conditions.power, self._params
+        if power is None:
+            return
+        t_us, patience_us = conditions.t_us, params["BATT_LOW_TIMER"] * 1e6
+        if power.voltage_v >= params["BATT_LOW_VOLT"]:
+            self._low_us = None
+        elif self._low_us is None:
+            self._low_us = t_us
+        if power.voltage_v >= params["BATT_CRT_VOLT"]:
+            self._critical_us = None
+        elif self._critical_us is None:
+            self._critical_us = t_us
+        self.low_voltage = -1.0 if self._low_us is not None and t_us - self._low_us >= patience_us else math.inf
+        late = self._critical_us is not None and t_us - self._critical_us >= patience_us
+        self.critical_voltage = -1.0 if late else math.inf
+
+    def _look_place(self, conditions: "Conditions", *, on_mission: bool) -> None:
+        nav, params = conditions.nav, self._params
+        assert nav is not None
+        x, y, z = place = tuple(nav.pos_ned_m.tolist())
+        deep_m = max(z - params["DEPTH_MAX"], params["DEPTH_MIN"] - z - self._goals.top_m)
+        self.beyond_m = max(self._radius_m - self._goals.clearance_m(nav.pos_ned_m), deep_m)
+        if self._last_m is not None:
+            self._travelled_m += math.dist(place, self._last_m)
+        self._last_m = (x, y, z)
+        home = self._plans.home_ned_m.tolist()
+        self.tether_m = self._travelled_m if params["TETHER_COUNT"] else math.dist(place, home)
+        self._look_motion(conditions)
+        if self._ticks % (10 * LOOK_TICKS) == 0:
+            self._look_energy(conditions, on_mission=on_mission)
+
+    def _look_motion(self, conditions: "Conditions") -> None:
+        nav, thrust_n, left_m = conditions.nav, conditions.facts.thrust_n, conditions.way_left_m
+        assert nav is not None
+        vx, vy, vz = nav.vel_frd_m_s.tolist()
+        slow = vx * vx + vy * vy + vz * vz < SLOW_M_S * SLOW_M_S
+        pushes = thrust_n is not None and float(abs(thrust_n).max()) >= PUSHED * self._params["THR_LIMIT"]
+        if not (slow and pushes and left_m is not None and left_m > AWAY_M):
+            self._slow_us, self.stuck_s = None, 0.0
+            return
+        self._slow_us = conditions.t_us if self._slow_us is None else self._slow_us
+        self.stuck_s = 1e-6 * (conditions.t_us - self._slow_us)
+
+    def _look_energy(self, conditions: "Conditions", *, on_mission: bool) -> None:
+        power = conditions.power
+        if power is None or not on_mission:
+            self._spent.clear()
+            self.energy_lack = NEVER
+            return
+        self._spent.append((conditions.t_us, power.energy_used_j, self._travelled_m))
+        then_us, then_j, then_m = self._spent[0]
+        way_m = self._travelled_m - then_m
+        if conditions.t_us - then_us < LEAST_S * 1e6 or way_m < LEAST_M:
+            return
+        j_m = (power.energy_used_j - then_j) / way_m
+        left_m = (conditions.way_left_m or 0.0) + self._rest_m()
+        self.energy_lack = left_m * j_m / self._capacity_j + self._params["FS_ENRG_RES"] - power.remaining
+
+    def _rest_m(self) -> float:
+        """Way of the mission behind the goal of now, straight from place to place, jumps counted."""
+        position, steps = self._sequencer.position, self._plans.steps()
+        if self._rest is None or self._rest[:2] != (position, id(steps)):
+            self._rest = (position, id(steps), 0.0 if position is None else rest_of_way_m(steps, position))
+        return self._rest[2]
+
+
+def rest_of_way_m(steps: Sequence[Step], position: Position) -> float:
+    """Length of a mission from the goal of ``position`` on. Jumps without an end are not made."""
+    done = dict(position.jumps_done)
+    cursor, last, way_m = position.cursor, None, 0.0
+    for _ in range(MAX_STEPS):
+        if not 0 <= cursor < len(steps):
+            break
+        step = steps[cursor]
+        if isinstance(step, Jump):
+            made = done.get(cursor, 0)
+            if step.count is not None and made < step.count:
+                done[cursor] = made + 1
+                cursor = step.target_seq
+                continue
+        place = getattr(step, "pos_ned_m", None)
+        if place is not None:
+            here = tuple(place.tolist())
+            way_m += 0.0 if last is None else math.dist(here, last)
+            last = here
+        cursor += 1
+    return way_m

@@ -1,0 +1,218 @@
+"""The table of failsafes: whole, documented, and evaluated as it says."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commander_bench import OK, Bench
+from hypothesis import given
+from hypothesis import strategies as st
+
+from autopilot.command.failsafe_docs import with_table
+from autopilot.command.failsafe_table import EFFECTS, RANK, ROWS, Row
+from autopilot.core.messages import Failsafe, NavDoubt, NavHealth, Severity
+from autopilot.core.params import PARAMETERS, ParamSet
+from autopilot.core.samples import HullSample, LeakSample
+from autopilot.mavlink.api import CommandResult, FlightMode
+
+PAGE = Path(__file__).parents[2] / "docs" / "failsafes.md"
+
+
+def test_every_failsafe_has_one_row() -> None:
+    assert sorted(row.rule for row in ROWS) == list(Failsafe)
+    assert {effect for row in ROWS for effect in row.effects} <= set(EFFECTS) == set(RANK)
+
+
+def test_the_page_holds_the_programs_table() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert text == with_table(text), "autopilot failsafes --write docs/failsafes.md"
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.rule.name)
+def test_a_rows_parameters_exist_and_its_texts_fit_an_operators_line(row: Row) -> None:
+    params = ParamSet()
+    assert all(name in params for name in (row.enter, row.enter_s) if isinstance(name, str))
+    assert len(f"Failsafe: {row.text}") <= 50 or "{" in row.text
+    if row.action:
+        spec = params.spec(row.action)
+        assert (spec.minimum, spec.maximum) == (0, len(row.effects) - 1)
+    else:
+        assert len(row.effects) == 1
+
+
+def test_every_failsafe_parameter_is_looked_at_by_a_row() -> None:
+    named = " ".join(f"{row.enter} {row.enter_s} {row.action} {row.condition}" for row in ROWS)
+    others = {"FS_FAULT_TIME", "FS_OVERRIDE"}
+    assert [s.name for s in PARAMETERS if s.name.startswith("FS_") and s.name not in named] == sorted(others)
+
+
+def raise_row(bench: Bench, name: str) -> None:
+    """Make a condition true that has no time of its own."""
+    if name == "leak":
+        bench.facts.wet_us = math.inf
+    elif name == "battery":
+        bench.remaining = 0.08
+    elif name == "solver":
+        bench.failures = 1000
+    elif name == "late":
+        bench.command_delay_s = 1.0
+    elif name == "gcs":
+        bench.facts.gcs_us = -math.inf
+
+
+def end_row(bench: Bench, name: str) -> None:
+    bench.facts.wet_us = bench.facts.wet_us if name != "leak" else math.nan
+    bench.facts.gcs_us = bench.facts.gcs_us if name != "gcs" else math.nan
+    bench.remaining = bench.remaining if name != "battery" else 0.9
+    bench.failures = bench.failures if name != "solver" else 0
+    bench.command_delay_s = bench.command_delay_s if name != "late" else 0.0
+
+
+STORY = {
+    "leak": ("FS_LEAK_ENABLE", ("off", "warn", "surface", "drop")),
+    "battery": ("FS_BATT_ACT", ("warn", "hold", "surface", "return", "disarm", "drop", "hand back")),
+    "solver": ("FS_SOLVER_ACT", ("warn", "hold", "surface", "return", "disarm", "drop", "hand back")),
+    "late": ("FS_LAT_ACT", ("warn", "hold", "surface", "return", "disarm", "drop", "hand back")),
+    "gcs": ("FS_GCS_ENABLE", ("off", "warn", "disarm", "hold", "surface", "return")),
+}
+
+
+@given(st.data())
+def test_the_most_severe_of_several_wins_and_does_not_weaken(data: st.DataObject) -> None:
+    params, effects = {}, {}
+    for name, (param, choices) in STORY.items():
+        number = data.draw(st.integers(0, len(choices) - 1), label=param)
+        params[param], effects[name] = float(number), choices[number]
+    bench = Bench(**params).armed()
+    worst, present = 0, set()
+    for _ in range(data.draw(st.integers(1, 8), label="changes")):
+        name = data.draw(st.sampled_from(sorted(STORY)), label="which")
+        if name in present:
+            end_row(bench, name)
+            present.discard(name)
+        else:
+            raise_row(bench, name)
+            present.add(name)
+            worst = max(worst, RANK[effects[name]])  # type: ignore[index]
+        decision = bench.run(0.03)
+        if worst >= RANK["hand back"]:
+            assert not decision.armed and decision.hand_back is (worst == RANK["hand back"])
+            return
+        assert decision.armed
+        assert decision.drop_weight is (worst == RANK["drop"])
+        modes = {0: FlightMode.HOLD, 1: FlightMode.HOLD, 2: FlightMode.RETURN}
+        assert decision.mode is modes.get(worst, FlightMode.SURFACE)
+        acts = any(RANK[effects[n]] > 0 for n in present)  # type: ignore[index]
+        refused = bench.commander.set_mode(decision.mode).result is CommandResult.DENIED if worst and acts else None
+        assert refused is None or refused is (decision.mode is not FlightMode.SURFACE)
+
+
+def test_a_row_begins_after_its_time_and_ends_with_its_hysteresis() -> None:
+    bench = Bench(FS_PRESS_MAX=100_000.0).armed()
+    bench.facts.hull_pa = 100_000.0
+    assert bench.run(1.95).failsafes == 0
+    assert bench.run(0.1).failsafes == 1 << Failsafe.PRESSURE
+    bench.facts.hull_pa = 99_600.0
+    assert bench.run(3.0).failsafes == 1 << Failsafe.PRESSURE
+    bench.facts.hull_pa = 99_400.0
+    assert bench.run(0.02).failsafes == 0
+    assert [text for text in bench.texts if "hull" in text] == [
+        "Failsafe: hull pressure high: check for leaks",
+        "Failsafe over: hull pressure high: check for leaks",
+    ]
+
+
+def test_a_sensor_that_has_spoken_and_falls_silent_is_named() -> None:
+    bench = Bench().armed()
+    bench.facts.note_sample(bench.t_us, HullSample(t_us=0, pressure_pa=None, temperature_c=20.0))
+    assert bench.run(2.8).failsafes == 0
+    assert bench.run(0.4).failsafes == 1 << Failsafe.SENSOR
+    assert "Failsafe: hull sensor silent or frozen" in bench.texts
+
+
+def test_a_leak_that_comes_and_goes_is_one() -> None:
+    bench = Bench().armed()
+    for wet in (True, False, True, False):
+        bench.facts.note_sample(bench.t_us, LeakSample(t_us=bench.t_us, wet=wet))
+        assert bench.run(0.5).failsafes == 1 << Failsafe.LEAK
+    assert bench.texts.count("Failsafe: water in the hull") == 1
+    assert bench.run(2.0).failsafes & 1 << Failsafe.LEAK == 0
+
+
+def test_the_operator_overrides_a_failsafe_and_that_is_recorded() -> None:
+    bench = Bench(FS_LEAK_ENABLE=2)
+    bench.armed()
+    bench.facts.wet_us = math.inf
+    assert bench.run(0.02).mode is FlightMode.SURFACE
+    assert bench.commander.set_mode(FlightMode.HOLD).result is CommandResult.DENIED
+    bench.params.set("FS_OVERRIDE", float(1 << Failsafe.LEAK))
+    bench.run(0.02)
+    assert "Operator overrides failsafes: LEAK" in bench.texts
+    assert bench.commander.set_mode(FlightMode.HOLD).result is OK
+    decision = bench.run(1.0)
+    assert decision.mode is FlightMode.HOLD and decision.failsafes == 1 << Failsafe.LEAK
+    bench.params.set("FS_OVERRIDE", 0.0)
+    assert bench.run(0.02).mode is FlightMode.SURFACE
+
+
+def test_an_override_is_told_at_every_arming() -> None:
+    bench = Bench(FS_OVERRIDE=float(1 << Failsafe.GCS)).armed()
+    bench.run()
+    bench.commander.disarm(False)
+    bench.run()
+    assert bench.commander.arm(force=False).result is OK
+    bench.run()
+    assert bench.texts.count("Operator overrides failsafes: GCS") == 2
+
+
+def test_a_leak_forbids_arming() -> None:
+    bench = Bench()
+    bench.facts.wet_us = math.inf
+    bench.run()
+    answer = bench.commander.arm(force=False)
+    assert answer.result is CommandResult.DENIED and "water in the hull: open" in answer.reason
+
+
+def test_return_without_a_home_that_can_be_reached_holds() -> None:
+    bench = Bench(FS_LAT_ACT=3)
+    bench.load()
+    bench.armed()
+    bench.plans.set_home(np.array([50.0, 0.0, 0.0]))
+    bench.command_delay_s = 1.0
+    assert bench.run(0.02).mode is FlightMode.HOLD
+
+
+@pytest.mark.parametrize(
+    ("beyond_m", "bits", "mode"),
+    [
+        (0.0, 0, FlightMode.HOLD),
+        (0.3, 1 << Failsafe.CAGE_SOFT, FlightMode.HOLD),
+        (0.8, 1 << Failsafe.CAGE_SOFT | 1 << Failsafe.CAGE_HARD, FlightMode.SURFACE),
+    ],
+)
+def test_the_cage_is_soft_and_hard(beyond_m: float, bits: int, mode: FlightMode) -> None:
+    bench = Bench(DEPTH_MAX=2.0).armed()
+    bench.pos[2] = 2.0 + beyond_m
+    decision = bench.run(0.8)
+    assert (decision.failsafes, decision.mode) == (bits, mode)
+
+
+def test_doubts_raise_their_row_and_a_wrong_sensor_does_not() -> None:
+    bench = Bench().armed()
+    bench.doubts = frozenset({NavDoubt.ACCELEROMETER})
+    assert bench.run(1.2).failsafes == 0
+    bench.doubts = frozenset({NavDoubt.MAP})
+    assert bench.run(1.2).failsafes == 1 << Failsafe.DOUBT
+
+
+def test_dead_reckoning_is_allowed_for_its_time() -> None:
+    bench = Bench(FS_DR_TIME=3.0, FS_DR_ACT=1).armed()
+    bench.run(0.1)
+    bench.health = NavHealth.DEAD_RECKONING
+    assert bench.run(2.8).failsafes == 0
+    assert bench.run(0.4).failsafes == 1 << Failsafe.DEAD_RECKONING
+
+
+def test_warnings_are_said_as_such() -> None:
+    assert {row.rule for row in ROWS if row.severity is not Severity.CRITICAL} >= {Failsafe.GCS, Failsafe.CLOCK}
