@@ -17,13 +17,15 @@ from sitl.camera import SimCamera, true_camera
 from sitl.camera_feed import CameraFeed
 from sitl.depth_sensor import SimDepthSensor
 from sitl.dvl import SimDvl
+from sitl.fault_tables import LateCommands
 from sitl.floor import build_floor
 from sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
+from sitl.hull_sensor import SimHullSensor
 from sitl.obstacle_sensor import SimObstacleSensor
 from sitl.plant import Truth
 from sitl.pose_sensor import SimPoseSensor
 from sitl.protocol import PlantContext, PlantLike, create_plant
-from sitl.scenario import Scenario
+from sitl.scenario import Fault, Scenario
 
 POWER_PERIOD_US = 500_000
 """The battery monitor reports at 2 Hz."""
@@ -63,8 +65,9 @@ class SimThrusterOutput(SafeThrusterOutput):
 class CommandLine:
     """The way from the service to the amplifiers: pulses arrive after a latency, in the order of their sending."""
 
-    def __init__(self, latency_s: float, neutral_us: tuple[int, ...]) -> None:
+    def __init__(self, latency_s: float, neutral_us: tuple[int, ...], faults: Sequence[Fault] = ()) -> None:
         self._latency_us = round(latency_s * 1e6)
+        self._late = [fault for fault in faults if isinstance(fault, LateCommands)]
         self._sent = self._now = neutral_us
         self._under_way: deque[tuple[int, tuple[int, ...]]] = deque()
 
@@ -72,7 +75,9 @@ class CommandLine:
         """From ``t_us`` on the service holds these pulses."""
         if pwm_us != self._sent:
             self._sent = pwm_us
-            self._under_way.append((t_us + self._latency_us, pwm_us))
+            late_s = sum(fault.latency_s for fault in self._late if fault.holds(t_us))
+            last_us = self._under_way[-1][0] if self._under_way else 0
+            self._under_way.append((max(last_us, t_us + self._latency_us + round(late_s * 1e6)), pwm_us))
 
     def until(self, begin_us: int, end_us: int) -> Iterator[tuple[int, tuple[int, ...]]]:
         """What the amplifiers see between two times: ends of intervals and the pulses held until there."""
@@ -134,7 +139,7 @@ class SimulatedVehicle(Closing):
         plain = SimThrusterOutput(vehicle)
         self.output: SimThrusterOutput | BoardOutput = BoardOutput(vehicle) if "pwm" in hil else plain
         """A :class:`drivers.protocols.ThrusterOutput`."""
-        self._line = CommandLine(scenario.vehicle.command_latency_s, plain.pwm_us)
+        self._line = CommandLine(scenario.vehicle.command_latency_s, plain.pwm_us, faults)
         emulator = Ig500Emulator(sensors.ahrs, vehicle.ahrs, faults, seed)
         attitude = sensors.ahrs.attitude
         self._ahrs: Ig500 | SerialAhrs = (
@@ -155,6 +160,9 @@ class SimulatedVehicle(Closing):
         pressure, dvl = sensors.depth, sensors.dvl
         self._depth = None if pressure is None else SimDepthSensor(pressure, vehicle.depth_sensor, faults, seed)
         self._dvl = None if dvl is None else SimDvl(dvl, vehicle.dvl, depth_m, faults, seed)
+        self._hull = SimHullSensor(sensors.hull, faults) if sensors.hull.enabled else None
+        if self._hull is not None:
+            self._observers.append(self._hull)
         self._observers += [sensor for sensor in (self._depth, self._dvl) if sensor is not None]
         if position == "pose":
             self._pose = SimPoseSensor(sensors.pose, sensors.laser, vehicle, depth_m, faults, seed)
@@ -220,7 +228,7 @@ class SimulatedVehicle(Closing):
         samples: list[Sample] = [*self._ahrs.poll(t_us), *self._power.poll(t_us)]
         if self._pose is not None:
             samples.extend(self._pose.poll(t_us))
-        for sensor in (self._obstacles, self._depth, self._dvl):
+        for sensor in (self._obstacles, self._depth, self._dvl, self._hull):
             if sensor is not None:
                 samples.extend(sensor.poll(t_us))
         return tuple(samples)

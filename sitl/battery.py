@@ -31,6 +31,10 @@ class Battery:
         """True once the capacity is used up: nothing turns any more."""
         return self._drawn_j >= self._table.capacity_j
 
+    def lose(self, remaining: float) -> None:
+        """No more than this share of the capacity is left from now on."""
+        self._drawn_j = max(self._drawn_j, (1.0 - remaining) * self._table.capacity_j)
+
     def load(self, power_w: float) -> None:
         """Set voltage and current for a power drawn now. More than the battery can give sags to half its EMF."""
         table = self._table

@@ -10,6 +10,7 @@ from autopilot.core.samples import DepthSample
 from autopilot.core.vehicle import DepthMount
 from drivers.base import AlwaysOpen
 from sitl.delayed import DelayedSamples
+from sitl.fault_tables import SensorFrozen
 from sitl.plant import Truth
 from sitl.scenario import DepthSensor, Fault
 
@@ -18,6 +19,7 @@ class SimDepthSensor(AlwaysOpen):
     """Takes samples of the truth and delivers them after their latency."""
 
     def __init__(self, sensor: DepthSensor, mount: DepthMount, faults: Iterable[Fault], seed: int) -> None:
+        faults = list(faults)
         self._sensor = sensor
         self._mount_frd_m = np.array(mount.position_frd_m)
         self._rng = np.random.default_rng((seed, 40))
@@ -32,6 +34,8 @@ class SimDepthSensor(AlwaysOpen):
             sensor="depth",
             rng=np.random.default_rng((seed, 41)),
         )
+        self._frozen = [f for f in faults if isinstance(f, SensorFrozen) and f.sensor == "depth"]
+        self._last_m = 0.0
         self._offset_m = sensor.bias_m * float(self._rng.standard_normal())
         self._walk_m = sensor.drift_m_rts / math.sqrt(rate_hz)
 
@@ -51,6 +55,9 @@ class SimDepthSensor(AlwaysOpen):
         depth_m = float(truth.pos_ned_m[2]) + below_m + self._offset_m + self._sensor.sigma_m * noise[1]
         if chance[1] < self._sensor.outlier_probability:
             depth_m += self._sensor.outlier_m * (2.0 * chance[2] - 1.0)
+        if any(fault.holds(truth.t_us) for fault in self._frozen):
+            depth_m = self._last_m
+        self._last_m = depth_m
         sample = DepthSample(t_us=truth.t_us, depth_m=depth_m, sigma_m=self._sensor.sigma_m)
         self._line.send(truth.t_us, noise[2], sample)
 

@@ -9,6 +9,7 @@ from autopilot.core.samples import VelocityLock, VelocitySample
 from autopilot.core.vehicle import DvlMount
 from drivers.base import AlwaysOpen
 from sitl.delayed import DelayedSamples
+from sitl.fault_tables import SensorFrozen
 from sitl.plant import Truth
 from sitl.scenario import DvlSensor, Fault
 
@@ -20,6 +21,9 @@ class SimDvl(AlwaysOpen):
         self, sensor: DvlSensor, mount: DvlMount, floor_depth_m: float | None, faults: Iterable[Fault], seed: int
     ) -> None:
         """``floor_depth_m`` None: the floor is always in reach."""
+        faults = list(faults)
+        self._frozen = [f for f in faults if isinstance(f, SensorFrozen) and f.sensor == "dvl"]
+        self._last_m_s = np.zeros(3)
         self._sensor = sensor
         self._mount_frd_m = np.array(mount.position_frd_m)
         self._floor_depth_m = floor_depth_m
@@ -56,6 +60,9 @@ class SimDvl(AlwaysOpen):
         vel = self._scale * vel + self._bias_m_s + self._sensor.sigma_m_s * noise[:3]
         if chance[1] < self._sensor.outlier_probability:
             vel = vel + self._sensor.outlier_m_s * (2.0 * chance[2:5] - 1.0)
+        if any(fault.holds(truth.t_us) for fault in self._frozen):
+            vel = self._last_m_s
+        self._last_m_s = vel
         sample = VelocitySample(
             t_us=truth.t_us,
             vel_frd_m_s=vel,

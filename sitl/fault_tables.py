@@ -1,4 +1,5 @@
-"""``[[fault]]`` tables of sensors that go wrong without saying so: they go on sending well-formed, wrong values."""
+"""``[[fault]]`` tables: sensors that go on sending well-formed, wrong values, and what happens to hull, battery, links
+and the machine."""
 
 from typing import Annotated, Literal, TypeAlias
 
@@ -85,4 +86,78 @@ class MarkersMoved(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="mar
     yaw_rad: Angle = 0.0
 
 
+class Leak(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="leak"):
+    """Water at the leak probe."""
+
+
+class HullClimate(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="hull_climate"):
+    """Pressure or temperature inside the hull."""
+
+    pressure_pa: Positive | None = None
+    """None = as ever."""
+    temperature_c: float | None = None
+    """The same."""
+
+
+class BatterySag(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="battery_sag"):
+    """The battery has less left than it had, once and for all: its voltage falls with it."""
+
+    remaining: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+    """Share of the capacity that is left at that moment."""
+
+
+class SensorFrozen(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="sensor_frozen"):
+    """A pressure sensor or Doppler log repeats its last reading under new times."""
+
+    sensor: Literal["depth", "dvl"]
+
+
+class LinkLoss(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="link_loss"):
+    """The operator is neither heard nor reached."""
+
+
+class Pilot(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="pilot"):
+    """The operator holds the sticks (MANUAL_CONTROL at 10 Hz) for that time, and then no more."""
+
+
+class Shove(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="shove"):
+    """A force on the hull that nobody commanded."""
+
+    force_ned_n: Vec3 = (0.0, 0.0, 0.0)
+    moment_frd_n_m: Vec3 = (0.0, 0.0, 0.0)
+
+
+class Snag(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="snag"):
+    """Something holds the hull where it is then, as a spring and a damper do."""
+
+    stiffness_n_m: Positive = 150.0
+    damping_n_s_m: Positive = 150.0
+
+
+class LateCommands(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="late_commands"):
+    """Commands take so long from the service to the amplifiers, beyond what the vehicle's table says."""
+
+    latency_s: Positive
+
+
+class SlowLoop(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="slow_loop"):
+    """The machine is so busy that ticks begin late."""
+
+    share: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.5
+
+
+class DiskFull(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="disk_full"):
+    """The recorder says that nothing can be written."""
+
+
+class ClockJump(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="clock_jump"):
+    """The machine's clock of day is set to another time."""
+
+    jump_s: float
+
+
+MachineFault: TypeAlias = SlowLoop | DiskFull | ClockJump | LateCommands
+HullFault: TypeAlias = Leak | HullClimate
+Mishap: TypeAlias = Shove | Snag | BatterySag
+OperatorFault: TypeAlias = LinkLoss | Pilot
 SensorFault: TypeAlias = ImuOffset | ImuScale | ImuStuck | ImuClip | AhrsAttitude | Lens | Mounting | MarkersMoved

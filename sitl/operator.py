@@ -4,8 +4,11 @@ Lives in the same process and the same simulated time as the service (:class:`au
 whole mission is reproducible bit for bit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
+
+from sitl.fault_tables import LinkLoss, Pilot
+from sitl.scenario_tables import Fault
 
 GCS_SYSTEM, GCS_COMPONENT = 255, 190
 """Ids of an ordinary ground station (MAV_COMP_ID_MISSIONPLANNER)."""
@@ -14,6 +17,9 @@ HEARTBEAT_US = 1_000_000
 RETRY_US = 1_000_000
 """A refused or unanswered command is sent again after this time."""
 
+STICK_US = 100_000
+"""A joystick sends ten times per second."""
+
 ARM, START = 400, 300
 """MAV_CMD_COMPONENT_ARM_DISARM, MAV_CMD_MISSION_START (common.xml)."""
 
@@ -21,13 +27,16 @@ ARM, START = 400, 300
 class ScriptedOperator:
     """Arms until accepted, starts the mission until accepted, then only keeps its heartbeat going."""
 
-    def __init__(self, target_system: int) -> None:
+    def __init__(self, target_system: int, faults: Iterable[Fault] = ()) -> None:
         from pymavlink.dialects.v20 import development
 
         self._dialect = development
         self._mav = development.MAVLink(None, srcSystem=GCS_SYSTEM, srcComponent=GCS_COMPONENT)
         self._mav.robust_parsing = True
         self._target = target_system
+        faults = list(faults)
+        self._lost = [fault for fault in faults if isinstance(fault, LinkLoss)]
+        self._steers = [fault for fault in faults if isinstance(fault, Pilot)]
         self._todo = [(ARM, 1.0), (START, 0.0)]
         self._sent_us = -RETRY_US
         self._heartbeat_us = -HEARTBEAT_US
@@ -39,6 +48,8 @@ class ScriptedOperator:
 
     def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
         """One tick: read answers, send what is due."""
+        if any(fault.holds(t_us) for fault in self._lost):
+            return []
         if self._todo:
             for data in received:
                 for message in self._mav.parse_buffer(data) or ():
@@ -51,6 +62,8 @@ class ScriptedOperator:
             self._sent_us = t_us
             command, param1 = self._todo[0]
             out.append(self._pack(self._mav.command_long_encode(self._target, 1, command, 0, param1, 0, 0, 0, 0, 0, 0)))
+        if t_us % STICK_US == 0 and any(fault.holds(t_us) for fault in self._steers):
+            out.append(self._pack(self._mav.manual_control_encode(self._target, 0, 0, 500, 0, 0)))
         return out
 
     def _hear(self, message: Any) -> None:

@@ -21,6 +21,8 @@ from autopilot.core.vehicle import Vehicle
 from sitl.battery import Battery
 from sitl.compiled_hull import CompiledHull
 from sitl.contact import NEAR_M, ContactLog, ContactRecord, Surroundings
+from sitl.fault_tables import BatterySag, Mishap, Shove, Snag
+from sitl.mishaps import Mishaps
 from sitl.mismatch import mismatched
 from sitl.rigid_body import ForceNed, State, Water, Wrench, make_derivative, rk4_step
 from sitl.scenario_tables import Scenario, ThrusterLoss
@@ -110,13 +112,14 @@ class Plant:
         mismatch: Mapping[str, float] | None = None,
         held: bool = False,
         losses: Sequence[ThrusterLoss] = (),
+        mishaps: Sequence[Mishap] = (),
         froude_krylov: bool = True,
     ) -> None:
         """Place the vehicle at a position (3,) NED, attitude (3,), velocity over ground and rate (3,) FRD.
 
         ``mismatch`` holds factors (:data:`sitl.mismatch.MISMATCH_KEYS`). ``held``: a hand holds the hull where it is
-        until a thruster is commanded for the first time. ``losses`` happen at their times. ConfigError: unknown factor
-        or thruster, or the start touches something.
+        until a thruster is commanded for the first time. ``losses`` and ``mishaps`` happen at their times.
+        ConfigError: unknown factor or thruster, or the start touches something.
         """
         self._vehicle = mismatched(vehicle, mismatch or {})
         self._world = world
@@ -165,6 +168,7 @@ class Plant:
         self._battery = Battery(self._vehicle.battery)
         self._power_w = self._vehicle.hotel_power_w
         self._battery.load(self._power_w)
+        self._mishaps = Mishaps(mishaps)
 
     # What happens.
 
@@ -284,6 +288,8 @@ class Plant:
         while self._losses and self._losses[0].at_s * 1e6 <= self._t_us:
             happened = self._losses.pop(0)
             self.set_thruster_loss(happened.thruster, happened.loss)
+        if not self._mishaps.none:
+            self._suffer()
         instant = self._here()
         dt_us = min(NEAR_STEP_US if instant.near else STEP_US, room_us)
         dt_s = dt_us * 1e-6
@@ -310,6 +316,15 @@ class Plant:
         self._state = rk4_step(self._derivative, self._state, first, dt_s, wrench, instant.water, instant.force)
         if instant.near:
             self._contacts.update(self._t_us, self._surroundings.touches(self._state[:3]))
+
+    def _suffer(self) -> None:
+        """What happens to hull and battery now."""
+        remaining = self._mishaps.sagged(self._t_us)
+        if remaining is not None:
+            self._battery.lose(remaining)
+        forces = self._mishaps.forces(self._t_us, self._state)
+        if forces is not None:
+            self.set_external_wrench(force_ned_n=forces[0], moment_frd_n_m=forces[1])
 
     def _here(self) -> _Instant:
         """What holds now; worked out once for every moment at which somebody asks."""
@@ -371,4 +386,5 @@ def build_plant(scenario: Scenario, vehicle: Vehicle) -> Plant:
         mismatch=start.mismatch,
         held=start.held,
         losses=[fault for fault in scenario.fault if isinstance(fault, ThrusterLoss)],
+        mishaps=[fault for fault in scenario.fault if isinstance(fault, Shove | Snag | BatterySag)],
     )

@@ -109,11 +109,6 @@ __all__ = [
     "scenario_path",
 ]
 
-LATER_KINDS = {
-    "fault": {"leak": "leaks", "battery_sag": "battery faults", "link_loss": "link faults"},
-}
-"""Kinds of the scenario format that this version does not simulate, and what they are."""
-
 FILE_KEYS = (("current", "file"), ("controller", "map"), ("markers", "file"))
 """Keys that name a file beside the scenario."""
 
@@ -167,7 +162,6 @@ def _located(tables: Tables, folder: Path) -> Tables:
 
 def _of_tables(tables: Tables, origin: str) -> Scenario:
     """The scenario that tables describe. ConfigError begins with ``origin``."""
-    _refuse_later_kinds(tables, origin)
     scenario: Scenario = convert(tables, Scenario, origin)
     _check_vehicle(scenario, origin)
     _check_params(scenario, origin)
@@ -185,19 +179,6 @@ def plan_path(name_or_path: str, scenario: Scenario) -> Path | None:
     if not path.is_file():
         raise ConfigError(f"{path}: plan file of scenario {scenario.scenario.name!r} not found; correct scenario.plan")
     return path
-
-
-def _refuse_later_kinds(tables: Tables, origin: str) -> None:
-    """ConfigError for a kind that the scenario format knows and this version does not simulate."""
-    for key, kinds in LATER_KINDS.items():
-        entries = tables.get(key)
-        for index, entry in enumerate(entries if isinstance(entries, list) else [entries]):
-            kind = entry.get("kind") if isinstance(entry, dict) else None
-            if isinstance(kind, str) and kind in kinds:
-                place = f"$.{key}[{index}].kind" if isinstance(entries, list) else f"$.{key}.kind"
-                raise ConfigError(
-                    f'{origin}: `{place}` = "{kind}": {kinds[kind]} are not available in this version; use another kind'
-                )
 
 
 def _check_params(scenario: Scenario, origin: str) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 
 from autopilot.core.toml_table import NonNegative, Positive, Table, Vec2, Vec3
-from sitl.fault_tables import SensorFault
+from sitl.fault_tables import HullFault, MachineFault, Mishap, OperatorFault, SensorFault, SensorFrozen
 from sitl.sensor_tables import CameraLook, Probability, Sensors
 
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
@@ -305,14 +305,26 @@ class AhrsFreeze(Table, frozen=True, kw_only=True, tag_field="kind", tag="ahrs_f
 
 
 class SensorSilence(Table, frozen=True, kw_only=True, tag_field="kind", tag="sensor_silence"):
-    """A pressure sensor or Doppler log says nothing."""
+    """A pressure sensor, Doppler log or hull sensor says nothing."""
 
     at_s: NonNegative
     duration_s: Positive
-    sensor: Literal["depth", "dvl"]
+    sensor: Literal["depth", "dvl", "hull"]
 
 
-Fault: TypeAlias = ThrusterLoss | CameraBlackout | CameraPicture | AhrsFreeze | SensorSilence | SensorFault
+Fault: TypeAlias = (
+    ThrusterLoss
+    | CameraBlackout
+    | CameraPicture
+    | AhrsFreeze
+    | SensorSilence
+    | SensorFrozen
+    | SensorFault
+    | HullFault
+    | Mishap
+    | OperatorFault
+    | MachineFault
+)
 
 
 class Accept(Table, frozen=True, kw_only=True):

@@ -170,6 +170,14 @@ class DvlSensor(Table, frozen=True, kw_only=True):
     outages: Outages = Outages()
 
 
+class HullSensor(Table, frozen=True, kw_only=True):
+    """``[sensors.hull]``: leak probe, pressure and temperature inside the hull, twice per second."""
+
+    enabled: bool = True
+    pressure_pa: Positive = 101325.0
+    temperature_c: float = 25.0
+
+
 class Sensors(Table, frozen=True, kw_only=True):
     """``[sensors]``"""
 
@@ -180,6 +188,7 @@ class Sensors(Table, frozen=True, kw_only=True):
     pose: PoseSensor = PoseSensor()
     laser: LaserSensor = LaserSensor()
     obstacles: ObstacleSensor = ObstacleSensor()
+    hull: HullSensor = HullSensor()
     depth: DepthSensor | None = None
     dvl: DvlSensor | None = None
 

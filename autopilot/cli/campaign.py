@@ -28,7 +28,7 @@ class _Show(Protocol):
 
 
 class _Campaign(click.Group):
-    """``table`` and ``rooms`` are commands of their own; whatever else follows ``campaign`` is flown."""
+    """``table``, ``rooms`` and ``faults`` are commands of their own; whatever else follows ``campaign`` is flown."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """See :class:`click.Group`."""
@@ -36,10 +36,14 @@ class _Campaign(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """In alphabetical order."""
-        return sorted([*self.commands, ROOMS])
+        return sorted([*self.commands, ROOMS, FAULTS])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """``rooms`` has a module of its own."""
+        """``rooms`` and ``faults`` have modules of their own."""
+        if cmd_name == FAULTS:
+            from autopilot.cli.campaign_faults import faults
+
+            return faults
         if cmd_name != ROOMS:
             return super().get_command(ctx, cmd_name)
         from autopilot.cli.campaign_rooms import rooms
@@ -47,7 +51,7 @@ class _Campaign(click.Group):
         return rooms
 
 
-FLY, ROOMS = "fly", "rooms"
+FLY, ROOMS, FAULTS = "fly", "rooms", "faults"
 
 
 @click.group(cls=_Campaign)

@@ -290,6 +290,7 @@ class Commander:
             progress=self._mission.sequencer.progress(conditions.t_us),
             reached=reached,
             failsafes=self._failsafes.bits,
+            ascent=modes.ascent,
             drop_weight=modes.drop_weight,
             hand_back=modes.handed_back,
         )

@@ -1,9 +1,12 @@
 """What one tick has decided."""
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from autopilot.core.messages import Goal, MissionProgress
 from autopilot.mavlink.api import FlightMode
+
+Pose: TypeAlias = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -21,5 +24,7 @@ class Decision:
     """Bits of :class:`autopilot.core.messages.Failsafe`."""
     drop_weight: bool = False
     """A failsafe wants the drop weight off."""
+    ascent: Pose | None = None
+    """Surface without the controller: up to here (north, east, depth, heading) by the simple station-keeping law."""
     hand_back: bool = False
     """A failsafe has given the thrusters to the flight controller below."""

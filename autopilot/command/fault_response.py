@@ -13,12 +13,11 @@ from collections.abc import Hashable
 import numpy as np
 
 from autopilot.command.commander import Commander
-from autopilot.command.motion import Motion
+from autopilot.command.motion import Motion, model_state
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault, Guard
 from autopilot.core.messages import Event, NavHealth, NavState, Severity
-from autopilot.core.model4 import NX, YAW
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
@@ -141,9 +140,7 @@ class FaultResponse:
         since_us = t_us if self._since_us is None else self._since_us
         if nav is None or nav.health is NavHealth.INVALID or t_us - since_us >= self._params["FS_FAULT_TIME"] * 1e6:
             return np.zeros(len(limit_n))
-        x = np.empty(NX)
-        x[:3], x[YAW] = nav.pos_ned_m, nav.rpy_rad[2]
-        x[4:7], x[7] = nav.vel_water_frd_m_s, nav.rate_frd_rad_s[2]
+        x = model_state(nav)
         current = nav.current_ned_m_s
         if not math.isfinite(float(x.sum() + current.sum())):
             return np.zeros(len(limit_n))

@@ -4,11 +4,12 @@ from collections.abc import Callable
 
 from autopilot.command.announcements import Announcements
 from autopilot.command.conditions import Conditions
+from autopilot.command.decision import Pose
 from autopilot.command.failsafe_table import Effect
 from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.mission_run import MissionRun
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Authority, Below, Goal, NavHealth, NavState, Severity
+from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavHealth, NavState, Severity
 from autopilot.mavlink.api import FlightMode
 from mission.goals import Goals
 from mission.sequencer import Action, is_inside
@@ -42,6 +43,8 @@ class Modes:
         """A failsafe has let the drop weight go, since the last arming."""
         self.handed_back = False
         """A failsafe has given the thrusters to the flight controller below, since the last arming."""
+        self.ascent: Pose | None = None
+        """Where a vehicle whose controller finds no solution any more is to come up, None = the controller flies."""
         self.orders = 0
         """Grows whenever the vehicle is told to do something else."""
 
@@ -101,6 +104,7 @@ class Modes:
     def enter(self, mode: FlightMode) -> None:
         """Begin a mode where the vehicle is."""
         self.orders += 1
+        self.ascent = None
         self._under_way |= mode is not FlightMode.HOLD
         if mode is FlightMode.MISSION:
             self._mission.start(self._operator.t_us, self.nav)
@@ -172,6 +176,10 @@ class Modes:
             self._mission.sequencer.pause()
             self.goal = self._goal_here(mode)
             self._operator.say(Severity.CRITICAL, f"Failsafe {mode.name}: {self._failsafes.describe()}")
+        unsolved = self._failsafes.bits >> Failsafe.SOLVER & 1
+        if self._override is FlightMode.SURFACE and unsolved and self.ascent is None and self.nav is not None:
+            x, y, z = self._goals.surface(self.nav).pos_ned_m.tolist()
+            self.ascent = (x, y, z, float(self.nav.rpy_rad[2]))
 
     def _mode_of(self, action: Effect) -> FlightMode:
         """What a failsafe's effect flies. It goes on with what it has begun: home that is lost on the way holds."""
@@ -197,7 +205,7 @@ class Modes:
         if self.mode is FlightMode.SURFACE and nav.pos_ned_m[2] <= self._goals.top_m + SURFACED_M:
             self._operator.say(Severity.NOTICE, "Surfaced")
             self.disarm(force=False)
-        return goal, reached
+        return goal if self.ascent is None else None, reached
 
     def _fly_mission(self, t_us: int, nav: NavState) -> tuple[int, ...]:
         """The mission's goal of this tick, or what it ends with. The result is the items that have been reached."""

@@ -2,14 +2,18 @@
 
 import numpy as np
 
-from autopilot.command.decision import Decision
+from autopilot.command.decision import Decision, Pose
 from autopilot.control.fence.tracks import Tracks
 from autopilot.control.protocol import Controller, sound, sound_thrust_n
+from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import ControlOutput, Fallback, Goal, NavState, NmpcStatus, SolveStatus
+from autopilot.core.messages import ControlOutput, Fallback, Goal, NavHealth, NavState, NmpcStatus, SolveStatus
+from autopilot.core.model4 import NX, YAW
 from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
+from autopilot.core.vehicle import Vehicle
 
 BLIND_ASCENT_SHARE = 0.35
 """Share of the thrust limit that lifts a vehicle without a position: about 0.2 m/s for the LBV150."""
@@ -18,11 +22,14 @@ BLIND_ASCENT_SHARE = 0.35
 class Motion:
     """Asks the controller, and keeps what it said for the ticks until it is asked again."""
 
-    def __init__(self, controller: Controller, actuation: Actuation, params: ParamSet, tracks: Tracks) -> None:
+    def __init__(
+        self, vehicle: Vehicle, controller: Controller, actuation: Actuation, params: ParamSet, tracks: Tracks
+    ) -> None:
         self._controller = controller
         self._actuation = actuation
         self._params = params
         self._tracks = tracks
+        self._sharing = Sharing.of(vehicle)
         self.thrust_n: FloatArray = actuation.nothing()
         """(n,) wanted now."""
         self._limit_n: FloatArray = actuation.nothing()
@@ -48,6 +55,8 @@ class Motion:
             limit_n = BLIND_ASCENT_SHARE * self._params["THR_LIMIT"]
             actuation = self._actuation
             self.thrust_n = actuation.lift_n(limit_n) if decision.blind_ascent else actuation.nothing()
+            if decision.ascent is not None and nav is not None and nav.health is not NavHealth.INVALID:
+                self.thrust_n = self._ascend(nav, decision.ascent)
             if last_goal is not None:
                 self.reset()
             return None
@@ -57,6 +66,14 @@ class Motion:
         between = self._controller.tick(t_us, nav)
         self.thrust_n = self.thrust_n if between is None else sound_thrust_n(between, self._limit_n)
         return None
+
+    def _ascend(self, nav: NavState, place: Pose) -> FloatArray:
+        """Up without the optimiser: the station-keeping law, whose station is at the surface."""
+        wanted = np.zeros(NX)
+        wanted[:3], wanted[YAW] = place[:3], place[3]
+        limit_n = np.minimum(self._actuation.limit_n, self._params["THR_LIMIT"])
+        thrust_n = station_keeping_thrust(self._sharing, model_state(nav), wanted, nav.current_ned_m_s, limit_n)
+        return thrust_n if np.isfinite(thrust_n).all() else self._actuation.nothing()
 
     def _control(self, t_us: int, nav: NavState, goal: Goal, fence: Fence) -> ControlOutput:
         actuation = self._actuation
@@ -77,6 +94,14 @@ class Motion:
         self.thrust_n, self.status = control.thrust_n, control.status
         self.way_left_m = _length_m(control.route_ned_m)
         return control
+
+
+def model_state(nav: NavState) -> FloatArray:
+    """The estimate as a state (8,) of :mod:`autopilot.core.model4`."""
+    x = np.empty(NX)
+    x[:3], x[YAW] = nav.pos_ned_m, nav.rpy_rad[2]
+    x[4:7], x[7] = nav.vel_water_frd_m_s, nav.rate_frd_rad_s[2]
+    return x
 
 
 def _length_m(way: FloatArray) -> float | None:

@@ -69,7 +69,7 @@ class Autopilot:
         self._actuation = parts.actuation
         self._surroundings = Surroundings(parts.vehicle, parts.params)
         self._estimation = Estimation(parts.estimator, parts.guard)
-        self._motion = Motion(parts.controller, parts.actuation, parts.params, self._surroundings.tracks)
+        self._motion = Motion(parts.vehicle, parts.controller, parts.actuation, parts.params, self._surroundings.tracks)
         self._faults = FaultResponse(parts.vehicle, parts.params, parts.guard, parts.commander, self._motion)
         self._given: Inputs | None = None
         self._shown: VehicleView | None = None

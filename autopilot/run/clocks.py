@@ -49,3 +49,19 @@ class LockstepClock:
 def make_clock(speed: float) -> Clock:
     """Speed 0 = as fast as possible."""
     return PacedClock(speed) if speed > 0.0 else LockstepClock()
+
+
+class DayClock:
+    """Watches the machine's clock of day against the one that only counts."""
+
+    def __init__(self) -> None:
+        self._ahead_s = self._now_s()
+
+    def jump_s(self) -> float:
+        """By how much it has been set since the last call: what network time corrects step by step is next to 0."""
+        before_s, self._ahead_s = self._ahead_s, self._now_s()
+        return self._ahead_s - before_s
+
+    @staticmethod
+    def _now_s() -> float:
+        return time.time() - time.monotonic()

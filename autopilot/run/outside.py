@@ -1,7 +1,7 @@
 """What the loop needs of whatever it is put into: hardware or simulation, a log, clients in the same process."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from autopilot.core.messages import Inputs, LoopStats, Outputs, ThrusterCommand
 from autopilot.core.samples import CameraFrame, Sample
@@ -33,6 +33,24 @@ class VehicleIo(Protocol):
         ...
 
 
+@runtime_checkable
+class WeightRelease(Protocol):
+    """A vehicle that can let a drop weight go."""
+
+    def release_weight(self, t_us: int) -> None:
+        """Let it go; called on every tick on which it is wanted off. Raises as :class:`VehicleIo` does."""
+        ...
+
+
+@runtime_checkable
+class HandsBack(Protocol):
+    """A vehicle with a flight controller below us that can have the thrusters back."""
+
+    def hand_back(self, t_us: int) -> None:
+        """Let go of the thrusters; called on every tick on which a failsafe wants it, after a neutral ``write``."""
+        ...
+
+
 class Recorder(Protocol):
     """Where every tick is recorded."""
 
@@ -47,6 +65,11 @@ class Recorder(Protocol):
     @property
     def dropped(self) -> int:
         """Messages lost so far."""
+        ...
+
+    @property
+    def lost(self) -> bool:
+        """Whether what happens is not being recorded though it should be."""
         ...
 
 

@@ -50,6 +50,7 @@ class NullRecorder:
     """Logs nothing."""
 
     dropped = 0
+    lost = False
     failure: str | None = None
 
     def take_notices(self) -> tuple[tuple[Severity, str], ...]:
@@ -97,6 +98,8 @@ class RunRecorder:
         self._notices: list[tuple[Severity, str]] = []
         self._plan_revision = plan_revision
         self._described = plan_revision()
+        self.lost = False
+        """What happens is not being recorded though it should be."""
         self.failure: str | None = None
         """Why a log of this run is not whole, the last reason; None while all is well."""
 
@@ -166,7 +169,9 @@ class RunRecorder:
         self._told_slow = False
         try:
             self._log = self._open_log()
+            self.lost = False
         except (LogError, OSError) as error:
+            self.lost = True
             self._tell(f"Log stopped: {cause_of(error)}", str(error))
 
     def _end(self) -> None:
@@ -193,6 +198,7 @@ class RunRecorder:
         """Go on without a log that has stopped; the next arming tries again."""
         self._tell(f"Log stopped: {log.cause}", f"log {log.path}: {log.failure}")
         self._log = None
+        self.lost = True
         log.end()
         self._ending.append((log, True))
 

@@ -31,8 +31,9 @@ from autopilot.core.messages import (
     ThrusterCommand,
 )
 from autopilot.core.samples import CameraFrame, Sample
+from autopilot.run.clocks import DayClock
 from autopilot.run.loop_account import LoopAccount
-from autopilot.run.outside import Peer, Recorder, VehicleIo
+from autopilot.run.outside import HandsBack, Peer, Recorder, VehicleIo, WeightRelease
 from autopilot.run.transport import Transport
 from drivers.protocols import Link
 from estimator.vision_lane import VisionWorker
@@ -85,6 +86,7 @@ class Runtime:
         self._peers = tuple(peers)
         self._on_tick = on_tick
         self._paced = paced
+        self._day = DayClock()
         self._troubles: list[DeviceTrouble] = []
         self._guard = Guard()
         self._transport = Transport(links, guard=self._guard)
@@ -138,6 +140,8 @@ class Runtime:
             mavlink_rx=self._receive(t_us),
             overruns=self.counters.overruns,
             cpu_load=self.counters.cpu_load,
+            log_lost=self._recorder.lost,
+            clock_jump_s=self._day.jump_s() if self._paced else 0.0,
             troubles=tuple(self._troubles),
             pictures=() if self._vision is None else self._vision.take_reports(),
             frame_counts=None if self._vision is None else self._vision.counters(),
@@ -208,6 +212,11 @@ class Runtime:
         if len(self._troubles) > before and rest is not None:
             self._try(t_us, DeviceRole.THRUSTERS, lambda: self._device.write(t_us, rest), None)
             del self._troubles[before + 1 :]
+        device = self._device
+        if outputs.drop_weight and isinstance(device, WeightRelease):
+            self._try(t_us, DeviceRole.THRUSTERS, partial(device.release_weight, t_us), None)
+        if outputs.hand_back and isinstance(device, HandsBack):
+            self._try(t_us, DeviceRole.THRUSTERS, partial(device.hand_back, t_us), None)
 
     def _with_faults(self, outputs: Outputs) -> Outputs:
         """Faults of drivers join the service's; the first of each kind is shown where the service was started."""

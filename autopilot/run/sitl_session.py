@@ -29,6 +29,7 @@ from autopilot.run.sitl_world import World, forecast, knowledge, make_world
 from drivers.protocols import Link
 from sitl.backend import SimulatedVehicle
 from sitl.floor import told_floor_m
+from sitl.machine_faults import MachineFaults
 from sitl.operator import ScriptedOperator
 from sitl.plant import Truth
 from sitl.scenario import Scenario, load_scenario, plan_path, with_vehicle
@@ -102,7 +103,7 @@ def open_sitl(
     disk = Desk(DaemonLane("disk"), patient=float(settings["speed"]) == 0.0)
     params, persistent, warnings = sitl_params(settings, scenario, overrides, instance, disk)
     world = make_world(settings, scenario, params)
-    operator = ScriptedOperator(system_id(params, instance)) if settings["start"] else None
+    operator = ScriptedOperator(system_id(params, instance), scenario.fault) if settings["start"] else None
     all_peers = (*peers, operator) if operator is not None else tuple(peers)
     links_count = len(settings["connect"]) + len(all_peers)
     service, parts = _service(settings, world, params, instance, links=links_count, saving=persistent)
@@ -120,6 +121,10 @@ def open_sitl(
         speed=world.speed,
     )
     kept = Kept(params=persistent, plans=plans, disk=disk)
+    runtime = loop_round(service, parts, outside, kept, warnings, on_tick)
+    machine = MachineFaults(scenario.fault)
+    if not machine.none:
+        runtime.wrap_step(machine.around(service.step))
     given_s = settings["duration"]
     return SitlSession(
         scenario=scenario,
@@ -127,7 +132,7 @@ def open_sitl(
         service=service,
         parts=parts,
         device=device,
-        runtime=loop_round(service, parts, outside, kept, warnings, on_tick),
+        runtime=runtime,
         recorder=recorder,
         kept=kept,
         warnings=warnings,

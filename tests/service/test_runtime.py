@@ -80,6 +80,7 @@ class Link:
 
 class Recorder:
     dropped = 3
+    lost = False
 
     def __init__(self) -> None:
         self.stats: list[LoopStats] = []

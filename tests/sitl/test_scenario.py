@@ -117,7 +117,6 @@ def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
             '[controller]\nmap = "a.npz"\n[vehicle]',
             r"`map` needs `currents` = \"map\"",
         ),
-        ('kind = "thruster_loss"', 'kind = "leak"', r"`\$\.fault\[0\]\.kind` = \"leak\": .* not available"),
         ("start_m = [-1.0, 0.0, 0.5]", "start_m = [-1.0, 0.0]", r"`\$\.vehicle\.start_m`"),
         ("mass = 1.2", "mass = -1.2", r">= 0\.0 - at `\$\.vehicle\.mismatch"),
         ("mass = 1.2", "mass = 0.0", r"`\$\.vehicle\.mismatch`: mass = 0\.0 is not a usable factor"),

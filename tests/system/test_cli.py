@@ -100,7 +100,6 @@ SCENARIOS = {
     "negative depth": (TANK.replace("depth_m = 1.5", "depth_m = -1.5"), ("`$.tank.depth_m`", "> 0")),
     "not a number": (TANK.replace("speed_m_s = 0.25", "speed_m_s = nan"), ("`$.current.speed_m_s`", "nan")),
     "unknown kind": (TANK.replace('"jet"', '"tsunami"'), ("'tsunami'", "`$.current.kind`")),
-    "kind of a later version": (TANK + '\n[[fault]]\nkind = "leak"\nat_s = 1.0\n', ("`$.fault[0].kind`", "leak")),
     "unknown vehicle": (TANK.replace('"lbv150"', '"lbv151"'), ("'lbv151'", "lbv150")),
     "not TOML": (TANK + "\n[[", ("not valid TOML",)),
     "not text": ("\udcff\udcfe", ("UTF-8",)),

@@ -1,0 +1,138 @@
+"""The fault campaign: every row of the table of failsafes at drawn times, in the paper's tank and the harbour.
+
+A folder holds one line of JSON per finished flight (``faults.jsonl``); the same call goes on where it was stopped. What
+flight k of a row draws depends on row, scenario and k alone.
+"""
+
+import json
+import random
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from autopilot.campaign.fault_cases import CASES, FaultCase
+from autopilot.campaign.fault_flights import PLANS, FaultResult, fly_fault_case, line_of
+from autopilot.core.errors import ConfigError
+from autopilot.log.lock import lock_exclusive
+
+FILE = "faults.jsonl"
+BETWEEN_S = {"paper-tank": (9.0, 40.0), "harbour": (9.0, 90.0)}
+"""When faults begin: armed and under way, and some way of the plan left."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultTask:
+    """One flight to be flown."""
+
+    case: FaultCase
+    scenario: str
+    run: int
+    seed: int
+    at_s: float
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """What it is known by in the file."""
+        return self.case.rule.name, self.scenario, self.seed
+
+
+def tasks(runs: int, rows: Sequence[str] = (), scenarios: Sequence[str] = tuple(PLANS)) -> list[FaultTask]:
+    """All flights of a campaign, run by run so that one that is stopped has something of every row.
+
+    ConfigError for a row or scenario that does not exist.
+    """
+    names = [case.rule.name for case in CASES]
+    for what, given, known in (("row", rows, names), ("scenario", scenarios, tuple(PLANS))):
+        for name in given:
+            if name not in known:
+                raise ConfigError(f"{what} {name!r} does not exist; use one of {', '.join(known)}")
+    wanted = [case for case in CASES if not rows or case.rule.name in rows]
+    return [_task(case, scenario, run) for run in range(runs) for scenario in scenarios for case in wanted]
+
+
+def _task(case: FaultCase, scenario: str, run: int) -> FaultTask:
+    rng = random.Random(f"{case.rule.name} {scenario} {run}")
+    seed, at_s = rng.randrange(1, 10**6), round(rng.uniform(*BETWEEN_S[scenario]), 2)
+    return FaultTask(case=case, scenario=scenario, run=run, seed=seed, at_s=at_s)
+
+
+def fly_campaign(folder: Path, wanted: Sequence[FaultTask]) -> Iterator[FaultResult]:
+    """Fly what is not in the folder yet. Results are in the file before they are given. ConfigError: it is in use."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / FILE
+    done = {(row.rule, row.scenario, row.seed) for row in results(folder)}
+    with path.open("ab") as file:
+        if not lock_exclusive(file):
+            raise ConfigError(f"{path} is being written by another process; wait for it or use another folder")
+        if path.stat().st_size:
+            file.write(b"\n")  # behind a line that may have been cut off
+        for task in wanted:
+            if task.key in done:
+                continue
+            result = fly_fault_case(task.case, task.scenario, task.seed, task.at_s)
+            file.write(line_of(result).encode() + b"\n")
+            file.flush()
+            yield result
+
+
+def results(folder: Path) -> list[FaultResult]:
+    """All finished flights of a folder; a line that was cut off does not count."""
+    path, found = folder / FILE, []
+    if not path.exists():
+        return []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            values: dict[str, Any] = json.loads(line)
+            found.append(FaultResult(**{**values, "texts": tuple(values["texts"])}))
+        except (ValueError, TypeError, KeyError):
+            continue
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultRow:
+    """All flights of one failsafe in one scenario: the worst of each figure."""
+
+    rule: str
+    scenario: str
+    flights: int
+    effect: str
+    reaction_s: float | None
+    """Slowest from fault to failsafe; None = one never came."""
+    ends: str
+    """End states and how often."""
+    closest_m: float
+    contacts: int
+    kept: int
+
+
+def table(found: Sequence[FaultResult]) -> list[FaultRow]:
+    """One row per failsafe and scenario."""
+    rows = []
+    for case in CASES:
+        for scenario in PLANS:
+            mine = [result for result in found if (result.rule, result.scenario) == (case.rule.name, scenario)]
+            if mine:
+                rows.append(_row(case, scenario, mine))
+    return rows
+
+
+def _row(case: FaultCase, scenario: str, mine: Sequence[FaultResult]) -> FaultRow:
+    ends: dict[str, int] = {}
+    for result in mine:
+        name = result.end.split(" at ")[0]
+        ends[name] = ends.get(name, 0) + 1
+    reactions = [result.raised_s for result in mine]
+    known = [reaction for reaction in reactions if reaction is not None]
+    return FaultRow(
+        rule=case.rule.name,
+        scenario=scenario,
+        flights=len(mine),
+        effect=case.effect,
+        reaction_s=max(known) if len(known) == len(mine) else None,
+        ends=", ".join(f"{name} {count}" for name, count in sorted(ends.items())),
+        closest_m=min(result.closest_m for result in mine),
+        contacts=sum(result.contacts for result in mine),
+        kept=sum(result.kept for result in mine),
+    )

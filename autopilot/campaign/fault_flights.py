@@ -1,0 +1,180 @@
+"""Flies one fault scenario through the whole service: when the failsafe came, what became of the vehicle.
+
+Reaction is counted from the moment at which the fault begins. The closest approach is the truth's, from the vehicle's
+centre to the nearest boundary of the fence, from then on.
+"""
+
+import json
+import math
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from autopilot.campaign.broken_controller import Breaking
+from autopilot.campaign.fault_cases import FaultCase
+from autopilot.command.failsafe_table import Effect
+from autopilot.core.messages import Outputs
+from autopilot.mavlink.api import FlightMode
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
+from mission.room import Room
+from sitl.scenario import scenario_path
+from sitl.toml_text import toml_text
+
+PLANS = {"paper-tank": "paper.plan", "harbour": "harbour.mission.toml"}
+"""Scenarios that are flown, and what is flown in them."""
+
+LOOK_TICKS = 10
+STILL_M_S = 0.08
+AT_SURFACE_M = 0.12
+"""Below where it floats."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultResult:
+    """What one flight showed."""
+
+    rule: str
+    scenario: str
+    seed: int
+    at_s: float
+    effect: Effect
+    armed: bool
+    """Whether it was flying when the fault began."""
+    raised_s: float | None
+    """From the fault to the failsafe, None = it never came."""
+    acted_s: float | None
+    """To another mode or disarming."""
+    end: str
+    """Mode, or "disarmed"; where."""
+    kept: bool
+    """In time, and the end that the effect promises."""
+    closest_m: float
+    contacts: int
+    texts: tuple[str, ...]
+
+
+class _Watch:
+    """Looks at every tick of a flight."""
+
+    def __init__(self, session: SitlSession, case: FaultCase, at_s: float) -> None:
+        self._session = session
+        self._case = case
+        self._at_us = round(at_s * 1e6)
+        self._ticks = 0
+        self._mode = FlightMode.HOLD
+        self._begun = False
+        self.armed_then = False
+        self.raised_us: int | None = None
+        self.acted_us: int | None = None
+        self.dropped = self.handed_back = False
+        self.closest_m = math.inf
+        self.texts: dict[str, None] = {}
+        self.last: Outputs | None = None
+
+    def tick(self, outputs: Outputs) -> None:
+        t_us, case, self.last = outputs.t_us, self._case, outputs
+        commander = self._session.parts.commander
+        if t_us < self._at_us:
+            self._mode, self.armed_then = commander.mode, outputs.mode.armed
+            return
+        if not self._begun:
+            self._begun = True
+            for name, value in case.set_then.items():
+                self._session.parts.params.set(name, value)
+        if self.raised_us is None and outputs.mode.failsafes >> case.rule & 1:
+            self.raised_us = t_us
+        if self.acted_us is None and (commander.mode is not self._mode or not outputs.mode.armed):
+            self.acted_us = t_us
+        self.dropped |= outputs.drop_weight
+        self.handed_back |= outputs.hand_back
+        self.texts.update({event.text: None for event in outputs.events if event.severity <= 4})
+        self._ticks += 1
+        if self._ticks % LOOK_TICKS == 1:
+            here = self._session.device.truth.pos_ned_m
+            room = Room.of(commander.fence)
+            self.closest_m = min(self.closest_m, float(room.clearance_m(here[None, :2])[0]))
+
+
+def fly_fault_case(case: FaultCase, scenario: str, seed: int, at_s: float) -> FaultResult:
+    """One flight in lockstep, without sockets or a log."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scenario.toml"
+        path.write_text(toml_text(_tables(case, scenario, at_s)), encoding="utf-8")
+        plan = scenario_path(scenario).parent / PLANS[scenario]
+        end_s = at_s + case.within_s + case.settle_s
+        given = {"scenario": str(path), "speed": 0.0, "sensors": "pose", "duration": end_s, "plan": str(plan)}
+        settings = gather(sitl_defaults(0), {**given, "seed": seed, "start": True, "controller": case.controller}, {})
+        settings.put("connect", (), "campaign")
+        settings.put("state_dir", folder, "campaign")
+        watches: list[_Watch] = []
+        Breaking.from_s = at_s
+        params = {"MPC_COST": 0.0, **case.params}
+        session = open_sitl(settings, params, log=False, on_tick=lambda outputs: watches[0].tick(outputs))
+        session.parts.guard.raises = False
+        watches.append(_Watch(session, case, at_s))
+        session.run()
+    return _result(case, scenario, seed, at_s, session, watches[0])
+
+
+def _tables(case: FaultCase, scenario: str, at_s: float) -> dict[str, Any]:
+    path = scenario_path(scenario)
+    tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    tables.pop("spread", None)
+    tables["scenario"].pop("plan", None)
+    faults: list[Mapping[str, Any]] = list(tables.get("fault", ()))
+    faults += [{**fault, "at_s": max(0.0, at_s + fault["at_s"])} for fault in case.faults]
+    return {**tables, "fault": faults} if faults else tables
+
+
+def _result(case: FaultCase, scenario: str, seed: int, at_s: float, session: SitlSession, watch: _Watch) -> FaultResult:
+    truth, commander = session.device.truth, session.parts.commander
+    raised_s = None if watch.raised_us is None else 1e-6 * watch.raised_us - at_s
+    acted_s = None if watch.acted_us is None else 1e-6 * watch.acted_us - at_s
+    depth_m = float(truth.pos_ned_m[2])
+    mode = "disarmed" if not commander.armed else commander.mode.name
+    return FaultResult(
+        rule=case.rule.name,
+        scenario=scenario,
+        seed=seed,
+        at_s=round(at_s, 2),
+        effect=case.effect,
+        armed=watch.armed_then,
+        raised_s=None if raised_s is None else round(raised_s, 2),
+        acted_s=None if acted_s is None else round(acted_s, 2),
+        end=f"{mode} at {depth_m:.2f} m",
+        kept=raised_s is not None and raised_s <= case.within_s and _ends_well(case.effect, session, watch),
+        closest_m=round(watch.closest_m, 3),
+        contacts=int(truth.contact_count),
+        texts=tuple(watch.texts),
+    )
+
+
+def _ends_well(effect: Effect, session: SitlSession, watch: _Watch) -> bool:
+    """Whether the vehicle is where its effect promises."""
+    truth, commander, last = session.device.truth, session.parts.commander, watch.last
+    assert last is not None
+    top_m = max(session.parts.params["DEPTH_MIN"], session.vehicle.hull_half_height_m)
+    up = float(truth.pos_ned_m[2]) <= top_m + AT_SURFACE_M
+    still = float(np.linalg.norm(truth.vel_frd_m_s)) < STILL_M_S
+    idle = not np.any(last.command.thrust_n)
+    return {
+        "off": True,
+        "warn": commander.armed,
+        "hold": commander.armed and still and commander.mode is FlightMode.HOLD,
+        "return": commander.armed and commander.mode is FlightMode.RETURN,
+        "surface": commander.mode is FlightMode.SURFACE or (not commander.armed and up),
+        "drop": watch.dropped and (commander.mode is FlightMode.SURFACE or not commander.armed),
+        "hand back": watch.handed_back and not commander.armed and idle,
+        "disarm": not commander.armed and idle,
+    }[effect]
+
+
+def line_of(result: FaultResult) -> str:
+    """As a line of the campaign's file."""
+    return json.dumps(asdict(result))

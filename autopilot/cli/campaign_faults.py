@@ -1,0 +1,58 @@
+"""``autopilot campaign faults``: every failsafe at random times."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from autopilot.cli.output import emit_json, print_table
+
+HEADS = ("failsafe", "scenario", "flights", "effect", "slowest reaction s", "ends", "closest m", "contacts", "kept")
+
+
+@click.command()
+@click.option("--runs", type=click.IntRange(min=1), default=20, show_default=True, help="Flights per row and scenario.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the campaign.")
+@click.option("--row", "rows", multiple=True, metavar="NAME", help="Only this failsafe; repeatable.")
+@click.option("--scenario", "scenarios", multiple=True, help="paper-tank or harbour; repeatable (default: both).")
+@click.option("--table", "only_table", is_flag=True, help="Fly nothing, print what is there.")
+@click.option("--markdown", is_flag=True, help="As a Markdown table.")
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+def faults(
+    runs: int,
+    out: Path,
+    rows: tuple[str, ...],
+    scenarios: tuple[str, ...],
+    only_table: bool,
+    markdown: bool,
+    as_json: bool,
+) -> None:
+    """Fly a fault scenario of every failsafe RUNS times each: reaction, end state, closest approach in one table.
+
+    Finished flights are kept in OUT, one line each; the same command goes on where it was stopped. Exit code 1 if a
+    failsafe came late, did not end as promised, or something was touched.
+    """
+    from autopilot.campaign.fault_campaign import fly_campaign, results, table, tasks
+    from autopilot.campaign.fault_flights import PLANS
+
+    wanted = tasks(runs, rows, scenarios or tuple(PLANS))
+    if not only_table:
+        for result in fly_campaign(out, wanted):
+            click.echo(
+                f"{result.rule} {result.scenario} at {result.at_s:g} s: failsafe after {result.raised_s} s, "
+                f"{result.end}, closest {result.closest_m:g} m{'' if result.kept else ', NOT KEPT'}",
+                err=True,
+            )
+    keys = {task.key for task in wanted}
+    found = [result for result in results(out) if (result.rule, result.scenario, result.seed) in keys]
+    lines = table(found)
+    if as_json:
+        emit_json([asdict(line) for line in lines])
+    elif markdown:
+        click.echo(f"| {' | '.join(HEADS)} |\n|{' --- |' * len(HEADS)}")
+        for line in lines:
+            click.echo(f"| {' | '.join(str(cell) for cell in asdict(line).values())} |")
+    else:
+        print_table("faults", HEADS, [tuple(asdict(line).values()) for line in lines])
+    if any(line.kept < line.flights or line.contacts for line in lines):
+        raise click.exceptions.Exit(1)

@@ -1,0 +1,51 @@
+"""What sits inside the simulated hull: a leak probe, a barometer, a thermometer."""
+
+from collections.abc import Iterable
+
+from autopilot.core.samples import HullSample, LeakSample
+from drivers.base import AlwaysOpen
+from sitl.fault_tables import HullClimate, Leak
+from sitl.plant import Truth
+from sitl.scenario_tables import Fault, SensorSilence
+from sitl.sensor_tables import HullSensor
+
+PERIOD_US = 500_000
+
+
+class SimHullSensor(AlwaysOpen):
+    """Says how things are inside, whatever the truth outside."""
+
+    def __init__(self, sensor: HullSensor, faults: Iterable[Fault]) -> None:
+        self._sensor = sensor
+        faults = list(faults)
+        self._leaks = [fault for fault in faults if isinstance(fault, Leak)]
+        self._climate = [fault for fault in faults if isinstance(fault, HullClimate)]
+        self._gaps = [
+            (fault.at_s * 1e6, (fault.at_s + fault.duration_s) * 1e6)
+            for fault in faults
+            if isinstance(fault, SensorSilence) and fault.sensor == "hull"
+        ]
+        self._samples: list[LeakSample | HullSample] = []
+        self.next_us = 0
+        """When it looks next."""
+
+    def observe(self, truth: Truth) -> None:
+        """Look."""
+        t_us = truth.t_us
+        self.next_us += PERIOD_US
+        if any(begin <= t_us < end for begin, end in self._gaps):
+            return
+        pressure_pa, temperature_c = self._sensor.pressure_pa, self._sensor.temperature_c
+        for fault in self._climate:
+            if fault.holds(t_us):
+                pressure_pa = pressure_pa if fault.pressure_pa is None else fault.pressure_pa
+                temperature_c = temperature_c if fault.temperature_c is None else fault.temperature_c
+        self._samples += [
+            LeakSample(t_us=t_us, wet=any(leak.holds(t_us) for leak in self._leaks)),
+            HullSample(t_us=t_us, pressure_pa=pressure_pa, temperature_c=temperature_c),
+        ]
+
+    def poll(self, t_us: int) -> list[LeakSample | HullSample]:
+        """Samples since the last call."""
+        samples, self._samples = self._samples, []
+        return samples
