@@ -98,7 +98,8 @@ class SafeThrusterOutput(Closing):
             self._put(self._by_channel(sent))
         except (DriverError, OSError) as error:
             self._try_neutral()
-            raise DriverError(f"thruster output failed: {error}; check cable and power") from error
+            remedy = "" if isinstance(error, DriverError) else "; check cable and power"
+            raise DriverError(f"thruster output failed: {error}{remedy}") from error
         self._last_us = t_us
 
     def check(self, t_us: int) -> bool:
