@@ -37,10 +37,13 @@ from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
     ExternalPoseSample,
+    HullSample,
     ImuSample,
     LaserSample,
+    LeakSample,
     MarkerSighting,
     ObstacleTrack,
+    PilotSample,
     PoseSample,
     PowerSample,
     VelocitySample,
@@ -235,9 +238,14 @@ def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
     velocity = VelocitySample(t_us=t_us, vel_frd_m_s=np.zeros(3), sigma_m_s=np.full(3, 0.01))
     external = ExternalPoseSample(t_us=t_us, pos_m=np.zeros(3), yaw_rad=0.1, covariance=None)
     imu = ImuSample(t_us=t_us, rate_frd_rad_s=truth.rate_frd_rad_s, accel_frd_m_s2=np.array([0.0, 0.0, -9.81]))
+    hull = (
+        LeakSample(t_us=t_us, wet=False),
+        HullSample(t_us=t_us, pressure_pa=98_000.0, temperature_c=None),
+        PilotSample(t_us=t_us),
+    )
     return Inputs(
         t_us=t_us,
-        samples=(ahrs, imu, sighting, fix, laser, depth, velocity, external, track, power),
+        samples=(ahrs, imu, sighting, fix, laser, depth, velocity, external, track, power, *hull),
         mavlink_rx=(frame,),
         overruns=2,
         cpu_load=0.25,
