@@ -93,6 +93,7 @@ def open_vehicle(
         below=device.below,
         notices=device.take_notices,
         refusals=device.refusals,
+        skips=speed > 0.0,
     )
     kept = Kept(params=persistent, plans=plans, disk=disk)
     return Session(

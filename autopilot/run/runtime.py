@@ -41,6 +41,9 @@ from estimator.vision_lane import VisionWorker
 SERVE_MARGIN_S = 0.0005
 """Serving ends so long before a tick."""
 
+SKIP_TICKS = 5
+"""A loop that is later than this on a real vehicle goes on with the present."""
+
 NO_SAMPLES: Sequence[Sample] = ()
 NO_PICTURES: Sequence[CameraFrame] = ()
 
@@ -68,11 +71,13 @@ class Runtime:
         notices: Callable[[], Sequence[tuple[Severity, str]]] = lambda: (),
         below: Callable[[int], Below | None] = lambda _: None,
         refusals: Callable[[int], tuple[str, ...]] = lambda _: (),
+        skips: bool = False,
     ) -> None:
         """``notices``: what operators should know of the outside world (severity, text), asked for once per tick.
         ``below``: who has the vehicle, where there is a flight controller below; ``refusals``: what its devices have
-        against arming."""
+        against arming. ``skips``: the world does not wait, ticks that are far too late are left out."""
         self._refusals = refusals
+        self._skips = skips
         self._below = below
         self._notices = notices
         self._service = service
@@ -113,10 +118,18 @@ class Runtime:
         tick = 0
         try:
             while not stop() and (end_tick is None or tick < end_tick):
-                tick += 1
+                tick += 1 + self._too_late(tick + 1)
                 self.tick(tick * TICK_US)
         finally:
             self.close()
+
+    def _too_late(self, tick: int) -> int:
+        """Ticks to leave out: made up for in a hurry, they would hear now what devices have measured since."""
+        late = (self._clock.now_us() - tick * TICK_US) // TICK_US if self._skips else 0
+        if late <= SKIP_TICKS:
+            return 0
+        self.counters.overruns += late
+        return late
 
     def tick(self, t_us: int) -> Outputs:
         """One tick: wait, gather, step, act, record."""

@@ -53,6 +53,8 @@ class Outside:
     """What operators should know of the devices."""
     refusals: Callable[[int], tuple[str, ...]] = lambda _: ()
     """What they have against arming."""
+    skips: bool = False
+    """The world does not wait for a loop that is late."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -153,6 +155,7 @@ def loop_round(
         notices=notices,
         below=outside.below,
         refusals=outside.refusals,
+        skips=outside.skips,
     )
     for desk in (*parts.desks, kept.disk):
         desk.idle = runtime.attend

@@ -2,6 +2,7 @@
 
 import socket
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -69,15 +70,19 @@ class Tank:
         self.outputs = outputs
         self.texts += [(1e-6 * event.t_us, event.text) for event in outputs.events]
         t_us = outputs.t_us
-        for received in self._wire.recv(t_us):
-            self.below.hear(t_us, received.data)
-        for data in self.world.advance(t_us):
-            self._wire.send(data)
+        self.world_goes_on(t_us)
         pose = self.world.pose(t_us)
         if pose is not None:
             self._client.send(pose)
         for data in self._operator.step(t_us, [received.data for received in self._client.recv(t_us)]):
             self._client.send(data)
+
+    def world_goes_on(self, t_us: int) -> None:
+        """Water, vehicle and flight controller."""
+        for received in self._wire.recv(t_us):
+            self.below.hear(t_us, received.data)
+        for data in self.world.advance(t_us):
+            self._wire.send(data)
 
     def run(self, until: Callable[[Outputs], bool], at_most_s: float) -> None:
         """Ticks until something is so."""
@@ -123,6 +128,30 @@ def tank(tmp_path: Path) -> Iterator[Callable[..., Tank]]:
     yield make
     for each in made:
         each.close()
+
+
+class Held:
+    """A clock that is what the ticks say, but for one stop of the loop in which the world goes on."""
+
+    def __init__(self, flight: Tank) -> None:
+        self._flight = flight
+        self.now = flight._t_us
+
+    def hold(self, for_us: int) -> None:
+        end_us = self.now + for_us
+        while self.now < end_us:
+            self.now += 10_000
+            self._flight.world_goes_on(self.now)
+
+    def now_us(self) -> int:
+        return self.now
+
+    def wait_until(self, t_us: int) -> int:
+        self.now = max(self.now, t_us)
+        return self.now
+
+    def left_s(self, t_us: int) -> float:
+        return 0.0
 
 
 def _flies(outputs: Outputs) -> bool:
@@ -171,6 +200,27 @@ def test_a_pilot_takes_the_vehicle_in_a_mission_gives_it_back_and_stops_it(tank:
     flight.run(lambda outputs: not outputs.mode.armed, 0.1)
     flight.run(lambda _: flight.said("Stopped below"), 0.1)
     assert flight.world.truth.contact_count == 0
+
+
+def test_a_loop_that_was_held_for_half_a_second_goes_on_with_the_present(tank: Callable[..., Tank]) -> None:
+    """What devices have measured meanwhile comes at once, with its own times."""
+    flight = tank()
+    flight.run(_flies, 60.0)
+    runtime, clock = flight.session.runtime, Held(flight)
+    runtime._clock, runtime._skips = clock, True
+    ticks: list[int] = []
+    before, number = runtime.counters.overruns, flight._t_us // 10_000
+    for count in range(300):
+        if count == 100:
+            clock.hold(600_000)
+        number += 1 + runtime._too_late(number + 1)
+        ticks.append(number * 10_000)
+        runtime.tick(ticks[-1])
+    flight._t_us = ticks[-1]
+    assert max(later - one for one, later in pairwise(ticks)) > 500_000
+    assert runtime.counters.overruns - before >= 50
+    assert flight.outputs is not None and flight.outputs.mode.armed
+    assert not flight.said("AHRS silent"), flight.texts[-10:]
 
 
 @pytest.mark.parametrize("name", config_names())
