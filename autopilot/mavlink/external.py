@@ -36,11 +36,13 @@ class ExternalPoses:
         self._ctx = ctx
         self._utc_offset_us = utc_offset_us
         self._told: set[Peer] = set()
+        self._by_arrival: dict[Peer, ExternalPoseSample] = {}
+        """The last pose of each whose stamp says nothing to us."""
 
     def on_vision_position_estimate(self, peer: Peer, msg: Message) -> None:
         """VISION_POSITION_ESTIMATE: local NED, radians."""
         reset_counter = getattr(msg, "reset_counter", 0)
-        self._add(msg.usec, (msg.x, msg.y, msg.z), msg.yaw, msg.covariance, ExternalFrame.NED, reset_counter)
+        self._add(peer, msg.usec, (msg.x, msg.y, msg.z), msg.yaw, msg.covariance, ExternalFrame.NED, reset_counter)
 
     def on_odometry(self, peer: Peer, msg: Message) -> None:
         """ODOMETRY: its pose; the velocity is not used."""
@@ -53,10 +55,13 @@ class ExternalPoses:
             return
         if getattr(msg, "quality", 0) == FAILED_QUALITY:
             return
-        self._add(msg.time_usec, (msg.x, msg.y, msg.z), _yaw(msg.q), msg.pose_covariance, frame, msg.reset_counter)
+        self._add(
+            peer, msg.time_usec, (msg.x, msg.y, msg.z), _yaw(msg.q), msg.pose_covariance, frame, msg.reset_counter
+        )
 
     def _add(
         self,
+        peer: Peer,
         stamp_us: int,
         pos_m: Sequence[float],
         yaw_rad: float,
@@ -64,26 +69,35 @@ class ExternalPoses:
         frame: ExternalFrame,
         reset_counter: int,
     ) -> None:
-        if len(self._ctx.samples) >= SAMPLES_MAX:
+        waiting = self._ctx.samples
+        if len(waiting) >= SAMPLES_MAX:
             return
-        self._ctx.samples.append(
-            ExternalPoseSample(
-                t_us=self._time_us(stamp_us),
-                pos_m=np.array(pos_m, dtype=float),
-                yaw_rad=float(yaw_rad),
-                covariance=_covariance(triangle),
-                frame=frame,
-                reset_counter=reset_counter,
-            )
+        stamped_us = self._stamped_us(stamp_us)
+        arrived_us = self._ctx.t_us - round(1e6 * self._ctx.params["EST_EXT_DELAY"])
+        sample = ExternalPoseSample(
+            t_us=arrived_us if stamped_us is None else stamped_us,
+            pos_m=np.array(pos_m, dtype=float),
+            yaw_rad=float(yaw_rad),
+            covariance=_covariance(triangle),
+            frame=frame,
+            reset_counter=reset_counter,
         )
+        if stamped_us is None:
+            # Of several that come at once, after a pause of the loop or of the network, only the last is of now.
+            before = self._by_arrival.get(peer)
+            waiting[:] = [other for other in waiting if other is not before]
+            if peer not in self._by_arrival and len(self._by_arrival) >= SAMPLES_MAX:
+                self._by_arrival.clear()
+            self._by_arrival[peer] = sample
+        waiting.append(sample)
 
-    def _time_us(self, stamp_us: int) -> int:
-        """When the pose was valid: the stamp if it is of our clock or of a known Unix time, else by its arrival."""
+    def _stamped_us(self, stamp_us: int) -> int | None:
+        """When the pose was valid: the stamp if it is of our clock or of a known Unix time, else None."""
         now_us, offset_us = self._ctx.t_us, self._utc_offset_us()
         for time_us in (stamp_us, stamp_us - offset_us if offset_us is not None else -1):
             if 0 <= now_us - time_us <= OLDEST_US:
                 return time_us
-        return now_us - round(1e6 * self._ctx.params["EST_EXT_DELAY"])
+        return None
 
 
 def _covariance(triangle: Sequence[float]) -> FloatArray | None:

@@ -110,3 +110,22 @@ def test_health_and_test_ratios_are_shown() -> None:
     status = [m for m in client.rx if m.get_type() == "SYS_STATUS"][-1]
     lost = mav.MAV_SYS_STATUS_AHRS | mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION
     assert status.onboard_control_sensors_health & lost == 0
+
+
+def test_of_poses_that_come_at_once_with_stamps_of_nobody_the_last_is_of_now() -> None:
+    """After a pause of the loop or of the network: the others are older, and nobody knows by how much."""
+    world = World()
+    world.run(2.0)
+    told = [mav.MAVLink_vision_position_estimate_message(0, x, 0.0, 0.5, 0.0, 0.0, 0.0, TRIANGLE, 0) for x in (1, 2, 3)]
+    (sample,) = taken(world, *told)
+    assert sample.pos_m[0] == 3.0
+    others = [world.client(sysid=50, compid=197), world.client(sysid=51, compid=197)]
+    for client in others:
+        for message in told:
+            client.send(message)
+    world.tick()
+    assert len(world.server.take_samples()) == len(others)
+    # Stamps of our clock say when: all of them count.
+    now_us = world.t_us
+    stamped = [vision(usec=now_us - late) for late in (50_000, 40_000, 30_000)]
+    assert [sample.t_us for sample in taken(world, *stamped)] == [now_us - late for late in (50_000, 40_000, 30_000)]
