@@ -173,6 +173,9 @@ class ArduSub(Closing):
         if t_us - self._beat_us >= HEARTBEAT_US:
             self._beat_us = t_us
             wire.heartbeat()
+        asked = self._watch.due(t_us)
+        if asked is not None:
+            wire.arm(armed=asked)
         if self._heard_us is not None and t_us - self._asked_us >= ASK_EVERY_US:
             passed_s = 1e-6 * min(t_us - self._asked_us, 10 * ASK_EVERY_US)
             self._asked_us = t_us
@@ -238,15 +241,19 @@ class ArduSub(Closing):
 
     def command(self, t_us: int, *, armed: bool) -> None:
         """Whether our thrust is meant to act."""
-        wire, watch = self._open_wire(), self._watch
+        watch = self._watch
         if watch.wanted and not armed:
             self._let_go()
         elif armed and not watch.wanted:
             self._right_us = None
         watch.want(t_us, armed=armed)
-        asked = watch.due(t_us)
-        if asked is not None:
-            wire.arm(armed=asked)
+
+    def hand_back(self, t_us: int) -> None:
+        """Neutral, then silence: it stays armed, and its pilot's failsafe says what becomes of it. A new arming of ours
+        takes it anew."""
+        if self._watch.takes_commands:
+            self._let_go()
+        self._watch.hand_back()
 
     def below(self, t_us: int) -> Below:
         """Who has the vehicle now."""

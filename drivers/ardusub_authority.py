@@ -83,6 +83,10 @@ class AuthorityWatch:
             if armed:
                 self._had = self.armed
 
+    def hand_back(self) -> None:
+        """It keeps the vehicle, armed as it is: its own failsafes and its pilot decide."""
+        self.wanted = self._had = False
+
     def due(self, t_us: int) -> bool | None:
         """Whether it is to be asked now to arm (True) or disarm (False)."""
         if self.mode != MANUAL or self._stopped or self.armed == self.wanted:

@@ -80,6 +80,10 @@ class FlightController(Sensor[Any], ThrusterOutput, Protocol):
         """To be called every tick before ``write``: whether our thrust is meant to act."""
         ...
 
+    def hand_back(self, t_us: int) -> None:
+        """Nothing is commanded any more, and it is left armed; after ``command`` and ``write`` of the same tick."""
+        ...
+
     def below(self, t_us: int) -> "Below":
         """Who has the vehicle now. After ``poll`` on the same tick."""
         ...

@@ -89,6 +89,11 @@ class HardwareVehicle:
         if self._output is not None:
             self._output.write(t_us, command.pwm_us[: self._thrusters])
 
+    def hand_back(self, t_us: int) -> None:
+        """The flight controller below has the thrusters again; without one they are neutral already."""
+        if self._below is not None and self._below.attend(t_us):
+            self._below.device.hand_back(t_us)
+
     def below(self, t_us: int) -> Below | None:
         """Who has the vehicle, None without a flight controller."""
         if self._below is None:

@@ -217,6 +217,20 @@ def test_a_process_that_dies_leaves_the_thrusters_to_its_failsafe(bench: Bench) 
     assert bench.below.servos_us == NEUTRAL
 
 
+def test_handed_back_it_stays_armed_and_is_taken_anew_by_a_new_arming(bench: Bench) -> None:
+    bench.fly()
+    bench.armed = False
+    bench.tick()
+    bench.driver.hand_back(bench.t_us)
+    bench.run(0.2)
+    assert bench.below.armed and bench.below.servos_us == NEUTRAL
+    bench.run(1.0)
+    assert bench.below.armed and not bench.overrides
+    bench.armed = True
+    bench.run(1.5)
+    assert bench.below.servos_us != NEUTRAL
+
+
 def test_closing_leaves_it_neutral_and_disarmed(bench: Bench) -> None:
     bench.fly()
     bench.driver.close()
