@@ -28,6 +28,8 @@ class FaultCase:
     set_then: Mapping[str, float] = field(default_factory=dict)
     """What the operator sets at the drawn time."""
     controller: str | None = None
+    estimator: str | None = None
+    """Flown instead of the shipped ones; they break at the drawn time."""
     effect: Effect
     within_s: float
     """From the drawn time to the bit."""
@@ -39,7 +41,7 @@ def _fault(kind: str, lasts_s: float | None = LASTING_S, at_s: float = 0.0, **ke
     return {"kind": kind, "at_s": at_s, **({} if lasts_s is None else {"duration_s": lasts_s}), **keys}
 
 
-BROKEN = "autopilot.campaign.broken_controller"
+BROKEN = "autopilot.campaign.broken_parts"
 
 CASES: tuple[FaultCase, ...] = (
     FaultCase(
@@ -75,7 +77,7 @@ CASES: tuple[FaultCase, ...] = (
     ),
     FaultCase(
         rule=Failsafe.NAV_CHECK,
-        faults=(_fault("imu_offset", sensor="accel", offset=[1.5, 0.0, 0.0]), _fault("camera_blackout", 8.0, 0.5)),
+        estimator=f"{BROKEN}:Displaced",
         effect="warn",
         within_s=8.0,
     ),
@@ -101,7 +103,7 @@ CASES: tuple[FaultCase, ...] = (
         faults=(_fault("camera_blackout", 5.0),),
         params={"FS_DR_TIME": 2.0, "FS_DR_ACT": 2},
         effect="surface",
-        within_s=2.8,
+        within_s=3.4,
     ),
     FaultCase(
         rule=Failsafe.SENSOR,
@@ -148,15 +150,15 @@ CASES: tuple[FaultCase, ...] = (
     ),
     FaultCase(
         rule=Failsafe.CAGE_SOFT,
-        faults=(_fault("shove", 5.0, force_ned_n=[0.0, 0.0, 20.0]),),
-        set_then={"DEPTH_MAX": 0.5, "FS_CAGE_HARD": 50.0},
+        faults=(_fault("shove", 2.2, force_ned_n=[0.0, 0.0, 20.0]),),
+        set_then={"DEPTH_MAX": 0.5, "FS_CAGE_HARD": 50.0, "LAT_DETECT": 0},  # a shove looks like late commands
         effect="warn",
         within_s=6.0,
     ),
     FaultCase(
         rule=Failsafe.CAGE_HARD,
-        faults=(_fault("shove", 6.0, force_ned_n=[0.0, 0.0, 20.0]),),
-        set_then={"DEPTH_MAX": 0.5, "FS_CAGE_HARD": 0.3},
+        faults=(_fault("shove", 2.6, force_ned_n=[0.0, 0.0, 20.0]),),
+        set_then={"DEPTH_MAX": 0.5, "FS_CAGE_HARD": 0.25},
         effect="surface",
         within_s=7.0,
     ),

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from autopilot.campaign.broken_controller import Breaking
+from autopilot.campaign.broken_parts import Breaking
 from autopilot.campaign.fault_cases import FaultCase
 from autopilot.command.failsafe_table import Effect
 from autopilot.core.messages import Outputs
@@ -109,7 +109,8 @@ def fly_fault_case(case: FaultCase, scenario: str, seed: int, at_s: float) -> Fa
         plan = scenario_path(scenario).parent / PLANS[scenario]
         end_s = at_s + case.within_s + case.settle_s
         given = {"scenario": str(path), "speed": 0.0, "sensors": "pose", "duration": end_s, "plan": str(plan)}
-        settings = gather(sitl_defaults(0), {**given, "seed": seed, "start": True, "controller": case.controller}, {})
+        parts = {"controller": case.controller, "estimator": case.estimator}
+        settings = gather(sitl_defaults(0), {**given, **parts, "seed": seed, "start": True}, {})
         settings.put("connect", (), "campaign")
         settings.put("state_dir", folder, "campaign")
         watches: list[_Watch] = []

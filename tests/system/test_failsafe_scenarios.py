@@ -27,7 +27,7 @@ def test_a_row_has_a_scenario_that_can_be_flown_and_asks_for_an_effect_of_the_ro
     params = ParamSet({**case.params, **case.set_then})
     for fault in case.faults:
         msgspec.convert({**fault, "at_s": 1.0}, Fault)
-    assert case.faults or case.set_then or case.controller
+    assert case.faults or case.set_then or case.controller or case.estimator
     assert case.effect in row.effects or case.rule.name == "FAULT"  # FAULT: the guard acts, docs/reliability.md
     if row.action:
         assert row.effects[int(params[row.action])] == case.effect

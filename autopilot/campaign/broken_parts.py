@@ -1,14 +1,23 @@
-"""The shipped controller that breaks at a time: faults that no scenario file can make.
+"""The shipped controller and estimator that break at a time: faults that no scenario file can make.
 
-A scenario names them as anybody's controller (``package:Class``); the flight sets :attr:`Breaking.from_s` before.
+A flight names them as anybody's (``package:Class``), and sets :attr:`Breaking.from_s` before.
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from autopilot.control.controller import MotionController
 from autopilot.control.protocol import ControllerContext
-from autopilot.core.messages import ControlOutput
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import ControlOutput, NavState
+from autopilot.core.samples import Sample
+from estimator.engine import Engine
+from estimator.kalman import KalmanCore
+from estimator.protocol import EstimatorContext
 
 
 class Breaking(MotionController):
@@ -51,3 +60,23 @@ class Raising(Breaking):
         if not self.raised:
             self.raised = True
             raise RuntimeError("controller broken by the campaign")
+
+
+class Displaced(Engine):
+    """The shipped filter, whose depth is off for some seconds."""
+
+    LASTS_S = 4.0
+    OFF_M = 0.25
+    """Down: nothing to run into."""
+
+    def __init__(self, given: EstimatorContext) -> None:
+        core = KalmanCore(current_3d=given.options.current_3d)
+        super().__init__(core, given.vehicle, given.markers, given.floor_depth_m, given.options)
+
+    def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
+        """See :class:`estimator.protocol.Estimator`."""
+        nav = super().step(t_us, samples, thrust_n)
+        since_s = 1e-6 * t_us - Breaking.from_s
+        if nav is None or not 0.0 <= since_s < self.LASTS_S:
+            return nav
+        return replace(nav, pos_ned_m=nav.pos_ned_m + np.array([0.0, 0.0, self.OFF_M]))
