@@ -9,7 +9,7 @@ import click
 
 from autopilot.cli.output import emit_json, print_table
 
-APART = ("modes", "faults", "sensor-faults", "thruster-health", "vehicles", "detection", "fuzz", "kills")
+APART = ("modes", "faults", "sensor-faults", "thruster-health", "vehicles", "detection", "fuzz", "kills", "soak")
 """Only when they are named."""
 NAMES = ("nmpc", "sitl", "estimator", "pockets", "energy", "energy-latency", "loop", *APART)
 LONG = ("estimator", "pockets", "energy", "energy-latency")
@@ -49,7 +49,7 @@ LONG = ("estimator", "pockets", "energy", "energy-latency")
     "--out", type=click.Path(file_okay=False), help="thruster-health: keep flights here, go on where it was stopped."
 )
 @click.option("--frames", type=click.IntRange(1), help="detection: pictures (default 10000, with --short 400).")
-@click.option("--seed", type=int, help="fuzz, detection, vehicles, kills: where these come from (default 1).")
+@click.option("--seed", type=int, help="fuzz, detection, vehicles, kills, soak: where these come from (default 1).")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def bench(
     name: str | None,
@@ -113,6 +113,9 @@ def bench(
     kills: SIGKILL at random moments of uploads, changes of parameters and logging: nothing that was accepted may be
     lost, every log is readable (ten minutes; exit code 1 otherwise).
 
+    soak: an hour of simulated laps (--short: ten minutes) in this process: growth of memory after the warm-up and of
+    open descriptors (a quarter of an hour; exit code 1 if memory grows by more than 1 % an hour).
+
     Times depend on the machine and on what else it does: each table says how slow the machine is just now.
     """
     if recompute and name != "energy":
@@ -134,8 +137,8 @@ def bench(
         raise click.UsageError("--part and --markdown belong to the benchmark faults")
     if messages is not None and name != "fuzz":
         raise click.UsageError("--messages belongs to the benchmark fuzz")
-    if seed is not None and name not in ("fuzz", "detection", "vehicles", "kills"):
-        raise click.UsageError("--seed belongs to the benchmarks fuzz, detection, vehicles and kills")
+    if seed is not None and name not in ("fuzz", "detection", "vehicles", "kills", "soak"):
+        raise click.UsageError("--seed belongs to the benchmarks fuzz, detection, vehicles, kills and soak")
     if frames is not None and name != "detection":
         raise click.UsageError("--frames belongs to the benchmark detection")
     if sound_runs is not None and name not in ("thruster-health", "vehicles", "kills"):
@@ -164,6 +167,9 @@ def bench(
         return
     if name == "kills":
         _kills(sound_runs or (4 if short else 100), 1 if seed is None else seed, as_json=as_json)
+        return
+    if name == "soak":
+        _soak(600.0 if short else 3600.0, 1 if seed is None else seed, as_json=as_json)
         return
     if name == "sensor-faults":
         _sensor_faults(short, as_json=as_json)
@@ -328,6 +334,29 @@ def _kills(runs: int, seed: int, *, as_json: bool) -> None:
         raise SystemExit(1)
 
 
+def _soak(duration_s: float, seed: int, *, as_json: bool) -> None:
+    """Fly and look; exit code 1 if something grows."""
+    from autopilot.bench.soak import soak
+
+    flight = soak(duration_s, seed, lambda look: click.echo(f"{look.t_s:6.0f} s  {look.rss_mb:7.1f} MB", err=True))
+    last = flight.looks[-1]
+    row: dict[str, object] = {
+        "flown_s": last.t_s,
+        "settled_mb": flight.settled[0].rss_mb,
+        "end_mb": last.rss_mb,
+        "growth_mb": flight.growth_mb,
+        "hourly_growth": flight.hourly_growth,
+        "more_descriptors": flight.more_descriptors,
+        "threads": last.threads,
+    }
+    if as_json:
+        emit_json({**row, "looks": [asdict(look) for look in flight.looks]})
+    else:
+        _print("soak", [row])
+    if not flight.kept:
+        raise SystemExit(1)
+
+
 def _thruster_health(runs: int, out: str | None, *, as_json: bool) -> None:
     """Fly and print; exit code 1 if a sound thruster is blamed."""
     from autopilot.bench.thruster_health import bench_thruster_health
@@ -445,6 +474,7 @@ TITLES = {
     "thruster-health": "Sound and lossy thrusters; false = flights with a word about a sound one, false_below with 95 %"
     " confidence; times from the loss on, inf = not within 35 s",
     "kills": "A service killed at random moments: changes accepted, killed in the middle of one, lost, and its logs",
+    "soak": "Laps without end: memory after the warm-up, its growth per hour, descriptors",
     "vehicles": "Vehicles made at random, 20 s in open water each: flown or refused with the axis that lacks thrust",
     "detection": "Markers shown and found with a prediction, by OpenCV's defaults, by these and not by us, false ids;"
     " the same without a prediction; median CPU time [ms] of ours, of OpenCV's, of ours at the reference speed",

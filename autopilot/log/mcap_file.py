@@ -7,7 +7,7 @@ indexes, statistics) is rare and is written by the library's records (mcap.dev, 
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import IO, Any
 
 import zstandard
@@ -51,7 +51,11 @@ class McapFile:
         self._entries: dict[int, list[int]] = {}
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
+        self._chunk_index = bytearray()
+        """Records of the chunks so far: as objects they would take ten times that, 30 MB an hour."""
+        self._chunk_count = 0
+        self._first_ns: int | None = None
+        self._last_ns = 0
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: Counter[int] = Counter()
@@ -123,17 +127,16 @@ class McapFile:
         start = self._stream.tell()
         summary = bytearray()
         offsets = bytearray()
-        groups: tuple[tuple[Opcode, list[Any]], ...] = (
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
+        groups: tuple[tuple[Opcode, bytes | bytearray], ...] = (
+            (Opcode.SCHEMA, _records(self._schemas)),
+            (Opcode.CHANNEL, _records(self._channels)),
+            (Opcode.STATISTICS, _record(self._statistics())),
+            (Opcode.CHUNK_INDEX, self._chunk_index),
+            (Opcode.ATTACHMENT_INDEX, _records(self._attachments)),
+            (Opcode.METADATA_INDEX, _records(self._metadata)),
         )
-        for opcode, records in groups:
-            if records:
-                group = b"".join(_record(record) for record in records)
+        for opcode, group in groups:
+            if group:
                 offsets += _record(
                     SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
                 )
@@ -169,29 +172,31 @@ class McapFile:
             index += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + 8 * len(flat), channel, 8 * len(flat))
             index += struct.pack(f"<{len(flat)}Q", *flat)
         self._stream.write(index)
-        self._chunks.append(
-            ChunkIndex(
-                chunk_length=_CHUNK.size + len(packed),
-                chunk_start_offset=offset,
-                compression=COMPRESSION,
-                compressed_size=len(packed),
-                message_end_time=last_ns,
-                message_index_length=len(index),
-                message_index_offsets=places,
-                message_start_time=first_ns,
-                uncompressed_size=len(records),
-            )
+        about = ChunkIndex(
+            chunk_length=_CHUNK.size + len(packed),
+            chunk_start_offset=offset,
+            compression=COMPRESSION,
+            compressed_size=len(packed),
+            message_end_time=last_ns,
+            message_index_length=len(index),
+            message_index_offsets=places,
+            message_start_time=first_ns,
+            uncompressed_size=len(records),
         )
+        self._chunk_index += _record(about)
+        self._chunk_count += 1
+        self._first_ns = first_ns if self._first_ns is None else min(self._first_ns, first_ns)
+        self._last_ns = max(self._last_ns, last_ns)
 
     def _statistics(self) -> Statistics:
         return Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunk_count,
             message_count=self._counts.total(),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
+            message_end_time=self._last_ns,
+            message_start_time=self._first_ns or 0,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
@@ -201,6 +206,10 @@ class McapFile:
         data = _record(record)
         self._stream.write(data)
         return len(data)
+
+
+def _records(records: Sequence[Any]) -> bytes:
+    return b"".join(_record(record) for record in records)
 
 
 def _record(record: Any) -> bytes:
