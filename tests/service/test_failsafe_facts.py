@@ -1,0 +1,65 @@
+"""What failsafes go by: jolts that are collisions, sensors that freeze, tether and energy of a plan."""
+
+import numpy as np
+import pytest
+
+from autopilot.command.facts import Facts, Jolts
+from autopilot.core.messages import Inputs
+from autopilot.core.samples import AhrsSample, DepthSample
+from autopilot.core.vehicle import load_vehicle
+from autopilot.run.outside import HandsBack, WeightRelease
+
+
+def felt(accel: np.ndarray, thrust_n: np.ndarray | None = None) -> bool:
+    """Whether 2 s of rest and then these accelerations ahead (n,) are a collision."""
+    jolts, found = Jolts(load_vehicle("lbv150").to_model()), False
+    for tick, ahead in enumerate([*np.zeros(200), *accel, *np.zeros(100)]):
+        zero = np.zeros(3)
+        sample = AhrsSample(
+            t_us=tick * 10_000, rpy_rad=zero, rate_frd_rad_s=zero, accel_frd_m_s2=np.array([ahead, 0.0, -9.81])
+        )
+        found |= jolts.look(sample, thrust_n, 3.0)
+    return found
+
+
+@pytest.mark.parametrize("size", [3.5, -6.0, 40.0])
+@pytest.mark.parametrize("ticks", [1, 5, 20])
+def test_a_push_that_comes_and_goes_is_a_collision(size: float, ticks: int) -> None:
+    assert felt(np.full(ticks, size))
+
+
+def test_what_stays_what_is_small_and_what_is_no_number_is_none() -> None:
+    assert not felt(np.full(150, 10.0))
+    assert not felt(np.full(5, 2.5))
+    assert not felt(np.full(5, np.nan))
+
+
+def test_what_thrust_can_make_is_none() -> None:
+    assert not felt(np.full(5, 4.0), np.full(4, 50.0))
+
+
+def test_a_frozen_depth_is_a_silent_sensor() -> None:
+    facts = Facts()
+    for tick in range(60):
+        depth_m = 1.0 + 1e-4 * min(tick, 20)
+        facts.note_sample(tick * 100_000, DepthSample(t_us=tick * 100_000, depth_m=depth_m, sigma_m=0.01))
+    age_s, name = facts.silent(5_900_000)
+    assert name == "depth sensor" and age_s == pytest.approx(2.0, abs=0.15)
+
+
+def test_late_ticks_are_a_share_of_the_last_second() -> None:
+    facts = Facts()
+    facts.note(Inputs(t_us=1_000_000, overruns=0))
+    facts.note(Inputs(t_us=2_000_000, overruns=30))
+    assert facts.late_share == pytest.approx(0.3)
+    facts.note(Inputs(t_us=3_000_000, overruns=30, clock_jump_s=0.4))
+    assert facts.late_share == 0.0 and not facts.jumped_us >= 0.0
+    facts.note(Inputs(t_us=3_010_000, clock_jump_s=-3600.0))
+    assert facts.jumped_us == 3_010_000
+
+
+def test_a_device_offers_effects_by_having_them() -> None:
+    class Rov:
+        def release_weight(self, t_us: int) -> None: ...
+
+    assert isinstance(Rov(), WeightRelease) and not isinstance(Rov(), HandsBack)
