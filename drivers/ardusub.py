@@ -21,7 +21,7 @@ from autopilot.core.samples import Sample
 from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
 from drivers.ardusub_authority import AuthorityWatch
-from drivers.ardusub_mixing import FRAMES, NEUTRAL, Mixer
+from drivers.ardusub_mixing import FRAMES, NEUTRAL, PLANE_MOTORS, Mixer
 from drivers.ardusub_settings import Settings
 from drivers.ardusub_telemetry import Telemetry
 from drivers.ardusub_wire import Wire
@@ -47,12 +47,16 @@ ENOUGH = 0.7
 SERVO_WITHIN_US = 150_000
 """What comes out belongs to one of the commands of so long before: 20 ms to act, and the way back."""
 SERVO_TOLERANCE_US = 4
+SLOW_WITHIN_US = 450_000
+"""The same of the upright motors while heave is slow (:attr:`AuthorityWatch.slow_heave`): five time constants of it."""
 SERVO_WRONG_US = 300_000
 """Other pulses than ours for so long are somebody else's."""
 
 SHOWN_SEVERITY = 4
 """MAV_SEVERITY_WARNING: what it says that is less is for its own ground station."""
 MAX_NOTICES = 20
+NO_PILOT = "lost manual control"
+"""It misses our pulses: news only while we mean to send some."""
 
 
 class ArduSubOptions(Table, frozen=True, kw_only=True):
@@ -109,6 +113,8 @@ class ArduSub(Closing):
         self._rest = 0
         """So often 1500 has still to be sent."""
         self._meant: deque[tuple[int, tuple[int, ...]]] = deque()
+        self._seen: tuple[int, tuple[int, ...]] | None = None
+        """What is at the servo rail, and when that was told."""
         self._right_us: int | None = None
         """When the servo rail last showed what was meant."""
         self.problem = ""
@@ -217,9 +223,15 @@ class ArduSub(Closing):
         self._watch.take(t_us, message)
         if commanding and not self._watch.takes_commands:
             self._let_go()
-        if kind == "STATUSTEXT" and message.severity <= SHOWN_SEVERITY and len(self._notices) < MAX_NOTICES:
-            self._notices.append((Severity(message.severity), f"FC: {message.text.strip()}"))
+        if kind == "STATUSTEXT" and message.severity <= SHOWN_SEVERITY:
+            self._pass_on(message)
         return self._telemetry.take(t_us, message)
+
+    def _pass_on(self, message: Any) -> None:
+        text = message.text.strip()
+        expected = not self._watch.wanted and text.lower().startswith(NO_PILOT)
+        if not expected and len(self._notices) < MAX_NOTICES:
+            self._notices.append((Severity(message.severity), f"FC: {text}"))
 
     def _ask(self, wire: Wire, t_us: int, passed_s: float) -> None:
         """For messages that do not come as often as they should, and for parameters."""
@@ -265,7 +277,14 @@ class ArduSub(Closing):
             text=watch.text,
             problem=self.problem,
             refusals=self._refusals(t_us),
+            pulses_us=self._pulses_us(t_us),
         )
+
+    def _pulses_us(self, t_us: int) -> tuple[int, ...]:
+        """What the thrusters get, whoever it is from; () when it has not been told of late."""
+        if self._seen is None or t_us - self._seen[0] > STALE_US:
+            return ()
+        return self._mixer.pulses_us(self._seen[1])
 
     def _refusals(self, t_us: int) -> tuple[str, ...]:
         if self._silent(t_us) or self._watch.mode is None:
@@ -330,13 +349,15 @@ class ArduSub(Closing):
 
     def _compare(self, t_us: int, message: Any) -> None:
         """What comes out, with what was meant."""
-        while self._meant and t_us - self._meant[0][0] > SERVO_WITHIN_US and len(self._meant) > 1:
+        found = tuple(getattr(message, f"servo{motor}_raw") for motor in range(1, self._mixer.motors + 1))
+        self._seen = (t_us, found)
+        within_us = SLOW_WITHIN_US if self._watch.slow_heave else SERVO_WITHIN_US
+        while self._meant and t_us - self._meant[0][0] > within_us and len(self._meant) > 1:
             self._meant.popleft()
         if not self._watch.acts(t_us) or not self._meant:
             self._right_us = None
             return
-        found = tuple(getattr(message, f"servo{motor}_raw") for motor in range(1, self._mixer.motors + 1))
-        if any(_alike(found, meant) for _, meant in self._meant):
+        if self._is_meant(t_us, found):
             self._right_us, self.problem = t_us, ""
             return
         self.mismatch_count += 1
@@ -346,6 +367,18 @@ class ArduSub(Closing):
             meant = self._meant[-1][1]
             worst = max(range(len(meant)), key=lambda motor: abs(found[motor] - meant[motor]))
             self.problem = f"motor {worst + 1} gets {found[worst]} us instead of {meant[worst]}: joystick off?"
+
+    def _is_meant(self, t_us: int, found: tuple[int, ...]) -> bool:
+        """Whether it is one of the last commands; with slow heave, upright motors lie between those of longer."""
+        if not self._watch.slow_heave:
+            return any(_alike(found, meant) for _, meant in self._meant)
+        upright = zip(*(meant[PLANE_MOTORS:] for _, meant in self._meant), strict=True)
+        between = all(
+            min(meant) - SERVO_TOLERANCE_US <= pulse <= max(meant) + SERVO_TOLERANCE_US
+            for pulse, meant in zip(found[PLANE_MOTORS:], upright, strict=True)
+        )
+        late = [meant for sent_us, meant in self._meant if t_us - sent_us <= SERVO_WITHIN_US]
+        return between and any(_alike(found[:PLANE_MOTORS], meant[:PLANE_MOTORS]) for meant in late)
 
 
 def _alike(found: Sequence[int], meant: Sequence[int]) -> bool:

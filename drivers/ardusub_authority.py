@@ -22,6 +22,10 @@ MODE_NAMES = {
     20: "MOTOR_DETECT",
     21: "SURFTRAK",
 }
+HOLDS_DEPTH = (2, 3, 4, 7, 9, 16, 21)
+"""Modes that filter heave by 2 Hz and leave it so: MANUAL does not set the filter."""
+SETS_HEAVE = (0, 1)
+"""Modes that set it back (to PILOT_THR_FILT), as disarming does."""
 ARMED_FLAG = 128
 """MAV_MODE_FLAG_SAFETY_ARMED."""
 SPOOL_US = 1_050_000
@@ -42,6 +46,8 @@ class AuthorityWatch:
         """Below."""
         self.wanted = False
         """By us."""
+        self.slow_heave = False
+        """What its depth hold leaves behind: MANUAL's heave goes through a low-pass of 2 Hz until disarming."""
         self._armed_us = 0
         self._wanted_us = 0
         self._asked_us = -ASK_EVERY_US
@@ -107,6 +113,8 @@ class AuthorityWatch:
             case "HEARTBEAT":
                 self.mode = int(message.custom_mode)
                 self._set_armed(t_us, bool(message.base_mode & ARMED_FLAG), "")
+                self.slow_heave |= self.armed and self.mode in HOLDS_DEPTH
+                self.slow_heave &= self.armed and self.mode not in SETS_HEAVE
             case "STATUSTEXT":
                 text = message.text.strip()
                 lower = text.lower()

@@ -41,6 +41,8 @@ CHANNELS = len(Axis)
 
 FLAT = (Axis.FORWARD, Axis.LATERAL, Axis.YAW)
 _FLAT_FACTORS = ((-1, 1, 1), (-1, -1, -1), (1, 1, -1), (1, -1, 1))
+PLANE_MOTORS = len(_FLAT_FACTORS)
+"""The first so many motors lie in the plane; the others stand upright."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,6 +225,15 @@ class Mixer:
             servos_us=self._servos_us(whole),
             saturated=saturated or bool(np.abs(offsets).max() > SPAN_US),
         )
+
+    def pulses_us(self, servos_us: Sequence[int]) -> tuple[int, ...]:
+        """A pulse per thruster, in the order of the vehicle file, from those of the motors 1 to n: mixing backwards."""
+        off_us = np.array([servo - NEUTRAL_US if servo else 0 for servo in servos_us], dtype=float)  # 0: no pulse yet
+        offsets = self._turned * self._sides * self.directions * off_us
+        pulses = [NEUTRAL_US] * self.motors
+        for index, offset in zip(self._order, offsets.tolist(), strict=True):
+            pulses[index] = round(NEUTRAL_US + offset)
+        return tuple(pulses)
 
     def _servos_us(self, channels: FloatArray) -> tuple[int, ...]:
         acting = channels.copy()

@@ -19,6 +19,9 @@ from sitl.thrusters import wrench_of
 
 SYSTEM, COMPONENT = 1, 1
 MANUAL, STABILIZE = 19, 0
+DEPTH_HOLD, ACRO, SURFACE, POSITION_HOLD = 2, 1, 9, 16
+SLOW_HEAVE_RAD_S = 2.0 * math.pi * 2.0
+"""Low-pass of heave that the modes with depth hold leave behind in MANUAL."""
 MODES = {0: "Stabilize", 1: "Acro", 2: "Depth Hold", 9: "Surface", 16: "Position Hold", 19: "Manual"}
 
 FACTORS = {
@@ -123,6 +126,9 @@ class ArduSubEmulator:
         self._read = [0.0] * 6
         """As they were read last, us off neutral."""
         self._read_us = -READ_US
+        self._slow_heave = False
+        self._heave, self._heave_us = 0.0, 0
+        """Filtered, us off neutral, and when."""
         self._armed_us = 0
         self._input_us: int | None = None
         self._gcs_us: int | None = None
@@ -183,6 +189,7 @@ class ArduSubEmulator:
         if t_us - self._read_us >= READ_US:
             self._read_us = t_us
             self._read = [float(min(max(us, 1100), 1900) - NEUTRAL_US) for us in self._channels[:6]]
+        self._filter_heave(t_us)
         self.servos_us = self._mixed(t_us)
         for name, rate_hz in self._rates_hz.items():
             if rate_hz > 0.0 and t_us - self._sent_us[name] >= 1e6 / rate_hz - 1000.0:
@@ -191,11 +198,22 @@ class ArduSubEmulator:
         out, self._out = self._out, []
         return [] if self.mute else out
 
+    def _filter_heave(self, t_us: int) -> None:
+        """As it is, but for what depth hold leaves behind until it is disarmed or another mode sets the filter."""
+        if not self.armed or self.mode in (STABILIZE, ACRO):
+            self._slow_heave = False
+        elif self.mode in (DEPTH_HOLD, SURFACE, POSITION_HOLD):
+            self._slow_heave = True
+        told, passed_s = self._read[CHANNEL_OF["T"]], 1e-6 * (t_us - self._heave_us)
+        share = 1.0 - math.exp(-SLOW_HEAVE_RAD_S * passed_s) if self._slow_heave else 1.0
+        self._heave, self._heave_us = self._heave + share * (told - self._heave), t_us
+
     def _mixed(self, t_us: int) -> tuple[int, ...]:
         still = not self.armed or t_us - self._armed_us < STILL_US
         if still:
             return (NEUTRAL_US,) * len(self._rows)
         axes = np.array(self._read)
+        axes[CHANNEL_OF["T"]] = self._heave
         grown = (t_us - self._armed_us - STILL_US) / (1e6 * max(self.parameters["MOT_SPOOL_TIME"], 0.01))
         axes[CHANNEL_OF["T"]] *= min(1.0, grown)
         axes[CHANNEL_OF["Y"]] *= self.parameters["ACRO_YAW_P"] / 3.375

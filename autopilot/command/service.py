@@ -180,9 +180,9 @@ class Autopilot:
         if any(trouble.device is DeviceRole.THRUSTERS for trouble in inputs.troubles):
             self._actuation.not_taken()
         self._surroundings.note(inputs)
-        if inputs.below is not None and not inputs.below.acts:
-            self._actuation.not_taken()
         self._actuation.supply_v = self._surroundings.supply_v
+        if inputs.below is not None and not inputs.below.acts:
+            self._actuation.taken(inputs.below.pulses_us)
 
     def _counted(self, inputs: Inputs) -> NavCounters:
         """The counts of estimator, pictures, faults and devices."""

@@ -87,6 +87,9 @@ class Below:
     """How its thrusters do something else than what they are commanded, "" while they do not."""
     refusals: tuple[str, ...] = ()
     """Why it would not fly for us, for the arming checks; a line each."""
+    pulses_us: tuple[int, ...] = ()
+    """What the thrusters get while they do not act for us (its pilot's, or neutral), in the order of the vehicle file;
+    empty = not known."""
 
 
 class DeviceRole(IntEnum):

@@ -283,6 +283,61 @@ def test_a_joystick_that_is_on_is_noticed(bench: Bench) -> None:
     assert bench.state.problem == ""
 
 
+@pytest.mark.parametrize("holds_depth", [False, True])
+def test_heave_that_depth_hold_has_left_slow_is_no_joystick(bench: Bench, holds_depth: bool) -> None:
+    bench.fly()
+    bench.set_mode(2 if holds_depth else 0)
+    bench.run(1.0)
+    bench.set_mode(19)
+    seen = set()
+    for turn in range(300):
+        up = turn // 10 % 2
+        bench.pulses = (*FORWARD[:4], 1500 + 90 * up, 1500 + 90 * up)
+        bench.tick()
+        assert bench.state.problem == ""
+        seen.add(bench.below.servos_us[4])
+    assert (len(seen) > 10) == holds_depth
+    # What a joystick does is noticed all the same, in the plane and upright.
+    for x, z in ((800, 500), (0, 900)):
+        bench.pulses = FORWARD
+        bench.run(1.0)
+        for _ in range(150):
+            bench.tick()
+            bench.says(bench.pilot.manual_control_encode(1, x, 0, z, 0, 0))
+        assert "motor" in bench.state.problem
+
+
+def test_disarming_by_us_is_no_news_of_a_lost_pilot(bench: Bench) -> None:
+    bench.fly()
+    bench.armed = False
+    bench.run(2.0)
+    assert not any("Lost manual" in text for _, text in bench.driver.take_notices())
+    bench.fly()
+    bench.silent = True  # ours has died: that it has to say
+    bench.run(0.7)
+    bench.silent = False
+    bench.run(0.5)
+    assert any("Lost manual" in text for _, text in bench.driver.take_notices())
+
+
+@pytest.mark.parametrize("directions", [(1, 1, 1, 1, 1, 1), (-1, 1, -1, 1, 1, -1)])
+def test_what_its_pilot_does_is_told_as_pulses_of_ours(directions: tuple[int, ...]) -> None:
+    bench = Bench(directions=directions)
+    bench.fly()
+    bench.set_mode(0)
+    for _ in range(50):
+        bench.tick()
+        bench.says(bench.pilot.manual_control_encode(1, 400, 0, 300, 0, 0))
+    moved = [pulse - 1500 for pulse in bench.state.pulses_us]
+    assert not bench.state.acts
+    # Half gain: 80 us ahead, the rear thrusters of the file push aft; 80 us down.
+    assert moved == [80, 80, -80, -80, 80, 80]
+    bench.below.mute = True
+    bench.run(0.6)
+    assert bench.state.pulses_us == ()
+    bench.close()
+
+
 def test_a_cable_that_is_off_and_on_again(bench: Bench) -> None:
     bench.fly()
     bench.below.mute = True

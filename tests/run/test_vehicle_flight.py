@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from autopilot.core.messages import Outputs
@@ -221,6 +222,21 @@ def test_a_loop_that_was_held_for_half_a_second_goes_on_with_the_present(tank: C
     assert runtime.counters.overruns - before >= 50
     assert flight.outputs is not None and flight.outputs.mode.armed
     assert not flight.said("AHRS silent"), flight.texts[-10:]
+
+
+def test_what_the_pilot_does_with_the_thrusters_is_not_taken_for_a_current(tank: Callable[..., Tank]) -> None:
+    flight = tank()
+    flight.run(_flies, 60.0)
+    flight.pilot_mode(0)
+    flight.run(lambda _: flight.said("Pilot has taken over"), 0.1)
+    off_m_s = []
+    for turn in range(400):
+        flight.stick(350 if turn // 100 % 2 else -350)
+        flight.run(lambda _: True, 0.01)
+        nav = flight.session.service.nav
+        assert nav is not None
+        off_m_s.append(float(np.abs(nav.current_ned_m_s[:2] - flight.world.truth.current_ned_m_s[:2]).max()))
+    assert max(off_m_s) < 0.12
 
 
 @pytest.mark.parametrize("name", config_names())

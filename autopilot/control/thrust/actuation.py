@@ -93,6 +93,11 @@ class Actuation:
         """The last command has not reached the thrusters: they stand."""
         self._pulse_n = self.nothing()
 
+    def taken(self, pulses_us: tuple[int, ...]) -> None:
+        """Somebody else drives the thrusters, with these pulses; () = nobody knows how, taken as neutral."""
+        known = len(pulses_us) == self._count
+        self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v) if known else self.nothing()
+
     def send(self, t_us: int) -> FloatArray:
         """The last command is on its way. The result (n,) is what sound thrusters give of what acts now."""
         return self._delay.send(t_us, self._pulse_n)
