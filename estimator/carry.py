@@ -69,13 +69,20 @@ class Correction(NamedTuple):
         w, c, e = self
         v = look.jacobian.dot(w).T
         cv = c.dot(v)
-        spread = look.spread - v.T.dot(cv)
+        spread = symmetric(look.spread - v.T.dot(cv))
         pull = cv.dot(np.linalg.inv(spread))
         behind = w - look.gain.dot(v.T)
         known = v.T.dot(e)
-        after = Correction(behind, c + pull.dot(cv.T), e + pull.dot(known - look.y))
+        after = Correction(behind, symmetric(c + pull.dot(cv.T)), e + pull.dot(known - look.y))
         return after, Look(look.gain - behind.dot(pull), look.jacobian, spread, look.y - known)
 
     def on(self, state: FilterState) -> FilterState:
         """The state with it."""
-        return FilterState(state.x + self.w.dot(self.e), state.p - self.w.dot(self.c).dot(self.w.T))
+        return FilterState(state.x + self.w.dot(self.e), symmetric(state.p - self.w.dot(self.c).dot(self.w.T)))
+
+
+def symmetric(p: FloatArray) -> FloatArray:
+    """The mean of a matrix and its transpose: what rounding leaves of the difference would grow from fix to fix."""
+    result: FloatArray = p + p.T
+    result *= 0.5
+    return result

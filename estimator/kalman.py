@@ -8,7 +8,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from autopilot.core.frames import FloatArray
-from estimator.carry import Look
+from estimator.carry import Look, symmetric
 from estimator.filter_core import Innovation
 from estimator.ground import columns_of, entered, ground_of
 from estimator.inertial import Mode, Step
@@ -124,7 +124,7 @@ class KalmanCore:
         ratio = kf.mahalanobis**2 / CHI2_999[len(kf.y)]
         if sheets is not None:  # considered, not corrected: this says next to nothing of them
             sheets = sheets._replace(cross=sheets.cross - kf.K.dot(h.dot(sheets.cross)))
-        after = FilterState(kf.x, _symmetric(kf.P), sheets)
+        after = FilterState(kf.x, symmetric(kf.P), sheets)
         look = None if sheets is not None else Look(kf.K, h, kf.S, kf.y)
         return Innovation(kf.y, kf.S.diagonal(), ratio, kf.K, None, after, look)
 
@@ -164,9 +164,9 @@ class KalmanCore:
         if ground.learns:
             pull = spread.T.dot(kf.SI)
             offset = offset + pull.dot(kf.y)
-            cov = _symmetric(cov - pull.dot(spread))
+            cov = symmetric(cov - pull.dot(spread))
         sheets = SheetStates(sheets.which, offset, sheets.cross - gain.dot(spread), cov)
-        after = FilterState(kf.x[:NX], _symmetric(kf.P[:NX, :NX]), sheets)
+        after = FilterState(kf.x[:NX], symmetric(kf.P[:NX, :NX]), sheets)
         return Innovation(kf.y, kf.S.diagonal(), ratio, gain, None, after)
 
     def correct(self, state: FilterState, innovation: Innovation) -> FilterState:
@@ -228,13 +228,6 @@ class KalmanCore:
     def planar_variance(self, state: FilterState) -> float:
         """From the diagonal."""
         return max(state.p.item(NORTH, NORTH), state.p.item(EAST, EAST))
-
-
-def _symmetric(p: FloatArray) -> FloatArray:
-    """The mean of a matrix and its transpose."""
-    result: FloatArray = p + p.T
-    result *= 0.5
-    return result
 
 
 def _forgotten(sheets: SheetStates | None, part: slice) -> SheetStates | None:

@@ -96,3 +96,19 @@ def flight() -> list[list[float]]:
             values = [*nav.pos_ned_m, nav.rpy_rad[2], *nav.vel_water_frd_m_s]
             told.append([*values, *nav.variance[[0, 1, 2, 5, 6, 7, 8]]])
     return told
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rounding_does_not_grow_from_fix_to_fix(seed: int) -> None:
+    """What differs between a matrix and its transpose ends at every correction, or in a minute no root is left."""
+    rng = np.random.default_rng(seed)
+    crooked = 1e-9 * rng.normal(size=(NX, NX))
+    root = rng.normal(size=(NX, NX))
+    state = FilterState(np.zeros(NX), root @ root.T + crooked)
+    h = rng.normal(size=(4, NX))
+    _, look = updated(state.x, state.p, h, rng.normal(size=4), 0.1 * np.eye(4))
+    _, other = updated(state.x, state.p, rng.normal(size=(2, NX)), rng.normal(size=2), 0.1 * np.eye(2))
+    after, seen = Correction(look.gain, look.spread, look.y).through(other)
+    p = after.on(state).p
+    for matrix in (after.c, seen.spread, p):
+        assert np.array_equal(matrix, matrix.T)
