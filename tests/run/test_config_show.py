@@ -1,0 +1,28 @@
+"""`config show` tells where every value of a run comes from, simulated or real."""
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from autopilot.cli.config import config
+from autopilot.run.vehicle_config import config_names
+
+
+@pytest.mark.parametrize("name", config_names())
+def test_a_vehicles_configuration(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("AUTOPILOT_LOG_DIR", str(tmp_path))
+    done = CliRunner().invoke(config, ["show", "--config", name, "--json"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.output)
+    assert told["settings"]["connect"]["origin"] == f"file {name}.toml"
+    assert told["settings"]["log_dir"] == {"value": str(tmp_path), "origin": "environment AUTOPILOT_LOG_DIR"}
+    assert told["settings"]["plan"]["origin"] == "default"
+    assert all(device["driver"] for device in told["devices"].values())
+    assert told["vehicle"]["thrusters"]
+
+
+def test_one_or_the_other() -> None:
+    done = CliRunner().invoke(config, ["show", "paper-tank", "--config", "lbv150"])
+    assert done.exit_code == 2 and "give one" in done.output
