@@ -258,7 +258,7 @@ def test_commands_that_stop_coming_are_stopped_by_the_driver(bench: Bench) -> No
     [
         ("FRAME_CONFIG", 2.0, "FRAME_CONFIG = 2: set 1"),
         ("FS_PILOT_INPUT", 0.0, "FS_PILOT_INPUT = 0: set 1"),
-        ("FS_PILOT_TIMEOUT", 3.0, "FS_PILOT_TIMEOUT = 3: set 0.5"),
+        ("FS_PILOT_TIMEOUT", 3.0, "FS_PILOT_TIMEOUT = 3: set 0.4"),
         ("MOT_FV_CPLNG_K", 1.0, "MOT_FV_CPLNG_K = 1: set 0"),
         ("RC5_TRIM", 1520.0, "RC5_TRIM = 1520: set 1500"),
         ("RC3_REVERSED", 1.0, "RC3_REVERSED = 1: set 0"),
