@@ -15,6 +15,9 @@ FRESH_IMU_US = 50_000
 LEAK_HOLD_US = 45_000_000
 """It repeats its warning every 20 s while the probe is wet."""
 LEAK_EVERY_US = 1_000_000
+AGAIN_US = 500_000
+"""It sends its last pressure again when it has no new one (10 Hz, sent 20 times a second): a reading, to the last bit
+the one before, is passed on only after so long."""
 PA_HPA = 100.0
 
 
@@ -32,6 +35,8 @@ class Telemetry:
         self._clock = DeviceClock()
         self._accel: tuple[int, list[float]] | None = None
         self._last_us = -(1 << 62)
+        self._pressure: tuple[int, float] = (-AGAIN_US, math.nan)
+        """The last one that was passed on."""
         self._leak_us: int | None = None
         self._leak_told_us = -LEAK_EVERY_US
         self.supply_v: float | None = None
@@ -95,6 +100,9 @@ class Telemetry:
         ground_pa = self.parameters.get("BARO2_GND_PRESS") if told_pa is None else told_pa
         if ground_pa is None or ground_pa <= 0.0 or not math.isfinite(message.press_abs):
             return []
+        if message.press_abs == self._pressure[1] and t_us - self._pressure[0] < AGAIN_US:
+            return []
+        self._pressure = (t_us, message.press_abs)
         depth_m = (PA_HPA * message.press_abs - ground_pa) / (self._density * G_M_S2)
         stamp_us = t_us - round(1e6 * self._vehicle.depth_sensor.latency_s)
         return [DepthSample(t_us=stamp_us, depth_m=depth_m, sigma_m=self._depth_sigma_m)]

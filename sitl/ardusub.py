@@ -142,6 +142,9 @@ class ArduSubEmulator:
         first = self._rng.standard_normal(3)
         self._slow = np.array([TILT_RAD, TILT_RAD, YAW_RAD]) * first
         self._slow_us = 0
+        self.pressure_hz = 10.0
+        """So often its pressure sensor is read; between two readings the last is sent again."""
+        self._pressure_hpa, self._pressure_us = 0.0, -(1 << 62)
         self.mute = False
         """Says nothing and hears nothing: a cable that is off."""
 
@@ -363,10 +366,12 @@ class ArduSubEmulator:
                 turn = [round(1e3 * part) for part in truth.rate_frd_rad_s.tolist()]
                 self._say(mav.raw_imu_encode(t_us, *mg, *turn, 0, 0, 0))
             case "SCALED_PRESSURE2":
-                depth_m = float(truth.pos_ned_m[2])
-                noise = PRESSURE_NOISE_PA * float(self._rng.standard_normal())
-                pa = GROUND_PA + WATER_KG_M3 * G * depth_m + noise
-                self._say(mav.scaled_pressure2_encode(ms, 0.01 * pa, 0.0, 2000))
+                if t_us - self._pressure_us >= 1e6 / self.pressure_hz - 1000.0:
+                    depth_m = float(truth.pos_ned_m[2])
+                    noise = PRESSURE_NOISE_PA * float(self._rng.standard_normal())
+                    self._pressure_hpa = 0.01 * (GROUND_PA + WATER_KG_M3 * G * depth_m + noise)
+                    self._pressure_us = t_us
+                self._say(mav.scaled_pressure2_encode(ms, self._pressure_hpa, 0.0, 2000))
             case "SERVO_OUTPUT_RAW":
                 servos = (*self.servos_us, *([0] * (16 - len(self.servos_us))))
                 self._say(mav.servo_output_raw_encode(t_us & 0xFFFFFFFF, 0, *servos[:8], *servos[8:]))

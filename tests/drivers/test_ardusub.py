@@ -118,7 +118,7 @@ def test_it_measures_what_the_vehicle_does(bench: Bench) -> None:
     depth = [sample for sample in bench.samples if isinstance(sample, DepthSample)]
     power = [sample for sample in bench.samples if isinstance(sample, PowerSample)]
     assert 190 <= len(ahrs) <= 201
-    assert 38 <= len(depth) <= 41
+    assert 19 <= len(depth) <= 21  # its sensor is read ten times a second
     assert 3 <= len(power) <= 5
     assert np.abs(ahrs[-1].rpy_rad - truth.rpy_rad).max() < 0.06
     assert ahrs[-1].accel_frd_m_s2[2] == pytest.approx(-9.81, abs=0.2)
@@ -336,6 +336,21 @@ def test_what_its_pilot_does_is_told_as_pulses_of_ours(directions: tuple[int, ..
     bench.run(0.6)
     assert bench.state.pulses_us == ()
     bench.close()
+
+
+def test_a_pressure_that_is_sent_again_is_no_new_measurement(bench: Bench) -> None:
+    bench.ready()
+    bench.below.pressure_hz = 10.0  # what is sent is asked for twenty times a second
+    bench.samples.clear()
+    bench.run(3.0)
+    depths = [sample.depth_m for sample in bench.samples if isinstance(sample, DepthSample)]
+    assert 25 <= len(depths) <= 33
+    assert len(set(depths)) == len(depths)
+    bench.below.pressure_hz = 0.01  # a sensor that stands is still heard of, twice a second
+    bench.run(0.2)
+    bench.samples.clear()
+    bench.run(3.0)
+    assert 5 <= sum(isinstance(sample, DepthSample) for sample in bench.samples) <= 7
 
 
 def test_a_cable_that_is_off_and_on_again(bench: Bench) -> None:
