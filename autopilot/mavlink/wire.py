@@ -14,7 +14,7 @@ from collections.abc import Container
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from pymavlink.dialects.v20 import development as mav
+from autopilot.mavlink.dialect import mav
 
 Message: TypeAlias = Any
 """A generated pymavlink message (the dialect is untyped)."""
