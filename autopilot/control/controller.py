@@ -28,6 +28,7 @@ from autopilot.control.step_program import StepProgram
 from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.way import shortest
 from autopilot.control.way.desks import Desks
+from autopilot.control.way.drive import DriveGuidance
 from autopilot.control.way.guidance import Guidance, Reference, RouteGuidance, Situation
 from autopilot.control.way.planner import Planner
 from autopilot.core.errors import ConfigError
@@ -125,6 +126,7 @@ class MotionController:
         route = RouteGuidance(sharing, grid, desks.routes)
         energy = EnergyGuidance(sharing, grid, desks.trajectories, trajectories, route)
         self._guidances: tuple[Guidance, ...] = (route, energy)
+        self._drive = DriveGuidance(sharing, grid)
         self._guidance: Guidance = self._guidances[0]
         self._planner: Planner | None = None
         self._planner_key: tuple[object, ...] = ()
@@ -201,7 +203,8 @@ class MotionController:
             goal = replace(goal, speed_m_s=min(goal.speed_m_s, BLIND_WAY_M / delay_s))
         self._lag.act_late(delay_s)
         # A leg of least energy is flown at the limits, and with late commands the limits are not kept that closely.
-        guidance = self._guidances[0 if delay_s else int(params["MPC_COST"])]
+        to_place = self._guidances[0 if delay_s else int(params["MPC_COST"])]
+        guidance: Guidance = to_place if goal.drive is None else self._drive
         if nav.reset_count != self._reset_count or guidance is not self._guidance:
             self._reset_count, self._guidance = nav.reset_count, guidance
             guidance.reset()

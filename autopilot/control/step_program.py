@@ -234,6 +234,8 @@ class StepProgram:
     def _terminal(self, now: Situation, reference: Reference, back_off: BackOffs) -> FloatArray:
         """Terminal Hessian (8, 8): the goal's own where the reference ends there, else what guidance gives."""
         goal, params, regions = now.goal, now.params, self.regions
+        if goal.drive is not None:
+            return reference.terminal
         place = goal.pos_ned_m[:2].tolist()
         if self._cleared is None or self._cleared[0] is not now.planner or self._cleared[1] != place:
             room = float(now.planner.features.clearance_m(np.array([place]))[0])

@@ -226,6 +226,21 @@ class ShadowStatus:
 # Decide.
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drive:
+    """A motion instead of a place: what a pilot, a circle or set points ask for now. Over ground."""
+
+    north_m_s: float = 0.0
+    east_m_s: float = 0.0
+    """Both 0: the goal's place is held."""
+    turn_rad_s: float = 0.0
+    """The direction of that velocity turns so fast, to starboard positive."""
+    down_m_s: float | None = None
+    """None = the goal's depth."""
+    yaw_rate_rad_s: float | None = None
+    """None = the goal's heading."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Goal:
     """Where the vehicle should be: a terminal region, and how fast it may go there."""
@@ -244,6 +259,8 @@ class Goal:
     """True = the mission or a command asks for that speed and gets it; False = it is a bound."""
     following: "Goal | None" = None
     """Where it goes on to from here without a stop, None = it stays."""
+    drive: Drive | None = None
+    """How it is to move, None = to the place."""
 
 
 class ProgressState(IntEnum):

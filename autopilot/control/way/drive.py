@@ -1,0 +1,206 @@
+"""Guidance of a motion instead of a place: a pilot's sticks, a circle, set points of velocity.
+
+The velocity that is asked for is followed as far as the workspace is free: the way ahead ends a braking distance before
+a boundary that it meets head on, and slides along one that it meets at an angle. Behind it stand the optimiser's
+constraints, as in every other mode.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.control.nmpc.grid import TimeGrid
+from autopilot.control.way.guidance import Reference, Situation, SteadyThrust, Weights
+from autopilot.control.way.quick import QuickMarch
+from autopilot.control.way.reference import (
+    DECELERATION_M_S2,
+    HEAVE_DECELERATION_M_S2,
+    HEAVE_SHARE,
+    YAW_DECELERATION_RAD_S2,
+    YAW_RATE_SHARE,
+    Route,
+    Target,
+    build_reference,
+    turn_target,
+)
+from autopilot.core import compiled
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Drive, Severity
+from autopilot.core.model4 import YAW, R, U, Z
+from autopilot.core.sharing import Sharing
+
+STEP_M = 0.12
+"""The way ahead is looked at this often."""
+
+MOST_STEPS = 150
+
+SLOWEST_M_S = 0.01
+"""Slower than this is standing: the place is held."""
+
+KEEP_EXTRA_M = 0.02
+"""The way ahead keeps this beyond what the controller keeps, so that its reference can be followed."""
+
+PUSHES = 3
+"""A step that ends too near to boundaries is pushed out of one after the other."""
+
+TOO_NEAR_M = 5e-3
+"""Where that has not helped by less than this, the way ends."""
+
+LEAST_PROGRESS = 0.15
+"""A step that a boundary leaves less of (about a glance at right angles) ends the way."""
+
+SHARE_OVER_M = 0.25
+"""The speed along a boundary is the share of the velocity that points along it, over so much of the way ahead."""
+
+HOLD_SPEED_M_S = 0.15
+"""Speed at which a place that is held is come back to."""
+
+
+class DriveGuidance:
+    """See :class:`autopilot.control.way.guidance.Guidance`. Never at a loss: what is not free is not flown."""
+
+    unreachable = False
+
+    def __init__(self, sharing: Sharing, grid: TimeGrid) -> None:
+        self._t_s = grid.t_s
+        self._steady = SteadyThrust(sharing)
+        self._weights = Weights(sharing.model.thrusters)
+        library = compiled.library()
+        self._quick = None if library is None else QuickMarch(library, sharing, grid.t_s)
+        self.reset()
+
+    def reset(self) -> None:
+        """See :class:`autopilot.control.way.guidance.Guidance`."""
+        self._fresh = True
+        self._yaw_target: float | None = None
+        self._way = np.zeros((1, 2))
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """Nothing: whoever asked for the motion is told where it was asked for."""
+        return []
+
+    def ahead(self, here: FloatArray) -> FloatArray:
+        """See :class:`autopilot.control.way.guidance.Guidance`."""
+        return np.concatenate([here[None], self._way[1:]])
+
+    def reference(self, situation: Situation) -> Reference:
+        """See :class:`autopilot.control.way.guidance.Guidance`."""
+        now, fresh, self._fresh = situation, self._fresh, False
+        drive = now.goal.drive or Drive()
+        target = self._target(now, drive)
+        current, limit_n = now.nav.current_ned_m_s, now.thrust_limit_n
+        if self._quick is not None:
+            x, thrust = self._quick(now.x0, target, current, limit_n)
+        else:
+            x = build_reference(self._t_s, now.x0, target, current)
+            thrust = self._steady(x[:-1, U : R + 1], limit_n)
+        weights = self._weights.look(now.params)
+        return Reference(
+            x=x, thrust_n=thrust, weight_x=weights.x, weight_u=weights.u, terminal=weights.terminal, fresh=fresh
+        )
+
+    def _target(self, now: Situation, drive: Drive) -> Target:
+        """Where the reference goes: far enough ahead that it does not brake before the horizon's end."""
+        params, horizon_s = now.params, float(self._t_s[-1])
+        route, cruise_m_s = self._route(now, drive, horizon_s)
+        depth_m, heave_m_s = float(now.goal.pos_ned_m[2]), params["SPD_HEAVE_MAX"]
+        if drive.down_m_s is not None:
+            rate = min(abs(drive.down_m_s), HEAVE_SHARE * heave_m_s)
+            heave_m_s = max(rate, 1e-3) / HEAVE_SHARE
+            far_m = rate * horizon_s + rate * rate / HEAVE_DECELERATION_M_S2
+            depth_m = float(now.x0[Z]) + math.copysign(far_m, drive.down_m_s)
+        low_m = max(now.fence.depth_min_m, params["DEPTH_MIN"])
+        high_m = max(low_m, min(now.fence.depth_max_m, params["DEPTH_MAX"]))
+        yaw_rad, yaw_rate = self._heading(now, drive, horizon_s)
+        return Target(
+            route=route,
+            s0_m=0.0,
+            depth_m=min(max(depth_m, low_m), high_m),
+            yaw_rad=yaw_rad,
+            cruise_m_s=cruise_m_s,
+            speed_limit_m_s=now.speed_cap_m_s,
+            heave_limit_m_s=heave_m_s,
+            yaw_rate_limit_rad_s=yaw_rate,
+        )
+
+    def _heading(self, now: Situation, drive: Drive, horizon_s: float) -> tuple[float, float]:
+        """Heading of the reference's end, and the limit that makes it turn as fast as is asked."""
+        here, most = float(now.x0[YAW]), now.params["SPD_YAW_MAX"]
+        if drive.yaw_rate_rad_s is None:
+            wanted = here if now.goal.yaw_rad is None else now.goal.yaw_rad
+            self._yaw_target = turn_target(here, wanted, self._yaw_target)
+            return self._yaw_target, most
+        self._yaw_target = None
+        rate = min(abs(drive.yaw_rate_rad_s), 0.9 * most)
+        far = rate * horizon_s + rate * rate / YAW_DECELERATION_RAD_S2
+        return here + math.copysign(far, drive.yaw_rate_rad_s), max(rate, 1e-3) / YAW_RATE_SHARE
+
+    def _route(self, now: Situation, drive: Drive, horizon_s: float) -> tuple[Route, float]:
+        """The free way ahead and the speed along it."""
+        start, velocity = now.x0[:2].copy(), complex(drive.north_m_s, drive.east_m_s)
+        speed = min(abs(velocity), now.speed_cap_m_s, now.goal.speed_m_s)
+        if abs(velocity) < SLOWEST_M_S:
+            place = np.array(now.goal.pos_ned_m[:2], dtype=float)
+            way, speed = (np.stack([start, place]) if now.planner.sees(start, place) else start[None]), HOLD_SPEED_M_S
+        else:
+            way, share = self._free_way(now, velocity / abs(velocity), speed, drive.turn_rad_s, horizon_s)
+            speed *= share
+        if len(way) < 2 or float(np.abs(way[-1] - start).max()) < 1e-6:
+            out = now.planner.features.push_out(start[None], now.radius_m)
+            way = np.concatenate([start[None], start[None] + out])
+        self._way = way
+        return Route(way), speed
+
+    def _free_way(
+        self, now: Situation, direction: complex, speed: float, turn_rad_s: float, horizon_s: float
+    ) -> tuple[FloatArray, float]:
+        """(m, 2) points from here on, and the share of the speed that boundaries leave."""
+        length_m = speed * horizon_s + speed * speed / DECELERATION_M_S2 + STEP_M
+        count = min(max(math.ceil(length_m / STEP_M), 2), MOST_STEPS)
+        step_m, here = length_m / count, complex(now.x0[0], now.x0[1])
+        turn = turn_rad_s * step_m / max(speed, SLOWEST_M_S)
+        headings = direction * np.exp(1j * turn * (np.arange(count) + 0.5))
+        way = np.concatenate(([here], here + step_m * np.cumsum(headings)))
+        features, keep_m = now.planner.features, now.radius_m + KEEP_EXTRA_M
+        if features.count == 0:
+            return way.view(float).reshape(-1, 2), 1.0
+        room = features.clearance_up_to_m(way.view(float).reshape(-1, 2), 2.0 * keep_m)
+        near = np.flatnonzero(room[1:] < keep_m)
+        if not len(near):
+            return way.view(float).reshape(-1, 2), 1.0
+        points, shares = way[: int(near[0]) + 1].tolist(), [1.0] * int(near[0])
+        for heading in headings[int(near[0]) :].tolist():
+            ended, share = self._slide(now, points[-1], heading, step_m, keep_m)
+            if share < LEAST_PROGRESS:
+                break
+            points.append(ended)
+            shares.append(share)
+        looked = max(1, round(SHARE_OVER_M / step_m))
+        first = shares[:looked] + [0.0] * max(0, looked - len(shares))
+        # A way that ends is braked on by itself; the share is of the part that slides.
+        share = sum(first) / looked if len(shares) >= looked else 1.0
+        return np.array(points).view(float).reshape(-1, 2), max(share, LEAST_PROGRESS)
+
+    @staticmethod
+    def _slide(now: Situation, here: complex, heading: complex, step_m: float, keep_m: float) -> tuple[complex, float]:
+        """The end of a step, pushed out of what it runs into, and the share of it that goes ahead."""
+        features = now.planner.features
+        wish = step_m * heading
+        place, along = here + wish, wish
+        for _ in range(PUSHES):
+            out_m = complex(*features.push_out(_point(place), keep_m)[0].tolist())
+            if not out_m:
+                break
+            place += out_m
+            away = out_m / abs(out_m)
+            into = min((along * away.conjugate()).real, 0.0)
+            along -= into * away
+        room = features.clearance_up_to_m(np.concatenate([_point(here), _point(place)]), keep_m)
+        if room[1] < keep_m - TOO_NEAR_M and room[1] <= room[0]:
+            return place, 0.0
+        return place, min(max((along * heading.conjugate()).real / step_m, 0.0), 1.0)
+
+
+def _point(place: complex) -> FloatArray:
+    """As an array (1, 2)."""
+    return np.array([[place.real, place.imag]])
