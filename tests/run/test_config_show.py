@@ -20,7 +20,7 @@ def test_a_vehicles_configuration(name: str, monkeypatch: pytest.MonkeyPatch, tm
     assert told["settings"]["log_dir"] == {"value": str(tmp_path), "origin": "environment AUTOPILOT_LOG_DIR"}
     assert told["settings"]["plan"]["origin"] == "default"
     assert all(device["driver"] for device in told["devices"].values())
-    assert told["vehicle"]["thrusters"]
+    assert told["vehicle"]["thruster"]
 
 
 def test_one_or_the_other() -> None:
