@@ -150,6 +150,8 @@ class OpenCvCamera(Closing):
         import cv2
 
         options, backend = self._options, self._options.chosen
+        # What OpenCV would print at every attempt stands in our own error.
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         times = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, TIMEOUT_MS]
         params = times if backend == "ffmpeg" else []
         try:

@@ -104,6 +104,8 @@ def load_config(name_or_path: str) -> VehicleConfig:
     shipped = name_or_path.removesuffix(".toml")
     if not path.exists() and shipped in config_names():
         path = Path(str(resources.files("autopilot") / "data" / "configs" / f"{shipped}.toml"))
+    elif not path.exists():
+        raise ConfigError(f"{name_or_path}: there is no such file; shipped are {', '.join(config_names())}")
     file: ConfigFile = convert(read_toml(path), ConfigFile, str(path))
     vehicle = load_vehicle(_vehicle_of(file.vehicle, path))
     config = VehicleConfig(
