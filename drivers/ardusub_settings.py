@@ -32,7 +32,7 @@ CHANNELS = range(1, 7)
 RULES: tuple[Rule, ...] = (
     Rule(name="MOT_FV_CPLNG_K", fits=lambda k: abs(k) < 1e-3, wanted="0", why="else heave takes from forward"),
     Rule(name="FS_PILOT_INPUT", fits=lambda k: k >= 0.5, wanted="1", why="else thrust goes on without us"),
-    Rule(name="FS_PILOT_TIMEOUT", fits=lambda k: 0.1 <= k <= 0.55, wanted="0.5", why="thrust goes on so long"),
+    Rule(name="FS_PILOT_TIMEOUT", fits=lambda k: 0.1 <= k <= 0.55, wanted="0.4", why="thrust goes on so long"),
     Rule(name="FS_GCS_ENABLE", fits=lambda k: k >= 0.5, wanted="1 or more", why="its own failsafe stays on"),
     Rule(name="MOT_BAT_CURR_MAX", fits=_is(0.0), wanted="0", why="else it scales our thrust", optional=True),
     Rule(name="MOT_PWM_MIN", fits=_is(1100.0), wanted="1100", why="pulses are 1500 +- 400", optional=True),
