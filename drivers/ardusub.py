@@ -30,6 +30,7 @@ from drivers.links import open_link
 
 SEND_EVERY_US = 20_000
 """It reads its channels at 50 Hz."""
+HEARTBEAT = 0
 HEARTBEAT_US = 1_000_000
 ASK_EVERY_US = 500_000
 PARAMETERS_PER_ASK = 8
@@ -104,6 +105,7 @@ class ArduSub(Closing):
         self._timeout_us = round(1e6 * min(thruster.drive.command_timeout_s for thruster in vehicle.thrusters))
         self._notices: list[tuple[Severity, str]] = []
         self._boot_ms = 0
+        self._now_us = 0
         self._heard_us: int | None = None
         self._heard_of = dict.fromkeys(self._rates_hz, 0)
         """How often each has come since it was last looked at."""
@@ -147,21 +149,24 @@ class ArduSub(Closing):
         """Open the link; whether anybody is there shows later."""
         if self._wire is None:
             wire = Wire(open_link(self._options.connect), system=self._options.system, ours=self._options.gcs_system)
-            self._telemetry, self._watch = self._new_telemetry(), AuthorityWatch()
+            self._telemetry = self._new_telemetry()
+            self._watch.lose_sight()
             self._heard_us, self._heard_of = None, dict.fromkeys(self._rates_hz, 0)
             self._beat_us = self._asked_us = self._read_us = -(1 << 62)
             self.settings.forget()
             self._wire = wire
 
     def close(self) -> None:
-        """1500 on every channel, disarmed if it is ours; then let go of the link."""
+        """1500 on every channel, disarmed if it is ours; then let go of the link.
+
+        One that is silent is not told to disarm: what lies in a buffer on the way would stop it when it is back."""
         wire, self._wire = self._wire, None
         if wire is None:
             return
         if self._watch.takes_commands or self._rest:
             for _ in range(REST_SENDS):
                 wire.override(NEUTRAL)
-            if self._watch.wanted and self._watch.armed:
+            if self._watch.wanted and self._watch.armed and not self._silent(self._now_us):
                 wire.arm(armed=False)
         self._command_us, self._rest = None, 0
         wire.close()
@@ -171,6 +176,7 @@ class ArduSub(Closing):
     def poll(self, t_us: int) -> list[Sample]:
         """What has arrived; and what has to be asked for or told regularly."""
         wire = self._open_wire()
+        self._now_us = t_us
         samples: list[Sample] = []
         for message in wire.receive(t_us):
             samples += self._hear(t_us, message)
@@ -204,6 +210,8 @@ class ArduSub(Closing):
 
     def _hear(self, t_us: int, message: Any) -> list[Sample]:
         kind = message.get_type()
+        if self._silent(t_us):
+            self._ask_who_has_it()
         self._heard_us = t_us
         if kind == "ATTITUDE":
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:  # rebooted: its parameters may be others
@@ -226,6 +234,12 @@ class ArduSub(Closing):
         if kind == "STATUSTEXT" and message.severity <= SHOWN_SEVERITY:
             self._pass_on(message)
         return self._telemetry.take(t_us, message)
+
+    def _ask_who_has_it(self) -> None:
+        """After a silence: what it has told of its mode may be over, and heartbeats come once a second."""
+        self._watch.lose_sight()
+        if self._wire is not None:
+            self._wire.ask_for(HEARTBEAT)
 
     def _pass_on(self, message: Any) -> None:
         text = message.text.strip()
@@ -287,7 +301,7 @@ class ArduSub(Closing):
         return self._mixer.pulses_us(self._seen[1])
 
     def _refusals(self, t_us: int) -> tuple[str, ...]:
-        if self._silent(t_us) or self._watch.mode is None:
+        if self._silent(t_us) or not self._watch.known:
             return ("flight controller is silent: check cable and link",)
         pilot = self._watch.authority is Authority.PILOT
         mode = (f"pilot has it in {self._watch.text}: switch it to MANUAL",) if pilot else ()

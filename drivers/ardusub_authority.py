@@ -42,6 +42,8 @@ class AuthorityWatch:
     def __init__(self) -> None:
         self.mode: int | None = None
         """None before the first heartbeat."""
+        self.known = False
+        """Whether it is still so: not after a silence, until the next heartbeat."""
         self.armed = False
         """Below."""
         self.wanted = False
@@ -72,13 +74,17 @@ class AuthorityWatch:
 
     def acts(self, t_us: int) -> bool:
         """Whether thrust acts as commanded now."""
-        ours = self.authority is Authority.OURS
+        ours = self.known and self.authority is Authority.OURS
         return ours and self.wanted and self.armed and t_us - self._armed_us > SPOOL_US
 
     @property
     def takes_commands(self) -> bool:
-        """Whether we are to send any."""
-        return self.wanted and self.authority is Authority.OURS
+        """Whether we are to send any: not before it is known whose it is."""
+        return self.wanted and self.known and self.authority is Authority.OURS
+
+    def lose_sight(self) -> None:
+        """Whose it is is not known until the next heartbeat."""
+        self.known = False
 
     def want(self, t_us: int, *, armed: bool) -> None:
         """Told every tick."""
@@ -95,7 +101,7 @@ class AuthorityWatch:
 
     def due(self, t_us: int) -> bool | None:
         """Whether it is to be asked now to arm (True) or disarm (False)."""
-        if self.mode != MANUAL or self._stopped or self.armed == self.wanted:
+        if not self.known or self.mode != MANUAL or self._stopped or self.armed == self.wanted:
             return None
         if not self.wanted and not self._had:  # somebody else armed it: not ours to end
             return None
@@ -111,7 +117,7 @@ class AuthorityWatch:
         """Note a message."""
         match message.get_type():
             case "HEARTBEAT":
-                self.mode = int(message.custom_mode)
+                self.mode, self.known = int(message.custom_mode), True
                 self._set_armed(t_us, bool(message.base_mode & ARMED_FLAG), "")
                 self.slow_heave |= self.armed and self.mode in HOLDS_DEPTH
                 self.slow_heave &= self.armed and self.mode not in SETS_HEAVE

@@ -16,8 +16,8 @@ US_COMPONENT = 190
 GCS, INVALID_AUTOPILOT, ACTIVE = 6, 8, 4
 """MAV_TYPE_GCS, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE."""
 
-ARM_DISARM, SET_INTERVAL = 400, 511
-"""MAV_CMD_COMPONENT_ARM_DISARM, MAV_CMD_SET_MESSAGE_INTERVAL."""
+ARM_DISARM, SET_INTERVAL, REQUEST_MESSAGE = 400, 511, 512
+"""MAV_CMD_COMPONENT_ARM_DISARM, MAV_CMD_SET_MESSAGE_INTERVAL, MAV_CMD_REQUEST_MESSAGE."""
 
 KEEP_US = 65535
 """In an override: this channel is not ours."""
@@ -80,6 +80,10 @@ class Wire:
     def interval(self, message_id: int, rate_hz: float) -> None:
         """Ask for a message so often."""
         self._command(SET_INTERVAL, float(message_id), 1e6 / rate_hz)
+
+    def ask_for(self, message_id: int) -> None:
+        """Ask for a message once."""
+        self._command(REQUEST_MESSAGE, float(message_id))
 
     def read_parameter(self, name: str) -> None:
         """Ask for one."""

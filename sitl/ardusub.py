@@ -334,6 +334,10 @@ class ArduSubEmulator:
             result = 0
         elif message.command == 511:
             result = 2
+        elif message.command == 512:
+            result = 0 if message.param1 == 0.0 else 4
+            if result == 0:
+                self._sent_us["HEARTBEAT"] = -(1 << 62)
         self._say(self._mav.command_ack_encode(message.command, result, 0, 0, source, message.get_srcComponent()))
 
     def _tell_parameter(self, name: str) -> None:

@@ -1,9 +1,10 @@
 """All devices of a real vehicle as one, whatever is plugged in of them."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
-from autopilot.core.messages import Authority, Below, Severity, ThrusterCommand
+from autopilot.core.messages import Below, Severity, ThrusterCommand
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.run.vehicle_config import VehicleConfig
 from drivers.devices import CAMERA, FLIGHT_CONTROLLER, THRUSTERS
@@ -98,10 +99,11 @@ class HardwareVehicle:
         """Who has the vehicle, None without a flight controller."""
         if self._below is None:
             return None
+        below = self._below.device.below(t_us)
         if self._below.attend(t_us):
-            return self._below.device.below(t_us)
+            return below
         text = f"flight controller down: {self._below.problem}"
-        return Below(t_us=t_us, authority=Authority.OURS, acts=False, refusals=(text,))
+        return replace(below, acts=False, refusals=(text,), pulses_us=())
 
     def refusals(self, t_us: int) -> tuple[str, ...]:
         """Why the vehicle must not be armed: what the configuration names and is not there, a line each."""

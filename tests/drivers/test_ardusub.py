@@ -1,5 +1,6 @@
 """The ArduSub driver against the emulated flight controller, over UDP; time is handed in to both."""
 
+import contextlib
 import socket
 from collections.abc import Iterator
 from typing import Any
@@ -364,6 +365,66 @@ def test_a_cable_that_is_off_and_on_again(bench: Bench) -> None:
     bench.armed = False
     bench.run(2.0)
     assert bench.state.refusals == ()
+
+
+@pytest.mark.parametrize("opened_anew", [False, True])
+def test_after_a_silence_nothing_is_sent_before_it_is_known_whose_it_is(bench: Bench, opened_anew: bool) -> None:
+    bench.fly()
+    bench.below.mute = True
+    for _ in range(70):  # its switch is not heard
+        with contextlib.suppress(DriverError):
+            bench.tick()
+    bench.below._set_mode(0)
+    with contextlib.suppress(DriverError):
+        bench.tick()
+    if opened_anew:
+        bench.driver.close()
+        bench.driver.open()
+    bench.wire.recv(bench.t_us)  # lost on the way
+    bench.below.mute = False
+    sent: list[Any] = []
+    for _ in range(10):
+        bench.tick()
+        sent += bench.overrides
+    assert all(message.chan5_raw == 1500 for message in sent)
+    assert len(sent) <= 1
+    assert bench.state.authority is Authority.PILOT  # asked for, not waited for: heartbeats come once a second
+    assert bench.below.armed
+    bench.set_mode(19)
+    bench.run(0.2)
+    assert bench.state.acts
+
+
+def test_a_pilot_has_it_through_a_silence(bench: Bench) -> None:
+    bench.fly()
+    bench.set_mode(0)
+    bench.run(0.1)
+    bench.below.mute = True
+    for _ in range(100):
+        with contextlib.suppress(DriverError):
+            bench.tick()
+        assert bench.state.authority is Authority.PILOT
+    bench.driver.close()
+    assert bench.state.authority is Authority.PILOT
+    bench.driver.open()
+    bench.below.mute = False
+    for _ in range(50):
+        bench.tick()
+        assert bench.state.authority is Authority.PILOT
+
+
+def test_a_device_that_is_opened_anew_after_a_silence_is_not_disarmed(bench: Bench) -> None:
+    bench.fly()
+    bench.below.mute = True
+    for _ in range(70):
+        with contextlib.suppress(DriverError):
+            bench.tick()
+    bench.driver.close()
+    bench.below.mute = False  # what was on its way arrives after all
+    for received in bench.wire.recv(bench.t_us):
+        bench.below.hear(bench.t_us, received.data)
+    assert bench.below.armed
+    bench.driver.open()
 
 
 def test_water_in_the_hull_is_told(bench: Bench) -> None:
