@@ -321,8 +321,15 @@ class ArduSub(Closing):
     # Thrust
 
     def write(self, t_us: int, pwm_us: Sequence[int]) -> None:
-        """Pulses per thruster. DriverError while nothing is heard from it; nothing goes down while it is not ours."""
+        """Pulses per thruster. DriverError while nothing is heard from it; nothing goes down while it is not ours.
+
+        Nor while it is silent, but 1500 at first: its pilot may have taken it without our hearing of it."""
         wire = self._open_wire()
+        if self._watch.wanted and self._watch.authority is not Authority.PILOT and self._silent(t_us):
+            if self._command_us is not None:
+                self._let_go()
+            self._rest_of(t_us)
+            raise DriverError("flight controller is silent: check cable and link")
         if not self._watch.takes_commands:
             self._rest_of(t_us)
             return
@@ -334,8 +341,6 @@ class ArduSub(Closing):
         self.saturated_count += mixed.saturated
         wire.override(mixed.channels_us)
         self._meant.append((t_us, mixed.servos_us))
-        if self._silent(t_us):
-            raise DriverError("flight controller is silent: check cable and link")
 
     def check(self, t_us: int) -> bool:
         """1500 when the last command is too old; True while it is."""

@@ -223,7 +223,8 @@ class Runtime:
         self._try(t_us, DeviceRole.THRUSTERS, lambda: self._device.write(t_us, outputs.command), None)
         rest = self._rest
         if len(self._troubles) > before and rest is not None:
-            self._try(t_us, DeviceRole.THRUSTERS, lambda: self._device.write(t_us, rest), None)
+            still = replace(rest, armed=outputs.command.armed)  # to stand is not to disarm a vehicle below
+            self._try(t_us, DeviceRole.THRUSTERS, lambda: self._device.write(t_us, still), None)
             del self._troubles[before + 1 :]
         device = self._device
         if outputs.drop_weight and isinstance(device, WeightRelease):

@@ -359,6 +359,14 @@ def test_a_cable_that_is_off_and_on_again(bench: Bench) -> None:
     bench.below.mute = True
     with pytest.raises(DriverError, match="silent: check cable"):
         bench.run(1.0)
+    bench.wire.recv(bench.t_us)
+    for _ in range(50):
+        with contextlib.suppress(DriverError):
+            bench.tick()
+    reader: Any = bench.below.codec(1, 1)
+    sent = [message for item in bench.wire.recv(bench.t_us) for message in reader.parse_buffer(item.data) or ()]
+    pulses = [message.chan5_raw for message in sent if message.get_type() == "RC_CHANNELS_OVERRIDE"]
+    assert pulses == [1500] * len(pulses) and len(pulses) <= 3
     assert bench.state.refusals == ("flight controller is silent: check cable and link",)
     assert not bench.state.acts
     bench.below.mute = False

@@ -65,6 +65,8 @@ class Tank:
             settings, load_config(str(path)), parameters, speed=0.0, on_tick=self._tick
         )
         self._t_us = 0
+        self.unheard = False
+        """What the flight controller says gets lost; it hears us."""
 
     def _tick(self, outputs: Outputs) -> None:
         """After the service's tick: the world goes on, and everybody speaks."""
@@ -83,7 +85,8 @@ class Tank:
         for received in self._wire.recv(t_us):
             self.below.hear(t_us, received.data)
         for data in self.world.advance(t_us):
-            self._wire.send(data)
+            if not self.unheard:
+                self._wire.send(data)
 
     def run(self, until: Callable[[Outputs], bool], at_most_s: float) -> None:
         """Ticks until something is so."""
@@ -222,6 +225,21 @@ def test_a_loop_that_was_held_for_half_a_second_goes_on_with_the_present(tank: C
     assert runtime.counters.overruns - before >= 50
     assert flight.outputs is not None and flight.outputs.mode.armed
     assert not flight.said("AHRS silent"), flight.texts[-10:]
+
+
+def test_a_flight_controller_that_is_not_heard_for_a_while_is_not_disarmed(tank: Callable[..., Tank]) -> None:
+    flight = tank()
+    flight.run(_flies, 60.0)
+    flight.unheard = True
+    end_us = flight._t_us + 1_700_000  # longer than it takes until the link is opened anew, too
+    flight.run(lambda outputs: not flight.below.armed or outputs.t_us >= end_us, 2.0)
+    assert flight.below.armed and flight.session.parts.commander.armed
+    assert flight.said("Thrusters failed: flight controller is silent")
+    assert sorted(set(flight.below.servos_us[:4])) == [1500]
+    flight.unheard = False
+    flight.run(lambda _: flight.said("Thrusters: working again"), 3.0)
+    assert flight.below.armed and flight.session.parts.commander.armed
+    assert not flight.said("Stopped below")
 
 
 def test_what_the_pilot_does_with_the_thrusters_is_not_taken_for_a_current(tank: Callable[..., Tank]) -> None:
