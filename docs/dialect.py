@@ -4,6 +4,7 @@
 """
 
 import contextlib
+import importlib
 import io
 import sys
 import tempfile
@@ -30,7 +31,16 @@ def generated() -> str:
             done = mavgen.mavgen(opts, [str(XML)])
         if not done or not out.exists():
             raise RuntimeError(f"{XML}: {said.getvalue()}")
-        return HEAD + out.read_text(encoding="utf-8")
+        return HEAD + out.read_text(encoding="utf-8") + old_sizes()
+
+
+def old_sizes() -> str:
+    """Payload sizes of MAVLink 1, which has no extension fields: the packaged dialect of that version knows them."""
+    module = importlib.import_module("pymavlink.dialects.v10.development")
+    sizes = {number: kind.unpacker.size for number, kind in sorted(module.mavlink_map.items()) if 0 <= number <= 255}
+    entries = [f"{number}: {size}," for number, size in sizes.items()]
+    lines = ["    " + " ".join(entries[at : at + 8]) for at in range(0, len(entries), 8)]
+    return "\n".join(("", "", "MAVLINK1_SIZES = {", *lines, "}", ""))
 
 
 def main() -> int:

@@ -45,7 +45,7 @@ class Wire:
 
     def receive(self, t_us: int) -> Iterator[Any]:
         """Its messages since the last call."""
-        for data, client, _ in self._link.recv(t_us):
+        for data, client, *_ in self._link.recv(t_us):
             cutter = self._cutters.get(client)
             if cutter is None:
                 if len(self._cutters) >= 16:

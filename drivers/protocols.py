@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar
 
-from autopilot.core.clients import EVERYONE
+from autopilot.core.clients import EVERYONE, Reach
 
 if TYPE_CHECKING:  # links are opened before anything heavy is loaded
     from autopilot.core.messages import Below, Severity
@@ -105,6 +105,8 @@ class Received(NamedTuple):
     """A number per address or connection, never used again for another; EVERYONE on a link with one other end."""
     sender: str
     """The client as operators know it: address and port, or device."""
+    reach: Reach = Reach.NETWORK
+    """How far away it is."""
 
 
 class Link(Protocol):
@@ -130,9 +132,9 @@ class Link(Protocol):
         """What has come up to ``t_us``, oldest first per client, bounded in bytes per client. Never blocks."""
         ...
 
-    def send(self, data: bytes, client: int = EVERYONE) -> None:
-        """Send to everyone at the other end, or to one client. Never blocks: what cannot be sent is dropped and
-        counted."""
+    def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
+        """Send to everyone at the other end (but those ``beside``), or to one client. Never blocks: what cannot be sent
+        is dropped and counted."""
         ...
 
     def filenos(self) -> list[int]:

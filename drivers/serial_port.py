@@ -160,7 +160,7 @@ class SerialLink:
             for frame in self._cutter.feed(data)
         ]
 
-    def send(self, data: bytes, client: int = EVERYONE) -> None:
+    def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
         """Send one frame."""
         try:
             self._port.write(self._numbering(data))

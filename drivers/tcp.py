@@ -2,12 +2,12 @@
 
 import socket
 
-from autopilot.core.clients import EVERYONE
+from autopilot.core.clients import EVERYONE, Reach
 from autopilot.core.errors import DriverError
 from drivers.framing import FrameCutter
 from drivers.numbering import Numbering
 from drivers.protocols import Received
-from drivers.udp import bind_error, resolve
+from drivers.udp import bind_error, reach_of, resolve
 
 CHUNK = 4096
 """Bytes taken of one connection per call: who sends more is slowed down by TCP itself."""
@@ -26,13 +26,13 @@ RECONNECT_US = 1_000_000
 class _Stream:
     """One open connection. OSError when it is gone already."""
 
-    def __init__(self, connection: socket.socket, client: int, sender: str) -> None:
+    def __init__(self, connection: socket.socket, client: int, sender: str, reach: Reach) -> None:
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = connection
         self._cutter = FrameCutter()
         self._numbering = Numbering()
-        self.client, self.sender = client, sender
+        self.client, self.sender, self._reach = client, sender, reach
         self._pending = bytearray()
         self.open = True
 
@@ -52,7 +52,7 @@ class _Stream:
         if not data:
             self.close()
             return []
-        return [Received(frame, self.client, self.sender) for frame in self._cutter.feed(data)]
+        return [Received(frame, self.client, self.sender, self._reach) for frame in self._cutter.feed(data)]
 
     def send(self, data: bytes) -> bool:
         """Queue and send what the other side takes; False if it is gone or too far behind."""
@@ -125,9 +125,11 @@ class TcpServer:
         self._clients = [client for client in self._clients if client.open]
         return frames
 
-    def send(self, data: bytes, client: int = EVERYONE) -> None:
+    def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
         """Send to every client, or to one."""
         for stream in self._clients:
+            if stream.client in beside:
+                continue
             if client in (EVERYONE, stream.client) and not stream.send(data):
                 self.dropped_tx += 1
         self._clients = [client for client in self._clients if client.open]
@@ -150,7 +152,8 @@ class TcpServer:
                 continue
             self._numbers += 1
             try:
-                self._clients.append(_Stream(connection, self._numbers, f"{address[0]}:{address[1]}"))
+                sender, reach = f"{address[0]}:{address[1]}", reach_of(address[0])
+                self._clients.append(_Stream(connection, self._numbers, sender, reach))
             except OSError:  # gone again
                 connection.close()
 
@@ -173,7 +176,7 @@ class TcpClient:
             raise DriverError(
                 f"link {name}: nobody answers at {host}:{port} ({reason}); start the server or correct the address"
             ) from error
-        self._stream = _Stream(connection, EVERYONE, name)
+        self._stream = _Stream(connection, EVERYONE, name, reach_of(self._address[0]))
 
     @property
     def problem(self) -> str | None:
@@ -201,7 +204,7 @@ class TcpClient:
             self._reconnect()
         return []
 
-    def send(self, data: bytes, client: int = EVERYONE) -> None:
+    def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
         """Send, or drop when there is no connection."""
         if self._closed or not self._stream.open or not self._stream.send(data):
             self.dropped_tx += 1
@@ -219,7 +222,7 @@ class TcpClient:
             attempt, self._attempt = self._attempt, None
             try:
                 attempt.getpeername()
-                self._stream = _Stream(attempt, EVERYONE, self._name)
+                self._stream = _Stream(attempt, EVERYONE, self._name, reach_of(self._address[0]))
                 return
             except OSError:
                 attempt.close()

@@ -7,7 +7,7 @@ import errno
 import socket
 from dataclasses import dataclass, field
 
-from autopilot.core.clients import EVERYONE
+from autopilot.core.clients import EVERYONE, Reach
 from autopilot.core.errors import DriverError
 from drivers.numbering import Numbering
 from drivers.protocols import LOOPBACK, Received
@@ -39,6 +39,11 @@ def resolve(name: str, host: str, port: int) -> Address:
     return str(address[0]), int(address[1])
 
 
+def reach_of(host: str) -> Reach:
+    """How far away an address is."""
+    return Reach.MACHINE if host.startswith(LOOPBACK_NET) else Reach.NETWORK
+
+
 def bind_error(name: str, port: int, error: OSError) -> DriverError:
     """What to tell the operator when a port cannot be listened on."""
     if error.errno == errno.EADDRINUSE:
@@ -55,6 +60,7 @@ class _Peer:
     client: int
     sender: str
     heard_us: int
+    reach: Reach
     numbering: Numbering = field(default_factory=Numbering)
 
 
@@ -104,7 +110,7 @@ class _Udp:
                 continue
             taken = bytes_of[peer.client] = bytes_of.get(peer.client, 0) + len(data)
             if taken <= MAX_CLIENT_BYTES:
-                received.append(Received(data=data, client=peer.client, sender=peer.sender))
+                received.append(Received(data, peer.client, peer.sender, peer.reach))
         self._forget(t_us)
         return received
 
@@ -119,7 +125,7 @@ class _Udp:
             if len(self._known) >= MAX_PEERS and not self._displace(t_us):
                 return None
             self._numbers += 1
-            peer = _Peer(self._numbers, f"{address[0]}:{address[1]}", t_us)
+            peer = _Peer(self._numbers, f"{address[0]}:{address[1]}", t_us, reach_of(address[0]))
             self._addresses[peer.client] = address
         peer.heard_us = t_us
         self._known[address] = peer
@@ -181,8 +187,10 @@ class UdpOut(_Udp):
         self._numbering = Numbering()
         """Of the target, heard or not."""
 
-    def send(self, data: bytes, client: int = EVERYONE) -> None:
+    def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
         """Send one datagram: to the target, or to one client that has spoken."""
+        if client == EVERYONE and beside and any(self._addresses.get(other) == self._target for other in beside):
+            return
         if client == EVERYONE or self._addresses.get(client) == self._target:
             self._send_to(self._numbering(data), self._target)
         else:
@@ -204,10 +212,12 @@ class UdpIn(_Udp):
             self._socket.close()
             raise bind_error(name, port, error) from error
 
-    def send(self, data: bytes, client: int = EVERYONE) -> None:
+    def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
         """Send one datagram to every client, or to one."""
         if client != EVERYONE:
             self._send_one(data, client)
             return
         for address, peer in self._known.items():
+            if peer.client in beside:
+                continue
             self._send_to(peer.numbering(data), address)

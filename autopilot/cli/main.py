@@ -24,6 +24,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "identify": ("autopilot.cli.identify:identify", "Masses and drags of a vehicle from logs of its flights."),
     "log": ("autopilot.cli.log:log", "Look into a log: info, check, report, plot, replay, programs, tlog."),
     "markers": ("autopilot.cli.markers:markers", "Print marker boards, check and survey marker maps."),
+    "mavlink": ("autopilot.cli.mavlink:mavlink", "Make, show or forget the key that frames are signed with."),
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
     "motors": ("autopilot.cli.motors:motors", "Turn thrusters one by one, a little, on the bench."),
     "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),

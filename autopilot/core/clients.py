@@ -1,4 +1,17 @@
 """Clients of a link, as links and service both number them."""
 
+from enum import IntEnum
+
 EVERYONE = 0
 """The client number of all who are at the other end of a link."""
+
+
+class Reach(IntEnum):
+    """From how far away a client speaks: what may be believed of it."""
+
+    NETWORK = 0
+    """Another machine, or whatever is at the end of a radio or serial line."""
+    MACHINE = 1
+    """A program of this machine (loopback interface)."""
+    PROCESS = 2
+    """A part of this service's own process."""

@@ -10,7 +10,7 @@ from enum import Enum, IntEnum
 
 import numpy as np
 
-from autopilot.core.clients import EVERYONE
+from autopilot.core.clients import EVERYONE, Reach
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.marks import LoopPart
@@ -31,6 +31,25 @@ class MavlinkFrame:
     """Who of the link: one number per address or connection; EVERYONE also on a link that has one other end."""
     sender: str = ""
     """What operators call the client it came from, "" when it goes out or nobody knows."""
+    reach: Reach = Reach.NETWORK
+    """How far away the client is that it came from."""
+    beside: frozenset[int] = frozenset()
+    """Clients of the link that do not get it though it goes to everyone."""
+
+    def __repr__(self) -> str:
+        """For descriptions of faults, which are logged: without the key of a SETUP_SIGNING."""
+        shown = "a signing key" if _has_key(self.data) else repr(self.data)
+        return f"MavlinkFrame(link={self.link}, client={self.client}, sender={self.sender!r}, data={shown})"
+
+
+def _has_key(data: bytes) -> bool:
+    """Whether a SETUP_SIGNING (message 256 of MAVLink 2) begins somewhere in the data."""
+    at = data.find(0xFD)
+    while at >= 0:
+        if data[at + 7 : at + 10] == b"\x00\x01\x00":
+            return True
+        at = data.find(0xFD, at + 1)
+    return False
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -171,6 +171,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _int("SYSID_THISMAV", 1, 1, 250, "MAVLink system id; instance N adds N."),
     _real("THR_LIMIT", 12.0, 0.5, 200.0, "N", "Limit of every thrust command (hard constraint)."),
     _int("PILOT_BACK", 0, 0, 1, "The pilot has given the vehicle back: 0 = hold, 1 = go on with the mission."),
+    _int("SIGN_LOCAL", 0, 0, 1, "With a signing key: 1 = programs of this machine need not sign, 0 = all have to."),
     _int("THR_DETECT", 1, 0, 1, "1 = losses of thrust are found from the motion, 0 = only THRn_HEALTH counts."),
     _real("THR1_HEALTH", 1.0, 0.0, 1.0, "", "Share of its thrust that the vehicle file's thruster 1 is known to give."),
     *(_real(f"THR{i}_HEALTH", 1.0, 0.0, 1.0, "", f"The same of thruster {i}.") for i in range(2, 9)),

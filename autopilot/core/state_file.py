@@ -20,10 +20,11 @@ _LEFT_OVER = re.compile(r"[a-z0-9_]{8}")
 class StateFile:
     """One file and its copy. Not thread-safe: one writer."""
 
-    def __init__(self, path: Path, *, copies: bool = True) -> None:
-        """``copies``: keep the content before the last."""
+    def __init__(self, path: Path, *, copies: bool = True, private: bool = False) -> None:
+        """``copies``: keep the content before the last; ``private``: nobody but its owner may read it."""
         self.path = path
         self._copies = copies
+        self._mode = 0o600 if private else 0o666
         self.previous = path.with_name(path.name + ".previous")
         """The content before the last."""
         self.damaged = path.with_name(path.name + ".damaged")
@@ -65,7 +66,8 @@ class StateFile:
         """Replace the content. OSError leaves what was there."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            with self._new.open("wb") as stream:
+            self._new.unlink(missing_ok=True)
+            with open(os.open(self._new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, self._mode), "wb") as stream:
                 stream.write(data)
                 stream.flush()
                 os.fsync(stream.fileno())
@@ -76,6 +78,13 @@ class StateFile:
             self._new.unlink(missing_ok=True)
             raise
         _sync_folder(self.path.parent)
+
+    def remove(self) -> None:
+        """Have no such file any more, nor its copies. OSError when it stays."""
+        for path in (self.path, self.previous, self.damaged, self._new):
+            path.unlink(missing_ok=True)
+        if self.path.parent.is_dir():
+            _sync_folder(self.path.parent)
 
     def _keep_previous(self) -> None:
         self.previous.unlink(missing_ok=True)

@@ -27,6 +27,7 @@ class CommandResult(IntEnum):
     COMMAND_LONG_ONLY = 7
     COMMAND_INT_ONLY = 8
     UNSUPPORTED_FRAME = 9
+    NOT_IN_CONTROL = 10
 
 
 class FlightMode(IntEnum):
@@ -83,6 +84,42 @@ class VehicleView:
     """What speaks against the estimate or its sensors."""
     control: NmpcStatus | None = None
     """Of the last control step, None while nothing is controlled."""
+
+
+UNITS_PER_S = 100_000
+"""Signing time counts in 10 us since 2015."""
+AHEAD_UNITS = 60 * UNITS_PER_S
+"""The signing time on disk is so far ahead of what has been used, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class SigningState:
+    """What outlives a run."""
+
+    key: bytes | None
+    stamp: int
+    """Signing time that has not been used."""
+
+    def __repr__(self) -> str:
+        """Without the key."""
+        return f"SigningState(key={'set' if self.key else 'none'}, stamp={self.stamp})"
+
+
+class SigningStore(Protocol):
+    """Where the key and the time are kept."""
+
+    @property
+    def state(self) -> SigningState:
+        """As found at the start; the time is on disk already, and so is a minute beyond it."""
+        ...
+
+    def keep(self, tick: int, state: SigningState) -> None:
+        """Have it written."""
+        ...
+
+    def poll(self, tick: int) -> str | None:
+        """What became of the last one: "" = written, else why not; None = nothing new."""
+        ...
 
 
 class VehicleCommands(Protocol):

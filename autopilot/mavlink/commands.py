@@ -123,8 +123,12 @@ def call_of(peer: Peer, msg: Message) -> Call:
 class Commands:
     """The command microservice."""
 
-    def __init__(self, ctx: Context, table: Mapping[int, Entry]) -> None:
+    def __init__(
+        self, ctx: Context, table: Mapping[int, Entry], keeps_out: Callable[[Call], str] = lambda call: ""
+    ) -> None:
+        """``keeps_out``: why a caller may not change anything now, "" = he may."""
         self._ctx = ctx
+        self._keeps_out = keeps_out
         self._table = table
         self._last: dict[Peer, _Remembered] = {}
 
@@ -140,6 +144,10 @@ class Commands:
             return
         if not entry.action:
             self._reply(peer, call.command, entry.handler(call))
+            return
+        kept_out = self._keeps_out(call)
+        if kept_out:
+            self._reply(peer, call.command, Reply(Answer(result=CommandResult.NOT_IN_CONTROL, reason=kept_out)))
             return
         key = (call.command, repr((call.params, call.x, call.y, call.z)), call.frame, call.exact)
         datagram = (msg.get_seq(), msg.get_crc())

@@ -1,11 +1,9 @@
 """What the microservices share: the outgoing queue, who talks to us, and the state of this tick."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
-
-from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.clients import EVERYONE
 from autopilot.core.guard import Guard
@@ -14,8 +12,10 @@ from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import VehicleCommands, VehicleView
+from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.profiles import Profile
 from autopilot.mavlink.recent import Recent
+from autopilot.mavlink.signing import Signing
 from autopilot.mavlink.wire import LinkEncoder, Message
 
 COMPID = 1
@@ -71,9 +71,12 @@ class Context:
     guard: Guard
     saving: ParamSaving | None = None
     """Where parameters are kept, None = nowhere."""
+    signing: Signing = field(default_factory=Signing)
     t_us: int = 0
     links: dict[int, LinkEncoder] = field(default_factory=dict)
     """Every open link's encoder: sequence numbers count per link."""
+    old: dict[int, frozenset[int]] = field(default_factory=dict)
+    """Clients that speak MAVLink 1, by link."""
     tx: list[MavlinkFrame] = field(default_factory=list)
     notices: list[Event] = field(default_factory=list)
     samples: list[ExternalPoseSample] = field(default_factory=list)
@@ -94,14 +97,42 @@ class Context:
     def add_link(self, index: int) -> None:
         """Make sure that a link exists."""
         if index not in self.links:
-            self.links[index] = LinkEncoder(self.sysid, COMPID)
+            self.links[index] = encoder = LinkEncoder(self.sysid, COMPID)
+            self._sign_on(index, encoder)
+
+    def _sign_on(self, index: int, encoder: LinkEncoder) -> None:
+        signing = self.signing
+
+        def sign(frame: bytes, crc_extra: int, counted: bool) -> bytes:
+            return signing.sign(frame, crc_extra, index, counted=counted)
+
+        encoder.sign = None if signing.key is None else sign
+
+    def key_changed(self) -> None:
+        """There is a signing key now, or none any more."""
+        for index, encoder in self.links.items():
+            self._sign_on(index, encoder)
 
     def send(self, to: Receiver, message: Message) -> None:
         """Queue a message to one client, or to everyone on one link."""
         link, client = (to, EVERYONE) if isinstance(to, int) else (to.link, to.client)
-        encoder = self.links.get(link)
-        if encoder is not None:
-            self.tx.append(MavlinkFrame(link=link, client=client, data=encoder.pack(message)))
+        if link in self.links:
+            self.tx.extend(self.frames(link, client, message))
+
+    def frames(self, link: int, client: int, message: Message, *, counted: bool = True) -> Iterator[MavlinkFrame]:
+        """A message as the clients of an open link get it: who speaks MAVLink 1 gets that."""
+        encoder, old = self.links[link], self.old.get(link)
+        if not old:
+            yield MavlinkFrame(link=link, client=client, data=encoder.pack(message, counted=counted))
+            return
+        if client not in old and not (client == EVERYONE and EVERYONE in old):
+            beside = old if client == EVERYONE else frozenset[int]()
+            data = encoder.pack(message, counted=counted)
+            yield MavlinkFrame(link=link, client=client, data=data, beside=beside)
+        for other in sorted(old) if client == EVERYONE else (client,) if client in old else ():
+            packed = encoder.pack_old(message, counted=counted)
+            if packed is not None:
+                yield MavlinkFrame(link=link, client=other, data=packed)
 
     def broadcast(self, message: Message) -> None:
         """Queue a message on every link."""

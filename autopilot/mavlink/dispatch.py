@@ -2,10 +2,10 @@
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
-from pymavlink.dialects.v20 import development as mav
-
+from autopilot.core.clients import EVERYONE, Reach
 from autopilot.core.geodesy import Place
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
@@ -13,15 +13,19 @@ from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleCommands, VehicleView
-from autopilot.mavlink.commands import Commands
+from autopilot.mavlink.commands import Call, Commands, Entry
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
+from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.external import ExternalPoses
 from autopilot.mavlink.inbox import Address, Inbox, Intake
 from autopilot.mavlink.missions import Missions
+from autopilot.mavlink.operators import REQUEST, STATUS_ID, Operators
 from autopilot.mavlink.parameters import Parameters
 from autopilot.mavlink.profiles import Profile
 from autopilot.mavlink.progress import Progress
+from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.requests import Requests
+from autopilot.mavlink.signing import KEY_BYTES, Refusals, Signing
 from autopilot.mavlink.status import Status
 from autopilot.mavlink.streams import Streams
 from autopilot.mavlink.telemetry import Telemetry
@@ -31,6 +35,8 @@ from autopilot.mavlink.wire import Message
 
 FLOOD_SAY_US = 1_000_000
 """Operators hear of floods no more often than this, however many clients take part."""
+REFUSALS_SAY_US = 10_000_000
+"""Frames that were not believed are told of this often."""
 HEARTBEAT_US = 1_000_000
 """HEARTBEAT at 1 Hz (https://mavlink.io/en/services/heartbeat.html)."""
 GREET_AFTER_US = 2_000_000
@@ -89,6 +95,7 @@ class Dispatcher:
         patience: float,
         guard: Guard,
         saving: ParamSaving | None = None,
+        signing: Signing | None = None,
     ) -> None:
         self._ctx = ctx = Context(
             sysid=sysid,
@@ -101,8 +108,10 @@ class Dispatcher:
             patience=patience,
             guard=guard,
             saving=saving,
+            signing=signing or Signing(),
         )
         self.parameters = Parameters(ctx)
+        self._operators = Operators(ctx, self.parameters.known_value)
         self.missions = Missions(ctx)
         self.utility = Utility(ctx)
         self._external = ExternalPoses(ctx, lambda: self.utility.utc_offset_us)
@@ -116,14 +125,21 @@ class Dispatcher:
                 **self._telemetry.builders(),
                 mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
                 mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
+                STATUS_ID: self._operators.status,
             },
         )
         self._vehicle = VehicleService(ctx, self._telemetry, self._progress)
         requests = Requests(ctx, self._streams, self._status)
-        self._commands = Commands(ctx, {**self._vehicle.table(), **requests.table()})
+        # A request for control is judged by itself, also while somebody else has it.
+        control = {REQUEST: Entry(handler=self._operators.request, action=False)}
+        self._commands = Commands(ctx, {**self._vehicle.table(), **requests.table(), **control}, self._keeps_out)
         self._handlers = self._table()
-        self._intake = Intake(self._handlers.keys(), _HEAVY, self._handle)
+        self._intake = Intake(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits)
+        self._told_refusals = Refusals()
+        self._refusals_us: int | None = None
         self._flood_us: int | None = None
+        self._new: Recent[Address] = Recent(float("inf"))
+        """Clients that have spoken MAVLink 2."""
         self._greeted: dict[Peer, None] = {}
         self._to_greet: deque[tuple[int, Peer]] = deque()
         """When a greeting is due, and whose."""
@@ -163,6 +179,7 @@ class Dispatcher:
             mav.MAVLINK_MSG_ID_ODOMETRY: self._external.on_odometry,
             mav.MAVLINK_MSG_ID_MANUAL_CONTROL: self._on_manual_control,
             mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._on_request_data_stream,
+            mav.MAVLINK_MSG_ID_SETUP_SIGNING: self._on_setup_signing,
         }
 
     # Links
@@ -174,6 +191,7 @@ class Dispatcher:
     def remove_link(self, link: int) -> None:
         """Close a link."""
         self._ctx.links.pop(link, None)
+        self._ctx.old.pop(link, None)
         self._intake.forget_link(link)
         self._streams.forget(link)
         for peer in [peer for peer in self._greeted if peer.link == link]:
@@ -205,11 +223,14 @@ class Dispatcher:
         if ctx.announce_place:
             ctx.announce_place, self._place_shown = False, None
         run = ctx.guard.run
+        run("message", self._tick_signing, None)
         for frame in rx:
             self._push(frame)
         run("message", self._intake.work, None)
         ctx.received = self._intake.received
         run("telemetry", self._say_flood, None)
+        run("telemetry", self._say_refusals, None)
+        run("telemetry", self._operators.tick, None)
         run("heartbeat", self._say_heartbeat, None, lambda: view)
         run("telemetry", self._say_greetings, None)
         for event in events:
@@ -234,10 +255,8 @@ class Dispatcher:
     def beat(self) -> tuple[MavlinkFrame, ...]:
         """HEARTBEAT for all links, beside the ticks: nothing counts it, so a run is the same with it or without."""
         message = self._status.heartbeat()
-        return tuple(
-            MavlinkFrame(link=link, data=encoder.pack(message, counted=False))
-            for link, encoder in self._ctx.links.items()
-        )
+        ctx = self._ctx
+        return tuple(frame for link in tuple(ctx.links) for frame in ctx.frames(link, EVERYONE, message, counted=False))
 
     def _push(self, frame: MavlinkFrame) -> Inbox | None:
         if frame.link < 0:
@@ -257,16 +276,60 @@ class Dispatcher:
             return
         link, client = address
         peer = Peer(link, sysid, msg.get_srcComponent(), client)
+        self._note_version(address, msg)
         self._greet(peer)
+        if self._operators.refused(peer, msg):
+            return
         try:
             self._handlers[msg.get_msgId()](peer, msg)
         except Exception as error:  # noqa: BLE001 - a guard: counted, said and kept by it, or raised again
-            self._ctx.guard.note("message", error, lambda: (peer, msg.to_dict()))
+            secret = msg.get_msgId() == mav.MAVLINK_MSG_ID_SETUP_SIGNING
+            self._ctx.guard.note("message", error, lambda: (peer, "a signing key" if secret else msg.to_dict()))
             if msg.get_msgId() in (mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT):
                 failed = mav.MAVLink_command_ack_message(
                     msg.command, CommandResult.FAILED, 0, 0, peer.sysid, peer.compid
                 )
                 self._ctx.send(peer, failed)
+
+    def _note_version(self, address: Address, msg: Message) -> None:
+        """A client that has only spoken MAVLink 1 is answered in it. It is shown once that there is MAVLink 2: a client
+        that knows both (pymavlink) begins with 1 and goes over then."""
+        ctx, (link, client) = self._ctx, address
+        known = ctx.old.get(link, frozenset())
+        if msg.get_msgbuf()[0] != mav.PROTOCOL_MARKER_V1:
+            if client in known:
+                ctx.old[link] = known - {client}
+            self._new.add(address, ctx.t_us)
+        elif client not in known and not self._new.knows(address, ctx.t_us):
+            ctx.send(Peer(link, 0, 0, client), self._status.heartbeat())
+            clients = {number for number in known if (link, number) in self._intake}
+            ctx.old[link] = frozenset((*clients, client))
+
+    def _keeps_out(self, call: Call) -> str:
+        return self._operators.reason if self._operators.keeps_out(call.peer) else ""
+
+    def _tick_signing(self) -> None:
+        """Signing time goes on; a key that the disk has not got is told."""
+        ctx = self._ctx
+        ctx.signing.local_may_be_silent = ctx.params["SIGN_LOCAL"] > 0.0
+        problem = ctx.signing.tick(ctx.t_us)
+        if problem:
+            ctx.say(Severity.WARNING, f"Signing key or time not saved: {problem}")
+
+    def _say_refusals(self) -> None:
+        """Frames that were not believed are told now and then, with the remedy."""
+        ctx, now, told = self._ctx, self._ctx.signing.refused, self._told_refusals
+        if now == told or (self._refusals_us is not None and ctx.t_us < self._refusals_us + REFUSALS_SAY_US):
+            return
+        self._refusals_us = ctx.t_us
+        self._told_refusals = replace(now)
+        if now.unknown_key > told.unknown_key:
+            ctx.say(Severity.WARNING, "Frames signed with an unknown key: not heard")
+        elif now.unsigned > told.unsigned:
+            ctx.say(Severity.WARNING, "Unsigned frames are not heard: sign them")
+        else:
+            ctx.say(Severity.WARNING, "Signed frames are too old: check the clock")
+        ctx.log(Severity.WARNING, f"frames not heard so far: {now}")
 
     def _say_flood(self) -> None:
         """Name who sends more than is taken, now and then."""
@@ -332,6 +395,7 @@ class Dispatcher:
 
     def _on_heartbeat(self, peer: Peer, msg: Message) -> None:
         if msg.type in _OPERATORS:
+            self._operators.heard(peer)
             self.last_gcs_t_us = self._ctx.t_us
 
     def _on_manual_control(self, peer: Peer, msg: Message) -> None:
@@ -344,6 +408,26 @@ class Dispatcher:
 
     def _on_set_origin(self, peer: Peer, msg: Message) -> None:
         self._explain(peer, self._vehicle.set_origin_message(msg.latitude, msg.longitude, msg.altitude))
+
+    def _on_setup_signing(self, peer: Peer, msg: Message) -> None:
+        """SETUP_SIGNING: only from this machine, where nobody listens on the way, and while disarmed; a key that is in
+        force has to have signed it. All zero takes the key away."""
+        ctx = self._ctx
+        if self._intake.reach((peer.link, peer.client)) is Reach.NETWORK:
+            ctx.say(Severity.WARNING, "Key refused: use `autopilot mavlink key` on board", peer)
+        elif ctx.view.armed:
+            ctx.say(Severity.WARNING, "Key refused: disarm first", peer)
+        elif ctx.signing.key is not None and not msg.get_msgbuf()[2] & mav.MAVLINK_IFLAG_SIGNED:
+            ctx.say(Severity.WARNING, "Key refused: sign it with the present key", peer)
+        else:
+            key = bytes(msg.secret_key)
+            none = key == bytes(KEY_BYTES) and msg.initial_timestamp == 0
+            if not none and key == bytes(KEY_BYTES):
+                ctx.say(Severity.WARNING, "Key refused: it is all zero", peer)
+                return
+            ctx.signing.set_key(None if none else key, msg.initial_timestamp)
+            ctx.key_changed()
+            ctx.say(Severity.NOTICE, "Signing off" if none else "Signing on: only signed frames are heard")
 
     def _on_request_data_stream(self, peer: Peer, msg: Message) -> None:
         self._streams.on_request_data_stream(

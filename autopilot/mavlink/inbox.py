@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Container
 from dataclasses import dataclass, field
 
+from autopilot.core.clients import Reach
 from autopilot.core.messages import MavlinkFrame
 from autopilot.mavlink.wire import LinkParser, Message, Work
 
@@ -43,6 +44,7 @@ class Inbox:
     parser: LinkParser
     sender: str = ""
     """What operators call the client."""
+    reach: Reach = Reach.NETWORK
     head: Message | None = None
     """A message that has been cut out and not been handled."""
     spent: int = 0
@@ -81,6 +83,8 @@ class Intake:
     wanted: Container[int]
     heavy: Container[int]
     handle: Handle
+    admits: Callable[[bytes, Reach], bool] = lambda frame, reach: True
+    """Whether a good frame from so far away is heard."""
     _inboxes: dict[Address, Inbox] = field(default_factory=dict)
     """The one silent for longest first."""
     _turns: deque[Inbox] = field(default_factory=deque)
@@ -105,12 +109,23 @@ class Intake:
         if inbox is None:
             while len(self._inboxes) >= MAX_INBOXES:
                 self._forget(next(iter(self._inboxes)))
-            inbox = Inbox(address, LinkParser(self.wanted), frame.sender or f"client {frame.client}")
+            reach = frame.reach
+            parser = LinkParser(self.wanted, lambda data: self.admits(data, reach))
+            inbox = Inbox(address, parser, frame.sender or f"client {frame.client}", reach)
         self._inboxes[address] = inbox
         if inbox.parser.push(frame.data) and not inbox.waiting:
             inbox.waiting = True
             self._turns.append(inbox)
         return inbox
+
+    def __contains__(self, address: Address) -> bool:
+        """Whether a client is remembered."""
+        return address in self._inboxes
+
+    def reach(self, address: Address) -> Reach:
+        """How far away a client is."""
+        inbox = self._inboxes.get(address)
+        return Reach.NETWORK if inbox is None else inbox.reach
 
     def forget_link(self, link: int) -> None:
         """Drop the inboxes of a closed link."""

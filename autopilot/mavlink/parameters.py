@@ -98,6 +98,10 @@ class Parameters:
         if peer in self._lists or len(self._lists) < MAX_LISTS:
             self._lists[peer] = 0
 
+    def known_value(self, name: str) -> Message | None:
+        """PARAM_VALUE, None for a name that does not exist."""
+        return self.value(name) if name in self._index else None
+
     def on_request_read(self, peer: Peer, msg: Message) -> None:
         """PARAM_REQUEST_READ by index, or by name when the index is -1."""
         if msg.param_index == -1:

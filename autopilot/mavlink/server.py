@@ -14,7 +14,7 @@ from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
-from autopilot.mavlink.api import FlightMode, VehicleCommands, VehicleView
+from autopilot.mavlink.api import FlightMode, SigningStore, VehicleCommands, VehicleView
 from autopilot.mavlink.profiles import profile_by_name
 
 if TYPE_CHECKING:
@@ -50,9 +50,11 @@ class MavlinkServer:
         patience: float = 1.0,
         guard: Guard | None = None,
         saving: ParamSaving | None = None,
+        signing: SigningStore | None = None,
     ) -> None:
         identity = profile_by_name(profile)
         from autopilot.mavlink.dispatch import Dispatcher, Identity
+        from autopilot.mavlink.signing import Signing
 
         self._profile = identity
         self._dispatcher: Dispatcher = Dispatcher(
@@ -66,6 +68,7 @@ class MavlinkServer:
             patience=patience,
             guard=guard or Guard(),
             saving=saving,
+            signing=Signing(signing, patience),
         )
         for link in links:
             self._dispatcher.add_link(link)

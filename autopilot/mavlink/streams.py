@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from functools import partial
 from types import MappingProxyType
 
-from pymavlink.dialects.v20 import development as mav
-
 from autopilot.core.clock import TICK_US
 from autopilot.mavlink.context import Context
+from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.telemetry import Builder
 from autopilot.mavlink.wire import Message
 
@@ -31,6 +30,7 @@ DEFAULT_INTERVAL_US: Mapping[int, int] = MappingProxyType(
         mav.MAVLINK_MSG_ID_MISSION_CURRENT: _S,
         mav.MAVLINK_MSG_ID_WIND_COV: _S,
         mav.MAVLINK_MSG_ID_DEBUG_VECT: _S,
+        extra.MAVLINK_MSG_ID_CONTROL_STATUS: _S,
         mav.MAVLINK_MSG_ID_BATTERY_STATUS: 2 * _S,
         mav.MAVLINK_MSG_ID_HOME_POSITION: 2 * _S,
         mav.MAVLINK_MSG_ID_CURRENT_MODE: 2 * _S,

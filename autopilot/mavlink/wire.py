@@ -10,11 +10,11 @@ cheap to reject: a frame is believed by its header first, then by its checksum, 
 
 import binascii
 from collections import deque
-from collections.abc import Container
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.dialect import extra, mav
 
 Message: TypeAlias = Any
 """A generated pymavlink message (the dialect is untyped)."""
@@ -75,12 +75,16 @@ class RawMessage:
 class LinkParser:
     """Cuts one client's bytes into messages. Damaged bytes are counted in ``dropped`` and skipped.
 
-    ``wanted`` are the ids of messages worth decoding (None = all): others are checked and passed over.
+    ``wanted`` are the ids of messages worth decoding (None = all): others are checked and passed over. ``admits`` is
+    asked about every good frame of a known message; what it refuses is counted in ``refused`` and not heard.
     """
 
-    def __init__(self, wanted: Container[int] | None = None) -> None:
+    def __init__(self, wanted: Container[int] | None = None, admits: Callable[[bytes], bool] | None = None) -> None:
         self._decoder = mav.MAVLink(None)
         self._wanted = wanted
+        self._admits = admits
+        self.refused = 0
+        """Good frames that were not admitted so far."""
         self._queue: deque[bytes] = deque()
         """What has not been looked at."""
         self._queued = 0
@@ -122,7 +126,11 @@ class LinkParser:
                     self._pos = pos + used
                     self._in_junk = False
                     self.received += 1
-                    message = self._decoded(data[pos : pos + used], work)
+                    frame = data[pos : pos + used]
+                    if not self._is_admitted(frame, work):
+                        self.refused += 1
+                        continue
+                    message = self._decoded(frame, work)
                     if message is not None:
                         return message
                 elif used < 0:
@@ -149,6 +157,12 @@ class LinkParser:
         while (message := self.take(work)) is not None:
             out.append(message)
         return out
+
+    def _is_admitted(self, frame: bytes, work: Work) -> bool:
+        if self._admits is None:
+            return True
+        work.left -= CHECKSUM_WORK
+        return self._admits(frame)
 
     def _next_piece(self) -> None:
         """Put the next piece behind what is incomplete."""
@@ -217,15 +231,36 @@ def _next_marker(data: bytes, start: int, stop: int) -> int:
     return min(found, default=stop)
 
 
+Sign = Callable[[bytes, int, bool], bytes]
+"""Signs a frame: the frame, its CRC_EXTRA, whether it is counted."""
+
+
 class LinkEncoder:
-    """Packs messages for one link, counting the sequence number of that link."""
+    """Packs messages for one link, counting its sequence number. ``sign``: None = frames go out unsigned."""
 
     def __init__(self, sysid: int, compid: int) -> None:
         self._state = mav.MAVLink(None, srcSystem=sysid, srcComponent=compid)
+        self.sign: Sign | None = None
 
     def pack(self, message: Message, *, counted: bool = True) -> bytes:
         """One MAVLink 2 frame; one that is not counted has the number of the frame after it."""
         frame: bytes = message.pack(self._state)
+        self._count(counted)
+        return frame if self.sign is None else self.sign(frame, message.crc_extra, counted)
+
+    def pack_old(self, message: Message, *, counted: bool = True) -> bytes | None:
+        """One MAVLink 1 frame, without extension fields; None for a message that MAVLink 1 does not have."""
+        number = message.get_msgId() if not isinstance(message, RawMessage) else message.msg_id
+        size = extra.MAVLINK1_SIZES.get(number)
+        if size is None:
+            return None
+        frame: bytes = message.pack(self._state)
+        self._count(counted)
+        payload = frame[_V2_OVERHEAD - _CRC_BYTES : -_CRC_BYTES].ljust(size, b"\0")[:size]
+        body = bytes((size, frame[4], frame[5], frame[6], number)) + payload
+        crc = checksum(body + bytes((message.crc_extra,)))
+        return bytes((_V1,)) + body + crc.to_bytes(_CRC_BYTES, "little")
+
+    def _count(self, counted: bool) -> None:
         if counted:
             self._state.seq = (self._state.seq + 1) & 0xFF
-        return frame

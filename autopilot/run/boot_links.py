@@ -84,10 +84,12 @@ class BootLinks:
         """A link's turn."""
         link, boot = self.links[index], self._boot[index]
         received = link.recv(0)  # the vehicle's time has not begun
-        for data, client, sender in received:
+        for data, client, sender, reach in received:
             answers, left = boot.answer(data, client)
             for asked, message in left.items():
-                self._keep(asked, now_s, MavlinkFrame(link=index, client=client, sender=sender, data=message))
+                self._keep(
+                    asked, now_s, MavlinkFrame(link=index, client=client, sender=sender, reach=reach, data=message)
+                )
             for answer in answers:
                 link.send(answer, client)
         # Who listens for the vehicle on a port of ours hears it when he has spoken, and not a second later.

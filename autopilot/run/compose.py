@@ -19,6 +19,7 @@ from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.vehicle import Vehicle
+from autopilot.mavlink.api import SigningStore
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.replay.setup import options_of
 from autopilot.run.config import system_id
@@ -57,6 +58,8 @@ class ServiceSetup:
     """How much faster than a client's clock this service's time may run (plan transfers wait so much longer)."""
     saving: ParamSaving | None = None
     """Where parameters are kept that operators set, None = nowhere."""
+    signing: SigningStore | None = None
+    """Where the signing key is kept, None = nowhere."""
     waits_for_plans: bool
     """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
 
@@ -115,6 +118,7 @@ def build_service(
             patience=setup.patience,
             guard=guard,
             saving=setup.saving,
+            signing=setup.signing,
         ),
     )
     return Autopilot(parts), parts

@@ -28,6 +28,7 @@ from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.session import FASTEST, Kept, Outside, Session, loop_round, marker_vision, opened, take_plans
 from autopilot.run.session_log import LogContents, marker_attachment, open_recorder
+from autopilot.run.signing_files import SigningFiles
 from autopilot.run.vehicle_config import VehicleConfig, apply_parameters
 from drivers.protocols import Link
 
@@ -76,7 +77,9 @@ def open_vehicle(
     disk = Desk(DaemonLane("disk"), patient=speed == 0.0)
     params, persistent, warnings = vehicle_params(settings, config, overrides, instance, disk)
     markers = None if config.markers is None else load_marker_map(config.markers)
-    service, parts = _service(settings, config, params, markers, persistent, instance=instance, speed=speed)
+    signing = SigningFiles(state_folder(settings, config, instance), disk)
+    warnings += signing.warnings
+    service, parts = _service(settings, config, params, markers, persistent, signing, instance=instance, speed=speed)
     plans = KeptPlans(state_folder(settings, config, instance) / "plans.json", parts.plans, parts.commander, disk)
     plan = None if settings["plan"] is None else Path(settings["plan"])
     warnings += take_plans(parts, plan, plans, flown_at_once=False)
@@ -95,7 +98,7 @@ def open_vehicle(
         refusals=device.refusals,
         skips=speed > 0.0,
     )
-    kept = Kept(params=persistent, plans=plans, disk=disk)
+    kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
     return Session(
         vehicle=config.vehicle,
         service=service,
@@ -115,6 +118,7 @@ def _service(
     params: ParamSet,
     markers: MarkerMap | None,
     saving: PersistentParams,
+    signing: SigningFiles,
     *,
     instance: int,
     speed: float,
@@ -140,6 +144,7 @@ def _service(
             patience=FASTEST if speed == 0.0 else max(1.0, speed),
             waits_for_plans=speed == 0.0,
             saving=saving,
+            signing=signing,
         )
     )
 

@@ -15,6 +15,7 @@ from functools import partial
 from typing import TypeVar
 
 from autopilot.command.service import Autopilot
+from autopilot.core.clients import Reach
 from autopilot.core.clock import TICK_US, Clock
 from autopilot.core.errors import DriverError
 from autopilot.core.guard import Guard
@@ -283,7 +284,9 @@ class Runtime:
         for offset, peer in enumerate(self._peers):
             index = len(self._transport) + offset
             mine = [frame.data for frame in (*self._between_tx, *frames) if frame.link in (index, -1)]
-            self._peer_rx += [MavlinkFrame(link=index, data=data) for data in peer.step(t_us, mine)]
+            self._peer_rx += [
+                MavlinkFrame(link=index, data=data, reach=Reach.PROCESS) for data in peer.step(t_us, mine)
+            ]
 
     def _with_between(self, inputs: Inputs, outputs: Outputs) -> tuple[Inputs, Outputs]:
         """A tick for the log: with what was received and sent since the tick before."""

@@ -22,6 +22,7 @@ from autopilot.run.outside import Peer, VehicleIo
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.runtime import Runtime
 from autopilot.run.service_manager import ServiceManager
+from autopilot.run.signing_files import SigningFiles
 from drivers.links import open_link
 from drivers.protocols import Link
 from estimator.frame_filter import FrameFilter
@@ -65,7 +66,9 @@ class Kept:
     plans: KeptPlans | None
     """Where the plans are kept, None when they are not."""
     disk: Desk
-    """The lane on which both write."""
+    """The lane on which they write."""
+    signing: SigningFiles | None = None
+    """The signing key and its time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -98,6 +101,8 @@ class Session:
             if self.kept.plans is not None:
                 end.callback(self.kept.plans.finish)
             end.callback(self.kept.params.finish)
+            if self.kept.signing is not None:
+                end.callback(self.kept.signing.finish)
             end.callback(self.recorder.close)
             end.callback(manager.stopping)
             self.runtime.run(duration_s=self.duration_s, stop=stops)

@@ -23,6 +23,7 @@ from autopilot.run.outside import Peer
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.session import FASTEST, Kept, Outside, Session, loop_round, marker_vision, opened, take_plans
 from autopilot.run.session_log import LogContents, marker_attachment, open_recorder
+from autopilot.run.signing_files import SigningFiles
 from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_params import sitl_params, state_folder
 from autopilot.run.sitl_world import World, forecast, knowledge, make_world
@@ -106,7 +107,9 @@ def open_sitl(
     operator = ScriptedOperator(system_id(params, instance), scenario.fault) if settings["start"] else None
     all_peers = (*peers, operator) if operator is not None else tuple(peers)
     links_count = len(settings["connect"]) + len(all_peers)
-    service, parts = _service(settings, world, params, instance, links=links_count, saving=persistent)
+    signing = SigningFiles(state_folder(settings, instance), disk)
+    warnings += signing.warnings
+    service, parts = _service(settings, world, params, instance, links=links_count, saving=persistent, signing=signing)
     plan, plans = _plan(settings, scenario), _kept_plans(settings, parts, instance, disk)
     warnings += take_plans(parts, plan, plans, flown_at_once=operator is not None)
     device = SimulatedDevice(world.simulated, len(world.vehicle.thrusters))
@@ -120,7 +123,7 @@ def open_sitl(
         recorder=recorder,
         speed=world.speed,
     )
-    kept = Kept(params=persistent, plans=plans, disk=disk)
+    kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
     runtime = loop_round(service, parts, outside, kept, warnings, on_tick)
     machine = MachineFaults(scenario.fault)
     if not machine.none:
@@ -144,7 +147,14 @@ def open_sitl(
 
 
 def _service(
-    settings: Settings, world: World, params: ParamSet, instance: int, *, links: int, saving: ParamSaving
+    settings: Settings,
+    world: World,
+    params: ParamSet,
+    instance: int,
+    *,
+    links: int,
+    saving: ParamSaving,
+    signing: SigningFiles,
 ) -> tuple[Autopilot, Parts]:
     """The service for that world: it learns marker map, floor depth and origin, and nothing of the truth."""
     controller, controller_by = chosen_part(settings, "controller", world.scenario.plugins.controller)
@@ -168,6 +178,7 @@ def _service(
             patience=FASTEST if world.speed == 0.0 else max(1.0, world.speed),
             waits_for_plans=world.speed == 0.0,
             saving=saving,
+            signing=signing,
         )
     )
 

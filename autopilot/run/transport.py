@@ -131,13 +131,20 @@ class Transport:
     def _receive(self, index: int, t_us: int) -> list[MavlinkFrame]:
         def work() -> list[MavlinkFrame]:
             received = self._links[index].recv(t_us)
-            return [MavlinkFrame(link=index, data=got.data, client=got.client, sender=got.sender) for got in received]
+            return [
+                MavlinkFrame(link=index, data=got.data, client=got.client, sender=got.sender, reach=got.reach)
+                for got in received
+            ]
 
         self._guard.t_us = t_us
         return self._try(index, "receive", work, [])
 
     def _send(self, index: int, frame: MavlinkFrame) -> None:
-        self._try(index, "send", lambda: self._links[index].send(frame.data, frame.client), None)
+        link = self._links[index]
+        if frame.beside:
+            self._try(index, "send", lambda: link.send(frame.data, frame.client, frame.beside), None)
+        else:
+            self._try(index, "send", lambda: link.send(frame.data, frame.client), None)
 
     def _problem(self, index: int) -> str | None:
         """What is wrong with a link now: what its driver failed at, else what the driver says itself."""

@@ -281,7 +281,7 @@ class Client:
 
     def gets(self, frame: MavlinkFrame) -> bool:
         """Whether the link brings a frame to this client."""
-        return frame.link == self.link and frame.client in (0, self.number)
+        return frame.link == self.link and frame.client in (0, self.number) and self.number not in frame.beside
 
     def deliver(self, datagrams: list[bytes]) -> None:
         """What the vehicle sent this tick."""

@@ -1,0 +1,158 @@
+"""Operator control: one ground station that has asked for it commands, others look on.
+
+MAV_CMD_REQUEST_OPERATOR_CONTROL and CONTROL_STATUS of development.xml, single-owner mode. Nobody is in control until
+one asks; then whoever else wants to change something is refused (NOT_IN_CONTROL, DENIED, or a text). Reading goes on.
+A ground station is known by its system id: only signing makes that more than a name.
+"""
+
+from collections.abc import Callable
+
+from autopilot.core.messages import Severity
+from autopilot.mavlink.api import Answer, CommandResult
+from autopilot.mavlink.commands import ACCEPTED, Call, Reply, denied
+from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.dialect import extra, mav
+from autopilot.mavlink.wire import Message
+
+REQUEST = int(extra.MAV_CMD_REQUEST_OPERATOR_CONTROL)
+STATUS_ID = int(extra.MAVLINK_MSG_ID_CONTROL_STATUS)
+
+CHANGING = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_SET_MODE,
+        mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN,
+        mav.MAVLINK_MSG_ID_SETUP_SIGNING,
+        mav.MAVLINK_MSG_ID_PARAM_SET,
+        mav.MAVLINK_MSG_ID_MISSION_COUNT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM,
+        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
+        mav.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST,
+        mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT,
+        mav.MAVLINK_MSG_ID_MANUAL_CONTROL,
+        mav.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE,
+        mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+        mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+        mav.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
+    )
+)
+"""Messages that are for the one in control; commands that change something are as well."""
+_PLAN = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_MISSION_COUNT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+        mav.MAVLINK_MSG_ID_MISSION_ITEM,
+        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
+        mav.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST,
+    )
+)
+_NO_PERMISSION = 3
+"""MAV_PARAM_ERROR_PERMISSION_DENIED (common.xml)."""
+_LEAST_S, _MOST_S = 3.0, 60.0
+"""Range of the timeout that a request may name."""
+
+
+class Operators:
+    """Who is in control."""
+
+    def __init__(self, ctx: Context, value: Callable[[str], Message | None]) -> None:
+        """``value``: PARAM_VALUE of a parameter, None if there is none of that name."""
+        self._ctx = ctx
+        self._value = value
+        self._owner: Peer | None = None
+        """Where the one in control was heard last."""
+        self._takeover = False
+        self._heard_us = 0
+        self._shown: tuple[int, bool] | None = None
+
+    @property
+    def in_control(self) -> int:
+        """System id, 0 = nobody."""
+        return 0 if self._owner is None else self._owner.sysid
+
+    def status(self) -> Message:
+        """CONTROL_STATUS."""
+        flags = extra.GCS_CONTROL_STATUS_FLAGS_SYSTEM_MANAGER
+        if self._takeover or self._owner is None:
+            flags |= extra.GCS_CONTROL_STATUS_FLAGS_TAKEOVER_ALLOWED
+        return extra.MAVLink_control_status_message(flags, self.in_control, [0] * 10)
+
+    def heard(self, peer: Peer) -> None:
+        """A HEARTBEAT of a ground station."""
+        if peer.sysid == self.in_control:
+            self._owner, self._heard_us = peer, self._ctx.t_us
+
+    def tick(self) -> None:
+        """Who is away is not in control; a change is told at once."""
+        ctx = self._ctx
+        if self._owner is not None:
+            age_s = (ctx.t_us - self._heard_us) * 1e-6
+            if age_s > ctx.params["FS_GCS_TIMEOUT"] * ctx.patience:
+                ctx.say(Severity.WARNING, f"Operator {self.in_control} silent: nobody in control")
+                self._owner, self._takeover = None, False
+        shown = (self.in_control, self._takeover)
+        if self._shown is not None and shown != self._shown:
+            ctx.broadcast(self.status())
+        self._shown = shown
+
+    def keeps_out(self, peer: Peer) -> bool:
+        """Whether somebody else is in control."""
+        return self._owner is not None and peer.sysid != self._owner.sysid
+
+    def refused(self, peer: Peer, msg: Message) -> bool:
+        """Whether a message that is not a command is for the one in control only; its sender is told."""
+        kind = msg.get_msgId()
+        if kind not in CHANGING or not self.keeps_out(peer):
+            return False
+        ctx = self._ctx
+        if kind in _PLAN:
+            ctx.send(
+                peer,
+                mav.MAVLink_mission_ack_message(
+                    peer.sysid, peer.compid, mav.MAV_MISSION_DENIED, getattr(msg, "mission_type", 0)
+                ),
+            )
+        elif kind == mav.MAVLINK_MSG_ID_PARAM_SET:
+            name = msg.param_id.encode("ascii", errors="replace")[:16]
+            ctx.send(peer, mav.MAVLink_param_error_message(peer.sysid, peer.compid, name, -1, _NO_PERMISSION))
+            present = self._value(msg.param_id)
+            if present is not None:
+                ctx.send(peer, present)
+        ctx.text(Severity.WARNING, self.reason, peer)
+        return True
+
+    @property
+    def reason(self) -> str:
+        """Of a refusal."""
+        return f"Refused: system {self.in_control} is in control"
+
+    def request(self, call: Call) -> Reply:
+        """REQUEST_OPERATOR_CONTROL: param1 1 = take, 0 = give back; param2 1 = others may take it; param4 who asks."""
+        action, named = call.whole(1), call.whole(4) or 0
+        if action not in (0, 1) or named not in (0, call.peer.sysid):
+            return denied("operator control: param1 1 = take, 0 = release; for your own system id")
+        if action == 0:
+            if self.keeps_out(call.peer):
+                return Reply(Answer(result=CommandResult.NOT_IN_CONTROL, reason=self.reason))
+            if self._owner is not None:
+                self._ctx.say(Severity.NOTICE, f"Operator {self.in_control} released control")
+            self._owner, self._takeover = None, False
+            return Reply(ACCEPTED)
+        if self.keeps_out(call.peer) and not self._takeover:
+            self._ask_owner(call)
+            return Reply(Answer(result=CommandResult.FAILED, reason=f"System {self.in_control} is in control: asked"))
+        if call.peer.sysid != self.in_control:
+            self._ctx.say(Severity.NOTICE, f"Operator {call.peer.sysid} is in control")
+        self._owner, self._heard_us = call.peer, self._ctx.t_us
+        self._takeover = call.param(2) == 1.0
+        return Reply(ACCEPTED)
+
+    def _ask_owner(self, call: Call) -> None:
+        """The request goes to the one in control, as the same command."""
+        owner = self._owner
+        assert owner is not None
+        timeout_s = min(max(call.param(3), _LEAST_S), _MOST_S)
+        params = (1.0, call.param(2), timeout_s, float(call.peer.sysid), 0.0, 0.0, 0.0)
+        ask = mav.MAVLink_command_long_message(owner.sysid, owner.compid, REQUEST, 0, *params)
+        self._ctx.send(owner, ask)
+        self._ctx.text(Severity.NOTICE, f"Operator {call.peer.sysid} asks for control", owner)

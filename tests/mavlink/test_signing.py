@@ -1,0 +1,365 @@
+"""Message signing: who is heard, that times are not used twice, and that keys stay where they belong.
+
+Clients sign and check with pymavlink's own code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import stat
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from mavlink_harness import World, mav
+
+from autopilot.cli.main import cli
+from autopilot.core.clients import Reach
+from autopilot.core.errors import ConfigError
+from autopilot.core.messages import MavlinkFrame
+from autopilot.mavlink.api import AHEAD_UNITS, SigningState
+from autopilot.run.signing_files import EPOCH_S, SigningFiles
+
+KEY, OTHER = bytes(range(32)), hashlib.sha256(b"other").digest()
+NOW_S = EPOCH_S + 370_000_000.0
+NOW = 370_000_000 * 100_000
+DISARM = (0.0, 21196.0)
+
+
+class MemoryStore:
+    """A disk in memory."""
+
+    def __init__(self, key: bytes | None, stamp: int = NOW) -> None:
+        self.state = SigningState(key, stamp)
+        self.kept: list[SigningState] = []
+
+    def keep(self, tick: int, state: SigningState) -> None:
+        self.kept.append(state)
+
+    def poll(self, tick: int) -> str | None:
+        return None
+
+
+class Remote:
+    """A client that may sign, with pymavlink's packing; what it gets is checked by pymavlink too."""
+
+    def __init__(self, world: World, key: bytes | None, *, sysid: int = 255, reach: Reach = Reach.NETWORK) -> None:
+        self.world, self.reach, self.sysid = world, reach, sysid
+        self.mav = mav.MAVLink(None, srcSystem=sysid, srcComponent=190)
+        if key is not None:
+            self.mav.signing.secret_key, self.mav.signing.sign_outgoing = key, True
+            self.mav.signing.timestamp, self.mav.signing.link_id = NOW, 3
+        self.mav.robust_parsing = True
+        self.raw: list[bytes] = []
+
+    def pack(self, message: Any) -> bytes:
+        data = bytes(message.pack(self.mav))
+        self.mav.seq = (self.mav.seq + 1) & 0xFF
+        return data
+
+    def give(self, data: bytes) -> list[Any]:
+        """One tick with that datagram; what the server says."""
+        world = self.world
+        world.t_us += 10_000
+        frame = MavlinkFrame(link=0, client=1 + self.sysid, data=data, reach=self.reach, sender="somebody")
+        self.raw = [sent.data for sent in world.server.step(world.t_us, [frame], world.view)]
+        return [message for sent in self.raw for message in (self.mav.parse_buffer(sent) or [])]
+
+    def disarm(self) -> None:
+        self.give(self.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0)))
+
+
+def calls(world: World) -> list[str]:
+    """What the vehicle was told to do."""
+    return [call[0] for call in world.vehicle.calls]
+
+
+def test_without_a_key_unsigned_frames_are_obeyed_and_signed_ones_are_of_a_stranger() -> None:
+    world = World()
+    Remote(world, None).disarm()
+    assert calls(world) == ["disarm"]
+    stranger = Remote(world, OTHER, sysid=66)
+    stranger.disarm()
+    assert calls(world) == ["disarm"]
+    assert "unknown key" in " ".join(event.text for event in world.server.take_notices())
+
+
+def test_with_a_key_only_its_frames_are_obeyed_and_all_that_goes_out_is_signed() -> None:
+    world = World(signing=MemoryStore(KEY))
+    Remote(world, None, sysid=66).disarm()
+    Remote(world, None, sysid=66, reach=Reach.MACHINE).disarm()
+    Remote(world, OTHER, sysid=66).disarm()
+    assert calls(world) == []
+    friend = Remote(world, KEY)
+    friend.disarm()
+    assert calls(world) == ["disarm"]
+    for _ in range(300):
+        heard = friend.give(b"")
+        assert all(data[2] & 1 for data in friend.raw)
+        assert len(heard) == len(friend.raw) and not [m for m in heard if m.get_type() == "BAD_DATA"]
+    (beat,) = world.server.beat()
+    assert friend.mav.check_signature(bytearray(beat.data), 1, 1)
+    beats = {world.server.beat()[0].data for _ in range(3)}
+    assert len(beats) == 3, "every frame has a time of its own"
+
+
+def test_a_program_of_this_machine_need_not_sign_where_the_operator_says_so() -> None:
+    world = World(signing=MemoryStore(KEY))
+    world.params.set("SIGN_LOCAL", 1)
+    world.tick()
+    Remote(world, None, sysid=66).disarm()
+    assert calls(world) == []
+    Remote(world, None, sysid=67, reach=Reach.MACHINE).disarm()
+    assert calls(world) == ["disarm"]
+    Remote(world, OTHER, sysid=68, reach=Reach.MACHINE).disarm()
+    assert calls(world) == ["disarm"], "a wrong signature is refused from everywhere"
+
+
+def test_parts_of_the_service_and_radios_need_no_signature() -> None:
+    world = World(signing=MemoryStore(KEY))
+    Remote(world, None, reach=Reach.PROCESS).disarm()
+    assert calls(world) == ["disarm"]
+    radio = Remote(world, None, sysid=51)
+    radio.give(radio.pack(mav.MAVLink_radio_status_message(1, 2, 3, 4, 5, 6, 7)))
+    assert not world.server.take_notices()
+
+
+def test_recorded_frames_are_not_obeyed_again() -> None:
+    world = World(signing=MemoryStore(KEY))
+    friend = Remote(world, KEY)
+    data = friend.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0))
+    friend.give(data)
+    for _ in range(50):
+        friend.give(b"")
+    friend.give(data)
+    assert calls(world) == ["disarm"]
+
+
+def test_after_a_restart_frames_of_more_than_a_minute_ago_are_old() -> None:
+    old = World(signing=MemoryStore(KEY, NOW + 61 * 100_000))
+    Remote(old, KEY).disarm()
+    assert calls(old) == []
+    fresh = World(signing=MemoryStore(KEY, NOW + 59 * 100_000))
+    Remote(fresh, KEY).disarm()
+    assert calls(fresh) == ["disarm"]
+
+
+def setup(key: bytes = KEY, stamp: int = NOW) -> Any:
+    """SETUP_SIGNING."""
+    return mav.MAVLink_setup_signing_message(1, 1, list(key), stamp)
+
+
+def test_a_key_is_taken_from_this_machine_only_and_only_disarmed() -> None:
+    world = World(signing=(store := MemoryStore(None)))
+    world.show(armed=False)
+    remote = Remote(world, None)
+    remote.give(remote.pack(setup()))
+    local = Remote(world, None, sysid=254, reach=Reach.MACHINE)
+    world.show(armed=True)
+    local.give(local.pack(setup()))
+    assert store.kept == []
+    remote.disarm()
+    assert calls(world) == ["disarm"], "unsigned as before"
+
+    world.show(armed=False)
+    local.give(local.pack(setup()))
+    assert [state.key for state in store.kept] == [KEY] and store.kept[0].stamp >= NOW + AHEAD_UNITS
+    remote.disarm()
+    local.disarm()
+    assert calls(world) == ["disarm"]
+    friend = Remote(world, KEY, sysid=7, reach=Reach.MACHINE)
+    friend.disarm()
+    assert calls(world) == ["disarm", "disarm"]
+    local.give(local.pack(setup(OTHER)))  # not signed with the key in force
+    assert store.kept[-1].key == KEY
+    friend.give(friend.pack(setup(OTHER)))
+    assert store.kept[-1].key == OTHER
+    other = Remote(world, OTHER, sysid=8, reach=Reach.MACHINE)
+    other.mav.signing.timestamp = NOW + 10
+    other.give(other.pack(setup(bytes(32), 0)))
+    assert store.kept[-1].key is None
+    remote.disarm()
+    assert calls(world)[-1] == "disarm" and len(calls(world)) == 3
+
+
+def test_a_key_never_stands_in_a_description() -> None:
+    world = World()
+    data = Remote(world, None).pack(setup())
+    for frame in (MavlinkFrame(link=0, data=data), MavlinkFrame(link=0, data=b"\xfd\x03junk" + data + data)):
+        assert "signing key" in repr(frame) and repr(KEY)[2:20] not in repr(frame)
+    assert repr(data)[2:-1] in repr(MavlinkFrame(link=0, data=data[:6]))[0:0] + repr(data)
+    assert "aa" * 4 not in repr(SigningState(b"\xaa" * 32, 5))
+
+
+# On disk
+
+
+def test_the_key_file_is_its_owners_and_the_time_never_goes_back(tmp_path: Path) -> None:
+    files = SigningFiles(tmp_path, now_s=NOW_S)
+    assert files.state == SigningState(None, NOW)
+    files.write_key(KEY)
+    assert stat.S_IMODE((tmp_path / "signing.key").stat().st_mode) == 0o600
+
+    from autopilot.core.desk import Desk
+
+    used = 0
+    clock_s = NOW_S
+    for restart in range(5):
+        world = World(signing=SigningFiles(tmp_path, Desk(), now_s=clock_s))
+        client = Remote(world, KEY)
+        client.mav.signing.timestamp = used
+        stamps = []
+        for _ in range(4500 if restart == 1 else 40):
+            client.give(b"")
+            stamps += [int.from_bytes(data[-12:-6], "little") for data in client.raw]
+        assert min(stamps) > used, "a power cut at any moment: no time is used twice"
+        used = max(stamps)
+        clock_s = 0.0  # a board without a clock
+
+
+def test_a_damaged_key_does_not_open_the_vehicle(tmp_path: Path) -> None:
+    (tmp_path / "signing.key").write_text("0123")
+    with pytest.raises(ConfigError, match="no key of 64 hex digits"):
+        SigningFiles(tmp_path)
+    (tmp_path / "signing.key").write_text(KEY.hex())
+    (tmp_path / "signing.key").chmod(0o644)
+    (tmp_path / "signing.time").write_text("nonsense")
+    files = SigningFiles(tmp_path, now_s=NOW_S)
+    assert files.state == SigningState(KEY, NOW)
+    assert [text for text in files.warnings if "read by others" in text] and len(files.warnings) == 2
+
+
+def test_the_command_makes_shows_and_forgets_a_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AUTOPILOT_STATE_DIR", str(tmp_path))
+
+    def run(*args: str, given: str | None = None) -> str:
+        result = CliRunner().invoke(cli, ["mavlink", "key", *args], input=given)
+        assert result.exit_code == 0, result.output
+        return result.stdout
+
+    assert "no key" in run("show")
+    made = run("make").splitlines()[0]
+    assert SigningFiles(tmp_path / "sitl-0").state.key == bytes.fromhex(made)
+    assert run("show").strip() == made
+    assert hashlib.sha256(b"depth").hexdigest() in run("make", "--passphrase", given="depth\n")
+    run("forget")
+    assert not (tmp_path / "sitl-0" / "signing.key").exists()
+
+
+# MAVLink 1
+
+
+def old_frames(frames: list[bytes]) -> list[int]:
+    """Message numbers of MAVLink 1 frames; all have to be some."""
+    assert all(data[0] == 0xFE and len(data) == data[1] + 8 for data in frames)
+    return [data[5] for data in frames]
+
+
+def test_a_mavlink_1_client_is_answered_in_mavlink_1_beside_others() -> None:
+    from pymavlink.dialects.v10 import common as v10
+
+    world = World()
+    sent: dict[int, list[bytes]] = {5: [], 6: []}
+
+    def exchange(number: int, data: bytes) -> None:
+        world.t_us += 10_000
+        rx = [MavlinkFrame(link=0, client=number, data=data)] if data else []
+        for frame in world.server.step(world.t_us, rx, world.view):
+            for client, box in sent.items():
+                if frame.client in (0, client) and client not in frame.beside:
+                    box.append(frame.data)
+
+    old = v10.MAVLink(None, srcSystem=255, srcComponent=190)
+    new = mav.MAVLink(None, srcSystem=254, srcComponent=190)
+    exchange(5, old.heartbeat_encode(6, 8, 0, 0, 0).pack(old))
+    exchange(6, new.heartbeat_encode(6, 8, 0, 0, 0).pack(new))
+    first = sent[5][0]
+    assert first[0] == 0xFD and first[7:10] == b"\0\0\0", "once: there is MAVLink 2"
+    sent[5].clear()
+    sent[6].clear()
+    exchange(5, old.param_request_read_encode(1, 1, b"SPD_CRUISE", -1).pack(old))
+    exchange(5, old.mission_request_list_encode(1, 1).pack(old))
+    exchange(5, old.command_long_encode(1, 1, 512, 0, 148, 0, 0, 0, 0, 0, 0).pack(old))
+    for _ in range(300):
+        exchange(5, b"")
+    numbers = old_frames(sent[5])
+    assert {0, 1, 22, 30, 33, 44, 77, 148} <= set(numbers)
+    decoder = v10.MAVLink(None)
+    decoded = [message for data in sent[5] for message in (decoder.parse_buffer(data) or [])]
+    assert len(decoded) == len(sent[5])
+    assert {m.param_id for m in decoded if m.get_type() == "PARAM_VALUE"} == {"SPD_CRUISE"}
+    assert all(data[0] == 0xFD for data in sent[6])
+    ids = {int.from_bytes(data[7:10], "little") for data in sent[6]}
+    assert max(ids) > 255 and not ids & {22, 44}, "telemetry whole, and no answers of the other"
+
+    # A client that goes over to MAVLink 2 gets that from then on.
+    new5 = mav.MAVLink(None, srcSystem=255, srcComponent=190)
+    exchange(5, new5.heartbeat_encode(6, 8, 0, 0, 0).pack(new5))
+    sent[5].clear()
+    for _ in range(100):
+        exchange(5, b"")
+    assert sent[5] and all(data[0] == 0xFD for data in sent[5])
+
+
+# Operator control
+
+
+def test_while_an_operator_has_control_nobody_else_changes_anything() -> None:
+    world = World()
+    owner, other = world.client(number=1, sysid=255), world.client(number=2, sysid=66)
+    beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
+    assert other.command(400, *DISARM) == 0
+    assert owner.command(32100, 1.0, 0.0, 10.0) == 0
+    world.vehicle.calls.clear()
+
+    def everything() -> None:
+        """All that somebody may try."""
+        for message in (
+            mav.MAVLink_set_mode_message(1, 1, 0x04030000),
+            mav.MAVLink_param_set_message(1, 1, b"SPD_CRUISE", 0.2, 9),
+            mav.MAVLink_mission_count_message(1, 1, 0, 0),
+            mav.MAVLink_mission_clear_all_message(1, 1, 0),
+            mav.MAVLink_mission_set_current_message(1, 1, 0),
+            mav.MAVLink_manual_control_message(1, 100, 0, 0, 0, 0),
+            beat,
+        ):
+            other.send(message)
+            owner.send(beat)
+            world.run(0.05)
+
+    assert other.command(400, *DISARM) == 10
+    assert "system 255 is in control" in other.texts()
+    assert other.command(185, 1.0) == 10
+    assert other.command(300) == 10
+    everything()
+    assert calls(world) == [] and world.params["SPD_CRUISE"] == pytest.approx(0.35)
+    assert world.server.last_pilot_t_us is None
+    assert [m.type for m in other.got("MISSION_ACK")] == [mav.MAV_MISSION_DENIED] * 2
+    assert [m.error for m in other.got("PARAM_ERROR")] == [3] and other.got("PARAM_VALUE")
+    assert other.command(512, 148.0) == 0, "reading goes on"
+    status = owner.got("CONTROL_STATUS") or other.got("CONTROL_STATUS")
+    assert (status[-1].gcs_main, status[-1].flags) == (255, 1)
+
+    assert other.command(32100, 1.0, 0.0, 10.0) == 4
+    (ask,) = [m for m in owner.got("COMMAND_LONG") if m.command == 32100]
+    assert (ask.target_system, ask.param1, ask.param3, ask.param4) == (255, 1.0, 10.0, 66.0)
+    assert other.command(32100, 0.0) == 10, "nobody gives back what he has not got"
+    owner.send(beat)
+    assert owner.command(32100, 1.0, 1.0, 10.0) == 0, "may be taken over now"
+    assert other.command(32100, 1.0, 0.0, 10.0) == 0
+    assert owner.command(400, *DISARM) == 10
+    assert other.command(400, *DISARM) == 0
+    assert other.command(32100, 0.0) == 0
+    assert owner.command(400, *DISARM) == 0
+
+
+def test_an_operator_who_is_gone_is_not_in_control() -> None:
+    world = World()
+    owner, other = world.client(number=1, sysid=255), world.client(number=2, sysid=66)
+    assert owner.command(32100, 1.0) == 0
+    assert other.command(300) == 10
+    world.run(world.params["FS_GCS_TIMEOUT"] + 0.5)
+    assert "nobody in control" in other.texts()
+    assert (other.got("CONTROL_STATUS")[-1].gcs_main, other.got("CONTROL_STATUS")[-1].flags) == (0, 3)
+    assert other.command(300) == 0
