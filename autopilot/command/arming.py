@@ -34,11 +34,14 @@ class ArmingChecks:
         self._failsafes = failsafes
         self._controller_check = controller_check
 
-    def reasons(self, conditions: Conditions | None) -> tuple[str, ...]:
-        """Empty when ready; one line each."""
+    def reasons(self, conditions: Conditions | None, *, blind: bool = False) -> tuple[str, ...]:
+        """Empty when ready; one line each. ``blind``: for a mode that needs no position; of a place that is not known
+        nothing is asked then."""
         if conditions is None:
             return STARTING
         nav = conditions.nav
+        if blind and (nav is None or nav.health is not NavHealth.GOOD):
+            return self._failsafes.prearm_reasons(conditions, blind=True)
         reasons = list(self._failsafes.prearm_reasons(conditions))
         reasons += [] if nav is None else self._of_place(nav)
         if self._params["DEPTH_MIN"] >= self._params["DEPTH_MAX"]:

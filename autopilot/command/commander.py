@@ -16,9 +16,12 @@ from autopilot.command.decision import Decision
 from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.mission_run import MissionRun
 from autopilot.command.modes import Modes
+from autopilot.command.offboard import Offboard
+from autopilot.command.piloting import Piloting
 from autopilot.command.plan_watch import FenceGuard, PlanCheckNews
 from autopilot.command.refusals import Refusals, denied
 from autopilot.command.situation import Situation
+from autopilot.command.steering import Steering
 from autopilot.command.watch import Watch
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
@@ -28,7 +31,7 @@ from autopilot.core.messages import Event, NavState, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode
+from autopilot.mavlink.api import BLIND, Answer, Circling, CommandResult, FlightMode, SetPoint
 from mission.goals import Goals
 from mission.judgement import Verdict
 from mission.sequencer import Position
@@ -61,8 +64,10 @@ class Commander:
         self._mission = MissionRun(params, plans, self._operator, speed_m_s or (lambda _: params["SPD_PLANAR_MAX"]))
         self._situation = Situation(vehicle, params, plans, self._goals, self._mission.sequencer)
         self._failsafes = FailsafeRules(params, self._situation)
-        self._modes = Modes(self._goals, self._mission, self._failsafes, self._operator)
-        self._refusals = Refusals(plans, self._goals, self._mission, self._modes, self._failsafes)
+        piloting, self._offboard = Piloting(vehicle, params, self._goals), Offboard(params, self._goals)
+        self._modes = Modes(self._goals, self._mission, self._failsafes, self._operator, piloting, self._offboard)
+        self._steering = Steering(vehicle, params, plans, self._goals, self._modes)
+        self._refusals = Refusals(plans, self._goals, self._mission, self._modes, self._failsafes, self._offboard)
         self._watch = Watch(vehicle, plans, self._goals)
         self._arming = ArmingChecks(params, plans, self._goals, self._failsafes, controller_check)
         self._check_news = PlanCheckNews(plans, self._operator)
@@ -117,7 +122,7 @@ class Commander:
 
     def prearm_reasons(self) -> tuple[str, ...]:
         """Why arming would be refused now; empty when ready."""
-        return self._arming.reasons(self._modes.conditions)
+        return self._arming.reasons(self._modes.conditions, blind=self._modes.chosen in BLIND)
 
     # Requests: arming and modes
 
@@ -134,7 +139,8 @@ class Commander:
             self._operator.say(Severity.WARNING, "Forced arming despite: " + "; ".join(reasons))
         self._modes.arm()
         mode = self._modes.chosen
-        self._modes.enter(mode if self._refusals.of_mode(mode) is None else FlightMode.HOLD)
+        allowed = self._refusals.of_mode(mode) is None and not self._steering.prepare(mode)
+        self._modes.enter(mode if allowed else FlightMode.HOLD)
         self._operator.say(Severity.INFO, "Armed")
         return _ACCEPTED
 
@@ -148,6 +154,9 @@ class Commander:
         refusal = self._refusals.of_mode(mode)
         if refusal is not None:
             return refusal
+        reason = self._steering.prepare(mode)
+        if reason:
+            return denied(reason)
         self._modes.choose(mode)
         return _ACCEPTED
 
@@ -200,6 +209,69 @@ class Commander:
         if self._modes.goal is not None:
             cruise = self._params["SPD_CRUISE"] if speed_m_s is None else speed_m_s
             self._modes.goal = replace(self._modes.goal, speed_m_s=cruise, speed_asked=speed_m_s is not None)
+        return _ACCEPTED
+
+    # Requests: steering
+
+    def set_point(self, point: SetPoint) -> Answer:
+        """Follow it in GUIDED. One that cannot be followed ends the mode."""
+        refusal = self._offboard.refusal(point)
+        if not refusal:
+            self._offboard.take(point)
+            return _ACCEPTED
+        return self.refuse_set_point(refusal)
+
+    def refuse_set_point(self, reason: str) -> Answer:
+        """A set point that is not followed: GUIDED ends."""
+        self._offboard.take(None, f"set point refused, {reason}")
+        if self._modes.armed and self._modes.chosen is FlightMode.GUIDED:
+            self._modes.interrupt()
+        return denied(f"Set point refused: {reason}")
+
+    def orbit(self, circle: Circling) -> Answer:
+        """Round a place."""
+        if not self._modes.armed:
+            return denied("Orbit denied: arm first")
+        refusal = self._refusals.of_mode(FlightMode.CIRCLE)
+        if refusal is not None:
+            return refusal
+        reason = self._steering.choose_circle(circle)
+        if reason:
+            return denied(f"Orbit denied: {reason}")
+        self._modes.choose(FlightMode.CIRCLE)
+        return _ACCEPTED
+
+    def change_depth(self, depth_m: float) -> Answer:
+        """Another depth where the vehicle is, or on its circle."""
+        nav = self._modes.nav
+        if not self._modes.armed:
+            return denied("Change of depth denied: arm first")
+        if nav is None:
+            return denied("Change of depth denied: no position")
+        if self._modes.mode in (FlightMode.MISSION, FlightMode.RETURN, FlightMode.SURFACE):
+            return denied(f"Change of depth denied in {self._modes.mode.name}: hold first")
+        if self._modes.mode is FlightMode.CIRCLE:
+            reason = self._steering.circle_at(depth_m)
+        else:
+            goal = self._goals.hold(nav)
+            place = np.array([*goal.pos_ned_m[:2], depth_m])
+            reason = self._steering.depth_refusal(depth_m)
+            if not reason:
+                answer = self.set_mode(FlightMode.HOLD)
+                if answer.result is not CommandResult.ACCEPTED:
+                    return answer
+                self._modes.fly_to(self._goals.at(place, goal.yaw_rad))
+        return denied(f"Change of depth denied: {reason}") if reason else _ACCEPTED
+
+    def take_off(self, depth_m: float | None) -> Answer:
+        """Dive and hold; at arming when disarmed."""
+        refusal = self._refusals.of_mode(FlightMode.TAKEOFF)
+        if refusal is not None:
+            return refusal
+        reason = self._steering.choose_dive(depth_m)
+        if reason:
+            return denied(reason)
+        self._modes.choose(FlightMode.TAKEOFF)
         return _ACCEPTED
 
     # Requests: places
@@ -276,6 +348,7 @@ class Commander:
             armed=modes.armed,
             surfacing=mode is FlightMode.SURFACE,
             on_mission=mode is FlightMode.MISSION,
+            blind=modes.armed and mode in BLIND,
         )
         modes.apply_failsafes(conditions)
         if not modes.armed and self._ticks % READINESS_EVERY_TICKS == 0:
@@ -291,6 +364,7 @@ class Commander:
             reached=reached,
             failsafes=self._failsafes.bits,
             ascent=modes.ascent,
+            by_hand=modes.by_hand(conditions),
             drop_weight=modes.drop_weight,
             hand_back=modes.handed_back,
         )

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from autopilot.command.facts import Facts
 from autopilot.core.messages import Below, NavDoubt, NavState
 from autopilot.core.samples import PowerSample
+from autopilot.mavlink.api import Sticks
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -40,5 +41,7 @@ class Conditions:
     """The flight controller below us, None without one."""
     refusals: tuple[str, ...] = ()
     """What devices have against arming."""
+    sticks: Sticks | None = None
+    """Of the pilot, None = nobody steers (any more)."""
     facts: Facts = field(default_factory=Facts)
     """What has been heard beside the estimate."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.messages import Goal, MissionProgress
 from autopilot.mavlink.api import FlightMode
 
@@ -26,5 +27,7 @@ class Decision:
     """A failsafe wants the drop weight off."""
     ascent: Pose | None = None
     """Surface without the controller: up to here (north, east, depth, heading) by the simple station-keeping law."""
+    by_hand: ByHand | None = None
+    """Without a position: what the pilot asks for, flown without the controller."""
     hand_back: bool = False
     """A failsafe has given the thrusters to the flight controller below."""

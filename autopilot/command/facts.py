@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from autopilot.control.thrust.by_hand import Felt
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Inputs
 from autopilot.core.model4 import Model4
@@ -37,6 +38,9 @@ LATE_EVERY_US = 1_000_000
 
 JUMP_S = 0.5
 """A clock of day that is set by less than this is being kept in step, not set."""
+
+FELT_US = 1_000_000
+"""A heading or a depth that is older says nothing."""
 
 SHOWN_US = 10_000_000
 """A jump of the clock and a collision are things of a moment: shown for so long."""
@@ -70,6 +74,14 @@ class Facts:
     jumped_us: float = NEVER
     """When the clock of day last jumped."""
     collided_us: float = NEVER
+    yaw_rad: float = NEVER
+    """Of the AHRS, which has an unknown offset."""
+    yaw_rate_rad_s: float = 0.0
+    ahrs_us: float = NEVER
+    """When it last said so."""
+    depth_m: float = NEVER
+    """Of the pressure sensor."""
+    depth_us: float = NEVER
     thrust_n: FloatArray | None = None
     """(n,) commanded now."""
     sensors: dict[str, _Heard] = field(default_factory=dict)
@@ -88,6 +100,18 @@ class Facts:
             self.late_share = (inputs.overruns - self._late) / since_ticks
             self._late, self._late_us = inputs.overruns, t_us
 
+    def note_ahrs(self, t_us: int, sample: AhrsSample) -> None:
+        """The newest attitude."""
+        yaw, rate = sample.rpy_rad.item(2), sample.rate_frd_rad_s.item(2)
+        if math.isfinite(yaw + rate):
+            self.yaw_rad, self.yaw_rate_rad_s, self.ahrs_us = yaw, rate, t_us
+
+    def felt(self, t_us: int) -> Felt:
+        """What is known of the vehicle without a position, and not too old."""
+        yaw = self.yaw_rad if t_us - self.ahrs_us <= FELT_US else None
+        depth = self.depth_m if t_us - self.depth_us <= FELT_US else None
+        return Felt(yaw_rad=yaw, yaw_rate_rad_s=self.yaw_rate_rad_s, depth_m=depth)
+
     def note_sample(self, t_us: int, sample: Sample) -> None:
         """One sample that is none of the AHRS: those come with every tick (:class:`Jolts`)."""
         if isinstance(sample, LeakSample):
@@ -104,6 +128,8 @@ class Facts:
             self.pilot_us = t_us
         elif isinstance(sample, DepthSample):
             self._read(t_us, "depth sensor", sample.depth_m)
+            if math.isfinite(sample.depth_m):
+                self.depth_m, self.depth_us = sample.depth_m, t_us
         elif isinstance(sample, VelocitySample):
             self._read(t_us, "velocity log", sample.vel_frd_m_s.tobytes())
         elif isinstance(sample, PowerSample):

@@ -79,17 +79,23 @@ class FailsafeRules:
         """Whether a condition that asks for an action (not only a warning) holds."""
         return any(watch.active and RANK[watch.effect] > 0 for watch in self._watches)
 
+    def acts_beside(self, rule: Failsafe) -> bool:
+        """Whether another condition than that one asks for an action."""
+        return any(watch.active and RANK[watch.effect] > 0 and watch.row.rule is not rule for watch in self._watches)
+
     def clear(self) -> None:
         """Forget past actions (on arming, and when the operator takes over)."""
         self.action = None
         self._judge = True
 
-    def prearm_reasons(self, conditions: Conditions) -> tuple[str, ...]:
-        """Why the vehicle must not be armed."""
+    def prearm_reasons(self, conditions: Conditions, *, blind: bool = False) -> tuple[str, ...]:
+        """Why the vehicle must not be armed. ``blind``: for a mode that needs no position."""
         reasons = []
         if conditions.ahrs_age_s is None or conditions.ahrs_age_s > AHRS_TIMEOUT_S:
             reasons.append("AHRS is silent or frozen: check cable and port")
-        if conditions.nav is None:
+        if blind:
+            pass
+        elif conditions.nav is None:
             reasons.append("no position yet: markers must be in view")
         elif conditions.nav.health is not NavHealth.GOOD:
             reasons.append("position is not good: markers must be in view")

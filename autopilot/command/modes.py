@@ -1,18 +1,28 @@
 """The state machine: armed or not, which mode is in force, and where it goes."""
 
 from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
 
 from autopilot.command.announcements import Announcements
+from autopilot.command.circling import Circle
 from autopilot.command.conditions import Conditions
 from autopilot.command.decision import Pose
 from autopilot.command.failsafe_table import Effect
 from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.mission_run import MissionRun
+from autopilot.command.offboard import Offboard
+from autopilot.command.piloting import RELEASED, Piloting
+from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavHealth, NavState, Severity
-from autopilot.mavlink.api import FlightMode
+from autopilot.mavlink.api import BLIND, PILOTED, FlightMode
 from mission.goals import Goals
 from mission.sequencer import Action, is_inside
+
+DIVED_M = 0.1
+"""TAKEOFF is over within this distance of its depth."""
 
 SURFACED_M = 0.05
 """The vehicle counts as surfaced within this distance of where it floats."""
@@ -21,8 +31,20 @@ SURFACED_M = 0.05
 class Modes:
     """Does what it is told: whether it may is asked before (:mod:`autopilot.command.commander`)."""
 
-    def __init__(self, goals: Goals, mission: MissionRun, failsafes: FailsafeRules, operator: Announcements) -> None:
+    def __init__(
+        self,
+        goals: Goals,
+        mission: MissionRun,
+        failsafes: FailsafeRules,
+        operator: Announcements,
+        piloting: Piloting,
+        offboard: Offboard,
+    ) -> None:
         self._goals = goals
+        self._piloting = piloting
+        self._offboard = offboard
+        self._seen = True
+        """Whether there was a position on the last tick."""
         self._mission = mission
         self._failsafes = failsafes
         self._operator = operator
@@ -39,6 +61,10 @@ class Modes:
         """The operator's mode."""
         self.goal: Goal | None = None
         """Where the mode in force goes, None as long as it has not been asked."""
+        self.circle: Circle | None = None
+        """What mode CIRCLE flies."""
+        self.dive_m = 0.0
+        """Depth that mode TAKEOFF goes to."""
         self.drop_weight = False
         """A failsafe has let the drop weight go, since the last arming."""
         self.handed_back = False
@@ -106,6 +132,8 @@ class Modes:
         self.orders += 1
         self.ascent = None
         self._under_way |= mode is not FlightMode.HOLD
+        self._piloting.begin()
+        self._offboard.begin()
         if mode is FlightMode.MISSION:
             self._mission.start(self._operator.t_us, self.nav)
         else:
@@ -193,19 +221,63 @@ class Modes:
     def advance(self, conditions: Conditions) -> tuple[Goal | None, tuple[int, ...]]:
         """Goal of this tick, and the mission items that have been reached on it."""
         nav = self.nav
+        self._watch_position()
         if not self.armed or self.yielded or nav is None:
             return None, ()
         reached: tuple[int, ...] = ()
         if self.mode is FlightMode.MISSION:
             reached = self._fly_mission(conditions.t_us, nav)
+        elif self.mode in PILOTED:
+            self.goal = self._piloting.goal(self.mode, conditions.sticks or RELEASED, nav)
+        elif self.mode is FlightMode.GUIDED:
+            self._follow(conditions.t_us, nav)
+        elif self.mode is FlightMode.CIRCLE:
+            self._go_round(nav)
         if self.goal is None:
             self.goal = self._goal_of(self.mode, nav)
+        if self.mode is FlightMode.TAKEOFF and abs(nav.pos_ned_m[2] - self.goal.pos_ned_m[2]) < DIVED_M:
+            self._operator.say(Severity.NOTICE, f"Dived to {self.goal.pos_ned_m[2]:.2f} m: holding")
+            self.chosen = FlightMode.HOLD
         self._watch_way(conditions, self.goal, nav)
         goal = self.goal
         if self.mode is FlightMode.SURFACE and nav.pos_ned_m[2] <= self._goals.top_m + SURFACED_M:
             self._operator.say(Severity.NOTICE, "Surfaced")
             self.disarm(force=False)
         return goal if self.ascent is None else None, reached
+
+    def by_hand(self, conditions: Conditions) -> ByHand | None:
+        """What a pilot asks for where there is no position, None where the mode needs one or there is one."""
+        if not self.armed or self.yielded or self.nav is not None or self.mode not in BLIND:
+            return None
+        return self._piloting.by_hand(self.mode, conditions.sticks or RELEASED)
+
+    def _watch_position(self) -> None:
+        """A pilot is told when fence and limits no longer hold, and when they do again."""
+        seen, piloted = self.nav is not None, self.armed and self.mode in BLIND
+        if piloted and self._seen and not seen:
+            self._operator.say(Severity.CRITICAL, "Position lost: no fence, no limits, steer by hand")
+        elif piloted and seen and not self._seen:
+            self._operator.say(Severity.NOTICE, "Position is back: fence and limits hold")
+        if seen != self._seen:
+            self._piloting.begin()
+        self._seen = seen
+
+    def _follow(self, t_us: int, nav: NavState) -> None:
+        """Set points, as long as they come."""
+        if self._offboard.alive(t_us):
+            self.goal = self._offboard.goal(nav)
+        else:
+            self._operator.say(Severity.WARNING, "Set points stopped: holding")
+            self.enter(FlightMode.HOLD)
+
+    def _go_round(self, nav: NavState) -> None:
+        """The circle, until its turns are made."""
+        if self.circle is None:
+            return
+        self.goal = self.circle.goal(nav)
+        if self.circle.over:
+            self._operator.say(Severity.NOTICE, "Circle done: holding")
+            self.enter(FlightMode.HOLD)
 
     def _fly_mission(self, t_us: int, nav: NavState) -> tuple[int, ...]:
         """The mission's goal of this tick, or what it ends with. The result is the items that have been reached."""
@@ -236,6 +308,9 @@ class Modes:
         """Where a mode goes from here; a mission says so itself, until then it holds."""
         if mode is FlightMode.RETURN:
             return self._goals.home(nav)
+        if mode is FlightMode.TAKEOFF:
+            rest = self._goals.hold(nav)
+            return replace(rest, pos_ned_m=np.array([*rest.pos_ned_m[:2], self.dive_m]))
         return self._goals.surface(nav) if mode is FlightMode.SURFACE else self._goals.hold(nav)
 
     def _move_home(self, pos_ned_m: FloatArray) -> None:

@@ -1,5 +1,7 @@
 """From goal to thrust: the controller on its ticks, its inner loop in between, and what is flown without either."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from autopilot.command.decision import Decision, Pose
@@ -7,6 +9,7 @@ from autopilot.control.fence.tracks import Tracks
 from autopilot.control.protocol import Controller, sound, sound_thrust_n
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.thrust.actuation import Actuation
+from autopilot.control.thrust.by_hand import SLEW_SHARE_1_S, Felt, HandLaw
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import ControlOutput, Fallback, Goal, NavHealth, NavState, NmpcStatus, SolveStatus
@@ -30,8 +33,15 @@ class Motion:
         self._params = params
         self._tracks = tracks
         self._sharing = Sharing.of(vehicle)
+        self._hand = HandLaw(self._sharing)
+        self._soft: tuple[int, FloatArray] | None = None
+        """Time and thrust of the last tick, from the one on which a pilot without a position let go."""
+        self.felt: Callable[[int], Felt] = lambda _: Felt()
+        """What is known without a position, asked only then."""
         self.thrust_n: FloatArray = actuation.nothing()
         """(n,) wanted now."""
+        self._wanted_n: FloatArray = actuation.nothing()
+        """(n,) that the controller wants."""
         self._limit_n: FloatArray = actuation.nothing()
         """(n,) of the last control step."""
         self.status: NmpcStatus | None = None
@@ -50,22 +60,43 @@ class Motion:
         self, t_us: int, nav: NavState | None, decision: Decision, last_goal: Goal | None, fence: Fence, *, due: bool
     ) -> ControlOutput | None:
         """One tick. ``due``: a tick of the controller; a goal that appears does not wait for one."""
-        goal = decision.goal
+        goal, before_n = decision.goal, self.thrust_n
         if goal is None or nav is None:
-            limit_n = BLIND_ASCENT_SHARE * self._params["THR_LIMIT"]
+            lift_n = BLIND_ASCENT_SHARE * self._params["THR_LIMIT"]
             actuation = self._actuation
-            self.thrust_n = actuation.lift_n(limit_n) if decision.blind_ascent else actuation.nothing()
+            self.thrust_n = actuation.lift_n(lift_n) if decision.blind_ascent else actuation.nothing()
             if decision.ascent is not None and nav is not None and nav.health is not NavHealth.INVALID:
                 self.thrust_n = self._ascend(nav, decision.ascent)
+            if decision.by_hand is not None:
+                limit_n = np.minimum(actuation.limit_n, self._params["THR_LIMIT"])
+                self.thrust_n = self._hand.thrust_n(t_us, decision.by_hand, self.felt(t_us), limit_n, before_n)
+                self._soft = (t_us, self.thrust_n)
+            else:
+                self._hand.release()
+                self._soft = None
             if last_goal is not None:
                 self.reset()
             return None
+        self._hand.release()
         nav = self._actuation.nav_for_control(t_us, nav)
+        control = None
         if due or last_goal is None:
-            return self._control(t_us, nav, goal, fence)
-        between = self._controller.tick(t_us, nav)
-        self.thrust_n = self.thrust_n if between is None else sound_thrust_n(between, self._limit_n)
-        return None
+            control = self._control(t_us, nav, goal, fence)
+        else:
+            between = self._controller.tick(t_us, nav)
+            self._wanted_n = self._wanted_n if between is None else sound_thrust_n(between, self._limit_n)
+        self.thrust_n = self._softened(t_us, self._wanted_n)
+        return control
+
+    def _softened(self, t_us: int, wanted_n: FloatArray) -> FloatArray:
+        """What is wanted, coming from a pilot's thrust as fast as thrust may change."""
+        if self._soft is None:
+            return wanted_n
+        last_us, last_n = self._soft
+        most = SLEW_SHARE_1_S * (t_us - last_us) * 1e-6 * self._limit_n
+        thrust_n: FloatArray = np.clip(wanted_n, last_n - most, last_n + most)
+        self._soft = None if np.array_equal(thrust_n, wanted_n) else (t_us, thrust_n)
+        return thrust_n
 
     def _ascend(self, nav: NavState, place: Pose) -> FloatArray:
         """Up without the optimiser: the station-keeping law, whose station is at the surface."""
@@ -91,7 +122,7 @@ class Motion:
         control = sound(control, limit_n)
         solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
         self.solver_failures = 0 if solved or actuation.doubtful else self.solver_failures + 1
-        self.thrust_n, self.status = control.thrust_n, control.status
+        self._wanted_n, self.status = control.thrust_n, control.status
         self.way_left_m = _length_m(control.route_ned_m)
         return control
 

@@ -70,6 +70,7 @@ class Autopilot:
         self._surroundings = Surroundings(parts.vehicle, parts.params)
         self._estimation = Estimation(parts.estimator, parts.guard)
         self._motion = Motion(parts.vehicle, parts.controller, parts.actuation, parts.params, self._surroundings.tracks)
+        self._motion.felt = self._surroundings.facts.felt
         self._faults = FaultResponse(parts.vehicle, parts.params, parts.guard, parts.commander, self._motion)
         self._given: Inputs | None = None
         self._shown: VehicleView | None = None
@@ -244,6 +245,7 @@ class Autopilot:
             fault=self._faults.problem(t_us),
             below=self._surroundings.below,
             refusals=self._surroundings.refusals,
+            sticks=self._parts.server.sticks,
             facts=self._facts(),
         )
 

@@ -81,12 +81,14 @@ class Situation:
         self.low_voltage = self.critical_voltage = math.inf
         """-1 = the voltage is too low and has been for BATT_LOW_TIMER, else inf."""
 
-    def look(self, conditions: "Conditions", *, armed: bool, surfacing: bool, on_mission: bool) -> None:
-        """Once per tick."""
+    def look(
+        self, conditions: "Conditions", *, armed: bool, surfacing: bool, on_mission: bool, blind: bool = False
+    ) -> None:
+        """Once per tick. ``blind``: somebody steers who needs no position."""
         t_us, nav = conditions.t_us, conditions.nav
         valid = nav is not None and nav.health is not NavHealth.INVALID
         self._known = self._known or valid
-        self.nav_lost = 1.0 if self._known and not valid else 0.0
+        self.nav_lost = 1.0 if self._known and not valid and not blind else 0.0
         if not armed:
             self.armed_us = math.inf
         elif self.armed_us == math.inf:

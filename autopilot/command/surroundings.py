@@ -46,6 +46,8 @@ class Surroundings:
         facts.note(inputs)
         for sample in inputs.samples:
             if isinstance(sample, AhrsSample | ImuSample):
+                if isinstance(sample, AhrsSample):
+                    facts.note_ahrs(inputs.t_us, sample)
                 if self._jolts.look(sample, facts.thrust_n, self._params["FS_COLL_ACC"]):
                     facts.collided_us = inputs.t_us
             elif isinstance(sample, PowerSample):

@@ -258,6 +258,8 @@ class Drive:
     """None = the goal's depth."""
     yaw_rate_rad_s: float | None = None
     """None = the goal's heading."""
+    yaw_trend_rad_s: float = 0.0
+    """So fast the goal's heading itself turns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -49,6 +49,12 @@ _ACTIONS = "0 = warn, 1 = hold, 2 = surface, 3 = return, 4 = disarm, 5 = surface
 PARAMETERS: tuple[ParamSpec, ...] = (
     _real("DEPTH_MAX", 1.2, 0.1, 6000.0, "m", "Deepest point of the vehicle's centre (depth band, exact penalty)."),
     _real("DEPTH_MIN", 0.05, 0.0, 100.0, "m", "Shallowest point of the vehicle's centre while under control."),
+    *(
+        _int(f"BTN{n}_FUNCTION", 0, 0, 43, f"What joystick button {n} does (docs/piloting.md), 0 = nothing.")
+        for n in range(16)
+    ),
+    _real("CIRCLE_RADIUS", 0.8, 0.1, 1000.0, "m", "Radius of mode CIRCLE where no command says one."),
+    _real("CIRCLE_SPEED", 0.15, -3.0, 3.0, "m/s", "Speed along the circle, negative = to port."),
     _int("EST_CURRENT_3D", 0, 0, 1, "1 = the estimator looks for a vertical current too, 0 = taken as zero (restart)."),
     _real("EST_EXT_DELAY", 0.0, 0.0, 0.5, "s", "Age on arrival of external poses with stamps of another clock."),
     _int("EST_SHADOW", 1, 0, 1, "1 = the other estimator runs in the shadow of the flown one as a check (restart)."),
@@ -170,11 +176,18 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("SPD_YAW_MAX", 1.0, 0.05, 3.0, "rad/s", "Limit of yaw rate (exact penalty)."),
     _int("SYSID_THISMAV", 1, 1, 250, "MAVLink system id; instance N adds N."),
     _real("THR_LIMIT", 12.0, 0.5, 200.0, "N", "Limit of every thrust command (hard constraint)."),
+    _real("OFFB_TIMEOUT", 1.0, 0.1, 60.0, "s", "Set points are followed for so long without another one; then HOLD."),
+    _real("PILOT_GAIN", 0.5, 0.1, 1.0, "", "Share of full sticks that a pilot gets; buttons change it until restart."),
+    _real("PILOT_RATE_YAW", 0.8, 0.05, 3.0, "rad/s", "Yaw rate of a full stick, within SPD_YAW_MAX."),
+    _real("PILOT_SPD", 0.5, 0.02, 3.0, "m/s", "Speed over ground of a full stick in POSHOLD, within SPD_PLANAR_MAX."),
+    _real("PILOT_SPD_Z", 0.3, 0.02, 2.0, "m/s", "Climb rate of a full stick where depth is held, within limits."),
+    _int("PILOT_Z", 0, 0, 1, "Vertical stick of MANUAL_CONTROL: 0 = 0 to 1000, neutral 500, 1 = -1000 to 1000."),
     _int("PILOT_BACK", 0, 0, 1, "The pilot has given the vehicle back: 0 = hold, 1 = go on with the mission."),
     _int("SIGN_LOCAL", 0, 0, 1, "With a signing key: 1 = programs of this machine need not sign, 0 = all have to."),
     _int("THR_DETECT", 1, 0, 1, "1 = losses of thrust are found from the motion, 0 = only THRn_HEALTH counts."),
     _real("THR1_HEALTH", 1.0, 0.0, 1.0, "", "Share of its thrust that the vehicle file's thruster 1 is known to give."),
     *(_real(f"THR{i}_HEALTH", 1.0, 0.0, 1.0, "", f"The same of thruster {i}.") for i in range(2, 9)),
+    _real("TKOFF_DEPTH", 0.5, 0.05, 6000.0, "m", "Depth that taking off dives to where no command says one."),
     _real("WP_ACCEPT_RADIUS", 0.3, 0.02, 50.0, "m", "Acceptance ball where an item gives none."),
     _real("WP_ACCEPT_YAW", 0.15, 0.01, 3.15, "rad", "Acceptance band of the heading where an item gives a heading."),
     _int(

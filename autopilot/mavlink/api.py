@@ -40,6 +40,80 @@ class FlightMode(IntEnum):
     """Back to home, then hold."""
     SURFACE = 3
     """Up at the present position, then disarm."""
+    MANUAL = 4
+    """Sticks are thrust."""
+    STABILIZE = 5
+    """As MANUAL, heading held."""
+    ALT_HOLD = 6
+    """As STABILIZE, depth held."""
+    POSHOLD = 7
+    """Sticks are velocities; released, the vehicle holds its place."""
+    GUIDED = 8
+    """Set points of a client, one after the other."""
+    CIRCLE = 9
+    """Round a place."""
+    TAKEOFF = 10
+    """Down to a depth, then hold: what taking off is under water."""
+
+
+PILOTED = frozenset({FlightMode.MANUAL, FlightMode.STABILIZE, FlightMode.ALT_HOLD, FlightMode.POSHOLD})
+"""Modes in which a pilot steers."""
+
+BLIND = frozenset({FlightMode.MANUAL, FlightMode.STABILIZE, FlightMode.ALT_HOLD})
+"""Modes that need no position."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sticks:
+    """A pilot's sticks, -1 to 1, his gain applied."""
+
+    ahead: float = 0.0
+    starboard: float = 0.0
+    up: float = 0.0
+    turn: float = 0.0
+    """To starboard."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetPoint:
+    """What a client wants the vehicle to do until its next word. Over ground; what is None is held as it is."""
+
+    until_us: int
+    """Then it is too old to be followed."""
+    place_ned_m: tuple[float, float] | None = None
+    """North, east."""
+    vel_m_s: tuple[float, float] | None = None
+    """North, east; ahead, starboard when ``body``."""
+    body: bool = False
+    depth_m: float | None = None
+    down_m_s: float | None = None
+    yaw_rad: float | None = None
+    yaw_rate_rad_s: float | None = None
+
+
+class OrbitYaw(IntEnum):
+    """ORBIT_YAW_BEHAVIOUR (common.xml), as far as it makes sense here."""
+
+    TO_CENTRE = 0
+    INITIAL = 1
+    FREE = 2
+    ALONG = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Circling:
+    """A circle to be flown; what is None is as CIRCLE_RADIUS, CIRCLE_SPEED and the vehicle's place say."""
+
+    centre: Place | None = None
+    """None = where the vehicle is."""
+    depth_held: bool = True
+    """The centre's altitude does not count."""
+    radius_m: float | None = None
+    clockwise: bool | None = None
+    speed_m_s: float | None = None
+    yaw: OrbitYaw = OrbitYaw.TO_CENTRE
+    turns: float = 0.0
+    """0 = for ever."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,6 +229,26 @@ class VehicleCommands(Protocol):
 
     def go_to(self, point: Place | None, yaw_rad: float | None) -> Answer:
         """Reposition and hold there (None = here). Checked against the fence."""
+        ...
+
+    def set_point(self, point: SetPoint) -> Answer:
+        """Follow it in GUIDED; elsewhere it is kept for a moment, so that GUIDED can be entered."""
+        ...
+
+    def refuse_set_point(self, reason: str) -> Answer:
+        """A set point that is not followed: GUIDED ends."""
+        ...
+
+    def orbit(self, circle: Circling) -> Answer:
+        """Round a place, in mode CIRCLE."""
+        ...
+
+    def change_depth(self, depth_m: float) -> Answer:
+        """Another depth where the vehicle is."""
+        ...
+
+    def take_off(self, depth_m: float | None) -> Answer:
+        """Down to a depth (None = TKOFF_DEPTH) and hold there; begins at arming when disarmed."""
         ...
 
     def change_speed(self, speed_m_s: float | None) -> Answer:

@@ -21,10 +21,12 @@ from autopilot.mavlink.inbox import Address, Inbox, Intake
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.operators import REQUEST, STATUS_ID, Operators
 from autopilot.mavlink.parameters import Parameters
+from autopilot.mavlink.pilot import Pilot
 from autopilot.mavlink.profiles import Profile
 from autopilot.mavlink.progress import Progress
 from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.requests import Requests
+from autopilot.mavlink.setpoints import SetPoints
 from autopilot.mavlink.signing import KEY_BYTES, Refusals, Signing
 from autopilot.mavlink.status import Status
 from autopilot.mavlink.streams import Streams
@@ -114,6 +116,8 @@ class Dispatcher:
         self._operators = Operators(ctx, self.parameters.known_value)
         self.missions = Missions(ctx)
         self.utility = Utility(ctx)
+        self.pilot = Pilot(ctx)
+        self._set_points = SetPoints(ctx)
         self._external = ExternalPoses(ctx, lambda: self.utility.utc_offset_us)
         self._status = Status(ctx)
         self._telemetry = Telemetry(ctx)
@@ -147,7 +151,6 @@ class Dispatcher:
         self._mode_shown: tuple[bool, FlightMode, FlightMode] | None = None
         self._place_shown: tuple[Place, Place] | None = None
         self.last_gcs_t_us: int | None = None
-        self.last_pilot_t_us: int | None = None
 
     def _table(self) -> Mapping[int, Handler]:
         missions, parameters, utility = self.missions, self.parameters, self.utility
@@ -177,7 +180,12 @@ class Dispatcher:
             mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST: lambda peer, msg: utility.on_log_request_list(peer),
             mav.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE: self._external.on_vision_position_estimate,
             mav.MAVLINK_MSG_ID_ODOMETRY: self._external.on_odometry,
-            mav.MAVLINK_MSG_ID_MANUAL_CONTROL: self._on_manual_control,
+            mav.MAVLINK_MSG_ID_MANUAL_CONTROL: self.pilot.on_manual_control,
+            mav.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE: self.pilot.on_override,
+            mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self._set_points.on_local,
+            mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: self._set_points.on_global,
+            mav.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: self._set_points.on_attitude,
+            mav.MAVLINK_MSG_ID_SET_ACTUATOR_CONTROL_TARGET: self._set_points.on_actuators,
             mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._on_request_data_stream,
             mav.MAVLINK_MSG_ID_SETUP_SIGNING: self._on_setup_signing,
         }
@@ -397,11 +405,6 @@ class Dispatcher:
         if msg.type in _OPERATORS:
             self._operators.heard(peer)
             self.last_gcs_t_us = self._ctx.t_us
-
-    def _on_manual_control(self, peer: Peer, msg: Message) -> None:
-        """Sticks: no mode is flown by them yet; that somebody holds them is what the pilot failsafe goes by."""
-        if msg.target in (0, self._ctx.sysid):
-            self.last_pilot_t_us = self._ctx.t_us
 
     def _on_set_mode(self, peer: Peer, msg: Message) -> None:
         self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))

@@ -14,11 +14,38 @@ from autopilot.core.errors import ConfigError
 from autopilot.mavlink.api import FlightMode
 
 STANDARD_MODES: Mapping[int, FlightMode] = MappingProxyType(
-    {1: FlightMode.HOLD, 5: FlightMode.RETURN, 6: FlightMode.MISSION, 7: FlightMode.SURFACE}
+    {
+        1: FlightMode.POSHOLD,
+        2: FlightMode.CIRCLE,
+        4: FlightMode.ALT_HOLD,
+        5: FlightMode.RETURN,
+        6: FlightMode.MISSION,
+        7: FlightMode.SURFACE,
+        8: FlightMode.TAKEOFF,
+    }
 )
-"""MAV_STANDARD_MODE: 1 position hold, 5 safe recovery, 6 mission, 7 land."""
+"""MAV_STANDARD_MODE: 1 position hold (with sticks), 2 orbit, 4 altitude hold, 5 safe recovery, 6 mission, 7 land,
+8 takeoff."""
+
+NON_STANDARD = 0
+"""MAV_STANDARD_MODE_NON_STANDARD."""
 
 STANDARD_MODE_OF: Mapping[FlightMode, int] = MappingProxyType({mode: n for n, mode in STANDARD_MODES.items()})
+
+MODES = (
+    FlightMode.HOLD,
+    FlightMode.MISSION,
+    FlightMode.RETURN,
+    FlightMode.SURFACE,
+    FlightMode.MANUAL,
+    FlightMode.STABILIZE,
+    FlightMode.ALT_HOLD,
+    FlightMode.POSHOLD,
+    FlightMode.GUIDED,
+    FlightMode.CIRCLE,
+    FlightMode.TAKEOFF,
+)
+"""In the order in which operators are told of them."""
 
 CUSTOM_MODE_FLAG = 1
 """MAV_MODE_FLAG_CUSTOM_MODE_ENABLED."""
@@ -40,18 +67,32 @@ def px4_mode(main: int, sub: int) -> int:
 
 _AUTO = 4
 _PX4_MODES = {
+    FlightMode.MANUAL: px4_mode(1, 0),  # MANUAL
+    FlightMode.STABILIZE: px4_mode(7, 0),  # STABILIZED
+    FlightMode.ALT_HOLD: px4_mode(2, 0),  # ALTCTL
+    FlightMode.POSHOLD: px4_mode(3, 0),  # POSCTL
+    FlightMode.GUIDED: px4_mode(6, 0),  # OFFBOARD
+    FlightMode.CIRCLE: px4_mode(3, 1),  # POSCTL.ORBIT
+    FlightMode.TAKEOFF: px4_mode(_AUTO, 2),  # AUTO.TAKEOFF
     FlightMode.HOLD: px4_mode(_AUTO, 3),  # AUTO.LOITER
     FlightMode.MISSION: px4_mode(_AUTO, 4),  # AUTO.MISSION
     FlightMode.RETURN: px4_mode(_AUTO, 5),  # AUTO.RTL
     FlightMode.SURFACE: px4_mode(_AUTO, 6),  # AUTO.LAND
 }
 _ARDUSUB_MODES = {
-    FlightMode.HOLD: 4,  # GUIDED: holds its place and takes go-to; QGroundControl waits for it before a mission start
+    FlightMode.MANUAL: 19,
+    FlightMode.STABILIZE: 0,
+    FlightMode.ALT_HOLD: 2,
+    FlightMode.POSHOLD: 16,
+    FlightMode.CIRCLE: 7,
+    FlightMode.TAKEOFF: 13,  # free in ArduSub's table, TAKEOFF in ArduPilot's Plane
+    # GUIDED: holds its place, takes go-to and set points; QGroundControl waits for it before a mission start
+    FlightMode.HOLD: 4,
+    FlightMode.GUIDED: 4,
     FlightMode.MISSION: 3,  # AUTO
     FlightMode.RETURN: 6,  # free in ArduSub's table, RTL in ArduPilot's other vehicles
     FlightMode.SURFACE: 9,  # SURFACE
 }
-_ARDUSUB_ALIASES = {16: FlightMode.HOLD}  # POSHOLD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,8 +113,15 @@ class Profile:
     """Missions on the wire begin with the home position (ArduPilot)."""
     least_version: tuple[int, int, int]
     """flight_sw_version is never below this: QGroundControl warns of PX4 older than 1.4.1."""
+    guided_in_hold: bool = False
+    """Hold and set points are one mode, which set points by themselves begin and end (ArduPilot's GUIDED)."""
     note: str
     """What the operator is told at first contact."""
+
+    @property
+    def listed(self) -> tuple[FlightMode, ...]:
+        """Modes with a number of their own, in the order of AVAILABLE_MODES.mode_index."""
+        return tuple(mode for mode in MODES if self.mode_of(self.custom_modes[mode]) is mode)
 
     def mode_of(self, custom_mode: int) -> FlightMode | None:
         """The mode of a custom_mode number, None if there is none."""
@@ -98,6 +146,13 @@ _NAMES = {
     FlightMode.MISSION: "Mission",
     FlightMode.RETURN: "Return",
     FlightMode.SURFACE: "Surface",
+    FlightMode.MANUAL: "Manual",
+    FlightMode.STABILIZE: "Stabilize",
+    FlightMode.ALT_HOLD: "Depth hold",
+    FlightMode.POSHOLD: "Position",
+    FlightMode.GUIDED: "Offboard",
+    FlightMode.CIRCLE: "Orbit",
+    FlightMode.TAKEOFF: "Takeoff",
 }
 
 PROFILES: Mapping[str, Profile] = MappingProxyType(
@@ -130,8 +185,9 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
             name="ardusub",
             autopilot=3,  # MAV_AUTOPILOT_ARDUPILOTMEGA
             custom_modes=MappingProxyType(_ARDUSUB_MODES),
-            mode_names=MappingProxyType(_NAMES),
-            mode_aliases=MappingProxyType(_ARDUSUB_ALIASES),
+            mode_names=MappingProxyType({**_NAMES, FlightMode.HOLD: "Guided", FlightMode.CIRCLE: "Circle"}),
+            mode_aliases=MappingProxyType({}),
+            guided_in_hold=True,
             split_modes=False,
             param_encoding=ParamEncoding.C_CAST,
             home_is_item_0=True,

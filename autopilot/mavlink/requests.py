@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.mavlink.api import Answer, CommandResult
 from autopilot.mavlink.commands import ACCEPTED, UNSUPPORTED, Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context
-from autopilot.mavlink.status import MODES, MSG_ID_PROTOCOL_VERSION, Status
+from autopilot.mavlink.status import MSG_ID_PROTOCOL_VERSION, Status
 from autopilot.mavlink.streams import Streams
 
 LATER = Reply(Answer(result=CommandResult.TEMPORARILY_REJECTED))
@@ -54,9 +54,11 @@ class Requests:
     def _available_modes(self, call: Call) -> Reply:
         index = call.whole(2)
         if index == 0:
-            return Reply(ACCEPTED, tuple(self._status.available_mode(n + 1) for n in range(len(MODES))))
-        if index is None or not 1 <= index <= len(MODES):
-            return denied(f"mode {call.param(2):g} does not exist: there are {len(MODES)}")
+            return Reply(
+                ACCEPTED, tuple(self._status.available_mode(n + 1) for n in range(len(self._ctx.profile.listed)))
+            )
+        if index is None or not 1 <= index <= len(self._ctx.profile.listed):
+            return denied(f"mode {call.param(2):g} does not exist: there are {len(self._ctx.profile.listed)}")
         return Reply(ACCEPTED, (self._status.available_mode(index),))
 
     def _message(self, msg_id: int) -> Reply:

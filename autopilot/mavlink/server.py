@@ -14,7 +14,7 @@ from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
-from autopilot.mavlink.api import FlightMode, SigningStore, VehicleCommands, VehicleView
+from autopilot.mavlink.api import FlightMode, SigningStore, Sticks, VehicleCommands, VehicleView
 from autopilot.mavlink.profiles import profile_by_name
 
 if TYPE_CHECKING:
@@ -125,8 +125,13 @@ class MavlinkServer:
 
     @property
     def last_pilot_t_us(self) -> int | None:
-        """When a pilot's sticks (MANUAL_CONTROL) were last heard; None before the first."""
-        return self._dispatcher.last_pilot_t_us
+        """When a pilot's sticks were last heard; None before the first."""
+        return self._dispatcher.pilot.last_us
+
+    @property
+    def sticks(self) -> Sticks | None:
+        """A pilot's sticks, None = nobody steers (any more)."""
+        return self._dispatcher.pilot.sticks
 
     @property
     def uploading(self) -> bool:

@@ -5,18 +5,15 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.messages import Failsafe, NavDoubt, NavHealth
-from autopilot.mavlink.api import FlightMode
+from autopilot.mavlink.api import PILOTED, FlightMode
 from autopilot.mavlink.context import Context, i16, i32, limited, u16
-from autopilot.mavlink.profiles import STANDARD_MODE_OF, ParamEncoding
+from autopilot.mavlink.profiles import NON_STANDARD, STANDARD_MODE_OF, ParamEncoding
 from autopilot.mavlink.telemetry import Builder
 from autopilot.mavlink.wire import Message, RawMessage
 
 MSG_ID_PROTOCOL_VERSION = 300
 _PROTOCOL_VERSION_CRC_EXTRA = 217
 """common.xml; the message is not in the packaged dialect."""
-
-MODES = (FlightMode.HOLD, FlightMode.MISSION, FlightMode.RETURN, FlightMode.SURFACE)
-"""In the order of AVAILABLE_MODES.mode_index."""
 
 VENDOR_ID = 0x4155
 PRODUCT_ID = 0x4155
@@ -45,6 +42,9 @@ _CAPABILITIES = (
     mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
     | mav.MAV_PROTOCOL_CAPABILITY_MISSION_INT
     | mav.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mav.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mav.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+    | mav.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
     | mav.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
     | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     | mav.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
@@ -86,13 +86,15 @@ class Status:
     def heartbeat(self) -> Message | None:
         """HEARTBEAT."""
         ctx, view = self._ctx, self._ctx.view
-        base_mode = (
-            mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-            | mav.MAV_MODE_FLAG_STABILIZE_ENABLED
-            | mav.MAV_MODE_FLAG_GUIDED_ENABLED
-        )
-        if view.mode is not FlightMode.HOLD:
-            base_mode |= mav.MAV_MODE_FLAG_AUTO_ENABLED
+        base_mode = mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        if view.mode is not FlightMode.MANUAL:
+            base_mode |= mav.MAV_MODE_FLAG_STABILIZE_ENABLED
+        if view.mode in PILOTED:
+            base_mode |= mav.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+        else:
+            base_mode |= mav.MAV_MODE_FLAG_GUIDED_ENABLED
+            if view.mode is not FlightMode.HOLD:
+                base_mode |= mav.MAV_MODE_FLAG_AUTO_ENABLED
         if view.armed:
             base_mode |= mav.MAV_MODE_FLAG_SAFETY_ARMED
             state = mav.MAV_STATE_CRITICAL if view.failsafes else mav.MAV_STATE_ACTIVE
@@ -210,7 +212,7 @@ class Status:
         """CURRENT_MODE: what it does and what the operator asked for."""
         view, modes = self._ctx.view, self._ctx.profile.custom_modes
         return mav.MAVLink_current_mode_message(
-            STANDARD_MODE_OF[view.mode], modes[view.mode], modes[view.intended_mode]
+            STANDARD_MODE_OF.get(view.mode, NON_STANDARD), modes[view.mode], modes[view.intended_mode]
         )
 
     def available_modes_monitor(self) -> Message | None:
@@ -219,11 +221,12 @@ class Status:
 
     def available_mode(self, index: int) -> Message:
         """AVAILABLE_MODES of one mode, ``index`` from 1."""
-        profile, mode = self._ctx.profile, MODES[index - 1]
+        profile = self._ctx.profile
+        mode = profile.listed[index - 1]
         return mav.MAVLink_available_modes_message(
-            len(MODES),
+            len(profile.listed),
             index,
-            STANDARD_MODE_OF[mode],
+            STANDARD_MODE_OF.get(mode, NON_STANDARD),
             profile.custom_modes[mode],
             0,
             profile.mode_names[mode].encode("ascii"),

@@ -10,7 +10,7 @@ from autopilot.core.messages import Severity
 from autopilot.core.phrases import ARMING_CHECK
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode
+from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, OrbitYaw
 from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG, STANDARD_MODES
@@ -26,6 +26,15 @@ CHANGE_MODE = 1
 _GLOBAL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
 _RELATIVE = frozenset((mav.MAV_FRAME_GLOBAL_RELATIVE_ALT, mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
 
+
+_ORBIT_YAW = {
+    0: OrbitYaw.TO_CENTRE,
+    1: OrbitYaw.INITIAL,
+    2: OrbitYaw.FREE,
+    3: OrbitYaw.ALONG,
+    5: OrbitYaw.FREE,
+}
+"""ORBIT_YAW_BEHAVIOUR (common.xml); 4 is a pilot's stick, 5 leaves the heading as it is."""
 
 INT_ONLY = Answer(result=CommandResult.COMMAND_INT_ONLY, reason="send COMMAND_INT: COMMAND_LONG rounds to 0.5 m")
 
@@ -54,6 +63,10 @@ class VehicleService:
             mav.MAV_CMD_NAV_RETURN_TO_LAUNCH: here(FlightMode.RETURN),
             mav.MAV_CMD_NAV_LAND: here(FlightMode.SURFACE),
             mav.MAV_CMD_NAV_LOITER_UNLIM: here(FlightMode.HOLD),
+            mav.MAV_CMD_NAV_TAKEOFF: action(self.take_off),
+            mav.MAV_CMD_NAV_GUIDED_ENABLE: action(self.guided_enable),
+            mav.MAV_CMD_DO_ORBIT: action(self.orbit),
+            mav.MAV_CMD_DO_CHANGE_ALTITUDE: action(self.change_altitude),
             mav.MAV_CMD_MISSION_START: action(self.mission_start),
             mav.MAV_CMD_DO_PAUSE_CONTINUE: action(self.pause_continue),
             mav.MAV_CMD_DO_SET_MISSION_CURRENT: action(self.set_mission_current),
@@ -91,14 +104,14 @@ class VehicleService:
             return denied("set mode: send the custom-mode flag (1) and a mode")
         mode = self._ctx.profile.mode_of_command(call.param(2), call.param(3))
         if mode is None:
-            return denied(f"no mode {call.param(2):g}/{call.param(3):g}: use Hold, Mission, Return, Surface")
+            return denied(f"no mode {call.param(2):g}/{call.param(3):g}: AVAILABLE_MODES lists them")
         return Reply(self._ctx.vehicle.set_mode(mode))
 
     def set_mode_message(self, base_mode: int, custom_mode: int) -> Answer:
         """Legacy SET_MODE."""
         mode = self._ctx.profile.mode_of(custom_mode) if base_mode & CUSTOM_MODE_FLAG else None
         if mode is None:
-            return denied(f"no mode {base_mode}/{custom_mode}: use Hold, Mission, Return, Surface").answer
+            return denied(f"no mode {base_mode}/{custom_mode}: AVAILABLE_MODES lists them").answer
         return self._ctx.vehicle.set_mode(mode)
 
     def do_set_standard_mode(self, call: Call) -> Reply:
@@ -130,6 +143,64 @@ class VehicleService:
                 Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="arming checks: the vehicle is armed")
             )
         return Reply(ACCEPTED)
+
+    # Steering
+
+    def guided_enable(self, call: Call) -> Reply:
+        """NAV_GUIDED_ENABLE: param1 > 0.5 = follow set points, else hold."""
+        return Reply(self._ctx.vehicle.set_mode(FlightMode.GUIDED if call.param(1) > 0.5 else FlightMode.HOLD))
+
+    def take_off(self, call: Call) -> Reply:
+        """NAV_TAKEOFF: dive here. An altitude in the water is the depth; one that is missing or above it, as ground
+        stations for aircraft send it, means TKOFF_DEPTH."""
+        depth_m = self._depth_m(call.z, call.frame)
+        if call.frame == mav.MAV_FRAME_LOCAL_NED and math.isfinite(call.z):
+            depth_m = call.z
+        return Reply(self._ctx.vehicle.take_off(depth_m if depth_m is not None and depth_m > 0.0 else None))
+
+    def change_altitude(self, call: Call) -> Reply:
+        """DO_CHANGE_ALTITUDE: param1 altitude, param2 frame."""
+        frame = call.whole(2)
+        if not math.isfinite(call.params[0]):
+            return denied("change altitude: param1 is no altitude")
+        if frame == mav.MAV_FRAME_LOCAL_NED:
+            return Reply(self._ctx.vehicle.change_depth(call.params[0]))
+        depth_m = None if frame is None else self._depth_m(call.params[0], frame)
+        if depth_m is None:
+            reason = f"change altitude: frame {call.param(2):g} is not supported, use 0, 3 or 1"
+            return Reply(Answer(result=CommandResult.UNSUPPORTED_FRAME, reason=reason))
+        return Reply(self._ctx.vehicle.change_depth(depth_m))
+
+    def _depth_m(self, alt_m: float, frame: int) -> float | None:
+        """Of an altitude; None without one, or in another frame."""
+        if not math.isfinite(alt_m) or (frame not in _GLOBAL and frame not in _RELATIVE):
+            return None
+        return -alt_m if frame in _RELATIVE else self._ctx.view.origin.alt_m - alt_m
+
+    def orbit(self, call: Call) -> Reply:
+        """DO_ORBIT: param1 radius (negative = to port), param2 speed, param3 heading, param4 turns; the centre."""
+        radius, speed, turns = call.param(1), call.param(2), call.param(4)
+        behaviour = call.whole(3)
+        if not all(map(math.isfinite, (radius, speed, turns))) or turns < 0.0:
+            return denied("orbit: radius, speed and turns have to be numbers, turns at least 0")
+        if behaviour not in _ORBIT_YAW:
+            return denied(f"orbit: yaw behaviour {call.param(3):g} is not supported, use 0, 1, 2, 3 or 5")
+        centre: Place | None = None
+        if math.isfinite(call.x) and math.isfinite(call.y) and (call.x or call.y or call.exact):
+            point = self._point(call, "orbit")
+            if isinstance(point, Reply):
+                return point
+            centre = point
+        circle = Circling(
+            centre=centre,
+            depth_held=not math.isfinite(call.z),
+            radius_m=abs(radius) if radius else None,
+            clockwise=radius > 0.0 if radius else None,
+            speed_m_s=abs(speed) if speed else None,
+            yaw=_ORBIT_YAW[behaviour],
+            turns=turns / (2.0 * math.pi),
+        )
+        return Reply(self._ctx.vehicle.orbit(circle))
 
     # Mission
 

@@ -22,7 +22,7 @@ from autopilot.core.messages import (
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection
 from autopilot.core.samples import PowerSample
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleView
+from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, SetPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from mission.store import Change
 
@@ -115,6 +115,22 @@ class RecordingVehicle:
 
     def change_speed(self, speed_m_s: float | None) -> Answer:
         return self._note("change_speed", speed_m_s)
+
+    def set_point(self, point: SetPoint) -> Answer:
+        return self._note("set_point", point)
+
+    def refuse_set_point(self, reason: str) -> Answer:
+        self._note("refuse_set_point", reason)
+        return Answer(result=CommandResult.DENIED, reason=f"Set point refused: {reason}")
+
+    def orbit(self, circle: Circling) -> Answer:
+        return self._note("orbit", circle)
+
+    def change_depth(self, depth_m: float) -> Answer:
+        return self._note("change_depth", depth_m)
+
+    def take_off(self, depth_m: float | None) -> Answer:
+        return self._note("take_off", depth_m)
 
     def set_home(self, point: Place | None) -> Answer:
         return self._note("set_home", point)

@@ -10,6 +10,7 @@ from mavlink_harness import NAN, ORIGIN, Client, World, mav, nav_state, upload, 
 
 from autopilot.core.geodesy import Place
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode
+from autopilot.mavlink.profiles import STANDARD_MODE_OF
 
 R = CommandResult
 PROFILES = ("generic", "px4", "ardusub")
@@ -40,7 +41,17 @@ CASES: list[tuple[int, tuple[float, ...], tuple[Any, ...]]] = [
     (176, (1, 4, 5), ("set_mode", RET)),
     (176, (129, 4, 6), ("set_mode", S)),
     (176, (129, float((4 << 16) | (4 << 24))), ("set_mode", M)),
-    (262, (1,), ("set_mode", H)),
+    (262, (1,), ("set_mode", FlightMode.POSHOLD)),
+    (262, (4,), ("set_mode", FlightMode.ALT_HOLD)),
+    (176, (129, 1), ("set_mode", FlightMode.MANUAL)),
+    (176, (129, 6), ("set_mode", FlightMode.GUIDED)),
+    (176, (129, 3, 1), ("set_mode", FlightMode.CIRCLE)),
+    (92, (1,), ("set_mode", FlightMode.GUIDED)),
+    (22, (), ("take_off", None)),
+    (22, (0, 0, 0, 0, 0, 0, 2.0), ("take_off", None)),
+    (22, (0, 0, 0, 0, 0, 0, -0.4), ("take_off", 0.4)),
+    (186, (-0.5, 3), ("change_depth", 0.5)),
+    (186, (0.5, 1), ("change_depth", 0.5)),
     (262, (5,), ("set_mode", RET)),
     (262, (6,), ("set_mode", M)),
     (262, (7,), ("set_mode", S)),
@@ -93,7 +104,9 @@ def test_the_same_as_command_int(
         (176, (129, -1, 0), R.DENIED),
         (176, (129, 4.5, 3), R.DENIED),
         (176, (NAN, NAN, NAN), R.DENIED),
-        (262, (4,), R.FAILED),
+        (262, (3,), R.FAILED),
+        (186, (-0.5, 10), R.UNSUPPORTED_FRAME),
+        (34, (1.0, 0.2, 4), R.DENIED),
         (262, (0,), R.FAILED),
         (300, (-1,), R.DENIED),
         (300, (0, 2), R.DENIED),
@@ -402,17 +415,20 @@ def test_acknowledgement_comes_before_the_message(client: Client) -> None:
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_available_modes(profile: str) -> None:
+    """ArduPilot's GUIDED is Hold and set points in one: it has one number and one line."""
     world = World(profile)
     client = world.client()
     assert client.command(512, 435, 0) == R.ACCEPTED
     modes = client.got("AVAILABLE_MODES")
-    assert [(m.mode_index, m.number_modes) for m in modes] == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    assert [m.standard_mode for m in modes] == [1, 6, 5, 7]
-    assert [m.mode_name for m in modes] == ["Hold", "Mission", "Return", "Surface"]
-    assert [m.custom_mode for m in modes] == [world.server.custom_mode(mode) for mode in (H, M, RET, S)]
+    listed = [mode for mode in FlightMode if profile != "ardusub" or mode is not FlightMode.GUIDED]
+    assert [(m.mode_index, m.number_modes) for m in modes] == [(n + 1, len(listed)) for n in range(len(listed))]
+    numbers = {m.custom_mode: m.standard_mode for m in modes}
+    assert numbers == {world.server.custom_mode(mode): STANDARD_MODE_OF.get(mode, 0) for mode in listed}
+    assert [m.mode_name for m in modes[1:4]] == ["Mission", "Return", "Surface"]
+    assert len({m.mode_name for m in modes}) == len(modes)
     assert client.command(512, 435, 3) == R.ACCEPTED
     assert [m.mode_index for m in client.got("AVAILABLE_MODES")] == [3]
-    assert client.command(512, 435, 5) == R.DENIED
+    assert client.command(512, 435, 12) == R.DENIED
 
 
 def test_protocol_version_is_answered(client: Client) -> None:

@@ -24,7 +24,7 @@ from autopilot.control.way.reference import (
     turn_target,
 )
 from autopilot.core import compiled
-from autopilot.core.frames import FloatArray
+from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Drive, Severity
 from autopilot.core.model4 import YAW, R, U, Z
 from autopilot.core.sharing import Sharing
@@ -51,6 +51,9 @@ LEAST_PROGRESS = 0.15
 
 SHARE_OVER_M = 0.25
 """The speed along a boundary is the share of the velocity that points along it, over so much of the way ahead."""
+
+CATCH_UP_S = 1.5
+"""A heading that turns is caught up with in about so long."""
 
 HOLD_SPEED_M_S = 0.15
 """Speed at which a place that is held is come back to."""
@@ -128,12 +131,26 @@ class DriveGuidance:
         here, most = float(now.x0[YAW]), now.params["SPD_YAW_MAX"]
         if drive.yaw_rate_rad_s is None:
             wanted = here if now.goal.yaw_rad is None else now.goal.yaw_rad
+            if drive.yaw_trend_rad_s:
+                return self._trend(here, wanted, drive.yaw_trend_rad_s, horizon_s, most)
             self._yaw_target = turn_target(here, wanted, self._yaw_target)
             return self._yaw_target, most
         self._yaw_target = None
         rate = min(abs(drive.yaw_rate_rad_s), 0.9 * most)
         far = rate * horizon_s + rate * rate / YAW_DECELERATION_RAD_S2
         return here + math.copysign(far, drive.yaw_rate_rad_s), max(rate, 1e-3) / YAW_RATE_SHARE
+
+    def _trend(
+        self, here: float, wanted: float, trend_rad_s: float, horizon_s: float, most: float
+    ) -> tuple[float, float]:
+        """Of a heading that turns: what is missing of it is made good on the way, or first where that is much."""
+        self._yaw_target = None
+        lack = wrap_pi(wanted - here)
+        rate = trend_rad_s + lack / CATCH_UP_S
+        if abs(rate) < 1e-3:
+            return here, most
+        rate = math.copysign(min(abs(rate), YAW_RATE_SHARE * most), rate)
+        return here + rate * horizon_s, abs(rate) / YAW_RATE_SHARE
 
     def _route(self, now: Situation, drive: Drive, horizon_s: float) -> tuple[Route, float]:
         """The free way ahead and the speed along it."""

@@ -1,0 +1,128 @@
+"""Mode GUIDED: the set points of a client, for as long as they come."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.messages import Drive, Goal, NavState
+from autopilot.core.params import ParamSet
+from autopilot.mavlink.api import SetPoint
+from mission.goals import Goals
+
+NONE_YET = "send set points first"
+
+FRESH_TICKS = 5
+"""Velocities of the body follow the heading so often."""
+
+
+class Offboard:
+    """The newest set point, and the goal that it makes."""
+
+    def __init__(self, params: ParamSet, goals: Goals) -> None:
+        self._params = params
+        self._goals = goals
+        self._point: SetPoint | None = None
+        self.lacks = NONE_YET
+        """Why there is nothing to follow."""
+        self._forget()
+
+    def _forget(self) -> None:
+        self._place: FloatArray | None = None
+        self._depth_m: float | None = None
+        self._yaw_rad: float | None = None
+        self._goal: Goal | None = None
+        self._made_of: SetPoint | None = None
+        self._age = 0
+
+    def begin(self) -> None:
+        """The mode has been entered: what set points leave open is held from here."""
+        self._forget()
+
+    def refusal(self, point: SetPoint) -> str:
+        """Why it cannot be followed, "" if it can."""
+        if point.depth_m is not None:
+            low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
+            if not low <= point.depth_m <= high:
+                return f"depth {point.depth_m:.2f} m is outside {low:g} to {high:g} m"
+        if point.place_ned_m is None:
+            return ""
+        depth_m = self._params["DEPTH_MIN"] if point.depth_m is None else point.depth_m
+        return self._goals.refuse(np.array([*point.place_ned_m, depth_m]))
+
+    def take(self, point: SetPoint | None, lacks: str = NONE_YET) -> None:
+        """The newest one; None = there is none that may be followed, and why."""
+        self._point, self.lacks = point, lacks
+
+    def alive(self, t_us: int) -> bool:
+        """Whether there is one that is not too old."""
+        return self._point is not None and t_us <= self._point.until_us
+
+    def goal(self, nav: NavState) -> Goal:
+        """Of the newest set point; the same object while nothing changes."""
+        point, made_of = self._point, self._made_of
+        self._age += 1
+        same = point is not None and made_of is not None and replace(point, until_us=made_of.until_us) == made_of
+        turns = point is not None and point.vel_m_s is not None and point.body
+        if self._goal is None or not same or (turns and self._age >= FRESH_TICKS):
+            self._goal, self._made_of, self._age = self._made(point or SetPoint(until_us=0), nav), point, 0
+        return self._goal
+
+    def _made(self, point: SetPoint, nav: NavState) -> Goal:
+        rest = self._goals.hold(nav)
+        place = self._held_place(point, rest)
+        depth_m = self._held_depth(point, rest)
+        yaw = self._held_yaw(point, nav)
+        goal = replace(rest, pos_ned_m=np.array([place[0], place[1], depth_m]), yaw_rad=yaw)
+        north, east = self._velocity(point, nav)
+        if point.vel_m_s is None and point.down_m_s is None and point.yaw_rate_rad_s is None:
+            return goal
+        drive = Drive(
+            north_m_s=north,
+            east_m_s=east,
+            turn_rad_s=(point.yaw_rate_rad_s or 0.0) if point.body else 0.0,
+            down_m_s=point.down_m_s,
+            yaw_rate_rad_s=point.yaw_rate_rad_s,
+        )
+        moves = point.vel_m_s is not None
+        return replace(goal, speed_m_s=max(math.hypot(north, east), 0.01) if moves else goal.speed_m_s, drive=drive)
+
+    def _velocity(self, point: SetPoint, nav: NavState) -> tuple[float, float]:
+        """North and east."""
+        if point.vel_m_s is None:
+            return 0.0, 0.0
+        a, b = point.vel_m_s
+        if not point.body:
+            return a, b
+        c, s = math.cos(float(nav.rpy_rad[2])), math.sin(float(nav.rpy_rad[2]))
+        return c * a - s * b, s * a + c * b
+
+    def _held_place(self, point: SetPoint, rest: Goal) -> FloatArray:
+        if point.place_ned_m is not None:
+            self._place = np.array(point.place_ned_m)
+        elif point.vel_m_s is not None and (point.vel_m_s[0] or point.vel_m_s[1]):
+            self._place = None
+            return rest.pos_ned_m
+        elif self._place is None:
+            self._place = rest.pos_ned_m[:2].copy()
+        return self._place
+
+    def _held_depth(self, point: SetPoint, rest: Goal) -> float:
+        if point.depth_m is not None:
+            self._depth_m = point.depth_m
+        elif point.down_m_s:
+            self._depth_m = None
+            return float(rest.pos_ned_m[2])
+        elif self._depth_m is None:
+            self._depth_m = float(rest.pos_ned_m[2])
+        return self._depth_m
+
+    def _held_yaw(self, point: SetPoint, nav: NavState) -> float | None:
+        if point.yaw_rad is not None:
+            self._yaw_rad = wrap_pi(point.yaw_rad)
+        elif point.yaw_rate_rad_s is not None:
+            self._yaw_rad = None
+        elif self._yaw_rad is None:
+            self._yaw_rad = float(nav.rpy_rad[2])
+        return self._yaw_rad

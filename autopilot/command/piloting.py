@@ -1,0 +1,172 @@
+"""What a pilot's sticks mean: goals where there is a position, body forces where there is none.
+
+With a position the sticks of every mode become a motion that the controller follows within fence and limits: thrust
+sticks the velocity through the water that their thrust would hold, so that the vehicle drifts with the current as it
+would, but is slowed down where a boundary comes.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from autopilot.control.thrust.by_hand import ByHand
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Drive, Goal, NavState
+from autopilot.core.params import ParamSet
+from autopilot.core.sharing import Sharing
+from autopilot.core.vehicle import Vehicle
+from autopilot.mavlink.api import FlightMode, Sticks
+from mission.goals import Goals
+
+FRESH_TICKS = 5
+"""While something moves the goal follows heading and current so often: once a control step."""
+
+TURN_STOP_RAD_S2 = 0.6
+"""How hard a turn brakes when its stick is let go: the heading that is held is where it comes to rest."""
+
+YAW_SHARE = 0.85
+"""Share of SPD_YAW_MAX that a stick can ask for."""
+
+RELEASED = Sticks()
+"""Nobody steers."""
+
+
+def steady_speed(force: float, linear: float, quadratic: float) -> float:
+    """The speed that a force holds against drag, with its sign."""
+    size = abs(force)
+    if quadratic > 0.0:
+        speed = (math.sqrt(linear * linear + 4.0 * quadratic * size) - linear) / (2.0 * quadratic)
+    else:
+        speed = size / linear if linear > 0.0 else 0.0
+    return math.copysign(speed, force)
+
+
+@dataclass(slots=True)
+class _Held:
+    """What is held since its stick has been let go, None = its stick is out."""
+
+    place: FloatArray | None = None
+    depth_m: float | None = None
+    yaw_rad: float | None = None
+
+
+class Piloting:
+    """Sticks to goals and forces. One instance per vehicle."""
+
+    def __init__(self, vehicle: Vehicle, params: ParamSet, goals: Goals) -> None:
+        self._params = params
+        self._goals = goals
+        self._model = vehicle.to_model()
+        self._sharing = Sharing.of(vehicle)
+        self._limits_n = np.array([thruster.limit_n for thruster in vehicle.thrusters])
+        self._reach: tuple[float, FloatArray] | None = None
+        self.begin()
+
+    def begin(self) -> None:
+        """A mode has been entered: what is held is held from here."""
+        self._held = _Held()
+        self._goal: Goal | None = None
+        self._asked: tuple[FlightMode, Sticks] | None = None
+        self._age = 0
+
+    def goal(self, mode: FlightMode, sticks: Sticks, nav: NavState) -> Goal:
+        """Where there is a position. The same object while nothing changes."""
+        self._age += 1
+        if self._goal is not None and self._asked == (mode, sticks) and self._age < FRESH_TICKS:
+            return self._goal
+        self._asked, self._age = (mode, sticks), 0
+        made = self._made(mode, sticks, nav)
+        old = self._goal
+        if old is None or made.drive != old.drive or made.yaw_rad != old.yaw_rad or _moved(made, old):
+            self._goal = made
+        assert self._goal is not None
+        return self._goal
+
+    def by_hand(self, mode: FlightMode, sticks: Sticks) -> ByHand:
+        """Where there is none."""
+        reach = self._reach_n()
+        wish = np.array([sticks.ahead, sticks.starboard, -sticks.up, sticks.turn])
+        holds_depth, holds_yaw = mode is FlightMode.ALT_HOLD, mode is not FlightMode.MANUAL
+        return ByHand(
+            force=wish * reach,
+            yaw_rate_rad_s=sticks.turn * self._yaw_rate() if holds_yaw else None,
+            down_m_s=-sticks.up * self._params["PILOT_SPD_Z"] if holds_depth else None,
+        )
+
+    def _made(self, mode: FlightMode, sticks: Sticks, nav: NavState) -> Goal:
+        rest = self._goals.hold(nav)
+        down_m_s, turn_rad_s = self._others(mode, sticks, nav, rest)
+        planar = self._planar(mode, sticks, nav, rest)
+        drive = replace(planar, down_m_s=down_m_s, yaw_rate_rad_s=turn_rad_s)
+        here = nav.pos_ned_m if self._held.place is None else self._held.place
+        depth_m = float(nav.pos_ned_m[2]) if self._held.depth_m is None else self._held.depth_m
+        return replace(
+            rest,
+            pos_ned_m=np.array([here[0], here[1], depth_m]),
+            yaw_rad=self._held.yaw_rad,
+            speed_m_s=max(math.hypot(drive.north_m_s, drive.east_m_s), 0.01),
+            drive=drive,
+        )
+
+    def _planar(self, mode: FlightMode, sticks: Sticks, nav: NavState, rest: Goal) -> Drive:
+        """North and east."""
+        yaw, held = float(nav.rpy_rad[2]), self._held
+        ahead, starboard = sticks.ahead, sticks.starboard
+        north, east = 0.0, 0.0
+        if mode is FlightMode.POSHOLD:
+            if not (ahead or starboard):
+                held.place = rest.pos_ned_m[:2].copy() if held.place is None else held.place
+                return Drive()
+            u, v = (self._params["PILOT_SPD"] * wish for wish in (ahead, starboard))
+        else:
+            model, reach = self._model, self._reach_n()
+            u, v = (
+                steady_speed(wish * float(reach[axis]), model.linear_drag[axis], model.quadratic_drag[axis])
+                for axis, wish in enumerate((ahead, starboard))
+            )
+            north, east = float(nav.current_ned_m_s[0]), float(nav.current_ned_m_s[1])
+        held.place = None
+        c, s = math.cos(yaw), math.sin(yaw)
+        return Drive(north_m_s=north + c * u - s * v, east_m_s=east + s * u + c * v)
+
+    def _others(self, mode: FlightMode, sticks: Sticks, nav: NavState, rest: Goal) -> tuple[float | None, float | None]:
+        """Rates of depth and heading, or what of them is held."""
+        held, model = self._held, self._model
+        down: float | None
+        turn: float | None = sticks.turn * self._yaw_rate()
+        if mode in (FlightMode.MANUAL, FlightMode.STABILIZE):
+            reach = float(self._reach_n()[2])
+            down = -steady_speed(sticks.up * reach, model.linear_drag[2], model.quadratic_drag[2])
+            held.depth_m = None
+        elif sticks.up:
+            down, held.depth_m = -sticks.up * self._params["PILOT_SPD_Z"], None
+        else:
+            down = None
+            held.depth_m = float(rest.pos_ned_m[2]) if held.depth_m is None else held.depth_m
+        if mode is FlightMode.MANUAL or sticks.turn:
+            held.yaw_rad = None
+        else:
+            rate = float(nav.rate_frd_rad_s[2])
+            stop = float(nav.rpy_rad[2]) + rate * abs(rate) / (2.0 * TURN_STOP_RAD_S2)
+            turn, held.yaw_rad = None, stop if held.yaw_rad is None else held.yaw_rad
+        return down, turn
+
+    def _yaw_rate(self) -> float:
+        """At a full stick."""
+        return min(self._params["PILOT_RATE_YAW"], YAW_SHARE * self._params["SPD_YAW_MAX"])
+
+    def _reach_n(self) -> FloatArray:
+        """(4,) force of full sticks, each alone."""
+        limit = self._params["THR_LIMIT"]
+        if self._reach is None or self._reach[0] != limit:
+            self._reach = (limit, self._sharing.reach(np.minimum(self._limits_n, limit)))
+        return self._reach[1]
+
+
+def _moved(made: Goal, old: Goal) -> bool:
+    """Whether a goal's place or depth is another one. Of one that drives the place says only where it is shown."""
+    gap = np.abs(made.pos_ned_m - old.pos_ned_m)
+    drive = made.drive
+    held = drive is None or not (drive.north_m_s or drive.east_m_s)
+    return bool((gap[:2] > 0.0).any() if held else (gap[:2] > 0.1).any()) or bool(gap[2] > 0.0)

@@ -1,0 +1,126 @@
+"""Thrust without a position: a pilot's forces, the heading by the AHRS, the depth by the pressure sensor.
+
+What it does not know it does not hold: no fence, no limit of speed. Trim for the vehicle's buoyancy is part of neutral
+sticks, so that letting go does not make it rise.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.sharing import Sharing
+
+YAW_GAIN_1_S, YAW_RATE_GAIN_1_S = 1.2, 3.0
+DEPTH_GAIN_1_S, HEAVE_GAIN_1_S, TRIM_GAIN_1_S2 = 0.6, 2.0, 0.35
+"""Cascades: error to rate, rate to acceleration; the trim takes up buoyancy that the vehicle file does not know."""
+
+YAW_RATE_LIMIT_RAD_S, HEAVE_LIMIT_M_S = 0.4, 0.15
+"""Of the way back to what is held."""
+
+TRIM_SHARE = 0.5
+"""Share of the vertical thrust that the trim may use."""
+
+DEPTH_RATE_S = 0.3
+"""Time constant of the rate of depth."""
+
+SLEW_SHARE_1_S = 4.5
+"""Commands change by at most so many times a thruster's limit per second, as the controller's do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ByHand:
+    """What is asked for."""
+
+    force: FloatArray
+    """(4,) X, Y, Z [N] and N [N m]."""
+    yaw_rate_rad_s: float | None = None
+    """None = the moment of ``force``; 0 = the heading is held."""
+    down_m_s: float | None = None
+    """None = the vertical force; 0 = the depth is held."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Felt:
+    """What is known without a position; None = not (any more)."""
+
+    yaw_rad: float | None = None
+    yaw_rate_rad_s: float = 0.0
+    depth_m: float | None = None
+
+
+class HandLaw:
+    """One instance per vehicle; asked once per tick while it flies."""
+
+    def __init__(self, sharing: Sharing) -> None:
+        self._sharing = sharing
+        self._thrust_n = np.zeros(sharing.model.thrusters)
+        self.release()
+
+    def release(self) -> None:
+        """Somebody else has the thrusters."""
+        self._last_us: int | None = None
+        self._yaw_rad: float | None = None
+        self._depth_m: float | None = None
+        self._read_m: float | None = None
+        self._rate_m_s = 0.0
+        self._trim_n = 0.0
+
+    def thrust_n(self, t_us: int, wish: ByHand, felt: Felt, limit_n: FloatArray, now_n: FloatArray) -> FloatArray:
+        """(n,) within ``limit_n``; ``now_n`` (n,) is what is commanded at the moment this begins."""
+        if self._last_us is None:
+            self._last_us, self._thrust_n = t_us, np.array(now_n, dtype=float)
+        elapsed_s = min(max((t_us - self._last_us) * 1e-6, 0.0), 0.1)
+        self._last_us = t_us
+        force = wish.force.copy()
+        force[2] += self._sharing.model.buoyancy_excess_n
+        self._feel_depth(felt.depth_m, elapsed_s)
+        if wish.yaw_rate_rad_s is not None and felt.yaw_rad is not None:
+            force[3] = self._moment(wish.yaw_rate_rad_s, felt.yaw_rad, felt.yaw_rate_rad_s)
+        if wish.down_m_s is not None and felt.depth_m is not None:
+            force[2] = self._heave_n(wish.down_m_s, felt.depth_m, elapsed_s, limit_n)
+        thrust = self._sharing.thrust_n(force, limit_n)
+        most = SLEW_SHARE_1_S * elapsed_s * np.maximum(limit_n, 1e-9)
+        self._thrust_n = np.clip(np.clip(thrust, self._thrust_n - most, self._thrust_n + most), -limit_n, limit_n)
+        result: FloatArray = self._thrust_n.copy()
+        return result
+
+    def _moment(self, wish_rad_s: float, yaw_rad: float, rate_rad_s: float) -> float:
+        """Of the heading that is held, or of the turn that is asked for."""
+        model = self._sharing.model
+        if wish_rad_s or self._yaw_rad is None:
+            self._yaw_rad = yaw_rad
+        turn = wish_rad_s or _limited(YAW_GAIN_1_S * wrap_pi(self._yaw_rad - yaw_rad), YAW_RATE_LIMIT_RAD_S)
+        drag = model.linear_drag[3] * turn + model.quadratic_drag[3] * abs(turn) * turn
+        return drag + model.mass_kg[3] * YAW_RATE_GAIN_1_S * (turn - rate_rad_s)
+
+    def _heave_n(self, wish_m_s: float, depth_m: float, elapsed_s: float, limit_n: FloatArray) -> float:
+        """Of the depth that is held, or of the rate that is asked for."""
+        model = self._sharing.model
+        if wish_m_s or self._depth_m is None:
+            self._depth_m = depth_m
+        climb = wish_m_s or _limited(DEPTH_GAIN_1_S * (self._depth_m - depth_m), HEAVE_LIMIT_M_S)
+        most = TRIM_SHARE * float(np.abs(np.array(model.allocation)[2]) @ limit_n)
+        trim = self._trim_n + model.mass_kg[2] * TRIM_GAIN_1_S2 * (climb - self._rate_m_s) * elapsed_s
+        self._trim_n = _limited(trim, most)
+        drag = model.linear_drag[2] * climb + model.quadratic_drag[2] * abs(climb) * climb
+        return (
+            model.buoyancy_excess_n + drag + model.mass_kg[2] * HEAVE_GAIN_1_S * (climb - self._rate_m_s) + self._trim_n
+        )
+
+    def _feel_depth(self, depth_m: float | None, elapsed_s: float) -> None:
+        """The rate of depth, from readings that come more seldom than ticks."""
+        if depth_m is None:
+            self._read_m, self._rate_m_s, self._depth_m = None, 0.0, None
+            return
+        if self._read_m is None:
+            self._read_m = depth_m
+        share = elapsed_s / (DEPTH_RATE_S + elapsed_s)
+        # The low-passed reading's rate is the low-passed rate.
+        self._rate_m_s = (depth_m - self._read_m) / DEPTH_RATE_S
+        self._read_m += share * (depth_m - self._read_m)
+
+
+def _limited(value: float, most: float) -> float:
+    return math.copysign(min(abs(value), most), value)

@@ -1,0 +1,202 @@
+"""A pilot's sticks: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE. https://mavlink.io/en/services/manual_control.html
+
+One pilot at a time: who steers keeps the sticks until nothing has come of him for a moment. What is heard is kept for
+that moment only; then the sticks are released, and what that means says the mode.
+"""
+
+from dataclasses import dataclass
+
+from autopilot.core.messages import Severity
+from autopilot.mavlink.api import FlightMode, Sticks
+from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.wire import Message
+
+STALE_US = 500_000
+"""Sticks count as released so long after the last word: ground stations send 5 to 50 of them a second."""
+
+INVALID = 0x7FFF
+"""An axis that is not there."""
+
+DEADZONE = 0.03
+"""Sticks do not come to rest at exactly nothing."""
+
+CENTRED = 0.08
+CENTRED_US = 200_000
+"""The vertical stick is used once it has rested within that of its neutral for so long: a client of the other
+convention rests at an end of the range."""
+
+GAIN_STEP = 0.1
+LEAST_GAIN, MOST_GAIN = 0.1, 1.0
+
+NEUTRAL_US, SPAN_US = 1500, 400
+LEAST_US, MOST_US = 800, 2200
+"""Of RC channels; other numbers mean "not this channel"."""
+
+TO_ARM, ARM, DISARM = 2, 3, 4
+_MODE_BUTTONS = {
+    5: FlightMode.MANUAL,
+    6: FlightMode.STABILIZE,
+    7: FlightMode.ALT_HOLD,
+    8: FlightMode.POSHOLD,
+    9: FlightMode.MISSION,
+    10: FlightMode.CIRCLE,
+    11: FlightMode.GUIDED,
+    14: FlightMode.HOLD,
+    15: FlightMode.RETURN,
+    16: FlightMode.SURFACE,
+}
+GAIN_UP, GAIN_DOWN = 42, 43
+"""Values of BTNn_FUNCTION; those that ArduSub has too are the same there."""
+
+
+@dataclass(slots=True)
+class _Heard:
+    """Of the pilot who steers."""
+
+    peer: Peer
+    last_us: int
+    sticks: Sticks
+    buttons: int = 0
+    told: bool = False
+    """That his vertical stick is not used."""
+    spoken: bool = False
+    """He has sent something below zero on a vertical stick that is said to go from 0 to 1000."""
+    centred_us: int | None = None
+    """Since when the vertical stick has been at its neutral."""
+    lifts: bool = False
+    """It is used."""
+
+
+class Pilot:
+    """The sticks of the moment."""
+
+    def __init__(self, ctx: Context) -> None:
+        self._ctx = ctx
+        self._heard: _Heard | None = None
+        self._gain: float | None = None
+        self.last_us: int | None = None
+        """When a pilot was last heard, None before the first."""
+
+    @property
+    def sticks(self) -> Sticks | None:
+        """With the gain; None = nobody steers."""
+        heard = self._heard
+        if heard is None or self._ctx.t_us > heard.last_us + self._stale_us:
+            return None
+        return heard.sticks
+
+    @property
+    def _stale_us(self) -> float:
+        return STALE_US * self._ctx.patience
+
+    def on_manual_control(self, peer: Peer, msg: Message) -> None:
+        """MANUAL_CONTROL: x ahead, y and r to starboard, z up; s, t and aux are for axes that are not here."""
+        if msg.target not in (0, self._ctx.sysid):
+            return
+        heard = self._of(peer)
+        if heard is None:
+            return
+        up = self._up(heard, msg.z)
+        self._take(heard, ahead=_axis(msg.x), starboard=_axis(msg.y), up=up, turn=_axis(msg.r))
+        extensions = getattr(msg, "enabled_extensions", 0)
+        if extensions & 3 and (msg.s if extensions & 1 else 0) | (msg.t if extensions & 2 else 0):
+            self._ctx.say(Severity.INFO, "Pitch and roll sticks have no effect here", peer)
+        self._press(heard, msg.buttons | getattr(msg, "buttons2", 0) << 16)
+
+    def on_override(self, peer: Peer, msg: Message) -> None:
+        """RC_CHANNELS_OVERRIDE, channels as ArduSub has them: 3 up, 4 yaw, 5 ahead, 6 to starboard; no gain."""
+        channels = (msg.chan5_raw, msg.chan6_raw, msg.chan3_raw, msg.chan4_raw)
+        if not any(LEAST_US <= us <= MOST_US for us in channels):
+            return
+        heard = self._of(peer)
+        if heard is None:
+            return
+        ahead, starboard, up, turn = (_channel(us) for us in channels)
+        heard.sticks = Sticks(ahead=ahead, starboard=starboard, up=up, turn=turn)
+
+    def _of(self, peer: Peer) -> _Heard | None:
+        """Who steers, if it is that client."""
+        now_us, heard = self._ctx.t_us, self._heard
+        if heard is None or (heard.peer != peer and now_us > heard.last_us + self._stale_us):
+            heard = self._heard = _Heard(peer=peer, last_us=now_us, sticks=Sticks())
+        if heard.peer != peer:
+            self._ctx.say(Severity.WARNING, f"Sticks not taken: {heard.peer.sysid}/{heard.peer.compid} steers", peer)
+            return None
+        if now_us > heard.last_us + self._stale_us:
+            heard.centred_us, heard.lifts = None, False
+        heard.last_us = self.last_us = now_us
+        return heard
+
+    def _take(self, heard: _Heard, *, ahead: float, starboard: float, up: float, turn: float) -> None:
+        gain = self._ctx.params["PILOT_GAIN"] if self._gain is None else self._gain
+        heard.sticks = Sticks(ahead=gain * ahead, starboard=gain * starboard, up=gain * up, turn=gain * turn)
+
+    def _up(self, heard: _Heard, z: int) -> float:
+        """The vertical stick, by one of the two conventions: 0 to 1000 with 500 neutral, or -1000 to 1000."""
+        if z == INVALID:
+            return 0.0
+        centred = bool(self._ctx.params["PILOT_Z"])
+        if z < 0 and not centred and not heard.spoken:
+            heard.spoken, heard.lifts, heard.centred_us = True, False, None
+            self._ctx.say(Severity.NOTICE, "Vertical stick goes below 0: taken as PILOT_Z 1", heard.peer)
+        value = _axis(z) if centred or heard.spoken else _axis(2 * z - 1000)
+        if heard.lifts:
+            return value
+        if abs(value) > CENTRED:
+            heard.centred_us = None
+            if not heard.told:
+                heard.told = True
+                neutral = 0 if centred or heard.spoken else 500
+                text = f"Vertical stick not used until it rests at {neutral}: see PILOT_Z"
+                self._ctx.say(Severity.WARNING, text, heard.peer)
+        elif heard.centred_us is None:
+            heard.centred_us = self._ctx.t_us
+        heard.lifts = heard.centred_us is not None and self._ctx.t_us - heard.centred_us >= CENTRED_US
+        return 0.0
+
+    # Buttons
+
+    def _press(self, heard: _Heard, buttons: int) -> None:
+        """Those that have just gone down."""
+        pressed, heard.buttons = buttons & ~heard.buttons, buttons
+        for n in range(16):
+            if pressed >> n & 1:
+                self._act(heard.peer, int(self._ctx.params[f"BTN{n}_FUNCTION"]), n)
+
+    def _act(self, peer: Peer, function: int, button: int) -> None:
+        vehicle, armed = self._ctx.vehicle, self._ctx.view.armed
+        if function == ARM or (function == TO_ARM and not armed):
+            answer = vehicle.arm(False)
+        elif function in (DISARM, TO_ARM):
+            answer = vehicle.disarm(False)
+        elif function in _MODE_BUTTONS:
+            answer = vehicle.set_mode(_MODE_BUTTONS[function])
+        elif function in (GAIN_UP, GAIN_DOWN):
+            now = self._ctx.params["PILOT_GAIN"] if self._gain is None else self._gain
+            step = GAIN_STEP if function == GAIN_UP else -GAIN_STEP
+            self._gain = min(max(round(now + step, 3), LEAST_GAIN), MOST_GAIN)
+            self._ctx.say(Severity.INFO, f"Pilot gain {100.0 * self._gain:.0f} %", peer)
+            return
+        else:
+            if function:
+                text = f"Button {button}: function {function} is not offered (no lights, no gimbal), see BTNn_FUNCTION"
+                self._ctx.say(Severity.WARNING, text, peer)
+            return
+        if answer.reason:
+            self._ctx.say(Severity.WARNING, answer.reason, peer)
+
+
+def _axis(value: int) -> float:
+    """-1000 to 1000 as -1 to 1; no axis and the middle are 0."""
+    if value == INVALID:
+        return 0.0
+    share = min(max(value / 1000.0, -1.0), 1.0)
+    return 0.0 if abs(share) < DEADZONE else share
+
+
+def _channel(us: int) -> float:
+    """A pulse as -1 to 1; what is no pulse is released."""
+    return _axis(round(1000 * (us - NEUTRAL_US) / SPAN_US)) if LEAST_US <= us <= MOST_US else 0.0
+
+
+__all__ = ["Pilot"]

@@ -1,0 +1,209 @@
+"""Set points of an offboard client: SET_POSITION_TARGET_LOCAL_NED, .._GLOBAL_INT, SET_ATTITUDE_TARGET.
+
+They have no acknowledgement: one that is not followed is refused by a text, once in a while, and ends mode GUIDED.
+"""
+
+import math
+from collections.abc import Callable
+
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.frames import rpy_from_quat
+from autopilot.core.geodesy import ned_from_geodetic, place_from_ned, refuse_place
+from autopilot.core.messages import NavHealth, NavState, Severity
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode, SetPoint
+from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.wire import Message
+
+X, Y, Z, VX, VY, VZ = (1 << bit for bit in range(6))
+ACCELERATION = 0b111 << 6
+YAW, YAW_RATE = 1 << 10, 1 << 11
+"""Bits of POSITION_TARGET_TYPEMASK: set = not to be looked at."""
+
+ATTITUDE_YAW_RATE, ATTITUDE_THRUST, ATTITUDE = 1 << 2, 1 << 6, 1 << 7
+"""Bits of ATTITUDE_TARGET_TYPEMASK."""
+
+_OFFSET = frozenset((mav.MAV_FRAME_LOCAL_OFFSET_NED, mav.MAV_FRAME_BODY_NED, mav.MAV_FRAME_BODY_OFFSET_NED, 12))
+_BODY = frozenset((mav.MAV_FRAME_BODY_NED, mav.MAV_FRAME_BODY_OFFSET_NED, 12))
+"""12: MAV_FRAME_BODY_FRD."""
+_LOCAL = _OFFSET | {mav.MAV_FRAME_LOCAL_NED}
+_AMSL = frozenset((mav.MAV_FRAME_GLOBAL, mav.MAV_FRAME_GLOBAL_INT))
+_RELATIVE = frozenset((mav.MAV_FRAME_GLOBAL_RELATIVE_ALT, mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT))
+
+FASTEST = 5.0
+"""m/s and rad/s: what is faster is a mistake."""
+
+NEUTRAL_THRUST = 0.5
+THRUST_DEADZONE = 0.05
+"""SET_ATTITUDE_TARGET.thrust: 0 down, 0.5 holds the depth, 1 up."""
+
+
+class _NotFollowedError(Exception):
+    """A set point that makes no sense here, and why."""
+
+
+class SetPoints:
+    """Reads them and hands them on."""
+
+    def __init__(self, ctx: Context) -> None:
+        self._ctx = ctx
+
+    def on_local(self, peer: Peer, msg: Message) -> None:
+        """SET_POSITION_TARGET_LOCAL_NED."""
+        self._take(peer, msg, self._of_local)
+
+    def on_global(self, peer: Peer, msg: Message) -> None:
+        """SET_POSITION_TARGET_GLOBAL_INT."""
+        self._take(peer, msg, self._of_global)
+
+    def on_attitude(self, peer: Peer, msg: Message) -> None:
+        """SET_ATTITUDE_TARGET: the heading (or its rate) and the vertical part of the thrust."""
+        self._take(peer, msg, self._of_attitude)
+
+    def on_actuators(self, peer: Peer, msg: Message) -> None:
+        """SET_ACTUATOR_CONTROL_TARGET: thrusters belong to the controller."""
+        self._refuse(peer, "no actuator control here, send positions or velocities")
+
+    def _take(self, peer: Peer, msg: Message, read: Callable[[Message], tuple[SetPoint, bool]]) -> None:
+        try:
+            point, lasts = read(msg)
+        except _NotFollowedError as error:
+            self._refuse(peer, str(error))
+            return
+        ctx = self._ctx
+        if lasts and ctx.profile.guided_in_hold and ctx.view.mode is FlightMode.HOLD and ctx.view.armed:
+            answer = self._go_to(point)
+        else:
+            answer = ctx.vehicle.set_point(point)
+            if ctx.profile.guided_in_hold and ctx.view.mode is FlightMode.HOLD and ctx.view.armed and not answer.reason:
+                answer = ctx.vehicle.set_mode(FlightMode.GUIDED)
+        if answer.result is not CommandResult.ACCEPTED and answer.reason:
+            ctx.say(Severity.WARNING, answer.reason, peer)
+
+    def _refuse(self, peer: Peer, reason: str) -> None:
+        answer = self._ctx.vehicle.refuse_set_point(reason)
+        self._ctx.say(Severity.WARNING, answer.reason, peer)
+
+    def _go_to(self, point: SetPoint) -> Answer:
+        """ArduPilot's GUIDED takes a position once and for all, without a stream."""
+        nav, origin = self._nav(), self._ctx.view.origin
+        north, east = point.place_ned_m or (float(nav.pos_ned_m[0]), float(nav.pos_ned_m[1]))
+        depth_m = float(nav.pos_ned_m[2]) if point.depth_m is None else point.depth_m
+        place = place_from_ned(origin, north, east, depth_m)
+        if place is None:
+            return Answer(result=CommandResult.DENIED, reason="Set point refused: too far away")
+        return self._ctx.vehicle.go_to(place, point.yaw_rad)
+
+    # Reading
+
+    def _of_local(self, msg: Message) -> tuple[SetPoint, bool]:
+        frame, mask = msg.coordinate_frame, msg.type_mask
+        if frame not in _LOCAL:
+            raise _NotFollowedError(f"frame {frame}, use 1 (local), 7 (offset), 8, 9 or 12 (body)")
+        place, depth_m = None, None
+        planar, vertical = _pair(mask, X, Y, "position"), not mask & Z
+        offset, body = frame in _OFFSET, frame in _BODY
+        if planar:
+            x, y = _finite((msg.x, msg.y), "position")
+            place = self._displaced(x, y, body=body) if offset else (x, y)
+        if vertical:
+            (z,) = _finite((msg.z,), "depth")
+            depth_m = z + (float(self._nav().pos_ned_m[2]) if offset else 0.0)
+        return self._point(msg, place, depth_m, body=body), not mask & Z or planar
+
+    def _of_global(self, msg: Message) -> tuple[SetPoint, bool]:
+        frame, mask, origin = msg.coordinate_frame, msg.type_mask, self._ctx.view.origin
+        if frame not in _AMSL and frame not in _RELATIVE:
+            raise _NotFollowedError(f"frame {frame}, use 0 or 5 (AMSL), 3 or 6 (above the water)")
+        place, depth_m = None, None
+        if _pair(mask, X, Y, "position"):
+            lat_deg, lon_deg = msg.lat_int / 1e7, msg.lon_int / 1e7
+            refusal = refuse_place(origin, lat_deg, lon_deg)
+            if refusal:
+                raise _NotFollowedError(refusal)
+            north, east, _ = ned_from_geodetic(origin, lat_deg, lon_deg, origin.alt_m).tolist()
+            place = (north, east)
+        if not mask & Z:
+            (alt,) = _finite((msg.alt,), "altitude")
+            depth_m = -alt if frame in _RELATIVE else origin.alt_m - alt
+        return self._point(msg, place, depth_m, body=False), place is not None or depth_m is not None
+
+    def _point(self, msg: Message, place: tuple[float, float] | None, depth_m: float | None, *, body: bool) -> SetPoint:
+        mask = msg.type_mask
+        if mask & ACCELERATION != ACCELERATION:
+            raise _NotFollowedError("no accelerations here, mask them out")
+        moves = _pair(mask, VX, VY, "velocity")
+        vel, down = None, None
+        if moves and place is None:
+            vx, vy = _finite((msg.vx, msg.vy), "velocity")
+            vel = (vx, vy)
+        if not mask & VZ and depth_m is None:
+            (down,) = _finite((msg.vz,), "velocity")
+        yaw_rad, rate = None, None
+        if not mask & YAW and math.isfinite(msg.yaw):
+            yaw_rad = float(msg.yaw) + (float(self._nav().rpy_rad[2]) if body else 0.0)
+        elif not mask & YAW_RATE:
+            (rate,) = _finite((msg.yaw_rate,), "yaw rate")
+        if place is None and depth_m is None and vel is None and down is None and yaw_rad is None and rate is None:
+            raise _NotFollowedError(f"type mask {mask} leaves nothing to do")
+        return SetPoint(
+            until_us=self._until_us(),
+            place_ned_m=place,
+            vel_m_s=vel,
+            body=body,
+            depth_m=depth_m,
+            down_m_s=down,
+            yaw_rad=yaw_rad,
+            yaw_rate_rad_s=rate,
+        )
+
+    def _of_attitude(self, msg: Message) -> tuple[SetPoint, bool]:
+        mask = msg.type_mask
+        yaw_rad, rate, down, depth_given = None, None, None, bool(mask & ATTITUDE_THRUST)
+        if not mask & ATTITUDE:
+            quat = _finite(tuple(msg.q), "attitude", most=math.inf)
+            if math.hypot(*quat) < 0.5:
+                raise _NotFollowedError("attitude is no quaternion, mask it out")
+            yaw_rad = float(rpy_from_quat([each / math.hypot(*quat) for each in quat])[2])
+        elif not mask & ATTITUDE_YAW_RATE:
+            (rate,) = _finite((msg.body_yaw_rate,), "yaw rate")
+        if not depth_given:
+            (thrust,) = _finite((msg.thrust,), "thrust")
+            up = min(max(2.0 * (thrust - NEUTRAL_THRUST), -1.0), 1.0)
+            down = None if abs(up) < THRUST_DEADZONE else -up * self._ctx.params["PILOT_SPD_Z"]
+        elif yaw_rad is None and rate is None:
+            raise _NotFollowedError(f"attitude mask {mask} leaves nothing to do")
+        point = SetPoint(until_us=self._until_us(), down_m_s=down, yaw_rad=yaw_rad, yaw_rate_rad_s=rate)
+        return point, False
+
+    def _until_us(self) -> int:
+        return self._ctx.t_us + round(self._ctx.params["OFFB_TIMEOUT"] * 1e6 * self._ctx.patience)
+
+    def _nav(self) -> NavState:
+        nav = self._ctx.view.nav
+        if nav is None or nav.health is NavHealth.INVALID:
+            raise _NotFollowedError("no position yet")
+        return nav
+
+    def _displaced(self, x: float, y: float, *, body: bool) -> tuple[float, float]:
+        """From where the vehicle is."""
+        nav = self._nav()
+        yaw = float(nav.rpy_rad[2]) if body else 0.0
+        c, s = math.cos(yaw), math.sin(yaw)
+        return float(nav.pos_ned_m[0]) + c * x - s * y, float(nav.pos_ned_m[1]) + s * x + c * y
+
+
+def _pair(mask: int, one: int, other: int, what: str) -> bool:
+    """Whether both of two axes are given; one alone is a mistake."""
+    if bool(mask & one) is not bool(mask & other):
+        raise _NotFollowedError(f"{what} needs x and y, or neither")
+    return not mask & one
+
+
+def _finite(values: tuple[float, ...], what: str, *, most: float | None = None) -> tuple[float, ...]:
+    """Numbers that can be meant."""
+    bound = 1e6 if what in ("position", "depth", "altitude") else FASTEST if most is None else most
+    for value in values:
+        if not (math.isfinite(value) and abs(value) <= bound):
+            raise _NotFollowedError(f"{what} {value:g} is no usable number")
+    return tuple(float(value) for value in values)
