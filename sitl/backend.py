@@ -8,6 +8,7 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.markers import MarkerMap
 from autopilot.core.samples import CameraFrame, PowerSample, Sample
+from autopilot.core.toml_table import Vec2
 from autopilot.core.vehicle import Vehicle
 from drivers.base import AlwaysOpen, Closing
 from drivers.ig500 import Ig500
@@ -15,17 +16,19 @@ from drivers.thruster_output import SafeThrusterOutput
 from sitl.ahrs import Ig500Emulator
 from sitl.camera import SimCamera, true_camera
 from sitl.camera_feed import CameraFeed
+from sitl.contact import Prism
 from sitl.depth_sensor import SimDepthSensor
 from sitl.dvl import SimDvl
-from sitl.fault_tables import LateCommands
+from sitl.fault_tables import BatterySag, LateCommands, Shove, Snag
 from sitl.floor import build_floor
 from sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
 from sitl.hull_sensor import SimHullSensor
 from sitl.obstacle_sensor import SimObstacleSensor
 from sitl.plant import Truth
 from sitl.pose_sensor import SimPoseSensor
-from sitl.protocol import PlantContext, PlantLike, create_plant
+from sitl.protocol import PlantContext, PlantLike, SteerablePlant, create_plant
 from sitl.scenario import Fault, Scenario
+from sitl.scenario_tables import ThrusterLoss
 
 POWER_PERIOD_US = 500_000
 """The battery monitor reports at 2 Hz."""
@@ -41,6 +44,14 @@ class Observer(Protocol):
 
     def observe(self, truth: Truth) -> None:
         """Look."""
+        ...
+
+
+class Suffering(Protocol):
+    """A simulated sensor that can fail while it runs."""
+
+    def add(self, fault: Fault) -> bool:
+        """A fault begins at its time; whether it is one of this sensor."""
         ...
 
 
@@ -134,6 +145,8 @@ class SimulatedVehicle(Closing):
         ``hil``: which devices have a real driver and an operating system between them and the service."""
         sensors, faults = scenario.sensors, scenario.fault
         self._plant = plant
+        self.thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
+        """Their names."""
         self._t_us = 0
         self._truth: Truth | None = None
         plain = SimThrusterOutput(vehicle)
@@ -164,6 +177,7 @@ class SimulatedVehicle(Closing):
         if self._hull is not None:
             self._observers.append(self._hull)
         self._observers += [sensor for sensor in (self._depth, self._dvl) if sensor is not None]
+        feed: CameraFeed | None = None
         if position == "pose":
             self._pose = SimPoseSensor(sensors.pose, sensors.laser, vehicle, depth_m, faults, seed)
             self._observers.append(self._pose)
@@ -183,6 +197,8 @@ class SimulatedVehicle(Closing):
             self._observers.append(feed)
             self.markers = floor.markers
         self._due_us = 0
+        own: tuple[Suffering | None, ...] = (feed, self._pose, self._hull, self._depth, self._dvl)
+        self._faulty = [sensor for sensor in own if sensor is not None]
 
     def open(self) -> None:
         """Configure the AHRS, start the renderer, thrusters to neutral."""
@@ -209,6 +225,52 @@ class SimulatedVehicle(Closing):
     def ahrs(self) -> Ig500:
         """The driver, for its counters."""
         return self._ahrs.driver if isinstance(self._ahrs, SerialAhrs) else self._ahrs
+
+    # Steered by hand
+
+    @property
+    def steerable(self) -> SteerablePlant | None:
+        """The plant, if it can be steered by hand."""
+        return self._plant if isinstance(self._plant, SteerablePlant) else None
+
+    def suffer(self, fault: Fault) -> None:
+        """A fault begins that the scenario does not have. ConfigError if nothing here can have it."""
+        plant = self.steerable
+        if isinstance(fault, ThrusterLoss | Shove | Snag | BatterySag):
+            if plant is None:
+                raise ConfigError("this plant takes no faults while it runs; write it into the scenario")
+            plant.suffer(fault)
+        elif not any(sensor.add(fault) for sensor in self._faulty):
+            kind = fault.__struct_config__.tag
+            raise ConfigError(f"fault {kind} cannot begin while the simulation runs; write it into the scenario")
+
+    @property
+    def pictured(self) -> bool:
+        """Whether it is localised by pictures."""
+        return self._camera is not None
+
+    def add_flow(self, flow_m_s: Vec2) -> None:
+        """A flow is added to the current everywhere. ConfigError if the plant cannot."""
+        plant = self.steerable
+        if plant is None:
+            raise ConfigError("the current of this plant cannot be changed")
+        plant.add_flow(flow_m_s)
+        self._truth = None
+
+    def put_obstacle(self, number: int, north_m: float, east_m: float) -> None:
+        """An obstacle stands elsewhere; the obstacle sensor reports it from now on. ConfigError if it cannot."""
+        plant = self.steerable
+        if plant is None:
+            raise ConfigError("obstacles of this plant cannot be moved")
+        plant.put_obstacle(number, north_m, east_m)
+        self._truth = None
+        solid = plant.solids[number - 1]
+        if isinstance(solid, Prism):
+            return
+        self._obstacles.put(number, north_m, east_m, solid.radius_m)
+        if self._obstacles not in self._observers:
+            self._obstacles.begin(self._due_us)
+            self._observers.append(self._obstacles)
 
     def advance(self, t_us: int) -> None:
         """Move the plant on to ``t_us`` with the last pulses; every sensor looks at its own times on the way."""

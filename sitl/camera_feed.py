@@ -72,6 +72,13 @@ class CameraFeed(Closing):
             self._worker = None
             self._queue.clear()
 
+    def add(self, fault: Fault) -> bool:
+        """A fault that begins while the simulation runs; whether it is one of this sensor."""
+        if isinstance(fault, CameraPicture):
+            self._spoilt.append(fault)
+            return True
+        return self._outages.add(fault)
+
     def observe(self, truth: Truth) -> None:
         """Expose the picture that is due at ``truth.t_us``."""
         index = self._count

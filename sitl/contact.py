@@ -8,7 +8,7 @@ hull loses buoyancy as it comes out (:mod:`sitl.rigid_body`), and how far it sto
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from autopilot.core.shapes import is_inside
@@ -119,10 +119,31 @@ class Surroundings:
         self._floor_m = floor_m
         self._solids = tuple(solids)
         self._t_s = 0.0
-        self.fastest_m_s = max((s.path.speed_m_s for s in self._solids if isinstance(s, MovingCylinder)), default=0.0)
+        self.fastest_m_s = self._fastest()
         """Speed of the fastest thing that moves."""
         self._radius = hull_radius_m
         self._half_height = hull_half_height_m
+
+    @property
+    def solids(self) -> tuple[Cylinder | Sphere | Prism, ...]:
+        """Everything solid but walls and floor, where it is now; in the order in which it was given."""
+        return tuple(self._now(solid) for solid in self._solids)
+
+    def put(self, number: int, north_m: float, east_m: float) -> None:
+        """The solid of that number (from 1) stands there from now on, also if it moved."""
+        solids = list(self._solids)
+        solids[number - 1] = moved_to(self._now(solids[number - 1]), north_m, east_m)
+        self._solids = tuple(solids)
+        self.fastest_m_s = self._fastest()
+
+    def _fastest(self) -> float:
+        return max((s.path.speed_m_s for s in self._solids if isinstance(s, MovingCylinder)), default=0.0)
+
+    def _now(self, solid: Solid) -> Cylinder | Sphere | Prism:
+        """Where a solid is now."""
+        if not isinstance(solid, MovingCylinder):
+            return solid
+        return Cylinder(name=solid.name, center_ned_m=solid.path.at(self._t_s).center_ned_m, radius_m=solid.radius_m)
 
     def move_to(self, t_s: float) -> None:
         """Everything that moves is where it is at that time."""
@@ -197,6 +218,18 @@ class Surroundings:
             push = max(0.0, STIFFNESS_N_M * touch.depth_m + DAMPING_N_S_M * closing)
             fx, fy, fz = fx + push * nx, fy + push * ny, fz + push * nz
         return fx, fy, fz
+
+
+def moved_to(solid: Cylinder | Sphere | Prism, north_m: float, east_m: float) -> Cylinder | Sphere | Prism:
+    """The same thing with its centre (a prism's: of its corners) elsewhere."""
+    if isinstance(solid, Cylinder):
+        return replace(solid, center_ned_m=(north_m, east_m))
+    if isinstance(solid, Sphere):
+        return replace(solid, center_ned_m=(north_m, east_m, solid.center_ned_m[2]))
+    count = len(solid.polygon_ned_m)
+    away_n = north_m - sum(corner[0] for corner in solid.polygon_ned_m) / count
+    away_e = east_m - sum(corner[1] for corner in solid.polygon_ned_m) / count
+    return replace(solid, polygon_ned_m=tuple((n + away_n, e + away_e) for n, e in solid.polygon_ned_m))
 
 
 class ContactLog:

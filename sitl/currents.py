@@ -79,6 +79,33 @@ class Uniform:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class WithFlow:
+    """Another field and a flow that is added to it everywhere."""
+
+    field: CurrentField
+    added_m_s: Vec2
+    """North, east."""
+
+    @property
+    def steady_uniform(self) -> bool:
+        """As the field that it is added to."""
+        return self.field.steady_uniform
+
+    def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        north, east, down = self.field.velocity(pos_ned_m, t_s)
+        return (north + self.added_m_s[0], east + self.added_m_s[1], down)
+
+    def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
+        """See :class:`CurrentField`."""
+        return self.field.gradient(pos_ned_m, t_s)
+
+    def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """See :class:`CurrentField`."""
+        return self.field.rate(pos_ned_m, t_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Steady:
     """A planar field that does not change with time."""
 

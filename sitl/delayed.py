@@ -52,6 +52,10 @@ class DelayedSamples(Generic[T]):
         self._count += 1
         self.next_us = round(self._count * 1e6 / self._rate_hz)
 
+    def add(self, fault: Fault) -> bool:
+        """A fault that begins while the simulation runs; whether it is one of this sensor."""
+        return self._outages.add(fault)
+
     def lost(self, t_us: int, chance: float) -> bool:
         """Whether the sample of that time never arrives; ``chance`` is even in [0, 1)."""
         return self._outages.silent(t_us) or chance < self._drop_probability

@@ -46,6 +46,10 @@ class SimDvl(AlwaysOpen):
         """When the next sample is taken."""
         return self._line.next_us
 
+    def add(self, fault: Fault) -> bool:
+        """A fault that begins while the simulation runs; whether it is one of this sensor."""
+        return self._line.add(fault)
+
     def observe(self, truth: Truth) -> None:
         """Take the sample that is due at ``truth.t_us``."""
         self._line.advance()

@@ -29,6 +29,18 @@ class SimHullSensor(AlwaysOpen):
         self.next_us = 0
         """When it looks next."""
 
+    def add(self, fault: Fault) -> bool:
+        """A fault that begins while the simulation runs; whether it is one of this sensor."""
+        if isinstance(fault, Leak):
+            self._leaks.append(fault)
+        elif isinstance(fault, HullClimate):
+            self._climate.append(fault)
+        elif isinstance(fault, SensorSilence) and fault.sensor == "hull":
+            self._gaps.append((fault.at_s * 1e6, (fault.at_s + fault.duration_s) * 1e6))
+        else:
+            return False
+        return True
+
     def observe(self, truth: Truth) -> None:
         """Look."""
         t_us = truth.t_us

@@ -23,6 +23,13 @@ class Mishaps:
         self._caught: dict[int, tuple[float, float, float]] = {}
         self._acts = False
 
+    def add(self, mishap: Mishap) -> None:
+        """One more, while the simulation runs."""
+        if isinstance(mishap, BatterySag):
+            self._sags = sorted([*self._sags, mishap], key=lambda sag: sag.at_s)
+        else:
+            self._forces.append(mishap)
+
     @property
     def none(self) -> bool:
         """Nothing is going to happen any more."""

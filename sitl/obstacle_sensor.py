@@ -4,6 +4,7 @@ What the fence has is left out: the vehicle knows it. Every report is a track of
 and velocity, and arrives after the latency.
 """
 
+import math
 from collections import deque
 from collections.abc import Sequence
 
@@ -39,6 +40,16 @@ class SimObstacleSensor(AlwaysOpen):
     def blind(self) -> bool:
         """There is nothing in this world that it would ever report."""
         return not self._seen
+
+    def put(self, number: int, north_m: float, east_m: float, radius_m: float) -> None:
+        """An obstacle stands elsewhere than where it was known to be: from now on it is reported."""
+        self._seen = [seen for seen in self._seen if seen[0] != number]
+        self._seen.append((number, Motion((north_m, east_m), (0.0, 0.0)), radius_m))
+
+    def begin(self, t_us: int) -> None:
+        """Look from then on: so far there was nothing to be seen."""
+        self._count = math.ceil(1e-6 * t_us * self._sensor.rate_hz)
+        self.next_us = round(self._count * 1e6 / self._sensor.rate_hz)
 
     def observe(self, truth: Truth) -> None:
         """Look round at ``truth.t_us``."""

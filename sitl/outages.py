@@ -15,15 +15,22 @@ class OutageClock:
     ) -> None:
         """``sensor``: whose gaps they are; faults of others do not count."""
         self._outages = outages
-        self._faults = [
-            (fault.at_s, fault.at_s + fault.duration_s)
-            for fault in faults
-            if (isinstance(fault, CameraBlackout) and sensor == "camera")
-            or (isinstance(fault, SensorSilence) and fault.sensor == sensor)
-        ]
+        self._sensor = sensor
+        self._faults: list[tuple[float, float]] = []
+        for fault in faults:
+            self.add(fault)
         self._rng = rng
         self._start_s = self._end_s = 0.0
         self._draw()
+
+    def add(self, fault: Fault) -> bool:
+        """A fault that begins while the simulation runs; whether it is one of this sensor."""
+        if (isinstance(fault, CameraBlackout) and self._sensor == "camera") or (
+            isinstance(fault, SensorSilence) and fault.sensor == self._sensor
+        ):
+            self._faults.append((fault.at_s, fault.at_s + fault.duration_s))
+            return True
+        return False
 
     def silent(self, t_us: int) -> bool:
         """Whether nothing comes out at that time."""

@@ -7,7 +7,7 @@ Nothing is random here.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -16,11 +16,12 @@ from autopilot.core import compiled
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, quat_from_rpy
 from autopilot.core.messages import MAX_THRUSTERS
-from autopilot.core.toml_table import Vec3
+from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.core.vehicle import Vehicle
 from sitl.battery import Battery
 from sitl.compiled_hull import CompiledHull
-from sitl.contact import NEAR_M, ContactLog, ContactRecord, Surroundings
+from sitl.contact import NEAR_M, ContactLog, ContactRecord, Cylinder, Prism, Sphere, Surroundings, moved_to
+from sitl.currents import WithFlow
 from sitl.fault_tables import BatterySag, Mishap, Shove, Snag
 from sitl.mishaps import Mishaps
 from sitl.mismatch import mismatched
@@ -226,6 +227,49 @@ class Plant:
         """A further force and moment on the hull from now on (a push, a payload), replacing the one before."""
         self._external = (*force_frd_n, *moment_frd_n_m, *force_ned_n)
         self._instant = None
+
+    def suffer(self, fault: ThrusterLoss | Mishap) -> None:
+        """A fault of hull, thrusters or battery that nobody knew of at the start. ConfigError if it cannot happen."""
+        if isinstance(fault, ThrusterLoss):
+            self._thruster_index(fault.thruster)
+            self._losses = sorted([*self._losses, fault], key=lambda loss: loss.at_s)
+        else:
+            self._mishaps.add(fault)
+
+    def add_flow(self, flow_m_s: Vec2) -> None:
+        """From now on this flow (north, east) is added to the scenario's current everywhere; the last one counts."""
+        field = self._world.current
+        scenario = field.field if isinstance(field, WithFlow) else field
+        self._world = replace(self._world, current=WithFlow(field=scenario, added_m_s=flow_m_s))
+        self._instant = None
+
+    def current_at(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """The current (3,) NED at a place and time."""
+        return self._world.current.velocity(pos_ned_m, t_s)
+
+    @property
+    def solids(self) -> tuple[Cylinder | Sphere | Prism, ...]:
+        """The obstacles where they are now, in the scenario's order."""
+        self._surroundings.move_to(self._t_us * 1e-6)
+        return self._surroundings.solids
+
+    def put_obstacle(self, number: int, north_m: float, east_m: float) -> None:
+        """The obstacle of that number (from 1) stands there from now on. ConfigError if the hull is there."""
+        solids = self.solids
+        if not 1 <= number <= len(solids):
+            raise ConfigError(f"obstacle {number} does not exist; there are {len(solids)}")
+        before = self._surroundings.touches(self._state[:3])
+        trial = Surroundings(
+            polygon_ned_m=None,
+            floor_m=None,
+            solids=[moved_to(solids[number - 1], north_m, east_m)],
+            hull_radius_m=self._vehicle.hull_radius_m,
+            hull_half_height_m=self._vehicle.hull_half_height_m,
+        )
+        if trial.touches(self._state[:3]) and not any(touch.what == solids[number - 1].name for touch in before):
+            raise ConfigError(f"obstacle {number} would stand inside the vehicle; put it elsewhere")
+        self._surroundings.put(number, north_m, east_m)
+        self._clearance_m, self._instant = -math.inf, None
 
     # Inside.
 

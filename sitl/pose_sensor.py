@@ -64,6 +64,10 @@ class SimPoseSensor(AlwaysOpen):
         self._last_due_us = 0
         self._queue: deque[tuple[int, PoseSample | LaserSample]] = deque()
 
+    def add(self, fault: Fault) -> bool:
+        """A fault that begins while the simulation runs; whether it is one of this sensor."""
+        return self._outages.add(fault)
+
     def observe(self, truth: Truth) -> None:
         """Take the sample that is due at ``truth.t_us``."""
         self._count += 1

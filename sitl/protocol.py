@@ -3,12 +3,16 @@
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from autopilot.core.plugins import Plugin, find_plugin
+from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.core.vehicle import Vehicle
+from sitl.contact import Cylinder, Prism, Sphere
+from sitl.fault_tables import Mishap
 from sitl.plant import Plant, Truth, build_plant
 from sitl.scenario import Scenario
+from sitl.scenario_tables import ThrusterLoss
 
 PLANTS = {"rigid-body": "sitl.protocol:rigid_body"}
 """Shipped plants: name -> what makes one."""
@@ -43,6 +47,32 @@ class PlantLike(Protocol):
     def advance(self, t_us: int, pwm_us: Sequence[int]) -> None:
         """Move on to ``t_us``, no earlier than the last one, with these pulses held: one per channel (from 1 on),
         missing or 0 = off."""
+        ...
+
+
+@runtime_checkable
+class SteerablePlant(Protocol):
+    """What a plant may offer beside, for whoever steers a simulation by hand (the live view)."""
+
+    @property
+    def solids(self) -> tuple[Cylinder | Sphere | Prism, ...]:
+        """The obstacles where they are now, in the scenario's order."""
+        ...
+
+    def suffer(self, fault: ThrusterLoss | Mishap) -> None:
+        """A fault of hull, thrusters or battery that nobody knew of at the start."""
+        ...
+
+    def add_flow(self, flow_m_s: Vec2) -> None:
+        """From now on this flow (north, east) is added to the scenario's current everywhere."""
+        ...
+
+    def current_at(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
+        """The current (3,) NED at a place and time."""
+        ...
+
+    def put_obstacle(self, number: int, north_m: float, east_m: float) -> None:
+        """The obstacle of that number (from 1) stands there from now on."""
         ...
 
 

@@ -23,6 +23,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "client": ("core",),
     "mavlink": ("core",),
     "log": ("core",),
+    "view": ("core", "log"),
     "drivers": ("core",),
     "estimator": ("core",),
     "mission": ("core",),
@@ -42,7 +43,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "markermaps": ("core", "estimator", "log"),
     "run": (
         *(NAMES, "core", "client", "mavlink", "log", "drivers", "estimator", "mission", "sitl", "control", *CONTROL),
-        *("command", "replay"),
+        *("command", "replay", "view"),
     ),
 }
 """Room (without ``autopilot.``) -> rooms that it may import from; ``command`` has the estimator's protocol only."""

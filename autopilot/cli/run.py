@@ -1,13 +1,20 @@
 """``autopilot run``: the service on a real vehicle."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from autopilot.cli.output import EXIT_LOSS
 from autopilot.cli.part_name import part_name
 from autopilot.cli.service_run import StopSignals, settle_memory, tell_losses
+from autopilot.cli.view_option import opened_view, view_option
 from autopilot.run.config import PROFILES
+
+if TYPE_CHECKING:
+    from autopilot.run.config import Settings
+    from autopilot.run.session import Session
+    from autopilot.run.vehicle_config import VehicleConfig
+    from autopilot.view.hub import Hub
 
 
 @click.command()
@@ -21,6 +28,7 @@ from autopilot.run.config import PROFILES
 @click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter for this run; repeatable.")
 @click.option("--profile", type=click.Choice(PROFILES), help="MAVLink identity (default: the file's, else px4).")
 @click.option("--instance", type=click.IntRange(0, 99), default=0, show_default=True, help="Instance number.")
+@view_option
 @click.option("--quiet", is_flag=True, help="Print only errors.")
 def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the vehicle of a configuration file. SIGTERM: thrusters neutral, log closed, exit code 0."""
@@ -36,6 +44,26 @@ def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given
         file_name=loaded.path.name,
     )
     overrides = parse_overrides(param)
+    with opened_view(settings["view"]) as view:
+        session = _run(settings, loaded, overrides, instance, stop, view, quiet=quiet)
+    not_whole = tell_losses(session)
+    if stop.interrupted:
+        raise click.Abort
+    if not_whole:
+        click.get_current_context().exit(EXIT_LOSS)
+
+
+def _run(
+    settings: "Settings",
+    loaded: "VehicleConfig",
+    overrides: dict[str, float],
+    instance: int,
+    stop: StopSignals,
+    view: "Hub | None",
+    *,
+    quiet: bool,
+) -> "Session":
+    """The run, from links to its end."""
     from autopilot.run.hardware_session import open_vehicle, open_vehicle_links
 
     with open_vehicle_links(settings, loaded, overrides, instance=instance) as boot:
@@ -44,7 +72,7 @@ def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given
         console = None if quiet else Console()
         show = (lambda _: None) if console is None else console.print
         session = open_vehicle(
-            settings, loaded, overrides, instance=instance, links=boot.links, on_tick=EventLines(show).step
+            settings, loaded, overrides, instance=instance, links=boot.links, on_tick=EventLines(show).step, view=view
         )
         settle_memory()
     session.runtime.take_over(boot.take_unanswered())
@@ -63,8 +91,4 @@ def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given
     finally:
         if console is not None:
             console.close()
-    not_whole = tell_losses(session)
-    if stop.interrupted:
-        raise click.Abort
-    if not_whole:
-        click.get_current_context().exit(EXIT_LOSS)
+    return session

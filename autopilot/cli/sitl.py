@@ -7,12 +7,15 @@ import click
 from autopilot.cli.output import EXIT_LOSS
 from autopilot.cli.part_name import part_name
 from autopilot.cli.service_run import StopSignals, settle_memory, tell_losses
+from autopilot.cli.view_option import opened_view, view_option
 from autopilot.core.errors import AutopilotError
 from autopilot.run.config import BASINS, CURRENTS, PROFILES, SENSORS, UNTIL, WIRES
 
 if TYPE_CHECKING:
+    from autopilot.run.config import Settings
     from autopilot.run.sitl_console import RunWatch
     from autopilot.run.sitl_session import SitlSession
+    from autopilot.view.hub import Hub
 
 
 @click.command()
@@ -49,22 +52,59 @@ if TYPE_CHECKING:
 @click.option("--start", is_flag=True, default=None, help="Arm and start the preloaded plan by an operator in-process.")
 @click.option("--keep-plans", is_flag=True, default=None, help="Keep plans, fence, home and progress between runs.")
 @click.option("--until", type=click.Choice(UNTIL), help="End with the mission; exit code 1 if it ends otherwise.")
+@view_option
 @click.option("--quiet", is_flag=True, help="Print only errors.")
 def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the simulated vehicle of SCENARIO (a shipped name or a TOML file; default paper-tank)."""
     from autopilot.run.config import gather, parse_overrides, sitl_defaults
-    from autopilot.run.sitl_params import open_sitl_links
 
     settings = gather(sitl_defaults(instance), {"scenario": scenario, **given})
     stop = StopSignals()
     overrides = parse_overrides(param)
+    with opened_view(settings["view"]) as view:
+        while True:
+            session, watch = _run(settings, overrides, instance, stop, view, quiet=quiet)
+            if session.steering is None or not session.steering.reset:
+                break
+            _begin_anew(settings)
+    to_the_end = settings["until"] == "complete"
+    _conclude(session, watch, interrupted=stop.interrupted, to_the_end=to_the_end)
+
+
+def _begin_anew(settings: "Settings") -> None:
+    """A run after one that was reset: what that one has recorded stays."""
+    from pathlib import Path
+
+    from autopilot.log.session import free_path
+
+    if settings["log"] is not None:
+        settings.put("log", str(free_path(Path(settings["log"]))), settings.table["log"].origin)
+
+
+def _run(
+    settings: "Settings",
+    overrides: dict[str, float],
+    instance: int,
+    stop: StopSignals,
+    view: "Hub | None",
+    *,
+    quiet: bool,
+) -> "tuple[SitlSession, RunWatch]":
+    """A run, from links to its end."""
+    from autopilot.run.sitl_params import open_sitl_links
+
     with open_sitl_links(settings, overrides, instance=instance) as boot:
         from autopilot.run.console import Console
         from autopilot.run.sitl_console import RunWatch
         from autopilot.run.sitl_session import open_sitl
 
         session = open_sitl(
-            settings, overrides, instance=instance, links=boot.links, on_tick=lambda outputs: watch.step(outputs)
+            settings,
+            overrides,
+            instance=instance,
+            links=boot.links,
+            on_tick=lambda outputs: watch.step(outputs),
+            view=view,
         )
         settle_memory()
     session.runtime.take_over(boot.take_unanswered())
@@ -75,9 +115,11 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     watch = RunWatch(session, show)
     name = session.scenario.scenario.name
     show(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
-    to_the_end = settings["until"] == "complete"
+    to_the_end, steering = settings["until"] == "complete", session.steering
     try:
-        wall_s = session.run(stop=lambda: bool(stop) or (to_the_end and watch.ended))
+        wall_s = session.run(
+            stop=lambda: bool(stop) or (to_the_end and watch.ended) or (steering is not None and steering.reset)
+        )
         counters = session.runtime.counters
         ran_s = counters.ticks * 0.01
         show(
@@ -88,7 +130,11 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     finally:
         if console is not None:
             console.close()
-    _conclude(session, watch, interrupted=stop.interrupted, to_the_end=to_the_end)
+        if steering is not None:
+            steering.end()
+        if view is not None:
+            view.detach()
+    return session, watch
 
 
 def _conclude(session: "SitlSession", watch: "RunWatch", *, interrupted: bool, to_the_end: bool) -> None:

@@ -2,19 +2,23 @@
 
 import time
 
-from autopilot.core.clock import Clock
-
 
 class PacedClock:
     """Wall clock scaled by ``speed``."""
 
     def __init__(self, speed: float) -> None:
-        self._speed = speed
+        self.speed = speed
+        """Of this clock's time relative to real time; changed by :meth:`go_on`."""
         self._start_s = time.monotonic()
+        self._start_us = 0
 
     def now_us(self) -> int:
         """Scaled microseconds since the clock was made."""
-        return int((time.monotonic() - self._start_s) * 1e6 * self._speed)
+        return self._start_us + int((time.monotonic() - self._start_s) * 1e6 * self.speed)
+
+    def go_on(self, t_us: int, speed: float) -> None:
+        """It is ``t_us`` now (simulation only: what lies before is over), and time goes at that speed."""
+        self._start_us, self._start_s, self.speed = t_us, time.monotonic(), speed
 
     def wait_until(self, t_us: int) -> int:
         """Sleep until ``t_us``."""
@@ -23,7 +27,7 @@ class PacedClock:
 
     def left_s(self, t_us: int) -> float:
         """Real seconds until ``t_us``."""
-        return max(0.0, (t_us - self.now_us()) * 1e-6 / self._speed)
+        return max(0.0, (t_us - self.now_us()) * 1e-6 / self.speed)
 
 
 class LockstepClock:
@@ -46,7 +50,7 @@ class LockstepClock:
         return 0.0
 
 
-def make_clock(speed: float) -> Clock:
+def make_clock(speed: float) -> PacedClock | LockstepClock:
     """Speed 0 = as fast as possible."""
     return PacedClock(speed) if speed > 0.0 else LockstepClock()
 

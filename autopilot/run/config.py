@@ -67,6 +67,11 @@ def default_connections(instance: int) -> tuple[str, ...]:
     )
 
 
+MAX_PORT = 65535
+ANY_VIEW_PORT = -1
+"""``--view`` without a port: the first free one from the view's default on."""
+
+
 def sitl_defaults(instance: int) -> dict[str, Any]:
     """Settings of `autopilot sitl` before environment and command line."""
     return {
@@ -92,6 +97,7 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
         "start": False,
         "keep_plans": False,
         "until": None,
+        "view": None,
         "state_dir": platformdirs.user_state_dir("underwater-autopilot", appauthor=False),
         "log_dir": str(Path(platformdirs.user_data_dir("underwater-autopilot", appauthor=False)) / "logs"),
         "log_quota_mb": 0.0,
@@ -100,7 +106,10 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
 
 def vehicle_defaults(instance: int) -> dict[str, Any]:
     """Settings of `autopilot run` before its file, environment and command line."""
-    shared = ("profile", "state_dir", "log_dir", "log_quota_mb", "plan", "log", "duration", "controller", "estimator")
+    shared = (
+        *("profile", "state_dir", "log_dir", "log_quota_mb", "plan", "log", "duration"),
+        *("controller", "estimator", "view"),
+    )
     sitl = sitl_defaults(instance)
     return {
         **{name: sitl[name] for name in shared},
@@ -113,6 +122,7 @@ _FROM_TEXT: dict[str, Any] = {
     "seed": int,
     "duration": float,
     "log_quota_mb": float,
+    "view": int,
     "connect": lambda text: tuple(text.split(",")),
     "hil": lambda text: tuple(text.split(",")),
     "start": lambda text: text.lower() in ("1", "true", "yes"),
@@ -136,6 +146,7 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "speed": (lambda value: 0.0 <= value < math.inf, "0 or more"),
     "seed": (lambda value: value >= 0, "0 or more"),
     "duration": (lambda value: 0.0 < value < math.inf, "a number of seconds above 0"),
+    "view": (lambda value: ANY_VIEW_PORT <= value <= MAX_PORT, f"a port, 0 to {MAX_PORT} (0 = any)"),
     "log_quota_mb": (lambda value: 0.0 <= value < math.inf, "0 (no limit) or a number of megabytes"),
     "controller": (lambda value: is_part("controller", value), part_names("controller")),
     "estimator": (lambda value: is_part("estimator", value), part_names("estimator")),

@@ -30,6 +30,10 @@ from autopilot.run.session import FASTEST, Kept, Outside, Session, loop_round, m
 from autopilot.run.session_log import LogContents, marker_attachment, open_recorder
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.vehicle_config import VehicleConfig, apply_parameters
+from autopilot.run.watched import WatchedService
+from autopilot.view.controls import ReadOnly
+from autopilot.view.feed import Feed
+from autopilot.view.hub import Hub
 from drivers.protocols import Link
 
 
@@ -68,11 +72,12 @@ def open_vehicle(
     links: Sequence[Link] | None = None,
     speed: float = 1.0,
     on_tick: Callable[[Outputs], None] = lambda _: None,
+    view: Hub | None = None,
 ) -> Session:
     """Everything of a run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
 
     ``links``: the connections of the settings if they are already open (:mod:`autopilot.run.boot_links`). ``speed``: of
-    the devices' time; 0 where they, being emulated, follow the ticks.
+    the devices' time; 0 where they, being emulated, follow the ticks. ``view``: who looks at the run.
     """
     disk = Desk(DaemonLane("disk"), patient=speed == 0.0)
     params, persistent, warnings = vehicle_params(settings, config, overrides, instance, disk)
@@ -97,6 +102,7 @@ def open_vehicle(
         notices=device.take_notices,
         refusals=device.refusals,
         skips=speed > 0.0,
+        onlooker=None if view is None else _feed(view, config, parts),
     )
     kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
     return Session(
@@ -110,6 +116,12 @@ def open_vehicle(
         warnings=warnings,
         duration_s=settings["duration"],
     )
+
+
+def _feed(view: Hub, config: VehicleConfig, parts: Parts) -> Feed:
+    """The loop's end of the live view, which has no say."""
+    watched = WatchedService(parts, lambda: describe_service(parts, config.file.place.name))
+    return view.attach(watched, config.vehicle, ReadOnly(), simulated=False)
 
 
 def _service(

@@ -73,6 +73,18 @@ class Recorder(Protocol):
         ...
 
 
+class Onlooker(Protocol):
+    """Whoever looks on without having a say (the live view)."""
+
+    def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
+        """A tick is over."""
+        ...
+
+    def loop_stats(self, stats: LoopStats) -> None:
+        """Health of the loop."""
+        ...
+
+
 class Peer(Protocol):
     """An in-process MAVLink client that lives in the same time as the vehicle (scripted operators, tests)."""
 

@@ -34,13 +34,16 @@ from autopilot.core.messages import (
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.run.clocks import DayClock
 from autopilot.run.loop_account import LoopAccount
-from autopilot.run.outside import HandsBack, Peer, Recorder, VehicleIo, WeightRelease
+from autopilot.run.outside import HandsBack, Onlooker, Peer, Recorder, VehicleIo, WeightRelease
 from autopilot.run.transport import Transport
 from drivers.protocols import Link
 from estimator.vision_lane import VisionWorker
 
 SERVE_MARGIN_S = 0.0005
 """Serving ends so long before a tick."""
+
+HOLD_S = 0.02
+"""While time stands still, links are served in turns of this."""
 
 SKIP_TICKS = 5
 """A loop that is later than this on a real vehicle goes on with the present."""
@@ -73,12 +76,17 @@ class Runtime:
         below: Callable[[int], Below | None] = lambda _: None,
         refusals: Callable[[int], tuple[str, ...]] = lambda _: (),
         skips: bool = False,
+        onlooker: Onlooker | None = None,
+        hold: Callable[[int], bool] = lambda _: False,
     ) -> None:
         """``notices``: what operators should know of the outside world (severity, text), asked for once per tick.
         ``below``: who has the vehicle, where there is a flight controller below; ``refusals``: what its devices have
-        against arming. ``skips``: the world does not wait, ticks that are far too late are left out."""
+        against arming. ``skips``: the world does not wait, ticks that are far too late are left out. ``hold``: asked
+        before every tick, with the time of the last, whether time stands still (a simulation that is paused)."""
         self._refusals = refusals
         self._skips = skips
+        self._onlooker = onlooker
+        self._hold = hold
         self._below = below
         self._notices = notices
         self._service = service
@@ -119,6 +127,10 @@ class Runtime:
         tick = 0
         try:
             while not stop() and (end_tick is None or tick < end_tick):
+                if self._hold(tick * TICK_US):
+                    self._serve((tick + 1) * TICK_US, HOLD_S)
+                    self.attend()
+                    continue
                 tick += 1 + self._too_late(tick + 1)
                 self.tick(tick * TICK_US)
         finally:
@@ -178,6 +190,9 @@ class Runtime:
         guard = self._guard
         guard.run("log", lambda: self._recorder.record(*self._with_between(inputs, outputs), frames), None)
         guard.run("outside", lambda: self._on_tick(outputs), None)
+        onlooker = self._onlooker
+        if onlooker is not None:
+            guard.run("view", lambda: onlooker.tick(inputs, outputs, frames), None)
         watch.mark(LoopPart.RECORD)
         self._account(t_us)
         return outputs
@@ -302,6 +317,8 @@ class Runtime:
         stats = self._spent.tick(t_us, self.watch, dropped_log=self._recorder.dropped, dropped_frames=dropped_frames)
         if stats is not None:
             self._recorder.loop_stats(stats)
+            if self._onlooker is not None:
+                self._onlooker.loop_stats(stats)
 
 
 def _show(text: str) -> None:

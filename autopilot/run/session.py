@@ -10,6 +10,7 @@ from pathlib import Path
 from autopilot.command.parts import Parts
 from autopilot.command.service import Autopilot
 from autopilot.core.camera import CameraModel
+from autopilot.core.clock import Clock
 from autopilot.core.desk import Desk
 from autopilot.core.errors import PlanError
 from autopilot.core.markers import MarkerMap
@@ -18,7 +19,7 @@ from autopilot.core.param_file import PersistentParams
 from autopilot.core.vehicle import Vehicle
 from autopilot.run.clocks import make_clock
 from autopilot.run.kept_plans import KeptPlans
-from autopilot.run.outside import Peer, VehicleIo
+from autopilot.run.outside import Onlooker, Peer, VehicleIo
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.runtime import Runtime
 from autopilot.run.service_manager import ServiceManager
@@ -56,6 +57,12 @@ class Outside:
     """What they have against arming."""
     skips: bool = False
     """The world does not wait for a loop that is late."""
+    clock: Clock | None = None
+    """The loop's, None = one of that speed."""
+    onlooker: Onlooker | None = None
+    """Whoever looks on."""
+    hold: Callable[[int], bool] = lambda _: False
+    """Whether time stands still (a simulation only)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -153,7 +160,7 @@ def loop_round(
         outside.vision,
         outside.links,
         recorder,
-        make_clock(outside.speed),
+        outside.clock or make_clock(outside.speed),
         peers=outside.peers,
         on_tick=each_tick,
         paced=outside.speed > 0.0,
@@ -161,6 +168,8 @@ def loop_round(
         below=outside.below,
         refusals=outside.refusals,
         skips=outside.skips,
+        onlooker=outside.onlooker,
+        hold=outside.hold,
     )
     for desk in (*parts.desks, kept.disk):
         desk.idle = runtime.attend

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -16,6 +17,8 @@ from autopilot.core.lane import DaemonLane
 from autopilot.core.messages import Outputs, ThrusterCommand
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.samples import CameraFrame, Sample
+from autopilot.log.description import RunDescription
+from autopilot.run.clocks import make_clock
 from autopilot.run.compose import ServiceSetup, build_service
 from autopilot.run.config import Settings, chosen_part, system_id
 from autopilot.run.kept_plans import KeptPlans
@@ -26,7 +29,9 @@ from autopilot.run.session_log import LogContents, marker_attachment, open_recor
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_params import sitl_params, state_folder
+from autopilot.run.sitl_view import Steering, WatchedSitl
 from autopilot.run.sitl_world import World, forecast, knowledge, make_world
+from autopilot.view.hub import Hub
 from drivers.protocols import Link
 from sitl.backend import SimulatedVehicle
 from sitl.floor import told_floor_m
@@ -82,6 +87,8 @@ class SitlSession(Session):
     operator: ScriptedOperator | None
     seed: int
     speed: float
+    steering: Steering | None
+    """Who does to the simulation what the live view asks for; None without one."""
 
 
 def open_sitl(
@@ -93,10 +100,12 @@ def open_sitl(
     links: Sequence[Link] | None = None,
     peers: Sequence[Peer] = (),
     on_tick: Callable[[Outputs], None] = lambda _: None,
+    view: Hub | None = None,
 ) -> SitlSession:
     """Everything of a SITL run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
 
     ``links``: the connections of the settings if they are already open (:mod:`autopilot.run.boot_links`).
+    ``view``: who looks at the run and may steer it.
     """
     scenario = load_scenario(settings["scenario"])
     if settings["vehicle"] is not None:
@@ -115,6 +124,8 @@ def open_sitl(
     device = SimulatedDevice(world.simulated, len(world.vehicle.thrusters))
     with opened(device, settings["connect"], links) as open_links:
         recorder = _recorder(settings, world, parts, device) if log else NullRecorder()
+    clock = make_clock(world.speed)
+    steering = None if view is None else Steering(scenario, world.simulated, clock)
     outside = Outside(
         device=device,
         vision=marker_vision(world.vehicle, world.markers, paced=world.speed > 0.0),
@@ -122,6 +133,8 @@ def open_sitl(
         peers=all_peers,
         recorder=recorder,
         speed=world.speed,
+        clock=clock,
+        **({} if view is None or steering is None else _looked_at(view, world, parts, steering)),
     )
     kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
     runtime = loop_round(service, parts, outside, kept, warnings, on_tick)
@@ -143,7 +156,19 @@ def open_sitl(
         duration_s=scenario.scenario.duration_s if given_s is None else given_s,
         seed=world.seed,
         speed=world.speed,
+        steering=steering,
     )
+
+
+def _looked_at(view: Hub, world: World, parts: Parts, steering: Steering) -> dict[str, Any]:
+    """The loop's connections to the live view."""
+
+    def describe() -> RunDescription:
+        return describe_run(world.scenario, parts, seed=world.seed, speed=world.speed, origins=world.parts)
+
+    watched = WatchedSitl(parts, describe, world.simulated)
+    feed = view.attach(watched, world.vehicle, steering, simulated=True)
+    return {"onlooker": feed, "hold": steering.hold, "notices": steering.take_notices}
 
 
 def _service(

@@ -1,0 +1,50 @@
+"""Option ``--view [PORT]`` of ``autopilot sitl`` and ``autopilot run``, and the view that it asks for."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from autopilot.run.config import ANY_VIEW_PORT, MAX_PORT
+
+if TYPE_CHECKING:
+    from autopilot.view.hub import Hub
+
+
+def _port(_: click.Context, __: click.Parameter, value: str | None) -> int | None:
+    """A port; whoever wrote something else behind ``--view`` meant it for the next argument."""
+    if value is None:
+        return None
+    if not value.lstrip("-").isdecimal():
+        raise click.BadParameter(f"{value!r} is no port; write it before --view, or give a port: --view 8760 {value}")
+    if not ANY_VIEW_PORT <= int(value) <= MAX_PORT:
+        raise click.BadParameter(f"{value} is no port; use 0 (any) to {MAX_PORT}")
+    return int(value)
+
+
+view_option: Callable[[Any], Any] = click.option(
+    "--view",
+    callback=_port,
+    is_flag=False,
+    flag_value=str(ANY_VIEW_PORT),
+    metavar="[PORT]",
+    help="Live view: a page on 127.0.0.1 (default port 8760, or the next that is free).",
+)
+
+
+@contextlib.contextmanager
+def opened_view(port: int | None) -> Iterator["Hub | None"]:
+    """The live view, None without ``--view``. Its address is printed, also with ``--quiet``. ConfigError if the port
+    cannot be had."""
+    if port is None:
+        yield None
+        return
+    from autopilot.view.server import ViewServer
+
+    server = ViewServer(None if port == ANY_VIEW_PORT else port)
+    click.echo(f"view: {server.url}")
+    try:
+        yield server.hub
+    finally:
+        server.close()

@@ -1,0 +1,269 @@
+// Drawing on 2D contexts. Nothing here knows the page: a context, a size, the data and colours go in.
+// World: north up, east to the right in the plan; east to the right, depth down in the side view.
+
+export const DARK = {
+  back: "#18222c", ink: "#e4ebf1", weak: "#93a4b3", wall: "#c3d0db", fence: "#ff6b6b", margin: "rgba(255,107,107,.16)",
+  water: "#1d2c39", solid: "#7d8a96", place: "#4cc38a", goal: "#4cc38a", route: "#c79bff", horizon: "#f0a83c",
+  tube: "rgba(240,168,60,.25)", trail: "#4fb3e8", truth: "#f5f7fa", body: "#4fb3e8", flow: "#4b6f8c", track: "#ff9de0",
+};
+export const LIGHT = {
+  back: "#ffffff", ink: "#1b2733", weak: "#5b6b7a", wall: "#33414e", fence: "#c4262e", margin: "rgba(196,38,46,.12)",
+  water: "#eef5fa", solid: "#8b98a4", place: "#1a7f4b", goal: "#1a7f4b", route: "#7a3fc0", horizon: "#d07c00",
+  tube: "rgba(208,124,0,.22)", trail: "#0b6fa4", truth: "#111111", body: "#0b6fa4", flow: "#8fb3cc", track: "#b3128a",
+};
+export const LEGEND = [
+  ["vehicle, track", "trail"], ["truth", "truth"], ["prediction", "horizon"], ["tube", "tube"], ["route", "route"],
+  ["fence", "fence"], ["kept free", "margin"], ["waypoint", "place"], ["current", "flow"], ["reported", "track"],
+];
+
+// What the plan shows: tank, fence, waypoints, the vehicle; never less than a metre.
+export function extent(scene, frame) {
+  const points = [...scene.tank_m, ...scene.places.map((p) => p.pos_ned_m)];
+  for (const shape of scene.fence) points.push(...shape.corners_m);
+  for (const solid of frame ? frame.solids : []) points.push(solid.center_m);
+  if (frame && frame.estimate) points.push(frame.estimate.pos_ned_m);
+  if (!points.length) points.push([0, 0]);
+  const norths = points.map((p) => p[0]), easts = points.map((p) => p[1]);
+  let [n0, n1, e0, e1] = [Math.min(...norths), Math.max(...norths), Math.min(...easts), Math.max(...easts)];
+  const pad = Math.max(0.06 * Math.max(n1 - n0, e1 - e0), 0.5 - 0.5 * Math.max(n1 - n0, e1 - e0), 0.1);
+  return { n0: n0 - pad, n1: n1 + pad, e0: e0 - pad, e1: e1 + pad };
+}
+
+// North is up, or to the right where the water is longer that way than the canvas is high.
+export function planView(width, height, box) {
+  const north = box.n1 - box.n0, east = box.e1 - box.e0;
+  const upright = Math.min(width / east, height / north), lying = Math.min(width / north, height / east);
+  const turned = lying > 1.2 * upright, scale = turned ? lying : upright;
+  const n = 0.5 * (box.n0 + box.n1), e = 0.5 * (box.e0 + box.e1);
+  return {
+    scale, turned,
+    at: ([pn, pe]) => (turned ? [width / 2 + (pn - n) * scale, height / 2 + (pe - e) * scale]
+      : [width / 2 + (pe - e) * scale, height / 2 - (pn - n) * scale]),
+    back: (x, y) => (turned ? [n + (x - width / 2) / scale, e + (y - height / 2) / scale]
+      : [n - (y - height / 2) / scale, e + (x - width / 2) / scale]),
+  };
+}
+
+function path(ctx, points, close) {
+  ctx.beginPath();
+  points.forEach(([x, y], index) => (index ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
+  if (close) ctx.closePath();
+}
+
+function stroke(ctx, points, color, width, close = false, dash = []) {
+  if (points.length < 2) return;
+  path(ctx, points, close);
+  ctx.setLineDash(dash);
+  ctx.lineWidth = width;
+  ctx.strokeStyle = color;
+  ctx.stroke();
+  ctx.setLineDash([]);
+}
+
+function fill(ctx, points, color) {
+  path(ctx, points, true);
+  ctx.fillStyle = color;
+  ctx.fill();
+}
+
+function circle(ctx, [x, y], radius, color, width, filled = false, dash = []) {
+  ctx.beginPath();
+  ctx.arc(x, y, Math.max(radius, 0.5), 0, 2 * Math.PI);
+  if (filled) { ctx.fillStyle = color; ctx.fill(); return; }
+  ctx.setLineDash(dash);
+  ctx.lineWidth = width;
+  ctx.strokeStyle = color;
+  ctx.stroke();
+  ctx.setLineDash([]);
+}
+
+function text(ctx, words, x, y, color, align = "left") {
+  ctx.fillStyle = color;
+  ctx.textAlign = align;
+  ctx.textBaseline = "middle";
+  ctx.font = "12px system-ui, sans-serif";
+  ctx.fillText(words, x, y);
+}
+
+function arrow(ctx, [x0, y0], [x1, y1], color, width) {
+  const angle = Math.atan2(y1 - y0, x1 - x0), length = Math.hypot(x1 - x0, y1 - y0);
+  if (length < 1) return;
+  const head = Math.min(7, 0.45 * length);
+  stroke(ctx, [[x0, y0], [x1, y1]], color, width);
+  const side = (turn) => [x1 - head * Math.cos(angle + turn), y1 - head * Math.sin(angle + turn)];
+  stroke(ctx, [side(0.5), [x1, y1], side(-0.5)], color, width);
+}
+
+function hull(place, yaw, radius) {
+  const [n, e] = place, c = Math.cos(yaw), s = Math.sin(yaw);
+  const corner = (f, r) => [n + radius * (f * c - r * s), e + radius * (f * s + r * c)];
+  return [corner(1, 0), corner(0.35, 0.62), corner(-0.85, 0.62), corner(-0.85, -0.62), corner(0.35, -0.62)];
+}
+
+function tubeOutline(points, radii) {
+  const left = [], right = [];
+  points.forEach((point, index) => {
+    const before = points[Math.max(index - 1, 0)], after = points[Math.min(index + 1, points.length - 1)];
+    const dn = after[0] - before[0], de = after[1] - before[1], length = Math.hypot(dn, de) || 1;
+    const [n, e] = [(-de / length) * radii[index], (dn / length) * radii[index]];
+    left.push([point[0] + n, point[1] + e]);
+    right.unshift([point[0] - n, point[1] - e]);
+  });
+  return [...left, ...right];
+}
+
+function scaleBar(ctx, width, height, view, colors) {
+  let metres = 10 ** Math.floor(Math.log10(0.3 * width / view.scale));
+  if (metres * view.scale < 0.06 * width) metres *= 5;
+  const length = metres * view.scale, x = width - 14 - length, y = height - 14;
+  stroke(ctx, [[x, y - 4], [x, y], [x + length, y], [x + length, y - 4]], colors.ink, 1.5);
+  text(ctx, `${metres} m`, x + length / 2, y - 8, colors.ink, "center");
+  const at = [26, 34], up = view.turned ? [46, 34] : [26, 14];
+  arrow(ctx, at, up, colors.ink, 1.5);
+  text(ctx, "N", view.turned ? 52 : 26, view.turned ? 34 : 8, colors.ink, view.turned ? "left" : "center");
+}
+
+export function drawPlan(ctx, width, height, { scene, frame, flow, trail }, colors) {
+  const view = planView(width, height, extent(scene, frame)), { at, scale } = view;
+  const many = (points) => points.map(at);
+  ctx.fillStyle = colors.back;
+  ctx.fillRect(0, 0, width, height);
+  if (scene.tank_m.length) fill(ctx, many(scene.tank_m), colors.water);
+  for (const [n, e, u, v] of flow ? flow.arrows : []) {
+    const reach = 1.6; // an arrow of 1 m/s has so many metres
+    arrow(ctx, at([n - 0.5 * reach * u, e - 0.5 * reach * v]), at([n + 0.5 * reach * u, e + 0.5 * reach * v]), colors.flow, 1.2);
+  }
+  const tube = frame && frame.control ? frame.control.tube_now_m : 0;
+  for (const shape of scene.fence) {
+    const corners = many(shape.corners_m);
+    ctx.save();
+    path(ctx, corners, true);
+    if (shape.inclusion) ctx.clip();
+    stroke(ctx, corners, colors.margin, 2 * (scene.body_radius_m + Math.max(tube, 0)) * scale, true);
+    ctx.restore();
+    if (!shape.inclusion) fill(ctx, corners, colors.margin);
+    stroke(ctx, corners, colors.fence, 1.5, true, [6, 4]);
+  }
+  if (scene.tank_m.length) stroke(ctx, many(scene.tank_m), colors.wall, 2.5, true);
+  for (const solid of frame ? frame.solids : []) {
+    if (solid.corners_m.length) fill(ctx, many(solid.corners_m), colors.solid);
+    else circle(ctx, at(solid.center_m), solid.radius_m * scale, colors.solid, 1, true);
+    text(ctx, String(solid.number), ...at(solid.center_m), colors.back, "center");
+  }
+  for (const track of frame ? frame.tracks : []) {
+    circle(ctx, at(track.pos_ned_m), track.radius_m * scale, colors.track, 1.5, false, [3, 3]);
+    const [n, e] = track.pos_ned_m, [u, v] = track.vel_ned_m_s;
+    arrow(ctx, at([n, e]), at([n + 2 * u, e + 2 * v]), colors.track, 1.5);
+  }
+  for (const place of scene.places) {
+    const here = at(place.pos_ned_m);
+    circle(ctx, here, place.accept_radius_m * scale, colors.place, 1.2, false, [4, 3]);
+    circle(ctx, here, 3, colors.place, 1, true);
+    if (place.yaw_rad !== null) {
+      const [n, e] = place.pos_ned_m, r = place.accept_radius_m;
+      arrow(ctx, here, at([n + r * Math.cos(place.yaw_rad), e + r * Math.sin(place.yaw_rad)]), colors.place, 1.2);
+    }
+    text(ctx, place.name, here[0] + 8, here[1] - 9, colors.place);
+  }
+  if (!frame) return view;
+  stroke(ctx, many(trail), colors.trail, 1.5);
+  const control = frame.control;
+  if (control) {
+    stroke(ctx, many(control.route_ned_m), colors.route, 1.5, false, [2, 3]);
+    if (control.tube_m.length) {
+      const kept = control.tube_m.map((metres) => metres + scene.body_radius_m);
+      fill(ctx, many(tubeOutline(control.horizon_ned_m, kept)), colors.tube);
+    }
+    stroke(ctx, many(control.horizon_ned_m), colors.horizon, 2);
+    for (const point of many(control.horizon_ned_m)) circle(ctx, point, 1.6, colors.horizon, 1, true);
+  }
+  if (frame.goal) circle(ctx, at(frame.goal.pos_ned_m), frame.goal.accept_radius_m * scale, colors.goal, 2);
+  if (frame.truth) stroke(ctx, many(hull(frame.truth.pos_ned_m, frame.truth.rpy_rad[2], 0.9 * scene.body_radius_m)), colors.truth, 1.2, true);
+  if (frame.estimate) {
+    const { pos_ned_m: place, rpy_rad: rpy, sigma_pos_m: sigma, current_ned_m_s: current } = frame.estimate;
+    circle(ctx, at(place), scene.body_radius_m * scale, colors.body, 1.2);
+    circle(ctx, at(place), 3 * Math.max(sigma[0], sigma[1]) * scale, colors.body, 1, false, [2, 2]);
+    const shape = many(hull(place, rpy[2], 0.9 * scene.body_radius_m));
+    fill(ctx, shape, colors.tube);
+    stroke(ctx, shape, colors.body, 2, true);
+    arrow(ctx, at(place), at([place[0] + 1.6 * current[0], place[1] + 1.6 * current[1]]), colors.ink, 2);
+  }
+  scaleBar(ctx, width, height, view, colors);
+  return view;
+}
+
+export function drawSide(ctx, width, height, { scene, frame, trail }, colors) {
+  const box = extent(scene, frame), turned = planView(2, 1, box).turned;
+  const [a0, a1, axis] = turned ? [box.n0, box.n1, 0] : [box.e0, box.e1, 1];
+  const depths = [...scene.places.map((p) => p.pos_ned_m[2]), frame && frame.estimate ? frame.estimate.pos_ned_m[2] : 0];
+  const floor = scene.tank_depth_m === null ? Math.max(1, 1.3 * Math.max(...depths)) : scene.tank_depth_m;
+  const scale = Math.min(width / (a1 - a0), (height - 16) / (1.12 * floor));
+  const middle = 0.5 * (a0 + a1), top = 8 + 0.04 * floor * scale;
+  const at = (p) => [width / 2 + (p[axis] - middle) * scale, top + p[2] * scale];
+  const flat = (along, z) => [width / 2 + (along - middle) * scale, top + z * scale];
+  ctx.fillStyle = colors.back;
+  ctx.fillRect(0, 0, width, height);
+  fill(ctx, [flat(a0, 0), flat(a1, 0), flat(a1, floor), flat(a0, floor)], colors.water);
+  stroke(ctx, [flat(a0, 0), flat(a1, 0)], colors.flow, 2);
+  if (scene.tank_m.length) {
+    const along = scene.tank_m.map((p) => p[axis]), left = Math.min(...along), right = Math.max(...along);
+    stroke(ctx, [flat(left, 0), flat(left, floor), flat(right, floor), flat(right, 0)], colors.wall, 2.5);
+  }
+  for (const solid of frame ? frame.solids : []) {
+    const along = solid.center_m[axis], r = solid.radius_m;
+    if (solid.depth_m !== null) circle(ctx, flat(along, solid.depth_m), r * scale, colors.solid, 1, true);
+    else fill(ctx, [flat(along - r, 0), flat(along + r, 0), flat(along + r, floor), flat(along - r, floor)], colors.tube);
+  }
+  for (const place of scene.places) {
+    circle(ctx, at(place.pos_ned_m), place.accept_radius_m * scale, colors.place, 1.2, false, [4, 3]);
+    text(ctx, place.name, at(place.pos_ned_m)[0] + 6, at(place.pos_ned_m)[1] - 8, colors.place);
+  }
+  text(ctx, `${turned ? "north" : "east"} →   depth ↓ ${floor.toFixed(1)} m`, 8, height - 8, colors.weak);
+  if (!frame || !frame.estimate) return;
+  stroke(ctx, trail.map(at), colors.trail, 1.2);
+  if (frame.control) stroke(ctx, frame.control.horizon_ned_m.map(at), colors.horizon, 2);
+  const { pos_ned_m: place, rpy_rad: rpy } = frame.estimate, r = scene.body_radius_m, h = scene.half_height_m;
+  const heading = turned ? Math.cos(rpy[2]) : Math.sin(rpy[2]), forward = heading >= 0 ? 1 : -1;
+  const lean = -rpy[1] * forward, half = Math.max(r * Math.abs(heading), 0.5 * r);
+  const turn = (x, z) => flat(place[axis] + x * Math.cos(lean) - z * Math.sin(lean), place[2] + x * Math.sin(lean) + z * Math.cos(lean));
+  const body = [turn(-half, -h), turn(half, -h), turn(half + 0.3 * half * forward, 0), turn(half, h), turn(-half, h), turn(-half + 0.3 * half * Math.min(forward, 0), 0)];
+  stroke(ctx, body, colors.body, 2, true);
+  if (frame.truth) circle(ctx, at(frame.truth.pos_ned_m), 2.5, colors.truth, 1, true);
+}
+
+export function drawPicture(ctx, width, height, picture, image, colors) {
+  ctx.fillStyle = colors.back;
+  ctx.fillRect(0, 0, width, height);
+  if (!picture) { text(ctx, "no picture", width / 2, height / 2, colors.weak, "center"); return; }
+  const scale = Math.min(width / picture.width_px, height / picture.height_px);
+  const x = (width - scale * picture.width_px) / 2, y = (height - scale * picture.height_px) / 2;
+  if (image) ctx.drawImage(image, x, y, scale * picture.width_px, scale * picture.height_px);
+  const at = ([px, py]) => [x + scale * px, y + scale * py];
+  for (const [id, corners] of picture.markers) {
+    stroke(ctx, corners.map(at), "#27d07d", 1.5, true);
+    text(ctx, String(id), at(corners[0])[0] + 2, at(corners[0])[1] - 6, "#27d07d");
+  }
+  if (picture.laser_px) circle(ctx, at(picture.laser_px), 6, "#ff4d4d", 2);
+}
+
+// The flow that is added, 1 m/s at the rim.
+export function drawFlow(ctx, width, height, flow, turned, colors) {
+  const middle = [width / 2, height / 2], reach = 0.46 * Math.min(width, height);
+  ctx.fillStyle = colors.back;
+  ctx.fillRect(0, 0, width, height);
+  circle(ctx, middle, reach, colors.weak, 1);
+  circle(ctx, middle, reach / 2, colors.weak, 1, false, [2, 3]);
+  text(ctx, "N", turned ? width - 8 : middle[0], turned ? middle[1] : 8, colors.weak, "center");
+  if (!flow) return;
+  const [u, v] = flow.map((part) => Math.sign(part) * Math.sqrt(Math.abs(part)));
+  const tip = turned ? [middle[0] + reach * u, middle[1] + reach * v] : [middle[0] + reach * v, middle[1] - reach * u];
+  arrow(ctx, middle, tip, colors.trail, 3);
+  circle(ctx, tip, 5, colors.trail, 1, true);
+}
+
+export function flowAt(x, y, width, height, turned) {
+  const reach = 0.46 * Math.min(width, height), part = (value) => Math.max(-1, Math.min(1, value / reach));
+  const [u, v] = turned ? [part(x - width / 2), part(y - height / 2)] : [part(height / 2 - y), part(x - width / 2)];
+  const square = (value) => Math.round(100 * Math.sign(value) * value * value) / 100;
+  return [square(u), square(v)];
+}

@@ -1,0 +1,252 @@
+"""A simulated run under the live view: what only a simulation knows, and what can be done to it by hand.
+
+What the page asks for is done by the loop, between two ticks; every such thing is told to the operator and stands in
+the log, since the run is then no longer the scenario's alone.
+"""
+
+import queue
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as NoAnswer
+
+import msgspec
+import numpy as np
+
+from autopilot.command.parts import Parts
+from autopilot.core.errors import ConfigError
+from autopilot.core.messages import Severity
+from autopilot.log.description import RunDescription
+from autopilot.run.clocks import LockstepClock, PacedClock
+from autopilot.run.watched import WatchedService
+from autopilot.view.controls import (
+    Ask,
+    CallFault,
+    DragCurrent,
+    DragObstacle,
+    Go,
+    Pause,
+    Reset,
+    Speed,
+    Steered,
+    ViewError,
+)
+from autopilot.view.feed import TruthSeen
+from autopilot.view.shown import FaultOffer, Flow, Solid, Steerable
+from sitl.backend import SimulatedVehicle
+from sitl.contact import Prism, Sphere
+from sitl.scenario import Fault, Scenario
+
+ANSWER_S = 5.0
+"""The loop answers an ask in that time, or is busy."""
+ARROWS = 13
+"""Arrows of the current along the longer side."""
+OPEN_WATER_M = 10.0
+"""Of open water so much is shown round the start."""
+
+
+class WatchedSitl(WatchedService):
+    """A service and the simulated world round it."""
+
+    def __init__(self, parts: Parts, describe: Callable[[], RunDescription], vehicle: SimulatedVehicle) -> None:
+        super().__init__(parts, describe)
+        self._vehicle = vehicle
+
+    def truth(self) -> TruthSeen | None:
+        """Where the vehicle really is."""
+        return self._vehicle.truth
+
+    def solids(self) -> tuple[Solid, ...]:
+        """Obstacles where they are now."""
+        plant = self._vehicle.steerable
+        if plant is None:
+            return ()
+        found = []
+        for number, solid in enumerate(plant.solids, start=1):
+            if isinstance(solid, Prism):
+                corners = np.array(solid.polygon_ned_m)
+                north, east = corners.mean(axis=0).tolist()
+                radius = float(np.hypot(*(corners - (north, east)).T).max())
+            else:
+                (north, east, *_), radius = solid.center_ned_m, solid.radius_m
+            found.append(
+                Solid(
+                    number=number,
+                    kind=type(solid).__name__.lower(),
+                    center_m=(north, east),
+                    depth_m=solid.center_ned_m[2] if isinstance(solid, Sphere) else None,
+                    radius_m=radius,
+                    corners_m=tuple(solid.polygon_ned_m) if isinstance(solid, Prism) else (),
+                )
+            )
+        return tuple(found)
+
+
+class Steering:
+    """Does what the page asks for. ``do`` is called by the page's threads, everything else by the loop."""
+
+    def __init__(self, scenario: Scenario, vehicle: SimulatedVehicle, clock: PacedClock | LockstepClock) -> None:
+        self._scenario, self._vehicle, self._clock = scenario, vehicle, clock
+        self._asked: queue.SimpleQueue[tuple[Ask, Future[str]]] = queue.SimpleQueue()
+        self._speed = clock.speed if isinstance(clock, PacedClock) else 0.0
+        self._paused = False
+        self._flow_m_s = (0.0, 0.0)
+        self._notices: list[tuple[Severity, str]] = []
+        self._over = False
+        self.reset = False
+        """The run is to begin anew."""
+
+    # The page's side
+
+    @property
+    def steerable(self) -> Steerable:
+        """What this simulation can have done to it."""
+        own_plant, paced = self._vehicle.steerable is None, isinstance(self._clock, PacedClock)
+        missing = ["Waves and a tether cannot be dragged: the plant has no such handle."]
+        if own_plant:
+            missing = ["This plant has no handles for current, obstacles and faults (sitl/protocol.py)."]
+        if not paced:
+            missing.append("No speed: the run goes as fast as possible (--speed 0).")
+        return Steerable(
+            pause=True,
+            speed=paced,
+            reset=True,
+            current=not own_plant,
+            obstacles=not own_plant and bool(self._scenario.obstacle),
+            faults=() if own_plant else self._faults(),
+            missing=tuple(missing),
+        )
+
+    @property
+    def steered(self) -> Steered:
+        """How things stand."""
+        flow = None if self._vehicle.steerable is None else self._flow_m_s
+        return Steered(paused=self._paused, speed=self._speed, extra_current_ned_m_s=flow)
+
+    def flow(self, t_s: float, depth_m: float) -> Flow | None:
+        """The current on a grid over the tank, or round the start."""
+        plant, tank = self._vehicle.steerable, self._scenario.tank
+        if plant is None:
+            return None
+        if tank is not None:
+            low, high = np.min(tank.polygon_m, axis=0), np.max(tank.polygon_m, axis=0)
+        else:
+            start = np.array(self._scenario.vehicle.start_m[:2])
+            low, high = start - OPEN_WATER_M, start + OPEN_WATER_M
+        step = float((high - low).max()) / ARROWS
+        counts = np.maximum(np.round((high - low) / step).astype(int), 1)
+        sides = zip(low, high, counts, strict=True)
+        norths, easts = ((a + (np.arange(n) + 0.5) * (b - a) / n).tolist() for a, b, n in sides)
+        arrows = []
+        for north in norths:
+            for east in easts:
+                u, v, _ = plant.current_at((north, east, depth_m), t_s)
+                arrows.append((round(north, 3), round(east, 3), round(u, 4), round(v, 4)))
+        return Flow(t_s=t_s, arrows=tuple(arrows))
+
+    def do(self, ask: Ask) -> str:
+        """Hand it to the loop and wait for its answer."""
+        if self._over:
+            raise ViewError("the run is over")
+        answer: Future[str] = Future()
+        self._asked.put((ask, answer))
+        try:
+            return answer.result(ANSWER_S)
+        except NoAnswer:
+            answer.cancel()
+            raise ViewError("the simulation is too busy to answer; try again") from None
+
+    # The loop's side
+
+    def hold(self, t_us: int) -> bool:
+        """Do what was asked for since the last tick, at ``t_us``; whether time stands still."""
+        while not self._asked.empty():
+            ask, answer = self._asked.get()
+            if not answer.set_running_or_notify_cancel():
+                continue
+            try:
+                answer.set_result(self._done(t_us, ask))
+            except (ConfigError, ViewError) as error:
+                answer.set_exception(ViewError(str(error)))
+        return self._paused
+
+    def take_notices(self) -> Sequence[tuple[Severity, str]]:
+        """What has been done since the last call, for operators and the log."""
+        if not self._notices:
+            return ()
+        notices, self._notices = self._notices, []
+        return notices
+
+    def end(self) -> None:
+        """The run is over: nobody waits for an answer any more."""
+        self._over = True
+        while not self._asked.empty():
+            _, answer = self._asked.get()
+            if answer.set_running_or_notify_cancel():
+                answer.set_exception(ViewError("the run is over"))
+
+    def _done(self, t_us: int, ask: Ask) -> str:
+        match ask:
+            case Pause():
+                text, self._paused = "Paused", True
+            case Go():
+                text, self._paused = "Goes on", False
+                self._pace(t_us)
+            case Speed(value=value):
+                if not isinstance(self._clock, PacedClock):
+                    raise ViewError("a run with --speed 0 has no clock; start it with --speed 1")
+                text, self._speed = f"Speed {value:g}", value
+                self._pace(t_us)
+            case Reset():
+                self.reset = True
+                return "Reset"
+            case DragCurrent(north_m_s=north, east_m_s=east):
+                text = self._add_flow(north, east)
+            case DragObstacle(number=number, north_m=north, east_m=east):
+                self._vehicle.put_obstacle(number, north, east)
+                text = f"Obstacle {number} put to {north:.2f} N {east:.2f} E"
+            case CallFault(fault=fault):
+                text = self._call(t_us, fault)
+        self._notices.append((Severity.NOTICE, f"View: {text}"))
+        return text
+
+    def _pace(self, t_us: int) -> None:
+        """The clock goes on from here."""
+        if isinstance(self._clock, PacedClock):
+            self._clock.go_on(t_us, self._speed)
+
+    def _add_flow(self, north_m_s: float, east_m_s: float) -> str:
+        self._vehicle.add_flow((north_m_s, east_m_s))
+        self._flow_m_s = (north_m_s, east_m_s)
+        return f"Current {north_m_s:+.2f} N {east_m_s:+.2f} E m/s added"
+
+    def _call(self, t_us: int, table: dict[str, object]) -> str:
+        try:
+            fault: Fault = msgspec.convert({**table, "at_s": 1e-6 * t_us}, Fault)
+        except msgspec.ValidationError as error:
+            raise ViewError(f"fault: {error}") from error
+        self._vehicle.suffer(fault)
+        return f"Fault {fault.__struct_config__.tag}"
+
+    def _faults(self) -> tuple[FaultOffer, ...]:
+        """Faults that make sense here."""
+        offers = [
+            ("Camera or tracking silent for 10 s", {"kind": "camera_blackout", "duration_s": 10.0}),
+            ("Shove to the north, 20 N for 2 s", _shove(20.0, 0.0)),
+            ("Shove to the east, 20 N for 2 s", _shove(0.0, 20.0)),
+            ("Caught on something for 20 s", {"kind": "snag", "duration_s": 20.0}),
+            ("Battery down to 15 %", {"kind": "battery_sag", "remaining": 0.15}),
+        ]
+        if self._vehicle.pictured:
+            offers += [
+                (f"Pictures {looks} for 10 s", {"kind": "camera_picture", "duration_s": 10.0, "looks": looks})
+                for looks in ("black", "white", "fog", "frozen")
+            ]
+        if self._scenario.sensors.hull.enabled:
+            offers.append(("Leak", {"kind": "leak"}))
+        for thruster in self._vehicle.thrusters:
+            offers.append((f"Thruster {thruster} lost", {"kind": "thruster_loss", "thruster": thruster}))
+        return tuple(FaultOffer(label=label, fault=fault) for label, fault in offers)
+
+
+def _shove(north_n: float, east_n: float) -> dict[str, object]:
+    return {"kind": "shove", "duration_s": 2.0, "force_ned_n": [north_n, east_n, 0.0]}

@@ -1,0 +1,1 @@
+"""Live view: a page on loopback that shows what the vehicle sees and intends (docs/view.md)."""

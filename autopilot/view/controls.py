@@ -1,0 +1,112 @@
+"""What can be asked for from the page, and who does it. Nobody, on a real vehicle.
+
+What the browser sends is one of the ``Ask`` tables. It is carried out by the loop between two ticks
+(:mod:`autopilot.run.sitl_view`); the browser hears what became of it.
+"""
+
+from typing import Annotated, Protocol, TypeAlias
+
+import msgspec
+
+from autopilot.core.errors import AutopilotError
+from autopilot.core.toml_table import Table
+from autopilot.view.shown import Flow, Point2, Steerable
+
+MAX_SPEED, MIN_SPEED = 20.0, 0.1
+MAX_FLOW_M_S = 1.0
+"""Flow that may be added each way."""
+
+_Flow = Annotated[float, msgspec.Meta(ge=-MAX_FLOW_M_S, le=MAX_FLOW_M_S)]
+_Place = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
+
+
+class Pause(Table, frozen=True, kw_only=True, tag_field="do", tag="pause"):
+    """Time stands still."""
+
+
+class Go(Table, frozen=True, kw_only=True, tag_field="do", tag="go"):
+    """Time goes on."""
+
+
+class Speed(Table, frozen=True, kw_only=True, tag_field="do", tag="speed"):
+    """Time goes so much faster than real time."""
+
+    value: Annotated[float, msgspec.Meta(ge=MIN_SPEED, le=MAX_SPEED)]
+
+
+class Reset(Table, frozen=True, kw_only=True, tag_field="do", tag="reset"):
+    """The run begins anew."""
+
+
+class DragCurrent(Table, frozen=True, kw_only=True, tag_field="do", tag="current"):
+    """Flow that is added to the scenario's, everywhere: the last one counts."""
+
+    north_m_s: _Flow
+    east_m_s: _Flow
+
+
+class DragObstacle(Table, frozen=True, kw_only=True, tag_field="do", tag="obstacle"):
+    """An obstacle stands elsewhere from now on."""
+
+    number: Annotated[int, msgspec.Meta(ge=1)]
+    north_m: _Place
+    east_m: _Place
+
+
+class CallFault(Table, frozen=True, kw_only=True, tag_field="do", tag="fault"):
+    """A fault begins."""
+
+    fault: dict[str, object]
+    """A scenario's ``[[fault]]`` table without ``at_s``."""
+
+
+Ask: TypeAlias = Pause | Go | Speed | Reset | DragCurrent | DragObstacle | CallFault
+
+
+class ViewError(AutopilotError):
+    """What was asked for from the page cannot be done."""
+
+
+class Steered(msgspec.Struct, frozen=True, kw_only=True):
+    """How things stand that can be steered."""
+
+    paused: bool = False
+    speed: float = 1.0
+    extra_current_ned_m_s: Point2 | None = None
+
+
+class Controls(Protocol):
+    """Who does what is asked for."""
+
+    @property
+    def steerable(self) -> Steerable:
+        """What there is to be done."""
+        ...
+
+    @property
+    def steered(self) -> Steered:
+        """How things stand."""
+        ...
+
+    def flow(self, t_s: float, depth_m: float) -> Flow | None:
+        """The simulated current, None on a real vehicle; from the view's thread."""
+        ...
+
+    def do(self, ask: Ask) -> str:
+        """Have it done; what was done. ViewError says why not. From the threads of the page."""
+        ...
+
+
+class ReadOnly:
+    """A real vehicle: the page shows, and that is all."""
+
+    steerable = Steerable(missing=("This is a real vehicle: the page only shows. Fly it from a ground station.",))
+    steered = Steered()
+
+    def flow(self, t_s: float, depth_m: float) -> Flow | None:
+        """Nobody knows."""
+        return None
+
+    def do(self, ask: Ask) -> str:
+        """Nothing."""
+        raise ViewError("this view is read-only: use a ground station")

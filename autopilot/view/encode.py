@@ -1,0 +1,305 @@
+"""From what the loop has left to what the page is told. Pure functions, on the view's thread."""
+
+import base64
+from collections.abc import Iterable
+
+import numpy as np
+
+from autopilot.core.errors import AutopilotError
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import Failsafe, NavState, Outputs, Severity
+from autopilot.core.shapes import clearance_m
+from autopilot.core.vehicle import Vehicle
+from autopilot.log.description import RunDescription
+from autopilot.log.scene import outline
+from autopilot.view.controls import Steered
+from autopilot.view.feed import Picture as TakenPicture
+from autopilot.view.feed import Snapshot, TruthSeen
+from autopilot.view.shown import (
+    Battery,
+    Control,
+    Estimate,
+    Frame,
+    Limits,
+    Loop,
+    Message,
+    Outline,
+    Picture,
+    Place,
+    Point2,
+    Point3,
+    Progress,
+    Scene,
+    Sensor,
+    Steerable,
+    Target,
+    Track,
+    TrueState,
+)
+
+CONTROL_MS = 50.0
+"""Time between two control steps."""
+DIGITS = 4
+"""Of numbers on the way to the page: a tenth of a millimetre."""
+JPEG_QUALITY = 70
+
+
+def scene_of(snapshot: Snapshot, vehicle: Vehicle, steerable: Steerable, *, simulated: bool) -> Scene:
+    """What seldom changes."""
+    run, camera = snapshot.description, vehicle.camera
+    bounds = run.paper_bounds
+    return Scene(
+        title=run.scenario,
+        vehicle=run.vehicle,
+        simulated=simulated,
+        body_radius_m=run.body_radius_m,
+        half_height_m=vehicle.hull_half_height_m,
+        tank_m=tuple(run.tank_polygon_m),
+        tank_depth_m=run.tank_depth_m,
+        fence=tuple(
+            Outline(inclusion=shape.inclusion, corners_m=tuple((_number(n), _number(e)) for n, e in outline(shape)))
+            for shape in run.fence
+        ),
+        places=_places(run),
+        limits=Limits(
+            planar_speed_m_s=bounds["planar_speed_m_s"],
+            heave_m_s=bounds["heave_m_s"],
+            yaw_rate_rad_s=bounds["yaw_rate_rad_s"],
+            thrust_n=bounds["thrust_n"],
+            solve_ms=CONTROL_MS,
+        ),
+        thrusters=tuple(thruster.name for thruster in vehicle.thrusters),
+        camera_px=None if camera is None else (camera.width_px, camera.height_px),
+        steerable=steerable,
+        parameters=run.parameters,
+        trail_ned_m=tuple(_point3(place) for place in snapshot.trail_ned_m),
+    )
+
+
+def frame_of(snapshot: Snapshot, vehicle: Vehicle, steered: Steered, *, now_s: float, viewers: int) -> Frame:
+    """What changes all the time."""
+    out, mode = snapshot.outputs, snapshot.outputs.mode
+    t_us, count = out.t_us, len(vehicle.thrusters)
+    health = snapshot.thrusters
+    return Frame(
+        scene=snapshot.scene,
+        t_s=1e-6 * t_us,
+        stale_s=round(max(0.0, now_s - snapshot.wall_s), 2),
+        paused=steered.paused,
+        speed=steered.speed,
+        viewers=viewers,
+        armed=mode.armed,
+        mode=snapshot.description.mode_names.get(str(mode.custom_mode), str(mode.custom_mode)),
+        failsafes=tuple(failsafe.name for failsafe in Failsafe if mode.failsafes >> failsafe & 1),
+        estimate=None if out.nav is None else _estimate(out.nav),
+        truth=None if snapshot.truth is None else _truth(snapshot.truth, count),
+        solids=snapshot.solids,
+        extra_current_ned_m_s=steered.extra_current_ned_m_s,
+        tracks=_tracks(snapshot),
+        clearance_m=None if out.nav is None else _clearance_m(snapshot.fence, out.nav),
+        goal=_goal(out),
+        progress=_progress(out),
+        control=_control(snapshot),
+        thrust_n=_numbers(out.command.thrust_n[:count]),
+        pwm_us=tuple(out.command.pwm_us[:count]),
+        effectiveness=() if health is None else _numbers(health.effectiveness),
+        sensors=tuple(
+            Sensor(
+                name=aid.sensor,
+                state=aid.state.name,
+                test_ratio=_number(aid.test_ratio),
+                fused=aid.fused,
+                age_s=_number(1e-6 * (t_us - aid.t_us)),
+            )
+            for aid in snapshot.aids.values()
+        ),
+        battery=_battery(snapshot),
+        loop=_loop(snapshot),
+        messages=tuple(
+            Message(
+                number=number,
+                t_s=_number(1e-6 * event.t_us),
+                severity=Severity(min(max(event.severity, 0), 7)).name,
+                text=event.text,
+            )
+            for number, event in snapshot.messages
+        ),
+    )
+
+
+def picture_of(taken: TakenPicture) -> Picture:
+    """A camera picture as JPEG with what was found in it. AutopilotError if it cannot be compressed."""
+    import cv2  # heavy: nobody pays for it who does not look at pictures
+
+    done, jpeg = cv2.imencode(".jpg", taken.pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not done:
+        raise AutopilotError("a camera picture cannot be compressed as JPEG")
+    seen = taken.sighting
+    laser = None if seen is None else seen.laser_px
+    return Picture(
+        t_s=1e-6 * taken.t_us,
+        width_px=taken.width_px,
+        height_px=taken.height_px,
+        jpeg=base64.b64encode(jpeg.tobytes()).decode(),
+        markers=()
+        if seen is None
+        else tuple(
+            (number, tuple(_point2(corner, 1) for corner in corners))
+            for number, corners in zip(seen.ids, seen.corners_px, strict=True)
+        ),
+        laser_px=None if laser is None else _point2(laser, 1),
+    )
+
+
+def _number(value: float) -> float:
+    """A number that JSON can say and a person wants to read; what is infinite or no number is -1."""
+    return round(float(value), DIGITS) if np.isfinite(value) else -1.0
+
+
+def _numbers(values: Iterable[float]) -> tuple[float, ...]:
+    return tuple(_number(value) for value in values)
+
+
+def _point2(values: FloatArray, digits: int = DIGITS) -> Point2:
+    first, second = values[:2].tolist()
+    return round(first, digits), round(second, digits)
+
+
+def _point3(values: FloatArray) -> Point3:
+    first, second, third = values.tolist()
+    return _number(first), _number(second), _number(third)
+
+
+def _places(run: RunDescription) -> tuple[Place, ...]:
+    return tuple(
+        Place(
+            name=place.name,
+            pos_ned_m=place.pos_ned_m,
+            yaw_rad=place.yaw_rad,
+            accept_radius_m=place.accept_radius_m,
+            accept_yaw_rad=place.accept_yaw_rad,
+        )
+        for place in run.waypoints
+    )
+
+
+def _estimate(nav: NavState) -> Estimate:
+    sigma = np.sqrt(np.maximum(nav.variance, 0.0))
+    return Estimate(
+        health=nav.health.name,
+        pos_ned_m=_point3(nav.pos_ned_m),
+        rpy_rad=_point3(nav.rpy_rad),
+        vel_water_frd_m_s=_point3(nav.vel_water_frd_m_s),
+        vel_frd_m_s=_point3(nav.vel_frd_m_s),
+        rate_frd_rad_s=_point3(nav.rate_frd_rad_s),
+        current_ned_m_s=_point3(nav.current_ned_m_s),
+        sigma_pos_m=_point3(sigma[0:3]),
+        sigma_yaw_rad=_number(sigma[5]),
+        resets=nav.reset_count,
+        doubts=tuple(sorted(doubt.value for doubt in nav.doubts)),
+    )
+
+
+def _truth(truth: TruthSeen, count: int) -> TrueState:
+    return TrueState(
+        pos_ned_m=_point3(truth.pos_ned_m),
+        rpy_rad=_point3(truth.rpy_rad),
+        current_ned_m_s=_point3(truth.current_ned_m_s),
+        thrust_n=_numbers(truth.thrust_n[:count]),
+        power_w=_number(truth.power_w),
+        contacts=truth.contact_count,
+        contact_depth_m=_number(truth.contact_depth_m),
+    )
+
+
+def _tracks(snapshot: Snapshot) -> tuple[Track, ...]:
+    return tuple(
+        Track(
+            number=number,
+            pos_ned_m=_point2(track.pos_ned_m),
+            vel_ned_m_s=_point2(track.vel_ned_m_s),
+            radius_m=_number(track.radius_m),
+            age_s=_number(1e-6 * (snapshot.outputs.t_us - track.t_us)),
+        )
+        for number, track in snapshot.tracks.items()
+    )
+
+
+def _clearance_m(fence: Fence, nav: NavState) -> float | None:
+    """Smallest distance of the vehicle's centre to what the fence forbids."""
+    place = nav.pos_ned_m[None, :2]
+    gaps = [float(clearance_m(shape, place)[0]) for shape in fence.exclusions]
+    gaps += [-float(clearance_m(shape, place)[0]) for shape in fence.inclusions]
+    return _number(min(gaps)) if gaps else None
+
+
+def _goal(out: Outputs) -> Target | None:
+    goal = out.goal
+    if goal is None:
+        return None
+    return Target(
+        pos_ned_m=_point3(goal.pos_ned_m),
+        yaw_rad=None if goal.yaw_rad is None else _number(goal.yaw_rad),
+        accept_radius_m=_number(goal.accept_radius_m),
+        accept_yaw_rad=_number(goal.accept_yaw_rad),
+        speed_m_s=_number(goal.speed_m_s),
+        item=goal.seq,
+    )
+
+
+def _progress(out: Outputs) -> Progress | None:
+    done = out.progress
+    if done is None:
+        return None
+    return Progress(state=done.state.name, item=done.current_seq, reached=done.reached_seq, lap=done.lap)
+
+
+def _control(snapshot: Snapshot) -> Control | None:
+    control, plan = snapshot.control, snapshot.plan
+    if control is None:
+        return None
+    status, tubed = control.status, 0 < len(control.nominal) == len(control.tube_m)
+    return Control(
+        status=status.status.name,
+        fallback=status.fallback.name,
+        age_s=_number(1e-6 * (snapshot.outputs.t_us - status.t_us)),
+        solve_ms=_number(1e3 * status.solve_s),
+        iterations=status.iterations,
+        cost=_number(status.cost),
+        slack=_number(status.slack_max),
+        margin_m=_number(status.margin_m),
+        tube_now_m=_number(status.tube_m),
+        penalty_use=_number(status.penalty_use),
+        horizon_ned_m=tuple(_point3(place) for place in (control.nominal[:, :3] if tubed else control.horizon_ned_m)),
+        route_ned_m=tuple(_point2(place) for place in control.route_ned_m),
+        tube_m=_numbers(control.tube_m) if tubed else (),
+        eta_s=None if plan is None else _number(plan.eta_s),
+        energy_j=None if plan is None else _number(plan.energy_j),
+    )
+
+
+def _battery(snapshot: Snapshot) -> Battery | None:
+    power = snapshot.power
+    if power is None:
+        return None
+    return Battery(
+        voltage_v=_number(power.voltage_v),
+        current_a=_number(power.current_a),
+        energy_used_j=_number(power.energy_used_j),
+        remaining=_number(power.remaining),
+    )
+
+
+def _loop(snapshot: Snapshot) -> Loop | None:
+    stats = snapshot.loop
+    if stats is None:
+        return None
+    return Loop(
+        longest_tick_ms=_number(1e3 * stats.tick_s),
+        cpu_share=_number(stats.cpu_s),
+        overruns=stats.overruns,
+        lost_messages=stats.dropped_log,
+        lost_pictures=stats.dropped_frames,
+        late_part=stats.late_part.name.lower(),
+    )

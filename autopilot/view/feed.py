@@ -1,0 +1,271 @@
+"""What the loop leaves for the page: references to what it has decided, nothing else.
+
+The loop's part is a few comparisons per tick. While nobody looks only messages and a coarse trail are kept; while
+somebody does, ten times per second of real time a :class:`Snapshot` takes the place of the one before. Nobody holds a
+lock here: what is left is complete, does not change any more, and is put down in one assignment. All work on it is done
+on the view's own thread (:mod:`autopilot.view.hub`).
+"""
+
+import time
+from collections import deque
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Fence
+from autopilot.core.messages import (
+    AidStatus,
+    ControlOutput,
+    EnergyPlan,
+    Event,
+    Inputs,
+    LoopStats,
+    Outputs,
+    ThrusterHealthState,
+)
+from autopilot.core.samples import CameraFrame, MarkerSighting, ObstacleTrack, PowerSample
+from autopilot.log.description import RunDescription
+from autopilot.view.shown import Solid
+
+FRAME_S = 0.1
+"""Real time between two frames of the page."""
+PICTURE_S = 0.2
+"""Real time between two pictures."""
+PICTURE_STEP = 2
+"""Every so many pixels of a picture go to the page, each way."""
+MESSAGES = 60
+TRAIL_US = 250_000
+TRAIL_POINTS = 1200
+"""Five minutes."""
+TRACK_US = 5_000_000
+"""A report of an obstacle is shown so long."""
+AID_US = 30_000_000
+"""And so long what became of a sensor's last measurement."""
+
+
+class TruthSeen(Protocol):
+    """The part of a simulated vehicle's truth that is shown."""
+
+    @property
+    def pos_ned_m(self) -> FloatArray: ...
+    @property
+    def rpy_rad(self) -> FloatArray: ...
+    @property
+    def current_ned_m_s(self) -> FloatArray: ...
+    @property
+    def thrust_n(self) -> FloatArray: ...
+    @property
+    def power_w(self) -> float: ...
+    @property
+    def contact_count(self) -> int: ...
+    @property
+    def contact_depth_m(self) -> float: ...
+
+
+class Watched(Protocol):
+    """What is looked at beside the loop's inputs and outputs. Called by the loop only, while somebody looks."""
+
+    def revision(self) -> Hashable:
+        """Changes when the description may be another."""
+        ...
+
+    def describe(self) -> RunDescription:
+        """The run as things stand now."""
+        ...
+
+    def fence(self) -> Fence:
+        """The fence in force."""
+        ...
+
+    def truth(self) -> TruthSeen | None:
+        """Where a simulated vehicle really is."""
+        ...
+
+    def solids(self) -> tuple[Solid, ...]:
+        """Obstacles of a simulated world where they are now."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Picture:
+    """A camera picture, every so many pixels of it, and what was found in it."""
+
+    number: int
+    t_us: int
+    pixels: Any
+    """(rows, columns, 3) uint8 BGR."""
+    width_px: int
+    height_px: int
+    sighting: MarkerSighting | None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Snapshot:
+    """All that a frame is made of, as it was at one tick."""
+
+    number: int
+    wall_s: float
+    """On the monotonic clock."""
+    outputs: Outputs
+    scene: int
+    description: RunDescription
+    fence: Fence
+    truth: TruthSeen | None
+    solids: tuple[Solid, ...]
+    control: ControlOutput | None
+    """Of the last control step."""
+    plan: EnergyPlan | None
+    thrusters: ThrusterHealthState | None
+    aids: Mapping[str, AidStatus]
+    tracks: Mapping[int, ObstacleTrack]
+    power: PowerSample | None
+    loop: LoopStats | None
+    messages: tuple[tuple[int, Event], ...]
+    trail_ned_m: tuple[FloatArray, ...]
+    picture: Picture | None
+
+
+@dataclass(slots=True)
+class _Kept:
+    """The newest of what does not come with every tick."""
+
+    control: ControlOutput | None = None
+    plan: EnergyPlan | None = None
+    thrusters: ThrusterHealthState | None = None
+    loop: LoopStats | None = None
+    power: PowerSample | None = None
+    aids: dict[str, AidStatus] = field(default_factory=dict)
+    tracks: dict[int, ObstacleTrack] = field(default_factory=dict)
+
+
+class Feed:
+    """The loop's end of the view. One loop calls ``tick``; the view's thread reads ``snapshot``."""
+
+    def __init__(self, watched: Watched, scenes: int = 0) -> None:
+        """``scenes``: how many scenes other runs have had on the same page."""
+        self._watched_run = watched
+        self._kept = _Kept()
+        self._messages: deque[tuple[int, Event]] = deque(maxlen=MESSAGES)
+        self._told = 0
+        self._trail: deque[FloatArray] = deque(maxlen=TRAIL_POINTS)
+        self._trail_us = -TRAIL_US
+        self._due_s = self._scene_due_s = self._picture_due_s = 0.0
+        self._scene = scenes
+        self._described: tuple[Hashable, RunDescription] | None = None
+        self._unseen: Picture | None = None
+        """Waits for what detection finds in it."""
+        self._picture: Picture | None = None
+        self.watched = False
+        """Somebody looks; set by the view's thread."""
+        self.pictured = False
+        """Somebody looks at pictures."""
+        self.snapshot: Snapshot | None = None
+        """The newest; None before the first."""
+
+    def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
+        """A tick is over."""
+        if outputs.events:
+            for event in outputs.events:
+                self._told += 1
+                self._messages.append((self._told, event))
+        if outputs.nav is not None and outputs.t_us - self._trail_us >= TRAIL_US:
+            self._trail_us = outputs.t_us
+            self._trail.append(outputs.nav.pos_ned_m)
+        if not self.watched:
+            return
+        self._keep(inputs, outputs)
+        now_s = time.monotonic()
+        if self.pictured:
+            self._look(now_s, inputs, frames)
+        if now_s >= self._due_s:
+            self._due_s = now_s + FRAME_S
+            self._put(now_s, outputs)
+
+    def loop_stats(self, stats: LoopStats) -> None:
+        """Health of the loop, once per second."""
+        self._kept.loop = stats
+
+    def _keep(self, inputs: Inputs, outputs: Outputs) -> None:
+        kept = self._kept
+        if outputs.control is not None:
+            kept.control = outputs.control
+            kept.plan = outputs.control.plan or kept.plan
+        if outputs.goal is None:
+            kept.plan = None
+        if outputs.thrusters is not None:
+            kept.thrusters = outputs.thrusters
+        for aid in outputs.aids:
+            kept.aids[aid.sensor] = aid
+        for sample in inputs.samples:
+            if isinstance(sample, PowerSample):
+                kept.power = sample
+            elif isinstance(sample, ObstacleTrack):
+                kept.tracks[sample.track_id] = sample
+
+    def _look(self, now_s: float, inputs: Inputs, frames: Sequence[CameraFrame]) -> None:
+        """A picture waits until detection has answered, or the next one comes."""
+        waiting = self._unseen
+        if waiting is not None:
+            for sample in inputs.samples:
+                if isinstance(sample, MarkerSighting) and sample.t_us == waiting.t_us:
+                    self._show(waiting, sample)
+                    return
+        if not frames or now_s < self._picture_due_s:
+            return
+        if waiting is not None:
+            self._show(waiting, None)
+        frame = frames[-1]
+        image = frame.image_bgr
+        self._picture_due_s = now_s + PICTURE_S
+        self._unseen = Picture(
+            number=0 if self._picture is None else self._picture.number + 1,
+            t_us=frame.t_us,
+            pixels=image[::PICTURE_STEP, ::PICTURE_STEP].copy(),  # a driver may use its buffer again
+            width_px=image.shape[1],
+            height_px=image.shape[0],
+            sighting=None,
+        )
+
+    def _show(self, picture: Picture, sighting: MarkerSighting | None) -> None:
+        self._unseen = None
+        self._picture = Picture(
+            number=picture.number,
+            t_us=picture.t_us,
+            pixels=picture.pixels,
+            width_px=picture.width_px,
+            height_px=picture.height_px,
+            sighting=sighting,
+        )
+
+    def _put(self, now_s: float, outputs: Outputs) -> None:
+        """Leave a new snapshot."""
+        run, kept, t_us = self._watched_run, self._kept, outputs.t_us
+        described = self._described
+        if described is None or now_s >= self._scene_due_s:
+            self._scene_due_s = now_s + 1.0
+            revision = run.revision()
+            if described is None or revision != described[0]:
+                self._described = described = (revision, run.describe())
+                self._scene += 1
+        before = self.snapshot
+        self.snapshot = Snapshot(
+            number=1 if before is None else before.number + 1,
+            wall_s=now_s,
+            outputs=outputs,
+            scene=self._scene,
+            description=described[1],
+            fence=run.fence(),
+            truth=run.truth(),
+            solids=run.solids(),
+            control=kept.control,
+            plan=kept.plan,
+            thrusters=kept.thrusters,
+            aids={name: aid for name, aid in kept.aids.items() if t_us - aid.t_us < AID_US},
+            tracks={number: track for number, track in kept.tracks.items() if t_us - track.t_us < TRACK_US},
+            power=kept.power,
+            loop=kept.loop,
+            messages=tuple(self._messages),
+            trail_ned_m=tuple(self._trail),
+            picture=self._picture,
+        )

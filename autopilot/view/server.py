@@ -1,0 +1,231 @@
+"""The page over HTTP on loopback: four files, a stream of server-sent events, and what is asked for.
+
+Nobody from outside gets in. The socket is bound to 127.0.0.1; the Host of a request has to be a name of loopback, so
+that a foreign name that is made to point here (DNS rebinding) is refused; what another page's script begins says so in
+Origin or Sec-Fetch-Site and is refused; and what changes anything has to come from the page itself, which alone knows
+the process's token. There is no CORS header, so no other page can read an answer either.
+"""
+
+import secrets
+import socket
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from urllib.parse import parse_qs, urlsplit
+
+import msgspec
+
+from autopilot.core.errors import AutopilotError, ConfigError
+from autopilot.view.controls import Ask
+from autopilot.view.hub import MAX_VIEWERS, Hub
+
+DEFAULT_PORT = 8760
+PORTS = 20
+"""So many ports from the default on are tried where none is asked for."""
+PATIENCE_S = 2.0
+"""A viewer that takes nothing off the wire for so long is dropped."""
+REQUEST_S = 5.0
+"""A request has to be there in that time."""
+SEND_BUFFER = 1 << 16
+"""What the kernel keeps for a viewer; what is older has no value."""
+MAX_CONNECTIONS = 48
+MAX_ASK_BYTES = 4096
+LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+TOKEN_HEADER = "X-View-Token"
+
+PAGES = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/view.css": ("view.css", "text/css; charset=utf-8"),
+    "/view.js": ("view.js", "text/javascript; charset=utf-8"),
+    "/draw.js": ("draw.js", "text/javascript; charset=utf-8"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+"""Path -> file of the package, type."""
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self';"
+    " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+_ask = msgspec.json.Decoder(Ask)
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    allow_reuse_address = True
+    request_queue_size = 32
+
+    def __init__(self, port: int, hub: Hub) -> None:
+        self.hub = hub
+        self.token = secrets.token_urlsafe(24)
+        self._room = threading.BoundedSemaphore(MAX_CONNECTIONS)
+        super().__init__(("127.0.0.1", port), _Handler)
+
+    def process_request(self, request: object, client_address: object) -> None:
+        """On a thread of its own, as long as there are not too many."""
+        if not self._room.acquire(blocking=False):
+            self.shutdown_request(request)  # type: ignore[arg-type]
+            return
+        super().process_request(request, client_address)  # type: ignore[arg-type]
+
+    def process_request_thread(self, request: object, client_address: object) -> None:
+        try:
+            super().process_request_thread(request, client_address)  # type: ignore[arg-type]
+        finally:
+            self._room.release()
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A connection that breaks is nobody's business."""
+
+
+class ViewServer:
+    """The live view of a process."""
+
+    def __init__(self, port: int | None) -> None:
+        """ConfigError if the port is taken; without one the first free port from the default on is used."""
+        self.hub = Hub()
+        try:
+            self._server = self._bound(port)
+        except BaseException:
+            self.hub.close()
+            raise
+        thread = threading.Thread(target=self._server.serve_forever, name="view http", daemon=True)
+        thread.start()
+
+    def _bound(self, port: int | None) -> _Server:
+        for number in range(DEFAULT_PORT, DEFAULT_PORT + PORTS) if port is None else (port,):
+            try:
+                return _Server(number, self.hub)
+            except OSError as error:
+                said = error.strerror or str(error)
+        asked = f"ports {DEFAULT_PORT} to {number}" if port is None else f"port {port}"
+        raise ConfigError(f"--view: {asked} of 127.0.0.1 cannot be had ({said}); give another one, or 0 for any")
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://127.0.0.1:{self._server.server_address[1]}/"
+
+    def close(self) -> None:
+        """Send everybody away."""
+        self.hub.close()
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One request."""
+
+    server: _Server
+    timeout = REQUEST_S
+    server_version = "autopilot"
+    sys_version = ""
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing."""
+
+    def do_GET(self) -> None:
+        """The page, its files, its stream."""
+        url = urlsplit(self.path)
+        if not self._from_here():
+            return
+        if url.path == "/events":
+            self._stream(pictures=parse_qs(url.query).get("pictures") == ["1"])
+        elif url.path in PAGES:
+            name, kind = PAGES[url.path]
+            data = (files("autopilot") / "data" / "view" / name).read_bytes()
+            self._answer(200, data.replace(b"@TOKEN@", self.server.token.encode()), kind)
+        else:
+            self._say(404, "there is no such page; the view is at /")
+
+    def do_POST(self) -> None:
+        """Something is asked for."""
+        if not self._from_here() or not self._from_the_page():
+            return
+        controls = self.server.hub.controls
+        try:
+            length = int(self.headers.get("Content-Length", ""))
+        except ValueError:
+            length = -1
+        if self.path != "/do":
+            self._say(404, "ask at /do")
+        elif not 0 < length <= MAX_ASK_BYTES:
+            self._say(413, f"an ask has 1 to {MAX_ASK_BYTES} bytes")
+        elif controls is None:
+            self._say(409, "no run is under way; wait until the next has begun")
+        else:
+            try:
+                done = controls.do(_ask.decode(self.rfile.read(length)))
+            except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+                self._say(400, f"not understood: {error}")
+            except AutopilotError as error:
+                self._say(409, str(error))
+            else:
+                self._answer(200, msgspec.json.encode({"done": done}), "application/json")
+
+    def _from_here(self) -> bool:
+        """Whether a browser on this machine asks for our own page; strangers are answered."""
+        host = self.headers.get("Host", "")
+        name = host[: host.find("]") + 1] if host.startswith("[") else host.partition(":")[0]
+        origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site")
+        if name.lower() not in LOOPBACK or len(self.headers.get_all("Host", [])) != 1:
+            self._say(403, "this page answers to 127.0.0.1 and localhost only")
+        elif (origin is not None and origin != f"http://{host}") or site not in (None, "same-origin", "none"):
+            self._say(403, "another page has no business here")
+        else:
+            return True
+        return False
+
+    def _from_the_page(self) -> bool:
+        """Whether what is to be changed is asked for by the page itself."""
+        token = self.headers.get(TOKEN_HEADER, "")
+        if self.headers.get("Origin") is None:
+            self._say(403, "a browser names the page that asks; nobody else may")
+        elif not secrets.compare_digest(token.encode(), self.server.token.encode()):
+            self._say(403, "the page is of another run of the program: load it again")
+        elif self.headers.get_content_type() != "application/json":
+            self._say(415, "ask as application/json")
+        else:
+            return True
+        return False
+
+    def _stream(self, *, pictures: bool) -> None:
+        """Server-sent events until the viewer goes, or does not follow."""
+        viewer = self.server.hub.join(pictures=pictures)
+        if viewer is None:
+            self._say(503, f"{MAX_VIEWERS} pages are looking already: close one")
+            return
+        try:
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+            self.connection.settimeout(PATIENCE_S)
+            self._head(200, "text/event-stream", None)
+            while (data := viewer.take()) is not None:
+                self.wfile.write(data)
+        except OSError:
+            pass  # gone, or does not read
+        finally:
+            self.server.hub.leave(viewer)
+
+    def _say(self, code: int, text: str) -> None:
+        self._answer(code, msgspec.json.encode({"error": text}), "application/json")
+
+    def _answer(self, code: int, data: bytes, kind: str) -> None:
+        self._head(code, kind, len(data))
+        self.wfile.write(data)
+
+    def _head(self, code: int, kind: str, length: int | None) -> None:
+        self.send_response(code)
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        self.send_header("Content-Type", kind)
+        if length is not None:
+            self.send_header("Content-Length", str(length))
+        self.end_headers()

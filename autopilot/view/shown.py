@@ -1,0 +1,277 @@
+"""What the page is told, as JSON: a scene now and then, a frame ten times per second, pictures, the flow.
+
+Local metres (NED, origin at the surface), radians, SI; units stand in the names. None where nothing is known. The page
+(``autopilot/data/view``) reads these names, and tests/view hold both together.
+"""
+
+from typing import TypeAlias
+
+import msgspec
+
+Point2: TypeAlias = tuple[float, float]
+Point3: TypeAlias = tuple[float, float, float]
+
+
+class Outline(msgspec.Struct, frozen=True, kw_only=True):
+    """A shape of the fence, circles as polygons."""
+
+    inclusion: bool
+    corners_m: tuple[Point2, ...]
+
+
+class Place(msgspec.Struct, frozen=True, kw_only=True):
+    """A waypoint with the region in which it counts as reached."""
+
+    name: str
+    pos_ned_m: Point3
+    yaw_rad: float | None
+    accept_radius_m: float
+    accept_yaw_rad: float
+
+
+class Limits(msgspec.Struct, frozen=True, kw_only=True):
+    """What the controller was given as bounds."""
+
+    planar_speed_m_s: float
+    heave_m_s: float
+    yaw_rate_rad_s: float
+    thrust_n: float
+    solve_ms: float
+    """Time between two control steps."""
+
+
+class FaultOffer(msgspec.Struct, frozen=True, kw_only=True):
+    """A fault that can be called up."""
+
+    label: str
+    fault: dict[str, object]
+    """A scenario's ``[[fault]]`` table without ``at_s``."""
+
+
+class Steerable(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be done from the page: all empty on a real vehicle."""
+
+    pause: bool = False
+    speed: bool = False
+    reset: bool = False
+    current: bool = False
+    obstacles: bool = False
+    faults: tuple[FaultOffer, ...] = ()
+    missing: tuple[str, ...] = ()
+    """What is not there, and why; a line each."""
+
+
+class Scene(msgspec.Struct, frozen=True, kw_only=True):
+    """What seldom changes."""
+
+    title: str
+    vehicle: str
+    simulated: bool
+    body_radius_m: float
+    half_height_m: float
+    tank_m: tuple[Point2, ...]
+    """Corners of the walls; empty = open water."""
+    tank_depth_m: float | None
+    fence: tuple[Outline, ...]
+    places: tuple[Place, ...]
+    limits: Limits
+    thrusters: tuple[str, ...]
+    camera_px: tuple[int, int] | None
+    steerable: Steerable
+    parameters: dict[str, float]
+    trail_ned_m: tuple[Point3, ...]
+    """Where it has been, oldest first."""
+
+
+class Estimate(msgspec.Struct, frozen=True, kw_only=True):
+    """What the vehicle believes."""
+
+    health: str
+    pos_ned_m: Point3
+    rpy_rad: Point3
+    vel_water_frd_m_s: Point3
+    vel_frd_m_s: Point3
+    rate_frd_rad_s: Point3
+    current_ned_m_s: Point3
+    sigma_pos_m: Point3
+    sigma_yaw_rad: float
+    resets: int
+    doubts: tuple[str, ...]
+
+
+class TrueState(msgspec.Struct, frozen=True, kw_only=True):
+    """What only a simulation knows."""
+
+    pos_ned_m: Point3
+    rpy_rad: Point3
+    current_ned_m_s: Point3
+    thrust_n: tuple[float, ...]
+    power_w: float
+    contacts: int
+    contact_depth_m: float
+
+
+class Solid(msgspec.Struct, frozen=True, kw_only=True):
+    """An obstacle of the simulated world where it is now."""
+
+    number: int
+    kind: str
+    """cylinder, sphere or prism."""
+    center_m: Point2
+    depth_m: float | None
+    """Of a sphere's centre."""
+    radius_m: float
+    corners_m: tuple[Point2, ...]
+    """Of a prism."""
+
+
+class Track(msgspec.Struct, frozen=True, kw_only=True):
+    """An obstacle that was reported."""
+
+    number: int
+    pos_ned_m: Point2
+    vel_ned_m_s: Point2
+    radius_m: float
+    age_s: float
+
+
+class Target(msgspec.Struct, frozen=True, kw_only=True):
+    """The goal of now."""
+
+    pos_ned_m: Point3
+    yaw_rad: float | None
+    accept_radius_m: float
+    accept_yaw_rad: float
+    speed_m_s: float
+    item: int
+
+
+class Control(msgspec.Struct, frozen=True, kw_only=True):
+    """The last control step."""
+
+    status: str
+    fallback: str
+    age_s: float
+    solve_ms: float
+    iterations: int
+    cost: float
+    slack: float
+    margin_m: float
+    """Smallest clearance in the prediction beyond body and tube."""
+    tube_now_m: float
+    penalty_use: float
+    horizon_ned_m: tuple[Point3, ...]
+    route_ned_m: tuple[Point2, ...]
+    tube_m: tuple[float, ...]
+    """Round ``horizon_ned_m``; empty while there is none."""
+    eta_s: float | None
+    energy_j: float | None
+    """To the goal, as planned (energy mode)."""
+
+
+class Sensor(msgspec.Struct, frozen=True, kw_only=True):
+    """An aiding sensor's last measurement."""
+
+    name: str
+    state: str
+    test_ratio: float
+    fused: bool
+    age_s: float
+
+
+class Progress(msgspec.Struct, frozen=True, kw_only=True):
+    """How far the mission is."""
+
+    state: str
+    item: int
+    reached: int
+    lap: int
+
+
+class Battery(msgspec.Struct, frozen=True, kw_only=True):
+    """What the battery's monitor said last."""
+
+    voltage_v: float
+    current_a: float
+    energy_used_j: float
+    remaining: float
+
+
+class Loop(msgspec.Struct, frozen=True, kw_only=True):
+    """How the loop gets on, of the last second."""
+
+    longest_tick_ms: float
+    cpu_share: float
+    overruns: int
+    lost_messages: int
+    lost_pictures: int
+    late_part: str
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True):
+    """A line for the operator."""
+
+    number: int
+    """Counts from 1."""
+    t_s: float
+    severity: str
+    text: str
+
+
+class Frame(msgspec.Struct, frozen=True, kw_only=True):
+    """What changes all the time; each stands for itself, a viewer may miss any."""
+
+    scene: int
+    """Which scene it belongs to."""
+    t_s: float
+    stale_s: float
+    """Real time since the loop was heard of."""
+    paused: bool
+    speed: float
+    """That is asked for; 0 = as fast as possible."""
+    viewers: int
+    armed: bool
+    mode: str
+    failsafes: tuple[str, ...]
+    estimate: Estimate | None
+    truth: TrueState | None
+    solids: tuple[Solid, ...]
+    extra_current_ned_m_s: Point2 | None
+    """Flow that was added from the page; None where there is no such control."""
+    tracks: tuple[Track, ...]
+    clearance_m: float | None
+    """Of the vehicle's centre to the fence in force, negative beyond it."""
+    goal: Target | None
+    progress: Progress | None
+    control: Control | None
+    thrust_n: tuple[float, ...]
+    pwm_us: tuple[int, ...]
+    effectiveness: tuple[float, ...]
+    """Share of its thrust that each thruster gives; empty while nobody knows."""
+    sensors: tuple[Sensor, ...]
+    battery: Battery | None
+    loop: Loop | None
+    messages: tuple[Message, ...]
+    """The last ones, oldest first."""
+
+
+class Picture(msgspec.Struct, frozen=True, kw_only=True):
+    """A camera picture and what was found in it."""
+
+    t_s: float
+    width_px: int
+    height_px: int
+    """Of the camera's own picture, in which corners are counted."""
+    jpeg: str
+    """base64"""
+    markers: tuple[tuple[int, tuple[Point2, ...]], ...]
+    """Id and corners."""
+    laser_px: Point2 | None
+
+
+class Flow(msgspec.Struct, frozen=True, kw_only=True):
+    """The simulated current on a grid."""
+
+    t_s: float
+    arrows: tuple[tuple[float, float, float, float], ...]
+    """North, east [m], northward, eastward [m/s], at half the vehicle's depth."""
