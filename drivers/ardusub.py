@@ -51,7 +51,11 @@ SERVO_TOLERANCE_US = 4
 SLOW_WITHIN_US = 450_000
 """The same of the upright motors while heave is slow (:attr:`AuthorityWatch.slow_heave`): five time constants of it."""
 SERVO_WRONG_US = 300_000
-"""Other pulses than ours for so long are somebody else's."""
+SERVO_WRONG_SHARE, SERVO_RIGHT_SHARE = 0.2, 0.05
+"""Other pulses than ours for so long, in so many of the reports, are somebody else's: a joystick speaks 20 to 50 times
+a second, and the last of two senders wins. From so few on they are ours again."""
+SERVO_MEMORY, SERVO_MOST_SHARE = 20, 0.3
+"""Reports that the share is of, and what more of them do not raise it beyond."""
 
 SHOWN_SEVERITY = 4
 """MAV_SEVERITY_WARNING: what it says that is less is for its own ground station."""
@@ -117,8 +121,10 @@ class ArduSub(Closing):
         self._meant: deque[tuple[int, tuple[int, ...]]] = deque()
         self._seen: tuple[int, tuple[int, ...]] | None = None
         """What is at the servo rail, and when that was told."""
-        self._right_us: int | None = None
-        """When the servo rail last showed what was meant."""
+        self._wrong_share = 0.0
+        """Of the last reports of the servo rail."""
+        self._wrong_us: int | None = None
+        """Since when there are some."""
         self.problem = ""
         """What comes out though it was not meant, "" while all is well."""
         self.saturated_count = 0
@@ -271,7 +277,7 @@ class ArduSub(Closing):
         if watch.wanted and not armed:
             self._let_go()
         elif armed and not watch.wanted:
-            self._right_us = None
+            self._count_as_right()
         watch.want(t_us, armed=armed)
 
     def hand_back(self, t_us: int) -> None:
@@ -374,18 +380,24 @@ class ArduSub(Closing):
         while self._meant and t_us - self._meant[0][0] > within_us and len(self._meant) > 1:
             self._meant.popleft()
         if not self._watch.acts(t_us) or not self._meant:
-            self._right_us = None
+            self._count_as_right()
             return
-        if self._is_meant(t_us, found):
-            self._right_us, self.problem = t_us, ""
+        wrong = not self._is_meant(t_us, found)
+        self.mismatch_count += wrong
+        share = self._wrong_share + (wrong - self._wrong_share) / SERVO_MEMORY
+        self._wrong_share = min(share, SERVO_MOST_SHARE)
+        if not wrong and share < SERVO_RIGHT_SHARE:
+            self._wrong_us, self.problem = None, ""
             return
-        self.mismatch_count += 1
-        if self._right_us is None:
-            self._right_us = t_us
-        elif t_us - self._right_us > SERVO_WRONG_US:
+        if self._wrong_us is None:
+            self._wrong_us = t_us
+        if wrong and share > SERVO_WRONG_SHARE and t_us - self._wrong_us > SERVO_WRONG_US:
             meant = self._meant[-1][1]
             worst = max(range(len(meant)), key=lambda motor: abs(found[motor] - meant[motor]))
             self.problem = f"motor {worst + 1} gets {found[worst]} us instead of {meant[worst]}: joystick off?"
+
+    def _count_as_right(self) -> None:
+        self._wrong_share, self._wrong_us = 0.0, None
 
     def _is_meant(self, t_us: int, found: tuple[int, ...]) -> bool:
         """Whether it is one of the last commands; with slow heave, upright motors lie between those of longer."""

@@ -274,11 +274,13 @@ def test_a_parameter_that_thrust_depends_on_refuses_arming(name: str, value: flo
     bench.close()
 
 
-def test_a_joystick_that_is_on_is_noticed(bench: Bench) -> None:
+@pytest.mark.parametrize(("every", "y"), [(1, 800), (4, 0), (5, 0)])
+def test_a_joystick_that_is_on_is_noticed(bench: Bench, every: int, y: int) -> None:
     bench.fly()
-    for _ in range(100):
+    for turn in range(150):
         bench.tick()
-        bench.says(bench.pilot.manual_control_encode(1, 0, 800, 500, 0, 0))
+        if turn % every == 0:  # 100, 25 and 20 times a second; a centred stick, too: the last of two senders wins
+            bench.says(bench.pilot.manual_control_encode(1, 0, y, 500, 0, 0))
     assert "motor" in bench.state.problem
     bench.run(1.0)
     assert bench.state.problem == ""
