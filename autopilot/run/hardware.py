@@ -32,6 +32,10 @@ REPLACES = {
 """What a device of its own takes the place of that a flight controller says too."""
 
 
+EARLY_US = 500_000
+"""So far ahead of a late tick a sample may be; one that is farther has a wrong stamp."""
+
+
 class HardwareVehicle:
     """A :class:`autopilot.run.outside.VehicleIo`. Nothing is opened before the first tick, nothing waits."""
 
@@ -55,6 +59,8 @@ class HardwareVehicle:
                 self._sensors[kind] = SteadySensor(device, NAMES[kind])
         self._passed_over = {name for kind in self._sensors for name in REPLACES.get(kind, ())}
         self._t_us = 0
+        self._early: list[Sample] = []
+        """Measured later than the present tick, as it says itself."""
 
     @property
     def devices(self) -> tuple[Steady[Any], ...]:
@@ -77,7 +83,13 @@ class HardwareVehicle:
             samples += [s for s in found if type(s).__name__ not in passed] if passed else found
         for sensor in self._sensors.values():
             samples += sensor.poll(t_us)
-        return samples
+        return self._in_time(t_us, samples)
+
+    def _in_time(self, t_us: int, samples: list[Sample]) -> list[Sample]:
+        """A tick that begins late finds what was measured after its time: that is for the ticks which catch up."""
+        samples = self._early + samples
+        self._early = [sample for sample in samples if t_us < sample.t_us <= t_us + EARLY_US]
+        return [sample for sample in samples if sample not in self._early] if self._early else samples
 
     def frames(self, t_us: int) -> Sequence[CameraFrame]:
         """Images that have arrived."""
