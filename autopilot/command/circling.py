@@ -22,7 +22,7 @@ JOIN_M = 0.25
 
 SAMPLES = 72
 FRESH_TICKS = 5
-YAW_SHARE = 0.7
+YAW_SHARE = 0.5
 """Share of SPD_YAW_MAX that a circle on which the heading turns may use."""
 
 

@@ -152,11 +152,14 @@ class VehicleService:
 
     def take_off(self, call: Call) -> Reply:
         """NAV_TAKEOFF: dive here. An altitude in the water is the depth; one that is missing or above it, as ground
-        stations for aircraft send it, means TKOFF_DEPTH."""
+        stations for aircraft send it, means TKOFF_DEPTH. COMMAND_LONG says no frame: what lies below the depth band is
+        no depth either."""
         depth_m = self._depth_m(call.z, call.frame)
         if call.frame == mav.MAV_FRAME_LOCAL_NED and math.isfinite(call.z):
             depth_m = call.z
-        return Reply(self._ctx.vehicle.take_off(depth_m if depth_m is not None and depth_m > 0.0 else None))
+        deepest_m = math.inf if call.exact else self._ctx.params["DEPTH_MAX"]
+        given = depth_m is not None and 0.0 < depth_m <= deepest_m
+        return Reply(self._ctx.vehicle.take_off(depth_m if given else None))
 
     def change_altitude(self, call: Call) -> Reply:
         """DO_CHANGE_ALTITUDE: param1 altitude, param2 frame."""

@@ -47,9 +47,6 @@ CASES: list[tuple[int, tuple[float, ...], tuple[Any, ...]]] = [
     (176, (129, 6), ("set_mode", FlightMode.GUIDED)),
     (176, (129, 3, 1), ("set_mode", FlightMode.CIRCLE)),
     (92, (1,), ("set_mode", FlightMode.GUIDED)),
-    (22, (), ("take_off", None)),
-    (22, (0, 0, 0, 0, 0, 0, 2.0), ("take_off", None)),
-    (22, (0, 0, 0, 0, 0, 0, -0.4), ("take_off", 0.4)),
     (186, (-0.5, 3), ("change_depth", 0.5)),
     (186, (0.5, 1), ("change_depth", 0.5)),
     (262, (5,), ("set_mode", RET)),
@@ -100,7 +97,7 @@ def test_the_same_as_command_int(
         (185, (0,), R.DENIED),
         (176, (128, 4, 4), R.DENIED),  # no custom flag
         (176, (129, 9, 9), R.DENIED),
-        (176, (129, 3, 0), R.DENIED),  # PX4's POSCTL does not exist here
+        (176, (129, 5, 0), R.DENIED),  # PX4's ACRO does not exist here
         (176, (129, -1, 0), R.DENIED),
         (176, (129, 4.5, 3), R.DENIED),
         (176, (NAN, NAN, NAN), R.DENIED),
@@ -143,7 +140,7 @@ def test_wrong_parameters_are_refused_and_reach_nobody(
     assert world.vehicle.calls == []
 
 
-@pytest.mark.parametrize("command", [22, 201, 209, 241, 245, 246, 519 + 1000, 2510, 31_999, 65_535, 0])
+@pytest.mark.parametrize("command", [23, 201, 209, 241, 245, 246, 519 + 1000, 2510, 31_999, 65_535, 0])
 def test_everything_else_is_unsupported(world: World, client: Client, command: int) -> None:
     assert client.command(command) == R.UNSUPPORTED
     assert client.command_int(command, 0, (0, 0, 0, 0), 0, 0, 0.0) == R.UNSUPPORTED
@@ -230,7 +227,12 @@ def test_our_own_echo_is_not_obeyed(world: World) -> None:
 
 @pytest.mark.parametrize(
     ("profile", "custom", "mode"),
-    [("px4", (4 << 16) | (4 << 24), M), ("generic", (4 << 16) | (6 << 24), S), ("ardusub", 3, M), ("ardusub", 16, H)],
+    [
+        ("px4", (4 << 16) | (4 << 24), M),
+        ("generic", (4 << 16) | (6 << 24), S),
+        ("ardusub", 3, M),
+        ("ardusub", 16, FlightMode.POSHOLD),
+    ],
 )
 def test_legacy_set_mode(profile: str, custom: int, mode: FlightMode) -> None:
     world = World(profile)
@@ -243,17 +245,32 @@ def test_legacy_set_mode(profile: str, custom: int, mode: FlightMode) -> None:
     assert len(world.vehicle.calls) == 1 and "no mode" in client.texts()
 
 
-@pytest.mark.parametrize(("number", "mode"), [(3, M), (4, H), (16, H), (9, S), (6, RET)])
+@pytest.mark.parametrize(
+    ("number", "mode"), [(3, M), (4, H), (16, FlightMode.POSHOLD), (19, FlightMode.MANUAL), (9, S), (6, RET)]
+)
 def test_ardusub_mode_numbers(number: int, mode: FlightMode) -> None:
     world = World("ardusub")
     assert world.client().command(176, 1, number) == R.ACCEPTED
     assert world.vehicle.calls == [("set_mode", mode)]
 
 
-def test_manual_modes_of_ardusub_are_refused() -> None:
+@pytest.mark.parametrize("rest", [0.0, NAN])
+def test_a_takeoff_is_a_dive_whatever_its_altitude_means(world: World, client: Client, rest: float) -> None:
+    """MAVSDK and QGroundControl send heights above the water, or none; the water lies 12 m above the sea here."""
+    for altitude, depth in ((rest, None), (2.0, None), (14.5, None), (11.5, 0.5), (-0.5, None)):
+        world.vehicle.calls.clear()
+        assert client.command(22, 0, 0, 0, rest, rest, rest, altitude) == R.ACCEPTED
+        assert world.vehicle.calls == [("take_off", depth)]
+    for frame, altitude, depth in ((3, -0.75, 0.75), (1, 0.25, 0.25), (3, 2.5, None)):
+        world.vehicle.calls.clear()
+        assert client.command_int(22, frame, (0, 0, 0, 0), 0, 0, altitude) == R.ACCEPTED
+        assert world.vehicle.calls == [("take_off", depth)]
+
+
+def test_modes_of_ardusub_that_are_not_here_are_refused() -> None:
     world = World("ardusub")
     client = world.client()
-    for number in (0, 1, 2, 7, 19, 20, 21, 99):
+    for number in (1, 20, 21, 99):
         assert client.command(176, 1, number) == R.DENIED
 
 

@@ -307,6 +307,7 @@ def test_a_set_point_that_is_not_followed_is_refused_by_a_text_and_ends_the_mode
         world.stream(0.2, message)
         assert "Set point refused" in world.texts() and text in world.texts()
         assert world.parts.commander.mode is FlightMode.HOLD
+        world.run(0.3)
         assert world.mode(OFFBOARD) == DENIED
 
 

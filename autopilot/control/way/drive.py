@@ -52,6 +52,9 @@ LEAST_PROGRESS = 0.15
 SHARE_OVER_M = 0.25
 """The speed along a boundary is the share of the velocity that points along it, over so much of the way ahead."""
 
+TURN_SHARE = 0.9
+"""Share of the yaw rate limit that is asked for at most."""
+
 CATCH_UP_S = 1.5
 """A heading that turns is caught up with in about so long."""
 
@@ -136,7 +139,7 @@ class DriveGuidance:
             self._yaw_target = turn_target(here, wanted, self._yaw_target)
             return self._yaw_target, most
         self._yaw_target = None
-        rate = min(abs(drive.yaw_rate_rad_s), 0.9 * most)
+        rate = min(abs(drive.yaw_rate_rad_s), TURN_SHARE * most)
         far = rate * horizon_s + rate * rate / YAW_DECELERATION_RAD_S2
         return here + math.copysign(far, drive.yaw_rate_rad_s), max(rate, 1e-3) / YAW_RATE_SHARE
 
@@ -149,7 +152,7 @@ class DriveGuidance:
         rate = trend_rad_s + lack / CATCH_UP_S
         if abs(rate) < 1e-3:
             return here, most
-        rate = math.copysign(min(abs(rate), YAW_RATE_SHARE * most), rate)
+        rate = math.copysign(min(abs(rate), TURN_SHARE * most), rate)
         return here + rate * horizon_s, abs(rate) / YAW_RATE_SHARE
 
     def _route(self, now: Situation, drive: Drive, horizon_s: float) -> tuple[Route, float]:
