@@ -1,13 +1,15 @@
 """The live view through the process, as a browser sees it."""
 
 import socket
+import time
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
-from viewers import Run, Stream, get, post, run
+from viewers import Run, Stream, get, page_token, post, run
 
+from autopilot.log.reader import open_log
 from autopilot.view.hub import MAX_VIEWERS
 from autopilot.view.shown import Flow, Frame, Picture, Scene
 
@@ -142,6 +144,51 @@ def test_no_room_for_a_crowd(sitl: Run) -> None:
     assert codes.count(200) <= MAX_VIEWERS and codes[-1] == 503
     for viewer in viewers:
         viewer.close()
+
+
+def test_what_is_asked_for_is_done(sitl: Run) -> None:
+    port, stream = sitl.port, None
+    while stream is None or stream.answer.status == 503:  # the crowd of another test leaves
+        stream = Stream(port)
+        time.sleep(0.1)
+    assert post(port, {"do": "pause"})[0] == 200
+    held = stream.until("frame", lambda data: data["paused"])["t_s"]
+    assert stream.until("frame", lambda data: data["stale_s"] > 0.5)["t_s"] == held
+    assert post(port, {"do": "speed", "value": 4})[0] == 200
+    assert post(port, {"do": "go"})[0] == 200
+    assert stream.until("frame", lambda data: not data["paused"] and data["t_s"] > held)["speed"] == 4.0
+    assert post(port, {"do": "current", "north_m_s": 0.1, "east_m_s": -0.2})[0] == 200
+    moved = stream.until("frame", lambda data: data["extra_current_ned_m_s"] == [0.1, -0.2])
+    assert moved["truth"]["current_ned_m_s"] == pytest.approx([0.15, -0.2, 0.0])
+    assert {tuple(arrow[2:]) for arrow in stream.until("flow")["arrows"]} == {(0.15, -0.2)}
+    assert post(port, {"do": "obstacle", "number": 1, "north_m": -1.0, "east_m": -0.3})[0] == 200
+    stream.until("frame", lambda data: data["solids"][0]["center_m"] == [-1.0, -0.3])
+    # Nobody has told the fence of it: the obstacle sensor reports it now.
+    track = stream.until("frame", lambda data: data["tracks"])["tracks"][0]
+    assert track["pos_ned_m"] == pytest.approx([-1.0, -0.3], abs=0.2)
+    other = Stream(port)
+    name = other.until("scene")["thrusters"][0]
+    other.close()
+    assert post(port, {"do": "fault", "fault": {"kind": "thruster_loss", "thruster": name}})[0] == 200
+    silence = {"kind": "camera_blackout", "duration_s": 5.0}
+    assert post(port, {"do": "fault", "fault": silence})[0] == 200
+    stream.until("frame", lambda data: any(s["name"] == "markers" and s["age_s"] > 2.0 for s in data["sensors"]))
+    said = [m["text"] for m in stream.until("frame")["messages"]]
+    assert "View: Obstacle 1 put to -1.00 N -0.30 E" in said and "View: Fault camera_blackout" in said
+    token = page_token(port)
+    assert post(port, {"do": "reset"})[0] == 200
+    assert stream.until("scene")["title"] == "small pool"
+    again = stream.until("frame", lambda data: data["t_s"] < held)
+    assert again["solids"][0]["center_m"] == [1.0, 0.5] and again["extra_current_ned_m_s"] == [0.0, 0.0]
+    assert page_token(port) == token
+    stream.close()
+    assert sitl.end() == 0
+    # What was done stands in the log of the run; the one after the reset has a log of its own.
+    folder = sitl.out.parent
+    assert any(
+        "View: Current +0.10 N -0.20 E" in str(m.value) for m in open_log(folder / "run.mcap").messages("/rosout")
+    )
+    assert (folder / "run_2.mcap").exists()
 
 
 def test_pictures_come_with_what_was_found(tmp_path: Path) -> None:

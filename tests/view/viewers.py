@@ -16,6 +16,8 @@ from autopilot.run.children import autopilot_command
 
 PATIENCE_S = 300.0
 """Against a hang only."""
+MOST_EVENTS = 1000
+"""So many events are waited for: a minute or two."""
 
 
 def _free_port() -> int:
@@ -128,10 +130,13 @@ class Stream:
 
     def until(self, name: str, wanted: Any = lambda _: True) -> Any:
         """The next event of that name for which ``wanted`` holds."""
-        for found, data in self.events():
-            if found == name and wanted(data):
-                return data
-        raise AssertionError(f"the stream ended without {name}")
+        last = None
+        for _, (found, data) in zip(range(MOST_EVENTS), self.events(), strict=False):
+            if found == name:
+                if wanted(data):
+                    return data
+                last = data
+        raise AssertionError(f"no such {name}; the last one was {last}")
 
     def close(self) -> None:
         """Go away."""

@@ -4,12 +4,12 @@
 export const DARK = {
   back: "#18222c", ink: "#e4ebf1", weak: "#93a4b3", wall: "#c3d0db", fence: "#ff6b6b", margin: "rgba(255,107,107,.16)",
   water: "#1d2c39", solid: "#7d8a96", place: "#4cc38a", goal: "#4cc38a", route: "#c79bff", horizon: "#f0a83c",
-  tube: "rgba(240,168,60,.25)", trail: "#4fb3e8", truth: "#f5f7fa", body: "#4fb3e8", flow: "#4b6f8c", track: "#ff9de0",
+  tube: "rgba(240,168,60,.35)", trail: "#4fb3e8", truth: "#f5f7fa", body: "#4fb3e8", flow: "#4b6f8c", track: "#ff9de0",
 };
 export const LIGHT = {
   back: "#ffffff", ink: "#1b2733", weak: "#5b6b7a", wall: "#33414e", fence: "#c4262e", margin: "rgba(196,38,46,.12)",
   water: "#eef5fa", solid: "#8b98a4", place: "#1a7f4b", goal: "#1a7f4b", route: "#7a3fc0", horizon: "#d07c00",
-  tube: "rgba(208,124,0,.22)", trail: "#0b6fa4", truth: "#111111", body: "#0b6fa4", flow: "#8fb3cc", track: "#b3128a",
+  tube: "rgba(208,124,0,.35)", trail: "#0b6fa4", truth: "#111111", body: "#0b6fa4", flow: "#8fb3cc", track: "#b3128a",
 };
 export const LEGEND = [
   ["vehicle, track", "trail"], ["truth", "truth"], ["prediction", "horizon"], ["tube", "tube"], ["route", "route"],
@@ -123,7 +123,7 @@ function scaleBar(ctx, width, height, view, colors) {
   text(ctx, "N", view.turned ? 52 : 26, view.turned ? 34 : 8, colors.ink, view.turned ? "left" : "center");
 }
 
-export function drawPlan(ctx, width, height, { scene, frame, flow, trail }, colors) {
+export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving }, colors) {
   const view = planView(width, height, extent(scene, frame)), { at, scale } = view;
   const many = (points) => points.map(at);
   ctx.fillStyle = colors.back;
@@ -133,13 +133,13 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail }, colo
     const reach = 1.6; // an arrow of 1 m/s has so many metres
     arrow(ctx, at([n - 0.5 * reach * u, e - 0.5 * reach * v]), at([n + 0.5 * reach * u, e + 0.5 * reach * v]), colors.flow, 1.2);
   }
-  const tube = frame && frame.control ? frame.control.tube_now_m : 0;
+  // The vehicle's centre stays out of what is kept free, and with it the tube round the prediction.
   for (const shape of scene.fence) {
     const corners = many(shape.corners_m);
     ctx.save();
     path(ctx, corners, true);
     if (shape.inclusion) ctx.clip();
-    stroke(ctx, corners, colors.margin, 2 * (scene.body_radius_m + Math.max(tube, 0)) * scale, true);
+    stroke(ctx, corners, colors.margin, 2 * scene.body_radius_m * scale, true);
     ctx.restore();
     if (!shape.inclusion) fill(ctx, corners, colors.margin);
     stroke(ctx, corners, colors.fence, 1.5, true, [6, 4]);
@@ -150,6 +150,7 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail }, colo
     else circle(ctx, at(solid.center_m), solid.radius_m * scale, colors.solid, 1, true);
     text(ctx, String(solid.number), ...at(solid.center_m), colors.back, "center");
   }
+  if (moving) circle(ctx, at(moving.place), moving.radius_m * scale, colors.solid, 2, false, [4, 3]);
   for (const track of frame ? frame.tracks : []) {
     circle(ctx, at(track.pos_ned_m), track.radius_m * scale, colors.track, 1.5, false, [3, 3]);
     const [n, e] = track.pos_ned_m, [u, v] = track.vel_ned_m_s;
@@ -171,8 +172,7 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail }, colo
   if (control) {
     stroke(ctx, many(control.route_ned_m), colors.route, 1.5, false, [2, 3]);
     if (control.tube_m.length) {
-      const kept = control.tube_m.map((metres) => metres + scene.body_radius_m);
-      fill(ctx, many(tubeOutline(control.horizon_ned_m, kept)), colors.tube);
+      fill(ctx, many(tubeOutline(control.horizon_ned_m, control.tube_m)), colors.tube);
     }
     stroke(ctx, many(control.horizon_ned_m), colors.horizon, 2);
     for (const point of many(control.horizon_ned_m)) circle(ctx, point, 1.6, colors.horizon, 1, true);

@@ -4,7 +4,7 @@ import { DARK, LEGEND, LIGHT, drawFlow, drawPicture, drawPlan, drawSide, flowAt 
 const $ = (id) => document.getElementById(id);
 const token = document.querySelector("meta[name=view-token]").content;
 const dark = matchMedia("(prefers-color-scheme: dark)");
-const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null };
+const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, moving: null };
 const TRAIL = 1500;
 let source = null, heard = 0, asked = false, messages = 0, drag = null;
 
@@ -236,10 +236,17 @@ $("plan").addEventListener("pointerdown", (event) => {
   if (!seen.view || !seen.frame || !seen.scene.steerable.obstacles) return;
   const [north, east] = seen.view.back(x, y);
   const hit = seen.frame.solids.find((solid) => Math.hypot(solid.center_m[0] - north, solid.center_m[1] - east) <= solid.radius_m + 8 / seen.view.scale);
-  if (hit) { drag = { number: hit.number }; event.target.setPointerCapture(event.pointerId); }
+  if (hit) { seen.moving = { place: hit.center_m, radius_m: hit.radius_m }; drag = { number: hit.number }; event.target.setPointerCapture(event.pointerId); }
+});
+$("plan").addEventListener("pointermove", (event) => {
+  if (!seen.moving) return;
+  const [x, y] = spot(event);
+  seen.moving = { ...seen.moving, place: seen.view.back(x, y) };
+  soon();
 });
 $("plan").addEventListener("pointerup", (event) => {
   if (!drag || !drag.number) return;
+  seen.moving = null;
   const [x, y] = spot(event), [north_m, east_m] = seen.view.back(x, y), number = drag.number;
   drag = null;
   ask({ do: "obstacle", number, north_m, east_m });
@@ -253,7 +260,7 @@ $("flow").addEventListener("pointerup", () => {
   drag = null;
   ask({ do: "current", north_m_s, east_m_s });
 });
-for (const name of ["plan", "flow"]) $(name).addEventListener("pointercancel", () => { drag = null; soon(); });
+for (const name of ["plan", "flow"]) $(name).addEventListener("pointercancel", () => { drag = seen.moving = null; soon(); });
 window.addEventListener("resize", soon);
 dark.addEventListener("change", () => { legend(); soon(); });
 setInterval(() => { if (heard && Date.now() - heard > 4000) $("link").textContent = "no news from the vehicle's process"; }, 1000);

@@ -1,0 +1,139 @@
+"""The page's own code, run by node with a stand-in for the browser, on what a process sends."""
+
+import copy
+import json
+import math
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from viewers import Stream, run
+
+from autopilot.core.messages import Failsafe
+from autopilot.view.server import PAGES, POLICY
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "autopilot" / "data" / "view"
+
+needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node runs the page's code")
+
+
+@pytest.fixture(scope="module")
+def events(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """What a viewer of a flight hears, until the controller flies."""
+    with run(tmp_path_factory.mktemp("page"), "paper-tank", "--start", "--sensors", "pose") as made:
+        stream, heard = Stream(made.port), []
+        for name, data in stream.events():
+            heard.append({"name": name, "data": data})
+            if (
+                name == "frame"
+                and data["control"]
+                and data["goal"]
+                and len(data["control"]["tube_m"])
+                and data["t_s"] > 6
+            ):
+                break
+        made.end()
+        return heard
+
+
+def page(heard: list[dict[str, Any]], width: int = 700, height: int = 600, theme: str = "light") -> dict[str, Any]:
+    """What the page makes of it."""
+    command = ["node", str(ROOT / "docs" / "view_page.mjs"), str(width), str(height), theme]
+    text = "\n".join(json.dumps(event) for event in heard)
+    done = subprocess.run(command, input=text, capture_output=True, text=True, check=True)
+    made: dict[str, Any] = json.loads(done.stdout)
+    assert made["errors"] == []
+    return made
+
+
+@needs_node
+@pytest.mark.parametrize(("width", "height", "theme"), [(700, 600, "light"), (360, 500, "dark")])
+def test_the_page_shows_what_it_is_sent(events: list[dict[str, Any]], width: int, height: int, theme: str) -> None:
+    made = page(events, width, height, theme)
+    frame = events[-1]["data"]
+    words = made["words"]
+    assert words["mode"] == frame["mode"] and words["armed"] == "armed"
+    assert words["title"] == "paper-tank · lbv150 · simulated"
+    facts = dict(zip(made["state"][::2], made["state"][1::2], strict=True))
+    assert facts["Estimate"] == frame["estimate"]["health"]
+    north = float(facts["North, east, depth"].split(",")[0])
+    assert north == pytest.approx(frame["estimate"]["pos_ned_m"][0], abs=0.006)
+    rods = {bar["words"][0]: bar for bar in made["bars"]}
+    planar = math.hypot(*frame["estimate"]["vel_water_frd_m_s"][:2])
+    assert float(rods["Planar speed"]["rod"]["width"].rstrip("%")) == pytest.approx(min(200 * planar, 100), abs=0.1)
+    port = frame["thrust_n"][0]
+    assert float(rods["port"]["rod"]["width"].rstrip("%")) == pytest.approx(50 * min(abs(port) / 12, 1), abs=0.1)
+    for name in ("plan", "side"):
+        assert made["svg"][name].count("<path") > 5
+    assert ">A</text>" in made["svg"]["plan"] and ">B</text>" in made["svg"]["plan"]
+    assert "steer" not in made["hidden"]
+    assert any("Armed" in line for line in made["messages"])
+
+
+@needs_node
+def test_the_page_bears_what_is_missing(events: list[dict[str, Any]]) -> None:
+    bare = copy.deepcopy(events[-1])
+    for name in ("estimate", "truth", "goal", "progress", "control", "battery", "loop", "clearance_m"):
+        bare["data"][name] = None
+    for name in ("solids", "tracks", "thrust_n", "pwm_us", "effectiveness", "sensors", "messages"):
+        bare["data"][name] = []
+    bare["data"]["extra_current_ned_m_s"] = None
+    bare["data"]["failsafes"] = [failsafe.name for failsafe in Failsafe]
+    scene = copy.deepcopy(next(event for event in events if event["name"] == "scene"))
+    scene["data"].update(tank_m=[], tank_depth_m=None, fence=[], places=[], camera_px=None, simulated=False)
+    scene["data"]["steerable"] = {
+        **dict.fromkeys(("pause", "speed", "reset", "current", "obstacles"), False),
+        "faults": [],
+        "missing": ["read-only"],
+    }
+    made = page([scene, bare])
+    assert "steer" in made["hidden"] and made["words"]["readonly"] == "read-only"
+    assert "LEAK" in made["words"]["alarms"]
+
+
+@needs_node
+def test_what_a_person_does_is_asked_for(events: list[dict[str, Any]]) -> None:
+    frame = copy.deepcopy(events[-1])
+    solid = frame["data"]["solids"][0]
+    scene = next(event for event in events if event["name"] == "scene")
+
+    def at(place: list[float]) -> dict[str, float]:
+        """Where the page draws a place: north to the right, as the tank is longer that way."""
+        dots = page([scene, frame])["svg"]["plan"].split(f">{solid['number']}</text>")[0].rpartition("<text")[2]
+        x, y = (float(dots.split(f'{axis}="')[1].split('"')[0]) for axis in "xy")
+        scale = page([scene, frame])
+        del scale
+        return {"clientX": x + place[0], "clientY": y - 4 + place[1], "pointerId": 1}
+
+    made = page(
+        [
+            scene,
+            frame,
+            {"event": "click", "name": "pause", "data": {}},
+            {"event": "pointerdown", "name": "plan", "data": at([0, 0])},
+            {"event": "pointermove", "name": "plan", "data": at([20, 10])},
+            {"event": "pointerup", "name": "plan", "data": at([40, 20])},
+            {"event": "pointerdown", "name": "flow", "data": {"clientX": 56, "clientY": 56, "pointerId": 1}},
+            {"event": "pointerup", "name": "flow", "data": {"clientX": 80, "clientY": 56, "pointerId": 1}},
+            {"event": "click", "name": "reset", "data": {}},
+        ]
+    )
+    pause, obstacle, flow, reset = made["requests"]
+    assert pause == {"url": "/do", "do": "pause"} and reset == {"url": "/do", "do": "reset"}
+    assert obstacle["do"] == "obstacle" and obstacle["number"] == solid["number"]
+    moved = math.hypot(obstacle["north_m"] - solid["center_m"][0], obstacle["east_m"] - solid["center_m"][1])
+    assert 0.1 < moved < 1.5
+    assert flow == {"url": "/do", "do": "current", "north_m_s": 0.0, "east_m_s": 0.0}
+
+
+def test_nothing_comes_from_outside() -> None:
+    for name, _ in PAGES.values():
+        text = (PAGE / name).read_text(encoding="utf-8").replace('xmlns="http://www.w3.org/2000/svg"', "")
+        assert "http:" not in text and "https:" not in text and "//cdn" not in text, name
+    index = (PAGE / "index.html").read_text(encoding="utf-8")
+    # The policy allows neither of these.
+    assert " style=" not in index and " onclick=" not in index and "<script>" not in index
+    assert "unsafe" not in POLICY
