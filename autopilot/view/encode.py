@@ -256,9 +256,11 @@ def _progress(out: Outputs) -> Progress | None:
 
 
 def _control(snapshot: Snapshot) -> Control | None:
-    control, plan = snapshot.control, snapshot.plan
+    control, plan, goal = snapshot.control, snapshot.plan, snapshot.outputs.goal
     if control is None:
         return None
+    if plan is not None and (goal is None or plan.seq != goal.seq):
+        plan = None  # of the goal before
     status, tubed = control.status, 0 < len(control.nominal) == len(control.tube_m)
     return Control(
         status=status.status.name,

@@ -100,13 +100,11 @@ def test_what_a_person_does_is_asked_for(events: list[dict[str, Any]]) -> None:
     solid = frame["data"]["solids"][0]
     scene = next(event for event in events if event["name"] == "scene")
 
-    def at(place: list[float]) -> dict[str, float]:
-        """Where the page draws a place: north to the right, as the tank is longer that way."""
+    def at(away_px: list[float]) -> dict[str, float]:
+        """So far from where the page has drawn the obstacle."""
         dots = page([scene, frame])["svg"]["plan"].split(f">{solid['number']}</text>")[0].rpartition("<text")[2]
         x, y = (float(dots.split(f'{axis}="')[1].split('"')[0]) for axis in "xy")
-        scale = page([scene, frame])
-        del scale
-        return {"clientX": x + place[0], "clientY": y - 4 + place[1], "pointerId": 1}
+        return {"clientX": x + away_px[0], "clientY": y - 4 + away_px[1], "pointerId": 1}
 
     made = page(
         [
