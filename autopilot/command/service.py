@@ -109,6 +109,7 @@ class Autopilot:
         self._run("inputs", lambda: self._note(inputs), None)
         acting_n = self._run("thrusters", lambda: actuation.send(t_us), actuation.nothing())
         poses = self._run("message", parts.server.take_samples, NO_POSES)
+        self._run("message", lambda: self._note_others(t_us), None)
         given = EstimatorInputs(thrust_n=actuation.share * acting_n, samples=poses)
         estimated = self._estimation.step(inputs, given)
         nav = estimated.nav
@@ -191,6 +192,12 @@ class Autopilot:
         faults = {f"faults.{part}": count for part, count in self._parts.guard.counts.items()}
         counts = {**self._estimation.counts(pictures), **faults, **self._surroundings.counts()}
         return NavCounters(t_us=inputs.t_us, counts=counts)
+
+    def _note_others(self, t_us: int) -> None:
+        """Obstacles and vehicles that clients told of."""
+        tracks, gone = self._parts.server.take_tracks()
+        if tracks or gone:
+            self._surroundings.note_others(t_us, tracks, gone, self._parts.commander.fence)
 
     def _serve(self, inputs: Inputs, nav: NavState | None) -> tuple[MavlinkFrame, ...]:
         """Requests of clients and telemetry."""

@@ -1,15 +1,21 @@
 """What comes in with a tick beside the estimator's samples: power, obstacles, pictures, devices that fail."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from autopilot.command.camera_watch import CameraWatch
 from autopilot.command.device_watch import DeviceWatch
 from autopilot.command.facts import Facts, Jolts
+from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.fence.tracks import Tracks
+from autopilot.core.geometry import Fence
 from autopilot.core.messages import Below, Event, Inputs
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import AhrsSample, ImuSample, ObstacleTrack, PowerSample, plausible
 from autopilot.core.vehicle import Vehicle
+from autopilot.mavlink.api import BEAM_TRACKS
+
+KNOWN_M = 0.3
+"""What beams end at so near to a shape of the fence is that."""
 
 
 class Surroundings:
@@ -60,6 +66,17 @@ class Surroundings:
                 self.tracks.note(inputs.t_us, sample)
             else:
                 facts.note_sample(inputs.t_us, sample)
+
+    def note_others(self, t_us: int, tracks: Sequence[ObstacleTrack], gone: Sequence[int], fence: Fence) -> None:
+        """Take what others have told of; what beams see of the fence itself is known."""
+        for number in gone:
+            self.tracks.forget(number)
+        beams = [track for track in tracks if track.track_id >= BEAM_TRACKS]
+        free_m = clearance_m(fence, [track.pos_ned_m for track in beams]) if beams else ()
+        known = {track.track_id for track, clear_m in zip(beams, free_m, strict=True) if clear_m < KNOWN_M}
+        for track in tracks:
+            if track.track_id not in known:
+                self.tracks.note(t_us, track)
 
     @property
     def thruster_problem(self) -> str:

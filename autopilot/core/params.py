@@ -47,6 +47,8 @@ _ACTIONS = "0 = warn, 1 = hold, 2 = surface, 3 = return, 4 = disarm, 5 = surface
 """What most failsafes can do; the order is :data:`autopilot.command.failsafe_table.ACTIONS`."""
 
 PARAMETERS: tuple[ParamSpec, ...] = (
+    _real("AVD_HEIGHT", 2.0, 0.0, 1000.0, "m", "Other vehicles farther above or below than this are not avoided."),
+    _real("AVD_RADIUS", 0.35, 0.0, 100.0, "m", "Radius of others that broadcast their position, 0 = not avoided."),
     _real("DEPTH_MAX", 1.2, 0.1, 6000.0, "m", "Deepest point of the vehicle's centre (depth band, exact penalty)."),
     _real("DEPTH_MIN", 0.05, 0.0, 100.0, "m", "Shallowest point of the vehicle's centre while under control."),
     *(

@@ -160,6 +160,9 @@ class VehicleView:
     """Of the last control step, None while nothing is controlled."""
 
 
+BEAM_TRACKS = 4 << 28
+"""Tracks with numbers from here on come from the beams of a sensor, which see what the fence has as well."""
+
 UNITS_PER_S = 100_000
 """Signing time counts in 10 us since 2015."""
 AHEAD_UNITS = 60 * UNITS_PER_S

@@ -12,6 +12,7 @@ from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample
 from autopilot.mavlink.api import VehicleCommands, VehicleView
+from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.profiles import Profile
 from autopilot.mavlink.recent import Recent
@@ -75,6 +76,8 @@ class Context:
     t_us: int = 0
     links: dict[int, LinkEncoder] = field(default_factory=dict)
     """Every open link's encoder: sequence numbers count per link."""
+    budgets: dict[int, Budget] = field(default_factory=dict)
+    """Of slow links."""
     old: dict[int, frozenset[int]] = field(default_factory=dict)
     """Clients that speak MAVLink 1, by link."""
     tx: list[MavlinkFrame] = field(default_factory=list)
@@ -117,7 +120,16 @@ class Context:
         """Queue a message to one client, or to everyone on one link."""
         link, client = (to, EVERYONE) if isinstance(to, int) else (to.link, to.client)
         if link in self.links:
-            self.tx.extend(self.frames(link, client, message))
+            frames = list(self.frames(link, client, message))
+            budget = self.budgets.get(link)
+            if budget is not None:
+                budget.spend(sum(len(frame.data) for frame in frames))
+            self.tx += frames
+
+    def has_room(self, link: int, share: float) -> bool:
+        """Whether a link can carry what is less urgent than an answer (:mod:`autopilot.mavlink.budget`)."""
+        budget = self.budgets.get(link)
+        return budget is None or budget.has_room(share)
 
     def frames(self, link: int, client: int, message: Message, *, counted: bool = True) -> Iterator[MavlinkFrame]:
         """A message as the clients of an open link get it: who speaks MAVLink 1 gets that."""

@@ -11,8 +11,9 @@ from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
-from autopilot.core.samples import ExternalPoseSample
+from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleCommands, VehicleView
+from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.commands import Call, Commands, Entry
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
 from autopilot.mavlink.dialect import mav
@@ -20,6 +21,7 @@ from autopilot.mavlink.external import ExternalPoses
 from autopilot.mavlink.inbox import Address, Inbox, Intake
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.operators import REQUEST, STATUS_ID, Operators
+from autopilot.mavlink.others import Others
 from autopilot.mavlink.parameters import Parameters
 from autopilot.mavlink.pilot import Pilot
 from autopilot.mavlink.profiles import Profile
@@ -98,6 +100,7 @@ class Dispatcher:
         guard: Guard,
         saving: ParamSaving | None = None,
         signing: Signing | None = None,
+        rates: Mapping[int, float] | None = None,
     ) -> None:
         self._ctx = ctx = Context(
             sysid=sysid,
@@ -111,6 +114,7 @@ class Dispatcher:
             guard=guard,
             saving=saving,
             signing=signing or Signing(),
+            budgets={link: Budget(rate / patience) for link, rate in (rates or {}).items()},
         )
         self.parameters = Parameters(ctx)
         self._operators = Operators(ctx, self.parameters.known_value)
@@ -119,6 +123,7 @@ class Dispatcher:
         self.pilot = Pilot(ctx)
         self._set_points = SetPoints(ctx)
         self._external = ExternalPoses(ctx, lambda: self.utility.utc_offset_us)
+        self._others = Others(ctx)
         self._status = Status(ctx)
         self._telemetry = Telemetry(ctx)
         self._progress = Progress(ctx, self.missions)
@@ -188,6 +193,10 @@ class Dispatcher:
             mav.MAVLINK_MSG_ID_SET_ACTUATOR_CONTROL_TARGET: self._set_points.on_actuators,
             mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._on_request_data_stream,
             mav.MAVLINK_MSG_ID_SETUP_SIGNING: self._on_setup_signing,
+            mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._others.on_global_position_int,
+            mav.MAVLINK_MSG_ID_ADSB_VEHICLE: self._others.on_adsb_vehicle,
+            mav.MAVLINK_MSG_ID_AIS_VESSEL: self._others.on_ais_vessel,
+            mav.MAVLINK_MSG_ID_OBSTACLE_DISTANCE: self._others.on_obstacle_distance,
         }
 
     # Links
@@ -220,6 +229,10 @@ class Dispatcher:
         samples, self._ctx.samples = tuple(self._ctx.samples), []
         return samples
 
+    def take_tracks(self) -> tuple[tuple[ObstacleTrack, ...], tuple[int, ...]]:
+        """Obstacles that others have told of since the last call, and those that are not there any more."""
+        return self._others.take()
+
     # One tick
 
     def step(
@@ -231,6 +244,8 @@ class Dispatcher:
         if ctx.announce_place:
             ctx.announce_place, self._place_shown = False, None
         run = ctx.guard.run
+        for budget in ctx.budgets.values():
+            budget.tick(t_us)
         run("message", self._tick_signing, None)
         for frame in rx:
             self._push(frame)
@@ -254,6 +269,8 @@ class Dispatcher:
         """Receive between ticks: what is urgent is answered, the rest waits for the tick in its order."""
         ctx = self._ctx
         ctx.t_us, ctx.tx = t_us, []
+        for budget in ctx.budgets.values():
+            budget.tick(t_us)
         for frame in rx:
             inbox = self._push(frame)
             if inbox is not None:
@@ -280,7 +297,8 @@ class Dispatcher:
     def _handle(self, address: Address, msg: Message) -> None:
         """One message. What fails at it costs this message only; a command is answered FAILED."""
         sysid = msg.get_srcSystem()
-        if sysid in (0, self._ctx.sysid) or not self._for_us(msg):
+        ours = sysid == self._ctx.sysid and msg.get_srcComponent() == COMPID  # an echo, or a second of us
+        if sysid == 0 or ours or not self._for_us(msg):
             return
         link, client = address
         peer = Peer(link, sysid, msg.get_srcComponent(), client)

@@ -10,6 +10,7 @@ from autopilot.core.clock import TICK_US
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import Severity
 from autopilot.core.params import ParamSpec, ParamType
+from autopilot.mavlink.budget import LISTS
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.profiles import ParamEncoding
 from autopilot.mavlink.wire import Message
@@ -190,9 +191,10 @@ class Parameters:
         if not self._lists:
             return
         for peer, start in tuple(self._lists.items()):
-            stop = min(start + PER_TICK, len(self._names))
-            for name in self._names[start:stop]:
-                self._ctx.send(peer, self.value(name))
+            stop = start
+            while stop < min(start + PER_TICK, len(self._names)) and self._ctx.has_room(peer.link, LISTS):
+                self._ctx.send(peer, self.value(self._names[stop]))
+                stop += 1
             if stop < len(self._names):
                 self._lists[peer] = stop
             else:

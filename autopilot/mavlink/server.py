@@ -5,7 +5,7 @@ The dialect (a 2 MB module) is imported when a server is made, not when this mod
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from autopilot.core.geodesy import Place
@@ -13,7 +13,7 @@ from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
-from autopilot.core.samples import ExternalPoseSample
+from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
 from autopilot.mavlink.api import FlightMode, SigningStore, Sticks, VehicleCommands, VehicleView
 from autopilot.mavlink.profiles import profile_by_name
 
@@ -31,8 +31,9 @@ class MavlinkServer:
 
     ``patience`` multiplies the time that a client gets in transfers: a simulation that runs k times faster than real
     time passes k, because clients live in real time. ``links`` are the indices of the links that are open from the
-    start; another one is added when something comes from it, or by :meth:`add_link`. ``version`` is the distribution's,
-    ``git`` the revision in hex digits, ``uid`` 64 bits. ConfigError for an unknown profile.
+    start; another one is added when something comes from it, or by :meth:`add_link`. ``rates`` are the bytes per second
+    of slow links. ``version`` is the distribution's, ``git`` the revision in hex digits, ``uid`` 64 bits. ConfigError
+    for an unknown profile.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class MavlinkServer:
         guard: Guard | None = None,
         saving: ParamSaving | None = None,
         signing: SigningStore | None = None,
+        rates: Mapping[int, float] | None = None,
     ) -> None:
         identity = profile_by_name(profile)
         from autopilot.mavlink.dispatch import Dispatcher, Identity
@@ -69,6 +71,7 @@ class MavlinkServer:
             guard=guard or Guard(),
             saving=saving,
             signing=Signing(signing, patience),
+            rates=rates,
         )
         for link in links:
             self._dispatcher.add_link(link)
@@ -112,6 +115,10 @@ class MavlinkServer:
     def take_samples(self) -> tuple[ExternalPoseSample, ...]:
         """Poses that clients have sent since the last call (VISION_POSITION_ESTIMATE, ODOMETRY), for the estimator."""
         return self._dispatcher.take_samples()
+
+    def take_tracks(self) -> tuple[tuple[ObstacleTrack, ...], tuple[int, ...]]:
+        """Obstacles and vehicles that others have told of since the last call, and numbers of those that have gone."""
+        return self._dispatcher.take_tracks()
 
     @property
     def dropped_rx(self) -> int:

@@ -5,6 +5,7 @@ from functools import partial
 from types import MappingProxyType
 
 from autopilot.core.clock import TICK_US
+from autopilot.mavlink.budget import TELEMETRY
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.telemetry import Builder
@@ -86,13 +87,25 @@ class LinkStreams:
 
     def take_due(self, t_us: int) -> list[int]:
         """Messages due now, rescheduled."""
-        due = [msg_id for msg_id, at_us in self.due_us.items() if at_us <= t_us]
+        due = self.due(t_us)
         for msg_id in due:
-            interval_us = self.interval_us[msg_id]
-            at_us = self.due_us[msg_id] + interval_us
-            self.due_us[msg_id] = at_us if at_us > t_us else t_us + interval_us
-        self.next_us = min(self.due_us.values(), default=t_us + _S)
+            self.done(msg_id, t_us)
+        self.settle(t_us)
         return due
+
+    def due(self, t_us: int) -> list[int]:
+        """Messages due now."""
+        return [msg_id for msg_id, at_us in self.due_us.items() if at_us <= t_us]
+
+    def done(self, msg_id: int, t_us: int) -> None:
+        """A message has been sent: when it is due again."""
+        interval_us = self.interval_us[msg_id]
+        at_us = self.due_us[msg_id] + interval_us
+        self.due_us[msg_id] = at_us if at_us > t_us else t_us + interval_us
+
+    def settle(self, t_us: int) -> None:
+        """When to look again."""
+        self.next_us = min(self.due_us.values(), default=t_us + _S)
 
 
 class Streams:
@@ -162,8 +175,21 @@ class Streams:
             streams = self.of(link)
             if streams.next_us > t_us:
                 continue
+            if link in self._ctx.budgets:
+                self._tick_slow(link, streams, built)
+                continue
             for msg_id in streams.take_due(t_us):
                 self._ctx.guard.run("telemetry", partial(self._send, link, msg_id, built), None, lambda: self._ctx.view)
+
+    def _tick_slow(self, link: int, streams: LinkStreams, built: dict[int, Message | None]) -> None:
+        """What the link can carry of what is due, the longest due first; the rest stays due."""
+        ctx, t_us = self._ctx, self._ctx.t_us
+        for msg_id in sorted(streams.due(t_us), key=lambda due: streams.due_us[due]):
+            if not ctx.has_room(link, TELEMETRY):
+                break
+            streams.done(msg_id, t_us)
+            ctx.guard.run("telemetry", partial(self._send, link, msg_id, built), None, lambda: ctx.view)
+        streams.settle(t_us)
 
     def _send(self, link: int, msg_id: int, built: dict[int, Message | None]) -> None:
         if msg_id not in built:

@@ -1,7 +1,8 @@
 """The composition root: puts the service and, for SITL, its simulated world together."""
 
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from autopilot import __version__
 from autopilot.command.commander import Commander
@@ -54,6 +55,8 @@ class ServiceSetup:
     """Judges workspaces by a current map, None without one."""
     links: int
     """Number of MAVLink links that are open from the start."""
+    rates: Mapping[int, float] = field(default_factory=dict)
+    """Bytes per second of links that are slow, by number."""
     patience: float
     """How much faster than a client's clock this service's time may run (plan transfers wait so much longer)."""
     saving: ParamSaving | None = None
@@ -119,6 +122,7 @@ def build_service(
             guard=guard,
             saving=setup.saving,
             signing=setup.signing,
+            rates=setup.rates,
         ),
     )
     return Autopilot(parts), parts

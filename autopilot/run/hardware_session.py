@@ -26,7 +26,17 @@ from autopilot.run.describe import describe_service
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.recorder import NullRecorder, RunRecorder
-from autopilot.run.session import FASTEST, Kept, Outside, Session, loop_round, marker_vision, opened, take_plans
+from autopilot.run.session import (
+    FASTEST,
+    Kept,
+    Outside,
+    Session,
+    link_rates,
+    loop_round,
+    marker_vision,
+    opened,
+    take_plans,
+)
 from autopilot.run.session_log import LogContents, marker_attachment, open_recorder
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.vehicle_config import VehicleConfig, apply_parameters
@@ -157,6 +167,7 @@ def _service(
             waits_for_plans=speed == 0.0,
             saving=saving,
             signing=signing,
+            rates=link_rates(settings["connect"]),
         )
     )
 

@@ -24,7 +24,7 @@ from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.runtime import Runtime
 from autopilot.run.service_manager import ServiceManager
 from autopilot.run.signing_files import SigningFiles
-from drivers.links import open_link
+from drivers.links import open_link, parse_connection
 from drivers.protocols import Link
 from estimator.frame_filter import FrameFilter
 from estimator.vision import MarkerDetector
@@ -174,6 +174,12 @@ def loop_round(
     for desk in (*parts.desks, kept.disk):
         desk.idle = runtime.attend
     return runtime
+
+
+def link_rates(connections: Sequence[str]) -> dict[int, float]:
+    """Bytes per second of those that are serial lines: ten bits a byte."""
+    found = enumerate(map(parse_connection, connections))
+    return {number: connection.number / 10.0 for number, connection in found if connection.kind == "serial"}
 
 
 def take_plans(parts: Parts, plan: Path | None, kept: KeptPlans | None, *, flown_at_once: bool) -> tuple[str, ...]:

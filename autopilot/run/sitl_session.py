@@ -24,7 +24,17 @@ from autopilot.run.config import Settings, chosen_part, system_id
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Peer
 from autopilot.run.recorder import NullRecorder, RunRecorder
-from autopilot.run.session import FASTEST, Kept, Outside, Session, loop_round, marker_vision, opened, take_plans
+from autopilot.run.session import (
+    FASTEST,
+    Kept,
+    Outside,
+    Session,
+    link_rates,
+    loop_round,
+    marker_vision,
+    opened,
+    take_plans,
+)
 from autopilot.run.session_log import LogContents, marker_attachment, open_recorder
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.sitl_describe import describe_run
@@ -204,6 +214,7 @@ def _service(
             waits_for_plans=world.speed == 0.0,
             saving=saving,
             signing=signing,
+            rates=link_rates(settings["connect"]),
         )
     )
 

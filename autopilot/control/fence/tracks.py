@@ -68,6 +68,10 @@ class Tracks:
         if len(self._tracks) > MAX_TRACKS:
             del self._tracks[min(self._tracks.values(), key=lambda track: (track.t_us, track.track_id)).track_id]
 
+    def forget(self, track_id: int) -> None:
+        """It has been seen that there is nothing any more."""
+        self._tracks.pop(track_id, None)
+
     def at(self, t_us: int) -> tuple[ObstacleTrack, ...]:
         """What is remembered at ``t_us``, in the order of the numbers."""
         for number, track in list(self._tracks.items()):

@@ -1,0 +1,39 @@
+"""What a slow link carries: telemetry and lists take what commands and their answers leave.
+
+A serial line of 57,600 baud carries 5,760 bytes a second. What is sent beyond that waits in the line's buffer, and
+every answer behind it. So what goes out is counted; telemetry waits until there is room, the longest due first, so that
+all streams become slower together and none stops.
+"""
+
+from dataclasses import dataclass
+
+DEPTH_S = 0.1
+"""So much of the line's time may wait in its buffer."""
+DEBT_S = 0.5
+"""Answers may run up so much; beyond it is forgotten, the buffer will have lost it."""
+LISTS = 0.25
+"""Lists (parameters) go on above this share of the room ..."""
+TELEMETRY = 0.5
+"""... telemetry above this one."""
+
+
+@dataclass(slots=True)
+class Budget:
+    """One link's. ``bytes_per_s`` in the service's time."""
+
+    bytes_per_s: float
+    _level: float = 0.0
+    _t_us: int = 0
+
+    def tick(self, t_us: int) -> None:
+        """Time has gone on: the line has carried something away."""
+        carried = self.bytes_per_s * max(0, t_us - self._t_us) * 1e-6
+        self._level, self._t_us = min(self._level + carried, self.bytes_per_s * DEPTH_S), t_us
+
+    def spend(self, count: int) -> None:
+        """So many bytes go out."""
+        self._level = max(self._level - count, -self.bytes_per_s * DEBT_S)
+
+    def has_room(self, share: float) -> bool:
+        """Whether what needs this share of the room may go out."""
+        return self._level >= share * self.bytes_per_s * DEPTH_S

@@ -1,0 +1,98 @@
+"""A serial line of 57,600 baud: commands are answered at once however much telemetry is asked for."""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import pairwise
+
+import pytest
+from mavlink_harness import Client, Lossy, World, mav
+
+BYTES_PER_S = 5760.0
+
+
+class Line(Lossy):
+    """Carries so many bytes a tick; what is more waits in its buffer, in order."""
+
+    def __init__(self, bytes_per_s: float) -> None:
+        super().__init__()
+        self._queue: deque[bytes] = deque()
+        self._left = 0.0
+        self._rate = bytes_per_s / 100.0
+        self.carried = 0
+        self.longest = 0
+
+    def pass_on(self, datagrams: list[bytes]) -> list[bytes]:
+        self._queue += datagrams
+        waiting = sum(len(data) for data in self._queue)
+        self.longest = max(self.longest, waiting)
+        self._left = min(self._left + self._rate, self._rate if not self._queue else 1e9)
+        out = []
+        while self._queue and self._left >= len(self._queue[0]):
+            self._left -= len(self._queue[0])
+            self.carried += len(self._queue[0])
+            out.append(self._queue.popleft())
+        return out
+
+
+def slow_world(*, greedy: bool) -> tuple[World, Client, Line]:
+    world = World(rates={0: BYTES_PER_S})
+    line = Line(BYTES_PER_S)
+    client = world.client(from_vehicle=line)
+    client.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
+    world.run(0.5)
+    if greedy:
+        client.send(mav.MAVLink_request_data_stream_message(1, 1, 0, 50, 1))
+        for number in (30, 31, 32, 33, 74):
+            client.send(mav.MAVLink_command_long_message(1, 1, 511, 0, number, 10_000, 0, 0, 0, 0, 0))
+            world.run(0.05)
+    return world, client, line
+
+
+@pytest.mark.parametrize("greedy", [False, True])
+def test_commands_are_not_starved(greedy: bool) -> None:
+    world, client, line = slow_world(greedy=greedy)
+    client.send(mav.MAVLink_param_request_list_message(1, 1))
+    waits, beats = [], []
+    client.rx.clear()
+    for _ in range(40):
+        client.rx.clear()
+        client.send(mav.MAVLink_command_long_message(1, 1, 300, 0, 0, 0, 0, 0, 0, 0, 0))
+        ticks = 0
+        while not client.got("COMMAND_ACK"):
+            world.tick()
+            ticks += 1
+            assert ticks < 100
+        waits.append(ticks)
+        beats += [world.t_us] * len(client.got("HEARTBEAT"))
+        client.rx.clear()
+        world.run(0.1)
+        beats += [world.t_us] * len(client.got("HEARTBEAT"))
+    assert max(waits) <= 15, "150 ms"
+    assert max(b - a for a, b in pairwise(beats)) <= 1_200_000
+    assert line.longest < 0.25 * BYTES_PER_S, "what waits in the line"
+
+
+def test_all_streams_become_slower_together_and_the_list_arrives() -> None:
+    world, client, line = slow_world(greedy=True)
+    client.rx.clear()
+    before = line.carried
+    client.send(mav.MAVLink_param_request_list_message(1, 1))
+    world.run(10.0)
+    names = {message.get_type() for message in client.rx}
+    assert {"ATTITUDE", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "SYS_STATUS", "BATTERY_STATUS", "VFR_HUD"} <= names
+    assert len({m.param_index for m in client.got("PARAM_VALUE")}) == len(tuple(world.params))
+    counts = [len(client.got(name)) for name in ("ATTITUDE", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT")]
+    assert min(counts) >= 0.7 * max(counts) > 20
+    used = (line.carried - before) / 10.0
+    assert 0.8 * BYTES_PER_S < used <= 1.01 * BYTES_PER_S
+
+
+def test_a_fast_link_is_not_slowed_down_by_a_slow_one() -> None:
+    world = World(rates={1: BYTES_PER_S}, links=(0, 1))
+    fast, slow = world.client(link=0), world.client(link=1)
+    for client in (fast, slow):
+        client.send(mav.MAVLink_command_long_message(1, 1, 511, 0, 30, 10_000, 0, 0, 0, 0, 0))
+    world.run(5.0)
+    assert len(fast.got("ATTITUDE")) > 480
+    assert sum(len(m.get_msgbuf()) for m in slow.rx) < 5.2 * BYTES_PER_S

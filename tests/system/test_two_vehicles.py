@@ -1,0 +1,113 @@
+"""Two vehicles in one tank that know of each other by what each broadcasts, and by nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from autopilot.core.messages import Severity
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
+
+SCENARIOS = Path(__file__).parents[2] / "sitl" / "scenarios"
+BODY_M = 0.3
+"""Radius of a vehicle."""
+WAYS = (((-1.8, 0.85, 0.45), (1.8, -0.3, 0.45)), ((1.8, 0.85, 0.45), (-1.8, -0.3, 0.45)))
+"""Start and goal of both: the straight ways cross in the middle of the tank, where both would be at the same time."""
+HEAD = """
+[origin]
+lat_deg = 37.9755
+lon_deg = 23.7790
+alt_m = 0.0
+[[fence.polygon]]
+points_m = [[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]]
+inclusion = true
+[[fence.circle]]
+x_m = -0.625
+y_m = -0.625
+radius_m = 0.16
+[[fence.circle]]
+x_m = 0.9375
+y_m = 0.0
+radius_m = 0.16
+"""
+
+
+class Water:
+    """Brings what one vehicle sends on its last link to the other, a tick later."""
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+        self.other: Water | None = None
+
+    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        """Of :class:`autopilot.run.outside.Peer`."""
+        assert self.other is not None
+        heard, self.other.sent = self.other.sent, []
+        self.sent += received
+        return heard
+
+
+def vehicle(folder: Path, instance: int, water: Water) -> SitlSession:
+    """Instance ``instance``, which goes its way through the paper's tank."""
+    start, goal = WAYS[instance]
+    folder.mkdir()
+    text = (SCENARIOS / "paper-tank-still.toml").read_text(encoding="utf-8")
+    x, y, z = start
+    lines = [
+        f"start_m = [{x}, {y}, {z}]" if line.startswith("start_m") else line
+        for line in text.splitlines()
+        if not line.startswith(("plan", "held"))
+    ]
+    (folder / "tank.toml").write_text("\n".join(lines), encoding="utf-8")
+    x, y, z = goal
+    (folder / "m.toml").write_text(
+        HEAD + f"[[waypoint]]\nx_m = {x}\ny_m = {y}\ndepth_m = {z}\naccept_m = 0.3\n", encoding="utf-8"
+    )
+    given = {
+        "scenario": str(folder / "tank.toml"),
+        "plan": str(folder / "m.toml"),
+        "speed": 0.0,
+        "sensors": "pose",
+        "start": True,
+        "state_dir": str(folder),
+    }
+    settings = gather(sitl_defaults(instance), given, {})
+    settings.put("connect", (), "test")
+    return open_sitl(settings, {}, instance=instance, log=False, peers=(water,))
+
+
+def least_distance_m(folder: Path, *, hear: bool = True, seconds: float = 60.0) -> tuple[float, list[str]]:
+    """How near the centres of two vehicles that cross come to each other, and what each said at its end."""
+    waters = (Water(), Water())
+    if hear:
+        waters[0].other, waters[1].other = waters[1], waters[0]
+    else:
+        waters[0].other, waters[1].other = Water(), Water()
+    sessions = [
+        vehicle(folder / "a", 0, waters[0]),
+        vehicle(folder / "b", 1, waters[1]),
+    ]
+    least_m, said = np.inf, [list[str](), list[str]()]
+    try:
+        for tick in range(1, round(seconds * 100)):
+            for number, session in enumerate(sessions):
+                outputs = session.runtime.tick(10_000 * tick)
+                said[number] += [event.text for event in outputs.events if event.severity <= Severity.INFO]
+            one, two = (session.device.truth.pos_ned_m for session in sessions)
+            least_m = min(least_m, float(np.linalg.norm((one - two)[:2])))
+            if all(any(text.startswith("Mission complete") for text in texts) for texts in said):
+                break
+    finally:
+        for session in sessions:
+            session.runtime.close()
+    assert all(session.device.truth.contact_count == 0 for session in sessions)
+    return least_m, [next((text for text in texts if text.startswith("Mission complete")), "") for texts in said]
+
+
+def test_two_vehicles_pass_each_other_in_the_papers_tank(tmp_path: Path) -> None:
+    least_m, ends = least_distance_m(tmp_path)
+    assert least_m > 2.0 * BODY_M
+    assert all(ends), "both arrive"
