@@ -17,6 +17,7 @@ from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import MAX_RANGE_M, Origin, Place, far_text, geodetic_from_ned, ned_from_geodetic
 from autopilot.core.geometry import Fence
+from autopilot.core.origin_params import params_origin
 from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, PlanProblem, PlanRejection, PlanStore
 from mission.fence import FenceShape, build_fence
 from mission.items import Step
@@ -98,9 +99,7 @@ class Plans(PlanStore):
         self._params = params
         self._water = water
         self._radius_m = radius_m
-        self._origin = origin or Origin(
-            lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"]
-        )
+        self._origin = origin or params_origin(params)
         self._home_ned_m: FloatArray = np.zeros(3)
         self._home: Place | None = None
         self._plans: Plans3 = EMPTY

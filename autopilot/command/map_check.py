@@ -1,7 +1,7 @@
 """Does a current map fit where the vehicle is to go? And opening one with the local origin."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin, ned_from_geodetic
 from autopilot.core.geometry import Fence, Polygon, Shape
+from autopilot.core.origin_params import params_origin
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
 from mission.items import GoTo, Step
@@ -41,11 +42,6 @@ def open_map(path: Path, origin: Origin | None = None, start_utc: str | None = N
         return north, east
 
     return load_current_map(path, to_local, None if start_utc is None else parse_utc(start_utc))
-
-
-def params_origin(params: Mapping[str, float]) -> Origin:
-    """The local origin that parameters give."""
-    return Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"])
 
 
 def parse_utc(text: str) -> datetime:

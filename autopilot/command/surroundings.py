@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from autopilot.command.camera_watch import CameraWatch
 from autopilot.command.device_watch import DeviceWatch
 from autopilot.command.facts import Facts, Jolts
@@ -72,7 +74,7 @@ class Surroundings:
         for number in gone:
             self.tracks.forget(number)
         beams = [track for track in tracks if track.track_id >= BEAM_TRACKS]
-        free_m = clearance_m(fence, [track.pos_ned_m for track in beams]) if beams else ()
+        free_m = clearance_m(fence, np.array([track.pos_ned_m for track in beams])) if beams else ()
         known = {track.track_id for track, clear_m in zip(beams, free_m, strict=True) if clear_m < KNOWN_M}
         for track in tracks:
             if track.track_id not in known:

@@ -5,6 +5,7 @@ instead of a clamped value. Keeping them on disk is not this module's business (
 """
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -31,6 +32,56 @@ class ParamSpec:
     unit: str
     help: str
     type: ParamType = ParamType.REAL32
+    family: str = ""
+    """What operators find it under, "" = by its name."""
+
+    @property
+    def values(self) -> Mapping[int, str]:
+        """What the values of a choice mean, as ``help`` says; empty for a parameter that is no choice."""
+        if self.type is not ParamType.INT32 or self.maximum > MAX_CHOICES:
+            return {}
+        told = {int(number): text.strip() for number, text in _MEANING.findall(self.help)}
+        return {number: told[number] for number in sorted(told)} if len(told) > 1 else {}
+
+    @property
+    def restart(self) -> bool:
+        """Whether a change acts at the next start only."""
+        return "(restart)" in self.help
+
+    @property
+    def group(self) -> str:
+        """What operators find it under."""
+        named = (group for start, group in _GROUPS.items() if self.name.startswith(start))
+        return self.family or next(named, "Other")
+
+    @property
+    def title(self) -> str:
+        """``help`` in short: its first clause, without what single values mean."""
+        clause = _CLAUSE_END.split(self.help.replace(" (restart)", ""), maxsplit=1)[0].rstrip(".")
+        return clause if clause and not clause[0].isdigit() else self.help.rstrip(".")
+
+
+MAX_CHOICES = 16
+"""A whole number with a larger range is a number and no choice."""
+_MEANING = re.compile(r"(?<![\w.])(\d+) = ([^,.:;()]+)")
+_CLAUSE_END = re.compile(r": |; |, (?=\d+ = )| \(")
+_GROUPS: Mapping[str, str] = {
+    "BATT_": "Battery",
+    "DEPTH_": "Limits",
+    "EST_": "Estimation",
+    "FENCE_": "Fence",
+    "FS_": "Failsafes",
+    "LAT_": "Thrusters",
+    "MPC_": "Control",
+    "ORIGIN_": "Place",
+    "PILOT_": "Pilot",
+    "SPD_": "Limits",
+    "SYSID_": "MAVLink",
+    "TETHER_": "Failsafes",
+    "THR": "Thrusters",
+    "WP_": "Mission",
+}
+"""Group by the first letters of the name; a new family of names gets a line here."""
 
 
 def _real(name: str, default: float, minimum: float, maximum: float, unit: str, text: str) -> ParamSpec:
@@ -42,6 +93,9 @@ def _int(name: str, default: int, minimum: int, maximum: int, text: str) -> Para
         name=name, default=default, minimum=minimum, maximum=maximum, unit="", help=text, type=ParamType.INT32
     )
 
+
+ORIGIN_REST_MAX = 1000
+"""Of ORIGIN_LAT_REST and ORIGIN_LON_REST: many times what a 32-bit float of degrees leaves out (76 of them)."""
 
 _ACTIONS = "0 = warn, 1 = hold, 2 = surface, 3 = return, 4 = disarm, 5 = surface and drop the weight, 6 = hand back"
 """What most failsafes can do; the order is :data:`autopilot.command.failsafe_table.ACTIONS`."""
@@ -59,7 +113,13 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("CIRCLE_SPEED", 0.15, -3.0, 3.0, "m/s", "Speed along the circle, negative = to port."),
     _int("EST_CURRENT_3D", 0, 0, 1, "1 = the estimator looks for a vertical current too, 0 = taken as zero (restart)."),
     _real("EST_EXT_DELAY", 0.0, 0.0, 0.5, "s", "Age on arrival of external poses with stamps of another clock."),
-    _int("EST_SHADOW", 1, 0, 1, "1 = the other estimator runs in the shadow of the flown one as a check (restart)."),
+    _int(
+        "EST_SHADOW",
+        1,
+        0,
+        1,
+        "1 = the other estimator runs in the shadow of the flown one, 0 = off (restart).",
+    ),
     _int(
         "FENCE_ARMED_CHG",
         0,
@@ -159,9 +219,26 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("MPC_W_CURRENT", 0.02, 0.0, 1.0, "m/s", "Bound on the current's error beyond what the estimator admits."),
     _real("MPC_W_FORCE", 1.0, 0.0, 100.0, "N", "Bound on unmodelled force per axis (slow ones count as current)."),
     _real("MPC_W_MOMENT", 0.1, 0.0, 50.0, "N m", "Bound on unmodelled yaw moment."),
-    _real("ORIGIN_ALT", 0.0, -500.0, 9000.0, "m", "Altitude of the water surface at the local origin (AMSL)."),
-    _real("ORIGIN_LAT", 37.9755, -89.0, 89.0, "deg", "Latitude of the local origin, used until one is set by message."),
-    _real("ORIGIN_LON", 23.7790, -180.0, 180.0, "deg", "Longitude of the local origin."),
+    _real(
+        "ORIGIN_ALT", 0.0, -500.0, 9000.0, "m", "Altitude of the water surface at the local origin (AMSL) (restart)."
+    ),
+    _real(
+        "ORIGIN_LAT",
+        37.9755,
+        -89.0,
+        89.0,
+        "deg",
+        "Latitude of the local origin, used until one is set by message (restart).",
+    ),
+    _int(
+        "ORIGIN_LAT_REST",
+        0,
+        -ORIGIN_REST_MAX,
+        ORIGIN_REST_MAX,
+        "Added to ORIGIN_LAT, which has about 7 digits, in 1e-7 deg (restart).",
+    ),
+    _real("ORIGIN_LON", 23.7790, -180.0, 180.0, "deg", "Longitude of the local origin (restart)."),
+    _int("ORIGIN_LON_REST", 0, -ORIGIN_REST_MAX, ORIGIN_REST_MAX, "The same of ORIGIN_LON (restart)."),
     _real(
         "SPD_CRUISE",
         0.35,
@@ -176,7 +253,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("SPD_HEAVE_MAX", 0.25, 0.02, 2.0, "m/s", "Limit of heave speed relative to the water (exact penalty)."),
     _real("SPD_PLANAR_MAX", 0.5, 0.05, 3.0, "m/s", "Limit of planar speed relative to the water (exact penalty)."),
     _real("SPD_YAW_MAX", 1.0, 0.05, 3.0, "rad/s", "Limit of yaw rate (exact penalty)."),
-    _int("SYSID_THISMAV", 1, 1, 250, "MAVLink system id; instance N adds N."),
+    _int("SYSID_THISMAV", 1, 1, 250, "MAVLink system id; instance N adds N (restart)."),
     _real("THR_LIMIT", 12.0, 0.5, 200.0, "N", "Limit of every thrust command (hard constraint)."),
     _real("OFFB_TIMEOUT", 1.0, 0.1, 60.0, "s", "Set points are followed for so long without another one; then HOLD."),
     _real("PILOT_GAIN", 0.5, 0.1, 1.0, "", "Share of full sticks that a pilot gets; buttons change it until restart."),

@@ -60,7 +60,7 @@ def make_room(folder: Path, quota_bytes: int, *, keep_free_bytes: int = KEEP_FRE
     for flight in there:
         if total <= quota_bytes and _free_bytes(folder) >= keep_free_bytes:
             break
-        if _remove(flight):
+        if remove_flight(flight):
             total -= flight.bytes
             removed.append(flight.log)
     return removed
@@ -73,7 +73,7 @@ def _free_bytes(folder: Path) -> int:
         return 0
 
 
-def _remove(flight: Flight) -> bool:
+def remove_flight(flight: Flight) -> bool:
     """Whether a flight is gone now."""
     try:
         with flight.log.open("r+b") as file:

@@ -6,19 +6,24 @@ from dataclasses import replace
 from functools import partial
 
 from autopilot.core.clients import EVERYONE, Reach
+from autopilot.core.clock import TICK_US
 from autopilot.core.geodesy import Place
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
+from autopilot.core.shelf import Shelf
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleCommands, VehicleView
 from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.commands import Call, Commands, Entry
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.external import ExternalPoses
+from autopilot.mavlink.ftp import FileTransfer
 from autopilot.mavlink.inbox import Address, Inbox, Intake
+from autopilot.mavlink.logs import LogDownload
+from autopilot.mavlink.metadata import ComponentMetadata, make_metadata
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.operators import REQUEST, STATUS_ID, Operators
 from autopilot.mavlink.others import Others
@@ -66,6 +71,7 @@ _URGENT = frozenset(
         mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
         mav.MAVLINK_MSG_ID_PING,
         mav.MAVLINK_MSG_ID_TIMESYNC,
+        mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
     )
 )
 """Answered between ticks: a transfer goes as fast as its client. The message that ends an upload is not among them."""
@@ -100,6 +106,7 @@ class Dispatcher:
         guard: Guard,
         saving: ParamSaving | None = None,
         signing: Signing | None = None,
+        shelf: Shelf | None = None,
         rates: Mapping[int, float] | None = None,
     ) -> None:
         self._ctx = ctx = Context(
@@ -117,6 +124,9 @@ class Dispatcher:
             budgets={link: Budget(rate / patience) for link, rate in (rates or {}).items()},
         )
         self.parameters = Parameters(ctx)
+        metadata = make_metadata(self.parameters.specs, name=identity.name, version=identity.version)
+        self._files = FileTransfer(ctx, metadata.files, shelf)
+        self._logs = LogDownload(ctx, shelf)
         self._operators = Operators(ctx, self.parameters.known_value)
         self.missions = Missions(ctx)
         self.utility = Utility(ctx)
@@ -132,6 +142,7 @@ class Dispatcher:
             {
                 **self._status.builders(),
                 **self._telemetry.builders(),
+                **ComponentMetadata(ctx, metadata).builders(),
                 mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
                 mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
                 STATUS_ID: self._operators.status,
@@ -181,8 +192,11 @@ class Dispatcher:
             mav.MAVLINK_MSG_ID_PING: utility.on_ping,
             mav.MAVLINK_MSG_ID_TIMESYNC: utility.on_timesync,
             mav.MAVLINK_MSG_ID_SYSTEM_TIME: lambda peer, msg: utility.on_system_time(msg),
-            mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: utility.on_file_transfer,
-            mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST: lambda peer, msg: utility.on_log_request_list(peer),
+            mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: self._files.on_message,
+            mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST: self._logs.on_request_list,
+            mav.MAVLINK_MSG_ID_LOG_REQUEST_DATA: self._logs.on_request_data,
+            mav.MAVLINK_MSG_ID_LOG_REQUEST_END: lambda peer, msg: self._logs.on_request_end(peer),
+            mav.MAVLINK_MSG_ID_LOG_ERASE: lambda peer, msg: self._logs.on_erase(peer),
             mav.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE: self._external.on_vision_position_estimate,
             mav.MAVLINK_MSG_ID_ODOMETRY: self._external.on_odometry,
             mav.MAVLINK_MSG_ID_MANUAL_CONTROL: self.pilot.on_manual_control,
@@ -263,6 +277,10 @@ class Dispatcher:
         run("parameters", self.parameters.tick, None)
         run("plans", self.missions.tick, None)
         run("telemetry", self._streams.tick, None, lambda: view)
+        # In turns: on a narrow link whoever comes first takes what there is.
+        turns = (self._files.tick, self._logs.tick)
+        for turn in turns if t_us // TICK_US % 2 else reversed(turns):
+            run("files", turn, None)
         return tuple(ctx.tx)
 
     def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:

@@ -1,18 +1,20 @@
 """Parameter protocol: list, read, set. Integers travel as the profile says (bytewise union or C cast)."""
 
-import math
 import struct
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.clock import TICK_US
+from autopilot.core.crc import file_crc32
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import Severity
+from autopilot.core.origin_params import shortest_decimal
 from autopilot.core.params import ParamSpec, ParamType
 from autopilot.mavlink.budget import LISTS
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.profiles import ParamEncoding
+from autopilot.mavlink.stubs import stubs_of
 from autopilot.mavlink.wire import Message
 
 PER_TICK = 4
@@ -24,24 +26,14 @@ SLOW_DISK_US = 3_000_000
 """A parameter that is so long on its way to the disk is spoken of."""
 
 HASH_CHECK = "_HASH_CHECK"
-"""PX4's cache check, asked by QGroundControl. Silence means "no cache" (parameter protocol)."""
+"""PX4's cache check, asked by QGroundControl: it need not download what it has. A client that has it sets this back."""
 
 _INT32, _REAL32 = mav.MAV_PARAM_TYPE_INT32, mav.MAV_PARAM_TYPE_REAL32
 _MISSING, _OUT_OF_RANGE = mav.MAV_PARAM_ERROR_DOES_NOT_EXIST, mav.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
+_READ_ONLY = 5
+"""MAV_PARAM_ERROR_READ_ONLY (common.xml)."""
 _TYPE_MISMATCH = 7
 """MAV_PARAM_ERROR_TYPE_MISMATCH (common.xml; newer than the packaged dialect)."""
-
-
-def shortest_decimal(value: float) -> float:
-    """The shortest decimal number that is this float32: 0.3 and not 0.30000001192092896."""
-    if not math.isfinite(value):
-        return value
-    wire = struct.pack("<f", value)
-    for digits in range(6, 9):
-        short = float(f"{value:.{digits}g}")
-        if abs(short) < 3.4e38 and struct.pack("<f", short) == wire:
-            return short
-    return value
 
 
 def encode(value: float, kind: ParamType, encoding: ParamEncoding) -> float:
@@ -74,7 +66,8 @@ class Parameters:
 
     def __init__(self, ctx: Context) -> None:
         self._ctx = ctx
-        self._names = tuple(ctx.params)
+        self._stubs = stubs_of(ctx.profile)
+        self._names = tuple(sorted((*ctx.params, *self._stubs)))
         self._index = {name: i for i, name in enumerate(self._names)}
         self._lists: dict[Peer, int] = {}
         self._saving: dict[str, _Request] = {}
@@ -82,13 +75,34 @@ class Parameters:
         """Whether the operator believes that something is lost at restart."""
         """Parameters that are being kept; they are told when they are."""
 
+    @property
+    def specs(self) -> tuple[ParamSpec, ...]:
+        """All that are offered, in the order of their index."""
+        return tuple(self._spec(name) for name in self._names)
+
+    def _spec(self, name: str) -> ParamSpec:
+        return self._stubs[name] if name in self._stubs else self._ctx.params.spec(name)
+
+    def _now(self, name: str) -> float:
+        """The value in force."""
+        return self._stubs[name].default if name in self._stubs else self._ctx.params[name]
+
+    def hash(self) -> int:
+        """What _HASH_CHECK compares: names and values of all, as PX4 and QGroundControl sum them up."""
+        crc = 0
+        for name in self._names:
+            whole = self._spec(name).type is ParamType.INT32
+            value = struct.pack("<i", int(self._now(name))) if whole else struct.pack("<f", self._now(name))
+            crc = file_crc32(name.encode("ascii") + value, crc)
+        return crc
+
     def value(self, name: str) -> Message:
         """PARAM_VALUE of a parameter that exists."""
         ctx = self._ctx
-        kind = ctx.params.spec(name).type
+        kind = self._spec(name).type
         return mav.MAVLink_param_value_message(
             name.encode("ascii"),
-            encode(ctx.params[name], kind, ctx.profile.param_encoding),
+            encode(self._now(name), kind, ctx.profile.param_encoding),
             _INT32 if kind is ParamType.INT32 else _REAL32,
             len(self._names),
             self._index[name],
@@ -108,6 +122,7 @@ class Parameters:
         if msg.param_index == -1:
             name = msg.param_id
             if name == HASH_CHECK:
+                self._answer_hash(peer)
                 return
         elif 0 <= msg.param_index < len(self._names):
             name = self._names[msg.param_index]
@@ -122,9 +137,15 @@ class Parameters:
         """PARAM_SET: the value in force goes to everyone once it is on disk, a refusal at once and with its reason."""
         ctx, name = self._ctx, msg.param_id
         if name == HASH_CHECK:
+            self._lists.pop(peer, None)  # the client has found its own list to be this one
             return
         if name not in self._index:
             self._refuse(peer, name, -1, _MISSING)
+            return
+        if name in self._stubs:
+            self._refuse(peer, name, self._index[name], _READ_ONLY)
+            ctx.say(Severity.WARNING, f"{name} does nothing here and stays as it is", peer)
+            ctx.broadcast(self.value(name))
             return
         number: int | None = None
         spec = ctx.params.spec(name)
@@ -137,6 +158,14 @@ class Parameters:
             ctx.broadcast(self.value(name))
         else:
             self._saving[name] = _Request(number=number, since_us=ctx.t_us)
+
+    def _answer_hash(self, peer: Peer) -> None:
+        """_HASH_CHECK, where integers travel bytewise; silence means "no cache"."""
+        if self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:
+            (value,) = struct.unpack("<f", struct.pack("<I", self.hash()))
+            uint32 = mav.MAV_PARAM_TYPE_UINT32
+            message = mav.MAVLink_param_value_message(HASH_CHECK.encode(), value, uint32, len(self._names), 0xFFFF)
+            self._ctx.send(peer, message)
 
     def _type_fits(self, spec: ParamSpec, wire_type: int) -> bool:
         if self._ctx.profile.param_encoding is ParamEncoding.C_CAST:

@@ -14,6 +14,7 @@ from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
+from autopilot.core.shelf import Shelf
 from autopilot.mavlink.api import FlightMode, SigningStore, Sticks, VehicleCommands, VehicleView
 from autopilot.mavlink.profiles import profile_by_name
 
@@ -32,8 +33,8 @@ class MavlinkServer:
     ``patience`` multiplies the time that a client gets in transfers: a simulation that runs k times faster than real
     time passes k, because clients live in real time. ``links`` are the indices of the links that are open from the
     start; another one is added when something comes from it, or by :meth:`add_link`. ``rates`` are the bytes per second
-    of slow links. ``version`` is the distribution's, ``git`` the revision in hex digits, ``uid`` 64 bits. ConfigError
-    for an unknown profile.
+    of slow links, ``shelf`` holds the logs that clients may download. ``version`` is the distribution's, ``git`` the
+    revision in hex digits, ``uid`` 64 bits. ConfigError for an unknown profile.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class MavlinkServer:
         guard: Guard | None = None,
         saving: ParamSaving | None = None,
         signing: SigningStore | None = None,
+        shelf: Shelf | None = None,
         rates: Mapping[int, float] | None = None,
     ) -> None:
         identity = profile_by_name(profile)
@@ -71,6 +73,7 @@ class MavlinkServer:
             guard=guard or Guard(),
             saving=saving,
             signing=Signing(signing, patience),
+            shelf=shelf,
             rates=rates,
         )
         for link in links:

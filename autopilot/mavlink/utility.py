@@ -1,16 +1,9 @@
-"""Small services: PING, TIMESYNC, SYSTEM_TIME, and honest answers where there is nothing (file transfer, logs)."""
+"""Small services: PING, TIMESYNC, SYSTEM_TIME."""
 
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.wire import Message
-
-FTP_NAK = 129
-FTP_ACK = 128
-"""MAVFTP reply opcodes (https://mavlink.io/en/services/ftp.html)."""
-_FTP_TERMINATE, _FTP_LIST, _FTP_OPEN_READ, _FTP_RESET = 1, 3, 4, 2
-_FTP_EOF, _FTP_UNKNOWN_COMMAND, _FTP_FILE_NOT_FOUND = 6, 7, 10
-_FTP_HEADER_BYTES, _FTP_PAYLOAD_BYTES = 12, 251
 
 
 class Utility:
@@ -40,25 +33,3 @@ class Utility:
         """SYSTEM_TIME: Unix time 0 while nobody has told it."""
         unix_us = 0 if self.utc_offset_us is None else max(self.utc_offset_us + self._ctx.t_us, 0)
         return mav.MAVLink_system_time_message(min(unix_us, 2**64 - 1), self._ctx.boot_ms)
-
-    def on_file_transfer(self, peer: Peer, msg: Message) -> None:
-        """FILE_TRANSFER_PROTOCOL: there are no files; a quick NAK lets clients fall back at once."""
-        request = bytes(msg.payload)
-        opcode = request[3]
-        if opcode in (FTP_ACK, FTP_NAK):
-            return
-        errors = {_FTP_OPEN_READ: _FTP_FILE_NOT_FOUND, _FTP_LIST: _FTP_EOF}
-        ok = opcode in (_FTP_TERMINATE, _FTP_RESET)
-        reply = bytearray(_FTP_PAYLOAD_BYTES)
-        reply[0:2] = ((int.from_bytes(request[0:2], "little") + 1) & 0xFFFF).to_bytes(2, "little")
-        reply[2] = request[2]
-        reply[3] = FTP_ACK if ok else FTP_NAK
-        reply[5] = opcode
-        if not ok:
-            reply[4] = 1
-            reply[_FTP_HEADER_BYTES] = errors.get(opcode, _FTP_UNKNOWN_COMMAND)
-        self._ctx.send(peer, mav.MAVLink_file_transfer_protocol_message(0, peer.sysid, peer.compid, list(reply)))
-
-    def on_log_request_list(self, peer: Peer) -> None:
-        """LOG_REQUEST_LIST: no logs by this way."""
-        self._ctx.send(peer, mav.MAVLink_log_entry_message(0, 0, 0, 0, 0))

@@ -20,6 +20,7 @@ from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.vehicle import Vehicle
+from autopilot.log.shelf import LogShelf
 from autopilot.mavlink.api import SigningStore
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.replay.setup import options_of
@@ -63,6 +64,8 @@ class ServiceSetup:
     """Where parameters are kept that operators set, None = nowhere."""
     signing: SigningStore | None = None
     """Where the signing key is kept, None = nowhere."""
+    shelf: LogShelf | None = None
+    """The logs that clients may download, None = none."""
     waits_for_plans: bool
     """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
 
@@ -92,7 +95,7 @@ def build_service(
     guard = Guard()
     parts = Parts(
         guard=guard,
-        desks=(*desks.lanes, checks),
+        desks=(*desks.lanes, checks, *(() if setup.shelf is None else (setup.shelf.desk,))),
         vehicle=vehicle,
         params=params,
         plans=plans,
@@ -122,6 +125,7 @@ def build_service(
             guard=guard,
             saving=setup.saving,
             signing=setup.signing,
+            shelf=setup.shelf,
             rates=setup.rates,
         ),
     )

@@ -12,17 +12,18 @@ from autopilot.command.service import Autopilot
 from autopilot.control.water.current_learning import Basin, LearnedCurrent
 from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent, NoCurrent
 from autopilot.core.desk import Desk
-from autopilot.core.geodesy import Origin
 from autopilot.core.lane import DaemonLane
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import Outputs
+from autopilot.core.origin_params import params_origin
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.params import ParamSet
 from autopilot.run.boot_links import BootLinks, open_boot_links
 from autopilot.run.compose import ServiceSetup, build_service
 from autopilot.run.config import Settings, chosen_part, system_id
 from autopilot.run.describe import describe_service
+from autopilot.run.downloads import log_shelf
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.recorder import NullRecorder, RunRecorder
@@ -152,7 +153,7 @@ def _service(
         ServiceSetup(
             vehicle=config.vehicle,
             params=params,
-            origin=Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"]),
+            origin=params_origin(params),
             markers=markers,
             floor_depth_m=config.file.place.floor_depth_m,
             estimator=estimator,
@@ -167,6 +168,7 @@ def _service(
             waits_for_plans=speed == 0.0,
             saving=saving,
             signing=signing,
+            shelf=log_shelf(settings, patient=speed == 0.0),
             rates=link_rates(settings["connect"]),
         )
     )

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from autopilot.core.desk import Desk
+from autopilot.core.origin_params import set_origin_deg
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.params import ParamSet
 from autopilot.run.boot_links import BootLinks, open_boot_links
@@ -25,8 +26,8 @@ def sitl_params(
     at: nothing is cleaned up, nothing set aside.
     """
     params = ParamSet()
-    params.set("ORIGIN_LAT", scenario.origin.lat_deg)
-    params.set("ORIGIN_LON", scenario.origin.lon_deg)
+    set_origin_deg(params, "ORIGIN_LAT", scenario.origin.lat_deg)
+    set_origin_deg(params, "ORIGIN_LON", scenario.origin.lon_deg)
     params.set("ORIGIN_ALT", scenario.origin.alt_m)
     told = scenario.controller
     for bound, value in (("MPC_W_FORCE", told.disturbance_n), ("MPC_W_MOMENT", told.disturbance_n_m)):

@@ -21,6 +21,7 @@ from autopilot.log.description import RunDescription
 from autopilot.run.clocks import make_clock
 from autopilot.run.compose import ServiceSetup, build_service
 from autopilot.run.config import Settings, chosen_part, system_id
+from autopilot.run.downloads import log_shelf
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Peer
 from autopilot.run.recorder import NullRecorder, RunRecorder
@@ -214,6 +215,7 @@ def _service(
             waits_for_plans=world.speed == 0.0,
             saving=saving,
             signing=signing,
+            shelf=log_shelf(settings, patient=world.speed == 0.0),
             rates=link_rates(settings["connect"]),
         )
     )

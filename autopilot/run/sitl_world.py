@@ -20,6 +20,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import Origin
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.markers import MarkerMap
+from autopilot.core.origin_params import params_origin
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.description import PartOrigin
@@ -69,7 +70,7 @@ def make_world(settings: Settings, scenario: Scenario, params: ParamSet) -> Worl
         plant=plant,
         plant_asked_by=plant_by,
     )
-    origin = Origin(lat_deg=params["ORIGIN_LAT"], lon_deg=params["ORIGIN_LON"], alt_m=params["ORIGIN_ALT"])
+    origin = params_origin(params)
     return World(
         scenario=scenario,
         vehicle=vehicle,

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from autopilot.core.errors import ConfigError
+from autopilot.core.origin_params import set_origin_deg
 from autopilot.core.params import ParamSet
 from autopilot.core.toml_table import NonNegative, Positive, Table, convert, read_toml
 from autopilot.core.vehicle import Vehicle, load_vehicle, vehicle_names
@@ -155,6 +156,9 @@ def apply_parameters(config: VehicleConfig, params: ParamSet) -> None:
     told = {"ORIGIN_LAT": place.origin_lat_deg, "ORIGIN_LON": place.origin_lon_deg, "ORIGIN_ALT": place.origin_alt_m}
     for name, value in ({k: v for k, v in told.items() if v is not None} | config.file.parameters).items():
         try:
-            params.set(name, value)
+            if name in ("ORIGIN_LAT", "ORIGIN_LON"):
+                set_origin_deg(params, name, value)
+            else:
+                params.set(name, value)
         except ConfigError as error:
             raise ConfigError(f"{config.path}: `$.parameters.{name}`: {error}") from error

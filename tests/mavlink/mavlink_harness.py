@@ -30,6 +30,8 @@ TICK_US = 10_000
 ORIGIN = Place(lat_deg=37.9755, lon_deg=23.7790, alt_m=12.0)
 OK = Answer(result=CommandResult.ACCEPTED)
 NAN = float("nan")
+NOT_PACKAGED = ("UNKNOWN_300", "UNKNOWN_395", "UNKNOWN_397")
+"""Messages of common.xml that pymavlink does not know."""
 
 
 class MemoryPlans:
@@ -303,7 +305,7 @@ class Client:
         """What the vehicle sent this tick."""
         for data in self._down.pass_on(datagrams):
             for message in self._parser.parse_buffer(data) or []:
-                assert message.get_msgId() >= 0 or message.get_type() == "UNKNOWN_300", message
+                assert message.get_msgId() >= 0 or message.get_type() in NOT_PACKAGED, message
                 self.rx.append(message)
                 if self.on_message is not None:
                     self.on_message(message)

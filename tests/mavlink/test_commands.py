@@ -121,7 +121,7 @@ def test_the_same_as_command_int(
         (17, (0, 0, 0, 0, 37.9, 23.7, 0), R.DENIED),
         (512, (99_999,), R.UNSUPPORTED),
         (512, (NAN,), R.TEMPORARILY_REJECTED),
-        (512, (397,), R.UNSUPPORTED),
+        (512, (396,), R.UNSUPPORTED),
         (511, (12_345, 1000), R.UNSUPPORTED),
         (511, (30, NAN), R.DENIED),
         (511, (30, -5), R.DENIED),

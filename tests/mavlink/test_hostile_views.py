@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from mavlink_harness import World, base_view, mav, nav_state
+from mavlink_harness import NOT_PACKAGED, World, base_view, mav, nav_state
 
 from autopilot.core.geodesy import Place
 from autopilot.core.messages import (
@@ -131,7 +131,7 @@ def test_every_message_can_be_packed_whatever_the_state(view: VehicleView, t_us:
         if message is None:
             continue
         packed = bytes(message.pack(mav.MAVLink(None, srcSystem=1, srcComponent=1)))
-        if name != "300":
+        if f"UNKNOWN_{name}" not in NOT_PACKAGED:
             read = reader.decode(bytearray(packed))
             assert read.get_msgId() == int(name)
 

@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mavlink_harness import NAN, Client, World, mav
 
+from autopilot.core.crc import file_crc32
+from autopilot.core.origin_params import params_origin, set_origin_deg, shortest_decimal
 from autopilot.core.params import PARAMETERS, ParamType, Saved
-from autopilot.mavlink.parameters import shortest_decimal
+from autopilot.mavlink.stubs import STUBS
 
 INT32, REAL32 = mav.MAV_PARAM_TYPE_INT32, mav.MAV_PARAM_TYPE_REAL32
 PROFILES = ("generic", "px4", "ardusub")
@@ -42,13 +44,76 @@ def test_the_list_is_complete_typed_and_stable(world: World) -> None:
     client = world.client()
     for _ in range(2):
         got = client.ask(mav.MAVLink_param_request_list_message(1, 0), "PARAM_VALUE", 1.0)
-        assert [m.param_index for m in got] == list(range(len(PARAMETERS)))
-        assert {m.param_count for m in got} == {len(PARAMETERS)}
-        assert {m.param_id for m in got} == {spec.name for spec in PARAMETERS}
+        stubs = STUBS if world.server._profile.name == "px4" else {}
+        count = len(PARAMETERS) + len(stubs)
+        assert [m.param_index for m in got] == list(range(count))
+        assert {m.param_count for m in got} == {count}
+        assert {m.param_id for m in got} == {spec.name for spec in PARAMETERS} | set(stubs)
         for m in got:
-            spec = world.params.spec(m.param_id)
+            spec = stubs.get(m.param_id) or world.params.spec(m.param_id)
+            value = spec.default if m.param_id in stubs else world.params[m.param_id]
             assert m.param_type == (INT32 if spec.type is ParamType.INT32 else REAL32)
-            assert from_wire(world, m) == pytest.approx(world.params[m.param_id], rel=1e-6)
+            assert from_wire(world, m) == pytest.approx(value, rel=1e-6)
+
+
+QGC_WANTS = """
+    SYS_AUTOSTART CAL_GYRO0_ID COM_RC_IN_MODE SYS_AUTOCONFIG MAV_SYS_ID CAL_ACC0_ID CAL_MAG0_ID CAL_MAG1_ID CAL_MAG2_ID
+    COM_FLTMODE1 COM_FLTMODE6 BAT1_N_CELLS BAT1_V_EMPTY BAT1_V_CHARGED RTL_LAND_DELAY RTL_DESCEND_ALT RTL_RETURN_ALT
+    NAV_DLL_ACT COM_RC_LOSS_T NAV_RCL_ACT COM_LOW_BAT_ACT SYS_HAS_MAG RC_MAP_ROLL RC_MAP_THROTTLE
+"""
+
+
+def test_what_a_plug_in_wants_is_there_and_does_nothing() -> None:
+    """QGroundControl's PX4 plug-in opens popups without them."""
+    client = World("px4").client()
+    for name in QGC_WANTS.split():
+        assert client.ask(mav.MAVLink_param_request_read_message(1, 1, name.encode(), -1), "PARAM_VALUE", 0.05), name
+    before = from_wire(client.world, client.got("PARAM_VALUE")[0])
+    client.rx.clear()
+    set_param(client, "SYS_AUTOSTART", 4001, INT32)
+    (error,) = client.got("PARAM_ERROR")
+    assert error.error == 5 and "SYS_AUTOSTART does nothing here" in client.texts()
+    read = client.ask(mav.MAVLink_param_request_read_message(1, 1, b"RC_MAP_THROTTLE", -1), "PARAM_VALUE", 0.05)
+    assert from_wire(client.world, read[0]) == before
+
+
+def test_a_client_that_has_the_list_need_not_load_it(world: World) -> None:
+    client = world.client()
+    got = client.ask(mav.MAVLink_param_request_list_message(1, 0), "PARAM_VALUE", 1.0)
+    crc = 0  # as QGroundControl sums its own list up
+    for m in sorted(got, key=lambda m: m.param_id):
+        wire = struct.pack("<f", m.param_value)
+        crc = file_crc32(m.param_id.encode() + wire, crc)
+    answer = client.ask(mav.MAVLink_param_request_read_message(1, 1, b"_HASH_CHECK", -1), "PARAM_VALUE", 0.05)
+    if world.server._profile.name == "ardusub":
+        assert not answer
+        return
+    assert struct.unpack("<I", struct.pack("<f", answer[0].param_value))[0] == crc
+    client.send(mav.MAVLink_param_request_list_message(1, 0))
+    world.run(0.03)
+    before = len(client.ask(answer[0].__class__(b"x", 0, 9, 0, 0), "PARAM_VALUE", 0.01))
+    same = client.ask(mav.MAVLink_param_set_message(1, 1, b"_HASH_CHECK", answer[0].param_value, 5), "PARAM_VALUE", 0.3)
+    assert before and len(same) <= 4
+
+
+@pytest.mark.parametrize("name", ["ORIGIN_LAT", "ORIGIN_LON"])
+@given(e7=st.integers(-890_000_000, 890_000_000), twice=st.booleans())
+def test_an_origin_is_kept_to_its_last_digit(name: str, e7: int, twice: bool) -> None:
+    """Listed by a client, saved, and set again: every profile gives 32-bit floats of degrees."""
+    world = ORIGIN_WORLDS[twice]
+    set_origin_deg(world.params, name, e7 * 1e-7)
+    client = world.client()
+    world.clients[:] = [client]
+    for part, kind in ((name, REAL32), (f"{name}_REST", INT32)):
+        ask = mav.MAVLink_param_request_read_message(1, 1, part.encode(), -1)
+        value = from_wire(world, client.ask(ask, "PARAM_VALUE", 0.02)[0])
+        world.params.set(part, 0.0)
+        assert set_param(client, part, value, kind)
+    place = params_origin(world.params)
+    assert round((place.lat_deg if name == "ORIGIN_LAT" else place.lon_deg) * 1e7) == e7
+
+
+ORIGIN_WORLDS = {False: World("px4"), True: World("ardusub")}
 
 
 def test_the_list_is_throttled(world: World) -> None:
@@ -82,14 +147,6 @@ def test_reading_what_does_not_exist(world: World, name: bytes, index: int) -> N
     assert error.error == mav.MAV_PARAM_ERROR_DOES_NOT_EXIST
     assert (error.target_system, error.target_component) == (255, 190)
     assert not client.got("PARAM_VALUE")
-
-
-def test_the_hash_check_is_met_with_silence(world: World) -> None:
-    client = world.client()
-    client.send(mav.MAVLink_param_request_read_message(1, 1, b"_HASH_CHECK", -1))
-    client.send(mav.MAVLink_param_set_message(1, 1, b"_HASH_CHECK", 1.0, 6))
-    world.run(0.1)
-    assert not client.got("PARAM_VALUE") and not client.got("PARAM_ERROR")
 
 
 def test_setting_tells_everyone() -> None:

@@ -390,11 +390,14 @@ def test_the_time_of_day_is_learnt(world: World) -> None:
 
 
 @pytest.mark.parametrize(
-    ("opcode", "reply", "error"), [(4, 129, 10), (3, 129, 6), (15, 129, 7), (1, 128, 0), (2, 128, 0)]
+    ("opcode", "reply", "error"), [(4, 129, 10), (3, 129, 10), (15, 129, 4), (99, 129, 7), (1, 128, 0), (2, 128, 0)]
 )
-def test_file_transfer_is_declined_at_once(world: World, opcode: int, reply: int, error: int) -> None:
+def test_file_transfer_of_what_is_not_there_is_declined_at_once(
+    world: World, opcode: int, reply: int, error: int
+) -> None:
     payload = bytearray(251)
-    payload[0:4] = bytes((0xFF, 0xFF, 3, opcode))
+    payload[0:5] = bytes((0xFF, 0xFF, 3, opcode, 7))
+    payload[12:19] = b"nothing"
     client = world.client()
     (answer,) = client.ask(
         mav.MAVLink_file_transfer_protocol_message(0, 1, 1, list(payload)), "FILE_TRANSFER_PROTOCOL", 0.1

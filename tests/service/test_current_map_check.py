@@ -12,12 +12,13 @@ from autopilot.bench.flow_maps import b6_map, forecast_of, write_flow_map
 from autopilot.cli.main import cli
 from autopilot.command.commander import Commander
 from autopilot.command.conditions import Conditions
-from autopilot.command.map_check import MapCheck, params_origin, parse_utc
+from autopilot.command.map_check import MapCheck, parse_utc
 from autopilot.command.watch import Watch
 from autopilot.control.water.current_map import CurrentMap
 from autopilot.control.water.map_reading import load_current_map
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import NavHealth, NavState, Severity
+from autopilot.core.origin_params import params_origin
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import load_vehicle

@@ -1,0 +1,41 @@
+"""The folder of logs as clients see it: what there is, and pieces of it. Everything is asked for beside the loop."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from autopilot.core.desk import Ticket
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShelfFile:
+    """One file."""
+
+    path: str
+    """Below the folder, with "/" between its parts."""
+    size: int
+    """Bytes, when it was looked at."""
+    modified_s: int
+    """Unix time."""
+
+
+class Shelf(Protocol):
+    """A folder that is read and, by :meth:`erase` alone, emptied. Tickets are polled with the count of ticks.
+
+    Nothing outside of the folder can be named: an answer's error is then a LogError, as for what does not exist.
+    """
+
+    def list(self, tick: int) -> Ticket[tuple[ShelfFile, ...]]:
+        """All files, oldest first."""
+        ...
+
+    def read(self, tick: int, path: str, offset: int, size: int) -> Ticket[bytes]:
+        """At most ``size`` bytes from ``offset``; fewer at the end."""
+        ...
+
+    def crc32(self, tick: int, path: str) -> Ticket[int]:
+        """Checksum of a whole file, as :func:`autopilot.core.crc.file_crc32` has it."""
+        ...
+
+    def erase(self, tick: int) -> Ticket[int]:
+        """Remove all finished flights; how many."""
+        ...

@@ -1,0 +1,103 @@
+"""What clients may read: a few files in memory (metadata) and, under ``@MAV_LOG``, the logs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from autopilot.core.desk import Ticket
+from autopilot.core.shelf import Shelf, ShelfFile
+
+LOGS = "@MAV_LOG"
+"""The folder of logs that clients ask for by this name, whatever it is called on the disk."""
+BLOCK_BYTES = 1 << 16
+"""A file on the disk is read in pieces of this size."""
+
+
+class Entry(NamedTuple):
+    """One line of a folder."""
+
+    name: str
+    size: int | None
+    """Bytes, None for a folder."""
+
+
+@dataclass(slots=True)
+class OpenFile:
+    """A file that one client reads. ``content`` is that of a file in memory."""
+
+    path: str
+    size: int
+    content: bytes | None = None
+    shelf: Shelf | None = None
+    failed: bool = False
+    """The disk did not give what was there when it was opened."""
+    _start: int = 0
+    _block: bytes = b""
+    _ticket: Ticket[bytes] | None = None
+    _wanted: int = 0
+
+    def data(self, tick: int, offset: int, size: int) -> bytes | None:
+        """``size`` bytes from ``offset``, fewer at the end only; None while the disk is being asked."""
+        if self.content is not None:
+            return self.content[offset : offset + size]
+        size = min(size, self.size - offset)
+        if size <= 0 or self.shelf is None:
+            return b""
+        self._take(tick)
+        at = offset - self._start
+        if at >= 0 and at + size <= len(self._block):
+            return self._block[at : at + size]
+        if self.failed:
+            return b""
+        if self._ticket is None or self._wanted != offset:
+            self.close()
+            self._wanted = offset
+            self._ticket = self.shelf.read(tick, self.path, offset, min(BLOCK_BYTES, self.size - offset))
+        return None
+
+    def close(self) -> None:
+        """Nobody waits for the disk any more."""
+        if self._ticket is not None:
+            self._ticket.cancel()
+            self._ticket = None
+
+    def _take(self, tick: int) -> None:
+        """What the disk has given."""
+        answer = None if self._ticket is None else self._ticket.poll(tick)
+        if answer is None:
+            return
+        self._ticket = None
+        self._start, self._block = self._wanted, answer.value or b""
+        expected = min(BLOCK_BYTES, self.size - self._start)
+        self.failed = answer.error is not None or len(self._block) < expected
+
+
+def parts_of(path: str) -> tuple[str, ...] | None:
+    """The names that a path is made of; None for one that leads upwards or is no text."""
+    parts = tuple(part for part in path.split("/") if part not in ("", "."))
+    return None if ".." in parts or "\0" in path else parts
+
+
+def folder_entries(files: Mapping[str, bytes], logs: tuple[ShelfFile, ...], path: str) -> list[Entry] | None:
+    """What a folder holds, in a fixed order; None if there is none of that name."""
+    parts = parts_of(path)
+    if parts is None:
+        return None
+    if not parts:
+        return [Entry(LOGS, None), *(Entry(name, len(data)) for name, data in sorted(files.items()))]
+    if parts[0] != LOGS:
+        return None
+    inside, below = parts[1:], len(parts) - 1
+    folders: dict[str, None] = {}
+    entries = []
+    for log in logs:
+        names = tuple(log.path.split("/"))
+        if names[:below] != inside or len(names) <= below:
+            continue
+        if len(names) == below + 1:
+            entries.append(Entry(names[-1], log.size))
+        else:
+            folders[names[below]] = None
+    if inside and not entries and not folders:
+        return None
+    return [*(Entry(name, None) for name in sorted(folders)), *sorted(entries)]

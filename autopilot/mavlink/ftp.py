@@ -1,0 +1,330 @@
+"""MAVFTP: clients read metadata and logs. https://mavlink.io/en/services/ftp.html
+
+Nothing can be written. One file per client; a request that comes again (same number) gets the answer that it got. A
+burst sends no more than its link takes: so many packets per tick, none while the link's budget is used up, and after
+:data:`BURST_PACKETS` it waits for the client to ask on, so that one that has gone does not get a whole log.
+"""
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+from autopilot.core.clock import TICK_US
+from autopilot.core.crc import file_crc32
+from autopilot.core.desk import Ticket
+from autopilot.core.shelf import Shelf, ShelfFile
+from autopilot.mavlink.budget import LISTS
+from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.files import LOGS, OpenFile, folder_entries, parts_of
+from autopilot.mavlink.wire import Message
+
+PACKETS_PER_TICK = 16
+"""Of a burst, per client: 380 kB/s."""
+BURST_PACKETS = 256
+"""A burst ends after so many packets (60 kB), and the client asks on."""
+MAX_CLIENTS = 16
+"""Clients whose files are kept open; the oldest goes."""
+MAX_DATA = 239
+
+_HEADER = struct.Struct("<HBBBBBxI")
+"""Sequence number, session, opcode, size, opcode asked for, end of a burst, offset."""
+_PAYLOAD_BYTES = 251
+
+
+class Op(IntEnum):
+    """Opcodes."""
+
+    NONE = 0
+    TERMINATE = 1
+    RESET = 2
+    LIST = 3
+    OPEN_READ = 4
+    READ = 5
+    CREATE = 6
+    WRITE = 7
+    REMOVE = 8
+    MAKE_FOLDER = 9
+    REMOVE_FOLDER = 10
+    OPEN_WRITE = 11
+    TRUNCATE = 12
+    RENAME = 13
+    CRC32 = 14
+    BURST = 15
+    ACK = 128
+    NAK = 129
+
+
+class Error(IntEnum):
+    """Reasons of a NAK."""
+
+    FAIL = 1
+    INVALID_SIZE = 3
+    INVALID_SESSION = 4
+    EOF = 6
+    UNKNOWN_COMMAND = 7
+    PROTECTED = 9
+    NOT_FOUND = 10
+
+
+_WRITING = frozenset(
+    (Op.CREATE, Op.WRITE, Op.REMOVE, Op.MAKE_FOLDER, Op.REMOVE_FOLDER, Op.OPEN_WRITE, Op.TRUNCATE, Op.RENAME)
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """A request as it came, or an answer on its way out."""
+
+    seq: int
+    session: int
+    opcode: int
+    size: int
+    offset: int
+    data: bytes
+
+    @property
+    def path(self) -> str:
+        """The data as a path."""
+        return self.data.split(b"\0", 1)[0].decode("utf-8", errors="replace")
+
+
+def request_of(payload: bytes) -> Request:
+    """The request in a FILE_TRANSFER_PROTOCOL message."""
+    seq, session, opcode, size, _, _, offset = _HEADER.unpack_from(payload)
+    data = payload[_HEADER.size : _HEADER.size + min(size, MAX_DATA)]
+    return Request(seq=seq, session=session, opcode=opcode, size=size, offset=offset, data=data)
+
+
+@dataclass(slots=True)
+class _Client:
+    """What is kept of one client."""
+
+    file: OpenFile | None = None
+    session: int = 0
+    """By which the client calls its file: what stood in the request that opened it."""
+    answered: tuple[int, int, Message] | None = None
+    """Number and opcode of the last request, and its answer."""
+    waiting: Request | None = None
+    """What the disk is being asked for."""
+    listing: Ticket[tuple[ShelfFile, ...]] | None = None
+    crc: Ticket[int] | None = None
+    burst: Request | None = None
+    """The burst that goes on, at the offset and with the number of its next packet."""
+    burst_left: int = 0
+    burst_asked: int = 0
+    """The number of its request."""
+
+    def stop(self) -> None:
+        """Nothing is waited for any more."""
+        for ticket in (self.listing, self.crc):
+            if ticket is not None:
+                ticket.cancel()
+        self.waiting = self.listing = self.crc = self.burst = None
+
+    def close(self) -> None:
+        """The file too."""
+        self.stop()
+        if self.file is not None:
+            self.file.close()
+            self.file = None
+
+
+class FileTransfer:
+    """The file transfer microservice. ``files``: those in memory, by name; ``shelf``: the logs, None without."""
+
+    def __init__(self, ctx: Context, files: Mapping[str, bytes], shelf: Shelf | None) -> None:
+        self._ctx, self._files, self._shelf = ctx, files, shelf
+        self._clients: dict[Peer, _Client] = {}
+
+    def on_message(self, peer: Peer, msg: Message) -> None:
+        """FILE_TRANSFER_PROTOCOL."""
+        request = request_of(bytes(msg.payload))
+        if request.opcode in (Op.ACK, Op.NAK):
+            return
+        client = self._client(peer)
+        before = client.answered
+        if before is not None and before[:2] == (request.seq, request.opcode) and client.burst is None:
+            self._ctx.send(peer, before[2])
+            return
+        running = client.burst is not None and request.opcode == Op.BURST and request.seq == client.burst_asked
+        if running or client.waiting == request:
+            return
+        client.stop()
+        self._begin(peer, client, request)
+
+    def tick(self) -> None:
+        """Answer what has waited for the disk, go on with bursts."""
+        for peer, client in tuple(self._clients.items()):
+            if peer.link not in self._ctx.links:
+                client.close()
+                del self._clients[peer]
+            elif client.waiting is not None:
+                self._go_on(peer, client, client.waiting)
+            elif client.burst is not None:
+                self._go_on_burst(peer, client)
+
+    @property
+    def _tick(self) -> int:
+        return self._ctx.t_us // TICK_US
+
+    def _client(self, peer: Peer) -> _Client:
+        client = self._clients.pop(peer, None) or _Client()
+        while len(self._clients) >= MAX_CLIENTS:
+            self._clients.pop(next(iter(self._clients))).close()
+        self._clients[peer] = client
+        return client
+
+    def _begin(self, peer: Peer, client: _Client, request: Request) -> None:
+        """A request that is new."""
+        match request.opcode:
+            case Op.NONE:
+                self._ack(peer, client, request)
+            case Op.TERMINATE | Op.RESET:
+                client.close()
+                self._ack(peer, client, request)
+            case Op.LIST | Op.OPEN_READ | Op.CRC32:
+                self._begin_path(peer, client, request)
+            case Op.READ | Op.BURST:
+                self._begin_data(peer, client, request)
+            case opcode if opcode in _WRITING:
+                self._nak(peer, client, request, Error.PROTECTED)
+            case _:
+                self._nak(peer, client, request, Error.UNKNOWN_COMMAND)
+
+    def _begin_path(self, peer: Peer, client: _Client, request: Request) -> None:
+        parts = parts_of(request.path)
+        if parts is None:
+            self._nak(peer, client, request, Error.NOT_FOUND)
+        elif request.opcode == Op.LIST and not parts:
+            self._answer_list(peer, client, request, ())
+        elif len(parts) == 1 and parts[0] in self._files and request.opcode != Op.LIST:
+            content = self._files[parts[0]]
+            if request.opcode == Op.OPEN_READ:
+                self._open(peer, client, request, OpenFile(parts[0], len(content), content))
+            else:
+                self._ack(peer, client, request, file_crc32(content).to_bytes(4, "little"))
+        elif parts and parts[0] == LOGS and self._shelf is not None:
+            client.waiting = request
+            if request.opcode == Op.CRC32:
+                client.crc = self._shelf.crc32(self._tick, "/".join(parts[1:]))
+            else:
+                client.listing = self._shelf.list(self._tick)
+        elif parts == (LOGS,) and request.opcode == Op.LIST:
+            self._answer_list(peer, client, request, ())
+        else:
+            self._nak(peer, client, request, Error.NOT_FOUND)
+
+    def _begin_data(self, peer: Peer, client: _Client, request: Request) -> None:
+        if client.file is None or request.session != client.session:
+            self._nak(peer, client, request, Error.INVALID_SESSION)
+        elif request.offset >= client.file.size:
+            self._nak(peer, client, request, Error.EOF)
+        elif request.opcode == Op.READ:
+            client.waiting = request
+            self._go_on(peer, client, request)
+        else:
+            client.burst, client.burst_left = replace(request, seq=request.seq + 1), BURST_PACKETS
+            client.burst_asked, client.answered = request.seq, None
+
+    def _go_on(self, peer: Peer, client: _Client, request: Request) -> None:
+        """What waits for the disk."""
+        if request.opcode == Op.READ:
+            self._go_on_read(peer, client, request)
+        elif client.crc is not None:
+            crc = client.crc.poll(self._tick)
+            if crc is not None and crc.value is None:
+                self._nak(peer, client, request, Error.NOT_FOUND)
+            elif crc is not None and crc.value is not None:
+                self._ack(peer, client, request, crc.value.to_bytes(4, "little"))
+        elif client.listing is not None:
+            listed = client.listing.poll(self._tick)
+            if listed is not None:
+                self._go_on_listed(peer, client, request, listed.value or ())
+
+    def _go_on_listed(self, peer: Peer, client: _Client, request: Request, logs: tuple[ShelfFile, ...]) -> None:
+        if request.opcode == Op.LIST:
+            self._answer_list(peer, client, request, logs)
+            return
+        wanted = "/".join((parts_of(request.path) or ())[1:])
+        found = next((log for log in logs if log.path == wanted), None)
+        if found is None:
+            self._nak(peer, client, request, Error.NOT_FOUND)
+        else:
+            self._open(peer, client, request, OpenFile(found.path, found.size, shelf=self._shelf))
+
+    def _go_on_read(self, peer: Peer, client: _Client, request: Request) -> None:
+        file = client.file
+        if file is None:
+            self._nak(peer, client, request, Error.INVALID_SESSION)
+            return
+        data = file.data(self._tick, request.offset, _wanted(request))
+        if data:
+            self._ack(peer, client, request, data)
+        elif data is not None:
+            self._nak(peer, client, request, Error.FAIL if file.failed else Error.EOF)
+
+    def _go_on_burst(self, peer: Peer, client: _Client) -> None:
+        for _ in range(PACKETS_PER_TICK):
+            burst, file = client.burst, client.file
+            if burst is None or file is None or not self._ctx.has_room(peer.link, LISTS):
+                return
+            data = file.data(self._tick, burst.offset, _wanted(burst))
+            if data is None:
+                return
+            if not data:
+                client.burst = None
+                self._send(peer, burst.seq, Op.NAK, burst, bytes((Error.FAIL if file.failed else Error.EOF,)))
+                return
+            client.burst_left -= 1
+            last = client.burst_left == 0
+            self._send(peer, burst.seq, Op.ACK, burst, data, last=last)
+            following = replace(burst, seq=burst.seq + 1, offset=burst.offset + len(data))
+            client.burst = None if last else following
+
+    def _open(self, peer: Peer, client: _Client, request: Request, file: OpenFile) -> None:
+        client.close()
+        client.file, client.session = file, request.session
+        self._ack(peer, client, request, (file.size & 0xFFFF_FFFF).to_bytes(4, "little"))
+
+    def _answer_list(self, peer: Peer, client: _Client, request: Request, logs: tuple[ShelfFile, ...]) -> None:
+        """The entries from the number that is asked for, as many as fit."""
+        entries = folder_entries(self._files, logs, request.path)
+        if entries is None:
+            self._nak(peer, client, request, Error.NOT_FOUND)
+            return
+        data = b""
+        for name, size in entries[request.offset :]:
+            line = (f"D{name}" if size is None else f"F{name}\t{size}").encode() + b"\0"
+            if len(data) + len(line) > MAX_DATA:
+                break
+            data += line
+        if data:
+            self._ack(peer, client, request, data)
+        else:
+            self._nak(peer, client, request, Error.EOF)
+
+    def _ack(self, peer: Peer, client: _Client, request: Request, data: bytes = b"") -> None:
+        self._answer(peer, client, request, Op.ACK, data)
+
+    def _nak(self, peer: Peer, client: _Client, request: Request, error: Error) -> None:
+        self._answer(peer, client, request, Op.NAK, bytes((error,)))
+
+    def _answer(self, peer: Peer, client: _Client, request: Request, opcode: Op, data: bytes) -> None:
+        client.stop()
+        message = self._send(peer, request.seq + 1, opcode, request, data)
+        client.answered = (request.seq, request.opcode, message)
+
+    def _send(self, peer: Peer, seq: int, opcode: Op, to: Request, data: bytes, *, last: bool = False) -> Message:
+        payload = bytearray(_PAYLOAD_BYTES)
+        _HEADER.pack_into(payload, 0, seq & 0xFFFF, to.session, opcode, len(data), to.opcode, last, to.offset)
+        payload[_HEADER.size : _HEADER.size + len(data)] = data
+        message = mav.MAVLink_file_transfer_protocol_message(0, peer.sysid, peer.compid, list(payload))
+        self._ctx.send(peer, message)
+        return message
+
+
+def _wanted(request: Request) -> int:
+    """How much a read wants at once; a client that says nothing takes what fits."""
+    return min(request.size, MAX_DATA) or MAX_DATA

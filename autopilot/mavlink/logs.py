@@ -1,0 +1,194 @@
+"""Log download: LOG_REQUEST_LIST, LOG_REQUEST_DATA, LOG_ERASE, LOG_REQUEST_END of common.xml.
+
+Logs have numbers only: those of the list that the client was given last (from 1 under the ArduPilot profile, from 0
+else, as ground stations expect). Times and sizes are those of the files. One piece at a time is sent to a client.
+"""
+
+from dataclasses import dataclass
+
+from autopilot.core.clock import TICK_US
+from autopilot.core.desk import Ticket
+from autopilot.core.messages import Severity
+from autopilot.core.shelf import Shelf, ShelfFile
+from autopilot.mavlink.budget import LISTS
+from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.files import OpenFile
+from autopilot.mavlink.wire import Message
+
+DATA_BYTES = 90
+"""LOG_DATA.data."""
+PACKETS_PER_TICK = 32
+"""Of a log, per client: 280 kB/s."""
+ENTRIES_PER_TICK = 4
+MAX_CLIENTS = 16
+"""Clients whose lists are kept; the oldest goes."""
+
+_LOG = ".mcap"
+"""Files that have a number; what stands beside them goes by MAVFTP."""
+
+
+@dataclass(slots=True)
+class _Client:
+    """What is kept of one client."""
+
+    logs: tuple[ShelfFile, ...] | None = None
+    """The list by which it knows numbers, None before it has asked."""
+    listing: Ticket[tuple[ShelfFile, ...]] | None = None
+    entries: range = range(0)
+    """Numbers of the entries that are still to be sent."""
+    wanted: tuple[int, int, int] | None = None
+    """Number, offset and bytes of the data that are still to be sent."""
+    file: OpenFile | None = None
+
+    def stop(self) -> None:
+        """Nothing is sent any more."""
+        self.entries, self.wanted = range(0), None
+        if self.listing is not None:
+            self.listing.cancel()
+            self.listing = None
+        if self.file is not None:
+            self.file.close()
+            self.file = None
+
+
+class LogDownload:
+    """The log microservice."""
+
+    def __init__(self, ctx: Context, shelf: Shelf | None) -> None:
+        self._ctx, self._shelf = ctx, shelf
+        self._first = 1 if ctx.profile.home_is_item_0 else 0
+        self._clients: dict[Peer, _Client] = {}
+        self._erasing: tuple[Peer, Ticket[int]] | None = None
+
+    def on_request_list(self, peer: Peer, msg: Message) -> None:
+        """LOG_REQUEST_LIST: an entry for each number from start to end; one of log 0 when there are none."""
+        client = self._client(peer)
+        client.stop()
+        client.entries = range(msg.start, msg.end + 1)
+        if self._shelf is None:
+            self._listed(client, ())
+        else:
+            client.listing = self._shelf.list(self._tick)
+
+    def on_request_data(self, peer: Peer, msg: Message) -> None:
+        """LOG_REQUEST_DATA: pieces of 90 bytes; a shorter one is the last of the log."""
+        client = self._client(peer)
+        if client.file is not None and client.wanted is not None and client.wanted[0] != msg.id:
+            client.file.close()
+            client.file = None
+        client.wanted = (msg.id, msg.ofs, msg.count)
+        if client.logs is None and client.listing is None and self._shelf is not None:
+            client.listing = self._shelf.list(self._tick)  # numbers from before a restart, or of another link
+
+    def on_request_end(self, peer: Peer) -> None:
+        """LOG_REQUEST_END: nothing more."""
+        self._client(peer).stop()
+
+    def on_erase(self, peer: Peer) -> None:
+        """LOG_ERASE: all flights that are finished, of a vehicle that is disarmed. The outcome comes as text."""
+        ctx = self._ctx
+        if ctx.view.armed:
+            ctx.say(Severity.WARNING, "Logs not erased: disarm first", peer)
+        elif self._shelf is None:
+            ctx.say(Severity.WARNING, "Logs not erased: there is no log folder", peer)
+        elif self._erasing is None:
+            for client in self._clients.values():
+                client.stop()
+            self._erasing = peer, self._shelf.erase(self._tick)
+
+    def tick(self) -> None:
+        """Go on with everything."""
+        self._go_on_erasing()
+        for peer, client in tuple(self._clients.items()):
+            if peer.link not in self._ctx.links:
+                client.stop()
+                del self._clients[peer]
+                continue
+            listed = None if client.listing is None else client.listing.poll(self._tick)
+            if listed is not None:
+                client.listing = None
+                self._listed(client, listed.value or ())
+            if client.logs is not None and client.listing is None:
+                self._send_entries(peer, client, client.logs)
+                self._send_data(peer, client, client.logs)
+
+    @property
+    def _tick(self) -> int:
+        return self._ctx.t_us // TICK_US
+
+    def _client(self, peer: Peer) -> _Client:
+        client = self._clients.pop(peer, None) or _Client()
+        while len(self._clients) >= MAX_CLIENTS:
+            self._clients.pop(next(iter(self._clients))).stop()
+        self._clients[peer] = client
+        return client
+
+    def _listed(self, client: _Client, files: tuple[ShelfFile, ...]) -> None:
+        client.logs = tuple(file for file in files if file.path.endswith(_LOG))
+        last = self._first + len(client.logs) - 1
+        wanted = client.entries
+        if not client.logs and wanted:
+            client.entries = range(-1, 0)  # the one entry that says that there are none
+        else:
+            client.entries = range(max(wanted.start, self._first), min(wanted.stop, last + 1))
+
+    def _send_entries(self, peer: Peer, client: _Client, logs: tuple[ShelfFile, ...]) -> None:
+        count, last = len(logs), self._first + len(logs) - 1
+        for _ in range(min(ENTRIES_PER_TICK, len(client.entries))):
+            if not self._ctx.has_room(peer.link, LISTS):
+                return
+            number, client.entries = client.entries[0], client.entries[1:]
+            if number < 0:
+                self._ctx.send(peer, mav.MAVLink_log_entry_message(0, 0, 0, 0, 0))
+                return
+            log = logs[number - self._first]
+            size = min(log.size, 0xFFFF_FFFF)
+            self._ctx.send(peer, mav.MAVLink_log_entry_message(number, count, last, log.modified_s & 0xFFFF_FFFF, size))
+
+    def _send_data(self, peer: Peer, client: _Client, logs: tuple[ShelfFile, ...]) -> None:
+        ctx = self._ctx
+        for _ in range(PACKETS_PER_TICK):
+            if client.wanted is None or not ctx.has_room(peer.link, LISTS):
+                return
+            number, offset, count = client.wanted
+            file = self._file(client, logs, number)
+            if file is None:
+                client.wanted = None
+                ctx.say(Severity.WARNING, f"There is no log {number}: list the logs again", peer)
+                return
+            data = file.data(self._tick, offset, min(count, DATA_BYTES))
+            if data is None:
+                return
+            if file.failed and not data:
+                client.wanted = client.file = None
+                ctx.say(Severity.WARNING, f"Log {number} cannot be read: list the logs again", peer)
+                return
+            ctx.send(peer, mav.MAVLink_log_data_message(number, offset, len(data), list(data.ljust(DATA_BYTES, b"\0"))))
+            left = count - len(data)
+            client.wanted = (number, offset + len(data), left) if left > 0 and len(data) == DATA_BYTES else None
+
+    def _file(self, client: _Client, logs: tuple[ShelfFile, ...], number: int) -> OpenFile | None:
+        """The log that a client reads, kept open between its requests."""
+        index = number - self._first
+        if not 0 <= index < len(logs):
+            return None
+        log = logs[index]
+        if client.file is None or client.file.path != log.path:
+            client.file = OpenFile(log.path, log.size, shelf=self._shelf)
+        return client.file
+
+    def _go_on_erasing(self) -> None:
+        if self._erasing is None:
+            return
+        peer, ticket = self._erasing
+        answer = ticket.poll(self._tick)
+        if answer is None:
+            return
+        self._erasing = None
+        for client in self._clients.values():
+            client.logs = None
+        if answer.error is not None:
+            self._ctx.say(Severity.WARNING, f"Logs not erased: {answer.error}", peer)
+        else:
+            self._ctx.say(Severity.INFO, f"Logs erased: {answer.value}", peer)

@@ -1,0 +1,113 @@
+"""Files that tell a ground station what this vehicle's parameters are: general.json, parameters.json, packed by xz.
+
+https://mavlink.io/en/services/component_metadata.html; the checksum is that of the file as it is downloaded. They are
+made once, so that they do not change while a ground station keeps them by their checksum.
+"""
+
+import json
+import lzma
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from autopilot.core.crc import file_crc32
+from autopilot.core.params import ParamSpec, ParamType
+from autopilot.mavlink.context import COMPID, Context
+from autopilot.mavlink.dialect import extra
+from autopilot.mavlink.telemetry import Builder
+from autopilot.mavlink.wire import Message
+
+GENERAL, PARAMETERS_FILE = "general.json.xz", "parameters.json.xz"
+_TYPE_PARAMETER = 1
+"""COMP_METADATA_TYPE_PARAMETER."""
+_VERSION = 1
+"""Of both formats."""
+_DECIMALS = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Metadata:
+    """The files by name, and where the general one is."""
+
+    files: dict[str, bytes]
+
+    @property
+    def general_crc(self) -> int:
+        """Checksum of the general file."""
+        return file_crc32(self.files[GENERAL])
+
+
+def make_metadata(specs: Iterable[ParamSpec], *, name: str, version: str) -> Metadata:
+    """The files for these parameters of this vehicle."""
+    parameters = _packed({"version": _VERSION, "parameters": [parameter_json(spec) for spec in specs]})
+    place = {"type": _TYPE_PARAMETER, "uri": uri_of(PARAMETERS_FILE), "fileCrc": file_crc32(parameters)}
+    general = {
+        "version": _VERSION,
+        "vendorName": name,
+        "modelName": name,
+        "firmwareVersion": version,
+        "hardwareVersion": "",
+        "metadataTypes": [place],
+    }
+    return Metadata(files={GENERAL: _packed(general), PARAMETERS_FILE: parameters})
+
+
+def uri_of(file: str) -> str:
+    """Where a file is, as QGroundControl and MAVSDK read it."""
+    return f"mftp://[;comp={COMPID}]/{file}"
+
+
+def parameter_json(spec: ParamSpec) -> dict[str, Any]:
+    """One parameter (https://github.com/mavlink/mavlink/blob/master/component_metadata/parameter.schema.json)."""
+    whole = spec.type is ParamType.INT32
+    number = (lambda x: int(x)) if whole else float
+    entry: dict[str, Any] = {
+        "name": spec.name,
+        "type": "Int32" if whole else "Float",
+        "shortDesc": spec.title,
+        "longDesc": spec.help,
+        "group": spec.group,
+        "category": "Standard",
+        "default": number(spec.default),
+        "min": number(spec.minimum),
+        "max": number(spec.maximum),
+        "rebootRequired": spec.restart,
+    }
+    if spec.unit:
+        entry["units"] = spec.unit
+    if not whole:
+        entry["decimalPlaces"] = _DECIMALS if spec.maximum < 1e4 else 1
+    if spec.values:
+        entry["values"] = [{"value": value, "description": text} for value, text in spec.values.items()]
+    return entry
+
+
+class ComponentMetadata:
+    """COMPONENT_METADATA and the older COMPONENT_INFORMATION."""
+
+    def __init__(self, ctx: Context, metadata: Metadata) -> None:
+        self._ctx, self._metadata = ctx, metadata
+
+    def builders(self) -> dict[int, Builder]:
+        """Builder of each message by id."""
+        return {
+            extra.MAVLINK_MSG_ID_COMPONENT_METADATA: self.component_metadata,
+            extra.MAVLINK_MSG_ID_COMPONENT_INFORMATION: self.component_information,
+        }
+
+    def component_metadata(self) -> Message:
+        """COMPONENT_METADATA."""
+        uri = uri_of(GENERAL).encode("ascii")
+        return extra.MAVLink_component_metadata_message(self._ctx.boot_ms, self._metadata.general_crc, uri)
+
+    def component_information(self) -> Message:
+        """COMPONENT_INFORMATION, for ground stations that know only this one."""
+        uri = uri_of(GENERAL).encode("ascii")
+        return extra.MAVLink_component_information_message(self._ctx.boot_ms, self._metadata.general_crc, uri, 0, b"")
+
+
+def _packed(content: dict[str, Any]) -> bytes:
+    """JSON, packed as QGroundControl's and MAVSDK's unpackers read it."""
+    return lzma.compress(
+        json.dumps(content, separators=(",", ":")).encode(), format=lzma.FORMAT_XZ, check=lzma.CHECK_CRC32, preset=6
+    )

@@ -1,0 +1,334 @@
+"""File transfer, logs and metadata over the real server, with pymavlink's packing and a real folder of logs."""
+
+import binascii
+import hashlib
+import json
+import lzma
+import random
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mavlink_harness import Client, Lossy, World, mav
+
+from autopilot.core.crc import file_crc32
+from autopilot.core.desk import Desk
+from autopilot.core.params import PARAMETERS, ParamType
+from autopilot.log.shelf import LogShelf
+from autopilot.mavlink.ftp import Error, Op
+from autopilot.mavlink.stubs import STUBS
+
+HEADER = struct.Struct("<HBBBBBxI")
+
+
+def crc32_of_the_specification(data: bytes) -> int:
+    """Bit by bit, as the specification's table is made."""
+    crc = 0
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+    return crc
+
+
+def a_log(folder: Path, name: str, size: int, seed: int = 1) -> bytes:
+    """A file of random bytes at ``folder / name``."""
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    data = random.Random(seed).randbytes(size)
+    path.write_bytes(data)
+    return data
+
+
+@pytest.fixture(name="folder")
+def folder_fixture(tmp_path: Path) -> Path:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    return folder
+
+
+def world_with(folder: Path, profile: str = "px4", **kwargs: Any) -> World:
+    return World(profile, shelf=LogShelf(folder, Desk()), **kwargs)
+
+
+class Ftp:
+    """A client of file transfer that repeats what is not answered, as the specification wants it to."""
+
+    def __init__(self, client: Client) -> None:
+        self.client, self.seq = client, 0
+
+    def send(self, opcode: int, *, offset: int = 0, data: bytes = b"", size: int | None = None) -> None:
+        payload = bytearray(251)
+        HEADER.pack_into(payload, 0, self.seq, 0, opcode, len(data) if size is None else size, 0, 0, offset)
+        payload[12 : 12 + len(data)] = data
+        self.client.send(mav.MAVLink_file_transfer_protocol_message(0, 1, 1, list(payload)))
+
+    def answers(self, to: int | None = None) -> list[tuple[int, int, int, bytes]]:
+        """Opcode, end of burst, offset and data of what came, or of what came in answer to that request."""
+        out = []
+        for message in self.client.got("FILE_TRANSFER_PROTOCOL"):
+            raw = bytes(message.payload)
+            seq, _, opcode, size, asked, complete, offset = HEADER.unpack_from(raw)
+            if to is None or (asked == to and seq == (self.seq + 1) & 0xFFFF):
+                out.append((opcode, complete, offset, raw[12 : 12 + size]))
+        return out
+
+    def ask(self, opcode: int, *, offset: int = 0, data: bytes = b"", size: int | None = None) -> tuple[int, bytes]:
+        """Opcode and data of the answer."""
+        self.seq = (self.seq + 1) & 0xFFFF
+        for _ in range(40):
+            self.client.rx.clear()
+            self.send(opcode, offset=offset, data=data, size=size)
+            for _ in range(8):
+                self.client.world.tick()
+                if answers := self.answers(opcode):
+                    return answers[0][0], answers[0][3]
+        raise AssertionError("no answer")
+
+    def get(self, path: str) -> bytes:
+        """A whole file by bursts, its holes by single reads."""
+        opcode, size = self.ask(Op.OPEN_READ, data=path.encode())
+        assert opcode == Op.ACK, size
+        total = int.from_bytes(size, "little")
+        pieces: dict[int, bytes] = {}
+        offset = 0
+        while offset < total:
+            self.seq, ended = (self.seq + 1000) & 0xFFFF, False
+            self.client.rx.clear()
+            self.send(Op.BURST, offset=offset, size=239)
+            silent = 0
+            while not ended and silent < 30:
+                self.client.rx.clear()
+                self.client.world.tick()
+                answers = self.answers()
+                silent = 0 if answers else silent + 1
+                for code, complete, at, data in answers:
+                    if code == Op.ACK:
+                        pieces[at] = data
+                    ended = ended or bool(complete) or code == Op.NAK
+            offset = max((at + len(data) for at, data in pieces.items()), default=0)
+        whole = bytearray()
+        while len(whole) < total:
+            piece = pieces.get(len(whole))
+            if piece is None:
+                code, piece = self.ask(Op.READ, offset=len(whole), size=239)
+                assert code == Op.ACK
+                piece = piece[: next((at for at in sorted(pieces) if at > len(whole)), total) - len(whole)]
+            whole += piece
+        return bytes(whole)
+
+
+def test_the_checksum_is_the_specifications() -> None:
+    data = random.Random(3).randbytes(5000)
+    assert file_crc32(data) == crc32_of_the_specification(data) != binascii.crc32(data)
+    assert file_crc32(data[700:], file_crc32(data[:700])) == file_crc32(data)
+
+
+@pytest.mark.parametrize("profile", ["px4", "generic", "ardusub"])
+def test_a_ground_station_learns_names_units_ranges_and_choices(profile: str) -> None:
+    world = World(profile)
+    client = world.client()
+    described = {}
+    client.on_message = lambda m: described.update({m.get_type(): m})
+    assert client.command(512, 395.0) == 0
+    assert client.command(512, 397.0) == 0
+    found, older = described["COMPONENT_METADATA"], described["COMPONENT_INFORMATION"]
+    assert (older.general_metadata_uri, older.general_metadata_file_crc) == (found.uri, found.file_crc)
+    client.on_message = None
+
+    def fetched(uri: str, crc: int) -> Any:
+        data = Ftp(client).get(uri.removeprefix("mftp://[;comp=1]"))
+        assert crc32_of_the_specification(data) == crc
+        return json.loads(lzma.decompress(data))
+
+    general = fetched(found.uri, found.file_crc)
+    assert general["version"] == 1
+    (place,) = general["metadataTypes"]
+    assert place["type"] == 1
+    told = {entry["name"]: entry for entry in fetched(place["uri"], place["fileCrc"])["parameters"]}
+    listed = client.ask(mav.MAVLink_param_request_list_message(1, 0), "PARAM_VALUE", 2.0)
+    assert {m.param_id for m in listed} == set(told)
+    assert len(told) == len(PARAMETERS) + (len(STUBS) if profile == "px4" else 0)
+    for spec in PARAMETERS:
+        entry = told[spec.name]
+        assert (entry["type"] == "Int32") == (spec.type is ParamType.INT32)
+        assert (entry["min"], entry["max"], entry["default"]) == (spec.minimum, spec.maximum, spec.default)
+        assert entry.get("units", "") == spec.unit and entry["longDesc"] == spec.help and entry["group"] != "Other"
+    assert told["FS_CRASH_CHECK"]["values"][4] == {"value": 4, "description": "surface"}
+    assert told["EST_SHADOW"]["rebootRequired"] and not told["THR_LIMIT"]["rebootRequired"]
+
+
+def test_choices_are_told_for_every_value_or_not_at_all() -> None:
+    for spec in PARAMETERS:
+        if spec.values:
+            assert list(spec.values) == list(range(int(spec.minimum), int(spec.maximum) + 1)), spec.name
+        elif spec.type is ParamType.INT32 and spec.maximum <= 6 and spec.name != "SYSID_THISMAV":
+            raise AssertionError(f"{spec.name}: help does not say what its values mean")
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_logs_arrive_whole_by_file_transfer(folder: Path, loss: float) -> None:
+    sent = a_log(folder, "2026-11-22/10_00_00.mcap", 150_000)
+    world = world_with(folder)
+    down, up = (Lossy(drop=loss, duplicate=loss, delay_ticks=3 if loss else 0, rng=random.Random(n)) for n in (1, 2))
+    ftp = Ftp(world.client(to_vehicle=up, from_vehicle=down))
+    got = ftp.get("@MAV_LOG/2026-11-22/10_00_00.mcap")
+    assert hashlib.sha256(got).digest() == hashlib.sha256(sent).digest()
+    opcode, crc = ftp.ask(Op.CRC32, data=b"/@MAV_LOG/2026-11-22/10_00_00.mcap")
+    assert opcode == Op.ACK and int.from_bytes(crc, "little") == crc32_of_the_specification(sent)
+
+
+def listed(ftp: Ftp, path: str) -> list[bytes]:
+    """All entries of a folder."""
+    entries: list[bytes] = []
+    while True:
+        opcode, data = ftp.ask(Op.LIST, offset=len(entries), data=path.encode())
+        if opcode == Op.NAK:
+            assert data == bytes((Error.EOF,))
+            return entries
+        entries += data.rstrip(b"\0").split(b"\0")
+
+
+def test_folders_list_themselves(folder: Path) -> None:
+    for n in range(40):
+        a_log(folder, f"2026-11-22/10_00_{n:02}.mcap", n + 1)
+    a_log(folder, "2026-11-23/10_00_00.tlog", 7)
+    (folder / "2026-11-23" / "notes.txt").write_text("mine")
+    ftp = Ftp(world_with(folder).client())
+    root = listed(ftp, "/")
+    assert root[0] == b"D@MAV_LOG" and any(line.startswith(b"Fgeneral.json.xz\t") for line in root)
+    assert listed(ftp, "@MAV_LOG") == [b"D2026-11-22", b"D2026-11-23"]
+    assert listed(ftp, "/@MAV_LOG/2026-11-22/") == [f"F10_00_{n:02}.mcap\t{n + 1}".encode() for n in range(40)]
+    assert listed(ftp, "@MAV_LOG/2026-11-23") == [b"F10_00_00.tlog\t7"]
+    assert ftp.ask(Op.LIST, data=b"@MAV_LOG/2026-11-24") == (Op.NAK, bytes((Error.NOT_FOUND,)))
+
+
+def test_nothing_outside_of_the_folder_is_read_and_nothing_is_written(folder: Path) -> None:
+    a_log(folder, "2026-11-22/10_00_00.mcap", 10)
+    secret = a_log(folder.parent, "secret.mcap", 10, seed=2)
+    (folder / "2026-11-22" / "link.mcap").symlink_to(folder.parent / "secret.mcap")
+    (folder / "notes.txt").write_text("mine")
+    ftp = Ftp(world_with(folder).client())
+    for path in (
+        *(
+            "@MAV_LOG/../secret.mcap",
+            "../secret.mcap",
+            "@MAV_LOG/2026-11-22/../../../secret.mcap",
+            "@MAV_LOG/notes.txt",
+        ),
+        *(str(folder.parent / "secret.mcap"), f"@MAV_LOG/{folder.parent}/secret.mcap", "@MAV_LOG/2026-11-22/link.mcap"),
+        *("/etc/passwd", "@MAV_LOG", "@MAV_LOG/\0x", "", "/", "@PARAM/param.pck", "general.json.xz/x", "\udcff"),
+    ):
+        for opcode in (Op.OPEN_READ, Op.CRC32):
+            data = path.encode("utf-8", errors="surrogateescape")
+            assert ftp.ask(opcode, data=data) == (Op.NAK, bytes((Error.NOT_FOUND,))), path
+    before = sorted(folder.rglob("*"))
+    for opcode in (Op.CREATE, Op.WRITE, Op.REMOVE, Op.MAKE_FOLDER, Op.REMOVE_FOLDER, Op.OPEN_WRITE, Op.RENAME):
+        assert ftp.ask(opcode, data=b"@MAV_LOG/2026-11-22/10_00_00.mcap") == (Op.NAK, bytes((Error.PROTECTED,)))
+    assert ftp.ask(77)[0] == Op.NAK
+    assert ftp.ask(Op.READ, size=10) == (Op.NAK, bytes((Error.INVALID_SESSION,)))
+    assert sorted(folder.rglob("*")) == before and (folder.parent / "secret.mcap").read_bytes() == secret
+
+
+def test_a_request_that_comes_again_gets_the_same_answer(folder: Path) -> None:
+    a_log(folder, "2026-11-22/10_00_00.mcap", 1000)
+    world = world_with(folder)
+    client = world.client()
+    ftp = Ftp(client)
+    ftp.ask(Op.OPEN_READ, data=b"@MAV_LOG/2026-11-22/10_00_00.mcap")
+    ftp.ask(Op.READ, offset=239, size=239)
+    client.rx.clear()
+    for _ in range(3):
+        ftp.send(Op.READ, offset=239, size=239)
+    world.run(0.1)
+    assert len(set(ftp.answers())) == 1 and len(ftp.answers()) == 3
+    assert ftp.ask(Op.READ, offset=1000, size=239) == (Op.NAK, bytes((Error.EOF,)))
+    assert ftp.ask(Op.RESET)[0] == Op.ACK
+    assert ftp.ask(Op.READ, offset=0, size=239) == (Op.NAK, bytes((Error.INVALID_SESSION,)))
+
+
+def test_a_log_that_goes_while_it_is_read_is_told(folder: Path) -> None:
+    a_log(folder, "2026-11-22/10_00_00.mcap", 200_000)
+    ftp = Ftp(world_with(folder).client())
+    assert ftp.ask(Op.OPEN_READ, data=b"@MAV_LOG/2026-11-22/10_00_00.mcap")[0] == Op.ACK
+    (folder / "2026-11-22" / "10_00_00.mcap").unlink()
+    assert ftp.ask(Op.READ, offset=150_000, size=239) == (Op.NAK, bytes((Error.FAIL,)))
+
+
+def test_a_narrow_link_is_not_filled_beyond_what_it_takes(folder: Path) -> None:
+    """57,600 baud: telemetry, a burst and a log at once; commands are answered all the same."""
+    a_log(folder, "2026-11-22/10_00_00.mcap", 400_000)
+    rate = 5184.0
+    world = world_with(folder, rates={0: rate})
+    client = world.client()
+    ftp = Ftp(client)
+    ftp.ask(Op.OPEN_READ, data=b"@MAV_LOG/2026-11-22/10_00_00.mcap")
+    ftp.send(Op.BURST, size=239)
+    client.send(mav.MAVLink_log_request_data_message(1, 1, 0, 0, 400_000))
+    client.send(mav.MAVLink_param_request_list_message(1, 1))
+    client.rx.clear()
+    sent = 0
+    names: dict[str, int] = {}
+    for n in range(2000):
+        if n % 100 == 50:
+            client.send(mav.MAVLink_command_long_message(1, 1, 512, 0, 148, *(0.0,) * 6))
+        for frame in world.tick():
+            sent += len(frame.data)
+    for message in client.rx:
+        names[message.get_type()] = names.get(message.get_type(), 0) + 1
+    assert sent <= rate * 20.0 * 1.1
+    assert names["COMMAND_ACK"] == 20 and names["HEARTBEAT"] >= 19 and names["ATTITUDE"] >= 20, names
+    assert names["SYS_STATUS"] >= 10 and names["LOG_DATA"] > 50 and names["FILE_TRANSFER_PROTOCOL"] > 20, names
+
+
+@pytest.mark.parametrize(("profile", "first"), [("px4", 0), ("generic", 0), ("ardusub", 1)])
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_logs_arrive_whole_by_log_messages(folder: Path, profile: str, first: int, loss: float) -> None:
+    sent = [a_log(folder, f"2026-11-22/10_00_0{n}.mcap", 9000 * n + 90, seed=n) for n in range(3)]
+    world = world_with(folder, profile)
+    client = world.client(from_vehicle=Lossy(drop=loss, duplicate=loss, delay_ticks=2 if loss else 0))
+    entries: dict[int, Any] = {}
+    while len(entries) < 3:
+        for m in client.ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.2):
+            entries[m.id] = m
+    assert sorted(entries) == [first, first + 1, first + 2]
+    assert {(m.num_logs, m.last_log_num) for m in entries.values()} == {(3, first + 2)}
+    for number, entry in entries.items():
+        data, have = bytearray(entry.size), set()
+        while len(have) < (entry.size + 89) // 90:
+            hole = next(n for n in range(entry.size) if n not in have)
+            count = min(entry.size - 90 * hole, 90 * 512)
+            asked = mav.MAVLink_log_request_data_message(1, 1, number, 90 * hole, count)
+            for m in client.ask(asked, "LOG_DATA", 0.4):
+                data[m.ofs : m.ofs + m.count] = bytes(m.data)[: m.count]
+                have.add(m.ofs // 90)
+        assert bytes(data) == sent[number - first]
+    client.send(mav.MAVLink_log_request_end_message(1, 1))
+
+
+def test_lists_have_an_end_and_no_logs_are_said() -> None:
+    world = World()
+    (none,) = world.client().ask(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF), "LOG_ENTRY", 0.2)
+    assert (none.id, none.num_logs, none.size) == (0, 0, 0)
+
+
+def test_a_log_beyond_the_last_is_refused_once(folder: Path) -> None:
+    a_log(folder, "2026-11-22/10_00_00.mcap", 10)
+    client = world_with(folder).client()
+    assert not client.ask(mav.MAVLink_log_request_list_message(1, 1, 99, 99), "LOG_ENTRY", 2.0)
+    client.ask(mav.MAVLink_log_request_data_message(1, 1, 99, 0, 10), "LOG_DATA", 1.0)
+    assert client.texts().count("There is no log 99") == 1
+
+
+def test_logs_are_erased_when_disarmed_only(folder: Path) -> None:
+    a_log(folder, "2026-11-22/10_00_00.mcap", 10)
+    (folder / "2026-11-22" / "mine.txt").write_text("mine")
+    world = world_with(folder)
+    client = world.client()
+    client.ask(mav.MAVLink_log_erase_message(1, 1), "STATUSTEXT", 0.1)
+    assert "disarm first" in client.texts() and (folder / "2026-11-22" / "10_00_00.mcap").exists()
+    world.show(armed=False)
+    client.ask(mav.MAVLink_log_erase_message(1, 1), "STATUSTEXT", 0.1)
+    assert "Logs erased: 1" in client.texts()
+    assert [path.name for path in folder.rglob("*") if path.is_file()] == ["mine.txt"]
