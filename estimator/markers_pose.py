@@ -301,26 +301,7 @@ class MarkerSolver:
 
     def laser_range(self, sighting: MarkerSighting) -> tuple[float, float] | None:
         """Range along the beam and its sigma [m] from the dot's pixel, None without a dot or one off its line."""
-        if sighting.laser_px is None:
-            return None
-        dx, dy, dz = self._camera.laser_direction_cam.tolist()
-        ox, oy, oz = self._camera.laser_offset_cam_m.tolist()
-        # A dot at depth Z is seen at (dx, dy) / dz, the beam's vanishing point, plus (ox, oy) / Z, where the beam
-        # passes (ox, oy) beside the lens.
-        ox, oy = ox - oz * dx / dz, oy - oz * dy / dz
-        origin, direction = self._camera.rays(np.asarray(sighting.laser_px, dtype=float))
-        (px, py, pz), (x, y, _) = origin.tolist(), direction.tolist()
-        ox, oy = ox - (px - pz * x), oy - (py - pz * y)  # behind a port, rays miss the lens
-        x, y = x - dx / dz, y - dy / dz
-        focal = self._camera.focal_water_px
-        base2 = ox * ox + oy * oy
-        along = ox * x + oy * y
-        if base2 == 0.0 or along <= 0.0 or abs(ox * y - oy * x) / math.sqrt(base2) * focal > LASER_OFF_LINE_PX:
-            return None
-        depth = base2 / along
-        if (depth - oz) / dz < LASER_MIN_RANGE_M:
-            return None
-        return (depth - oz) / dz, depth * depth * LASER_SIGMA_PX / (focal * math.sqrt(base2) * dz)
+        return None if sighting.laser_px is None else dot_range(self._camera, sighting.laser_px)
 
     def _level_rays(self, corners_px: FloatArray, roll_rad: float, pitch_rad: float) -> np.ndarray:
         """(n, 4) complex forward + i right of the corners on a level plane one metre below the camera."""
@@ -520,3 +501,25 @@ def _winner(seen: IntArray, a: np.ndarray, b: np.ndarray, eye_depth_m: np.ndarra
     _, once = np.unique(seen[chosen], return_index=True)
     result: IntArray = chosen[once]
     return result
+
+
+def dot_range(camera: CameraModel, pixel: FloatArray) -> tuple[float, float] | None:
+    """Range along the beam and its sigma [m] from the laser dot's pixel, None for one off its line."""
+    dx, dy, dz = camera.laser_direction_cam.tolist()
+    ox, oy, oz = camera.laser_offset_cam_m.tolist()
+    # A dot at depth Z is seen at (dx, dy) / dz, the beam's vanishing point, plus (ox, oy) / Z, where the beam
+    # passes (ox, oy) beside the lens.
+    ox, oy = ox - oz * dx / dz, oy - oz * dy / dz
+    origin, direction = camera.rays(np.asarray(pixel, dtype=float))
+    (px, py, pz), (x, y, _) = origin.tolist(), direction.tolist()
+    ox, oy = ox - (px - pz * x), oy - (py - pz * y)  # behind a port, rays miss the lens
+    x, y = x - dx / dz, y - dy / dz
+    focal = camera.focal_water_px
+    base2 = ox * ox + oy * oy
+    along = ox * x + oy * y
+    if base2 == 0.0 or along <= 0.0 or abs(ox * y - oy * x) / math.sqrt(base2) * focal > LASER_OFF_LINE_PX:
+        return None
+    depth = base2 / along
+    if (depth - oz) / dz < LASER_MIN_RANGE_M:
+        return None
+    return (depth - oz) / dz, depth * depth * LASER_SIGMA_PX / (focal * math.sqrt(base2) * dz)

@@ -46,6 +46,8 @@ class Motion:
         """(n,) of the last control step."""
         self.status: NmpcStatus | None = None
         """Of the last control step, None while nothing is controlled."""
+        self.ahead: FloatArray | None = None
+        """(n, 8) the prediction of the last control step, None while nothing is controlled."""
         self.solver_failures = 0
         """Control steps in a row without a solution."""
         self.way_left_m: float | None = None
@@ -53,7 +55,7 @@ class Motion:
 
     def reset(self) -> None:
         """Nothing has been planned."""
-        self.solver_failures, self.status, self.way_left_m = 0, None, None
+        self.solver_failures, self.status, self.way_left_m, self.ahead = 0, None, None, None
         self._controller.reset()
 
     def step(
@@ -123,6 +125,7 @@ class Motion:
         solved = control.status.status is SolveStatus.OK and control.status.fallback is Fallback.NONE
         self.solver_failures = 0 if solved or actuation.doubtful else self.solver_failures + 1
         self._wanted_n, self.status = control.thrust_n, control.status
+        self.ahead = control.nominal if len(control.nominal) else None
         self.way_left_m = _length_m(control.route_ned_m)
         return control
 

@@ -316,8 +316,19 @@ class Autopilot:
     # What is told
 
     def _view(self, inputs: Inputs, nav: NavState | None) -> VehicleView:
-        power, status = self._surroundings.power, self._motion.status
-        return vehicle_view(self._parts, inputs, nav, self._estimation, power, status, self._decision, self._command)
+        surroundings, motion = self._surroundings, self._motion
+        return vehicle_view(
+            self._parts,
+            inputs,
+            nav,
+            self._estimation,
+            surroundings.power,
+            motion.status,
+            motion.ahead,
+            surroundings.sensed,
+            self._decision,
+            self._command,
+        )
 
     @property
     def _goal(self) -> Goal | None:

@@ -9,15 +9,33 @@ from autopilot.command.device_watch import DeviceWatch
 from autopilot.command.facts import Facts, Jolts
 from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.fence.tracks import Tracks
+from autopilot.core.camera import CameraModel
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Below, Event, Inputs
 from autopilot.core.params import ParamSet
-from autopilot.core.samples import AhrsSample, ImuSample, ObstacleTrack, PowerSample, plausible
+from autopilot.core.samples import (
+    AhrsSample,
+    DepthSample,
+    HullSample,
+    ImuSample,
+    LaserSample,
+    MarkerSighting,
+    ObstacleTrack,
+    PowerSample,
+    Sample,
+    plausible,
+)
+from autopilot.core.sensed import Sensed
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import BEAM_TRACKS
+from estimator.markers_pose import dot_range
 
 KNOWN_M = 0.3
 """What beams end at so near to a shape of the fence is that."""
+RANGE_US = 200_000
+"""The laser's range is worked out of pictures this often."""
+POWER_S = 30.0
+"""Time over which the mean power is taken."""
 
 
 class Surroundings:
@@ -39,6 +57,10 @@ class Surroundings:
         """What devices have against arming."""
         self.facts = Facts()
         """What failsafes go by."""
+        self.sensed = Sensed()
+        """The newest of each sensor."""
+        with_laser = vehicle.camera is not None and vehicle.laser is not None
+        self._camera = CameraModel.of(vehicle.eye, vehicle.laser) if with_laser else None
 
     @property
     def supply_v(self) -> float | None:
@@ -53,6 +75,7 @@ class Surroundings:
         facts = self.facts
         facts.note(inputs)
         for sample in inputs.samples:
+            self._show(inputs.t_us, sample)
             if isinstance(sample, AhrsSample | ImuSample):
                 if isinstance(sample, AhrsSample):
                     facts.note_ahrs(inputs.t_us, sample)
@@ -79,6 +102,33 @@ class Surroundings:
         for track in tracks:
             if track.track_id not in known:
                 self.tracks.note(t_us, track)
+
+    def _show(self, t_us: int, sample: Sample) -> None:
+        """Keep the newest of what operators are shown."""
+        sensed = self.sensed
+        if isinstance(sample, AhrsSample | ImuSample):
+            sensed.inertial = sample
+            sensed.vibration.note(sample.accel_frd_m_s2)
+        elif isinstance(sample, DepthSample):
+            sensed.depth = sample
+        elif isinstance(sample, LaserSample):
+            sensed.laser = sample
+        elif isinstance(sample, HullSample):
+            sensed.hull = sample
+        elif isinstance(sample, PowerSample) and plausible(sample):
+            power_w, passed = sample.voltage_v * sample.current_a, self._power_share(sample.t_us)
+            sensed.power_w = power_w if sensed.power_w is None else sensed.power_w + passed * (power_w - sensed.power_w)
+        elif isinstance(sample, MarkerSighting) and sample.laser_px is not None and self._camera is not None:
+            shown = sensed.laser
+            if shown is None or t_us - shown.t_us >= RANGE_US:
+                found = dot_range(self._camera, sample.laser_px)
+                if found is not None:
+                    sensed.laser = LaserSample(t_us=sample.t_us, range_m=found[0], sigma_m=found[1])
+
+    def _power_share(self, t_us: int) -> float:
+        """Share that a new sample has of the mean power."""
+        passed_s = 1e-6 * (t_us - (t_us if self.power is None else self.power.t_us))
+        return min(max(passed_s / POWER_S, 0.0), 1.0)
 
     @property
     def thruster_problem(self) -> str:

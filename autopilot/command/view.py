@@ -3,8 +3,10 @@
 from autopilot.command.decision import Decision
 from autopilot.command.estimation import Estimation
 from autopilot.command.parts import Parts
+from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Inputs, NavState, NmpcStatus, ThrusterCommand
 from autopilot.core.samples import PowerSample
+from autopilot.core.sensed import Sensed
 from autopilot.mavlink.api import VehicleView
 
 
@@ -15,6 +17,8 @@ def vehicle_view(
     estimation: Estimation,
     power: PowerSample | None,
     control: NmpcStatus | None,
+    ahead: FloatArray | None,
+    sensed: Sensed,
     decision: Decision | None,
     command: ThrusterCommand | None,
 ) -> VehicleView:
@@ -42,4 +46,7 @@ def vehicle_view(
         nav_errors=estimation.errors,
         nav_doubts=estimation.doubts,
         control=control,
+        ahead=ahead,
+        sensed=sensed,
+        energy_left_j=None if power is None else power.remaining * parts.vehicle.battery.capacity_j,
     )

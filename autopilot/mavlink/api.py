@@ -12,6 +12,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Place
 from autopilot.core.messages import MissionProgress, NavDoubt, NavState, NmpcStatus, ThrusterCommand
 from autopilot.core.samples import PowerSample
+from autopilot.core.sensed import Sensed
 
 
 class CommandResult(IntEnum):
@@ -158,6 +159,12 @@ class VehicleView:
     """What speaks against the estimate or its sensors."""
     control: NmpcStatus | None = None
     """Of the last control step, None while nothing is controlled."""
+    sensed: Sensed = field(default_factory=Sensed)
+    """The newest of each sensor."""
+    energy_left_j: float | None = None
+    """In the battery, None while it says nothing."""
+    ahead: FloatArray | None = None
+    """(n, 8) where the controller sees the vehicle go, a state per row (:mod:`autopilot.core.model4`)."""
 
 
 BEAM_TRACKS = 4 << 28

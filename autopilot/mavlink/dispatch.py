@@ -33,6 +33,7 @@ from autopilot.mavlink.profiles import Profile
 from autopilot.mavlink.progress import Progress
 from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.requests import Requests
+from autopilot.mavlink.sensor_messages import SensorMessages
 from autopilot.mavlink.setpoints import SetPoints
 from autopilot.mavlink.signing import KEY_BYTES, Refusals, Signing
 from autopilot.mavlink.status import Status
@@ -136,12 +137,14 @@ class Dispatcher:
         self._others = Others(ctx)
         self._status = Status(ctx)
         self._telemetry = Telemetry(ctx)
+        self._sensors = SensorMessages(ctx, self._telemetry)
         self._progress = Progress(ctx, self.missions)
         self._streams = Streams(
             ctx,
             {
                 **self._status.builders(),
                 **self._telemetry.builders(),
+                **self._sensors.builders(),
                 **ComponentMetadata(ctx, metadata).builders(),
                 mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
                 mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
@@ -273,6 +276,7 @@ class Dispatcher:
         for event in events:
             run("telemetry", partial(ctx.text, event.severity, event.text), None, partial(repr, event))
         run("telemetry", self._say_place, None, lambda: view)
+        run("telemetry", self._sensors.tick, None, lambda: view)
         run("progress", lambda: self._progress.tick(reached), None, lambda: view)
         run("parameters", self.parameters.tick, None)
         run("plans", self.missions.tick, None)

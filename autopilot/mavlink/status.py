@@ -27,6 +27,9 @@ _OFFICIAL = 255
 
 _SENSORS = (
     mav.MAV_SYS_STATUS_AHRS
+    | mav.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mav.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mav.MAV_SYS_STATUS_SENSOR_3D_MAG
     | mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION
     | mav.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL
     | mav.MAV_SYS_STATUS_SENSOR_YAW_POSITION
@@ -37,6 +40,14 @@ _SENSORS = (
     | mav.MAV_SYS_STATUS_SENSOR_BATTERY
     | mav.MAV_SYS_STATUS_PREARM_CHECK
 )
+
+_INERTIAL = (
+    mav.MAV_SYS_STATUS_AHRS
+    | mav.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mav.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mav.MAV_SYS_STATUS_SENSOR_3D_MAG
+)
+"""The AHRS and what is in it: MAVSDK asks for the three one by one."""
 
 _CAPABILITIES = (
     mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
@@ -118,9 +129,11 @@ class Status:
         health = _SENSORS
         nav_health = NavHealth.INVALID if view.nav is None else view.nav.health
         if view.nav is None or view.failsafes >> Failsafe.AHRS_STALE & 1:
-            health &= ~mav.MAV_SYS_STATUS_AHRS
-        if {NavDoubt.ACCELEROMETER, NavDoubt.GYRO} & view.nav_doubts:
-            health &= ~mav.MAV_SYS_STATUS_AHRS
+            health &= ~_INERTIAL
+        if NavDoubt.ACCELEROMETER in view.nav_doubts:
+            health &= ~(mav.MAV_SYS_STATUS_AHRS | mav.MAV_SYS_STATUS_SENSOR_3D_ACCEL)
+        if NavDoubt.GYRO in view.nav_doubts:
+            health &= ~(mav.MAV_SYS_STATUS_AHRS | mav.MAV_SYS_STATUS_SENSOR_3D_GYRO)
         if nav_health is not NavHealth.GOOD or view.failsafes >> Failsafe.NAV_CHECK & 1:
             health &= ~mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION
         if nav_health is NavHealth.INVALID:
@@ -179,9 +192,16 @@ class Status:
             -1,
             i32(power.energy_used_j / 100.0),
             limited(power.remaining * 100.0, 0, 100),
-            0,
+            self._time_left_s(),
             mav.MAV_BATTERY_CHARGE_STATE_LOW if low else mav.MAV_BATTERY_CHARGE_STATE_OK,
         )
+
+    def _time_left_s(self) -> int:
+        """At the power of the last half minute; 0 = not known."""
+        left_j, power_w = self._ctx.view.energy_left_j, self._ctx.view.sensed.power_w
+        if left_j is None or power_w is None or not power_w > 0.0:
+            return 0
+        return limited(left_j / power_w, 1, 0x7FFF_FFFF)
 
     def autopilot_version(self) -> Message | None:
         """AUTOPILOT_VERSION: the true version in middleware_sw_version, the git revision in every custom version."""

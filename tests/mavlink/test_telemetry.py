@@ -70,9 +70,9 @@ def test_autopilot_version(profile: str) -> None:
     )
     assert [bool(bit) for bit in encodings] == [profile != "ardusub", profile == "ardusub"]
     offboard = ("SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT", "SET_ATTITUDE_TARGET")
-    for name in ("MISSION_INT", "COMMAND_INT", "MAVLINK2", "MISSION_FENCE", "MISSION_RALLY", *offboard):
+    for name in ("MISSION_INT", "COMMAND_INT", "MAVLINK2", "MISSION_FENCE", "MISSION_RALLY", "FTP", *offboard):
         assert bits & getattr(mav, f"MAV_PROTOCOL_CAPABILITY_{name}"), name
-    for name in ("FTP", "TERRAIN", "MISSION_FLOAT"):
+    for name in ("TERRAIN", "MISSION_FLOAT"):
         assert not bits & getattr(mav, f"MAV_PROTOCOL_CAPABILITY_{name}"), name
     assert version.flight_sw_version >> 8 == (0x010401 if profile == "px4" else 0x000100)
     assert version.middleware_sw_version >> 8 == 0x000100

@@ -1,0 +1,47 @@
+"""The newest of each sensor, for what shows sensors and not the estimate."""
+
+import math
+from dataclasses import dataclass, field
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.samples import AhrsSample, DepthSample, HullSample, ImuSample, LaserSample
+
+_SLOW, _FAST = 0.2, 0.1
+"""Shares of a new sample at 100 Hz: about 4 Hz for what is motion, 2 Hz for the mean square of the rest."""
+
+
+@dataclass(slots=True, eq=False)
+class Vibration:
+    """How much the specific force shakes, per axis: the root of the mean square above about 4 Hz [m/s2]."""
+
+    _mean: list[float] = field(default_factory=lambda: [math.nan] * 3)
+    _square: list[float] = field(default_factory=lambda: [0.0] * 3)
+
+    def note(self, accel_frd_m_s2: FloatArray) -> None:
+        """One sample of 100 Hz; one that is not finite is left out."""
+        for axis, value in enumerate(accel_frd_m_s2.tolist()):
+            if not math.isfinite(value):
+                continue
+            mean = self._mean[axis]
+            mean = value if mean != mean else mean + _SLOW * (value - mean)
+            self._mean[axis] = mean
+            self._square[axis] += _FAST * ((value - mean) ** 2 - self._square[axis])
+
+    @property
+    def rms_m_s2(self) -> tuple[float, float, float]:
+        """Forward, right, down."""
+        x, y, z = (math.sqrt(square) for square in self._square)
+        return x, y, z
+
+
+@dataclass(slots=True, eq=False)
+class Sensed:
+    """Changed in place; None = none has come."""
+
+    inertial: AhrsSample | ImuSample | None = None
+    depth: DepthSample | None = None
+    laser: LaserSample | None = None
+    hull: HullSample | None = None
+    vibration: Vibration = field(default_factory=Vibration)
+    power_w: float | None = None
+    """Of the battery, over half a minute."""
