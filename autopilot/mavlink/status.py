@@ -149,10 +149,16 @@ class Status:
                 health &= ~mav.MAV_SYS_STATUS_SENSOR_BATTERY
         else:
             health &= ~mav.MAV_SYS_STATUS_SENSOR_BATTERY
+        present = _SENSORS
+        if nav_health is NavHealth.GOOD:
+            # As GPS_RAW_INT does: MAVSDK's global position is ok by this bit alone. Only then, for without it
+            # QGroundControl offers to set the origin.
+            present |= mav.MAV_SYS_STATUS_SENSOR_GPS
+            health |= mav.MAV_SYS_STATUS_SENSOR_GPS
         lost = 1e4 * view.dropped_rx / max(ctx.received + view.dropped_rx, 1)
         return mav.MAVLink_sys_status_message(
-            _SENSORS,
-            _SENSORS,
+            present,
+            present,
             health,
             limited(view.cpu_load * 1e3, 0, 1000),
             voltage_mv,
