@@ -45,11 +45,9 @@ SERVO_RATE_HZ, SLOW_HZ, PRESSURE_HZ = 50.0, 2.0, 20.0
 REBOOT_MS = 1000
 ENOUGH = 0.7
 """Share of a rate below which it is asked for anew."""
-SERVO_WITHIN_US = 150_000
-"""What comes out belongs to one of the commands of so long before: 20 ms to act, and the way back."""
+SERVO_WITHIN_US = 450_000
+"""What comes out belongs to one of the commands of so long before: 20 ms to act, the way back, and a late loop."""
 SERVO_TOLERANCE_US = 4
-SLOW_WITHIN_US = 450_000
-"""The same of the upright motors while heave is slow (:attr:`AuthorityWatch.slow_heave`): five time constants of it."""
 SERVO_WRONG_US = 300_000
 SERVO_WRONG_SHARE, SERVO_RIGHT_SHARE = 0.2, 0.05
 """Other pulses than ours for so long, in so many of the reports, are somebody else's: a joystick speaks 20 to 50 times
@@ -376,13 +374,12 @@ class ArduSub(Closing):
         """What comes out, with what was meant."""
         found = tuple(getattr(message, f"servo{motor}_raw") for motor in range(1, self._mixer.motors + 1))
         self._seen = (t_us, found)
-        within_us = SLOW_WITHIN_US if self._watch.slow_heave else SERVO_WITHIN_US
-        while self._meant and t_us - self._meant[0][0] > within_us and len(self._meant) > 1:
+        while self._meant and t_us - self._meant[0][0] > SERVO_WITHIN_US and len(self._meant) > 1:
             self._meant.popleft()
         if not self._watch.acts(t_us) or not self._meant:
             self._count_as_right()
             return
-        wrong = not self._is_meant(t_us, found)
+        wrong = not self._is_meant(found)
         self.mismatch_count += wrong
         share = self._wrong_share + (wrong - self._wrong_share) / SERVO_MEMORY
         self._wrong_share = min(share, SERVO_MOST_SHARE)
@@ -399,17 +396,16 @@ class ArduSub(Closing):
     def _count_as_right(self) -> None:
         self._wrong_share, self._wrong_us = 0.0, None
 
-    def _is_meant(self, t_us: int, found: tuple[int, ...]) -> bool:
+    def _is_meant(self, found: tuple[int, ...]) -> bool:
         """Whether it is one of the last commands; with slow heave, upright motors lie between those of longer."""
         if not self._watch.slow_heave:
-            return any(_alike(found, meant) for _, meant in self._meant)
+            return any(_alike(found, meant) for _, meant in reversed(self._meant))
         upright = zip(*(meant[PLANE_MOTORS:] for _, meant in self._meant), strict=True)
         between = all(
             min(meant) - SERVO_TOLERANCE_US <= pulse <= max(meant) + SERVO_TOLERANCE_US
             for pulse, meant in zip(found[PLANE_MOTORS:], upright, strict=True)
         )
-        late = [meant for sent_us, meant in self._meant if t_us - sent_us <= SERVO_WITHIN_US]
-        return between and any(_alike(found[:PLANE_MOTORS], meant[:PLANE_MOTORS]) for meant in late)
+        return between and any(_alike(found[:PLANE_MOTORS], meant[:PLANE_MOTORS]) for _, meant in reversed(self._meant))
 
 
 def _alike(found: Sequence[int], meant: Sequence[int]) -> bool:
