@@ -6,6 +6,8 @@ to it alone, and would count the rest as lost. So every frame is renumbered on i
 
 import binascii
 
+from autopilot.core.clients import Verbatim
+
 _STX = 0xFD
 _OVERHEAD = 12
 """Bytes of a MAVLink 2 frame round its payload, without a signature."""
@@ -22,7 +24,9 @@ class Numbering:
         self._next: int | None = None
 
     def __call__(self, frame: bytes) -> bytes:
-        """The frame as the client gets it; what is no unsigned MAVLink 2 frame stays as it is."""
+        """The frame as the client gets it; what is passed on, or is no unsigned MAVLink 2 frame, stays as it is."""
+        if isinstance(frame, Verbatim):
+            return frame
         if len(frame) < _OVERHEAD or frame[0] != _STX or frame[_FLAGS_AT] or len(frame) != frame[1] + _OVERHEAD:
             return frame
         number = frame[_NUMBER_AT] if self._next is None else self._next

@@ -6,6 +6,12 @@ EVERYONE = 0
 """The client number of all who are at the other end of a link."""
 
 
+class Verbatim(bytes):
+    """A packet of somebody else that is passed on: it keeps its number and is no word of ours."""
+
+    __slots__ = ()
+
+
 class Reach(IntEnum):
     """From how far away a client speaks: what may be believed of it."""
 

@@ -195,6 +195,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("TETHER_LEN", 0.0, 0.0, 10000.0, "m", "Tether that may be paid out, 0 = no tether or not looked at."),
     _int("LAT_DETECT", 1, 0, 1, "1 = late commands are found from the motion and allowed for, 0 = not looked for."),
     _int("MPC_COST", 1, 0, 1, "What the controller minimises: 0 = distance and effort at cruise speed, 1 = energy."),
+    _int("MAV_FORWARD", 0, 0, 1, "1 = messages are passed on between clients and links, 0 = they are not."),
     _real("MPC_MARGIN", 0.03, 0.0, 1.0, "m", "Distance that the controller keeps beyond the body radius at least."),
     _real("MPC_SPEED_MARGIN", 0.08, 0.0, 0.5, "m/s", "Kept free below the planar speed limit at least."),
     _real("MPC_Q_POS", 20.0, 0.0, 1e4, "", "NMPC weight on planar position error."),

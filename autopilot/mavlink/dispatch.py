@@ -33,6 +33,7 @@ from autopilot.mavlink.profiles import Profile
 from autopilot.mavlink.progress import Progress
 from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.requests import Requests
+from autopilot.mavlink.routing import Router
 from autopilot.mavlink.sensor_messages import SensorMessages
 from autopilot.mavlink.setpoints import SetPoints
 from autopilot.mavlink.signing import KEY_BYTES, Refusals, Signing
@@ -157,7 +158,8 @@ class Dispatcher:
         control = {REQUEST: Entry(handler=self._operators.request, action=False)}
         self._commands = Commands(ctx, {**self._vehicle.table(), **requests.table(), **control}, self._keeps_out)
         self._handlers = self._table()
-        self._intake = Intake(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits)
+        self._router = Router(ctx, ours=_OUR_COMPONENTS.__contains__)
+        self._intake = Intake(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._heard)
         self._told_refusals = Refusals()
         self._refusals_us: int | None = None
         self._flood_us: int | None = None
@@ -352,6 +354,10 @@ class Dispatcher:
             ctx.send(Peer(link, 0, 0, client), self._status.heartbeat())
             clients = {number for number in known if (link, number) in self._intake}
             ctx.old[link] = frozenset((*clients, client))
+
+    def _heard(self, address: Address, frame: bytes) -> None:
+        """A good frame, for us or not: perhaps somebody else wants it."""
+        self._ctx.guard.run("message", lambda: self._router.heard(address, frame), None)
 
     def _keeps_out(self, call: Call) -> str:
         return self._operators.reason if self._operators.keeps_out(call.peer) else ""

@@ -85,6 +85,8 @@ class Intake:
     handle: Handle
     admits: Callable[[bytes, Reach], bool] = lambda frame, reach: True
     """Whether a good frame from so far away is heard."""
+    heard: Callable[[Address, bytes], None] = lambda address, frame: None
+    """Every good frame that is."""
     _inboxes: dict[Address, Inbox] = field(default_factory=dict)
     """The one silent for longest first."""
     _turns: deque[Inbox] = field(default_factory=deque)
@@ -110,7 +112,7 @@ class Intake:
             while len(self._inboxes) >= MAX_INBOXES:
                 self._forget(next(iter(self._inboxes)))
             reach = frame.reach
-            parser = LinkParser(self.wanted, lambda data: self.admits(data, reach))
+            parser = LinkParser(self.wanted, lambda data: self._admit(address, reach, data))
             inbox = Inbox(address, parser, frame.sender or f"client {frame.client}", reach)
         self._inboxes[address] = inbox
         if inbox.parser.push(frame.data) and not inbox.waiting:
@@ -180,6 +182,12 @@ class Intake:
         inbox.head = None
         work.left -= HEAVY_WORK if message.get_msgId() in self.heavy else HANDLE_WORK
         self.handle(inbox.address, message)
+
+    def _admit(self, address: Address, reach: Reach, frame: bytes) -> bool:
+        if not self.admits(frame, reach):
+            return False
+        self.heard(address, frame)
+        return True
 
     def _forget(self, address: Address) -> None:
         gone = self._inboxes.pop(address)

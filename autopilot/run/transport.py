@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from autopilot.core.clients import Verbatim
 from autopilot.core.errors import DriverError
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
@@ -99,7 +100,8 @@ class Transport:
     def send(self, frames: Sequence[MavlinkFrame]) -> None:
         """Send what goes to these links."""
         for frame in frames:
-            if frame.data[7:10] == _HEARTBEAT_ID and frame.data[0] == _MAVLINK2:
+            ours = not isinstance(frame.data, Verbatim)
+            if ours and frame.data[7:10] == _HEARTBEAT_ID and frame.data[0] == _MAVLINK2:
                 self._beat_s = self._now_s()
         for index in range(len(self._links)):
             for frame in frames:

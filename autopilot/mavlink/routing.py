@@ -1,0 +1,128 @@
+"""Passing messages on between clients (https://mavlink.io/en/guide/routing.html), where MAV_FORWARD says so.
+
+Who is where is learned from what comes in. A message to everyone goes to all other clients, one to a system or
+component to where that has been heard and nowhere else. Packets are not changed. A packet never goes back to where it
+came from, and one that comes again, by a loop in the network, is not passed on twice. SETUP_SIGNING is never passed on.
+"""
+
+import struct
+from collections import OrderedDict
+from collections.abc import Callable
+
+from autopilot.core.clients import EVERYONE, Verbatim
+from autopilot.core.messages import MavlinkFrame
+from autopilot.mavlink.budget import LISTS
+from autopilot.mavlink.context import COMPID, Context
+from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.inbox import Address
+from autopilot.mavlink.recent import Recent
+
+AGAIN_US = 500_000
+"""The same packet within this time is the one before, by another way."""
+MAX_KNOWN = 256
+"""Components whose place is remembered; the one silent for longest goes."""
+MAX_PLACES = 4
+"""Places where one component may be heard."""
+
+Component = tuple[int, int]
+"""System and component id."""
+
+_V1 = mav.PROTOCOL_MARKER_V1
+_SIGNED = mav.MAVLINK_IFLAG_SIGNED
+_BLOCK = mav.MAVLINK_SIGNATURE_BLOCK_LEN
+_SIZES = {"char": 1, "float": 4, "double": 8, **{f"{sign}int{8 * n}_t": n for n in (1, 2, 4, 8) for sign in ("", "u")}}
+
+
+class Router:
+    """Queues what is passed on with everything else that goes out."""
+
+    def __init__(self, ctx: Context, *, ours: Callable[[int], bool]) -> None:
+        """``ours``: whether a component of our system is the service itself."""
+        self._ctx, self._ours = ctx, ours
+        self._places: OrderedDict[Component, OrderedDict[Address, None]] = OrderedDict()
+        self._passed: Recent[bytes] = Recent(AGAIN_US * ctx.patience)
+        self.forwarded = 0
+        """Packets passed on so far."""
+
+    def heard(self, address: Address, frame: bytes) -> None:
+        """A whole packet with a good checksum, of somebody who is listened to."""
+        ctx = self._ctx
+        if ctx.params["MAV_FORWARD"] <= 0.0:
+            return
+        old = frame[0] == _V1
+        at = 3 if old else 5
+        source, number = (frame[at], frame[at + 1]), frame[5] if old else int.from_bytes(frame[7:10], "little")
+        if source == (ctx.sysid, COMPID) or source[0] == 0:
+            return
+        kind = _TARGETS.get(number)
+        if kind is None or number == mav.MAVLINK_MSG_ID_SETUP_SIGNING:
+            return
+        packet = frame if old or not frame[2] & _SIGNED else frame[:-_BLOCK]
+        if self._passed.knows(packet, ctx.t_us):
+            return
+        self._passed.add(packet, ctx.t_us)
+        self._learn(source, address)
+        payload = frame[6 : 6 + frame[1]] if old else frame[10 : 10 + frame[1]]
+        target = tuple(payload[i] if i is not None and i < len(payload) else 0 for i in kind)
+        self._pass_on(address, (target[0], target[1]), frame, old=old)
+
+    def _learn(self, source: Component, address: Address) -> None:
+        places = self._places.pop(source, None) or OrderedDict()
+        while len(self._places) >= MAX_KNOWN:
+            self._places.popitem(last=False)
+        self._places[source] = places
+        places.pop(address, None)
+        while len(places) >= MAX_PLACES:
+            places.popitem(last=False)
+        places[address] = None
+
+    def _pass_on(self, address: Address, target: Component, frame: bytes, *, old: bool) -> None:
+        system, component = target
+        if system == 0:
+            for link in tuple(self._ctx.links):
+                if link != address[0]:
+                    self._send(link, EVERYONE, frame, old=old)
+                elif address[1] != EVERYONE:
+                    self._send(link, EVERYONE, frame, old=old, beside=frozenset((address[1],)))
+            return
+        if system == self._ctx.sysid and component and self._ours(component):
+            return
+        receivers: dict[Address, None] = {}
+        for known, places in self._places.items():
+            if known[0] == system and component in (0, known[1]):
+                receivers.update(places)
+        receivers.pop(address, None)
+        for link, client in receivers:
+            self._send(link, client, frame, old=old)
+
+    def _send(self, link: int, client: int, frame: bytes, *, old: bool, beside: frozenset[int] = frozenset()) -> None:
+        ctx = self._ctx
+        if link not in ctx.links or not ctx.has_room(link, LISTS):
+            return
+        if not old:
+            speak_old = ctx.old.get(link, frozenset())
+            if client in speak_old:
+                return
+            beside |= speak_old
+        if link in ctx.budgets:
+            ctx.budgets[link].spend(len(frame))
+        self.forwarded += 1
+        ctx.tx.append(MavlinkFrame(link=link, client=client, data=Verbatim(frame), beside=beside))
+
+
+def _targets() -> dict[int, tuple[int | None, int | None]]:
+    """Message id -> where in the payload target system and component stand, None = not in it."""
+    found: dict[int, tuple[int | None, int | None]] = {}
+    for number, kind in mav.mavlink_map.items():
+        types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
+        places: dict[str, int] = {}
+        at = 0
+        for name, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True):
+            places[name] = at
+            at += _SIZES[types[name].removesuffix("_mavlink_version")] * max(length, 1)
+        assert at == struct.calcsize(kind.unpacker.format), kind.msgname
+        found[number] = (places.get("target_system", places.get("target")), places.get("target_component"))
+    return found
+
+
+_TARGETS = _targets()
