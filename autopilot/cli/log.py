@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.log_tlog import tlog
+from autopilot.cli.log_tools import diff, export, find, recover
 from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
 from autopilot.cli.part_name import part_name
 
@@ -24,10 +25,11 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead
 
 @click.group()
 def log() -> None:
-    """Look into a log: info, check, report, plot, replay, programs, tlog."""
+    """Look into logs: info, check, report, plot, export, diff, find, recover, replay, programs, tlog."""
 
 
-log.add_command(tlog)
+for _command in (tlog, export, diff, recover, find):
+    log.add_command(_command)
 
 
 @log.command()

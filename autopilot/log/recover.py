@@ -37,7 +37,7 @@ def recover_unfinished(folder: Path) -> list[Recovery]:
     found = []
     for path in sorted(folder.rglob("*.mcap")):
         try:
-            recovery = _recover(path)
+            recovery = recover_log(path)
         except (LogError, OSError) as error:
             recovery = Recovery(path=path, messages=0, problem=str(error), repaired=False)
         if recovery is not None:
@@ -45,9 +45,13 @@ def recover_unfinished(folder: Path) -> list[Recovery]:
     return found
 
 
-def _recover(path: Path) -> Recovery | None:
-    """Repair one log; None if it needs no repair or is being written."""
-    with path.open("r+b") as file:
+def recover_log(path: Path) -> Recovery | None:
+    """Repair one log; None if it needs no repair or is being written. LogError if it is no log or not to be had."""
+    try:
+        opened = path.open("r+b")
+    except OSError as error:
+        raise LogError(f"{path}: cannot be opened for repair ({error.strerror or error})") from error
+    with opened as file:
         if not lock_exclusive(file):
             return None
         contents = read_contents(path)

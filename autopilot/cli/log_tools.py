@@ -1,0 +1,135 @@
+"""``autopilot log export|diff|recover|find``: what is done with whole logs."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
+from autopilot.core.errors import LogError
+
+EXIT_DIFFERENT = 1
+_LOG = click.Path(path_type=Path)
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+
+
+@click.command()
+@click.argument("log_file", metavar="LOG", type=_LOG)
+@click.option("--topic", "topics", multiple=True, help="Only this topic; repeatable (default: all).")
+@click.option("--format", "kind", type=click.Choice(("csv", "parquet")), default="csv", show_default=True)
+@click.option("--out", type=_LOG, help="Folder to write into (default: LOG without its ending).")
+def export(log_file: Path, topics: tuple[str, ...], kind: Literal["csv", "parquet"], out: Path | None) -> None:
+    """Write LOG's topics as one CSV or Parquet file each. Exit 3 if part of LOG could not be read."""
+    from autopilot.log.export import export_log
+    from autopilot.log.reader import open_log
+
+    opened = open_log(log_file)
+    for path in export_log(opened, out or log_file.with_suffix(""), topics=topics, kind=kind):
+        click.echo(str(path))
+    if opened.problems:
+        click.echo(f"warning: {log_file}: {'; '.join(opened.problems)}", err=True)
+        raise click.exceptions.Exit(EXIT_LOSS)
+
+
+@click.command()
+@click.argument("first", metavar="A", type=_LOG)
+@click.argument("second", metavar="B", type=_LOG)
+@click.option("--ignore", multiple=True, metavar="TOPIC|FIELD", help="Leave a topic, field or topic.field out.")
+@click.option("--all", "everything", is_flag=True, help="Compare also what the machine has measured of itself.")
+@_JSON
+def diff(first: Path, second: Path, ignore: tuple[str, ...], everything: bool, as_json: bool) -> None:
+    """Where the messages of A and B differ, and their parameters. Exit 1 if they do."""
+    from autopilot.log.compare import WALL_CLOCK_FIELDS, WALL_CLOCK_TOPICS, compare_logs
+    from autopilot.log.reader import open_log
+
+    a, b = open_log(first), open_log(second)
+    topics = (*ignore, *(() if everything else WALL_CLOCK_TOPICS))
+    fields = (*ignore, *(() if everything else WALL_CLOCK_FIELDS))
+    found = compare_logs(a, b, topics, fields)
+    ours, others = ({} if log.description is None else log.description.parameters for log in (a, b))
+    parameters = [
+        {"name": name, "first": ours.get(name), "second": others.get(name)}
+        for name in sorted({*ours, *others})
+        if ours.get(name) != others.get(name)
+    ]
+    if as_json:
+        emit_json({"differences": [asdict(difference) for difference in found], "parameters": parameters})
+    else:
+        for changed in parameters:
+            click.echo(f"parameter {changed['name']}: {changed['first']} against {changed['second']}")
+        for difference in found:
+            click.echo(str(difference))
+        if not found:
+            click.echo("the same messages")
+    if found or parameters:
+        raise click.exceptions.Exit(EXIT_DIFFERENT)
+
+
+@click.command()
+@click.argument("place", metavar="LOG|FOLDER", type=_LOG)
+@_JSON
+def recover(place: Path, as_json: bool) -> None:
+    """Repair a log that was never finished, or all such below a folder; it takes the old one's place.
+
+    Exit 0 if nothing was to be done, 3 if something was repaired, 1 if something could not be.
+    """
+    from autopilot.log.recover import recover_log, recover_unfinished
+
+    if place.is_dir():
+        found = recover_unfinished(place)
+    else:
+        one = recover_log(place)
+        found = [] if one is None else [one]
+    if as_json:
+        emit_json([{**asdict(one), "path": str(one.path)} for one in found])
+    else:
+        for one in found:
+            done = f"{one.messages} messages saved" if one.repaired else "left as it is"
+            click.echo(f"{one.path}: {done} ({one.problem})")
+        if not found:
+            click.echo(f"{place}: nothing to repair: finished, or still being written")
+    if found:
+        raise click.exceptions.Exit(EXIT_LOSS if all(one.repaired for one in found) else 1)
+
+
+@click.command()
+@click.argument("folder", required=False, type=_LOG)
+@click.option("--where", multiple=True, metavar="KEY=VALUE", help="Only runs of which that holds; repeatable.")
+@_JSON
+def find(folder: Path | None, where: tuple[str, ...], as_json: bool) -> None:
+    """List the logs below FOLDER (default: the log folder): run, time, length, damage.
+
+    KEY is of the run's metadata: scenario, vehicle, seed, started, revision ...; VALUE is how it begins.
+    """
+    from autopilot.log.find import find_logs
+    from autopilot.run.config import gather, sitl_defaults
+
+    wanted = dict(_pair(text) for text in where)
+    place = folder or Path(gather(sitl_defaults(0), {})["log_dir"])
+    found = list(find_logs(place, wanted))
+    if as_json:
+        emit_json([{**asdict(one), "path": str(one.path)} for one in found])
+        return
+    rows = [
+        (
+            str(one.path.relative_to(place)),
+            one.facts.get("scenario") or one.facts.get("place", ""),
+            one.facts.get("vehicle", ""),
+            one.facts.get("seed", ""),
+            one.facts.get("started", ""),
+            f"{one.duration_s:.1f}",
+            f"{1e-6 * one.size_bytes:.1f}",
+            one.problem,
+        )
+        for one in found
+    ]
+    columns = ("log", "run", "vehicle", "seed", "started", "s", "MB", "problem")
+    print_table(f"{len(rows)} logs below {place}", columns, rows)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        raise LogError(f"--where {text!r}: write KEY=VALUE, e.g. scenario=paper-tank")
+    return key, value

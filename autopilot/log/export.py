@@ -1,0 +1,100 @@
+"""A log's topics as files that anything reads: CSV, and Parquet where pyarrow is installed.
+
+One file per topic, one row per message: ``t_us`` and ``t_s`` on the service's clock, then the fields; arrays element by
+element (``pos_ned_m[0]``). Topics of variable size (paths, markers, pictures) go out with one column of JSON, their
+bytes as lengths. Numbers keep every digit that they have.
+"""
+
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import msgspec
+import numpy as np
+
+from autopilot.core.errors import LogError
+from autopilot.log.reader import Log, Table
+
+Kind: TypeAlias = Literal["csv", "parquet"]
+Columns: TypeAlias = dict[str, Any]
+"""Name -> one value per message."""
+
+
+def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind = "csv") -> Iterator[Path]:
+    """Write topics (all without any) into ``folder``; the files, as they are written.
+
+    LogError if there is no such topic, or nothing to write that kind with.
+    """
+    unknown = [topic for topic in topics if topic not in log.topics]
+    if unknown:
+        raise LogError(f"{log.path}: has no topic {', '.join(unknown)}; it has {', '.join(log.topics)}")
+    writer = _writer(kind)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for topic in topics or [name for name, info in log.topics.items() if info.count]:
+            path = folder / f"{topic.strip('/').replace('/', '_')}.{kind}"
+            writer(path, columns_of(log, topic))
+            yield path
+    except OSError as error:
+        raise LogError(f"{folder}: cannot be written ({error.strerror or error}); choose another --out") from error
+
+
+def columns_of(log: Log, topic: str) -> Columns:
+    """A topic's messages as columns."""
+    try:
+        return _flat(log[topic])
+    except LogError:
+        messages = log.messages(topic)
+        t_us = np.array([message.t_us for message in messages], dtype=np.int64)
+        values = [msgspec.json.encode(message.value, enc_hook=_plain).decode() for message in messages]
+        return {"t_us": t_us, "t_s": t_us * 1e-6, "message": values}
+
+
+def _flat(table: Table) -> Columns:
+    """The fields of a fixed-size topic, arrays element by element."""
+    columns: Columns = {"t_us": table["t_us"], "t_s": table["t_us"] * 1e-6}
+    for name in (table.dtype.names or ())[1:]:
+        column = table[name]
+        for place in np.ndindex(*column.shape[1:]):
+            columns[name + "".join(f"[{index}]" for index in place)] = column[(slice(None), *place)]
+    return columns
+
+
+def _plain(value: object) -> object:
+    """What JSON cannot say."""
+    if isinstance(value, bytes | bytearray | memoryview):
+        return f"{len(value)} bytes"
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise NotImplementedError(type(value))
+
+
+def _writer(kind: Kind) -> Any:
+    if kind == "csv":
+        return _write_csv
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError as error:
+        raise LogError("Parquet needs pyarrow: pip install pyarrow, or export as CSV (--format csv)") from error
+    return _write_parquet
+
+
+def _write_csv(path: Path, columns: Columns) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        lists = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns.values()]
+        writer.writerows(zip(*([_text(value) for value in column] for column in lists), strict=True))
+
+
+def _text(value: object) -> object:
+    """A fixed-size text is bytes in the table."""
+    return value.rstrip(b"\0").decode(errors="replace") if isinstance(value, bytes) else value
+
+
+def _write_parquet(path: Path, columns: Columns) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    pyarrow.parquet.write_table(pyarrow.table(columns), path, compression="zstd")

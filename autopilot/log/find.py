@@ -1,0 +1,49 @@
+"""Logs below a folder, and what each is of: read from heads and indexes, not from the messages."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from autopilot.core.errors import LogError
+from autopilot.log.reader import open_log
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """One log."""
+
+    path: Path
+    duration_s: float
+    messages: int
+    size_bytes: int
+    facts: Mapping[str, str]
+    """Metadata of its run: scenario, vehicle, seed, started, revision ..."""
+    problem: str
+    """Why it cannot be read, or what is missing; "" for a whole one."""
+
+
+def find_logs(folder: Path, wanted: Mapping[str, str] | None = None) -> Iterator[Found]:
+    """Every ``*.mcap`` below a folder, by name, of which all ``wanted`` facts hold (compared without case, by their
+    beginning). LogError if there is no such folder."""
+    if not folder.is_dir():
+        raise LogError(f"{folder}: is no folder; give one that holds logs")
+    for path in sorted(folder.rglob("*.mcap")):
+        found = _look(path)
+        if all(found.facts.get(key, "").lower().startswith(value.lower()) for key, value in (wanted or {}).items()):
+            yield found
+
+
+def _look(path: Path) -> Found:
+    try:
+        size = path.stat().st_size
+        log = open_log(path)
+    except (LogError, OSError) as error:
+        return Found(path=path, duration_s=0.0, messages=0, size_bytes=0, facts={}, problem=str(error))
+    return Found(
+        path=path,
+        duration_s=log.duration_s,
+        messages=log.message_count,
+        size_bytes=size,
+        facts=log.run,
+        problem="; ".join(log.problems),
+    )

@@ -1,0 +1,109 @@
+"""``autopilot log export|diff|recover|find`` on logs that are whole, cut off, foreign and missing."""
+
+import csv
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from log_synthetic import Run, write_run
+
+from autopilot.cli.main import cli
+from autopilot.log.export import columns_of
+from autopilot.log.reader import open_log
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_run(tmp_path_factory.mktemp("tools") / "flown.mcap", Run(laps=1, step_us=500_000))
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, ["log", *map(str, arguments)])
+
+
+def test_export_holds_every_digit(flown: Path, tmp_path: Path) -> None:
+    done = call("export", flown, "--out", tmp_path)
+    assert done.exit_code == 0, done.output
+    log = open_log(flown)
+    assert len(done.output.splitlines()) == sum(info.count > 0 for info in log.topics.values())
+    with (tmp_path / "nav_state.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    nav = log["/nav/state"]
+    assert [int(row["t_us"]) for row in rows] == nav["t_us"].tolist()
+    for axis in range(3):
+        assert np.array_equal([float(row[f"pos_ned_m[{axis}]"]) for row in rows], nav["pos_ned_m"][:, axis])
+    with (tmp_path / "ctl_horizon.csv").open(newline="") as file:
+        paths = [json.loads(row["message"]) for row in csv.DictReader(file)]
+    assert len(paths) == log.topics["/ctl/horizon"].count and paths[0]["poses"]
+
+
+def test_export_of_some_topics_and_of_none_such(flown: Path, tmp_path: Path) -> None:
+    done = call("export", flown, "--topic", "/sys/mode", "--out", tmp_path / "out")
+    assert done.output.split() == [str(tmp_path / "out" / "sys_mode.csv")]
+    done = call("export", flown, "--topic", "/sys/mood")
+    assert done.exit_code == 1 and "has no topic /sys/mood" in str(done.exception or done.output)
+    (tmp_path / "file").write_text("")
+    done = call("export", flown, "--out", tmp_path / "file")
+    assert done.exit_code == 1 and "choose another --out" in str(done.exception or done.output)
+
+
+def test_parquet_needs_pyarrow(flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    done = call("export", flown, "--format", "parquet", "--out", tmp_path)
+    assert done.exit_code == 1 and "pip install pyarrow" in str(done.exception or done.output)
+
+
+def test_parquet_where_pyarrow_is(flown: Path, tmp_path: Path) -> None:
+    parquet: Any = pytest.importorskip("pyarrow.parquet")
+    assert call("export", flown, "--format", "parquet", "--topic", "/nav/state", "--out", tmp_path).exit_code == 0
+    table = parquet.read_table(tmp_path / "nav_state.parquet")
+    assert table.column_names == list(columns_of(open_log(flown), "/nav/state"))
+
+
+def test_diff_names_the_first_difference(flown: Path, tmp_path: Path) -> None:
+    same = call("diff", flown, flown)
+    assert same.exit_code == 0 and "the same messages" in same.output
+    other = write_run(tmp_path / "other.mcap", Run(laps=2, step_us=500_000))
+    done = call("diff", flown, other)
+    assert done.exit_code == 1 and "/nav/state" in done.output and "messages" in done.output
+    listed = json.loads(call("diff", flown, other, "--json").output)
+    assert {"topic", "field", "t_s", "what"} == set(listed["differences"][0])
+    left = json.loads(call("diff", flown, other, "--ignore", "/nav/state", "--json").output)
+    assert not [one for one in left["differences"] if one["topic"] == "/nav/state"]
+
+
+def test_recover(flown: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(flown.read_bytes()[: flown.stat().st_size * 2 // 3])
+    done = call("recover", cut)
+    assert done.exit_code == 3 and "messages saved" in done.output
+    assert open_log(cut).verify() == ()
+    again = call("recover", cut)
+    assert again.exit_code == 0 and "nothing to repair" in again.output
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"nothing of the kind")
+    assert call("recover", tmp_path).exit_code == 1
+    for place in (junk, tmp_path / "none.mcap"):
+        done = call("recover", place)
+        assert done.exit_code == 1 and str(place) in str(done.exception or done.output)
+
+
+def test_find(flown: Path, tmp_path: Path) -> None:
+    (tmp_path / "day").mkdir()
+    (tmp_path / "day" / "a.mcap").write_bytes(flown.read_bytes())
+    (tmp_path / "b.mcap").write_bytes(flown.read_bytes()[:5000])
+    (tmp_path / "c.mcap").write_bytes(b"junk")
+    found = {Path(one["path"]).name: one for one in json.loads(call("find", tmp_path, "--json").output)}
+    assert set(found) == {"a.mcap", "b.mcap", "c.mcap"}
+    assert found["a.mcap"]["problem"] == "" and found["b.mcap"]["problem"] and found["c.mcap"]["problem"]
+    key, value = next(iter(open_log(flown).run.items()))
+    some = json.loads(call("find", tmp_path, "--where", f"{key}={value}", "--json").output)
+    assert "a.mcap" in {Path(one["path"]).name for one in some}
+    assert json.loads(call("find", tmp_path, "--where", f"{key}=no such {value}", "--json").output) == []
+    assert "a.mcap" in call("find", tmp_path).output
+    assert call("find", tmp_path / "none").exit_code == 1
+    assert call("find", tmp_path, "--where", "nonsense").exit_code == 1
