@@ -15,6 +15,7 @@ import numpy as np
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
+from autopilot.core.laser_dot import dot_range
 from autopilot.core.map_errors import STATES, MapErrors
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.samples import MarkerSighting
@@ -54,11 +55,6 @@ LEVEL_RAD = math.radians(15.0)
 """Markers that lean less are taken as level when they vote."""
 UNIT = 0.25
 """Cosine and sine of the heading that a leaning marker's square asks for may miss the unit circle by this."""
-LASER_SIGMA_PX = 0.7
-"""Measured on rendered images: 0.2 px in clear water, 0.6 px in haze."""
-LASER_OFF_LINE_PX = 6.0
-"""How far the dot may lie off the line on which it must lie."""
-LASER_MIN_RANGE_M = 0.1
 MISFIT_RMS_PX = 0.5
 """Corners are this far from where they belong on average only in thick haze, or when intrinsics or map are wrong."""
 LEANING_RAD = math.radians(1.5)
@@ -501,25 +497,3 @@ def _winner(seen: IntArray, a: np.ndarray, b: np.ndarray, eye_depth_m: np.ndarra
     _, once = np.unique(seen[chosen], return_index=True)
     result: IntArray = chosen[once]
     return result
-
-
-def dot_range(camera: CameraModel, pixel: FloatArray) -> tuple[float, float] | None:
-    """Range along the beam and its sigma [m] from the laser dot's pixel, None for one off its line."""
-    dx, dy, dz = camera.laser_direction_cam.tolist()
-    ox, oy, oz = camera.laser_offset_cam_m.tolist()
-    # A dot at depth Z is seen at (dx, dy) / dz, the beam's vanishing point, plus (ox, oy) / Z, where the beam
-    # passes (ox, oy) beside the lens.
-    ox, oy = ox - oz * dx / dz, oy - oz * dy / dz
-    origin, direction = camera.rays(np.asarray(pixel, dtype=float))
-    (px, py, pz), (x, y, _) = origin.tolist(), direction.tolist()
-    ox, oy = ox - (px - pz * x), oy - (py - pz * y)  # behind a port, rays miss the lens
-    x, y = x - dx / dz, y - dy / dz
-    focal = camera.focal_water_px
-    base2 = ox * ox + oy * oy
-    along = ox * x + oy * y
-    if base2 == 0.0 or along <= 0.0 or abs(ox * y - oy * x) / math.sqrt(base2) * focal > LASER_OFF_LINE_PX:
-        return None
-    depth = base2 / along
-    if (depth - oz) / dz < LASER_MIN_RANGE_M:
-        return None
-    return (depth - oz) / dz, depth * depth * LASER_SIGMA_PX / (focal * math.sqrt(base2) * dz)

@@ -19,6 +19,8 @@ FILE_TYPE = "Plan"
 VERSION = 1
 _PART_VERSION = 2
 """Version of the mission, geoFence and rallyPoints objects."""
+_RALLY_VERSIONS = (_PART_VERSION, 1)
+"""QGroundControl has written rallyPoints as version 1 for years; the points are the same."""
 _AUTOPILOT_PX4 = 12
 _TYPE_SUBMARINE = 12
 _COMPLEX_NODES = ("TransectStyleComplexItem",)
@@ -88,9 +90,9 @@ def _float(value: Any, where: str, what: str) -> float:
         raise PlanError(f"{where}: {what} holds a number that is too large; correct it") from error
 
 
-def _part_version(table: Mapping[str, Any], where: str) -> None:
+def _part_version(table: Mapping[str, Any], where: str, known: Sequence[int] = (_PART_VERSION,)) -> None:
     version = _get(table, "version", int, where, _PART_VERSION)
-    if version != _PART_VERSION:
+    if version not in known:
         raise PlanError(f"{where}: version {version} is not supported; save it as version {_PART_VERSION}")
 
 
@@ -176,7 +178,7 @@ def _fence(fence: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
 
 
 def _rally(rally: Mapping[str, Any], where: str) -> tuple[PlanItem, ...]:
-    _part_version(rally, where)
+    _part_version(rally, where, _RALLY_VERSIONS)
     items = []
     for seq, point in enumerate(_get(rally, "points", list, where, [])):
         here = f"{where} point {seq}"

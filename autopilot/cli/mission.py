@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.mission_new import new
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 from autopilot.core.errors import AutopilotError
 
@@ -168,6 +169,9 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
         click.echo(f"{file}: fit to fly: " + ", ".join(f"{name} {count} items" for name, count in counts.items()))
     if problems:
         raise click.exceptions.Exit(1 if verdict.own else EXIT_LOSS)
+
+
+mission.add_command(new)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from autopilot.control.fence.obstacles import clearance_m
 from autopilot.control.fence.tracks import Tracks
 from autopilot.core.camera import CameraModel
 from autopilot.core.geometry import Fence
+from autopilot.core.laser_dot import dot_range
 from autopilot.core.messages import Below, Event, Inputs
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import (
@@ -28,7 +29,6 @@ from autopilot.core.samples import (
 from autopilot.core.sensed import Sensed
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import BEAM_TRACKS
-from estimator.markers_pose import dot_range
 
 KNOWN_M = 0.3
 """What beams end at so near to a shape of the fence is that."""

@@ -52,7 +52,7 @@ class ParamSpec:
     def group(self) -> str:
         """What operators find it under."""
         named = (group for start, group in _GROUPS.items() if self.name.startswith(start))
-        return self.family or next(named, "Other")
+        return self.family or next(named, self.name.split("_")[0].capitalize())
 
     @property
     def title(self) -> str:
@@ -75,13 +75,14 @@ _GROUPS: Mapping[str, str] = {
     "MPC_": "Control",
     "ORIGIN_": "Place",
     "PILOT_": "Pilot",
+    "SIGN_": "MAVLink",
     "SPD_": "Limits",
     "SYSID_": "MAVLink",
     "TETHER_": "Failsafes",
     "THR": "Thrusters",
     "WP_": "Mission",
 }
-"""Group by the first letters of the name; a new family of names gets a line here."""
+"""Group by the first letters of the name; a family of names without a line here is a group of its own."""
 
 
 def _real(name: str, default: float, minimum: float, maximum: float, unit: str, text: str) -> ParamSpec:

@@ -256,8 +256,9 @@ def test_quaternion_and_angles_agree(world: World) -> None:
 def test_sys_status(world: World) -> None:
     status = one(world, "SYS_STATUS")
     prearm, vision = mav.MAV_SYS_STATUS_PREARM_CHECK, mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION
+    gps = mav.MAV_SYS_STATUS_SENSOR_GPS  # stands for a good estimate, as GPS_RAW_INT does
     assert status.onboard_control_sensors_present & prearm and status.onboard_control_sensors_health & prearm
-    assert not status.onboard_control_sensors_present & mav.MAV_SYS_STATUS_SENSOR_GPS
+    assert status.onboard_control_sensors_present & status.onboard_control_sensors_health & gps
     assert (status.load, status.voltage_battery, status.current_battery, status.battery_remaining) == (
         250,
         23_500,
@@ -268,7 +269,8 @@ def test_sys_status(world: World) -> None:
         prearm_reasons=("no position",), nav=nav_state(health=NavHealth.DEAD_RECKONING), dropped_rx=9, power=None
     )
     status = one(world, "SYS_STATUS")
-    assert not status.onboard_control_sensors_health & (prearm | vision)
+    assert not status.onboard_control_sensors_health & (prearm | vision | gps)
+    assert not status.onboard_control_sensors_present & gps
     assert (status.errors_comm, status.drop_rate_comm, status.voltage_battery) == (9, 10_000, 0xFFFF)
 
 

@@ -312,3 +312,21 @@ def test_files_that_are_not_there_or_are_something_else(tmp_path: Path) -> None:
         write_plan(tmp_path / "x.toml", paper_plan())
     with pytest.raises(PlanError, match="cannot be written"):
         write_plan(tmp_path / "missing" / "x.plan", paper_plan())
+
+
+def test_rally_points_of_version_1_are_read(tmp_path: Path) -> None:
+    """As QGroundControl writes them."""
+    path = tmp_path / "tank.toml"
+    path.write_text(TOML, encoding="utf-8")
+    plan = read_plan(path)
+    written = tmp_path / "tank.plan"
+    write_plan(written, plan)
+    text = json.loads(written.read_text(encoding="utf-8"))
+    for version in (1, 2):
+        text["rallyPoints"]["version"] = version
+        written.write_text(json.dumps(text), encoding="utf-8")
+        assert same(read_plan(written), plan)
+    text["rallyPoints"]["version"] = 3
+    written.write_text(json.dumps(text), encoding="utf-8")
+    with pytest.raises(PlanError, match="rallyPoints: version 3"):
+        read_plan(written)
