@@ -39,6 +39,9 @@ from mission.items import (
 
 INVALID_INT32 = 2147483647
 """MAVLink's "not a number" of an integer coordinate."""
+DIVED_M = 0.1
+"""NAV_TAKEOFF is done within this distance of its depth."""
+
 SURFACE_TOLERANCE_M = 1e-3
 """Altitudes arrive as 32-bit floats: a millimetre above the surface still is the surface."""
 MIN_ACCEPT_RADIUS_M = 0.02
@@ -215,6 +218,27 @@ def _loiter(item: PlanItem, origin: Origin) -> Step:
     )
 
 
+def _take_off(item: PlanItem, origin: Origin) -> Step:
+    """NAV_TAKEOFF means "dive here": p4 yaw; the place is not used. An altitude in the water is the depth;
+    one above it, as ground stations put it into every plan, or none, means TKOFF_DEPTH."""
+    if item.frame == Frame.LOCAL_NED:
+        depth = item.z
+    elif item.frame in AMSL_FRAMES:
+        depth = origin.alt_m - item.z
+    else:
+        depth = math.nan if item.frame == Frame.MISSION else -item.z
+    return GoTo(
+        seq=item.seq,
+        pos_ned_m=None,
+        yaw_rad=_yaw(item),
+        hold_s=0.0,
+        accept_radius_m=DIVED_M,
+        autocontinue=item.autocontinue != 0,
+        dives=True,
+        dive_m=depth if depth > SURFACE_TOLERANCE_M else None,
+    )
+
+
 def _surface(item: PlanItem, origin: Origin) -> Step:
     """NAV_LAND means "surface": p4 yaw; the altitude has no meaning."""
     yaw = _yaw(item)
@@ -295,6 +319,7 @@ _PARSERS: dict[int, Callable[[PlanItem, Origin], Step]] = {
     Command.NAV_LOITER_UNLIM: _loiter,
     Command.NAV_LOITER_TIME: _loiter,
     Command.NAV_LAND: _surface,
+    Command.NAV_TAKEOFF: _take_off,
     Command.NAV_DELAY: _wait,
     Command.CONDITION_DELAY: _wait,
     Command.CONDITION_YAW: _set_heading,

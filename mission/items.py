@@ -18,6 +18,7 @@ class Command(IntEnum):
     NAV_LOITER_TIME = 19
     NAV_RETURN_TO_LAUNCH = 20
     NAV_LAND = 21
+    NAV_TAKEOFF = 22
     NAV_DELAY = 93
     CONDITION_DELAY = 112
     CONDITION_YAW = 115
@@ -51,7 +52,7 @@ TERRAIN_FRAMES = frozenset({10, 11})
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class GoTo:
-    """Go to a point and stay for a while (NAV_WAYPOINT, NAV_LOITER_TIME, NAV_LOITER_UNLIM)."""
+    """Go to a point and stay for a while (NAV_WAYPOINT, NAV_LOITER_TIME, NAV_LOITER_UNLIM, NAV_TAKEOFF)."""
 
     seq: int
     pos_ned_m: FloatArray | None
@@ -63,6 +64,10 @@ class GoTo:
     accept_radius_m: float | None
     """None = the parameter's default."""
     autocontinue: bool
+    dives: bool = False
+    """NAV_TAKEOFF: down (or up) to a depth where the vehicle is then."""
+    dive_m: float | None = None
+    """That depth, None = TKOFF_DEPTH."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -31,7 +31,9 @@ from mission.validation import (
     sequence_problems,
 )
 
-PLAN_PARAMETERS = ("DEPTH_MAX", "DEPTH_MIN", "FENCE_GAP_CHK", "MPC_MARGIN", "SPD_PLANAR_MAX", "WP_ACCEPT_RADIUS")
+PLAN_PARAMETERS = (
+    *("DEPTH_MAX", "DEPTH_MIN", "FENCE_GAP_CHK", "MPC_MARGIN", "SPD_PLANAR_MAX", "TKOFF_DEPTH", "WP_ACCEPT_RADIUS"),
+)
 """What of the parameters plans are judged by."""
 
 Plans3 = Mapping[PlanKind, tuple[PlanItem, ...]]

@@ -348,6 +348,9 @@ class Sequencer:
         last = here if self._run.goal is None else self._run.goal.pos_ned_m
         if isinstance(step, ReturnHome):
             return None if last is None else np.array([*self._home_ned_m[:2], last[2]])
+        if isinstance(step, GoTo) and step.dives and here is not None:
+            depth_m = self._params["TKOFF_DEPTH"] if step.dive_m is None else step.dive_m
+            return np.array([here[0], here[1], depth_m])
         if isinstance(step, GoTo):
             return here if step.pos_ned_m is None else step.pos_ned_m
         if isinstance(step, Wait) or last is None:

@@ -119,8 +119,12 @@ def read_mission(items: Sequence[PlanItem], origin: Origin) -> tuple[tuple[Step,
 
 def _limit_problems(step: Step, params: Mapping[str, float]) -> Iterator[PlanRejection]:
     """Depth band and speed limit of the parameters."""
-    if isinstance(step, GoTo) and step.pos_ned_m is not None:
-        depth, low, high = float(step.pos_ned_m[2]), params["DEPTH_MIN"], params["DEPTH_MAX"]
+    if isinstance(step, GoTo) and (step.pos_ned_m is not None or step.dives):
+        if step.pos_ned_m is not None:
+            depth = float(step.pos_ned_m[2])
+        else:
+            depth = params["TKOFF_DEPTH"] if step.dive_m is None else step.dive_m
+        low, high = params["DEPTH_MIN"], params["DEPTH_MAX"]
         if not low - DEPTH_TOLERANCE_M <= depth <= high + DEPTH_TOLERANCE_M:
             bound = f"DEPTH_MIN {low:g}" if depth < low else f"DEPTH_MAX {high:g}"
             text = (

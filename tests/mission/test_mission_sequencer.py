@@ -408,3 +408,22 @@ def test_reached_is_surely_reached(sigma_m: float, distance_m: float) -> None:
         assert not inside
     if distance_m < 0.27:
         assert inside
+
+
+@pytest.mark.parametrize(("altitude", "depth"), [(50.0, 0.6), (0.0, 0.6), (-0.9, 0.9)])
+def test_a_takeoff_dives_where_the_vehicle_is(altitude: float, depth: float) -> None:
+    """As QGroundControl begins every plan: with a place on the map and a height in the air."""
+    takeoff = PlanItem(
+        seq=0, frame=3, command=22, param1=15.0, param2=0.0, param3=0.0, param4=NAN, x=379_755_100, y=237_790_100,
+        z=altitude, autocontinue=1,
+    )  # fmt: skip
+    flight = Flight([takeoff, waypoint(1, -1.0, 0.0)], TKOFF_DEPTH=0.6)
+    flight.pos = np.array([-1.0, 0.2, 0.0])
+    flight.sequencer.start()
+    while 0 not in flight.reached:
+        out = flight.tick()
+        if 0 not in flight.reached:
+            assert out.goal is not None
+            assert out.goal.pos_ned_m.tolist() == pytest.approx([-1.0, 0.2, depth])
+    assert abs(depth - flight.pos[2]) < 0.15
+    assert flight.fly() == [0, 1]

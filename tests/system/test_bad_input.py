@@ -127,7 +127,7 @@ BAD_WAYPOINTS = {
         MissionResult.UNSUPPORTED_FRAME,
         ("item 1", "frame 12"),
     ),
-    "take-off": (replace(GOOD, seq=1, command=22), MissionResult.UNSUPPORTED, ("item 1", "command 22")),
+    "local landing": (replace(GOOD, seq=1, command=23), MissionResult.UNSUPPORTED, ("item 1", "command 23")),
     "a command that does not exist": (
         replace(GOOD, seq=1, command=65535),
         MissionResult.UNSUPPORTED,
