@@ -22,10 +22,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "emulate": ("autopilot.cli.emulate:emulate", "Be a vehicle's flight controller, to try `run` on."),
     "failsafes": ("autopilot.cli.failsafes:failsafes", "The table of failsafes: conditions, parameters, effects."),
     "identify": ("autopilot.cli.identify:identify", "Masses and drags of a vehicle from logs of its flights."),
-    "log": (
-        "autopilot.cli.log:log",
-        "Look into logs: info, check, report, plot, export, diff, find, recover, replay, programs, tlog.",
-    ),
+    "log": ("autopilot.cli.log:log", "Look into logs: check, report, plot, export, diff, recover, replay and more."),
     "markers": ("autopilot.cli.markers:markers", "Print marker boards, check and survey marker maps."),
     "mavlink": ("autopilot.cli.mavlink:mavlink", "Make, show or forget the key that frames are signed with."),
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),

@@ -9,6 +9,9 @@ from autopilot.core.samples import AhrsSample, DepthSample, HullSample, ImuSampl
 _SLOW, _FAST = 0.2, 0.1
 """Shares of a new sample at 100 Hz: about 4 Hz for what is motion, 2 Hz for the mean square of the rest."""
 
+MOST_M_S2 = 1e4
+"""A thousand g: more than any accelerometer's range."""
+
 
 @dataclass(slots=True, eq=False)
 class Vibration:
@@ -18,9 +21,9 @@ class Vibration:
     _square: list[float] = field(default_factory=lambda: [0.0] * 3)
 
     def note(self, accel_frd_m_s2: FloatArray) -> None:
-        """One sample of 100 Hz; one that is not finite is left out."""
+        """One sample of 100 Hz; one that no sensor can measure is left out."""
         for axis, value in enumerate(accel_frd_m_s2.tolist()):
-            if not math.isfinite(value):
+            if not abs(value) < MOST_M_S2:
                 continue
             mean = self._mean[axis]
             mean = value if mean != mean else mean + _SLOW * (value - mean)

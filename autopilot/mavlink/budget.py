@@ -14,7 +14,9 @@ DEBT_S = 0.5
 LISTS = 0.25
 """Lists (parameters) go on above this share of the room ..."""
 TELEMETRY = 0.5
-"""... telemetry above this one."""
+"""... telemetry above this one ..."""
+FILES = 0.75
+"""... and files and logs take what telemetry leaves."""
 
 
 @dataclass(slots=True)

@@ -14,7 +14,7 @@ from autopilot.core.clock import TICK_US
 from autopilot.core.crc import file_crc32
 from autopilot.core.desk import Ticket
 from autopilot.core.shelf import Shelf, ShelfFile
-from autopilot.mavlink.budget import LISTS
+from autopilot.mavlink.budget import FILES
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS, OpenFile, folder_entries, parts_of
@@ -268,7 +268,7 @@ class FileTransfer:
     def _go_on_burst(self, peer: Peer, client: _Client) -> None:
         for _ in range(PACKETS_PER_TICK):
             burst, file = client.burst, client.file
-            if burst is None or file is None or not self._ctx.has_room(peer.link, LISTS):
+            if burst is None or file is None or not self._ctx.has_room(peer.link, FILES):
                 return
             data = file.data(self._tick, burst.offset, _wanted(burst))
             if data is None:

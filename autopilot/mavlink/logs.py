@@ -10,7 +10,7 @@ from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Ticket
 from autopilot.core.messages import Severity
 from autopilot.core.shelf import Shelf, ShelfFile
-from autopilot.mavlink.budget import LISTS
+from autopilot.mavlink.budget import FILES
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import OpenFile
@@ -136,7 +136,7 @@ class LogDownload:
     def _send_entries(self, peer: Peer, client: _Client, logs: tuple[ShelfFile, ...]) -> None:
         count, last = len(logs), self._first + len(logs) - 1
         for _ in range(min(ENTRIES_PER_TICK, len(client.entries))):
-            if not self._ctx.has_room(peer.link, LISTS):
+            if not self._ctx.has_room(peer.link, FILES):
                 return
             number, client.entries = client.entries[0], client.entries[1:]
             if number < 0:
@@ -149,7 +149,7 @@ class LogDownload:
     def _send_data(self, peer: Peer, client: _Client, logs: tuple[ShelfFile, ...]) -> None:
         ctx = self._ctx
         for _ in range(PACKETS_PER_TICK):
-            if client.wanted is None or not ctx.has_room(peer.link, LISTS):
+            if client.wanted is None or not ctx.has_room(peer.link, FILES):
                 return
             number, offset, count = client.wanted
             file = self._file(client, logs, number)
