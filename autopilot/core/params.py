@@ -66,13 +66,17 @@ MAX_CHOICES = 16
 _MEANING = re.compile(r"(?<![\w.])(\d+) = ([^,.:;()]+)")
 _CLAUSE_END = re.compile(r": |; |, (?=\d+ = )| \(")
 _GROUPS: Mapping[str, str] = {
+    "AVD_": "Traffic",
     "BATT_": "Battery",
+    "BTN": "Pilot",
     "DEPTH_": "Limits",
     "EST_": "Estimation",
     "FENCE_": "Fence",
     "FS_": "Failsafes",
     "LAT_": "Thrusters",
+    "MAV_": "MAVLink",
     "MPC_": "Control",
+    "OFFB_": "Pilot",
     "ORIGIN_": "Place",
     "PILOT_": "Pilot",
     "SIGN_": "MAVLink",
