@@ -86,7 +86,8 @@ class Motion:
             control = self._control(t_us, nav, goal, fence)
         else:
             between = self._controller.tick(t_us, nav)
-            self._wanted_n = self._wanted_n if between is None else sound_thrust_n(between, self._limit_n)
+            kept_n = self.thrust_n if self._soft is None else self._wanted_n
+            self._wanted_n = kept_n if between is None else sound_thrust_n(between, self._limit_n)
         self.thrust_n = self._softened(t_us, self._wanted_n)
         return control
 
