@@ -7,10 +7,11 @@ from typing import Any
 
 import msgspec
 import pytest
-from viewers import Run, Stream, get, page_token, post, run
+from viewers import Run, Stream, free_port, get, page_token, post, run
 
 from autopilot.log.reader import open_log
 from autopilot.view.hub import MAX_VIEWERS
+from autopilot.view.server import ViewServer
 from autopilot.view.shown import Flow, Frame, Picture, Scene
 
 SCENARIO = """
@@ -202,3 +203,43 @@ def test_pictures_come_with_what_was_found(tmp_path: Path) -> None:
         plain = Stream(made.port)
         assert [name for (name, _), _ in zip(plain.events(), range(12), strict=False)].count("picture") == 0
         assert made.end() == 0
+
+
+def test_a_real_vehicle_is_only_shown(tmp_path: Path) -> None:
+    config = tmp_path / "rov.toml"
+    config.write_text(
+        'vehicle = "bluerov2"\n[devices.flight_controller]\ndriver = "ardusub"\nframe = "vectored"\n'
+        f'connect = "udpin:127.0.0.1:{free_port()}"\n'
+    )
+    with run(tmp_path, "--config", str(config), command="run") as made:
+        stream = Stream(made.port)
+        scene = msgspec.convert(stream.until("scene"), Scene)
+        assert not scene.simulated and scene.steerable.faults == () and not scene.steerable.pause
+        frame = msgspec.convert(stream.until("frame"), Frame)
+        assert frame.estimate is None and frame.truth is None and frame.solids == () and not frame.paused
+        asks: tuple[dict[str, object], ...] = (
+            {"do": "pause"},
+            {"do": "reset"},
+            {"do": "speed", "value": 2},
+            {"do": "current", "north_m_s": 0.1, "east_m_s": 0.0},
+            {"do": "obstacle", "number": 1, "north_m": 0.0, "east_m": 0.0},
+            {"do": "fault", "fault": {"kind": "leak"}},
+        )
+        for ask in asks:
+            status, answer = post(made.port, ask)
+            assert status == 409 and "read-only" in answer["error"]
+        assert not stream.until("frame", lambda data: data["t_s"] > frame.t_s)["paused"]
+        stream.close()
+        assert made.end() == 0
+
+
+def test_a_port_that_is_taken_or_none_is_named() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigError, match=f"port {port} of 127.0.0.1 cannot be had"):
+            ViewServer(port)
+    for wrong in ("paper-tank", "70000", "1e3"):
+        done = CliRunner().invoke(command, ["--view", wrong])
+        assert done.exit_code == 2 and "is no port" in done.output

@@ -20,21 +20,21 @@ MOST_EVENTS = 1000
 """So many events are waited for: a minute or two."""
 
 
-def _free_port() -> int:
+def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 class Run:
-    """``autopilot sitl --view 0`` and what it has printed."""
+    """``autopilot sitl --view 0``, or ``run``, and what it has printed."""
 
-    def __init__(self, folder: Path, *arguments: str) -> None:
+    def __init__(self, folder: Path, *arguments: str, command: str = "sitl") -> None:
         self.out = folder / "out.txt"
         environment = {**os.environ, "AUTOPILOT_LOG_DIR": str(folder), "AUTOPILOT_STATE_DIR": str(folder)}
         with self.out.open("w", encoding="utf-8") as out:
             self.process = subprocess.Popen(
-                autopilot_command("sitl", "--view", "0", "--connect", f"udpin:127.0.0.1:{_free_port()}", *arguments),
+                autopilot_command(command, "--view", "0", "--connect", f"udpin:127.0.0.1:{free_port()}", *arguments),
                 stdout=out,
                 stderr=subprocess.STDOUT,
                 env=environment,
@@ -62,9 +62,9 @@ class Run:
 
 
 @contextlib.contextmanager
-def run(folder: Path, *arguments: str) -> Iterator[Run]:
+def run(folder: Path, *arguments: str, command: str = "sitl") -> Iterator[Run]:
     """A run that is ended afterwards."""
-    made = Run(folder, *arguments)
+    made = Run(folder, *arguments, command=command)
     try:
         yield made
     finally:
