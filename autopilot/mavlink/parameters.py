@@ -17,8 +17,8 @@ from autopilot.mavlink.profiles import ParamEncoding
 from autopilot.mavlink.stubs import stubs_of
 from autopilot.mavlink.wire import Message
 
-PER_TICK = 5
-"""PARAM_VALUEs of a list that go out per tick and client: 500/s, 16 kB/s."""
+PER_TICK = 6
+"""PARAM_VALUEs of a list that go out per tick and client: 600/s, 19 kB/s."""
 MAX_LISTS = 8
 """Clients that read the list at the same time; one more has to ask again."""
 

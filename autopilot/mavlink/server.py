@@ -68,7 +68,7 @@ class MavlinkServer:
             params=params,
             plans=plans,
             vehicle=vehicle,
-            view=_blank_view(),
+            view=blank_view(),
             patience=patience,
             guard=guard or Guard(),
             saving=saving,
@@ -154,7 +154,7 @@ class MavlinkServer:
         return self._dispatcher.utility.utc_offset_us
 
 
-def _blank_view() -> VehicleView:
+def blank_view() -> VehicleView:
     """What there is to show before the first tick."""
     return VehicleView(
         t_us=0,

@@ -6,6 +6,7 @@ Clients sign and check with pymavlink's own code.
 from __future__ import annotations
 
 import hashlib
+import random
 import stat
 from pathlib import Path
 from typing import Any
@@ -363,3 +364,16 @@ def test_an_operator_who_is_gone_is_not_in_control() -> None:
     assert "nobody in control" in other.texts()
     assert (other.got("CONTROL_STATUS")[-1].gcs_main, other.got("CONTROL_STATUS")[-1].flags) == (0, 3)
     assert other.command(300) == 0
+
+
+def test_a_signed_frame_with_one_bit_turned_is_nobodys() -> None:
+    rng = random.Random(3)
+    world = World(signing=MemoryStore(KEY))
+    friend = Remote(world, KEY)
+    for _ in range(300):
+        data = bytearray(friend.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0)))
+        place = rng.randrange(len(data))
+        data[place] ^= 1 << rng.randrange(8)
+        if place not in (0, 1):  # else it is half a frame, which waits for the rest
+            Remote(world, None, sysid=rng.randrange(1, 250)).give(bytes(data))
+    assert calls(world) == []

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from autopilot.bench.faults.finding import Finding, Measured
 
-PARTS: tuple[str, ...] = ("link", "plans", "beside", "estimator", "machine", "guard", "loop")
+PARTS: tuple[str, ...] = ("link", "exchange", "plans", "beside", "estimator", "machine", "guard", "loop")
 """Modules of this package, in the table's order."""
 MAX_TEXT = 120
 """Of an exception, in characters."""
