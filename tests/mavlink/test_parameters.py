@@ -120,7 +120,7 @@ def test_the_list_is_throttled(world: World) -> None:
     client = world.client()
     client.send(mav.MAVLink_param_request_list_message(1, 1))
     world.tick()
-    assert 1 <= len(client.got("PARAM_VALUE")) <= 5
+    assert 1 <= len(client.got("PARAM_VALUE")) <= 6
 
 
 def test_reading_by_name_and_by_index(world: World) -> None:
