@@ -1,26 +1,37 @@
 """A client that we did not write: MAVSDK against the server on a UDP socket, in real time."""
 
+import json
 import math
+import random
 import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from mavlink_harness import World
 
+from autopilot.core.desk import Desk
 from autopilot.core.geodesy import Place
 from autopilot.core.messages import MavlinkFrame, MissionProgress, ProgressState
 from autopilot.core.plan import PlanKind
+from autopilot.log.shelf import LogShelf
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode
+from autopilot.mavlink.stubs import stubs_of
 
 mavsdk = pytest.importorskip("mavsdk")
 
 from mavsdk.plugins.action import Action, ActionError  # noqa: E402
+from mavsdk.plugins.component_metadata import ComponentMetadata, MetadataType  # noqa: E402
+from mavsdk.plugins.ftp import Ftp, FtpError  # noqa: E402
+from mavsdk.plugins.log_files import LogFiles  # noqa: E402
 from mavsdk.plugins.mission_raw import MissionItem, MissionRaw, MissionRawError  # noqa: E402
 from mavsdk.plugins.param import Param, ParamError  # noqa: E402
+from mavsdk.plugins.telemetry import Telemetry  # noqa: E402
 
 NAN = math.nan
 
@@ -57,10 +68,17 @@ class Loop(threading.Thread):
 
 @pytest.fixture(name="link", params=["px4", "generic"])
 def link_fixture(request: pytest.FixtureRequest) -> Iterator[tuple[World, Any]]:
+    with vehicle(request.param) as found:
+        yield found
+
+
+@contextmanager
+def vehicle(profile: str, shelf: LogShelf | None = None) -> Iterator[tuple[World, Any]]:
+    """One vehicle as MAVSDK finds it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    world = World(request.param)
+    world = World(profile, shelf=shelf)
     world.show(armed=False, mode=FlightMode.HOLD, intended_mode=FlightMode.HOLD)
     loop = Loop(world, port)
     mavsdk.log_subscribe(lambda *args: True)
@@ -158,7 +176,62 @@ def test_mavsdk_gets_along(link: tuple[World, Any]) -> None:
     with pytest.raises(ParamError):
         param.set_param_float("SPD_CRUISE", 50.0)
     every = param.get_all_params()
-    assert {found.name for found in (*every.int_params, *every.float_params)} >= set(world.params)
+    names = {value.name for value in (*every.int_params, *every.float_params)}
+    assert names == set(world.params) | set(stubs_of(world.server._profile))
 
     raw.clear_mission()
     assert world.plans.items(PlanKind.MISSION) == ()
+
+
+def test_the_usual_wait_for_a_vehicle_that_is_ready_ends(link: tuple[World, Any]) -> None:
+    """MAVSDK's examples wait for ``health_all_ok`` before they arm."""
+    world, system = link
+    telemetry = Telemetry(system)
+    ready, told = threading.Event(), threading.Event()
+    telemetry.subscribe_health_all_ok(lambda ok, _: ready.set() if ok else None)
+    telemetry.subscribe_raw_gps(lambda gps, _: told.set())
+    assert ready.wait(120.0) and told.wait(120.0)
+    health = telemetry.health()
+    assert health.is_global_position_ok and health.is_local_position_ok and health.is_armable
+    lost = threading.Event()
+    telemetry.subscribe_health(lambda health, _: None if health.is_global_position_ok else lost.set())
+    world.show(nav=None)
+    assert lost.wait(120.0)
+
+
+def test_logs_and_metadata_come_whole(tmp_path: Path) -> None:
+    folder = tmp_path / "logs" / "2026-11-22"
+    folder.mkdir(parents=True)
+    content = random.Random(5).randbytes(100_000)
+    (folder / "10_00_00.mcap").write_bytes(content)
+    with vehicle("px4", LogShelf(folder.parent, Desk())) as (world, system):
+        ftp = Ftp(system)
+        assert [entry.name for entry in ftp.list_directory("@MAV_LOG").entries] == ["2026-11-22"]
+        for burst in (True, False):
+            target = tmp_path / f"burst{burst}"
+            target.mkdir()
+            done = threading.Event()
+
+            def told(result: Any, progress: Any, _: Any, done: threading.Event = done) -> None:
+                if result.name != "NEXT":
+                    done.set()
+
+            ftp.download_async("@MAV_LOG/2026-11-22/10_00_00.mcap", str(target), burst, told)
+            assert done.wait(240.0)
+            assert (target / "10_00_00.mcap").read_bytes() == content
+        assert ftp.are_files_identical(str(folder / "10_00_00.mcap"), "@MAV_LOG/2026-11-22/10_00_00.mcap")
+        with pytest.raises(FtpError, match="PROTECTED"):
+            ftp.remove_file("@MAV_LOG/2026-11-22/10_00_00.mcap")
+        files = LogFiles(system)
+        (entry,) = files.get_entries()
+        fetched, ended = tmp_path / "fetched.mcap", threading.Event()
+        files.download_log_file_async(entry, str(fetched), lambda r, p, _: None if r.name == "NEXT" else ended.set())
+        assert ended.wait(240.0) and fetched.read_bytes() == content
+        metadata = ComponentMetadata(system)
+        there = threading.Event()
+        metadata.subscribe_metadata_available(lambda update, _: there.set())
+        metadata.request_autopilot_component()
+        assert there.wait(240.0)
+        found = json.loads(metadata.get_metadata(1, MetadataType.PARAMETER).json_metadata)
+        names = {entry["name"] for entry in found["parameters"]}
+        assert names >= set(world.params)

@@ -115,6 +115,9 @@ def test_vibration_is_what_shakes_and_not_what_moves() -> None:
         turned.note(np.array([0.5 * np.sin(0.01 * n), 0.0, -9.81]))
     assert 1.5 < shaken.rms_m_s2[0] < 2.5 and shaken.rms_m_s2[2] < 1e-6
     assert turned.rms_m_s2[0] < 0.05
+    before = shaken.rms_m_s2
+    shaken.note(np.array([NAN, 1e308, -np.inf]))
+    assert shaken.rms_m_s2 == before
 
 
 def test_default_telemetry_fits_half_a_slow_serial_line(world: World) -> None:
