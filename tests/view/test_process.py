@@ -7,8 +7,11 @@ from typing import Any
 
 import msgspec
 import pytest
+from click.testing import CliRunner
 from viewers import Run, Stream, free_port, get, page_token, post, run
 
+from autopilot.cli.sitl import sitl as command
+from autopilot.core.errors import ConfigError
 from autopilot.log.reader import open_log
 from autopilot.view.hub import MAX_VIEWERS
 from autopilot.view.server import ViewServer
@@ -28,6 +31,7 @@ depth_m = 1.5
 [vehicle]
 model = "lbv150"
 start_m = [-2.0, 0.0, 0.5]
+held = true
 [sensors]
 position = "pose"
 [current]
