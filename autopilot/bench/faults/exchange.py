@@ -211,8 +211,10 @@ def _slow_line() -> Measured:
     gap_s = max(after - before for before, after in itertools.pairwise(beats))
     waits.sort()
     p95_s = waits[int(0.95 * (len(waits) - 1))]
-    answers = f"{len(waits)} answers, p95 {1e3 * p95_s:.0f}, slowest {1e3 * max(waits):.0f} ms"
-    text = f"{answers}; longest gap between heartbeats {gap_s:.2f} s"
+    text = (
+        f"{len(waits)} answers, p95 {1e3 * p95_s:.0f}, slowest {1e3 * max(waits):.0f} ms;"
+        f" longest gap between heartbeats {gap_s:.2f} s"
+    )
     return Measured(text=text, kept=p95_s <= 0.25 and gap_s <= 1.2 and len(waits) > 20)
 
 
