@@ -136,7 +136,7 @@ class SensorMessages:
             mav.MAV_DISTANCE_SENSOR_LASER,
             0,
             mav.MAV_SENSOR_ROTATION_PITCH_270,
-            limited(1e4 * min(laser.sigma_m, 1.0) ** 2, 0, 254),
+            limited(1e4 * min(abs(laser.sigma_m), 1.0) ** 2, 0, 254),
         )
 
     def odometry(self) -> Message | None:
