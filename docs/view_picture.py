@@ -18,7 +18,7 @@ HERE = Path(__file__).resolve().parent
 OUT = HERE / "figures" / "live_view.svg"
 WIDTH, HEIGHT, PANEL = 760, 710, 430
 CONNECT = "udpin:127.0.0.1:24799"
-AT_S = 45.0
+AT_S = 20.0
 """Vehicle time of the picture."""
 LINE = 17
 
