@@ -84,6 +84,8 @@ class _Reader:
         self._dialect = ardupilotmega
         self._decoder = ardupilotmega.MAVLink(None)
         self._last_us: int | None = None
+        self._near_us: int | None = None
+        """What the next stamp is compared with: the last one, unless nothing that follows is near it."""
 
     def records(self) -> Iterator[Packet | DamagedPiece]:
         begin = 0
@@ -91,6 +93,9 @@ class _Reader:
             packet, end = self._packet(begin)
             if packet is None and (end is None or not self._begins_record(end)):
                 found = self._next_packet(begin + 1)
+                if found == len(self._data) and self._near_us is not None:
+                    self._near_us = None  # a sound packet's own stamp may be what is damaged
+                    continue
                 yield self._damaged(begin, found, whole=False)
                 begin = found
                 continue
@@ -98,7 +103,7 @@ class _Reader:
             if packet is None:
                 yield self._damaged(begin, end, whole=True)
             else:
-                self._last_us = packet.at_us
+                self._last_us = self._near_us = packet.at_us
                 yield packet
             begin = end
 
@@ -150,7 +155,7 @@ class _Reader:
         if at >= len(self._data):
             return begin == len(self._data)
         stamp_us = self._stamp_us(begin)
-        near = self._last_us is None or abs(stamp_us - self._last_us) <= APART_US
+        near = self._near_us is None or abs(stamp_us - self._near_us) <= APART_US
         return near and EARLIEST_US <= stamp_us <= LATEST_US and self._data[at] in HEADER_BYTES
 
     def _next_packet(self, begin: int) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
@@ -232,6 +232,7 @@ def test_whatever_happens_on_the_way(events: list[str | tuple[str, Any]], tmp_pa
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10**9), flips=st.integers(1, 40))
+@example(seed=178, flips=21)
 def test_any_damage_is_survived(seed: int, flips: int, tmp_path: Path) -> None:
     rng = random.Random(seed)
     writer = Writer()
