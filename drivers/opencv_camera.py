@@ -1,8 +1,9 @@
 """Camera through OpenCV's VideoCapture: V4L2, RTSP and other network streams, or a GStreamer pipeline.
 
 A thread of its own grabs and stamps, so that neither a slow nor a hanging camera holds up the loop; of several pictures
-since the last poll the newest wins. The stamp is taken at the grab; what passes between exposure and grab is
-``latency_s``, and ``autopilot calibrate latency`` finds what is left of it.
+since the last poll the newest wins. Stamps follow the beat in which pictures are grabbed (:mod:`drivers.frame_clock`);
+what passes between exposure and grab in the mean is ``latency_s``, and ``autopilot calibrate latency`` finds what is
+left of it.
 """
 
 import os
@@ -19,6 +20,7 @@ from autopilot.core.samples import CameraFrame
 from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
 from drivers.base import Closing
+from drivers.frame_clock import FrameClock, LoopTime
 
 DEAD_US = 3_000_000
 """Without a picture for so long the camera is gone."""
@@ -82,15 +84,15 @@ class _Grabber:
     def __init__(self, capture: Any) -> None:
         self._capture = capture
         self._lock = threading.Lock()
-        self._newest: tuple[int, Any] | None = None
+        self._newest: tuple[int, int, Any] | None = None
         self.stopped = False
         self.failed = ""
         self.missed = 0
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
 
-    def take(self) -> tuple[int, Any] | None:
-        """The newest picture that has not been taken, with the time of its grab [ns]."""
+    def take(self) -> tuple[int, int, Any] | None:
+        """The newest picture that has not been taken, with the time of its grab and that of its beat [us]."""
         with self._lock:
             newest, self._newest = self._newest, None
         return newest
@@ -101,19 +103,21 @@ class _Grabber:
         self._thread.join(JOIN_S)
 
     def _run(self) -> None:
+        beat = FrameClock()
         try:
             while not self.stopped:
                 if not self._capture.grab():
                     self.failed = "gives no more pictures"
                     return
-                grabbed_ns = time.monotonic_ns()
+                grabbed_us = time.monotonic_ns() // 1000
+                beat_us = beat.stamp(grabbed_us)
                 good, image = self._capture.retrieve()
                 if not good or image is None:
                     self.missed += 1
                     continue
                 with self._lock:
                     self.missed += self._newest is not None
-                    self._newest = grabbed_ns, image
+                    self._newest = grabbed_us, beat_us, image
         except Exception as error:  # noqa: BLE001 - OpenCV raises errors of its own; the loop is told by poll
             self.failed = str(error) or type(error).__name__
         finally:
@@ -133,6 +137,7 @@ class OpenCvCamera(Closing):
         latency_s = LATENCY_SHARE * eye.latency_s if options.latency_s is None else options.latency_s
         self._latency_us = round(1e6 * latency_s)
         self._grabber: _Grabber | None = None
+        self._time = LoopTime()
         self._heard_us: int | None = None
         self._last_us = -(1 << 62)
         self.remarks: list[str] = []
@@ -172,6 +177,7 @@ class OpenCvCamera(Closing):
 
     def poll(self, t_us: int) -> list[CameraFrame]:
         """The newest picture, if there is a new one. DriverError when the camera is gone."""
+        self._time.hear(t_us, time.monotonic_ns() // 1000)
         grabber = self._grabber
         if grabber is None:
             return []
@@ -183,9 +189,9 @@ class OpenCvCamera(Closing):
             if t_us - self._heard_us > DEAD_US:
                 raise DriverError(f"{self._options.source} hangs; check cable and power")
             return []
-        grabbed_ns, image = newest
+        grabbed_us, beat_us, image = newest
         self._heard_us = t_us
-        taken_us = t_us - max(0, time.monotonic_ns() - grabbed_ns) // 1000 - self._latency_us
+        taken_us = min(self._time.at(beat_us) - self._latency_us, self._time.at(grabbed_us))
         if taken_us <= self._last_us:
             return []
         self._last_us = taken_us

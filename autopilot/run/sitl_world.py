@@ -85,9 +85,10 @@ def make_world(settings: Settings, scenario: Scenario, params: ParamSet) -> Worl
 
 
 def _wires(settings: Settings) -> frozenset[Wire]:
-    """What is wired as on a real vehicle. ConfigError when no clock runs."""
-    if settings["hil"] and float(settings["speed"]) == 0.0:
-        raise ConfigError("--hil needs a clock that runs, --speed 0 has none; use --speed 1")
+    """What is wired as on a real vehicle. ConfigError when time is not real."""
+    speed = float(settings["speed"])
+    if settings["hil"] and speed != 1.0:
+        raise ConfigError(f"--hil takes the time that bytes take, --speed {speed:g} does not; use --speed 1")
     return wires(settings["hil"])
 
 

@@ -104,6 +104,24 @@ def test_the_newest_picture_wins_over_a_network(server: MjpegServer, show: Show)
         assert stamps[-1] <= now_us() - TRANSPORT_US
 
 
+def test_a_camera_that_is_polled_late_says_when_the_picture_came(server: MjpegServer, show: Show) -> None:
+    options = OpenCvCameraOptions(source=server.url, latency_s=0.0)
+    with OpenCvCamera(VEHICLE, options) as camera:
+        start_us = time.monotonic_ns() // 1000
+        camera.poll(0)
+        show.number = 15
+        shown_us = time.monotonic_ns() // 1000 - start_us
+        assert shown_us > 0
+        found: list[CameraFrame] = []
+
+        def look() -> bool:
+            found.extend(camera.poll(1))  # ticks that are very late: what they say is not what it is
+            return bool(found) and number(found[-1]) == 15
+
+        until(look)
+        assert shown_us - 5_000 <= found[-1].t_us <= time.monotonic_ns() // 1000 - start_us
+
+
 def test_a_camera_that_goes_is_down_and_there_again(server: MjpegServer, show: Show) -> None:
     steady = SteadySensor(OpenCvCamera(VEHICLE, OpenCvCameraOptions(source=server.url)), "camera")
     t_us = 0

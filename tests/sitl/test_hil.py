@@ -93,7 +93,8 @@ def test_pictures_come_over_the_network() -> None:
         assert drive.frames[-1].t_us < drive.t_us
 
 
-def test_wires_need_a_clock() -> None:
-    settings = gather(sitl_defaults(0), {"speed": 0.0, "hil": ("serial",), "connect": ()}, {})
-    with pytest.raises(ConfigError, match="--hil needs a clock that runs, --speed 0 has none; use --speed 1"):
+@pytest.mark.parametrize("speed", [0.0, 0.5, 2.0])
+def test_wires_need_real_time(speed: float) -> None:
+    settings = gather(sitl_defaults(0), {"speed": speed, "hil": ("serial",), "connect": ()}, {})
+    with pytest.raises(ConfigError, match=f"--hil takes the time that bytes take, --speed {speed:g} does not; use"):
         open_sitl(settings, {}, log=False)

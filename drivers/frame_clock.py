@@ -1,0 +1,146 @@
+"""When pictures were taken that come without stamps: the camera's beat is followed, delays that vary are not.
+
+A camera exposes with its own even beat; encoders, networks and a busy machine delay each picture as they like. So the
+arrivals lie about a line (time over the picture's number in the beat), and what the line says is nearer to the exposure
+than the arrival. Its mean delay stays in; that is the ``latency_s`` of cameras. A camera without a beat (exposure that
+is longer in the dark, pictures by trigger) is found by arrivals that lie anywhere between two beats; then they stand
+for themselves.
+"""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+
+FIRST = 60
+"""Arrivals before the beat is looked for; until it is known they stand for themselves."""
+WINDOW = 240
+"""Arrivals that the line goes through: 8 s at 30 Hz, in which clocks of cameras drift by less than a millisecond."""
+TRIED = np.geomspace(0.28, 1.4, 800)
+"""Beats that are tried, in median steps: of a stream that loses most pictures a step is two or three beats, and a
+step's delay may be a third of a beat more than the one's before."""
+LEAST_ORDER = 0.45
+"""Of arrivals in a beat (1 = all at the same phase): those without a beat come to about 0.35 in their best of all."""
+LEAST_SHARE = 0.65
+"""The longest beat that comes so near to the best is it: half of a beat and a third are beats, too."""
+CLIP = 2.5
+"""Arrivals farther from the line than so many standard deviations pull it no more than that."""
+STRAY = 0.25
+"""Standard deviation about the line, in beats, at which there is none: arrivals at any time have 0.29."""
+EARLY_SIGMAS, EARLY = 3.3, (0.05, 0.45)
+"""A picture may come early by so many standard deviations, at least and at most so many beats; what is later than the
+rest of a beat is taken for the next picture. Delays have long tails on one side only."""
+PAUSE_BEATS = 60.0
+"""After a silence of so many pictures the beat is looked for anew."""
+LOST_COUNT = 20
+"""So many in a row off the line on one side: something in between has changed, and the line begins anew with them."""
+
+
+class LoopTime:
+    """Turns the machine's monotonic clock into the loop's time.
+
+    The loop says its time when it polls, which is the time at which the tick was due: a late tick says less than it
+    is. The largest difference of some seconds is that of a tick in time.
+    """
+
+    def __init__(self, polls: int = 200) -> None:
+        self._ahead_us: deque[int] = deque(maxlen=polls)
+
+    def hear(self, t_us: int, clock_us: int) -> None:
+        """The loop says ``t_us``, the machine's clock ``clock_us``."""
+        self._ahead_us.append(t_us - clock_us)
+
+    def at(self, clock_us: int) -> int:
+        """The loop's time when the machine's clock said that; something must have been heard."""
+        return clock_us + max(self._ahead_us)
+
+
+class FrameClock:
+    """Of one stream of pictures."""
+
+    def __init__(self) -> None:
+        self._times_us: deque[int] = deque(maxlen=WINDOW)
+        self._line: _Line | None = None
+        self._off = 0
+
+    @property
+    def rate_hz(self) -> float:
+        """Pictures per second by the camera's beat; 0 = none has been found."""
+        return 0.0 if self._line is None else 1e6 / self._line.beat_us
+
+    def stamp(self, arrival_us: int) -> int:
+        """When this picture would have come with the mean delay [us]. Arrivals in their order."""
+        times, line = self._times_us, self._line
+        if times and (arrival_us <= times[-1] or (line and arrival_us - times[-1] > PAUSE_BEATS * line.beat_us)):
+            times.clear()
+            self._line = line = None
+        times.append(arrival_us)
+        if line is not None:
+            self._follow(line)
+        elif len(times) >= FIRST and len(times) % (FIRST // 4) == 0:
+            self._line = _find(np.array(times, dtype=float))
+        line = self._line
+        return arrival_us if line is None else round(line.of(arrival_us))
+
+    def _follow(self, line: "_Line") -> None:
+        """The line anew with the last arrival; none if arrivals do not keep to it."""
+        off = (self._times_us[-1] - line.of(self._times_us[-1])) / max(line.sigma_us, 1.0)
+        same_side = self._off * off >= 0.0
+        self._off = (self._off if same_side else 0) + (int(math.copysign(1, off)) if abs(off) > CLIP else 0)
+        if abs(self._off) >= LOST_COUNT:
+            self._off = 0
+            while len(self._times_us) > FIRST:
+                self._times_us.popleft()
+            self._line = None
+        else:
+            self._line = line.through(np.array(self._times_us, dtype=float))
+
+
+class _Line:
+    """Time over number: ``at_us + n beat_us``."""
+
+    def __init__(self, at_us: float, beat_us: float, sigma_us: float) -> None:
+        self.at_us, self.beat_us, self.sigma_us = at_us, beat_us, sigma_us
+        self._early = min(max(EARLY_SIGMAS * sigma_us / beat_us, EARLY[0]), EARLY[1])
+
+    def of(self, time_us: float) -> float:
+        """The beat of this arrival."""
+        return self.at_us + math.floor((time_us - self.at_us) / self.beat_us + self._early) * self.beat_us
+
+    def through(self, times_us: FloatArray) -> "_Line | None":
+        """The line through these arrivals, numbered by this one; None if they have no beat."""
+        numbers = np.floor((times_us - self.at_us) / self.beat_us + self._early)
+        middle = float(numbers.mean())
+        x = numbers - middle
+        off = times_us - (self.at_us + numbers * self.beat_us)
+        off = np.clip(off, -CLIP * self.sigma_us, CLIP * self.sigma_us)
+        mean, slope = float(off.mean()), float(x @ off / max(float(x @ x), 1.0))
+        rest = off - mean - slope * x
+        sigma_us = max(math.sqrt(float(rest @ rest) / len(rest)) * 1.1, 0.005 * self.beat_us)  # 1.1: clipped
+        if sigma_us > STRAY * self.beat_us:
+            return None
+        number = round(middle)
+        at_us = self.at_us + number * self.beat_us + mean + slope * (number - middle)
+        return _Line(at_us, self.beat_us + slope, sigma_us)
+
+
+def _find(times_us: FloatArray) -> _Line | None:
+    """The beat in which arrivals are most alike (a peak of their periodogram); None if there is none."""
+    begin_us = float(times_us[0])
+    beats_us = float(np.median(np.diff(times_us))) * TRIED
+    phasors = np.exp(2j * np.pi * (times_us[:, None] - begin_us) / beats_us).mean(axis=0)
+    orders = np.abs(phasors)
+    peak = np.r_[False, (orders[1:-1] >= orders[:-2]) & (orders[1:-1] >= orders[2:]), False]
+    good = np.flatnonzero(peak & (orders >= max(LEAST_ORDER, LEAST_SHARE * float(orders.max()))))
+    if not len(good):
+        return None
+    beat_us, order = float(beats_us[good[-1]]), float(orders[good[-1]])
+    phase = float(np.angle(phasors[good[-1]])) / (2.0 * math.pi)
+    # Of a normal distribution round a circle: order = exp(-(2 pi sigma)^2 / 2).
+    sigma_us = max(math.sqrt(max(-2.0 * math.log(order), 0.0)) / (2.0 * math.pi), 0.01) * beat_us
+    line: _Line | None = _Line(begin_us + phase * beat_us, beat_us, sigma_us)
+    for _ in range(3):
+        line = line and line.through(times_us)
+    return line

@@ -1,0 +1,104 @@
+"""Pictures without stamps: the camera's beat is found under delays of every kind, and not where there is none."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.frame_clock import FIRST, WINDOW, FrameClock, LoopTime
+
+Delay = Callable[[np.random.Generator], float]
+"""Of one picture [us]."""
+DELAYS: dict[str, Delay] = {
+    "none": lambda rng: 4000.0,
+    "even": lambda rng: rng.uniform(2000.0, 8000.0),
+    "ticks": lambda rng: 10_000.0 * rng.integers(0, 2),
+    "tail": lambda rng: 5000.0 + rng.exponential(4000.0),
+    "normal": lambda rng: 60_000.0 + 3000.0 * rng.standard_normal(),
+    "stalls": lambda rng: 5000.0 + rng.uniform(0.0, 2000.0) + 20_000.0 * (rng.random() < 0.05),
+}
+
+
+def stream(clock: FrameClock, rate_hz: float, delay: Delay, rng: np.random.Generator, count: int, lost: float = 0.0):
+    """(n, 2) how late arrivals and stamps are [us]."""
+    found, before = [], -1
+    for k in range(count):
+        if rng.random() < lost:
+            continue
+        taken_us = k * 1e6 / rate_hz
+        before = max(before + 1, round(taken_us + delay(rng)))
+        found.append((before - taken_us, clock.stamp(before) - taken_us))
+    return np.array(found)
+
+
+@settings(max_examples=60)
+@given(
+    st.floats(9.0, 45.0),
+    st.sampled_from(sorted(DELAYS)),
+    st.sampled_from([0.0, 0.1, 0.4]),
+    st.integers(0, 1 << 30),
+)
+def test_stamps_vary_less_than_arrivals(rate_hz: float, kind: str, lost: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    if kind in ("ticks", "tail", "stalls") and rate_hz > 30.0:
+        rate_hz /= 2.0  # half a picture's time of jitter is no beat
+    clock = FrameClock()
+    late_us = stream(clock, rate_hz, DELAYS[kind], rng, 3 * WINDOW, lost)[3 * FIRST :]
+    arrivals, stamps = late_us[:, 0], late_us[:, 1]
+    assert clock.rate_hz == pytest.approx(rate_hz, rel=0.003)
+    assert stamps.mean() == pytest.approx(arrivals.mean(), abs=2500.0)  # latency_s is a mean delay
+    inner = np.ptp(np.percentile(stamps, [2, 98]))
+    assert inner <= max(0.5 * np.ptp(np.percentile(arrivals, [2, 98])), 400.0)
+
+
+@given(st.integers(0, 1 << 30))
+@settings(max_examples=30)
+def test_without_a_beat_arrivals_stand_for_themselves(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    clock, t_us, moved = FrameClock(), 0.0, []
+    for _ in range(600):
+        t_us += rng.uniform(15_000.0, 80_000.0)
+        moved.append(abs(clock.stamp(round(t_us)) - round(t_us)))
+    assert np.mean(np.array(moved) > 0) < 0.1
+
+
+def test_a_stream_that_changes_its_rate_is_found_again() -> None:
+    rng = np.random.default_rng(3)
+    clock = FrameClock()
+    stream(clock, 30.0, DELAYS["tail"], rng, 300)
+    start_us = 11_000_000
+    late = []
+    for k in range(400):
+        taken_us = start_us + k * 80_000.0
+        late.append(clock.stamp(round(taken_us + DELAYS["tail"](rng))) - taken_us)
+    assert clock.rate_hz == pytest.approx(12.5, rel=0.003)
+    assert np.std(late[200:]) < 1500.0
+
+
+def test_a_delay_that_grows_for_good_is_followed() -> None:
+    rng = np.random.default_rng(4)
+    clock = FrameClock()
+    stream(clock, 25.0, DELAYS["tail"], rng, 500)
+    late = []
+    for k in range(500, 800):
+        taken_us = k * 40_000.0
+        late.append(clock.stamp(round(taken_us + 15_000.0 + DELAYS["tail"](rng))) - taken_us)
+    assert np.mean(late[-50:]) == pytest.approx(24_000.0, abs=2500.0)
+
+
+@pytest.mark.parametrize("times", [[0, 0, 0], [5, 4, 3], [0] * 300, list(range(300)), [1 << 60, 0, 1 << 60]])
+def test_any_arrivals_are_stamped(times: list[int]) -> None:
+    clock = FrameClock()
+    for time_us in times:
+        assert abs(clock.stamp(time_us) - time_us) < 1_000_000
+
+
+def test_late_ticks_do_not_move_the_time_of_a_picture() -> None:
+    """The loop says when a tick was due; pictures are stamped by when they came."""
+    told = LoopTime()
+    rng = np.random.default_rng(5)
+    for tick in range(300):
+        told.hear(10_000 * tick, 7_000_000 + 10_000 * tick + round(rng.exponential(6000.0)))
+    assert told.at(7_000_000 + 3_000_000) == pytest.approx(3_000_000, abs=300)
