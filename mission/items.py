@@ -1,6 +1,6 @@
 """Mission items as typed steps: what a MISSION_ITEM_INT asks for, in local metres and radians.
 
-:func:`mission.decode.parse_step` makes them from items.
+:func:`mission.item_types.parse_step` makes them from items.
 """
 
 from dataclasses import dataclass
@@ -135,4 +135,16 @@ class SetHome:
     """(3,), None = where the vehicle is then."""
 
 
-Step: TypeAlias = GoTo | Surface | ReturnHome | Wait | Jump | ChangeSpeed | SetHeading | SetHome
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """Something for the vehicle's equipment, passed on in passing (SequencerOutput.orders); classes that say what
+    derive from it."""
+
+    seq: int
+
+
+Travel: TypeAlias = GoTo | Surface | ReturnHome
+"""Steps that go to a place."""
+Timed: TypeAlias = Travel | Wait
+"""Steps that take time; all others are done in passing."""
+Step: TypeAlias = Timed | Jump | ChangeSpeed | SetHeading | SetHome | Order

@@ -14,7 +14,20 @@ import numpy as np
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, MissionProgress, NavHealth, NavState, ProgressState
-from mission.items import ChangeSpeed, GoTo, Jump, ReturnHome, SetHeading, SetHome, Step, Surface, Wait
+from mission.items import (
+    ChangeSpeed,
+    GoTo,
+    Jump,
+    Order,
+    ReturnHome,
+    SetHeading,
+    SetHome,
+    Step,
+    Surface,
+    Timed,
+    Travel,
+    Wait,
+)
 from mission.lookahead import next_waypoint
 
 GOALS_AHEAD = 2
@@ -45,6 +58,8 @@ class SequencerOutput:
     action: Action | None = None
     home_ned_m: FloatArray | None = None
     """(3,) new home, on the tick on which a DO_SET_HOME ran."""
+    orders: tuple[Order, ...] = ()
+    """For the equipment, in the order in which the mission came by them on this tick."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,6 +116,7 @@ class Sequencer:
         self._reached_now: list[int] = []
         self._action: Action | None = None
         self._new_home: FloatArray | None = None
+        self._orders: list[Order] = []
         self._steps: tuple[Step, ...] = ()
         self._lap_marker = -1
         self._run = _Run(cursor=0, state=ProgressState.NO_MISSION)
@@ -176,7 +192,7 @@ class Sequencer:
         run = self._run
         if run.state is not ProgressState.ACTIVE or not run.entered or run.inside_since_us is not None:
             return False
-        return isinstance(self._steps[run.cursor], GoTo | Surface | ReturnHome)
+        return isinstance(self._steps[run.cursor], Travel)
 
     def skip(self, nav: NavState) -> None:
         """Give the present item up: go on with the next as if it were over. It does not count as reached. NAV_LAND
@@ -218,7 +234,7 @@ class Sequencer:
 
     def step(self, t_us: int, nav: NavState) -> SequencerOutput:
         """One tick. Same calls, same outputs."""
-        self._reached_now, self._action, self._new_home = [], None, None
+        self._reached_now, self._action, self._new_home, self._orders = [], None, None, []
         if self._run.state is ProgressState.ACTIVE:
             self._run_steps(t_us, nav)
         goal = self._run.goal
@@ -234,6 +250,7 @@ class Sequencer:
             reached=tuple(self._reached_now),
             action=self._action,
             home_ned_m=self._new_home,
+            orders=tuple(self._orders),
         )
 
     def progress(self, t_us: int) -> MissionProgress:
@@ -267,7 +284,7 @@ class Sequencer:
         ended = False
         for _ in range(MAX_INSTANT_STEPS):
             step = self._steps[self._run.cursor]
-            if isinstance(step, GoTo | Surface | ReturnHome | Wait):
+            if isinstance(step, Timed):
                 if not self._run.entered and not self._enter(step, nav):
                     return
                 if ended or not self._is_done(step, t_us, nav):
@@ -279,7 +296,7 @@ class Sequencer:
             if self._run.state is not ProgressState.ACTIVE:
                 return
 
-    def _execute(self, step: Jump | ChangeSpeed | SetHeading | SetHome, nav: NavState) -> None:
+    def _execute(self, step: Jump | ChangeSpeed | SetHeading | SetHome | Order, nav: NavState) -> None:
         """A step that takes no time."""
         if isinstance(step, Jump):
             self._jump(step)
@@ -289,6 +306,8 @@ class Sequencer:
             self._refresh_goal()
         elif isinstance(step, SetHeading):
             self._set_heading(step, float(nav.rpy_rad[2]))
+        elif isinstance(step, Order):
+            self._orders.append(step)
         else:
             place = nav.pos_ned_m if step.pos_ned_m is None else step.pos_ned_m
             if bool(np.all(np.isfinite(place))):
@@ -329,7 +348,7 @@ class Sequencer:
         self._run.state = ProgressState.COMPLETE
         self._action = action
 
-    def _enter(self, step: GoTo | Surface | ReturnHome | Wait, nav: NavState) -> bool:
+    def _enter(self, step: Timed, nav: NavState) -> bool:
         """Set the goal of a step. False (try again on the next tick) while it needs an estimate that is not finite."""
         target = self._target_ned_m(step, nav)
         if target is None:
@@ -342,7 +361,7 @@ class Sequencer:
         self._run.waited_us = 0
         return True
 
-    def _target_ned_m(self, step: GoTo | Surface | ReturnHome | Wait, nav: NavState) -> FloatArray | None:
+    def _target_ned_m(self, step: Timed, nav: NavState) -> FloatArray | None:
         """(3,) where a step goes first, None while that is unknown."""
         here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
         last = here if self._run.goal is None else self._run.goal.pos_ned_m
@@ -359,7 +378,7 @@ class Sequencer:
             return np.array([last[0], last[1], self._params["DEPTH_MIN"]])
         return np.array([step.pos_ned_m[0], step.pos_ned_m[1], last[2]])
 
-    def _is_done(self, step: GoTo | Surface | ReturnHome | Wait, t_us: int, nav: NavState) -> bool:
+    def _is_done(self, step: Timed, t_us: int, nav: NavState) -> bool:
         """Whether a step that takes time has ended."""
         if isinstance(step, Wait):
             since_us = t_us if self._run.clock_us is None else self._run.clock_us
@@ -381,7 +400,7 @@ class Sequencer:
             return False
         return True
 
-    def _leave(self, step: GoTo | Surface | ReturnHome | Wait) -> None:
+    def _leave(self, step: Timed) -> None:
         """Report the end of a step and go on."""
         if not isinstance(step, Wait) or step.reported:
             self._reached_now.append(step.seq)
@@ -400,7 +419,7 @@ class Sequencer:
 
     # Goals.
 
-    def _make_goal(self, step: GoTo | Surface | ReturnHome | Wait, pos_ned_m: FloatArray) -> Goal:
+    def _make_goal(self, step: Timed, pos_ned_m: FloatArray) -> Goal:
         """The goal of a step at a place (3,), which is brought into the depth band."""
         yaw = step.yaw_rad if isinstance(step, GoTo | Surface) else None
         radius = step.accept_radius_m if isinstance(step, GoTo) else None

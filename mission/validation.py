@@ -14,10 +14,11 @@ import numpy as np
 
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
-from mission.decode import ItemRefusedError, depth_m, horizontal_ned_m, parse_step, refuse
+from mission.decode import ItemRefusedError, depth_m, horizontal_ned_m, refuse
 from mission.fence import FenceShape, build_fence, check_fence_item
 from mission.gaps import Gap, narrow_gaps
-from mission.items import ChangeSpeed, Command, GoTo, Jump, ReturnHome, SetHome, Step, Surface, Wait
+from mission.item_types import parse_step
+from mission.items import ChangeSpeed, Command, GoTo, Jump, SetHome, Step, Surface, Travel, Wait
 from mission.reach import free_regions, has_room
 from mission.room import Room
 
@@ -158,7 +159,7 @@ def _jump_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
 def _takes_time(step: Step) -> bool:
     if isinstance(step, Wait):
         return step.duration_s > 0.0
-    return isinstance(step, GoTo | Surface | ReturnHome)
+    return isinstance(step, Travel)
 
 
 def _spins(steps: Sequence[Step], start: Jump) -> bool:

@@ -11,7 +11,7 @@ from autopilot.command.conditions import Conditions
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, Severity
 from autopilot.core.params import ParamSet
-from mission.items import ChangeSpeed, Jump, SetHeading, SetHome, Step
+from mission.items import Step, Timed
 from mission.sequencer import Sequencer, SequencerOutput
 from mission.store import Plans
 from mission.upstream import TOLD_M_S, MadeGood, SlowLeg, slowest_leg
@@ -90,9 +90,7 @@ class MissionRun:
         steps = self._plans.steps()
         last = len(steps) - 1
         flown = max((*reached, self.sequencer.progress(t_us).reached_seq))
-        ends_with_orders = all(
-            isinstance(step, Jump | ChangeSpeed | SetHeading | SetHome) for step in steps[flown + 1 :]
-        )
+        ends_with_orders = not any(isinstance(step, Timed) for step in steps[flown + 1 :])
         return (*reached, last) if flown < last and ends_with_orders else reached
 
     # Goals that are not reached

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mission_helpers import NAN, ORIGIN, circle, local, plain, waypoint
 
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
-from mission.decode import parse_step
+from mission.item_types import parse_step
 from mission.items import ChangeSpeed, Command, GoTo, Jump, ReturnHome, SetHeading, SetHome, Surface, Wait
 from mission.validation import check_item
 

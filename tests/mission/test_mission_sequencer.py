@@ -14,7 +14,7 @@ from autopilot.core.frames import wrap_pi
 from autopilot.core.messages import Goal, NavHealth, ProgressState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanItem
-from mission.decode import parse_step
+from mission.item_types import parse_step
 from mission.items import Command
 from mission.paper import paper_plan
 from mission.sequencer import Action, Sequencer, SequencerOutput, is_inside

@@ -1,0 +1,127 @@
+"""The mission items that can be flown: one row per command, read by the parser and by the documentation.
+
+A row more is a command more: what it asks for is a class of :mod:`mission.items`, what it does stands in
+:mod:`mission.sequencer`. ``python docs/items.py --write`` brings the table of docs/mavlink.md in line.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from autopilot.core.geodesy import Origin
+from autopilot.core.plan import MissionResult, PlanItem
+from mission import do_items, nav_items
+from mission.decode import refuse
+from mission.items import GLOBAL_FRAMES, Command, Frame, Step
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ItemType:
+    """One command that a mission may hold."""
+
+    command: Command
+    parse: Callable[[PlanItem, Origin], Step]
+    """ItemRefusedError when the item cannot be flown."""
+    uses: str
+    """What of it is used, for the documentation (Markdown)."""
+    placed: bool = False
+    """Its frame is judged with its position."""
+
+
+_ROWS = (
+    ItemType(
+        command=Command.NAV_WAYPOINT,
+        parse=nav_items.goto,
+        uses="p1 hold [s], p2 acceptance radius [m] (0 = `WP_ACCEPT_RADIUS`, else at least 0.02), p3 must be 0, p4 yaw",
+        placed=True,
+    ),
+    ItemType(
+        command=Command.NAV_LOITER_UNLIM,
+        parse=nav_items.loiter,
+        uses="p4 yaw; position 0, 0 or frame 2 = here",
+        placed=True,
+    ),
+    ItemType(
+        command=Command.NAV_LOITER_TIME,
+        parse=nav_items.loiter,
+        uses="p1 time [s]; the same",
+        placed=True,
+    ),
+    ItemType(
+        command=Command.NAV_RETURN_TO_LAUNCH,
+        parse=nav_items.return_home,
+        uses="goes home at the depth of the goal before it; ends the mission",
+    ),
+    ItemType(
+        command=Command.NAV_LAND,
+        parse=nav_items.surface,
+        uses="surface there (or here), then disarm; ends the mission; altitude unused",
+        placed=True,
+    ),
+    ItemType(
+        command=Command.NAV_TAKEOFF,
+        parse=nav_items.take_off,
+        uses=(
+            "p4 yaw: dives where the vehicle is; an altitude in the water is the depth, one above it (ground stations "
+            "put 2 to 50 m) means `TKOFF_DEPTH`; position unused"
+        ),
+    ),
+    ItemType(
+        command=Command.NAV_DELAY,
+        parse=nav_items.wait,
+        uses="p1 [s], pauses left out; a time of day is refused",
+    ),
+    ItemType(
+        command=Command.CONDITION_DELAY,
+        parse=nav_items.wait,
+        uses="the same, without a MISSION_ITEM_REACHED",
+    ),
+    ItemType(
+        command=Command.CONDITION_YAW,
+        parse=do_items.set_heading,
+        uses=(
+            "p1 heading [deg], p3 -1 = to port, p4 1 = relative; for later goals that leave the heading free, and at "
+            "once for a delay that follows"
+        ),
+    ),
+    ItemType(
+        command=Command.DO_JUMP,
+        parse=do_items.jump,
+        uses="p1 item, p2 repeats (-1 = for ever)",
+    ),
+    ItemType(
+        command=Command.DO_CHANGE_SPEED,
+        parse=do_items.change_speed,
+        uses=(
+            "p1 0 or 1, p2 speed over ground [m/s], flown as asked (-2 = none: `SPD_CRUISE` holds again), at most "
+            "`SPD_PLANAR_MAX`"
+        ),
+    ),
+    ItemType(
+        command=Command.DO_SET_HOME,
+        parse=do_items.set_home,
+        uses="p1 1 = here",
+    ),
+)
+
+ITEM_TYPES: dict[int, ItemType] = {int(row.command): row for row in _ROWS}
+"""By MAV_CMD, in the order of the documentation."""
+
+
+def parse_step(item: PlanItem, origin: Origin) -> Step:
+    """The step that a mission item asks for; ItemRefusedError if it cannot be flown."""
+    found = ITEM_TYPES.get(item.command)
+    if found is None:
+        known = ", ".join(str(number) for number in ITEM_TYPES)
+        text = f"command {item.command} is not supported in a mission; use one of {known}"
+        raise refuse(item, MissionResult.UNSUPPORTED, text)
+    if not found.placed and item.frame not in GLOBAL_FRAMES | {Frame.LOCAL_NED, Frame.MISSION}:
+        text = f"frame {item.frame} is not supported for command {item.command}; use frame 2 (MISSION)"
+        raise refuse(item, MissionResult.UNSUPPORTED_FRAME, text)
+    return found.parse(item, origin)
+
+
+def table() -> str:
+    """The rows as a Markdown table."""
+    lines = ["| command | parameters used |", "| --- | --- |"]
+    lines += [f"| {row.command.name} {int(row.command)} | {row.uses} |" for row in ITEM_TYPES.values()]
+    return "\n".join(lines)

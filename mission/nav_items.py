@@ -1,0 +1,105 @@
+"""Mission items that go somewhere or wait: NAV_ commands (MAV_CMD, common.xml)."""
+
+import math
+
+import numpy as np
+
+from autopilot.core.geodesy import Origin
+from autopilot.core.plan import MissionResult, PlanItem
+from mission.decode import (
+    SURFACE_TOLERANCE_M,
+    depth_m,
+    heading_rad,
+    horizontal_ned_m,
+    is_here,
+    number,
+    refuse,
+    seconds,
+)
+from mission.items import AMSL_FRAMES, Command, Frame, GoTo, ReturnHome, Step, Surface, Wait
+
+DIVED_M = 0.1
+"""NAV_TAKEOFF is done within this distance of its depth."""
+MIN_ACCEPT_RADIUS_M = 0.02
+"""A smaller acceptance ball is below what any estimate can tell."""
+
+
+def goto(item: PlanItem, origin: Origin) -> Step:
+    """NAV_WAYPOINT: p1 hold [s], p2 acceptance radius [m] (0 = default), p3 pass-by radius, p4 yaw [deg]."""
+    hold = seconds(item, "hold time")
+    radius = number(item, 2, "acceptance radius") or None
+    if radius is not None and radius < MIN_ACCEPT_RADIUS_M:
+        text = f"acceptance radius (param2) is {radius:g} m; use {MIN_ACCEPT_RADIUS_M:g} m or more, 0 for the default"
+        raise refuse(item, MissionResult.INVALID_PARAM2, text)
+    if number(item, 3, "pass-by radius"):
+        text = f"pass-by radius (param3) is {item.param3:g} m, which is not supported; set it to 0"
+        raise refuse(item, MissionResult.INVALID_PARAM3, text)
+    yaw = heading_rad(item)
+    north, east = horizontal_ned_m(item, origin)
+    return GoTo(
+        seq=item.seq,
+        pos_ned_m=np.array([north, east, depth_m(item, origin)]),
+        yaw_rad=yaw,
+        hold_s=hold,
+        accept_radius_m=radius,
+        autocontinue=item.autocontinue != 0,
+    )
+
+
+def loiter(item: PlanItem, origin: Origin) -> Step:
+    """NAV_LOITER_UNLIM (p4 yaw) and NAV_LOITER_TIME (p1 [s]). Radii are for vehicles that cannot stop: not used."""
+    for_ever = item.command == Command.NAV_LOITER_UNLIM
+    hold = None if for_ever else seconds(item, "loiter time")
+    yaw = heading_rad(item) if for_ever else None
+    pos = None
+    if not is_here(item):
+        north, east = horizontal_ned_m(item, origin)
+        pos = np.array([north, east, depth_m(item, origin)])
+    return GoTo(
+        seq=item.seq,
+        pos_ned_m=pos,
+        yaw_rad=yaw,
+        hold_s=hold,
+        accept_radius_m=None,
+        autocontinue=item.autocontinue != 0,
+    )
+
+
+def take_off(item: PlanItem, origin: Origin) -> Step:
+    """NAV_TAKEOFF means "dive here": p4 yaw; the place is not used. An altitude in the water is the depth;
+    one above it, as ground stations put it into every plan, or none, means TKOFF_DEPTH."""
+    if item.frame == Frame.LOCAL_NED:
+        depth = item.z
+    elif item.frame in AMSL_FRAMES:
+        depth = origin.alt_m - item.z
+    else:
+        depth = math.nan if item.frame == Frame.MISSION else -item.z
+    return GoTo(
+        seq=item.seq,
+        pos_ned_m=None,
+        yaw_rad=heading_rad(item),
+        hold_s=0.0,
+        accept_radius_m=DIVED_M,
+        autocontinue=item.autocontinue != 0,
+        dives=True,
+        dive_m=depth if depth > SURFACE_TOLERANCE_M else None,
+    )
+
+
+def surface(item: PlanItem, origin: Origin) -> Step:
+    """NAV_LAND means "surface": p4 yaw; the altitude has no meaning."""
+    yaw = heading_rad(item)
+    pos = None
+    if not is_here(item):
+        pos = np.array([*horizontal_ned_m(item, origin), 0.0])
+    return Surface(seq=item.seq, pos_ned_m=pos, yaw_rad=yaw)
+
+
+def wait(item: PlanItem, origin: Origin) -> Step:
+    """NAV_DELAY and CONDITION_DELAY: p1 [s]. A time of day (NAV_DELAY p1 = -1) is refused."""
+    return Wait(seq=item.seq, duration_s=seconds(item, "delay"), reported=item.command == Command.NAV_DELAY)
+
+
+def return_home(item: PlanItem, origin: Origin) -> Step:
+    """NAV_RETURN_TO_LAUNCH."""
+    return ReturnHome(seq=item.seq)
