@@ -1,4 +1,4 @@
-"""Mission items that change something in passing: DO_ commands and CONDITION_YAW (MAV_CMD, common.xml)."""
+"""Mission items that change something in passing, and conditions: DO_ and CONDITION_ (MAV_CMD, common.xml)."""
 
 import math
 
@@ -7,8 +7,21 @@ import numpy as np
 from autopilot.core.frames import wrap_pi
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
-from mission.decode import horizontal_ned_m, number, refuse, whole
-from mission.items import AMSL_FRAMES, ChangeSpeed, Frame, Jump, SetHeading, SetHome, Step
+from mission.decode import depth_m, horizontal_ned_m, is_here, number, refuse, whole
+from mission.items import (
+    AMSL_FRAMES,
+    Agreed,
+    ChangeSpeed,
+    Command,
+    Frame,
+    Gate,
+    Jump,
+    LookAt,
+    Near,
+    SetHeading,
+    SetHome,
+    Step,
+)
 
 
 def jump(item: PlanItem, origin: Origin) -> Step:
@@ -68,3 +81,53 @@ def set_home(item: PlanItem, origin: Origin) -> Step:
     if not math.isfinite(depth):
         raise refuse(item, MissionResult.INVALID_PARAM7, f"altitude (param7) is {item.z}; give a number")
     return SetHome(seq=item.seq, pos_ned_m=np.array([north, east, max(0.0, depth)]))
+
+
+def near(item: PlanItem, origin: Origin) -> Step:
+    """CONDITION_DISTANCE: p1 distance to the next place [m]."""
+    distance = number(item, 1, "distance")
+    if distance is None or distance < 0.0:
+        shown = "not given" if distance is None else f"{distance:g} m"
+        raise refuse(item, MissionResult.INVALID_PARAM1, f"distance (param1) is {shown}; give 0 m or more")
+    return Near(seq=item.seq, distance_m=distance)
+
+
+def gate(item: PlanItem, origin: Origin) -> Step:
+    """CONDITION_GATE: p1 0 = across the way, p2 1 = the altitude counts; a place in the gate."""
+    if number(item, 1, "geometry"):
+        text = f"geometry (param1) is {item.param1:g}; use 0 (across the way)"
+        raise refuse(item, MissionResult.INVALID_PARAM1, text)
+    counts = number(item, 2, "altitude flag") or 0.0
+    if counts not in (0.0, 1.0):
+        text = f"altitude flag (param2) is {counts:g}; use 0 (ignored) or 1"
+        raise refuse(item, MissionResult.INVALID_PARAM2, text)
+    place = horizontal_ned_m(item, origin)
+    depth = depth_m(item, origin) if counts else 0.0
+    return Gate(seq=item.seq, pos_ned_m=np.array([*place, depth]), upright=counts == 0.0)
+
+
+def look_at(item: PlanItem, origin: Origin) -> Step:
+    """DO_SET_ROI_LOCATION, DO_SET_ROI (a place, or 0, 0 = nothing any more), DO_SET_ROI_NONE. The altitude is not
+    used: the vehicle turns, it does not pitch."""
+    if item.command == Command.DO_SET_ROI_NONE:
+        return LookAt(seq=item.seq, place_ned_m=None)
+    if item.command == Command.DO_SET_ROI:
+        mode = number(item, 1, "ROI mode") or 0.0
+        if mode not in (ROI_NONE, ROI_LOCATION):
+            text = f"ROI mode (param1) is {mode:g}; use 3 (a place) or 0 (none)"
+            raise refuse(item, MissionResult.INVALID_PARAM1, text)
+        if is_here(item):
+            return LookAt(seq=item.seq, place_ned_m=None)
+    return LookAt(seq=item.seq, place_ned_m=np.array(horizontal_ned_m(item, origin)))
+
+
+ROI_NONE, ROI_LOCATION = 0.0, 3.0
+"""MAV_ROI. Missions of older ground stations leave it 0 and give a place."""
+
+
+def fence_on(item: PlanItem, origin: Origin) -> Step:
+    """DO_FENCE_ENABLE: the fence is in force as long as there is one."""
+    if number(item, 1, "enable flag") != 1.0:
+        text = "the fence cannot be switched off (param1): use 1, or clear the fence before the mission"
+        raise refuse(item, MissionResult.INVALID_PARAM1, text)
+    return Agreed(seq=item.seq)

@@ -41,9 +41,19 @@ _ROWS = (
         placed=True,
     ),
     ItemType(
+        command=Command.NAV_LOITER_TURNS,
+        parse=nav_items.circuit,
+        uses=(
+            "p1 turns, p3 radius [m] (negative = to port, 0 = `CIRCLE_RADIUS`), at the speed last asked for or "
+            "`CIRCLE_SPEED`, looking at the centre; position 0, 0 or frame 2 = round where the vehicle is; the whole "
+            "circle has to keep clear of the fence"
+        ),
+        placed=True,
+    ),
+    ItemType(
         command=Command.NAV_LOITER_TIME,
         parse=nav_items.loiter,
-        uses="p1 time [s]; the same",
+        uses="p1 time [s]; position as 17",
         placed=True,
     ),
     ItemType(
@@ -73,7 +83,12 @@ _ROWS = (
     ItemType(
         command=Command.CONDITION_DELAY,
         parse=nav_items.wait,
-        uses="the same, without a MISSION_ITEM_REACHED",
+        uses="as 93, without a MISSION_ITEM_REACHED",
+    ),
+    ItemType(
+        command=Command.CONDITION_DISTANCE,
+        parse=do_items.near,
+        uses="p1 [m]: the vehicle goes on to the next place, and the items before that wait until it is so near",
     ),
     ItemType(
         command=Command.CONDITION_YAW,
@@ -82,6 +97,15 @@ _ROWS = (
             "p1 heading [deg], p3 -1 = to port, p4 1 = relative; for later goals that leave the heading free, and at "
             "once for a delay that follows"
         ),
+    ),
+    ItemType(
+        command=Command.CONDITION_GATE,
+        parse=do_items.gate,
+        uses=(
+            "a place: as 114 until the vehicle has passed the plane through it that lies across its way; p1 0, p2 1 = "
+            "across the way in depth too"
+        ),
+        placed=True,
     ),
     ItemType(
         command=Command.DO_JUMP,
@@ -100,6 +124,31 @@ _ROWS = (
         command=Command.DO_SET_HOME,
         parse=do_items.set_home,
         uses="p1 1 = here",
+    ),
+    ItemType(
+        command=Command.DO_SET_ROI_LOCATION,
+        parse=do_items.look_at,
+        uses=(
+            "a place (altitude unused) that the vehicle looks at from here on, wherever it goes; headings of waypoints "
+            "do not count meanwhile"
+        ),
+        placed=True,
+    ),
+    ItemType(
+        command=Command.DO_SET_ROI_NONE,
+        parse=do_items.look_at,
+        uses="ends that",
+    ),
+    ItemType(
+        command=Command.DO_SET_ROI,
+        parse=do_items.look_at,
+        uses="p1 3 or 0; a place = as 195, position 0, 0 = as 197",
+        placed=True,
+    ),
+    ItemType(
+        command=Command.DO_FENCE_ENABLE,
+        parse=do_items.fence_on,
+        uses="p1 1; the fence is a hard limit that nothing in a mission switches off: 0 and 2 are refused",
     ),
 )
 

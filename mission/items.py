@@ -15,16 +15,23 @@ class Command(IntEnum):
 
     NAV_WAYPOINT = 16
     NAV_LOITER_UNLIM = 17
+    NAV_LOITER_TURNS = 18
     NAV_LOITER_TIME = 19
     NAV_RETURN_TO_LAUNCH = 20
     NAV_LAND = 21
     NAV_TAKEOFF = 22
     NAV_DELAY = 93
     CONDITION_DELAY = 112
+    CONDITION_DISTANCE = 114
     CONDITION_YAW = 115
     DO_JUMP = 177
     DO_CHANGE_SPEED = 178
     DO_SET_HOME = 179
+    DO_SET_ROI_LOCATION = 195
+    DO_SET_ROI_NONE = 197
+    DO_SET_ROI = 201
+    DO_FENCE_ENABLE = 207
+    CONDITION_GATE = 4501
     FENCE_RETURN_POINT = 5000
     FENCE_POLYGON_VERTEX_INCLUSION = 5001
     FENCE_POLYGON_VERTEX_EXCLUSION = 5002
@@ -87,6 +94,39 @@ class ReturnHome:
     seq: int
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Circuit:
+    """Round a place (NAV_LOITER_TURNS)."""
+
+    seq: int
+    centre_ned_m: FloatArray | None
+    """(3,), None = where the vehicle is then."""
+    radius_m: float | None
+    """None = CIRCLE_RADIUS."""
+    clockwise: bool
+    turns: float
+    autocontinue: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Near:
+    """On the way to the next place until it is so near (CONDITION_DISTANCE)."""
+
+    seq: int
+    distance_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Gate:
+    """On the way to the next place until a plane across that way is passed (CONDITION_GATE)."""
+
+    seq: int
+    pos_ned_m: FloatArray
+    """(3,) in the plane."""
+    upright: bool
+    """True = the depth does not count."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wait:
     """Stay at the present goal for a time (NAV_DELAY, CONDITION_DELAY)."""
@@ -135,6 +175,22 @@ class SetHome:
     """(3,), None = where the vehicle is then."""
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LookAt:
+    """What the vehicle looks at from here on (DO_SET_ROI...)."""
+
+    seq: int
+    place_ned_m: FloatArray | None
+    """(2,), None = nothing any more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Agreed:
+    """Asks for what is so anyway (DO_FENCE_ENABLE 1)."""
+
+    seq: int
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
     """Something for the vehicle's equipment, passed on in passing (SequencerOutput.orders); classes that say what
@@ -145,6 +201,9 @@ class Order:
 
 Travel: TypeAlias = GoTo | Surface | ReturnHome
 """Steps that go to a place."""
-Timed: TypeAlias = Travel | Wait
+Passage: TypeAlias = Near | Gate
+"""Steps that end on the way to the place of a later one."""
+Timed: TypeAlias = Travel | Circuit | Passage | Wait
 """Steps that take time; all others are done in passing."""
-Step: TypeAlias = Timed | Jump | ChangeSpeed | SetHeading | SetHome | Order
+Instant: TypeAlias = Jump | ChangeSpeed | SetHeading | SetHome | LookAt | Agreed | Order
+Step: TypeAlias = Timed | Instant

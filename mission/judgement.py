@@ -32,7 +32,8 @@ from mission.validation import (
 )
 
 PLAN_PARAMETERS = (
-    *("DEPTH_MAX", "DEPTH_MIN", "FENCE_GAP_CHK", "MPC_MARGIN", "SPD_PLANAR_MAX", "TKOFF_DEPTH", "WP_ACCEPT_RADIUS"),
+    *("CIRCLE_RADIUS", "DEPTH_MAX", "DEPTH_MIN", "FENCE_GAP_CHK", "MPC_MARGIN", "SPD_PLANAR_MAX", "TKOFF_DEPTH"),
+    "WP_ACCEPT_RADIUS",
 )
 """What of the parameters plans are judged by."""
 

@@ -1,11 +1,16 @@
 """Where a mission goes on to after a waypoint that it passes without a stop: for controllers that plan ahead."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import get_args
 
-from mission.items import ChangeSpeed, GoTo, Jump, SetHeading, Step
+from mission.items import Agreed, ChangeSpeed, Circuit, GoTo, Jump, Order, Passage, SetHeading, SetHome, Step, Surface
 
 LONGEST_WALK = 64
 """Steps looked at: a plan of empty jumps ends the look ahead."""
+
+
+PASSED = (ChangeSpeed, SetHome, Order, Agreed, *get_args(Passage))
+"""Steps that change nothing of the way to the next waypoint."""
 
 
 def passes_on(step: Step) -> bool:
@@ -45,6 +50,28 @@ def next_waypoint(
             count -= 1
             if count == 0 or not passes_on(step):
                 return
-        elif not isinstance(step, ChangeSpeed):
+        elif not isinstance(step, PASSED):
             return
         cursor += 1
+
+
+def next_place(steps: Sequence[Step], cursor: int, jumps_done: Mapping[int, int]) -> int | None:
+    """The next step after ``cursor`` that has a place, None when there is none (or not within the longest walk)."""
+    done = dict(jumps_done)
+    cursor += 1
+    for _ in range(LONGEST_WALK):
+        if cursor >= len(steps):
+            return None
+        step = steps[cursor]
+        if isinstance(step, Jump):
+            taken = done.get(cursor, 0)
+            go = step.count is None or taken < step.count
+            done[cursor] = taken + 1
+            cursor = step.target_seq if go else cursor + 1
+            continue
+        if isinstance(step, GoTo | Surface) and step.pos_ned_m is not None:
+            return cursor
+        if isinstance(step, Circuit) and step.centre_ned_m is not None:
+            return cursor
+        cursor += 1
+    return None

@@ -16,10 +16,13 @@ from mission.decode import (
     refuse,
     seconds,
 )
-from mission.items import AMSL_FRAMES, Command, Frame, GoTo, ReturnHome, Step, Surface, Wait
+from mission.items import AMSL_FRAMES, Circuit, Command, Frame, GoTo, ReturnHome, Step, Surface, Wait
 
 DIVED_M = 0.1
 """NAV_TAKEOFF is done within this distance of its depth."""
+MAX_TURNS = 10_000
+MIN_RING_M, MAX_RING_M = 0.1, 1000.0
+"""Radii of circles, as CIRCLE_RADIUS has them."""
 MIN_ACCEPT_RADIUS_M = 0.02
 """A smaller acceptance ball is below what any estimate can tell."""
 
@@ -61,6 +64,31 @@ def loiter(item: PlanItem, origin: Origin) -> Step:
         yaw_rad=yaw,
         hold_s=hold,
         accept_radius_m=None,
+        autocontinue=item.autocontinue != 0,
+    )
+
+
+def circuit(item: PlanItem, origin: Origin) -> Step:
+    """NAV_LOITER_TURNS: p1 turns, p3 radius [m] (negative = to port, 0 = CIRCLE_RADIUS). p2 and p4 are for aircraft."""
+    turns = number(item, 1, "turns")
+    if turns is None or not 0.0 < turns <= MAX_TURNS:
+        shown = "not given" if turns is None else f"{turns:g}"
+        text = f"turns (param1) is {shown}; use above 0, up to {MAX_TURNS}"
+        raise refuse(item, MissionResult.INVALID_PARAM1, text)
+    radius = number(item, 3, "radius") or 0.0
+    least, most = MIN_RING_M, MAX_RING_M
+    if radius and not least <= abs(radius) <= most:
+        text = f"radius (param3) is {radius:g} m; use {least:g} to {most:g} m (negative = to port), 0 = CIRCLE_RADIUS"
+        raise refuse(item, MissionResult.INVALID_PARAM3, text)
+    centre = None
+    if not is_here(item):
+        centre = np.array([*horizontal_ned_m(item, origin), depth_m(item, origin)])
+    return Circuit(
+        seq=item.seq,
+        centre_ned_m=centre,
+        radius_m=abs(radius) or None,
+        clockwise=radius >= 0.0,
+        turns=turns,
         autocontinue=item.autocontinue != 0,
     )
 

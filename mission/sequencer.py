@@ -14,11 +14,18 @@ import numpy as np
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, MissionProgress, NavHealth, NavState, ProgressState
+from mission.circling import Circle
 from mission.items import (
     ChangeSpeed,
+    Circuit,
+    Gate,
     GoTo,
+    Instant,
     Jump,
+    LookAt,
+    Near,
     Order,
+    Passage,
     ReturnHome,
     SetHeading,
     SetHome,
@@ -28,7 +35,7 @@ from mission.items import (
     Travel,
     Wait,
 )
-from mission.lookahead import next_waypoint
+from mission.lookahead import next_place, next_waypoint
 
 GOALS_AHEAD = 2
 """A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""
@@ -74,6 +81,7 @@ class Position:
     """(step of a jump, how often it was made)."""
     speed_m_s: float | None
     default_yaw_rad: float | None
+    facing_ned_m: tuple[float, float] | None = None
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -91,6 +99,14 @@ class _Run:
     """Heading of goals that leave it free (CONDITION_YAW)."""
     speed_m_s: float | None = None
     """None = SPD_CRUISE."""
+    facing_ned_m: FloatArray | None = None
+    """(2,) what the vehicle looks at, None = nothing."""
+    circle: Circle | None = None
+    """Of NAV_LOITER_TURNS, while it runs."""
+    leg_from_ned_m: FloatArray | None = None
+    """(3,) where the way to the present goal begins."""
+    given_up_seq: int = -1
+    """An item to pass over: it was given up on the way, before its turn."""
     inside_since_us: int | None = None
     waited_us: int = 0
     """How long the present wait has run, pauses left out."""
@@ -176,6 +192,7 @@ class Sequencer:
             jumps_done=tuple(run.jumps_done.items()),
             speed_m_s=run.speed_m_s,
             default_yaw_rad=run.default_yaw_rad,
+            facing_ned_m=None if run.facing_ned_m is None else (float(run.facing_ned_m[0]), float(run.facing_ned_m[1])),
         )
 
     def stand_at(self, position: Position) -> None:
@@ -185,6 +202,7 @@ class Sequencer:
         run = self._run
         run.reached_seq, run.lap, run.jumps_done = position.reached_seq, position.lap, dict(position.jumps_done)
         run.speed_m_s, run.default_yaw_rad = position.speed_m_s, position.default_yaw_rad
+        run.facing_ned_m = None if position.facing_ned_m is None else np.array(position.facing_ned_m)
 
     @property
     def travelling(self) -> bool:
@@ -192,7 +210,12 @@ class Sequencer:
         run = self._run
         if run.state is not ProgressState.ACTIVE or not run.entered or run.inside_since_us is not None:
             return False
-        return isinstance(self._steps[run.cursor], Travel)
+        return isinstance(self._steps[run.cursor], Travel | Circuit | Passage)
+
+    @property
+    def circle_left_m(self) -> float | None:
+        """Way that is left of the circle that is flown, None when none is."""
+        return None if self._run.circle is None else self._run.circle.left_m
 
     def skip(self, nav: NavState) -> None:
         """Give the present item up: go on with the next as if it were over. It does not count as reached. NAV_LAND
@@ -212,11 +235,19 @@ class Sequencer:
         elif isinstance(step, ReturnHome):
             run.ending = True
         else:
-            if run.cursor == self._lap_marker:
-                run.lap += 1
-            run.ending = run.cursor + 1 >= len(self._steps)
-            if not run.ending:
-                self._advance(run.cursor + 1)
+            if run.goal is not None:
+                run.given_up_seq = run.goal.seq if isinstance(step, Passage) else -1
+                run.goal = replace(run.goal, drive=None)
+            self._pass_over()
+
+    def _pass_over(self) -> None:
+        """Go on behind the present item, which is given up; at the end with what a mission ends with."""
+        run = self._run
+        if run.cursor == self._lap_marker:
+            run.lap += 1
+        run.ending = run.cursor + 1 >= len(self._steps)
+        if not run.ending:
+            self._advance(run.cursor + 1)
 
     @property
     def skipped(self) -> int:
@@ -285,6 +316,10 @@ class Sequencer:
         for _ in range(MAX_INSTANT_STEPS):
             step = self._steps[self._run.cursor]
             if isinstance(step, Timed):
+                if step.seq == self._run.given_up_seq and not isinstance(step, Passage):
+                    self._run.given_up_seq = -1
+                    self._pass_over()
+                    return
                 if not self._run.entered and not self._enter(step, nav):
                     return
                 if ended or not self._is_done(step, t_us, nav):
@@ -296,7 +331,7 @@ class Sequencer:
             if self._run.state is not ProgressState.ACTIVE:
                 return
 
-    def _execute(self, step: Jump | ChangeSpeed | SetHeading | SetHome | Order, nav: NavState) -> None:
+    def _execute(self, step: Instant, nav: NavState) -> None:
         """A step that takes no time."""
         if isinstance(step, Jump):
             self._jump(step)
@@ -308,7 +343,9 @@ class Sequencer:
             self._set_heading(step, float(nav.rpy_rad[2]))
         elif isinstance(step, Order):
             self._orders.append(step)
-        else:
+        elif isinstance(step, LookAt):
+            self._look_at(step.place_ned_m)
+        elif isinstance(step, SetHome):
             place = nav.pos_ned_m if step.pos_ned_m is None else step.pos_ned_m
             if bool(np.all(np.isfinite(place))):
                 self._home_ned_m = np.array(place, dtype=np.float64)
@@ -323,6 +360,14 @@ class Sequencer:
         self._run.default_yaw_rad = heading
         if self._run.goal is not None:
             self._run.goal = replace(self._run.goal, yaw_rad=heading)
+
+    def _look_at(self, place_ned_m: FloatArray | None) -> None:
+        """Now, and wherever the mission goes from here on."""
+        run = self._run
+        run.facing_ned_m = place_ned_m
+        if run.goal is not None:
+            yaw = run.goal.yaw_rad if place_ned_m is None else None
+            run.goal = replace(run.goal, facing_ned_m=place_ned_m, yaw_rad=yaw)
 
     def _jump(self, step: Jump) -> None:
         if self._run.cursor == self._lap_marker:
@@ -339,6 +384,7 @@ class Sequencer:
         """Go to another step, or complete the mission behind the last one."""
         self._run.entered = False
         self._run.rising = False
+        self._run.circle = None
         if cursor >= len(self._steps):
             self._complete(Action.HOLD)
         else:
@@ -350,18 +396,88 @@ class Sequencer:
 
     def _enter(self, step: Timed, nav: NavState) -> bool:
         """Set the goal of a step. False (try again on the next tick) while it needs an estimate that is not finite."""
-        target = self._target_ned_m(step, nav)
-        if target is None:
+        goal = self._first_goal(step, nav)
+        if goal is None:
             return False
-        if not isinstance(step, Wait) or self._run.goal is None:
-            self._run.goal = self._leading_on(self._make_goal(step, target))
+        old = self._run.goal
+        if old is None or not np.array_equal(old.pos_ned_m, goal.pos_ned_m):
+            self._run.leg_from_ned_m = nav.pos_ned_m if old is None else old.pos_ned_m
+        self._run.goal = goal
         self._run.entered = True
         self._run.rising = isinstance(step, Surface) and step.pos_ned_m is None
         self._run.inside_since_us = self._run.clock_us = None
         self._run.waited_us = 0
         return True
 
-    def _target_ned_m(self, step: Timed, nav: NavState) -> FloatArray | None:
+    def _first_goal(self, step: Timed, nav: NavState) -> Goal | None:
+        """The goal that a step begins with, None while that is unknown."""
+        run = self._run
+        if isinstance(step, Circuit):
+            return self._begin_circle(step, nav)
+        if isinstance(step, Passage):
+            return self._goal_beyond(step, nav)
+        target = self._target_ned_m(step, nav)
+        if target is None or (isinstance(step, Wait) and run.goal is not None):
+            return None if target is None else run.goal
+        return self._leading_on(self._make_goal(step, target), run.cursor)
+
+    def _begin_circle(self, step: Circuit, nav: NavState) -> Goal | None:
+        """Round its centre, or round where the mission stands."""
+        run = self._run
+        here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
+        last = here if run.goal is None else run.goal.pos_ned_m
+        centre = last if step.centre_ned_m is None else step.centre_ned_m
+        if centre is None or here is None:
+            return None
+        params, asked = self._params, run.speed_m_s
+        speed = (abs(params["CIRCLE_SPEED"]) or params["SPD_CRUISE"]) if asked is None else asked
+        run.circle = Circle(
+            params,
+            (float(centre[0]), float(centre[1])),
+            params["CIRCLE_RADIUS"] if step.radius_m is None else step.radius_m,
+            speed if step.clockwise else -speed,
+            depth_m=self._in_band(float(centre[2])),
+            turns=step.turns,
+            seq=step.seq,
+        )
+        return self._round(run.circle, nav)
+
+    def _round(self, circle: Circle, nav: NavState) -> Goal:
+        """The circle's goal of this tick."""
+        facing = self._run.facing_ned_m
+        circle.facing_m = None if facing is None else (float(facing[0]), float(facing[1]))
+        return circle.goal(nav)
+
+    def _goal_beyond(self, step: Near | Gate, nav: NavState) -> Goal | None:
+        """The goal of the next step that has a place: the vehicle goes on to it meanwhile. Without one, a gate itself;
+        else the vehicle stays."""
+        run = self._run
+        if not bool(np.all(np.isfinite(nav.pos_ned_m))):
+            return None
+        found = next_place(self._steps, run.cursor, run.jumps_done)
+        last = nav.pos_ned_m if run.goal is None else run.goal.pos_ned_m
+        if found is not None:
+            later = self._steps[found]
+            if isinstance(later, GoTo | Surface):
+                target = self._target_ned_m(later, nav)
+                if target is not None:
+                    return self._leading_on(self._make_goal(later, target), found)
+            if isinstance(later, Circuit) and later.centre_ned_m is not None:
+                radius_m = self._params["CIRCLE_RADIUS"] if later.radius_m is None else later.radius_m
+                away = nav.pos_ned_m[:2] - later.centre_ned_m[:2]
+                out = away / max(float(np.hypot(*away)), 1e-6)
+                place = np.array([*(later.centre_ned_m[:2] + radius_m * out), later.centre_ned_m[2]])
+                return self._goal_at(place, run.default_yaw_rad, None, later.seq)
+        if isinstance(step, Gate):
+            return self._goal_at(
+                np.array([*step.pos_ned_m[:2], last[2] if step.upright else step.pos_ned_m[2]]),
+                run.default_yaw_rad,
+                None,
+                step.seq,
+            )
+        return run.goal or self._goal_here(nav)
+
+    def _target_ned_m(self, step: Travel | Wait, nav: NavState) -> FloatArray | None:
         """(3,) where a step goes first, None while that is unknown."""
         here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
         last = here if self._run.goal is None else self._run.goal.pos_ned_m
@@ -385,6 +501,16 @@ class Sequencer:
             self._run.waited_us += t_us - since_us
             self._run.clock_us = t_us
             return self._run.waited_us >= step.duration_s * 1e6
+        if isinstance(step, Circuit):
+            circle = self._run.circle
+            if circle is None:
+                return True
+            self._run.goal = self._round(circle, nav)
+            if circle.over:
+                self._run.goal = circle.rest(nav)
+            return circle.over
+        if isinstance(step, Passage):
+            return self._is_passed(step, nav)
         if self._run.goal is None or not is_inside(self._run.goal, nav):
             self._run.inside_since_us = None
             return False
@@ -400,9 +526,23 @@ class Sequencer:
             return False
         return True
 
+    def _is_passed(self, step: Near | Gate, nav: NavState) -> bool:
+        """Whether a condition of the way to the present goal has come true; at the goal itself it has."""
+        goal, here = self._run.goal, nav.pos_ned_m
+        if goal is None or nav.health is NavHealth.INVALID:
+            return False
+        if isinstance(step, Near):
+            reached = math.dist(here.tolist(), goal.pos_ned_m.tolist()) <= step.distance_m
+        else:
+            begin = here if self._run.leg_from_ned_m is None else self._run.leg_from_ned_m
+            axes = 2 if step.upright else 3
+            way = (goal.pos_ned_m - begin)[:axes]
+            reached = float(way @ way) > 0.0 and float(way @ (here - step.pos_ned_m)[:axes]) >= 0.0
+        return reached or is_inside(goal, nav)
+
     def _leave(self, step: Timed) -> None:
         """Report the end of a step and go on."""
-        if not isinstance(step, Wait) or step.reported:
+        if step.reported if isinstance(step, Wait) else not isinstance(step, Passage):
             self._reached_now.append(step.seq)
             self._run.reached_seq = step.seq
         if self._run.cursor == self._lap_marker:
@@ -413,29 +553,33 @@ class Sequencer:
             self._complete(Action.HOLD)
         else:
             self._advance(self._run.cursor + 1)
-            if isinstance(step, GoTo) and not step.autocontinue and self._run.state is ProgressState.ACTIVE:
+            if isinstance(step, GoTo | Circuit) and not step.autocontinue and self._run.state is ProgressState.ACTIVE:
                 self._run.state = ProgressState.PAUSED
                 self._run.pause_goal = self._run.goal
 
     # Goals.
 
-    def _make_goal(self, step: Timed, pos_ned_m: FloatArray) -> Goal:
+    def _make_goal(self, step: Travel | Wait, pos_ned_m: FloatArray) -> Goal:
         """The goal of a step at a place (3,), which is brought into the depth band."""
         yaw = step.yaw_rad if isinstance(step, GoTo | Surface) else None
         radius = step.accept_radius_m if isinstance(step, GoTo) else None
         return self._goal_at(pos_ned_m, self._run.default_yaw_rad if yaw is None else yaw, radius, step.seq)
 
     def _goal_at(self, pos_ned_m: FloatArray, yaw_rad: float | None, radius_m: float | None, seq: int) -> Goal:
-        depth = min(max(float(pos_ned_m[2]), self._params["DEPTH_MIN"]), self._params["DEPTH_MAX"])
+        facing = self._run.facing_ned_m
         return Goal(
-            pos_ned_m=np.array([pos_ned_m[0], pos_ned_m[1], depth], dtype=np.float64),
-            yaw_rad=yaw_rad,
+            pos_ned_m=np.array([pos_ned_m[0], pos_ned_m[1], self._in_band(float(pos_ned_m[2]))], dtype=np.float64),
+            yaw_rad=yaw_rad if facing is None else None,
             speed_m_s=self._speed_m_s,
             accept_radius_m=self._params["WP_ACCEPT_RADIUS"] if radius_m is None else radius_m,
             accept_yaw_rad=self._params["WP_ACCEPT_YAW"],
             seq=seq,
             speed_asked=self._run.speed_m_s is not None,
+            facing_ned_m=facing,
         )
+
+    def _in_band(self, depth_m: float) -> float:
+        return min(max(depth_m, self._params["DEPTH_MIN"]), self._params["DEPTH_MAX"])
 
     @property
     def _speed_m_s(self) -> float:
@@ -443,8 +587,8 @@ class Sequencer:
         asked = self._run.speed_m_s
         return self._params["SPD_CRUISE"] if asked is None else asked
 
-    def _leading_on(self, goal: Goal) -> Goal:
-        """The goal of the present step with those that follow it without a stop."""
+    def _leading_on(self, goal: Goal, cursor: int) -> Goal:
+        """The goal of a step with those that follow it without a stop."""
         ahead: list[Goal] = []
 
         def visit(step: GoTo, yaw_rad: float | None) -> None:
@@ -453,7 +597,7 @@ class Sequencer:
                 ahead.append(self._goal_at(step.pos_ned_m, yaw, step.accept_radius_m, step.seq))
 
         run = self._run
-        next_waypoint(self._steps, run.cursor, run.jumps_done, run.default_yaw_rad, visit, GOALS_AHEAD)
+        next_waypoint(self._steps, cursor, run.jumps_done, run.default_yaw_rad, visit, GOALS_AHEAD)
         following = None
         for later in reversed(ahead):
             following = replace(later, following=following)
@@ -468,7 +612,9 @@ class Sequencer:
 
     def _refresh_goal(self) -> None:
         """The running goal with a new speed."""
-        if self._run.goal is not None:
+        if self._run.circle is not None and self._run.speed_m_s is not None:
+            self._run.circle.go(self._run.speed_m_s)
+        elif self._run.goal is not None:
             asked = self._run.speed_m_s is not None
             self._run.goal = replace(self._run.goal, speed_m_s=self._speed_m_s, speed_asked=asked)
 

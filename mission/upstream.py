@@ -138,6 +138,8 @@ class MadeGood:
         left_m = math.hypot(north - here_n, east - here_e) if way_m is None else way_m
         left_m += abs(down - here_d)
         key: tuple[float, ...] = (goal.seq, north, east, down)
+        if goal.drive is not None:
+            key = (goal.seq,)  # on a circle the place moves along
         self._look(t_us, left_m, same=key == self._goal and nav.health is NavHealth.GOOD)
         if key != self._goal:
             self._goal, self._anew = key, 0

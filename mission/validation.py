@@ -12,13 +12,15 @@ from itertools import islice
 
 import numpy as np
 
+from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
+from mission.circling import worst_on_ring
 from mission.decode import ItemRefusedError, depth_m, horizontal_ned_m, refuse
 from mission.fence import FenceShape, build_fence, check_fence_item
 from mission.gaps import Gap, narrow_gaps
 from mission.item_types import parse_step
-from mission.items import ChangeSpeed, Command, GoTo, Jump, SetHome, Step, Surface, Travel, Wait
+from mission.items import ChangeSpeed, Circuit, Command, GoTo, Jump, Near, SetHome, Step, Surface, Travel, Wait
 from mission.reach import free_regions, has_room
 from mission.room import Room
 
@@ -104,6 +106,7 @@ def mission_problems(
         yield from _limit_problems(step, params)
     if not broken:
         yield from _jump_problems(steps)
+        yield from _order_problems(steps)
 
 
 def read_mission(items: Sequence[PlanItem], origin: Origin) -> tuple[tuple[Step, ...], tuple[PlanRejection, ...]]:
@@ -120,11 +123,8 @@ def read_mission(items: Sequence[PlanItem], origin: Origin) -> tuple[tuple[Step,
 
 def _limit_problems(step: Step, params: Mapping[str, float]) -> Iterator[PlanRejection]:
     """Depth band and speed limit of the parameters."""
-    if isinstance(step, GoTo) and (step.pos_ned_m is not None or step.dives):
-        if step.pos_ned_m is not None:
-            depth = float(step.pos_ned_m[2])
-        else:
-            depth = params["TKOFF_DEPTH"] if step.dive_m is None else step.dive_m
+    depth = _depth_of(step, params)
+    if depth is not None:
         low, high = params["DEPTH_MIN"], params["DEPTH_MAX"]
         if not low - DEPTH_TOLERANCE_M <= depth <= high + DEPTH_TOLERANCE_M:
             bound = f"DEPTH_MIN {low:g}" if depth < low else f"DEPTH_MAX {high:g}"
@@ -138,6 +138,24 @@ def _limit_problems(step: Step, params: Mapping[str, float]) -> Iterator[PlanRej
         if step.speed_m_s > limit + 1e-6:
             text = f"item {step.seq}: speed {step.speed_m_s:g} m/s is above SPD_PLANAR_MAX {limit:g}; ask for less"
             yield PlanRejection(seq=step.seq, result=MissionResult.INVALID_PARAM2, reason=text)
+
+
+def _depth_of(step: Step, params: Mapping[str, float]) -> float | None:
+    """Depth [m] that a step goes to, None when that is not known yet, or does not count."""
+    if isinstance(step, GoTo) and step.dives:
+        return params["TKOFF_DEPTH"] if step.dive_m is None else step.dive_m
+    place = step.pos_ned_m if isinstance(step, GoTo) else step.centre_ned_m if isinstance(step, Circuit) else None
+    return None if place is None else float(place[2])
+
+
+def _order_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
+    """Conditions of the way to a place when no place comes any more."""
+    goes_on = False
+    for step in reversed(steps):
+        if isinstance(step, Near) and not goes_on:
+            text = f"item {step.seq}: no place comes after this condition; put it before a waypoint"
+            yield PlanRejection(seq=step.seq, result=MissionResult.INVALID, reason=text)
+        goes_on |= isinstance(step, Travel | Circuit | Jump)
 
 
 def _jump_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
@@ -159,7 +177,7 @@ def _jump_problems(steps: Sequence[Step]) -> Iterator[PlanRejection]:
 def _takes_time(step: Step) -> bool:
     if isinstance(step, Wait):
         return step.duration_s > 0.0
-    return isinstance(step, Travel)
+    return isinstance(step, Travel | Circuit)
 
 
 def _spins(steps: Sequence[Step], start: Jump) -> bool:
@@ -248,6 +266,12 @@ def joint_problems(
         return
     places: list[_Place] = []
     route: list[_Place] = []
+    room = Room([(s.shape, s.inclusion) for s in shapes])
+    for circuit, centre in _circles(steps):
+        ring = _ring_place(circuit, centre, room, ctx)
+        places.append(ring)
+        route.append(ring)
+        look()
     for step in steps:
         if isinstance(step, GoTo | Surface | SetHome) and step.pos_ned_m is not None:
             place = _Place(
@@ -261,6 +285,8 @@ def joint_problems(
             places.append(place)
             if not isinstance(step, SetHome):
                 route.append(place)
+    route.sort(key=lambda place: place.seq)
+    places.sort(key=lambda place: place.seq)
     found = _place_conflicts(places, shapes)
     yield from found
     look()
@@ -279,6 +305,35 @@ def joint_problems(
         for seq, north, east in rally
     ]
     yield from _place_conflicts(points, shapes)
+
+
+def _circles(steps: Sequence[Step]) -> Iterator[tuple[Circuit, FloatArray]]:
+    """All circles whose centre (3,) is known: their own, or the place that comes before them in the plan."""
+    last: FloatArray | None = None
+    for step in steps:
+        if isinstance(step, Circuit):
+            if step.centre_ned_m is not None:
+                last = step.centre_ned_m
+            if last is not None:
+                yield step, last
+            last = None  # where it ends is not known
+        elif isinstance(step, GoTo | Surface):
+            last = step.pos_ned_m
+
+
+def _ring_place(step: Circuit, centre: FloatArray, room: Room, ctx: PlanContext) -> _Place:
+    """The worst place of a circle, or any when the whole circle is free."""
+    radius_m = ctx.params["CIRCLE_RADIUS"] if step.radius_m is None else step.radius_m
+    worst = worst_on_ring(room, (float(centre[0]), float(centre[1])), radius_m, ctx.keep_m - PLACE_TOLERANCE_M)
+    north, east = (float(centre[0]) + radius_m, float(centre[1])) if worst is None else worst.tolist()
+    return _Place(
+        kind=PlanKind.MISSION,
+        seq=step.seq,
+        name=f"circle of item {step.seq}",
+        north_m=north,
+        east_m=east,
+        need_m=ctx.keep_m,
+    )
 
 
 def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:

@@ -114,7 +114,9 @@ class MissionRun:
         """
         t_us, patience_s = conditions.t_us, self._params["WP_STUCK_TIME"]
         step_m = patience_s * self._params["SPD_GROUND_MIN"]
-        idle_s = self._made_good.idle_s(t_us, goal, nav, conditions.way_left_m, step_m)
+        way_left_m = self.sequencer.circle_left_m if flies else None
+        way_left_m = conditions.way_left_m if way_left_m is None else way_left_m
+        idle_s = self._made_good.idle_s(t_us, goal, nav, way_left_m, step_m)
         if flies and t_us - self._upstream_us >= UPSTREAM_US:
             self._upstream_us = t_us
             self._tell_upstream(nav, only_this=True)

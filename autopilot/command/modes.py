@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from autopilot.command.announcements import Announcements
-from autopilot.command.circling import Circle
 from autopilot.command.conditions import Conditions
 from autopilot.command.decision import Pose
 from autopilot.command.failsafe_table import Effect
@@ -18,6 +17,7 @@ from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavHealth, NavState, Severity
 from autopilot.mavlink.api import BLIND, PILOTED, FlightMode
+from mission.circling import Circle
 from mission.goals import Goals
 from mission.sequencer import Action, is_inside
 

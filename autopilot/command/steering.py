@@ -2,12 +2,12 @@
 
 import math
 
-from autopilot.command.circling import Circle
 from autopilot.command.modes import Modes
 from autopilot.core.geodesy import refuse_place
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import Circling, FlightMode
+from mission.circling import Circle
 from mission.goals import Goals
 from mission.store import Plans
 
@@ -64,9 +64,7 @@ class Steering:
         speed = abs(params["CIRCLE_SPEED"]) if asked.speed_m_s is None else abs(asked.speed_m_s)
         clockwise = params["CIRCLE_SPEED"] >= 0.0 if asked.clockwise is None else asked.clockwise
         circle = Circle(
-            self._vehicle,
             params,
-            self._goals,
             (centre_m[0], centre_m[1]),
             radius_m,
             speed if clockwise else -speed,
@@ -96,10 +94,11 @@ class Steering:
         centre_m = (x + radius_m * math.cos(yaw), y + radius_m * math.sin(yaw))
         speed = params["CIRCLE_SPEED"]
         depth_m = self._in_band(z)
-        return self._take(Circle(self._vehicle, params, self._goals, centre_m, radius_m, speed or 0.1, depth_m=depth_m))
+        return self._take(Circle(params, centre_m, radius_m, speed or 0.1, depth_m=depth_m))
 
     def _take(self, circle: Circle) -> str:
-        reason = circle.refusal()
+        keep_m = self._vehicle.radius_m + self._params["MPC_MARGIN"]
+        reason = circle.refusal(self._goals.room, keep_m)
         if not reason:
             self._modes.circle = circle
         return reason

@@ -282,6 +282,8 @@ class Goal:
     """Where it goes on to from here without a stop, None = it stays."""
     drive: Drive | None = None
     """How it is to move, None = to the place."""
+    facing_ned_m: FloatArray | None = None
+    """(2,) place that the vehicle looks at wherever it is, None = as ``yaw_rad`` says."""
 
 
 class ProgressState(IntEnum):

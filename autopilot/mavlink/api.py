@@ -11,6 +11,7 @@ from typing import Protocol
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Place
 from autopilot.core.messages import MissionProgress, NavDoubt, NavState, NmpcStatus, ThrusterCommand
+from autopilot.core.orbit import OrbitYaw as OrbitYaw
 from autopilot.core.samples import PowerSample
 from autopilot.core.sensed import Sensed
 
@@ -90,15 +91,6 @@ class SetPoint:
     down_m_s: float | None = None
     yaw_rad: float | None = None
     yaw_rate_rad_s: float | None = None
-
-
-class OrbitYaw(IntEnum):
-    """ORBIT_YAW_BEHAVIOUR (common.xml), as far as it makes sense here."""
-
-    TO_CENTRE = 0
-    INITIAL = 1
-    FREE = 2
-    ALONG = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

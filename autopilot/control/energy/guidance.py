@@ -234,8 +234,8 @@ class EnergyGuidance:
         key = _key(now.goal)
         if key != self._goal_key or now.planner is not self._planner:
             fresh = self._new_goal(now, key)
-        if now.goal.speed_asked:
-            # Least energy would choose another speed: the route guidance keeps the one that was asked for.
+        if now.goal.speed_asked or now.goal.facing_ned_m is not None:
+            # Least energy would choose another speed or heading: the route guidance keeps what was asked for.
             self._withdraw()
             self._track = self._next = None
             return fresh
@@ -364,7 +364,7 @@ class EnergyGuidance:
                 self._ask(now, kind, now.goal, self._coming(now, kind, elapsed_s), track if kind is Kind.WARM else None)
                 return
         following = now.goal.following
-        if following is None or following.speed_asked:
+        if following is None or following.speed_asked or following.facing_ned_m is not None:
             return
         far = float(np.hypot(*(following.pos_ned_m - now.goal.pos_ned_m)[:2])) > LONG_LEG_M
         if not self._asked_next and track.complete and track.rest_s < (LONG_NEXT_LEG_S if far else NEXT_LEG_S):

@@ -42,6 +42,10 @@ PATIENCE_STEPS = 20
 search is left to end, and its route is taken if it is free."""
 
 
+FACING_M = 0.1
+"""Nearer than this, a place that is looked at has no direction."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Situation:
     """What guidance goes by in one step."""
@@ -325,11 +329,20 @@ class RouteGuidance:
             self._ticket.cancel()
         self._ticket = None
 
+    def _facing(self, place_ned_m: FloatArray, x0: FloatArray) -> float:
+        """Heading towards a place (2,); a place that is under the vehicle has no direction."""
+        look = complex(*place_ned_m) - complex(x0[0], x0[1])
+        if abs(look) < FACING_M:
+            return float(x0[YAW]) if self._yaw_target is None else self._yaw_target
+        return turn_target(float(x0[YAW]), cmath.phase(look), None)
+
     def _march(self, now: Situation, route: Route) -> tuple[FloatArray, FloatArray]:
         """References (N+1, 8) along the route and their thrust (N, n); chooses the way round to the heading."""
         hold, goal, x0, params = self._hold, now.goal, now.x0, now.params
         if hold is not None:
             self._yaw_target = float(hold[YAW])
+        elif goal.facing_ned_m is not None:
+            self._yaw_target = self._facing(goal.facing_ned_m, x0)
         elif goal.yaw_rad is not None:
             self._yaw_target = turn_target(float(x0[YAW]), goal.yaw_rad, self._yaw_target)
         elif route.length_m - self._s > TURN_AHEAD_M or self._yaw_target is None:

@@ -1,0 +1,197 @@
+"""Round a place, at a depth, at a speed: mode CIRCLE and NAV_LOITER_TURNS."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.messages import Drive, Goal, NavState
+from autopilot.core.orbit import OrbitYaw
+from mission.room import Room
+
+PULL_1_S = 0.6
+"""How fast a distance from the circle is made good."""
+
+PULL_SHARE = 0.7
+"""Share of the speed that may go into it."""
+
+JOIN_M = 0.25
+"""Farther off, the circle's nearest point is a place to go to."""
+
+FRESH_TICKS = 5
+ACCEPT_YAW_RAD = 0.15
+YAW_SHARE = 0.5
+"""Share of SPD_YAW_MAX that a circle on which the heading turns may use."""
+
+
+class Circle:
+    """One circle, from its beginning to its end."""
+
+    def __init__(
+        self,
+        params: Mapping[str, float],
+        centre_m: tuple[float, float],
+        radius_m: float,
+        speed_m_s: float,
+        *,
+        depth_m: float,
+        yaw: OrbitYaw = OrbitYaw.TO_CENTRE,
+        turns: float = 0.0,
+        seq: int = -1,
+    ) -> None:
+        """``speed_m_s``: negative = to port; ``turns``: 0 = for ever; ``seq``: of its goals."""
+        self._params = params
+        self._centre = complex(*centre_m)
+        self.radius_m = radius_m
+        self._sense = math.copysign(1.0, speed_m_s)
+        self._speed_m_s = 0.0
+        self.go(abs(speed_m_s))
+        self.depth_m = depth_m
+        self.facing_m: tuple[float, float] | None = None
+        """North and east of what the vehicle looks at instead."""
+        self._seq = seq
+        self._yaw, self._turns = yaw, turns
+        self._initial_rad: float | None = None
+        self._bearing: float | None = None
+        self._turned = 0.0
+        self._off_m = 0.0
+        self._goal: Goal | None = None
+        self._age = 0
+
+    def go(self, speed_m_s: float) -> None:
+        """Another speed, as far as the limits allow."""
+        turning_m_s = YAW_SHARE * self._params["SPD_YAW_MAX"] * self.radius_m
+        self._speed_m_s = min(speed_m_s, self._params["SPD_PLANAR_MAX"], turning_m_s)
+
+    def refusal(self, room: Room, keep_m: float) -> str:
+        """Why it cannot be flown, "" if it can. ``keep_m``: what the controller keeps from every boundary."""
+        low, high = self._params["DEPTH_MIN"], self._params["DEPTH_MAX"]
+        if not low <= self.depth_m <= high:
+            return f"depth {self.depth_m:.2f} m is outside {low:g} to {high:g} m"
+        worst = worst_on_ring(room, (self._centre.real, self._centre.imag), self.radius_m, keep_m)
+        if worst is None:
+            return ""
+        clearance_m = float(room.clearance_m(worst[None])[0])
+        return f"circle comes within {clearance_m:.2f} m of the fence, keep {keep_m:.2f} m"
+
+    @property
+    def over(self) -> bool:
+        """All turns have been made."""
+        return self._turns > 0.0 and abs(self._turned) >= 2.0 * math.pi * self._turns
+
+    @property
+    def left_m(self) -> float:
+        """Way that is left, inf without an end."""
+        if self._turns == 0.0:
+            return math.inf
+        arc = max(2.0 * math.pi * self._turns - abs(self._turned), 0.0) * self.radius_m
+        return arc + (abs(self._off_m) if abs(self._off_m) > JOIN_M else 0.0)
+
+    def rest(self, nav: NavState) -> Goal:
+        """Where the vehicle stays behind its last turn: the nearest place of the circle."""
+        goal = self.goal(nav)
+        return replace(goal, drive=None)
+
+    def goal(self, nav: NavState) -> Goal:
+        """Of this tick; the same object until it is due again."""
+        away = complex(nav.pos_ned_m[0], nav.pos_ned_m[1]) - self._centre
+        bearing = math.atan2(away.imag, away.real)
+        off_m = self._off_m = self.radius_m - abs(away)
+        if self._initial_rad is None:
+            self._initial_rad = float(nav.rpy_rad[2])
+        if abs(off_m) < JOIN_M and self._bearing is not None:
+            self._turned += wrap_pi(bearing - self._bearing)
+        self._bearing = bearing
+        self._age += 1
+        if self._goal is None or self._age >= FRESH_TICKS:
+            self._goal, self._age = self._made(nav, bearing, off_m), 0
+        return self._goal
+
+    def _made(self, nav: NavState, bearing: float, off_m: float) -> Goal:
+        out, sense = complex(math.cos(bearing), math.sin(bearing)), self._sense
+        yaw = self._heading(nav, bearing)
+        if abs(off_m) > JOIN_M:
+            place = self._centre + self.radius_m * out
+            joining = Goal(
+                pos_ned_m=np.array([place.real, place.imag, self.depth_m]),
+                yaw_rad=yaw,
+                speed_m_s=self._params["SPD_CRUISE"],
+                accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
+                accept_yaw_rad=ACCEPT_YAW_RAD,
+                seq=self._seq,
+            )
+            old = self._goal
+            near = old is not None and old.drive is None and _near(old.pos_ned_m, joining.pos_ned_m)
+            return old if near and old is not None else joining
+        speed = self._speed_m_s
+        pull = min(max(PULL_1_S * off_m, -PULL_SHARE * speed), PULL_SHARE * speed)
+        along = math.sqrt(speed * speed - pull * pull)
+        velocity = out * complex(pull, sense * along)
+        turn = sense * along / self.radius_m
+        turns = self._yaw in (OrbitYaw.TO_CENTRE, OrbitYaw.ALONG) and self.facing_m is None
+        place = self._centre + self.radius_m * out
+        return Goal(
+            pos_ned_m=np.array([place.real, place.imag, self.depth_m]),
+            yaw_rad=yaw,
+            speed_m_s=speed,
+            accept_radius_m=self._params["WP_ACCEPT_RADIUS"],
+            accept_yaw_rad=ACCEPT_YAW_RAD,
+            seq=self._seq,
+            drive=Drive(
+                north_m_s=velocity.real,
+                east_m_s=velocity.imag,
+                turn_rad_s=turn,
+                yaw_trend_rad_s=turn if turns else 0.0,
+            ),
+        )
+
+    def _heading(self, nav: NavState, bearing: float) -> float:
+        """Wanted at that bearing from the centre."""
+        if self.facing_m is not None:
+            north, east = self.facing_m
+            return math.atan2(east - float(nav.pos_ned_m[1]), north - float(nav.pos_ned_m[0]))
+        if self._yaw is OrbitYaw.TO_CENTRE:
+            return wrap_pi(bearing + math.pi)
+        if self._yaw is OrbitYaw.ALONG:
+            return wrap_pi(bearing + self._sense * 0.5 * math.pi)
+        return self._initial_rad or 0.0
+
+
+def _near(a: FloatArray, b: FloatArray) -> bool:
+    """Whether a place to join the circle at may stay where it is."""
+    return math.dist(a.tolist(), b.tolist()) < 0.15
+
+
+RING_STEP_M = 0.01
+"""Arcs of a circle are looked at down to this length."""
+
+
+def worst_on_ring(room: Room, centre_m: tuple[float, float], radius_m: float, need_m: float) -> FloatArray | None:
+    """A place (2,) on a circle with less room than ``need_m``, None when there is none.
+
+    Clearance changes no faster than place: an arc whose middle has half its length more than is needed is free, the
+    others are divided.
+    """
+    step = 2.0 * math.pi / RING_ARCS
+    angles = np.arange(RING_ARCS) * step
+    while len(angles):
+        places = np.array(centre_m) + radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        clearance = room.clearance_m(places)
+        least = int(np.argmin(clearance))
+        if clearance[least] < need_m:
+            place: FloatArray = places[least]
+            return place
+        half_m = 0.5 * step * radius_m
+        if half_m < RING_STEP_M:
+            return None
+        open_ = angles[clearance - half_m < need_m]
+        step /= RING_PARTS
+        angles = (open_[:, None] + step * (np.arange(RING_PARTS) - 0.5 * (RING_PARTS - 1))).ravel()
+    return None
+
+
+RING_ARCS = 72
+RING_PARTS = 4
+"""Arcs that a circle begins with, and parts that an arc is divided into."""

@@ -1,0 +1,103 @@
+"""A vehicle that is sent missions over MAVLink, as ground stations do it, and flies them."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from piloted_world import PilotedWorld
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.core.plan import PlanItem
+
+NAN = math.nan
+MISSION = (4 << 16) | (4 << 24)
+
+
+def placed(seq: int, command: int, x: float, y: float, depth: float, *params: float) -> PlanItem:
+    """An item at local metres."""
+    p1, p2, p3, p4 = (*params, *(0.0,) * (4 - len(params)))
+    return PlanItem(
+        seq=seq,
+        frame=1,
+        command=command,
+        param1=p1,
+        param2=p2,
+        param3=p3,
+        param4=p4,
+        x=round(x * 1e4),
+        y=round(y * 1e4),
+        z=depth,
+    )
+
+
+def waypoint(seq: int, x: float, y: float, depth: float = 0.5, yaw_deg: float = NAN) -> PlanItem:
+    """NAV_WAYPOINT without a stop."""
+    return placed(seq, 16, x, y, depth, 0.0, 0.0, 0.0, yaw_deg)
+
+
+def plain(seq: int, command: int, *params: float) -> PlanItem:
+    """An item without a place."""
+    p1, p2, p3, p4 = (*params, *(0.0,) * (4 - len(params)))
+    return PlanItem(seq=seq, frame=2, command=command, param1=p1, param2=p2, param3=p3, param4=p4)
+
+
+class MissionWorld(PilotedWorld):
+    """Uploads by bytes, and remembers what was reached and said."""
+
+    def upload(self, items: Sequence[PlanItem], kind: int = 0) -> Any:
+        """COUNT, items as they are asked for; the final MISSION_ACK."""
+        self.heard.clear()
+        self._mav.seq = (self._mav.seq + 1) % 256
+        rx = [self.pack(mav.MAVLink_mission_count_message(1, 1, len(items), kind))]
+        for _ in range(100 + 3 * len(items)):
+            self.tick(rx)
+            rx, news = [], list(self.heard)
+            self.heard.clear()
+            for message in news:
+                if message.get_type() == "MISSION_ACK":
+                    self.heard.extend(news)
+                    self.run(0.03)
+                    return message
+                if message.get_type() == "MISSION_REQUEST_INT":
+                    rx.append(self.pack(item_message(items[message.seq], kind)))
+        raise AssertionError("no MISSION_ACK")
+
+    def fly(self, items: Sequence[PlanItem], seconds: float) -> None:
+        """Upload, arm, start, run."""
+        ack = self.upload(items)
+        assert ack.type == 0, self.texts()
+        self.arm()
+        assert self.command(300, 0.0, 0.0) == 0, self.texts()
+        self.heard.clear()
+        self.run(seconds)
+
+    @property
+    def reached(self) -> list[int]:
+        """MISSION_ITEM_REACHED since the start."""
+        return [m.seq for m in self.heard if m.get_type() == "MISSION_ITEM_REACHED"]
+
+    def since(self, seconds: float) -> Any:
+        """The track (n, 8) of the last seconds."""
+        return np.array(self.track[-round(100 * seconds) :])
+
+
+def item_message(item: PlanItem, kind: int = 0) -> Any:
+    """MISSION_ITEM_INT."""
+    return mav.MAVLink_mission_item_int_message(
+        1,
+        1,
+        item.seq,
+        item.frame,
+        item.command,
+        int(item.seq == 0),
+        item.autocontinue,
+        item.param1,
+        item.param2,
+        item.param3,
+        item.param4,
+        item.x,
+        item.y,
+        item.z,
+        kind,
+    )
