@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from autopilot.command.commander import Commander
+from autopilot.command.photographer import Photographer
 from autopilot.control.protocol import Controller
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.core.desk import Desk
@@ -27,5 +28,7 @@ class Parts:
     commander: Commander
     server: MavlinkServer
     guard: Guard
+    photographer: Photographer | None = None
+    """None without a camera."""
     desks: tuple[Desk, ...] = ()
     """Where slow work is asked for: while the loop waits there it attends to its links."""

@@ -8,6 +8,7 @@ under a guard (:mod:`autopilot.core.guard`): what one that fails means for the o
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
 from autopilot.command.conditions import Conditions
@@ -40,6 +41,7 @@ from autopilot.core.messages import (
     ThrusterHealthState,
 )
 from autopilot.core.samples import ExternalPoseSample
+from autopilot.core.stills import StillRecord
 from autopilot.mavlink.api import VehicleView
 
 CONTROL_EVERY_TICKS = 5
@@ -54,6 +56,7 @@ COUNTERS_EVERY_TICKS = 100
 NO_EVENTS: tuple[Event, ...] = ()
 NO_POSES: tuple[ExternalPoseSample, ...] = ()
 NO_FRAMES: tuple[MavlinkFrame, ...] = ()
+NO_STILLS: tuple[tuple[int, ...], tuple[StillRecord, ...]] = ((), ())
 
 T = TypeVar("T")
 
@@ -107,6 +110,8 @@ class Autopilot:
     def _step(self, inputs: Inputs) -> Outputs:
         parts, actuation, t_us = self._parts, self._actuation, inputs.t_us
         self._run("inputs", lambda: self._note(inputs), None)
+        if parts.photographer is not None:
+            self._run("camera", partial(parts.photographer.note, inputs), None)
         acting_n = self._run("thrusters", lambda: actuation.send(t_us), actuation.nothing())
         poses = self._run("message", parts.server.take_samples, NO_POSES)
         self._run("message", lambda: self._note_others(t_us), None)
@@ -124,6 +129,7 @@ class Autopilot:
         self.marks.mark(LoopPart.DECIDE)
         if self._tick == WARM_AT_TICK:
             self._run("warming", lambda: parts.controller.warm(parts.params), None)
+        shots, stills = self._photograph(t_us, nav, armed=decision.armed)
         control = self._run("controller", lambda: self._control(t_us, nav, decision), None, lambda: (nav, decision))
         self.marks.mark(LoopPart.CONTROL)
         self._faults.judge()
@@ -151,6 +157,8 @@ class Autopilot:
             thrusters=thrusters,
             drop_weight=decision.drop_weight,
             hand_back=decision.hand_back,
+            shots=shots,
+            stills=stills,
             events=inputs.notices + self._events + self._run("telemetry", parts.server.take_notices, NO_EVENTS),
         )
 
@@ -284,6 +292,15 @@ class Autopilot:
             hand_back=last is not None and last.hand_back,
         )
 
+    def _photograph(
+        self, t_us: int, nav: NavState | None, *, armed: bool
+    ) -> tuple[tuple[int, ...], tuple[StillRecord, ...]]:
+        """Stills to be taken, and what became of earlier ones."""
+        photographer = self._parts.photographer
+        if photographer is None:
+            return NO_STILLS
+        return self._run("camera", lambda: photographer.step(t_us, nav, armed=armed), NO_STILLS, lambda: nav)
+
     def _control(self, t_us: int, nav: NavState | None, decision: Decision) -> ControlOutput | None:
         """Run the controller on its ticks; neutral when there is nothing to follow."""
         if self._faults.holding:
@@ -339,7 +356,9 @@ class Autopilot:
 
     def _take_events(self) -> list[Event]:
         """Lines for the operator that are not the commander's."""
-        return self._surroundings.take_events() + self._estimation.take_remarks() + self._faults.take_events()
+        photographer = self._parts.photographer
+        told = [] if photographer is None else [*photographer.take_events()]
+        return told + self._surroundings.take_events() + self._estimation.take_remarks() + self._faults.take_events()
 
     def _mode_state(self, t_us: int, *, armed: bool, decision: Decision | None, fault: bool = False) -> ModeState:
         return ModeState(

@@ -15,6 +15,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.marks import LoopPart
 from autopilot.core.samples import ExternalPoseSample, PictureReport, Sample
+from autopilot.core.stills import CameraReport, StillRecord, StoredStill
 
 MAX_THRUSTERS = 8
 """Width of the thruster arrays in logs and outputs."""
@@ -79,6 +80,10 @@ class Inputs:
     """Whether the flight controller below takes our thrust; None without one."""
     refusals: tuple[str, ...] = ()
     """What devices have against arming, a line each."""
+    camera: CameraReport | None = None
+    """How the camera is doing, None = nothing new (or none)."""
+    stills: tuple[StoredStill, ...] = ()
+    """What has become of stills that were asked for."""
 
 
 class Authority(Enum):
@@ -565,6 +570,10 @@ class Outputs:
     """A failsafe wants the drop weight off."""
     hand_back: bool = False
     """A failsafe has given the thrusters to whatever is below us; ``command`` is neutral."""
+    shots: tuple[int, ...] = ()
+    """Numbers of the stills that are to be taken from now on."""
+    stills: tuple[StillRecord, ...] = ()
+    """Stills that have been stored, with where the vehicle was."""
     events: tuple[Event, ...] = field(default=())
     faults: tuple[Fault, ...] = ()
     """Exceptions inside the service on this tick."""

@@ -199,6 +199,20 @@ float64[2] laser_px
 uint32 decode_us
 float32[64] sigma_px  # of each marker's corners, 0 = not known
 """,
+    "autopilot_msgs/Still": """
+std_msgs/Header header  # time of the exposure, as that of its picture in /payload/image
+uint32 index
+int32 seq  # mission item that asked for it, -1 = a client
+uint8 stored  # 0 = there is no picture: see /rosout
+uint8 pose_known
+float64[3] pos_ned_m  # of the vehicle at the exposure, as estimated
+float64[3] rpy_rad
+float64[6] variance  # of both
+uint16 width_px
+uint16 height_px
+uint32 size  # bytes
+float64 delay_s  # from the exposure until it was stored
+""",
     "autopilot_msgs/PoseFix": """
 std_msgs/Header header
 float64[3] pos_ned_m

@@ -33,7 +33,7 @@ from autopilot.core.samples import (
 from autopilot.log import visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import StreamCutter
-from autopilot.log.packing import decisions, estimate, programs, sensors, service, vehicle
+from autopilot.log.packing import decisions, estimate, payload, programs, sensors, service, vehicle
 from autopilot.log.scene import moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.writer import LogHead, LogWriter, Payload
@@ -189,6 +189,11 @@ class RunLog:
         pixels, stamp_ns = frame.image_bgr.copy(), self._ns(frame.t_us)
         self._writer.write("/in/camera", frame.t_us, _jpeg_maker(pixels, stamp_ns), size=pixels.nbytes)
 
+    def still(self, exposure_us: int, png: bytes) -> None:
+        """A still in full size, as a PNG; what is known of it comes with ``Outputs.stills``."""
+        data = visuals.compressed_image(self._ns(exposure_us), png, "png")
+        self._write("/payload/image", exposure_us, data)
+
     def truth(self, t_us: int, truth: vehicle.TruthLike) -> None:
         """The simulated vehicle, once per tick."""
         if self._due("/sim/truth", t_us, TRUTH_US):
@@ -241,6 +246,9 @@ class RunLog:
         self._on_change("/out/thrusters", t_us, command, always=outputs.control is not None)
         if outputs.thrusters is not None:
             self._write("/ctl/thrusters", t_us, decisions.thruster_health(stamp_ns, outputs.thrusters))
+        for record in outputs.stills:
+            exposure_us = record.still.exposure_us
+            self._write("/payload/still", exposure_us, payload.still(self._ns(exposure_us), record))
         for frame in outputs.mavlink_tx:
             self._mavlink("/out/mavlink", t_us, frame)
         for event in outputs.events:

@@ -1,5 +1,7 @@
 """The log folder for clients that download: reads what lies in it, and nothing else, beside the loop."""
 
+import fnmatch
+import glob
 from pathlib import Path, PurePosixPath
 
 from autopilot.core.crc import file_crc32
@@ -14,8 +16,11 @@ MAX_FILES = 4096
 """So many files are shown, the newest ones."""
 PIECE_BYTES = 1 << 20
 """A checksum is made in pieces of this size, and ends between them when nobody wants it any more."""
-SUFFIXES = (".mcap", ".tlog")
-"""What logs are called; other files are nobody's business."""
+SUFFIXES = (".mcap", ".tlog", ".png")
+"""What logs and the stills beside them are called; other files are nobody's business."""
+
+STILLS = ".still-*.png"
+"""How the stills of a log end, behind its name."""
 
 
 class LogShelf:
@@ -63,7 +68,8 @@ class LogShelf:
         root = self._folder.resolve()
         candidates = [(path, path.relative_to(root).as_posix()) for path in root.glob("**/*")]
         if self._single is not None:
-            siblings = [self._single, self._single.with_suffix(".tlog")]
+            single = self._single
+            siblings = [single, single.with_suffix(".tlog"), *single.parent.glob(f"{glob.escape(single.stem)}{STILLS}")]
             candidates += [(path, path.name) for path in siblings if path.parent.resolve() != root]
         for path, name in candidates:
             cancel.check()
@@ -79,12 +85,18 @@ class LogShelf:
         """The file of that name. LogError for one that is not there, is no log, or lies outside of the folder."""
         parts = PurePosixPath(path).parts
         single = self._single
-        if single is not None and parts in ((single.name,), (single.with_suffix(".tlog").name,)):
+        if single is not None and len(parts) == 1 and self._is_of_single(parts[0], single):
             inside = single.with_name(parts[0])
-            if inside.is_file():
+            if inside.is_file() and not inside.is_symlink():
                 return inside
         root = self._folder.resolve()
         inside = root.joinpath(*parts).resolve() if parts and "\0" not in path else root
         if not inside.is_relative_to(root) or inside.suffix not in SUFFIXES or not inside.is_file():
             raise LogError(f"there is no log {path!r}; list the folder for those that there are")
         return inside
+
+    @staticmethod
+    def _is_of_single(name: str, single: Path) -> bool:
+        """Whether a file's name is that of the one log, or of what stands beside it."""
+        stills = f"{glob.escape(single.stem)}{STILLS}"
+        return name in (single.name, single.with_suffix(".tlog").name) or fnmatch.fnmatchcase(name, stills)

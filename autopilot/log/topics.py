@@ -45,6 +45,8 @@ TOPICS: dict[str, str] = {
     "/in/hull": "autopilot_msgs/HullRaw",
     "/in/pilot": "autopilot_msgs/PilotRaw",
     "/in/mavlink": "autopilot_msgs/MavlinkFrame",
+    "/payload/image": "sensor_msgs/CompressedImage",
+    "/payload/still": "autopilot_msgs/Still",
     "/rosout": "rcl_interfaces/Log",
     "/viz/pose": "geometry_msgs/PoseStamped",
     "/viz/path": "nav_msgs/Path",

@@ -90,12 +90,12 @@ def event(stamp_ns: int, value: Event) -> bytes:
     return out.getvalue()
 
 
-def compressed_image(stamp_ns: int, jpeg: bytes) -> bytes:
-    """sensor_msgs/CompressedImage holding a JPEG, frame ``cam``."""
+def compressed_image(stamp_ns: int, data: bytes, kind: str = "jpeg") -> bytes:
+    """sensor_msgs/CompressedImage holding a JPEG or PNG, frame ``cam``."""
     out = CdrBuffer()
     out.header(stamp_ns, "cam")
-    out.string("jpeg")
-    out.blob(jpeg)
+    out.string(kind)
+    out.blob(data)
     return out.getvalue()
 
 

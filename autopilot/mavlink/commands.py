@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.messages import Severity
 from autopilot.mavlink.api import Answer, CommandResult
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.context import COMPID, Context, Peer
 from autopilot.mavlink.wire import Message
 
 REPEAT_US = 10_000_000
@@ -124,10 +124,16 @@ class Commands:
     """The command microservice."""
 
     def __init__(
-        self, ctx: Context, table: Mapping[int, Entry], keeps_out: Callable[[Call], str] = lambda call: ""
+        self,
+        ctx: Context,
+        table: Mapping[int, Entry],
+        keeps_out: Callable[[Call], str] = lambda call: "",
+        source: int = COMPID,
     ) -> None:
-        """``keeps_out``: why a caller may not change anything now, "" = he may."""
+        """``keeps_out``: why a caller may not change anything now, "" = he may. ``source``: which of our components
+        answers."""
         self._ctx = ctx
+        self._source = source
         self._keeps_out = keeps_out
         self._table = table
         self._last: dict[Peer, _Remembered] = {}
@@ -171,7 +177,7 @@ class Commands:
     def _reply(self, peer: Peer, command: int, reply: Reply) -> None:
         self._ack(peer, command, reply.answer)
         for message in reply.messages:
-            self._ctx.send(peer, message)
+            self._ctx.send(peer, message, self._source)
         if reply.answer.reason and reply.answer.result is not CommandResult.ACCEPTED:
             self._ctx.say(Severity.WARNING, reply.answer.reason, peer)
 
@@ -179,4 +185,5 @@ class Commands:
         self._ctx.send(
             peer,
             mav.MAVLink_command_ack_message(command, answer.result, 0, 0, peer.sysid, peer.compid),
+            self._source,
         )

@@ -78,6 +78,8 @@ class Context:
     t_us: int = 0
     links: dict[int, LinkEncoder] = field(default_factory=dict)
     """Every open link's encoder: sequence numbers count per link."""
+    others: dict[tuple[int, int], LinkEncoder] = field(default_factory=dict)
+    """Of our other components, by link and component."""
     budgets: dict[int, Budget] = field(default_factory=dict)
     """Of slow links."""
     old: dict[int, frozenset[int]] = field(default_factory=dict)
@@ -113,16 +115,35 @@ class Context:
 
         encoder.sign = None if signing.key is None else sign
 
+    def remove_link(self, index: int) -> None:
+        """A link is closed."""
+        self.links.pop(index, None)
+        self.old.pop(index, None)
+        for key in [key for key in self.others if key[0] == index]:
+            del self.others[key]
+
+    def _encoder(self, link: int, source: int) -> LinkEncoder:
+        """Of an open link and one of our components."""
+        if source == COMPID:
+            return self.links[link]
+        encoder = self.others.get((link, source))
+        if encoder is None:
+            encoder = self.others[link, source] = LinkEncoder(self.sysid, source)
+            self._sign_on(link, encoder)
+        return encoder
+
     def key_changed(self) -> None:
         """There is a signing key now, or none any more."""
         for index, encoder in self.links.items():
             self._sign_on(index, encoder)
+        for (index, _), encoder in self.others.items():
+            self._sign_on(index, encoder)
 
-    def send(self, to: Receiver, message: Message) -> None:
-        """Queue a message to one client, or to everyone on one link."""
+    def send(self, to: Receiver, message: Message, source: int = COMPID) -> None:
+        """Queue a message to one client, or to everyone on one link. ``source``: which of our components says it."""
         link, client = (to, EVERYONE) if isinstance(to, int) else (to.link, to.client)
         if link in self.links:
-            frames = list(self.frames(link, client, message))
+            frames = list(self.frames(link, client, message, source=source))
             budget = self.budgets.get(link)
             if budget is not None:
                 budget.spend(sum(len(frame.data) for frame in frames))
@@ -133,9 +154,11 @@ class Context:
         budget = self.budgets.get(link)
         return budget is None or budget.has_room(share)
 
-    def frames(self, link: int, client: int, message: Message, *, counted: bool = True) -> Iterator[MavlinkFrame]:
+    def frames(
+        self, link: int, client: int, message: Message, *, counted: bool = True, source: int = COMPID
+    ) -> Iterator[MavlinkFrame]:
         """A message as the clients of an open link get it: who speaks MAVLink 1 gets that."""
-        encoder, old = self.links[link], self.old.get(link)
+        encoder, old = self._encoder(link, source), self.old.get(link)
         if not old:
             yield MavlinkFrame(link=link, client=client, data=encoder.pack(message, counted=counted))
             return
@@ -148,10 +171,10 @@ class Context:
             if packed is not None:
                 yield MavlinkFrame(link=link, client=other, data=packed)
 
-    def broadcast(self, message: Message) -> None:
+    def broadcast(self, message: Message, source: int = COMPID) -> None:
         """Queue a message on every link."""
         for index in self.links:
-            self.send(index, message)
+            self.send(index, message, source)
 
     def say(self, severity: int, text: str, to: Receiver | None = None) -> None:
         """Tell the operator something of our own (STATUSTEXT to a client, a link or all, and a line for the log)."""

@@ -16,7 +16,9 @@ from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
 from autopilot.core.shelf import Shelf
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleCommands, VehicleView
 from autopilot.mavlink.budget import Budget
-from autopilot.mavlink.commands import Call, Commands, Entry
+from autopilot.mavlink.camera import CAMERA_COMPID, CameraComponent
+from autopilot.mavlink.camera_api import CameraOrders
+from autopilot.mavlink.commands import Call, Commands, Entry, call_of
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.external import ExternalPoses
@@ -88,6 +90,8 @@ _HEAVY = frozenset(
     )
 )
 
+_COMMANDS = frozenset((mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT))
+
 Handler = Callable[[Peer, Message], None]
 
 
@@ -110,6 +114,7 @@ class Dispatcher:
         signing: Signing | None = None,
         shelf: Shelf | None = None,
         rates: Mapping[int, float] | None = None,
+        camera: CameraOrders | None = None,
     ) -> None:
         self._ctx = ctx = Context(
             sysid=sysid,
@@ -156,9 +161,20 @@ class Dispatcher:
         requests = Requests(ctx, self._streams, self._status)
         # A request for control is judged by itself, also while somebody else has it.
         control = {REQUEST: Entry(handler=self._operators.request, action=False)}
-        self._commands = Commands(ctx, {**self._vehicle.table(), **requests.table(), **control}, self._keeps_out)
+        table = {**self._vehicle.table(), **requests.table(), **control}
+        self._camera: CameraComponent | None = None
+        self._to_camera: Commands | None = None
+        """Commands that are addressed to the camera, or that only it can answer."""
+        self._ours = _OUR_COMPONENTS
+        if camera is not None:
+            self._camera = CameraComponent(ctx, camera, lambda: self.utility.utc_offset_us)
+            taken = {**self._camera.actions(), **self._camera.requests()}
+            self._to_camera = Commands(ctx, taken, self._keeps_out, CAMERA_COMPID)
+            table = {**self._camera.actions(), **table}
+            self._ours = _OUR_COMPONENTS | {CAMERA_COMPID}
+        self._commands = Commands(ctx, table, self._keeps_out)
         self._handlers = self._table()
-        self._router = Router(ctx, ours=_OUR_COMPONENTS.__contains__)
+        self._router = Router(ctx, ours=self._ours.__contains__)
         self._intake = Intake(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._heard)
         self._told_refusals = Refusals()
         self._refusals_us: int | None = None
@@ -177,8 +193,8 @@ class Dispatcher:
         missions, parameters, utility = self.missions, self.parameters, self.utility
         return {
             mav.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
-            mav.MAVLINK_MSG_ID_COMMAND_LONG: self._commands.on_command,
-            mav.MAVLINK_MSG_ID_COMMAND_INT: self._commands.on_command,
+            mav.MAVLINK_MSG_ID_COMMAND_LONG: self._on_command,
+            mav.MAVLINK_MSG_ID_COMMAND_INT: self._on_command,
             mav.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
             mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN: self._on_set_origin,
             mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: lambda peer, msg: parameters.on_request_list(peer),
@@ -226,8 +242,7 @@ class Dispatcher:
 
     def remove_link(self, link: int) -> None:
         """Close a link."""
-        self._ctx.links.pop(link, None)
-        self._ctx.old.pop(link, None)
+        self._ctx.remove_link(link)
         self._intake.forget_link(link)
         self._streams.forget(link)
         for peer in [peer for peer in self._greeted if peer.link == link]:
@@ -279,6 +294,8 @@ class Dispatcher:
             run("telemetry", partial(ctx.text, event.severity, event.text), None, partial(repr, event))
         run("telemetry", self._say_place, None, lambda: view)
         run("telemetry", self._sensors.tick, None, lambda: view)
+        if self._camera is not None:
+            run("telemetry", self._camera.tick, None, lambda: view)
         run("progress", lambda: self._progress.tick(reached), None, lambda: view)
         run("parameters", self.parameters.tick, None)
         run("plans", self.missions.tick, None)
@@ -321,7 +338,8 @@ class Dispatcher:
     def _handle(self, address: Address, msg: Message) -> None:
         """One message. What fails at it costs this message only; a command is answered FAILED."""
         sysid = msg.get_srcSystem()
-        ours = sysid == self._ctx.sysid and msg.get_srcComponent() == COMPID  # an echo, or a second of us
+        speaker = msg.get_srcComponent()  # one of our components: an echo, or a second of us
+        ours = sysid == self._ctx.sysid and speaker in (COMPID, CAMERA_COMPID) and speaker in self._ours
         if sysid == 0 or ours or not self._for_us(msg):
             return
         link, client = address
@@ -401,10 +419,11 @@ class Dispatcher:
         )
 
     def _for_us(self, msg: Message) -> bool:
-        """Addressed to us, to all, or to nobody."""
-        return getattr(msg, "target_system", 0) in (0, self._ctx.sysid) and (
-            getattr(msg, "target_component", 0) in _OUR_COMPONENTS
-        )
+        """Addressed to us, to all, or to nobody. The camera takes commands only."""
+        component = getattr(msg, "target_component", 0)
+        if getattr(msg, "target_system", 0) not in (0, self._ctx.sysid) or component not in self._ours:
+            return False
+        return component != CAMERA_COMPID or msg.get_msgId() in _COMMANDS
 
     def _greet(self, peer: Peer) -> None:
         """The true name, once to every client, a moment after its first word."""
@@ -451,6 +470,16 @@ class Dispatcher:
         if msg.type in _OPERATORS:
             self._operators.heard(peer)
             self.last_gcs_t_us = self._ctx.t_us
+
+    def _on_command(self, peer: Peer, msg: Message) -> None:
+        """To the autopilot; to the camera if it is addressed, or if it is asked of everybody what the camera knows."""
+        camera, component = self._to_camera, msg.target_component
+        if camera is None or self._camera is None or component in (COMPID, MISSION_COMPONENT):
+            self._commands.on_command(peer, msg)
+        elif component == CAMERA_COMPID or self._camera.answers(call_of(peer, msg)):
+            camera.on_command(peer, msg)
+        else:
+            self._commands.on_command(peer, msg)
 
     def _on_set_mode(self, peer: Peer, msg: Message) -> None:
         self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))

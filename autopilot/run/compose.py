@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from autopilot import __version__
 from autopilot.command.commander import Commander
 from autopilot.command.parts import Parts
+from autopilot.command.photographer import Photographer
 from autopilot.command.readiness import MarginCheck
 from autopilot.command.service import Autopilot
 from autopilot.control.energy.request import TrajectoryPlanner
@@ -66,6 +67,8 @@ class ServiceSetup:
     """Where the signing key is kept, None = nowhere."""
     shelf: LogShelf | None = None
     """The logs that clients may download, None = none."""
+    pictures: bool = False
+    """Whether there is a camera that delivers pictures."""
     waits_for_plans: bool
     """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
 
@@ -93,7 +96,9 @@ def build_service(
     check = MarginCheck(controller, params, plans)
     commander = Commander(vehicle, params, plans, controller_check=check, speed_m_s=check.planar_speed_m_s)
     guard = Guard()
+    photographer = Photographer(vehicle) if setup.pictures else None
     parts = Parts(
+        photographer=photographer,
         guard=guard,
         desks=(*desks.lanes, checks, *(() if setup.shelf is None else (setup.shelf.desk,))),
         vehicle=vehicle,
@@ -127,6 +132,7 @@ def build_service(
             signing=setup.signing,
             shelf=setup.shelf,
             rates=setup.rates,
+            camera=photographer,
         ),
     )
     return Autopilot(parts), parts

@@ -40,6 +40,7 @@ from autopilot.run.session import (
 )
 from autopilot.run.session_log import LogContents, marker_attachment, open_recorder
 from autopilot.run.signing_files import SigningFiles
+from autopilot.run.stills import StillStore
 from autopilot.run.vehicle_config import VehicleConfig, apply_parameters
 from autopilot.run.watched import WatchedService
 from autopilot.view.controls import ReadOnly
@@ -109,6 +110,7 @@ def open_vehicle(
         peers=(),
         recorder=recorder,
         speed=speed,
+        stills=StillStore(recorder, disk, Path(settings["log_dir"])) if config.has_camera else None,
         below=device.below,
         notices=device.take_notices,
         refusals=device.refusals,
@@ -166,6 +168,7 @@ def _service(
             links=len(settings["connect"]),
             patience=FASTEST if speed == 0.0 else max(1.0, speed),
             waits_for_plans=speed == 0.0,
+            pictures=config.has_camera,
             saving=saving,
             signing=signing,
             shelf=log_shelf(settings, patient=speed == 0.0),

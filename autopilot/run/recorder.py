@@ -8,6 +8,7 @@ at every arming it is tried anew.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Protocol
 
 from autopilot.core.disk import cause_of
@@ -52,6 +53,10 @@ class NullRecorder:
     dropped = 0
     lost = False
     failure: str | None = None
+    path: Path | None = None
+
+    def still(self, exposure_us: int, png: bytes) -> None:
+        """There is no log for it."""
 
     def take_notices(self) -> tuple[tuple[Severity, str], ...]:
         """Nothing to say."""
@@ -102,6 +107,17 @@ class RunRecorder:
         """What happens is not being recorded though it should be."""
         self.failure: str | None = None
         """Why a log of this run is not whole, the last reason; None while all is well."""
+
+    @property
+    def path(self) -> Path | None:
+        """The file of the present log, None while there is none (or it is just being made beside the loop)."""
+        log = self._log
+        return None if log is None or log.failure is not None or log.path == Path() else log.path
+
+    def still(self, exposure_us: int, png: bytes) -> None:
+        """A picture for the present log."""
+        if self._log is not None:
+            self._log.still(exposure_us, png)
 
     @property
     def dropped(self) -> int:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from autopilot.command.service import Autopilot
 from autopilot.core.clients import Reach
@@ -32,9 +32,11 @@ from autopilot.core.messages import (
     ThrusterCommand,
 )
 from autopilot.core.samples import CameraFrame, Sample
+from autopilot.core.stills import StoredStill
 from autopilot.run.clocks import DayClock
 from autopilot.run.loop_account import LoopAccount
 from autopilot.run.outside import HandsBack, Onlooker, Peer, Recorder, VehicleIo, WeightRelease
+from autopilot.run.stills import StillStore
 from autopilot.run.transport import Transport
 from drivers.protocols import Link
 from estimator.vision_lane import VisionWorker
@@ -50,6 +52,7 @@ SKIP_TICKS = 5
 
 NO_SAMPLES: Sequence[Sample] = ()
 NO_PICTURES: Sequence[CameraFrame] = ()
+NO_STILLS: tuple[StoredStill, ...] = ()
 
 MAX_SHOWN_FAULTS = 20
 """Kinds of internal faults that are shown on the console; all are in the log."""
@@ -78,11 +81,14 @@ class Runtime:
         skips: bool = False,
         onlooker: Onlooker | None = None,
         hold: Callable[[int], bool] = lambda _: False,
+        stills: StillStore | None = None,
     ) -> None:
         """``notices``: what operators should know of the outside world (severity, text), asked for once per tick.
         ``below``: who has the vehicle, where there is a flight controller below; ``refusals``: what its devices have
         against arming. ``skips``: the world does not wait, ticks that are far too late are left out. ``hold``: asked
-        before every tick, with the time of the last, whether time stands still (a simulation that is paused)."""
+        before every tick, with the time of the last, whether time stands still (a simulation that is paused).
+        ``stills``: where stills are stored, None without a camera."""
+        self._stills = stills
         self._refusals = refusals
         self._skips = skips
         self._onlooker = onlooker
@@ -177,12 +183,15 @@ class Runtime:
             ),
             refusals=self._refusals(t_us),
             below=self._try(t_us, DeviceRole.THRUSTERS, lambda: self._below(t_us), None),
+            **self._stills_of(t_us, frames),
         )
         self._troubles = []
         watch.mark(LoopPart.RECEIVE)
         outputs = self._step(inputs)
         watch.mark(LoopPart.ALLOCATE)
         self._drive(t_us, outputs)
+        if self._stills is not None and outputs.shots:
+            self._stills.ask(t_us, outputs.shots)
         watch.mark(LoopPart.WRITE)
         outputs = self._with_faults(outputs)
         self._send(t_us, outputs.mavlink_tx)
@@ -218,6 +227,14 @@ class Runtime:
         for frame in frames:
             vision.submit(t_us, frame, self._service.nav)
         return found
+
+    def _stills_of(self, t_us: int, frames: Sequence[CameraFrame]) -> dict[str, Any]:
+        """What the camera's stills have to say, as fields of ``Inputs``."""
+        stills = self._stills
+        if stills is None:
+            return {}
+        stored = self._guard.run("camera", lambda: stills.take(t_us, frames), NO_STILLS)
+        return {"camera": self._guard.run("camera", stills.report, None), "stills": stored}
 
     def _try(self, t_us: int, device: DeviceRole, work: Callable[[], T], otherwise: T) -> T:
         """Use a device; one that fails is told to the service with the next tick, which goes on without it."""

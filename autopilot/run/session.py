@@ -24,6 +24,7 @@ from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.runtime import Runtime
 from autopilot.run.service_manager import ServiceManager
 from autopilot.run.signing_files import SigningFiles
+from autopilot.run.stills import StillStore
 from drivers.links import open_link, parse_connection
 from drivers.protocols import Link
 from estimator.frame_filter import FrameFilter
@@ -63,6 +64,8 @@ class Outside:
     """Whoever looks on."""
     hold: Callable[[int], bool] = lambda _: False
     """Whether time stands still (a simulation only)."""
+    stills: StillStore | None = None
+    """Where stills are stored; None without a camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -170,6 +173,7 @@ def loop_round(
         skips=outside.skips,
         onlooker=outside.onlooker,
         hold=outside.hold,
+        stills=outside.stills,
     )
     for desk in (*parts.desks, kept.disk):
         desk.idle = runtime.attend

@@ -42,6 +42,7 @@ from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_params import sitl_params, state_folder
 from autopilot.run.sitl_view import Steering, WatchedSitl
 from autopilot.run.sitl_world import World, forecast, knowledge, make_world
+from autopilot.run.stills import StillStore
 from autopilot.view.hub import Hub
 from drivers.protocols import Link
 from sitl.backend import SimulatedVehicle
@@ -145,6 +146,7 @@ def open_sitl(
         recorder=recorder,
         speed=world.speed,
         clock=clock,
+        stills=StillStore(recorder, disk, Path(settings["log_dir"])) if world.simulated.pictured else None,
         **({} if view is None or steering is None else _looked_at(view, world, parts, steering)),
     )
     kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
@@ -213,6 +215,7 @@ def _service(
             links=links,
             patience=FASTEST if world.speed == 0.0 else max(1.0, world.speed),
             waits_for_plans=world.speed == 0.0,
+            pictures=world.simulated.pictured,
             saving=saving,
             signing=signing,
             shelf=log_shelf(settings, patient=world.speed == 0.0),

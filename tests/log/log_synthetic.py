@@ -48,6 +48,7 @@ from autopilot.core.samples import (
     PowerSample,
     VelocitySample,
 )
+from autopilot.core.stills import StillRecord, StoredStill
 from autopilot.log.description import AcceptBounds, FenceShape, Obstacle, RunDescription, Waypoint
 from autopilot.log.session import RunLog, open_run_log
 
@@ -200,6 +201,8 @@ def _tick(log: RunLog, run: Run, t_us: int, end_us: int) -> None:
         log.contact(t_us, run.contacts if t_s > 20.0 else 0, 0.01 if 20.0 < t_s < 20.5 and run.contacts else 0.0)
     log.inputs(inputs_at(t_us, truth, run.full_inputs))
     log.outputs(outputs_at(t_us, truth, run, t_us >= end_us - 400_000))
+    if run.full_inputs and t_us % 5_000_000 == 0:
+        log.still(t_us, b"png")
     if t_us % 1_000_000 == 0:
         log.loop(LoopStats(t_us=t_us, tick_s=0.004, cpu_s=0.3, overruns=0, dropped_log=log.dropped))
 
@@ -319,6 +322,19 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         else None,
         progress=MissionProgress(t_us=t_us, current_seq=1, reached_seq=-1, lap=lap, state=state),
         events=(Event(t_us=t_us, severity=6, text=f"lap {lap}"),) if t_us % 5_000_000 == 0 else (),
+        stills=(still_at(t_us, truth),) if run.full_inputs and t_us % 5_000_000 == 0 else (),
+    )
+
+
+def still_at(t_us: int, truth: Truth) -> StillRecord:
+    """A still that was stored at once."""
+    return StillRecord(
+        t_us=t_us,
+        still=StoredStill(index=t_us // 5_000_000, exposure_us=t_us, width_px=640, height_px=480, size=3),
+        seq=-1,
+        pos_ned_m=truth.pos_ned_m,
+        rpy_rad=truth.rpy_rad,
+        variance=np.full(6, 1e-4),
     )
 
 

@@ -1,0 +1,32 @@
+"""What the vehicle carries: its stills."""
+
+from autopilot.core.stills import StillRecord
+from autopilot.log.cdr import ENCAPSULATION
+from autopilot.log.packing.parts import NED, NS, UINT16, UINT32, clip
+from autopilot.log.schemas import layout
+
+_still = layout("autopilot_msgs/Still").packer.pack
+
+_UNKNOWN3 = (0.0,) * 3
+_UNKNOWN6 = (0.0,) * 6
+
+
+def still(stamp_ns: int, record: StillRecord) -> bytes:
+    """Still: where the vehicle was when it was exposed, and what became of it."""
+    pos, rpy, variance, taken = record.pos_ned_m, record.rpy_rad, record.variance, record.still
+    return _still(
+        ENCAPSULATION,
+        *divmod(stamp_ns, NS),
+        *NED,
+        clip(taken.index, UINT32),
+        record.seq,
+        0 if taken.problem else 1,
+        0 if pos is None else 1,
+        *(_UNKNOWN3 if pos is None else pos.tolist()),
+        *(_UNKNOWN3 if rpy is None else rpy.tolist()),
+        *(_UNKNOWN6 if variance is None else variance.tolist()),
+        clip(taken.width_px, UINT16),
+        clip(taken.height_px, UINT16),
+        clip(taken.size, UINT32),
+        (record.t_us - taken.exposure_us) * 1e-6,
+    )

@@ -1,0 +1,67 @@
+"""What the camera component needs of the vehicle. Implemented by :mod:`autopilot.command.photographer`."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.stills import CameraReport, StillRecord
+from autopilot.mavlink.api import Answer
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraIdentity:
+    """The camera, which does not change."""
+
+    vehicle: str
+    width_px: int
+    height_px: int
+    r_frd_from_view: FloatArray
+    """(3, 3) its own axes (x along the optical axis, y to the right of the picture, z down in it) in the body's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CameraState:
+    """What it does now."""
+
+    exposing: bool
+    """A still is under way."""
+    interval_s: float | None
+    """Time between stills of a running sequence, None without one."""
+    distance_m: float | None
+    """Way between stills, None without."""
+    count: int
+    """Stills so far, failed ones included: the next one's number."""
+    report: CameraReport | None
+    """None before the first word of the camera."""
+
+
+class CameraOrders(Protocol):
+    """Requests to the camera. Every one answers at once; the pictures come later (:meth:`take_records`)."""
+
+    identity: CameraIdentity
+
+    @property
+    def state(self) -> CameraState:
+        """What it does now."""
+        ...
+
+    def shoot(self, count: int | None, interval_s: float) -> Answer:
+        """So many stills (None = until it is stopped), so far apart. Takes the place of a running sequence."""
+        ...
+
+    def stop(self) -> Answer:
+        """End the sequence, by time or by way."""
+        ...
+
+    def shoot_every(self, distance_m: float, *, now: bool) -> Answer:
+        """A still each time that the vehicle has come so far from the last one's place; 0 ends that. ``now``: the first
+        at once."""
+        ...
+
+    def record(self, index: int) -> StillRecord | None:
+        """A still of this run by its number."""
+        ...
+
+    def take_records(self) -> tuple[StillRecord, ...]:
+        """Stills that have come since the last call."""
+        ...
