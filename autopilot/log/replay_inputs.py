@@ -1,5 +1,6 @@
 """What the estimator of a logged run was given, tick by tick, exactly."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import MAX_THRUSTERS
+from autopilot.core.messages import MAX_THRUSTERS, Authority, Below, Drive
 from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
@@ -114,6 +115,38 @@ def external_sample(row: Any) -> ExternalPoseSample:
         covariance=row["covariance"].reshape(4, 4).copy() if row["covariance_known"] else None,
         frame=ExternalFrame(int(row["frame"])),
         reset_counter=int(row["reset_counter"]),
+    )
+
+
+def below(row: Any) -> Below:
+    """From a row of ``/in/below``. It is written when it changes: ``t_us`` is when it did."""
+    return Below(
+        t_us=int(row["t_us"]),
+        authority=tuple(Authority)[int(row["authority"])],
+        acts=bool(row["acts"]),
+        text=_text(row["text"]),
+        problem=_text(row["problem"]),
+        refusals=tuple(_text(row["refusals"]).splitlines()),
+        pulses_us=tuple(int(pulse) for pulse in row["pulses_us"][: int(row["thrusters"])]),
+    )
+
+
+def _text(field: Any) -> str:
+    return bytes(field).rstrip(b"\0").decode(errors="replace")
+
+
+def drive(row: Any) -> Drive | None:
+    """From a row of ``/ctl/drive``, None = the goal is a place."""
+    if not row["active"]:
+        return None
+    down_m_s, yaw_rate_rad_s = float(row["down_m_s"]), float(row["yaw_rate_rad_s"])
+    return Drive(
+        north_m_s=float(row["north_m_s"]),
+        east_m_s=float(row["east_m_s"]),
+        turn_rad_s=float(row["turn_rad_s"]),
+        down_m_s=None if math.isnan(down_m_s) else down_m_s,
+        yaw_rate_rad_s=None if math.isnan(yaw_rate_rad_s) else yaw_rate_rad_s,
+        yaw_trend_rad_s=float(row["yaw_trend_rad_s"]),
     )
 
 

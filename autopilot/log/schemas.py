@@ -114,6 +114,16 @@ float64 accept_radius_m
 float64 accept_yaw_rad
 int32 seq
 """,
+    "autopilot_msgs/Drive": """
+std_msgs/Header header
+uint8 active  # 0 = the goal is a place, and nothing below counts
+float64 north_m_s  # over ground; both 0 = the goal's place is held
+float64 east_m_s
+float64 turn_rad_s  # the direction of that velocity turns so fast
+float64 down_m_s  # NaN = the goal's depth
+float64 yaw_rate_rad_s  # NaN = the goal's heading
+float64 yaw_trend_rad_s  # so fast the goal's heading itself turns
+""",
     "autopilot_msgs/NmpcStatus": """
 std_msgs/Header header
 uint8 status  # 0 ok, 1 idle, 2 not finite, 3 residual, 4 exception
@@ -271,6 +281,16 @@ float64 temperature_c  # the same
     "autopilot_msgs/PilotRaw": """
 std_msgs/Header header
 uint8 heard  # 1
+""",
+    "autopilot_msgs/Below": """
+std_msgs/Header header
+uint8 authority  # 0 ours, 1 the pilot's, 2 stopped
+uint8 acts  # whether thrusters do what they are commanded
+uint8 thrusters  # so many of pulses_us are known
+uint16[8] pulses_us  # what the thrusters get while they do not act for us
+uint8[64] text  # its mode, or why it has stopped; UTF-8, zeros behind it
+uint8[128] problem  # how its thrusters do something else than what they are commanded, the same
+uint8[512] refusals  # why it would not fly for us, the same; lines end with a newline
 """,
     "autopilot_msgs/MavlinkFrame": """
 std_msgs/Header header

@@ -179,6 +179,8 @@ class RunLog:
         self._write("/in/tick", t_us, service.input_tick(self._ns(t_us), inputs))
         for sample in inputs.samples:
             self._sample(sample)
+        if inputs.below is not None:
+            self._on_change("/in/below", t_us, service.below(self._ns(t_us), inputs.below))
         for frame in inputs.mavlink_rx:
             self._mavlink("/in/mavlink", t_us, frame)
 
@@ -240,6 +242,9 @@ class RunLog:
             self._on_change("/mission/progress", t_us, decisions.mission_progress(stamp_ns, done))
         if outputs.goal is not None and self._changed("/ctl/goal", t_us, outputs.goal):
             self._on_change("/ctl/goal", t_us, decisions.goal(stamp_ns, outputs.goal))
+        drive = None if outputs.goal is None else outputs.goal.drive
+        if (drive is not None or "/ctl/drive" in self._last_key) and self._changed("/ctl/drive", t_us, drive):
+            self._on_change("/ctl/drive", t_us, decisions.drive(stamp_ns, drive))
         if outputs.control is not None:
             self._control(t_us, stamp_ns, outputs)
         command = decisions.thruster_command(stamp_ns, outputs.command)

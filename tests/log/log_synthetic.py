@@ -11,7 +11,10 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import (
     AidState,
     AidStatus,
+    Authority,
+    Below,
     ControlOutput,
+    Drive,
     EnergyPlan,
     EstimatorInputs,
     Event,
@@ -252,6 +255,14 @@ def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
         mavlink_rx=(frame,),
         overruns=2,
         cpu_load=0.25,
+        below=Below(
+            t_us=t_us,
+            authority=Authority.PILOT,
+            acts=False,
+            text="ALT_HOLD",
+            refusals=("pilot has it", "switch it to MANUAL"),
+            pulses_us=(1500, 1600, 1400, 1500),
+        ),
     )
 
 
@@ -290,7 +301,13 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
     )
     lap = int(t_us * 1e-6 / (2 * LEG_S))
     goal = Goal(
-        pos_ned_m=VIA[-1], yaw_rad=None, speed_m_s=0.4, accept_radius_m=0.3, accept_yaw_rad=0.15, seq=1 + lap % 2
+        pos_ned_m=VIA[-1],
+        yaw_rad=None,
+        speed_m_s=0.4,
+        accept_radius_m=0.3,
+        accept_yaw_rad=0.15,
+        seq=1 + lap % 2,
+        drive=Drive(north_m_s=0.1, down_m_s=0.02) if run.full_inputs and 3_000_000 < t_us <= 6_000_000 else None,
     )
     state = ProgressState.COMPLETE if done else ProgressState.ACTIVE
     return Outputs(

@@ -2,23 +2,28 @@
 
 import json
 import os
+import tempfile
 import threading
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from log_synthetic import DESCRIPTION, EPOCH_NS, Run, inputs_at, outputs_at, truth_at, write_run
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from autopilot.core.errors import LogError
-from autopilot.core.messages import Event, Inputs, LoopStats, MavlinkFrame
+from autopilot.core.messages import Authority, Below, Drive, Event, Inputs, LoopStats, MavlinkFrame
 from autopilot.core.samples import CameraFrame
+from autopilot.log import replay_inputs
 from autopilot.log.compare import compare_logs
 from autopilot.log.description import from_json
-from autopilot.log.packing import vehicle
+from autopilot.log.packing import service, vehicle
 from autopilot.log.reader import open_log
 from autopilot.log.session import RunLog, log_path, open_run_log
 from autopilot.log.topics import TOPICS
@@ -285,3 +290,68 @@ def test_names_by_start_time(tmp_path: Path) -> None:
     assert second.name == "22_13_20_2.mcap"
     second.touch()
     assert log_path(tmp_path, EPOCH_NS).name == "22_13_20_3.mcap"
+
+
+texts = st.text(max_size=40)
+speeds = st.floats(-3.0, 3.0)
+belows = st.builds(
+    Below,
+    t_us=st.just(0),
+    authority=st.sampled_from(Authority),
+    acts=st.booleans(),
+    text=texts,
+    problem=texts,
+    refusals=st.lists(texts.filter(bool), max_size=4).map(tuple),
+    pulses_us=st.lists(st.integers(0, 0xFFFF), max_size=8).map(tuple),
+)
+drives = st.none() | st.builds(
+    Drive,
+    north_m_s=speeds,
+    east_m_s=speeds,
+    turn_rad_s=speeds,
+    down_m_s=st.none() | speeds,
+    yaw_rate_rad_s=st.none() | speeds,
+    yaw_trend_rad_s=speeds,
+)
+
+
+@given(given_below=st.lists(belows, min_size=1, max_size=8), given_drive=st.lists(drives, min_size=1, max_size=8))
+@settings(max_examples=10, deadline=None)
+def test_what_the_vehicle_below_says_and_what_a_pilot_asks_for_stand_in_the_log_tick_by_tick(
+    given_below: list[Below], given_drive: list[Drive | None]
+) -> None:
+    """Written when they change: what holds at each tick is the last before it, equal in every field that fits."""
+    pieces = zip_longest(given_below, given_drive, fillvalue=None)
+    told = [(below or given_below[-1], drive) for below, drive in pieces]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.mcap"
+        log = open_run_log(path, epoch_ns=EPOCH_NS, description=DESCRIPTION, metadata={}, attachments={}, lossless=True)
+        for tick, (below, drive) in enumerate(told):
+            t_us = 10_000 * tick
+            outputs = outputs_at(t_us, truth_at(0.0), Run())
+            assert outputs.goal is not None
+            log.inputs(Inputs(t_us=t_us, below=replace(below, t_us=t_us)))
+            log.outputs(replace(outputs, goal=replace(outputs.goal, drive=drive)))
+        log.close()
+        read = open_log(path)
+        belows_read = [replay_inputs.below(row) for row in read["/in/below"]]
+        drives_read = (
+            [(int(row["t_us"]), replay_inputs.drive(row)) for row in read["/ctl/drive"]] if "/ctl/drive" in read else []
+        )
+    for tick, (below, drive) in enumerate(told):
+        (now,) = [said for said in belows_read if said.t_us <= 10_000 * tick][-1:]
+        kept = (now.authority, now.acts, now.pulses_us, now.text, now.problem)
+        assert kept == (below.authority, below.acts, below.pulses_us, plain(below.text), plain(below.problem))
+        assert now.refusals == tuple("\n".join(plain(line) for line in below.refusals).splitlines())
+        assert ([None, *(said for t_us, said in drives_read if t_us <= 10_000 * tick)])[-1] == drive
+
+
+def plain(text: str) -> str:
+    """As UTF-8 and a field with zeros behind it give it back."""
+    return text.encode(errors="replace").decode().rstrip("\0")
+
+
+def test_long_texts_of_the_vehicle_below_are_cut_between_characters() -> None:
+    for padding in range(4):
+        said = Below(t_us=0, authority=Authority.STOPPED, acts=False, text="x" * padding + "é" * 60)
+        assert b"x" * padding + "é".encode() * ((64 - padding) // 2) in service.below(0, said)

@@ -1,7 +1,10 @@
 """What was decided: mode, mission, goal, plan and thrust."""
 
+import math
+
 from autopilot.core.messages import (
     MAX_THRUSTERS,
+    Drive,
     EnergyPlan,
     Goal,
     MissionProgress,
@@ -15,6 +18,7 @@ from autopilot.log.packing.parts import FRD, NED, NS, UINT16, UINT32, clip, eigh
 from autopilot.log.schemas import layout
 
 _goal = layout("autopilot_msgs/Goal").packer.pack
+_drive = layout("autopilot_msgs/Drive").packer.pack
 _nmpc_status = layout("autopilot_msgs/NmpcStatus").packer.pack
 _thruster_command = layout("autopilot_msgs/ThrusterCommand").packer.pack
 _energy_plan = layout("autopilot_msgs/EnergyPlan").packer.pack
@@ -37,6 +41,23 @@ def goal(stamp_ns: int, value: Goal) -> bytes:
         value.accept_radius_m,
         value.accept_yaw_rad,
         value.seq,
+    )
+
+
+def drive(stamp_ns: int, value: Drive | None) -> bytes:
+    """Drive; what it leaves to the goal is NaN, None is a goal without one."""
+    given = value or Drive()
+    return _drive(
+        ENCAPSULATION,
+        *divmod(stamp_ns, NS),
+        *NED,
+        int(value is not None),
+        given.north_m_s,
+        given.east_m_s,
+        given.turn_rad_s,
+        math.nan if given.down_m_s is None else given.down_m_s,
+        math.nan if given.yaw_rate_rad_s is None else given.yaw_rate_rad_s,
+        given.yaw_trend_rad_s,
     )
 
 

@@ -1,13 +1,18 @@
 """The service itself: what came into a tick, what it cost, and the bytes of the links."""
 
-from autopilot.core.messages import Inputs, LoopStats
+from autopilot.core.messages import MAX_THRUSTERS, Authority, Below, Inputs, LoopStats
 from autopilot.log.cdr import ENCAPSULATION
 from autopilot.log.packing.parts import FRD, NS, UINT16, UINT32, clip
 from autopilot.log.schemas import layout
 
 _loop_stats = layout("autopilot_msgs/LoopStats").packer.pack
 _input_tick = layout("autopilot_msgs/InputTick").packer.pack
+_below = layout("autopilot_msgs/Below").packer.pack
 _mavlink_frame = layout("autopilot_msgs/MavlinkFrame").packer.pack
+
+_AUTHORITIES = tuple(Authority)
+_TEXT_BYTES, _PROBLEM_BYTES, _REFUSALS_BYTES = 64, 128, 512
+"""Widths of the texts in Below."""
 
 MAVLINK_MAX_BYTES = 280
 """Largest MAVLink 2 packet with signature (mavlink.io, Packet Serialization)."""
@@ -26,6 +31,29 @@ def input_tick(stamp_ns: int, inputs: Inputs) -> bytes:
         clip(inputs.overruns, UINT32),
         inputs.cpu_load,
     )
+
+
+def below(stamp_ns: int, value: Below) -> bytes:
+    """Below: the flight controller below us, texts cut to what the fields hold."""
+    known = value.pulses_us[:MAX_THRUSTERS]
+    return _below(
+        ENCAPSULATION,
+        *divmod(stamp_ns, NS),
+        *FRD,
+        _AUTHORITIES.index(value.authority),
+        int(value.acts),
+        len(known),
+        *(clip(pulse, UINT16) for pulse in known),
+        *(0,) * (MAX_THRUSTERS - len(known)),
+        _text(value.text, _TEXT_BYTES),
+        _text(value.problem, _PROBLEM_BYTES),
+        _text("".join(f"{line}\n" for line in value.refusals), _REFUSALS_BYTES),
+    )
+
+
+def _text(text: str, width: int) -> bytes:
+    """UTF-8 of at most so many bytes, no character cut in two."""
+    return text.encode(errors="replace")[:width].decode(errors="ignore").encode()
 
 
 def loop_stats(stamp_ns: int, stats: LoopStats) -> bytes:
