@@ -1,34 +1,29 @@
 """What the machine does to the service: ticks that begin late, a disk that is full, a clock that is set."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 
 from autopilot.core.clock import TICK_US
-from autopilot.core.messages import Inputs, Outputs
+from autopilot.core.messages import Inputs
 from sitl.fault_tables import ClockJump, DiskFull, SlowLoop
 from sitl.scenario_tables import Fault
 
 
 class MachineFaults:
-    """Stands between the loop and the service and says of the machine what the scenario says."""
+    """Says of the machine what the scenario says."""
 
     def __init__(self, faults: Iterable[Fault]) -> None:
         faults = list(faults)
         self._slow = [fault for fault in faults if isinstance(fault, SlowLoop)]
         self._full = [fault for fault in faults if isinstance(fault, DiskFull)]
         self._jumps = [fault for fault in faults if isinstance(fault, ClockJump)]
+        self._none = not (self._slow or self._full or self._jumps)
         self._late = 0.0
 
-    @property
-    def none(self) -> bool:
-        """Nothing is wrong with the machine in this scenario."""
-        return not (self._slow or self._full or self._jumps)
-
-    def around(self, step: Callable[[Inputs], Outputs]) -> Callable[[Inputs], Outputs]:
-        """The service's step with the machine's faults put into its inputs."""
-        return lambda inputs: step(self._of(inputs))
-
-    def _of(self, inputs: Inputs) -> Inputs:
+    def put_into(self, inputs: Inputs) -> Inputs:
+        """A tick's inputs with the machine's faults in them."""
+        if self._none:
+            return inputs
         t_us = inputs.t_us
         self._late += max((fault.share for fault in self._slow if fault.holds(t_us)), default=0.0)
         jump_s = sum(j.jump_s for j in self._jumps if t_us - TICK_US < j.at_s * 1e6 <= t_us)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.log_replay import replay
 from autopilot.cli.log_tlog import tlog
 from autopilot.cli.log_tools import diff, export, find, recover
 from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
-from autopilot.cli.part_name import part_name
 
 if TYPE_CHECKING:
     from autopilot.control.nmpc.unsolved import Trial
@@ -28,7 +28,7 @@ def log() -> None:
     """Look into logs: info, check, report, plot, export, diff, find, recover, replay, programs, tlog."""
 
 
-for _command in (tlog, export, diff, recover, find):
+for _command in (tlog, export, diff, recover, find, replay):
     log.add_command(_command)
 
 
@@ -96,54 +96,6 @@ def plot(log_file: Path, out: Path | None) -> None:
     for path in write_figures(opened, target):
         click.echo(str(path))
     _tell_loss(opened)
-
-
-@log.command()
-@_LOG
-@click.option("--estimator", callback=part_name, help="Another estimator than the run's.")
-@click.option("--set", "changes", multiple=True, metavar="NAME=VALUE", help="Change an estimator option; repeatable.")
-@click.option("--out", type=click.Path(path_type=Path), help="Write the replayed states to a .csv or .mcap file.")
-@_JSON
-def replay(log_file: Path, estimator: str | None, changes: tuple[str, ...], out: Path | None, as_json: bool) -> None:
-    """Give LOG's inputs to the estimator again and compare bit for bit. Exit 1 if anything differs.
-
-    With another estimator or other options: how far the result is from the logged one, and both from the truth.
-    """
-    from autopilot.log.reader import open_log
-    from autopilot.replay import estimation as replaying
-    from autopilot.replay.setup import read_setup
-
-    opened = open_log(log_file)
-    setup = replaying.replay_setup(opened, estimator, changes)
-    states = replaying.replay(opened, setup)
-    changed = setup != read_setup(opened)
-    found = replaying.matches(opened, states)
-    if out is not None:
-        replaying.write_replay(out, opened, states)
-    spreads = replaying.spreads(opened, states) if changed else []
-    if as_json:
-        same = all(match.same for match in found)
-        listed = [{**asdict(match), "same": match.same} for match in found]
-        emit_json({"log": str(log_file), "same": same, "topics": listed, "spreads": [asdict(row) for row in spreads]})
-    elif changed:
-        title = f"{log_file}: replayed with {setup.name}{''.join(f', {change}' for change in changes)} (rms)"
-        columns = ("quantity", "unit", "replayed - logged", "logged - truth", "replayed - truth")
-        figures = [(row.difference, row.logged_error, row.replayed_error) for row in spreads]
-        print_table(
-            title,
-            columns,
-            [
-                (row.quantity, row.unit, *("-" if value is None else f"{value:.4f}" for value in values))
-                for row, values in zip(spreads, figures, strict=True)
-            ],
-        )
-    else:
-        for match in found:
-            click.echo(f"{match.topic}: {match.identical} of {match.logged} messages identical")
-            if match.first:
-                click.echo(f"  first difference {match.first}")
-    if not changed and not all(match.same for match in found):
-        raise click.exceptions.Exit(EXIT_FAILED)
 
 
 @log.command()

@@ -10,6 +10,7 @@ from autopilot.core.desk import Desk
 from autopilot.core.guard import Guard
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
+from autopilot.core.witness import Witness
 from autopilot.mavlink.server import MavlinkServer
 from estimator.protocol import Estimator
 from mission.store import Plans
@@ -30,5 +31,7 @@ class Parts:
     guard: Guard
     photographer: Photographer | None = None
     """None without a camera."""
+    witness: Witness
+    """Notes what the service is told in answer to its own questions, for the log."""
     desks: tuple[Desk, ...] = ()
     """Where slow work is asked for: while the loop waits there it attends to its links."""

@@ -1,8 +1,11 @@
-"""The checksum that MAVLink's file transfer and component metadata go by."""
+"""The checksums of MAVLink: of its packets, and what its file transfer and component metadata go by."""
 
+import binascii
 import zlib
 
 _ALL = 0xFFFF_FFFF
+_MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
+"""Every byte with its bits in the other order."""
 
 
 def file_crc32(data: bytes, before: int = 0) -> int:
@@ -11,3 +14,9 @@ def file_crc32(data: bytes, before: int = 0) -> int:
     zlib's begins with all ones and is inverted at the end (https://mavlink.io/en/services/ftp.html).
     """
     return zlib.crc32(data, before ^ _ALL) ^ _ALL
+
+
+def checksum(data: bytes) -> int:
+    """MAVLink's CRC-16/MCRF4XX: the standard library's CRC-CCITT of the same polynomial, bits in the other order."""
+    crc = binascii.crc_hqx(data.translate(_MIRRORED), 0xFFFF)
+    return _MIRRORED[crc & 0xFF] << 8 | _MIRRORED[crc >> 8]

@@ -11,7 +11,9 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as NotReadyError
 from dataclasses import dataclass
-from typing import Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
+
+from autopilot.core.witness import Witness
 
 IDLE_S = 0.05
 """A loop that waits for an answer attends to what cannot wait (heartbeats) this often."""
@@ -69,7 +71,7 @@ class Ticket(Generic[A]):
         if not self.open or now < self.due:
             return None
         future = self._future
-        if future is not None and not self._desk.patient and not future.done():
+        if future is not None and not self._desk.patient and not self._desk.ready(future):
             self._desk.late += not self._late
             self._late = True
             return None
@@ -98,6 +100,13 @@ class Desk:
         """Answers that were not there when they were due."""
         self.idle: Callable[[], None] = lambda: None
         """Called now and then while the loop waits for an answer."""
+        self.ready: Callable[[Future[Any]], bool] = Future.done
+        """Whether an answer is there, asked at a desk that is not patient. A replay has its own opinion, and waits."""
+
+    def witnessed(self, name: str, witness: Witness) -> "Desk":
+        """Have it noted when answers are ready; this desk."""
+        self.ready = lambda future: witness.ask(f"{name} ready", False, future.done)
+        return self
 
     def submit(self, due: int, work: Callable[[Q, Cancel], A], request: Q) -> Ticket[A]:
         """Ask for ``work(request, cancel)``; the answer is taken when the caller's count has reached ``due``.

@@ -16,6 +16,7 @@ from autopilot.core.guard import Fault
 from autopilot.core.marks import LoopPart
 from autopilot.core.samples import ExternalPoseSample, PictureReport, Sample
 from autopilot.core.stills import CameraReport, StillRecord, StoredStill
+from autopilot.core.witness import Note
 
 MAX_THRUSTERS = 8
 """Width of the thruster arrays in logs and outputs."""
@@ -84,6 +85,24 @@ class Inputs:
     """How the camera is doing, None = nothing new (or none)."""
     stills: tuple[StoredStill, ...] = ()
     """What has become of stills that were asked for."""
+
+    # What the service was asked between ticks and what it asked itself; for the log, a step does not look at it.
+    between: tuple["Between", ...] = ()
+    """What was done with it since the last tick; the frames of it come first in the log's ``mavlink_rx``."""
+    answers: tuple[Note, ...] = ()
+    """Answers from outside during the tick and since the one before."""
+    faults: tuple[Fault, ...] = ()
+    """Exceptions of drivers; they join the service's in the log."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Between:
+    """A call between two ticks."""
+
+    t_us: int | None
+    """Time of frames that were served; None = a HEARTBEAT was made for all links."""
+    frames: int = 0
+    """How many were received then."""
 
 
 class Authority(Enum):

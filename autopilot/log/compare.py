@@ -16,6 +16,7 @@ WALL_CLOCK_TOPICS = ("/sys/loop",)
 WALL_CLOCK_FIELDS = ("/ctl/nmpc.solve_s", "/in/tick.cpu_load", "/in/tick.overruns", "/in/markers.decode_us")
 """Measurements of the machine, which differ between two runs of the same seed."""
 
+_MESSAGES = " messages"
 _SHOWN = 80
 """Characters of a value in a difference."""
 
@@ -41,14 +42,19 @@ def compare_logs(
     b: Log,
     ignore_topics: Collection[str] = WALL_CLOCK_TOPICS,
     ignore_fields: Collection[str] = WALL_CLOCK_FIELDS,
+    *,
+    prefix: bool = False,
 ) -> list[Difference]:
     """Where two logs differ, at most one entry per field; empty = the same messages.
 
     ``ignore_fields`` holds ``topic.field`` or a field's name for all topics. Metadata and attachments are not compared.
+    ``prefix``: one of them ends early, only what both have counts.
     """
     found: list[Difference] = []
     for topic in sorted({*a.topics, *b.topics} - set(ignore_topics)):
         missing = next((log for log in (a, b) if topic not in log.topics), None)
+        if missing is not None and prefix:
+            continue
         if missing is not None:
             found.append(Difference(topic=topic, field="", t_s=None, what=f"is missing in {missing.path.name}"))
             continue
@@ -56,7 +62,7 @@ def compare_logs(
             found += _compare_tables(topic, a[topic], b[topic], ignore_fields)
         except LogError:
             found += _compare_messages(topic, a, b, ignore_fields)
-    return found
+    return [one for one in found if not (prefix and one.what.endswith(_MESSAGES))]
 
 
 def _ignored(topic: str, field: str, ignore_fields: Collection[str]) -> bool:
@@ -66,7 +72,7 @@ def _ignored(topic: str, field: str, ignore_fields: Collection[str]) -> bool:
 def _count(topic: str, first: int, second: int) -> list[Difference]:
     if first == second:
         return []
-    return [Difference(topic=topic, field="", t_s=None, what=f"{first} against {second} messages")]
+    return [Difference(topic=topic, field="", t_s=None, what=f"{first} against {second}{_MESSAGES}")]
 
 
 def _compare_tables(topic: str, a: Table, b: Table, ignore_fields: Collection[str]) -> list[Difference]:

@@ -6,6 +6,8 @@ packets are kept too, so that a replay sees the same stream.
 
 from dataclasses import dataclass
 
+from autopilot.core.crc import checksum
+
 STX_V1 = 0xFE
 STX_V2 = 0xFD
 SETUP_SIGNING = 256
@@ -14,6 +16,10 @@ MAX_BYTES = 280
 _SIGNED = 0x01
 _ID_AT, _ID_END = 7, 10
 """Where the message id stands in a MAVLink 2 header."""
+_CRC_EXTRA = bytes((71,))
+"""Of SETUP_SIGNING (common.xml)."""
+_KEY_AT = 20
+"""Where the key begins in a packet of it: after header, time and target."""
 _SETUP_SIGNING_ID = SETUP_SIGNING.to_bytes(3, "little")
 
 
@@ -26,10 +32,25 @@ class Piece:
     """False for bytes between packets."""
 
 
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """What one call has taken out of the stream."""
+
+    count: int = 0
+    """Bytes of this call's data, and of what had waited from earlier ones."""
+    keys: tuple[tuple[int, bytes], ...] = ()
+    """Packets that were whole, with the bytes of this call's data before them; the key itself is another."""
+
+
+NOTHING_REMOVED = Removed()
+
+
 class StreamCutter:
     """Cuts one direction of one link. What is incomplete waits for the next call."""
 
     def __init__(self) -> None:
+        self.removed = NOTHING_REMOVED
+        """By the last call."""
         self._rest = b""
         """A packet that is not complete yet."""
         self._history = b""
@@ -66,8 +87,10 @@ class StreamCutter:
         self._history = window[1 - _ID_END :]
         skipped = min(self._skip, len(data))
         self._skip -= skipped
+        taken_back = 0
         at = old + skipped
         out = bytearray()
+        keys: list[tuple[int, bytes]] = []
         start = window.find(STX_V2, at if skipped else 0)
         while start != -1 and start + _ID_END <= len(window):
             if start + _ID_END <= old or window[start + _ID_AT : start + _ID_END] != _SETUP_SIGNING_ID:
@@ -76,12 +99,43 @@ class StreamCutter:
             passed = old - start
             if passed > 0:
                 self._rest = self._rest[:-passed]
+                taken_back += passed
             else:
                 out += window[at:start]
             end = start + 12 + window[start + 1] + _signature_bytes(window[start + 2])
+            if passed <= 0 and end <= len(window):
+                keys.append((len(out), _with_another_key(window[start:end])))
             at, self._skip = min(end, len(window)), max(end - len(window), 0)
             start = window.find(STX_V2, at)
-        return bytes(out + window[at:])
+        out += window[at:]
+        if len(out) == len(data):
+            self.removed = NOTHING_REMOVED
+            return data
+        self.removed = Removed(len(data) - len(out) + taken_back, tuple(keys))
+        return bytes(out)
+
+    def rest(self) -> list[Piece]:
+        """What has waited for more, when nothing more comes."""
+        pieces: list[Piece] = []
+        _add_noise(pieces, self._rest)
+        self._rest = b""
+        return pieces
+
+
+def _with_another_key(packet: bytes) -> bytes:
+    """A whole SETUP_SIGNING with a key that is not its own, all zero if that was, and without signature. Its checksum
+    is good if it was."""
+    end = 10 + packet[1]
+    key, signature = packet[_KEY_AT:end], packet[end + 2 :]
+    other = bytes(len(key)) if not any(key) else b"\xa5" * len(key)
+    body = packet[:_KEY_AT][:end] + other
+    good = int.from_bytes(packet[end : end + 2], "little") == _checksum(packet[:end])
+    crc = _checksum(body) ^ (0 if good else 0xFFFF)
+    return body + crc.to_bytes(2, "little") + signature[:-6] + bytes(min(6, len(signature)))
+
+
+def _checksum(body: bytes) -> int:
+    return checksum(body[1:] + _CRC_EXTRA)
 
 
 def _signature_bytes(incompatibility_flags: int) -> int:

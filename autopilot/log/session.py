@@ -32,8 +32,8 @@ from autopilot.core.samples import (
 )
 from autopilot.log import visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
-from autopilot.log.mavlink_frames import StreamCutter
-from autopilot.log.packing import decisions, estimate, payload, programs, sensors, service, vehicle
+from autopilot.log.mavlink_frames import Removed, StreamCutter
+from autopilot.log.packing import decisions, estimate, payload, programs, sensors, service, step_notes, vehicle
 from autopilot.log.scene import moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.writer import LogHead, LogWriter, Payload
@@ -131,6 +131,7 @@ class RunLog:
         self._last_key: dict[str, Hashable] = {}
         self._last_body: dict[str, bytes] = {}
         self._cutters: dict[tuple[str, int, int], StreamCutter] = {}
+        self._standing = step_notes.Standing()
         self._trail: list[tuple[float, float, float]] = []
         self._faults = self._programs = 0
 
@@ -181,8 +182,10 @@ class RunLog:
             self._sample(sample)
         if inputs.below is not None:
             self._on_change("/in/below", t_us, service.below(self._ns(t_us), inputs.below))
-        for frame in inputs.mavlink_rx:
-            self._mavlink("/in/mavlink", t_us, frame)
+        removed = [self._mavlink("/in/mavlink", t_us, frame) for frame in inputs.mavlink_rx]
+        notes = step_notes.notes_of(inputs, removed, self._standing)
+        if notes is not None:
+            self._write("/in/step", t_us, step_notes.pack(notes))
 
     def camera(self, frame: CameraFrame) -> None:
         """An image, reduced to the camera's log rate and compressed on the writer's thread. The pixels are copied."""
@@ -334,16 +337,24 @@ class RunLog:
                 self._write("/in/power_raw", t_us, sensors.power_raw(stamp_ns, sample))
                 self._write("/in/power", t_us, visuals.battery_state(stamp_ns, sample))
 
-    def _mavlink(self, topic: str, t_us: int, frame: MavlinkFrame) -> None:
+    def _mavlink(self, topic: str, t_us: int, frame: MavlinkFrame) -> Removed:
+        """The packets that a datagram completes; what was left out of it."""
         stream = (topic, frame.link, frame.client)
         if stream not in self._cutters and len(self._cutters) >= MAX_STREAMS:
-            del self._cutters[next(iter(self._cutters))]
+            self._forget_stream(next(iter(self._cutters)), t_us)
         cutter = self._cutters.setdefault(stream, StreamCutter())
         stamp_ns = self._ns(t_us)
         for piece in cutter.cut(frame.data):
             self._write(topic, t_us, service.mavlink_frame(stamp_ns, piece.data, frame.link, frame.client))
             if piece.is_packet:
                 self._writer.write_packet(t_us, piece.data)
+        return cutter.removed
+
+    def _forget_stream(self, stream: tuple[str, int, int], t_us: int) -> None:
+        """Write what has waited for the end of a packet."""
+        topic, link, client = stream
+        for piece in self._cutters.pop(stream).rest():
+            self._write(topic, t_us, service.mavlink_frame(self._ns(t_us), piece.data, link, client))
 
     def _nav(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
         self._write("/nav/state", t_us, vehicle.vehicle_state(stamp_ns, nav))

@@ -28,6 +28,7 @@ TOPICS: dict[str, str] = {
     "/sys/mode": "autopilot_msgs/ModeState",
     "/sys/loop": "autopilot_msgs/LoopStats",
     "/in/tick": "autopilot_msgs/InputTick",
+    "/in/step": "std_msgs/String",
     "/in/ahrs": "sensor_msgs/Imu",
     "/in/ahrs_raw": "autopilot_msgs/AhrsRaw",
     "/in/imu": "autopilot_msgs/ImuRaw",

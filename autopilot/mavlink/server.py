@@ -15,6 +15,7 @@ from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
 from autopilot.core.shelf import Shelf
+from autopilot.core.witness import Witness
 from autopilot.mavlink.api import FlightMode, SigningStore, Sticks, VehicleCommands, VehicleView
 from autopilot.mavlink.camera_api import CameraOrders
 from autopilot.mavlink.profiles import profile_by_name
@@ -34,8 +35,9 @@ class MavlinkServer:
     ``patience`` multiplies the time that a client gets in transfers: a simulation that runs k times faster than real
     time passes k, because clients live in real time. ``links`` are the indices of the links that are open from the
     start; another one is added when something comes from it, or by :meth:`add_link`. ``rates`` are the bytes per second
-    of slow links, ``shelf`` holds the logs that clients may download, ``camera`` takes stills. ``version`` is the
-    distribution's, ``git`` the revision in hex digits, ``uid`` 64 bits. ConfigError for an unknown profile.
+    of slow links, ``shelf`` holds the logs that clients may download, ``camera`` takes stills, ``witness`` notes what
+    follows from a key. ``version`` is the distribution's, ``git`` the revision in hex digits, ``uid`` 64 bits.
+    ConfigError for an unknown profile.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class MavlinkServer:
         shelf: Shelf | None = None,
         rates: Mapping[int, float] | None = None,
         camera: CameraOrders | None = None,
+        witness: Witness | None = None,
     ) -> None:
         identity = profile_by_name(profile)
         from autopilot.mavlink.dispatch import Dispatcher, Identity
@@ -74,7 +77,7 @@ class MavlinkServer:
             patience=patience,
             guard=guard or Guard(),
             saving=saving,
-            signing=Signing(signing, patience),
+            signing=Signing(signing, patience, witness),
             shelf=shelf,
             rates=rates,
             camera=camera,

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 
 from autopilot.core.clients import Reach
 from autopilot.core.clock import TICK_US
+from autopilot.core.crc import checksum
+from autopilot.core.witness import Noted, Witness
 from autopilot.mavlink.api import AHEAD_UNITS, UNITS_PER_S, SigningState, SigningStore
 from autopilot.mavlink.dialect import mav
-from autopilot.mavlink.wire import checksum
 
 KEY_BYTES = 32
 OLD_UNITS = 60 * UNITS_PER_S
@@ -52,8 +53,12 @@ class Refusals:
 class Signing:
     """One per service: all links share key and time."""
 
-    def __init__(self, store: SigningStore | None = None, patience: float = 1.0) -> None:
-        """``patience``: how much faster than its clients' time the service's may run."""
+    def __init__(
+        self, store: SigningStore | None = None, patience: float = 1.0, witness: Witness | None = None
+    ) -> None:
+        """``patience``: how much faster than its clients' time the service's may run. ``witness`` stands by when
+        signatures are verified: a replay has no key."""
+        self._witness: Witness = Noted() if witness is None else witness
         self._store, self._patience = store, patience
         found = SigningState(None, 0) if store is None else store.state
         self.key = found.key
@@ -115,7 +120,10 @@ class Signing:
                 return True
             self.refused.unsigned += 1
             return False
-        if self.key is None or not hmac.compare_digest(_tag(self.key, frame[:-_TAG]), frame[-_TAG:]):
+        key = self.key
+        if key is None or not self._witness.ask(
+            "signature", True, lambda: hmac.compare_digest(_tag(key, frame[:-_TAG]), frame[-_TAG:])
+        ):
             self.refused.unknown_key += 1
             return False
         stream = (frame[-_BLOCK], frame[5], frame[6])

@@ -8,12 +8,12 @@ to wait is dropped and counted. Work is counted and not timed, so that a run doe
 cheap to reject: a frame is believed by its header first, then by its checksum, and decoded last.
 """
 
-import binascii
 from collections import deque
 from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+from autopilot.core.crc import checksum
 from autopilot.mavlink.dialect import extra, mav
 
 Message: TypeAlias = Any
@@ -37,14 +37,6 @@ _V1_OVERHEAD = mav.HEADER_LEN_V1 + _CRC_BYTES
 _V2_OVERHEAD = mav.HEADER_LEN_V2 + _CRC_BYTES
 _KNOWN = {msg_id: (kind.crc_extra, kind.unpacker.size) for msg_id, kind in mav.mavlink_map.items()}
 """Message id -> CRC_EXTRA, longest payload. MAVLink 1 knows no longer one; in MAVLink 2 newer fields may follow."""
-_MIRRORED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
-"""Every byte with its bits in the other order."""
-
-
-def checksum(data: bytes) -> int:
-    """MAVLink's CRC-16/MCRF4XX: the standard library's CRC-CCITT of the same polynomial, bits in the other order."""
-    crc = binascii.crc_hqx(data.translate(_MIRRORED), 0xFFFF)
-    return _MIRRORED[crc & 0xFF] << 8 | _MIRRORED[crc >> 8]
 
 
 @dataclass(slots=True)

@@ -21,12 +21,14 @@ from autopilot.core.guard import Guard
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.vehicle import Vehicle
+from autopilot.core.witness import Noted, Witness
 from autopilot.log.shelf import LogShelf
 from autopilot.mavlink.api import SigningStore
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.replay.setup import options_of
 from autopilot.run.config import system_id
 from autopilot.run.provenance import revision
+from autopilot.run.witnessed import WitnessedSaving, WitnessedShelf, WitnessedStore
 from estimator.create import create_estimator
 from mission.store import Plans, WaterCheck
 
@@ -71,6 +73,10 @@ class ServiceSetup:
     """Whether there is a camera that delivers pictures."""
     waits_for_plans: bool
     """Whether the loop waits for a trajectory that is due (a simulation without pace) or goes on (what is paced)."""
+    git: str = field(default_factory=revision)
+    """Revision of the code, as clients are told."""
+    witness: Witness = field(default_factory=Noted)
+    """Notes the answers that do not follow from the inputs, for the log; a replay's gives them."""
 
 
 def build_service(
@@ -81,9 +87,11 @@ def build_service(
     ``desks``: where the controller has its slow work done, a thread per kind of work without any; ``trajectories``:
     who plans by energy, the shipped planner without any.
     """
-    params, vehicle = setup.params, setup.vehicle
+    params, vehicle, witness = setup.params, setup.vehicle, setup.witness
     desks = desks or Desks.beside(patient=setup.waits_for_plans)
     checks = Desk(ThreadPoolExecutor(1, thread_name_prefix="plans"), patient=setup.waits_for_plans)
+    for name, desk in zip((*desks.names, "plans"), (*desks.lanes, checks), strict=True):
+        desk.witnessed(name, witness)
     plans = Plans(params, vehicle.radius_m, setup.origin, setup.water, checks)
     context = ControllerContext(
         vehicle=vehicle,
@@ -100,6 +108,7 @@ def build_service(
     parts = Parts(
         photographer=photographer,
         guard=guard,
+        witness=witness,
         desks=(*desks.lanes, checks, *(() if setup.shelf is None else (setup.shelf.desk,))),
         vehicle=vehicle,
         params=params,
@@ -123,14 +132,15 @@ def build_service(
             plans=plans,
             vehicle=commander,
             version=__version__,
-            git=revision(),
+            git=setup.git,
             uid=setup.instance + 1,
             links=range(setup.links),
             patience=setup.patience,
             guard=guard,
-            saving=setup.saving,
-            signing=setup.signing,
-            shelf=setup.shelf,
+            saving=None if setup.saving is None else WitnessedSaving(setup.saving, witness),
+            signing=None if setup.signing is None else WitnessedStore(setup.signing, witness),
+            shelf=None if setup.shelf is None else WitnessedShelf(setup.shelf, witness),
+            witness=witness,
             rates=setup.rates,
             camera=photographer,
         ),

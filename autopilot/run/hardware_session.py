@@ -8,7 +8,6 @@ from pathlib import Path
 import msgspec
 
 from autopilot.command.parts import Parts
-from autopilot.command.service import Autopilot
 from autopilot.control.water.current_learning import Basin, LearnedCurrent
 from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent, NoCurrent
 from autopilot.core.desk import Desk
@@ -27,6 +26,7 @@ from autopilot.run.downloads import log_shelf
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.recorder import NullRecorder, RunRecorder
+from autopilot.run.service_record import service_attachments
 from autopilot.run.session import (
     FASTEST,
     Kept,
@@ -96,13 +96,15 @@ def open_vehicle(
     markers = None if config.markers is None else load_marker_map(config.markers)
     signing = SigningFiles(state_folder(settings, config, instance), disk)
     warnings += signing.warnings
-    service, parts = _service(settings, config, params, markers, persistent, signing, instance=instance, speed=speed)
-    plans = KeptPlans(state_folder(settings, config, instance) / "plans.json", parts.plans, parts.commander, disk)
+    setup = _setup(settings, config, params, markers, persistent, signing, instance=instance, speed=speed)
+    service, parts = build_service(setup)
+    place = state_folder(settings, config, instance) / "plans.json"
+    plans = KeptPlans(place, parts.plans, parts.commander, disk, parts.witness)
     plan = None if settings["plan"] is None else Path(settings["plan"])
     warnings += take_plans(parts, plan, plans, flown_at_once=False)
     device = HardwareVehicle(config)
     with opened(device, settings["connect"], links) as open_links:
-        recorder = _recorder(settings, config, parts, markers, lockstep=speed == 0.0)
+        recorder = _recorder(settings, config, setup, parts, markers, lockstep=speed == 0.0)
     outside = Outside(
         device=device,
         vision=marker_vision(config.vehicle, markers, paced=speed > 0.0),
@@ -137,7 +139,7 @@ def _feed(view: Hub, config: VehicleConfig, parts: Parts) -> Feed:
     return view.attach(watched, config.vehicle, ReadOnly(), simulated=False)
 
 
-def _service(
+def _setup(
     settings: Settings,
     config: VehicleConfig,
     params: ParamSet,
@@ -147,33 +149,31 @@ def _service(
     *,
     instance: int,
     speed: float,
-) -> tuple[Autopilot, Parts]:
-    """The service for that vehicle and place."""
+) -> ServiceSetup:
+    """What the service for that vehicle and place is made of."""
     controller, controller_by = chosen_part(settings, "controller", "nmpc")
     estimator, estimator_by = chosen_part(settings, "estimator", "ekf")
-    return build_service(
-        ServiceSetup(
-            vehicle=config.vehicle,
-            params=params,
-            origin=params_origin(params),
-            markers=markers,
-            floor_depth_m=config.file.place.floor_depth_m,
-            estimator=estimator,
-            estimator_asked_by=estimator_by,
-            controller=controller,
-            controller_asked_by=controller_by,
-            profile=settings["profile"],
-            instance=instance,
-            currents=_currents(config),
-            links=len(settings["connect"]),
-            patience=FASTEST if speed == 0.0 else max(1.0, speed),
-            waits_for_plans=speed == 0.0,
-            pictures=config.has_camera,
-            saving=saving,
-            signing=signing,
-            shelf=log_shelf(settings, patient=speed == 0.0),
-            rates=link_rates(settings["connect"]),
-        )
+    return ServiceSetup(
+        vehicle=config.vehicle,
+        params=params,
+        origin=params_origin(params),
+        markers=markers,
+        floor_depth_m=config.file.place.floor_depth_m,
+        estimator=estimator,
+        estimator_asked_by=estimator_by,
+        controller=controller,
+        controller_asked_by=controller_by,
+        profile=settings["profile"],
+        instance=instance,
+        currents=_currents(config),
+        links=len(settings["connect"]),
+        patience=FASTEST if speed == 0.0 else max(1.0, speed),
+        waits_for_plans=speed == 0.0,
+        pictures=config.has_camera,
+        saving=saving,
+        signing=signing,
+        shelf=log_shelf(settings, patient=speed == 0.0),
+        rates=link_rates(settings["connect"]),
     )
 
 
@@ -189,7 +189,13 @@ def _currents(config: VehicleConfig) -> CurrentForecast:
 
 
 def _recorder(
-    settings: Settings, config: VehicleConfig, parts: Parts, markers: MarkerMap | None, *, lockstep: bool
+    settings: Settings,
+    config: VehicleConfig,
+    setup: ServiceSetup,
+    parts: Parts,
+    markers: MarkerMap | None,
+    *,
+    lockstep: bool,
 ) -> RunRecorder | NullRecorder:
     """The log; its time is the clock's."""
     place = config.file.place
@@ -209,6 +215,9 @@ def _recorder(
         },
         attachments={
             "config_file.json": msgspec.json.encode(config.file),
+            **service_attachments(
+                setup, parts, currents=place.currents, basin=place.basin, map_file=None, map_start=None
+            ),
             **({} if markers is None else marker_attachment(markers)),
         },
     )

@@ -23,11 +23,15 @@ from autopilot.core.keeper import Keeper
 from autopilot.core.messages import Severity
 from autopilot.core.plan import PlanKind
 from autopilot.core.state_file import StateFile
+from autopilot.core.witness import Noted, Witness
 from autopilot.run.plans_format import Content, Snapshot, decode, encode, place_of, plan_item
 from mission.loading import load_plan
 from mission.plan_model import PlanFile
 from mission.sequencer import Position
 from mission.store import Plans
+
+PLANS_KEPT = "plans kept"
+"""What the witness is asked for the service: whether the plans in force are on disk."""
 
 _CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
 
@@ -52,8 +56,11 @@ class Restored(Protocol):
 class KeptPlans:
     """Keeps the plans of one service. The writing goes over a desk."""
 
-    def __init__(self, path: Path, plans: Plans, vehicle: Restored, desk: Desk | None = None) -> None:
-        """``desk``: the lane of the disk, by default the caller's own time."""
+    def __init__(
+        self, path: Path, plans: Plans, vehicle: Restored, desk: Desk | None = None, witness: Witness | None = None
+    ) -> None:
+        """``desk``: the lane of the disk, by default the caller's own time; ``witness`` notes when it has not yet."""
+        seen: Witness = Noted() if witness is None else witness
         self._file = StateFile(path)
         self._plans = plans
         self._vehicle = vehicle
@@ -66,7 +73,7 @@ class KeptPlans:
         self._notices: list[tuple[Severity, str]] = []
         self.failure: str | None = None
         """Why the last change is not on disk; None while all is well."""
-        plans.keeper = self._settled
+        plans.keeper = lambda: seen.ask(PLANS_KEPT, True, self._settled)
 
     def load(self) -> tuple[str, ...]:
         """Take what was kept, before the loop runs. The result is what an operator should know."""

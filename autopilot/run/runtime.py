@@ -18,10 +18,11 @@ from autopilot.command.service import Autopilot
 from autopilot.core.clients import Reach
 from autopilot.core.clock import TICK_US, Clock
 from autopilot.core.errors import DriverError
-from autopilot.core.guard import Guard
+from autopilot.core.guard import Fault, Guard
 from autopilot.core.marks import LoopPart, Stopwatch
 from autopilot.core.messages import (
     Below,
+    Between,
     DeviceRole,
     DeviceTrouble,
     Event,
@@ -33,6 +34,7 @@ from autopilot.core.messages import (
 )
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.stills import StoredStill
+from autopilot.core.witness import Note
 from autopilot.run.clocks import DayClock
 from autopilot.run.loop_account import LoopAccount
 from autopilot.run.outside import HandsBack, Onlooker, Peer, Recorder, VehicleIo, WeightRelease
@@ -82,13 +84,19 @@ class Runtime:
         onlooker: Onlooker | None = None,
         hold: Callable[[int], bool] = lambda _: False,
         stills: StillStore | None = None,
+        answers: Callable[[], tuple[Note, ...]] = tuple,
+        mishaps: Callable[[Inputs], Inputs] = lambda inputs: inputs,
     ) -> None:
         """``notices``: what operators should know of the outside world (severity, text), asked for once per tick.
         ``below``: who has the vehicle, where there is a flight controller below; ``refusals``: what its devices have
         against arming. ``skips``: the world does not wait, ticks that are far too late are left out. ``hold``: asked
         before every tick, with the time of the last, whether time stands still (a simulation that is paused).
-        ``stills``: where stills are stored, None without a camera."""
+        ``stills``: where stills are stored, None without a camera.
+        ``answers``: what the service was told in answer to its own questions, asked for once per tick after its step.
+        ``mishaps``: what befalls a simulated machine, put into the inputs."""
         self._stills = stills
+        self._answers = answers
+        self._mishaps = mishaps
         self._refusals = refusals
         self._skips = skips
         self._onlooker = onlooker
@@ -99,6 +107,9 @@ class Runtime:
         self._step: Callable[[Inputs], Outputs] = service.step
         self._device = device
         self._vision = vision
+        self._outside: tuple[Fault, ...] = ()
+        """Exceptions of drivers on this tick."""
+        self._between: list[Between] = []
         self._between_rx: list[MavlinkFrame] = []
         self._between_tx: list[MavlinkFrame] = []
         self._recorder = recorder
@@ -187,6 +198,7 @@ class Runtime:
         )
         self._troubles = []
         watch.mark(LoopPart.RECEIVE)
+        inputs = self._mishaps(inputs)
         outputs = self._step(inputs)
         watch.mark(LoopPart.ALLOCATE)
         self._drive(t_us, outputs)
@@ -267,7 +279,8 @@ class Runtime:
 
     def _with_faults(self, outputs: Outputs) -> Outputs:
         """Faults of drivers join the service's; the first of each kind is shown where the service was started."""
-        faults = outputs.faults + self._guard.take() + (() if self._vision is None else self._vision.guard.take())
+        self._outside = self._guard.take() + (() if self._vision is None else self._vision.guard.take())
+        faults = outputs.faults + self._outside
         for fault in faults:
             if fault.key not in self._shown_faults and len(self._shown_faults) < MAX_SHOWN_FAULTS:
                 self._shown_faults.add(fault.key)
@@ -283,6 +296,7 @@ class Runtime:
             self._transport.send(beat)
             if self._paced:  # else the log would depend on how fast the machine is
                 self._between_tx += beat
+                self._between.append(Between(t_us=None))
 
     def _wait(self, t_us: int) -> int:
         """Until the tick begins. What comes meanwhile over the links is served when time is real."""
@@ -303,6 +317,7 @@ class Runtime:
         answers = self._service.serve(now_us, received)
         self._transport.send(answers)
         self._between_rx += received
+        self._between.append(Between(t_us=now_us, frames=len(received)))
         self._between_tx += answers
         self._spent.busy(time.perf_counter() - begin_s)
 
@@ -323,8 +338,10 @@ class Runtime:
     def _with_between(self, inputs: Inputs, outputs: Outputs) -> tuple[Inputs, Outputs]:
         """A tick for the log: with what was received and sent since the tick before."""
         rx, tx, self._between_rx, self._between_tx = self._between_rx, self._between_tx, [], []
-        if rx:
-            inputs = replace(inputs, mavlink_rx=(*rx, *inputs.mavlink_rx))
+        calls, self._between, answers = tuple(self._between), [], self._answers()
+        if calls or answers or self._outside:
+            received = (*rx, *inputs.mavlink_rx)
+            inputs = replace(inputs, mavlink_rx=received, between=calls, answers=answers, faults=self._outside)
         if tx:
             outputs = replace(outputs, mavlink_tx=(*tx, *outputs.mavlink_tx))
         return inputs, outputs

@@ -14,7 +14,7 @@ from autopilot.core.clock import Clock
 from autopilot.core.desk import Desk
 from autopilot.core.errors import PlanError
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import Below, Outputs, Severity
+from autopilot.core.messages import Below, Inputs, Outputs, Severity
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.vehicle import Vehicle
 from autopilot.run.clocks import make_clock
@@ -66,6 +66,8 @@ class Outside:
     """Whether time stands still (a simulation only)."""
     stills: StillStore | None = None
     """Where stills are stored; None without a camera."""
+    mishaps: Callable[[Inputs], Inputs] = lambda inputs: inputs
+    """What befalls the machine (a simulation only)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -174,6 +176,8 @@ def loop_round(
         onlooker=outside.onlooker,
         hold=outside.hold,
         stills=outside.stills,
+        answers=parts.witness.take,
+        mishaps=outside.mishaps,
     )
     for desk in (*parts.desks, kept.disk):
         desk.idle = runtime.attend

@@ -10,7 +10,6 @@ import msgspec
 
 from autopilot.command.map_check import MapCheck
 from autopilot.command.parts import Parts
-from autopilot.command.service import Autopilot
 from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
 from autopilot.core.lane import DaemonLane
@@ -25,6 +24,7 @@ from autopilot.run.downloads import log_shelf
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Peer
 from autopilot.run.recorder import NullRecorder, RunRecorder
+from autopilot.run.service_record import service_attachments
 from autopilot.run.session import (
     FASTEST,
     Kept,
@@ -41,7 +41,7 @@ from autopilot.run.signing_files import SigningFiles
 from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_params import sitl_params, state_folder
 from autopilot.run.sitl_view import Steering, WatchedSitl
-from autopilot.run.sitl_world import World, forecast, knowledge, make_world
+from autopilot.run.sitl_world import World, forecast, knowledge, make_world, map_path
 from autopilot.run.stills import StillStore
 from autopilot.view.hub import Hub
 from drivers.protocols import Link
@@ -130,12 +130,13 @@ def open_sitl(
     links_count = len(settings["connect"]) + len(all_peers)
     signing = SigningFiles(state_folder(settings, instance), disk)
     warnings += signing.warnings
-    service, parts = _service(settings, world, params, instance, links=links_count, saving=persistent, signing=signing)
+    setup = _setup(settings, world, params, instance, links=links_count, saving=persistent, signing=signing)
+    service, parts = build_service(setup)
     plan, plans = _plan(settings, scenario), _kept_plans(settings, parts, instance, disk)
     warnings += take_plans(parts, plan, plans, flown_at_once=operator is not None)
     device = SimulatedDevice(world.simulated, len(world.vehicle.thrusters))
     with opened(device, settings["connect"], links) as open_links:
-        recorder = _recorder(settings, world, parts, device) if log else NullRecorder()
+        recorder = _recorder(settings, world, setup, parts, device) if log else NullRecorder()
     clock = make_clock(world.speed)
     steering = None if view is None else Steering(scenario, world.simulated, clock)
     outside = Outside(
@@ -147,13 +148,11 @@ def open_sitl(
         speed=world.speed,
         clock=clock,
         stills=StillStore(recorder, disk, Path(settings["log_dir"])) if world.simulated.pictured else None,
+        mishaps=MachineFaults(scenario.fault).put_into,
         **({} if view is None or steering is None else _looked_at(view, world, parts, steering)),
     )
     kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
     runtime = loop_round(service, parts, outside, kept, warnings, on_tick)
-    machine = MachineFaults(scenario.fault)
-    if not machine.none:
-        runtime.wrap_step(machine.around(service.step))
     given_s = settings["duration"]
     return SitlSession(
         scenario=scenario,
@@ -184,7 +183,7 @@ def _looked_at(view: Hub, world: World, parts: Parts, steering: Steering) -> dic
     return {"onlooker": feed, "hold": steering.hold, "notices": steering.take_notices}
 
 
-def _service(
+def _setup(
     settings: Settings,
     world: World,
     params: ParamSet,
@@ -193,34 +192,32 @@ def _service(
     links: int,
     saving: ParamSaving,
     signing: SigningFiles,
-) -> tuple[Autopilot, Parts]:
-    """The service for that world: it learns marker map, floor depth and origin, and nothing of the truth."""
+) -> ServiceSetup:
+    """What the service for that world is made of: marker map, floor depth and origin, and nothing of the truth."""
     controller, controller_by = chosen_part(settings, "controller", world.scenario.plugins.controller)
     estimator, estimator_by = chosen_part(settings, "estimator", world.scenario.plugins.estimator)
-    return build_service(
-        ServiceSetup(
-            vehicle=world.vehicle,
-            params=params,
-            origin=world.origin,
-            markers=world.markers,
-            floor_depth_m=told_floor_m(world.scenario),
-            estimator=estimator,
-            estimator_asked_by=estimator_by,
-            controller=controller,
-            controller_asked_by=controller_by,
-            profile=settings["profile"],
-            instance=instance,
-            currents=forecast(settings, world),
-            water=None if world.water is None else MapCheck(world.water, world.origin),
-            links=links,
-            patience=FASTEST if world.speed == 0.0 else max(1.0, world.speed),
-            waits_for_plans=world.speed == 0.0,
-            pictures=world.simulated.pictured,
-            saving=saving,
-            signing=signing,
-            shelf=log_shelf(settings, patient=world.speed == 0.0),
-            rates=link_rates(settings["connect"]),
-        )
+    return ServiceSetup(
+        vehicle=world.vehicle,
+        params=params,
+        origin=world.origin,
+        markers=world.markers,
+        floor_depth_m=told_floor_m(world.scenario),
+        estimator=estimator,
+        estimator_asked_by=estimator_by,
+        controller=controller,
+        controller_asked_by=controller_by,
+        profile=settings["profile"],
+        instance=instance,
+        currents=forecast(settings, world),
+        water=None if world.water is None else MapCheck(world.water, world.origin),
+        links=links,
+        patience=FASTEST if world.speed == 0.0 else max(1.0, world.speed),
+        waits_for_plans=world.speed == 0.0,
+        pictures=world.simulated.pictured,
+        saving=saving,
+        signing=signing,
+        shelf=log_shelf(settings, patient=world.speed == 0.0),
+        rates=link_rates(settings["connect"]),
     )
 
 
@@ -240,10 +237,12 @@ def _kept_plans(settings: Settings, parts: Parts, instance: int, disk: Desk) -> 
     """Where plans are kept, None without --keep-plans: a simulation begins anew each time unless it is told to."""
     if not settings["keep_plans"]:
         return None
-    return KeptPlans(state_folder(settings, instance) / "plans.json", parts.plans, parts.commander, disk)
+    return KeptPlans(state_folder(settings, instance) / "plans.json", parts.plans, parts.commander, disk, parts.witness)
 
 
-def _recorder(settings: Settings, world: World, parts: Parts, device: SimulatedDevice) -> RunRecorder:
+def _recorder(
+    settings: Settings, world: World, setup: ServiceSetup, parts: Parts, device: SimulatedDevice
+) -> RunRecorder:
     """The log of a simulated run, with the plant's truth."""
     scenario, layout = world.scenario, world.scenario.markers
     from_file = settings["markers"] is not None or layout.file is not None or layout.laid is not None
@@ -266,6 +265,14 @@ def _recorder(settings: Settings, world: World, parts: Parts, device: SimulatedD
         },
         attachments={
             "scenario.json": msgspec.json.encode(scenario),
+            **service_attachments(
+                setup,
+                parts,
+                currents=knowledge(settings, scenario),
+                basin=settings["basin"] or scenario.controller.basin,
+                map_file=None if world.water is None else map_path(settings, scenario),
+                map_start=settings["currents_start"],
+            ),
             # Without a file the scenario says all.
             **(marker_attachment(world.markers) if world.markers is not None and from_file else {}),
         },

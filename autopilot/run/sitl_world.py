@@ -114,20 +114,31 @@ def _map(settings: Settings, scenario: Scenario, origin: Origin) -> CurrentMap |
         if settings["currents_map"] is not None:
             raise ConfigError(f"--currents-map needs --currents map, not {settings['currents']}")
         return None
+    path = map_path(settings, scenario)
+    return None if path is None else open_map(path, origin, settings["currents_start"])
+
+
+def map_path(settings: Settings, scenario: Scenario) -> Path | None:
+    """The file of the map of the current, None when there is none."""
     path = settings["currents_map"] or scenario.controller.map
     if path is None and isinstance(scenario.current, GridCurrent):
         path = scenario.current.file
-    return None if path is None else open_map(Path(path), origin, settings["currents_start"])
+    return None if path is None else Path(path)
+
+
+def formula(scenario: Scenario) -> CurrentForecast:
+    """A scenario's current as a map."""
+    scale_m = OPEN_WATER_SCALE_M if scenario.tank is None else TANK_SCALE_M
+    return MappedCurrent(PointwiseField(current_field(scenario.current).velocity, scale_m))
 
 
 def forecast(settings: Settings, world: World) -> CurrentForecast:
     """What the controller is told of the current. Without a map file a map is the scenario's own formula."""
-    scale_m = OPEN_WATER_SCALE_M if world.scenario.tank is None else TANK_SCALE_M
     match knowledge(settings, world.scenario):
         case "map" if world.water is not None:
             return MappedCurrent(world.water)
         case "map":
-            return MappedCurrent(PointwiseField(current_field(world.scenario.current).velocity, scale_m))
+            return formula(world.scenario)
         case "none":
             return NoCurrent()
         case "uniform":

@@ -30,6 +30,11 @@ class Desks:
         """All of them."""
         return self.routes, self.trajectories, self.certificates
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """In the same order."""
+        return "routes", "trajectories", "certificates"
+
 
 class Mishaps:
     """Work that ended with an exception: told the operator once until some succeeds, in full in the log."""

@@ -1,0 +1,191 @@
+"""What the whole service of a logged run was given, tick by tick, exactly (:class:`autopilot.core.messages.Inputs`)."""
+
+import base64
+from collections import defaultdict
+from collections.abc import Callable, Generator, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from autopilot.core.errors import LogError
+from autopilot.core.messages import Inputs
+from autopilot.core.samples import (
+    HullSample,
+    LeakSample,
+    ObstacleTrack,
+    PilotSample,
+    PowerSample,
+    Sample,
+)
+from autopilot.log.packing.service import ALL_LINKS
+from autopilot.log.packing.step_notes import EMPTY, Standing, StepNotes, inputs_with, unpack
+from autopilot.log.reader import Log, Table
+from autopilot.log.replay_inputs import READERS, TICK
+
+NOTES = "/in/step"
+BYTES = "/in/mavlink"
+FIRST_TICK_US = 10_000
+"""A log whose first tick is later began while the service was running already."""
+
+
+def track_sample(row: Any) -> ObstacleTrack:
+    """From a row of ``/in/tracks``."""
+    return ObstacleTrack(
+        t_us=int(row["t_us"]),
+        track_id=int(row["track_id"]),
+        pos_ned_m=row["pos_ned_m"].copy(),
+        vel_ned_m_s=row["vel_ned_m_s"].copy(),
+        radius_m=float(row["radius_m"]),
+    )
+
+
+def power_sample(row: Any) -> PowerSample:
+    """From a row of ``/in/power_raw``."""
+    return PowerSample(
+        t_us=int(row["t_us"]),
+        voltage_v=float(row["voltage_v"]),
+        current_a=float(row["current_a"]),
+        energy_used_j=float(row["energy_used_j"]),
+        remaining=float(row["remaining"]),
+    )
+
+
+def leak_sample(row: Any) -> LeakSample:
+    """From a row of ``/in/leak``."""
+    return LeakSample(t_us=int(row["t_us"]), wet=bool(row["wet"]))
+
+
+def hull_sample(row: Any) -> HullSample:
+    """From a row of ``/in/hull``."""
+    pressure_pa, temperature_c = float(row["pressure_pa"]), float(row["temperature_c"])
+    return HullSample(
+        t_us=int(row["t_us"]),
+        pressure_pa=None if np.isnan(pressure_pa) else pressure_pa,
+        temperature_c=None if np.isnan(temperature_c) else temperature_c,
+    )
+
+
+def pilot_sample(row: Any) -> PilotSample:
+    """From a row of ``/in/pilot``."""
+    return PilotSample(t_us=int(row["t_us"]))
+
+
+SAMPLES: dict[str, Callable[[Any], Sample]] = {
+    **{topic: reader for topic, reader in READERS.items() if topic.startswith("/in/")},
+    "/in/tracks": track_sample,
+    "/in/power_raw": power_sample,
+    "/in/leak": leak_sample,
+    "/in/hull": hull_sample,
+    "/in/pilot": pilot_sample,
+}
+"""Topic -> how a row of it becomes a sample; every kind of sample is in exactly one of them."""
+
+
+class ServiceInputs:
+    """The inputs of a log's service. LogError if the log cannot hold them."""
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        for topic in (TICK, NOTES):
+            if topic not in log:
+                raise LogError(
+                    f"{log.path}: has no messages on {topic}, which replay needs; record the run with this version"
+                )
+        self._topics = [TICK, NOTES, *(topic for topic in SAMPLES if topic in log)]
+        log.load([*self._topics, BYTES])
+        self._tables: list[Table | None] = [log[topic] if topic != NOTES else None for topic in self._topics]
+        self._notes = log.messages(NOTES)
+        self._streams = _streams(log)
+        self._standing = Standing()
+        self.stopped = ""
+        """Why there are no inputs after the last tick, "" at the end of a log that is whole."""
+
+    def __iter__(self) -> Iterator[Inputs]:
+        """Every tick in turn, until the end or the first that is not whole (``stopped`` says which then)."""
+        tick: Any = None
+        samples: list[Sample] = []
+        notes = EMPTY
+        last_us = 0
+        told = [0] * len(self._topics)
+        for number in self._log.order(self._topics):
+            at, topic = told[number], self._topics[number]
+            told[number] += 1
+            if topic == NOTES:
+                text = self._notes[at].value["data"]
+                notes = unpack(text, f"{self._log.path}: {NOTES} at {1e-6 * self._notes[at].t_us:.2f} s")
+                continue
+            table = self._tables[number]
+            assert table is not None
+            row = table[at]
+            if topic != TICK:
+                samples.append(SAMPLES[topic](row))
+                continue
+            if tick is not None and not (yield from self._whole(tick, samples, notes, last=False)):
+                return
+            if tick is None and int(row["t_us"]) > FIRST_TICK_US:
+                raise LogError(
+                    f"{self._log.path}: begins at {1e-6 * int(row['t_us']):.2f} s, when the service was already "
+                    "running; replay needs a log from the start (--log FILE)"
+                )
+            if int(row["t_us"]) <= last_us:
+                self.stopped = f"time goes back from {1e-6 * last_us:.2f} s to {1e-6 * int(row['t_us']):.2f} s"
+                return
+            tick, samples, notes, last_us = row, [], EMPTY, int(row["t_us"])
+        if tick is not None:
+            yield from self._whole(tick, samples, notes, last=True)
+
+    def _whole(
+        self, tick: Any, samples: Sequence[Sample], notes: StepNotes, *, last: bool
+    ) -> Generator[Inputs, None, bool]:
+        """The inputs of a tick that has all that was written of it; whether it has."""
+        t_us = int(tick["t_us"])
+        missing = int(tick["samples"]) - len(samples)
+        frames = int(tick["frames"]) - len(notes.rx)
+        if missing or frames:
+            what = f"{missing} of the samples" if missing else "the notes of its datagrams"
+            end = " (the log ends there)" if last else ""
+            self.stopped = f"{what} at {1e-6 * t_us:.2f} s {'are' if frames else 'is'} missing{end}"
+            return False
+        given = Inputs(
+            t_us=t_us, samples=tuple(samples), overruns=int(tick["overruns"]), cpu_load=float(tick["cpu_load"])
+        )
+        yield inputs_with(given, notes, self._datagrams(notes), self._standing)
+        return True
+
+    def _datagrams(self, notes: StepNotes) -> tuple[bytes, ...]:
+        """What was received, with another key in the place of each that was left out."""
+        found = []
+        for number, datagram in enumerate(notes.rx):
+            data = self._streams[datagram.link, datagram.client].take(datagram.length)
+            for key in reversed([key for key in notes.keys if key.datagram == number]):
+                data = data[: key.offset] + base64.b64decode(key.packet) + data[key.offset :]
+            found.append(data)
+        return tuple(found)
+
+
+class _Stream:
+    """All bytes of a client, in turn."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self._at = 0
+        self._owed = 0
+
+    def take(self, length: int) -> bytes:
+        """The next bytes; a datagram may have lost bytes to one that was taken already."""
+        length += self._owed
+        self._owed = min(length, 0)
+        piece = bytes(self.data[self._at : self._at + max(length, 0)])
+        self._at += len(piece)
+        return piece + bytes(max(length, 0) - len(piece))  # the beginning of a packet that never ended
+
+
+def _streams(log: Log) -> dict[tuple[int, int], _Stream]:
+    streams: dict[tuple[int, int], _Stream] = defaultdict(_Stream)
+    table = log.get(BYTES)
+    for row in () if table is None else table:
+        link = int(row["link"])
+        streams[-1 if link == ALL_LINKS else link, int(row["client"])].data += row["data"][
+            : int(row["length"])
+        ].tobytes()
+    return streams
