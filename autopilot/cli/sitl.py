@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of all randomness (default: the scenario's).")
 @click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End after so many seconds.")
 @click.option("--log", type=click.Path(dir_okay=False), help="Log file (default: one per arming in the log folder).")
+@click.option("--log-camera-hz", type=click.FloatRange(0.0, 100.0), help="Pictures in the log per second (default 2).")
 @click.option("--connect", multiple=True, help="MAVLink connection; repeatable, replaces the defaults.")
 @click.option("--controller", callback=part_name, help="Default: the scenario's, else nmpc.")
 @click.option("--estimator", callback=part_name, help="ekf, complementary (default: the scenario's, else ekf).")

@@ -66,6 +66,7 @@ class Autopilot:
 
     def __init__(self, parts: Parts) -> None:
         self._parts = parts
+        parts.params.take_changes()  # what was set before the first tick is in the log's description
         self.marks: Marks = NoMarks()
         """Takes the time of the parts of a tick, for the loop's statistics; nothing in here looks at it."""
         self._tick = 0
@@ -160,6 +161,7 @@ class Autopilot:
             shots=shots,
             stills=stills,
             events=inputs.notices + self._events + self._run("telemetry", parts.server.take_notices, NO_EVENTS),
+            parameters=parts.params.take_changes(),
         )
 
     def _without_parts(self, t_us: int) -> Outputs:

@@ -594,5 +594,7 @@ class Outputs:
     stills: tuple[StillRecord, ...] = ()
     """Stills that have been stored, with where the vehicle was."""
     events: tuple[Event, ...] = field(default=())
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """That were changed since the last tick."""
     faults: tuple[Fault, ...] = ()
     """Exceptions inside the service on this tick."""

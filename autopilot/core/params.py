@@ -293,8 +293,10 @@ class ParamSet(Mapping[str, float]):
         self._specs = {spec.name: spec for spec in sorted(PARAMETERS, key=lambda s: s.name)}
         self._values = {name: float(spec.default) for name, spec in self._specs.items()}
         self.revision = 0
+        self._changes: dict[str, float] = {}
         for name, value in (overrides or {}).items():
             self.set(name, value)
+        self._changes.clear()
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -324,8 +326,15 @@ class ParamSet(Mapping[str, float]):
         if spec.type is ParamType.INT32 and value != int(value):
             raise ConfigError(f"parameter {name} = {value:g} is not whole; give a whole number")
         if self._values[name] != value:
-            self._values[name] = float(value)
+            self._values[name] = self._changes[name] = float(value)
             self.revision += 1
+
+    def take_changes(self) -> dict[str, float]:
+        """Values that were changed since the last call (whoever made the set counts as one), for the log."""
+        if not self._changes:
+            return {}
+        changes, self._changes = self._changes, {}
+        return changes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

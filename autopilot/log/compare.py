@@ -17,6 +17,9 @@ WALL_CLOCK_FIELDS = ("/ctl/nmpc.solve_s", "/in/tick.cpu_load", "/in/tick.overrun
 """Measurements of the machine, which differ between two runs of the same seed."""
 
 _MESSAGES = " messages"
+_STAMPS = ("stamp", "timestamp")
+"""Fields of messages that hold the epoch."""
+
 _SHOWN = 80
 """Characters of a value in a difference."""
 
@@ -121,7 +124,7 @@ def _compare_messages(topic: str, a: Log, b: Log, ignore_fields: Collection[str]
 def _first_difference(a: Any, b: Any, topic: str, field: str, ignore_fields: Collection[str]) -> tuple[str, str] | None:
     """Path and description of the first difference of two decoded messages; stamps hold the epoch and are left out."""
     if isinstance(a, dict) and isinstance(b, dict):
-        pairs = [(f"{field}.{key}".lstrip("."), a[key], b.get(key)) for key in a if key != "stamp"]
+        pairs = [(f"{field}.{key}".lstrip("."), a[key], b.get(key)) for key in a if key not in _STAMPS]
     elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
         pairs = [(f"{field}[{index}]", *pair) for index, pair in enumerate(zip(a, b, strict=True))]
     else:

@@ -83,6 +83,23 @@ class Waypoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CameraView:
+    """The camera as the service was told of it."""
+
+    width_px: int
+    height_px: int
+    focal_px: Point2
+    center_px: Point2
+    distortion: tuple[float, ...]
+    """k1 k2 p1 p2 k3; of a fisheye k1 k2 k3 k4. Of the lens in air if it is behind a flat pane."""
+    fisheye: bool
+    position_frd_m: Point3
+    """Projection centre in the body frame."""
+    r_frd_from_cam: tuple[float, ...]
+    """(9,) mounting, by rows."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PartOrigin:
     """Where a controller, an estimator or a plant comes from: enough to find the very same again."""
 
@@ -115,6 +132,9 @@ class RunDescription:
     origin_alt_m: float | None = None
     body_radius_m: float = 0.3
     """Ball round the vehicle's centre."""
+    hull_m: Point2 | None = None
+    """Radius and half height of a cylinder as large as the hull, for drawing."""
+    camera: CameraView | None = None
     hotel_power_w: float = 0.0
     """Electrical power beside the thrusters, part of the energy per lap."""
     thruster_names: tuple[str, ...] = ()

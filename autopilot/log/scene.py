@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import obstacle_position
 from autopilot.log.description import FenceShape, Obstacle, Point2, RunDescription
 from autopilot.log.visuals import Marker
@@ -16,7 +17,14 @@ _SOLID = (0.5, 0.5, 0.5, 1.0)
 _SAFE = (0.9, 0.3, 0.2, 0.25)
 _FENCE = (0.8, 0.1, 0.1, 1.0)
 _GOAL = (0.1, 0.6, 0.2, 0.4)
+_BODY = (0.95, 0.55, 0.1, 0.8)
+_TRUE_BODY = (0.15, 0.45, 0.9, 0.5)
+_THROUGH = 0.12
+"""Opacity of what is seen through."""
 _DEFAULT_DEPTH_M = 1.5
+CURRENT_M_S = 0.2
+"""Current whose arrow is a metre long."""
+TRUE_CURRENT = "true current"
 
 
 def scene_markers(run: RunDescription) -> list[Marker]:
@@ -58,6 +66,37 @@ def moving_markers(run: RunDescription, t_s: float) -> list[Marker]:
             markers.append(_solid("obstacle", number, here, obstacle.radius_m, depth, _SOLID))
             markers.append(_solid("safe_zone", number, here, obstacle.radius_m + run.body_radius_m, depth, _SAFE))
     return markers
+
+
+def body_markers(run: RunDescription, *, truth: bool) -> list[Marker]:
+    """The hull, the ball round it and the heading of the estimated vehicle; ``truth``: of the simulated one too."""
+    radius_m, half_m = run.hull_m or (0.9 * run.body_radius_m, 0.4 * run.body_radius_m)
+    markers: list[Marker] = []
+    for frame, color in (("frd", _BODY), ("tru", _TRUE_BODY))[: 1 + truth]:
+        size, ball = 2.0 * radius_m, 2.0 * run.body_radius_m
+        shape = Marker(namespace=f"body {frame}", number=0, kind=Marker.CYLINDER, color_rgba=color, frame=frame)
+        nose = ((0.0, 0.0, 0.0), (1.6 * radius_m, 0.0, 0.0))
+        around = (*color[:3], _THROUGH)
+        markers += [
+            replace(shape, scale_m=(size, size, 2.0 * half_m)),
+            replace(shape, number=1, kind=Marker.ARROW, scale_m=(0.05, 0.1, 0.1), points_ned_m=nose),
+            replace(shape, number=2, kind=Marker.SPHERE, scale_m=(ball, ball, ball), color_rgba=around),
+        ]
+    return markers
+
+
+def current_marker(namespace: str, pos_ned_m: FloatArray, current_ned_m_s: FloatArray) -> Marker:
+    """The current as an arrow from the vehicle, a metre for CURRENT_M_S."""
+    north, east, down = pos_ned_m.tolist()
+    tip = (pos_ned_m + current_ned_m_s / CURRENT_M_S).tolist()
+    return Marker(
+        namespace=namespace,
+        number=0,
+        kind=Marker.ARROW,
+        scale_m=(0.03, 0.07, 0.07),
+        color_rgba=_TRUE_BODY if namespace == TRUE_CURRENT else _BODY,
+        points_ned_m=((north, east, down), (tip[0], tip[1], tip[2])),
+    )
 
 
 def outline(shape: FenceShape) -> tuple[Point2, ...]:

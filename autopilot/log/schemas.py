@@ -168,6 +168,11 @@ uint8 armed
 uint32 custom_mode
 uint32 failsafes  # bits: docs/failsafes.md
 """,
+    "autopilot_msgs/ParameterChange": """
+std_msgs/Header header
+uint8[16] name  # ASCII, padded with zeros
+float64 value
+""",
     "autopilot_msgs/LoopStats": """
 std_msgs/Header header
 float64 tick_s  # longest tick of the last second
@@ -353,6 +358,53 @@ string location
 string serial_number
 """,
     "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
+    "sensor_msgs/RegionOfInterest": "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify",
+    "sensor_msgs/CameraInfo": """
+std_msgs/Header header
+uint32 height
+uint32 width
+string distortion_model
+float64[] d
+float64[9] k
+float64[9] r
+float64[12] p
+uint32 binning_x
+uint32 binning_y
+sensor_msgs/RegionOfInterest roi
+""",
+    # Of Foxglove's schemas: what its image panel draws over a picture.
+    "foxglove_msgs/Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a",
+    "foxglove_msgs/Point2": "float64 x\nfloat64 y",
+    "foxglove_msgs/CircleAnnotation": """
+builtin_interfaces/Time timestamp
+foxglove_msgs/Point2 position
+float64 diameter
+float64 thickness
+foxglove_msgs/Color fill_color
+foxglove_msgs/Color outline_color
+""",
+    "foxglove_msgs/PointsAnnotation": """
+builtin_interfaces/Time timestamp
+uint8 type  # 2 closed line
+foxglove_msgs/Point2[] points
+foxglove_msgs/Color outline_color
+foxglove_msgs/Color[] outline_colors
+foxglove_msgs/Color fill_color
+float64 thickness
+""",
+    "foxglove_msgs/TextAnnotation": """
+builtin_interfaces/Time timestamp
+foxglove_msgs/Point2 position
+string text
+float64 font_size
+foxglove_msgs/Color text_color
+foxglove_msgs/Color background_color
+""",
+    "foxglove_msgs/ImageAnnotations": """
+foxglove_msgs/CircleAnnotation[] circles
+foxglove_msgs/PointsAnnotation[] points
+foxglove_msgs/TextAnnotation[] texts
+""",
     "rcl_interfaces/Log": """
 builtin_interfaces/Time stamp
 uint8 level

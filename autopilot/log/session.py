@@ -4,13 +4,15 @@ Rates follow the service's clock, never the wall clock, so that the same run giv
 with their time of validity; ``/in/tick`` opens the group of inputs that one call of ``step`` took in, in file order.
 """
 
-from collections.abc import Callable, Hashable, Mapping
+from collections import deque
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
 from autopilot.core.errors import LogError
+from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.messages import Event, Inputs, LoopStats, MavlinkFrame, NavState, Outputs, Severity
 from autopilot.core.samples import (
@@ -34,7 +36,7 @@ from autopilot.log import visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import Removed, StreamCutter
 from autopilot.log.packing import decisions, estimate, payload, programs, sensors, service, step_notes, vehicle
-from autopilot.log.scene import moving_markers, scene_markers
+from autopilot.log.scene import TRUE_CURRENT, body_markers, current_marker, moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.writer import LogHead, LogWriter, Payload
 
@@ -52,6 +54,8 @@ TRAIL_POINTS = 600
 MAX_STREAMS = 256
 """MAVLink streams that are being cut; the oldest goes."""
 CAMERA_US = 500_000
+PICTURES = 64
+"""Times of pictures that are kept until their markers come."""
 JPEG_QUALITY = 80
 MAX_PROGRAMS = 32
 """Programs of the optimiser that were not solved that a log keeps, the first ones."""
@@ -133,6 +137,10 @@ class RunLog:
         self._cutters: dict[tuple[str, int, int], StreamCutter] = {}
         self._standing = step_notes.Standing()
         self._trail: list[tuple[float, float, float]] = []
+        self._pictures: deque[int] = deque(maxlen=PICTURES)
+        """Times of the pictures that were logged last: what was found in them is yet to come."""
+        self._truth: tuple[FloatArray, FloatArray] | None = None
+        """Place and current of the simulated vehicle."""
         self._faults = self._programs = 0
 
     @property
@@ -192,7 +200,11 @@ class RunLog:
         if self._camera_period_us is None or not self._due("/in/camera", frame.t_us, self._camera_period_us):
             return
         pixels, stamp_ns = frame.image_bgr.copy(), self._ns(frame.t_us)
+        self._pictures.append(frame.t_us)
         self._writer.write("/in/camera", frame.t_us, _jpeg_maker(pixels, stamp_ns), size=pixels.nbytes)
+        camera = self._description.camera
+        if camera is not None:
+            self._writer.write("/in/camera_info", frame.t_us, partial(visuals.camera_info, stamp_ns, camera))
 
     def still(self, exposure_us: int, png: bytes) -> None:
         """A still in full size, as a PNG; what is known of it comes with ``Outputs.stills``."""
@@ -205,6 +217,10 @@ class RunLog:
             self._write("/sim/truth", t_us, vehicle.vehicle_state(self._ns(t_us), truth))
         if self._due("/sim/thrusters", t_us, THRUSTERS_US):
             self._write("/sim/thrusters", t_us, vehicle.thruster_state(self._ns(t_us), truth))
+        if self._due("/viz/truth", t_us, VIZ_US):
+            self._truth = truth.pos_ned_m.copy(), truth.current_ned_m_s.copy()
+            self._write("/viz/truth", t_us, visuals.pose_stamped(self._ns(t_us), truth))
+            self._write("/viz/tf", t_us, visuals.true_transform(self._ns(t_us), truth))
 
     def contact(self, t_us: int, count: int, penetration_m: float) -> None:
         """Contacts of the simulated hull begun so far and the deepest penetration of now, once per tick."""
@@ -257,6 +273,8 @@ class RunLog:
         for record in outputs.stills:
             exposure_us = record.still.exposure_us
             self._write("/payload/still", exposure_us, payload.still(self._ns(exposure_us), record))
+        for name, value in outputs.parameters.items():
+            self._write("/sys/parameters", t_us, service.parameter_change(stamp_ns, name, value))
         for frame in outputs.mavlink_tx:
             self._mavlink("/out/mavlink", t_us, frame)
         for event in outputs.events:
@@ -314,6 +332,9 @@ class RunLog:
                 self._write("/in/imu", t_us, sensors.imu_raw(stamp_ns, sample))
             case MarkerSighting():
                 self._write("/in/markers", t_us, sensors.marker_sighting(stamp_ns, sample))
+                if t_us in self._pictures:
+                    made = partial(visuals.image_annotations, stamp_ns, sample)
+                    self._writer.write("/viz/detections", t_us, made)
             case PoseSample():
                 self._write("/in/pose", t_us, sensors.pose_fix(stamp_ns, sample))
             case LaserSample():
@@ -364,14 +385,28 @@ class RunLog:
             self._write("/nav/covariance", t_us, estimate.nav_covariance(stamp_ns, nav))
         if self._due("/viz/pose", t_us, VIZ_US):
             self._write("/viz/pose", t_us, visuals.pose_stamped(stamp_ns, nav))
-            self._write("/viz/tf", t_us, visuals.transforms(stamp_ns, nav))
+            self._write("/viz/tf", t_us, visuals.transforms(stamp_ns, nav, self._description.camera))
+            self._current(t_us, stamp_ns, nav)
         if self._due("trail", t_us, TRAIL_US):
             north, east, down = nav.pos_ned_m.tolist()
             self._trail = [*self._trail[1 - TRAIL_POINTS :], (north, east, down)]
         if self._due("/viz/markers", t_us, SLOW_US):
-            moving = moving_markers(self._description, t_us * 1e-6)
-            self._write("/viz/markers", t_us, visuals.marker_array(stamp_ns, [*self._scene, *moving]))
-            self._write("/viz/path", t_us, visuals.path(stamp_ns, self._trail))
+            self._draw(t_us, stamp_ns)
+
+    def _draw(self, t_us: int, stamp_ns: int) -> None:
+        """What viewers draw beside poses. Packed on the writer's thread."""
+        run, truth, write = self._description, self._truth, self._writer.write
+        write("/viz/markers", t_us, partial(_all_markers, stamp_ns, self._scene, run, t_us * 1e-6))
+        write("/viz/path", t_us, partial(visuals.path, stamp_ns, self._trail))
+        body = body_markers(run, truth=truth is not None)
+        write("/viz/body", t_us, partial(visuals.marker_array, stamp_ns, body))
+
+    def _current(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
+        """The current at the vehicle as an arrow: what the estimator believes and, in simulation, what there is."""
+        arrows = [current_marker("current", nav.pos_ned_m, nav.current_ned_m_s)]
+        if self._truth is not None:
+            arrows.append(current_marker(TRUE_CURRENT, *self._truth))
+        self._writer.write("/viz/current", t_us, partial(visuals.marker_array, stamp_ns, arrows))
 
     def _control(self, t_us: int, stamp_ns: int, outputs: Outputs) -> None:
         control = outputs.control
@@ -384,10 +419,17 @@ class RunLog:
             self._write("/ctl/plan", t_us, decisions.energy_plan(stamp_ns, control.plan))
         if not self._due("/ctl/horizon", t_us, HORIZON_US):
             return
-        self._write("/ctl/horizon", t_us, visuals.path(stamp_ns, control.horizon_ned_m.tolist()))
+        places, after_s = control.horizon_ned_m.tolist(), control.nominal_t_s.tolist()
+        if len(after_s) != len(places):
+            after_s = []
+        self._writer.write("/ctl/horizon", t_us, partial(visuals.path, stamp_ns, places, after_s))
         depth = 0.0 if outputs.nav is None else float(outputs.nav.pos_ned_m[2])
         route = [(north, east, depth) for north, east in control.route_ned_m.tolist()]
-        self._write("/ctl/route", t_us, visuals.path(stamp_ns, route))
+        self._writer.write("/ctl/route", t_us, partial(visuals.path, stamp_ns, route))
+
+
+def _all_markers(stamp_ns: int, scene: Sequence[visuals.Marker], run: RunDescription, t_s: float) -> bytes:
+    return visuals.marker_array(stamp_ns, [*scene, *moving_markers(run, t_s)])
 
 
 def _jpeg_maker(pixels: object, stamp_ns: int) -> Callable[[], bytes]:

@@ -4,11 +4,16 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol
 
-from autopilot.core.frames import FloatArray, quat_from_rpy
+import numpy as np
+
+from autopilot.core.frames import FloatArray, quat_from_rpy, rpy_from_r
 from autopilot.core.messages import Event, NavState
-from autopilot.core.samples import PowerSample
+from autopilot.core.samples import MarkerSighting, PowerSample
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer
+from autopilot.log.description import CameraView
 from autopilot.log.schemas import layout
 
 _pose_stamped = layout("geometry_msgs/PoseStamped").packer.pack
@@ -22,7 +27,15 @@ _HALF_TURN = (1.0, 0.0, 0.0, 0.0)
 _PATH_HEAD = struct.Struct("<4siII4sI")
 _FIRST_POSE = struct.Struct("<iII4s4x7d")
 _NEXT_POSE = struct.Struct("<iII4s7d")
-_TWO_TRANSFORMS = struct.Struct("<4sIiII4sI4s4x7diII4sI4s7d")
+# Of a transform in a TFMessage the doubles of the first need padding, those that follow do not.
+_FIRST_TRANSFORM = struct.Struct("<iII4sI4s4x7d")
+_NEXT_TRANSFORM = struct.Struct("<iII4sI4s7d")
+_COUNT = struct.Struct("<4sI")
+
+_CLOSED_LINE = 2
+_DOT_PX, _LINE_PX, _TEXT_PX = 12.0, 2.0, 14.0
+_OUTLINE, _DOT, _CLEAR = (0.1, 1.0, 0.3, 1.0), (1.0, 0.2, 0.2, 1.0), (0.0, 0.0, 0.0, 0.0)
+"""Red, green, blue, opacity."""
 
 ROS_LEVEL = (50, 50, 50, 40, 30, 20, 20, 10)
 """rcl_interfaces/Log level of each MAV_SEVERITY, emergency to debug."""
@@ -30,13 +43,22 @@ NODE = "autopilot"
 """``rcl_interfaces/Log.name`` of every event."""
 
 
+class Posed(Protocol):
+    """The estimate, or the simulated vehicle."""
+
+    @property
+    def pos_ned_m(self) -> FloatArray: ...
+    @property
+    def rpy_rad(self) -> FloatArray: ...
+
+
 def _ros_quaternion(rpy_rad: FloatArray) -> tuple[float, float, float, float]:
     w, x, y, z = quat_from_rpy(rpy_rad).tolist()
     return x, y, z, w
 
 
-def pose_stamped(stamp_ns: int, nav: NavState) -> bytes:
-    """geometry_msgs/PoseStamped of the estimate in ``ned``."""
+def pose_stamped(stamp_ns: int, nav: Posed) -> bytes:
+    """geometry_msgs/PoseStamped of the estimate, or of the truth, in ``ned``."""
     return _pose_stamped(
         ENCAPSULATION,
         *divmod(stamp_ns, _NS),
@@ -47,34 +69,55 @@ def pose_stamped(stamp_ns: int, nav: NavState) -> bytes:
     )
 
 
-def path(stamp_ns: int, points_ned_m: Sequence[Sequence[float]]) -> bytes:
-    """nav_msgs/Path through points (n, 3) in ``ned``; orientations are left at identity."""
+def path(stamp_ns: int, points_ned_m: Sequence[Sequence[float]], after_s: Sequence[float] = ()) -> bytes:
+    """nav_msgs/Path through points (n, 3) in ``ned``; orientations are left at identity.
+
+    ``after_s`` (n,): when it is there, after the stamp (a prediction's own times); without, all at the stamp.
+    """
     sec, nanosec = divmod(stamp_ns, _NS)
     parts = [_PATH_HEAD.pack(ENCAPSULATION, sec, nanosec, *_NED, len(points_ned_m))]
     pack = _FIRST_POSE.pack
-    for x, y, z in points_ned_m:
+    for index, (x, y, z) in enumerate(points_ned_m):
+        if after_s:
+            sec, nanosec = divmod(stamp_ns + round(1e9 * after_s[index]), _NS)
         parts.append(pack(sec, nanosec, *_NED, x, y, z, *_IDENTITY))
         pack = _NEXT_POSE.pack
     return b"".join(parts)
 
 
-def transforms(stamp_ns: int, nav: NavState) -> bytes:
-    """tf2_msgs/TFMessage: ``map`` (z up, for viewers) -> ``ned`` (turned half a turn about north) -> ``frd``."""
+def transforms(stamp_ns: int, nav: NavState, camera: CameraView | None = None) -> bytes:
+    """tf2_msgs/TFMessage: ``map`` (z up, for viewers) -> ``ned`` (turned half a turn about north) -> ``frd`` ->
+    ``cam``, if there is a camera."""
+    found = [
+        (b"map\0", b"ned\0", (0.0, 0.0, 0.0), _HALF_TURN),
+        (b"ned\0", b"frd\0", nav.pos_ned_m.tolist(), _ros_quaternion(nav.rpy_rad)),
+    ]
+    if camera is not None:
+        found.append((b"frd\0", b"cam\0", list(camera.position_frd_m), _ros_rotation(camera.r_frd_from_cam)))
+    return _tf_message(stamp_ns, found)
+
+
+def true_transform(stamp_ns: int, truth: Posed) -> bytes:
+    """tf2_msgs/TFMessage: ``ned`` -> ``tru``, the simulated vehicle."""
+    return _tf_message(stamp_ns, [(b"ned\0", b"tru\0", truth.pos_ned_m.tolist(), _ros_quaternion(truth.rpy_rad))])
+
+
+def _tf_message(
+    stamp_ns: int, found: Sequence[tuple[bytes, bytes, Sequence[float], tuple[float, float, float, float]]]
+) -> bytes:
     stamp = divmod(stamp_ns, _NS)
-    return _TWO_TRANSFORMS.pack(
-        ENCAPSULATION,
-        2,
-        *stamp,
-        *(4, b"map\0"),
-        *_NED,
-        *(0.0, 0.0, 0.0),
-        *_HALF_TURN,
-        *stamp,
-        *_NED,
-        *(4, b"frd\0"),
-        *nav.pos_ned_m.tolist(),
-        *_ros_quaternion(nav.rpy_rad),
-    )
+    parts = [_COUNT.pack(ENCAPSULATION, len(found))]
+    pack = _FIRST_TRANSFORM.pack
+    for parent, child, position, turn in found:
+        parts.append(pack(*stamp, 4, parent, 4, child, *position, *turn))
+        pack = _NEXT_TRANSFORM.pack
+    return b"".join(parts)
+
+
+@lru_cache(maxsize=8)
+def _ros_rotation(rows: tuple[float, ...]) -> tuple[float, float, float, float]:
+    """Quaternion x, y, z, w of a rotation matrix (9,) by rows."""
+    return _ros_quaternion(rpy_from_r(np.array(rows).reshape(3, 3)))
 
 
 def event(stamp_ns: int, value: Event) -> bytes:
@@ -99,6 +142,52 @@ def compressed_image(stamp_ns: int, data: bytes, kind: str = "jpeg") -> bytes:
     return out.getvalue()
 
 
+def camera_info(stamp_ns: int, camera: CameraView) -> bytes:
+    """sensor_msgs/CameraInfo of what the service was told. A flat pane's refraction is not in it."""
+    (fx, fy), (cx, cy) = camera.focal_px, camera.center_px
+    out = CdrBuffer()
+    out.header(stamp_ns, "cam")
+    out.put("uint32", camera.height_px, camera.width_px)
+    out.string("equidistant" if camera.fisheye else "plumb_bob")
+    out.put("uint32", len(camera.distortion))
+    out.put("float64", *camera.distortion)
+    out.put("float64", fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
+    out.put("float64", 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    out.put("float64", fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0)
+    out.put("uint32", 0, 0)
+    out.put("uint32", 0, 0, 0, 0)
+    out.put("bool", False)
+    return out.getvalue()
+
+
+def image_annotations(stamp_ns: int, sighting: MarkerSighting) -> bytes:
+    """foxglove_msgs/ImageAnnotations: outlines and numbers of the markers found, the laser dot as a circle.
+
+    There the corner of a picture is 0, with us the centre of its first pixel.
+    """
+    out = CdrBuffer()
+    dots = [] if sighting.laser_px is None else [sighting.laser_px]
+    out.put("uint32", len(dots))
+    for dot in dots:
+        out.stamp(stamp_ns)
+        out.put("float64", *(dot + 0.5).tolist(), *(_DOT_PX, _LINE_PX), *_CLEAR, *_DOT)
+    out.put("uint32", len(sighting.ids))
+    for corners in sighting.corners_px:
+        out.stamp(stamp_ns)
+        out.put("uint8", _CLOSED_LINE)
+        out.put("uint32", len(corners))
+        out.put("float64", *(corners + 0.5).ravel().tolist(), *_OUTLINE)
+        out.put("uint32", 0)
+        out.put("float64", *_CLEAR, _LINE_PX)
+    out.put("uint32", len(sighting.ids))
+    for number, corners in zip(sighting.ids, sighting.corners_px, strict=True):
+        out.stamp(stamp_ns)
+        out.put("float64", *(corners.mean(axis=0) + 0.5).tolist())
+        out.string(str(number))
+        out.put("float64", _TEXT_PX, *_OUTLINE, *_CLEAR)
+    return out.getvalue()
+
+
 def battery_state(stamp_ns: int, sample: PowerSample) -> bytes:
     """sensor_msgs/BatteryState: what the sample does not know is NaN, as that message defines it."""
     out = CdrBuffer()
@@ -116,8 +205,9 @@ def battery_state(stamp_ns: int, sample: PowerSample) -> bytes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marker:
-    """One visualization_msgs/Marker in ``ned``."""
+    """One visualization_msgs/Marker."""
 
+    ARROW = 0
     SPHERE = 2
     CYLINDER = 3
     LINE_STRIP = 4
@@ -130,6 +220,8 @@ class Marker:
     """Size along x, y, z; of a line, its width first."""
     color_rgba: tuple[float, float, float, float] = (0.5, 0.5, 0.5, 1.0)
     points_ned_m: tuple[tuple[float, float, float], ...] = ()
+    frame: str = "ned"
+    """Another one moves, and the marker with it."""
 
 
 def marker_array(stamp_ns: int, markers: Sequence[Marker]) -> bytes:
@@ -137,14 +229,14 @@ def marker_array(stamp_ns: int, markers: Sequence[Marker]) -> bytes:
     out = CdrBuffer()
     out.put("uint32", len(markers))
     for marker in markers:
-        out.header(stamp_ns, "ned")
+        out.header(stamp_ns, marker.frame)
         out.string(marker.namespace)
         out.put("int32", marker.number, marker.kind, 0)
         out.put("float64", *marker.position_ned_m, *_IDENTITY, *marker.scale_m)
         out.put("float32", *marker.color_rgba)
         out.put("int32", 0)
         out.put("uint32", 0)
-        out.put("bool", False)
+        out.put("bool", marker.frame != "ned")
         out.put("uint32", len(marker.points_ned_m))
         for point in marker.points_ned_m:
             out.put("float64", *point)

@@ -5,8 +5,9 @@ from collections.abc import Mapping
 import msgspec
 
 from autopilot.command.parts import Parts
+from autopilot.core.camera import CameraModel
 from autopilot.core.plan import PlanItem, PlanKind
-from autopilot.log.description import AcceptBounds, RunDescription, Waypoint, fence_shapes
+from autopilot.log.description import AcceptBounds, CameraView, RunDescription, Waypoint, fence_shapes
 from autopilot.mavlink.api import FlightMode
 from mission.items import GoTo, Jump
 from mission.store import Plans
@@ -24,6 +25,8 @@ def describe_service(parts: Parts, place: str) -> RunDescription:
         origin_lon_deg=parts.plans.origin.lon_deg,
         origin_alt_m=parts.plans.origin.alt_m,
         body_radius_m=parts.vehicle.radius_m,
+        hull_m=(parts.vehicle.hull_radius_m, parts.vehicle.hull_half_height_m),
+        camera=None if parts.vehicle.camera is None else _camera(CameraModel.of_vehicle(parts.vehicle)),
         thruster_names=tuple(thruster.name for thruster in parts.vehicle.thrusters),
         fence=fence_shapes(parts.commander.fence),
         waypoints=waypoints,
@@ -37,6 +40,20 @@ def describe_service(parts: Parts, place: str) -> RunDescription:
         },
         mode_names={str(parts.server.custom_mode(mode)): mode.name for mode in FlightMode},
         parameters=dict(params),
+    )
+
+
+def _camera(model: CameraModel) -> CameraView:
+    north, east, down = model.position_frd_m.tolist()
+    return CameraView(
+        width_px=model.width_px,
+        height_px=model.height_px,
+        focal_px=model.focal_px,
+        center_px=model.center_px,
+        distortion=model.distortion[:4] if model.fisheye else model.distortion,
+        fisheye=model.fisheye,
+        position_frd_m=(north, east, down),
+        r_frd_from_cam=tuple(model.r_frd_from_cam.ravel().tolist()),
     )
 
 

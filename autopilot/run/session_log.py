@@ -112,6 +112,8 @@ def open_recorder(
         _make_folder(folder)
         recover_unfinished(folder)
     quota_bytes = round(settings["log_quota_mb"] * 1e6)
+    camera_hz = settings["log_camera_hz"]
+    period_us = round(1e6 / camera_hz) if camera_hz > 0.0 else None
     opened = 0
 
     def room() -> Sequence[Path]:
@@ -129,7 +131,7 @@ def open_recorder(
 
         head, description = contents.head(path, room), contents.description()
         if not (lockstep or at_start):
-            return open_run_log_beside(head, epoch_ns=epoch_ns, description=description)
+            return open_run_log_beside(head, epoch_ns=epoch_ns, description=description, camera_period_us=period_us)
         given = head()
         return open_run_log(
             given.path,
@@ -138,6 +140,7 @@ def open_recorder(
             metadata=given.metadata,
             attachments=given.attachments,
             lossless=lockstep,
+            camera_period_us=period_us,
         )
 
     return RunRecorder(

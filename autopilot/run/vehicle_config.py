@@ -54,6 +54,7 @@ class ServiceTable(Table, frozen=True, kw_only=True):
     estimator: str | None = None
     log_dir: str | None = None
     log_quota_mb: NonNegative | None = None
+    log_camera_hz: NonNegative | None = None
     state_dir: str | None = None
 
     def given(self, folder: Path) -> dict[str, Any]:

@@ -38,6 +38,7 @@ from autopilot.core.messages import (
 )
 from autopilot.core.samples import (
     AhrsSample,
+    CameraFrame,
     DepthSample,
     ExternalPoseSample,
     HullSample,
@@ -52,7 +53,7 @@ from autopilot.core.samples import (
     VelocitySample,
 )
 from autopilot.core.stills import StillRecord, StoredStill
-from autopilot.log.description import AcceptBounds, FenceShape, Obstacle, RunDescription, Waypoint
+from autopilot.log.description import AcceptBounds, CameraView, FenceShape, Obstacle, RunDescription, Waypoint
 from autopilot.log.session import RunLog, open_run_log
 
 EPOCH_NS = 1_700_000_000_000_000_000
@@ -86,6 +87,16 @@ DESCRIPTION = RunDescription(
     accept=AcceptBounds(laps=3),
     mode_names={"1": "mission"},
     parameters={"MPC_MARGIN": 0.05, "MPC_Q_POS": 20.0},
+    camera=CameraView(
+        width_px=64,
+        height_px=48,
+        focal_px=(80.0, 81.0),
+        center_px=(31.0, 23.5),
+        distortion=(0.1, 0.0, 0.0, 0.0, 0.0),
+        fisheye=False,
+        position_frd_m=(0.1, 0.0, 0.05),
+        r_frd_from_cam=(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+    ),
 )
 
 
@@ -202,6 +213,8 @@ def _tick(log: RunLog, run: Run, t_us: int, end_us: int) -> None:
     if run.with_truth:
         log.truth(t_us, truth)
         log.contact(t_us, run.contacts if t_s > 20.0 else 0, 0.01 if 20.0 < t_s < 20.5 and run.contacts else 0.0)
+    if run.full_inputs:
+        log.camera(CameraFrame(t_us=t_us - 60_000, image_bgr=np.full((48, 64, 3), t_us // 100_000 % 200, np.uint8)))
     log.inputs(inputs_at(t_us, truth, run.full_inputs))
     log.outputs(outputs_at(t_us, truth, run, t_us >= end_us - 400_000))
     if run.full_inputs and t_us % 5_000_000 == 0:
@@ -338,6 +351,7 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         if t_us % 1_000_000 == 0
         else None,
         progress=MissionProgress(t_us=t_us, current_seq=1, reached_seq=-1, lap=lap, state=state),
+        parameters={"MPC_Q_POS": 25.0} if t_us == 12_000_000 else {},
         events=(Event(t_us=t_us, severity=6, text=f"lap {lap}"),) if t_us % 5_000_000 == 0 else (),
         stills=(still_at(t_us, truth),) if run.full_inputs and t_us % 5_000_000 == 0 else (),
     )

@@ -8,6 +8,7 @@ from autopilot.log.schemas import layout
 _loop_stats = layout("autopilot_msgs/LoopStats").packer.pack
 _input_tick = layout("autopilot_msgs/InputTick").packer.pack
 _below = layout("autopilot_msgs/Below").packer.pack
+_parameter_change = layout("autopilot_msgs/ParameterChange").packer.pack
 _mavlink_frame = layout("autopilot_msgs/MavlinkFrame").packer.pack
 
 _AUTHORITIES = tuple(Authority)
@@ -71,6 +72,11 @@ def loop_stats(stamp_ns: int, stats: LoopStats) -> bytes:
         *stats.part_s,
         *stats.part_cpu_s,
     )
+
+
+def parameter_change(stamp_ns: int, name: str, value: float) -> bytes:
+    """ParameterChange."""
+    return _parameter_change(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, name.encode("ascii", "replace"), value)
 
 
 def mavlink_frame(stamp_ns: int, data: bytes, link: int, client: int = 0) -> bytes:
