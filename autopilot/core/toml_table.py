@@ -43,14 +43,17 @@ def parse_toml(text: str, origin: str) -> dict[str, Any]:
 
 
 def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
-    """``tables`` as ``kind``; ConfigError names the path of the key, what is wrong with it, and the file."""
+    """``tables`` as ``kind``; ConfigError names the path of the key, what is wrong with it, what may stand there, and
+    the file."""
     for place, value in _leaves(tables, "$"):
         if isinstance(value, float) and not math.isfinite(value):
             raise ConfigError(f"{origin}: `{place}` = {value} is not a finite number; correct or remove that key")
     try:
         return msgspec.convert(tables, kind, strict=True)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{origin}: {error}; correct or remove that key") from error
+        from autopilot.core.toml_names import remedy  # for errors only
+
+        raise ConfigError(f"{origin}: {error}; {remedy(str(error), tables, kind)}") from error
 
 
 def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:

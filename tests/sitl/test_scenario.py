@@ -148,6 +148,29 @@ def test_a_wrong_file_is_refused_with_the_name_of_the_key(tmp_path: Path, old: s
 
 
 @pytest.mark.parametrize(
+    ("old", "new", "names"),
+    [
+        ("depth_m = 1.5", "depth_cm = 150", "did you mean depth_m? use one of polygon_m, depth_m"),
+        ('kind = "cylinder"', 'kind = "cylindre"', "did you mean cylinder? use one of cylinder, sphere, prism, moving"),
+        ('kind = "cylinder"', "", "use one of cylinder, sphere, prism, moving"),
+        ("radius_m = 0.2", "radius_m = 0.2\ncolor = 1", "use one of kind, center_m, radius_m, surprise"),
+        ('kind = "jet"', 'kind = "jett"', "did you mean jet? use one of none, uniform, jet, vortex"),
+        ('kind = "thruster_loss"', 'kind = "explosion"', "use one of thruster_loss, camera_blackout, "),
+        ("[sensors.ahrs]", "[sensors.sonar]", "use one of position, ahrs, camera, pose, laser"),
+        ("[vehicle]", '[controller]\ncurrents = "guess"\n[vehicle]', "use one of estimate, map, none, uniform"),
+        ("[vehicle]", '[spread."tank.depth_m"]\nlo = 1.0\n[vehicle]', "did you mean low? use one of low, high, choice"),
+        ("[vehicle]", "[waters]\n[vehicle]", "use one of scenario, origin, tank, "),
+    ],
+)
+def test_unknown_keys_and_kinds_name_the_valid_ones(tmp_path: Path, old: str, new: str, names: str) -> None:
+    assert old in GOOD
+    with pytest.raises(ConfigError) as error:
+        load(tmp_path, GOOD.replace(old, new))
+    assert names in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
     ("table", "message"),
     [
         ("[markers]\nsize_m = 0.1", r"`size_m` = 0\.1 must be smaller than `pitch_m`"),

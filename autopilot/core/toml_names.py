@@ -1,0 +1,87 @@
+"""What may stand where in a TOML file: the names that an unknown key, kind or value has to be one of."""
+
+import difflib
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from msgspec import inspect
+
+_STEP = re.compile(r"\.(?P<key>[^.\[\]]+)|\[(?P<index>\d+|\.\.\.)\]")
+_PLACE = r"(?: - at `(?P<place>\$[^`]*)`)?"
+_NO_KEY = re.compile(rf"unknown field `(?P<name>[^`]*)`{_PLACE}")
+_NO_VALUE = re.compile(rf"Invalid (?:enum )?value '(?P<name>[^']*)'{_PLACE}")
+_NO_KIND = re.compile(rf"missing required field `(?P<name>kind)`{_PLACE}")
+CLOSE = 0.6
+"""Likeness (difflib) from which a name is taken for a slip of the pen."""
+
+
+def remedy(error: str, tables: dict[str, Any], kind: type) -> str:
+    """What to write instead of what msgspec refused with ``error`` when it read ``tables`` as ``kind``."""
+    whole = inspect.type_info(kind)
+    found = _NO_KEY.search(error)
+    if found is not None:
+        here = list(_types_at(whole, tables, found["place"] or "$"))
+        tables_here = [each for each in here if isinstance(each, inspect.StructType)]
+        names = [each.tag_field for each in tables_here if each.tag_field]
+        names += [field.encode_name for each in tables_here for field in each.fields]
+        return choice(found["name"], names)
+    found = _NO_VALUE.search(error)
+    if found is not None and found["place"]:
+        here = list(_types_at(whole, tables, found["place"]))
+        texts = [str(value) for each in here if isinstance(each, inspect.LiteralType) for value in each.values]
+        return choice(found["name"], texts or _kinds(whole, tables, found["place"].rpartition(".")[0]))
+    found = _NO_KIND.search(error)
+    if found is not None:
+        return choice("", _kinds(whole, tables, found["place"] or "$"))
+    return choice("", ())
+
+
+def choice(name: str, names: Sequence[str]) -> str:
+    """``use one of A, B, C``; the one that ``name`` was probably meant to be comes before."""
+    if not names:
+        return "correct or remove that key"
+    unique = list(dict.fromkeys(names))
+    near = difflib.get_close_matches(name, unique, 1, CLOSE)
+    return (f"did you mean {near[0]}? " if near else "") + f"use one of {', '.join(unique)}"
+
+
+def _kinds(whole: inspect.Type, tables: dict[str, Any], place: str) -> list[str]:
+    """Kinds of the table at ``place``, whatever kind it says that it is."""
+    here = list(_types_at(whole, tables, place, any_kind=True))
+    return [str(each.tag) for each in here if isinstance(each, inspect.StructType) and each.tag is not None]
+
+
+def _types_at(
+    whole: inspect.Type, tables: dict[str, Any], place: str, *, any_kind: bool = False
+) -> Iterator[inspect.Type]:
+    """What may stand at a path such as ``$.obstacle[0].center_m``."""
+    steps = [step["key"] or step["index"] for step in _STEP.finditer(place)]
+    yield from _below(whole, tables, steps, any_kind)
+
+
+def _below(here: inspect.Type, value: Any, steps: Sequence[str], any_kind: bool) -> Iterator[inspect.Type]:
+    match here:
+        case inspect.UnionType(types=types):
+            for each in types:
+                if (any_kind and not steps) or not _another_kind(each, value):
+                    yield from _below(each, value, steps, any_kind)
+        case _ if not steps:
+            yield here
+        case inspect.StructType(fields=fields):
+            inner = value.get(steps[0]) if isinstance(value, dict) else None
+            for field in fields:
+                if field.encode_name == steps[0]:
+                    yield from _below(field.type, inner, steps[1:], any_kind)
+        case inspect.DictType(value_type=entry):
+            inner = value.get(steps[0]) if isinstance(value, dict) else None
+            yield from _below(entry, inner, steps[1:], any_kind)
+        case inspect.ListType(item_type=entry) if steps[0].isdecimal():
+            known = isinstance(value, list) and int(steps[0]) < len(value)
+            yield from _below(entry, value[int(steps[0])] if known else None, steps[1:], any_kind)
+
+
+def _another_kind(one: inspect.Type, value: Any) -> bool:
+    """Whether the table ``value`` says that it is of another kind than ``one``."""
+    tagged = isinstance(one, inspect.StructType) and one.tag_field is not None and isinstance(value, dict)
+    return tagged and isinstance(one, inspect.StructType) and one.tag_field in value and value[one.tag_field] != one.tag
