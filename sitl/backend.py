@@ -29,6 +29,7 @@ from sitl.pose_sensor import SimPoseSensor
 from sitl.protocol import PlantContext, PlantLike, SteerablePlant, create_plant
 from sitl.scenario import Fault, Scenario
 from sitl.scenario_tables import ThrusterLoss
+from sitl.waves import wave_train
 
 POWER_PERIOD_US = 500_000
 """The battery monitor reports at 2 Hz."""
@@ -171,7 +172,8 @@ class SimulatedVehicle(Closing):
             self._observers.append(self._obstacles)
         depth_m = None if scenario.tank is None else scenario.tank.depth_m
         pressure, dvl = sensors.depth, sensors.dvl
-        self._depth = None if pressure is None else SimDepthSensor(pressure, vehicle.depth_sensor, faults, seed)
+        waves = wave_train(scenario.waves, depth_m)
+        self._depth = None if pressure is None else SimDepthSensor(pressure, vehicle.depth_sensor, faults, seed, waves)
         self._dvl = None if dvl is None else SimDvl(dvl, vehicle.dvl, depth_m, faults, seed)
         self._hull = SimHullSensor(sensors.hull, faults) if sensors.hull.enabled else None
         if self._hull is not None:

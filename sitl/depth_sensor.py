@@ -13,13 +13,23 @@ from sitl.delayed import DelayedSamples
 from sitl.fault_tables import SensorFrozen
 from sitl.plant import Truth
 from sitl.scenario import DepthSensor, Fault
+from sitl.waves import WaveTrain
 
 
 class SimDepthSensor(AlwaysOpen):
     """Takes samples of the truth and delivers them after their latency."""
 
-    def __init__(self, sensor: DepthSensor, mount: DepthMount, faults: Iterable[Fault], seed: int) -> None:
+    def __init__(
+        self,
+        sensor: DepthSensor,
+        mount: DepthMount,
+        faults: Iterable[Fault],
+        seed: int,
+        waves: WaveTrain | None = None,
+    ) -> None:
+        """``waves``: over it; their pressure is taken for depth."""
         faults = list(faults)
+        self._waves = waves
         self._sensor = sensor
         self._mount_frd_m = np.array(mount.position_frd_m)
         self._rng = np.random.default_rng((seed, 40))
@@ -55,8 +65,12 @@ class SimDepthSensor(AlwaysOpen):
         self._offset_m += self._walk_m * noise[0]
         if self._line.lost(truth.t_us, chance[0]):
             return
-        below_m = float(r_ned_from_frd(truth.rpy_rad)[2] @ self._mount_frd_m)
+        turned = r_ned_from_frd(truth.rpy_rad)
+        below_m = float(turned[2] @ self._mount_frd_m)
         depth_m = float(truth.pos_ned_m[2]) + below_m + self._offset_m + self._sensor.sigma_m * noise[1]
+        if self._waves is not None:
+            place = truth.pos_ned_m + turned @ self._mount_frd_m
+            depth_m += self._waves.pressed_m(place.tolist(), truth.t_us * 1e-6)
         if chance[1] < self._sensor.outlier_probability:
             depth_m += self._sensor.outlier_m * (2.0 * chance[2] - 1.0)
         if any(fault.holds(truth.t_us) for fault in self._frozen):

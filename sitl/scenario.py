@@ -46,6 +46,7 @@ from sitl.scenario_tables import (
     UniformCurrent,
     VehicleStart,
     VortexCurrent,
+    Waves,
 )
 from sitl.sensor_tables import (
     AhrsSensor,
@@ -102,6 +103,7 @@ __all__ = [
     "UniformCurrent",
     "VehicleStart",
     "VortexCurrent",
+    "Waves",
     "load_scenario",
     "load_tables",
     "plan_path",

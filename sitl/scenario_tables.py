@@ -24,6 +24,8 @@ class Header(Table, frozen=True, kw_only=True):
     """The run ends here, None = when it is stopped."""
     plan: str | None = None
     """Plan file that ``sitl --start`` flies, relative to the scenario file (:func:`plan_path`)."""
+    fence: Literal["from tank and obstacles"] | None = None
+    """The plan's fence is drawn from this file's tank and obstacles; None = it is the plan's own."""
 
 
 class Origin(Table, frozen=True, kw_only=True):
@@ -182,6 +184,23 @@ class GridCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="grid"
 Current: TypeAlias = (
     NoCurrent | UniformCurrent | JetCurrent | VortexCurrent | ShearCurrent | BickleyCurrent | GyreCurrent | GridCurrent
 )
+
+
+class Waves(Table, frozen=True, kw_only=True):
+    """``[waves]``: surface waves by linear theory (:mod:`sitl.waves`). Absent = a flat surface."""
+
+    height_m: NonNegative
+    """Crest to trough; of an irregular sea the significant height."""
+    period_s: Positive
+    """Of an irregular sea that of the spectrum's peak."""
+    direction_rad: float = 0.0
+    """Towards which they run, clockwise from north."""
+    phase_rad: float = 0.0
+    """Regular: 0 = a crest over the origin at the start."""
+    spectrum: Literal["regular", "jonswap"] = "regular"
+    """One regular wave, or a sea of many."""
+    seed: Seed = 1
+    """Of the phases of an irregular sea."""
 
 
 class VehicleStart(Table, frozen=True, kw_only=True):
@@ -380,6 +399,7 @@ class Scenario(Table, frozen=True, kw_only=True):
     tank: Tank | None = None
     obstacle: list[Obstacle] = msgspec.field(default_factory=list)
     current: Current = NoCurrent()
+    waves: Waves | None = None
     vehicle: VehicleStart
     sensors: Sensors = Sensors()
     camera: CameraLook = CameraLook()

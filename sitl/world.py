@@ -9,6 +9,7 @@ from sitl.contact import Cylinder, MovingCylinder, Prism, Solid, Sphere
 from sitl.currents import CurrentField, Uniform, current_field
 from sitl.moving import MovingPath
 from sitl.scenario import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
+from sitl.waves import WithWaves, breaking_height_m, wave_train
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -31,7 +32,7 @@ def moving_path(obstacle: MovingObstacle) -> MovingPath:
 
 
 def build_world(scenario: Scenario) -> World:
-    """The world that a scenario describes. ConfigError if the vehicle would start outside the tank."""
+    """The world that a scenario describes. ConfigError if the vehicle would start outside the tank, or waves break."""
     solids: list[Solid] = []
     for number, obstacle in enumerate(scenario.obstacle, start=1):
         name = f"obstacle {number}"
@@ -54,6 +55,22 @@ def build_world(scenario: Scenario) -> World:
         polygon_ned_m=tuple(tank.polygon_m) if tank is not None else None,
         floor_m=tank.depth_m if tank is not None else None,
         solids=tuple(solids),
-        current=current_field(scenario.current),
+        current=water_field(scenario),
         tether_entry_ned_m=scenario.vehicle.tether_entry_m,
     )
+
+
+def water_field(scenario: Scenario) -> CurrentField:
+    """Current and waves. ConfigError if the waves would break."""
+    field, table = current_field(scenario.current), scenario.waves
+    depth_m = None if scenario.tank is None else scenario.tank.depth_m
+    waves = wave_train(table, depth_m)
+    if waves is None or table is None:
+        return field
+    highest_m = breaking_height_m(table, depth_m)
+    if table.height_m > highest_m:
+        raise ConfigError(
+            f"scenario {scenario.scenario.name!r}: `$.waves.height_m` = {table.height_m:g} breaks: waves of"
+            f" {table.period_s:g} s are {highest_m:.2g} m high at most there; make them lower or longer"
+        )
+    return WithWaves(field=field, waves=waves)
