@@ -29,6 +29,10 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "motors": ("autopilot.cli.motors:motors", "Turn thrusters one by one, a little, on the bench."),
     "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),
     "run": ("autopilot.cli.run:run", "Run the service on a real vehicle."),
+    "scenario": (
+        "autopilot.cli.scenario:scenario",
+        "Scenario files: check one, copy one to edit, list what is shipped.",
+    ),
     "sitl": ("autopilot.cli.sitl:sitl", "Run the service on a simulated vehicle."),
     "vehicle": ("autopilot.cli.vehicle:vehicle", "Vehicle files: check one, write a template, list what is shipped."),
 }

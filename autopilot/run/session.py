@@ -31,7 +31,7 @@ from estimator.frame_filter import FrameFilter
 from estimator.vision import MarkerDetector
 from estimator.vision_lane import VisionWorker
 from mission.loading import load_plan
-from mission.plan_files import read_plan
+from mission.plan_files import PlanFile, read_plan
 
 FASTEST = 20.0
 """How much faster than real time a run without pace may be: clients get that much more of the service's time."""
@@ -194,21 +194,30 @@ def link_rates(connections: Sequence[str]) -> dict[int, float]:
     return {number: LINE_SHARE * line.number / 10.0 for number, line in found if line.kind == "serial"}
 
 
-def take_plans(parts: Parts, plan: Path | None, kept: KeptPlans | None, *, flown_at_once: bool) -> tuple[str, ...]:
+def take_plans(
+    parts: Parts,
+    plan: Path | None,
+    kept: KeptPlans | None,
+    *,
+    flown_at_once: bool,
+    finish: Callable[[PlanFile], tuple[PlanFile, tuple[str, ...]]] = lambda plan: (plan, ()),
+) -> tuple[str, ...]:
     """The plan to have on board: of a file, else what was kept. The result is what an operator should know.
 
-    PlanError if the file is no plan, or cannot be flown though it is to be ``flown_at_once``.
+    ``finish``: what becomes of the file's plan before it is taken, and a word about that. PlanError if the file is no
+    plan, or cannot be flown though it is to be ``flown_at_once``.
     """
     if plan is None:
         return () if kept is None else kept.load()
-    problem = load_plan(parts.plans, read_plan(plan), str(plan))
+    finished, warnings = finish(read_plan(plan))
+    problem = load_plan(parts.plans, finished, str(plan))
     if problem and flown_at_once:
         raise PlanError(f"{plan}: cannot be flown: {problem}; mend the plan, or start without --start")
     if problem:
         print(f"warning: {plan}: {problem}; the vehicle will not arm before that is mended", file=sys.stderr)
     if kept is not None:
         kept.skip()
-    return ()
+    return warnings
 
 
 @contextlib.contextmanager

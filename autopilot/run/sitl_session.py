@@ -24,6 +24,7 @@ from autopilot.run.downloads import log_shelf
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Peer
 from autopilot.run.recorder import NullRecorder, RunRecorder
+from autopilot.run.scenario_fence import scenario_plan
 from autopilot.run.service_record import service_attachments
 from autopilot.run.session import (
     FASTEST,
@@ -133,7 +134,9 @@ def open_sitl(
     setup = _setup(settings, world, params, instance, links=links_count, saving=persistent, signing=signing)
     service, parts = build_service(setup)
     plan, plans = _plan(settings, scenario), _kept_plans(settings, parts, instance, disk)
-    warnings += take_plans(parts, plan, plans, flown_at_once=operator is not None)
+    warnings += take_plans(
+        parts, plan, plans, flown_at_once=operator is not None, finish=lambda file: scenario_plan(file, scenario)
+    )
     device = SimulatedDevice(world.simulated, len(world.vehicle.thrusters))
     with opened(device, settings["connect"], links) as open_links:
         recorder = _recorder(settings, world, setup, parts, device) if log else NullRecorder()

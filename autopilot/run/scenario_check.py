@@ -1,0 +1,160 @@
+"""What a scenario gives, what keeps it from being flown, and what is odd about it (``autopilot scenario check``)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.errors import AutopilotError
+from autopilot.core.geodesy import Origin
+from autopilot.core.geometry import Fence
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.core.vehicle_facts import facts_of
+from autopilot.run.scenario_fence import scenario_plan
+from autopilot.run.sitl_console import unknown_obstacles
+from mission.fence import FenceShape, build_fence
+from mission.items import GoTo, Step
+from mission.judgement import judge_file
+from mission.plan_files import read_plan
+from sitl.contact import Surroundings
+from sitl.plant import build_plant
+from sitl.scenario import Scenario, plan_path
+from sitl.waves import breaking_height_m
+from sitl.world import build_world
+
+GRID = 21
+"""Places north and east at which the current is looked at."""
+TIMES = 13
+"""Times, over :data:`LOOK_S`."""
+LOOK_S = 600.0
+AROUND_M = 10.0
+"""How far round start and goals the current is looked at in open water."""
+TIGHT = 0.8
+"""Share of the vehicle's speed from which a current is worth a word."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScenarioFindings:
+    """What was found."""
+
+    facts: dict[str, str]
+    problems: tuple[str, ...]
+    """It cannot be simulated, or its plan not be flown."""
+    remarks: tuple[str, ...]
+
+
+def check_scenario(name_or_path: str, scenario: Scenario) -> ScenarioFindings:
+    """Look at everything that can be looked at without flying. ``scenario`` is what was loaded from there."""
+    vehicle = load_vehicle(scenario.vehicle.model)
+    facts = {"vehicle": f"{vehicle.name}, ball of {vehicle.radius_m:g} m", **_world_facts(scenario)}
+    problems: list[str] = []
+    remarks: list[str] = []
+    try:
+        build_plant(scenario, vehicle)
+    except AutopilotError as error:
+        return ScenarioFindings(facts=facts, problems=(str(error),), remarks=())
+    steps: tuple[Step, ...] = ()
+    try:
+        steps = _look_at_plan(name_or_path, scenario, vehicle, facts, problems, remarks)
+    except AutopilotError as error:
+        problems.append(str(error))
+    remarks += _room_at_start(scenario, vehicle)
+    remarks += _look_at_water(scenario, vehicle, steps, facts)
+    if scenario.spread:
+        facts["spread"] = f"{len(scenario.spread)} keys: {', '.join(scenario.spread)}"
+        if scenario.scenario.duration_s is None:
+            remarks.append("a campaign needs scenario.duration_s or --duration, and there is none")
+    return ScenarioFindings(facts=facts, problems=tuple(problems), remarks=tuple(remarks))
+
+
+def _world_facts(scenario: Scenario) -> dict[str, str]:
+    tank = scenario.tank
+    facts = {
+        "world": "open water" if tank is None else f"tank of {len(tank.polygon_m)} walls, {tank.depth_m:g} m deep",
+        "obstacles": f"{len(scenario.obstacle)}",
+        "localised by": scenario.sensors.position,
+        "told of the current": scenario.controller.currents,
+    }
+    if scenario.waves is not None:
+        waves = scenario.waves
+        highest_m = breaking_height_m(waves, None if tank is None else tank.depth_m)
+        facts["waves"] = f"{waves.spectrum}, {waves.height_m:g} m, {waves.period_s:g} s (break at {highest_m:.2g} m)"
+    if scenario.fault:
+        kinds = (f"{fault.__struct_config__.tag} at {fault.at_s:g} s" for fault in scenario.fault)
+        facts["faults"] = ", ".join(kinds)
+    return facts
+
+
+def _look_at_plan(
+    name_or_path: str,
+    scenario: Scenario,
+    vehicle: Vehicle,
+    facts: dict[str, str],
+    problems: list[str],
+    remarks: list[str],
+) -> tuple[Step, ...]:
+    """The plan against the fence as a vehicle judges them. AutopilotError if it cannot be read."""
+    path = plan_path(name_or_path, scenario)
+    if path is None:
+        if scenario.scenario.fence is not None:
+            remarks.append("scenario.fence draws the fence of a plan, and there is no plan; name one in scenario.plan")
+        facts["plan"] = "none"
+        return ()
+    plan, warnings = scenario_plan(read_plan(path), scenario)
+    remarks += warnings
+    facts["plan"] = f"{path.name}, mission of {len(plan.mission)} items"
+    facts["fence"] = f"{len(plan.fence)} items" + (f" {scenario.scenario.fence}" if scenario.scenario.fence else "")
+    params = ParamSet()
+    for name, value in scenario.params.items():
+        params.set(name, value)
+    place = scenario.origin
+    origin = Origin(lat_deg=place.lat_deg, lon_deg=place.lon_deg, alt_m=place.alt_m)
+    verdict = judge_file(plan, origin, params, vehicle.radius_m)
+    problems += [problem.reason for problem in (*verdict.own, *verdict.joint)]
+    remarks += verdict.warnings
+    if not verdict.own:
+        remarks += unknown_obstacles(scenario, _fence(verdict.shapes, params))
+    return verdict.steps
+
+
+def _fence(shapes: tuple[FenceShape, ...], params: ParamSet) -> Fence:
+    return build_fence(shapes, params)
+
+
+def _room_at_start(scenario: Scenario, vehicle: Vehicle) -> list[str]:
+    """Whether the vehicle's ball is free where it starts (the hull is, or there would be no plant)."""
+    world = build_world(scenario)
+    around = Surroundings(
+        polygon_ned_m=world.polygon_ned_m,
+        floor_m=None,
+        solids=world.solids,
+        hull_radius_m=vehicle.radius_m,
+        hull_half_height_m=vehicle.hull_half_height_m,
+    )
+    found = around.touches(list(scenario.vehicle.start_m))
+    return [f"the vehicle's ball is {touch.depth_m:.2f} m inside {touch.what} at the start" for touch in found]
+
+
+def _look_at_water(scenario: Scenario, vehicle: Vehicle, steps: tuple[Step, ...], facts: dict[str, str]) -> list[str]:
+    """The strongest current where the vehicle may come, against what it swims."""
+    field = build_world(scenario).current
+    start = np.array(scenario.vehicle.start_m)
+    if scenario.tank is not None:
+        corners = np.array(scenario.tank.polygon_m)
+    else:
+        goals = [step.pos_ned_m[:2] for step in steps if isinstance(step, GoTo) and step.pos_ned_m is not None]
+        around = np.array([start[:2], *goals])
+        corners = np.vstack((around - AROUND_M, around + AROUND_M))
+    north, east = (np.linspace(corners[:, axis].min(), corners[:, axis].max(), GRID) for axis in (0, 1))
+    fastest_m_s = max(
+        math.hypot(*field.velocity((float(x), float(y), float(start[2])), float(t))[:2])
+        for x in north
+        for y in east
+        for t in (np.linspace(0.0, LOOK_S, TIMES) if not field.steady_uniform else (0.0,))
+    )
+    swims_m_s = next(axis.speed for axis in facts_of(vehicle).axes if axis.axis == "surge")
+    facts["current"] = f"{scenario.current.__struct_config__.tag}, at most {fastest_m_s:.2f} m/s at the start's depth"
+    if fastest_m_s > TIGHT * swims_m_s:
+        return [f"the current reaches {fastest_m_s:.2f} m/s, and the vehicle swims {swims_m_s:.2f} m/s"]
+    return []

@@ -1,0 +1,63 @@
+"""A commented copy of a scenario to edit, with the files that it needs (``autopilot scenario new``)."""
+
+import re
+from importlib import resources
+from pathlib import Path
+
+from autopilot.core.errors import ConfigError
+from sitl.scenario import FILE_KEYS, load_scenario, load_tables, plan_path, scenario_path
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+DRAWN = 'fence = "from tank and obstacles" # the plan\'s fence follows what stands below'
+
+
+def copy_scenario(name: str, source: str, folder: Path) -> list[Path]:
+    """Write ``NAME.toml`` and what it needs into the folder; the files that were written.
+
+    ConfigError: the name is none, the source is not known or not good, a file is there already."""
+    if _NAME.fullmatch(name) is None or name.endswith(".toml"):
+        raise ConfigError(f"{name!r} is no name for a scenario; use letters, digits and dashes")
+    scenario = load_scenario(source)
+    text = scenario_path(source).read_text(encoding="utf-8")
+    copies: dict[Path, bytes] = {}
+    plan, plan_name = plan_path(source, scenario), None
+    if plan is not None:
+        plan_name = name + "".join(plan.suffixes[-2:] if plan.name.endswith(".mission.toml") else plan.suffixes[-1:])
+        copies[folder / plan_name] = plan.read_bytes()
+    tables = load_tables(source)
+    for table, key in (*FILE_KEYS, ("vehicle", "model")):
+        told = tables.get(table, {}).get(key)
+        if isinstance(told, str) and Path(told).is_absolute() and Path(told).is_file():
+            copies[folder / Path(told).name] = Path(told).read_bytes()
+    drawn = plan is not None and scenario.scenario.fence is None and (scenario.tank is not None or scenario.obstacle)
+    edited = _edited(text, name, plan_name, drawn=bool(drawn))
+    more = (resources.files("autopilot") / "data" / "templates" / "scenario-more.toml").read_text(encoding="utf-8")
+    copies[folder / f"{name}.toml"] = f"{edited.rstrip()}\n\n{more}".encode()
+    there = next((path for path in copies if path.exists()), None)
+    if there is not None:
+        raise ConfigError(f"{there}: is there already; choose another name or --out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, data in copies.items():
+            path.write_bytes(data)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from error
+    return list(copies)
+
+
+def _edited(text: str, name: str, plan: str | None, *, drawn: bool) -> str:
+    """The file with other values in ``[scenario]``; comments stay."""
+    lines: list[str] = []
+    table = ""
+    for line in text.splitlines():
+        if line.startswith("["):
+            table = line.split("]")[0].strip("[")
+        if table == "scenario" and re.match(r"name\s*=", line):
+            line = f'name = "{name}"'
+        if table == "scenario" and plan is not None and re.match(r"plan\s*=", line):
+            lines.append(f'plan = "{plan}"')
+            line = DRAWN if drawn else ""
+            if not drawn:
+                continue
+        lines.append(line)
+    return "\n".join(lines)
