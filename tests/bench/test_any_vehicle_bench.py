@@ -4,7 +4,7 @@ import pytest
 from click.testing import CliRunner
 
 from autopilot.bench.any_vehicle import Outcome, fly, vehicle_tables
-from autopilot.cli.bench import APART, TITLES, bench
+from autopilot.cli.bench import TITLES, bench
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import Vehicle, checked, convert
 
@@ -40,7 +40,3 @@ def test_the_command_prints_what_came_of_each() -> None:
     done = CliRunner().invoke(bench, ["vehicles", "--runs", "1", "--seed", str(first)])
     assert done.exit_code == 0, done.output
     assert TITLES["vehicles"].split(",")[0] in " ".join(done.output.split())
-
-
-def test_every_benchmark_has_a_title() -> None:
-    assert set(APART) <= set(TITLES)

@@ -1,0 +1,209 @@
+"""Benchmarks that end with exit code 1 when a promise is not kept."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from autopilot.cli.bench_tables import TITLES, report, tell
+from autopilot.cli.output import emit_json, print_table
+
+_SHORT = click.option("--short", is_flag=True, help="Fewer runs, for a quick look.")
+_JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+_SEED = click.option("--seed", type=int, default=1, show_default=True, help="Where its random numbers come from.")
+
+
+@click.command()
+@click.option("--short", is_flag=True, hidden=True)
+@click.option("--part", help="Only the findings of this part (loop, plans ...).")
+@click.option("--markdown", "as_markdown", is_flag=True, help="Print the table as docs/reliability.md has it.")
+@_JSON
+def faults(short: bool, part: str | None, as_markdown: bool, as_json: bool) -> None:
+    """What clients, wires, disks and sensors can do to the service.
+
+    What happened once, what is promised, what happens now (some minutes; exit code 1 if a promise is not kept).
+    """
+    from autopilot.bench.faults.bench import PARTS, bench_faults, markdown
+
+    if part is not None and part not in PARTS:
+        raise click.UsageError(f"--part {part}: there is {', '.join(PARTS)}")
+    rows = bench_faults(part, tell)
+    if as_json:
+        emit_json([asdict(row) for row in rows])
+    elif as_markdown:
+        click.echo(markdown(rows), nl=False)
+    else:
+        columns = ("part", "finding", "before", "promise", "now", "kept")
+        print_table(TITLES["faults"], list(columns), [[str(getattr(row, c)) for c in columns] for row in rows])
+    if not all(row.kept for row in rows):
+        raise SystemExit(1)
+
+
+@click.command()
+@_SHORT
+@click.option("--messages", type=click.IntRange(1), help="How many (default 1000000, with --short 20000).")
+@_SEED
+@_JSON
+def fuzz(short: bool, messages: int | None, seed: int, as_json: bool) -> None:
+    """A million hostile messages and wild samples into the service.
+
+    On the simulated vehicle: messages per second, exceptions and broken rules, growth of memory (half an hour, one
+    minute with --short; exit code 1 if any is found).
+    """
+    from autopilot.bench.fuzz.run import Result, run_fuzz
+
+    shown = 0
+
+    def show(result: Result) -> None:
+        nonlocal shown
+        tell(f"{result.messages} messages, {result.per_second:.0f}/s, {len(result.failures)} failures")
+        for line in result.failures[shown:]:
+            tell(line)
+        shown = len(result.failures)
+
+    result = run_fuzz(messages or (20_000 if short else 1_000_000), seed, show)
+    if as_json:
+        emit_json({**asdict(result), "per_second": result.per_second})
+    else:
+        print_table(TITLES["fuzz"], ["figure", "value"], [[name, value] for name, value in result.rows()])
+    if result.failures:
+        raise SystemExit(1)
+
+
+@click.command("sensor-faults")
+@_SHORT
+@_JSON
+def sensor_faults(short: bool, as_json: bool) -> None:
+    """Flights with sensors, lenses, mountings and markers that go wrong.
+
+    Alone and in gaps of 1 to 5 s: error, honesty and contacts (half an hour; a few minutes with --short).
+    """
+    from autopilot.bench.fault_campaign import HIDDEN, bench_sensor_faults
+
+    rows = list(bench_sensor_faults(short, tell))
+    report("sensor-faults", [asdict(row) for row in rows], as_json=as_json)
+    if not all(row.kept for row in rows if row.fault not in HIDDEN):
+        raise SystemExit(1)
+
+
+@click.command()
+@_SHORT
+@click.option("--frames", type=click.IntRange(1), help="Pictures (default 10000, with --short 400).")
+@_SEED
+@_JSON
+def detection(short: bool, frames: int | None, seed: int, as_json: bool) -> None:
+    """Markers found and imagined in 10000 pictures, beside OpenCV.
+
+    Rendered pictures and photographs of several dictionaries (twenty minutes, one with --short; exit code 1 if any id
+    is false).
+    """
+    from autopilot.bench.detection import bench_detection, totals
+
+    rows = []
+    for row in bench_detection(frames or (400 if short else 10_000), seed):
+        tell(f"{row.source}: {row.false_ids + row.blind_false_ids} false ids")
+        rows.append(row)
+    rows.append(totals(rows))
+    report("detection", [asdict(row) for row in rows], as_json=as_json)
+    if rows[-1].false_ids or rows[-1].blind_false_ids:
+        raise SystemExit(1)
+
+
+@click.command()
+@_SHORT
+@click.option("--runs", type=click.IntRange(1), help="How many (default 40, with --short 4).")
+@_SEED
+@_JSON
+def vehicles(short: bool, runs: int | None, seed: int, as_json: bool) -> None:
+    """Vehicles with 3 to 8 thrusters anywhere: flown or refused.
+
+    Each flies 20 s in open water or is refused with the axis that lacks thrust (an hour; exit code 1 if one does
+    neither).
+    """
+    from autopilot.bench.any_vehicle import fly
+
+    outcomes = []
+    for number in range(seed, seed + (runs or (4 if short else 40))):
+        outcomes.append(fly(number))
+        tell(f"vehicle {number}: {outcomes[-1].problem or outcomes[-1].refused or 'flown'}")
+    report("vehicles", [{**asdict(each), "problem": each.problem} for each in outcomes], as_json=as_json)
+    if any(each.problem for each in outcomes):
+        raise SystemExit(1)
+
+
+@click.command()
+@_SHORT
+@click.option("--runs", type=click.IntRange(1), help="How many (default 100, with --short 4).")
+@_SEED
+@_JSON
+def kills(short: bool, runs: int | None, seed: int, as_json: bool) -> None:
+    """SIGKILL at random moments: nothing accepted may be lost.
+
+    In uploads, changes of parameters and logging; every log has to be readable (ten minutes; exit code 1 otherwise).
+    """
+    from autopilot.bench.kills import run
+
+    count = runs or (4 if short else 100)
+    found = run(count, seed, lambda done: tell(f"kill {done} of {count}"))
+    row = asdict(found)
+    if as_json:
+        emit_json(row)
+    else:
+        starts = sorted(row.pop("start_cpu_s"))
+        shown = {"start_cpu_s": f"{starts[len(starts) // 2]:.1f} ({starts[-1]:.1f} at most)"}
+        report("kills", [{**row, **{key: len(row[key]) for key in ("lost", "damaged_logs")}, **shown}], as_json=False)
+        for line in (*found.lost, *found.damaged_logs):
+            click.echo(line)
+    if found.lost or found.damaged_logs:
+        raise SystemExit(1)
+
+
+@click.command()
+@_SHORT
+@_SEED
+@_JSON
+def soak(short: bool, seed: int, as_json: bool) -> None:
+    """An hour of simulated laps and what it leaves in memory.
+
+    In this process (--short: ten minutes of laps): growth of memory after the warm-up and of open descriptors (a
+    quarter of an hour; exit code 1 if memory grows by more than 1 % an hour).
+    """
+    from autopilot.bench.soak import soak as run
+
+    flight = run(600.0 if short else 3600.0, seed, lambda look: tell(f"{look.t_s:6.0f} s  {look.rss_mb:7.1f} MB"))
+    last = flight.looks[-1]
+    row: dict[str, object] = {
+        "flown_s": last.t_s,
+        "settled_mb": flight.settled[0].rss_mb,
+        "end_mb": last.rss_mb,
+        "growth_mb": flight.growth_mb,
+        "hourly_growth": flight.hourly_growth,
+        "more_descriptors": flight.more_descriptors,
+        "threads": last.threads,
+    }
+    if as_json:
+        emit_json({**row, "looks": [asdict(look) for look in flight.looks]})
+    else:
+        report("soak", [row], as_json=False)
+    if not flight.kept:
+        raise SystemExit(1)
+
+
+@click.command("thruster-health")
+@_SHORT
+@click.option("--runs", type=click.IntRange(1), help="Sound flights (default 300, with --short 4).")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Keep flights here, go on where stopped.")
+@_JSON
+def thruster_health(short: bool, runs: int | None, out: Path | None, as_json: bool) -> None:
+    """Sound and lossy thrusters: false alarms, time to find.
+
+    Sound flights of R1 to R4 in both cost modes and half as many with a lossy thruster, as many of random vehicles in
+    random waters (300 take hours, --out goes on where it was stopped; exit code 1 if a sound thruster is blamed).
+    """
+    from autopilot.bench.thruster_health import bench_thruster_health
+
+    count = runs or (4 if short else 300)
+    rows = list(bench_thruster_health(count, (count + 1) // 2, out, tell))
+    report("thruster-health", [asdict(row) for row in rows], as_json=as_json)
+    if any(row.false for row in rows):
+        raise SystemExit(1)

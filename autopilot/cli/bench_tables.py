@@ -1,0 +1,123 @@
+"""How benchmarks print: titles, short heads, figures."""
+
+from collections.abc import Sequence
+
+import click
+
+from autopilot.cli.output import emit_json, print_table
+
+Rows = list[dict[str, object]]
+
+TITLES = {
+    "loop": "The loop in real time with a camera, 500 items and 50 octagons uploaded in flight; asked = at most",
+    "fuzz": "Hostile messages and samples into the service on the simulated vehicle, in lockstep",
+    "faults": "What comes from outside, and what the service makes of it; before = at revision 0501193",
+    "sensor-faults": "Worst of the seeds from the beginning of the fault on; kept: inside 3 sigma in 95 % of the ticks,"
+    " called good for at most 1 s when far off, no contact, nothing blamed on thrusters",
+    "thruster-health": "Sound and lossy thrusters; false = flights with a word about a sound one, false_below with 95 %"
+    " confidence; times from the loss on, inf = not within 35 s",
+    "kills": "A service killed at random moments: changes accepted, killed in the middle of one, lost, and its logs",
+    "soak": "Laps without end: memory after the warm-up, its growth per hour, descriptors",
+    "vehicles": "Vehicles made at random, 20 s in open water each: flown or refused with the axis that lacks thrust",
+    "detection": "Markers shown and found with a prediction, by OpenCV's defaults, by these and not by us, false ids;"
+    " the same without a prediction; median CPU time [ms] of ours, of OpenCV's, of ours at the reference speed",
+    "nmpc": "One control step, CPU time; normal_ms = the median at the reference speed, bar and goal are for that",
+    "sitl": "The paper's mission with its log; speed = simulated over wall time, asked = what the project asks for",
+    "estimator": "Estimate against truth in the paper's tank, rms unless said otherwise; measured = over all"
+    " seeds; low, median, high = of the single ones",
+    "images": "Poses from rendered pictures, rms of the fixes; asked: 0.45 to 1.2 m: 2 mm and 0.05 deg up to 1 1/m,"
+    " 5 mm at 2; none lost up to turbidity x height 2; laser 10 mm at 0.8 m; normal_ms <= 8 up to 0.8 m; missed = not"
+    " kept",
+    "attitude": "Attitude from raw sensors, deg rms; asked: at most 10 % above the filter with fixed gains;"
+    " missed = not kept; chosen = tilt s, heading s, noise deg/s | gains of tilt, heading, bias",
+    "energy-latency": "Energy plans: CPU seconds per kind of request, and when answers are due in lockstep",
+    "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown), or a rival's;"
+    " flow known: MPC_MARGIN 0.02, MPC_SPEED_MARGIN 0.01, MPC_W_* 0",
+    "modes": "Both costs in the service on the simulated vehicle, the water unknown; nearest = beyond what is to be"
+    " kept; cpu_ms = of the whole process per control step",
+    "pockets": "Local minima: goals reached in closed loop; nearest_m = clearance beyond the body radius",
+}
+
+
+HEADS = {
+    "turbidity_1_m": "1/m",
+    "height_m": "h m",
+    "markers": "n",
+    "xy_mm": "xy mm",
+    "z_mm": "z mm",
+    "yaw_deg": "yaw",
+    "lost_pct": "lost %",
+    "empty_pct": "none %",
+    "false_ids": "bad ids",
+    "false_fixes": "bad fix",
+    "laser_mm": "las. mm",
+    "laser_pct": "las. %",
+    "laser_bad_pct": "las. bad",
+    "found_pct": "start %",
+    "inclination": "incl.",
+    "fixed_inclination": "fixed incl.",
+    "fixed_heading": "head.",
+    "fixed_total": "total",
+    "vqf_inclination": "VQF incl.",
+    "vqf_heading": "head.",
+    "vqf_total": "total",
+    "cpu_ms": "cpu ms",
+    "search_ms": "start ms",
+    "normal_ms": "norm. ms",
+    "simulated_s": "sim. s",
+    "cpu_s_per_s": "cpu s/s",
+    "beside_s_per_s": "beside",
+    "tick_mean_ms": "tick ms",
+    "predict_us": "pred. us",
+    "tick_per_predict": "ratio",
+    "tick_median_ms": "median",
+    "tick_p99_ms": "p99",
+    "step_median_ms": "step ms",
+    "step_p99_ms": "p99",
+    "step_max_ms": "max",
+}
+"""Heads of columns that are long."""
+
+
+def print_rows(title: str, rows: Rows) -> None:
+    """The table of a benchmark; ``parts`` of a row come below it."""
+    columns = [column for column in rows[0] if column != "parts"]
+    heads = [HEADS.get(column, column) if title in ("images", "attitude", "sitl") else column for column in columns]
+    print_table(TITLES[title], heads, [[_figure(row[column]) for column in columns] for row in rows])
+    for row in rows:
+        if "parts" in row:
+            click.echo(f"{row[columns[0]]}, mean tick by part [ms]: {row['parts']}")
+
+
+def report(title: str, rows: Rows, *, as_json: bool) -> None:
+    """A table, or the same as JSON."""
+    if as_json:
+        emit_json(rows)
+    else:
+        print_rows(title, rows)
+
+
+def tell(line: str) -> None:
+    """How far a long benchmark is: on stderr, so that its table can be kept."""
+    click.echo(line, err=True)
+
+
+def _figure(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def seed_range(_: click.Context, __: click.Parameter, text: str | None) -> range | None:
+    """``A..B``, both included."""
+    if text is None:
+        return None
+    first, dots, last = text.partition("..")
+    if not (dots and first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
+        raise click.UsageError(f"--seeds {text}: give the first and the last seed, as in 201..220")
+    return range(int(first), int(last) + 1)
+
+
+def names(found: Sequence[str]) -> str:
+    """``a, b and c``."""
+    return " and ".join([", ".join(found[:-1]), found[-1]] if len(found) > 1 else found)

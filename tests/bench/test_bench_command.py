@@ -1,0 +1,69 @@
+"""``autopilot bench``: one command per benchmark, and the command lines from before there were such."""
+
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from autopilot.cli import bench_rows
+from autopilot.cli.bench import ALL, LONG, bench
+from autopilot.cli.bench_tables import TITLES, Rows
+
+OLD_LINES: dict[str, tuple[str, dict[str, Any]]] = {
+    "nmpc --short": ("nmpc", {"short": True}),
+    "--short nmpc": ("nmpc", {"short": True}),
+    "--json --short energy --figures out": ("energy", {"as_json": True, "short": True, "figures": "out"}),
+    "--part loop faults": ("faults", {"part": "loop"}),
+    "--part=loop faults --short": ("faults", {"part": "loop", "short": True}),
+    "--only calibration --only pictures estimator": ("estimator", {"only": ("calibration", "pictures")}),
+    "estimator --attitude --seeds 7..9": ("estimator", {"attitude": True, "seeds": range(7, 10)}),
+    "--seed -3 fuzz --messages 10": ("fuzz", {"seed": -3, "messages": 10}),
+    "fuzz": ("fuzz", {"seed": 1, "messages": None}),
+    "vehicles --runs 2": ("vehicles", {"runs": 2, "seed": 1}),
+    "--runs 2 --out kept thruster-health": ("thruster-health", {"runs": 2}),
+    "sensor-faults --short --json": ("sensor-faults", {"short": True, "as_json": True}),
+}
+"""As one command with all options took them, and what they mean."""
+
+
+@pytest.mark.parametrize("line", OLD_LINES)
+def test_old_command_lines_go_on_working(line: str) -> None:
+    name, values = OLD_LINES[line]
+    context = bench.make_context("bench", line.split())
+    found, command, rest = bench.resolve_command(context, [*context._protected_args, *context.args])
+    assert found == name and command is not None
+    given = command.make_context(name, rest, parent=context).params
+    assert {key: given[key] for key in values} == values
+
+
+def test_options_of_others_are_told_to_whom_they_belong() -> None:
+    done = CliRunner().invoke(bench, ["nmpc", "--frames", "3"])
+    assert done.exit_code == 2 and "--frames belongs to the benchmark detection" in done.output
+    done = CliRunner().invoke(bench, ["--seed", "3", "nmpc"])
+    assert done.exit_code == 2 and "belongs to the benchmarks fuzz, detection, vehicles, kills and soak" in done.output
+
+
+def test_every_benchmark_has_a_title_and_says_what_it_takes() -> None:
+    assert set(bench.commands) <= set(TITLES) and set(ALL) <= set(bench.commands)
+    for name, command in bench.commands.items():
+        assert isinstance(command.help, str) and len(command.help) > 40, name
+        assert {"short", "as_json"} <= {each.name for each in command.params}, name
+
+
+def test_all_are_run_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[tuple[str, bool]] = []
+
+    def work(name: str) -> bench_rows.Work:
+        def rows(short: bool) -> Rows:
+            ran.append((name, short))
+            return [{"case": name, "value": 1.0}]
+
+        return rows
+
+    monkeypatch.setattr(bench_rows, "_slowness", lambda: 1.0)
+    for name in list(ALL):
+        monkeypatch.setitem(ALL, name, work(name))
+    done = CliRunner().invoke(bench, [])
+    assert done.exit_code == 0, done.output
+    assert ran == [(name, name in LONG) for name in ALL]
+    assert "times slower" in done.output
