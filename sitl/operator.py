@@ -38,7 +38,7 @@ class ScriptedOperator:
         self._lost = [fault for fault in faults if isinstance(fault, LinkLoss)]
         self._steers = [fault for fault in faults if isinstance(fault, Pilot)]
         self._todo = [(ARM, 1.0), (START, 0.0)]
-        self._sent_us = -RETRY_US
+        self._sent_us: int | None = None
         self._heartbeat_us = -HEARTBEAT_US
 
     @property
@@ -55,6 +55,8 @@ class ScriptedOperator:
                 for message in self._mav.parse_buffer(data) or ():
                     self._hear(message)
         out: list[bytes] = []
+        if self._sent_us is None:
+            self._sent_us = t_us  # who looks first sees that a vehicle needs a second to hear of its sensors
         if t_us - self._heartbeat_us >= HEARTBEAT_US:
             self._heartbeat_us = t_us
             out.append(self._pack(self._mav.heartbeat_encode(6, 8, 0, 0, 4)))
