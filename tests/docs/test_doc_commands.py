@@ -29,7 +29,7 @@ def accept(arguments: list[str]) -> None:
             return  # the name of a group alone
         context = command.make_context(context.info_name, list(rest), parent=context.parent)
         rest = [*context._protected_args, *context.args]
-        if not rest:
+        if not rest or not _given(rest[0]):
             return
         name, found, rest = command.resolve_command(context, rest)
         assert found is not None and name is not None
