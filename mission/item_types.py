@@ -11,7 +11,7 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
 from mission import do_items, nav_items
 from mission.decode import refuse
-from mission.items import GLOBAL_FRAMES, Command, Frame, Step
+from mission.items import GLOBAL_FRAMES, Agreed, Command, Frame, Step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,6 +158,8 @@ ITEM_TYPES: dict[int, ItemType] = {int(row.command): row for row in _ROWS}
 
 def parse_step(item: PlanItem, origin: Origin) -> Step:
     """The step that a mission item asks for; ItemRefusedError if it cannot be flown."""
+    if item.is_home:
+        return Agreed(seq=item.seq)
     found = ITEM_TYPES.get(item.command)
     if found is None:
         known = ", ".join(str(number) for number in ITEM_TYPES)

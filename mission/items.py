@@ -186,7 +186,7 @@ class LookAt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreed:
-    """Asks for what is so anyway (DO_FENCE_ENABLE 1)."""
+    """Asks for what is so anyway (DO_FENCE_ENABLE 1), or for nothing (home before a mission)."""
 
     seq: int
 

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from autopilot.core.errors import PlanError
 from autopilot.core.geodesy import Origin, deg_from_e7, e7_from_deg, local_e4_from_m
 from autopilot.core.plan import PlanItem, PlanKind
-from mission.items import Frame
+from mission.items import Command, Frame
 
 FLOAT32_MAX = 3.4028234e38
 """Parameters travel as 32-bit floats."""
@@ -37,6 +37,19 @@ class PlanFile:
             if item.frame not in (Frame.MISSION, Frame.LOCAL_NED) and on_map:
                 return Origin(lat_deg=deg_from_e7(item.x), lon_deg=deg_from_e7(item.y))
         return Origin(lat_deg=0.0, lon_deg=0.0)
+
+
+def without_home(mission: Sequence[PlanItem]) -> tuple[PlanItem, ...]:
+    """A mission whose first item is not home, numbered from 0: for formats that keep home elsewhere."""
+    if not mission or not mission[0].is_home:
+        return tuple(mission)
+    jump = Command.DO_JUMP
+    return tuple(
+        replace(item, seq=item.seq - 1, param1=max(item.param1 - 1.0, 0.0))
+        if item.command == jump
+        else replace(item, seq=item.seq - 1)
+        for item in mission[1:]
+    )
 
 
 def make_item(

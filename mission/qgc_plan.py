@@ -13,7 +13,7 @@ from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.geodesy import Origin, deg_from_e7, m_from_local_e4
 from autopilot.core.plan import PlanItem
 from mission.items import Command, Frame
-from mission.plan_model import PlanFile, make_item
+from mission.plan_model import PlanFile, make_item, without_home
 
 FILE_TYPE = "Plan"
 VERSION = 1
@@ -203,7 +203,7 @@ def write_qgc_plan(plan: PlanFile, speed_m_s: float = 0.35) -> str:
             "cruiseSpeed": speed_m_s,
             "hoverSpeed": speed_m_s,
             "plannedHomePosition": [home.lat_deg, home.lon_deg, home.alt_m],
-            "items": [_mission_entry(item) for item in plan.mission],
+            "items": [_mission_entry(item) for item in without_home(plan.mission)],
         },
         "geoFence": _fence_entry(plan.fence),
         "rallyPoints": {"version": _PART_VERSION, "points": [_point(i, "rally point") for i in plan.rally]},

@@ -58,8 +58,8 @@ class PlanContext:
 
 def check_item(kind: PlanKind, item: PlanItem, origin: Origin) -> PlanRejection | None:
     """The cheap check of one item as it arrives: command, frame, ranges, finite numbers, under the surface."""
-    if item.seq >= MAX_ITEMS:
-        return _too_many(kind, item.seq + 1)
+    if item.seq > MAX_ITEMS[kind]:
+        return _too_many(kind, item.seq)
     if kind is PlanKind.FENCE:
         return check_fence_item(item, origin)
     try:
@@ -82,14 +82,15 @@ def _rally_position(item: PlanItem, origin: Origin) -> tuple[float, float]:
 
 
 def _too_many(kind: PlanKind, count: int) -> PlanRejection:
-    text = f"{kind.name.lower()}: {count} items are too many, {MAX_ITEMS} fit; split or thin out the plan"
-    return PlanRejection(seq=MAX_ITEMS, result=MissionResult.NO_SPACE, reason=text)
+    text = f"{kind.name.lower()}: {count} items are too many, {MAX_ITEMS[kind]} fit; split or thin out the plan"
+    return PlanRejection(seq=MAX_ITEMS[kind], result=MissionResult.NO_SPACE, reason=text)
 
 
 def sequence_problems(kind: PlanKind, items: Sequence[PlanItem]) -> Iterator[PlanRejection]:
     """Too many items, or numbers that are not 0, 1, 2, ..."""
-    if len(items) > MAX_ITEMS:
-        yield _too_many(kind, len(items))
+    count = len(items) - sum(item.is_home for item in items[:1])
+    if count > MAX_ITEMS[kind]:
+        yield _too_many(kind, count)
     for index, item in enumerate(items):
         if item.seq != index:
             text = f"{kind.name.lower()}: item {item.seq} stands at place {index}; number the items from 0 without gaps"

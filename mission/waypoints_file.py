@@ -2,15 +2,15 @@
 
 Format: MAVLink developer guide, "File formats": ``seq current frame command p1 p2 p3 p4 x y z autocontinue``, tabs.
 Ground stations of the ArduPilot family put home into the first line, a NAV_WAYPOINT in frame 0; others do not. It is
-read as home unless all other lines are in frame 0 too.
+home if no other place is in frame 0, and keeps its number: items are numbered as in the file.
 """
 
 import math
+from dataclasses import replace
 
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.geodesy import Origin
-from autopilot.core.plan import PlanItem
-from mission.items import Command, Frame
+from autopilot.core.plan import PlanItem, begins_with_home
 from mission.plan_model import PlanFile, make_item
 
 HEADER = "QGC WPL 110"
@@ -24,14 +24,13 @@ def read_waypoints(text: str, name: str) -> PlanFile:
         shown = lines[0].strip()[:40] if lines else ""
         raise PlanError(f"{name}: line 1 is {shown!r}, not {HEADER!r}; give a waypoints file of version 110")
     rows = [_row(line, f"{name}: line {n}") for n, line in enumerate(lines[1:], start=2) if line.strip()]
-    offset = 1 if _begins_with_home(rows) else 0
-    home = _home(*rows[0]) if offset else None
     items: list[PlanItem] = []
-    for where, values in rows[offset:]:
-        params = list(values[4:11])
-        if int(values[3]) == Command.DO_JUMP:
-            params[0] -= offset
-        items.append(make_item(where, len(items), int(values[2]), int(values[3]), params, values[11] != 0.0))
+    for where, values in rows:
+        items.append(make_item(where, len(items), int(values[2]), int(values[3]), values[4:11], values[11] != 0.0))
+    home = None
+    if begins_with_home(items):
+        home = _home(*rows[0])
+        items[0] = replace(items[0], is_home=True)
     return PlanFile(mission=tuple(items), home=home)
 
 
@@ -50,15 +49,6 @@ def _row(line: str, where: str) -> tuple[str, tuple[float, ...]]:
         if not whole or not 0 <= values[column] <= 65535:
             raise PlanError(f"{where}: column {column + 1} is {fields[column]!r}; it has to be a whole number")
     return where, tuple(values)
-
-
-def _begins_with_home(rows: list[tuple[str, tuple[float, ...]]]) -> bool:
-    """Whether the first line is home and not a waypoint."""
-    if not rows:
-        return False
-    first = rows[0][1]
-    others = {int(values[2]) for _, values in rows[1:] if values[2] != Frame.MISSION}
-    return first[2] == Frame.GLOBAL and first[3] == Command.NAV_WAYPOINT and others != {int(Frame.GLOBAL)}
 
 
 def _home(where: str, values: tuple[float, ...]) -> Origin | None:

@@ -291,11 +291,14 @@ class Session:
         """Replace a plan. PlanError with the vehicle's reason when it refuses; its old plan is in force then."""
         target = self._address()
         wire = tuple(items)
-        if wire and kind is PlanKind.MISSION and self._home_is_item_0:
+        plain = wire
+        if wire and wire[0].is_home and self._home_is_item_0:
+            plain = tuple(_renumbered(item, -1) for item in wire[1:])
+        elif wire and kind is PlanKind.MISSION and self._home_is_item_0:
             wire = (_home_placeholder(wire[0]), *(_renumbered(item, 1) for item in wire))
         upload = PlanUpload(kind, wire, target, self._timers)
         outcome = self.run(upload, on_progress)
-        if outcome.result is None and upload.all_sent and same_on_the_wire(self.download(kind), items):
+        if outcome.result is None and upload.all_sent and same_on_the_wire(self.download(kind), plain):
             return
         if not outcome.accepted:
             raise PlanError(outcome.reason)

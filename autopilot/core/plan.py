@@ -1,6 +1,6 @@
 """Plans as they travel on the wire: items, kinds, and the answer to an upload."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
@@ -55,6 +55,8 @@ class PlanItem:
     z: float = 0.0
     """Altitude [m, up] in global frames, metres down in LOCAL_NED."""
     autocontinue: int = 1
+    is_home: bool = False
+    """The row that ground stations of the ArduPilot family put before a mission: not flown, but numbered."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,8 +76,26 @@ class PlanProblem(PlanRejection):
     """The plan whose item ``seq`` is."""
 
 
-MAX_ITEMS = 1000
-"""Items that one plan may hold."""
+MAX_ITEMS = {PlanKind.MISSION: 2000, PlanKind.FENCE: 1000, PlanKind.RALLY: 1000}
+"""Items that a plan may hold; a mission one more when it begins with home."""
+
+_NAV_WAYPOINT = 16
+_AMSL = (0, 5)
+"""MAV_FRAME_GLOBAL and _GLOBAL_INT."""
+
+
+def may_be_home(item: PlanItem) -> bool:
+    """Whether an item looks like home before a mission: a bare waypoint with an altitude above the sea."""
+    bare = not (item.param1 or item.param2 or item.param3) and (item.param4 == 0.0 or item.param4 != item.param4)
+    return item.seq == 0 and item.command == _NAV_WAYPOINT and item.frame in _AMSL and bare
+
+
+def begins_with_home(items: Sequence[PlanItem]) -> bool:
+    """Whether the first item of a mission is home (as in files "QGC WPL 110"): it is the only place in its frame."""
+    if not items or not may_be_home(items[0]):
+        return False
+    frames = {item.frame in _AMSL for item in items[1:] if item.x or item.y}
+    return frames == {False}
 
 
 class PlanChange(Protocol):

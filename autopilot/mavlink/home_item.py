@@ -1,32 +1,58 @@
-"""ArduPilot's convention that item 0 of a mission on the wire is the home position, as a shift of numbers.
+"""ArduPilot's convention that item 0 of a mission on the wire is the home position.
 
-The plan store holds missions without it. Under other profiles, and for fence and rally plans, nothing is shifted.
+It stays in the plan as an item that is not flown, so that all numbers are those of the file that the operator sees.
+Under the profile that has the convention item 0 always is home, and a mission that came by another way without it is
+numbered from 1 on the wire; under others it is home when it looks like that
+(:func:`autopilot.core.plan.begins_with_home`).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan import PlanItem, PlanKind, begins_with_home, may_be_home
 from autopilot.mavlink.context import Context, i32
 
 
 def shift(ctx: Context, kind: PlanKind) -> int:
     """How many items the wire has before the store's first one."""
-    return 1 if ctx.profile.home_is_item_0 and kind is PlanKind.MISSION else 0
+    if kind is not PlanKind.MISSION or not ctx.profile.home_is_item_0:
+        return 0
+    items = ctx.plans.items(kind)
+    return 0 if items and items[0].is_home else 1
 
 
-def stored(item: PlanItem, by: int) -> PlanItem:
-    """An item of the wire as the store numbers it."""
-    return _renumbered(item, -by) if by else item
+def may_be(ctx: Context, kind: PlanKind, item: PlanItem) -> bool:
+    """Whether an item of an upload is, or could turn out to be, home."""
+    if kind is not PlanKind.MISSION or item.seq != 0:
+        return False
+    return ctx.profile.home_is_item_0 or (may_be_home(item) and not _in_water(ctx, item))
+
+
+def received(ctx: Context, kind: PlanKind, items: Sequence[PlanItem]) -> tuple[PlanItem, ...]:
+    """An upload as it is stored; home alone is no mission."""
+    if not items or not may_be(ctx, kind, items[0]):
+        return tuple(items)
+    if not ctx.profile.home_is_item_0 and not begins_with_home(items):
+        return tuple(items)
+    return () if len(items) == 1 else (replace(items[0], is_home=True), *items[1:])
+
+
+def _in_water(ctx: Context, item: PlanItem) -> bool:
+    """Whether the vehicle may go to the item's altitude: then it is a waypoint."""
+    depth_m = ctx.view.origin.alt_m - item.z
+    return bool(ctx.params["DEPTH_MIN"] <= depth_m <= ctx.params["DEPTH_MAX"])
 
 
 def wire_plan(ctx: Context, kind: PlanKind) -> tuple[PlanItem, ...]:
     """A plan as the wire numbers it; an empty plan stays empty."""
     items = ctx.plans.items(kind)
     by = shift(ctx, kind)
-    if not by or not items:
+    if not items:
         return items
+    if not by:
+        return (_home(ctx), *items[1:]) if ctx.profile.home_is_item_0 and items[0].is_home else items
     return (_home(ctx), *(_renumbered(item, by) for item in items))
 
 

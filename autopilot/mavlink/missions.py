@@ -138,9 +138,10 @@ class Missions:
             return
         self._give_up_check()
         self._upload = self._finished = None
-        if msg.count > MAX_ITEMS + home_item.shift(ctx, kind):
+        most = MAX_ITEMS[kind]
+        if msg.count > most + (kind is PlanKind.MISSION):
             self._ack(peer, MissionResult.NO_SPACE, kind)
-            reason = f"{msg.count} items, at most {MAX_ITEMS} fit; send a shorter plan"
+            reason = f"{msg.count} items, at most {most} fit; send a shorter plan"
             ctx.say(Severity.WARNING, f"{kind.name.capitalize()} refused: {reason}", peer)
             return
         self._upload = Upload(peer, kind, msg.count, ctx.t_us, ctx.t_us)
@@ -179,9 +180,8 @@ class Missions:
             z=msg.z,
             autocontinue=msg.autocontinue,
         )
-        by = home_item.shift(ctx, upload.kind)
-        if item.seq >= by:
-            refusal = ctx.plans.check_item(upload.kind, home_item.stored(item, by))
+        if not home_item.may_be(ctx, upload.kind, item):
+            refusal = ctx.plans.check_item(upload.kind, item)
             if refusal is not None:
                 self._end(upload, refusal.result, refusal.reason)
                 return
@@ -239,8 +239,7 @@ class Missions:
 
     def _finish(self, upload: Upload) -> None:
         """All items are there: hand the plan over."""
-        by = home_item.shift(self._ctx, upload.kind)
-        items = tuple(home_item.stored(item, by) for item in upload.items[by:])
+        items = home_item.received(self._ctx, upload.kind, upload.items)
         self._upload = None
         self._check(upload.peer, {upload.kind: items}, upload.kind, upload)
 
@@ -273,8 +272,9 @@ class Missions:
             self._end(upload, refusal.result, refusal.reason)
         elif upload is not None:
             self._end(upload, MissionResult.ACCEPTED, "")
-            count = len(ctx.plans.items(upload.kind))
-            ctx.say(Severity.INFO, f"{upload.kind.name.capitalize()} plan accepted: {count} items")
+            items = ctx.plans.items(upload.kind)
+            home = ", 0 is home" if items and items[0].is_home else ""
+            ctx.say(Severity.INFO, f"{upload.kind.name.capitalize()} plan accepted: {len(items)} items{home}")
         else:
             names = ", ".join(kind.name.lower() for kind in checking.kinds)
             self._ack(

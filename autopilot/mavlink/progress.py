@@ -31,7 +31,8 @@ class Progress:
     def mission_current(self) -> Message:
         """MISSION_CURRENT."""
         ctx, progress = self._ctx, self._ctx.view.progress
-        total = len(ctx.plans.items(PlanKind.MISSION))
+        items = ctx.plans.items(PlanKind.MISSION)
+        total = len(items) - sum(item.is_home for item in items[:1])
         if not total:
             state = ProgressState.NO_MISSION
         elif progress is None or progress.state is ProgressState.NO_MISSION:

@@ -40,6 +40,7 @@ class _Item(msgspec.Struct, frozen=True, array_like=True):
     y: int
     z: _Number
     autocontinue: int
+    is_home: bool = False
 
 
 class _Place(msgspec.Struct, frozen=True, array_like=True):
@@ -70,7 +71,9 @@ def _text(value: float) -> _Number:
 
 def stored_item(item: PlanItem) -> _Item:
     params = (_text(item.param1), _text(item.param2), _text(item.param3), _text(item.param4))
-    return _Item(item.seq, item.frame, item.command, params, item.x, item.y, _text(item.z), item.autocontinue)
+    return _Item(
+        item.seq, item.frame, item.command, params, item.x, item.y, _text(item.z), item.autocontinue, item.is_home
+    )
 
 
 def plan_item(item: _Item) -> PlanItem:
@@ -87,6 +90,7 @@ def plan_item(item: _Item) -> PlanItem:
         y=item.y,
         z=float(item.z),
         autocontinue=item.autocontinue,
+        is_home=item.is_home,
     )
 
 

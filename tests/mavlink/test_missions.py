@@ -23,6 +23,8 @@ from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanKind, PlanRejectio
 
 R = MissionResult
 
+MOST = MAX_ITEMS[PlanKind.MISSION]
+
 
 @pytest.fixture(name="world")
 def world_fixture() -> World:
@@ -166,16 +168,16 @@ def test_a_refused_plan_is_explained(world: World) -> None:
 def test_too_many_items_are_refused_at_once(world: World) -> None:
     client = world.client()
     upload(client, plan(2))
-    (ack,) = client.ask(count(MAX_ITEMS + 1), "MISSION_ACK", 0.1)
+    (ack,) = client.ask(count(MOST + 2), "MISSION_ACK", 0.1)
     assert ack.type == R.NO_SPACE
-    assert str(MAX_ITEMS) in client.texts()
+    assert str(MOST) in client.texts()
     assert not client.got("MISSION_REQUEST_INT") and len(world.plans.items(PlanKind.MISSION)) == 2
 
 
 def test_a_plan_of_the_greatest_size(world: World) -> None:
     client = world.client()
-    assert upload(client, plan(MAX_ITEMS)) == R.ACCEPTED
-    assert len(world.plans.items(PlanKind.MISSION)) == MAX_ITEMS
+    assert upload(client, plan(MOST)) == R.ACCEPTED
+    assert len(world.plans.items(PlanKind.MISSION)) == MOST
 
 
 def test_float_items_are_refused_as_too_coarse(world: World) -> None:
@@ -508,23 +510,28 @@ def test_home_is_item_0_under_the_ardusub_profile() -> None:
     items = [home, waypoint(1), waypoint(2), jump]
     assert upload(client, items) == R.ACCEPTED
     stored = world.plans.items(PlanKind.MISSION)
-    assert [(i.seq, i.command) for i in stored] == [(0, 16), (1, 16), (2, 177)]
-    assert stored[2].param1 == 0.0
+    assert [(i.seq, i.command, i.is_home) for i in stored] == [
+        (0, 16, True),
+        (1, 16, False),
+        (2, 16, False),
+        (3, 177, False),
+    ]
+    assert stored[3].param1 == 1.0
     back = download(client)
     assert back is not None and same_items(items[1:], back[1:])
     assert (back[0].frame, back[0].x, back[0].z) == (0, round(ORIGIN.lat_deg * 1e7), ORIGIN.alt_m)
     world.view = base_view(
-        progress=MissionProgress(t_us=0, current_seq=1, reached_seq=0, lap=0, state=ProgressState.ACTIVE)
+        progress=MissionProgress(t_us=0, current_seq=2, reached_seq=1, lap=0, state=ProgressState.ACTIVE)
     )
     client.rx.clear()
-    world.tick(reached=(0,))
+    world.tick(reached=(1,))
     world.run(1.0)
     assert (client.got("MISSION_CURRENT")[-1].seq, client.got("MISSION_CURRENT")[-1].total) == (2, 3)
     assert client.got("MISSION_ITEM_REACHED")[0].seq == 1
     client.send(mav.MAVLink_mission_set_current_message(1, 1, 3))
     client.send(mav.MAVLink_mission_set_current_message(1, 1, 0))
     world.run(0.05)
-    assert world.vehicle.calls == [("set_current_item", 2), ("set_current_item", 0)]
+    assert world.vehicle.calls == [("set_current_item", 3), ("set_current_item", 0)]
 
 
 def test_one_dummy_waypoint_clears_under_the_ardusub_profile() -> None:

@@ -16,7 +16,7 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.plan import PlanItem, PlanKind
 from mission.paper import paper_plan
 from mission.plan_files import read_plan, write_plan
-from mission.plan_model import PlanFile
+from mission.plan_model import PlanFile, without_home
 from mission.qgc_plan import read_qgc_plan, write_qgc_plan
 from mission.store import plan_checksum
 from mission.waypoints_file import read_waypoints
@@ -207,15 +207,15 @@ def test_waypoints_file_with_and_without_home() -> None:
     jump = (3, 0, 3, 177, 1, 2, 0, 0, 0, 0, 0)
     with_home = read_waypoints(_wpl(home, a, b, jump), "x.waypoints")
     assert with_home.home == Origin(lat_deg=37.9755, lon_deg=23.779, alt_m=5.0)
-    assert [i.seq for i in with_home.mission] == [0, 1, 2]
-    assert (with_home.mission[2].param1, with_home.mission[1].param1) == (0.0, 1.5)
-    assert math.isnan(with_home.mission[0].param4)
-    assert with_home.mission[0].x == 379754856
+    assert [(i.seq, i.is_home) for i in with_home.mission] == [(0, True), (1, False), (2, False), (3, False)]
+    assert (with_home.mission[3].param1, with_home.mission[2].param1) == (1.0, 1.5)
+    assert math.isnan(with_home.mission[1].param4)
+    assert with_home.mission[1].x == 379754856
     without = read_waypoints(_wpl((0, 1, *a[2:]), (1, *b[1:]), (2, 0, 3, 177, 0, 2, 0, 0, 0, 0, 0)), "x.waypoints")
-    assert plan_checksum(without.mission) == plan_checksum(with_home.mission)
+    assert plan_checksum(without.mission) == plan_checksum(without_home(with_home.mission))
     assert without.home is None
     unset = read_waypoints(_wpl((*home[:8], 0, 0, 0), a), "x.waypoints")
-    assert (len(unset.mission), unset.home) == (1, None)
+    assert (len(without_home(unset.mission)), unset.home) == (1, None)
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,8 @@ from mission.judgement import PLAN_PARAMETERS, Question, Verdict, judge
 from mission.room import Room
 from mission.store import CHECK_TICKS, Plans
 
+MOST = MAX_ITEMS[PlanKind.FENCE]
+
 
 def question(mission: list[PlanItem], fence: list[PlanItem], rally: list[PlanItem], **params: float) -> Question:
     plans = {PlanKind.MISSION: tuple(mission), PlanKind.FENCE: tuple(fence), PlanKind.RALLY: tuple(rally)}
@@ -78,11 +80,9 @@ def test_a_check_that_is_not_wanted_any_more_ends_at_its_next_step(looks: int) -
 rng = np.random.default_rng(3)
 STAR = [((20 + 3 * (k % 2)) * math.cos(k / 250 * math.tau), 20 * math.sin(k / 250 * math.tau)) for k in range(1000)]
 HOSTILE: dict[str, Callable[[], Question]] = {
-    "dots side by side": lambda: question(
-        [], [circle(k, *rng.uniform(0.0, 0.6, 2), 0.001) for k in range(MAX_ITEMS)], []
-    ),
+    "dots side by side": lambda: question([], [circle(k, *rng.uniform(0.0, 0.6, 2), 0.001) for k in range(MOST)], []),
     "dots, tolerated": lambda: question(
-        [], [circle(k, *rng.uniform(0.0, 0.6, 2), 0.001) for k in range(MAX_ITEMS)], [], FENCE_GAP_CHK=0
+        [], [circle(k, *rng.uniform(0.0, 0.6, 2), 0.001) for k in range(MOST)], [], FENCE_GAP_CHK=0
     ),
     "one upon the other": lambda: question(
         [], [item for k in range(250) for item in box(4 * k, 0, 0, 1, 1, False)], []
@@ -91,7 +91,7 @@ HOSTILE: dict[str, Callable[[], Question]] = {
     "a polygon of a thousand corners": lambda: question(
         [waypoint(0, 0, 0)] * 20, polygon(0, [(a * (1 + k / 5000), b) for k, (a, b) in enumerate(STAR[:250])], True), []
     ),
-    "jumps": lambda: question([plain(k, 177, (k + 1) % MAX_ITEMS, -1) for k in range(MAX_ITEMS)], [], []),
+    "jumps": lambda: question([plain(k, 177, (k + 1) % MOST, -1) for k in range(MOST)], [], []),
     "octagons and many items": lambda: question([waypoint(k, 0.0, 0.0) for k in range(500)], octagons(50), []),
     "every item in every obstacle": lambda: question(
         [waypoint(k, 0.0, 0.0) for k in range(500)], [circle(k, 0.0, 0.0, 5.0) for k in range(500)], []
@@ -103,7 +103,7 @@ HOSTILE: dict[str, Callable[[], Question]] = {
 def test_a_plan_that_is_made_to_take_long_is_answered(name: str) -> None:
     """Some of these once took minutes: pairs of shapes, items times shapes, and texts grew with the square."""
     verdict = judge(HOSTILE[name](), Cancel())
-    assert len(verdict.own) + len(verdict.joint) + len(verdict.warnings) <= 2 * MAX_ITEMS
+    assert len(verdict.own) + len(verdict.joint) + len(verdict.warnings) <= 2 * MOST
 
 
 PILLARS = [circle(k, 9.0, 3.0 * k, 0.2) for k in range(99)]

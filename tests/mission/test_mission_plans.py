@@ -20,6 +20,8 @@ from mission.store import Plans, plan_checksum
 
 R = MissionResult
 
+MOST = MAX_ITEMS[PlanKind.MISSION]
+
 
 def plans(**overrides: float) -> Plans:
     return Plans(ParamSet(overrides), RADIUS_M, ORIGIN)
@@ -124,7 +126,7 @@ def test_bad_missions_are_refused_and_the_old_one_stays(
 
 
 def test_too_many_items() -> None:
-    mission = tuple(waypoint(k, 0.0, 0.9) for k in range(MAX_ITEMS + 1))
+    mission = tuple(waypoint(k, 0.0, 0.9) for k in range(MOST + 1))
     rejection = plans().replace(PlanKind.MISSION, mission)
     assert rejection is not None
     assert rejection.result is R.NO_SPACE
@@ -332,14 +334,14 @@ def test_whatever_may_be_flown_keeps_the_vehicle_clear(
 
 
 def test_a_full_plan_is_taken() -> None:
-    pillars = [circle(4 + k, 4.0 * (k // 30), 4.0 * (k % 30), 0.5) for k in range(MAX_ITEMS - 4)]
+    pillars = [circle(4 + k, 4.0 * (k // 30), 4.0 * (k % 30), 0.5) for k in range(MAX_ITEMS[PlanKind.FENCE] - 4)]
     fence = [*box(0, 64.0, 58.0, 70.0, 62.0, True), *pillars]
-    mission = tuple(waypoint(k, 2.0 + 4.0 * (k // 30 % 30), 2.0 + 4.0 * (k % 28)) for k in range(MAX_ITEMS))
+    mission = tuple(waypoint(k, 2.0 + 4.0 * (k // 30 % 30), 2.0 + 4.0 * (k % 28)) for k in range(MOST))
     store = plans()
     assert store.replace(PlanKind.FENCE, tuple(fence)) is None
     assert store.replace(PlanKind.MISSION, mission) is None
     assert store.problem == ""
-    assert len(store.steps()) == MAX_ITEMS
+    assert len(store.steps()) == MOST
 
 
 def test_the_shipped_plan_is_its_generators_output() -> None:

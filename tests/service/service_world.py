@@ -21,6 +21,8 @@ ORIGIN = Origin(lat_deg=37.9755, lon_deg=23.7790)
 class ServiceWorld:
     """A service whose sensors say that the vehicle rests at a place."""
 
+    profile = "px4"
+
     def __init__(self, params: dict[str, float] | None = None, origin: Origin = ORIGIN) -> None:
         self.vehicle = load_vehicle("lbv150")
         self.params = ParamSet(params or {})
@@ -32,7 +34,7 @@ class ServiceWorld:
                 markers=None,
                 floor_depth_m=None,
                 estimator="ekf",
-                profile="px4",
+                profile=self.profile,
                 instance=0,
                 currents=NoCurrent(),
                 links=1,

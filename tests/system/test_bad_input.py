@@ -218,8 +218,10 @@ def test_no_path_between_waypoints(harbour: MakeHarbour) -> None:
 def test_too_many_items(harbour: MakeHarbour) -> None:
     made, client = harbour()
     for kind in PlanKind:
-        assert made.offer(client, kind, (), count=MAX_ITEMS + 1) == MissionResult.NO_SPACE
-        _assert_one_line(client, f"{kind.name.capitalize()} refused", f"{MAX_ITEMS + 1} items", f"{MAX_ITEMS}")
+        assert made.offer(client, kind, (), count=MAX_ITEMS[kind] + 2) == MissionResult.NO_SPACE
+        _assert_one_line(
+            client, f"{kind.name.capitalize()} refused", f"{MAX_ITEMS[kind] + 2} items", f"{MAX_ITEMS[kind]}"
+        )
         _assert_unchanged(made, client)
 
 
