@@ -132,7 +132,7 @@ class Dispatcher:
         )
         self.parameters = Parameters(ctx)
         metadata = make_metadata(self.parameters.specs, name=identity.name, version=identity.version)
-        self._files = FileTransfer(ctx, metadata.files, shelf)
+        self._files = FileTransfer(ctx, metadata.files, shelf, self.parameters.packed_file)
         self._logs = LogDownload(ctx, shelf)
         self._operators = Operators(ctx, self.parameters.known_value)
         self.missions = Missions(ctx)

@@ -6,7 +6,7 @@ burst sends no more than its link takes: so many packets per tick, none while th
 """
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -132,10 +132,17 @@ class _Client:
 
 
 class FileTransfer:
-    """The file transfer microservice. ``files``: those in memory, by name; ``shelf``: the logs, None without."""
+    """The file transfer microservice. ``files``: those in memory, by name; ``shelf``: the logs, None without; ``made``:
+    those that are made when they are opened, by path, None = there is none of that name."""
 
-    def __init__(self, ctx: Context, files: Mapping[str, bytes], shelf: Shelf | None) -> None:
-        self._ctx, self._files, self._shelf = ctx, files, shelf
+    def __init__(
+        self,
+        ctx: Context,
+        files: Mapping[str, bytes],
+        shelf: Shelf | None,
+        made: Callable[[str], bytes | None] = lambda path: None,
+    ) -> None:
+        self._ctx, self._files, self._shelf, self._made = ctx, files, shelf, made
         self._clients: dict[Peer, _Client] = {}
 
     def on_message(self, peer: Peer, msg: Message) -> None:
@@ -195,8 +202,11 @@ class FileTransfer:
 
     def _begin_path(self, peer: Peer, client: _Client, request: Request) -> None:
         parts = parts_of(request.path)
+        made = self._made("/".join(parts)) if parts and request.opcode == Op.OPEN_READ else None
         if parts is None:
             self._nak(peer, client, request, Error.NOT_FOUND)
+        elif made is not None:
+            self._open(peer, client, request, OpenFile("/".join(parts), len(made), made))
         elif request.opcode == Op.LIST and not parts:
             self._answer_list(peer, client, request, ())
         elif len(parts) == 1 and parts[0] in self._files and request.opcode != Op.LIST:

@@ -28,6 +28,11 @@ SLOW_DISK_US = 3_000_000
 HASH_CHECK = "_HASH_CHECK"
 """PX4's cache check, asked by QGroundControl: it need not download what it has. A client that has it sets this back."""
 
+PACKED_FILE = "param.pck"
+"""ArduPilot's file of all parameters, below the folder ``@PARAM``."""
+_PACKED, _PACKED_WITH_DEFAULTS = 0x671B, 0x671C
+_PACKED_TYPES = {ParamType.INT32: (3, "<i"), ParamType.REAL32: (4, "<f")}
+
 _INT32, _REAL32 = mav.MAV_PARAM_TYPE_INT32, mav.MAV_PARAM_TYPE_REAL32
 _MISSING, _OUT_OF_RANGE = mav.MAV_PARAM_ERROR_DOES_NOT_EXIST, mav.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
 _READ_ONLY = 5
@@ -95,6 +100,32 @@ class Parameters:
             value = struct.pack("<i", int(self._now(name))) if whole else struct.pack("<f", self._now(name))
             crc = file_crc32(name.encode("ascii") + value, crc)
         return crc
+
+    def packed_file(self, path: str) -> bytes | None:
+        """``@PARAM/param.pck`` for who asks for it, where integers are numbers (ardusub): clients that have read it
+        set all parameters as floats. MAVProxy and QGroundControl ask for ``?withdefaults=1``."""
+        folder, _, file = path.partition("/")
+        name, _, wishes = file.partition("?")
+        if folder != "@PARAM" or name != PACKED_FILE or self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:
+            return None
+        return self.packed(defaults="withdefaults=1" in wishes.split("&"))
+
+    def packed(self, *, defaults: bool) -> bytes:
+        """The content of ``@PARAM/param.pck``: per parameter its type (and, with a flag, that a default follows its
+        value), how many characters of the name before it begins with, the rest of its name, its value."""
+        head = _PACKED_WITH_DEFAULTS if defaults else _PACKED
+        data, before = bytearray(struct.pack("<HHH", head, len(self._names), len(self._names))), b""
+        for text in self._names:
+            name, spec, now = text.encode("ascii"), self._spec(text), self._now(text)
+            code, form = _PACKED_TYPES[spec.type]
+            with_default = defaults and now != spec.default
+            common = next((n for n, (a, b) in enumerate(zip(name, before, strict=False)) if a != b), len(before))
+            common = min(common, len(name) - 1, 15)
+            data += bytes((code | with_default << 4, common | (len(name) - common - 1) << 4)) + name[common:]
+            for number in (now, spec.default)[: 1 + with_default]:
+                data += struct.pack(form, int(number) if spec.type is ParamType.INT32 else number)
+            before = name
+        return bytes(data)
 
     def value(self, name: str) -> Message:
         """PARAM_VALUE of a parameter that exists."""

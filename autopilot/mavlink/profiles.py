@@ -112,7 +112,8 @@ class Profile:
     home_is_item_0: bool
     """Missions on the wire begin with the home position (ArduPilot)."""
     least_version: tuple[int, int, int]
-    """flight_sw_version is never below this: QGroundControl warns of PX4 older than 1.4.1."""
+    """flight_sw_version is never below this: QGroundControl warns of PX4 older than 1.4.1, and to an ArduSub older than
+    3.5 it shows the pages and asks for the parameters of that time."""
     guided_in_hold: bool = False
     """Hold and set points are one mode, which set points by themselves begin and end (ArduPilot's GUIDED)."""
     note: str
@@ -191,7 +192,7 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
             split_modes=False,
             param_encoding=ParamEncoding.C_CAST,
             home_is_item_0=True,
-            least_version=(0, 0, 0),
+            least_version=(4, 1, 0),
             note="ardusub profile",
         ),
     }

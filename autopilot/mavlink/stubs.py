@@ -1,7 +1,7 @@
-"""Parameters that QGroundControl's PX4 plug-in cannot do without: there, with a fixed value, and used by nothing.
+"""Parameters that QGroundControl's plug-ins cannot do without: there, with a fixed value, and used by nothing.
 
-Without them it opens two popups at every connect and paints its setup page red ("Parameters are missing from
-firmware"). They exist under the px4 profile alone, cannot be set, and say what they are in their help.
+Without them it opens popups at every connect and paints its setup page red ("Parameters are missing from firmware").
+Those of a plug-in exist under its profile alone, cannot be set, and say what they are in their help.
 """
 
 from collections.abc import Mapping
@@ -10,10 +10,10 @@ from types import MappingProxyType
 from autopilot.core.params import ParamSpec, ParamType
 from autopilot.mavlink.profiles import Profile
 
-HELP = "Does nothing: QGroundControl's PX4 plug-in asks for it. Read only."
+HELP = "Does nothing: QGroundControl's plug-in asks for it. Read only."
 GROUP_OF_STUBS = "Not used (QGroundControl)"
 
-_INT32_STUBS: Mapping[str, int] = {
+_PX4_INT32: Mapping[str, int] = {
     "SYS_AUTOSTART": 60_000,  # PX4's number of a generic underwater vehicle; 0 makes the airframe page complain
     "SYS_AUTOCONFIG": 0,
     "SYS_HAS_MAG": 0,  # else the sensors page wants a compass calibrated that PX4 does not have here
@@ -42,7 +42,7 @@ _INT32_STUBS: Mapping[str, int] = {
     "RC_MAP_AUX2": 0,
     "BAT1_N_CELLS": 0,
 }
-_REAL32_STUBS: Mapping[str, float] = {
+_PX4_REAL32: Mapping[str, float] = {
     "BAT1_V_EMPTY": 3.6,
     "BAT1_V_CHARGED": 4.05,
     "COM_RC_LOSS_T": 0.5,
@@ -52,20 +52,58 @@ _REAL32_STUBS: Mapping[str, float] = {
 }
 
 
+_ARDUSUB_INT32: Mapping[str, int] = {
+    "COMPASS_DEV_ID": 0,  # none is installed, else the sensors page wants it calibrated
+    "COMPASS_DEV_ID2": 0,
+    "COMPASS_DEV_ID3": 0,
+    "COMPASS_USE": 0,
+    "COMPASS_USE2": 0,
+    "COMPASS_USE3": 0,
+    "BATT_CAPACITY": 3300,  # 0 makes the power page red; the vehicle file has the true one
+    "BATT_MONITOR": 4,
+    "BATT_FS_LOW_ACT": 0,
+    "BATT_LOW_MAH": 0,
+    "ARMING_CHECK": 1,
+    "FS_EKF_ACTION": 0,
+    "LEAK1_PIN": -1,
+    "LEAK1_LOGIC": 0,
+    "FRAME_CONFIG": 7,  # ArduSub's number of a frame that it does not know
+    "MNT_RC_IN_TILT": 0,
+    "MNT_RC_IN_ROLL": 0,
+    "MNT_RC_IN_PAN": 0,
+    **{f"SERVO{n}_FUNCTION": 0 for n in range(1, 17)},
+}
+_ARDUSUB_REAL32: Mapping[str, float] = {
+    **{f"COMPASS_OFS{n}_{axis}": 0.0 for n in ("", "2", "3") for axis in "XYZ"},
+    "COMPASS_DEC": 0.0,
+    "INS_ACCOFFS_X": 0.001,  # "calibrated"
+    "INS_ACCOFFS_Y": 0.001,
+    "INS_ACCOFFS_Z": 0.001,
+    "FS_EKF_THRESH": 0.8,
+}
+
+
 def _stub(name: str, value: float, kind: ParamType) -> ParamSpec:
     return ParamSpec(
         name=name, default=value, minimum=value, maximum=value, unit="", help=HELP, type=kind, family=GROUP_OF_STUBS
     )
 
 
-STUBS: Mapping[str, ParamSpec] = MappingProxyType(
-    {
-        **{name: _stub(name, value, ParamType.INT32) for name, value in _INT32_STUBS.items()},
-        **{name: _stub(name, value, ParamType.REAL32) for name, value in _REAL32_STUBS.items()},
-    }
+def _stubs(whole: Mapping[str, int], real: Mapping[str, float]) -> Mapping[str, ParamSpec]:
+    return MappingProxyType(
+        {
+            **{name: _stub(name, value, ParamType.INT32) for name, value in whole.items()},
+            **{name: _stub(name, value, ParamType.REAL32) for name, value in real.items()},
+        }
+    )
+
+
+STUBS: Mapping[str, Mapping[str, ParamSpec]] = MappingProxyType(
+    {"px4": _stubs(_PX4_INT32, _PX4_REAL32), "ardusub": _stubs(_ARDUSUB_INT32, _ARDUSUB_REAL32)}
 )
+"""By profile."""
 
 
 def stubs_of(profile: Profile) -> Mapping[str, ParamSpec]:
     """The stubs that exist under a profile, by name."""
-    return STUBS if profile.name == "px4" else {}
+    return STUBS.get(profile.name, {})

@@ -149,7 +149,7 @@ def test_a_ground_station_learns_names_units_ranges_and_choices(profile: str) ->
     told = {entry["name"]: entry for entry in fetched(place["uri"], place["fileCrc"])["parameters"]}
     listed = client.ask(mav.MAVLink_param_request_list_message(1, 0), "PARAM_VALUE", 2.0)
     assert {m.param_id for m in listed} == set(told)
-    assert len(told) == len(PARAMETERS) + (len(STUBS) if profile == "px4" else 0)
+    assert len(told) == len(PARAMETERS) + (len(STUBS.get(profile, {})))
     for spec in PARAMETERS:
         entry = told[spec.name]
         assert (entry["type"] == "Int32") == (spec.type is ParamType.INT32)
@@ -332,3 +332,27 @@ def test_logs_are_erased_when_disarmed_only(folder: Path) -> None:
     client.ask(mav.MAVLink_log_erase_message(1, 1), "STATUSTEXT", 0.1)
     assert "Logs erased: 1" in client.texts()
     assert [path.name for path in folder.rglob("*") if path.is_file()] == ["mine.txt"]
+
+
+def test_all_parameters_come_in_one_file_where_clients_of_ardupilot_ask_for_it(folder: Path) -> None:
+    world = world_with(folder, "ardusub")
+    world.params.set("SPD_CRUISE", 0.25)
+    ftp = Ftp(world.client())
+    for wish, magic in (("", 0x671B), ("?withdefaults=1", 0x671C)):
+        data = ftp.get(f"@PARAM/param.pck{wish}")
+        found, name = {}, b""
+        assert struct.unpack_from("<HHH", data) == (magic, *(len(PARAMETERS) + len(STUBS["ardusub"]),) * 2)
+        at = 6
+        while at < len(data):
+            flags, kind = divmod(data[at], 16)
+            rest, common = divmod(data[at + 1], 16)
+            name = name[:common] + data[at + 2 : at + 3 + rest]
+            at += 3 + rest
+            form = "<" + {3: "i", 4: "f"}[kind] * (1 + flags)
+            found[name.decode()] = struct.unpack_from(form, data, at)
+            at += struct.calcsize(form)
+        assert list(found) == sorted({*(spec.name for spec in PARAMETERS), *STUBS["ardusub"]})
+        assert found["SPD_CRUISE"] == pytest.approx((0.25, 0.35) if wish else (0.25,))
+        assert found["FS_SOLVER_N"] == (40,)
+    assert Ftp(World("px4").client()).ask(Op.OPEN_READ, data=b"@PARAM/param.pck") == (Op.NAK, bytes((Error.NOT_FOUND,)))
+    assert ftp.ask(Op.OPEN_READ, data=b"@PARAM/../param.pck") == (Op.NAK, bytes((Error.NOT_FOUND,)))
