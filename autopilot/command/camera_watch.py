@@ -70,7 +70,7 @@ class CameraWatch:
             return []
         self._trouble = self._now
         if self._now is None:
-            return [Event(t_us=t_us, severity=Severity.NOTICE, text=WELL)]
+            return [Event(t_us=t_us, severity=Severity.INFO, text=WELL)]
         return [Event(t_us=t_us, severity=Severity.WARNING, text=TEXTS[self._now])]
 
     def _note(self, t_us: int, trouble: str | None) -> None:

@@ -46,5 +46,5 @@ class DeviceWatch:
             if t_us - last_us > DEVICE_OVER_US:
                 del self._last_us[device]
                 text = f"{_DEVICE_NAMES[device]}: working again"
-                events.append(Event(t_us=t_us, severity=Severity.NOTICE, text=text))
+                events.append(Event(t_us=t_us, severity=Severity.INFO, text=text))
         return events

@@ -161,7 +161,7 @@ class FailsafeRules:
         if watch.active:
             watch.text = _Words(self._params, conditions, self._situation).put_in(watch.row.text)
         if self._armed:
-            severity, told = Severity.NOTICE, f"Failsafe over: {watch.text}"
+            severity, told = Severity.INFO, f"Failsafe over: {watch.text}"
             if watch.active:
                 acts = RANK[watch.effect] > 0
                 severity, told = Severity.CRITICAL if acts else watch.row.severity, f"Failsafe: {watch.text}"

@@ -86,7 +86,7 @@ class MissionRun:
         is over with the last of them, and MAVSDK's progress waits for its number."""
         skipped = self.sequencer.skipped
         more = f", items skipped: {skipped}" if skipped else ""
-        self._operator.say(Severity.NOTICE, f"Mission complete, laps: {laps}{more}")
+        self._operator.say(Severity.INFO, f"Mission complete, laps: {laps}{more}")
         steps = self._plans.steps()
         last = len(steps) - 1
         flown = max((*reached, self.sequencer.progress(t_us).reached_seq))

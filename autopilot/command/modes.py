@@ -177,7 +177,7 @@ class Modes:
                 self._override = None
                 self._failsafes.clear()
             resumes = self._before is FlightMode.MISSION and self._override is None and may_resume()
-            self._operator.say(Severity.NOTICE, f"Pilot has given back: {'mission goes on' if resumes else 'holding'}")
+            self._operator.say(Severity.INFO, f"Pilot has given back: {'mission goes on' if resumes else 'holding'}")
             self.enter(FlightMode.MISSION if resumes else FlightMode.HOLD)
 
     # One tick
@@ -236,12 +236,12 @@ class Modes:
         if self.goal is None:
             self.goal = self._goal_of(self.mode, nav)
         if self.mode is FlightMode.TAKEOFF and abs(nav.pos_ned_m[2] - self.goal.pos_ned_m[2]) < DIVED_M:
-            self._operator.say(Severity.NOTICE, f"Dived to {self.goal.pos_ned_m[2]:.2f} m: holding")
+            self._operator.say(Severity.INFO, f"Dived to {self.goal.pos_ned_m[2]:.2f} m: holding")
             self.chosen = FlightMode.HOLD
         self._watch_way(conditions, self.goal, nav)
         goal = self.goal
         if self.mode is FlightMode.SURFACE and nav.pos_ned_m[2] <= self._goals.top_m + SURFACED_M:
-            self._operator.say(Severity.NOTICE, "Surfaced")
+            self._operator.say(Severity.INFO, "Surfaced")
             self.disarm(force=False)
         return goal if self.ascent is None else None, reached
 
@@ -257,7 +257,7 @@ class Modes:
         if piloted and self._seen and not seen:
             self._operator.say(Severity.CRITICAL, "Position lost: no fence, no limits, steer by hand")
         elif piloted and seen and not self._seen:
-            self._operator.say(Severity.NOTICE, "Position is back: fence and limits hold")
+            self._operator.say(Severity.INFO, "Position is back: fence and limits hold")
         if seen != self._seen:
             self._piloting.begin()
         self._seen = seen
@@ -276,7 +276,7 @@ class Modes:
             return
         self.goal = self.circle.goal(nav)
         if self.circle.over:
-            self._operator.say(Severity.NOTICE, "Circle done: holding")
+            self._operator.say(Severity.INFO, "Circle done: holding")
             self.enter(FlightMode.HOLD)
 
     def _fly_mission(self, t_us: int, nav: NavState) -> tuple[int, ...]:

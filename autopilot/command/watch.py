@@ -7,7 +7,7 @@ from mission.goals import Goals
 from mission.store import Plans
 
 _HEALTH_TEXTS = {
-    NavHealth.GOOD: (Severity.NOTICE, "Position is good again"),
+    NavHealth.GOOD: (Severity.INFO, "Position is good again"),
     NavHealth.DEAD_RECKONING: (Severity.WARNING, "Dead reckoning: no position fix, look for markers"),
     NavHealth.INVALID: (Severity.ERROR, "Position lost, drifting: bring markers into view"),
 }
@@ -81,7 +81,7 @@ class Watch:
             return []
         self._delay_s = delay_s
         if delay_s == 0.0:
-            return [(Severity.NOTICE, "Commands act at once again")]
+            return [(Severity.INFO, "Commands act at once again")]
         return [(Severity.WARNING, f"Commands act {delay_s:.1f} s late: check the tether")]
 
     def _of_thrusters(self, shares: tuple[float, ...]) -> list[tuple[Severity, str]]:
@@ -96,7 +96,7 @@ class Watch:
                 continue
             self._share[name] = share
             if share == 1.0:
-                texts.append((Severity.NOTICE, f"Thruster {name} gives its full thrust again"))
+                texts.append((Severity.INFO, f"Thruster {name} gives its full thrust again"))
             else:
                 texts.append((Severity.WARNING, f"Thruster {name} gives {100.0 * share:.0f} % of its thrust"))
         return texts

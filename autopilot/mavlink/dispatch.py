@@ -505,7 +505,7 @@ class Dispatcher:
                 return
             ctx.signing.set_key(None if none else key, msg.initial_timestamp)
             ctx.key_changed()
-            ctx.say(Severity.NOTICE, "Signing off" if none else "Signing on: only signed frames are heard")
+            ctx.say(Severity.INFO, "Signing off" if none else "Signing on: only signed frames are heard")
 
     def _on_request_data_stream(self, peer: Peer, msg: Message) -> None:
         self._streams.on_request_data_stream(

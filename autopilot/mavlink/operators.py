@@ -135,14 +135,14 @@ class Operators:
             if self.keeps_out(call.peer):
                 return Reply(Answer(result=CommandResult.NOT_IN_CONTROL, reason=self.reason))
             if self._owner is not None:
-                self._ctx.say(Severity.NOTICE, f"Operator {self.in_control} released control")
+                self._ctx.say(Severity.INFO, f"Operator {self.in_control} released control")
             self._owner, self._takeover = None, False
             return Reply(ACCEPTED)
         if self.keeps_out(call.peer) and not self._takeover:
             self._ask_owner(call)
             return Reply(Answer(result=CommandResult.FAILED, reason=f"System {self.in_control} is in control: asked"))
         if call.peer.sysid != self.in_control:
-            self._ctx.say(Severity.NOTICE, f"Operator {call.peer.sysid} is in control")
+            self._ctx.say(Severity.INFO, f"Operator {call.peer.sysid} is in control")
         self._owner, self._heard_us = call.peer, self._ctx.t_us
         self._takeover = call.param(2) == 1.0
         return Reply(ACCEPTED)
@@ -155,4 +155,4 @@ class Operators:
         params = (1.0, call.param(2), timeout_s, float(call.peer.sysid), 0.0, 0.0, 0.0)
         ask = mav.MAVLink_command_long_message(owner.sysid, owner.compid, REQUEST, 0, *params)
         self._ctx.send(owner, ask)
-        self._ctx.text(Severity.NOTICE, f"Operator {call.peer.sysid} asks for control", owner)
+        self._ctx.text(Severity.INFO, f"Operator {call.peer.sysid} asks for control", owner)

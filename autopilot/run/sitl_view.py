@@ -206,7 +206,7 @@ class Steering:
                 text = f"Obstacle {number} put to {north:.2f} N {east:.2f} E"
             case CallFault(fault=fault):
                 text = self._call(t_us, fault)
-        self._notices.append((Severity.NOTICE, f"View: {text}"))
+        self._notices.append((Severity.INFO, f"View: {text}"))
         return text
 
     def _pace(self, t_us: int) -> None:

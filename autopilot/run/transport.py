@@ -117,7 +117,7 @@ class Transport:
                 continue
             self._problems[index], self._silent_until_us[index] = problem, t_us + NOTICE_US
             if problem is None:
-                notices.append(Event(t_us=t_us, severity=Severity.NOTICE, text=f"{name}: back"))
+                notices.append(Event(t_us=t_us, severity=Severity.INFO, text=f"{name}: back"))
             else:
                 notices.append(Event(t_us=t_us, severity=Severity.WARNING, text=f"{name}: {problem}"))
         return tuple(notices)
