@@ -144,9 +144,9 @@ def depth_m(item: PlanItem, origin: Origin, label: str = "item") -> float:
         depth, rule = item.z, "z in LOCAL_NED is depth: 0.4 m under the surface is z = 0.4"
     elif item.frame in AMSL_FRAMES:
         depth = origin.alt_m - item.z
-        rule = f"altitude must be <= {origin.alt_m:g} (AMSL of the surface): depth 0.4 m is {origin.alt_m - 0.4:g}"
+        rule = f"altitude must be <= {origin.alt_m:g} AMSL: depth 0.4 m is {origin.alt_m - 0.4:g}"
     else:
-        depth, rule = -item.z, "altitude must be <= 0: depth 0.4 m is altitude -0.4"
+        depth, rule = -item.z, "altitude must be <= 0: depth 0.4 m is -0.4"
     if depth < -SURFACE_TOLERANCE_M:
         raise refuse(item, MissionResult.INVALID_PARAM7, f"{-depth:.2f} m above the surface; {rule}", label)
     return max(0.0, depth)
