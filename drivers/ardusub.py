@@ -22,6 +22,7 @@ from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
 from drivers.ardusub_authority import AuthorityWatch
 from drivers.ardusub_mixing import FRAMES, NEUTRAL, PLANE_MOTORS, Mixer
+from drivers.ardusub_payload import Passing
 from drivers.ardusub_settings import Settings
 from drivers.ardusub_telemetry import Telemetry
 from drivers.ardusub_wire import Wire
@@ -104,6 +105,7 @@ class ArduSub(Closing):
         self._watch = AuthorityWatch()
         self.settings = Settings(frame.number, frame.motors, options.gcs_system)
         """Its parameters."""
+        self._payload = Passing(vehicle)
         self._timeout_us = round(1e6 * min(thruster.drive.command_timeout_s for thruster in vehicle.thrusters))
         self._notices: list[tuple[Severity, str]] = []
         self._boot_ms = 0
@@ -207,6 +209,21 @@ class ArduSub(Closing):
         notices, self._notices = self._notices, []
         return notices
 
+    def unwired(self) -> dict[str, str]:
+        """It has an output for everything; what it does not allow it says when it is asked."""
+        return {}
+
+    def set_payload(self, t_us: int, pulses_us: Sequence[int]) -> None:
+        """What the vehicle carries, whoever has the thrusters."""
+        self._payload.want(pulses_us)
+        command = self._payload.due(t_us) if self._wire is not None and not self._silent(t_us) else None
+        if command is not None:
+            self._open_wire().order(*command)
+
+    def _note_payload(self, text: str) -> None:
+        if text and len(self._notices) < MAX_NOTICES:
+            self._notices.append((Severity.WARNING, text))
+
     def _open_wire(self) -> Wire:
         if self._wire is None:
             raise DriverError("flight controller is closed; open it first")
@@ -220,6 +237,7 @@ class ArduSub(Closing):
         if kind == "ATTITUDE":
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:  # rebooted: its parameters may be others
                 self.settings.forget()
+                self._payload.forget()
             self._boot_ms = message.time_boot_ms
         if kind in self._heard_of:
             self._heard_of[kind] += 1
@@ -231,6 +249,8 @@ class ArduSub(Closing):
         if kind == "SERVO_OUTPUT_RAW":
             self._compare(t_us, message)
             return []
+        if kind == "COMMAND_ACK":
+            self._note_payload(self._payload.acknowledge(message))
         commanding = self._watch.takes_commands
         self._watch.take(t_us, message)
         if commanding and not self._watch.takes_commands:

@@ -85,6 +85,10 @@ class Wire:
         """Ask for a message once."""
         self._command(REQUEST_MESSAGE, float(message_id))
 
+    def order(self, command: int, first: float, second: float) -> None:
+        """A command with two parameters."""
+        self._command(command, first, second)
+
     def read_parameter(self, name: str) -> None:
         """Ask for one."""
         self._send(self._mav.param_request_read_encode(self._system, AUTOPILOT, name.encode(), -1))

@@ -12,6 +12,7 @@ import select
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -35,10 +36,10 @@ class KeptOutput(SafeThrusterOutput):
     driver: str
     """Its name in the registry."""
 
-    def __init__(self, vehicle: Vehicle, options: Table, *, kept: bool) -> None:
+    def __init__(self, vehicle: Vehicle, options: Table, *, kept: bool, spare: Mapping[int, int] | None = None) -> None:
         """``options`` are those that the keeper opens it with; ``kept`` False: it has none (the keeper's own output,
-        an emulated board)."""
-        super().__init__(vehicle)
+        an emulated board). The keeper sets what is carried to where it was at the start."""
+        super().__init__(vehicle, spare)
         self._kept = kept
         self._told = msgspec.json.encode([self.driver, vehicle, options]) + b"\n"
         self._keeper: subprocess.Popen[bytes] | None = None

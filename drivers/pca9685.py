@@ -26,6 +26,7 @@ TOTEM_POLE = 0x04
 """MODE2: push-pull outputs, changed at the stop of a transaction."""
 FULL_OFF = 0x10
 COUNTS = 4096
+CHANNELS = 16
 
 
 class Pca9685Options(Table, frozen=True, kw_only=True):
@@ -63,7 +64,12 @@ class Pca9685(KeptOutput):
         """``kept``: whether a keeper stands by; None = on a real bus."""
         # The line of the output enable stays with whoever has it: the keeper has the bus only.
         told = msgspec.structs.replace(options, enable_line=None)
-        super().__init__(vehicle, told, kept=bus is None if kept is None else kept)
+        spare = {
+            output.channel: index
+            for index, output in enumerate(vehicle.payload)
+            if output.channel is not None and output.channel <= CHANNELS
+        }
+        super().__init__(vehicle, told, kept=bus is None if kept is None else kept, spare=spare)
         self._bus = LinuxI2c(options.bus) if bus is None else bus
         if enable is None and options.enable_line is not None:
             enable = LinuxGpio(options.enable_chip, options.enable_line, output=True, active_low=True)
@@ -82,7 +88,7 @@ class Pca9685(KeptOutput):
         if unknown:
             raise ConfigError(f"`trim_us` names {unknown[0]!r}, which is no thruster; use one of {', '.join(names)}")
         self._trim_us = {names[name]: trim_us for name, trim_us in options.trim_us.items()}
-        self._runs = _runs(sorted(names.values()))
+        self._runs = _runs(sorted((*names.values(), *spare)))
 
     def _acquire(self) -> None:
         self._bus.open()

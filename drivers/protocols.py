@@ -6,7 +6,7 @@ Opening may raise DriverError; bad data from a device never raises, it is counte
 
 from collections.abc import Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 from autopilot.core.clients import EVERYONE, Reach
 
@@ -70,6 +70,19 @@ class ThrusterOutput(Device, Protocol):
 
     def neutral(self) -> None:
         """Stop all thrusters now."""
+        ...
+
+
+@runtime_checkable
+class PayloadOutput(Protocol):
+    """An output that also moves what the vehicle carries (``[[payload]]`` of the vehicle file)."""
+
+    def unwired(self) -> dict[str, str]:
+        """Things that it cannot move, by name, and why."""
+        ...
+
+    def set_payload(self, t_us: int, pulses_us: Sequence[int]) -> None:
+        """What all of it is to get, in the order of the vehicle file; called on every tick."""
         ...
 
 

@@ -25,7 +25,8 @@ class SysfsPwmOptions(Table, frozen=True, kw_only=True):
     rate_hz: Annotated[float, msgspec.Meta(ge=40.0, le=400.0)] = 200.0
     """Pulses per second."""
     outputs: Mapping[str, Annotated[int, msgspec.Meta(ge=0)]] = msgspec.field(default_factory=dict)
-    """Name of a thruster -> number of the chip's output; absent = its channel less 1."""
+    """Name of a thruster -> number of the chip's output; absent = its channel less 1. What the vehicle carries is
+    driven if it is named."""
 
 
 class SysfsPwm(KeptOutput):
@@ -36,24 +37,30 @@ class SysfsPwm(KeptOutput):
 
     def __init__(self, vehicle: Vehicle, options: SysfsPwmOptions, *, kept: bool = True) -> None:
         """``kept``: whether a keeper stands by."""
-        super().__init__(vehicle, options, kept=kept)
+        spare = {
+            output.channel: index
+            for index, output in enumerate(vehicle.payload)
+            if output.channel is not None and output.name in options.outputs
+        }
+        super().__init__(vehicle, options, kept=kept, spare=spare)
         self._chip = Path(options.chip)
         self._period_ns = round(1e9 / options.rate_hz)
         if 1000 * self._longest_us >= self._period_ns:
             raise ConfigError(
                 f"`rate_hz` = {options.rate_hz:g}: a pulse of {self._longest_us} us does not fit; use a lower one"
             )
-        names = [thruster.name for thruster in vehicle.thrusters]
+        names = [*(thruster.name for thruster in vehicle.thrusters), *(output.name for output in vehicle.payload)]
         unknown = sorted(set(options.outputs) - set(names))
         if unknown:
             raise ConfigError(f"`outputs` names {unknown[0]!r}, which is no thruster; use one of {', '.join(names)}")
+        carried = [(vehicle.payload[index].name, channel) for channel, index in spare.items()]
         self._outputs: dict[int, int] = {}
         """Channel -> number of the output."""
-        for thruster in vehicle.thrusters:
-            number = options.outputs.get(thruster.name, thruster.channel - 1)
+        for name, channel in (*((thruster.name, thruster.channel) for thruster in vehicle.thrusters), *carried):
+            number = options.outputs.get(name, channel - 1)
             if number in self._outputs.values():
                 raise ConfigError(f"`outputs`: two thrusters on output {number}; give each one of its own")
-            self._outputs[thruster.channel] = number
+            self._outputs[channel] = number
         self._files: dict[int, int] = {}
 
     def _acquire(self) -> None:

@@ -5,7 +5,7 @@ vehicle file's ``drive.command_timeout_s``. A back end only says how to put puls
 """
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from autopilot.core.errors import DriverError
 from autopilot.core.vehicle import Vehicle
@@ -18,19 +18,23 @@ INSPECT_EVERY = 25
 class SafeThrusterOutput(Closing):
     """Template of a thruster output: derive from it and give :meth:`_acquire`, :meth:`_put` and :meth:`_release`."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, spare: Mapping[int, int] | None = None) -> None:
+        """``spare``: channel -> which of the vehicle's ``payload`` is on it; a back end without such has none."""
         self.vehicle = vehicle
         thrusters = vehicle.thrusters
         self._channels = tuple(thruster.channel for thruster in thrusters)
+        self._spare = dict(spare or {})
+        self._spare_us = {channel: vehicle.payload[index].start_us for channel, index in self._spare.items()}
         self._places = tuple(
             self._channels.index(channel) if channel in self._channels else None
-            for channel in range(1, max(self._channels) + 1)
+            for channel in range(1, max((*self._channels, *self._spare)) + 1)
         )
         drives = [thruster.drive for thruster in thrusters]
         self._ends_us = tuple((drive.neutral_us - drive.span_us, drive.neutral_us + drive.span_us) for drive in drives)
-        self._longest_us = max(high for _, high in self._ends_us)
+        longest = [high for _, high in self._ends_us]
+        self._longest_us = max(longest + [vehicle.payload[index].max_us for index in self._spare.values()])
         """The longest pulse that may be commanded."""
-        self._neutral_us = self._by_channel([drive.neutral_us for drive in drives])
+        self._rest_us = [drive.neutral_us for drive in drives]
         self._timeout_us = round(min(drive.command_timeout_s for drive in drives) * 1e6)
         self._last_us: int | None = None
         self._open = False
@@ -59,6 +63,26 @@ class SafeThrusterOutput(Closing):
     def _release(self) -> None:
         """Close the device, which may be half open or gone; the outputs are neutral where that was possible. Never
         raises."""
+
+    @property
+    def _neutral_us(self) -> tuple[int, ...]:
+        """Thrusters stand, what is carried stays as it is; by channel."""
+        return self._by_channel(self._rest_us)
+
+    def unwired(self) -> dict[str, str]:
+        """What the vehicle carries that this output cannot move."""
+        wired = set(self._spare.values())
+        return {
+            output.name: "the thruster output has no channel for it"
+            for index, output in enumerate(self.vehicle.payload)
+            if index not in wired
+        }
+
+    def set_payload(self, t_us: int, pulses_us: Sequence[int]) -> None:
+        """Pulses for what is carried, from the next command on."""
+        for channel, index in self._spare.items():
+            output = self.vehicle.payload[index]
+            self._spare_us[channel] = min(max(int(pulses_us[index]), output.min_us), output.max_us)
 
     def open(self) -> None:
         """Open the device and set it to neutral. DriverError or OSError if it cannot be had; it is closed then."""
@@ -129,8 +153,11 @@ class SafeThrusterOutput(Closing):
             self._release()
 
     def _by_channel(self, pulses_us: Sequence[int]) -> tuple[int, ...]:
-        """Pulses per thruster in the order of the channels; a channel without a thruster gets none (0)."""
-        return tuple([0 if place is None else pulses_us[place] for place in self._places])
+        """Pulses per thruster by channel, with those of what is carried; a channel without anything gets none (0)."""
+        pulses = [0 if place is None else pulses_us[place] for place in self._places]
+        for channel, pulse_us in self._spare_us.items():
+            pulses[channel - 1] = pulse_us
+        return tuple(pulses)
 
     def _try_neutral(self) -> bool:
         """Neutral if the wire still takes it; whether it did."""

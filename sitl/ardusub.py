@@ -32,6 +32,7 @@ FACTORS = {
 FRAME_NUMBERS = {"vectored": 1, "vectored_6dof": 2}
 CHANNEL_OF = {"P": 0, "R": 1, "T": 2, "Y": 3, "F": 4, "L": 5}
 PLANE = 4
+SERVOS, RELAYS = 16, 2
 """Motors 1 to 4 lie in the plane."""
 
 NEUTRAL_US, SPAN_US = 1500, 400
@@ -119,6 +120,9 @@ class ArduSubEmulator:
         """The leak probe."""
         self.servos_us = (NEUTRAL_US,) * len(self._rows)
         """What is at the servo rail now."""
+        self.spare_us: dict[int, int] = {}
+        """Pulses that were asked for by command, by output."""
+        self.relays: dict[int, bool] = {}
         self._shown_armed = False
         self._show_us = 0
         self._channels = [NEUTRAL_US] * 8
@@ -338,6 +342,14 @@ class ArduSubEmulator:
             result = 0 if message.param1 == 0.0 else 4
             if result == 0:
                 self._sent_us["HEARTBEAT"] = -(1 << 62)
+        elif message.command == 183 and len(self._rows) < message.param1 <= SERVOS:
+            self.spare_us[int(message.param1)] = int(message.param2)
+            result = 0
+        elif message.command == 181 and 0 <= message.param1 < RELAYS:
+            self.relays[int(message.param1)] = message.param2 > 0.5
+            result = 0
+        elif message.command in (181, 183):
+            result = 4
         self._say(self._mav.command_ack_encode(message.command, result, 0, 0, source, message.get_srcComponent()))
 
     def _tell_parameter(self, name: str) -> None:

@@ -24,6 +24,7 @@ from sitl.floor import build_floor
 from sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
 from sitl.hull_sensor import SimHullSensor
 from sitl.obstacle_sensor import SimObstacleSensor
+from sitl.payload import SimPayload
 from sitl.plant import Truth
 from sitl.pose_sensor import SimPoseSensor
 from sitl.protocol import PlantContext, PlantLike, SteerablePlant, create_plant
@@ -148,6 +149,8 @@ class SimulatedVehicle(Closing):
         self._plant = plant
         self.thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
         """Their names."""
+        self.payload = SimPayload(vehicle)
+        """What it carries."""
         self._t_us = 0
         self._truth: Truth | None = None
         plain = SimThrusterOutput(vehicle)
@@ -277,6 +280,7 @@ class SimulatedVehicle(Closing):
     def advance(self, t_us: int) -> None:
         """Move the plant on to ``t_us`` with the last pulses; every sensor looks at its own times on the way."""
         self.output.check(t_us)
+        self.payload.advance(t_us)
         while self._due_us <= t_us:
             due_us = self._due_us
             self._move(due_us)

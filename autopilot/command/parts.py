@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from autopilot.command.commander import Commander
+from autopilot.command.equipment import Equipment
 from autopilot.command.photographer import Photographer
 from autopilot.control.protocol import Controller
 from autopilot.control.thrust.actuation import Actuation
@@ -29,6 +30,7 @@ class Parts:
     commander: Commander
     server: MavlinkServer
     guard: Guard
+    equipment: Equipment
     photographer: Photographer | None = None
     """None without a camera."""
     witness: Witness

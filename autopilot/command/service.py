@@ -158,6 +158,7 @@ class Autopilot:
             thrusters=thrusters,
             drop_weight=decision.drop_weight,
             hand_back=decision.hand_back,
+            payload=self._run("payload", lambda: parts.equipment.step(t_us), None),
             shots=shots,
             stills=stills,
             events=inputs.notices + self._events + self._run("telemetry", parts.server.take_notices, NO_EVENTS),

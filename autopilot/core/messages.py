@@ -14,6 +14,7 @@ from autopilot.core.clients import EVERYONE, Reach
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.marks import LoopPart
+from autopilot.core.payload import PayloadState
 from autopilot.core.samples import ExternalPoseSample, PictureReport, Sample
 from autopilot.core.stills import CameraReport, StillRecord, StoredStill
 from autopilot.core.witness import Note
@@ -589,6 +590,8 @@ class Outputs:
     """A failsafe wants the drop weight off."""
     hand_back: bool = False
     """A failsafe has given the thrusters to whatever is below us; ``command`` is neutral."""
+    payload: PayloadState | None = None
+    """What gripper, lights, relays and the like get; None on a vehicle without any."""
     shots: tuple[int, ...] = ()
     """Numbers of the stills that are to be taken from now on."""
     stills: tuple[StillRecord, ...] = ()

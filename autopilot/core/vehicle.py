@@ -14,6 +14,7 @@ import numpy as np
 from autopilot.core.errors import ConfigError
 from autopilot.core.flat_port import FlatPort
 from autopilot.core.model4 import Model4
+from autopilot.core.payload import MAX_PAYLOAD
 from autopilot.core.sharing import lacking_thrust
 from autopilot.core.thrusters import (
     MAX_THRUSTERS,
@@ -205,6 +206,41 @@ class ExternalMount(Table, frozen=True, kw_only=True):
     """Added to the times of poses: negative when these are too late."""
 
 
+class PayloadTable(Table, frozen=True, kw_only=True):
+    """``[[payload]]``: something that is carried and moved by pulses, beside the thrusters."""
+
+    name: str
+    kind: Literal["servo", "gripper", "relay", "light"]
+    channel: Annotated[int, msgspec.Meta(ge=1, le=32)] | None = None
+    """Servo output that it is on, counted as the thrusters' channels."""
+    relay: Annotated[int, msgspec.Meta(ge=0, le=15)] | None = None
+    """Number of a relay, from 0, as clients know it; without a ``channel`` that of the flight controller below."""
+    min_us: Annotated[int, msgspec.Meta(ge=500, le=2500)] = 1100
+    """Shortest pulse: dark, off, closed."""
+    max_us: Annotated[int, msgspec.Meta(ge=500, le=2500)] = 1900
+    """Longest pulse: bright, on, open."""
+    rest_us: Annotated[int, msgspec.Meta(ge=500, le=2500)] | None = None
+    """At the start; absent = dark, off, open, and a servo in its middle."""
+
+    def __post_init__(self) -> None:
+        if self.min_us >= self.max_us:
+            raise ValueError(f"`min_us` = {self.min_us} has to be below `max_us` = {self.max_us}")
+        if self.rest_us is not None and not self.min_us <= self.rest_us <= self.max_us:
+            raise ValueError(f"`rest_us` = {self.rest_us} is not within {self.min_us} to {self.max_us}")
+        if (self.kind == "relay") != (self.relay is not None):
+            raise ValueError('`relay` and `kind` = "relay" go together')
+        if self.kind != "relay" and self.channel is None:
+            raise ValueError(f"`channel` is missing: which output is {self.name!r} on")
+
+    @property
+    def start_us(self) -> int:
+        """The pulse at the start."""
+        if self.rest_us is not None:
+            return self.rest_us
+        middle_us = (self.min_us + self.max_us) // 2
+        return {"servo": middle_us, "gripper": self.max_us}.get(self.kind, self.min_us)
+
+
 class Vehicle(Table, frozen=True, kw_only=True):
     """One vehicle file."""
 
@@ -236,6 +272,8 @@ class Vehicle(Table, frozen=True, kw_only=True):
     depth_sensor: DepthMount = DepthMount()
     dvl: DvlMount = DvlMount()
     external_pose: ExternalMount = ExternalMount()
+    payload: Annotated[tuple[PayloadTable, ...], msgspec.Meta(max_length=MAX_PAYLOAD)] = ()
+    """What it carries beside."""
     sources: dict[str, str]
 
     def __post_init__(self) -> None:
@@ -246,6 +284,22 @@ class Vehicle(Table, frozen=True, kw_only=True):
         for name in self.body.thruster_offset_frd_m:
             if name not in names:
                 raise ValueError(f"`body.thruster_offset_frd_m` names {name!r}, which is no `thruster`")
+        self._check_payload()
+
+    def _check_payload(self) -> None:
+        """ValueError for two that share a name, a channel or a relay, and for a channel of a thruster."""
+        taken: dict[tuple[str, object], str] = {
+            ("channel", thruster.channel): f"thruster {thruster.name!r}" for thruster in self.thrusters
+        }
+        for index, output in enumerate(self.payload):
+            for key in ("name", "channel", "relay"):
+                value = getattr(output, key)
+                if value is None:
+                    continue
+                before = taken.get((key, value))
+                if before is not None:
+                    raise ValueError(f"`payload[{index}]` ({output.name}): `{key}` = {value!r} is that of {before}")
+                taken[key, value] = f"`payload[{index}]`"
 
     @property
     def thrusters(self) -> tuple[Thruster, ...]:

@@ -17,7 +17,7 @@ CRUISE_M_S = 0.3
 TILTING = 1e-6
 """Share of the thrusters' moments below which they do not push roll or pitch."""
 
-UNSOURCED = frozenset({"name", "description", "sources"})
+UNSOURCED = frozenset({"name", "description", "sources", "payload"})
 """Keys that need no source."""
 
 NAMED = 8

@@ -214,6 +214,14 @@ float64[2] laser_px
 uint32 decode_us
 float32[64] sigma_px  # of each marker's corners, 0 = not known
 """,
+    "autopilot_msgs/PayloadOutputs": """
+std_msgs/Header header
+uint16[16] pulse_us  # of [[payload]] in the order of the vehicle file, unused = 0
+""",
+    "autopilot_msgs/PayloadTruth": """
+std_msgs/Header header
+float64[16] share  # where each really is: 0 dark, off, closed; 1 bright, on, open; unused = 0
+""",
     "autopilot_msgs/Still": """
 std_msgs/Header header  # time of the exposure, as that of its picture in /payload/image
 uint32 index

@@ -227,6 +227,11 @@ class RunLog:
         if self._changed("/sim/contact", t_us, (count, penetration_m)):
             self._on_change("/sim/contact", t_us, vehicle.contact_state(self._ns(t_us), count, penetration_m))
 
+    def payload_truth(self, t_us: int, shares: tuple[float, ...]) -> None:
+        """Where the simulated vehicle's equipment is, once per tick."""
+        if shares and self._changed("/sim/payload", t_us, shares):
+            self._on_change("/sim/payload", t_us, payload.truth(self._ns(t_us), shares))
+
     def loop(self, stats: LoopStats) -> None:
         """Health of the loop, once per second."""
         self._write("/sys/loop", stats.t_us, service.loop_stats(self._ns(stats.t_us), stats))
@@ -270,6 +275,8 @@ class RunLog:
         self._on_change("/out/thrusters", t_us, command, always=outputs.control is not None)
         if outputs.thrusters is not None:
             self._write("/ctl/thrusters", t_us, decisions.thruster_health(stamp_ns, outputs.thrusters))
+        if outputs.payload is not None and self._changed("/payload/outputs", t_us, outputs.payload.pulses_us):
+            self._on_change("/payload/outputs", t_us, payload.outputs(stamp_ns, outputs.payload))
         for record in outputs.stills:
             exposure_us = record.still.exposure_us
             self._write("/payload/still", exposure_us, payload.still(self._ns(exposure_us), record))

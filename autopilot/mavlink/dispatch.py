@@ -21,6 +21,8 @@ from autopilot.mavlink.camera_api import CameraOrders
 from autopilot.mavlink.commands import Call, Commands, Entry, call_of
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
 from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.equipment_api import EquipmentOrders
+from autopilot.mavlink.equipment_commands import EquipmentCommands
 from autopilot.mavlink.external import ExternalPoses
 from autopilot.mavlink.ftp import FileTransfer
 from autopilot.mavlink.inbox import Address, Inbox, Intake
@@ -115,6 +117,7 @@ class Dispatcher:
         shelf: Shelf | None = None,
         rates: Mapping[int, float] | None = None,
         camera: CameraOrders | None = None,
+        equipment: EquipmentOrders | None = None,
     ) -> None:
         self._ctx = ctx = Context(
             sysid=sysid,
@@ -161,7 +164,8 @@ class Dispatcher:
         requests = Requests(ctx, self._streams, self._status)
         # A request for control is judged by itself, also while somebody else has it.
         control = {REQUEST: Entry(handler=self._operators.request, action=False)}
-        table = {**self._vehicle.table(), **requests.table(), **control}
+        carried = {} if equipment is None else EquipmentCommands(equipment).table()
+        table = {**self._vehicle.table(), **requests.table(), **control, **carried}
         self._camera: CameraComponent | None = None
         self._to_camera: Commands | None = None
         """Commands that are addressed to the camera, or that only it can answer."""

@@ -18,6 +18,7 @@ from autopilot.core.shelf import Shelf
 from autopilot.core.witness import Witness
 from autopilot.mavlink.api import FlightMode, SigningStore, Sticks, VehicleCommands, VehicleView
 from autopilot.mavlink.camera_api import CameraOrders
+from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.profiles import profile_by_name
 
 if TYPE_CHECKING:
@@ -35,9 +36,9 @@ class MavlinkServer:
     ``patience`` multiplies the time that a client gets in transfers: a simulation that runs k times faster than real
     time passes k, because clients live in real time. ``links`` are the indices of the links that are open from the
     start; another one is added when something comes from it, or by :meth:`add_link`. ``rates`` are the bytes per second
-    of slow links, ``shelf`` holds the logs that clients may download, ``camera`` takes stills, ``witness`` notes what
-    follows from a key. ``version`` is the distribution's, ``git`` the revision in hex digits, ``uid`` 64 bits.
-    ConfigError for an unknown profile.
+    of slow links, ``shelf`` holds the logs that clients may download, ``camera`` takes stills, ``equipment`` moves
+    what the vehicle carries, ``witness`` notes what follows from a key. ``version`` is the distribution's, ``git`` the
+    revision in hex digits, ``uid`` 64 bits. ConfigError for an unknown profile.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class MavlinkServer:
         rates: Mapping[int, float] | None = None,
         camera: CameraOrders | None = None,
         witness: Witness | None = None,
+        equipment: EquipmentOrders | None = None,
     ) -> None:
         identity = profile_by_name(profile)
         from autopilot.mavlink.dispatch import Dispatcher, Identity
@@ -81,6 +83,7 @@ class MavlinkServer:
             shelf=shelf,
             rates=rates,
             camera=camera,
+            equipment=equipment,
         )
         for link in links:
             self._dispatcher.add_link(link)

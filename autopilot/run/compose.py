@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from autopilot import __version__
 from autopilot.command.commander import Commander
+from autopilot.command.equipment import Equipment
 from autopilot.command.parts import Parts
 from autopilot.command.photographer import Photographer
 from autopilot.command.readiness import MarginCheck
@@ -105,7 +106,9 @@ def build_service(
     commander = Commander(vehicle, params, plans, controller_check=check, speed_m_s=check.planar_speed_m_s)
     guard = Guard()
     photographer = Photographer(vehicle) if setup.pictures else None
+    equipment = Equipment(vehicle)
     parts = Parts(
+        equipment=equipment,
         photographer=photographer,
         guard=guard,
         witness=witness,
@@ -143,6 +146,7 @@ def build_service(
             witness=witness,
             rates=setup.rates,
             camera=photographer,
+            equipment=equipment,
         ),
     )
     return Autopilot(parts), parts

@@ -5,10 +5,11 @@ from dataclasses import replace
 from typing import Any
 
 from autopilot.core.messages import Below, Severity, ThrusterCommand
+from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.run.vehicle_config import VehicleConfig
 from drivers.devices import CAMERA, FLIGHT_CONTROLLER, THRUSTERS
-from drivers.protocols import ThrusterOutput
+from drivers.protocols import PayloadOutput, ThrusterOutput
 from drivers.retry import DeviceState, Steady, SteadyController, SteadyOutput, SteadySensor
 
 NAMES = {
@@ -101,6 +102,18 @@ class HardwareVehicle:
             self._below.device.command(t_us, armed=command.armed)
         if self._output is not None:
             self._output.write(t_us, command.pwm_us[: self._thrusters])
+
+    @property
+    def unwired(self) -> dict[str, str]:
+        """What the vehicle carries and nothing here moves, by name, and why."""
+        device = None if self._output is None else self._output.device
+        return device.unwired() if isinstance(device, PayloadOutput) else {}
+
+    def actuate(self, t_us: int, state: PayloadState) -> None:
+        """Move what it carries; while the output is away it waits."""
+        output = self._output
+        if output is not None and isinstance(output.device, PayloadOutput) and output.attend(t_us):
+            output.device.set_payload(t_us, state.pulses_us)
 
     def hand_back(self, t_us: int) -> None:
         """The flight controller below has the thrusters again; without one they are neutral already."""

@@ -103,6 +103,7 @@ def open_vehicle(
     plan = None if settings["plan"] is None else Path(settings["plan"])
     warnings += take_plans(parts, plan, plans, flown_at_once=False)
     device = HardwareVehicle(config)
+    parts.equipment.leave_out(device.unwired)
     with opened(device, settings["connect"], links) as open_links:
         recorder = _recorder(settings, config, setup, parts, markers, lockstep=speed == 0.0)
     outside = Outside(

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 from autopilot.core.messages import Inputs, LoopStats, Outputs, ThrusterCommand
+from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
 
 
@@ -48,6 +49,15 @@ class HandsBack(Protocol):
 
     def hand_back(self, t_us: int) -> None:
         """Let go of the thrusters; called on every tick on which a failsafe wants it, after a neutral ``write``."""
+        ...
+
+
+@runtime_checkable
+class Actuates(Protocol):
+    """A vehicle that carries something that moves."""
+
+    def actuate(self, t_us: int, state: PayloadState) -> None:
+        """What all of it is to have; called on every tick. Raises as :class:`VehicleIo` does."""
         ...
 
 

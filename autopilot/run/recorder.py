@@ -46,6 +46,11 @@ class TruthSource(Protocol):
         """Where the vehicle really is."""
         ...
 
+    @property
+    def payload_shares(self) -> tuple[float, ...]:
+        """Where each thing that it carries is, 0 to 1; in the order of the vehicle file."""
+        ...
+
 
 class NullRecorder:
     """Logs nothing."""
@@ -146,6 +151,7 @@ class RunRecorder:
             truth = self._truth.truth
             log.truth(inputs.t_us, truth)
             log.contact(inputs.t_us, truth.contact_count, truth.contact_depth_m)
+            log.payload_truth(inputs.t_us, self._truth.payload_shares)
         log.outputs(outputs)
         if log.failure is not None:
             self._failed(log)

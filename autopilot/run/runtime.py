@@ -37,7 +37,7 @@ from autopilot.core.stills import StoredStill
 from autopilot.core.witness import Note
 from autopilot.run.clocks import DayClock
 from autopilot.run.loop_account import LoopAccount
-from autopilot.run.outside import HandsBack, Onlooker, Peer, Recorder, VehicleIo, WeightRelease
+from autopilot.run.outside import Actuates, HandsBack, Onlooker, Peer, Recorder, VehicleIo, WeightRelease
 from autopilot.run.stills import StillStore
 from autopilot.run.transport import Transport
 from drivers.protocols import Link
@@ -274,6 +274,8 @@ class Runtime:
         device = self._device
         if outputs.drop_weight and isinstance(device, WeightRelease):
             self._try(t_us, DeviceRole.THRUSTERS, partial(device.release_weight, t_us), None)
+        if outputs.payload is not None and isinstance(device, Actuates):
+            self._try(t_us, DeviceRole.THRUSTERS, partial(device.actuate, t_us, outputs.payload), None)
         if outputs.hand_back and isinstance(device, HandsBack):
             self._try(t_us, DeviceRole.THRUSTERS, partial(device.hand_back, t_us), None)
 

@@ -15,6 +15,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.lane import DaemonLane
 from autopilot.core.messages import Outputs, ThrusterCommand
 from autopilot.core.params import ParamSaving, ParamSet
+from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.log.description import RunDescription
 from autopilot.run.clocks import make_clock
@@ -69,6 +70,15 @@ class SimulatedDevice:
     def truth(self) -> Truth:
         """The plant's truth, for the log only."""
         return self._vehicle.truth
+
+    @property
+    def payload_shares(self) -> tuple[float, ...]:
+        """Where what it carries is, for the log only."""
+        return self._vehicle.payload.shares
+
+    def actuate(self, t_us: int, state: PayloadState) -> None:
+        """Move what it carries."""
+        self._vehicle.payload.set(state.pulses_us)
 
     def advance(self, t_us: int) -> None:
         """Let the plant go on."""

@@ -36,6 +36,7 @@ from autopilot.core.messages import (
     ThrusterCommand,
     ThrusterHealthState,
 )
+from autopilot.core.payload import PayloadState
 from autopilot.core.samples import (
     AhrsSample,
     CameraFrame,
@@ -219,6 +220,7 @@ def _tick(log: RunLog, run: Run, t_us: int, end_us: int) -> None:
     log.outputs(outputs_at(t_us, truth, run, t_us >= end_us - 400_000))
     if run.full_inputs and t_us % 5_000_000 == 0:
         log.still(t_us, b"png")
+        log.payload_truth(t_us, (0.0, 1.0))
     if t_us % 1_000_000 == 0:
         log.loop(LoopStats(t_us=t_us, tick_s=0.004, cpu_s=0.3, overruns=0, dropped_log=log.dropped))
 
@@ -353,6 +355,7 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         progress=MissionProgress(t_us=t_us, current_seq=1, reached_seq=-1, lap=lap, state=state),
         parameters={"MPC_Q_POS": 25.0} if t_us == 12_000_000 else {},
         events=(Event(t_us=t_us, severity=6, text=f"lap {lap}"),) if t_us % 5_000_000 == 0 else (),
+        payload=PayloadState(t_us=t_us, pulses_us=(1100, 1900)) if run.full_inputs else None,
         stills=(still_at(t_us, truth),) if run.full_inputs and t_us % 5_000_000 == 0 else (),
     )
 

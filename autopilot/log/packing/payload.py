@@ -1,10 +1,15 @@
-"""What the vehicle carries: its stills."""
+"""What the vehicle carries: what moves, and its stills."""
 
+from collections.abc import Sequence
+
+from autopilot.core.payload import MAX_PAYLOAD, PayloadState
 from autopilot.core.stills import StillRecord
 from autopilot.log.cdr import ENCAPSULATION
-from autopilot.log.packing.parts import NED, NS, UINT16, UINT32, clip
+from autopilot.log.packing.parts import FRD, NED, NS, UINT16, UINT32, clip
 from autopilot.log.schemas import layout
 
+_outputs = layout("autopilot_msgs/PayloadOutputs").packer.pack
+_truth = layout("autopilot_msgs/PayloadTruth").packer.pack
 _still = layout("autopilot_msgs/Still").packer.pack
 
 _UNKNOWN3 = (0.0,) * 3
@@ -30,3 +35,14 @@ def still(stamp_ns: int, record: StillRecord) -> bytes:
         clip(taken.size, UINT32),
         (record.t_us - taken.exposure_us) * 1e-6,
     )
+
+
+def outputs(stamp_ns: int, state: PayloadState) -> bytes:
+    """PayloadOutputs: the pulses that are commanded."""
+    pulses = (*state.pulses_us, *(0,) * MAX_PAYLOAD)[:MAX_PAYLOAD]
+    return _outputs(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *pulses)
+
+
+def truth(stamp_ns: int, shares: Sequence[float]) -> bytes:
+    """PayloadTruth: where simulated equipment really is."""
+    return _truth(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *(*shares, *(0.0,) * MAX_PAYLOAD)[:MAX_PAYLOAD])

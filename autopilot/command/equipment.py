@@ -1,0 +1,250 @@
+"""What the vehicle carries and clients may move: ``[[payload]]`` of the vehicle file.
+
+State is the pulse of each output; whoever drives them gets all of them on every tick, so that nothing is lost when a
+device goes and comes back. Repetitions count ticks. A relay is its highest pulse when it is on and its lowest when off,
+a gripper its highest when open and its lowest when closed.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from autopilot.core.payload import PayloadState
+from autopilot.core.vehicle import PayloadTable, Vehicle
+from autopilot.mavlink.api import Answer, CommandResult
+
+MIN_CYCLE_S = 0.1
+"""Nothing that is made for it wears out by a repetition."""
+MAX_REPEATS = 10_000
+LIGHT_STEP = 0.125
+"""Share by which a button makes lights brighter or darker."""
+
+_OK = Answer(result=CommandResult.ACCEPTED)
+
+
+@dataclass(slots=True)
+class _Repeat:
+    """An output that goes to and fro."""
+
+    pulses_us: tuple[int, int]
+    """What comes next, and what after that."""
+    left: int
+    """Changes that are still to come."""
+    half_us: int
+    next_us: int
+
+
+class Equipment:
+    """Orders to outputs. Every one answers at once."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.outputs = vehicle.payload
+        self._thrusters = {thruster.channel: thruster.name for thruster in vehicle.thrusters}
+        self._unwired: Mapping[str, str] = {}
+        self._pulses_us = [output.start_us for output in self.outputs]
+        self._repeats: dict[int, _Repeat] = {}
+        self._t_us = 0
+
+    # What is there
+
+    def leave_out(self, unwired: Mapping[str, str]) -> None:
+        """Outputs that nothing here drives, by name, and why."""
+        self._unwired = dict(unwired)
+
+    def refuse_servo(self, channel: int) -> str:
+        """Why a servo output cannot be moved, "" when it can."""
+        if channel in self._thrusters:
+            return f"Servo {channel} drives thruster {self._thrusters[channel]}"
+        index = self._of_channel(channel)
+        return f"There is no servo {channel}: {self._known('channel')}" if index is None else self._problem(index)
+
+    def refuse_relay(self, number: int) -> str:
+        """Why a relay cannot be switched, "" when it can."""
+        index = self._of_relay(number)
+        return f"There is no relay {number}: {self._known('relay')}" if index is None else self._problem(index)
+
+    def refuse_gripper(self, number: int) -> str:
+        """Why a gripper cannot be moved, "" when it can. Grippers count from 1, 0 = the first."""
+        index = self._of_gripper(number)
+        if index is None:
+            return "There is no gripper on this vehicle" if number < 2 else f"There is no gripper {number}"
+        return self._problem(index)
+
+    def refuse_actuator(self, number: int) -> str:
+        """Why an actuator cannot be moved, "" when it can. They count from 1, in the order of the vehicle file."""
+        index = self._of_actuator(number)
+        return f"There is no actuator {number} on this vehicle" if index is None else self._problem(index)
+
+    # Orders
+
+    def set_servo(self, channel: int, pulse_us: float) -> Answer:
+        """A pulse for an output."""
+        refusal = self.refuse_servo(channel)
+        index = self._of_channel(channel)
+        if refusal or index is None:
+            return _denied(refusal)
+        refusal = self._pulse_refusal(index, pulse_us)
+        return _denied(refusal) if refusal else self._put(index, round(pulse_us))
+
+    def repeat_servo(self, channel: int, pulse_us: float, count: int, cycle_s: float) -> Answer:
+        """To a pulse and back to where it is, so many times."""
+        refusal = self.refuse_servo(channel)
+        index = self._of_channel(channel)
+        if refusal or index is None:
+            return _denied(refusal)
+        refusal = self._pulse_refusal(index, pulse_us) or _cycle_refusal(count, cycle_s)
+        if refusal:
+            return _denied(refusal)
+        return self._repeat(index, (round(pulse_us), self._pulses_us[index]), count, cycle_s)
+
+    def set_relay(self, number: int, *, on: bool) -> Answer:
+        """Switch."""
+        refusal = self.refuse_relay(number)
+        index = self._of_relay(number)
+        if refusal or index is None:
+            return _denied(refusal)
+        return self._put(index, self._end_us(index, high=on))
+
+    def toggle_relay(self, number: int) -> Answer:
+        """Switch to the other side."""
+        index = self._of_relay(number)
+        return self.set_relay(number, on=index is None or not self._is_on(index))
+
+    def repeat_relay(self, number: int, count: int, cycle_s: float) -> Answer:
+        """To the other side and back, so many times."""
+        refusal = self.refuse_relay(number) or _cycle_refusal(count, cycle_s)
+        index = self._of_relay(number)
+        if refusal or index is None:
+            return _denied(refusal)
+        on = self._is_on(index)
+        pulses = self._end_us(index, high=not on), self._end_us(index, high=on)
+        return self._repeat(index, pulses, count, cycle_s)
+
+    def grip(self, number: int, *, close: bool) -> Answer:
+        """Close a gripper, or open it."""
+        refusal = self.refuse_gripper(number)
+        index = self._of_gripper(number)
+        if refusal or index is None:
+            return _denied(refusal)
+        return self._put(index, self._end_us(index, high=not close))
+
+    def set_actuators(self, values: Mapping[int, float]) -> Answer:
+        """Number -> -1 to 1. All or none."""
+        if not values:
+            return _denied("Actuator refused: no value is given")
+        for number, value in values.items():
+            refusal = self.refuse_actuator(number)
+            if not refusal and not -1.0 <= value <= 1.0:
+                refusal = f"Actuator {number} refused: {value:g}, use -1 to 1"
+            if refusal:
+                return _denied(refusal)
+        for number, value in values.items():
+            index = self._of_actuator(number)
+            if index is not None:
+                self._put(index, self._share_us(index, 0.5 + 0.5 * value))
+        return _OK
+
+    def lights(self, change: float | None) -> Answer:
+        """All lights brighter or darker by a share; None = on when they are off, off when they are on."""
+        lights = [index for index, output in enumerate(self.outputs) if output.kind == "light"]
+        usable = [index for index in lights if not self._problem(index)]
+        if not usable:
+            return _denied(self._problem(lights[0]) if lights else "There are no lights on this vehicle")
+        on = any(self._is_on(index) for index in usable)
+        for index in usable:
+            share = (0.0 if on else 1.0) if change is None else self._share(index) + change
+            self._put(index, self._share_us(index, share))
+        return _OK
+
+    # One tick
+
+    def step(self, t_us: int) -> PayloadState | None:
+        """What all outputs get now; None on a vehicle without any."""
+        self._t_us = t_us
+        for index, repeat in tuple(self._repeats.items()):
+            if t_us < repeat.next_us:
+                continue
+            self._pulses_us[index] = repeat.pulses_us[0]
+            repeat.pulses_us = (repeat.pulses_us[1], repeat.pulses_us[0])
+            repeat.left -= 1
+            repeat.next_us += repeat.half_us
+            if repeat.left <= 0:
+                del self._repeats[index]
+        return PayloadState(t_us=t_us, pulses_us=tuple(self._pulses_us)) if self.outputs else None
+
+    # Inside
+
+    def _put(self, index: int, pulse_us: int) -> Answer:
+        self._repeats.pop(index, None)
+        self._pulses_us[index] = pulse_us
+        return _OK
+
+    def _repeat(self, index: int, pulses_us: tuple[int, int], count: int, cycle_s: float) -> Answer:
+        half_us = round(0.5e6 * cycle_s)
+        self._repeats[index] = _Repeat(pulses_us=pulses_us, left=2 * count, half_us=half_us, next_us=self._t_us)
+        return _OK
+
+    def _problem(self, index: int) -> str:
+        name = self.outputs[index].name
+        why = self._unwired.get(name)
+        return "" if why is None else f"{name}: {why}"
+
+    def _pulse_refusal(self, index: int, pulse_us: float) -> str:
+        output = self.outputs[index]
+        if math.isfinite(pulse_us) and output.min_us <= round(pulse_us) <= output.max_us:
+            return ""
+        return f"{output.name}: {pulse_us:g} us, use {output.min_us} to {output.max_us}"
+
+    def _end_us(self, index: int, *, high: bool) -> int:
+        output = self.outputs[index]
+        return output.max_us if high else output.min_us
+
+    def _share_us(self, index: int, share: float) -> int:
+        output = self.outputs[index]
+        return round(output.min_us + min(max(share, 0.0), 1.0) * (output.max_us - output.min_us))
+
+    def _share(self, index: int) -> float:
+        output = self.outputs[index]
+        return (self._pulses_us[index] - output.min_us) / (output.max_us - output.min_us)
+
+    def _is_on(self, index: int) -> bool:
+        output = self.outputs[index]
+        threshold = 0.5 if output.kind == "relay" else 0.0
+        return self._share(index) > threshold
+
+    def _of_channel(self, channel: int) -> int | None:
+        return _first(self.outputs, lambda output: output.channel == channel)
+
+    def _of_relay(self, number: int) -> int | None:
+        return _first(self.outputs, lambda output: output.relay == number)
+
+    def _of_gripper(self, number: int) -> int | None:
+        return _nth(self.outputs, max(number, 1), ("gripper",))
+
+    def _of_actuator(self, number: int) -> int | None:
+        return _nth(self.outputs, number, ("servo", "gripper", "light"))
+
+    def _known(self, key: str) -> str:
+        known = [str(value) for output in self.outputs if (value := getattr(output, key)) is not None]
+        return f"use {', '.join(known)}" if known else "the vehicle file has none"
+
+
+def _first(outputs: Sequence[PayloadTable], fits: Callable[[PayloadTable], bool]) -> int | None:
+    return next((index for index, output in enumerate(outputs) if fits(output)), None)
+
+
+def _nth(outputs: Sequence[PayloadTable], number: int, kinds: tuple[str, ...]) -> int | None:
+    found = [index for index, output in enumerate(outputs) if output.kind in kinds]
+    return found[number - 1] if 1 <= number <= len(found) else None
+
+
+def _cycle_refusal(count: int, cycle_s: float) -> str:
+    if not 1 <= count <= MAX_REPEATS:
+        return f"Repetition refused: {count} times, use 1 to {MAX_REPEATS}"
+    if not MIN_CYCLE_S <= cycle_s <= 3600.0:
+        return f"Repetition refused: cycle {cycle_s:g} s, use {MIN_CYCLE_S:g} to 3600"
+    return ""
+
+
+def _denied(reason: str) -> Answer:
+    return Answer(result=CommandResult.DENIED, reason=reason)

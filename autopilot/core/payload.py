@@ -1,0 +1,14 @@
+"""What a vehicle carries that is moved by pulses: the state that all of it is to have."""
+
+from dataclasses import dataclass
+
+MAX_PAYLOAD = 16
+"""Outputs that a vehicle file may have beside its thrusters."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PayloadState:
+    """What the outputs of ``[[payload]]`` get, in the order of the vehicle file."""
+
+    t_us: int
+    pulses_us: tuple[int, ...]

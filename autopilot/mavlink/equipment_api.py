@@ -1,0 +1,46 @@
+"""What the MAVLink server needs to move what a vehicle carries. Implemented by :mod:`autopilot.command.equipment`."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from autopilot.mavlink.api import Answer
+
+
+class EquipmentOrders(Protocol):
+    """Implemented by :mod:`autopilot.command.equipment`. Every order answers at once."""
+
+    def set_servo(self, channel: int, pulse_us: float) -> Answer:
+        """A pulse for an output."""
+        ...
+
+    def repeat_servo(self, channel: int, pulse_us: float, count: int, cycle_s: float) -> Answer:
+        """To a pulse and back, so many times."""
+        ...
+
+    def set_relay(self, number: int, *, on: bool) -> Answer:
+        """Switch."""
+        ...
+
+    def toggle_relay(self, number: int) -> Answer:
+        """Switch to the other side."""
+        ...
+
+    def repeat_relay(self, number: int, count: int, cycle_s: float) -> Answer:
+        """To the other side and back, so many times."""
+        ...
+
+    def grip(self, number: int, *, close: bool) -> Answer:
+        """Close a gripper, or open it."""
+        ...
+
+    def refuse_actuator(self, number: int) -> str:
+        """Why an actuator cannot be moved, "" when it can."""
+        ...
+
+    def set_actuators(self, values: Mapping[int, float]) -> Answer:
+        """Number -> -1 to 1. All or none."""
+        ...
+
+    def lights(self, change: float | None) -> Answer:
+        """All lights brighter or darker by a share; None = the other way round."""
+        ...

@@ -1,0 +1,41 @@
+"""What a simulated vehicle carries: each thing moves to its pulse at a speed of its own."""
+
+from collections.abc import Sequence
+
+from autopilot.core.vehicle import Vehicle
+
+SHARE_PER_S = {"servo": 4.0, "gripper": 0.5, "relay": 1e6, "light": 1e6}
+"""Of the whole way: a servo takes 0.25 s for it, a gripper 2 s; relays and lights need no time."""
+
+
+class SimPayload:
+    """Gripper, lights, relays and servos of ``[[payload]]``. They do not push the vehicle."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._outputs = vehicle.payload
+        self._wanted = [self._share(index, output.start_us) for index, output in enumerate(self._outputs)]
+        self._shares = list(self._wanted)
+        self._t_us = 0
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Where each is: 0 dark, off, closed; 1 bright, on, open."""
+        return tuple(self._shares)
+
+    def set(self, pulses_us: Sequence[int]) -> None:
+        """The pulses that they hear from now on; a relay hears one side or the other."""
+        for index, pulse_us in enumerate(pulses_us[: len(self._outputs)]):
+            share = self._share(index, pulse_us)
+            self._wanted[index] = float(share > 0.5) if self._outputs[index].kind == "relay" else share
+
+    def advance(self, t_us: int) -> None:
+        """Let time go on."""
+        passed_s, self._t_us = (t_us - self._t_us) * 1e-6, t_us
+        for index, output in enumerate(self._outputs):
+            step = SHARE_PER_S[output.kind] * passed_s
+            left = self._wanted[index] - self._shares[index]
+            self._shares[index] += min(max(left, -step), step)
+
+    def _share(self, index: int, pulse_us: int) -> float:
+        output = self._outputs[index]
+        return (min(max(pulse_us, output.min_us), output.max_us) - output.min_us) / (output.max_us - output.min_us)

@@ -1,0 +1,75 @@
+"""What a vehicle carries, moved by the drivers: spare channels of a PWM board, the flight controller below."""
+
+from pathlib import Path
+
+import msgspec
+from output_rigs import CLOCK_HZ
+from test_ardusub import Bench
+
+from autopilot.core.vehicle import load_vehicle
+from drivers.pca9685 import Pca9685, Pca9685Options
+from drivers.protocols import PayloadOutput
+from drivers.sabertooth import Sabertooth, SabertoothOptions
+from drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
+from sitl.i2c_bus import EmulatedI2c, Pca9685Chip
+
+
+def test_spare_channels_of_the_board_move_and_stay_when_thrusters_stop() -> None:
+    vehicle = load_vehicle("lbv150")
+    outputs = tuple(
+        msgspec.structs.replace(output, channel=channel)
+        for output, channel in zip(vehicle.payload, (9, 10, 17), strict=True)
+    )
+    bus, chip = EmulatedI2c(), Pca9685Chip(25e6, external_hz=CLOCK_HZ)
+    bus.chips[0x40] = chip
+    board = Pca9685(msgspec.structs.replace(vehicle, payload=outputs), Pca9685Options(), bus=bus)
+    assert isinstance(board, PayloadOutput)
+    assert set(board.unwired()) == {"accessory"}, "the board has 16 channels"
+    with board:
+        assert seen(chip) == [1500, 1500, 1500, 1500, 0, 0, 0, 0, 1100, 1900]
+        board.set_payload(0, (1700, 1100, 1900))
+        board.write(10_000, (1600, 1500, 1500, 1500))
+        assert seen(chip) == [1600, 1500, 1500, 1500, 0, 0, 0, 0, 1700, 1100]
+        assert board.check(2_000_000), "no commands: thrusters stand"
+        assert seen(chip) == [1500, 1500, 1500, 1500, 0, 0, 0, 0, 1700, 1100]
+
+
+def seen(chip: Pca9685Chip) -> list[int]:
+    """Pulses of the first ten channels, to 5 us."""
+    return [5 * round(pulse / 5) for pulse in chip.pulses_us[:10]]
+
+
+def test_outputs_without_a_channel_say_so(tmp_path: Path) -> None:
+    vehicle = load_vehicle("lbv150")
+    sabertooth = Sabertooth(vehicle, SabertoothOptions(port=str(tmp_path / "none")))
+    assert set(sabertooth.unwired()) == {"lights", "grabber", "accessory"}
+    chip = SysfsPwm(vehicle, SysfsPwmOptions(outputs={"lights": 5}), kept=False)
+    assert set(chip.unwired()) == {"grabber", "accessory"}
+
+
+def test_ardusub_is_asked_until_it_acknowledges_and_a_refusal_is_told() -> None:
+    bench = Bench()
+    try:
+        bench.run(1.0)
+        wanted = [1100, 1900, 1100]
+        for _ in range(50):
+            bench.driver.set_payload(bench.t_us, wanted)
+            bench.tick()
+        assert bench.below.spare_us == {} and bench.below.relays == {}, "nothing was changed"
+        wanted = [1500, 1100, 1900]
+        for _ in range(200):
+            bench.driver.set_payload(bench.t_us, wanted)
+            bench.tick()
+        assert bench.below.spare_us == {9: 1500, 10: 1100}
+        assert bench.below.relays == {0: True}
+        bench.below.mute = True  # the cable is off: what is asked for meanwhile comes later
+        for _ in range(300):
+            bench.driver.set_payload(bench.t_us, [1600, 1100, 1900])
+            bench.tick()
+        bench.below.mute = False
+        for _ in range(300):
+            bench.driver.set_payload(bench.t_us, [1600, 1100, 1900])
+            bench.tick()
+        assert bench.below.spare_us[9] == 1600
+    finally:
+        bench.close()
