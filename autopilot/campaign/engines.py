@@ -1,21 +1,36 @@
 """Who flies the runs: this process, a pool of processes on this machine, or a Dask cluster."""
 
+import asyncio
 import concurrent.futures as cf
 import gc
+import logging
 import multiprocessing
 import os
 import signal
 import threading
+import time
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.synchronize import Event
 from typing import Any, Protocol, TypeVar
 
-from autopilot import THREAD_VARIABLES
+from autopilot import THREAD_VARIABLES, __version__
 from autopilot.core.errors import AutopilotError, ConfigError
 
 LOOK_S = 0.2
 """How often a waiting engine looks whether it is to stop."""
+SUSPECT = 2
+"""Deaths of processes during a run after which it is flown alone."""
+AHEAD = 2
+"""Runs per thread of a cluster that are handed out at a time: a worker that dies takes few with it."""
+CONNECT_S = 10.0
+FIRST_WORKER_S = 30.0
+NOBODY_S = 300.0
+"""How long a cluster may be without any worker before the campaign ends."""
+CHATTY = ("distributed", "tornado", "tornado.application", "asyncio")
+"""Loggers of a cluster's client."""
+DIED = "the process that flew it died each time (out of memory?)"
 
 Stop = Callable[[], bool]
 
@@ -77,9 +92,28 @@ class LocalPool:
         self._jobs = jobs
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """See :class:`Engine`. AutopilotError if a process dies."""
-        if not tasks:
-            return
+        """See :class:`Engine`. A process that dies takes no run with it but one that kills its process again when it
+        is flown alone; that one has failed."""
+        left = dict(enumerate(tasks))
+        deaths: Counter[int] = Counter()
+        while left and not stop():
+            suspects = [key for key in left if deaths[key] >= SUSPECT]
+            trusted = [key for key in left if deaths[key] < SUSPECT]
+            # Whoever was under way when a process died more than once is flown alone, after all others.
+            batch = trusted or suspects[:1]
+            broken: list[int] = []
+            for key, result in self._batch({key: left[key] for key in batch}, stop, broken):
+                del left[key]
+                if result is not None:
+                    yield result
+            deaths.update(broken)
+            if broken and not trusted:
+                yield left.pop(broken[0]).failed(DIED)
+
+    def _batch(
+        self, tasks: dict[int, Flyable[Result]], stop: Stop, broken: list[int]
+    ) -> Iterator[tuple[int, Result | None]]:
+        """Results until all are there, or a process dies: ``broken`` are the runs that were under way then."""
         context = multiprocessing.get_context("spawn")
         halt = context.Event()
         with (
@@ -88,30 +122,35 @@ class LocalPool:
                 min(self._jobs, len(tasks)), mp_context=context, initializer=_begin_worker, initargs=(halt,)
             ) as pool,
         ):
-            with _deaf_to_interrupt():
-                pending = {pool.submit(_fly_in_worker, task): task for task in tasks}
+            under_way: set[int] = set()
             try:
+                with _deaf_to_interrupt():
+                    pending = {pool.submit(_fly_in_worker, task): key for key, task in tasks.items()}
                 while pending and not stop():
+                    under_way = {key for future, key in pending.items() if future.running()} or under_way
                     done, _ = cf.wait(pending, LOOK_S, cf.FIRST_COMPLETED)
                     for future in done:
-                        result = _outcome(future, pending.pop(future))
-                        if result is not None:
-                            yield result
+                        key = pending[future]
+                        error = future.exception()
+                        if isinstance(error, cf.process.BrokenProcessPool):
+                            continue
+                        del pending[future]
+                        under_way.discard(key)
+                        yield key, future.result() if error is None else tasks[key].failed(_what(error))
+                    if any(future in pending for future in done):
+                        # All that is left has the same error; the dead one was among those under way.
+                        broken += [key for key in pending.values() if key in under_way] or list(pending.values())[:1]
+                        return
+            except cf.process.BrokenProcessPool:
+                broken += sorted(under_way) or list(tasks)[:1]
             finally:
                 halt.set()
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _outcome(future: "cf.Future[Result | None]", task: Flyable[Result]) -> Result | None:
-    """The result; a run that raised is a failed one; a process that died is nobody's result."""
-    error = future.exception()
-    if isinstance(error, cf.process.BrokenProcessPool):
-        raise AutopilotError(
-            "a worker process died (out of memory?); finished runs are kept, start again with fewer --jobs"
-        ) from error
-    if error is not None:
-        return task.failed(f"{type(error).__name__}: {error}")
-    return future.result()
+def _what(error: BaseException) -> str:
+    """An error of a run in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 _halt: Event | None = None
@@ -177,29 +216,117 @@ class DaskCluster:
         self._jobs = jobs
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
-        """See :class:`Engine`. ConfigError if the scheduler does not answer."""
-        with self._client() as client:
-            pending = {client.submit(_fly_in_worker, task, pure=False): task for task in tasks}
-            while pending and not stop():
+        """See :class:`Engine`. A worker that dies is replaced by the others: Dask sends its runs again, up to its
+        setting ``distributed.scheduler.allowed-failures`` (3) times, then the run has failed.
+
+        ConfigError if the scheduler does not answer, nobody works for it or a worker has another version;
+        AutopilotError if the scheduler goes meanwhile.
+        """
+        if not tasks:
+            return
+        with self._quiet(), self._client() as client:
+            self._see_workers(client)
+            waiting = deque(tasks)
+            pending: dict[Any, Flyable[Result]] = {}
+            missed_s: float | None = None
+            while (waiting or pending) and not stop():
                 try:
-                    finished = self._distributed.wait(list(pending), timeout=LOOK_S, return_when="FIRST_COMPLETED").done
-                except TimeoutError:
-                    continue
-                for future in finished:
-                    task = pending.pop(future)
-                    error = future.exception()
-                    if error is not None:
-                        yield task.failed(f"{type(error).__name__}: {error}")
-                    else:
-                        result: Result | None = future.result()
+                    threads = sum(client.nthreads().values())
+                    while waiting and len(pending) < AHEAD * max(1, threads):
+                        task = waiting.popleft()
+                        pending[client.submit(_fly_in_worker, task, pure=False)] = task
+                    finished = self._finished(pending)
+                    for future in finished:
+                        result = self._outcome(future, pending[future])
+                        del pending[future]
                         if result is not None:
                             yield result
+                except (OSError, TimeoutError, cf.CancelledError, asyncio.CancelledError) as error:
+                    raise AutopilotError(self._gone("does not answer any more")) from error
+                if client.status != "running":
+                    raise AutopilotError(self._gone("does not answer any more"))
+                now_s = time.monotonic()
+                missed_s = None if threads else now_s if missed_s is None else missed_s
+                if missed_s is not None and now_s - missed_s > NOBODY_S:
+                    raise AutopilotError(self._gone(f"has had no worker for {NOBODY_S:g} s"))
             client.cancel(list(pending))
+
+    def _finished(self, pending: "dict[Any, Flyable[Result]]") -> list[Any]:
+        try:
+            done: set[Any] = self._distributed.wait(list(pending), timeout=LOOK_S, return_when="FIRST_COMPLETED").done
+        except TimeoutError:
+            return []
+        return list(done)
+
+    def _outcome(self, future: Any, task: Flyable[Result]) -> Result | None:
+        if future.status in ("cancelled", "lost"):
+            raise cf.CancelledError
+        error = future.exception()
+        if isinstance(error, self._distributed.KilledWorker):
+            return task.failed(DIED)
+        if error is not None:
+            return task.failed(_what(error))
+        result: Result | None = future.result()
+        return result
+
+    def _gone(self, what: str) -> str:
+        return (
+            f"--engine dask: the scheduler{f' at {self._address}' if self._address else ''} {what};"
+            " finished runs are kept, the same command goes on"
+        )
+
+    def _see_workers(self, client: Any) -> None:
+        """ConfigError if nobody works there, or with another version of this package."""
+        try:
+            client.wait_for_workers(1, timeout=FIRST_WORKER_S)
+        except TimeoutError as error:
+            raise ConfigError(
+                f"--engine dask+{self._address}: no worker is there after {FIRST_WORKER_S:g} s;"
+                f" start some: dask worker {self._address} --nthreads 1"
+            ) from error
+        try:
+            versions: dict[str, str] = client.run(_version)
+        except ImportError as error:
+            raise ConfigError(
+                f"--engine dask+{self._address}: a worker cannot import this package ({error}); install it there"
+            ) from error
+        for worker, version in versions.items():
+            if version != __version__:
+                raise ConfigError(
+                    f"--engine dask+{self._address}: worker {worker} has version {version}, this is {__version__};"
+                    " install the same there"
+                )
+
+    @contextmanager
+    def _quiet(self) -> Iterator[None]:
+        """What the cluster says of lost workers is said by the engine."""
+        before = {name: logging.getLogger(name).level for name in CHATTY}
+        for name in before:
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+        try:
+            yield
+        finally:
+            for name, level in before.items():
+                logging.getLogger(name).setLevel(level)
 
     def _client(self) -> Any:
         if self._address is None:
-            return self._distributed.Client(n_workers=self._jobs, threads_per_worker=1, dashboard_address=None)
+            return self._distributed.Client(
+                n_workers=self._jobs,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
         try:
-            return self._distributed.Client(self._address, timeout="10s")
-        except OSError as error:
-            raise ConfigError(f"--engine dask+{self._address}: no scheduler answers; check the address") from error
+            return self._distributed.Client(self._address, timeout=f"{CONNECT_S:g}s")
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                f"--engine dask+{self._address}: no scheduler answers ({' '.join(str(error).split())});"
+                " start it with dask scheduler, or check the address"
+            ) from error
+
+
+def _version() -> str:
+    """Of this package, where it runs."""
+    return __version__

@@ -1,4 +1,4 @@
-"""Figures of a campaign: histograms of margins and of energy."""
+"""Figures of a campaign: histograms of margins and of energy, and where in what was drawn the failures lie."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from autopilot.campaign.results import RunResult
+from autopilot.core.frames import FloatArray
 from autopilot.log.figure_parts import BOUND, STYLE, legend_above
 
 BINS = 40
@@ -25,11 +26,15 @@ SHOWN = (
 
 
 def write_figures(results: Sequence[RunResult], title: str, folder: Path) -> list[Path]:
-    """``margins.png`` and ``energy.png`` in ``folder``; nothing is written of what no run has."""
+    """``margins.png``, ``energy.png`` and ``failures.png`` in ``folder``; nothing is written of what no run has."""
     flown = [result for result in results if result.error is None]
     written = []
     with mpl.rc_context(STYLE):
-        for name, figure in (("margins", _margins(flown, title)), ("energy", _energy(flown, title))):
+        for name, figure in (
+            ("margins", _margins(flown, title)),
+            ("energy", _energy(flown, title)),
+            ("failures", _failure_map(results, title)),
+        ):
             if figure is not None:
                 path = folder / f"{name}.png"
                 figure.savefig(path, dpi=150)
@@ -69,6 +74,61 @@ def _energy(flown: Sequence[RunResult], title: str) -> Figure | None:
     legend_above(ax)
     figure.suptitle(f"{title}: {len(laps)} laps of {len(flown)} runs")
     return figure
+
+
+def _failure_map(results: Sequence[RunResult], title: str) -> Figure | None:
+    """Least clearance of every run over each number that was drawn, failed runs in red; what matters most first.
+
+    A run that was not flown to its end has no clearance: it stands on the lower edge."""
+    keys = [
+        key
+        for key in dict.fromkeys(key for result in results for key in result.drawn)
+        if len({result.drawn.get(key) for result in results}) > 1
+        and all(isinstance(result.drawn.get(key), float | int) for result in results)
+    ]
+    if not keys:
+        return None
+    clearance = np.array([_clearance_mm(result) for result in results])
+    failed = np.array([result.failed for result in results])
+    lowest = float(np.nanmin(clearance)) if np.isfinite(clearance).any() else 0.0
+    shown = np.where(np.isnan(clearance), min(lowest, 0.0) - 5.0, clearance)
+    drawn = {key: np.array([float(result.drawn[key]) for result in results]) for key in keys}
+    ranked = sorted(keys, key=lambda key: -abs(_rank_correlation(drawn[key], shown)))[:PANELS]
+    columns = min(3, len(ranked))
+    rows = -(-len(ranked) // columns)
+    figure = Figure(figsize=(7.0, 0.6 + 1.9 * rows))
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for ax in panels.flat[len(ranked) :]:
+        ax.set_visible(False)
+    for ax, key in zip(panels.flat, ranked, strict=False):
+        ax.plot(drawn[key][~failed], shown[~failed], ".", color="#1f77b4", markersize=3.0)
+        ax.plot(drawn[key][failed], shown[failed], "x", color="red", markersize=5.0)
+        ax.axhline(0.0, **BOUND)
+        ax.set_xlabel(f"{key.removeprefix('vehicle.')} (rank correlation {_rank_correlation(drawn[key], shown):+.2f})")
+        ax.xaxis.label.set_size(6.0)
+    for ax in panels[:, 0]:
+        ax.set_ylabel("least clearance [mm]")
+    figure.suptitle(f"{title}: {int(failed.sum())} of {len(results)} runs failed (x)")
+    return figure
+
+
+PANELS = 12
+"""Of the failure map: numbers that were drawn."""
+SPEEDS = ("planar speed", "heave", "yaw rate", "thrust")
+"""Margins that are no distances."""
+
+
+def _clearance_mm(result: RunResult) -> float:
+    """Least distance that a run kept beyond a bound, not a number if it was not flown."""
+    return min((1000.0 * m.margin for name, m in result.margins.items() if name not in SPEEDS), default=float("nan"))
+
+
+def _rank_correlation(one: FloatArray, other: FloatArray) -> float:
+    """Spearman's, without regard to ties; 0 if one of them does not vary."""
+    ranks = [np.argsort(np.argsort(values)).astype(float) for values in (one, other)]
+    if len(one) < 3 or np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
+        return 0.0
+    return float(np.corrcoef(ranks[0], ranks[1])[0, 1])
 
 
 def _histogram(ax: Axes, values: Sequence[float], span: tuple[float, float], label: str) -> None:

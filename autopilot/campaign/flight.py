@@ -1,4 +1,4 @@
-"""Fly one run: the whole service on the drawn scenario, without log and sockets, judged on the truth."""
+"""Fly one run: the whole service on the drawn scenario, without sockets and mostly without log, judged on the truth."""
 
 import tempfile
 import time
@@ -14,8 +14,10 @@ from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_session import open_sitl
 
 
-def fly(task: Task, stop: Callable[[], bool] = lambda: False) -> RunResult | None:
-    """The result, None if ``stop`` said so before the end. AutopilotError if it cannot be flown."""
+def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | None = None) -> RunResult | None:
+    """The result, None if ``stop`` said so before the end; ``log``: file that the run is recorded in.
+
+    AutopilotError if it cannot be flown."""
     cpu_s = time.process_time()
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
         watches: list[Watch] = []
@@ -23,7 +25,10 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False) -> RunResult | Non
         def each_tick(outputs: Outputs) -> None:
             watches[0].tick(outputs)
 
-        session = open_sitl(_settings(task, Path(folder)), task.params, log=False, on_tick=each_tick)
+        settings = _settings(task, Path(folder))
+        if log is not None:
+            settings.put("log", str(log), "campaign")
+        session = open_sitl(settings, task.params, log=log is not None, on_tick=each_tick)
         watch = Watch(lambda: session.device.truth)
         watches.append(watch)
         stopped = False

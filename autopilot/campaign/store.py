@@ -5,7 +5,9 @@
 line that a crash cut off is dropped. Folders of shards are put together by copying their ``runs-*.jsonl`` into one.
 """
 
+import errno
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -18,6 +20,7 @@ from autopilot.core.errors import ConfigError, LogError
 from autopilot.log.lock import lock_exclusive
 
 IDENTITY = "campaign.json"
+GO_ON = "finished runs are kept; make room, and the same command goes on"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +78,30 @@ class Store:
         return read_results(self._folder)
 
     def begin(self, task: Task) -> None:
-        """Write down what a run flies, before it does."""
+        """Write down what a run flies, before it does. LogError if the disk does not take it."""
         path = scenario_file(self._folder, task.run)
-        path.write_text(task.scenario_toml, encoding="utf-8")
+        try:
+            path.write_text(task.scenario_toml, encoding="utf-8")
+        except OSError as error:
+            raise LogError(f"{path}: cannot be written ({error.strerror}); {GO_ON}") from error
 
     def append(self, result: RunResult) -> None:
-        """Keep a finished run: one write, then on disk."""
-        os.write(self._file.fileno(), msgspec.json.encode(result) + b"\n")
-        os.fsync(self._file.fileno())
+        """Keep a finished run: one write, then on disk. LogError if the disk does not take it."""
+        append_line(self._file, msgspec.json.encode(result) + b"\n", f"run {result.run}")
+
+
+def append_line(file: IO[bytes], line: bytes, what: str) -> None:
+    """The whole line at the end of the file and on disk, or nothing of it. LogError names ``what`` is not kept."""
+    number = file.fileno()
+    end = os.fstat(number).st_size
+    try:
+        if os.write(number, line) < len(line):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        os.fsync(number)
+    except OSError as error:
+        with suppress(OSError):
+            os.ftruncate(number, end)
+        raise LogError(f"{file.name}: {what} cannot be written ({error.strerror}); {GO_ON}") from error
 
 
 def scenario_file(folder: Path, run: int) -> Path:

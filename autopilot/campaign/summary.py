@@ -79,6 +79,16 @@ def failure_bound(failures: int, runs: int) -> float:
     return float(beta.ppf(CONFIDENCE, failures + 1, runs - failures))
 
 
+def failure_interval(failures: int, runs: int) -> tuple[float, float]:
+    """Failure rates between which the true one lies with 95 % confidence (Clopper and Pearson 1934, two-sided)."""
+    from scipy.stats import beta
+
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low = 0.0 if failures == 0 else float(beta.ppf(tail, failures, runs - failures + 1))
+    high = 1.0 if failures >= runs else float(beta.ppf(1.0 - tail, failures + 1, runs - failures))
+    return low, high
+
+
 def summarise(results: Sequence[RunResult], asked: int) -> Summary:
     """All figures of the finished runs."""
     flown = [result for result in results if result.error is None]
@@ -113,8 +123,10 @@ def _bars(results: Sequence[RunResult], flown: Sequence[RunResult]) -> list[Bar]
     bars += _smooth(flown)
     failures = sum(result.failed for result in results)
     if count:
-        bound = failure_bound(failures, count)
-        note = f"{failures} failed of {count}, 95 % confidence"
+        bound, (low, high) = failure_bound(failures, count), failure_interval(failures, count)
+        note = (
+            f"{failures} failed of {count} = {failures / count:.2%}; 95 % confidence; between {low:.2%} and {high:.2%}"
+        )
         bars.append(Bar(name="failure rate", bar="", value=f"<= {bound:.2%}", held=None, note=note))
     return bars
 

@@ -13,6 +13,7 @@ import numpy as np
 from autopilot.campaign.definition import Identity
 from autopilot.campaign.results import RunResult
 from autopilot.campaign.store import read_identity, read_results
+from autopilot.campaign.summary import failure_interval
 from autopilot.core.params import ParamSet
 
 CONFIDENCE = 0.95
@@ -103,12 +104,7 @@ class Pairing:
 
 def share(hits: int, count: int) -> Share:
     """With the two-sided interval at CONFIDENCE; all of 0 to 1 without runs."""
-    from scipy.stats import beta
-
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, count - hits + 1))
-    high = 1.0 if hits == count else float(beta.ppf(1.0 - tail, hits + 1, count - hits))
-    return Share(hits, count, low, high)
+    return Share(hits, count, *failure_interval(hits, count))
 
 
 def middle(values: Sequence[float]) -> Middle:

@@ -97,7 +97,10 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
 @click.option("--estimator", callback=part_name, help="Default: the scenario's, else ekf.")
 @click.option("--sensors", type=click.Choice(SENSORS), help="Default: the scenario's.")
 @click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable.")
-@click.option("--figures/--no-figures", default=True, show_default=True, help="Histograms in the folder.")
+@click.option("--figures/--no-figures", default=True, show_default=True, help="Figures in the folder.")
+@click.option(
+    "--logs", type=click.IntRange(min=0), default=3, show_default=True, help="Fly the N worst runs again with a log."
+)
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def fly(
     scenario: str,
@@ -113,12 +116,14 @@ def fly(
     sensors: str | None,
     param: tuple[str, ...],
     figures: bool,
+    logs: int,
     as_json: bool,
 ) -> None:
     """Fly SCENARIO (a shipped name or a TOML file) RUNS times, each with another seed and other values of its [spread].
 
     Every run is the whole service on the simulated vehicle, judged on the plant's truth at 100 Hz. Finished runs are
-    kept in OUT, one line each; the same command goes on where it was stopped. Exit code 1 if a bar is broken.
+    kept in OUT, one line each; the same command goes on where it was stopped. At the end there are runs.csv (and
+    runs.parquet where pyarrow is installed), figures, and logs of the worst runs. Exit code 1 if a bar is broken.
 
     The word fly may be left out. "autopilot campaign table DIR..." puts campaigns side by side.
     """
@@ -142,12 +147,14 @@ def fly(
     if stopped:
         click.echo(f"{name}: {len(results)} of {runs} runs are kept in {out}; the same command goes on", err=True)
         raise click.Abort
-    summary = summarise(list(results.values()), runs)
-    written = _write_figures(list(results.values()), name, out) if figures else []
+    flown = list(results.values())
+    summary = summarise(flown, runs)
+    written, logged = _keep(flown, defined, out, figures=figures, logs=logs)
     if as_json:
-        emit_json({"passed": summary.passed, "scenario": name, **_plain(summary), "figures": [str(p) for p in written]})
+        places = {"files": [str(path) for path in written], "logs": {str(run): str(p) for run, p in logged.items()}}
+        emit_json({"passed": summary.passed, "scenario": name, **_plain(summary), **places})
     else:
-        _print(summary, name, out)
+        _print(summary, name, out, logged)
         click.echo(f"{name}: {'no bar is broken' if summary.passed else 'A BAR IS BROKEN'}; runs in {out}")
     if not summary.passed:
         raise click.exceptions.Exit(1)
@@ -195,10 +202,33 @@ def stoppable() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _write_figures(results: list[RunResult], title: str, out: Path) -> list[Path]:
-    from autopilot.campaign.figures import write_figures
+def _keep(
+    results: list[RunResult], defined: Any, out: Path, *, figures: bool, logs: int
+) -> tuple[list[Path], dict[int, Path]]:
+    """Tables, figures and logs of the worst runs in the folder. LogError if the disk does not take them."""
+    from autopilot.campaign.store import GO_ON
+    from autopilot.campaign.tabular import write_tables
+    from autopilot.campaign.worst import logs_of
+    from autopilot.core.errors import LogError
 
-    return write_figures(results, title, out)
+    try:
+        written = write_tables(results, out)
+        if figures:
+            from autopilot.campaign.figures import write_figures
+
+            written += write_figures(results, defined.scenario.scenario.name, out)
+        with stoppable() as stop:
+            found = logs_of(
+                results,
+                logs,
+                out,
+                defined.task,
+                lambda: bool(stop),
+                lambda text: click.echo(f"warning: {text}", err=True),
+            )
+    except OSError as error:
+        raise LogError(f"{out}: cannot be written ({error.strerror}); {GO_ON}") from error
+    return written, found
 
 
 def _plain(summary: Summary) -> dict[str, Any]:
@@ -219,7 +249,7 @@ def _plain(summary: Summary) -> dict[str, Any]:
     }
 
 
-def _print(summary: Summary, name: str, out: Path) -> None:
+def _print(summary: Summary, name: str, out: Path, logs: Mapping[int, Path]) -> None:
     from autopilot.campaign.store import scenario_file
     from autopilot.campaign.summary import PERCENTILES
 
@@ -242,10 +272,21 @@ def _print(summary: Summary, name: str, out: Path) -> None:
     )
     listed = [(result, "failed") for result in summary.failed] + [(result, "") for result in summary.shy]
     if listed:
-        rows = [(r.run, r.seed, verdict, _what(r), scenario_file(out, r.run).name) for r, verdict in listed]
-        print_table(
-            "runs to look at (autopilot sitl FILE --speed 0 --start)", ("run", "seed", "", "what", "file"), rows
-        )
+        rows = [
+            (
+                r.run,
+                r.seed,
+                verdict,
+                _what(r),
+                scenario_file(out, r.run).name,
+                logs[r.run].name if r.run in logs else "",
+            )
+            for r, verdict in listed
+        ]
+        heads = ("run", "seed", "", "what", "file", "log")
+        print_table("runs to look at (autopilot sitl FILE --speed 0 --start)", heads, rows)
+    if logs:
+        click.echo(f"logs of the worst runs: {', '.join(str(path) for path in logs.values())}")
 
 
 def _what(result: RunResult) -> str:

@@ -1,5 +1,6 @@
 """Campaigns: kept, resumed, sharded, refused when changed, summed up."""
 
+import csv
 import json
 import os
 import signal
@@ -20,12 +21,14 @@ from autopilot.campaign.figures import write_figures
 from autopilot.campaign.flight import fly
 from autopilot.campaign.results import Margin, RunResult, Task
 from autopilot.campaign.store import Shard, Store, read_results, scenario_file
-from autopilot.campaign.summary import failure_bound, summarise
+from autopilot.campaign.summary import failure_bound, failure_interval, summarise
+from autopilot.campaign.tabular import write_tables
+from autopilot.campaign.worst import logs_of, worst_first
 from autopilot.cli.main import cli, run
 from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.log.check import acceptance_table
 from autopilot.log.reader import open_log
-from autopilot.run.children import autopilot_command
+from autopilot.run.children import autopilot_command, python_command
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
 from sitl.scenario import scenario_path
@@ -47,7 +50,8 @@ def scenario_in(folder: Path, spread: str = SPREAD, name: str = "short.toml") ->
 
 def campaign(out: Path, scenario: str, *arguments: str, runs: int = 2) -> tuple[int, Any]:
     """Exit code and what --json printed."""
-    command = ["campaign", scenario, "--runs", str(runs), "--out", str(out), "--json", "--jobs", "1", *arguments]
+    command = ["campaign", scenario, "--runs", str(runs), "--out", str(out), "--json", "--jobs", "1", "--logs", "0"]
+    command += arguments
     printed: list[str] = []
     runner = CliRunner()
 
@@ -233,11 +237,118 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest
     assert "out" in capsys.readouterr().err
 
 
+def test_a_disk_that_is_full_ends_it_in_words_and_keeps_what_was_flown(tmp_path: Path) -> None:
+    """A file may not grow beyond a limit: the system then writes half of a line and refuses the rest, as a full disk
+    does. The half line is taken back; with room again the same command goes on."""
+    scenario, out = scenario_in(tmp_path / "in"), tmp_path / "out"
+    assert campaign(out, scenario, "--no-figures", runs=1)[0] == 1
+    kept = (out / "runs.jsonl").read_bytes()
+    code = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({len(kept) + 300}, resource.RLIM_INFINITY));"
+        "from autopilot.cli.main import main; main()"
+    )
+    command = [*python_command(code), "campaign", scenario, "--runs", "2", "--out", str(out), "--jobs", "1"]
+    done = subprocess.run([*command, "--no-figures", "--logs", "0"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "run 1 cannot be written" in done.stderr and "finished runs are kept; make room" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert (out / "runs.jsonl").read_bytes() == kept
+    assert campaign(out, scenario, "--no-figures")[1]["finished"] == 2
+
+
+def test_the_table_of_runs_can_be_read_back(flown: tuple[Path, str, Any]) -> None:
+    out, _, printed = flown
+    with (out / "runs.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    results = read_results(out)
+    assert [int(row["run"]) for row in rows] == [0, 1]
+    for row, result in zip(rows, results.values(), strict=True):
+        assert float(row["drawn.vehicle.mismatch.drag"]) == result.drawn["vehicle.mismatch.drag"]
+        assert float(row["margin.cylinder_1"]) == result.margins["cylinder 1"].margin
+        assert row["failed"] == "True"
+    assert str(out / "runs.csv") in printed["files"]
+
+
+def test_parquet_where_pyarrow_is(tmp_path: Path) -> None:
+    parquet: Any = pytest.importorskip("pyarrow.parquet")
+    runs = [made_up(0), made_up(1, error="no"), msgspec.structs.replace(made_up(2), drawn={"a": 1.0, "b": "x"})]
+    assert [path.name for path in write_tables(runs, tmp_path)] == ["runs.csv", "runs.parquet"]
+    table = parquet.read_table(tmp_path / "runs.parquet").to_pylist()
+    assert [row["run"] for row in table] == [0, 1, 2]
+    assert (table[2]["drawn.a"], table[2]["drawn.b"], table[0]["drawn.b"]) == (1.0, "x", None)
+    assert table[1]["error"] == "no" and table[1]["failed"] is True
+
+
+def test_the_worst_runs_have_logs_of_the_same_run(flown: tuple[Path, str, Any]) -> None:
+    out, scenario, _ = flown
+    defined, results = define(scenario), list(read_results(out).values())
+    said: list[str] = []
+    logs = logs_of(results, 1, out, defined.task, lambda: False, said.append)
+    assert said == [], "it flies as it did without a log"
+    (run,) = logs
+    assert run == worst_first(results)[0].run
+    rows = {row.name: row for row in acceptance_table(open_log(logs[run]))}
+    worst = rows["distance to cylinder 1"].worst
+    assert worst is not None
+    assert worst - 0.46 == pytest.approx(results[run].margins["cylinder 1"].margin, abs=2e-3)
+
+
+def test_the_worst_come_first() -> None:
+    runs = [made_up(0, 0.02), made_up(1, 0.01), made_up(2, 0.5, contacts=1), made_up(3, error="no")]
+    assert [result.run for result in worst_first(runs)] == [2, 1, 0]
+
+
+class Deadly:
+    """A run that kills its process every time, or does no harm."""
+
+    def __init__(self, number: int, deadly: bool) -> None:
+        self.number, self.deadly = number, deadly
+
+    def fly(self, stop: Any) -> str:
+        if self.deadly:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return f"run {self.number}"
+
+    def failed(self, error: str) -> str:
+        return f"run {self.number} failed: {error}"
+
+
+@pytest.mark.parametrize("deadly", [(), (1,), (0, 4), (0, 1, 2, 3, 4)])
+def test_a_process_that_dies_takes_no_other_run_with_it(deadly: tuple[int, ...]) -> None:
+    runs = [Deadly(number, number in deadly) for number in range(5)]
+    found = sorted(LocalPool(2).run(runs, lambda: False))
+    died = "failed: the process that flew it died each time (out of memory?)"
+    assert found == [f"run {number} {died}" if number in deadly else f"run {number}" for number in range(5)]
+
+
 def test_a_plan_that_is_none_is_refused_before_anything_is_flown(tmp_path: Path) -> None:
     scenario = scenario_in(tmp_path)
     (tmp_path / "paper.plan").write_text("{}")
     with pytest.raises(PlanError):
         define(scenario)
+
+
+@pytest.mark.parametrize(
+    ("spread", "message"),
+    [
+        ('"vehicle.mismatch.drag" = { low = 1.2, high = 0.8 }', "`high` = 0.8 is below `low` = 1.2"),
+        ('"vehicle.mismatch.drag" = { low = 0.8 }', "give `low` and `high`, or `choice`"),
+        ('"vehicle.mismatch.drag" = { low = 0.8, hihg = 1.2 }', "did you mean high? use one of low, high, choice"),
+        ('"vehicle.mismatch.drag" = { choice = [] }', "spread"),
+        ('"vehicle.mismatch.drag" = { low = nan, high = 1.0 }', "is not a finite number"),
+        ('"vehicle.mismatch.mass" = { low = -0.5, high = 1.0 }', '$.spread."vehicle.mismatch.mass"` = -0.5'),
+        ('"current.kind" = { choice = ["jet", "rapids"] }', "'rapids'"),
+        ('"obstacle[7].radius_m" = { low = 0.1, high = 0.2 }', "there is no element [7] in the file"),
+    ],
+)
+def test_an_impossible_distribution_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], spread: str, message: str
+) -> None:
+    assert campaign(tmp_path / "out", scenario_in(tmp_path, f"[spread]\n{spread}\n"))[0] == 1
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_bad_spread_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -393,6 +504,16 @@ def test_the_tube_bar_is_judged_when_a_tube_was_announced() -> None:
     assert summarise([loose], 1).passed
 
 
+def test_the_interval_of_the_failure_rate_covers_what_it_says() -> None:
+    """Of campaigns of 40 runs with a true rate of 10 %, at least 95 % have it in their interval."""
+    rng = np.random.default_rng(2)
+    counts = np.bincount(rng.binomial(40, 0.1, 20_000), minlength=41)
+    inside = [low <= 0.1 <= high for low, high in (failure_interval(k, 40) for k in range(41))]
+    assert 0.95 <= counts[inside].sum() / counts.sum() < 1.0
+    assert failure_interval(0, 300) == pytest.approx((0.0, 0.0122), abs=1e-4)
+    assert failure_interval(0, 0) == (0.0, 1.0) == failure_interval(0, 0)
+
+
 def test_failure_rates_that_a_result_still_allows() -> None:
     assert failure_bound(0, 300) == pytest.approx(3.0 / 300.0, rel=0.01)
     assert failure_bound(3, 3) == 1.0
@@ -405,6 +526,9 @@ def test_failure_rates_that_a_result_still_allows() -> None:
 def test_figures_of_made_up_runs(tmp_path: Path) -> None:
     runs = [made_up(run, 0.001 * run - 0.005) for run in range(30)]
     assert {path.name for path in write_figures(runs, "made up", tmp_path)} == {"margins.png", "energy.png"}
+    drawn = [msgspec.structs.replace(run, drawn={"vehicle.mismatch.drag": 0.9 + 0.01 * run.run}) for run in runs]
+    drawn.append(msgspec.structs.replace(made_up(30, error="no"), drawn={"vehicle.mismatch.drag": 1.3}))
+    assert "failures.png" in {path.name for path in write_figures(drawn, "made up", tmp_path)}
     assert write_figures([], "none", tmp_path) == []
 
 

@@ -4,7 +4,6 @@
 ``room-0017-energy/`` holds what a room that was flown alone leaves: scenario, plan, vehicle, log and picture.
 """
 
-import os
 from pathlib import Path
 from typing import IO
 
@@ -13,7 +12,7 @@ import msgspec
 from autopilot import __version__
 from autopilot.campaign.rooms.results import RoomResult
 from autopilot.campaign.rooms.room import files_of, make_room
-from autopilot.campaign.store import drop_cut_line, settle_identity
+from autopilot.campaign.store import append_line, drop_cut_line, settle_identity
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.log.lock import lock_exclusive
 from autopilot.run.provenance import revision
@@ -67,9 +66,8 @@ class RoomStore:
         return read_flights(self._folder)
 
     def append(self, result: RoomResult) -> None:
-        """Keep a finished flight: one write, then on disk."""
-        os.write(self._file.fileno(), msgspec.json.encode(result) + b"\n")
-        os.fsync(self._file.fileno())
+        """Keep a finished flight: one write, then on disk. LogError if the disk does not take it."""
+        append_line(self._file, msgspec.json.encode(result) + b"\n", f"room {result.room}")
 
 
 def read_flights(folder: Path) -> dict[tuple[int, int], RoomResult]:

@@ -1,0 +1,77 @@
+"""All runs of a campaign as one table that anything reads: ``runs.csv``, and ``runs.parquet`` where pyarrow is."""
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from autopilot.campaign.results import RunResult
+
+Cell = float | int | bool | str | None
+
+
+def rows_of(results: Sequence[RunResult]) -> list[dict[str, Cell]]:
+    """One flat row per run: what was drawn, what came of it, and each bound's margin, SI."""
+    rows: list[dict[str, Cell]] = []
+    for result in results:
+        laps = len(result.energy_j)
+        row: dict[str, Cell] = {
+            "run": result.run,
+            "seed": result.seed,
+            "failed": result.failed,
+            "error": result.error,
+            "simulated_s": result.simulated_s,
+            "cpu_s": result.cpu_s,
+            "laps": result.laps,
+            "laps_asked": result.laps_asked,
+            "completed": result.completed,
+            "contacts": result.contacts,
+            "penetration_m": result.penetration_m,
+            "lap_energy_j": sum(result.energy_j) / laps if laps else None,
+            "lap_s": sum(result.lap_s) / laps if laps else None,
+            "pos_rms_m": result.pos_rms_m,
+            "pos_max_m": result.pos_max_m,
+            "yaw_rms_rad": result.yaw_rms_rad,
+            "current_rms_m_s": result.current_rms_m_s,
+            "steps": result.steps,
+            "fallbacks": result.fallbacks,
+            "slack_max": result.slack_max,
+            "failsafes": " ".join(result.failsafes),
+            "broken": " ".join(name.replace(" ", "_") for name in result.broken),
+        }
+        row |= {f"margin.{name.replace(' ', '_')}": margin.margin for name, margin in result.margins.items()}
+        row |= {f"drawn.{key}": value for key, value in result.drawn.items()}
+        rows.append(row)
+    return rows
+
+
+def write_tables(results: Sequence[RunResult], folder: Path) -> list[Path]:
+    """``runs.csv``, and ``runs.parquet`` if pyarrow is installed; nothing without runs."""
+    if not results:
+        return []
+    rows = rows_of(results)
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    written = [folder / "runs.csv"]
+    with written[0].open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, names, restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        return written
+    columns = {name: _column([row.get(name) for row in rows]) for name in names}
+    written.append(folder / "runs.parquet")
+    pyarrow.parquet.write_table(pyarrow.table(columns), written[1], compression="zstd")
+    return written
+
+
+def _column(values: list[Cell]) -> list[Cell]:
+    """Of one type: a key that draws numbers and texts is text, whole numbers beside others are floating point."""
+    kinds = {type(value) for value in values if value is not None}
+    if len(kinds) <= 1:
+        return values
+    if str in kinds:
+        return [None if value is None else str(value) for value in values]
+    return [math.nan if value is None else float(value) for value in values]
