@@ -7,13 +7,14 @@ import click
 from autopilot.cli.output import EXIT_LOSS
 from autopilot.cli.part_name import part_name
 from autopilot.cli.service_run import StopSignals, settle_memory, tell_losses
-from autopilot.cli.view_option import opened_view, view_option
+from autopilot.cli.view_option import foxglove_option, opened_foxglove, opened_view, view_option
 from autopilot.run.config import PROFILES
 
 if TYPE_CHECKING:
     from autopilot.run.config import Settings
     from autopilot.run.session import Session
     from autopilot.run.vehicle_config import VehicleConfig
+    from autopilot.view.foxglove import FoxgloveServer
     from autopilot.view.hub import Hub
 
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 @click.option("--profile", type=click.Choice(PROFILES), help="MAVLink identity (default: the file's, else px4).")
 @click.option("--instance", type=click.IntRange(0, 99), default=0, show_default=True, help="Instance number.")
 @view_option
+@foxglove_option
 @click.option("--quiet", is_flag=True, help="Print only errors.")
 def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the vehicle of a configuration file. SIGTERM: thrusters neutral, log closed, exit code 0."""
@@ -45,8 +47,8 @@ def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given
         file_name=loaded.path.name,
     )
     overrides = parse_overrides(param)
-    with opened_view(settings["view"]) as view:
-        session = _run(settings, loaded, overrides, instance, stop, view, quiet=quiet)
+    with opened_view(settings["view"]) as view, opened_foxglove(settings["foxglove"]) as foxglove:
+        session = _run(settings, loaded, overrides, instance, stop, view, foxglove, quiet=quiet)
     not_whole = tell_losses(session)
     if stop.interrupted:
         raise click.Abort
@@ -61,6 +63,7 @@ def _run(
     instance: int,
     stop: StopSignals,
     view: "Hub | None",
+    foxglove: "FoxgloveServer | None",
     *,
     quiet: bool,
 ) -> "Session":
@@ -73,7 +76,14 @@ def _run(
         console = None if quiet else Console()
         show = (lambda _: None) if console is None else console.print
         session = open_vehicle(
-            settings, loaded, overrides, instance=instance, links=boot.links, on_tick=EventLines(show).step, view=view
+            settings,
+            loaded,
+            overrides,
+            instance=instance,
+            links=boot.links,
+            on_tick=EventLines(show).step,
+            view=view,
+            foxglove=foxglove,
         )
         settle_memory()
     session.runtime.take_over(boot.take_unanswered())

@@ -7,7 +7,7 @@ import click
 from autopilot.cli.output import EXIT_LOSS
 from autopilot.cli.part_name import part_name
 from autopilot.cli.service_run import StopSignals, settle_memory, tell_losses
-from autopilot.cli.view_option import opened_view, view_option
+from autopilot.cli.view_option import foxglove_option, opened_foxglove, opened_view, view_option
 from autopilot.core.errors import AutopilotError
 from autopilot.run.config import BASINS, CURRENTS, PROFILES, SENSORS, UNTIL, WIRES
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from autopilot.run.config import Settings
     from autopilot.run.sitl_console import RunWatch
     from autopilot.run.sitl_session import SitlSession
+    from autopilot.view.foxglove import FoxgloveServer
     from autopilot.view.hub import Hub
 
 
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
 @click.option("--keep-plans", is_flag=True, default=None, help="Keep plans, fence, home and progress between runs.")
 @click.option("--until", type=click.Choice(UNTIL), help="End with the mission; exit code 1 if it ends otherwise.")
 @view_option
+@foxglove_option
 @click.option("--quiet", is_flag=True, help="Print only errors.")
 def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: bool, **given: Any) -> None:
     """Run the service on the simulated vehicle of SCENARIO (a shipped name or a TOML file; default paper-tank)."""
@@ -62,9 +64,9 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     settings = gather(sitl_defaults(instance), {"scenario": scenario, **given})
     stop = StopSignals()
     overrides = parse_overrides(param)
-    with opened_view(settings["view"]) as view:
+    with opened_view(settings["view"]) as view, opened_foxglove(settings["foxglove"]) as foxglove:
         while True:
-            session, watch = _run(settings, overrides, instance, stop, view, quiet=quiet)
+            session, watch = _run(settings, overrides, instance, stop, view, foxglove, quiet=quiet)
             if session.steering is None or not session.steering.reset:
                 break
             _begin_anew(settings)
@@ -88,6 +90,7 @@ def _run(
     instance: int,
     stop: StopSignals,
     view: "Hub | None",
+    foxglove: "FoxgloveServer | None",
     *,
     quiet: bool,
 ) -> "tuple[SitlSession, RunWatch]":
@@ -106,6 +109,7 @@ def _run(
             links=boot.links,
             on_tick=lambda outputs: watch.step(outputs),
             view=view,
+            foxglove=foxglove,
         )
         settle_memory()
     session.runtime.take_over(boot.take_unanswered())

@@ -9,6 +9,7 @@ import click
 from autopilot.run.config import ANY_VIEW_PORT, MAX_PORT
 
 if TYPE_CHECKING:
+    from autopilot.view.foxglove import FoxgloveServer
     from autopilot.view.hub import Hub
 
 
@@ -31,6 +32,35 @@ view_option: Callable[[Any], Any] = click.option(
     metavar="[PORT]",
     help="Live view: a page on 127.0.0.1 (default port 8760, or the next that is free).",
 )
+
+
+FOXGLOVE_PORT = 8765
+"""Where Foxglove looks first."""
+
+foxglove_option: Callable[[Any], Any] = click.option(
+    "--foxglove",
+    type=click.IntRange(0, MAX_PORT),
+    is_flag=False,
+    flag_value=FOXGLOVE_PORT,
+    metavar="[PORT]",
+    help=f"Topics of the log live on ws://127.0.0.1:PORT for Foxglove (default port {FOXGLOVE_PORT}).",
+)
+
+
+@contextlib.contextmanager
+def opened_foxglove(port: int | None) -> Iterator["FoxgloveServer | None"]:
+    """The server for Foxglove, None without ``--foxglove``. Its address is printed. ConfigError if it cannot be had."""
+    if port is None:
+        yield None
+        return
+    from autopilot.view.foxglove import FoxgloveServer
+
+    server = FoxgloveServer(port)
+    click.echo(f"foxglove: {server.url}")
+    try:
+        yield server
+    finally:
+        server.close()
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
@@ -121,11 +122,33 @@ def open_run_log_beside(
     return RunLog(writer, description, camera_period_us=camera_period_us)
 
 
+class Messages(Protocol):
+    """Where the messages of a log go: a file, or viewers."""
+
+    epoch_ns: int
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def dropped(self) -> int: ...
+    @property
+    def failure(self) -> str | None: ...
+    @property
+    def cause(self) -> str: ...
+    @property
+    def finished(self) -> bool: ...
+    def write(self, topic: str, t_us: int, payload: Payload, size: int | None = None) -> None: ...
+    def write_packet(self, t_us: int, packet: bytes) -> None: ...
+    def attach(self, name: str, t_us: int, data: Payload) -> None: ...
+    def end(self) -> None: ...
+    def close(self, timeout_s: float | None = None) -> None: ...
+
+
 class RunLog:
     """One log, fed tick by tick: ``inputs`` before ``step``, ``outputs`` after it, ``truth`` in simulation."""
 
     def __init__(
-        self, writer: LogWriter, description: RunDescription, *, camera_period_us: int | None = CAMERA_US
+        self, writer: Messages, description: RunDescription, *, camera_period_us: int | None = CAMERA_US
     ) -> None:
         """``camera_period_us``: time between logged images, None = no images."""
         self._writer = writer

@@ -98,6 +98,7 @@ def sitl_defaults(instance: int) -> dict[str, Any]:
         "keep_plans": False,
         "until": None,
         "view": None,
+        "foxglove": None,
         "state_dir": platformdirs.user_state_dir("underwater-autopilot", appauthor=False),
         "log_dir": str(Path(platformdirs.user_data_dir("underwater-autopilot", appauthor=False)) / "logs"),
         "log_quota_mb": 0.0,
@@ -109,7 +110,7 @@ def vehicle_defaults(instance: int) -> dict[str, Any]:
     """Settings of `autopilot run` before its file, environment and command line."""
     shared = (
         *("profile", "state_dir", "log_dir", "log_quota_mb", "log_camera_hz", "plan", "log", "duration"),
-        *("controller", "estimator", "view"),
+        *("controller", "estimator", "view", "foxglove"),
     )
     sitl = sitl_defaults(instance)
     return {
@@ -125,6 +126,7 @@ _FROM_TEXT: dict[str, Any] = {
     "log_quota_mb": float,
     "log_camera_hz": float,
     "view": int,
+    "foxglove": int,
     "connect": lambda text: tuple(text.split(",")),
     "hil": lambda text: tuple(text.split(",")),
     "start": lambda text: text.lower() in ("1", "true", "yes"),
@@ -149,6 +151,7 @@ _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "seed": (lambda value: value >= 0, "0 or more"),
     "duration": (lambda value: 0.0 < value < math.inf, "a number of seconds above 0"),
     "view": (lambda value: ANY_VIEW_PORT <= value <= MAX_PORT, f"a port, 0 to {MAX_PORT} (0 = any)"),
+    "foxglove": (lambda value: 0 <= value <= MAX_PORT, f"a port, 0 to {MAX_PORT} (0 = any)"),
     "log_quota_mb": (lambda value: 0.0 <= value < math.inf, "0 (no limit) or a number of megabytes"),
     "log_camera_hz": (lambda value: 0.0 <= value <= 100.0, "0 (no pictures) to 100 pictures per second"),
     "controller": (lambda value: is_part("controller", value), part_names("controller")),

@@ -25,6 +25,7 @@ from autopilot.run.describe import describe_service
 from autopilot.run.downloads import log_shelf
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.kept_plans import KeptPlans
+from autopilot.run.outside import Onlooker, Onlookers
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.service_record import service_attachments
 from autopilot.run.session import (
@@ -44,7 +45,7 @@ from autopilot.run.stills import StillStore
 from autopilot.run.vehicle_config import VehicleConfig, apply_parameters
 from autopilot.run.watched import WatchedService
 from autopilot.view.controls import ReadOnly
-from autopilot.view.feed import Feed
+from autopilot.view.foxglove import FoxgloveServer
 from autopilot.view.hub import Hub
 from drivers.protocols import Link
 
@@ -85,11 +86,13 @@ def open_vehicle(
     speed: float = 1.0,
     on_tick: Callable[[Outputs], None] = lambda _: None,
     view: Hub | None = None,
+    foxglove: FoxgloveServer | None = None,
 ) -> Session:
     """Everything of a run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
 
     ``links``: the connections of the settings if they are already open (:mod:`autopilot.run.boot_links`). ``speed``: of
     the devices' time; 0 where they, being emulated, follow the ticks. ``view``: who looks at the run.
+    ``foxglove``: who is sent what is logged.
     """
     disk = Desk(DaemonLane("disk"), patient=speed == 0.0)
     params, persistent, warnings = vehicle_params(settings, config, overrides, instance, disk)
@@ -118,7 +121,7 @@ def open_vehicle(
         notices=device.take_notices,
         refusals=device.refusals,
         skips=speed > 0.0,
-        onlooker=None if view is None else _feed(view, config, parts),
+        onlooker=_onlooker(view, foxglove, config, parts),
     )
     kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
     return Session(
@@ -134,10 +137,17 @@ def open_vehicle(
     )
 
 
-def _feed(view: Hub, config: VehicleConfig, parts: Parts) -> Feed:
-    """The loop's end of the live view, which has no say."""
+def _onlooker(
+    view: Hub | None, foxglove: FoxgloveServer | None, config: VehicleConfig, parts: Parts
+) -> Onlooker | None:
+    """The loop's ends of the live view and of other viewers, which have no say."""
     watched = WatchedService(parts, lambda: describe_service(parts, config.file.place.name))
-    return view.attach(watched, config.vehicle, ReadOnly(), simulated=False)
+    found: list[Onlooker] = []
+    if view is not None:
+        found.append(view.attach(watched, config.vehicle, ReadOnly(), simulated=False))
+    if foxglove is not None:
+        found.append(foxglove.attach(watched.describe, watched.revision))
+    return Onlookers(*found) if found else None
 
 
 def _setup(

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
@@ -23,7 +22,7 @@ from autopilot.run.compose import ServiceSetup, build_service
 from autopilot.run.config import Settings, chosen_part, system_id
 from autopilot.run.downloads import log_shelf
 from autopilot.run.kept_plans import KeptPlans
-from autopilot.run.outside import Peer
+from autopilot.run.outside import Onlooker, Onlookers, Peer
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.scenario_fence import scenario_plan
 from autopilot.run.service_record import service_attachments
@@ -45,6 +44,7 @@ from autopilot.run.sitl_params import sitl_params, state_folder
 from autopilot.run.sitl_view import Steering, WatchedSitl
 from autopilot.run.sitl_world import World, forecast, knowledge, make_world, map_path
 from autopilot.run.stills import StillStore
+from autopilot.view.foxglove import FoxgloveServer
 from autopilot.view.hub import Hub
 from drivers.protocols import Link
 from sitl.backend import SimulatedVehicle
@@ -124,11 +124,12 @@ def open_sitl(
     peers: Sequence[Peer] = (),
     on_tick: Callable[[Outputs], None] = lambda _: None,
     view: Hub | None = None,
+    foxglove: FoxgloveServer | None = None,
 ) -> SitlSession:
     """Everything of a SITL run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
 
     ``links``: the connections of the settings if they are already open (:mod:`autopilot.run.boot_links`).
-    ``view``: who looks at the run and may steer it.
+    ``view``: who looks at the run and may steer it. ``foxglove``: who is sent what is logged.
     """
     scenario = load_scenario(settings["scenario"])
     if settings["vehicle"] is not None:
@@ -162,7 +163,9 @@ def open_sitl(
         clock=clock,
         stills=StillStore(recorder, disk, Path(settings["log_dir"])) if world.simulated.pictured else None,
         mishaps=MachineFaults(scenario.fault).put_into,
-        **({} if view is None or steering is None else _looked_at(view, world, parts, steering)),
+        onlooker=_onlooker(view, foxglove, world, parts, steering),
+        hold=(lambda _: False) if steering is None else steering.hold,
+        notices=(lambda: ()) if steering is None else steering.take_notices,
     )
     kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
     runtime = loop_round(service, parts, outside, kept, warnings, on_tick)
@@ -185,15 +188,23 @@ def open_sitl(
     )
 
 
-def _looked_at(view: Hub, world: World, parts: Parts, steering: Steering) -> dict[str, Any]:
-    """The loop's connections to the live view."""
+def _onlooker(
+    view: Hub | None, foxglove: FoxgloveServer | None, world: World, parts: Parts, steering: Steering | None
+) -> Onlooker | None:
+    """The loop's connections to the live view and to other viewers."""
+    if view is None and foxglove is None:
+        return None
 
     def describe() -> RunDescription:
         return describe_run(world.scenario, parts, seed=world.seed, speed=world.speed, origins=world.parts)
 
     watched = WatchedSitl(parts, describe, world.simulated)
-    feed = view.attach(watched, world.vehicle, steering, simulated=True)
-    return {"onlooker": feed, "hold": steering.hold, "notices": steering.take_notices}
+    found: list[Onlooker] = []
+    if view is not None and steering is not None:
+        found.append(view.attach(watched, world.vehicle, steering, simulated=True))
+    if foxglove is not None:
+        found.append(foxglove.attach(describe, watched.revision, lambda: world.simulated.truth))
+    return found[0] if len(found) == 1 else Onlookers(*found)
 
 
 def _setup(
