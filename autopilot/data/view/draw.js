@@ -214,6 +214,16 @@ export function drawSide(ctx, width, height, { scene, frame, trail }, colors) {
     if (solid.depth_m !== null) circle(ctx, flat(along, solid.depth_m), r * scale, colors.solid, 1, true);
     else fill(ctx, [flat(along - r, 0), flat(along + r, 0), flat(along + r, floor), flat(along - r, floor)], colors.tube);
   }
+  // The fence as seen from here: where the vehicle's centre may be along this axis, and between which depths.
+  for (const shape of scene.fence) {
+    const along = shape.corners_m.map((p) => p[axis]), left = Math.min(...along), right = Math.max(...along), r = scene.body_radius_m;
+    const free = shape.inclusion ? [[left, left + r], [right - r, right]] : [[left - r, right + r]];
+    for (const [from, to] of free) fill(ctx, [flat(from, 0), flat(to, 0), flat(to, floor), flat(from, floor)], colors.margin);
+    for (const edge of [left, right]) stroke(ctx, [flat(edge, 0), flat(edge, floor)], colors.fence, 1.2, false, [6, 4]);
+  }
+  for (const depth of [scene.parameters.DEPTH_MIN, scene.parameters.DEPTH_MAX]) {
+    if (depth > 0 && depth <= floor) stroke(ctx, [flat(a0, depth), flat(a1, depth)], colors.fence, 1.2, false, [6, 4]);
+  }
   for (const place of scene.places) {
     circle(ctx, at(place.pos_ned_m), place.accept_radius_m * scale, colors.place, 1.2, false, [4, 3]);
     text(ctx, place.name, at(place.pos_ned_m)[0] + 6, at(place.pos_ned_m)[1] - 8, colors.place);
@@ -221,7 +231,11 @@ export function drawSide(ctx, width, height, { scene, frame, trail }, colors) {
   text(ctx, `${turned ? "north" : "east"} →   depth ↓ ${floor.toFixed(1)} m`, 8, height - 8, colors.weak);
   if (!frame || !frame.estimate) return;
   stroke(ctx, trail.map(at), colors.trail, 1.2);
-  if (frame.control) stroke(ctx, frame.control.horizon_ned_m.map(at), colors.horizon, 2);
+  if (frame.control) {
+    const ahead = frame.control.horizon_ned_m.map(at);
+    if (frame.control.tube_m.length) fill(ctx, tubeOutline(ahead, frame.control.tube_m.map((r) => r * scale)), colors.tube);
+    stroke(ctx, ahead, colors.horizon, 2);
+  }
   const { pos_ned_m: place, rpy_rad: rpy } = frame.estimate, r = scene.body_radius_m, h = scene.half_height_m;
   const heading = turned ? Math.cos(rpy[2]) : Math.sin(rpy[2]), forward = heading >= 0 ? 1 : -1;
   const lean = -rpy[1] * forward, half = Math.max(r * Math.abs(heading), 0.5 * r);

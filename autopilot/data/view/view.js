@@ -231,11 +231,21 @@ function spot(event) {
   return [event.clientX - box.left, event.clientY - box.top, box.width, box.height];
 }
 
-$("plan").addEventListener("pointerdown", (event) => {
+// The obstacle under a pointer or a finger.
+function grasped(event) {
   const [x, y] = spot(event);
-  if (!seen.view || !seen.frame || !seen.scene.steerable.obstacles) return;
+  if (!seen.view || !seen.frame || !seen.scene.steerable.obstacles) return undefined;
   const [north, east] = seen.view.back(x, y);
-  const hit = seen.frame.solids.find((solid) => Math.hypot(solid.center_m[0] - north, solid.center_m[1] - east) <= solid.radius_m + 8 / seen.view.scale);
+  return seen.frame.solids.find((solid) => Math.hypot(solid.center_m[0] - north, solid.center_m[1] - east) <= solid.radius_m + 8 / seen.view.scale);
+}
+
+// A finger scrolls the page, also from the plan, which fills a phone; on an obstacle it drags.
+$("plan").addEventListener("touchstart", (event) => {
+  const finger = event.touches[0];
+  if (grasped({ target: event.target, clientX: finger.clientX, clientY: finger.clientY })) event.preventDefault();
+}, { passive: false });
+$("plan").addEventListener("pointerdown", (event) => {
+  const hit = grasped(event);
   if (hit) { seen.moving = { place: hit.center_m, radius_m: hit.radius_m }; drag = { number: hit.number }; event.target.setPointerCapture(event.pointerId); }
 });
 $("plan").addEventListener("pointermove", (event) => {
