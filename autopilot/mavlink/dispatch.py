@@ -285,6 +285,7 @@ class Dispatcher:
         for budget in ctx.budgets.values():
             budget.tick(t_us)
         run("message", self._tick_signing, None)
+        run("plans", self.missions.answer, None)
         for frame in rx:
             self._push(frame)
         run("message", self._intake.work, None)
@@ -316,6 +317,7 @@ class Dispatcher:
         ctx.t_us, ctx.tx = t_us, []
         for budget in ctx.budgets.values():
             budget.tick(t_us)
+        ctx.guard.run("plans", self.missions.answer, None)
         for frame in rx:
             inbox = self._push(frame)
             if inbox is not None:

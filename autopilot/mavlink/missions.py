@@ -249,16 +249,28 @@ class Missions:
         """Ask the store to take plans, and pass its answer on when it comes."""
         change = self._ctx.plans.propose(plans)
         self._checking = Checking(peer, change, tuple(plans), mission_type, upload)
-        self._answer()
+        self.answer()
 
     def _give_up_check(self) -> None:
-        """The client begins something else."""
-        if self._checking is not None:
-            self._checking.change.cancel()
-            self._checking = None
+        """The client begins something else. What is in force by now (and not on disk yet) is told by text: an
+        acknowledgement would be taken for that of what begins."""
+        checking, self._checking = self._checking, None
+        if checking is None:
+            return
+        checking.change.cancel()
+        if checking.change.rejection is None:
+            self.revision += len(checking.kinds)
+            for kind in checking.kinds:
+                self._say_taken(kind)
 
-    def _answer(self) -> None:
-        """Pass the store's answer on, if it is there."""
+    def _say_taken(self, kind: PlanKind) -> None:
+        items = self._ctx.plans.items(kind)
+        home = ", 0 is home" if items and items[0].is_home else ""
+        self._ctx.say(Severity.INFO, f"{kind.name.capitalize()} plan accepted: {len(items)} items{home}")
+
+    def answer(self) -> None:
+        """Pass the store's answer on, if it is there: before anything else is heard, for what is in force is not given
+        up any more."""
         checking = self._checking
         if checking is None or not checking.change.done:
             return
@@ -272,9 +284,7 @@ class Missions:
             self._end(upload, refusal.result, refusal.reason)
         elif upload is not None:
             self._end(upload, MissionResult.ACCEPTED, "")
-            items = ctx.plans.items(upload.kind)
-            home = ", 0 is home" if items and items[0].is_home else ""
-            ctx.say(Severity.INFO, f"{upload.kind.name.capitalize()} plan accepted: {len(items)} items{home}")
+            self._say_taken(upload.kind)
         else:
             names = ", ".join(kind.name.lower() for kind in checking.kinds)
             self._ack(
@@ -427,7 +437,7 @@ class Missions:
 
     def tick(self) -> None:
         """Answer, ask again, give up, forget."""
-        self._answer()
+        self.answer()
         ctx = self._ctx
         now_us = ctx.t_us
         upload = self._upload

@@ -566,3 +566,58 @@ def test_a_disk_that_does_not_answer_is_spoken_of(world: World) -> None:
     world.plans.kept = False
     assert upload(client, plan(3)) == R.ACCEPTED
     assert "Plan in force, not on disk yet" in client.texts()
+
+
+# Found by the fuzzer
+
+
+@pytest.mark.parametrize("way", ["cancelled", "another", "cleared"])
+@pytest.mark.parametrize("served", [False, True])
+def test_a_plan_that_is_in_force_is_acknowledged_whatever_its_client_says_then(way: str, served: bool) -> None:
+    """It came into force between two ticks, and its client began something else before it was told: the old plan was
+    gone, and nobody had said so."""
+    world = World()
+    client = world.client()
+    world.plans.slow = True
+    items = [waypoint(n) for n in range(2)]
+    client.send(mav.MAVLink_mission_count_message(1, 1, 2, 0))
+    world.run(0.1)
+    for item in items:
+        client.send(item)
+        world.run(0.1)
+    world.plans.decide(world.plans.waiting.pop())
+    client.rx.clear()
+    revision = world.server._dispatcher.missions.revision
+    message = {
+        "cancelled": mav.MAVLink_mission_ack_message(1, 1, mav.MAV_MISSION_OPERATION_CANCELLED, 0),
+        "another": mav.MAVLink_mission_count_message(1, 1, 3, 0),
+        "cleared": mav.MAVLink_mission_clear_all_message(1, 1, 1),
+    }[way]
+    if served:
+        client.send(message)
+        (frame,) = client.take_tx()
+        sent = world.server.serve(world.t_us + 1000, (frame,))
+        heard = [m for each in sent for m in mav.MAVLink(None).parse_buffer(each.data) or ()]
+        acks = [m.type for m in heard if m.get_type() == "MISSION_ACK"]
+    else:
+        client.send(message)
+        world.tick()
+        acks = [m.type for m in client.got("MISSION_ACK")]
+    assert acks[:1] == [mav.MAV_MISSION_ACCEPTED] and len(world.plans.stored[PlanKind.MISSION]) == 2
+    assert world.server._dispatcher.missions.revision == revision + 1
+
+
+def test_a_plan_in_force_that_the_disk_has_not_got_is_told_of_when_its_client_goes_on() -> None:
+    world = World()
+    client = world.client()
+    world.plans.kept = False
+    items = [waypoint(n) for n in range(2)]
+    client.send(mav.MAVLink_mission_count_message(1, 1, 2, 0))
+    for item in items:
+        world.run(0.1)
+        client.send(item)
+    world.run(0.1)
+    assert not client.got("MISSION_ACK") and len(world.plans.stored[PlanKind.MISSION]) == 2
+    client.send(mav.MAVLink_mission_count_message(1, 1, 3, 1))
+    world.run(0.1)
+    assert "Mission plan accepted: 2 items" in client.texts()
