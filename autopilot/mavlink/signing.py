@@ -86,10 +86,10 @@ class Signing:
         return self._store.poll(t_us // TICK_US)
 
     def set_key(self, key: bytes | None, stamp: int = 0) -> None:
-        """Another key from now on, None = none. The time goes on from the later one."""
+        """Another key from now on, None = none. The time goes on from the later one, and that of every sender with it:
+        a key that comes back does not make old frames new."""
         self._stamp = min(max(self.stamp, stamp), MAX_STAMP - 100 * OLD_UNITS)
         self.key = key
-        self._streams.clear()
         self._keep()
 
     def _keep(self) -> None:

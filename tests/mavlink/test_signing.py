@@ -137,6 +137,23 @@ def test_recorded_frames_are_not_obeyed_again() -> None:
     assert calls(world) == ["disarm"]
 
 
+def test_a_key_that_comes_back_does_not_make_recorded_frames_new() -> None:
+    """Found by the fuzzer: with a new key the times of all senders were forgotten, and the old one came back."""
+    world = World(signing=MemoryStore(KEY))
+    client = Remote(world, KEY)
+    recorded = client.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0))
+    client.give(recorded)
+    assert calls(world) == ["disarm"]
+    signing = world.server._dispatcher._ctx.signing
+    for key in (OTHER, KEY, KEY):
+        signing.set_key(key)
+        world.server._dispatcher._ctx.key_changed()
+        client.give(recorded)
+    assert calls(world) == ["disarm"] and signing.refused.old == 2
+    client.disarm()
+    assert calls(world) == ["disarm"] * 2
+
+
 def test_after_a_restart_frames_of_more_than_a_minute_ago_are_old() -> None:
     old = World(signing=MemoryStore(KEY, NOW + 61 * 100_000))
     Remote(old, KEY).disarm()
