@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from pymavlink.dialects.v20 import development as mav
 from service_world import ServiceWorld
 
 from autopilot.bench.fuzz.messages import ALL_COMMANDS, COMMANDS, HANDLED, ODD_FLOATS
-from autopilot.bench.fuzz.run import BrokenRuleError, Fuzzer, run_fuzz
+from autopilot.bench.fuzz.run import BrokenRuleError, Fuzzer, Mood, run_fuzz
 from autopilot.bench.fuzz.samples import ODD
 from autopilot.core.params import PARAMETERS
 from autopilot.core.samples import PowerSample
@@ -33,12 +34,32 @@ def test_the_fuzzer_knows_every_message_that_is_handled(fuzzer: Fuzzer) -> None:
 
 
 def test_a_few_minutes_of_everything(fuzzer: Fuzzer) -> None:
-    for _ in range(9):
-        fuzzer.episode(150)
+    for _ in range(7):
+        fuzzer.episode(150, Mood.ANYTHING)
     result = fuzzer.result
     assert result.messages > 2000
     assert result.armed_ticks > 100
-    assert min(result.accepted[f"{kind} {how}"] for kind in ("command", "plan") for how in ("accepted", "refused")) > 10
+    assert min(result.accepted[f"command {how}"] for how in ("accepted", "refused")) > 10
+    assert result.accepted["plan refused"] > 10 and result.accepted["plan accepted"] > 0
+    assert min(result.handled["MAVLink 1"], result.handled["MAVLink 2"]) > 100
+
+
+def test_strangers_and_sticks_and_a_key(tmp_path: Path) -> None:
+    """Who is not in control changes nothing, sticks and orders end inside the fence, only what is signed is heard."""
+    fuzzer = Fuzzer(12, tmp_path, signed=True)
+    try:
+        assert fuzzer.episode(120, Mood.STRANGERS) and fuzzer.episode(400, Mood.STEERING)
+        result = fuzzer.result
+        assert result.handled["signed"] > 200 and result.handled["MAVLink 2"] == result.handled["MAVLink 1"] == 0
+        assert 0.0 < result.least_m < 1.0
+    finally:
+        fuzzer.close()
+
+
+def test_logs_of_whoever_runs_the_fuzzer_are_not_its_clients_to_erase(fuzzer: Fuzzer, tmp_path: Path) -> None:
+    """It had the folder of the user's own flights on its shelf, and LOG_ERASE among its messages."""
+    shelf = fuzzer.session.parts.server._dispatcher._logs._shelf
+    assert shelf._folder.is_relative_to(tmp_path.parent)
 
 
 def test_the_fuzzer_finds_what_is_broken(fuzzer: Fuzzer, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,12 +3,16 @@
 import math
 import random
 import struct
+from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
 from typing import Any
 
-from pymavlink.dialects.v20 import development as mav
-
+from autopilot.core.clients import Reach
+from autopilot.core.messages import MavlinkFrame
 from autopilot.core.params import PARAMETERS
+from autopilot.mavlink.dialect import mav
 
 HANDLED_NAMES = """
     HEARTBEAT COMMAND_LONG COMMAND_INT SET_MODE SET_GPS_GLOBAL_ORIGIN PARAM_REQUEST_LIST PARAM_REQUEST_READ PARAM_SET
@@ -40,86 +44,226 @@ LAT_E7, LON_E7 = 379_755_000, 237_790_000
 """The simulated tank."""
 M_PER_E7_LAT, M_PER_E7_LON = 0.0111, 0.00877
 
+STEERING_NAMES = """
+    MANUAL_CONTROL RC_CHANNELS_OVERRIDE SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT
+    SET_ATTITUDE_TARGET SET_ACTUATOR_CONTROL_TARGET MISSION_SET_CURRENT HEARTBEAT
+"""
+STEERING = tuple(getattr(mav, f"MAVLINK_MSG_ID_{name}") for name in STEERING_NAMES.split())
+"""Messages that move the vehicle and change nothing of what binds it."""
+
 CONVERSATIONS = 0.25
 COMMAND_SHARE = 0.2
 PARAM_SHARE = 0.1
 DAMAGED_SHARE = 0.08
+REPLAYED_SHARE = 0.05
+"""Of signed frames: as they were sent before."""
 UNKNOWN_SHARE = 0.05
 """Shares of the traffic; the rest are messages of any content."""
 MUTATED = 0.12
 """Share of plan items and command fields that are not what they should be."""
 
 
+@dataclass(slots=True)
+class Sender:
+    """One client: where it is heard, and how it speaks."""
+
+    sysid: int
+    compid: int = 190
+    link: int = 0
+    client: int = 0
+    old: bool = False
+    """MAVLink 1, as far as it goes."""
+    key: bytes | None = None
+    """What it signs with, None = it does not sign."""
+    reach: Reach = Reach.NETWORK
+    seq: int = 0
+    stamp: int = 0
+    """Signing time of its last frame."""
+    sent: deque[bytes] = field(default_factory=lambda: deque(maxlen=20))
+    """Signed frames, to be sent again."""
+
+
+SENDERS = (Sender(255), Sender(254, 1), Sender(7, 9), Sender(1, 1))
+"""Clients of one link that share an address."""
+
+
 class Traffic:
     """An endless supply of frames."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, senders: Sequence[Sender] = SENDERS, stamp: Callable[[], int] = lambda: 0) -> None:
+        """``stamp``: signing time of the service, as the clients' clocks have it."""
         self._rng = random.Random(seed)
-        self._encoders: dict[tuple[int, int], Any] = {}
+        self._senders = tuple(senders)
+        self._stamp = stamp
+        self._packer = mav.MAVLink(None, srcSystem=255, srcComponent=190)
         self._talk: list[Any] = []
+        self._talker = self._senders[0]
         self._names = [spec.name for spec in PARAMETERS]
+        self.steering = False
+        """Only what moves the vehicle: no plans, no parameters, no origin, no disarming."""
 
-    def frame(self) -> bytes:
+    def frame(self) -> MavlinkFrame:
         """One datagram: mostly one message."""
         rng = self._rng
+        sender, message = self._message()
+        data = self._spoken_by(sender, message)
         if rng.random() < DAMAGED_SHARE:
-            return self._damaged()
-        return self._pack(self._message())
+            data = self._damaged(data)
+        if sender.sent and rng.random() < REPLAYED_SHARE:
+            data = rng.choice(sender.sent)
+        return MavlinkFrame(
+            link=sender.link, client=sender.client, data=data, reach=sender.reach, sender=f"{sender.sysid}"
+        )
 
-    def _message(self) -> Any:
+    def any_of(self, msg_id: int) -> bytes:
+        """A frame of that type by one of the senders, its fields of any content."""
+        return self._spoken_by(self._rng.choice(self._senders), self._any(msg_id))
+
+    def _message(self) -> tuple[Sender, Any]:
         rng, dice = self._rng, self._rng.random()
+        if self.steering:
+            return rng.choice(self._senders), self._steer()
         kinds: tuple[tuple[float, Callable[[], Any]], ...] = (
-            (CONVERSATIONS, self._plan_step),
             (COMMAND_SHARE, self._command),
             (PARAM_SHARE, self._param_set),
             (UNKNOWN_SHARE, lambda: self._any(rng.choice(list(mav.mavlink_map)))),
         )
+        if dice < CONVERSATIONS:
+            if not self._talk:
+                self._talk, self._talker = self._upload(), rng.choice(self._senders)
+            return self._talker, self._talk.pop(0)
+        dice -= CONVERSATIONS
         for share, make in kinds:
             if dice < share:
-                return make()
+                return rng.choice(self._senders), make()
             dice -= share
-        return self._any(rng.choice(HANDLED))
+        return rng.choice(self._senders), self._any(rng.choice(HANDLED))
 
-    def _pack(self, message: Any) -> bytes:
-        """As one of a few clients would send it; the plan conversation has one of its own."""
-        rng = self._rng
-        address = (
-            (255, 190) if getattr(message, "_spoken", False) else rng.choice(((255, 190), (254, 1), (7, 9), (1, 1)))
-        )
-        encoder = self._encoders.get(address)
-        if encoder is None:
-            encoder = self._encoders[address] = mav.MAVLink(None, srcSystem=address[0], srcComponent=address[1])
-        data = bytes(message.pack(encoder)) if not isinstance(message, bytes) else message
-        encoder.seq = (encoder.seq + 1) & 0xFF
-        return data
+    def _spoken_by(self, sender: Sender, message: Any) -> bytes:
+        """A message, or a frame without sender, as one client sends it."""
+        frame = message if isinstance(message, bytes) else bytes(message.pack(self._packer))
+        sender.seq = (sender.seq + 1) & 0xFF
+        number = int.from_bytes(frame[7:10], "little")
+        payload = frame[10:-2]
+        crc_extra = mav.mavlink_map[number].crc_extra
+        if sender.old and number < 256 and len(payload) <= (size := mav.mavlink_map[number].unpacker.size):
+            body = bytes((size, sender.seq, sender.sysid, sender.compid, number)) + payload.ljust(size, b"\0")
+            return b"\xfe" + body + _crc(body, crc_extra)
+        flags = 0 if sender.key is None else 1
+        body = bytes((len(payload), flags, 0, sender.seq, sender.sysid, sender.compid)) + frame[7:-2]
+        frame = b"\xfd" + body + _crc(body, crc_extra)
+        if sender.key is None:
+            return frame
+        sender.stamp = max(sender.stamp + 1, self._stamp())
+        frame += bytes((sender.link,)) + sender.stamp.to_bytes(6, "little")
+        frame += sha256(sender.key + frame).digest()[:6]
+        sender.sent.append(frame)
+        return frame
 
-    def _damaged(self) -> bytes:
-        """Cut off, bits turned, two run together, or nothing that ever was a frame."""
+    def _damaged(self, frame: bytes) -> bytes:
+        """Cut off, bits turned, bytes put in or taken out, too long, two run together, or nothing that ever was a
+        frame."""
         rng = self._rng
-        data = bytearray(self._pack(self._message()))
-        way = rng.randrange(5)
-        if way == 0:
-            return bytes(data[: rng.randrange(len(data))])
-        if way == 1:
-            for _ in range(rng.randint(1, 8)):
-                data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-            return bytes(data)
-        if way == 2:
-            return bytes(data[rng.randrange(len(data)) :]) + self._pack(self._message())
-        return rng.randbytes(rng.randrange(300)) if way == 3 else b"\xfd" * rng.randrange(300)
+        data = bytearray(frame)
+        at = rng.randrange(len(data))
+        match rng.randrange(9):
+            case 0:
+                return bytes(data[:at])
+            case 1:
+                for _ in range(rng.randint(1, 8)):
+                    data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+            case 2:
+                return bytes(data[at:]) + self._spoken_by(*self._message())
+            case 3:
+                return rng.randbytes(rng.randrange(300))
+            case 4:
+                return b"\xfd" * rng.randrange(300)
+            case 5:
+                data[at:at] = rng.randbytes(rng.randint(1, 20))
+            case 6:
+                del data[at : at + rng.randint(1, 20)]
+            case 7:
+                return b"".join(self._spoken_by(*self._message()) for _ in range(rng.randint(2, 40))) + bytes(data[:at])
+            case _ if data[0] == 0xFD:
+                return _sized(bytes(data), rng.randrange(256), rng)
+        return bytes(data)
 
     def _any(self, msg_id: int) -> bytes:
         """A well-formed frame of a type, its fields of any content; most are addressed to the vehicle."""
-        rng = self._rng
         kind = mav.mavlink_map[msg_id]
         payload = bytearray()
         names = kind.ordered_fieldnames
         for name, length, code in zip(names, kind.array_lengths, _codes(kind.unpacker.format), strict=True):
             payload += self._field(name, length, code)
-        body = bytes((len(payload), 0, 0, rng.randrange(256), rng.choice((255, 254, 7, 1, 0)), rng.choice((190, 1))))
-        body += msg_id.to_bytes(3, "little") + bytes(payload)
-        crc = mav.x25crc(body + bytes((kind.crc_extra,))).crc
-        return b"\xfd" + body + int(crc).to_bytes(2, "little")
+        if self._rng.random() < 0.1:  # fields that a sender does not know of are left out
+            del payload[self._rng.randint(1, len(payload)) :]
+        body = bytes((len(payload), 0, 0, 0, 255, 190)) + msg_id.to_bytes(3, "little") + bytes(payload)
+        return b"\xfd" + body + _crc(body, kind.crc_extra)
+
+    def _steer(self) -> Any:
+        """What moves the vehicle: sensible as operators, pilots and programs send it, or of any content."""
+        rng = self._rng
+        if rng.random() < 0.4:
+            return self._any(rng.choice(STEERING))
+        sticks = [rng.choice((0, 0, 1000, -1000, rng.randint(-1000, 1000))) for _ in range(3)]
+        north, east, down = rng.uniform(-2.6, 2.6), rng.uniform(-1.6, 1.6), rng.uniform(0.0, 1.4)
+        speed = rng.choice((0.2, 0.5, 3.0))
+        vel = [rng.uniform(-speed, speed) for _ in range(3)]
+        mask = rng.choice((0b0000_1101_1111_1000, 0b0000_1101_1100_0111, 0b0000_0101_1100_0111, 0b0000_1001_1111_1000))
+        return rng.choice(
+            (
+                lambda: mav.MAVLink_manual_control_message(1, sticks[0], sticks[1], rng.randrange(1001), sticks[2], 0),
+                lambda: mav.MAVLink_rc_channels_override_message(
+                    1, 1, *(rng.choice((0, 1100, 1500, 1900, 65535)) for _ in range(8))
+                ),
+                lambda: mav.MAVLink_set_position_target_local_ned_message(
+                    0,
+                    1,
+                    1,
+                    rng.choice((1, 7, 8, 9)),
+                    mask,
+                    north,
+                    east,
+                    down,
+                    *vel,
+                    0.0,
+                    0.0,
+                    0.0,
+                    rng.uniform(-3, 3),
+                    0.5,
+                ),
+                self._order,
+            )
+        )()
+
+    def _order(self) -> Any:
+        """A command that moves the vehicle."""
+        rng = self._rng
+        lat, lon = self._place(1.3)
+        nan = math.nan
+        command, params, z = rng.choice(
+            (
+                (400, (1.0, 0.0), 0.0),
+                (300, (), 0.0),
+                (176, (1.0, float(rng.randint(1, 7)), float(rng.randint(0, 6))), 0.0),
+                (193, (float(rng.randrange(2)),), 0.0),
+                (192, (-1.0, 1.0, 0.0, rng.choice((nan, 1.0))), rng.uniform(-1.4, 0.1)),
+                (178, (rng.randrange(2), rng.uniform(0.0, 0.6)), 0.0),
+                (
+                    34,
+                    (rng.choice((0.0, 0.3, -0.8, 2.0)), rng.uniform(0.0, 0.5), rng.choice((0, 1, 2, 3, 5)), 0.0),
+                    -0.5,
+                ),
+                (186, (rng.uniform(-1.5, 0.1), 3.0), 0.0),
+                (22, (), rng.uniform(-1.2, 1.0)),
+                (92, (1.0,), 0.0),
+                (20, (), 0.0),
+                (17, (), 0.0),
+                (224, (rng.randrange(6),), 0.0),
+            )
+        )
+        fields = [float(value) for value in (*params, 0, 0, 0, 0)[:4]]
+        return mav.MAVLink_command_int_message(1, 1, 3, command, 0, 0, *fields, lat, lon, z)
 
     def _field(self, name: str, length: int, code: str) -> bytes:
         rng = self._rng
@@ -192,15 +336,6 @@ class Traffic:
             lat, lon = round(rng.gauss(0, 2e4)), round(rng.gauss(0, 1e4))
         return mav.MAVLink_command_int_message(1, 1, frame, command, 0, 0, *fields, lat, lon, z)
 
-    def _plan_step(self) -> Any:
-        """The next message of an upload, or the first of the next one."""
-        if not self._talk:
-            self._talk = self._upload()
-        message = self._talk.pop(0)
-        if not isinstance(message, bytes):
-            message._spoken = True
-        return message
-
     def _upload(self) -> list[Any]:
         rng = self._rng
         kind = rng.choice((0, 0, 1, 1, 2))
@@ -262,6 +397,20 @@ class Traffic:
 
     def _rally(self) -> list[tuple[int, int, Sequence[float], int, int, float]]:
         return [(5100, 3, (0.0, 0.0, 0.0, 0.0), *self._place(), -0.4) for _ in range(self._rng.randint(1, 3))]
+
+
+def _crc(body: bytes, crc_extra: int) -> bytes:
+    return int(mav.x25crc(body + bytes((crc_extra,))).crc).to_bytes(2, "little")
+
+
+def _sized(frame: bytes, size: int, rng: random.Random) -> bytes:
+    """A MAVLink 2 frame whose payload has another length, with a checksum that is right."""
+    end = 10 + frame[1]
+    number = int.from_bytes(frame[7:10], "little")
+    payload = (frame[10:end] + rng.randbytes(256))[:size]
+    body = bytes((size,)) + frame[2:10] + payload
+    kind = mav.mavlink_map.get(number)
+    return b"\xfd" + body + _crc(body, 0 if kind is None else kind.crc_extra) + frame[end + 2 :]
 
 
 def _codes(text: str) -> list[str]:
