@@ -17,26 +17,35 @@ from autopilot.mavlink.wire import Message
 REQUEST = int(extra.MAV_CMD_REQUEST_OPERATOR_CONTROL)
 STATUS_ID = int(extra.MAVLINK_MSG_ID_CONTROL_STATUS)
 
-CHANGING = frozenset(
+OPEN = frozenset(
     (
-        mav.MAVLINK_MSG_ID_SET_MODE,
-        mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN,
-        mav.MAVLINK_MSG_ID_SETUP_SIGNING,
-        mav.MAVLINK_MSG_ID_PARAM_SET,
-        mav.MAVLINK_MSG_ID_MISSION_COUNT,
-        mav.MAVLINK_MSG_ID_MISSION_ITEM_INT,
-        mav.MAVLINK_MSG_ID_MISSION_ITEM,
-        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
-        mav.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST,
-        mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT,
-        mav.MAVLINK_MSG_ID_MANUAL_CONTROL,
-        mav.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE,
-        mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
-        mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
-        mav.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
+        mav.MAVLINK_MSG_ID_HEARTBEAT,
+        mav.MAVLINK_MSG_ID_PING,
+        mav.MAVLINK_MSG_ID_TIMESYNC,
+        mav.MAVLINK_MSG_ID_SYSTEM_TIME,
+        mav.MAVLINK_MSG_ID_COMMAND_LONG,
+        mav.MAVLINK_MSG_ID_COMMAND_INT,
+        mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST,
+        mav.MAVLINK_MSG_ID_MISSION_ACK,
+        mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_DATA,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_END,
+        mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM,
+        mav.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE,
+        mav.MAVLINK_MSG_ID_ODOMETRY,
+        mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mav.MAVLINK_MSG_ID_ADSB_VEHICLE,
+        mav.MAVLINK_MSG_ID_AIS_VESSEL,
+        mav.MAVLINK_MSG_ID_OBSTACLE_DISTANCE,
     )
 )
-"""Messages that are for the one in control; commands that change something are as well."""
+"""Messages that are heard of everybody: reading, rates, time, what others measure. Commands are judged one by one. All
+others, also those that nobody has thought of here, are for the one in control."""
 _PLAN = frozenset(
     (
         mav.MAVLINK_MSG_ID_MISSION_COUNT,
@@ -102,7 +111,7 @@ class Operators:
     def refused(self, peer: Peer, msg: Message) -> bool:
         """Whether a message that is not a command is for the one in control only; its sender is told."""
         kind = msg.get_msgId()
-        if kind not in CHANGING or not self.keeps_out(peer):
+        if kind in OPEN or not self.keeps_out(peer):
             return False
         ctx = self._ctx
         if kind in _PLAN:
