@@ -24,12 +24,14 @@ def free_regions(fence: Fence, points_ned_m: FloatArray, radius_m: float) -> tup
     if space is None or not len(space.places_ned_m):
         return None
     region = space.regions()
-    near = [space.place_near(point) for point in points_ned_m]
-    return tuple(int(region[found[0]]) for found in near if found is not None)
+    found: tuple[int, ...] = tuple(region[space.places_near(points_ned_m)].tolist())
+    return found
 
 
 def has_room(fence: Fence, radius_m: float) -> bool:
     """Whether there is any place in the workspace of a fence that keeps ``radius_m`` from every boundary."""
+    if widest_m(fence) >= radius_m:
+        return True  # seen at once; what is narrow has to be looked for
     space = _free_space(fence, np.zeros((0, 2)), radius_m)
     return space is not None and len(space.places_ned_m) > 0
 

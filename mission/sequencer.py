@@ -115,6 +115,10 @@ class _Run:
     rising: bool = False
     """NAV_LAND: above its place and on the way up."""
     jumps_done: dict[int, int] = field(default_factory=dict)
+    flown: int = 0
+    """Steps that took time so far."""
+    flown_at_jump: dict[int, int] = field(default_factory=dict)
+    """That number when a jump (by its step) was last made."""
     reached_seq: int = -1
     lap: int = 0
     skipped: int = 0
@@ -243,6 +247,7 @@ class Sequencer:
     def _pass_over(self) -> None:
         """Go on behind the present item, which is given up; at the end with what a mission ends with."""
         run = self._run
+        run.flown += 1
         if run.cursor == self._lap_marker:
             run.lap += 1
         run.ending = run.cursor + 1 >= len(self._steps)
@@ -373,9 +378,16 @@ class Sequencer:
         if self._run.cursor == self._lap_marker:
             self._run.lap += 1
         done = self._run.jumps_done.get(self._run.cursor, 0)
+        if self._run.flown_at_jump.get(self._run.cursor) == self._run.flown:
+            # Nothing was flown since: its other turns would be as empty, be they ever so many.
+            done = 0 if step.count is None else step.count
+            self._run.jumps_done[self._run.cursor] = done
+            self._advance(self._run.cursor + 1)
+            return
         if step.count is not None and done >= step.count:
             self._advance(self._run.cursor + 1)
             return
+        self._run.flown_at_jump[self._run.cursor] = self._run.flown
         if step.count is not None:
             self._run.jumps_done[self._run.cursor] = done + 1
         self._advance(step.target_seq)
@@ -542,6 +554,7 @@ class Sequencer:
 
     def _leave(self, step: Timed) -> None:
         """Report the end of a step and go on."""
+        self._run.flown += 1
         if step.reported if isinstance(step, Wait) else not isinstance(step, Passage):
             self._reached_now.append(step.seq)
             self._run.reached_seq = step.seq

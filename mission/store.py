@@ -103,6 +103,8 @@ class Plans(PlanStore):
         self._home_ned_m: FloatArray = np.zeros(3)
         self._home: Place | None = None
         self._plans: Plans3 = EMPTY
+        self._sums: dict[PlanKind, tuple[tuple[PlanItem, ...], int]] = {}
+        """Plans whose checksum is known."""
         self._desk = desk
         self._now = 0
         self._ticket: Ticket[Verdict] | None = None
@@ -155,7 +157,11 @@ class Plans(PlanStore):
 
     def checksum(self, kind: PlanKind) -> int:
         """Opaque id of a plan (MAVLink mission protocol), 0 = empty."""
-        return plan_checksum(self._plans[kind])
+        items = self._plans[kind]
+        known = self._sums.get(kind)
+        if known is None or known[0] is not items:
+            known = self._sums[kind] = items, plan_checksum(items)
+        return known[1]
 
     @property
     def verdict(self) -> Verdict:

@@ -267,12 +267,9 @@ def joint_problems(
         return
     places: list[_Place] = []
     route: list[_Place] = []
-    room = Room([(s.shape, s.inclusion) for s in shapes])
-    for circuit, centre in _circles(steps):
-        ring = _ring_place(circuit, centre, room, ctx)
+    for ring in _ring_places(tuple(_circles(steps)), shapes, ctx, look):
         places.append(ring)
         route.append(ring)
-        look()
     for step in steps:
         if isinstance(step, GoTo | Surface | SetHome) and step.pos_ned_m is not None:
             place = _Place(
@@ -322,19 +319,33 @@ def _circles(steps: Sequence[Step]) -> Iterator[tuple[Circuit, FloatArray]]:
             last = step.pos_ned_m
 
 
-def _ring_place(step: Circuit, centre: FloatArray, room: Room, ctx: PlanContext) -> _Place:
-    """The worst place of a circle, or any when the whole circle is free."""
-    radius_m = ctx.params["CIRCLE_RADIUS"] if step.radius_m is None else step.radius_m
-    worst = worst_on_ring(room, (float(centre[0]), float(centre[1])), radius_m, ctx.keep_m - PLACE_TOLERANCE_M)
-    north, east = (float(centre[0]) + radius_m, float(centre[1])) if worst is None else worst.tolist()
-    return _Place(
-        kind=PlanKind.MISSION,
-        seq=step.seq,
-        name=f"circle of item {step.seq}",
-        north_m=north,
-        east_m=east,
-        need_m=ctx.keep_m,
-    )
+def _ring_places(
+    circles: Sequence[tuple[Circuit, FloatArray]],
+    shapes: Sequence[FenceShape],
+    ctx: PlanContext,
+    look: Callable[[], None],
+) -> Iterator[_Place]:
+    """The worst place of each circle, or any when the whole circle is free."""
+    if not circles:
+        return
+    need_m = ctx.keep_m - PLACE_TOLERANCE_M
+    both = [(s.shape, s.inclusion) for s in shapes]
+    from_centre = Room(both).of_shapes_m(np.array([centre[:2] for _, centre in circles]))
+    for (step, centre), away in zip(circles, from_centre, strict=True):
+        radius_m = ctx.params["CIRCLE_RADIUS"] if step.radius_m is None else step.radius_m
+        within = np.flatnonzero(away < radius_m + need_m)
+        room, middle = Room([both[i] for i in within.tolist()]), (float(centre[0]), float(centre[1]))
+        worst = worst_on_ring(room, middle, radius_m, need_m) if len(within) else None
+        north, east = (middle[0] + radius_m, middle[1]) if worst is None else worst.tolist()
+        look()
+        yield _Place(
+            kind=PlanKind.MISSION,
+            seq=step.seq,
+            name=f"circle of item {step.seq}",
+            north_m=north,
+            east_m=east,
+            need_m=ctx.keep_m,
+        )
 
 
 def _room_needed_m(step: GoTo | Surface | SetHome, ctx: PlanContext) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from autopilot.command.announcements import Announcements
 from autopilot.command.conditions import Conditions
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import Goal, NavState, Severity
+from autopilot.core.messages import Goal, NavState, ProgressState, Severity
 from autopilot.core.params import ParamSet
 from mission.items import Step, Timed
 from mission.sequencer import Sequencer, SequencerOutput
@@ -18,6 +18,12 @@ from mission.upstream import TOLD_M_S, MadeGood, SlowLeg, slowest_leg
 
 UPSTREAM_US = 5_000_000
 """What the current leaves of the present leg is looked at so often: a vehicle that lies still does not know it yet."""
+
+
+REACHED_US = 1_000_000
+"""Items that are reached are told so often at most: a hundred may be, where they lie close together."""
+REACHED_NAMED = 5
+"""Up to so many of them by name."""
 
 
 class StuckAction(IntEnum):
@@ -48,6 +54,9 @@ class MissionRun:
         self._told_upstream: set[tuple[int, bool]] = set()
         """What has been told of the current on legs since the mission was started."""
         self._upstream_us = 0
+        self._untold: tuple[int, ...] = ()
+        """Items that were reached since that was last told."""
+        self._told_reached_us = -REACHED_US
         self.sequencer = Sequencer(params)
 
     def load(self) -> bool:
@@ -77,9 +86,23 @@ class MissionRun:
     def step(self, t_us: int, nav: NavState) -> SequencerOutput:
         """One tick while the mission is flown."""
         out = self.sequencer.step(t_us, nav)
-        for seq in out.reached:
-            self._operator.say(Severity.INFO, f"Reached item {seq}")
+        self._untold += out.reached
+        if t_us - self._told_reached_us >= REACHED_US or out.progress.state is ProgressState.COMPLETE:
+            self._tell_reached(t_us)
         return out
+
+    def _tell_reached(self, t_us: int) -> None:
+        """What has been reached since the last text."""
+        count = len(self._untold)
+        if count == 1:
+            text = f"Reached item {self._untold[0]}"
+        elif count <= REACHED_NAMED:
+            text = "Reached items " + ", ".join(map(str, self._untold))
+        else:
+            text = f"Reached {count} items, the last is {self._untold[-1]}"
+        if count:
+            self._operator.say(Severity.INFO, text)
+            self._untold, self._told_reached_us = (), t_us
 
     def completed(self, t_us: int, laps: int, reached: tuple[int, ...]) -> tuple[int, ...]:
         """Say that the mission is over. The result is ``reached`` with the last item: a plan that ends with DO_ items

@@ -123,6 +123,10 @@ class PlanStore(Protocol):
         """The plan in force."""
         ...
 
+    def checksum(self, kind: PlanKind) -> int:
+        """Opaque id of the plan in force (MAVLink mission protocol): another one whenever it changes, 0 = empty."""
+        ...
+
     def check_item(self, kind: PlanKind, item: PlanItem) -> PlanRejection | None:
         """The cheap check of one item as it arrives (frame, command, ranges, NaN)."""
         ...

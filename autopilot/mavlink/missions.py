@@ -8,12 +8,11 @@ DENIED and the first goes on. Downloads read a snapshot, so that a plan that cha
 
 from dataclasses import dataclass, field
 
-from pymavlink.dialects.v20 import development as mav
-
 from autopilot.core.messages import Severity
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanChange, PlanItem, PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.wire import Message
 
@@ -79,6 +78,7 @@ class Finished:
     kind: PlanKind
     count: int
     result: MissionResult
+    plan_id: int
     at_us: int
     said_us: int
 
@@ -227,7 +227,7 @@ class Missions:
             return
         if msg.seq == done.count - 1 and now_us - done.said_us >= REPEAT_PAUSE_US:
             done.said_us = now_us
-            self._ack(peer, done.result, done.kind)
+            self._ack(peer, done.result, done.kind, done.plan_id)
 
     def _ask(self, upload: Upload) -> None:
         upload.asked_us = self._ctx.t_us
@@ -314,9 +314,10 @@ class Missions:
         """Close the transfer with its answer; a refusal leaves the plan in force."""
         now_us = self._ctx.t_us
         self._upload = None
-        self._finished = Finished(upload.peer, upload.kind, upload.count, result, now_us, now_us)
+        plan_id = self._ctx.plans.checksum(upload.kind) if result is MissionResult.ACCEPTED else 0
+        self._finished = Finished(upload.peer, upload.kind, upload.count, result, plan_id, now_us, now_us)
         self._ctx.begin_anew()
-        self._ack(upload.peer, result, upload.kind)
+        self._ack(upload.peer, result, upload.kind, plan_id)
         if reason:
             text = f"{upload.kind.name.capitalize()} refused: {reason}"
             self._ctx.say(Severity.WARNING, text, upload.peer)
@@ -335,8 +336,10 @@ class Missions:
         )
         return True
 
-    def _ack(self, peer: Peer, result: MissionResult, mission_type: int) -> None:
-        self._ctx.send(peer, mav.MAVLink_mission_ack_message(peer.sysid, peer.compid, result, int(mission_type)))
+    def _ack(self, peer: Peer, result: MissionResult, mission_type: int, plan_id: int = 0) -> None:
+        """``plan_id``: opaque id of what is in force now, of an upload that was taken."""
+        ack = extra.MAVLink_mission_ack_message(peer.sysid, peer.compid, int(result), int(mission_type), plan_id)
+        self._ctx.send(peer, ack)
 
     # Clear
 
@@ -371,7 +374,10 @@ class Missions:
         while len(self._downloads) >= MAX_DOWNLOADS:
             self._downloads.pop(next(iter(self._downloads)))
         self._downloads[peer, kind] = Download(items, self._ctx.t_us)
-        self._ctx.send(peer, mav.MAVLink_mission_count_message(peer.sysid, peer.compid, len(items), kind))
+        plan_id = self._ctx.plans.checksum(kind)
+        self._ctx.send(
+            peer, extra.MAVLink_mission_count_message(peer.sysid, peer.compid, len(items), int(kind), plan_id)
+        )
 
     def on_request(self, peer: Peer, msg: Message) -> None:
         """MISSION_REQUEST_INT, and MISSION_REQUEST answered with MISSION_ITEM_INT too."""

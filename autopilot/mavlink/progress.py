@@ -2,18 +2,20 @@
 
 from collections.abc import Sequence
 
-from pymavlink.dialects.v20 import development as mav
-
 from autopilot.core.messages import ProgressState, Severity
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode
 from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.wire import Message
 
 NO_MISSION_TOTAL = 0xFFFF
 """MISSION_CURRENT.total without a mission."""
+
+MOVES_US = 100_000
+"""A change of the current item alone is told so often at most."""
 
 _MODE_ACTIVE, _MODE_SUSPENDED = 1, 2
 """MISSION_CURRENT.mission_mode."""
@@ -27,6 +29,7 @@ class Progress:
         self._missions = missions
         self._shown: tuple[int, ProgressState, bool, int] | None = None
         self._chosen_us: int | None = None
+        self._told_us = 0
 
     def mission_current(self) -> Message:
         """MISSION_CURRENT."""
@@ -39,11 +42,12 @@ class Progress:
             state = ProgressState.NOT_STARTED
         else:
             state = progress.state
-        return mav.MAVLink_mission_current_message(
+        return extra.MAVLink_mission_current_message(
             self._wire_seq(),
             total or NO_MISSION_TOTAL,
-            state,
+            int(state),
             _MODE_ACTIVE if ctx.view.mode is FlightMode.MISSION else _MODE_SUSPENDED,
+            *(ctx.plans.checksum(kind) for kind in (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)),
         )
 
     def _wire_seq(self) -> int:
@@ -80,11 +84,15 @@ class Progress:
             ctx.view.mode is FlightMode.MISSION,
             self._missions.revision,
         )
+        # Waypoints close together are passed a hundred times a second.
+        moves = self._shown is not None and shown[1:] == self._shown[1:]
+        if moves and not self._chosen_us and ctx.t_us - self._told_us < MOVES_US:
+            return
         # The vehicle's view shows a choice one tick later.
         answer_due = self._chosen_us is not None and ctx.t_us > self._chosen_us
         if shown != self._shown or answer_due:
             if answer_due:
                 self._chosen_us = None
-            self._shown = shown
+            self._shown, self._told_us = shown, ctx.t_us
             self._missions.current_wire_seq = self._wire_seq()
             ctx.broadcast(self.mission_current())

@@ -24,7 +24,7 @@ from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection
 from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, SetPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
-from mission.store import Change
+from mission.store import Change, plan_checksum
 
 TICK_US = 10_000
 ORIGIN = Place(lat_deg=37.9755, lon_deg=23.7790, alt_m=12.0)
@@ -49,6 +49,9 @@ class MemoryPlans:
 
     def items(self, kind: PlanKind) -> tuple[PlanItem, ...]:
         return self.stored[kind]
+
+    def checksum(self, kind: PlanKind) -> int:
+        return plan_checksum(self.stored[kind])
 
     def check_item(self, kind: PlanKind, item: PlanItem) -> PlanRejection | None:
         if item.command == 9999:

@@ -60,7 +60,7 @@ R = MissionResult
         (plain(3, Command.CONDITION_YAW, 90, 0, 0, 2), R.INVALID_PARAM4, "relative"),
         (plain(3, Command.NAV_DELAY, -1, 12, 0, 0), R.INVALID_PARAM1, "delay"),
         (replace(plain(3, Command.DO_JUMP, 0, 1), frame=17), R.UNSUPPORTED_FRAME, "frame 17"),
-        (replace(GOOD, seq=1000), R.NO_SPACE, "too many"),
+        (replace(GOOD, seq=2001), R.NO_SPACE, "too many"),
     ],
 )
 def test_refusals_point_at_the_field(item: PlanItem, result: MissionResult, words: str) -> None:

@@ -5,6 +5,7 @@ import pytest
 from mission_world import NAN, MissionWorld, placed, plain, waypoint
 
 from autopilot.core.frames import wrap_pi
+from autopilot.mavlink.dialect import mav
 
 HOLD = (4 << 16) | (3 << 24)
 
@@ -136,3 +137,51 @@ def test_delays_and_takeoff_are_flown() -> None:
     world.fly(items, 12.0)
     assert world.reached == [0, 2, 3]
     assert world.x[2] == pytest.approx(0.5, abs=0.06)
+
+
+def test_waypoints_close_together_do_not_flood_the_operator() -> None:
+    world = afloat()
+    items = [waypoint(k, -1.2 + 1e-4 * k, 0.6) for k in range(60)]
+    world.fly([*items, plain(60, 177, 0.0, -1.0)], 10.0)
+    assert len(world.reached) > 900
+    said = [m.text for m in world.heard if m.get_type() == "STATUSTEXT"]
+    assert len(said) <= 13 and any("Reached 1" in text and "items, the last is" in text for text in said)
+    assert len([m for m in world.heard if m.get_type() == "MISSION_CURRENT"]) <= 115
+
+
+def test_jumps_with_nothing_between_end() -> None:
+    """Three loops of 30,000 turns, one in the other, and nothing that is flown."""
+    world = afloat()
+    empty = [plain(k, 177, 1.0, 30_000.0) for k in range(2, 5)]
+    world.fly([waypoint(0, -1.2, 0.6), plain(1, 178, 1.0, 0.2), *empty, waypoint(5, -0.9, 0.6)], 6.0)
+    assert 5 in world.reached and "Mission complete" in world.texts()
+
+
+def test_plan_ids_tell_what_is_in_force() -> None:
+    world = afloat()
+
+    def ids() -> tuple[int, int, int]:
+        (m,) = [
+            m for m in world.ask(mav.MAVLink_command_long_message(1, 1, 512, 0, 42, 0, 0, 0, 0, 0, 0)) if m.id == 42
+        ]
+        return m.mission_id, m.fence_id, m.rally_points_id
+
+    none, fence, rally = ids()
+    assert (none, rally) == (0, 0) and fence != 0
+    ack = world.upload([waypoint(0, -1.2, 0.6), waypoint(1, -1.0, 0.6)])
+    assert ack.opaque_id != 0 and ids() == (ack.opaque_id, fence, 0)
+    (count,) = [m for m in world.ask(mav.MAVLink_mission_request_list_message(1, 1, 0)) if m.id == 44]
+    assert count.opaque_id == ack.opaque_id
+    assert world.upload([waypoint(0, 9.0, 0.6, depth=9.0)]).opaque_id == 0
+    assert ids() == (ack.opaque_id, fence, 0), "a refused plan changes nothing"
+    point = world.upload([placed(0, 5100, -1.0, 0.6, 0.5)], 2)
+    assert ids() == (ack.opaque_id, fence, point.opaque_id)
+    again = world.upload([waypoint(0, -1.2, 0.6), waypoint(1, -1.0, 0.7)])
+    assert again.opaque_id not in (0, ack.opaque_id)
+    assert world.upload([], 0).opaque_id == 0
+    assert ids() == (0, fence, point.opaque_id)
+    world.heard.clear()
+    world.tick([world.pack(mav.MAVLink_mission_clear_all_message(1, 1, 255))])
+    world.run(0.2)
+    assert ids() == (0, 0, 0)
+    assert [m for m in world.heard if m.id == 42]
