@@ -11,6 +11,7 @@ from autopilot.cli.view_option import foxglove_option, opened_foxglove, opened_v
 from autopilot.run.config import PROFILES
 
 if TYPE_CHECKING:
+    from autopilot.core.messages import RunEnd
     from autopilot.run.config import Settings
     from autopilot.run.session import Session
     from autopilot.run.vehicle_config import VehicleConfig
@@ -48,7 +49,12 @@ def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given
     )
     overrides = parse_overrides(param)
     with opened_view(settings["view"]) as view, opened_foxglove(settings["foxglove"]) as foxglove:
-        session = _run(settings, loaded, overrides, instance, stop, view, foxglove, quiet=quiet)
+        while True:
+            session, end = _run(settings, loaded, overrides, instance, stop, view, foxglove, quiet=quiet)
+            if stop or end is None or end.value != "again":
+                break
+            tell_losses(session)
+            loaded = load_config(config)
     not_whole = tell_losses(session)
     if stop.interrupted:
         raise click.Abort
@@ -66,8 +72,8 @@ def _run(
     foxglove: "FoxgloveServer | None",
     *,
     quiet: bool,
-) -> "Session":
-    """The run, from links to its end."""
+) -> "tuple[Session, RunEnd | None]":
+    """The run, from links to its end, and how an operator has ended it."""
     from autopilot.run.hardware_session import open_vehicle, open_vehicle_links
 
     with open_vehicle_links(settings, loaded, overrides, instance=instance) as boot:
@@ -75,13 +81,14 @@ def _run(
 
         console = None if quiet else Console()
         show = (lambda _: None) if console is None else console.print
+        lines = EventLines(show)
         session = open_vehicle(
             settings,
             loaded,
             overrides,
             instance=instance,
             links=boot.links,
-            on_tick=EventLines(show).step,
+            on_tick=lines.step,
             view=view,
             foxglove=foxglove,
         )
@@ -92,7 +99,7 @@ def _run(
     devices = ", ".join(f"{kind} {setup.driver}" for kind, setup in loaded.devices.items())
     show(f"{loaded.path.name}: {loaded.vehicle.name}, {devices}, MAVLink on {', '.join(settings['connect'])}")
     try:
-        session.run(stop=lambda: bool(stop))
+        session.run(stop=lambda: bool(stop) or lines.run_end is not None)
         counters = session.runtime.counters
         show(
             f"{0.01 * counters.ticks:.1f} s, {counters.overruns} overruns"
@@ -102,4 +109,4 @@ def _run(
     finally:
         if console is not None:
             console.close()
-    return session
+    return session, lines.run_end

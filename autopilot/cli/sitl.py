@@ -67,7 +67,8 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     with opened_view(settings["view"]) as view, opened_foxglove(settings["foxglove"]) as foxglove:
         while True:
             session, watch = _run(settings, overrides, instance, stop, view, foxglove, quiet=quiet)
-            if session.steering is None or not session.steering.reset:
+            again = watch.run_end is not None and watch.run_end.value == "again" and not stop
+            if not again and (session.steering is None or not session.steering.reset):
                 break
             _begin_anew(settings)
     to_the_end = settings["until"] == "complete"
@@ -123,7 +124,12 @@ def _run(
     to_the_end, steering = settings["until"] == "complete", session.steering
     try:
         wall_s = session.run(
-            stop=lambda: bool(stop) or (to_the_end and watch.ended) or (steering is not None and steering.reset)
+            stop=lambda: (
+                bool(stop)
+                or watch.run_end is not None
+                or (to_the_end and watch.ended)
+                or (steering is not None and steering.reset)
+            )
         )
         counters = session.runtime.counters
         ran_s = counters.ticks * 0.01
@@ -149,7 +155,7 @@ def _conclude(session: "SitlSession", watch: "RunWatch", *, interrupted: bool, t
         click.echo(f"warning: {watch.contacts} contacts with walls, floor or obstacles", err=True)
     if interrupted:
         raise click.Abort
-    if to_the_end and not watch.complete:
+    if to_the_end and not watch.complete and watch.run_end is None:
         raise AutopilotError("the run ended before its mission was complete; look at the messages above, or at /rosout")
     if not_whole or watch.contacts:
         click.get_current_context().exit(EXIT_LOSS)

@@ -27,7 +27,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin, Place, refuse_place
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Event, NavState, Severity
+from autopilot.core.messages import Event, NavState, RunEnd, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
@@ -39,6 +39,9 @@ from mission.store import Plans
 
 READINESS_EVERY_TICKS = 50
 """Arming checks are looked at twice per second for telemetry, and anew when arming is asked for."""
+
+END_AFTER_TICKS = 20
+"""A run that an operator ends goes on so long: its answer has to be on its way."""
 
 _ACCEPTED = Answer(result=CommandResult.ACCEPTED)
 
@@ -74,6 +77,8 @@ class Commander:
         self._fence_guard = FenceGuard(vehicle, params, plans, self._goals)
         self._readiness: tuple[str, ...] = STARTING
         self._ticks = 0
+        self._ending: tuple[int, RunEnd] | None = None
+        """At which tick the run ends, and how."""
         plans.guard = self._guard_plans
 
     @property
@@ -138,6 +143,7 @@ class Commander:
         if reasons:
             self._operator.say(Severity.WARNING, "Forced arming despite: " + "; ".join(reasons))
         self._modes.arm()
+        self._ending = None
         mode = self._modes.chosen
         allowed = self._refusals.of_mode(mode) is None and not self._steering.prepare(mode)
         self._modes.enter(mode if allowed else FlightMode.HOLD)
@@ -328,6 +334,21 @@ class Commander:
         if rejection is not None:
             return denied(f"Origin denied, clear the plan first: {rejection.reason}")
         return _ACCEPTED
+
+    def end_run(self, end: RunEnd) -> Answer:
+        """The service ends, or begins anew."""
+        if self._modes.armed:
+            return Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="Reboot refused: disarm first")
+        self._ending = self._ticks + END_AFTER_TICKS, end
+        self._operator.say(Severity.INFO, "Restarting" if end is RunEnd.AGAIN else "Stopping")
+        return _ACCEPTED
+
+    @property
+    def run_end(self) -> RunEnd | None:
+        """How the run ends now, None = it goes on. Who has been armed meanwhile is not stopped."""
+        if self._ending is None or self._ticks < self._ending[0] or self._modes.armed:
+            return None
+        return self._ending[1]
 
     # One tick
 

@@ -161,6 +161,7 @@ class Autopilot:
             payload=self._run("payload", lambda: parts.equipment.step(t_us), None),
             shots=shots,
             stills=stills,
+            run_end=parts.commander.run_end,
             events=inputs.notices + self._events + self._run("telemetry", parts.server.take_notices, NO_EVENTS),
             parameters=parts.params.take_changes(),
         )

@@ -508,6 +508,14 @@ class Failsafe(IntEnum):
     ASCENT = 27
 
 
+class RunEnd(Enum):
+    """How a run of the service ends by command."""
+
+    STOP = "stop"
+    AGAIN = "again"
+    """And another one begins."""
+
+
 class Severity(IntEnum):
     """MAV_SEVERITY (common.xml)."""
 
@@ -596,6 +604,8 @@ class Outputs:
     """Numbers of the stills that are to be taken from now on."""
     stills: tuple[StillRecord, ...] = ()
     """Stills that have been stored, with where the vehicle was."""
+    run_end: RunEnd | None = None
+    """An operator wants this run to end now."""
     events: tuple[Event, ...] = field(default=())
     parameters: Mapping[str, float] = field(default_factory=dict)
     """That were changed since the last tick."""

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Place
-from autopilot.core.messages import MissionProgress, NavDoubt, NavState, NmpcStatus, ThrusterCommand
+from autopilot.core.messages import MissionProgress, NavDoubt, NavState, NmpcStatus, RunEnd, ThrusterCommand
 from autopilot.core.orbit import OrbitYaw as OrbitYaw
 from autopilot.core.samples import PowerSample
 from autopilot.core.sensed import Sensed
@@ -263,4 +263,8 @@ class VehicleCommands(Protocol):
 
     def set_origin(self, point: Place) -> Answer:
         """Local origin. Refused while armed."""
+        ...
+
+    def end_run(self, end: RunEnd) -> Answer:
+        """The service ends, or begins anew, a moment after the answer. Refused while armed."""
         ...

@@ -20,13 +20,14 @@ from autopilot.mavlink.camera import CAMERA_COMPID, CameraComponent
 from autopilot.mavlink.camera_api import CameraOrders
 from autopilot.mavlink.commands import Call, Commands, Entry, call_of
 from autopilot.mavlink.context import COMPID, Context, Identity, Peer
-from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.equipment_commands import EquipmentCommands
 from autopilot.mavlink.external import ExternalPoses
 from autopilot.mavlink.ftp import FileTransfer
 from autopilot.mavlink.inbox import Address, Inbox, Intake
 from autopilot.mavlink.logs import LogDownload
+from autopilot.mavlink.maintenance import Maintenance
 from autopilot.mavlink.metadata import ComponentMetadata, make_metadata
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.operators import REQUEST, STATUS_ID, Operators
@@ -157,6 +158,7 @@ class Dispatcher:
                 **ComponentMetadata(ctx, metadata).builders(),
                 mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
                 mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
+                extra.MAVLINK_MSG_ID_CURRENT_EVENT_SEQUENCE: self.utility.event_sequence,
                 STATUS_ID: self._operators.status,
             },
         )
@@ -165,7 +167,8 @@ class Dispatcher:
         # A request for control is judged by itself, also while somebody else has it.
         control = {REQUEST: Entry(handler=self._operators.request, action=False)}
         carried = {} if equipment is None else EquipmentCommands(equipment).table()
-        table = {**self._vehicle.table(), **requests.table(), **control, **carried}
+        maintenance = Maintenance(ctx, self.parameters)
+        table = {**self._vehicle.table(), **requests.table(), **maintenance.table(), **control, **carried}
         self._camera: CameraComponent | None = None
         self._to_camera: Commands | None = None
         """Commands that are addressed to the camera, or that only it can answer."""
@@ -199,6 +202,7 @@ class Dispatcher:
             mav.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
             mav.MAVLINK_MSG_ID_COMMAND_LONG: self._on_command,
             mav.MAVLINK_MSG_ID_COMMAND_INT: self._on_command,
+            extra.MAVLINK_MSG_ID_COMMAND_CANCEL: self._on_cancel,
             mav.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
             mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN: self._on_set_origin,
             mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: lambda peer, msg: parameters.on_request_list(peer),
@@ -216,6 +220,7 @@ class Dispatcher:
             mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT: self._progress.on_set_current,
             mav.MAVLINK_MSG_ID_PING: utility.on_ping,
             mav.MAVLINK_MSG_ID_TIMESYNC: utility.on_timesync,
+            extra.MAVLINK_MSG_ID_REQUEST_EVENT: utility.on_request_event,
             mav.MAVLINK_MSG_ID_SYSTEM_TIME: lambda peer, msg: utility.on_system_time(msg),
             mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: self._files.on_message,
             mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST: self._logs.on_request_list,
@@ -489,6 +494,13 @@ class Dispatcher:
 
     def _on_set_mode(self, peer: Peer, msg: Message) -> None:
         self._explain(peer, self._vehicle.set_mode_message(msg.base_mode, msg.custom_mode))
+
+    def _on_cancel(self, peer: Peer, msg: Message) -> None:
+        """COMMAND_CANCEL: the command that is being carried out ends and its client gets CANCELLED; any other is over,
+        and nothing is said (common.xml)."""
+        if self._vehicle.cancel(msg.command):
+            ack = mav.MAVLink_command_ack_message(msg.command, CommandResult.CANCELLED, 0, 0, peer.sysid, peer.compid)
+            self._ctx.send(peer, ack)
 
     def _on_set_origin(self, peer: Peer, msg: Message) -> None:
         self._explain(peer, self._vehicle.set_origin_message(msg.latitude, msg.longitude, msg.altitude))

@@ -387,6 +387,14 @@ enums["MAV_RESULT"][10] = EnumEntry("MAV_RESULT_NOT_IN_CONTROL", """Command has 
 MAV_RESULT_ENUM_END = 11
 enums["MAV_RESULT"][11] = EnumEntry("MAV_RESULT_ENUM_END", """""")
 
+# MAV_EVENT_ERROR_REASON
+enums["MAV_EVENT_ERROR_REASON"] = Enum()
+enums["MAV_EVENT_ERROR_REASON"].bitmask = False
+MAV_EVENT_ERROR_REASON_UNAVAILABLE = 0
+enums["MAV_EVENT_ERROR_REASON"][0] = EnumEntry("MAV_EVENT_ERROR_REASON_UNAVAILABLE", """The requested event is not available (anymore).""")
+MAV_EVENT_ERROR_REASON_ENUM_END = 1
+enums["MAV_EVENT_ERROR_REASON"][1] = EnumEntry("MAV_EVENT_ERROR_REASON_ENUM_END", """""")
+
 # GCS_CONTROL_STATUS_FLAGS
 enums["GCS_CONTROL_STATUS_FLAGS"] = Enum()
 enums["GCS_CONTROL_STATUS_FLAGS"].bitmask = True

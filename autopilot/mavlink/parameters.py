@@ -190,6 +190,28 @@ class Parameters:
         else:
             self._saving[name] = _Request(number=number, since_us=ctx.t_us)
 
+    def reset(self) -> int:
+        """Every parameter to its default, saved; how many have changed. Those that are judged together go round until
+        none is refused for what the others still are."""
+        ctx = self._ctx
+        changed = [name for name in ctx.params if ctx.params[name] != ctx.params.spec(name).default]
+        left = changed
+        while left:
+            refused = []
+            for name in left:
+                try:
+                    ctx.params.set(name, ctx.params.spec(name).default)
+                except ConfigError:
+                    refused.append(name)
+            if len(refused) == len(left):
+                break
+            left = refused
+        for name in changed:
+            if ctx.saving is not None:
+                ctx.saving.save(ctx.t_us // TICK_US, name)
+            ctx.broadcast(self.value(name))
+        return len(changed) - len(left)
+
     def _answer_hash(self, peer: Peer) -> None:
         """_HASH_CHECK, where integers travel bytewise; silence means "no cache"."""
         if self._ctx.profile.param_encoding is ParamEncoding.BYTEWISE:

@@ -1,8 +1,7 @@
-"""Small services: PING, TIMESYNC, SYSTEM_TIME."""
-
-from pymavlink.dialects.v20 import development as mav
+"""Small services: PING, TIMESYNC, SYSTEM_TIME, and that there are no events."""
 
 from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.wire import Message
 
 
@@ -23,6 +22,18 @@ class Utility:
         """TIMESYNC: tc1 = 0 is a request, answered with our time in nanoseconds."""
         if msg.tc1 == 0:
             self._ctx.send(peer, mav.MAVLink_timesync_message(self._ctx.t_us * 1000, msg.ts1))
+
+    def on_request_event(self, peer: Peer, msg: Message) -> None:
+        """REQUEST_EVENT: operators are told by STATUSTEXT, there has never been an EVENT that could be sent again."""
+        unavailable = extra.MAV_EVENT_ERROR_REASON_UNAVAILABLE
+        self._ctx.send(
+            peer,
+            extra.MAVLink_response_event_error_message(peer.sysid, peer.compid, msg.first_sequence, 0, unavailable),
+        )
+
+    def event_sequence(self) -> Message | None:
+        """CURRENT_EVENT_SEQUENCE, for who asks: none so far."""
+        return extra.MAVLink_current_event_sequence_message(0, 0)
 
     def on_system_time(self, msg: Message) -> None:
         """SYSTEM_TIME of a ground station: kept for boards without a clock."""

@@ -36,6 +36,15 @@ _ORBIT_YAW = {
 }
 """ORBIT_YAW_BEHAVIOUR (common.xml); 4 is a pilot's stick, 5 leaves the heading as it is."""
 
+_LASTING = {
+    mav.MAV_CMD_NAV_TAKEOFF: FlightMode.TAKEOFF,
+    mav.MAV_CMD_DO_ORBIT: FlightMode.CIRCLE,
+    mav.MAV_CMD_NAV_RETURN_TO_LAUNCH: FlightMode.RETURN,
+    mav.MAV_CMD_NAV_LAND: FlightMode.SURFACE,
+    mav.MAV_CMD_MISSION_START: FlightMode.MISSION,
+}
+"""Commands whose work goes on behind their answer, in a mode of their own."""
+
 INT_ONLY = Answer(result=CommandResult.COMMAND_INT_ONLY, reason="send COMMAND_INT: COMMAND_LONG rounds to 0.5 m")
 
 
@@ -143,6 +152,12 @@ class VehicleService:
                 Answer(result=CommandResult.TEMPORARILY_REJECTED, reason="arming checks: the vehicle is armed")
             )
         return Reply(ACCEPTED)
+
+    def cancel(self, command: int) -> bool:
+        """End what a command began, if it is what the vehicle does now: it holds. Whether it was."""
+        ctx = self._ctx
+        running = ctx.view.armed and command in _LASTING and ctx.view.mode is _LASTING[command]
+        return running and ctx.vehicle.pause().result is CommandResult.ACCEPTED
 
     # Steering
 

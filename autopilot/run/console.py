@@ -4,7 +4,7 @@ import queue
 import threading
 from collections.abc import Callable
 
-from autopilot.core.messages import Outputs, Severity
+from autopilot.core.messages import Outputs, RunEnd, Severity
 
 REPEAT_US = 5_000_000
 """The same line is not shown twice within this time."""
@@ -51,9 +51,12 @@ class EventLines:
     def __init__(self, show: Print) -> None:
         self._show = show
         self._shown_us: dict[str, int] = {}
+        self.run_end: RunEnd | None = None
+        """How an operator has ended the run."""
 
     def step(self, outputs: Outputs) -> None:
         """Look at a tick."""
+        self.run_end = self.run_end or outputs.run_end
         for event in outputs.events:
             if event.severity < Severity.DEBUG:
                 mark = "" if event.severity > Severity.WARNING else "! "

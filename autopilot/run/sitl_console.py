@@ -10,7 +10,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Outputs, ProgressState
+from autopilot.core.messages import Outputs, ProgressState, RunEnd
 from autopilot.core.plan import PlanKind
 from autopilot.core.shapes import clearance_m
 from autopilot.core.toml_table import Vec2
@@ -49,6 +49,11 @@ class RunWatch:
         self.complete |= self._was_active and state is ProgressState.COMPLETE
         self.over |= self._was_active and not armed and self._session.operator is not None
         self._armed = armed
+
+    @property
+    def run_end(self) -> RunEnd | None:
+        """How an operator has ended the run."""
+        return self._lines.run_end
 
     @property
     def ended(self) -> bool:

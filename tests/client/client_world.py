@@ -10,7 +10,7 @@ import numpy as np
 
 from autopilot.core.frames import wrap_pi
 from autopilot.core.geodesy import Origin, Place
-from autopilot.core.messages import Event, MavlinkFrame, NavHealth, NavState, ProgressState
+from autopilot.core.messages import Event, MavlinkFrame, NavHealth, NavState, ProgressState, RunEnd
 from autopilot.core.params import ParamSet
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleView
 from autopilot.mavlink.server import MavlinkServer
@@ -77,6 +77,9 @@ class StraightVehicle:
         return NO
 
     def set_origin(self, point: Place) -> Answer:
+        return NO
+
+    def end_run(self, end: RunEnd) -> Answer:
         return NO
 
     def tick(self, t_us: int) -> tuple[tuple[int, ...], VehicleView]:

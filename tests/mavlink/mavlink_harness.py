@@ -17,6 +17,7 @@ from autopilot.core.messages import (
     NavHealth,
     NavState,
     ProgressState,
+    RunEnd,
     ThrusterCommand,
 )
 from autopilot.core.params import ParamSet
@@ -142,6 +143,9 @@ class RecordingVehicle:
 
     def set_origin(self, point: Place) -> Answer:
         return self._note("set_origin", point)
+
+    def end_run(self, end: RunEnd) -> Answer:
+        return self._note("end_run", end)
 
 
 def nav_state(t_us: int = 0, **changes: Any) -> NavState:

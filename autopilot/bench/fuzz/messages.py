@@ -12,7 +12,7 @@ from typing import Any
 from autopilot.core.clients import Reach
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.params import PARAMETERS
-from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.dialect import extra, mav
 
 HANDLED_NAMES = """
     HEARTBEAT COMMAND_LONG COMMAND_INT SET_MODE SET_GPS_GLOBAL_ORIGIN PARAM_REQUEST_LIST PARAM_REQUEST_READ PARAM_SET
@@ -24,12 +24,18 @@ HANDLED_NAMES = """
     RC_CHANNELS_OVERRIDE SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT SET_ATTITUDE_TARGET
     SET_ACTUATOR_CONTROL_TARGET
 """
-HANDLED = tuple(sorted(getattr(mav, f"MAVLINK_MSG_ID_{name}") for name in HANDLED_NAMES.split()))
+EXTRA_NAMES = "COMMAND_CANCEL REQUEST_EVENT"
+HANDLED = tuple(
+    sorted(
+        [getattr(mav, f"MAVLINK_MSG_ID_{name}") for name in HANDLED_NAMES.split()]
+        + [getattr(extra, f"MAVLINK_MSG_ID_{name}") for name in EXTRA_NAMES.split()]
+    )
+)
 """Messages that the server has a handler for."""
 
 COMMANDS = (
     *(400, 176, 262, 300, 193, 192, 20, 21, 17, 178, 179, 410, 611, 224, 512, 511, 510, 520, 401, 185, 519),
-    *(22, 34, 92, 186, 32100),
+    *(22, 34, 92, 186, 32100, 241, 245, 246),
 )
 """Commands that the server knows."""
 ALL_COMMANDS = tuple(sorted(number for number in mav.enums["MAV_CMD"] if number < 0x1_0000))

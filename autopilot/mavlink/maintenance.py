@@ -1,0 +1,67 @@
+"""Commands for a vehicle that does not fly: storage, restart, calibration."""
+
+from collections.abc import Callable, Mapping
+
+from autopilot.core.messages import RunEnd, Severity
+from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
+from autopilot.mavlink.context import Context
+from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.parameters import Parameters
+
+_READ, _WRITE, _RESET, _RESET_SENSORS, _FACTORY = range(5)
+"""PREFLIGHT_STORAGE_PARAMETER_ACTION."""
+_NOTHING, _RESTART, _STOP = range(3)
+"""REBOOT_SHUTDOWN_ACTION."""
+
+
+class Maintenance:
+    """Translates them."""
+
+    def __init__(self, ctx: Context, parameters: Parameters) -> None:
+        self._ctx, self._parameters = ctx, parameters
+
+    def table(self) -> Mapping[int, Entry]:
+        """Commands of this service."""
+
+        def action(handler: Callable[[Call], Reply]) -> Entry:
+            return Entry(handler=handler, action=True)
+
+        return {
+            mav.MAV_CMD_PREFLIGHT_STORAGE: action(self.storage),
+            mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: action(self.reboot),
+            mav.MAV_CMD_PREFLIGHT_CALIBRATION: action(self.calibrate),
+        }
+
+    def storage(self, call: Call) -> Reply:
+        """PREFLIGHT_STORAGE: parameters are written when they are set, so reading and writing are done; 2 and 4 set all
+        to their defaults. What it says of plans and logs is not offered."""
+        what = call.whole(1)
+        if what == _RESET_SENSORS:
+            return denied("storage: calibration is in the vehicle file, see `autopilot calibrate`")
+        if what not in (_READ, _WRITE, _RESET, _FACTORY, -1):
+            return denied(f"storage: param1 = {call.param(1):g}, use 0, 1 or 2")
+        if (call.whole(2) or 0) in (_RESET, _FACTORY):
+            return denied("storage: plans are cleared by MISSION_CLEAR_ALL")
+        if what in (_RESET, _FACTORY):
+            if self._ctx.view.armed:
+                return denied("Parameters not reset: disarm first")
+            count = self._parameters.reset()
+            self._ctx.say(Severity.INFO, f"Parameters set to defaults: {count}", call.peer)
+        return Reply(ACCEPTED)
+
+    def reboot(self, call: Call) -> Reply:
+        """PREFLIGHT_REBOOT_SHUTDOWN: 1 begins the service anew, 2 ends it."""
+        what = call.whole(1)
+        if what == _NOTHING:
+            return Reply(ACCEPTED)
+        if what not in (_RESTART, _STOP):
+            return denied(f"reboot: param1 = {call.param(1):g}, use 1 (restart) or 2 (stop)")
+        return Reply(self._ctx.vehicle.end_run(RunEnd.AGAIN if what == _RESTART else RunEnd.STOP))
+
+    def calibrate(self, call: Call) -> Reply:
+        """PREFLIGHT_CALIBRATION: sensors come calibrated or are calibrated from logs; nothing runs that all zeros could
+        end."""
+        wanted = [*call.params, call.x, call.y, call.z]
+        if not any(value and value == value for value in wanted):
+            return Reply(ACCEPTED)
+        return denied("Calibrate on board: `autopilot calibrate`")
