@@ -85,6 +85,7 @@ class VehicleService:
             mav.MAV_CMD_DO_SET_GLOBAL_ORIGIN: Entry(
                 handler=self.set_origin, action=True, carrier=CommandResult.COMMAND_INT_ONLY
             ),
+            mav.MAV_CMD_DO_FENCE_ENABLE: action(self.fence_enable),
             mav.MAV_CMD_DO_FLIGHTTERMINATION: action(self.terminate),
             mav.MAV_CMD_RUN_PREARM_CHECKS: Entry(handler=self.run_prearm_checks, action=False),
         }
@@ -105,6 +106,12 @@ class VehicleService:
         if call.params[0] == 1.0:
             return Reply(self._ctx.vehicle.disarm(True))
         return denied("flight termination: send param1 = 1")
+
+    def fence_enable(self, call: Call) -> Reply:
+        """DO_FENCE_ENABLE: the fence is a limit of the controller and holds as long as there is one."""
+        if call.params[0] == 1.0:
+            return Reply(ACCEPTED)
+        return denied("fence cannot be switched off: disarm and clear it")
 
     def do_set_mode(self, call: Call) -> Reply:
         """DO_SET_MODE: base mode with the custom flag, then the profile's numbers."""

@@ -1,6 +1,6 @@
 """Survey and corridor scan as QGroundControl's plan view turns them into simple items.
 
-As TransectStyleComplexItem of QGroundControl emits them: waypoints in frame GLOBAL_RELATIVE_ALT with a free heading (NaN),
+As TransectStyleComplexItem of QGroundControl emits them: waypoints in frame GLOBAL_RELATIVE_ALT with a free heading,
 turnarounds beyond the area, camera triggered by distance within it; with PX4 the entry and exit points are
 CONDITION_GATE, with others waypoints.
 """
@@ -42,14 +42,14 @@ def transects(
     for begin, end in lines:
         ahead = turn_m * (end - begin) / abs(end - begin)
         edge = 4501 if gates and turn_m else 16
-        for place, pictures in ((begin, trigger_m), (end, 0.0)):
-            if turn_m and pictures:
-                add(16, begin - ahead)
+        if turn_m:
+            add(16, begin - ahead)
+        for place, pictures_m in ((begin, trigger_m), (end, 0.0)):
             add(edge, place)
             if trigger_m:
-                items.append(_trigger(len(items), pictures))
-            if turn_m and not pictures:
-                add(16, end + ahead)
+                items.append(_trigger(len(items), pictures_m))
+        if turn_m:
+            add(16, end + ahead)
     return items
 
 
@@ -84,6 +84,6 @@ def corridor(
         places = list(np.array(path) + offset * side)[:: 1 if k % 2 == 0 else -1]
         for n, place in enumerate(places):
             items.append(_placed(len(items), 16, origin, complex(place), depth, NAN))
-            if n in (0, len(places) - 1):
+            if trigger_m and n in (0, len(places) - 1):
                 items.append(_trigger(len(items), trigger_m if n == 0 else 0.0))
     return items

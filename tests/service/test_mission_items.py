@@ -185,3 +185,9 @@ def test_plan_ids_tell_what_is_in_force() -> None:
     world.run(0.2)
     assert ids() == (0, 0, 0)
     assert [m for m in world.heard if m.id == 42]
+
+
+def test_a_fence_is_not_switched_off_by_command() -> None:
+    world = afloat()
+    assert world.command(207, 1.0) == 0
+    assert world.command(207, 0.0) == 2 and "fence cannot be switched off" in world.texts()
