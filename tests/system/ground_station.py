@@ -69,7 +69,7 @@ class GroundStation:
         self._parts: dict[int, str] = {}
         self._open(port)
         self._beat_s = 0.0
-        self._heartbeat_s: float | None = None
+        self.heartbeat_s: float | None = None
         """When the last one came, by the vehicle's clock."""
         self._listeners: list[Callable[[Message], None]] = []
 
@@ -80,12 +80,6 @@ class GroundStation:
 
     def close(self) -> None:
         self._socket.close()
-
-    def follow(self, service: RunningService, port: int) -> None:
-        """The vehicle has been started anew; the station has stayed."""
-        self._socket.close()
-        self._open(port)
-        self.service, self._heartbeat_s = service, None
 
     # The wire
 
@@ -131,10 +125,10 @@ class GroundStation:
                 listener(message)
 
     def _on_heartbeat(self) -> None:
-        now_s, before_s = self.vehicle_s, self._heartbeat_s
-        if before_s is not None and now_s - before_s > LOST_S * self.speed:
+        now_s, before_s = self.vehicle_s, self.heartbeat_s
+        if before_s is not None and now_s - before_s > LOST_S * self.speed and self.hears:
             self.trouble.append(f"communication lost at {before_s:.1f} s")
-        self._heartbeat_s = now_s
+        self.heartbeat_s = now_s
 
     def _on_text(self, message: Message) -> None:
         text = message.text
