@@ -1,6 +1,8 @@
 """The command protocol itself: every command by either carrier, to every target, once or again, and its end."""
 
+import json
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -116,6 +118,19 @@ def test_parameters_go_back_to_their_defaults_on_the_ground_only() -> None:
     assert client.ask(reset, "COMMAND_ACK", 0.1)[-1].result == mav.MAV_RESULT_ACCEPTED
     assert all(world.params[spec.name] == spec.default for spec in PARAMETERS)
     assert {told.param_id for told in client.got("PARAM_VALUE")} >= {"SPD_CRUISE", "FS_SOLVER_N"}
+
+
+def test_the_actions_for_ground_stations_without_buttons_work_as_they_are_sent() -> None:
+    """COMMAND_LONG, what is not given is 0."""
+    file = json.loads((Path(__file__).parents[2] / "docs" / "examples" / "qgc-actions.json").read_text())
+    assert (file["fileType"], file["version"]) == ("MavlinkActions", 1)
+    for action in file["actions"]:
+        world = World("generic")
+        client = world.client()
+        params = [float(action.get(f"param{n}", 0.0)) for n in range(1, 8)]
+        (ack,) = client.ask(mav.MAVLink_command_long_message(1, 1, action["mavCmd"], 0, *params), "COMMAND_ACK", 0.1)
+        assert ack.result == mav.MAV_RESULT_ACCEPTED, action
+        assert world.vehicle.calls or action["mavCmd"] == mav.MAV_CMD_RUN_PREARM_CHECKS
 
 
 def test_calibration_says_where_it_is_done() -> None:
