@@ -1,8 +1,8 @@
 """Draws a .plan as QGroundControl has it and as the vehicle takes it: ``python docs/plan_picture.py [PLAN] [PNG]``.
 
-Without arguments the paper's plan, to docs/figures/qgc_plan.png. Left: what the ground station draws (items numbered from
-1, altitudes negative, shapes as they are). Right: what is flown, in metres of the local frame (items from 0, depths, the
-body's radius and margin round every shape).
+Without arguments the paper's plan, to docs/figures/qgc_plan.png. Left: what the ground station draws (items from
+1, altitudes negative, shapes as they are). Right: what is flown, in metres of the local frame (items from 0, depths,
+the body's radius and margin round every shape).
 """
 
 import sys

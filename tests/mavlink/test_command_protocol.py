@@ -126,6 +126,7 @@ def test_the_actions_for_ground_stations_without_buttons_work_as_they_are_sent()
     assert (file["fileType"], file["version"]) == ("MavlinkActions", 1)
     for action in file["actions"]:
         world = World("generic")
+        world.show(armed=action["mavCmd"] != mav.MAV_CMD_RUN_PREARM_CHECKS)
         client = world.client()
         params = [float(action.get(f"param{n}", 0.0)) for n in range(1, 8)]
         (ack,) = client.ask(mav.MAVLink_command_long_message(1, 1, action["mavCmd"], 0, *params), "COMMAND_ACK", 0.1)
