@@ -1,0 +1,519 @@
+"""Tries every plugin of the installed MAVSDK on the service as a process: ``python docs/mavsdk_table.py --write``.
+
+The table stands in ``docs/mavlink.md`` between ``mavsdk:begin`` and ``mavsdk:end``; without ``--write`` it is printed.
+``--only NAME`` tries single plugins. A call has :data:`PATIENCE_S` of the vehicle's time; what has not come by then
+is "hangs", a stream that has brought nothing is "silent".
+"""
+
+import argparse
+import contextlib
+import math
+import re
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import mavsdk
+import mavsdk.plugins
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "mavlink.md"
+BEGIN, END = "<!-- mavsdk:begin -->\n", "<!-- mavsdk:end -->"
+PATIENCE_S = 40.0
+STREAMS_S = 15.0
+NAN = math.nan
+LAT, LON = 37.9755, 23.7790
+
+Probe = tuple[str, Callable[[], Any]]
+
+OTHER_SIDE = "the vehicle's or camera's side of the protocol: nothing that it could be tried on"
+
+
+def plugin_names() -> list[str]:
+    """All plugins of the installed package."""
+    folder = Path(mavsdk.plugins.__file__ or "").parent
+    return sorted(path.name for path in folder.iterdir() if (path / "__init__.py").exists())
+
+
+class Row:
+    """What became of one plugin's calls."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.works: list[str] = []
+        self.refused: list[str] = []
+        self.nothing: list[str] = []
+
+    def markdown(self) -> str:
+        """A line of the table."""
+        if self.name.endswith("_server") or self.name == "server_utility":
+            return f"| {self.name} | | | {OTHER_SIDE} |"
+        cells = (", ".join(dict.fromkeys(cell)) for cell in (self.works, self.refused, self.nothing))
+        return f"| {self.name} | {' | '.join(cells)} |"
+
+
+class Bench:
+    """One vehicle, and the plugins that are tried on it."""
+
+    def __init__(self, system: Any, folder: Path) -> None:
+        self.system, self.folder = system, folder
+        self.texts: list[str] = []
+        telemetry = self.plugin("telemetry")
+        telemetry.subscribe_status_text(lambda text, _: self.texts.append(text.text))
+        self._telemetry = telemetry
+
+    def ready(self) -> bool:
+        """Whether MAVSDK takes the vehicle for one that is."""
+        return bool(self._telemetry.health_all_ok())
+
+    def plugin(self, name: str) -> Any:
+        """A plugin of the vehicle."""
+        module = import_module(f"mavsdk.plugins.{name}")
+        return getattr(module, "".join(part.capitalize() for part in name.split("_")))(self.system)
+
+    def row(self, name: str) -> Row:
+        """Try one plugin."""
+        row = Row(name)
+        probes = PROBES.get(name)
+        if probes is None or name.endswith("_server"):
+            return row
+        calls, streams = probes(self)
+        for label, call in calls:
+            self._try(row, label, call)
+        self._listen(row, streams)
+        return row
+
+    def _try(self, row: Row, label: str, call: Callable[[], Any]) -> None:
+        outcome: list[str] = []
+
+        def run() -> None:
+            try:
+                value = call()
+                name = getattr(value, "name", "SUCCESS")
+                outcome.append("" if name in ("SUCCESS", "NEXT") or not hasattr(value, "name") else name)
+            except Exception as error:  # noqa: BLE001 - what a call raises is its outcome
+                result = getattr(error, "result", None)
+                outcome.append(getattr(result, "name", f"{type(error).__name__}: {error}"[:60]))
+
+        before = len(self.texts)
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        thread.join(PATIENCE_S)
+        if not outcome:
+            row.nothing.append(f"{label} (hangs)")
+        elif not outcome[0]:
+            row.works.append(label)
+        else:
+            time.sleep(0.3)
+            said = " with text" if len(self.texts) > before else ""
+            where = row.nothing if outcome[0] in ("TIMEOUT", "NO_SYSTEM") else row.refused
+            where.append(f"{label} ({outcome[0]}{said})")
+
+    def _listen(self, row: Row, streams: list[tuple[str, Callable[[Callable[..., None]], Any]]]) -> None:
+        told: set[str] = set()
+        for label, subscribe in streams:
+            subscribe(lambda *args, label=label: told.add(label))
+        end_s = time.monotonic() + STREAMS_S
+        while time.monotonic() < end_s and len(told) < len(streams):
+            time.sleep(0.1)
+        for label, _ in streams:
+            (row.works if label in told else row.nothing).append(label if label in told else f"{label} (silent)")
+
+
+def started(begin: Callable[[Callable[..., None]], Any]) -> Callable[[], Any]:
+    """A call whose outcome comes by a callback: the last result."""
+
+    def run() -> Any:
+        done, last = threading.Event(), []
+
+        def told(result: Any, *rest: Any) -> None:
+            if result.name not in ("NEXT", "IN_PROGRESS"):
+                last.append(result)
+                done.set()
+
+        begin(told)
+        if not done.wait(PATIENCE_S - 2.0):
+            raise TimeoutError("no outcome")
+        return last[0]
+
+    return run
+
+
+def _stream(plugin: Any, names: str) -> list[tuple[str, Callable[[Callable[..., None]], Any]]]:
+    return [(name, getattr(plugin, f"subscribe_{name}")) for name in names.split()]
+
+
+def _calls(plugin: Any, names: str, *args: Any) -> list[Probe]:
+    return [(name, lambda name=name: getattr(plugin, name)(*args)) for name in names.split()]
+
+
+def _raw_items(kind: int = 0) -> list[Any]:
+    item = import_module("mavsdk.plugins.mission_raw").MissionItem
+    command, p1 = {0: (16, 0.0), 1: (5004, 0.2), 2: (5100, 0.0)}[kind]
+    lats = (379_755_000, 379_755_060)
+    return [
+        item(n, 3, command, int(n == 0), 1, p1, 0.3, 0.0, NAN, x, 237_790_000, -0.45, kind) for n, x in enumerate(lats)
+    ]
+
+
+def _action(bench: Bench) -> Any:
+    a = bench.plugin("action")
+    here = (LAT, LON, -0.5)
+    return [
+        *_calls(a, "arm"),
+        ("takeoff", a.takeoff),
+        ("hold", a.hold),
+        ("goto_location", lambda: a.goto_location(*here, 0.0)),
+        ("do_orbit", lambda: a.do_orbit(0.5, 0.1, 0, *here)),
+        ("set_current_speed", lambda: a.set_current_speed(0.2)),
+        ("return_to_launch", a.return_to_launch),
+        ("reboot while armed", a.reboot),
+        ("shutdown while armed", a.shutdown),
+        ("land", a.land),
+        ("kill", a.kill),
+        ("arm_force", a.arm_force),
+        ("terminate", a.terminate),
+        ("disarm", a.disarm),
+        ("set_takeoff_altitude", lambda: a.set_takeoff_altitude(-0.4)),
+        ("get_takeoff_altitude", a.get_takeoff_altitude),
+        ("get_return_to_launch_altitude", a.get_return_to_launch_altitude),
+        ("set_gps_global_origin", lambda: a.set_gps_global_origin(LAT, LON, 0.0)),
+        ("set_actuator", lambda: a.set_actuator(1, 0.0)),
+        ("set_relay", lambda: a.set_relay(0, import_module("mavsdk.plugins.action").RelayCommand(0))),
+        *_calls(a, "transition_to_fixedwing transition_to_multicopter"),
+    ], []
+
+
+def _calibration(bench: Bench) -> Any:
+    c = bench.plugin("calibration")
+    kinds = "gyro accelerometer magnetometer level_horizon gimbal_accelerometer"
+    return [
+        *((kind, started(getattr(c, f"calibrate_{kind}_async"))) for kind in kinds.split()),
+        ("cancel", c.cancel),
+    ], []
+
+
+def _camera(bench: Bench) -> Any:
+    c = bench.plugin("camera")
+    return [
+        ("camera_list", c.camera_list),
+        ("take_photo", lambda: c.take_photo(100)),
+        ("start_video", lambda: c.start_video(100)),
+        ("stop_video", lambda: c.stop_video(100)),
+        ("set_mode", lambda: c.set_mode(100, import_module("mavsdk.plugins.camera").Mode(1))),
+    ], _stream(c, "camera_list")
+
+
+def _metadata(bench: Bench) -> Any:
+    c = bench.plugin("component_metadata")
+
+    def read() -> Any:
+        there = threading.Event()
+        c.subscribe_metadata_available(lambda update, _: there.set())
+        c.request_autopilot_component()
+        if not there.wait(PATIENCE_S - 2.0):
+            raise TimeoutError("no metadata")
+        return len(
+            c.get_metadata(1, import_module("mavsdk.plugins.component_metadata").MetadataType.PARAMETER).json_metadata
+        )
+
+    return [("parameters", read)], []
+
+
+def _events(bench: Bench) -> Any:
+    e = bench.plugin("events")
+    arm = bench.plugin("action")
+
+    def stir(told: Callable[..., None]) -> None:
+        e.subscribe_events(told)
+        with contextlib.suppress(Exception):
+            arm.arm()
+        with contextlib.suppress(Exception):
+            arm.disarm()
+
+    return [("get_health_and_arming_checks_report", e.get_health_and_arming_checks_report)], [("events", stir)]
+
+
+def _failure(bench: Bench) -> Any:
+    f, m = bench.plugin("failure"), import_module("mavsdk.plugins.failure")
+    return [("inject", lambda: f.inject(m.FailureUnit.SENSOR_GYRO, m.FailureType.OFF, 0))], []
+
+
+def _follow(bench: Bench) -> Any:
+    f = bench.plugin("follow_me")
+    return [("set_config", lambda: f.set_config(f.get_config())), ("start", f.start), ("stop", f.stop)], []
+
+
+def _ftp(bench: Bench) -> Any:
+    f, target = bench.plugin("ftp"), str(bench.folder)
+    name = "parameters.json.xz"
+    own = bench.folder / "own.txt"
+    own.write_text("own")
+    return [
+        ("list_directory", lambda: f.list_directory("/")),
+        ("download", started(lambda told: f.download_async(name, target, False, told))),
+        ("download by bursts", started(lambda told: f.download_async("general.json.xz", target, True, told))),
+        ("are_files_identical", lambda: f.are_files_identical(str(bench.folder / name), name)),
+        ("upload", started(lambda told: f.upload_async(str(own), "/", told))),
+        ("create_directory", lambda: f.create_directory("x")),
+        ("remove_file", lambda: f.remove_file(name)),
+        ("rename", lambda: f.rename(name, "y")),
+    ], []
+
+
+def _geofence(bench: Bench) -> Any:
+    g, m = bench.plugin("geofence"), import_module("mavsdk.plugins.geofence")
+    corners = [m.Point(LAT + dx * 1e-5, LON + dy * 1e-5) for dx, dy in ((-2, -2), (-2, 2), (2, 2), (2, -2))]
+    data = m.GeofenceData([m.Polygon(corners, m.FenceType.INCLUSION)], [])
+    return [
+        ("upload_geofence", lambda: g.upload_geofence(data)),
+        ("download_geofence", g.download_geofence),
+        ("clear_geofence", g.clear_geofence),
+    ], []
+
+
+def _gimbal(bench: Bench) -> Any:
+    g, m = bench.plugin("gimbal"), import_module("mavsdk.plugins.gimbal")
+    return [
+        ("gimbal_list", g.gimbal_list),
+        ("take_control", lambda: g.take_control(1, m.ControlMode.PRIMARY)),
+        ("set_angles", lambda: g.set_angles(1, 0.0, -30.0, 0.0, m.GimbalMode(0), m.SendMode(0))),
+    ], _stream(g, "gimbal_list")
+
+
+def _info(bench: Bench) -> Any:
+    i = bench.plugin("info")
+    return _calls(i, "get_identification get_product get_version get_speed_factor"), _stream(i, "flight_information")
+
+
+def _logs(bench: Bench) -> Any:
+    f = bench.plugin("log_files")
+
+    def load(told: Callable[..., None]) -> None:
+        entry = f.get_entries()[0]
+        f.download_log_file_async(entry, str(bench.folder / f"log{time.monotonic_ns()}"), told)
+
+    return [
+        ("get_entries", f.get_entries),
+        ("download_log_file", started(load)),
+        ("erase_all", f.erase_all_log_files),
+    ], []
+
+
+def _manual(bench: Bench) -> Any:
+    m, action = bench.plugin("manual_control"), bench.plugin("action")
+
+    def sticks(start: Callable[[], Any]) -> Callable[[], Any]:
+        def run() -> Any:
+            action.arm()
+            for _ in range(40):
+                m.set_manual_control_input(0.0, 0.0, 0.5, 0.0)
+                time.sleep(0.05)
+            return start()
+
+        return run
+
+    starts = ("start_altitude_control", "start_position_control")
+    return [*((name, sticks(getattr(m, name))) for name in starts), ("(disarm)", action.disarm)], []
+
+
+def _direct(bench: Bench) -> Any:
+    m, d = import_module("mavsdk.plugins.mavlink_direct"), bench.plugin("mavlink_direct")
+    ping = m.MavlinkMessage("PING", 245, 190, 0, 0, '{"time_usec":1,"seq":1,"target_system":0,"target_component":0}')
+    return [("send_message", lambda: d.send_message(ping))], [
+        ("message", lambda told: d.subscribe_message("HEARTBEAT", told)),
+    ]
+
+
+def _mission(bench: Bench) -> Any:
+    p, m = bench.plugin("mission"), import_module("mavsdk.plugins.mission")
+    items = [
+        m.MissionItem(LAT + n * 6e-6, LON, -0.45, 0.3, n > 0, NAN, NAN, m.MissionItem.CameraAction.NONE)
+        for n in range(2)
+    ]
+    action = bench.plugin("action")
+    return [
+        ("upload_mission", lambda: p.upload_mission(m.MissionPlan(items))),
+        ("download_mission", p.download_mission),
+        ("(arm)", action.arm),
+        ("start_mission", p.start_mission),
+        ("pause_mission", p.pause_mission),
+        ("set_current_mission_item", lambda: p.set_current_mission_item(1)),
+        ("is_mission_finished", p.is_mission_finished),
+        ("(disarm)", action.disarm),
+        ("clear_mission", p.clear_mission),
+    ], _stream(p, "mission_progress")
+
+
+def _mission_raw(bench: Bench) -> Any:
+    p, action = bench.plugin("mission_raw"), bench.plugin("action")
+    return [
+        ("upload_mission", lambda: p.upload_mission(_raw_items())),
+        ("upload_geofence", lambda: p.upload_geofence([])),
+        ("upload_rally_points", lambda: p.upload_rally_points(_raw_items(2))),
+        *_calls(p, "download_mission download_geofence download_rallypoints"),
+        ("(arm)", action.arm),
+        *_calls(p, "start_mission pause_mission"),
+        ("set_current_mission_item", lambda: p.set_current_mission_item(1)),
+        ("(disarm)", action.disarm),
+        ("clear_mission", p.clear_mission),
+        (
+            "import_qgroundcontrol_mission",
+            lambda: p.import_qgroundcontrol_mission(str(ROOT / "sitl/scenarios/paper.plan")),
+        ),
+    ], _stream(p, "mission_progress")
+
+
+def _mocap(bench: Bench) -> Any:
+    p, m = bench.plugin("mocap"), import_module("mavsdk.plugins.mocap")
+    pose = m.VisionPositionEstimate(0, m.PositionBody(0.0, 0.0, 0.5), m.AngleBody(0.0, 0.0, 0.0), m.Covariance([NAN]))
+    return [("set_vision_position_estimate", lambda: p.set_vision_position_estimate(pose))], []
+
+
+def _offboard(bench: Bench) -> Any:
+    o, m, action = bench.plugin("offboard"), import_module("mavsdk.plugins.offboard"), bench.plugin("action")
+    return [
+        ("(arm)", action.arm),
+        ("set_velocity_ned", lambda: o.set_velocity_ned(m.VelocityNedYaw(0.0, 0.0, 0.0, 0.0))),
+        ("start", o.start),
+        ("set_position_ned", lambda: o.set_position_ned(m.PositionNedYaw(0.0, 0.5, 0.5, 0.0))),
+        ("stop", o.stop),
+        ("(disarm)", action.disarm),
+    ], []
+
+
+def _param(bench: Bench) -> Any:
+    p = bench.plugin("param")
+    return [
+        ("get_all_params", p.get_all_params),
+        ("get_param_float", lambda: p.get_param_float("SPD_CRUISE")),
+        ("set_param_float", lambda: p.set_param_float("SPD_CRUISE", 0.3)),
+        ("get_param_int", lambda: p.get_param_int("FS_SOLVER_N")),
+        ("set_param_int", lambda: p.set_param_int("FS_SOLVER_N", 40)),
+        ("a value out of range", lambda: p.set_param_float("SPD_CRUISE", 50.0)),
+        ("get_param_custom", lambda: p.get_param_custom("X")),
+    ], []
+
+
+def _telemetry(bench: Bench) -> Any:
+    t = bench.plugin("telemetry")
+    names = sorted(name.removeprefix("subscribe_") for name in dir(t) if name.startswith("subscribe_"))
+    return [
+        ("get_gps_global_origin", t.get_gps_global_origin),
+        ("set_rate_position", lambda: t.set_rate_position(4.0)),
+        ("set_rate_gps_info", lambda: t.set_rate_gps_info(1.0)),
+        ("set_rate_ground_truth", lambda: t.set_rate_ground_truth(1.0)),
+    ], _stream(t, " ".join(name for name in names if name != "status_text"))
+
+
+def _tune(bench: Bench) -> Any:
+    t, m = bench.plugin("tune"), import_module("mavsdk.plugins.tune")
+    return [("play_tune", lambda: t.play_tune(m.TuneDescription([m.SongElement.NOTE_A], 100)))], []
+
+
+def _winch(bench: Bench) -> Any:
+    w = bench.plugin("winch")
+    return _calls(w, "hold relax", 1), _stream(w, "status")
+
+
+PROBES: dict[str, Callable[[Bench], Any]] = {
+    "action": _action,
+    "calibration": _calibration,
+    "camera": _camera,
+    "component_metadata": _metadata,
+    "events": _events,
+    "failure": _failure,
+    "follow_me": _follow,
+    "ftp": _ftp,
+    "geofence": _geofence,
+    "gimbal": _gimbal,
+    "gripper": lambda b: (_calls(b.plugin("gripper"), "grab release", 1), []),
+    "info": _info,
+    "log_files": _logs,
+    "log_streaming": lambda b: (_calls(b.plugin("log_streaming"), "start_log_streaming"), []),
+    "manual_control": _manual,
+    "mavlink_direct": _direct,
+    "mission": _mission,
+    "mission_raw": _mission_raw,
+    "mocap": _mocap,
+    "offboard": _offboard,
+    "param": _param,
+    "rtk": lambda b: (
+        [
+            (
+                "send_rtcm_data",
+                lambda: b.plugin("rtk").send_rtcm_data(import_module("mavsdk.plugins.rtk").RtcmData("AAAA")),
+            )
+        ],
+        [],
+    ),
+    "shell": lambda b: (
+        [("send", lambda: b.plugin("shell").send("help\n", import_module("mavsdk.plugins.shell").Device(10)))],
+        _stream(b.plugin("shell"), "receive"),
+    ),
+    "telemetry": _telemetry,
+    "transponder": lambda b: ([], _stream(b.plugin("transponder"), "transponder")),
+    "tune": _tune,
+    "winch": _winch,
+}
+"""What is tried of each plugin: calls, and streams that are listened to."""
+
+
+@contextlib.contextmanager
+def bench_on_a_vehicle() -> Iterator[Bench]:
+    """The service in SITL, and MAVSDK beside it."""
+    from autopilot.bench.faults.wire import live_service
+
+    mavsdk.log_subscribe(lambda *args: True)
+    # In the middle of the tank, where everything that is tried has room.
+    with tempfile.TemporaryDirectory() as folder, live_service(scenario="paper-tank") as service:
+        configuration = mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.GROUND_STATION)
+        with mavsdk.Mavsdk(configuration) as sdk:
+            sdk.add_any_connection(f"udpout://127.0.0.1:{service.udp}")
+            while (system := sdk.first_autopilot(5.0)) is None:
+                service.child.at_work()
+            bench = Bench(system, Path(folder))
+            while not bench.ready():
+                service.child.at_work()
+                time.sleep(0.2)
+            yield bench
+
+
+def table(names: list[str], show: Callable[[str], None] = lambda _: None) -> str:
+    """Markdown."""
+    lines = ["| plugin | works | refused | nothing comes, or not offered |", "| --- | --- | --- | --- |"]
+    with bench_on_a_vehicle() as bench:
+        for name in names:
+            lines.append(bench.row(name).markdown())
+            show(lines[-1])
+    return "\n".join(lines) + "\n"
+
+
+def written() -> str:
+    """The table as it stands in the page."""
+    found = re.search(re.escape(BEGIN) + "(.*?)" + re.escape(END), PAGE.read_text(), re.DOTALL)
+    assert found, f"{PAGE} has lost its table"
+    return found[1]
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--only", action="append")
+    given = parser.parse_args()
+    text = table(given.only or plugin_names(), lambda line: print(line, file=sys.stderr, flush=True))
+    if given.write:
+        PAGE.write_text(PAGE.read_text().replace(BEGIN + written() + END, BEGIN + text + END))
+    else:
+        print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
