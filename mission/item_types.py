@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
-from mission import do_items, nav_items
+from mission import do_items, nav_items, payload_items
 from mission.decode import refuse
 from mission.items import GLOBAL_FRAMES, Agreed, Command, Frame, Step
 
@@ -149,6 +149,65 @@ _ROWS = (
         command=Command.DO_FENCE_ENABLE,
         parse=do_items.fence_on,
         uses="p1 1; the fence is a hard limit that nothing in a mission switches off: 0 and 2 are refused",
+    ),
+    ItemType(
+        command=Command.IMAGE_START_CAPTURE,
+        parse=payload_items.start_capture,
+        uses="p2 interval [s], at least 0.2, p3 count (0 = until stopped, 1 = one, the interval unused)",
+    ),
+    ItemType(
+        command=Command.IMAGE_STOP_CAPTURE, parse=payload_items.stop_capture, uses="ends stills by time and by way"
+    ),
+    ItemType(
+        command=Command.DO_SET_CAM_TRIGG_DIST,
+        parse=payload_items.trigger_by_way,
+        uses="p1 way between stills [m] by the estimate, in space, 0 = stop; p3 1 = the first at once",
+    ),
+    ItemType(
+        command=Command.DO_SET_CAM_TRIGG_INTERVAL,
+        parse=payload_items.trigger_by_time,
+        uses="p1 time between stills [ms], 0 = stop",
+    ),
+    ItemType(command=Command.DO_DIGICAM_CONTROL, parse=payload_items.digicam_control, uses="p5 above 0: one still"),
+    ItemType(command=Command.SET_CAMERA_MODE, parse=payload_items.camera_mode, uses="p2 0 (or 2): stills, as it is"),
+    ItemType(command=Command.DO_SET_SERVO, parse=payload_items.set_servo, uses="p1 output, p2 pulse [us]"),
+    ItemType(
+        command=Command.DO_REPEAT_SERVO,
+        parse=payload_items.repeat_servo,
+        uses="p1 output, p2 pulse [us], p3 how often there and back, p4 time of a cycle [s]",
+    ),
+    ItemType(
+        command=Command.DO_SET_RELAY,
+        parse=payload_items.set_relay,
+        uses="p1 relay from 0, p2 1 = on, 0 = off, -1 = the other side",
+    ),
+    ItemType(
+        command=Command.DO_REPEAT_RELAY,
+        parse=payload_items.repeat_relay,
+        uses="p1 relay, p2 how often there and back, p3 time of a cycle [s]",
+    ),
+    ItemType(
+        command=Command.DO_GRIPPER,
+        parse=payload_items.gripper,
+        uses="p1 gripper from 1 (0 = the first), p2 0 = open, 1 = close",
+    ),
+    ItemType(
+        command=Command.DO_SET_ACTUATOR,
+        parse=payload_items.set_actuator,
+        uses="p1 to p4 of actuators 1 to 4, -1 to 1, NaN = as it is; z 1 = 7 to 10",
+    ),
+    *(
+        ItemType(command=command, parse=payload_items.refused(why), uses=f"refused: {why}")
+        for command, why in (
+            (Command.VIDEO_START_CAPTURE, "the camera takes stills only"),
+            (Command.VIDEO_STOP_CAPTURE, "the camera takes stills only"),
+            (Command.SET_CAMERA_ZOOM, "the camera has no zoom"),
+            (Command.SET_CAMERA_FOCUS, "the camera has no focus"),
+            (Command.DO_DIGICAM_CONFIGURE, "the camera has nothing to configure"),
+            (Command.DO_MOUNT_CONFIGURE, "the camera is fixed"),
+            (Command.DO_MOUNT_CONTROL, "the camera is fixed"),
+            (Command.DO_GIMBAL_MANAGER_PITCHYAW, "the camera is fixed"),
+        )
     ),
 )
 

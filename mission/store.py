@@ -20,7 +20,8 @@ from autopilot.core.geometry import Fence
 from autopilot.core.origin_params import params_origin
 from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, PlanProblem, PlanRejection, PlanStore
 from mission.fence import FenceShape, build_fence
-from mission.items import Step
+from mission.item_types import parse_step
+from mission.items import Order, Step
 from mission.judgement import EMPTY, PLAN_PARAMETERS, Plans3, Question, Verdict, WaterCheck, judge
 from mission.validation import check_item
 
@@ -114,6 +115,8 @@ class Plans(PlanStore):
         self._verdict = Verdict(question=self._question())
         self.guard: Guard = lambda kinds, verdict: None
         """Asked before plans are taken that came by :meth:`propose`."""
+        self.order_check: Callable[[Order], str] = lambda order: ""
+        """Why the vehicle has nothing that could carry out an order, "" when it has."""
         self.revision = 0
         """Grows by one whenever a plan or the origin changes."""
         self.keeper: Callable[[], bool] | None = None
@@ -203,7 +206,15 @@ class Plans(PlanStore):
 
     def check_item(self, kind: PlanKind, item: PlanItem) -> PlanRejection | None:
         """The cheap check of one item as it arrives."""
-        return check_item(kind, item, self._origin)
+        rejection = check_item(kind, item, self._origin)
+        if rejection is not None or kind is not PlanKind.MISSION:
+            return rejection
+        step = parse_step(item, self._origin)
+        why = self.order_check(step) if isinstance(step, Order) else ""
+        if not why:
+            return None
+        reason = f"item {item.seq}: {why}"
+        return PlanRejection(seq=item.seq, result=MissionResult.UNSUPPORTED, reason=reason)
 
     def propose(self, plans: Mapping[PlanKind, tuple[PlanItem, ...]]) -> Change:
         """Have plans checked and take all of them, or refuse and keep those in force. Replaces an open change."""

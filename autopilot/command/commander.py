@@ -376,7 +376,9 @@ class Commander:
             self._readiness = self.prearm_reasons()
         self._ticks += 1
         goal, reached = modes.advance(conditions)
+        orders, modes.equipment_orders = tuple(modes.equipment_orders), []
         return Decision(
+            orders=orders,
             armed=modes.armed,
             mode=modes.mode,
             goal=goal,

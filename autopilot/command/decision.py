@@ -6,6 +6,7 @@ from typing import TypeAlias
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.messages import Goal, MissionProgress
 from autopilot.mavlink.api import FlightMode
+from mission.items import Order
 
 Pose: TypeAlias = tuple[float, float, float, float]
 
@@ -29,5 +30,7 @@ class Decision:
     """Surface without the controller: up to here (north, east, depth, heading) by the simple station-keeping law."""
     by_hand: ByHand | None = None
     """Without a position: what the pilot asks for, flown without the controller."""
+    orders: tuple[Order, ...] = ()
+    """Of mission items passed on this tick, for what the vehicle carries."""
     hand_back: bool = False
     """A failsafe has given the thrusters to the flight controller below."""

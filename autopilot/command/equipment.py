@@ -58,6 +58,11 @@ class Equipment:
         index = self._of_channel(channel)
         return f"There is no servo {channel}: {self._known('channel')}" if index is None else self._problem(index)
 
+    def refuse_pulse(self, channel: int, pulse_us: float) -> str:
+        """Why an output cannot have that pulse, "" when it can."""
+        index = self._of_channel(channel)
+        return "" if index is None else self._pulse_refusal(index, pulse_us)
+
     def refuse_relay(self, number: int) -> str:
         """Why a relay cannot be switched, "" when it can."""
         index = self._of_relay(number)

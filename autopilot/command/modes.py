@@ -19,6 +19,7 @@ from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavHealth,
 from autopilot.mavlink.api import BLIND, PILOTED, FlightMode
 from mission.circling import Circle
 from mission.goals import Goals
+from mission.items import Order
 from mission.sequencer import Action, is_inside
 
 DIVED_M = 0.1
@@ -71,6 +72,8 @@ class Modes:
         """A failsafe has given the thrusters to the flight controller below, since the last arming."""
         self.ascent: Pose | None = None
         """Where a vehicle whose controller finds no solution any more is to come up, None = the controller flies."""
+        self.equipment_orders: list[Order] = []
+        """Of mission items passed, for what the vehicle carries; taken once per tick."""
         self.orders = 0
         """Grows whenever the vehicle is told to do something else."""
 
@@ -282,6 +285,7 @@ class Modes:
     def _fly_mission(self, t_us: int, nav: NavState) -> tuple[int, ...]:
         """The mission's goal of this tick, or what it ends with. The result is the items that have been reached."""
         out = self._mission.step(t_us, nav)
+        self.equipment_orders += out.orders
         if out.goal is not None:
             self.goal = out.goal
         if out.home_ned_m is not None:

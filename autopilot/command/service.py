@@ -18,6 +18,7 @@ from autopilot.command.facts import Facts
 from autopilot.command.fault_response import FaultResponse
 from autopilot.command.motion import Motion
 from autopilot.command.parts import Parts
+from autopilot.command.payload_orders import PayloadOrders
 from autopilot.command.surroundings import Surroundings
 from autopilot.command.view import vehicle_view
 from autopilot.core.frames import FloatArray
@@ -76,6 +77,10 @@ class Autopilot:
         self._motion = Motion(parts.vehicle, parts.controller, parts.actuation, parts.params, self._surroundings.tracks)
         self._motion.felt = self._surroundings.facts.felt
         self._faults = FaultResponse(parts.vehicle, parts.params, parts.guard, parts.commander, self._motion)
+        self._orders = PayloadOrders(parts.equipment, parts.photographer)
+        parts.plans.order_check = self._orders.refusal
+        self._told: list[Event] = []
+        """What became of orders to the equipment, for the operator."""
         self._given: Inputs | None = None
         self._shown: VehicleView | None = None
         # Of the last tick:
@@ -130,6 +135,8 @@ class Autopilot:
         self.marks.mark(LoopPart.DECIDE)
         if self._tick == WARM_AT_TICK:
             self._run("warming", lambda: parts.controller.warm(parts.params), None)
+        if decision.orders:
+            self._told += self._run("payload", lambda: self._orders.carry_out(t_us, decision.orders), [])
         shots, stills = self._photograph(t_us, nav, armed=decision.armed)
         control = self._run("controller", lambda: self._control(t_us, nav, decision), None, lambda: (nav, decision))
         self.marks.mark(LoopPart.CONTROL)
@@ -361,7 +368,8 @@ class Autopilot:
     def _take_events(self) -> list[Event]:
         """Lines for the operator that are not the commander's."""
         photographer = self._parts.photographer
-        told = [] if photographer is None else [*photographer.take_events()]
+        told, self._told = self._told, []
+        told += () if photographer is None else photographer.take_events()
         return told + self._surroundings.take_events() + self._estimation.take_remarks() + self._faults.take_events()
 
     def _mode_state(self, t_us: int, *, armed: bool, decision: Decision | None, fault: bool = False) -> ModeState:

@@ -21,6 +21,9 @@ ORIGIN = Origin(lat_deg=37.9755, lon_deg=23.7790)
 class ServiceWorld:
     """A service whose sensors say that the vehicle rests at a place."""
 
+    pictures = False
+    """Whether there is a camera."""
+
     profile = "px4"
 
     def __init__(self, params: dict[str, float] | None = None, origin: Origin = ORIGIN) -> None:
@@ -40,6 +43,7 @@ class ServiceWorld:
                 links=1,
                 patience=1.0,
                 waits_for_plans=True,
+                pictures=self.pictures,
             )
         )
         self.t_us = 0
@@ -68,12 +72,16 @@ class ServiceWorld:
             said.append(PowerSample(t_us=t_us, voltage_v=24.0, current_a=1.0, energy_used_j=0.0, remaining=0.9))
         return tuple(said)
 
+    def camera(self) -> dict[str, Any]:
+        """What the camera says on this tick, as fields of Inputs."""
+        return {}
+
     def tick(self, rx: Sequence[bytes] = (), samples: Sequence[Sample] | None = None) -> Outputs:
         """One tick."""
         self.t_us += TICK_US
         frames = tuple(MavlinkFrame(link=0, data=data) for data in rx)
         given = self.samples() if samples is None else tuple(samples)
-        outputs = self.service.step(Inputs(t_us=self.t_us, samples=given, mavlink_rx=frames))
+        outputs = self.service.step(Inputs(t_us=self.t_us, samples=given, mavlink_rx=frames, **self.camera()))
         for frame in outputs.mavlink_tx:
             self.heard += self._mav.parse_buffer(frame.data) or ()
         return outputs

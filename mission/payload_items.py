@@ -1,0 +1,198 @@
+"""Mission items for what the vehicle carries: camera, servos, relays, gripper (MAV_CMD, common.xml)."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from autopilot.core.geodesy import Origin
+from autopilot.core.plan import MissionResult, PlanItem
+from mission.decode import INVALID_INT32, number, refuse, whole
+from mission.items import Order, Step
+
+GRIPPER_ACTIONS = (0, 1)
+"""Open, close."""
+STILLS_MODES = (0, 2)
+"""CAMERA_MODE_IMAGE, CAMERA_MODE_IMAGE_SURVEY."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shoot(Order):
+    """Stills by time (IMAGE_START_CAPTURE, DO_SET_CAM_TRIGG_INTERVAL, DO_DIGICAM_CONTROL)."""
+
+    count: int | None
+    """None = until they are stopped."""
+    interval_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShootEvery(Order):
+    """Stills by way (DO_SET_CAM_TRIGG_DIST); 0 = no more."""
+
+    distance_m: float
+    now: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StopShooting(Order):
+    """No more stills (IMAGE_STOP_CAPTURE)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MoveServo(Order):
+    """A pulse for an output, or to it and back (DO_SET_SERVO, DO_REPEAT_SERVO)."""
+
+    channel: int
+    pulse_us: float
+    count: int = 0
+    """Repetitions, 0 = it stays there."""
+    cycle_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SwitchRelay(Order):
+    """A relay on, off, to the other side (None), or to and fro (DO_SET_RELAY, DO_REPEAT_RELAY)."""
+
+    number: int
+    on: bool | None
+    count: int = 0
+    cycle_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grip(Order):
+    """A gripper (DO_GRIPPER)."""
+
+    number: int
+    close: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MoveActuators(Order):
+    """Actuators by number, -1 to 1 (DO_SET_ACTUATOR)."""
+
+    values: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NothingToDo(Order):
+    """Asks the camera for what it does anyway (SET_CAMERA_MODE 0)."""
+
+
+def start_capture(item: PlanItem, origin: Origin) -> Step:
+    """IMAGE_START_CAPTURE: p2 interval [s], p3 count."""
+    interval_s, count = _least(item, 2, "interval", 0.0), whole(item, 3, "count")
+    if count < 0:
+        raise refuse(item, MissionResult.INVALID_PARAM3, f"count (param3) is {count}; use 0 (until stopped) or more")
+    if count != 1 and interval_s == 0.0:
+        raise refuse(item, MissionResult.INVALID_PARAM2, "interval (param2) is 0 s; give the time between stills")
+    return Shoot(seq=item.seq, count=count or None, interval_s=interval_s)
+
+
+def stop_capture(item: PlanItem, origin: Origin) -> Step:
+    """IMAGE_STOP_CAPTURE."""
+    return StopShooting(seq=item.seq)
+
+
+def trigger_by_way(item: PlanItem, origin: Origin) -> Step:
+    """DO_SET_CAM_TRIGG_DIST: p1 way between stills [m], 0 = stop; p3 1 = one at once."""
+    return ShootEvery(seq=item.seq, distance_m=_least(item, 1, "distance", 0.0), now=number(item, 3, "trigger") == 1.0)
+
+
+def trigger_by_time(item: PlanItem, origin: Origin) -> Step:
+    """DO_SET_CAM_TRIGG_INTERVAL: p1 [ms], 0 = stop."""
+    interval_ms = _least(item, 1, "interval", 0.0)
+    if interval_ms == 0.0:
+        return StopShooting(seq=item.seq)
+    return Shoot(seq=item.seq, count=None, interval_s=1e-3 * interval_ms)
+
+
+def digicam_control(item: PlanItem, origin: Origin) -> Step:
+    """DO_DIGICAM_CONTROL: p5 above 0 takes a still."""
+    shoots = 0 < item.x < INVALID_INT32
+    return Shoot(seq=item.seq, count=1, interval_s=0.0) if shoots else NothingToDo(seq=item.seq)
+
+
+def camera_mode(item: PlanItem, origin: Origin) -> Step:
+    """SET_CAMERA_MODE: stills only."""
+    mode = whole(item, 2, "camera mode")
+    if mode not in STILLS_MODES:
+        text = f"camera mode (param2) is {mode}; the camera takes stills only, use 0"
+        raise refuse(item, MissionResult.INVALID_PARAM2, text)
+    return NothingToDo(seq=item.seq)
+
+
+def set_servo(item: PlanItem, origin: Origin) -> Step:
+    """DO_SET_SERVO: p1 output, p2 pulse [us]."""
+    return MoveServo(seq=item.seq, channel=whole(item, 1, "servo"), pulse_us=_least(item, 2, "pulse", 1.0))
+
+
+def repeat_servo(item: PlanItem, origin: Origin) -> Step:
+    """DO_REPEAT_SERVO: p1 output, p2 pulse [us], p3 count, p4 cycle [s]."""
+    return MoveServo(
+        seq=item.seq,
+        channel=whole(item, 1, "servo"),
+        pulse_us=_least(item, 2, "pulse", 1.0),
+        count=round(_least(item, 3, "count", 1.0)),
+        cycle_s=_least(item, 4, "cycle", 0.1),
+    )
+
+
+def set_relay(item: PlanItem, origin: Origin) -> Step:
+    """DO_SET_RELAY: p1 relay from 0, p2 1 = on, 0 = off, -1 = the other side."""
+    setting = whole(item, 2, "setting")
+    if setting not in (-1, 0, 1):
+        raise refuse(item, MissionResult.INVALID_PARAM2, f"setting (param2) is {setting}; use 1 = on, 0 = off")
+    return SwitchRelay(seq=item.seq, number=whole(item, 1, "relay"), on=None if setting == -1 else setting == 1)
+
+
+def repeat_relay(item: PlanItem, origin: Origin) -> Step:
+    """DO_REPEAT_RELAY: p1 relay, p2 count, p3 cycle [s]."""
+    return SwitchRelay(
+        seq=item.seq,
+        number=whole(item, 1, "relay"),
+        on=None,
+        count=round(_least(item, 2, "count", 1.0)),
+        cycle_s=_least(item, 3, "cycle", 0.1),
+    )
+
+
+def gripper(item: PlanItem, origin: Origin) -> Step:
+    """DO_GRIPPER: p1 gripper from 1, p2 0 = open, 1 = close."""
+    action = whole(item, 2, "action")
+    if action not in GRIPPER_ACTIONS:
+        raise refuse(item, MissionResult.INVALID_PARAM2, f"action (param2) is {action}; use 0 = open, 1 = close")
+    return Grip(seq=item.seq, number=whole(item, 1, "gripper"), close=action == 1)
+
+
+def set_actuator(item: PlanItem, origin: Origin) -> Step:
+    """DO_SET_ACTUATOR: p1 to p4 -1 to 1, NaN = as it is. The fifth and sixth are whole numbers: not used."""
+    group = 0.0 if math.isnan(item.z) else item.z
+    if not 0.0 <= group < 100.0 or group != int(group):
+        raise refuse(item, MissionResult.INVALID_PARAM7, f"index (param7) is {item.z:g}; use 0")
+    values = []
+    for index in range(1, 5):
+        value = number(item, index, "actuator")
+        if value is not None and not -1.0 <= value <= 1.0:
+            raise refuse(item, MissionResult.INVALID, f"actuator (param{index}) is {value:g}; use -1 to 1")
+        if value is not None:
+            values.append((int(group) * 6 + index, value))
+    return MoveActuators(seq=item.seq, values=tuple(values))
+
+
+def refused(why: str) -> Callable[[PlanItem, Origin], Step]:
+    """An item of which there is nothing that could do it."""
+
+    def parse(item: PlanItem, origin: Origin) -> Step:
+        raise refuse(item, MissionResult.UNSUPPORTED, f"command {item.command}: {why}; leave it out")
+
+    return parse
+
+
+def _least(item: PlanItem, index: int, name: str, least: float) -> float:
+    """A parameter that is at least so much; one that is not given counts as 0."""
+    value = number(item, index, name) or 0.0
+    if value < least:
+        results = (MissionResult.INVALID_PARAM1, MissionResult.INVALID_PARAM2, MissionResult.INVALID_PARAM3)
+        result = results[index - 1] if index <= len(results) else MissionResult.INVALID_PARAM4
+        raise refuse(item, result, f"{name} (param{index}) is {value:g}; use {least:g} or more")
+    return value
