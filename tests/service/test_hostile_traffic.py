@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +12,20 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mav
 from service_world import ServiceWorld
 
-from autopilot.bench.fuzz.messages import ALL_COMMANDS, COMMANDS, HANDLED, ODD_FLOATS
+from autopilot.bench.fuzz.messages import (
+    ALL_COMMANDS,
+    CAMERA_COMMANDS,
+    COMMANDS,
+    EQUIPMENT_COMMANDS,
+    HANDLED,
+    KNOWN_COMMANDS,
+    ODD_FLOATS,
+)
 from autopilot.bench.fuzz.run import BrokenRuleError, Fuzzer, Mood, run_fuzz
 from autopilot.bench.fuzz.samples import ODD
 from autopilot.core.params import PARAMETERS
 from autopilot.core.samples import PowerSample
+from autopilot.core.stills import CameraReport
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
@@ -30,7 +40,11 @@ def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fuzzer]:
 def test_the_fuzzer_knows_every_message_that_is_handled(fuzzer: Fuzzer) -> None:
     inside = fuzzer.session.parts.server._dispatcher
     assert set(inside._handlers) == set(HANDLED)
-    assert set(inside._commands._table) == set(COMMANDS)
+    assert set(inside._commands._table) == {*COMMANDS, *EQUIPMENT_COMMANDS}
+    pictured = WORLD.parts.server._dispatcher
+    assert set(pictured._commands._table) == {*COMMANDS, *EQUIPMENT_COMMANDS, *CAMERA_COMMANDS}
+    assert pictured._to_camera is not None
+    assert set(pictured._to_camera._table) == {*CAMERA_COMMANDS, 204, 205, 512}
 
 
 def test_a_few_minutes_of_everything(fuzzer: Fuzzer) -> None:
@@ -82,7 +96,16 @@ def test_the_same_seed_is_the_same_traffic() -> None:
     assert runs[0].failures == runs[1].failures == []
 
 
-WORLD = ServiceWorld()
+class PicturedWorld(ServiceWorld):
+    """With a camera that takes any still and never delivers one."""
+
+    pictures = True
+
+    def camera(self) -> dict[str, Any]:
+        return {"camera": CameraReport(frame_us=0, total_bytes=10**9, free_bytes=10**8)}
+
+
+WORLD = PicturedWorld()
 WORLD.run(2.0)
 numbers = st.sampled_from(ODD_FLOATS) | st.floats(width=32)
 whole32 = st.sampled_from((0, 1, -1, 2**31 - 1, -(2**31))) | st.integers(-(2**31), 2**31 - 1)
@@ -95,7 +118,7 @@ def _digest(world: ServiceWorld) -> tuple[object, ...]:
 
 
 @given(
-    command=st.sampled_from(COMMANDS) | st.sampled_from(ALL_COMMANDS),
+    command=st.sampled_from(KNOWN_COMMANDS) | st.sampled_from(ALL_COMMANDS),
     params=st.lists(numbers, min_size=4, max_size=4),
     frame=st.sampled_from((0, 1, 2, 3, 5, 6, 20, 255)),
     place=st.tuples(whole32, whole32, numbers),

@@ -38,6 +38,14 @@ COMMANDS = (
     *(22, 34, 92, 186, 32100, 241, 245, 246),
 )
 """Commands that the server knows."""
+EQUIPMENT_COMMANDS = (181, 182, 183, 184, 187, 204, 205, 211, 1000, 1001)
+"""To what the vehicle carries."""
+CAMERA_COMMANDS = (
+    *(200, 202, 203, 206, 214, 521, 522, 525, 526, 527, 529, 530, 531, 532, 2000, 2001, 2002, 2003, 2004, 2005, 2010),
+    *(2500, 2501, 2502, 2503, 2504, 2505),
+)
+"""To its camera, where there is one."""
+KNOWN_COMMANDS = (*COMMANDS, *EQUIPMENT_COMMANDS, *CAMERA_COMMANDS)
 ALL_COMMANDS = tuple(sorted(number for number in mav.enums["MAV_CMD"] if number < 0x1_0000))
 
 ODD_FLOATS = (
@@ -281,7 +289,7 @@ class Traffic:
         if name in ("seq", "count", "start_index", "end_index") and size == 2 and rng.random() < 0.9:
             return struct.pack("<H", rng.randrange(5))
         if name == "command" and size == 2:
-            return struct.pack("<H", rng.choice(COMMANDS if rng.random() < 0.6 else ALL_COMMANDS))
+            return struct.pack("<H", rng.choice(KNOWN_COMMANDS if rng.random() < 0.6 else ALL_COMMANDS))
         if name == "frame" and rng.random() < 0.8:
             return bytes((rng.choice((0, 1, 2, 3, 5, 6, 20)),))
         if code[-1] in "fd":
@@ -327,6 +335,10 @@ class Traffic:
                 (401, (), 0.0),
                 (410, (), 0.0),
                 (611, (), 0.0),
+                (183, (rng.choice((1, 17, 18)), rng.uniform(1000.0, 2000.0)), 0.0),
+                (182, (0, rng.randrange(4), rng.uniform(0.0, 2.0)), 0.0),
+                (211, (1, rng.randrange(2)), 0.0),
+                (2000, (0, rng.uniform(0.0, 1.0), rng.randrange(4)), 0.0),
             )
         )
         fields = [float(value) for value in (*params, 0, 0, 0, 0)[:4]]
@@ -375,6 +387,17 @@ class Traffic:
             if way < 0.75:
                 yaw = rng.choice((math.nan, rng.uniform(-180.0, 180.0)))
                 items.append((16, 3, (rng.choice((0.0, 0.5)), 0.3, 0.0, yaw), *self._place(), -rng.uniform(0.1, 1.1)))
+            elif way < 0.8:
+                items.append(
+                    rng.choice(
+                        (
+                            (2000, 2, (0.0, 0.5, float(rng.randrange(3)), 0.0), 0, 0, 0.0),
+                            (206, 2, (rng.uniform(0.0, 1.0), 0.0, 1.0, 0.0), 0, 0, 0.0),
+                            (211, 2, (1.0, float(rng.randrange(2)), 0.0, 0.0), 0, 0, 0.0),
+                            (184, 2, (17.0, 1500.0, 2.0, 0.5), 0, 0, 0.0),
+                        )
+                    )
+                )
             elif way < 0.9:
                 items.append((178, 2, (1.0, rng.uniform(0.05, 0.5), -1.0, 0.0), 0, 0, 0.0))
             else:
