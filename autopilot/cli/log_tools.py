@@ -19,13 +19,27 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead
 @click.option("--topic", "topics", multiple=True, help="Only this topic; repeatable (default: all).")
 @click.option("--format", "kind", type=click.Choice(("csv", "parquet")), default="csv", show_default=True)
 @click.option("--out", type=_LOG, help="Folder to write into (default: LOG without its ending).")
-def export(log_file: Path, topics: tuple[str, ...], kind: Literal["csv", "parquet"], out: Path | None) -> None:
+@click.option("--stills", type=_LOG, metavar="DIR", help="Write the camera's stills into DIR as PNG, and no topics.")
+def export(
+    log_file: Path,
+    topics: tuple[str, ...],
+    kind: Literal["csv", "parquet"],
+    out: Path | None,
+    stills: Path | None,
+) -> None:
     """Write LOG's topics as one CSV or Parquet file each. Exit 3 if part of LOG could not be read."""
-    from autopilot.log.export import export_log
+    from autopilot.log.export import export_log, export_stills
     from autopilot.log.reader import open_log
 
     opened = open_log(log_file)
-    for path in export_log(opened, out or log_file.with_suffix(""), topics=topics, kind=kind):
+    if stills is not None and (topics or out is not None):
+        raise click.UsageError("--stills writes no topics: leave --topic and --out out, or call it twice")
+    written = (
+        export_log(opened, out or log_file.with_suffix(""), topics=topics, kind=kind)
+        if stills is None
+        else export_stills(opened, stills)
+    )
+    for path in written:
         click.echo(str(path))
     if opened.problems:
         click.echo(f"warning: {log_file}: {'; '.join(opened.problems)}", err=True)

@@ -40,6 +40,26 @@ def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind
         raise LogError(f"{folder}: cannot be written ({error.strerror or error}); choose another --out") from error
 
 
+def export_stills(log: Log, folder: Path) -> Iterator[Path]:
+    """Write the stills into ``folder``, named by their numbers; the files, as they are written.
+
+    LogError if there are none.
+    """
+    images = log.messages("/payload/image") if "/payload/image" in log.topics else []
+    if not images:
+        raise LogError(f"{log.path}: has no stills; take some with IMAGE_START_CAPTURE")
+    known = log["/payload/still"] if "/payload/still" in log.topics else None
+    numbers = {} if known is None else dict(zip(known["t_us"].tolist(), known["index"].tolist(), strict=True))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for place, image in enumerate(images):
+            path = folder / f"{numbers.get(image.t_us, place):04d}.{image.value['format']}"
+            path.write_bytes(bytes(image.value["data"]))
+            yield path
+    except OSError as error:
+        raise LogError(f"{folder}: cannot be written ({error.strerror or error}); choose another --stills") from error
+
+
 def columns_of(log: Log, topic: str) -> Columns:
     """A topic's messages as columns."""
     try:

@@ -11,7 +11,10 @@ from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession
 from wire_client import Harbour, WireClient
 
+from autopilot.core.desk import Desk
+from autopilot.log.export import export_stills
 from autopilot.log.reader import open_log
+from autopilot.log.shelf import LogShelf
 
 CAMERA = 100
 
@@ -136,6 +139,18 @@ def test_a_still_is_in_the_log_in_full_size_with_its_pose(session: OpenSession, 
         assert pixels is not None and pixels.shape == (480, 640, 3)
         assert log.with_name(f"run.still-{number:04d}.png").read_bytes() == data
         assert len(data) == stills["size"][number]
+    assert [path.name for path in export_stills(found, tmp_path / "out")] == ["0000.png", "0001.png"]
+    assert (tmp_path / "out" / "0001.png").read_bytes() == data
+    # Who downloads logs finds the stills beside them, and nothing else.
+    shelf = LogShelf(tmp_path / "elsewhere", Desk(), log)
+    listing = shelf.list(0).poll(1)
+    assert listing is not None
+    names = {file.path for file in listing.get()}
+    assert names == {"run.mcap", "run.tlog", "run.still-0000.png", "run.still-0001.png"}
+    piece = shelf.read(0, "run.still-0001.png", 0, 4).poll(1)
+    assert piece is not None and piece.get() == b"\x89PNG"
+    outside = shelf.read(0, "out/0001.png", 0, 4).poll(1)
+    assert outside is not None and outside.error is not None
 
 
 def test_sequences_by_time_end_by_count_and_by_order(session: OpenSession, tmp_path: Path) -> None:
