@@ -32,6 +32,19 @@ _MAVLINK_VERSION = 3
 _IDLE, _TAKING, _SEQUENCE = range(3)
 """CAMERA_CAPTURE_STATUS.image_status: whether a still is being taken, and 2 more in a sequence."""
 
+REQUESTS = frozenset(
+    (
+        mav.MAV_CMD_REQUEST_CAMERA_INFORMATION,
+        mav.MAV_CMD_REQUEST_CAMERA_SETTINGS,
+        mav.MAV_CMD_REQUEST_CAMERA_CAPTURE_STATUS,
+        mav.MAV_CMD_REQUEST_STORAGE_INFORMATION,
+        mav.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE,
+        mav.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION,
+        mav.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS,
+    )
+)
+"""Beside REQUEST_MESSAGE."""
+
 NO_VIDEO = "Camera takes stills only: no video here"
 NO_LENS = "Camera has no zoom and no focus to set"
 
@@ -68,9 +81,6 @@ class CameraComponent:
         def refused(reason: str) -> Entry:
             return action(lambda call: denied(reason))
 
-        def fixed(msg_id: int) -> Entry:
-            return Entry(handler=lambda call: self._if_asked(call, msg_id), action=False)
-
         no_gimbal = "Camera is fixed: it cannot be turned"
         return {
             mav.MAV_CMD_IMAGE_START_CAPTURE: action(self.start_capture),
@@ -95,25 +105,38 @@ class CameraComponent:
             mav.MAV_CMD_DO_CONTROL_VIDEO: refused(NO_VIDEO),
             mav.MAV_CMD_DO_MOUNT_CONFIGURE: refused(no_gimbal),
             mav.MAV_CMD_DO_MOUNT_CONTROL: refused(no_gimbal),
-            mav.MAV_CMD_REQUEST_CAMERA_INFORMATION: fixed(mav.MAVLINK_MSG_ID_CAMERA_INFORMATION),
-            mav.MAV_CMD_REQUEST_CAMERA_SETTINGS: fixed(mav.MAVLINK_MSG_ID_CAMERA_SETTINGS),
-            mav.MAV_CMD_REQUEST_CAMERA_CAPTURE_STATUS: fixed(mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS),
-            mav.MAV_CMD_REQUEST_STORAGE_INFORMATION: Entry(handler=self.storage_request, action=False),
-            mav.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE: Entry(
-                handler=lambda call: self._captured(call.whole(1)), action=False
-            ),
-            mav.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION: Entry(handler=lambda call: denied(NO_VIDEO), action=False),
-            mav.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS: Entry(handler=lambda call: denied(NO_VIDEO), action=False),
         }
 
     def requests(self) -> Mapping[int, Entry]:
-        """Commands that only make sense when the camera itself is asked."""
-        return {mav.MAV_CMD_REQUEST_MESSAGE: Entry(handler=self.request_message, action=False)}
+        """Commands that only the camera itself answers: from the autopilot its messages would be another camera's."""
+
+        def request(handler: Callable[[Call], Reply]) -> Entry:
+            return Entry(handler=handler, action=False)
+
+        def fixed(msg_id: int) -> Entry:
+            return request(lambda call: self._if_asked(call, msg_id))
+
+        def no_video(call: Call) -> Reply:
+            return denied(NO_VIDEO)
+
+        return {
+            mav.MAV_CMD_REQUEST_MESSAGE: request(self.request_message),
+            mav.MAV_CMD_REQUEST_CAMERA_INFORMATION: fixed(mav.MAVLINK_MSG_ID_CAMERA_INFORMATION),
+            mav.MAV_CMD_REQUEST_CAMERA_SETTINGS: fixed(mav.MAVLINK_MSG_ID_CAMERA_SETTINGS),
+            mav.MAV_CMD_REQUEST_CAMERA_CAPTURE_STATUS: fixed(mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS),
+            mav.MAV_CMD_REQUEST_STORAGE_INFORMATION: request(self.storage_request),
+            mav.MAV_CMD_REQUEST_CAMERA_IMAGE_CAPTURE: request(lambda call: self._captured(call.whole(1))),
+            mav.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION: request(no_video),
+            mav.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS: request(no_video),
+        }
 
     def answers(self, call: Call) -> bool:
-        """Whether a REQUEST_MESSAGE that is for everybody is for the camera."""
-        return call.command == mav.MAV_CMD_REQUEST_MESSAGE and (
-            call.whole(1) in self._messages() or call.whole(1) == mav.MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED
+        """Whether what is asked of everybody is for the camera."""
+        if call.command != mav.MAV_CMD_REQUEST_MESSAGE:
+            return call.command in REQUESTS
+        msg_id = call.whole(1)
+        return msg_id != mav.MAVLINK_MSG_ID_HEARTBEAT and (
+            msg_id in self._messages() or msg_id == mav.MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED
         )
 
     def start_capture(self, call: Call) -> Reply:

@@ -60,8 +60,11 @@ def test_a_client_finds_the_camera_and_gets_every_message(session: OpenSession, 
             assert client.ask(harbour, mav.MAV_CMD_REQUEST_MESSAGE, number, component=component) == (0, CAMERA)
             (message,) = client.heard(name)
             assert message.get_srcComponent() == CAMERA
-        assert client.ask(harbour, int(legacy[0]), *legacy[1:]) == (0, CAMERA)
-        assert len(client.heard(name)) == 1
+        for component in (CAMERA, 0):
+            assert client.ask(harbour, int(legacy[0]), *legacy[1:], component=component) == (0, CAMERA)
+            assert [m.get_srcComponent() for m in client.heard(name)] == [CAMERA]
+        # The autopilot does not say it as its own: clients would take it for another camera.
+        assert client.ask(harbour, int(legacy[0]), *legacy[1:], component=1) == (mav.MAV_RESULT_UNSUPPORTED, 1)
     client.ask(harbour, 521, 1.0)
     (about,) = client.heard("CAMERA_INFORMATION")
     assert (about.resolution_h, about.resolution_v) == (640, 480)
