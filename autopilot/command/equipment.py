@@ -16,8 +16,6 @@ from autopilot.mavlink.api import Answer, CommandResult
 MIN_CYCLE_S = 0.1
 """Nothing that is made for it wears out by a repetition."""
 MAX_REPEATS = 10_000
-LIGHT_STEP = 0.125
-"""Share by which a button makes lights brighter or darker."""
 
 _OK = Answer(result=CommandResult.ACCEPTED)
 

@@ -111,7 +111,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
     _real("DEPTH_MAX", 1.2, 0.1, 6000.0, "m", "Deepest point of the vehicle's centre (depth band, exact penalty)."),
     _real("DEPTH_MIN", 0.05, 0.0, 100.0, "m", "Shallowest point of the vehicle's centre while under control."),
     *(
-        _int(f"BTN{n}_FUNCTION", 0, 0, 43, f"What joystick button {n} does (docs/piloting.md), 0 = nothing.")
+        _int(f"BTN{n}_FUNCTION", 0, 0, 53, f"What joystick button {n} does (docs/piloting.md), 0 = nothing.")
         for n in range(16)
     ),
     _real("CIRCLE_RADIUS", 0.8, 0.1, 1000.0, "m", "Radius of mode CIRCLE where no command says one."),

@@ -141,7 +141,7 @@ class Dispatcher:
         self._operators = Operators(ctx, self.parameters.known_value)
         self.missions = Missions(ctx)
         self.utility = Utility(ctx)
-        self.pilot = Pilot(ctx)
+        self.pilot = Pilot(ctx, equipment, camera)
         self._set_points = SetPoints(ctx)
         self._external = ExternalPoses(ctx, lambda: self.utility.utc_offset_us)
         self._others = Others(ctx)

@@ -7,8 +7,10 @@ that moment only; then the sticks are released, and what that means says the mod
 from dataclasses import dataclass
 
 from autopilot.core.messages import Severity
-from autopilot.mavlink.api import FlightMode, Sticks
+from autopilot.mavlink.api import Answer, FlightMode, Sticks
+from autopilot.mavlink.camera_api import CameraOrders
 from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.wire import Message
 
 STALE_US = 500_000
@@ -46,7 +48,11 @@ _MODE_BUTTONS = {
     16: FlightMode.SURFACE,
 }
 GAIN_UP, GAIN_DOWN = 42, 43
+PHOTO, LIGHTS, BRIGHTER, DARKER = 24, 31, 32, 33
+RELAY_ON, RELAY_OFF, RELAY_OVER = 51, 52, 53
 """Values of BTNn_FUNCTION; those that ArduSub has too are the same there."""
+LIGHT_STEP = 0.125
+"""Share by which a button makes lights brighter or darker."""
 
 
 @dataclass(slots=True)
@@ -70,8 +76,10 @@ class _Heard:
 class Pilot:
     """The sticks of the moment."""
 
-    def __init__(self, ctx: Context) -> None:
-        self._ctx = ctx
+    def __init__(
+        self, ctx: Context, equipment: EquipmentOrders | None = None, camera: CameraOrders | None = None
+    ) -> None:
+        self._ctx, self._equipment, self._camera = ctx, equipment, camera
         self._heard: _Heard | None = None
         self._gain: float | None = None
         self.last_us: int | None = None
@@ -177,13 +185,28 @@ class Pilot:
             self._gain = min(max(round(now + step, 3), LEAST_GAIN), MOST_GAIN)
             self._ctx.say(Severity.INFO, f"Pilot gain {100.0 * self._gain:.0f} %", peer)
             return
+        elif (found := self._carried(function)) is not None:
+            answer = found
         else:
             if function:
-                text = f"Button {button}: function {function} is not offered (no lights, no gimbal), see BTNn_FUNCTION"
+                text = f"Button {button}: function {function} is not offered, see BTNn_FUNCTION"
                 self._ctx.say(Severity.WARNING, text, peer)
             return
         if answer.reason:
             self._ctx.say(Severity.WARNING, answer.reason, peer)
+
+    def _carried(self, function: int) -> Answer | None:
+        """What a button does to lights, relay and camera; None when it is not about them."""
+        camera, equipment = self._camera, self._equipment
+        if function == PHOTO and camera is not None:
+            return camera.shoot(1, 0.0)
+        if equipment is None:
+            return None
+        if function in (LIGHTS, BRIGHTER, DARKER):
+            return equipment.lights({BRIGHTER: LIGHT_STEP, DARKER: -LIGHT_STEP}.get(function))
+        if function in (RELAY_ON, RELAY_OFF):
+            return equipment.set_relay(0, on=function == RELAY_ON)
+        return equipment.toggle_relay(0) if function == RELAY_OVER else None
 
 
 def _axis(value: int) -> float:

@@ -158,7 +158,17 @@ def test_channels_are_sticks_and_one_pilot_steers_at_a_time() -> None:
 
 def test_buttons_do_what_their_parameters_say() -> None:
     world = PilotedWorld(
-        params={"BTN0_FUNCTION": 2, "BTN1_FUNCTION": 8, "BTN2_FUNCTION": 42, "BTN3_FUNCTION": 32, "BTN4_FUNCTION": 4}
+        params={
+            "BTN0_FUNCTION": 2,
+            "BTN1_FUNCTION": 8,
+            "BTN2_FUNCTION": 42,
+            "BTN3_FUNCTION": 22,
+            "BTN4_FUNCTION": 4,
+            "BTN5_FUNCTION": 31,
+            "BTN6_FUNCTION": 33,
+            "BTN7_FUNCTION": 53,
+            "BTN8_FUNCTION": 24,
+        }
     )
     world.run(1.5)
     world.heard.clear()
@@ -168,7 +178,13 @@ def test_buttons_do_what_their_parameters_say() -> None:
     world.steer(0.2, buttons=4)
     world.steer(0.2, buttons=8)
     text = world.texts()
-    assert "Mode POSHOLD" in text and "gain 60 %" in text and "no lights" in text
+    assert "Mode POSHOLD" in text and "gain 60 %" in text and "22 is not offered" in text
+    world.steer(0.2, buttons=32)
+    world.steer(0.2, buttons=64)
+    carried = world.steer(0.2, buttons=128).payload
+    assert carried is not None and carried.pulses_us == (1800, 1900, 1900), "lights less an eighth, relay on"
+    world.steer(0.2, buttons=256)
+    assert "24 is not offered" in world.texts(), "there is no camera here"
     world.steer(0.2, buttons=16)
     assert not world.parts.commander.armed
 
