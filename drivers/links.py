@@ -4,6 +4,7 @@
 | --- | --- |
 | ``udpin:HOST:PORT``, ``udp:HOST:PORT``, ``udpin://HOST:PORT``, ``udp://HOST:PORT`` | listen, answer who has spoken |
 | ``udpout:HOST:PORT``, ``udpout://HOST:PORT`` | send there, take what comes back |
+| ``udpbcast:HOST:PORT``, ``udpbcast://HOST:PORT`` | call to a whole network until somebody answers |
 | ``tcpin:HOST:PORT``, ``tcpin://HOST:PORT`` | serve several clients |
 | ``tcp:HOST:PORT``, ``tcp://HOST:PORT``, ``tcpout://HOST:PORT`` | connect to a server, again when it went away |
 | ``/dev/ttyX``, ``/dev/ttyX:57600``, ``/dev/ttyX,57600``, ``serial:///dev/ttyX:57600`` | serial line |
@@ -25,6 +26,7 @@ _KINDS = {
     "udp": "udpin",
     "udpin": "udpin",
     "udpout": "udpout",
+    "udpbcast": "udpbcast",
     "tcp": "tcpout",
     "tcpout": "tcpout",
     "tcpin": "tcpin",
@@ -42,7 +44,7 @@ class Connection:
     text: str
     """As it was given."""
     kind: str
-    """udpin, udpout, tcpin, tcpout or serial."""
+    """udpin, udpout, udpbcast, tcpin, tcpout or serial."""
     address: str
     """Host, or device."""
     number: int
@@ -58,7 +60,7 @@ def parse_connection(text: str) -> Connection:
         kind = _KINDS[scheme]
         if not colon or not port.isdigit() or not 0 < int(port) < 65536:
             raise ConfigError(f"connection {text!r} has no port between 1 and 65535; {_REMEDY}")
-        if not host and kind in ("udpout", "tcpout"):
+        if not host and kind in ("udpout", "udpbcast", "tcpout"):
             raise ConfigError(f"connection {text!r} names no host to send to; {_REMEDY}")
         return Connection(text=text, kind=kind, address=host or LOOPBACK, number=int(port))
     if scheme == "serial" or text.startswith("/") or text.upper().startswith("COM"):

@@ -25,6 +25,7 @@ BACKENDS: dict[str, dict[str, str]] = {
     "link": {
         "udpin": "drivers.udp:UdpIn",
         "udpout": "drivers.udp:UdpOut",
+        "udpbcast": "drivers.udp:UdpBroadcast",
         "tcpin": "drivers.tcp:TcpServer",
         "tcpout": "drivers.tcp:TcpClient",
         "serial": "drivers.serial_port:SerialLink",

@@ -200,6 +200,41 @@ class UdpOut(_Udp):
         return address[0] == self._target[0]
 
 
+class UdpBroadcast(_Udp):
+    """Calls to everyone at a broadcast address, once per second, until somebody answers; from then on it speaks to who
+    has answered. When all have been silent for KEEP_US it calls again."""
+
+    def __init__(self, name: str, host: str, port: int) -> None:
+        self._target = resolve(name, host, port)
+        super().__init__(name)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        if self._target[0].startswith(LOOPBACK_NET):
+            self._socket.bind((LOOPBACK, 0))
+        self._numbering = Numbering()
+        self._now_us = 0
+
+    def recv(self, t_us: int) -> list[Received]:
+        """Datagrams since the last call, with who sent them."""
+        self._now_us = t_us
+        return super().recv(t_us)
+
+    def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
+        """Send one datagram to every client, or to one; while there is none, heartbeats to the whole network."""
+        if client != EVERYONE:
+            self._send_one(data, client)
+            return
+        if _is_heartbeat(data) and all(self._now_us - peer.heard_us > KEEP_US for peer in self._known.values()):
+            self._send_to(self._numbering(data), self._target)
+        for address, peer in self._known.items():
+            if peer.client not in beside:
+                self._send_to(peer.numbering(data), address)
+
+
+def _is_heartbeat(data: bytes) -> bool:
+    """Whether a datagram is a HEARTBEAT of MAVLink 2: what ground stations find a vehicle by."""
+    return data[:1] == b"\xfd" and data[7:10] == b"\0\0\0"
+
+
 class UdpIn(_Udp):
     """Listens, and answers everyone who has spoken."""
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from autopilot.core.errors import DriverError
+from autopilot.core.errors import ConfigError, DriverError
+from autopilot.mavlink.dialect import mav
 from drivers.links import open_link
 from drivers.protocols import Link, Received
 from drivers.serial_port import REOPEN_US
@@ -461,3 +462,39 @@ def test_tcp_client_connects_again() -> None:
         assert second.recv(100) == frame(3)
         second.close()
         link.close()
+
+
+def test_a_vehicle_that_calls_is_found_and_then_speaks_to_who_has_answered() -> None:
+    """Heartbeats to everyone on the network until a ground station answers; everything to it from then on."""
+    with contextlib.ExitStack() as stack:
+        station = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        station.bind(("0.0.0.0", 0))
+        station.settimeout(PATIENT_S)
+        link = open_link(f"udpbcast:127.255.255.255:{station.getsockname()[1]}")
+        stack.callback(link.close)
+        packer = mav.MAVLink(None, srcSystem=1, srcComponent=1)
+        beat = mav.MAVLink_heartbeat_message(12, 12, 0, 0, 4, 3).pack(packer)
+        telemetry = mav.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0).pack(packer)
+        assert link.recv(0) == []
+        link.send(telemetry)
+        link.send(beat)
+        data, address = station.recvfrom(300)
+        assert data[7:10] == b"\0\0\0", "only heartbeats are called out"
+        station.sendto(b"answer", address)
+        assert receive(link, 1, 10_000) == [b"answer"]
+        for message in (telemetry, beat):
+            link.send(message)
+            assert station.recv(300)[7:10] == message[7:10]
+        select.select([station], [], [], 0.05)
+        station.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            station.recv(300)  # once, and not called out as well
+        link.recv(10_000 + KEEP_US + 1)
+        link.send(beat)
+        station.settimeout(PATIENT_S)
+        assert {station.recv(300)[7:10] for _ in range(2)} == {b"\0\0\0"}, "silent for long: called out again"
+
+
+def test_calling_needs_an_address_to_call_to() -> None:
+    with pytest.raises(ConfigError, match="names no host"):
+        open_link("udpbcast::14550")
