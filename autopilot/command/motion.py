@@ -17,7 +17,11 @@ from autopilot.core.model4 import NX, YAW
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
+from autopilot.mavlink.api import PILOTED, FlightMode
 
+STEERED = PILOTED | {FlightMode.GUIDED, FlightMode.CIRCLE, FlightMode.TAKEOFF}
+"""Modes that somebody steers in: coming and going they give the vehicle another goal at once, and thrust follows it no
+faster than a pilot's own."""
 BLIND_ASCENT_SHARE = 0.35
 """Share of the thrust limit that lifts a vehicle without a position: about 0.2 m/s for the LBV150."""
 
@@ -35,7 +39,12 @@ class Motion:
         self._sharing = Sharing.of(vehicle)
         self._hand = HandLaw(self._sharing)
         self._soft: tuple[int, FloatArray] | None = None
-        """Time and thrust of the last tick, from the one on which a pilot without a position let go."""
+        """Time and thrust of the last tick, from the one on which a pilot without a position let go, or on which a mode
+        began or ended in which somebody steers."""
+        self._last: tuple[int, FlightMode] | None = None
+        """Time and mode of the last tick that had a goal."""
+        self._switched = False
+        """The controller has not answered since such a mode began or ended."""
         self.felt: Callable[[int], Felt] = lambda _: Felt()
         """What is known without a position, asked only then."""
         self.thrust_n: FloatArray = actuation.nothing()
@@ -76,20 +85,29 @@ class Motion:
             else:
                 self._hand.release()
                 self._soft = None
+            self._last = None
             if last_goal is not None:
                 self.reset()
             return None
         self._hand.release()
+        self._note_mode(t_us, decision.mode)
         nav = self._actuation.nav_for_control(t_us, nav)
         control = None
         if due or last_goal is None:
             control = self._control(t_us, nav, goal, fence)
+            self._switched = False
         else:
             between = self._controller.tick(t_us, nav)
             kept_n = self.thrust_n if self._soft is None else self._wanted_n
             self._wanted_n = kept_n if between is None else sound_thrust_n(between, self._limit_n)
         self.thrust_n = self._softened(t_us, self._wanted_n)
         return control
+
+    def _note_mode(self, t_us: int, mode: FlightMode) -> None:
+        """A switch between modes, one of which somebody steers in, is no jolt."""
+        last, self._last = self._last, (t_us, mode)
+        if last is not None and last[1] is not mode and (mode in STEERED or last[1] in STEERED):
+            self._soft, self._switched = (last[0], self.thrust_n), True
 
     def _softened(self, t_us: int, wanted_n: FloatArray) -> FloatArray:
         """What is wanted, coming from a pilot's thrust as fast as thrust may change."""
@@ -98,7 +116,8 @@ class Motion:
         last_us, last_n = self._soft
         most = SLEW_SHARE_1_S * (t_us - last_us) * 1e-6 * self._limit_n
         thrust_n: FloatArray = np.clip(wanted_n, last_n - most, last_n + most)
-        self._soft = None if np.array_equal(thrust_n, wanted_n) else (t_us, thrust_n)
+        done = not self._switched and np.array_equal(thrust_n, wanted_n)
+        self._soft = None if done else (t_us, thrust_n)
         return thrust_n
 
     def _ascend(self, nav: NavState, place: Pose) -> FloatArray:
