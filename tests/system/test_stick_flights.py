@@ -164,9 +164,10 @@ def test_position_is_held_and_braking_does_not_rebound(session: OpenSession) -> 
     assert flight.touches_nothing()
 
 
-@pytest.mark.parametrize("buoyancy", [0.97, 1.03])
+@pytest.mark.parametrize("buoyancy", [0.992, 1.008])
 def test_depth_is_held_with_the_wrong_buoyancy(session: OpenSession, tmp_path: Path, buoyancy: float) -> None:
-    """AltitudeHold: 0.3 m there, 0.1 m here, with 3.5 N that nobody has told the vehicle of; a stick still moves it."""
+    """AltitudeHold: 0.3 m there, 0.1 m here, with 0.9 N that nobody has told the vehicle of (MPC_W_FORCE is 1 N); a
+    stick still moves it."""
     text = (SCENARIOS / "paper-tank-still.toml").read_text(encoding="utf-8")
     kept = [line for line in text.splitlines() if not line.startswith(("plan", "held", "mismatch"))]
     at = kept.index("[vehicle]") + 1
