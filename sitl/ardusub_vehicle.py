@@ -4,6 +4,7 @@ What :class:`sitl.backend.SimulatedVehicle` is for a vehicle of our own drivers,
 controller's MAVLink alone.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,17 @@ class ArduSubVehicle:
         """Go on to ``t_us`` with the pulses of before; the result is what the flight controller says."""
         self._plant.advance(t_us, self.controller.plant_pulses_us(self._vehicle))
         return self.controller.step(t_us, self._plant.truth)
+
+    def driven(self, t_us: int, servos_us: Sequence[int]) -> Truth:
+        """Go on to ``t_us`` with the servo rail of another flight controller, motor by motor; the truth then."""
+        self.controller.servos_us = tuple(servos_us[: self.motors])
+        self._plant.advance(t_us, self.controller.plant_pulses_us(self._vehicle))
+        return self._plant.truth
+
+    @property
+    def motors(self) -> int:
+        """Of the frame."""
+        return len(self.controller.servos_us)
 
     def pose(self, t_us: int) -> bytes | None:
         """What a tracking system sends of where it is, when that is due (VISION_POSITION_ESTIMATE)."""

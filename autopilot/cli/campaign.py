@@ -28,7 +28,7 @@ class _Show(Protocol):
 
 
 class _Campaign(click.Group):
-    """``table``, ``rooms`` and ``faults`` are commands of their own; whatever else follows ``campaign`` is flown."""
+    """``table``, ``rooms``, ``sets`` and ``faults`` are commands; whatever else follows ``campaign`` is flown."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """See :class:`click.Group`."""
@@ -36,14 +36,18 @@ class _Campaign(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """In alphabetical order."""
-        return sorted([*self.commands, ROOMS, FAULTS])
+        return sorted([*self.commands, ROOMS, SETS, FAULTS])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """``rooms`` and ``faults`` have modules of their own."""
+        """``rooms``, ``sets`` and ``faults`` have modules of their own."""
         if cmd_name == FAULTS:
             from autopilot.cli.campaign_faults import faults
 
             return faults
+        if cmd_name == SETS:
+            from autopilot.cli.campaign_sets import sets
+
+            return sets
         if cmd_name != ROOMS:
             return super().get_command(ctx, cmd_name)
         from autopilot.cli.campaign_rooms import rooms
@@ -51,7 +55,7 @@ class _Campaign(click.Group):
         return rooms
 
 
-FLY, ROOMS, FAULTS = "fly", "rooms", "faults"
+FLY, ROOMS, SETS, FAULTS = "fly", "rooms", "sets", "faults"
 
 
 @click.group(cls=_Campaign)
@@ -235,7 +239,7 @@ def _plain(summary: Summary) -> dict[str, Any]:
     from autopilot.campaign.summary import PERCENTILES
 
     def run(result: RunResult) -> Mapping[str, Any]:
-        return {"run": result.run, "seed": result.seed, "what": _what(result)}
+        return {"run": result.run, "seed": result.seed, "what": what_broke(result)}
 
     return {
         "asked": summary.asked,
@@ -277,7 +281,7 @@ def _print(summary: Summary, name: str, out: Path, logs: Mapping[int, Path]) -> 
                 r.run,
                 r.seed,
                 verdict,
-                _what(r),
+                what_broke(r),
                 scenario_file(out, r.run).name,
                 logs[r.run].name if r.run in logs else "",
             )
@@ -289,7 +293,7 @@ def _print(summary: Summary, name: str, out: Path, logs: Mapping[int, Path]) -> 
         click.echo(f"logs of the worst runs: {', '.join(str(path) for path in logs.values())}")
 
 
-def _what(result: RunResult) -> str:
+def what_broke(result: RunResult) -> str:
     """What a run broke, in words."""
     if result.error is not None:
         return result.error
@@ -322,7 +326,7 @@ def _progress(name: str, *, quiet: bool) -> Iterator[_Show]:
     failures = 0
 
     def verdict(result: RunResult) -> str:
-        return f"FAILED: {_what(result)}" if result.failed else (_what(result) or "good")
+        return f"FAILED: {what_broke(result)}" if result.failed else (what_broke(result) or "good")
 
     if quiet or not console.is_terminal:
 

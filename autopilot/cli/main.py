@@ -28,6 +28,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "mission": ("autopilot.cli.mission:mission", "Upload, download, start or check a plan."),
     "motors": ("autopilot.cli.motors:motors", "Turn thrusters one by one, a little, on the bench."),
     "params": ("autopilot.cli.params:params", "List, explain and compare parameters."),
+    "physics": ("autopilot.cli.physics:physics", "Be the water and the hull under ArduPilot's own simulation."),
     "run": ("autopilot.cli.run:run", "Run the service on a real vehicle."),
     "scenario": (
         "autopilot.cli.scenario:scenario",

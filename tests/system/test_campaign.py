@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 from system_harness import free_port
 
 from autopilot.campaign.definition import Campaign, define, first_difference
@@ -242,7 +242,10 @@ def test_a_disk_that_is_full_ends_it_in_words_and_keeps_what_was_flown(tmp_path:
     does. The half line is taken back; with room again the same command goes on."""
     scenario, out = scenario_in(tmp_path / "in"), tmp_path / "out"
     assert campaign(out, scenario, "--no-figures", runs=1)[0] == 1
-    kept = (out / "runs.jsonl").read_bytes()
+    (first,) = read_results(out).values()
+    # Longer than any other file that is written.
+    kept = msgspec.json.encode(msgspec.structs.replace(first, events=["x" * 30_000])) + b"\n"
+    (out / "runs.jsonl").write_bytes(kept)
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({len(kept) + 300}, resource.RLIM_INFINITY));"
@@ -435,6 +438,32 @@ def test_a_stopped_engine_gives_nothing_more(tmp_path: Path) -> None:
     begin_s = time.process_time()
     assert fly(asked[0], lambda: True) is None
     assert time.process_time() - begin_s < 30.0
+
+
+def test_sets_are_flown_in_turn_and_go_on(tmp_path: Path) -> None:
+    """Two sets by one command, flown by one pool, each in a folder that ``campaign`` and ``campaign table`` know."""
+    files = [scenario_in(tmp_path / "in", name=f"{name}.toml") for name in ("one", "two")]
+    out = tmp_path / "out"
+
+    def sets(*arguments: str) -> Result:
+        chosen = [part for file in files for part in ("--set", file)]
+        return CliRunner().invoke(cli, ["campaign", "sets", *chosen, "--out", str(out), *arguments])
+
+    done = sets("--runs", "1", "--jobs", "1")
+    assert done.exit_code == 1, "nobody finishes laps in that time"
+    assert [line.split(",")[0] for line in done.stderr.splitlines()] == ["1 of 2: one run 0", "2 of 2: two run 0"]
+    before = {name: (out / name / "runs.jsonl").read_bytes() for name in ("one", "two")}
+    more = sets("--runs", "2", "--jobs", "1", "--json")
+    assert [line.split(",")[0] for line in more.stderr.splitlines()] == ["3 of 4: one run 1", "4 of 4: two run 1"]
+    assert [row["runs"] for row in json.loads(more.stdout)["rows"]] == [2, 2]
+    for name, kept in before.items():
+        assert (out / name / "runs.jsonl").read_bytes().startswith(kept)
+        assert (out / name / "runs.csv").is_file()
+    assert lines(out / "one") == lines(out / "two"), "the same draws: the same runs"
+    assert "| r1 |" in sets("--table", "--markdown").stdout
+    assert "holds no campaigns" in str(
+        CliRunner().invoke(cli, ["campaign", "sets", "--table", "--out", str(tmp_path / "no")]).exception
+    )
 
 
 # Summing up.

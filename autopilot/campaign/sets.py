@@ -1,0 +1,57 @@
+"""Several campaigns flown as one: their runs in turn, run 0 of every set first, so that all of them grow alike."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from autopilot.campaign.definition import Campaign
+from autopilot.campaign.engines import Engine
+from autopilot.campaign.results import RunResult, Task
+from autopilot.campaign.store import Shard, Store
+
+SETS = ("r1", "r2", "r3", "r4")
+"""The robustness sets that are judged by all bounds."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetTask:
+    """A run and the set that it belongs to."""
+
+    name: str
+    task: Task
+
+    def fly(self, stop: Callable[[], bool] = lambda: False) -> tuple[str, RunResult] | None:
+        """See :class:`autopilot.campaign.engines.Flyable`."""
+        result = self.task.fly(stop)
+        return None if result is None else (self.name, result)
+
+    def failed(self, error: str) -> tuple[str, RunResult]:
+        """See :class:`autopilot.campaign.engines.Flyable`."""
+        return self.name, self.task.failed(error)
+
+
+def fly_sets(
+    defined: dict[str, Campaign], engine: Engine, out: Path, runs: int, stop: Callable[[], bool]
+) -> Iterator[tuple[str, RunResult]]:
+    """Fly what is missing, each set into a folder of its name; results as they come, kept before they are given.
+
+    ConfigError, LogError: a folder holds another campaign, is flown by somebody else or cannot be written."""
+    stores: dict[str, Store] = {}
+    try:
+        for name, campaign in defined.items():
+            stores[name] = Store(out / name, campaign, Shard())
+        finished = {name: store.results() for name, store in stores.items()}
+        tasks = [
+            SetTask(name=name, task=defined[name].task(run))
+            for run in range(runs)
+            for name in defined
+            if run not in finished[name]
+        ]
+        for each in tasks:
+            stores[each.name].begin(each.task)
+        for name, result in engine.run(tasks, stop):
+            stores[name].append(result)
+            yield name, result
+    finally:
+        for store in stores.values():
+            store.close()

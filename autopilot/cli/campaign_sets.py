@@ -1,0 +1,83 @@
+"""``autopilot campaign sets``: the robustness sets R1 to R4 by one command."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from autopilot.cli.output import emit_json, print_table
+
+
+@click.command("sets")
+@click.option("--set", "names", multiple=True, metavar="SCENARIO", help="Repeatable (default: r1 r2 r3 r4).")
+@click.option("--runs", type=click.IntRange(min=1), default=300, show_default=True, help="Runs of each; more goes on.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of all folders.")
+@click.option("--engine", default="local", show_default=True, help="local, dask or dask+tcp://HOST:PORT.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (default: one per core).")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the campaigns (default: the scenarios').")
+@click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable.")
+@click.option("--table", "only_table", is_flag=True, help="Fly nothing, print what is there.")
+@click.option("--markdown", is_flag=True, help="As a Markdown table.")
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+def sets(
+    names: tuple[str, ...],
+    runs: int,
+    out: Path,
+    engine: str,
+    jobs: int | None,
+    seed: int | None,
+    param: tuple[str, ...],
+    only_table: bool,
+    markdown: bool,
+    as_json: bool,
+) -> None:
+    """Fly the sets R1 to R4, RUNS runs of each in turn: 1,200 in a night or two, resumable, with one table at the end.
+
+    Finished runs are kept in OUT/SET; the same command goes on where it was stopped. Exit code 1 if a bar is broken.
+    """
+    from autopilot.campaign import table as tables
+    from autopilot.campaign.definition import define
+    from autopilot.campaign.engines import make_engine
+    from autopilot.campaign.sets import SETS, fly_sets
+    from autopilot.campaign.store import IDENTITY, read_results
+    from autopilot.campaign.summary import summarise
+    from autopilot.campaign.tabular import write_tables
+    from autopilot.cli.campaign import stoppable, what_broke
+    from autopilot.core.errors import ConfigError
+    from autopilot.run.config import parse_overrides
+
+    chosen = tuple(dict.fromkeys(names or SETS))
+    stopped = False
+    if not only_table:
+        overrides = parse_overrides(param)
+        defined = {name: define(name, seed=seed, params=overrides) for name in chosen}
+        labels = {name: Path(name).stem for name in chosen}
+        asked = runs * len(chosen)
+        with stoppable() as stop:
+            campaigns = {labels[name]: defined[name] for name in chosen}
+            done = sum(len(read_results(out / label)) for label in campaigns if (out / label).is_dir())
+            for label, result in fly_sets(campaigns, make_engine(engine, jobs), out, runs, lambda: bool(stop)):
+                done += 1
+                verdict = f"FAILED: {what_broke(result)}" if result.failed else what_broke(result) or "good"
+                click.echo(f"{done} of {asked}: {label} run {result.run}, seed {result.seed}: {verdict}", err=True)
+            stopped = bool(stop)
+    folders = [out / Path(name).stem for name in chosen if (out / Path(name).stem / IDENTITY).is_file()]
+    if not folders:
+        raise ConfigError(f"{out}: holds no campaigns; leave --table out to fly them")
+    rows, _ = tables.table_of(folders)
+    results = {folder.name: [r for r in read_results(folder).values() if r.run < runs] for folder in folders}
+    passed = True
+    for folder in folders:
+        write_tables(results[folder.name], folder)
+        passed &= summarise(results[folder.name], runs).passed
+    if as_json:
+        emit_json({"passed": passed, "rows": [asdict(row) for row in rows]})
+    elif markdown:
+        click.echo(tables.markdown(rows, ()), nl=False)
+    else:
+        print_table("campaigns", tables.HEADS, [tables.cells(row) for row in rows])
+    if stopped:
+        click.echo(f"stopped; finished runs are kept in {out}, the same command goes on", err=True)
+        raise click.Abort
+    if not passed:
+        raise click.exceptions.Exit(1)

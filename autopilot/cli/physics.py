@@ -1,0 +1,65 @@
+"""``autopilot physics``: the water and the hull under ArduPilot's own simulation."""
+
+from pathlib import Path
+
+import click
+
+from autopilot.cli.output import emit_json
+from autopilot.cli.service_run import StopSignals
+
+
+@click.command()
+@click.argument("scenario", default="paper-tank")
+@click.option("--vehicle", default="bluerov2", show_default=True, help="A shipped vehicle or a vehicle file.")
+@click.option("--frame", type=click.Choice(["vectored", "vectored_6dof"]), default="vectored", show_default=True)
+@click.option("--listen", default="127.0.0.1:9002", show_default=True, metavar="HOST:PORT", help="For ArduPilot.")
+@click.option("--pose", multiple=True, help="Where a tracking system sends the vehicle's pose; repeatable.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End after so many simulated seconds.")
+@click.option("--truth", type=click.Path(dir_okay=False, path_type=Path), help="File for true poses, a JSON line each.")
+@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+def physics(
+    scenario: str,
+    vehicle: str,
+    frame: str,
+    listen: str,
+    pose: tuple[str, ...],
+    seed: int,
+    duration: float | None,
+    truth: Path | None,
+    as_json: bool,
+) -> None:
+    """Be the hull, the thrusters and the water of SCENARIO for ArduSub's simulation (--model JSON).
+
+    ArduSub flies, and its MAVLink is on its own ports; at the end this prints what has become of the vehicle.
+    """
+    stop = StopSignals()
+    import msgspec
+
+    from autopilot.core.errors import ConfigError
+    from autopilot.run.sitl_physics import home_of, serve_physics
+    from sitl.scenario import load_scenario
+
+    host, _, port = listen.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise ConfigError(f"--listen {listen!r}: write HOST:PORT, such as 127.0.0.1:9002")
+    if not as_json:
+        click.echo(f"ardusub --model JSON:{host} --home {home_of(load_scenario(scenario))}")
+    flight = serve_physics(
+        scenario,
+        vehicle,
+        frame,
+        host=host,
+        port=int(port),
+        pose=pose,
+        seed=seed,
+        duration_s=duration,
+        truth_file=truth,
+        stop=lambda: bool(stop),
+        tell=lambda text: click.echo(text, err=True),
+    )
+    if as_json:
+        emit_json(msgspec.to_builtins(flight))
+    else:
+        for name, value in msgspec.to_builtins(flight).items():
+            click.echo(f"{name}: {value}")

@@ -1,0 +1,146 @@
+"""The plant of a scenario under ArduPilot's own simulation: a UDP server for its JSON interface."""
+
+import json
+import select
+import socket
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+
+from autopilot.core.errors import ConfigError
+from autopilot.core.vehicle import load_vehicle
+from drivers.links import open_link
+from sitl.ardupilot_json import JsonPhysics
+from sitl.ardusub_vehicle import ArduSubVehicle
+from sitl.plant import Truth
+from sitl.scenario import Scenario, load_scenario, with_vehicle
+
+LOOK_S = 0.2
+"""How often a server that hears nothing looks whether it is to stop."""
+SILENT_S = 5.0
+"""ArduPilot that says nothing for so long is worth a word."""
+TRACK_US = 100_000
+"""Lines of the truth file come so often."""
+MAX_PACKET = 2048
+
+
+class PhysicsFlight(msgspec.Struct, kw_only=True):
+    """What has become of the vehicle, and of the talk."""
+
+    seconds: float = 0.0
+    """Simulated, since ArduPilot started."""
+    frames: int = 0
+    repeated: int = 0
+    missed: int = 0
+    restarts: int = 0
+    refused: int = 0
+    rate_hz: float = 0.0
+    """Frames per second of the wall clock."""
+    contacts: int = 0
+    max_penetration_m: float = 0.0
+    energy_j: float = 0.0
+    longest_way_m: float = 0.0
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def home_of(scenario: Scenario) -> str:
+    """The scenario's origin as ArduPilot's ``--home`` has it; heading is the simulation's."""
+    origin = scenario.origin
+    return f"{origin.lat_deg:.7f},{origin.lon_deg:.7f},{origin.alt_m:g},0"
+
+
+def serve_physics(
+    scenario_name: str,
+    vehicle_name: str,
+    frame: str,
+    *,
+    host: str,
+    port: int,
+    pose: Sequence[str],
+    seed: int,
+    duration_s: float | None,
+    truth_file: Path | None,
+    stop: Callable[[], bool],
+    tell: Callable[[str], None],
+) -> PhysicsFlight:
+    """Answer ArduPilot until ``stop`` or so many simulated seconds. ``pose``: where a tracking system reports.
+
+    ConfigError if nothing can listen there."""
+    scenario = with_vehicle(load_scenario(scenario_name), vehicle_name, "--vehicle")
+    hull = load_vehicle(vehicle_name)
+    vehicles: list[ArduSubVehicle] = []
+
+    def fresh() -> Callable[[int, tuple[int, ...]], Truth]:
+        vehicles.append(ArduSubVehicle(scenario, hull, frame, seed=seed))
+        return vehicles[-1].driven
+
+    physics = JsonPhysics(fresh, None if scenario.tank is None else scenario.tank.depth_m)
+    trackers = [open_link(text) for text in pose]
+    track = None if truth_file is None else truth_file.open("w", encoding="utf-8")
+    flight, end_us = PhysicsFlight(), None if duration_s is None else 1e6 * duration_s
+    heard_s = began_s = time.monotonic()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
+        try:
+            server.bind((host, port))
+        except OSError as error:
+            raise ConfigError(
+                f"--listen {host}:{port}: cannot listen there ({error.strerror}); choose another"
+            ) from error
+        tell(f"{scenario.scenario.name}: waiting for ArduPilot on UDP {host}:{server.getsockname()[1]}")
+        spoke = silent = False
+        next_track_us = 0
+        try:
+            while not stop() and (end_us is None or physics.t_us < end_us):
+                if not select.select((server,), (), (), LOOK_S)[0]:
+                    if spoke and not silent and time.monotonic() - heard_s > SILENT_S:
+                        silent = True
+                        tell("ArduPilot says nothing any more")
+                    continue
+                try:
+                    data, peer = server.recvfrom(MAX_PACKET)
+                except ConnectionError:
+                    continue  # the answer of before reached nobody
+                heard_s = time.monotonic()
+                before = physics.restarts
+                answer = physics.answer(data)
+                if answer is None or physics.truth is None:
+                    continue
+                if not spoke or physics.restarts > before:
+                    began_s, next_track_us = heard_s, 0
+                    tell(f"ArduPilot speaks from {peer[0]}:{peer[1]}" if not spoke else "ArduPilot began anew")
+                spoke, silent = True, False
+                server.sendto(answer, peer)
+                told = vehicles[-1].pose(physics.t_us)
+                for link in trackers if told is not None else ():
+                    link.recv(physics.t_us)
+                    link.send(told or b"")
+                start = scenario.vehicle.start_m
+                away_m = sum((a - b) ** 2 for a, b in zip(physics.truth.pos_ned_m, start, strict=True)) ** 0.5
+                flight.longest_way_m = max(flight.longest_way_m, float(away_m))
+                if track is not None and physics.t_us >= next_track_us:
+                    next_track_us += TRACK_US
+                    row = [1e-6 * physics.t_us, *physics.truth.pos_ned_m.tolist(), *physics.truth.rpy_rad.tolist()]
+                    track.write(json.dumps([*row, *vehicles[-1].controller.servos_us]) + "\n")
+        finally:
+            for link in trackers:
+                link.close()
+            if track is not None:
+                track.close()
+    return _account(flight, physics, time.monotonic() - began_s)
+
+
+def _account(flight: PhysicsFlight, physics: JsonPhysics, wall_s: float) -> PhysicsFlight:
+    flight.seconds, flight.frames, flight.repeated = 1e-6 * physics.t_us, physics.frames, physics.repeated
+    flight.missed, flight.restarts, flight.refused = physics.missed, physics.restarts, physics.refused
+    flight.rate_hz = physics.frames / max(wall_s, 1e-9)
+    truth = physics.truth
+    if truth is not None:
+        flight.contacts, flight.max_penetration_m = truth.contact_count, truth.max_penetration_m
+        flight.energy_j = truth.energy_used_j
+        north, east, down = truth.pos_ned_m.tolist()
+        roll, pitch, yaw = truth.rpy_rad.tolist()
+        flight.position_m, flight.rpy_rad = (north, east, down), (roll, pitch, yaw)
+    return flight
