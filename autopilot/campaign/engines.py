@@ -28,8 +28,8 @@ CONNECT_S = 10.0
 FIRST_WORKER_S = 30.0
 NOBODY_S = 300.0
 """How long a cluster may be without any worker before the campaign ends."""
-CHATTY = ("distributed", "tornado", "tornado.application", "asyncio")
-"""Loggers of a cluster's client."""
+CHATTY = ("distributed", "tornado", "asyncio")
+"""Loggers of a cluster's client; those below them have levels of their own."""
 DIED = "the process that flew it died each time (out of memory?)"
 
 Stop = Callable[[], bool]
@@ -300,7 +300,8 @@ class DaskCluster:
     @contextmanager
     def _quiet(self) -> Iterator[None]:
         """What the cluster says of lost workers is said by the engine."""
-        before = {name: logging.getLogger(name).level for name in CHATTY}
+        names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in CHATTY]
+        before = {name: logging.getLogger(name).level for name in names}
         for name in before:
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         try:
