@@ -78,10 +78,10 @@ class Page:
             raise RuntimeError(f"{expression}: {answer['exceptionDetails'].get('text')}")
         return answer["result"].get("value")
 
-    def wait(self, expression: str) -> Any:
+    def wait(self, expression: str, patience_s: float = PATIENCE_S) -> Any:
         """Until it is true."""
         begin_s = time.monotonic()
-        while time.monotonic() - begin_s < PATIENCE_S:
+        while time.monotonic() - begin_s < patience_s:
             if value := self.ask(expression):
                 return value
             self._hear(0.2)

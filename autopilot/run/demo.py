@@ -101,7 +101,8 @@ def _operate(session: Session, plan: PlanFile, *, laps: int, show: Show) -> None
     session.start_mission()
 
     def on_status(status: MissionStatus) -> None:
-        show(f"mission {status.state.name.lower()}", min(len(status.reached), total), total)
+        if status.state is not ProgressState.UNKNOWN:  # it has not said yet
+            show(f"mission {status.state.name.lower().replace('_', ' ')}", min(len(status.reached), total), total)
 
     status = session.watch_mission(on_status, timeout_s=LAP_S * (1 + laps), silence_s=SILENCE_S)
     if status.state is not ProgressState.COMPLETE:
