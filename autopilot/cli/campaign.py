@@ -88,7 +88,9 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
             click.echo(tables.pair_text(pair))
 
 
-@campaign.command(FLY)
+@campaign.command(
+    FLY, epilog="Also: campaign table DIR..., campaign rooms, campaign faults; each has a --help of its own."
+)
 @click.argument("scenario")
 @click.option("--runs", type=click.IntRange(min=1), required=True, help="Runs in all; more than before goes on.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder of the campaign.")
@@ -129,7 +131,7 @@ def fly(
     kept in OUT, one line each; the same command goes on where it was stopped. At the end there are runs.csv (and
     runs.parquet where pyarrow is installed), figures, and logs of the worst runs. Exit code 1 if a bar is broken.
 
-    The word fly may be left out. "autopilot campaign table DIR..." puts campaigns side by side.
+    The word fly may be left out.
     """
     from autopilot.campaign.definition import define
     from autopilot.campaign.engines import make_engine

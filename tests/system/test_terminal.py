@@ -7,6 +7,10 @@ import subprocess
 import sys
 
 import pytest
+from click.testing import CliRunner
+
+from autopilot.cli.campaign import campaign
+from autopilot.cli.main import cli
 
 SAID = """
 from autopilot.cli.demo import _progress
@@ -67,3 +71,19 @@ def test_a_pipe_gets_plain_lines() -> None:
         "tank: mission active, waypoint 1 of 7",
         "tank: mission active, waypoint 2 of 7",
     ]
+
+
+def test_help_of_a_campaign_names_its_other_commands() -> None:
+    done = CliRunner().invoke(campaign, ["--help"])
+    assert done.exit_code == 0 and "--runs" in done.output
+    for name in ("table", "rooms", "faults"):
+        assert f"campaign {name}" in done.output
+
+
+def test_help_lines_say_one_thing_each() -> None:
+    """Nothing in the list of commands is cut off or wrapped more than once at 80 columns."""
+    done = CliRunner().invoke(cli, ["--help"], terminal_width=80)
+    listed = done.output.split("Commands:")[1].splitlines()
+    names = [line.split()[0] for line in listed if re.match(r"^  \w", line)]
+    assert names == sorted(names) and {"demo", "sitl", "run", "log", "mission"} <= set(names)
+    assert len([line for line in listed if line.strip()]) <= 1.3 * len(names) and "..." not in "".join(listed)

@@ -68,6 +68,9 @@ def test_the_page_shows_what_it_is_sent(events: list[dict[str, Any]], width: int
     assert float(rods["port"]["rod"]["width"].rstrip("%")) == pytest.approx(50 * min(abs(port) / 12, 1), abs=0.1)
     for name in ("plan", "side"):
         assert made["svg"][name].count("<path") > 5
+    fence, tube = ("#c4262e", "rgba(208,124,0,.35)") if theme == "light" else ("#ff6b6b", "rgba(240,168,60,.35)")
+    assert made["svg"]["side"].count(fence) >= 3, "two ends of the fence and the deepest place"
+    assert tube in made["svg"]["side"] and tube in made["svg"]["plan"]
     assert ">A</text>" in made["svg"]["plan"] and ">B</text>" in made["svg"]["plan"]
     assert "steer" not in made["hidden"]
     assert any("Armed" in line for line in made["messages"])
