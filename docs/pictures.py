@@ -56,7 +56,7 @@ def photographed(port: int) -> None:
     program = browser.found()
     assert program is not None
     with browser.page(program) as page:
-        page.size(1200, 830)
+        page.size(1250, 1010)
         page.open(f"http://127.0.0.1:{port}/")
         page.wait("document.getElementById('state')?.children.length > 4")
         page.ask("document.getElementById('camerabox').open = true")
