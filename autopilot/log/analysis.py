@@ -18,6 +18,7 @@ from autopilot.log.packing.estimate import COUNTER_NAMES, LAST_NAMES
 from autopilot.log.reader import Log, Table
 from autopilot.log.schemas import layout
 from autopilot.log.topics import type_of
+from autopilot.log.visuals import read_path
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
@@ -153,6 +154,40 @@ def load_flight(log: Log) -> Flight:
     whole = Span(min(float(t[0]) for t in times), max(float(t[-1]) for t in times)) if times else Span(0.0, 0.0)
     armed = _armed_span(log, whole)
     return Flight(log=log, run=log.description, truth=truth, nav=nav, armed=armed, mission=_mission_span(log, armed))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Prediction:
+    """A prediction of the controller."""
+
+    t_s: float
+    """When it was made."""
+    at_s: FloatArray
+    """(n,) times of its points, all ``t_s`` in logs that do not say."""
+    pos_ned_m: FloatArray
+    """(n, 3)"""
+
+
+def predictions(log: Log) -> list[Prediction]:
+    """What the controller predicted, in order; empty if the log does not have it."""
+    if "/ctl/horizon" not in log:
+        return []
+    found = []
+    for time_ns, data in log.raw_messages("/ctl/horizon"):
+        at_s, points = read_path(data)
+        t_s = 1e-9 * (time_ns - log.epoch_ns)
+        found.append(Prediction(t_s=t_s, at_s=at_s - 1e-9 * log.epoch_ns, pos_ned_m=points))
+    return found
+
+
+def foreseen(made: Sequence[Prediction], ahead_s: float) -> tuple[FloatArray, FloatArray]:
+    """(n,) times and (n, 3) places where the vehicle was to be then by what was predicted ``ahead_s`` before."""
+    known = [one for one in made if len(one.at_s) > 1 and one.at_s[-1] >= one.t_s + ahead_s > one.at_s[0]]
+    times = np.array([one.t_s + ahead_s for one in known])
+    places = [
+        [np.interp(t, one.at_s, one.pos_ned_m[:, i]) for i in range(3)] for one, t in zip(known, times, strict=True)
+    ]
+    return times, np.array(places).reshape(-1, 3)
 
 
 def seconds(table: Table) -> FloatArray:

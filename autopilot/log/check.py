@@ -63,6 +63,8 @@ class Row:
     at_s: float | None = None
     """When the worst value was reached, on the service's clock."""
     note: str = ""
+    subject: str = ""
+    """What it is of: rows of one subject stand together."""
 
 
 def acceptance_table(log: Log) -> list[Row]:

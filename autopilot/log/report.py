@@ -4,37 +4,76 @@ Header, verdicts, linked interactive plots, events, parameters and topics. The s
 so that the file loads nothing.
 """
 
+import base64
+import csv
 import html
+import io
+import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from autopilot.core.errors import LogError
 from autopilot.core.params import PARAMETERS
-from autopilot.log.analysis import Flight, last_counts, load_flight, seconds
+from autopilot.log.analysis import TOPICS_OF_INTEREST, Flight, energy_j, last_counts, load_flight, seconds
 from autopilot.log.check import Row, Verdict, acceptance_table, format_figure, overall
 from autopilot.log.reader import Log
+from autopilot.log.topics import AID_PREFIX
 from autopilot.log.visuals import ROS_LEVEL
 
 _STYLE = """
-body { font: 14px/1.45 system-ui, sans-serif; margin: 0 auto; max-width: 1150px; padding: 0 16px 48px; color: #222; }
-h1 { font-size: 22px; margin: 20px 0 4px; } h2 { font-size: 17px; margin: 28px 0 8px; }
-h3 { font-size: 14px; margin: 14px 0 0; }
-table { border-collapse: collapse; } td, th { padding: 2px 12px 2px 0; text-align: left; vertical-align: top; }
+body { font: 14px/1.45 system-ui, sans-serif; margin: 0 auto; max-width: 1180px; padding: 0 16px 48px; color: #222; }
+h1 { font-size: 22px; margin: 20px 0 8px; } h2 { font-size: 18px; margin: 32px 0 8px; }
+h3 { font-size: 14px; margin: 18px 0 0; } h3 button { font: 11px system-ui, sans-serif; margin-left: 8px; }
+table { border-collapse: collapse; } td, th { padding: 2px 12px 2px 4px; text-align: left; vertical-align: top; }
 th { border-bottom: 1px solid #999; } td.n { text-align: right; font-variant-numeric: tabular-nums; }
-.badge { display: inline-block; padding: 1px 9px; border-radius: 9px; color: #fff; font-weight: 600; }
-.pass { background: #2e8b57; } .warn { background: #d08700; } .fail { background: #c62828; } .info { background: #888; }
-tr.fail td { background: #fdecea; } tr.warn td { background: #fff6e0; }
+.facts { columns: 2; } .facts div { break-inside: avoid; } .facts b { display: inline-block; width: 11em; }
+.facts b { font-weight: normal; color: #666; }
+.badge { display: inline-block; padding: 0 9px; border-radius: 9px; color: #fff; font-weight: 600; font-size: 12px; }
+h1 .badge { font-size: 16px; }
+.badge.pass { background: #2e8b57; } .badge.warn { background: #b36b00; } .badge.fail { background: #c62828; }
+.badge.info { background: #8a8a8a; }
+tr.row-fail td { background: #fdecea; } tr.row-warn td { background: #fff6e0; } tr.subject th { padding-top: 12px; }
+td.note { color: #555; }
 .problem { border-left: 4px solid #c62828; padding: 4px 10px; background: #fdecea; }
-details { margin: 8px 0; } summary { cursor: pointer; } .muted { color: #777; }
+.strip { display: flex; flex-wrap: wrap; gap: 8px; } .strip figure { margin: 0; font-size: 12px; color: #555; }
+nav a { margin-right: 12px; } details { margin: 8px 0; } summary { cursor: pointer; }
 """
+_SCRIPT = """
+function saveCsv(id, name) {
+  const plot = Bokeh.documents.map(d => d.get_model_by_id(id)).find(p => p);
+  const rows = ["curve,t_or_x,value"];
+  for (const r of plot.renderers) {
+    const s = r.data_source;
+    if (!s || !s.name || s.name == "marks" || !s.data.t || !s.data.y) continue;
+    const label = s.name.replaceAll('"', "'");
+    for (let i = 0; i < s.data.t.length; i++) rows.push(`"${label}",${s.data.t[i]},${s.data.y[i]}`);
+  }
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([rows.join("\\n")], {type: "text/csv"}));
+  link.download = name + ".csv";
+  link.click();
+}
+"""
+"""Plots save themselves as PNG (their toolbar); this saves what they show."""
+_PICTURES, _PICTURE_PX = 10, 220
+_JPEG = b"\xff\xd8\xff"
+"""How a JPEG begins."""
+_ATTACHED_BYTES = 100_000
+"""Larger attachments stay in the log."""
 _EVENTS_SHOWN = 500
 _LEVEL_NAMES = {50: "fatal", 40: "error", 30: "warning", 20: "info", 10: "debug"}
 
 
 def write_report(log: Log, path: Path) -> Path:
     """Write the report of a log. LogError if the log holds no track or the file cannot be written."""
+    from autopilot.log.report_plots import TOPICS
+
     if path.is_dir():
         raise LogError(f"{path}: the report cannot be written (is a folder); give the name of a file")
+    aids = [topic for topic in log.topics if topic.startswith(AID_PREFIX)]
+    log.load([*TOPICS_OF_INTEREST, *TOPICS, *aids])  # one pass over the file for everything
     flight = load_flight(log)
     page = _page(flight, acceptance_table(log))
     try:
@@ -46,24 +85,95 @@ def write_report(log: Log, path: Path) -> Path:
 
 
 def _page(flight: Flight, rows: Sequence[Row]) -> str:
+    from bokeh.document import Document
     from bokeh.embed import components
     from bokeh.resources import Resources
 
     from autopilot.log.report_plots import Plots
 
-    plots = Plots(flight).all()
+    subjects = Plots(flight).all()
+    plots = {f"{subject}: {title}": plot for subject, found in subjects.items() for title, plot in found.items()}
+    document = Document()
+    with document.models.freeze():  # else every plot is looked through again for each of the others
+        for plot in plots.values():
+            document.add_root(plot)
     script, parts = components(plots)
     scripts = Resources(mode="inline", components=["bokeh"], log_level="warn").render_js()
-    drawn = "".join(f"<h3>{html.escape(title)}</h3>\n{parts[title]}\n" for title in plots)
+    drawn = ""
+    for subject, found in subjects.items():
+        drawn += f'<h2 id="{_anchor(subject)}">{html.escape(subject)}</h2>\n'
+        if subject == "Camera":
+            drawn += _pictures(flight.log)
+        for title, plot in found.items():
+            name = _anchor(f"{flight.log.path.stem} {title}")
+            button = f"<button onclick=\"saveCsv('{plot.id}', '{name}')\">CSV</button>"
+            drawn += f"<h3>{html.escape(title)}{button}</h3>\n{parts[f'{subject}: {title}']}\n"
     title = f"{flight.run.scenario if flight.run is not None else flight.log.path.stem}: {flight.log.path.name}"
+    tables = ("Verdicts", *subjects, "Events", "Counters", "Parameters", "Topics", "Downloads")
+    links = "".join(f'<a href="#{_anchor(name)}">{html.escape(name)}</a>' for name in tables)
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>\n'
-        f"<style>{_STYLE}</style>\n{scripts}</head>\n<body>\n<h1>{html.escape(title)} {_badge(overall(rows))}</h1>\n"
-        f"{_problems(flight.log)}{_header(flight)}\n<h2>Bounds</h2>\n{_acceptance(rows)}\n"
-        f"<h2>Plots</h2>\n{_modes(flight)}\n{drawn}\n<h2>Events</h2>\n{_events(flight.log)}\n"
-        f"<h2>Counters</h2>\n{_counters(flight)}\n"
-        f"<h2>Parameters</h2>\n{_parameters(flight)}\n<h2>Topics</h2>\n{_topics(flight.log)}\n{script}\n</body></html>\n"
+        f'<meta name="viewport" content="width=device-width">\n'
+        f"<style>{_STYLE}</style>\n{scripts}<script>{_SCRIPT}</script></head>\n<body>\n"
+        f"<h1>{html.escape(title)} {_badge(overall(rows))}</h1>\n{_problems(flight.log)}{_header(flight, rows)}\n"
+        f'<nav>{links}</nav>\n<h2 id="verdicts">Verdicts</h2>\n{_acceptance(rows)}\n{_modes(flight)}\n{drawn}\n'
+        f'<h2 id="events">Events</h2>\n{_events(flight.log)}\n'
+        f'<h2 id="counters">Counters</h2>\n{_counters(flight)}\n'
+        f'<h2 id="parameters">Parameters</h2>\n{_parameters(flight)}\n'
+        f'<h2 id="topics">Topics</h2>\n{_topics(flight.log)}\n'
+        f'<h2 id="downloads">Downloads</h2>\n{_downloads(flight, rows)}\n{script}\n</body></html>\n'
     )
+
+
+def _anchor(title: str) -> str:
+    """A title as a name in addresses and of files."""
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+
+
+def _pictures(log: Log) -> str:
+    """Some of the pictures of the flight, evenly in time; empty without any."""
+    if "/in/camera" not in log:
+        return ""
+    import cv2
+    import numpy as np
+
+    found = log.raw_messages("/in/camera")
+    parts = []
+    for time_ns, data in found[:: max(1, -(-len(found) // _PICTURES))]:
+        start = data.find(_JPEG)
+        pixels = None if start < 0 else cv2.imdecode(np.frombuffer(data[start:], np.uint8), cv2.IMREAD_COLOR)
+        if pixels is None:
+            continue
+        height = max(1, round(pixels.shape[0] * _PICTURE_PX / pixels.shape[1]))
+        small = cv2.resize(pixels, (_PICTURE_PX, height), interpolation=cv2.INTER_AREA)
+        done, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 70])
+        if done:
+            at = f"{1e-9 * (time_ns - log.epoch_ns):.1f} s"
+            source = f"data:image/jpeg;base64,{base64.b64encode(jpeg.tobytes()).decode()}"
+            parts.append(f'<figure><img src="{source}" alt="camera at {at}"><figcaption>{at}</figcaption></figure>')
+    return f'<div class="strip">{"".join(parts)}</div>\n'
+
+
+def _downloads(flight: Flight, rows: Sequence[Row]) -> str:
+    """The tables of this page and what is attached to the log, as files within the page."""
+    columns = ("subject", "name", "unit", "limit", "worst", "margin", "verdict", "at_s", "note")
+    verdicts = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns)
+    writer.writeheader()
+    writer.writerows({name: row[name] for name in columns} for row in verdicts)
+    files = {"verdicts.csv": text.getvalue().encode()}
+    if flight.run is not None:
+        lines = "".join(f"{name} {value:.9g}\n" for name, value in sorted(flight.run.parameters.items()))
+        files["parameters.params"] = lines.encode()
+    attached = flight.log.attachments
+    files |= {name: attached[name] for name in sorted(attached) if len(attached[name]) <= _ATTACHED_BYTES}
+    items = "".join(
+        f'<li><a download="{html.escape(name)}" href="data:application/octet-stream;base64,'
+        f'{base64.b64encode(data).decode()}">{html.escape(name)}</a> ({len(data)} bytes)</li>'
+        for name, data in files.items()
+    )
+    return f"<ul>{items}</ul>"
 
 
 def _badge(verdict: Verdict) -> str:
@@ -81,7 +191,7 @@ def _problems(log: Log) -> str:
     return "".join(f'<p class="problem">{html.escape(problem)}</p>\n' for problem in log.problems)
 
 
-def _header(flight: Flight) -> str:
+def _header(flight: Flight, rows: Sequence[Row]) -> str:
     """What the run was, in pairs."""
     run, log, armed = flight.run, flight.log, flight.armed
     track = flight.judged.between(armed)
@@ -93,22 +203,33 @@ def _header(flight: Flight) -> str:
     pairs += [
         ("judged on", "truth" if flight.truth is not None else "estimate"),
         ("armed", f"{armed.start_s:.1f} s to {armed.end_s:.1f} s"),
-        ("distance", f"{float(((steps**2).sum(axis=1) ** 0.5).sum()):.1f} m"),
+        ("way", f"{float(((steps**2).sum(axis=1) ** 0.5).sum()):.1f} m in {armed.end_s - armed.start_s:.1f} s"),
+        ("fastest", f"{float(track.planar_speed_m_s.max(initial=0.0)):.2f} m/s in the water"),
         ("messages", f"{log.message_count} on {len(log.topics)} topics"),
     ]
-    return _table(("", ""), list(dict(pairs).items()))
+    used = energy_j(flight, armed)
+    if used is not None:
+        pairs.append(("energy", f"{used:.0f} J"))
+    counts = Counter(row.verdict.value for row in rows)
+    pairs.append(("verdicts", ", ".join(f"{counts[v.value]} {v.value}" for v in Verdict if counts[v.value])))
+    cells = (f"<div><b>{html.escape(k)}</b>{html.escape(v)}</div>" for k, v in dict(pairs).items() if v)
+    return f'<div class="facts">{"".join(cells)}</div>'
 
 
 def _acceptance(rows: Sequence[Row]) -> str:
     out = ["<table><tr><th>bound</th><th>limit</th><th>worst</th><th>margin</th><th>unit</th><th>at [s]</th>"]
     out.append("<th>verdict</th><th></th></tr>\n")
+    subject = ""
     for row in rows:
+        if row.subject != subject:
+            subject = row.subject
+            out.append(f'<tr class="subject"><th colspan="8">{html.escape(subject)}</th></tr>\n')
         numbers = "".join(f'<td class="n">{format_figure(value)}</td>' for value in (row.limit, row.worst, row.margin))
         at = "" if row.at_s is None else f"{row.at_s:.2f}"
         out.append(
-            f'<tr class="{row.verdict.value}"><td>{html.escape(row.name)}</td>{numbers}<td>{row.unit}</td>'
+            f'<tr class="row-{row.verdict.value}"><td>{html.escape(row.name)}</td>{numbers}<td>{row.unit}</td>'
             f'<td class="n">{at}</td><td>{_badge(row.verdict)}</td>'
-            f'<td class="muted">{html.escape(row.note)}</td></tr>\n'
+            f'<td class="note">{html.escape(row.note)}</td></tr>\n'
         )
     return "".join(out) + "</table>"
 

@@ -1,50 +1,67 @@
-"""The interactive plots of the HTML report: linked in time, shaded by mode, decimated so that no spike is lost."""
+"""Which plots the HTML report has: by subject, of everything that a log holds."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from bokeh.models import BoxAnnotation, Legend, Range1d, Span
-from bokeh.plotting import figure
+from bokeh.models import Legend
 
 from autopilot.core.frames import FloatArray
-from autopilot.log.analysis import Flight, Track, estimate_error, lap_spans, seconds, thruster_names, visits
+from autopilot.log.analysis import (
+    Flight,
+    Prediction,
+    Track,
+    distance_to_fence,
+    distance_to_obstacle,
+    distance_to_polygon,
+    energy_j,
+    estimate_error,
+    foreseen,
+    lap_spans,
+    obstacle_limit_m,
+    predictions,
+    seconds,
+    thruster_names,
+    visits,
+)
 from autopilot.log.description import RunDescription
+from autopilot.log.report_draw import (
+    BUCKETS,
+    COLORS,
+    EVENT_COLOR,
+    PARAMETER_COLOR,
+    Band,
+    Curve,
+    Mark,
+    TimeSheet,
+    histogram,
+    plain_figure,
+    spectrum,
+)
 from autopilot.log.scene import outline
+from autopilot.log.spectra import density
 from autopilot.log.topics import AID_PREFIX
 
-BUCKETS = 700
-"""Each curve keeps the smallest and the largest value of so many slices of time."""
-HEIGHT_PX = 230
-COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
-MODE_COLORS = ("#dbe9f6", "#e5f5e0", "#fee8c8", "#efedf5", "#fde0ef")
-TOOLS = "xpan,xwheel_zoom,box_zoom,crosshair,reset,save"
+Subject: TypeAlias = dict[str, Any]
+"""Title -> plot, None where the log has no data for it."""
 
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Curve:
-    """One line of a plot."""
-
-    name: str
-    t_s: FloatArray
-    values: FloatArray
-
-
-def decimate(t_s: FloatArray, values: FloatArray, buckets: int = BUCKETS) -> tuple[FloatArray, FloatArray]:
-    """The curve with at most two points per bucket of samples: its smallest and its largest value, in order of time."""
-    count = len(values)
-    if count <= 2 * buckets:
-        return t_s, values
-    edges = np.linspace(0, count, buckets + 1).astype(int)
-    keep: set[int] = {0, count - 1}
-    filled = np.nan_to_num(values, nan=0.0)
-    for start, end in pairwise(edges.tolist()):
-        part = filled[start:end]
-        keep.update((start + int(part.argmin()), start + int(part.argmax())))
-    rows = np.array(sorted(keep))
-    return t_s[rows], values[rows]
+TOPICS = (
+    *("/ctl/horizon", "/ctl/thrusters", "/ctl/plan", "/nav/shadow", "/nav/thrust", "/in/ahrs_raw", "/in/imu"),
+    *("/in/markers", "/in/mavlink", "/out/mavlink", "/in/power_raw", "/in/hull", "/sys/parameters", "/rosout"),
+    *("/in/camera", "/in/tick"),
+)
+"""Beside those that are judged."""
+MODE_COLORS = ("#dbe9f6", "#e5f5e0", "#fee8c8", "#efedf5", "#fde0ef", "#e0f3f3")
+CONTROL_PERIOD_MS = 50.0
+"""What a control step has (docs/architecture.md)."""
+TICK_MS = 10.0
+AHEAD_S = 1.0
+"""Predictions are compared with what came after so long."""
+HORIZONS = 12
+"""Predictions that the plan shows."""
+MARKED_LEVEL = 20
+"""Events from this level of rcl_interfaces/Log on are marked: what operators are told."""
+MOST_MARKS = 300
 
 
 class Plots:
@@ -54,137 +71,287 @@ class Plots:
         """Lay out the time axis: the flight with a little before and after it."""
         self._flight = flight
         self._track = flight.judged
-        start, end = flight.armed.start_s, flight.armed.end_s
-        margin = 0.02 * max(end - start, 1.0)
-        self._range = Range1d(start - margin, end + margin)
-        self._modes = _mode_spans(flight)
-
-    def all(self) -> dict[str, Any]:
-        """Title -> plot, of everything that the log has data for."""
-        flight = self._flight
-        plots: dict[str, Any] = {"Plan": self._plan()}
+        self.bands, self.marks = mode_bands(flight), event_marks(flight)
+        self._sheet = TimeSheet(flight.armed.start_s, flight.armed.end_s, self.bands, self.marks)
+        self._predictions = predictions(flight.log)
         tracks = [("truth", flight.truth), ("estimate", flight.nav)]
-        known = [(name, track) for name, track in tracks if track is not None]
+        self._known = [(name, track) for name, track in tracks if track is not None]
+
+    def all(self) -> dict[str, Subject]:
+        """Subject -> its plots, of everything that the log has data for."""
+        subjects: dict[str, Subject] = {
+            "Overview": {"Modes and events": self._sheet.timeline(), "Plan": self._plan()},
+            "Tracking": self._tracking(),
+            "Bounds": self._bounds(),
+            "Controller": self._controller(),
+            "Estimator": self._estimator(),
+            "Camera": self._camera(),
+            "Thrusters": self._thrusters(),
+            "Current": self._current(),
+            "Power": self._power(),
+            "Motion sensors": self._inertial(),
+            "Links and loop": self._system(),
+        }
+        shown = {name: {title: p for title, p in plots.items() if p is not None} for name, plots in subjects.items()}
+        return {name: plots for name, plots in shown.items() if plots}
+
+    def _tracking(self) -> Subject:
+        """Positions and heading beside what was aimed at."""
+        goal = self._flight.table("/ctl/goal")
+        then_s, then_m = foreseen(self._predictions, AHEAD_S)
+        planned = f"planned {AHEAD_S:g} s before"
+        plots: Subject = {}
         for index, title in enumerate(("x, north", "y, east", "z, depth")):
-            curves = [Curve(name=n, t_s=t.t_s, values=t.pos_ned_m[:, index]) for n, t in known]
-            plots[title] = self._plot(f"{title} [m]", curves)
-        plots["Attitude"] = self._attitude(known)
-        plots["Planar speed"] = self._speed(known)
-        plots["Heave"] = self._component("w [m/s]", known, "vel_water_frd_m_s", self._bound("heave_m_s"))
-        plots["Yaw rate"] = self._component("r [rad/s]", known, "rate_frd_rad_s", self._bound("yaw_rate_rad_s"))
-        plots["Thrust commands"] = self._thrust()
-        plots["Estimate minus truth"] = self._errors()
-        plots["Current"] = self._current(known)
-        plots["Aiding: test ratio (above 1 = rejected)"] = self._aids()
-        plots["NMPC step"] = self._topic_plot("/ctl/nmpc", "solve_s", "solve time [ms]", 1000.0)
-        plots["Smallest clearance in the prediction"] = self._topic_plot("/ctl/nmpc", "margin_m", "margin [m]", 1.0)
-        plots["Electrical power"] = self._topic_plot("/sim/thrusters", "power_w", "power [W]", 1.0)
-        plots["Battery"] = self._topic_plot("/in/power_raw", "voltage_v", "voltage [V]", 1.0)
-        return {title: plot for title, plot in plots.items() if plot is not None}
+            curves = [Curve(name=n, t_s=t.t_s, values=t.pos_ned_m[:, index]) for n, t in self._known]
+            if goal is not None:
+                values = goal["pos_ned_m"][:, index]
+                curves.append(Curve(name="set point", t_s=seconds(goal), values=values, dashed=True, steps=True))
+            if len(then_s):
+                curves.append(Curve(name=planned, t_s=then_s, values=then_m[:, index], dashed=True))
+            plots[title] = self._sheet.plot(f"{title} [m]", curves)
+        yaw = [Curve(name=n, t_s=t.t_s, values=_unwrapped(t.rpy_rad[:, 2])) for n, t in self._known]
+        if goal is not None and yaw:
+            near = np.interp(seconds(goal), yaw[0].t_s, yaw[0].values)
+            aimed = aimed_yaw(np.where(goal["yaw_free"] != 0, np.nan, np.degrees(goal["yaw_rad"])), near)
+            yaw.append(Curve(name="set point", t_s=seconds(goal), values=aimed, dashed=True, steps=True))
+        plots["Yaw"] = self._sheet.plot("yaw [deg]", yaw)
+        tilts = [
+            Curve(name=f"{axis} {name}", t_s=track.t_s, values=np.degrees(track.rpy_rad[:, index]))
+            for name, track in self._known
+            for index, axis in enumerate(("roll", "pitch"))
+        ]
+        plots["Roll and pitch"] = self._sheet.plot("angle [deg]", tilts)
+        track = self._track
+        seen = then_s <= float(track.t_s[-1])
+        then_s, then_m = then_s[seen], then_m[seen]
+        if len(then_s):
+            missed = [
+                Curve(
+                    name=axis,
+                    t_s=then_s,
+                    values=1e3 * (np.interp(then_s, track.t_s, track.pos_ned_m[:, i]) - then_m[:, i]),
+                )
+                for i, axis in enumerate("xyz")
+            ]
+            plots[f"Place minus what was planned {AHEAD_S:g} s before"] = self._sheet.plot("[mm]", missed)
+        return plots
+
+    def _bounds(self) -> Subject:
+        flight, track = self._flight, self._track
+        speeds = [Curve(name=f"norm {name}", t_s=t.t_s, values=t.planar_speed_m_s) for name, t in self._known]
+        speeds.append(Curve(name="|u + v|", t_s=track.t_s, values=track.literal_speed_m_s))
+        return {
+            "Clearances above what is asked for": self._sheet.plot("margin [m]", clearances(flight), (0.0,)),
+            "Planar speed": self._sheet.plot("speed in the water [m/s]", speeds, self._bound("planar_speed_m_s")[1:]),
+            "Heave": self._component("w [m/s]", "vel_water_frd_m_s", self._bound("heave_m_s")),
+            "Yaw rate": self._component("r [rad/s]", "rate_frd_rad_s", self._bound("yaw_rate_rad_s")),
+        }
+
+    def _controller(self) -> Subject:
+        table = self._flight.table("/ctl/nmpc")
+        if table is None:
+            return {}
+        t_s, solve_ms = seconds(table), 1e3 * table["solve_s"]
+        solved = solve_ms > 0.0
+
+        def one(field: str, label: str) -> Any | None:
+            return self._sheet.plot(label, [Curve(name=field, t_s=t_s, values=table[field].astype(float))])
+
+        flags = [
+            Curve(name=name, t_s=t_s, values=table[name].astype(float), steps=True) for name in ("status", "fallback")
+        ]
+        room = [Curve(name=name, t_s=t_s, values=table[name]) for name in ("margin_m", "tube_m")]
+        plan = self._flight.table("/ctl/plan")
+        energy = (
+            []
+            if plan is None
+            else [Curve(name="energy to the goal", t_s=seconds(plan), values=plan["energy_j"], steps=True)]
+        )
+        return {
+            "Time of a control step": self._sheet.plot(
+                "CPU time [ms]",
+                [Curve(name="solve_s", t_s=t_s[solved], values=solve_ms[solved])],
+                (CONTROL_PERIOD_MS,),
+                log_scale=True,
+            ),
+            "How long control steps took": histogram(
+                "CPU time of a step [ms]", solve_ms, CONTROL_PERIOD_MS, "deadline"
+            ),
+            "Quadratic programs solved": one("iterations", "iterations"),
+            "Status (0 ok) and fallback (1 shifted plan, 2 station keeping, 3 neutral)": self._sheet.plot("", flags),
+            "Cost": one("cost", "cost"),
+            "Slack of soft limits": one("slack_max", "slack"),
+            "Smallest clearance in the prediction, and tube": self._sheet.plot("[m]", room),
+            "Energy that the plan foresees": self._sheet.plot("[J]", energy),
+        }
+
+    def _estimator(self) -> Subject:
+        flight, plots = self._flight, Subject()
+        covariance = flight.table("/nav/covariance")
+        error = None
+        if flight.truth is not None and flight.nav is not None:
+            error = estimate_error(flight.truth, flight.nav.between(flight.armed))
+        kinds = [(f"{axis} [mm]", 1e3, i) for i, axis in enumerate("xyz")] + [("yaw [deg]", float(np.degrees(1.0)), 5)]
+        for label, scale, index in kinds:
+            curves = []
+            if error is not None:
+                values = scale * (error.yaw_rad if index == 5 else error.pos_ned_m[:, index])
+                curves.append(Curve(name="estimate minus truth", t_s=error.t_s, values=values))
+            if covariance is not None:
+                t_s, sigma = seconds(covariance), scale * np.sqrt(np.maximum(covariance["variance"][:, index], 0.0))
+                keep = flight.armed.holds(t_s)
+                for sign in (3.0, -3.0):
+                    name = f"{sign:+.0f} sigma"
+                    curves.append(Curve(name=name, t_s=t_s[keep], values=sign * sigma[keep], dashed=True))
+            plots[f"Error of the estimate: {label.split()[0]}"] = self._sheet.plot(label, curves)
+        if error is not None and covariance is not None:
+            nees = position_nees(error.t_s, error.pos_ned_m, seconds(covariance), covariance["variance"])
+            plots["NEES of the position (3 degrees of freedom, 95 % band)"] = self._sheet.plot(
+                "NEES", [Curve(name="NEES", t_s=error.t_s, values=nees)], CHI2_3, log_scale=True
+            )
+        ratios = []
+        for topic in (name for name in flight.log.topics if name.startswith(AID_PREFIX)):
+            table = flight.table(topic)
+            if table is None:
+                continue
+            sensor, t_s = topic.removeprefix(AID_PREFIX), seconds(table)
+            ratios.append(Curve(name=sensor, t_s=t_s, values=table["test_ratio"]))
+            sigma = np.sqrt(table["innovation_var"])
+            used = [i for i in range(3) if (sigma[:, i] > 0.0).any()]
+            over = [
+                Curve(name=f"{sensor} {i + 1}", t_s=t_s, values=_ratio(table["innovation"][:, i], sigma[:, i]))
+                for i in used
+            ]
+            plots[f"Innovations of {sensor} over their sigma"] = self._sheet.plot("sigma", over, (-3.0, -2.0, 2.0, 3.0))
+        plots["Aiding: test ratio (above 1 = rejected)"] = self._sheet.plot("test ratio", ratios, (1.0,))
+        shadow = flight.table("/nav/shadow")
+        if shadow is not None:
+            curves = [Curve(name="largest difference over its bound", t_s=seconds(shadow), values=shadow["ratio"])]
+            plots["Estimator in the shadow"] = self._sheet.plot("ratio", curves, (1.0,))
+        return plots
+
+    def _camera(self) -> Subject:
+        table = self._flight.table("/in/markers")
+        if table is None:
+            return {}
+        t_s = seconds(table)
+        gap = Curve(name="since the picture before", t_s=t_s[1:], values=1e3 * np.diff(t_s))
+        decode = Curve(name="detection", t_s=t_s, values=1e-3 * table["decode_us"])
+        return {
+            "Markers in the picture": self._sheet.plot(
+                "markers", [Curve(name="markers", t_s=t_s, values=table["count"].astype(float))]
+            ),
+            "Time between pictures and of detection": self._sheet.plot("[ms]", [gap, decode]),
+        }
+
+    def _thrusters(self) -> Subject:
+        table, acting = self._flight.table("/out/thrusters"), self._flight.table("/sim/thrusters")
+        if table is None:
+            return {}
+        names = thruster_names(self._flight, table)
+        t_s, thrust = seconds(table), table["thrust_n"]
+        plots: Subject = {}
+        bounds = self._bound("thrust_n")
+        for index, name in enumerate(names):
+            curves = [Curve(name="command", t_s=t_s, values=thrust[:, index], steps=True)]
+            if acting is not None:
+                curves.append(Curve(name="acting", t_s=seconds(acting), values=acting["thrust_n"][:, index]))
+            plots[f"Thruster {name}"] = self._sheet.plot("thrust [N]", curves, bounds)
+        spectra = [(name, density(t_s, thrust[:, index])) for index, name in enumerate(names)]
+        plots["Spectra of the thrust commands"] = spectrum("N²/Hz", spectra)
+        health = self._flight.table("/ctl/thrusters")
+        if health is not None:
+            shares = [
+                Curve(name=name, t_s=seconds(health), values=100.0 * health["effectiveness"][:, index], steps=True)
+                for index, name in enumerate(names)
+            ]
+            plots["What thrusters give of their thrust"] = self._sheet.plot("[%]", shares)
+        return plots
+
+    def _current(self) -> Subject:
+        curves = [
+            Curve(name=f"{axis} {name}", t_s=track.t_s, values=track.current_ned_m_s[:, index])
+            for index, axis in enumerate(("north", "east"))
+            for name, track in self._known
+        ]
+        along = [Curve(name=name, t_s=t.t_s, values=along_track(t)) for name, t in self._known]
+        return {
+            "Current": self._sheet.plot("current [m/s]", curves),
+            "Current along the way (above 0 = it helps)": self._sheet.plot("[m/s]", along, (0.0,)),
+        }
+
+    def _power(self) -> Subject:
+        flight, plots = self._flight, Subject()
+        acting, battery = flight.table("/sim/thrusters"), flight.table("/in/power_raw")
+        if acting is not None:
+            t_s, power = seconds(acting), acting["power_w"]
+            used = np.concatenate(([0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t_s))))
+            plots["Electrical power"] = self._sheet.plot("power [W]", [Curve(name="power", t_s=t_s, values=power)])
+            plots["Energy"] = self._sheet.plot("energy [J]", [Curve(name="used", t_s=t_s, values=used)])
+        if battery is not None:
+            t_s = seconds(battery)
+            for title, field, label in (
+                ("Battery", "voltage_v", "voltage [V]"),
+                ("Battery current", "current_a", "current [A]"),
+            ):
+                plots[title] = self._sheet.plot(label, [Curve(name=field, t_s=t_s, values=battery[field])])
+        return plots
+
+    def _inertial(self) -> Subject:
+        table = self._flight.table("/in/ahrs_raw")
+        table = self._flight.table("/in/imu") if table is None else table
+        if table is None:
+            return {}
+        t_s = seconds(table)
+        norm = np.linalg.norm(table["accel_frd_m_s2"], axis=1)
+        rates = [(axis, density(t_s, table["rate_frd_rad_s"][:, i])) for i, axis in enumerate("pqr")]
+        forces = [(axis, density(t_s, table["accel_frd_m_s2"][:, i])) for i, axis in enumerate("xyz")]
+        return {
+            "Specific force": self._sheet.plot("[m/s²]", [Curve(name="norm", t_s=t_s, values=norm)]),
+            "Time between samples": self._sheet.plot(
+                "[ms]", [Curve(name="ms", t_s=t_s[1:], values=1e3 * np.diff(t_s))]
+            ),
+            "Spectra of the rates": spectrum("(rad/s)²/Hz", rates),
+            "Spectra of the specific force": spectrum("(m/s²)²/Hz", forces),
+        }
+
+    def _system(self) -> Subject:
+        flight, plots = self._flight, Subject()
+        rates = []
+        for topic, name in (("/in/mavlink", "received"), ("/out/mavlink", "sent")):
+            table = flight.table(topic)
+            if table is not None and len(table):
+                counts = np.bincount((table["t_us"] // 1_000_000).clip(0))
+                rates.append(
+                    Curve(name=name, t_s=np.arange(len(counts), dtype=float), values=counts.astype(float), steps=True)
+                )
+        plots["MAVLink messages per second"] = self._sheet.plot("1/s", rates)
+        loop = flight.table("/sys/loop")
+        if loop is not None:
+            t_s = seconds(loop)
+            tick = [Curve(name="longest tick of a second", t_s=t_s, values=1e3 * loop["tick_s"])]
+            plots["Loop"] = self._sheet.plot("[ms]", tick, (TICK_MS,), log_scale=True)
+            plots["CPU time per second"] = self._sheet.plot("[s]", [Curve(name="cpu_s", t_s=t_s, values=loop["cpu_s"])])
+            lost = [
+                Curve(name=name, t_s=t_s, values=loop[name].astype(float), steps=True)
+                for name in ("overruns", "dropped_log", "dropped_frames")
+            ]
+            plots["Overruns, lost messages of the log, lost pictures"] = self._sheet.plot("so far", lost)
+        return plots
 
     def _bound(self, name: str) -> tuple[float, ...]:
         run = self._flight.run
         value = run.paper_bounds.get(name) if run is not None else None
         return () if value is None else (-value, value)
 
-    def _plot(self, label: str, curves: Sequence[Curve], bounds: Sequence[float] = ()) -> Any | None:
-        """A plot over time; None without a curve that has values."""
-        shown = [curve for curve in curves if len(curve.t_s)]
-        if not shown:
-            return None
-        plot = figure(height=HEIGHT_PX, sizing_mode="stretch_width", x_range=self._range, tools=TOOLS)
-        plot.toolbar.logo = None
-        plot.xaxis.axis_label, plot.yaxis.axis_label = "time [s]", label
-        for start, end, color in self._modes:
-            plot.add_layout(BoxAnnotation(left=start, right=end, fill_color=color, fill_alpha=0.6, level="underlay"))
-        for bound in bounds:
-            line = Span(location=bound, dimension="width", line_color="red", line_dash="dashed", line_width=1)
-            plot.add_layout(line)
-        items = []
-        for index, curve in enumerate(shown):
-            t_s, values = decimate(curve.t_s, curve.values)
-            color = COLORS[index % len(COLORS)]
-            line = plot.line(t_s, values.astype(np.float32), line_color=color, line_width=1.3)
-            items.append((curve.name, [line]))
-        legend = Legend(items=items, orientation="horizontal", label_text_font_size="9pt", padding=2, margin=2)
-        legend.click_policy = "hide"
-        plot.add_layout(legend, "above")
-        return plot
-
-    def _component(
-        self, label: str, known: Sequence[tuple[str, Track]], field: str, bounds: Sequence[float]
-    ) -> Any | None:
+    def _component(self, label: str, field: str, bounds: Sequence[float]) -> Any | None:
         """The third component of a vector, with bounds."""
-        curves = [Curve(name=name, t_s=track.t_s, values=getattr(track, field)[:, 2]) for name, track in known]
-        return self._plot(label, curves, bounds)
-
-    def _attitude(self, known: Sequence[tuple[str, Track]]) -> Any | None:
-        curves = []
-        for name, track in known:
-            degrees = np.degrees(np.unwrap(track.rpy_rad, axis=0))
-            for index, axis in enumerate(("roll", "pitch", "yaw")):
-                curves.append(Curve(name=f"{axis} {name}", t_s=track.t_s, values=degrees[:, index]))
-        return self._plot("angle [deg]", curves)
-
-    def _speed(self, known: Sequence[tuple[str, Track]]) -> Any | None:
-        curves = [Curve(name=f"norm {name}", t_s=track.t_s, values=track.planar_speed_m_s) for name, track in known]
-        curves.append(Curve(name="|u + v|", t_s=self._track.t_s, values=self._track.literal_speed_m_s))
-        return self._plot("speed in the water [m/s]", curves, self._bound("planar_speed_m_s")[1:])
-
-    def _thrust(self) -> Any | None:
-        table = self._flight.table("/out/thrusters")
-        if table is None:
-            return None
-        names = thruster_names(self._flight, table)
-        t_s, thrust = seconds(table), table["thrust_n"]
-        curves = [Curve(name=name, t_s=t_s, values=thrust[:, index]) for index, name in enumerate(names)]
-        return self._plot("thrust [N]", curves, self._bound("thrust_n"))
-
-    def _errors(self) -> Any | None:
-        flight = self._flight
-        if flight.truth is None or flight.nav is None:
-            return None
-        error = estimate_error(flight.truth, flight.nav.between(flight.armed))
-        if error is None:
-            return None
-        curves = [Curve(name=f"{'xyz'[i]} [mm]", t_s=error.t_s, values=1e3 * error.pos_ned_m[:, i]) for i in range(3)]
-        curves.append(Curve(name="yaw [0.1 deg]", t_s=error.t_s, values=10.0 * np.degrees(error.yaw_rad)))
-        return self._plot("error", curves)
-
-    def _current(self, known: Sequence[tuple[str, Track]]) -> Any | None:
-        curves = [
-            Curve(name=f"{axis} {name}", t_s=track.t_s, values=track.current_ned_m_s[:, index])
-            for index, axis in enumerate(("north", "east"))
-            for name, track in known
-        ]
-        return self._plot("current [m/s]", curves)
-
-    def _aids(self) -> Any | None:
-        log = self._flight.log
-        tables = {topic: self._flight.table(topic) for topic in log.topics if topic.startswith(AID_PREFIX)}
-        curves = [
-            Curve(name=topic.removeprefix(AID_PREFIX), t_s=seconds(table), values=table["test_ratio"])
-            for topic, table in tables.items()
-            if table is not None
-        ]
-        return self._plot("test ratio", curves, (1.0,))
-
-    def _topic_plot(self, topic: str, field: str, label: str, scale: float) -> Any | None:
-        table = self._flight.table(topic)
-        if table is None:
-            return None
-        return self._plot(label, [Curve(name=topic, t_s=seconds(table), values=scale * table[field])])
+        curves = [Curve(name=name, t_s=track.t_s, values=getattr(track, field)[:, 2]) for name, track in self._known]
+        return self._sheet.plot(label, curves, bounds)
 
     def _plan(self) -> Any:
-        """The tank from above: x to the right, y down."""
-        plot = figure(
-            height=460,
-            sizing_mode="stretch_width",
-            match_aspect=True,
-            tools="pan,wheel_zoom,box_zoom,reset,save",
-        )
-        plot.toolbar.logo = None
-        plot.xaxis.axis_label, plot.yaxis.axis_label = "x, north [m]", "y, east [m]"
+        """The tank from above: x to the right, y down. Way by lap, predictions, current."""
+        plot = plain_figure("x, north [m]", "y, east [m]", height_px=520, match_aspect=True)
         plot.y_range.flipped = True
         run = self._flight.run
         track = self._track.between(self._flight.armed)
@@ -192,15 +359,120 @@ class Plots:
             _draw_world(plot, run)
         rows = np.arange(0, len(track.t_s), max(1, len(track.t_s) // (4 * BUCKETS)))
         x, y = track.pos_ned_m[rows, 0].astype(np.float32), track.pos_ned_m[rows, 1].astype(np.float32)
-        plot.line(x, y, line_color="#bbbbbb", line_width=1)
+        items = [("way", [plot.line(x, y, line_color="#333333", line_width=1.5)])]
         laps = lap_spans(visits(track, run), run) if run is not None else []
         for number, lap in enumerate(laps):
             keep = lap.holds(track.t_s[rows])
             color = COLORS[number % len(COLORS)]
-            plot.line(x[keep], y[keep], line_color=color, line_width=1.5, legend_label=f"lap {number + 1}")
-        if laps:
-            plot.legend.click_policy = "hide"
+            used = energy_j(self._flight, lap)
+            name = f"lap {number + 1}" + ("" if used is None else f": {used:.0f} J")
+            items.append((name, [plot.line(x[keep], y[keep], line_color=color, line_width=2)]))
+        made = [one for one in self._predictions if self._flight.armed.start_s <= one.t_s <= self._flight.armed.end_s]
+        if made:
+            items.append(("predictions", [_draw_predictions(plot, made)]))
+        arrows = _draw_current(plot, track)
+        if arrows:
+            items.append((f"current, {ARROW_S:g} s of it", arrows))
+        plot.add_layout(Legend(items=items, click_policy="hide", padding=4), "right")
         return plot
+
+
+ARROW_S = 2.0
+"""Arrows of the current are as long as the way that the water makes in so many seconds."""
+ARROWS = 60
+LEAST_CURRENT_M_S = 0.005
+CHI2_3 = (0.216, 9.348)
+"""95 % band of chi square with 3 degrees of freedom."""
+
+
+def _draw_predictions(plot: Any, made: Sequence[Prediction]) -> Any:
+    some = made[:: max(1, len(made) // HORIZONS)]
+    xs = [one.pos_ned_m[:, 0].round(3).tolist() for one in some]
+    ys = [one.pos_ned_m[:, 1].round(3).tolist() for one in some]
+    return plot.multi_line(xs, ys, line_color="#7b3fa0", line_width=1, line_alpha=0.6)
+
+
+def _draw_current(plot: Any, track: Track) -> list[Any]:
+    """Where the current was met: a line downstream from a dot."""
+    rows = np.arange(0, len(track.t_s), max(1, len(track.t_s) // ARROWS))
+    start, flow = track.pos_ned_m[rows, :2], track.current_ned_m_s[rows, :2]
+    if not np.isfinite(flow).all() or float(np.hypot(*flow.T).max(initial=0.0)) < LEAST_CURRENT_M_S:
+        return []
+    tip = start + ARROW_S * flow
+    color = {"line_color": "#17a2b8", "line_alpha": 0.8}
+    lines = plot.segment(start[:, 0], start[:, 1], tip[:, 0], tip[:, 1], **color)
+    heads = plot.scatter(
+        tip[:, 0],
+        tip[:, 1],
+        marker="triangle",
+        angle=np.arctan2(flow[:, 1], flow[:, 0]) * -1.0 - np.pi / 2,
+        size=5,
+        fill_color="#17a2b8",
+        line_color=None,
+    )
+    return [lines, heads]
+
+
+def clearances(flight: Flight) -> list[Curve]:
+    """What is kept beyond the limits of a run: each obstacle, walls, fence, both ends of the depth band."""
+    run, track = flight.run, flight.judged
+    if run is None:
+        return []
+    accept, t_s, plane = run.accept, track.t_s, track.pos_ned_m[:, :2]
+    curves = []
+    for number, obstacle in enumerate(run.obstacles, 1):
+        limit = obstacle_limit_m(obstacle, run)
+        if limit is not None:
+            values = distance_to_obstacle(track, obstacle) - limit
+            curves.append(Curve(name=obstacle.name or f"obstacle {number}", t_s=t_s, values=values))
+    if run.tank_polygon_m and accept.wall_clearance_m is not None:
+        values = distance_to_polygon(plane, run.tank_polygon_m) - accept.wall_clearance_m
+        curves.append(Curve(name="walls", t_s=t_s, values=values))
+    if run.fence and accept.wall_clearance_m is not None:
+        curves.append(Curve(name="fence", t_s=t_s, values=distance_to_fence(plane, run.fence) - run.body_radius_m))
+    for name, limit, sign in (("shallowest", accept.depth_min_m, 1.0), ("deepest", accept.depth_max_m, -1.0)):
+        if limit is not None:
+            curves.append(Curve(name=name, t_s=t_s, values=sign * (track.pos_ned_m[:, 2] - limit)))
+    return curves
+
+
+def aimed_yaw(aimed_deg: FloatArray, yaw_deg: FloatArray) -> FloatArray:
+    """(n,) headings that were aimed at, on the turn on which the vehicle (n,) was when each was given."""
+    new = np.ones(len(aimed_deg), dtype=bool)
+    new[1:] = np.diff(np.nan_to_num(aimed_deg, nan=1e9)) != 0.0
+    since = np.maximum.accumulate(np.where(new, np.arange(len(aimed_deg)), 0))
+    result: FloatArray = aimed_deg + 360.0 * np.round((yaw_deg - aimed_deg) / 360.0)[since]
+    return result
+
+
+def along_track(track: Track) -> FloatArray:
+    """(n,) component of the current in the direction of travel over ground, 0 where the vehicle stands."""
+    if len(track.t_s) < 2:
+        return np.zeros(len(track.t_s))
+    moved = np.gradient(track.pos_ned_m[:, :2], track.t_s, axis=0)
+    speed = np.hypot(moved[:, 0], moved[:, 1])
+    going = speed > 0.02
+    result: FloatArray = np.where(
+        going, np.sum(moved * track.current_ned_m_s[:, :2], axis=1) / np.where(going, speed, 1.0), 0.0
+    )
+    return result
+
+
+def position_nees(t_s: FloatArray, error_m: FloatArray, known_s: FloatArray, variance: FloatArray) -> FloatArray:
+    """(n,) squared errors of the position (n, 3) over their variances (m, 12), summed."""
+    at = np.stack([np.interp(t_s, known_s, variance[:, i]) for i in range(3)], axis=1)
+    result: FloatArray = np.sum(error_m**2 / np.maximum(at, 1e-12), axis=1)
+    return result
+
+
+def _unwrapped(yaw_rad: FloatArray) -> FloatArray:
+    result: FloatArray = np.degrees(np.unwrap(yaw_rad))
+    return result
+
+
+def _ratio(values: FloatArray, sigma: FloatArray) -> FloatArray:
+    result: FloatArray = np.divide(values, sigma, out=np.full(len(values), np.nan), where=sigma > 0.0)
+    return result
 
 
 def _draw_world(plot: Any, run: RunDescription) -> None:
@@ -223,18 +495,39 @@ def _draw_world(plot: Any, run: RunDescription) -> None:
         plot.text([north], [east], text=[waypoint.name], text_align="center", text_baseline="middle")
 
 
-def _mode_spans(flight: Flight) -> list[tuple[float, float, str]]:
-    """Start, end and colour of every stretch of one mode while armed."""
+def mode_bands(flight: Flight) -> list[Band]:
+    """Every stretch of one mode while armed."""
     mode = flight.table("/sys/mode")
-    if mode is None:
+    if mode is None or not len(mode):
         return []
+    known = flight.run.mode_names if flight.run is not None else {}
     t_s, key = seconds(mode), np.where(mode["armed"] != 0, mode["custom_mode"].astype(np.int64) + 1, 0)
     change = np.flatnonzero(np.diff(key)) + 1
     starts, ends = [0, *change.tolist()], [*change.tolist(), len(key)]
     numbers = sorted({int(value) for value in key if value})
-    spans = []
+    bands = []
     for first, after in zip(starts, ends, strict=True):
         if key[first]:
             end_s = float(t_s[after]) if after < len(t_s) else flight.armed.end_s
-            spans.append((float(t_s[first]), end_s, MODE_COLORS[numbers.index(int(key[first])) % len(MODE_COLORS)]))
-    return spans
+            name = known.get(str(int(key[first]) - 1), f"mode {int(key[first]) - 1}")
+            color = MODE_COLORS[numbers.index(int(key[first])) % len(MODE_COLORS)]
+            bands.append(Band(float(t_s[first]), end_s, name, color))
+    return bands
+
+
+def event_marks(flight: Flight) -> list[Mark]:
+    """What operators were told, and parameters that were changed, in order; the gravest if there are too many."""
+    log, marks = flight.log, []
+    if "/rosout" in log:
+        for message in log.messages("/rosout"):
+            level = message.value["level"]
+            if level >= MARKED_LEVEL:
+                color = EVENT_COLOR if level > MARKED_LEVEL else "#607d8b"
+                marks.append((level, Mark(message.t_us * 1e-6, message.value["msg"], color)))
+    changes = flight.table("/sys/parameters")
+    if changes is not None:
+        for t_s, name, value in zip(seconds(changes), changes["name"], changes["value"], strict=True):
+            text = bytes(name).rstrip(b"\0").decode(errors="replace")
+            marks.append((MARKED_LEVEL + 1, Mark(float(t_s), f"{text} = {value:g}", PARAMETER_COLOR)))
+    gravest = sorted(marks, key=lambda mark: -mark[0])[:MOST_MARKS]
+    return sorted((mark for _, mark in gravest), key=lambda mark: mark.t_s)

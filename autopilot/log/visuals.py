@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray, quat_from_rpy, rpy_from_r
 from autopilot.core.messages import Event, NavState
 from autopilot.core.samples import MarkerSighting, PowerSample
@@ -27,6 +28,8 @@ _HALF_TURN = (1.0, 0.0, 0.0, 0.0)
 _PATH_HEAD = struct.Struct("<4siII4sI")
 _FIRST_POSE = struct.Struct("<iII4s4x7d")
 _NEXT_POSE = struct.Struct("<iII4s7d")
+_POSE = np.dtype([("sec", "<i4"), ("nanosec", "<u4"), ("frame", "V8"), ("place", "<f8", (3,)), ("turn", "<f8", (4,))])
+"""As ``_NEXT_POSE``."""
 # Of a transform in a TFMessage the doubles of the first need padding, those that follow do not.
 _FIRST_TRANSFORM = struct.Struct("<iII4sI4s4x7d")
 _NEXT_TRANSFORM = struct.Struct("<iII4sI4s7d")
@@ -83,6 +86,20 @@ def path(stamp_ns: int, points_ned_m: Sequence[Sequence[float]], after_s: Sequen
         parts.append(pack(sec, nanosec, *_NED, x, y, z, *_IDENTITY))
         pack = _NEXT_POSE.pack
     return b"".join(parts)
+
+
+def read_path(data: bytes) -> tuple[FloatArray, FloatArray]:
+    """(n,) Unix times [s] and (n, 3) points of a nav_msgs/Path that :func:`path` has packed. LogError if it has not."""
+    count = int.from_bytes(data[_PATH_HEAD.size - 4 : _PATH_HEAD.size], "little") if len(data) >= _PATH_HEAD.size else 0
+    first = _PATH_HEAD.size + _FIRST_POSE.size
+    if len(data) != _PATH_HEAD.size + (count and _FIRST_POSE.size + (count - 1) * _NEXT_POSE.size):
+        raise LogError(f"a path of {len(data)} bytes is not one that this program has written")
+    if not count:
+        return np.zeros(0), np.zeros((0, 3))
+    sec, nanosec, _, _, x, y, z, *_ = _FIRST_POSE.unpack_from(data, _PATH_HEAD.size)
+    rest = np.frombuffer(data, _POSE, count - 1, first)
+    times = np.concatenate(([sec + 1e-9 * nanosec], rest["sec"] + 1e-9 * rest["nanosec"]))
+    return times, np.concatenate(([[x, y, z]], rest["place"]))
 
 
 def transforms(stamp_ns: int, nav: NavState, camera: CameraView | None = None) -> bytes:

@@ -26,7 +26,8 @@ from autopilot.log.schemas import ENCODING, MESSAGE_ENCODING, PROFILE, definitio
 from autopilot.log.topics import type_of
 
 CHUNK_BYTES = 256 * 1024
-FLUSH_NS = 1_000_000_000
+FLUSH_NS = 500_000_000
+"""Half of what may be lost when the process is killed: a busy machine lets the thread come late."""
 FSYNC_NS = 5_000_000_000
 FIRST_EPOCH_NS = 1_000_000_000
 """Samples may be a little older than the clock's zero, and MCAP has no negative times."""

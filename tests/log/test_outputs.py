@@ -21,7 +21,7 @@ from autopilot.log.description import AcceptBounds
 from autopilot.log.figures import FIGURES, write_figures
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
-from autopilot.log.report_plots import decimate
+from autopilot.log.report_draw import decimate
 from autopilot.log.writer import LogWriter
 
 ONE_LAP = replace(DESCRIPTION, accept=AcceptBounds(laps=1), parameters={"MPC_Q_POS": 1234.5, "HEARTBEAT": 1.0})
@@ -128,7 +128,8 @@ class Loads(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         for name, value in attrs:
-            if name in ("src", "href", "srcset", "data", "action", "poster") and value:
+            inside = value is None or value.startswith(("data:", "#"))
+            if name in ("src", "href", "srcset", "data", "action", "poster") and value and not inside:
                 self.found.append(f"{tag} {value}")
 
     def handle_data(self, data: str) -> None:

@@ -1,0 +1,247 @@
+"""How the report draws: plots over a common time axis with bounds in view, mode bands, marks, spectra, histograms."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Legend, Range1d, Span
+from bokeh.plotting import figure
+
+from autopilot.core.frames import FloatArray
+
+BUCKETS = 400
+"""Each curve keeps the smallest and the largest value of so many slices of time."""
+HEIGHT_PX = 250
+LEFT_PX, RIGHT_PX = 104, 24
+"""Room beside the frame of every plot: what is at the same time is at the same place."""
+COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
+TOOLS = "xpan,xwheel_zoom,box_zoom,crosshair,reset,save"
+BOUND_COLOR, EVENT_COLOR, PARAMETER_COLOR = "#c62828", "#d08700", "#7b3fa0"
+EDGE = 0.06
+"""Share of the height of a plot that stays free above and below what is shown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Curve:
+    """One line of a plot."""
+
+    name: str
+    t_s: FloatArray
+    values: FloatArray
+    dashed: bool = False
+    steps: bool = False
+    """Holds its value until the next one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """A stretch of one mode."""
+
+    start_s: float
+    end_s: float
+    name: str
+    color: str
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Something that happened."""
+
+    t_s: float
+    text: str
+    color: str
+
+
+def decimate(t_s: FloatArray, values: FloatArray, buckets: int = BUCKETS) -> tuple[FloatArray, FloatArray]:
+    """The curve with at most two points per bucket of samples: its smallest and its largest value, in order of time."""
+    count = len(values)
+    if count <= 2 * buckets:
+        return t_s, values
+    edges = np.linspace(0, count, buckets + 1).astype(int)
+    keep: set[int] = {0, count - 1}
+    filled = np.nan_to_num(values, nan=0.0)
+    for start, end in pairwise(edges.tolist()):
+        part = filled[start:end]
+        keep.update((start + int(part.argmin()), start + int(part.argmax())))
+    rows = np.array(sorted(keep))
+    return t_s[rows], values[rows]
+
+
+class TimeSheet:
+    """Plots with a common time axis, shaded by mode, with the same marks."""
+
+    def __init__(self, start_s: float, end_s: float, bands: Sequence[Band], marks: Sequence[Mark]) -> None:
+        margin = 0.02 * max(end_s - start_s, 1.0)
+        self.start_s, self.end_s = start_s - margin, end_s + margin
+        self._range = Range1d(self.start_s, self.end_s)
+        self._bands, self._marks = bands, marks
+        self._mark_source = ColumnDataSource(
+            {"t": [mark.t_s for mark in marks], "color": [mark.color for mark in marks]}, name="marks"
+        )
+
+    def plot(
+        self, label: str, curves: Sequence[Curve], bounds: Sequence[float] = (), *, log_scale: bool = False
+    ) -> Any | None:
+        """A plot over time; None without a curve that has values. Bounds are within the vertical range."""
+        shown = [curve for curve in curves if np.isfinite(curve.values).any()]
+        if not shown:
+            return None
+        plot = self._figure(label, self._height(shown, bounds, log_scale=log_scale), log_scale=log_scale)
+        for bound in bounds:
+            plot.add_layout(
+                Span(location=bound, dimension="width", line_color=BOUND_COLOR, line_dash="dashed", line_width=1)
+            )
+        items = []
+        for index, curve in enumerate(shown):
+            t_s, values = decimate(curve.t_s, curve.values)
+            source = ColumnDataSource({"t": t_s.astype(np.float32), "y": values.astype(np.float32)}, name=curve.name)
+            style = {"line_color": COLORS[index % len(COLORS)], "line_width": 1.3}
+            style["line_dash"] = "dashed" if curve.dashed else "solid"
+            draw = plot.step if curve.steps else plot.line
+            mode = {"mode": "after"} if curve.steps else {}
+            items.append((curve.name, [draw("t", "y", source=source, **mode, **style)]))
+        legend = Legend(items=items, orientation="horizontal", label_text_font_size="9pt", padding=2, margin=2)
+        legend.click_policy = "hide"
+        plot.add_layout(legend, "above")
+        return plot
+
+    def timeline(self) -> Any | None:
+        """Modes by name and everything that is marked in the other plots, with its text."""
+        if not self._bands and not self._marks:
+            return None
+        plot = self._figure("", Range1d(0.0, 1.0), height_px=150)
+        plot.yaxis.visible = plot.ygrid.visible = False
+        names = {band.name: band.color for band in self._bands}
+        for name, color in names.items():
+            mine = [band for band in self._bands if band.name == name]
+            plot.quad(
+                left=[band.start_s for band in mine],
+                right=[band.end_s for band in mine],
+                bottom=[0.0] * len(mine),
+                top=[0.45] * len(mine),
+                fill_color=color,
+                line_color="#888888",
+            )
+            plot.text(
+                [band.start_s for band in mine],
+                [0.22] * len(mine),
+                [name] * len(mine),
+                text_font_size="9pt",
+                text_baseline="middle",
+                x_offset=3,
+            )
+        # Marks that lie close to each other stand at different heights.
+        heights = [0.6 + 0.1 * (number % 4) for number in range(len(self._marks))]
+        source = ColumnDataSource(
+            {
+                "t": [mark.t_s for mark in self._marks],
+                "y": heights,
+                "text": [mark.text for mark in self._marks],
+                "color": [mark.color for mark in self._marks],
+            },
+            name="events",
+        )
+        dots = plot.scatter("t", "y", source=source, size=9, fill_color="color", line_color=None)
+        plot.add_tools(HoverTool(renderers=[dots], tooltips=[("", "@text"), ("at", "@t{0.00} s")]))
+        return plot
+
+    def _figure(self, label: str, y_range: Any, *, log_scale: bool = False, height_px: int = HEIGHT_PX) -> Any:
+        plot = figure(
+            height=height_px,
+            sizing_mode="stretch_width",
+            x_range=self._range,
+            y_range=y_range,
+            y_axis_type="log" if log_scale else "linear",
+            tools=TOOLS,
+            toolbar_location="above",
+            min_border_left=LEFT_PX,
+            min_border_right=RIGHT_PX,
+        )
+        plot.toolbar.logo = None
+        plot.xaxis.axis_label, plot.yaxis.axis_label = "time [s]", label
+        for band in self._bands:
+            plot.add_layout(
+                BoxAnnotation(
+                    left=band.start_s, right=band.end_s, fill_color=band.color, fill_alpha=0.5, level="underlay"
+                )
+            )
+        if self._marks:
+            plot.vspan("t", source=self._mark_source, line_color="color", line_width=1, line_alpha=0.35)
+        return plot
+
+    def _height(self, curves: Sequence[Curve], bounds: Sequence[float], *, log_scale: bool) -> Range1d:
+        """What is to be seen of all curves within the time of the sheet, and every bound."""
+        values = [np.array(bounds, dtype=float)]
+        for curve in curves:
+            inside = curve.values[(curve.t_s >= self.start_s) & (curve.t_s <= self.end_s)]
+            values.append(inside if len(inside) else curve.values)
+        found = np.concatenate(values)
+        found = found[np.isfinite(found) & ((found > 0.0) | (not log_scale))]
+        if not len(found):
+            return Range1d(0.1, 1.0)
+        low, high = float(found.min()), float(found.max())
+        if log_scale:
+            return Range1d(low / 1.5, high * 1.5)
+        margin = EDGE * (high - low) if high > low else max(0.5 * abs(high), 0.01)
+        return Range1d(low - margin, high + margin)
+
+
+def plain_figure(x_label: str, y_label: str, *, height_px: int = 260, **more: Any) -> Any:
+    """A plot that is not over time."""
+    plot = figure(
+        height=height_px,
+        sizing_mode="stretch_width",
+        tools="pan,wheel_zoom,box_zoom,reset,save",
+        toolbar_location="above",
+        min_border_left=LEFT_PX,
+        min_border_right=RIGHT_PX,
+        **more,
+    )
+    plot.toolbar.logo = None
+    plot.xaxis.axis_label, plot.yaxis.axis_label = x_label, y_label
+    return plot
+
+
+def spectrum(label: str, curves: Sequence[tuple[str, tuple[FloatArray, FloatArray] | None]]) -> Any | None:
+    """Power densities over frequency, both on logarithmic axes."""
+    shown = [(name, found) for name, found in curves if found is not None and (found[1] > 0.0).any()]
+    if not shown:
+        return None
+    plot = plain_figure("frequency [Hz]", label, x_axis_type="log", y_axis_type="log")
+    items = []
+    for index, (name, (hz, power)) in enumerate(shown):
+        keep = power > 0.0
+        source = ColumnDataSource(
+            {"t": hz[keep].astype(np.float32), "y": power[keep].astype(np.float32)}, name=f"{name} (over Hz)"
+        )
+        items.append((name, [plot.line("t", "y", source=source, line_color=COLORS[index % len(COLORS)])]))
+    plot.add_layout(Legend(items=items, orientation="horizontal", click_policy="hide", padding=2, margin=2), "above")
+    return plot
+
+
+def histogram(label: str, values: FloatArray, limit: float, limit_name: str) -> Any | None:
+    """How often which value was, on a logarithmic axis that holds the largest value and the limit."""
+    values = values[np.isfinite(values) & (values > 0.0)]
+    if not len(values):
+        return None
+    low, high = 0.8 * float(values.min()), 1.25 * max(float(values.max()), limit)
+    edges = np.geomspace(low, high, 61)
+    counts, _ = np.histogram(values, edges)
+    top = 2.0 * float(counts.max())
+    plot = plain_figure(label, "steps", x_axis_type="log", y_axis_type="log", x_range=(low, high), y_range=(0.5, top))
+    some = counts > 0
+    plot.quad(left=edges[:-1][some], right=edges[1:][some], top=counts[some], bottom=0.5, line_color="white")
+    marks = (
+        (f"median {np.median(values):.3g}", float(np.median(values)), "#444444"),
+        (f"p99 {np.percentile(values, 99.0):.3g}", float(np.percentile(values, 99.0)), "#ff7f0e"),
+        (f"longest {values.max():.3g}", float(values.max()), "#9467bd"),
+        (f"{limit_name} {limit:g}", limit, BOUND_COLOR),
+    )
+    items = []
+    for name, at, color in marks:
+        line = plot.line([at, at], [0.5, top], line_color=color, line_width=2, line_dash="dashed")
+        items.append((name, [line]))
+    plot.add_layout(Legend(items=items, orientation="horizontal", padding=2, margin=2), "above")
+    return plot
