@@ -63,7 +63,7 @@ def export_stills(log: Log, folder: Path) -> Iterator[Path]:
 def columns_of(log: Log, topic: str) -> Columns:
     """A topic's messages as columns."""
     try:
-        return _flat(log[topic])
+        return flat_columns(log[topic])
     except LogError:
         messages = log.messages(topic)
         t_us = np.array([message.t_us for message in messages], dtype=np.int64)
@@ -71,7 +71,7 @@ def columns_of(log: Log, topic: str) -> Columns:
         return {"t_us": t_us, "t_s": t_us * 1e-6, "message": values}
 
 
-def _flat(table: Table) -> Columns:
+def flat_columns(table: Table) -> Columns:
     """The fields of a fixed-size topic, arrays element by element."""
     columns: Columns = {"t_us": table["t_us"], "t_s": table["t_us"] * 1e-6}
     for name in (table.dtype.names or ())[1:]:

@@ -4,11 +4,12 @@ Fixed-size topics are gathered chunk by chunk and viewed with the dtype that the
 variable size are decoded message by message. Damage is skipped and named in ``Log.problems``.
 """
 
+import importlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,30 @@ from autopilot.log.cdr import Layout, Types, decode, fixed_layout, parse_definit
 from autopilot.log.container import MESSAGE, Contents, Damage, index_from_chunks, read_contents, records, unpack
 from autopilot.log.description import ATTACHMENT, RUN_RECORD, RunDescription, from_json
 
-Table: TypeAlias = NDArray[np.void]
-"""One row per message: ``t_us`` (int64, the service's clock), ``sequence``, then the fields without the header."""
+
+class Table(np.ndarray[Any, np.dtype[np.void]]):
+    """One row per message: ``t_us`` (int64, the service's clock), ``sequence``, then the fields without the header.
+
+    A numpy structured array; what is picked out of it by the name of a field is a plain array.
+    """
+
+    def __getitem__(self, key: Any) -> Any:
+        found: Any = super().__getitem__(key)
+        return found.view(np.ndarray) if isinstance(key, str) else found
+
+    def to_pandas(self) -> Any:
+        """A pandas.DataFrame indexed by ``t_s``, arrays element by element (``pos_ned_m[0]``). LogError without
+        pandas."""
+        from autopilot.log.export import flat_columns  # which reads logs
+
+        try:
+            pandas = importlib.import_module("pandas")
+        except ImportError as error:
+            raise LogError(
+                "to_pandas() needs pandas: pip install pandas; without it tables are numpy arrays"
+            ) from error
+        return pandas.DataFrame(flat_columns(self)).set_index("t_s")
+
 
 _EPOCH_DIGITS = 20
 """A Unix time in nanoseconds has fewer digits than this (until the year 2286)."""
@@ -135,6 +158,30 @@ class Log:
             return None
         return self[topic]
 
+    def align(self, topics: Sequence[str], rate_hz: float) -> dict[str, Table]:
+        """Fixed-size topics on one clock: at ``rate_hz``, from when all have begun to when the first ends, each
+        topic's last message. ``t_us`` is the common time. LogError for a topic that is missing or empty, and where
+        they have no time in common."""
+        if not rate_hz > 0.0 or not topics:
+            raise LogError(f"{self.path}: align() needs topics and a rate above 0 Hz, not {rate_hz:g}")
+        self.load(topics)
+        tables = {topic: self[topic] for topic in topics}
+        empty = [topic for topic, table in tables.items() if not len(table)]
+        if empty:
+            raise LogError(f"{self.path}: {', '.join(empty)} has no messages; leave it out of align()")
+        times = {topic: np.sort(table["t_us"]) for topic, table in tables.items()}
+        first, last = max(int(t[0]) for t in times.values()), min(int(t[-1]) for t in times.values())
+        if first > last:
+            raise LogError(f"{self.path}: {', '.join(topics)} have no time in common")
+        grid = first + np.arange(int((last - first) * 1e-6 * rate_hz) + 1) * (1e6 / rate_hz)
+        found = {}
+        for topic, table in tables.items():
+            ordered = table[np.argsort(table["t_us"], kind="stable")].view(Table)
+            rows = np.searchsorted(times[topic], grid, side="right") - 1
+            found[topic] = ordered[rows].view(Table)
+            found[topic]["t_us"][:] = np.round(grid)
+        return found
+
     def messages(self, topic: str) -> list[Message]:
         """Every message of a topic of any type, decoded. LogError if the topic is missing or a message is damaged."""
         types, name = self._types(topic)
@@ -236,7 +283,7 @@ class Log:
         self.load([topic])
         raw = self._raw[topic]
         if not raw.blocks and not raw.singles:
-            return np.zeros(0, _columns(_layout(types, name, 4, self.path, topic)))
+            return np.zeros(0, _columns(_layout(types, name, 4, self.path, topic))).view(Table)
         widths = {block.shape[1] for block in raw.blocks}
         if raw.singles or len(widths) != 1:
             raise LogError(f"{self.path}: messages on {topic} differ in size; read them with messages()")
@@ -248,7 +295,7 @@ class Log:
             raise LogError(f"{self.path}: messages on {topic} do not fit their schema {name}; the log is damaged")
         body = np.ascontiguousarray(rows[:, head:]).view(layout.dtype)[:, 0]
         start = np.ascontiguousarray(rows[:, :head]).view(_MESSAGE_HEAD)[:, 0]
-        table = np.zeros(len(rows), _columns(layout))
+        table = np.zeros(len(rows), _columns(layout)).view(Table)
         table["t_us"] = (start["log_time"].astype(np.int64) - self.epoch_ns) // 1000
         table["sequence"] = start["sequence"]
         for column in (table.dtype.names or ())[2:]:

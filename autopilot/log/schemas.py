@@ -21,12 +21,12 @@ _DEFINITIONS: dict[str, str] = {
     # Own types, package autopilot_msgs. SI, NED world, FRD body.
     "autopilot_msgs/VehicleState": """
 std_msgs/Header header
-float64[3] pos_ned_m
-float64[3] rpy_rad
+float64[3] pos_ned_m  # place
+float64[3] rpy_rad  # roll, pitch, yaw
 float64[3] vel_frd_m_s  # over ground
 float64[3] vel_water_frd_m_s  # relative to the water
-float64[3] rate_frd_rad_s
-float64[3] current_ned_m_s
+float64[3] rate_frd_rad_s  # turn rates p, q, r
+float64[3] current_ned_m_s  # of the water
 """,
     "autopilot_msgs/ThrusterState": """
 std_msgs/Header header
@@ -49,70 +49,70 @@ float64[8] thrust_n  # that the estimator was told, unused = 0
     "autopilot_msgs/NavStatus": """
 std_msgs/Header header
 uint8 health  # 0 invalid, 1 dead reckoning, 2 good
-uint32 reset_count
+uint32 reset_count  # jumps of the estimate so far
 uint32 doubts  # bits: 1 accelerometer, 2 gyro, 4 fixes, 8 range, 16 map, 32 calibration, 64 resets
 """,
     "autopilot_msgs/NavCounters": """
 std_msgs/Header header
-uint32 resets
-uint32 clock_backwards
-uint32 thrust_malformed
-uint32 ahrs_good
-uint32 ahrs_malformed
-uint32 ahrs_future
-uint32 ahrs_old
-uint32 ahrs_stuck
-uint32 ahrs_blind_steps
-uint32 ahrs_tilt_disagreements
+uint32 resets  # of the filter
+uint32 clock_backwards  # times that the clock went back
+uint32 thrust_malformed  # thrusts that are not finite
+uint32 ahrs_good  # samples taken
+uint32 ahrs_malformed  # not finite or out of range
+uint32 ahrs_future  # stamped later than now
+uint32 ahrs_old  # stamped before one that was taken
+uint32 ahrs_stuck  # repeating themselves
+uint32 ahrs_blind_steps  # of the filter without an AHRS sample
+uint32 ahrs_tilt_disagreements  # tilts that left what gyros and accelerometers say
 uint32[8] received  # by sensor: 0 heading, 1 model, 2 markers, 3 external, 4 velocity, 5 depth, 6 laser
-uint32[8] fused
-uint32[8] rejected
-uint32[8] late
-uint32[8] duplicate
-uint32[8] future
-uint32[8] malformed
-uint32[8] aid_resets
+uint32[8] fused  # 1 = it went into the estimate
+uint32[8] rejected  # measurements that failed their test
+uint32[8] late  # measurements older than the filter goes back
+uint32[8] duplicate  # measurements that came twice
+uint32[8] future  # measurements stamped later than now
+uint32[8] malformed  # measurements that are not finite or out of range
+uint32[8] aid_resets  # resets of the estimate by this sensor
 uint32[16] frames  # ok wrong_size wrong_type dark bright flat torn frozen dropped failed late foggy
-uint32 markers_unknown
-uint32 markers_misfit
-uint32 markers_leaning
-uint32 shadow_disagreements
-uint32 doubt_accel
-uint32 doubt_gyro
-uint32 doubt_compass_jumps
-uint32 doubt_jumps
+uint32 markers_unknown  # markers that the map does not have
+uint32 markers_misfit  # markers left out because they did not fit
+uint32 markers_leaning  # fixes refused because they leaned
+uint32 shadow_disagreements  # times that the estimators parted
+uint32 doubt_accel  # times that the accelerometer was doubted
+uint32 doubt_gyro  # times that the gyros were doubted
+uint32 doubt_compass_jumps  # of the heading source
+uint32 doubt_jumps  # of the estimate
 uint32[4] devices  # ticks on which it failed: 0 sensors, 1 camera, 2 thrusters
-uint32 power_malformed
+uint32 power_malformed  # power samples that are not finite or out of range
 uint32 faults  # inside the service
 uint32 other  # counted, and not one of these
 uint32 ahrs_field_disturbances  # how often the magnetometer ceased to be believed
 """,
     "autopilot_msgs/ShadowStatus": """
 std_msgs/Header header
-float64[3] pos_difference_ned_m
-float64 yaw_difference_rad
-float64[3] vel_difference_frd_m_s
+float64[3] pos_difference_ned_m  # flown minus shadow
+float64 yaw_difference_rad  # flown minus shadow
+float64[3] vel_difference_frd_m_s  # flown minus shadow
 float64 ratio  # largest difference over its bound
-uint8 disagrees
+uint8 disagrees  # 1 = beyond the bounds for long enough
 """,
     "autopilot_msgs/AidStatus": """
 std_msgs/Header header
-float64[3] innovation
-float64[3] innovation_var
-float64 test_ratio
-uint8 fused
+float64[3] innovation  # measurement minus prediction, unused = 0
+float64[3] innovation_var  # its variance by the filter, unused = 0
+float64 test_ratio  # squared innovation over its gate, above 1 = rejected
+uint8 fused  # 1 = it went into the estimate
 uint8 state  # 0 stopped, 1 starting, 2 active, 3 rejecting
-float64 age_s
+float64 age_s  # of the measurement when it was used
 """,
     "autopilot_msgs/Goal": """
 std_msgs/Header header
-float64[3] pos_ned_m
-float64 yaw_rad
-uint8 yaw_free
-float64 speed_m_s
-float64 accept_radius_m
-float64 accept_yaw_rad
-int32 seq
+float64[3] pos_ned_m  # place
+float64 yaw_rad  # heading from north
+uint8 yaw_free  # 1 = any heading will do
+float64 speed_m_s  # to be flown in the water
+float64 accept_radius_m  # inside it the place is reached
+float64 accept_yaw_rad  # and within it the heading
+int32 seq  # mission item, -1 none
 """,
     "autopilot_msgs/Drive": """
 std_msgs/Header header
@@ -128,18 +128,18 @@ float64 yaw_trend_rad_s  # so fast the goal's heading itself turns
 std_msgs/Header header
 uint8 status  # 0 ok, 1 idle, 2 not finite, 3 residual, 4 exception
 uint8 fallback  # 0 none, 1 shifted plan, 2 station keeping, 3 neutral
-uint16 iterations
-float64 solve_s
-float64 cost
-float64 slack_max
+uint16 iterations  # quadratic programs solved in this step
+float64 solve_s  # CPU time of the whole control step
+float64 cost  # of the program solved; only differences mean something
+float64 slack_max  # largest violation of a soft limit in the prediction
 float64 margin_m  # smallest tightened clearance in the prediction
 float64 tube_m  # largest distance kept from boundaries beyond the body
 float64 penalty_use  # largest multiplier of a soft limit over its penalty
 """,
     "autopilot_msgs/ThrusterCommand": """
 std_msgs/Header header
-float64[8] thrust_n
-uint16[8] pwm_us
+float64[8] thrust_n  # force of each thruster, unused = 0
+uint16[8] pwm_us  # pulse lengths, unused = 0
 """,
     "autopilot_msgs/ThrusterHealth": """
 std_msgs/Header header
@@ -157,28 +157,28 @@ uint32 late  # plans that came late
 """,
     "autopilot_msgs/MissionProgress": """
 std_msgs/Header header
-int32 current_seq
+int32 current_seq  # mission item that is flown, -1 none
 int32 reached_seq  # -1 none
-uint16 lap
+uint16 lap  # laps that are complete
 uint8 state  # MISSION_STATE
 """,
     "autopilot_msgs/ModeState": """
 std_msgs/Header header
-uint8 armed
-uint32 custom_mode
+uint8 armed  # 1 = thrusters may turn
+uint32 custom_mode  # as in HEARTBEAT; names are in run.json
 uint32 failsafes  # bits: docs/failsafes.md
 """,
     "autopilot_msgs/ParameterChange": """
 std_msgs/Header header
 uint8[16] name  # ASCII, padded with zeros
-float64 value
+float64 value  # the new one
 """,
     "autopilot_msgs/LoopStats": """
 std_msgs/Header header
 float64 tick_s  # longest tick of the last second
 float64 cpu_s  # CPU seconds of the last second
-uint32 overruns
-uint32 dropped_log
+uint32 overruns  # ticks that began late, so far
+uint32 dropped_log  # messages lost so far
 uint32 dropped_frames  # pictures that detection did not follow
 uint8 late_part  # what most of the slowest tick of the second went into: 0 wait, 1 device, 2 vision, 3 receive
 float64[12] part_s  # its wall time: as late_part, 4 estimate, 5 mavlink, 6 decide, 7 control
@@ -188,30 +188,30 @@ float64[12] part_cpu_s  # its CPU time: as part_s, 8 allocate, 9 write, 10 send,
 std_msgs/Header header
 uint16 samples  # inputs that follow in the file and belong to this tick
 uint16 frames  # MAVLink datagrams of this tick
-uint32 overruns
+uint32 overruns  # ticks that began late, so far
 float64 cpu_load  # 0..1, 0 = not measured
 """,
     "autopilot_msgs/AhrsRaw": """
 std_msgs/Header header
-float64[3] rpy_rad
-float64[3] rate_frd_rad_s
-float64[3] accel_frd_m_s2
+float64[3] rpy_rad  # roll, pitch, yaw
+float64[3] rate_frd_rad_s  # turn rates p, q, r
+float64[3] accel_frd_m_s2  # specific force
 """,
     "autopilot_msgs/ImuRaw": """
 std_msgs/Header header
-float64[3] rate_frd_rad_s
-float64[3] accel_frd_m_s2
-uint8 mag_known
+float64[3] rate_frd_rad_s  # turn rates p, q, r
+float64[3] accel_frd_m_s2  # specific force
+uint8 mag_known  # 0 = no magnetometer
 float64[3] mag_frd  # any unit
 """,
     "autopilot_msgs/MarkerSighting": """
 std_msgs/Header header
-uint16 count
-uint16[64] ids
-uint8 laser_found
+uint16 count  # markers found
+uint16[64] ids  # numbers of the markers, the first `count`
+uint8 laser_found  # 1 = the dot was found
 float32[512] corners_px  # 64 markers, 4 corners, x and y
-float64[2] laser_px
-uint32 decode_us
+float64[2] laser_px  # where the dot is, pixel centres at whole numbers
+uint32 decode_us  # time that detection took
 float32[64] sigma_px  # of each marker's corners, 0 = not known
 """,
     "autopilot_msgs/PayloadOutputs": """
@@ -238,53 +238,53 @@ float64 delay_s  # from the exposure until it was stored
 """,
     "autopilot_msgs/PoseFix": """
 std_msgs/Header header
-float64[3] pos_ned_m
-float64 yaw_rad
-float64[3] sigma_pos_m
-float64 sigma_yaw_rad
+float64[3] pos_ned_m  # place
+float64 yaw_rad  # heading from north
+float64[3] sigma_pos_m  # standard deviations
+float64 sigma_yaw_rad  # standard deviation
 """,
     "autopilot_msgs/LaserRaw": """
 std_msgs/Header header
-float64 range_m
-float64 sigma_m
+float64 range_m  # along the beam
+float64 sigma_m  # standard deviation
 """,
     "autopilot_msgs/DepthRaw": """
 std_msgs/Header header
-float64 depth_m
-float64 sigma_m
+float64 depth_m  # below the surface
+float64 sigma_m  # standard deviation
 """,
     "autopilot_msgs/VelocityRaw": """
 std_msgs/Header header
-float64[3] vel_frd_m_s
-float64[3] sigma_m_s
+float64[3] vel_frd_m_s  # velocity, over ground or water by `lock`
+float64[3] sigma_m_s  # standard deviations
 uint8 lock  # 0 water, 1 bottom
 """,
     "autopilot_msgs/ExternalPose": """
 std_msgs/Header header
-float64[3] pos_m
-float64 yaw_rad
-uint8 covariance_known
+float64[3] pos_m  # in the frame of `frame`
+float64 yaw_rad  # heading from north
+uint8 covariance_known  # 0 = the sender gave none
 float64[16] covariance  # of position and yaw, by rows
 uint8 frame  # 0 NED, 1 FRD
-uint32 reset_counter
+uint32 reset_counter  # of the sender: a change means that its frame has jumped
 """,
     "autopilot_msgs/ObstacleTrack": """
 std_msgs/Header header
-float64[2] pos_ned_m
-float64[2] vel_ned_m_s
-float64 radius_m
-uint32 track_id
+float64[2] pos_ned_m  # place
+float64[2] vel_ned_m_s  # velocity of the obstacle
+float64 radius_m  # of the obstacle
+uint32 track_id  # number of the obstacle at its sender
 """,
     "autopilot_msgs/PowerRaw": """
 std_msgs/Header header
-float64 voltage_v
-float64 current_a
-float64 energy_used_j
-float64 remaining
+float64 voltage_v  # of the battery
+float64 current_a  # drawn from the battery
+float64 energy_used_j  # since the battery was full
+float64 remaining  # 0..1 of the battery's charge
 """,
     "autopilot_msgs/LeakRaw": """
 std_msgs/Header header
-uint8 wet
+uint8 wet  # 1 = water at the probe
 """,
     "autopilot_msgs/HullRaw": """
 std_msgs/Header header
@@ -307,8 +307,8 @@ uint8[512] refusals  # why it would not fly for us, the same; lines end with a n
 """,
     "autopilot_msgs/MavlinkFrame": """
 std_msgs/Header header
-uint8[280] data
-uint16 length
+uint8[280] data  # the packet, padded with zeros
+uint16 length  # bytes of the packet
 uint8 link  # 255 = all links
 uint16 client  # of the link: one number per address or connection, 0 = everyone
 """,
@@ -452,6 +452,16 @@ bool mesh_use_embedded_materials
 def type_names() -> list[str]:
     """Every type with a definition, as ``package/Name``."""
     return list(_DEFINITIONS)
+
+
+def own_comments(name: str) -> dict[str, str]:
+    """What is said of the fields of ``package/Name``, by name; a field without a comment is left out."""
+    found = {}
+    for line in _DEFINITIONS[short_name(name)].strip().splitlines():
+        head, hash_sign, text = line.partition("#")
+        if hash_sign and head.strip():
+            found[head.split()[1]] = text.strip()
+    return found
 
 
 @cache

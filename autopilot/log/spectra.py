@@ -1,5 +1,7 @@
 """Spectra of what a log holds: power densities by averaged windows (Welch), in numpy."""
 
+from typing import Any
+
 import numpy as np
 
 from autopilot.core.frames import FloatArray
@@ -30,6 +32,7 @@ def density(t_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray
     starts = range(0, len(even) - size + 1, size // 2)
     parts = np.stack([even[start : start + size] for start in starts])
     parts = (parts - parts.mean(axis=1, keepdims=True)) * window
-    power: FloatArray = (np.abs(np.fft.rfft(parts, axis=1)) ** 2).mean(axis=0) * step_s / float((window**2).sum())
+    power: Any = (np.abs(np.fft.rfft(parts, axis=1)) ** 2).mean(axis=0) * step_s / float((window**2).sum())
     power[1:-1] *= 2.0
-    return np.fft.rfftfreq(size, step_s)[1:], power[1:]
+    hz: Any = np.fft.rfftfreq(size, step_s)
+    return hz[1:], power[1:]

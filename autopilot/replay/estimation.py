@@ -233,7 +233,8 @@ def _truth(log: Log, t_us: FloatArray) -> Table | None:
     if truth is None:
         return None
     nearest = np.clip(np.searchsorted(truth["t_us"], t_us - MATCH_US), 0, len(truth) - 1)
-    return truth[nearest]
+    found: Table = truth[nearest]
+    return found
 
 
 def _stacked(states: Sequence[NavState]) -> dict[str, FloatArray]:

@@ -1,0 +1,62 @@
+"""Reading from Python: tables, alignment, pandas, and the example of the docs."""
+
+import importlib.util
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_synthetic import Run, truth_at, write_run
+
+from autopilot.core.errors import LogError
+from autopilot.log.reader import Log, Table, open_log
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "read_log.py"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    run = Run(laps=1, step_us=50_000, full_inputs=True)
+    return open_log(write_run(tmp_path_factory.mktemp("api") / "run.mcap", run))
+
+
+def test_aligned_topics_share_their_times(log: Log) -> None:
+    found = log.align(["/nav/state", "/ctl/nmpc", "/nav/covariance"], rate_hz=8.0)
+    first, *others = found.values()
+    assert all(np.array_equal(first["t_us"], other["t_us"]) for other in others)
+    np.testing.assert_allclose(np.diff(first["t_us"]), 125_000, atol=1)
+    for row in (0, 40, -1):
+        held_s = int(first["t_us"][row]) // 50_000 * 50_000 * 1e-6
+        truth = truth_at(held_s)
+        assert abs(found["/nav/state"]["pos_ned_m"][row, 1] - truth.pos_ned_m[1]) < 1e-9
+    assert isinstance(first, Table) and type(first["pos_ned_m"]) is np.ndarray
+    assert isinstance(log["/nav/state"][:5], Table)
+
+
+def test_what_cannot_be_aligned_is_named(log: Log) -> None:
+    with pytest.raises(LogError, match="above 0 Hz"):
+        log.align(["/nav/state"], 0.0)
+    with pytest.raises(LogError, match="/no/such"):
+        log.align(["/nav/state", "/no/such"], 10.0)
+    with pytest.raises(LogError, match="variable size"):
+        log.align(["/rosout"], 10.0)
+
+
+def test_pandas(log: Log) -> None:
+    if importlib.util.find_spec("pandas") is None:
+        with pytest.raises(LogError, match="pip install pandas"):
+            log["/nav/state"].to_pandas()
+        return
+    frame = log["/nav/state"].to_pandas()
+    assert len(frame) == len(log["/nav/state"]) and frame.index.name == "t_s"
+    np.testing.assert_array_equal(frame["pos_ned_m[2]"], log["/nav/state"]["pos_ned_m"][:, 2])
+
+
+def test_the_example_of_the_docs_runs(
+    log: Log, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", [str(EXAMPLE), str(log.path)])
+    runpy.run_path(str(EXAMPLE))
+    out = capsys.readouterr().out
+    assert "paper-tank" in out and "correlation of depth and margin" in out and "planar speed" in out
