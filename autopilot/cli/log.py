@@ -174,7 +174,11 @@ def print_rows(rows: "list[Row]", title: str) -> None:
     table.add_column("unit", no_wrap=True)
     table.add_column("", no_wrap=True)
     table.add_column("note")
+    subject = ""
     for row in rows:
+        if row.subject != subject:
+            subject = row.subject
+            table.add_row(Text(subject, style="bold"))
         figures = [format_figure(value) for value in (row.limit, row.worst, row.margin)]
         verdict = Text(row.verdict.value, style=styles[row.verdict])
         table.add_row(Text(row.name), *figures, row.unit, verdict, Text(row.note))

@@ -190,6 +190,26 @@ def foreseen(made: Sequence[Prediction], ahead_s: float) -> tuple[FloatArray, Fl
     return times, np.array(places).reshape(-1, 3)
 
 
+def along_track(track: Track) -> FloatArray:
+    """(n,) component of the current in the direction of travel over ground, 0 where the vehicle stands."""
+    if len(track.t_s) < 2:
+        return np.zeros(len(track.t_s))
+    moved = np.gradient(track.pos_ned_m[:, :2], track.t_s, axis=0)
+    speed = np.hypot(moved[:, 0], moved[:, 1])
+    going = speed > 0.02
+    result: FloatArray = np.where(
+        going, np.sum(moved * track.current_ned_m_s[:, :2], axis=1) / np.where(going, speed, 1.0), 0.0
+    )
+    return result
+
+
+def position_nees(t_s: FloatArray, error_m: FloatArray, known_s: FloatArray, variance: FloatArray) -> FloatArray:
+    """(n,) squared errors of the position (n, 3) over their variances (m, 12), summed."""
+    at = np.stack([np.interp(t_s, known_s, variance[:, i]) for i in range(3)], axis=1)
+    result: FloatArray = np.sum(error_m**2 / np.maximum(at, 1e-12), axis=1)
+    return result
+
+
 def seconds(table: Table) -> FloatArray:
     """(n,) times of a topic's messages."""
     result: FloatArray = table["t_us"] * 1e-6

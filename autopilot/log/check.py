@@ -7,10 +7,10 @@ end by surfacing.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
@@ -32,39 +32,13 @@ from autopilot.log.analysis import (
     thruster_count,
     visits,
 )
+from autopilot.log.check_more import more_rows
 from autopilot.log.description import AcceptBounds, RunDescription
 from autopilot.log.reader import Log, Table
+from autopilot.log.rows import Row, Verdict, counted, info
 from autopilot.log.smoothness import BARS, Commands, is_told, measure
 
-
-class Verdict(Enum):
-    """What a row says."""
-
-    PASS = "pass"
-    WARN = "warn"
-    """The tolerance was used, or something happened that an operator should look at."""
-    FAIL = "fail"
-    INFO = "info"
-    """A figure without a bound, or one that cannot be judged from this log."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
-    """One bound and how the run stands against it."""
-
-    name: str
-    unit: str
-    limit: float | None
-    worst: float | None
-    """The value nearest to, or farthest beyond, the limit."""
-    margin: float | None
-    """Distance from the limit, tolerance included; negative = broken."""
-    verdict: Verdict
-    at_s: float | None = None
-    """When the worst value was reached, on the service's clock."""
-    note: str = ""
-    subject: str = ""
-    """What it is of: rows of one subject stand together."""
+__all__ = ("Row", "Verdict", "acceptance_table", "flown_commands", "format_figure", "overall", "slowest_part")
 
 
 def acceptance_table(log: Log) -> list[Row]:
@@ -74,18 +48,23 @@ def acceptance_table(log: Log) -> list[Row]:
     if not len(flight.judged.t_s):
         raise LogError(f"{log.path}: the vehicle's track is empty; there is nothing to judge")
     if flight.run is not None:
-        rows += _mission_rows(flight, flight.run)
-        rows += _clearance_rows(flight, flight.run)
-        rows += _motion_rows(flight, flight.run.accept)
+        rows += _of("Mission", _mission_rows(flight, flight.run))
+        rows += _of("Bounds", _clearance_rows(flight, flight.run) + _motion_rows(flight, flight.run.accept))
     else:
-        rows.append(_info("bounds", "", None, "the log has no run.json: nothing is judged"))
-    rows += _contact_rows(flight)
-    rows += _estimate_rows(flight, flight.run.accept if flight.run is not None else AcceptBounds())
-    rows += _smoothness_rows(flight)
-    rows += _health_rows(flight)
+        rows += _of("Mission", [info("bounds", "", None, "the log has no run.json: nothing is judged")])
+    rows += _of("Bounds", _contact_rows(flight))
+    rows += _of("Estimate", _estimate_rows(flight, flight.run.accept if flight.run is not None else AcceptBounds()))
+    rows += _of("Thrust", _smoothness_rows(flight))
+    rows += _of("Service", _health_rows(flight))
     if flight.truth is None:
-        rows.append(_info("judged on", "", None, "the estimate: the log has no truth"))
-    return rows
+        rows += _of("Estimate", [info("judged on", "", None, "the estimate: the log has no truth")])
+    rows += more_rows(flight)
+    order = list(dict.fromkeys(row.subject for row in rows))
+    return sorted(rows, key=lambda row: order.index(row.subject))
+
+
+def _of(subject: str, rows: Iterable[Row]) -> list[Row]:
+    return [replace(row, subject=subject) for row in rows]
 
 
 def overall(rows: Iterable[Row]) -> Verdict:
@@ -104,10 +83,6 @@ def format_figure(value: float | None) -> str:
     return f"{value:.0f}" if math.isfinite(value) and value == int(value) else f"{value:.4g}"
 
 
-def _info(name: str, unit: str, value: float | None, note: str = "") -> Row:
-    return Row(name=name, unit=unit, limit=None, worst=value, margin=None, verdict=Verdict.INFO, note=note)
-
-
 def _at_most(
     name: str, unit: str, limit: float | None, t_s: FloatArray, values: FloatArray, note: str = ""
 ) -> list[Row]:
@@ -121,6 +96,7 @@ def _at_most(
     margin = limit - worst
     verdict = Verdict.PASS if margin >= 0.0 else Verdict.FAIL
     at_s = float(t_s[at])
+    note = "; ".join(part for part in (note, _beyond(t_s, values > limit) if unit else "") if part)
     return [Row(name=name, unit=unit, limit=limit, worst=worst, margin=margin, verdict=verdict, at_s=at_s, note=note)]
 
 
@@ -140,6 +116,7 @@ def _at_least(
     else:
         verdict = Verdict.PASS if worst >= limit else Verdict.WARN
     note = f"tol. {tolerance * 1000:.0f} mm" if tolerance else ""
+    note = "; ".join(part for part in (note, _beyond(t_s, values < limit - tolerance)) if part)
     at_s = float(t_s[at])
     return [Row(name=name, unit=unit, limit=limit, worst=worst, margin=margin, verdict=verdict, at_s=at_s, note=note)]
 
@@ -147,6 +124,16 @@ def _at_least(
 def _missing(name: str, unit: str, limit: float | None) -> Row:
     note = "the log holds no data for this"
     return Row(name=name, unit=unit, limit=limit, worst=None, margin=None, verdict=Verdict.FAIL, note=note)
+
+
+def _beyond(t_s: FloatArray, broken: NDArray[np.bool_]) -> str:
+    """For how long, and how often."""
+    if len(t_s) < 2 or not broken.any():
+        return ""
+    edges = np.diff(broken.astype(np.int8), prepend=np.int8(0))
+    lasted_s = float(np.sum(np.diff(t_s, append=t_s[-1])[broken]))
+    times = int((edges > 0).sum())
+    return f"beyond for {lasted_s:.2f} s" + (f", {times} times" if times > 1 else "")
 
 
 FIRST_STATS_S = 1.5
@@ -170,16 +157,16 @@ def _mission_rows(flight: Flight, run: RunDescription) -> list[Row]:
         done, limit = float(len(spans)), float(run.accept.laps)
         verdict = Verdict.PASS if done >= limit else Verdict.FAIL
         if not _was_started(flight):
-            return [_info("laps", "", 0.0, "the mission on board was not started")]
+            return [info("laps", "", 0.0, "the mission on board was not started")]
         rows.append(Row(name="laps", unit="", limit=limit, worst=done, margin=done - limit, verdict=verdict))
     for waypoint in run.waypoints:
         rows += _waypoint_rows([visit for visit in tour if visit.waypoint is waypoint])
     for number, span in enumerate(spans, 1):
-        rows.append(_info(f"time lap {number}", "s", span.end_s - span.start_s))
+        rows.append(info(f"time lap {number}", "s", span.end_s - span.start_s))
         energy = energy_j(flight, span)
         if energy is not None:
             note = f"{run.hotel_power_w:g} W hotel load" if run.hotel_power_w else ""
-            rows.append(_info(f"energy lap {number}", "J", energy, note))
+            rows.append(info(f"energy lap {number}", "J", energy, note))
     return rows
 
 
@@ -249,7 +236,7 @@ def _motion_rows(flight: Flight, accept: AcceptBounds) -> list[Row]:
     rows += _at_most("planar speed", "m/s", accept.planar_speed_m_s, t_s, track.planar_speed_m_s)
     if len(t_s):
         literal = float(np.max(track.literal_speed_m_s))
-        rows.append(_info("planar speed |u+v|", "m/s", literal, "paper (5a), literal"))
+        rows.append(info("planar speed |u+v|", "m/s", literal, "paper (5a), literal"))
     rows += _at_most("heave", "m/s", accept.heave_m_s, t_s, np.abs(track.vel_water_frd_m_s[:, 2]))
     rows += _at_most("yaw rate", "rad/s", accept.yaw_rate_rad_s, t_s, np.abs(track.rate_frd_rad_s[:, 2]))
     commands = flight.table("/out/thrusters")
@@ -342,30 +329,30 @@ def _health_rows(flight: Flight) -> list[Row]:
         solved = nmpc["solve_s"][nmpc["solve_s"] > 0.0]
         for name, share in (("p50", 50.0), ("p99", 99.0), ("max", 100.0)):
             if len(solved):
-                rows.append(_info(f"solve time {name}", "ms", 1000.0 * float(np.percentile(solved, share))))
+                rows.append(info(f"solve time {name}", "ms", 1000.0 * float(np.percentile(solved, share))))
         mine = flight.armed.holds(seconds(nmpc))
-        rows.append(_count("NMPC fallbacks", int(np.sum(nmpc["fallback"][mine] != 0)), f"of {int(mine.sum())} steps"))
+        rows.append(counted("NMPC fallbacks", int(np.sum(nmpc["fallback"][mine] != 0)), f"of {int(mine.sum())} steps"))
     status = flight.table("/nav/status")
     if status is not None:
-        rows.append(_info("estimator resets", "", float(status["reset_count"].max())))
+        rows.append(info("estimator resets", "", float(status["reset_count"].max())))
     mode = flight.table("/sys/mode")
     if mode is not None:
         bits = int(np.bitwise_or.reduce(mode["failsafes"][flight.armed.holds(seconds(mode))], initial=0))
-        rows.append(_count("failsafes raised", bits.bit_count(), f"bits {bits:#x}" if bits else ""))
+        rows.append(counted("failsafes raised", bits.bit_count(), f"bits {bits:#x}" if bits else ""))
     thrusters, commands = flight.table("/ctl/thrusters"), flight.table("/out/thrusters")
     if thrusters is not None and commands is not None:
         weakest = float(thrusters["effectiveness"][:, : thruster_count(commands)].min())
-        rows.append(_info("weakest thruster gives", "%", 100.0 * weakest))
+        rows.append(info("weakest thruster gives", "%", 100.0 * weakest))
     loop = flight.table("/sys/loop")
     if loop is not None:
         # The counter runs since the service started, which may have been long before this log.
         earlier = int(loop["overruns"][0]) if seconds(loop)[0] > FIRST_STATS_S else 0
-        rows.append(_count("loop overruns", int(loop["overruns"].max()) - earlier))
-        rows.append(_info("longest tick", "ms", 1000.0 * float(loop["tick_s"].max()), slowest_part(loop)))
+        rows.append(counted("loop overruns", int(loop["overruns"].max()) - earlier))
+        rows.append(info("longest tick", "ms", 1000.0 * float(loop["tick_s"].max()), slowest_part(loop)))
     dropped = int(loop["dropped_log"].max()) if loop is not None else 0
-    rows.append(_count("log messages lost", max(dropped, sequence_gaps(flight.log))))
+    rows.append(counted("log messages lost", max(dropped, sequence_gaps(flight.log))))
     if flight.log.problems:
-        rows.append(_count("log damage", len(flight.log.problems), "; ".join(flight.log.problems)))
+        rows.append(counted("log damage", len(flight.log.problems), "; ".join(flight.log.problems)))
     return rows
 
 
@@ -376,9 +363,3 @@ def slowest_part(loop: Table) -> str:
     by_part_s = loop["part_s"][int(np.argmax(loop["part_s"].sum(axis=1)))]
     part = int(np.argmax(by_part_s))
     return f"{1000.0 * float(by_part_s[part]):.1f} ms of it {LoopPart(part).name.lower()}"
-
-
-def _count(name: str, value: int, note: str = "") -> Row:
-    """Something that should not happen but breaks no bound."""
-    verdict = Verdict.WARN if value else Verdict.PASS
-    return Row(name=name, unit="", limit=0.0, worst=float(value), margin=float(-value), verdict=verdict, note=note)

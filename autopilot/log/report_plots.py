@@ -11,6 +11,7 @@ from autopilot.log.analysis import (
     Flight,
     Prediction,
     Track,
+    along_track,
     distance_to_fence,
     distance_to_obstacle,
     distance_to_polygon,
@@ -19,6 +20,7 @@ from autopilot.log.analysis import (
     foreseen,
     lap_spans,
     obstacle_limit_m,
+    position_nees,
     predictions,
     seconds,
     thruster_names,
@@ -442,26 +444,6 @@ def aimed_yaw(aimed_deg: FloatArray, yaw_deg: FloatArray) -> FloatArray:
     new[1:] = np.diff(np.nan_to_num(aimed_deg, nan=1e9)) != 0.0
     since = np.maximum.accumulate(np.where(new, np.arange(len(aimed_deg)), 0))
     result: FloatArray = aimed_deg + 360.0 * np.round((yaw_deg - aimed_deg) / 360.0)[since]
-    return result
-
-
-def along_track(track: Track) -> FloatArray:
-    """(n,) component of the current in the direction of travel over ground, 0 where the vehicle stands."""
-    if len(track.t_s) < 2:
-        return np.zeros(len(track.t_s))
-    moved = np.gradient(track.pos_ned_m[:, :2], track.t_s, axis=0)
-    speed = np.hypot(moved[:, 0], moved[:, 1])
-    going = speed > 0.02
-    result: FloatArray = np.where(
-        going, np.sum(moved * track.current_ned_m_s[:, :2], axis=1) / np.where(going, speed, 1.0), 0.0
-    )
-    return result
-
-
-def position_nees(t_s: FloatArray, error_m: FloatArray, known_s: FloatArray, variance: FloatArray) -> FloatArray:
-    """(n,) squared errors of the position (n, 3) over their variances (m, 12), summed."""
-    at = np.stack([np.interp(t_s, known_s, variance[:, i]) for i in range(3)], axis=1)
-    result: FloatArray = np.sum(error_m**2 / np.maximum(at, 1e-12), axis=1)
     return result
 
 

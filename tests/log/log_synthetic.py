@@ -254,7 +254,7 @@ def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
         t_us=t_us - 100_000, track_id=3, pos_ned_m=np.array([1.0, 2.0]), vel_ned_m_s=np.array([0.1, 0.0]), radius_m=0.2
     )
     power = PowerSample(t_us=t_us, voltage_v=18.9, current_a=2.5, energy_used_j=t_us * 3e-5, remaining=0.99)
-    frame = MavlinkFrame(link=0, data=heartbeat(t_us // STEP_US))
+    frame = MavlinkFrame(link=0, data=heartbeat(t_us // 1_000_000))
     depth = DepthSample(t_us=t_us, depth_m=0.5, sigma_m=0.003)
     velocity = VelocitySample(t_us=t_us, vel_frd_m_s=np.zeros(3), sigma_m_s=np.full(3, 0.01))
     external = ExternalPoseSample(t_us=t_us, pos_m=np.zeros(3), yaw_rad=0.1, covariance=None)
@@ -330,7 +330,7 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         command=ThrusterCommand(t_us=t_us, thrust_n=thrust, pwm_us=(1550, 1551, 1490, 1505)),
         nav=nav_of(t_us, truth, run.nav_error_m),
         mode=ModeState(t_us=t_us, armed=True, custom_mode=1, failsafes=0),
-        mavlink_tx=(MavlinkFrame(link=-1, data=heartbeat(t_us // STEP_US)),) if t_us % 1_000_000 == 0 else (),
+        mavlink_tx=(MavlinkFrame(link=-1, data=heartbeat(t_us // 1_000_000)),) if t_us % 1_000_000 == 0 else (),
         estimated_from=EstimatorInputs(
             thrust_n=thrust[:4],
             samples=(ExternalPoseSample(t_us=t_us, pos_m=np.zeros(3), yaw_rad=0.1, covariance=None),),

@@ -1,0 +1,377 @@
+"""What a log says of its parts beside the bounds of a run: figures, and warnings where one should look.
+
+None of these is a bound of the vehicle: nothing here fails a run.
+"""
+
+import math
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import ProgressState
+from autopilot.core.params import PARAMETERS
+from autopilot.log.analysis import (
+    Flight,
+    Track,
+    along_track,
+    energy_j,
+    estimate_error,
+    foreseen,
+    position_nees,
+    predictions,
+    seconds,
+    thruster_count,
+    thruster_names,
+)
+from autopilot.log.reader import Table
+from autopilot.log.rows import Row, Verdict, counted, info
+from autopilot.log.topics import AID_PREFIX
+
+CONTROL_PERIOD_S = 0.05
+AHEAD_S = 1.0
+CHI2_95 = (3.841, 5.991, 7.815)
+"""95 % of chi square, by degrees of freedom from 1."""
+LEAST_INSIDE = 0.80
+"""Of innovations within their own 95 %: fewer, and the estimator believes its sensor too much."""
+MOST_BIAS = 1.0
+"""Mean of an innovation over its sigma."""
+MOST_NEES = 9.35
+"""Mean squared error of the position over its variance: above, the estimate is worse than it says (3 expected)."""
+FEWEST = 50
+"""Messages that say something of a share."""
+LONGEST_SILENCE_S = 0.25
+"""Of the motion sensor, while armed."""
+MOST_LOST = 0.05
+"""Share of received MAVLink messages that are missing by their numbers."""
+ACK, ACK_ACCEPTED, ACK_IN_PROGRESS = 77, 0, 5
+MAVLINK2 = 0xFD
+
+
+def more_rows(flight: Flight) -> list[Row]:
+    """All of them, as far as the log has their data."""
+    return [
+        *_mission(flight),
+        *_tracking(flight),
+        *_controller(flight),
+        *_estimator(flight),
+        *_camera(flight),
+        *_thrusters(flight),
+        *_current(flight),
+        *_power(flight),
+        *_inertial(flight),
+        *_links(flight),
+        *_told(flight),
+    ]
+
+
+def _row(subject: str, name: str, unit: str, value: float, note: str = "") -> Row:
+    found = info(name, unit, value if math.isfinite(value) else None, note)
+    return _under(subject, found)
+
+
+def _under(subject: str, row: Row) -> Row:
+    return Row(**{**{name: getattr(row, name) for name in Row.__slots__}, "subject": subject})
+
+
+def _at_most(subject: str, name: str, unit: str, limit: float, value: float, note: str = "") -> Row:
+    """A figure that asks to be looked at above a limit."""
+    verdict = Verdict.PASS if value <= limit else Verdict.WARN
+    margin = limit - value
+    return Row(
+        name=name, unit=unit, limit=limit, worst=value, margin=margin, verdict=verdict, note=note, subject=subject
+    )
+
+
+def way_m(track: Track) -> float:
+    """Length of a track."""
+    return float(np.linalg.norm(np.diff(track.pos_ned_m, axis=0), axis=1).sum())
+
+
+def _mission(flight: Flight) -> list[Row]:
+    track = flight.judged.between(flight.armed)
+    rows = [_row("Mission", "way", "m", way_m(track), f"in {flight.armed.end_s - flight.armed.start_s:.1f} s")]
+    progress, mode = flight.table("/mission/progress"), flight.table("/sys/mode")
+    if progress is not None and mode is not None and len(progress) and len(mode):
+        cut = bool(mode["armed"][-1]) and int(progress["state"][-1]) == ProgressState.ACTIVE
+        note = "the mission was still flown" if cut else ""
+        rows.append(_under("Mission", counted("log ended within a mission", int(cut), note)))
+    return rows
+
+
+def _tracking(flight: Flight) -> list[Row]:
+    """How well the controller knew what would come, and how late thrust follows its commands."""
+    made = [one for one in predictions(flight.log) if flight.mission.start_s <= one.t_s <= flight.mission.end_s]
+    then_s, then_m = foreseen(made, AHEAD_S)
+    track = flight.judged
+    seen = then_s <= min(float(track.t_s[-1]), flight.mission.end_s)
+    rows = []
+    if seen.any():
+        for index, axis in enumerate("xyz"):
+            away = np.interp(then_s[seen], track.t_s, track.pos_ned_m[:, index]) - then_m[seen, index]
+            note = f"95 % {np.percentile(np.abs(away), 95.0):.3f}, largest {np.abs(away).max():.3f} m"
+            name = f"off the plan of {AHEAD_S:g} s before, {axis} rms"
+            rows.append(_row("Tracking", name, "m", float(np.sqrt(np.mean(away**2))), note))
+    commands, acting = flight.table("/out/thrusters"), flight.table("/sim/thrusters")
+    if commands is not None and acting is not None and len(commands) > FEWEST and len(acting) > FEWEST:
+        delay = _delay_s(flight, commands, acting)
+        if delay is not None:
+            rows.append(_row("Tracking", "thrust follows commands after", "s", delay, "dead time and lag together"))
+    return rows
+
+
+def _delay_s(flight: Flight, commands: Table, acting: Table) -> float | None:
+    """The shift at which acting thrust is most like the commands; None if nothing moved."""
+    t_s = np.arange(flight.armed.start_s, flight.armed.end_s, 0.01)
+    count = thruster_count(commands)
+    if len(t_s) < 200 or not count:
+        return None
+    best, delay = 0.0, None
+    moving = int(np.argmax(commands["thrust_n"][:, :count].std(axis=0)))
+    told = np.interp(t_s, seconds(commands), commands["thrust_n"][:, moving])
+    done = np.interp(t_s, seconds(acting), acting["thrust_n"][:, moving])
+    for shift in range(60):
+        a, b = told[: len(told) - shift or None], done[shift:]
+        if a.std() > 0.05 and b.std() > 0.05:
+            alike = float(np.corrcoef(a, b)[0, 1])
+            if alike > best:
+                best, delay = alike, 0.01 * shift
+    return delay
+
+
+def _controller(flight: Flight) -> list[Row]:
+    table = flight.table("/ctl/nmpc")
+    if table is None or not len(table):
+        return []
+    mine = table[flight.armed.holds(seconds(table))]
+    flags = np.concatenate(([0], mine["fallback"] != 0, [0]))
+    runs = np.diff(np.flatnonzero(np.diff(flags))) if flags.any() else np.zeros(1, dtype=int)
+    late = int((mine["solve_s"] > CONTROL_PERIOD_S).sum())
+    rows = [_row("Service", "longest run of fallbacks", "steps", float(runs[::2].max(initial=0)))]
+    in_time = flight.run is None or flight.run.speed != 0.0
+    if in_time:
+        rows.append(_under("Service", counted("control steps beyond their period", late, f"of {len(mine)}")))
+    else:
+        rows.append(_row("Service", "control steps beyond their period", "", float(late), "in lockstep: none waited"))
+    rows.append(_row("Service", "largest slack of a soft limit", "", float(mine["slack_max"].max(initial=0.0))))
+    return rows
+
+
+def _estimator(flight: Flight) -> list[Row]:
+    rows = []
+    for topic in (name for name in flight.log.topics if name.startswith(AID_PREFIX)):
+        table = flight.table(topic)
+        if table is None:
+            continue
+        mine = table[flight.armed.holds(seconds(table))]
+        used = mine["innovation_var"] > 0.0
+        degrees = used.sum(axis=1)
+        keep = degrees > 0
+        if int(keep.sum()) < FEWEST:
+            continue
+        sensor = topic.removeprefix(AID_PREFIX)
+        over = np.where(used, mine["innovation"], 0.0) / np.sqrt(np.where(used, mine["innovation_var"], 1.0))
+        inside = float(np.mean((over[keep] ** 2).sum(axis=1) <= np.array(CHI2_95)[degrees[keep] - 1]))
+        verdict = Verdict.PASS if inside >= LEAST_INSIDE else Verdict.WARN
+        rows.append(
+            Row(
+                name=f"{sensor}: innovations within 95 %",
+                unit="%",
+                limit=100.0 * LEAST_INSIDE,
+                worst=100.0 * inside,
+                margin=100.0 * (inside - LEAST_INSIDE),
+                verdict=verdict,
+                subject="Estimate",
+            )
+        )
+        means = np.abs(over[keep].mean(axis=0))
+        lag = _lag_one(over[keep][:, int(np.argmax(over[keep].std(axis=0)))])
+        note = f"correlation of neighbours {lag:.2f}"
+        rows.append(_at_most("Estimate", f"{sensor}: bias over sigma", "", MOST_BIAS, float(means.max()), note))
+        fused_s = seconds(mine)[mine["fused"] != 0]
+        if len(fused_s) > 1:
+            rows.append(_row("Estimate", f"{sensor}: longest gap", "s", float(np.diff(fused_s).max())))
+    covariance = flight.table("/nav/covariance")
+    if flight.truth is not None and flight.nav is not None and covariance is not None and len(covariance):
+        error = estimate_error(flight.truth, flight.nav.between(flight.mission))
+        if error is not None:
+            nees = position_nees(error.t_s, error.pos_ned_m, seconds(covariance), covariance["variance"])
+            rows.append(_at_most("Estimate", "NEES of the position", "", MOST_NEES, float(nees.mean()), "3 expected"))
+    return rows
+
+
+def _lag_one(values: FloatArray) -> float:
+    a, b = values[1:] - values.mean(), values[:-1] - values.mean()
+    power = float((b * b).sum())
+    return float((a * b).sum()) / power if power > 0.0 else 0.0
+
+
+def _camera(flight: Flight) -> list[Row]:
+    table = flight.table("/in/markers")
+    if table is None or not len(table):
+        return []
+    mine = table[flight.armed.holds(seconds(table))]
+    if len(mine) < 2:
+        return []
+    t_s, some = seconds(mine), mine["count"] > 0
+    rows = [
+        _row("Camera", "pictures per second", "1/s", len(mine) / max(float(t_s[-1] - t_s[0]), 1e-9)),
+        _row("Camera", "pictures with markers", "%", 100.0 * float(some.mean())),
+    ]
+    seen_s = t_s[some]
+    if len(seen_s) > 1:
+        rows.append(_row("Camera", "longest time without a marker", "s", float(np.diff(seen_s).max())))
+    aid = flight.table(AID_PREFIX + "markers")
+    if aid is not None and len(aid):
+        age = float(np.percentile(aid["age_s"], 95.0))
+        rows.append(_row("Camera", "age of a fix, 95 %", "s", age))
+    return rows
+
+
+def _thrusters(flight: Flight) -> list[Row]:
+    commands = flight.table("/out/thrusters")
+    if commands is None or not len(commands):
+        return []
+    mine = commands[flight.armed.holds(seconds(commands))]
+    names = thruster_names(flight, commands)
+    if not len(mine):
+        return []
+    thrust = np.abs(mine["thrust_n"][:, : len(names)])
+    limit = math.inf if flight.run is None else flight.run.paper_bounds.get("thrust_n", math.inf)
+    share = 100.0 * float((thrust >= 0.999 * limit).any(axis=1).mean())
+    means = ", ".join(f"{name} {value:.2f}" for name, value in zip(names, thrust.mean(axis=0), strict=False))
+    return [
+        _row("Thrust", "time at the limit of thrust", "%", share),
+        _row("Thrust", "mean thrust, all together", "N", float(thrust.sum(axis=1).mean()), means),
+    ]
+
+
+def _current(flight: Flight) -> list[Row]:
+    track = flight.judged.between(flight.mission)
+    along = along_track(track)
+    rows = []
+    if len(along):
+        rows.append(_row("Current", "way with the current behind", "%", 100.0 * float((along > 0.0).mean())))
+    if flight.truth is not None and flight.nav is not None:
+        error = estimate_error(flight.truth, flight.nav.between(flight.mission))
+        if error is not None:
+            rms = float(np.sqrt(np.mean(np.sum(error.current_ned_m_s[:, :2] ** 2, axis=1))))
+            rows.append(_row("Current", "estimate of the current, rms", "m/s", rms))
+    return rows
+
+
+def _power(flight: Flight) -> list[Row]:
+    rows = []
+    used, way = energy_j(flight, flight.armed), way_m(flight.judged.between(flight.armed))
+    if used is not None:
+        rows.append(_row("Power", "energy", "J", used, f"{used / way:.1f} J/m" if way > 0.1 else ""))
+    battery = flight.table("/in/power_raw")
+    if battery is not None and len(battery):
+        lowest = float(np.nanmin(battery["voltage_v"]))
+        limit = 0.0 if flight.run is None else flight.run.parameters.get("BATT_LOW_VOLT", 0.0)
+        if limit > 0.0:
+            verdict = Verdict.PASS if lowest >= limit else Verdict.WARN
+            margin = lowest - limit
+            rows.append(
+                Row(
+                    name="lowest voltage",
+                    unit="V",
+                    limit=limit,
+                    worst=lowest,
+                    margin=margin,
+                    verdict=verdict,
+                    note="BATT_LOW_VOLT",
+                    subject="Power",
+                )
+            )
+        else:
+            rows.append(_row("Power", "lowest voltage", "V", lowest))
+    return rows
+
+
+def _inertial(flight: Flight) -> list[Row]:
+    raw = flight.table("/in/ahrs_raw")
+    table = flight.table("/in/imu") if raw is None else raw
+    if table is None:
+        return []
+    mine = table[flight.armed.holds(seconds(table))]
+    if len(mine) < FEWEST:
+        return []
+    gaps, norm = np.diff(seconds(mine)), np.linalg.norm(mine["accel_frd_m_s2"], axis=1)
+    usual = f"median {1e3 * float(np.median(gaps)):.1f} ms"
+    shaking = float(np.diff(norm).std() / math.sqrt(2.0))
+    return [
+        _at_most("Motion sensor", "longest time between samples", "s", LONGEST_SILENCE_S, float(gaps.max()), usual),
+        _row("Motion sensor", "vibration (from sample to sample)", "m/s2", shaking),
+    ]
+
+
+def _links(flight: Flight) -> list[Row]:
+    rows = []
+    received = flight.table("/in/mavlink")
+    if received is not None and len(received):
+        missing = lost_share(received)
+        if missing is not None:
+            rows.append(
+                _at_most("Links", "MAVLink messages lost on the way in", "%", 100.0 * MOST_LOST, 100.0 * missing)
+            )
+        mine = seconds(received)[flight.armed.holds(seconds(received))]
+        if len(mine) > 1:
+            rows.append(_row("Links", "longest silence of all clients", "s", float(np.diff(mine).max())))
+    sent = flight.table("/out/mavlink")
+    if sent is not None and len(sent):
+        refused = refused_commands(sent)
+        note = ", ".join(f"{command} ({result})" for command, result in refused[:5])
+        rows.append(
+            _row("Links", "commands refused", "", float(len(refused)), note and f"MAV_CMD (MAV_RESULT): {note}")
+        )
+    return rows
+
+
+def lost_share(frames: Table) -> float | None:
+    """Share of messages that are missing by the sequence numbers of their senders; None where too few came."""
+    data = frames["data"]
+    mine = (data[:, 0] == MAVLINK2) & (frames["length"] > 10)
+    if int(mine.sum()) < FEWEST:
+        return None
+    heads = data[mine]
+    senders = np.stack([frames["link"][mine], frames["client"][mine], heads[:, 5], heads[:, 6]], axis=1)
+    missing = came = 0
+    for sender in np.unique(senders, axis=0):
+        numbers = heads[(senders == sender).all(axis=1), 4].astype(int)
+        steps = (np.diff(numbers) - 1) % 256
+        missing += int(steps[steps < 128].sum())  # more is a sender that began anew, or packets out of order
+        came += len(numbers)
+    return missing / max(missing + came, 1)
+
+
+def refused_commands(frames: Table) -> list[tuple[int, int]]:
+    """Command and result of every COMMAND_ACK that is not an acceptance."""
+    data, length = frames["data"], frames["length"]
+    acks = data[(data[:, 0] == MAVLINK2) & (length > 12) & (data[:, 7] == ACK) & (data[:, 8] == 0) & (data[:, 9] == 0)]
+    found = []
+    for row in acks:
+        result = int(row[12]) if row[1] > 2 else 0  # zeros at the end of a payload are not sent
+        if result not in (ACK_ACCEPTED, ACK_IN_PROGRESS):
+            found.append((int(row[10]) | int(row[11]) << 8, result))
+    return found
+
+
+def _told(flight: Flight) -> list[Row]:
+    """Warnings to the operator, and parameters."""
+    rows = []
+    if "/rosout" in flight.log:
+        warned = [m.value["msg"] for m in flight.log.messages("/rosout") if m.value["level"] >= 30]
+        rows.append(_row("Events", "warnings to the operator", "", float(len(warned)), warned[0] if warned else ""))
+    changes = flight.table("/sys/parameters")
+    if changes is not None:
+        names = dict.fromkeys(bytes(name).rstrip(b"\0").decode(errors="replace") for name in changes["name"])
+        rows.append(_row("Events", "parameters changed", "", float(len(changes)), ", ".join(names)))
+    if flight.run is not None and flight.run.parameters:
+        defaults = {spec.name: spec.default for spec in PARAMETERS}
+        other = [
+            n
+            for n, v in flight.run.parameters.items()
+            if n in defaults and not math.isclose(v, defaults[n], rel_tol=1e-6)
+        ]
+        rows.append(_row("Events", "parameters not at their defaults", "", float(len(other)), ", ".join(other[:8])))
+    return rows

@@ -1,0 +1,138 @@
+"""Golden logs: a sound one passes the checks of the parts, and each of the others breaks one of them and no other."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from log_synthetic import DESCRIPTION, EPOCH_NS, LEG_S, Run, heartbeat, inputs_at, nav_of, outputs_at, truth_at
+
+from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
+from autopilot.core.samples import AhrsSample, ImuSample, PowerSample
+from autopilot.log.check import Row, Verdict, acceptance_table
+from autopilot.log.description import AcceptBounds
+from autopilot.log.reader import open_log
+from autopilot.log.session import open_run_log
+
+STEP_US = 100_000
+END_US = int(2 * LEG_S * 1e6) + 500_000
+BATTERY = {**DESCRIPTION.parameters, "BATT_LOW_VOLT": 16.0}
+REAL_TIME = replace(DESCRIPTION, accept=AcceptBounds(laps=1), speed=1.0, parameters=BATTERY)
+
+
+def same_inputs(t_us: int, inputs: Inputs) -> Inputs:
+    return inputs
+
+
+def same_outputs(t_us: int, outputs: Outputs) -> Outputs:
+    return outputs
+
+
+def golden(
+    path: Path,
+    change_inputs: Callable[[int, Inputs], Inputs] = same_inputs,
+    change_outputs: Callable[[int, Outputs], Outputs] = same_outputs,
+    ends: bool = True,
+) -> dict[str, Row]:
+    """The rows of a lap, changed as asked."""
+    log = open_run_log(
+        path,
+        epoch_ns=EPOCH_NS,
+        description=REAL_TIME,
+        metadata={},
+        attachments={},
+        lossless=True,
+        camera_period_us=None,
+    )
+    for number, t_us in enumerate(range(0, END_US, STEP_US)):
+        truth = truth_at(t_us * 1e-6)
+        log.truth(t_us, truth)
+        inputs = replace(inputs_at(t_us, truth), mavlink_rx=(MavlinkFrame(link=0, data=heartbeat(number)),))
+        log.inputs(change_inputs(t_us, inputs))
+        log.outputs(change_outputs(t_us, outputs_at(t_us, truth, Run(), ends and t_us > END_US - 400_000)))
+    log.close()
+    return {row.name: row for row in acceptance_table(open_log(path))}
+
+
+def warned(rows: dict[str, Row]) -> set[str]:
+    return {name for name, row in rows.items() if row.verdict in (Verdict.WARN, Verdict.FAIL)}
+
+
+def aids(**changes: Any) -> Callable[[int, Outputs], Outputs]:
+    return lambda t_us, outputs: replace(outputs, aids=tuple(replace(aid, **changes) for aid in outputs.aids))
+
+
+def swinging(t_us: int, outputs: Outputs) -> Outputs:
+    """Innovations of four sigma to either side: no bias, and far too many outside."""
+    sign = 1.0 if t_us // STEP_US % 2 else -1.0
+    off = np.array([sign * 4.0 * 1e-5**0.5, 0.0, 0.0])
+    return replace(outputs, aids=tuple(replace(aid, innovation=off) for aid in outputs.aids))
+
+
+def overconfident(t_us: int, outputs: Outputs) -> Outputs:
+    nav = nav_of(t_us, truth_at(t_us * 1e-6))
+    return replace(outputs, nav=replace(nav, variance=np.full(12, 2e-7)))
+
+
+def late(t_us: int, outputs: Outputs) -> Outputs:
+    assert outputs.control is not None
+    slow = replace(outputs.control.status, solve_s=0.08 if t_us == 10_000_000 else 0.001)
+    return replace(outputs, control=replace(outputs.control, status=slow))
+
+
+def silent(t_us: int, inputs: Inputs) -> Inputs:
+    heard = not 10_000_000 < t_us < 11_000_000
+    return replace(
+        inputs, samples=tuple(s for s in inputs.samples if heard or not isinstance(s, AhrsSample | ImuSample))
+    )
+
+
+def empty(t_us: int, inputs: Inputs) -> Inputs:
+    return replace(
+        inputs, samples=tuple(replace(s, voltage_v=15.9) if isinstance(s, PowerSample) else s for s in inputs.samples)
+    )
+
+
+def lossy(t_us: int, inputs: Inputs) -> Inputs:
+    return replace(inputs, mavlink_rx=() if t_us // STEP_US % 10 == 3 else inputs.mavlink_rx)
+
+
+def test_a_sound_log_passes(tmp_path: Path) -> None:
+    rows = golden(tmp_path / "a.mcap")
+    assert warned(rows) == set()
+    assert rows["way"].worst == pytest.approx(2 * 4.0, rel=0.1)
+    assert rows["NEES of the position"].worst == pytest.approx(0.32, abs=0.05)
+    assert rows["parameters changed"].note == "MPC_Q_POS"
+    assert rows["commands refused"].worst == 0.0
+    assert all(row.subject for row in rows.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("log ended within a mission", {"ends": False}),
+        ("markers: innovations within 95 %", {"change_outputs": swinging}),
+        ("markers: bias over sigma", {"change_outputs": aids(innovation=np.array([0.0, 0.004, 0.0]))}),
+        ("NEES of the position", {"change_outputs": overconfident}),
+        ("control steps beyond their period", {"change_outputs": late}),
+        ("longest time between samples", {"change_inputs": silent}),
+        ("lowest voltage", {"change_inputs": empty}),
+        ("MAVLink messages lost on the way in", {"change_inputs": lossy}),
+    ],
+)
+def test_each_golden_log_breaks_its_check(tmp_path: Path, name: str, changes: dict[str, Any]) -> None:
+    rows = golden(tmp_path / "a.mcap", **changes)
+    assert warned(rows) == {name}
+    assert rows[name].verdict is Verdict.WARN
+
+
+def test_refused_commands_are_named(tmp_path: Path) -> None:
+    def refuse(t_us: int, outputs: Outputs) -> Outputs:
+        payload = bytes([400 & 0xFF, 400 >> 8, 2])
+        frame = bytes([0xFD, 3, 0, 0, 1, 1, 1, 77, 0, 0]) + payload + b"\x12\x34"
+        return replace(outputs, mavlink_tx=(MavlinkFrame(link=0, data=frame),)) if t_us == 10_000_000 else outputs
+
+    row = golden(tmp_path / "a.mcap", change_outputs=refuse)["commands refused"]
+    assert row.worst == 1.0 and row.note == "MAV_CMD (MAV_RESULT): 400 (2)"
