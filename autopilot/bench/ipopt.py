@@ -15,6 +15,12 @@ from autopilot.control.nmpc.solver import NmpcProblem
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, Model4, R, U, V, W, Z
 
+SOFT_ROWS = (
+    *("planar speed", "sinking", "rising", "turning to starboard", "turning to port"),
+    *("least depth", "greatest depth"),
+)
+"""Soft limits of a node, in the order of its rows; then come the half-planes."""
+PLANE = "boundary "
 COST_SCALE = 1e-2
 """Brings the cost to the size that the tolerance is meant for."""
 
@@ -44,6 +50,8 @@ class IpoptNmpc:
         cost: Any = 0.0
         rows: list[Any] = []
         is_gap: list[bool] = []
+        self.rows: list[tuple[int, str]] = []
+        """Node and name of every row; "" = dynamics."""
         state = x0
         substeps_of = grid.substeps(ocp.longest_step_s(model))
         for k, (dt, substeps) in enumerate(zip(grid.dt_s, substeps_of, strict=True)):
@@ -51,6 +59,7 @@ class IpoptNmpc:
             step = ocp.discrete_dynamics(model, float(dt), substeps)
             rows.append(x[:, k] - step(state, u[:, k], current[:, k])[0])
             is_gap += [True] * NX
+            self.rows += [(k + 1, "")] * NX
             thrust = u[:, k] - ca.fmax(-thrust_limit[:, k], ca.fmin(thrust_limit[:, k], u_ref[:, k]))
             cost += 0.5 * scale * ca.dot(weight_u[:, k] * thrust, thrust)
             if k > 0:
@@ -69,6 +78,7 @@ class IpoptNmpc:
                     plane_d[:, k - 1] - ca.mtimes(normals.T, state[:2]) - slack[1],
                 ]
                 is_gap += [False] * (7 + planes)
+                self.rows += [(k, name) for name in (*SOFT_ROWS, *(f"{PLANE}{number}" for number in range(planes)))]
             state = x[:, k]
         error = state - x_ref[:, n]
         cost += 0.5 * ca.bilin(terminal, error, error)
@@ -87,10 +97,17 @@ class IpoptNmpc:
             inner = {"print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": 200, "warm_start_init_point": "yes"}
             options["ipopt"] = inner
         program: Any = {"x": z, "f": COST_SCALE * cost, "g": ca.vertcat(*rows), "p": p}
+        self._look: Any = ca.Function("look", [z, p], [cost, program["g"]])
         self._solver: Any = ca.nlpsol(plugin, plugin, program, options)
         self._ubg = np.zeros(len(is_gap))
         self._lbg = np.where(is_gap, 0.0, -np.inf)
         self._guess = np.zeros(z.shape[0])
+        self.cost = 0.0
+        """Of the last answer."""
+        self.multipliers: FloatArray = np.zeros(len(is_gap))
+        """(rows,) of its rows, in units of the cost per unit of the row."""
+        self.thrust_multipliers: FloatArray = np.zeros((n, nu))
+        """(N, thrusters) of its thrust bounds, positive at the upper one."""
 
     def set_plan(self, x: FloatArray, thrust_n: FloatArray) -> None:
         """Start from states (N+1, 8) and thrust (N, 4)."""
@@ -99,6 +116,32 @@ class IpoptNmpc:
     def solve(self, problem: NmpcProblem) -> tuple[FloatArray, FloatArray, bool]:
         """States (N+1, 8), thrust (N, 4) and whether the solver calls it solved."""
         lower, upper = np.full(len(self._guess), -np.inf), np.full(len(self._guess), np.inf)
+        parameters = self._parameters(problem)
+        bound = np.broadcast_to(problem.thrust_limit_n, problem.thrust_ref_n.shape)
+        lower[self._at_u], upper[self._at_u] = -bound, bound
+        lower[self._at_s] = 0.0
+        answer = self._solver(x0=self._guess, lbx=lower, ubx=upper, lbg=self._lbg, ubg=self._ubg, p=parameters)
+        z = answer["x"].full().ravel()
+        self.cost = float(answer["f"]) / COST_SCALE
+        self.multipliers = answer["lam_g"].full().ravel() / COST_SCALE
+        self.thrust_multipliers = answer["lam_x"].full().ravel()[self._at_u] / COST_SCALE
+        return np.vstack([problem.x0, z[self._at_x]]), z[self._at_u], bool(self._solver.stats()["success"])
+
+    def cost_of(self, problem: NmpcProblem, x: FloatArray, thrust_n: FloatArray) -> float:
+        """What a plan costs that somebody else has made; soft limits that it breaks are paid for."""
+        z = np.zeros(len(self._guess))
+        z[self._at_x], z[self._at_u] = x[1:], thrust_n
+        parameters = self._parameters(problem)
+        rows = self._look(z, parameters)[1].full().ravel()
+        slack = np.zeros(self._at_s.shape)
+        for (node, name), over in zip(self.rows, rows.tolist(), strict=True):
+            if name and over > 0.0:
+                kind = 0 if name in SOFT_ROWS[:5] else 1
+                slack[node - 1, kind] = max(slack[node - 1, kind], over)
+        z[self._at_s] = slack
+        return float(self._look(z, parameters)[0])
+
+    def _parameters(self, problem: NmpcProblem) -> FloatArray:
         values = (
             problem.x0,
             problem.x_ref,
@@ -112,15 +155,9 @@ class IpoptNmpc:
             problem.plane_n.reshape(-1, 2),
             problem.plane_d_m,
         )
-        parameters = np.concatenate(
+        return np.concatenate(
             [
                 np.broadcast_to(value, (columns, rows) if value.ndim == 2 or columns > 1 else (rows,)).ravel()
                 for value, (rows, columns) in zip(values, self._shapes.values(), strict=True)
             ]
         )
-        bound = np.broadcast_to(problem.thrust_limit_n, problem.thrust_ref_n.shape)
-        lower[self._at_u], upper[self._at_u] = -bound, bound
-        lower[self._at_s] = 0.0
-        answer = self._solver(x0=self._guess, lbx=lower, ubx=upper, lbg=self._lbg, ubg=self._ubg, p=parameters)
-        z = answer["x"].full().ravel()
-        return np.vstack([problem.x0, z[self._at_x]]), z[self._at_u], bool(self._solver.stats()["success"])

@@ -10,6 +10,9 @@ from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.part_name import part_name
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from autopilot.bench.flight_figures import Moved
     from autopilot.log.reader import Log
     from autopilot.run.sitl_replay import ReplayResult
 
@@ -20,18 +23,29 @@ SHOWN = 20
 
 @click.command()
 @click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
+@click.option("--step", "step_s", type=float, metavar="T", help="Take apart the control step at T seconds.")
+@click.option("--figure", type=click.Path(path_type=Path), help="--step: PNG to draw (default: LOG_step_T.png).")
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="What if: simulate LOG's run again with another parameter (MPC_...), or give its inputs to an estimator "
+    "with another option (model_aid ...); repeatable.",
+)
+@click.option("--open-loop", is_flag=True, help="--set: the recorded inputs instead of a simulation.")
 @click.option("--only", type=click.Choice(("estimator",)), help="Replay the estimator alone.")
 @click.option("--estimator", callback=part_name, help="The estimator alone: another one than the run's.")
-@click.option(
-    "--set", "changes", multiple=True, metavar="NAME=VALUE", help="Change an estimator option (estimator alone)."
-)
 @click.option("--out", type=click.Path(path_type=Path), help="Keep what was replayed: .mcap (estimator: or .csv).")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 def replay(
     log_file: Path,
+    step_s: float | None,
+    figure: Path | None,
+    changes: tuple[str, ...],
+    open_loop: bool,
     only: str | None,
     estimator: str | None,
-    changes: tuple[str, ...],
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -41,14 +55,140 @@ def replay(
     """
     from autopilot.log.reader import open_log
 
+    # Options of the estimator are small, parameters are large.
+    parameters = tuple(text for text in changes if text[:1].isupper())
+    if parameters and (len(parameters) < len(changes) or only or estimator or step_s is not None):
+        raise click.UsageError("--set with parameters goes with neither estimator options nor --step")
+    if open_loop and not parameters:
+        raise click.UsageError("--open-loop needs --set NAME=VALUE with a parameter")
     opened = open_log(log_file)
-    if only or estimator or changes:
+    if step_s is not None:
+        _take_apart(opened, step_s, figure, as_json=as_json)
+    elif parameters:
+        _what_if(opened, parameters, out, in_open_loop=open_loop, as_json=as_json)
+    elif only or estimator or changes:
         _estimator_alone(opened, estimator, changes, out, as_json=as_json)
-        return
-    from autopilot.run.sitl_replay import replay_service
+    else:
+        from autopilot.run.sitl_replay import replay_service
 
-    _tell_versions(opened)
-    _tell(opened, replay_service(opened, out=out), as_json=as_json)
+        _tell_versions(opened)
+        _tell(opened, replay_service(opened, out=out), as_json=as_json)
+
+
+def _take_apart(opened: "Log", step_s: float, figure: Path | None, *, as_json: bool) -> None:
+    """One control step: what limits it, how far it is from the converged plan, what lies on the other sides."""
+    from autopilot.bench.step_figure import write_step_figure
+    from autopilot.bench.step_replay import look_at_step, worst
+
+    view = look_at_step(opened, step_s)
+    path = figure or opened.path.with_name(f"{opened.path.stem}_step_{view.t_s:.2f}.png")
+    write_step_figure(view, path)
+    apart, status = worst(view), view.output.status
+    if as_json:
+        others = [{"obstacle": o.obstacle, "side": o.side, "way_m": o.way_m, "other_m": o.other_m} for o in view.others]
+        emit_json(
+            {
+                "log": str(opened.path),
+                "t_s": view.t_s,
+                "status": status.status.name,
+                "fallback": status.fallback.name,
+                "qps": status.iterations,
+                "thrust_n": view.output.thrust_n.tolist(),
+                "converged": view.converged,
+                "rounds": view.rounds,
+                "cost": view.plan_cost,
+                "converged_cost": view.best_cost,
+                "apart": apart,
+                "limits": [asdict(limit) for limit in view.limits],
+                "other_sides": others,
+                "figure": str(path),
+            }
+        )
+        return
+    click.echo(
+        f"{opened.path}: control step at {view.t_s:.2f} s: {status.status.name}, {status.iterations} QP, "
+        f"fallback {status.fallback.name}"
+    )
+    forces = ", ".join(
+        f"{name} {force:.2f}" for name, force in zip(view.thrusters, view.output.thrust_n.tolist(), strict=True)
+    )
+    click.echo(f"thrust [N]: {forces}")
+    north, east, down = view.goal.pos_ned_m.tolist()
+    click.echo(f"goal: N {north:.2f} E {east:.2f} D {down:.2f}, item {view.goal.seq}; plan: {view.grid_t_s[-1]:.1f} s")
+    how = f"converged in {view.rounds} rounds" if view.converged else f"not converged in {view.rounds} rounds"
+    click.echo(
+        f"real-time step against IPOPT ({how}): cost {view.plan_cost:.4g} against {view.best_cost:.4g}, "
+        f"place {1e3 * apart['place_m']:.1f} mm, first thrust {apart['first_thrust_n']:.3f} N apart"
+    )
+    limits = [
+        (one.name, one.value, f"{one.from_s:.2f}", f"{one.to_s:.2f}", f"{one.multiplier:.3g}") for one in view.limits
+    ]
+    if limits:
+        print_table("limits that hold the plan", ("limit", "value", "from, s", "to, s", "multiplier"), limits)
+    else:
+        click.echo("no limit holds the plan")
+    sides = [
+        (
+            one.obstacle,
+            one.side,
+            f"{one.way_m:.2f}",
+            "-" if one.other_m is None else f"{one.other_m:.2f}",
+            "no such way" if one.other_m is None else f"{one.other_m - one.way_m:+.2f}",
+        )
+        for one in view.others
+    ]
+    if sides:
+        print_table(
+            "obstacles beside the way: how long it would be on their other side",
+            ("obstacle", "passed to", "way, m", "other side, m", "difference, m"),
+            sides,
+        )
+    click.echo(str(path))
+
+
+def _what_if(opened: "Log", texts: tuple[str, ...], out: Path | None, *, in_open_loop: bool, as_json: bool) -> None:
+    """The same run with other parameters."""
+    from autopilot.bench.what_if import closed_loop, open_loop, read_changes
+
+    changes = read_changes(opened, texts)
+    if in_open_loop:
+        flat = open_loop(opened, changes, out)
+        if as_json:
+            emit_json({"log": str(opened.path), "loop": "open", **asdict(flat)})
+            return
+        _tell_changes(opened, "open loop: the recorded inputs, so the vehicle stays where it was", flat.changes)
+        click.echo(
+            f"{flat.steps} control steps: thrust rms {flat.rms_before_n:.3f} N then, {flat.rms_after_n:.3f} N now, "
+            f"difference rms {flat.rms_n:.3f} N, largest {flat.largest_n:.2f} N at {flat.largest_at_s:.2f} s"
+        )
+        return
+    found = closed_loop(opened, changes, out)
+    if as_json:
+        emit_json({"log": str(opened.path), "loop": "closed", **asdict(found)})
+        return
+    _tell_changes(opened, "closed loop: simulated again", found.changes)
+    print_table("figures", ("figure", "then", "now", "change"), moved_rows(found.moved))
+    for remark in found.remarks:
+        click.echo(f"note: {remark}", err=True)
+
+
+def moved_rows(moved: "Sequence[Moved]") -> list[tuple[str, str, str, str]]:
+    """Rows of a table of figures: then, now, change."""
+    return [
+        (
+            one.figure,
+            "-" if one.before is None else f"{one.before:.6g}",
+            "-" if one.after is None else f"{one.after:.6g}",
+            "" if one.same else "new" if one.share is None else f"{100.0 * one.share:+.2f} %",
+        )
+        for one in moved
+    ]
+
+
+def _tell_changes(opened: "Log", how: str, changes: "Sequence[tuple[str, float, float]]") -> None:
+    click.echo(f"{opened.path}, {how}")
+    for name, then, now in changes:
+        click.echo(f"  {name} = {now:g} (was {then:g})")
 
 
 def _tell_versions(opened: "Log") -> None:

@@ -134,6 +134,10 @@ class MotionController:
         self._told_fence: Fence | None = None
         self._obstructions = Obstructions()
         self._movers: Movers | None = None
+        self.situation: Situation | None = None
+        """Of the last step that had a plan made, for a look at it afterwards."""
+        self.reference: Reference | None = None
+        """The same."""
         self.reset()
 
     @property
@@ -229,6 +233,7 @@ class MotionController:
             last_plan=self.nmpc.x if self._plan_age_s == 0.0 else None,
         )
         reference = self._guidance.reference(now)
+        self.situation, self.reference = now, reference
         start = self._warm_start(now, reference, elapsed_s)
         found = self._program.solve(start, now, reference, self._movers)
         result = found.result
@@ -291,6 +296,11 @@ class MotionController:
         for part in (self.margins, self.regions, self._penalty, self._fallbacks, self._guidance):
             first += part.take_news()
         return first
+
+    @property
+    def keep_m(self) -> FloatArray:
+        """(N,) what the nodes of the last plan kept from every boundary, body included."""
+        return self._program.keep_m.copy()
 
     @property
     def solver(self) -> str:

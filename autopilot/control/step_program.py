@@ -109,6 +109,11 @@ class StepProgram:
         self._last_us = 0
         self._cleared: tuple[Planner, list[float], float] | None = None
 
+    @property
+    def keep_m(self) -> FloatArray:
+        """(N,) what the nodes of the last plan kept from every boundary, body included."""
+        return self._bounds.keep_m
+
     def reset(self) -> None:
         """Forget what the last steps left behind."""
         self._speed_back_off_m_s = 0.0

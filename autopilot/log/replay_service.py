@@ -86,15 +86,14 @@ class ServiceInputs:
 
     def __init__(self, log: Log) -> None:
         self._log = log
-        for topic in (TICK, NOTES):
-            if topic not in log:
-                raise LogError(
-                    f"{log.path}: has no messages on {topic}, which replay needs; record the run with this version"
-                )
-        self._topics = [TICK, NOTES, *(topic for topic in SAMPLES if topic in log)]
+        if TICK not in log:
+            raise LogError(
+                f"{log.path}: has no messages on {TICK}, which replay needs; record the run with this version"
+            )
+        self._topics = [TICK, *(topic for topic in (NOTES, *SAMPLES) if topic in log)]
         log.load([*self._topics, BYTES])
         self._tables: list[Table | None] = [log[topic] if topic != NOTES else None for topic in self._topics]
-        self._notes = log.messages(NOTES)
+        self._notes = log.messages(NOTES) if NOTES in log else []
         self._streams = _streams(log)
         self._standing = Standing()
         self.stopped = ""

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -12,7 +13,9 @@ from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs
 from autopilot.log import replay_service
 from autopilot.log.reader import Log, open_log
+from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_replay import replay_service as replayed
+from autopilot.run.sitl_session import open_sitl
 
 
 @pytest.mark.parametrize(("sensors", "duration_s"), [("pose", 5.0), ("camera", 2.5)])
@@ -30,9 +33,14 @@ def test_a_flight_gives_the_same_bits(session: OpenSession, tmp_path: Path, sens
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory, open_session: OpenSession) -> Path:
-    path = tmp_path_factory.mktemp("replay") / "flown.mcap"
-    open_session(sensors="pose", plan=str(PAPER_PLAN), start=True, duration=3.0, log=path).run()
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("replay")
+    path = folder / "flown.mcap"
+    given = {"scenario": "paper-tank", "speed": 0.0, "sensors": "pose", "start": True, "duration": 3.0}
+    settings = gather(sitl_defaults(0), given, {})
+    for name, value in (("connect", ()), ("state_dir", str(folder)), ("log", str(path))):
+        settings.put(name, value, "test")
+    open_sitl(settings, {}).run()
     return path
 
 
@@ -40,7 +48,7 @@ def test_one_bit_of_one_input_is_found(flown: Path, monkeypatch: pytest.MonkeyPa
     at_us = 2_000_000
     whole = replay_service.ServiceInputs._whole
 
-    def one_bit_off(self: replay_service.ServiceInputs, tick: object, samples: list, *rest: object, **more: object):  # type: ignore[no-untyped-def, type-arg]
+    def one_bit_off(self: Any, tick: Any, samples: list[Any], *rest: Any, **more: Any) -> Any:
         for number, sample in enumerate(samples):
             if sample.t_us == at_us and hasattr(sample, "rate_frd_rad_s"):
                 rate = sample.rate_frd_rad_s.copy()

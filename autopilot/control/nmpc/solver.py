@@ -238,6 +238,11 @@ class Nmpc:
         """Name of the solver in use."""
         return self._step.backend.plugin
 
+    @property
+    def guess(self) -> tuple[FloatArray, FloatArray]:
+        """States (N+1, 8) and thrust (N, thrusters) that the last QP was made around."""
+        return self._step.x_guess.copy(), self._step.u_guess.copy()
+
     def set_plan(self, x: FloatArray, thrust_n: FloatArray) -> None:
         """Start from this guess: states (N+1, 8) and thrust (N, thrusters)."""
         self.x[:], self.u[:] = x, thrust_n
