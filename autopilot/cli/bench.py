@@ -2,7 +2,7 @@
 
 import click
 
-from autopilot.cli import bench_judged, bench_rows
+from autopilot.cli import bench_judged, bench_replay, bench_rows
 from autopilot.cli.bench_rows import Work
 from autopilot.cli.bench_tables import TITLES, names
 from autopilot.cli.output import emit_json
@@ -89,5 +89,6 @@ for _command in (
     *(bench_rows.energy_latency, bench_rows.loop, bench_rows.modes),
     *(bench_judged.faults, bench_judged.fuzz, bench_judged.sensor_faults, bench_judged.detection),
     *(bench_judged.vehicles, bench_judged.kills, bench_judged.soak, bench_judged.thruster_health),
+    *(bench_replay.replay, bench_replay.reference),
 ):
     bench.add_command(_command)

@@ -1,0 +1,72 @@
+"""``autopilot bench replay`` and ``bench reference``: does a flight repeat itself, and did it always do so?"""
+
+from dataclasses import asdict
+
+import click
+
+from autopilot.cli.log_replay import moved_rows
+from autopilot.cli.output import emit_json, print_table
+
+EXIT_DIFFERENT = 1
+
+_JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+
+
+@click.command()
+@click.option("--short", is_flag=True, help="5 s of each flight instead of 30.")
+@click.option("--only", multiple=True, metavar="SCENARIO", help="Only this scenario; repeatable.")
+@_JSON
+def replay(only: tuple[str, ...], short: bool, as_json: bool) -> None:
+    """Every shipped scenario flown and replayed, bit for bit.
+
+    30 s (--short: 5 s) of each, with pictures and without, and one in real time (an hour, a quarter with --short; exit
+    code 1 if anything differs).
+    """
+    from autopilot.bench.replays import replay_rows
+
+    rows = list(replay_rows(short=short, only=only))
+    if as_json:
+        emit_json([asdict(row) for row in rows])
+    else:
+        print_table(
+            "flights and their replays",
+            ("flight", "sensors", "speed", "ticks", "messages", "fields that differ", "first"),
+            [
+                (r.flight, r.sensors, f"{r.speed:g}", r.ticks, r.messages, r.differences, r.first or "all the same")
+                for r in rows
+            ],
+        )
+    if any(row.differences or row.first for row in rows):
+        raise click.exceptions.Exit(EXIT_DIFFERENT)
+
+
+@click.command()
+@click.option("--short", is_flag=True, help="Only the short flight.")
+@click.option("--only", multiple=True, metavar="NAME", help="Only this flight; repeatable.")
+@click.option("--update", is_flag=True, help="Keep the figures as those of this version.")
+@_JSON
+def reference(only: tuple[str, ...], short: bool, update: bool, as_json: bool) -> None:
+    """Figures of the reference flights, and which of them have moved.
+
+    Flies them and shows what has moved since the figures were kept (some minutes, one with --short; exit code 1 if any
+    has and --update is not given).
+    """
+    from autopilot.bench.reference_flights import FLIGHTS, SHORT, changes, flown, keep, read_release
+
+    before = read_release()
+    after = flown(only or (SHORT if short else FLIGHTS))
+    found = changes(before, after)
+    if as_json:
+        emit_json({name: [asdict(one) for one in rows] for name, rows in found.items()})
+    else:
+        for name, rows in found.items():
+            kept = len(before.flights.get(name, {}))
+            if rows:
+                title = f"{name}: {len(rows)} figures have moved since {before.revision or 'never kept'}"
+                print_table(title, ("figure", "kept", "now", "change"), moved_rows(rows))
+            else:
+                click.echo(f"{name}: all {kept} figures as they were at {before.revision}")
+    if update:
+        keep(after)
+    elif any(found.values()):
+        raise click.exceptions.Exit(EXIT_DIFFERENT)
