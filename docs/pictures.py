@@ -2,12 +2,13 @@
 
 Flies the paper's mission for some seconds and photographs the live view as a desk and a phone show it; photographs the
 report of LOG, and draws into a picture of its camera what was found there. Writes docs/figures/view_desk.png,
-view_phone.png, report.png (these need a Chromium: docs/browser.py) and camera.jpg. Without one docs/view_picture.py
-draws the view by the page's own code in node.
+view_phone.png, report.png (these need a Chromium: docs/browser.py), demo_xy.png and camera.jpg. Without one
+docs/view_picture.py draws the view by the page's own code in node.
 """
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -92,6 +93,14 @@ def reported(log: Path) -> None:
     cv2.imwrite(str(FIGURES / "report.png"), small)
 
 
+def drawn(log: Path) -> None:
+    """Where it went, as `log plot` draws it."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = autopilot_command("log", "plot", str(log.resolve()), "--out", folder)
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        shutil.copy(Path(folder) / "1_trajectory.png", FIGURES / "demo_xy.png")
+
+
 def seen(log: Path) -> None:
     """A picture of the camera with the markers that were found in it."""
     opened = open_log(log)
@@ -115,6 +124,7 @@ def main(log: Path) -> None:
     """All of them."""
     if not log.exists():
         sys.exit(f"{log}: there is no such log; `autopilot demo` makes one")
+    drawn(log)
     seen(log)
     if browser.found() is None:
         sys.exit("no Chromium here (CHROMIUM names one): the pictures of pages are as they were")
