@@ -238,7 +238,8 @@ def _named(fence: Fence) -> list[tuple[str, Shape]]:
 def _middle(shape: Shape) -> FloatArray:
     if isinstance(shape, Circle):
         return np.asarray(shape.center_ned_m, dtype=float)
-    return np.asarray(shape.vertices_ned_m, dtype=float).mean(axis=0)
+    middle: FloatArray = np.asarray(shape.vertices_ned_m, dtype=float).mean(axis=0)
+    return middle
 
 
 def _place(shape: Shape) -> str:

@@ -1,5 +1,7 @@
 """A recorded run through the whole service again: everything that comes out is the same, and what is not is found."""
 
+import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,15 +15,23 @@ from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs
 from autopilot.log import replay_service
 from autopilot.log.reader import Log, open_log
+from autopilot.mavlink.dialect import mav
 from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.signing_files import SigningFiles
 from autopilot.run.sitl_replay import replay_service as replayed
 from autopilot.run.sitl_session import open_sitl
 
 
-@pytest.mark.parametrize(("sensors", "duration_s"), [("pose", 5.0), ("camera", 2.5)])
-def test_a_flight_gives_the_same_bits(session: OpenSession, tmp_path: Path, sensors: str, duration_s: float) -> None:
+@pytest.mark.parametrize(
+    ("sensors", "duration_s", "speed"), [("pose", 5.0, 0.0), ("camera", 2.5, 0.0), ("pose", 4.0, 20.0)]
+)
+def test_a_flight_gives_the_same_bits(
+    session: OpenSession, tmp_path: Path, sensors: str, duration_s: float, speed: float
+) -> None:
+    """In lockstep with pictures and without, and at a speed, where answers come when they are ready."""
     path = tmp_path / "flight.mcap"
-    session(sensors=sensors, plan=str(PAPER_PLAN), start=True, duration=duration_s, log=path).run()
+    given = {"sensors": sensors, "duration": duration_s, "speed": speed}
+    session(plan=str(PAPER_PLAN), start=True, params={"MPC_COST": 1.0}, log=path, **given).run()
     log = open_log(path)
     assert ("/in/markers" in log) == (sensors == "camera")
     result = replayed(log)
@@ -30,6 +40,38 @@ def test_a_flight_gives_the_same_bits(session: OpenSession, tmp_path: Path, sens
     assert result.stopped == ""
     assert log.topics["/out/mavlink"].count > 20
     assert log["/out/thrusters"]["thrust_n"].any()
+
+
+class Signer:
+    """A client that signs, every other heartbeat with a key that nobody knows."""
+
+    def __init__(self, key: bytes) -> None:
+        self._codecs = []
+        for secret in (key, bytes(31) + b"x"):
+            codec = mav.MAVLink(None, 255, 190)
+            codec.signing.secret_key, codec.signing.sign_outgoing = secret, True
+            codec.signing.timestamp = int((time.time() - 1_420_070_400) * 1e5)
+            self._codecs.append(codec)
+
+    def step(self, t_us: int, received: Sequence[bytes]) -> list[bytes]:
+        if t_us % 200_000:
+            return []
+        codec = self._codecs[t_us // 200_000 % 2]
+        return [bytes(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3).pack(codec))]
+
+
+def test_signed_links_replay_without_the_key(session: OpenSession, tmp_path: Path) -> None:
+    key, path = bytes(range(1, 33)), tmp_path / "signed.mcap"
+    SigningFiles(tmp_path / "state" / "sitl-0").write_key(key)
+    session(sensors="pose", duration=2.0, log=path, peers=(Signer(key),)).run()
+    log = open_log(path)
+    sent = log["/out/mavlink"]
+    assert (sent["data"][:, 2] & 1).all()
+    result = replayed(log)
+    assert result.same, [str(one) for one in result.differences]
+    refused = [message.value["msg"] for message in log.messages("/rosout") if "unknown key" in message.value["msg"]]
+    assert refused
+    assert not any(key in data or key.hex().encode() in data for data in log.attachments.values())
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +92,7 @@ def test_one_bit_of_one_input_is_found(flown: Path, monkeypatch: pytest.MonkeyPa
 
     def one_bit_off(self: Any, tick: Any, samples: list[Any], *rest: Any, **more: Any) -> Any:
         for number, sample in enumerate(samples):
-            if sample.t_us == at_us and hasattr(sample, "rate_frd_rad_s"):
+            if int(tick["t_us"]) == at_us and hasattr(sample, "rate_frd_rad_s"):
                 rate = sample.rate_frd_rad_s.copy()
                 rate[2] += 1e-9
                 samples[number] = replace(sample, rate_frd_rad_s=rate)
