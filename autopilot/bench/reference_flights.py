@@ -13,6 +13,7 @@ import msgspec
 
 from autopilot import __version__
 from autopilot.bench.flight_figures import Figures, Moved, figures_of, moved
+from autopilot.bench.replays import shipped_plan
 from autopilot.core.errors import ConfigError
 from autopilot.log.reader import open_log
 from autopilot.run.config import gather, sitl_defaults
@@ -67,6 +68,8 @@ def fly(flight: ReferenceFlight, folder: Path) -> Figures:
     path = folder / "flight.mcap"
     given = {"scenario": flight.scenario, "sensors": flight.sensors, "speed": 0.0, "start": True}
     settings = gather(sitl_defaults(0), given, {})
+    plan = shipped_plan(flight.scenario)
+    settings.put("plan", None if plan is None else str(plan), "reference flight")
     places = {"connect": (), "state_dir": str(folder / "state"), "log": str(path), "log_dir": str(folder)}
     for key, value in {**places, "duration": flight.duration_s}.items():
         settings.put(key, value, "reference flight")

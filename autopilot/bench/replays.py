@@ -6,16 +6,15 @@ A flight is cut short; what a replay must reproduce does not depend on how long 
 
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from autopilot.core.errors import AutopilotError, ConfigError
+from autopilot.core.errors import AutopilotError
 from autopilot.log.reader import open_log
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_replay import replay_service
 from autopilot.run.sitl_session import open_sitl
-from sitl.scenario import load_scenario, scenario_names
+from sitl.scenario import load_scenario, scenario_names, scenario_path
 
 FLIGHT_S, SHORT_S = 30.0, 5.0
 
@@ -75,8 +74,14 @@ def _fly(name: str, sensors: str, duration_s: float, speed: float, path: Path, p
     settings = gather(sitl_defaults(0), given, {})
     for key, value in (("connect", ()), ("state_dir", str(path.parent / "state")), ("log", str(path))):
         settings.put(key, value, "bench replay")
-    with suppress(ConfigError):
-        open_sitl(settings, params).run()
-        return
-    settings.put("start", False, "bench replay")  # a scenario without a plan
+    plan = shipped_plan(name)
+    if plan is None and load_scenario(name).scenario.plan is None:
+        settings.put("start", False, "bench replay")
+    settings.put("plan", None if plan is None else str(plan), "bench replay")
     open_sitl(settings, params).run()
+
+
+def shipped_plan(name: str) -> Path | None:
+    """The plan that lies beside a scenario, None where it names its own or has none."""
+    path = scenario_path(name).with_suffix(".mission.toml")
+    return path if load_scenario(name).scenario.plan is None and path.is_file() else None

@@ -12,7 +12,6 @@ import numpy as np
 from autopilot.bench.ipopt import PLANE, IpoptNmpc
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.solver import PLANES, NmpcProblem
-from autopilot.control.way.guidance import Situation
 from autopilot.control.way.planner import Planner
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
@@ -33,6 +32,8 @@ BESIDE_M = 1.5
 """An obstacle is beside the way if it comes nearer than this to route or prediction."""
 WALL_M = 0.02
 """Half the thickness of the wall that closes one side of an obstacle."""
+WALL_ROOM_M = 0.08
+"""Between the wall, with what ways keep from it, and the ends of the way."""
 OPEN_WALL_M = 20.0
 """Its length where there is no workspace."""
 
@@ -127,7 +128,14 @@ def look_at_step(log: Log, t_s: float) -> StepView:
         plan_cost=plan_cost,
         best_cost=exact.cost,
         limits=_active(exact, final, best_x, nmpc.grid.t_s, controller.keep_m, now.fence, thrusters),
-        others=_other_sides(now, output.route_ned_m, best_x),
+        others=other_sides(
+            now.fence,
+            now.radius_m,
+            now.x0[:2].copy(),
+            np.array(now.goal.pos_ned_m[:2], dtype=float),
+            output.route_ned_m,
+            best_x[:, :2],
+        ),
     )
 
 
@@ -247,24 +255,28 @@ def _place(shape: Shape) -> str:
     return f"N {north:.2f} E {east:.2f}" + (f" r {shape.radius_m:.2f}" if isinstance(shape, Circle) else "")
 
 
-def _other_sides(now: Situation, route: FloatArray, plan_x: FloatArray) -> tuple[OtherSide, ...]:
-    """For every obstacle beside route or prediction the way that has it on the other hand."""
-    goal = np.asarray(now.goal.pos_ned_m[:2], dtype=float)
-    way = np.vstack([route[:, :2], goal]) if len(route) < 2 else route[:, :2]
-    line = np.vstack([_sampled(way), plan_x[:, :2]])
+def other_sides(
+    fence: Fence, radius_m: float, start: FloatArray, goal: FloatArray, route: FloatArray, plan: FloatArray
+) -> tuple[OtherSide, ...]:
+    """For every obstacle beside route (m, 2) or prediction (n, 2) the way from ``start`` to ``goal`` (2,) that has it
+    on the other hand. ``radius_m``: what ways keep."""
+    way = np.vstack([start, goal]) if len(route) < 2 else route[:, :2]
+    line = np.vstack([_sampled(way), plan])
     found = []
-    for name, shape in _named(now.fence)[: len(now.fence.exclusions)]:
+    for name, shape in _named(fence)[: len(fence.exclusions)]:
         near = clearance_m(shape, line)
         if float(near.min()) > BESIDE_M:
             continue
-        center, at = _middle(shape), int(np.argmin(clearance_m(shape, _sampled(way))))
-        points = _sampled(way)
+        center, points = _middle(shape), _sampled(way)
+        at = _crossing(center, points, clearance_m(shape, points), radius_m)
+        if at is None:
+            continue  # one end of the way lies beside it: it is passed already, or not at all
         ahead = points[min(at + 1, len(points) - 1)] - points[max(at - 1, 0)]
         off = center - points[at]
         side = "starboard" if ahead[0] * off[1] - ahead[1] * off[0] > 0.0 else "port"
-        wall = _wall(now.fence, center, points[at] - center)
-        closed = replace(now.fence, exclusions=(*now.fence.exclusions, wall))
-        other = Planner(closed, now.radius_m).path(now.x0[:2].copy(), goal)
+        wall = _wall(fence, center, points[at] - center)
+        closed = replace(fence, exclusions=(*fence.exclusions, wall))
+        other = Planner(closed, radius_m).path(start, goal)
         found.append(
             OtherSide(
                 obstacle=name,
@@ -276,6 +288,19 @@ def _other_sides(now: Situation, route: FloatArray, plan_x: FloatArray) -> tuple
             )
         )
     return tuple(found)
+
+
+def _crossing(center: FloatArray, points: FloatArray, near_m: FloatArray, radius_m: float) -> int | None:
+    """Where a wall from an obstacle may cross the way: near the obstacle, and leaving room at both ends."""
+    for at in np.argsort(near_m, kind="stable").tolist():
+        towards = points[at] - center
+        along = towards / max(float(np.hypot(*towards)), 1e-9)
+        ends = points[[0, -1]] - center
+        ahead = np.maximum(ends @ along, 0.0)
+        off_m = np.hypot(*(ends - ahead[:, None] * along).T)
+        if float(off_m.min()) > radius_m + WALL_ROOM_M:
+            return int(at)
+    return None
 
 
 def _wall(fence: Fence, center: FloatArray, towards: FloatArray) -> Polygon:
