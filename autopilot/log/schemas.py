@@ -118,7 +118,7 @@ int32 seq  # mission item, -1 none
 std_msgs/Header header
 uint8 active  # 0 = the goal is a place, and nothing below counts
 float64 north_m_s  # over ground; both 0 = the goal's place is held
-float64 east_m_s
+float64 east_m_s  # the same
 float64 turn_rad_s  # the direction of that velocity turns so fast
 float64 down_m_s  # NaN = the goal's depth
 float64 yaw_rate_rad_s  # NaN = the goal's heading
@@ -224,15 +224,15 @@ float64[16] share  # where each really is: 0 dark, off, closed; 1 bright, on, op
 """,
     "autopilot_msgs/Still": """
 std_msgs/Header header  # time of the exposure, as that of its picture in /payload/image
-uint32 index
+uint32 index  # number of the still in this run
 int32 seq  # mission item that asked for it, -1 = a client
 uint8 stored  # 0 = there is no picture: see /rosout
-uint8 pose_known
+uint8 pose_known  # 0 = there was no estimate then, and the pose is not meant
 float64[3] pos_ned_m  # of the vehicle at the exposure, as estimated
-float64[3] rpy_rad
+float64[3] rpy_rad  # roll, pitch, yaw
 float64[6] variance  # of both
-uint16 width_px
-uint16 height_px
+uint16 width_px  # of the picture
+uint16 height_px  # of the picture
 uint32 size  # bytes
 float64 delay_s  # from the exposure until it was stored
 """,
