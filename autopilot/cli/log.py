@@ -87,7 +87,7 @@ def report(log_file: Path, out: Path | None) -> None:
 @_LOG
 @click.option("--out", type=click.Path(path_type=Path), help="Folder to write into (default: LOG without its ending).")
 def plot(log_file: Path, out: Path | None) -> None:
-    """Draw LOG as PNG figures: the paper's five, errors of the estimate, solve time, energy, current."""
+    """Draw LOG as PNG and PDF figures: the paper's five, errors of the estimate, solve time, energy, current."""
     from autopilot.log.figures import write_figures
     from autopilot.log.reader import open_log
 

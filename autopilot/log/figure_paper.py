@@ -25,6 +25,11 @@ from autopilot.log.figure_parts import (
 )
 from autopilot.log.figure_plan import draw_plan
 
+HEADS, HEAD_M = 6, 0.08
+"""Arrow heads on the way of a lap, and how long they are."""
+FLOW_EVERY_M, MOST_FLOWS = 0.25, 90
+LEAST_FLOW_M_S = 0.005
+
 
 def trajectory(scene: Scene) -> Figure | None:
     """The way in the horizontal plane, one colour per lap."""
@@ -39,13 +44,54 @@ def trajectory(scene: Scene) -> Figure | None:
         keep = lap.holds(scene.track.t_s)
         color = LAP_COLORS[number % len(LAP_COLORS)]
         ax.plot(plane[keep, 0], plane[keep, 1], color=color, linewidth=1.3, label=f"lap {number + 1}")
+        _direction(ax, plane[keep, :2], color)
     ax.plot(plane[0, 0], plane[0, 1], "k^", markersize=4, label="start")
+    _jet(ax, scene)
     legend_above(ax, 4)
     ax.set_aspect("equal")
     ax.yaxis.set_inverted(True)
     ax.set_xlabel("x, north [m]")
     ax.set_ylabel("y, east [m]")
     return figure
+
+
+def _direction(ax: Axes, plane_m: FloatArray, color: str) -> None:
+    """Arrow heads along a way (n, 2), evenly by its length."""
+    steps = np.hypot(*np.diff(plane_m, axis=0).T)
+    along = np.concatenate(([0.0], np.cumsum(steps)))
+    if along[-1] <= 0.0:
+        return
+    for share in (np.arange(HEADS) + 0.5) / HEADS:
+        at = min(int(np.searchsorted(along, share * along[-1])), len(plane_m) - 2)
+        ahead = min(int(np.searchsorted(along, share * along[-1] + HEAD_M)), len(plane_m) - 1)
+        if ahead > at:
+            style = {"arrowstyle": "-|>", "color": color, "linewidth": 0.0, "mutation_scale": 11.0}
+            ax.annotate("", plane_m[ahead], plane_m[at], arrowprops=style)
+
+
+def _jet(ax: Axes, scene: Scene) -> None:
+    """The current where the vehicle met it, nothing where there was none worth drawing."""
+    track = scene.track
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(track.pos_ned_m[:, :2], axis=0).T))))
+    rows = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], max(along[-1] / MOST_FLOWS, FLOW_EVERY_M))))
+    flow = track.current_ned_m_s[rows, :2]
+    fastest = float(np.hypot(*flow.T).max(initial=0.0)) if np.isfinite(flow).all() else 0.0
+    if fastest < LEAST_FLOW_M_S:
+        return
+    place = track.pos_ned_m[rows, :2]
+    arrows = ax.quiver(
+        *place.T,
+        *flow.T,
+        color="#17a2b8",
+        alpha=0.8,
+        width=0.0025,
+        angles="xy",
+        scale_units="xy",
+        scale=0.5,
+        zorder=1.5,
+    )
+    told = min((0.05, 0.1, 0.2, 0.5), key=lambda speed: abs(speed - fastest))
+    ax.quiverkey(arrows, 0.04, 1.05, told, f"current {told:g} m/s", labelpos="E", color="#17a2b8")
 
 
 def depth_and_yaw(scene: Scene) -> Figure | None:

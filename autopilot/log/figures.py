@@ -1,4 +1,4 @@
-"""Figures of a run as PNG files: the five of the paper (section IV), and what its readers ask for next."""
+"""Figures of a run as PNG and PDF files: the five of the paper (section IV), and what its readers ask for next."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -42,7 +42,8 @@ def write_figures(log: Log, folder: Path) -> list[Path]:
                 if figure is not None:
                     path = folder / f"{name}.png"
                     figure.savefig(path, dpi=DPI)
-                    written.append(path)
+                    figure.savefig(path.with_suffix(".pdf"))
+                    written += [path, path.with_suffix(".pdf")]
     except OSError as error:
         raise LogError(f"{folder}: figures cannot be written ({error.strerror}); choose another place") from error
     return written

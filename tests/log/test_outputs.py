@@ -75,8 +75,10 @@ def figures(run_log: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Pat
     code, out = call("plot", run_log, "--out", folder)
     assert code == 0
     paths = [Path(line) for line in out.splitlines()]
-    assert sorted(folder.iterdir()) == paths
-    return paths
+    assert sorted(folder.iterdir()) == sorted(paths)
+    for path in paths[1::2]:
+        assert path.suffix == ".pdf" and path.read_bytes().startswith(b"%PDF-")
+    return paths[::2]
 
 
 @pytest.fixture(scope="module")
