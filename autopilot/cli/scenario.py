@@ -70,7 +70,7 @@ def check(file: str, vehicle: str | None, as_json: bool) -> None:
 
     Exit code 1, with the reason, if it cannot be simulated or its plan not flown; 3 with remarks.
     """
-    from autopilot.run.scenario_check import check_scenario
+    from autopilot.run.sitl_check import check_scenario
     from sitl.scenario import load_scenario, with_vehicle
 
     known = load_scenario(file)
@@ -96,7 +96,7 @@ def check(file: str, vehicle: str | None, as_json: bool) -> None:
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path(), help="Folder (default: here).")
 def new(name: str, source: str, out: Path) -> None:
     """Write NAME.toml, a commented copy to edit, with its plan and what else it needs beside it."""
-    from autopilot.run.scenario_copy import copy_scenario
+    from autopilot.run.sitl_copy import copy_scenario
 
     for path in copy_scenario(name, source, out):
         click.echo(str(path))
@@ -111,7 +111,7 @@ def new(name: str, source: str, out: Path) -> None:
 def plan(file: str, out: Path, force: bool) -> None:
     """Write the plan of a scenario, with the fence that it draws, for QGroundControl or autopilot mission upload."""
     from autopilot.core.errors import ConfigError
-    from autopilot.run.scenario_fence import scenario_plan
+    from autopilot.run.sitl_fence import scenario_plan
     from mission.plan_files import read_plan, write_plan
     from sitl.scenario import load_scenario, plan_path
 

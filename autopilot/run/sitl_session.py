@@ -24,7 +24,6 @@ from autopilot.run.downloads import log_shelf
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Onlooker, Onlookers, Peer
 from autopilot.run.recorder import NullRecorder, RunRecorder
-from autopilot.run.scenario_fence import scenario_plan
 from autopilot.run.service_record import service_attachments
 from autopilot.run.session import (
     FASTEST,
@@ -40,6 +39,7 @@ from autopilot.run.session import (
 from autopilot.run.session_log import LogContents, marker_attachment, open_recorder
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.sitl_describe import describe_run
+from autopilot.run.sitl_fence import scenario_plan
 from autopilot.run.sitl_params import sitl_params, state_folder
 from autopilot.run.sitl_view import Steering, WatchedSitl
 from autopilot.run.sitl_world import World, forecast, knowledge, make_world, map_path

@@ -18,7 +18,7 @@ from autopilot.cli.scenario import scenario as command
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle
 from autopilot.core.toml_table import convert
-from autopilot.run.scenario_fence import drawn_fence, scenario_plan
+from autopilot.run.sitl_fence import drawn_fence, scenario_plan
 from mission.fence import read_fence
 from mission.plan_files import read_plan
 from sitl.grid_current import read_grid

@@ -11,8 +11,8 @@ from autopilot.core.geometry import Fence
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.core.vehicle_facts import facts_of
-from autopilot.run.scenario_fence import scenario_plan
 from autopilot.run.sitl_console import unknown_obstacles
+from autopilot.run.sitl_fence import scenario_plan
 from mission.fence import FenceShape, build_fence
 from mission.items import GoTo, Step
 from mission.judgement import judge_file
