@@ -58,6 +58,8 @@ class ServiceRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Whether parameters were kept on a disk."""
     shelf: bool
     """Whether there were logs to download."""
+    pictures: bool = False
+    """Whether there was a camera that delivered pictures."""
     signing: SigningRecord | None
     parameters: dict[str, float]
     """At the start."""

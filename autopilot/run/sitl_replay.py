@@ -32,8 +32,8 @@ from autopilot.run.sitl_world import formula
 from autopilot.run.witnessed import SHELF_ASKED
 from sitl.scenario import Scenario
 
-DRAWN = ("/viz/path", "/viz/markers", "/in/camera")
-"""What is written for viewers alone."""
+NOT_OURS = ("/sim/", "/viz/", "/in/camera")
+"""How topics begin that are the world's, or for viewers alone."""
 MAVLINK_OUT = "/out/mavlink"
 _SIGNED = 0x01
 _V2 = 0xFD
@@ -160,8 +160,8 @@ def _compared(log: Log, again: Log, ticks: int, rerun: Rerun) -> ReplayResult:
         for one in (log, again):
             if topic in one:
                 _without_tags(one[topic])
-    out_of_sight = [topic for topic in log.topics if topic.startswith("/sim/")]
-    ignored = {*WALL_CLOCK_TOPICS, *DRAWN, *out_of_sight}
+    out_of_sight = [topic for topic in (*log.topics, *again.topics) if topic.startswith(NOT_OURS)]
+    ignored = {*WALL_CLOCK_TOPICS, *out_of_sight}
     found = compare_logs(log, again, ignored, WALL_CLOCK_FIELDS, prefix=bool(stopped))
     if rerun.looked_at_logs_us is not None:
         since_s = 1e-6 * rerun.looked_at_logs_us

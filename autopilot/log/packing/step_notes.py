@@ -25,6 +25,7 @@ from autopilot.core.messages import (
     MavlinkFrame,
 )
 from autopilot.core.samples import FrameVerdict, PictureReport
+from autopilot.core.stills import CameraReport, StoredStill
 from autopilot.core.witness import Note
 from autopilot.log.cdr import CdrBuffer
 from autopilot.log.mavlink_frames import Removed
@@ -80,6 +81,10 @@ class StepNotes(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     answers: tuple[tuple[str, int, bool | int | str | tuple[int, str] | None], ...] = ()
     faults: tuple[tuple[int, str, str, str, str, str, str], ...] = ()
     """Exceptions of drivers."""
+    camera: tuple[int | None, int, int, str] | None = None
+    """Newest exposure, bytes in all and free, why no still can be stored."""
+    stills: tuple[tuple[int, int, str, int, int, int, str], ...] = ()
+    """What became of stills: number, exposure, file, width, height, bytes, problem."""
     log_lost: bool = False
     clock_jump_s: float = 0.0
     frame_counts: dict[str, int] | msgspec.UnsetType | None = UNSET
@@ -105,12 +110,14 @@ def notes_of(inputs: Inputs, removed: list[Removed], standing: Standing) -> Step
     ``removed``: what was taken out of each of ``inputs.mavlink_rx``.
     """
     below = None if inputs.below is None else _below_note(inputs.t_us, inputs.below)
+    camera = inputs.camera
     quiet = not (
         inputs.mavlink_rx or inputs.between or inputs.notices or inputs.troubles or inputs.pictures or inputs.answers
     )
     if (
         quiet
-        and not (inputs.faults or inputs.log_lost or inputs.clock_jump_s)
+        and not (inputs.faults or inputs.log_lost or inputs.clock_jump_s or inputs.stills)
+        and inputs.camera is None
         and inputs.frame_counts == standing.frame_counts
         and below == standing.below
         and inputs.refusals == standing.refusals
@@ -132,6 +139,10 @@ def notes_of(inputs: Inputs, removed: list[Removed], standing: Standing) -> Step
         pictures=tuple((p.t_us, p.verdict.value, p.contrast, p.white_share, p.black_share) for p in inputs.pictures),
         answers=tuple((note.kind, note.number, note.fact) for note in inputs.answers),
         faults=tuple((f.t_us, f.part, f.kind, f.place, f.text, f.traceback, f.inputs) for f in inputs.faults),
+        camera=None if camera is None else (camera.frame_us, camera.total_bytes, camera.free_bytes, camera.refusal),
+        stills=tuple(
+            (s.index, s.exposure_us, s.path, s.width_px, s.height_px, s.size, s.problem) for s in inputs.stills
+        ),
         log_lost=inputs.log_lost,
         clock_jump_s=inputs.clock_jump_s,
         frame_counts=UNSET if inputs.frame_counts == standing.frame_counts else _counts(inputs.frame_counts),
@@ -187,12 +198,21 @@ def inputs_with(inputs: Inputs, notes: StepNotes, datagrams: tuple[bytes, ...], 
             Fault(t_us=at, part=part, kind=kind, place=place, text=text, traceback=trace, inputs=given)
             for at, part, kind, place, text, trace, given in notes.faults
         ),
+        camera=None if notes.camera is None else _camera(*notes.camera),
+        stills=tuple(
+            StoredStill(index=i, exposure_us=at, path=path, width_px=w, height_px=h, size=size, problem=problem)
+            for i, at, path, w, h, size, problem in notes.stills
+        ),
         log_lost=notes.log_lost,
         clock_jump_s=notes.clock_jump_s,
         frame_counts=standing.frame_counts,
         below=None if standing.below is None else _below(t_us, standing.below),
         refusals=standing.refusals,
     )
+
+
+def _camera(frame_us: int | None, total_bytes: int, free_bytes: int, refusal: str) -> CameraReport:
+    return CameraReport(frame_us=frame_us, total_bytes=total_bytes, free_bytes=free_bytes, refusal=refusal)
 
 
 def _counts(counts: Mapping[str, int] | None) -> dict[str, int] | None:
