@@ -4,6 +4,7 @@ from dataclasses import asdict
 
 import click
 
+from autopilot.cli.bench_tables import TITLES
 from autopilot.cli.log_replay import moved_rows
 from autopilot.cli.output import emit_json, print_table
 
@@ -29,7 +30,7 @@ def replay(only: tuple[str, ...], short: bool, as_json: bool) -> None:
         emit_json([asdict(row) for row in rows])
     else:
         print_table(
-            "flights and their replays",
+            TITLES["replay"],
             ("flight", "sensors", "speed", "ticks", "messages", "fields that differ", "first"),
             [
                 (r.flight, r.sensors, f"{r.speed:g}", r.ticks, r.messages, r.differences, r.first or "all the same")

@@ -16,6 +16,8 @@ TITLES = {
     " called good for at most 1 s when far off, no contact, nothing blamed on thrusters",
     "thruster-health": "Sound and lossy thrusters; false = flights with a word about a sound one, false_below with 95 %"
     " confidence; times from the loss on, inf = not within 35 s",
+    "replay": "Flights and their replays: fields that differ, and the first of them",
+    "reference": "Figures of the reference flights that have moved since they were kept",
     "kills": "A service killed at random moments: changes accepted, killed in the middle of one, lost, and its logs",
     "soak": "Laps without end: memory after the warm-up, its growth per hour, descriptors",
     "vehicles": "Vehicles made at random, 20 s in open water each: flown or refused with the axis that lacks thrust",

@@ -14,11 +14,10 @@ import msgspec
 import numpy as np
 
 from autopilot.core.errors import LogError
-from autopilot.log.reader import Log, Table
+from autopilot.log.reader import Log
+from autopilot.log.table import Columns, flat_columns
 
 Kind: TypeAlias = Literal["csv", "parquet"]
-Columns: TypeAlias = dict[str, Any]
-"""Name -> one value per message."""
 
 
 def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind = "csv") -> Iterator[Path]:
@@ -69,16 +68,6 @@ def columns_of(log: Log, topic: str) -> Columns:
         t_us = np.array([message.t_us for message in messages], dtype=np.int64)
         values = [msgspec.json.encode(message.value, enc_hook=_plain).decode() for message in messages]
         return {"t_us": t_us, "t_s": t_us * 1e-6, "message": values}
-
-
-def flat_columns(table: Table) -> Columns:
-    """The fields of a fixed-size topic, arrays element by element."""
-    columns: Columns = {"t_us": table["t_us"], "t_s": table["t_us"] * 1e-6}
-    for name in (table.dtype.names or ())[1:]:
-        column = table[name]
-        for place in np.ndindex(*column.shape[1:]):
-            columns[name + "".join(f"[{index}]" for index in place)] = column[(slice(None), *place)]
-    return columns
 
 
 def _plain(value: object) -> object:

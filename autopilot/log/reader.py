@@ -4,7 +4,6 @@ Fixed-size topics are gathered chunk by chunk and viewed with the dtype that the
 variable size are decoded message by message. Damage is skipped and named in ``Log.problems``.
 """
 
-import importlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -18,31 +17,7 @@ from autopilot.core.errors import LogError
 from autopilot.log.cdr import Layout, Types, decode, fixed_layout, parse_definition, short_name
 from autopilot.log.container import MESSAGE, Contents, Damage, index_from_chunks, read_contents, records, unpack
 from autopilot.log.description import ATTACHMENT, RUN_RECORD, RunDescription, from_json
-
-
-class Table(np.ndarray[Any, np.dtype[np.void]]):
-    """One row per message: ``t_us`` (int64, the service's clock), ``sequence``, then the fields without the header.
-
-    A numpy structured array; what is picked out of it by the name of a field is a plain array.
-    """
-
-    def __getitem__(self, key: Any) -> Any:
-        found: Any = super().__getitem__(key)
-        return found.view(np.ndarray) if isinstance(key, str) else found
-
-    def to_pandas(self) -> Any:
-        """A pandas.DataFrame indexed by ``t_s``, arrays element by element (``pos_ned_m[0]``). LogError without
-        pandas."""
-        from autopilot.log.export import flat_columns  # which reads logs
-
-        try:
-            pandas = importlib.import_module("pandas")
-        except ImportError as error:
-            raise LogError(
-                "to_pandas() needs pandas: pip install pandas; without it tables are numpy arrays"
-            ) from error
-        return pandas.DataFrame(flat_columns(self)).set_index("t_s")
-
+from autopilot.log.table import Table as Table
 
 _EPOCH_DIGITS = 20
 """A Unix time in nanoseconds has fewer digits than this (until the year 2286)."""

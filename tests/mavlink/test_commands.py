@@ -294,7 +294,7 @@ def test_mission_start_counts_home_under_ardusub() -> None:
     upload(client, [waypoint(n) for n in range(4)])
     assert client.command(300, 2, 3) == R.ACCEPTED
     assert client.command(300, 0, 0) == R.ACCEPTED
-    assert world.vehicle.calls == [("start_mission", 1), ("start_mission", None)]
+    assert world.vehicle.calls == [("start_mission", 2), ("start_mission", None)]  # home is item 0 of the plan, too
 
 
 # Places

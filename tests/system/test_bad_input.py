@@ -100,7 +100,7 @@ BAD_WAYPOINTS = {
     "above the surface": (
         replace(PLAN.mission[0], seq=1, z=0.5),
         MissionResult.INVALID_PARAM7,
-        ("item 1", "0.50 m above the surface", "depth 0.4 m is altitude -0.4"),
+        ("item 1", "0.50 m above the surface", "altitude must be <= 0", "depth 0.4 m is -0.4"),
     ),
     "above the surface, local": (_local(1, 0.0, 0.0, -0.2), MissionResult.INVALID_PARAM7, ("item 1", "above")),
     "too deep": (_local(1, 0.0, 0.0, 3.0), MissionResult.INVALID_PARAM7, ("item 1", "3.00 m", "DEPTH_MAX")),

@@ -151,7 +151,7 @@ def test_shards_together_are_the_whole(flown: tuple[Path, str, Any], tmp_path: P
     assert first["finished"] == 1
     code, both = campaign(together, scenario, "--shard", "1/2")
     assert (code, both["finished"]) == (1, 2)
-    assert sorted(path.name for path in together.glob("runs*")) == ["runs-1of2.jsonl", "runs-2of2.jsonl"]
+    assert sorted(path.name for path in together.glob("runs*.jsonl")) == ["runs-1of2.jsonl", "runs-2of2.jsonl"]
     assert lines(together) == lines(out)
 
 
