@@ -8,6 +8,7 @@ for themselves.
 """
 
 import math
+import time
 from collections import deque
 
 import numpy as np
@@ -38,6 +39,11 @@ LOST_COUNT = 20
 """So many in a row off the line on one side: something in between has changed, and the line begins anew with them."""
 
 
+def machine_us() -> int:
+    """The machine's clock that only counts."""
+    return time.monotonic_ns() // 1000
+
+
 class LoopTime:
     """Turns the machine's monotonic clock into the loop's time.
 
@@ -55,6 +61,10 @@ class LoopTime:
     def at(self, clock_us: int) -> int:
         """The loop's time when the machine's clock said that; something must have been heard."""
         return clock_us + max(self._ahead_us)
+
+    def clock_at(self, t_us: int) -> int:
+        """What the machine's clock says at that time of the loop; something must have been heard."""
+        return t_us - max(self._ahead_us)
 
 
 class FrameClock:

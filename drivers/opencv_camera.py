@@ -8,7 +8,6 @@ left of it.
 
 import os
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any, Literal
@@ -20,7 +19,7 @@ from autopilot.core.samples import CameraFrame
 from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
 from drivers.base import Closing
-from drivers.frame_clock import FrameClock, LoopTime
+from drivers.frame_clock import FrameClock, LoopTime, machine_us
 
 DEAD_US = 3_000_000
 """Without a picture for so long the camera is gone."""
@@ -29,9 +28,11 @@ TIMEOUT_MS = 3000
 JOIN_S = 0.5
 LATENCY_SHARE = 0.5
 """Part of the vehicle file's camera latency that passes before the grab; the rest is for finding the markers."""
-LOW_DELAY = "fflags;nobuffer|flags;low_delay|analyzeduration;200000|probesize;65536"
-"""FFmpeg's options for live streams."""
-FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
+FFMPEG_OPTIONS = {
+    "OPENCV_FFMPEG_CAPTURE_OPTIONS": "fflags;nobuffer|flags;low_delay|analyzeduration;200000|probesize;65536",
+    "OPENCV_FFMPEG_LOGLEVEL": "-8",
+}
+"""For live streams; what FFmpeg would print when one ends stands in our own error."""
 
 _OPENING = threading.Lock()
 
@@ -66,16 +67,16 @@ class OpenCvCameraOptions(Table, frozen=True, kw_only=True):
 
 
 @contextmanager
-def _ffmpeg_options(value: str) -> Iterator[None]:
+def _ffmpeg_options() -> Iterator[None]:
     """OpenCV hears FFmpeg's options by the environment only: set while a stream is opened, unless they are."""
     with _OPENING:
-        given = os.environ.get(FFMPEG_OPTIONS)
-        os.environ[FFMPEG_OPTIONS] = value if given is None else given
+        ours = {name: value for name, value in FFMPEG_OPTIONS.items() if name not in os.environ}
+        os.environ.update(ours)
         try:
             yield
         finally:
-            if given is None:
-                del os.environ[FFMPEG_OPTIONS]
+            for name in ours:
+                del os.environ[name]
 
 
 class _Grabber:
@@ -109,7 +110,7 @@ class _Grabber:
                 if not self._capture.grab():
                     self.failed = "gives no more pictures"
                     return
-                grabbed_us = time.monotonic_ns() // 1000
+                grabbed_us = machine_us()
                 beat_us = beat.stamp(grabbed_us)
                 good, image = self._capture.retrieve()
                 if not good or image is None:
@@ -160,7 +161,7 @@ class OpenCvCamera(Closing):
         times = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, TIMEOUT_MS]
         params = times if backend == "ffmpeg" else []
         try:
-            with _ffmpeg_options(LOW_DELAY):
+            with _ffmpeg_options():
                 capture = cv2.VideoCapture(options.source, getattr(cv2, _BACKENDS[backend]), params)
         except cv2.error as error:
             raise DriverError(f"{options.source}: {error}; check `source` and `backend`") from error
@@ -177,7 +178,7 @@ class OpenCvCamera(Closing):
 
     def poll(self, t_us: int) -> list[CameraFrame]:
         """The newest picture, if there is a new one. DriverError when the camera is gone."""
-        self._time.hear(t_us, time.monotonic_ns() // 1000)
+        self._time.hear(t_us, machine_us())
         grabber = self._grabber
         if grabber is None:
             return []

@@ -4,19 +4,23 @@ What is set between plant and service here is what a vehicle has: a serial line,
 take the operating system's own time, so that a clock has to run.
 """
 
+import threading
 from collections.abc import Sequence
+from queue import SimpleQueue
+from time import sleep
 from typing import Literal
 
 from autopilot.core.samples import AhrsSample, CameraFrame, ImuSample
 from autopilot.core.vehicle import Vehicle
 from drivers.base import Closing
+from drivers.frame_clock import LoopTime, machine_us
 from drivers.ig500 import Ig500
 from drivers.ig500_device import Ig500Device, Ig500Options
 from drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
 from drivers.pca9685 import Pca9685, Pca9685Options
 from drivers.retry import SteadySensor
 from sitl.ahrs import Ig500Emulator
-from sitl.camera_feed import CameraFeed
+from sitl.camera_feed import TRANSPORT_SHARE, CameraFeed
 from sitl.i2c_bus import EmulatedI2c, Pca9685Chip
 from sitl.mjpeg import MjpegServer
 from sitl.pty_line import PtyLine
@@ -25,6 +29,8 @@ Wire = Literal["serial", "camera", "pwm"]
 """AHRS on a pseudo-terminal, pictures as a network stream, pulses through a PCA9685 on an emulated bus."""
 WIRES: tuple[Wire, ...] = ("serial", "camera", "pwm")
 
+STREAM_US = 50_000
+"""What encoder and network of an IP camera add at least. Within it a simulation may be late."""
 OSCILLATOR_HZ = 25.6e6
 """Of the board's own clock, which nobody asks: Navigator's is fed from outside."""
 
@@ -65,17 +71,22 @@ class NetworkCamera(Closing):
         self._feed, self._vehicle = feed, vehicle
         self.server = MjpegServer()
         """The camera's end: may be closed and opened again."""
+        self._way_us = round(1e6 * TRANSPORT_SHARE * vehicle.eye.latency_s) + STREAM_US
+        self._time = LoopTime()
+        self._due: SimpleQueue[tuple[int, CameraFrame] | None] = SimpleQueue()
         self._steady: SteadySensor | None = None
 
     def open(self) -> None:
         """Start rendering and the stream."""
         self._feed.open()
         self.server.open()
-        camera = OpenCvCamera(self._vehicle, OpenCvCameraOptions(source=self.server.url))
-        self._steady = SteadySensor(camera, "Camera")
+        threading.Thread(target=self._send, name="stream", daemon=True).start()
+        options = OpenCvCameraOptions(source=self.server.url, latency_s=1e-6 * self._way_us)
+        self._steady = SteadySensor(OpenCvCamera(self._vehicle, options), "Camera")
 
     def close(self) -> None:
         """Stop both."""
+        self._due.put(None)
         self.server.close()
         if self._steady is not None:
             self._steady.close()
@@ -83,9 +94,17 @@ class NetworkCamera(Closing):
 
     def poll(self, t_us: int) -> list[CameraFrame]:
         """The picture that has come through the network."""
+        self._time.hear(t_us, machine_us())
         for frame in self._feed.poll(t_us):
-            self.server.show(frame)
+            self._due.put((self._time.clock_at(frame.t_us + self._way_us), frame))
         return [] if self._steady is None else self._steady.poll(t_us)
+
+    def _send(self) -> None:
+        """Show each picture when its way is over, however late the loop was that has made it."""
+        while (due := self._due.get()) is not None:
+            due_us, frame = due
+            sleep(max(0.0, 1e-6 * (due_us - machine_us())))
+            self.server.show(frame)
 
 
 class BoardOutput(Pca9685):
