@@ -121,7 +121,8 @@ class _Union:
 
 
 def _near_pairs(shapes: Sequence[FenceShape], width_m: float) -> NDArray[np.intp]:
-    """(n, 2) pairs i < j that may have a narrow gap: not two inclusions; boxes (of circles: rims) near enough."""
+    """(n, 2) pairs i < j that may have a narrow gap: not two inclusions; boxes (of circles: rims) near enough, and near
+    to the edge of the workspace where that is one of the two."""
     if not shapes:
         return np.zeros((0, 2), dtype=np.intp)
     boxes = [bounding_box(s.shape) for s in shapes]
@@ -136,6 +137,12 @@ def _near_pairs(shapes: Sequence[FenceShape], width_m: float) -> NDArray[np.intp
     off = center[:, None, :] - center[None, :, :]
     rims = np.hypot(off[:, :, 0], off[:, :, 1]) - radius[:, None] - radius[None, :]
     near &= ~(round_[:, None] & round_[None, :] & (rims >= width_m))
+    reach_m = width_m + np.hypot(*(0.5 * (high - low)).T)
+    for k in np.flatnonzero(inclusion).tolist():
+        beside = np.flatnonzero(near[k] | near[:, k])
+        rim_m = np.abs(clearance_m(shapes[k].shape, center[beside]))
+        far = beside[rim_m >= reach_m[beside]]
+        near[k, far] = near[far, k] = False
     return np.argwhere(np.triu(near, 1))
 
 

@@ -12,6 +12,12 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Shape
 from autopilot.core.shapes import PAIRS, BoolArray, Edges, bounding_box, signed_m
+from mission.small_shapes import SmallShapes
+
+FEW = 8
+"""So many shapes are looked at one by one, more of them together."""
+SMALL = 32
+"""A shape with more corners is looked at by itself."""
 
 
 class Room:
@@ -32,6 +38,12 @@ class Room:
         boxes = [bounding_box(shape) for shape, _ in shapes]
         self._low = np.array([low for low, _ in boxes]).reshape(-1, 2)
         self._high = np.array([high for _, high in boxes]).reshape(-1, 2)
+        small = [k for k, (s, inclusion) in enumerate(shapes) if not inclusion and _corners(s) <= SMALL]
+        self._alone = np.ones(len(shapes), dtype=bool)
+        self._small: SmallShapes | None = None
+        if len(small) > FEW:
+            self._alone[small] = False
+            self._small = SmallShapes([shapes[k][0] for k in small])
 
     @classmethod
     def of(cls, fence: Fence) -> "Room":
@@ -72,7 +84,10 @@ class Room:
             return np.full(len(places), -reach_m), slope
         order = np.argsort(places[:, 0], kind="stable")
         north = places[order, 0]
-        for k in np.flatnonzero(beside):
+        if self._small is not None and (beside & ~self._alone).any():
+            at, signed, uphill = self._small.near(places, reach_m)
+            best[at], slope[at] = signed, uphill
+        for k in np.flatnonzero(beside & self._alone):
             (shape, inclusion), low, high = self._shapes[k], self._low[k], self._high[k]
             first, last = np.searchsorted(north, (low[0] - reach_m, high[0] + reach_m))
             slab = order[first:last]
@@ -98,3 +113,7 @@ class Room:
         near_low, near_high = self._low - reach_m <= places.max(axis=0), self._high + reach_m >= places.min(axis=0)
         beside: BoolArray = (near_low & near_high).all(axis=1)
         return beside
+
+
+def _corners(shape: Shape) -> int:
+    return 1 if isinstance(shape, Circle) else len(shape.vertices_ned_m)

@@ -2,8 +2,10 @@
 
 An upload is atomic: items are collected aside and the plan in force changes only when the last one has come and the
 whole plan has been accepted. The store checks it beside the loop; the final answer goes out when it has and the
-plan is on disk (where plans are kept), and nothing else is begun until then. One upload at a time; a second client is
-DENIED and the first goes on. Downloads read a snapshot, so that a plan that changes meanwhile cannot mix.
+plan is on disk (where plans are kept), and nothing else is begun until then. A client gives up 1.5 s after its last
+item: while a check takes longer that item is asked for again, which tells it that somebody is at work. One upload at
+a time; a second client is DENIED and the first goes on. Downloads read a snapshot, so that a plan that changes
+meanwhile cannot mix.
 """
 
 from dataclasses import dataclass, field
@@ -18,6 +20,8 @@ from autopilot.mavlink.wire import Message
 
 RETRY_US = 300_000
 """An item that does not come is asked for again (clients wait 250 ms to 1.5 s)."""
+WORKING_US = 500_000
+"""While a plan is checked its last item is asked for so often (MAVSDK bears four such questions, others any number)."""
 GIVE_UP_US = 8_000_000
 """An upload without progress ends (ArduPilot's time)."""
 MAX_WRONG_ITEMS = 20
@@ -229,18 +233,17 @@ class Missions:
             done.said_us = now_us
             self._ack(peer, done.result, done.kind, done.plan_id)
 
-    def _ask(self, upload: Upload) -> None:
+    def _ask(self, upload: Upload, seq: int | None = None) -> None:
+        """For the next item, or for ``seq``."""
         upload.asked_us = self._ctx.t_us
-        peer = upload.peer
-        self._ctx.send(
-            peer,
-            mav.MAVLink_mission_request_int_message(peer.sysid, peer.compid, len(upload.items), upload.kind),
-        )
+        peer, wanted = upload.peer, len(upload.items) if seq is None else seq
+        self._ctx.send(peer, mav.MAVLink_mission_request_int_message(peer.sysid, peer.compid, wanted, upload.kind))
 
     def _finish(self, upload: Upload) -> None:
         """All items are there: hand the plan over."""
         items = home_item.received(self._ctx, upload.kind, upload.items)
         self._upload = None
+        upload.asked_us = self._ctx.t_us
         self._check(upload.peer, {upload.kind: items}, upload.kind, upload)
 
     def _check(
@@ -453,6 +456,11 @@ class Missions:
                 self._end(upload, MissionResult.OPERATION_CANCELLED, reason)
             elif now_us - upload.asked_us >= RETRY_US * ctx.patience:
                 self._ask(upload)
+        checking = self._checking
+        if checking is not None and checking.upload is not None:
+            asked = checking.upload
+            if now_us - asked.asked_us >= WORKING_US * ctx.patience:
+                self._ask(asked, asked.count - 1)
         if self._downloads:
             key = next(iter(self._downloads))
             if now_us - self._downloads[key].used_us > DOWNLOAD_US * ctx.patience:

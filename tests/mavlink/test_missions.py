@@ -621,3 +621,18 @@ def test_a_plan_in_force_that_the_disk_has_not_got_is_told_of_when_its_client_go
     client.send(mav.MAVLink_mission_count_message(1, 1, 3, 1))
     world.run(0.1)
     assert "Mission plan accepted: 2 items" in client.texts()
+
+
+def test_a_client_hears_of_a_check_that_takes_longer_than_it_waits(world: World) -> None:
+    """QGroundControl and MAVSDK give up 1.5 s after the last thing they heard of an upload."""
+    client = world.client()
+    world.plans.slow = True
+    uploader = Uploader(client, plan(3))
+    assert uploader.run(3.0) is None
+    assert uploader.requests[:3] == [0, 1, 2] and set(uploader.requests[3:]) == {2}
+    assert 4 <= len(uploader.requests[3:]) <= 6, "twice a second"
+    assert len(world.plans.waiting) == 1, "nothing begins anew"
+    world.plans.decide(world.plans.waiting.pop())
+    assert uploader.run(0.5) == R.ACCEPTED
+    world.run(2.0)
+    assert uploader.results == [R.ACCEPTED] and len(world.plans.stored[PlanKind.MISSION]) == 3

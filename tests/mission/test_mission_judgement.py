@@ -14,7 +14,7 @@ from autopilot.core.desk import Cancel, WithdrawnError
 from autopilot.core.geometry import Circle, Polygon, Shape
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
-from autopilot.core.shapes import boundary_gap_m, clearance_m
+from autopilot.core.shapes import boundary_gap_m, boundary_point, clearance_m
 from mission.fence import read_fence
 from mission.gaps import narrow_gaps
 from mission.judgement import PLAN_PARAMETERS, Question, Verdict, judge
@@ -169,6 +169,42 @@ def test_the_room_of_many_shapes_is_that_of_each(
     uphill = room.clearance_m(points + 1e-6 * slope) - near
     inner = clear & (np.abs(near) < reach_m - 1e-3)
     assert np.all(uphill[inner] > -1e-9), "the slope leads away from boundaries"
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.one_of(circles, stars), min_size=9, max_size=25),
+    st.lists(st.tuples(coordinate, coordinate), max_size=40),
+    st.floats(0.05, 2.0),
+)
+def test_many_shapes_together_are_what_they_are_one_by_one(
+    shapes: list[Shape], places: list[tuple[float, float]], reach_m: float
+) -> None:
+    points = np.array(places).reshape(-1, 2)
+    near, slope = Room([(shape, False) for shape in shapes]).near(points, reach_m)
+    alone = [Room([(shape, False)]).near(points, reach_m) for shape in shapes]
+    least = np.argmin([clearance for clearance, _ in alone], axis=0)
+    for k, which in enumerate(least.tolist()):
+        assert near[k] == alone[which][0][k] and np.array_equal(slope[k], alone[which][1][k])
+
+
+@settings(max_examples=40)
+@given(st.lists(st.tuples(coordinate, coordinate, st.floats(0.05, 1.5), st.booleans()), min_size=1, max_size=9))
+def test_gaps_to_the_edge_of_the_workspace_are_all_found(things: list[tuple[float, float, float, bool]]) -> None:
+    """Shapes far from the edge are left out before anything is computed of them."""
+    items = box(0, 0.0, 0.0, 4.0, 3.0, True)
+    for north, east, size, square in things:
+        seq = len(items)
+        items += box(seq, north, east, size, size, False) if square else [circle(seq, north, east, size)]
+    shapes, problems = read_fence(items, ORIGIN)
+    assert not problems
+    found = {gap.second.seq for gap in narrow_gaps(shapes, 2.0 * RADIUS_M) if gap.first.inclusion}
+    for shape in shapes[1:]:
+        lone = {gap.second.seq for gap in narrow_gaps([shapes[0], shape], 2.0 * RADIUS_M)}
+        width, _ = boundary_gap_m(shapes[0].shape, shape.shape)
+        inside = clearance_m(shapes[0].shape, boundary_point(shape.shape)[None])[0] < 0.0
+        assert bool(lone) == (inside and 0.02 < width < 2.0 * RADIUS_M)
+        assert lone >= found & {shape.seq}
 
 
 @settings(max_examples=40)
