@@ -7,13 +7,17 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from autopilot.core.errors import LogError
-from autopilot.log.reader import Log, Table
+from autopilot.log.reader import Log, Message, Table
 
 WALL_CLOCK_TOPICS = ("/sys/loop",)
-WALL_CLOCK_FIELDS = ("/ctl/nmpc.solve_s", "/in/tick.cpu_load", "/in/tick.overruns", "/in/markers.decode_us")
+WALL_CLOCK_FIELDS = (
+    *("/ctl/nmpc.solve_s", "/in/tick.cpu_load", "/in/tick.overruns", "/in/markers.decode_us"),
+    *("/in/step.data.camera[1]", "/in/step.data.camera[2]"),  # size of the disk and what is free
+)
 """Measurements of the machine, which differ between two runs of the same seed."""
 
 _MESSAGES = " messages"
@@ -114,17 +118,25 @@ def _compare_messages(topic: str, a: Log, b: Log, ignore_fields: Collection[str]
             what = f"{first.t_us} us against {second.t_us} us"
             found.append(Difference(topic=topic, field="t_us", t_s=first.t_us * 1e-6, what=what))
             break
-        place = _first_difference(first.value, second.value, topic, "", ignore_fields)
+        place = _first_difference(_opened(topic, first), _opened(topic, second), topic, "", ignore_fields)
         if place is not None:
             found.append(Difference(topic=topic, field=place[0], t_s=first.t_us * 1e-6, what=place[1]))
             break
     return found
 
 
+def _opened(topic: str, message: Message) -> dict[str, Any]:
+    """A message's fields, with JSON in place of its text."""
+    return (
+        message.value if topic != "/in/step" else {**message.value, "data": msgspec.json.decode(message.value["data"])}
+    )
+
+
 def _first_difference(a: Any, b: Any, topic: str, field: str, ignore_fields: Collection[str]) -> tuple[str, str] | None:
     """Path and description of the first difference of two decoded messages; stamps hold the epoch and are left out."""
     if isinstance(a, dict) and isinstance(b, dict):
-        pairs = [(f"{field}.{key}".lstrip("."), a[key], b.get(key)) for key in a if key not in _STAMPS]
+        keys = [*a, *(key for key in b if key not in a)]
+        pairs = [(f"{field}.{key}".lstrip("."), a.get(key), b.get(key)) for key in keys if key not in _STAMPS]
     elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
         pairs = [(f"{field}[{index}]", *pair) for index, pair in enumerate(zip(a, b, strict=True))]
     else:
