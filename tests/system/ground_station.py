@@ -62,6 +62,8 @@ class GroundStation:
         self.params: dict[str, tuple[float, int]] = {}
         self.count = 0
         self.modes: dict[str, int] = {}
+        self.been: set[int] = set()
+        """Modes that were told since it was cleared: one may be over before anybody looks."""
         self.metadata: dict[str, dict[str, Any]] = {}
         self.last: dict[str, Message] = {}
         self.hears = True
@@ -116,6 +118,8 @@ class GroundStation:
             if name == "HEARTBEAT":
                 self._on_heartbeat()
             self.last[name] = message
+            if name in ("HEARTBEAT", "CURRENT_MODE"):
+                self.been.add(message.custom_mode)
             if name == "STATUSTEXT":
                 self._on_text(message)
             elif name == "PARAM_VALUE" and message.param_index != 0xFFFF:

@@ -94,8 +94,9 @@ def fly(station: GroundStation, profile: str) -> None:
         station.until(lambda: station.mode == "Mission", "on with the mission", 5.0)
         station.set_mode("Return")
         station.until(lambda: station.mode == "Return", "return", 5.0)
+        station.been.clear()
         station.command(22, -1.0, 0.0, 0.0, *(math.nan,) * 3, 2.0)
-        station.until(lambda: station.mode == "Takeoff", "takeoff", 5.0)
+        station.until(lambda: station.modes["Takeoff"] in station.been, "takeoff", 5.0)
         station.set_mode("Surface")
     else:
         station.command(193, 1.0)
