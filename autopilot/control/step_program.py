@@ -20,7 +20,6 @@ from autopilot.control.nmpc.unsolved import saved
 from autopilot.control.robust.margins import Margins
 from autopilot.control.robust.regions import TerminalRegions
 from autopilot.control.robust.terminal import TerminalLimits
-from autopilot.control.robust.tightening import BackOffs
 from autopilot.control.way.guidance import Reference, Situation, Weights
 from autopilot.control.way.planner import Planner
 from autopilot.core.desk import Desk
@@ -141,7 +140,7 @@ class StepProgram:
         back_off = self.margins.back_offs(now.nav, nmpc.x, nmpc.u, now.params)
         bounds.fill(back_off, now, reference, nmpc.u, self._change_weight(start, now))
         self._speed_back_off_m_s = float(back_off.planar_speed_m_s[-1])
-        terminal = self._terminal(now, reference, back_off)
+        terminal = self._terminal(now, reference)
 
         def problem(thrust_ref_n: FloatArray, weight_u: FloatArray) -> NmpcProblem:
             return NmpcProblem(
@@ -236,7 +235,7 @@ class StepProgram:
         elapsed_s, self._last_us = (now.t_us - self._last_us) * 1e-6, now.t_us
         return now.params["MPC_R_CHANGE"] * min(1.0, CHANGE_STEP_S / max(elapsed_s, 1e-3))
 
-    def _terminal(self, now: Situation, reference: Reference, back_off: BackOffs) -> FloatArray:
+    def _terminal(self, now: Situation, reference: Reference) -> FloatArray:
         """Terminal Hessian (8, 8): the goal's own where the reference ends there, else what guidance gives."""
         goal, params, regions = now.goal, now.params, self.regions
         if goal.drive is not None:
@@ -248,6 +247,7 @@ class StepProgram:
         weights, free = self._weights.look(params), not int(params["MPC_COST"])
 
         def limits() -> TerminalLimits:
+            back_off = self.margins.settled(now.nav, params)
             return TerminalLimits(
                 thrust_n=left_n(now.thrust_limit_n, back_off.thrust_n[-1]),
                 planar_speed_m_s=params["SPD_PLANAR_MAX"] - float(back_off.planar_speed_m_s[-1]),

@@ -230,6 +230,23 @@ def test_a_current_is_said_to_be_too_fast_only_where_the_vehicle_is_to_stay_in_i
     assert told_at(north_m, to, stream) == told
 
 
+@pytest.mark.parametrize("cost", [0.0, 1.0])
+@pytest.mark.parametrize("depth_m", [0.1, 0.3, 1.1])
+def test_a_goal_is_not_to_be_moved_because_the_depth_is_in_doubt_when_it_appears(depth_m: float, cost: float) -> None:
+    """Dead reckoning lets the depth's variance grow; a goal that appeared at its end was called beyond its limit."""
+    controller, params = MotionController(VEHICLE, cpu_clock=lambda: 0.0), ParamSet({"MPC_COST": cost})
+    to, x = goal(0.5, 0.0, depth_m, None, seq=1), np.array([0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 0.0, 0.0])
+    doubt = np.zeros(12)
+    doubt[:3] = 0.05**2, 0.05**2, 0.16**2
+    for step in range(2 * ANSWER_STEPS):
+        nav = nav_state(step * 50_000, x)
+        nav = replace(nav, variance=doubt) if step < 5 else nav
+        controller.step(step * 50_000, nav, to, Fence(depth_max_m=1.2), params)
+    told = controller.take_news()
+    assert [text for severity, text in told if severity <= Severity.INFO] == []
+    assert any("alpha" in text for _, text in told), "the goal has been certified meanwhile"
+
+
 def test_zero_order_hold_of_the_goal_is_that_of_the_law() -> None:
     law = law_of(A, (0.0, 0.0))
     a, b = discretise(np.zeros((2, 2)), np.eye(2), 0.1)

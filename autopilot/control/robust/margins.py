@@ -67,6 +67,11 @@ class Margins:
         else:
             self.evidence.reset()
 
+    def settled(self, nav: NavState, params: ParamSet) -> BackOffs:
+        """What the parameters alone take, of a vehicle at rest with the best of estimates: what is said of a place must
+        not depend on how well the vehicle knows just now where it is."""
+        return self.back_offs(replace(nav, variance=np.zeros_like(nav.variance)), self._rest, self._idle, params)
+
     def take_news(self) -> list[tuple[Severity, str]]:
         """How far the Lipschitz sets reach, once whenever they come into force."""
         news, self._news = self._news, []
@@ -92,10 +97,9 @@ class Margins:
         ``goals``: name and clearance [m] beyond the body radius of every place of the mission; ``fence_half_m``:
         largest clearance beyond the body radius anywhere (inf = open water).
         """
-        # What the parameters alone leave: a vehicle that lies still cannot know the current yet, and the estimate gets
-        # better once it moves. That there is a position at all is asked for elsewhere.
-        settled = replace(nav, variance=np.zeros_like(nav.variance))
-        margins = self.back_offs(settled, self._rest, self._idle, params)
+        # A vehicle that lies still cannot know the current yet, and the estimate gets better once it moves. That there
+        # is a position at all is asked for elsewhere.
+        margins = self.settled(nav, params)
         kind = Tighten(int(params["MPC_TIGHTEN"]))
         mode = kind.name.lower()
         # Tube margins settle and are cut at a share of the limit: one that has been cut is one that does not fit.
