@@ -56,7 +56,8 @@ def fuzz(short: bool, messages: int | None, seed: int, as_json: bool) -> None:
 
     def show(result: Result) -> None:
         nonlocal shown
-        tell(f"{result.messages} messages, {result.per_second:.0f}/s, {len(result.failures)} failures")
+        so_far = f"{result.messages} messages, {result.per_second:.0f}/s, {result.rss_end_mb:.0f} MB"
+        tell(f"{so_far}, {len(result.failures)} failures")
         for line in result.failures[shown:]:
             tell(line)
         shown = len(result.failures)

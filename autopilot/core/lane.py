@@ -2,6 +2,7 @@
 
 import queue
 import threading
+import weakref
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Any, ParamSpec, TypeVar
@@ -15,7 +16,8 @@ Job = tuple[Future[Any], Callable[[], Any]]
 class DaemonLane(Executor):
     """One daemon thread that does one thing after the other.
 
-    The interpreter joins the threads of a ThreadPoolExecutor at its exit; this one it leaves behind.
+    The interpreter joins the threads of a ThreadPoolExecutor at its exit; this one it leaves behind. The thread ends
+    after :meth:`shutdown`, or when nobody has the lane any more.
     """
 
     def __init__(self, name: str) -> None:
@@ -23,7 +25,8 @@ class DaemonLane(Executor):
         self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._closed = False
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread = threading.Thread(target=_work, args=(self._jobs,), name=name, daemon=True)
+        weakref.finalize(self, self._jobs.put, None)
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Have ``fn`` called after all that was submitted before. RuntimeError after :meth:`shutdown`."""
@@ -56,14 +59,20 @@ class DaemonLane(Executor):
         except queue.Empty:
             return
 
-    def _run(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            future, call = job
-            if not future.set_running_or_notify_cancel():
-                continue
-            try:
-                result = call()
-            except BaseException as error:  # noqa: BLE001 - it belongs to whoever asked
-                future.set_exception(error)
-            else:
-                future.set_result(result)
+
+def _work(jobs: "queue.SimpleQueue[Job | None]") -> None:
+    """The thread: it knows the lane's jobs, and not the lane, which may go while it waits."""
+    while (job := jobs.get()) is not None:
+        _do(*job)
+        del job  # with what it was done for: the next one may be long in coming
+
+
+def _do(future: Future[Any], call: Callable[[], Any]) -> None:
+    if not future.set_running_or_notify_cancel():
+        return
+    try:
+        result = call()
+    except BaseException as error:  # noqa: BLE001 - it belongs to whoever asked
+        future.set_exception(error)
+    else:
+        future.set_result(result)

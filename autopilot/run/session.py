@@ -17,6 +17,7 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import Below, Inputs, Outputs, Severity
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.vehicle import Vehicle
+from autopilot.run.allocator import give_back_large_blocks
 from autopilot.run.clocks import make_clock
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Onlooker, Peer, VehicleIo
@@ -107,18 +108,28 @@ class Session:
             manager.tick(self._status)
             return stop()
 
-        with contextlib.ExitStack() as end:  # whatever one of them raises, the others are done
+        with contextlib.ExitStack() as end:
             end.callback(manager.close)
-            end.callback(self._end_slow_work)
-            if self.kept.plans is not None:
-                end.callback(self.kept.plans.finish)
-            end.callback(self.kept.params.finish)
-            if self.kept.signing is not None:
-                end.callback(self.kept.signing.finish)
-            end.callback(self.recorder.close)
+            self._at_the_end(end)
             end.callback(manager.stopping)
             self.runtime.run(duration_s=self.duration_s, stop=stops)
         return time.monotonic() - begin_s
+
+    def close(self) -> None:
+        """End a session that is not run: its device, links, threads and log (:meth:`run` does that itself)."""
+        with contextlib.ExitStack() as end:
+            self._at_the_end(end)
+            end.callback(self.runtime.close)
+
+    def _at_the_end(self, end: contextlib.ExitStack) -> None:
+        """What has to be done, the last first; whatever one of them raises, the others are done."""
+        end.callback(self._end_slow_work)
+        if self.kept.plans is not None:
+            end.callback(self.kept.plans.finish)
+        end.callback(self.kept.params.finish)
+        if self.kept.signing is not None:
+            end.callback(self.kept.signing.finish)
+        end.callback(self.recorder.close)
 
     def _status(self) -> str:
         """One line for who asks the service manager."""
@@ -145,6 +156,7 @@ def loop_round(
 ) -> Runtime:
     """The loop round a service, ready to run. ``warnings`` are told to operators on the first tick."""
     sys.setswitchinterval(THREAD_SWITCH_S)
+    give_back_large_blocks()
     plans, recorder = kept.plans, outside.recorder
     news: list[tuple[Severity, str]] = [(Severity.WARNING, text) for text in warnings]
 

@@ -175,7 +175,7 @@ def _texts() -> Measured:
                     pilot.command(176, 1.0, 99.0, 9.0)  # DO_SET_MODE to a mode that does not exist
                 session.runtime.tick(tick * 10_000)
         finally:
-            session.runtime.close()
+            session.close()
     messages = [message for message in pilot.heard if message.get_type() == "STATUSTEXT"]
     pieces = sum(message.id != 0 for message in messages)
     figures = sum("alpha" in message.text for message in messages)

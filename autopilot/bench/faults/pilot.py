@@ -176,8 +176,7 @@ def piloted(scenario: str, params: dict[str, float] | None = None) -> Iterator[P
         try:
             yield flight
         finally:
-            session.runtime.close()
-            session.recorder.close()
+            session.close()
 
 
 def _measure(flight: PilotedFlight) -> None:

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from typing import Any
 
+from pymavlink.dialects.v20 import all as everybody
+
 from autopilot.core.clients import Reach
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.params import PARAMETERS
@@ -65,6 +67,10 @@ STEERING_NAMES = """
 STEERING = tuple(getattr(mav, f"MAVLINK_MSG_ID_{name}") for name in STEERING_NAMES.split())
 """Messages that move the vehicle and change nothing of what binds it."""
 
+FOREIGN: dict[int, Any] = {n: kind for n, kind in everybody.mavlink_map.items() if n not in mav.mavlink_map}
+"""Messages of other dialects (ArduPilot's, gimbals', airships' ...) that the service does not know."""
+KINDS: dict[int, Any] = {**FOREIGN, **mav.mavlink_map}
+
 CONVERSATIONS = 0.25
 COMMAND_SHARE = 0.2
 PARAM_SHARE = 0.1
@@ -72,6 +78,7 @@ DAMAGED_SHARE = 0.08
 REPLAYED_SHARE = 0.05
 """Of signed frames: as they were sent before."""
 UNKNOWN_SHARE = 0.05
+FOREIGN_SHARE = 0.05
 """Shares of the traffic; the rest are messages of any content."""
 MUTATED = 0.12
 """Share of plan items and command fields that are not what they should be."""
@@ -141,6 +148,7 @@ class Traffic:
             (COMMAND_SHARE, self._command),
             (PARAM_SHARE, self._param_set),
             (UNKNOWN_SHARE, lambda: self._any(rng.choice(list(mav.mavlink_map)))),
+            (FOREIGN_SHARE, self._foreign),
         )
         if dice < CONVERSATIONS:
             if not self._talk:
@@ -159,8 +167,9 @@ class Traffic:
         sender.seq = (sender.seq + 1) & 0xFF
         number = int.from_bytes(frame[7:10], "little")
         payload = frame[10:-2]
-        crc_extra = mav.mavlink_map[number].crc_extra
-        if sender.old and number < 256 and len(payload) <= (size := mav.mavlink_map[number].unpacker.size):
+        kind = KINDS.get(number)
+        crc_extra, size = (0, len(payload)) if kind is None else (kind.crc_extra, kind.unpacker.size)
+        if sender.old and number < 256 and len(payload) <= size:
             body = bytes((size, sender.seq, sender.sysid, sender.compid, number)) + payload.ljust(size, b"\0")
             return b"\xfe" + body + _crc(body, crc_extra)
         flags = 0 if sender.key is None else 1
@@ -204,7 +213,7 @@ class Traffic:
 
     def _any(self, msg_id: int) -> bytes:
         """A well-formed frame of a type, its fields of any content; most are addressed to the vehicle."""
-        kind = mav.mavlink_map[msg_id]
+        kind = KINDS[msg_id]
         payload = bytearray()
         names = kind.ordered_fieldnames
         for name, length, code in zip(names, kind.array_lengths, _codes(kind.unpacker.format), strict=True):
@@ -213,6 +222,15 @@ class Traffic:
             del payload[self._rng.randint(1, len(payload)) :]
         body = bytes((len(payload), 0, 0, 0, 255, 190)) + msg_id.to_bytes(3, "little") + bytes(payload)
         return b"\xfd" + body + _crc(body, kind.crc_extra)
+
+    def _foreign(self) -> bytes:
+        """A sound frame of another dialect's message, or of one that no dialect has."""
+        rng = self._rng
+        if rng.random() < 0.8:
+            return self._any(rng.choice(list(FOREIGN)))
+        payload = rng.randbytes(rng.randint(1, 255))
+        body = bytes((len(payload), 0, 0, 0, 255, 190)) + rng.randrange(1 << 24).to_bytes(3, "little") + payload
+        return b"\xfd" + body + _crc(body, rng.randrange(256))
 
     def _steer(self) -> Any:
         """What moves the vehicle: sensible as operators, pilots and programs send it, or of any content."""
@@ -438,7 +456,7 @@ def _sized(frame: bytes, size: int, rng: random.Random) -> bytes:
     number = int.from_bytes(frame[7:10], "little")
     payload = (frame[10:end] + rng.randbytes(256))[:size]
     body = bytes((size,)) + frame[2:10] + payload
-    kind = mav.mavlink_map.get(number)
+    kind = KINDS.get(number)
     return b"\xfd" + body + _crc(body, 0 if kind is None else kind.crc_extra) + frame[end + 2 :]
 
 

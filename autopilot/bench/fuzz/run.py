@@ -62,6 +62,8 @@ GROWTH_MB = 80.0
 """Of the process's memory, beyond which the run has failed."""
 SETTLE_TICKS = 800
 """So long a vehicle may take to come into its fence and fly: after wild moods it may be anywhere."""
+BACKLOG_TICKS = 1000
+"""In so many ticks at most every client's backlog is worked off."""
 SETTLED_MESSAGES = 20_000
 """Memory counts from here: everything has been imported and every cache is warm."""
 
@@ -297,8 +299,8 @@ class Fuzzer:
         """Of the last tick, to reproduce what it did."""
 
     def close(self) -> None:
-        """End threads."""
-        self.session.runtime.close()
+        """End everything of the service."""
+        self.session.close()
 
     def step(self, frames: Sequence[MavlinkFrame | bytes], *, wild: bool) -> Outputs:
         """One tick with these frames (bytes: of link 0), and with wild samples or without."""
@@ -315,6 +317,7 @@ class Fuzzer:
             self._service.serve(t_us - TICK_US // 2, rx[:between])
         self.inputs = Inputs(t_us=t_us, samples=samples, mavlink_rx=rx[between:])
         outputs = self._service.step(self.inputs)
+        self.session.parts.witness.take()
         device.write(t_us, outputs.command)
         result = self.result
         result.messages += len(frames)
@@ -382,6 +385,10 @@ class Fuzzer:
     def _calm(self) -> None:
         """An operator who puts things right again: key, parameters, plans, and (if the vehicle can) arming."""
         parts, inside = self.session.parts, self._witness._inside
+        for _ in range(BACKLOG_TICKS):
+            if not inside._intake._turns:
+                break
+            self.step((), wild=False)  # what floods have left would undo what is put right
         if inside._ctx.signing.key != self._key:
             inside._ctx.signing.set_key(self._key)
             inside._ctx.key_changed()
