@@ -46,7 +46,8 @@ class IpoptNmpc:
         self._names = [name for name in shapes if not name.endswith("_guess")]
         self._shapes = {name: shapes[name] for name in self._names}
         parameters = [ca.MX.sym(name, *shape) for name, shape in self._shapes.items()]
-        x0, x_ref, u_ref, current, weight_x, weight_u, terminal, limits, thrust_limit, plane_n, plane_d = parameters
+        x0, x_ref, u_ref, current, weight_x, weight_u, terminal, buoyancy, *rest = parameters
+        limits, thrust_limit, plane_n, plane_d = rest
         cost: Any = 0.0
         rows: list[Any] = []
         is_gap: list[bool] = []
@@ -56,8 +57,8 @@ class IpoptNmpc:
         substeps_of = grid.substeps(ocp.longest_step_s(model))
         for k, (dt, substeps) in enumerate(zip(grid.dt_s, substeps_of, strict=True)):
             scale = dt / REFERENCE_DT_S
-            step = ocp.discrete_dynamics(model, float(dt), substeps)
-            rows.append(x[:, k] - step(state, u[:, k], current[:, k])[0])
+            step = ocp.trimmed_dynamics(model, float(dt), substeps)
+            rows.append(x[:, k] - step(state, u[:, k], current[:, k], buoyancy)[0])
             is_gap += [True] * NX
             self.rows += [(k + 1, "")] * NX
             thrust = u[:, k] - ca.fmax(-thrust_limit[:, k], ca.fmin(thrust_limit[:, k], u_ref[:, k]))
@@ -150,6 +151,7 @@ class IpoptNmpc:
             problem.weight_x,
             problem.weight_u,
             problem.terminal,
+            problem.buoyancy_excess_n,
             problem.limits,
             problem.thrust_limit_n,
             problem.plane_n.reshape(-1, 2),

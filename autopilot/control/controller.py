@@ -26,6 +26,7 @@ from autopilot.control.robust.penalty import PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
 from autopilot.control.step_program import StepProgram
 from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
+from autopilot.control.water.lift import Lift
 from autopilot.control.way import shortest
 from autopilot.control.way.desks import Desks
 from autopilot.control.way.drive import DriveGuidance
@@ -95,7 +96,8 @@ class MotionController:
         grid = grid or geometric_grid(n, horizon_s)
         self.desks = desks = desks or Desks()
         """Whoever owns the loop closes them, and says what is attended to while an answer is waited for."""
-        sharing, response = Sharing.of(vehicle), Response.of(vehicle.thrusters)
+        self._sharing = sharing = Sharing.of(vehicle)
+        response = Response.of(vehicle.thrusters)
         self._most_n = np.array([thruster.limit_n for thruster in vehicle.thrusters])
         lacking = lacking_thrust(self._model, self._most_n)
         if lacking:
@@ -113,6 +115,7 @@ class MotionController:
         if self.nmpc.slower:
             self._solver_news.insert(0, (Severity.WARNING, f"Slower solver ({self.nmpc.solver}): see log, reinstall"))
         self._lag = ThrusterLag(self._model, response)
+        self._lift = Lift(self._model, vehicle.hull_half_height_m)
         self._forecast = currents or EstimatedCurrent()
         self._inner = InnerLoop(self.margins.ancillary, grid)
         self._station = StationKeeper(sharing)
@@ -168,6 +171,7 @@ class MotionController:
         self._penalty.reset()
         self._fallbacks.reset()
         self._lag.reset()
+        self._lift.reset()
         self._inner.stop()
         self._station.release()
         self._reversals.reset()
@@ -203,6 +207,7 @@ class MotionController:
         x, current = self._state(nav), nav.current_ned_m_s
         if nav.health is NavHealth.INVALID or not _finite(x, current) or delay_s is None:
             return self._neutral(t_us, nav, began)
+        self._trim(nav, fence, params, limit_n)
         if delay_s:
             goal = replace(goal, speed_m_s=min(goal.speed_m_s, BLIND_WAY_M / delay_s))
         self._lag.act_late(delay_s)
@@ -255,6 +260,7 @@ class MotionController:
                 margin_m=found.margin_m,
                 tube_m=max(self._program.tube_m.tolist()),
                 penalty_use=result.penalty_use if math.isfinite(result.penalty_use) else 0.0,
+                lift_n=self._lift.lift_n,
             ),
             horizon_ned_m=self.nmpc.x[:, :3].copy(),
             route_ned_m=self._guidance.ahead(np.array(nav.pos_ned_m[:2], dtype=float)),
@@ -293,7 +299,7 @@ class MotionController:
     def take_news(self) -> list[tuple[Severity, str]]:
         """Severity and text of what the operator should know since the last call."""
         first, self._solver_news = self._solver_news, []
-        for part in (self.margins, self.regions, self._penalty, self._fallbacks, self._guidance):
+        for part in (self._lift, self.margins, self.regions, self._penalty, self._fallbacks, self._guidance):
             first += part.take_news()
         return first
 
@@ -312,6 +318,14 @@ class MotionController:
         elapsed_s = 0.0 if self._followed_us is None else (t_us - self._followed_us) * 1e-6
         self._followed_us = t_us
         self._lag.follow(self._command, elapsed_s)
+        self._lift.push(self._lag.acting_n, elapsed_s)
+
+    def _trim(self, nav: NavState, fence: Fence, params: ParamSet, limit_n: FloatArray) -> None:
+        """Learn the vertical force that the vehicle file does not know; all that plans and holds counts on it."""
+        low_m, high_m = max(fence.depth_min_m, params["DEPTH_MIN"]), min(fence.depth_max_m, params["DEPTH_MAX"])
+        self._lift.look(nav, low_m, high_m, limit_n)
+        self._sharing.buoyancy_excess_n = self._lift.excess_n
+        self._lag.trim(self._lift.excess_n)
 
     def _state(self, nav: NavState) -> FloatArray:
         yaw = float(nav.rpy_rad[2])
@@ -409,6 +423,7 @@ class MotionController:
     def _neutral(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
         """Without an estimate there is nothing to control: no thrust, and the plan is void."""
         self._command = np.zeros(self._model.thrusters)
+        self._lift.forget()
         self._plan_age_s = self._yaw_rad = self._stepped = None
         self._inner.stop()
         self._station.release()

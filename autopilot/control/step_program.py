@@ -88,7 +88,7 @@ class StepProgram:
         thrusters: tuple[str, ...],
     ) -> None:
         """``thrusters``: their names."""
-        model, self._thrusters = sharing.model, thrusters
+        model, self._sharing, self._thrusters = sharing.model, sharing, thrusters
         self.nmpc = Nmpc(model, grid, backends=backends)
         self.margins = Margins(model, grid)
         self.regions = TerminalRegions(sharing, certificates)
@@ -155,6 +155,7 @@ class StepProgram:
                 thrust_limit_n=bounds.thrust_n,
                 plane_n=self._plane_n,
                 plane_d_m=self._plane_d,
+                buoyancy_excess_n=np.array([self._sharing.buoyancy_excess_n]),
             )
 
         states, thrusts = nmpc.x.copy(), nmpc.u.copy()

@@ -381,6 +381,8 @@ class NmpcStatus:
     """Largest distance that the prediction keeps from boundaries beyond the body: the tube, at least MPC_MARGIN."""
     penalty_use: float = 0.0
     """Largest multiplier of a soft limit over the slope of its penalty: at 1 the penalty is no longer exact."""
+    lift_n: float = 0.0
+    """Vertical force beyond the vehicle file's buoyancy, as learned; positive pushes up."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -9,6 +9,7 @@ For a square T_A that is the plain answer, each thruster cut at its bound.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -83,7 +84,9 @@ class Sharing:
     """Thrust of the thrusters of one vehicle. ``watts`` (n,): what each takes, relative to the others."""
 
     def __init__(self, model: Model4, watts: Sequence[float] | None = None) -> None:
-        self.model = model
+        self._model = model
+        self.buoyancy_excess_n = model.buoyancy_excess_n
+        """Buoyancy minus weight [N] that holds the vehicle; set to what it proves to be."""
         self._allocation = np.array(model.allocation)
         self._watts = np.ones(model.thrusters) if watts is None else np.array(watts, dtype=float)
         self._all = np.ones(model.thrusters, dtype=bool)
@@ -99,6 +102,13 @@ class Sharing:
         drives = [thruster.drive for thruster in vehicle.thrusters]
         both = [0.5 * (drive.power_w_n15 + (drive.reverse_power_w_n15 or drive.power_w_n15)) for drive in drives]
         return cls(vehicle.to_model(), both)
+
+    @property
+    def model(self) -> Model4:
+        """What is believed of the vehicle, with that buoyancy."""
+        if self._model.buoyancy_excess_n != self.buoyancy_excess_n:
+            self._model = replace(self._model, buoyancy_excess_n=self.buoyancy_excess_n)
+        return self._model
 
     def thrust_n(self, force: FloatArray, limit_n: FloatArray) -> FloatArray:
         """(..., n) thrust within +-``limit_n`` (n,) (inf = as it comes) for forces (..., 4) X, Y, Z [N], N [N m]."""

@@ -135,6 +135,7 @@ float64 slack_max  # largest violation of a soft limit in the prediction
 float64 margin_m  # smallest tightened clearance in the prediction
 float64 tube_m  # largest distance kept from boundaries beyond the body
 float64 penalty_use  # largest multiplier of a soft limit over its penalty
+float64 lift_n  # learned vertical force beyond the vehicle file's buoyancy, positive pushes up
 """,
     "autopilot_msgs/ThrusterCommand": """
 std_msgs/Header header

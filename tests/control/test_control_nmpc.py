@@ -53,6 +53,7 @@ def problem(grid, x0: np.ndarray, goal=(1.75, 0.0), yaw: float = -math.pi, plane
         thrust_limit_n=np.full(4, 12.0),
         plane_n=normals,
         plane_d_m=offsets,
+        buoyancy_excess_n=np.array([MODEL.buoyancy_excess_n]),
     )
 
 

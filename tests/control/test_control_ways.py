@@ -113,6 +113,7 @@ def test_a_door_in_a_large_basin_has_a_trajectory() -> None:
         flow=sample_flow(EstimatedCurrent(), nav_state(0, x0), area, 0.5),
         limits=np.array([0.45, 0.24, 0.96, 0.0, 5.0]),
         thrust_limit_n=np.full(4, 11.5),
+        buoyancy_excess_n=MODEL.buoyancy_excess_n,
     )
     plan = EnergyPlanner(MODEL, PowerModel.of(VEHICLE)).plan(request)
     assert plan.trajectory is not None and plan.trajectory.solved, plan.why

@@ -35,6 +35,7 @@ def quick(x0: FloatArray, to: Goal, stream: FloatArray, cap_m_s: float) -> Plan:
         flow=FlowSamples(north_m=axis, east_m=axis, current_ned_m_s=current),
         limits=np.array([cap_m_s, 0.24, 0.96, 0.05, DEEPEST_M]),
         thrust_limit_n=np.full(4, 11.5),
+        buoyancy_excess_n=MODEL.buoyancy_excess_n,
         cruise_m_s=to.speed_m_s,
         kind=Kind.QUICK,
     )

@@ -38,6 +38,7 @@ def request(x0: FloatArray, to: Goal, fence: Fence = TANK, current: FloatArray |
         flow=sample_flow(EstimatedCurrent(), nav, area, 0.4),
         limits=LIMITS,
         thrust_limit_n=np.full(4, 12.0),
+        buoyancy_excess_n=MODEL.buoyancy_excess_n,
     )
 
 

@@ -33,7 +33,7 @@ RUNS, SHORT_RUNS = 8, 3
 
 KEEP_M = 0.33
 LIMITS = np.array([0.45, 0.24, 0.96, 0.0, 50.0])
-THRUST_N = 11.5
+THRUST_N, BUOYANCY_N = 11.5, 0.6
 UPDATE_AFTER = 0.3
 """Share of a trajectory after which it is brought up to date."""
 
@@ -132,6 +132,7 @@ def _request(water: _Water, x0: FloatArray, goal: Goal) -> Request:
         flow=sample_flow(water.forecast, water.nav, area, float(x0[2])),
         limits=LIMITS,
         thrust_limit_n=np.full(4, THRUST_N),
+        buoyancy_excess_n=BUOYANCY_N,
     )
 
 

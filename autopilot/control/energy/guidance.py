@@ -19,6 +19,7 @@ from autopilot.control.energy.leg_task import BETWEEN_M, RADIUS_SHARE, YAW_SHARE
 from autopilot.control.energy.patience import ANSWER_STEPS, STEP_S, Kind, NoPlanError, Patience
 from autopilot.control.energy.request import EXTRA_M, EXTRA_S, Plan, Request, TrajectoryPlanner
 from autopilot.control.energy.track import Track, joined
+from autopilot.control.energy.trajectory import Trajectory
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
 from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.way.desks import Mishaps
@@ -110,7 +111,7 @@ class EnergyGuidance:
         self._reach_s = float(2.0 * grid.t_s[-1] - grid.t_s[-2])
         """Time from which on the end of a trajectory is out of sight: see _shares."""
         self._weights = Weights(sharing.model.thrusters)
-        self._steady = SteadyThrust(sharing)
+        self._steady, self._sharing = SteadyThrust(sharing), sharing
         self._desk, self._route = desk, route
         # Not a method: work that is under way must not keep whoever asked for it, who keeps the work.
         self._plan = partial(planned, planner)
@@ -182,6 +183,7 @@ class EnergyGuidance:
             weight_u = max(weight_u, FOLLOWING_THRUST_WEIGHT)
         then = self._next
         x, thrust = track.sample(self._t_s, current, then)
+        thrust += self._lift_n(self._sharing.buoyancy_excess_n, now.thrust_limit_n)
         rest = 1.0 if then is None else track.missing
         if rest > 0.0 and self._last_s >= rest_s:
             after = self._t_s[:-1] >= rest_s
@@ -254,6 +256,11 @@ class EnergyGuidance:
             self._mishaps.failed(NoPlanError("late"), felt=not self._route.unreachable)
         return fresh
 
+    def _lift_n(self, buoyancy_excess_n: float, limit_n: FloatArray) -> FloatArray:
+        """(n,) thrust of those of ``limit_n`` (n,) that are alive which holds the vehicle against that buoyancy."""
+        force = np.array([0.0, 0.0, buoyancy_excess_n, 0.0])
+        return self._sharing.thrust_n(force, np.where(limit_n > 0.0, np.inf, 0.0))
+
     def _leave_if_lost(self, off_m: float) -> None:
         """A trajectory that the vehicle is far from, or that has ended without its goal, is followed no more.
 
@@ -304,7 +311,10 @@ class EnergyGuidance:
             else:
                 self._fail(request, NoPlanError(plan.why))
             return False
-        track = Track(plan.trajectory, plan.goal, plan.complete)
+        # Without what holds the vehicle down or up: what is known of that changes under way.
+        lift_n = self._lift_n(request.buoyancy_excess_n, request.thrust_limit_n)
+        moving = replace(plan.trajectory, thrust_n=plan.trajectory.thrust_n - lift_n)
+        track = Track(moving, plan.goal, plan.complete)
         self._mishaps.succeeded()
         if plan.stay and self._track is not None:
             self._quick = False
@@ -414,6 +424,11 @@ class EnergyGuidance:
             ]
         )
         steps = ANSWER_STEPS[kind]
+        begun: Trajectory | None = None
+        if warm is not None:
+            left = shifted(warm.trajectory, warm.clock_s + steps * STEP_S, x0)
+            lift_n = self._lift_n(self._sharing.buoyancy_excess_n, now.thrust_limit_n)
+            begun = replace(left, thrust_n=left.thrust_n + lift_n)
         request = Request(
             x0=x0.copy(),
             goal=goal,
@@ -423,8 +438,9 @@ class EnergyGuidance:
             flow=sample_flow(now.forecast, now.nav, area, float(x0[2])),
             limits=limits,
             thrust_limit_n=BOUND_SHARE * now.thrust_limit_n,
+            buoyancy_excess_n=self._sharing.buoyancy_excess_n,
             cruise_m_s=goal.speed_m_s,
-            warm=None if warm is None else shifted(warm.trajectory, warm.clock_s + steps * STEP_S, x0),
+            warm=begun,
             kind=kind,
         )
         if kind is not Kind.NEXT:

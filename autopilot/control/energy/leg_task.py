@@ -289,6 +289,7 @@ class LegTask:
             thrust_limit_n=request.thrust_limit_n,
             end_slope_j_m=slope,
             longest_s=LONGER * float(guess.t_s[-1]) + LONGER_S,
+            buoyancy_excess_n=request.buoyancy_excess_n,
         )
 
     def _planar_m_s(self, guess: Trajectory, request: Request) -> FloatArray:

@@ -34,6 +34,8 @@ class Request:
     """(5,) planar speed, heave, yaw rate, depth minimum, depth maximum."""
     thrust_limit_n: FloatArray
     """(4,)"""
+    buoyancy_excess_n: float
+    """Buoyancy minus weight, as it has proved to be."""
     cruise_m_s: float = math.inf
     """See :func:`autopilot.control.energy.power.planar_limit_m_s`."""
     warm: Trajectory | None = None

@@ -54,8 +54,8 @@ class EnergyPlanner:
     """Keeps the built programs and the last features; otherwise a function of the request."""
 
     def __init__(self, model: Model4, power: PowerModel) -> None:
-        self._model, self._power = model, power
-        self._steady = SteadyThrust(Sharing(model, power.thrust_w_n15))
+        self._power, self._sharing = power, Sharing(model, power.thrust_w_n15)
+        self._steady = SteadyThrust(self._sharing)
         self._programs: dict[int, Program] = {}
         self._features: tuple[tuple[object, ...], Features] | None = None
         self._spaces: dict[int, tuple[Features, tuple[float, ...], FreeSpace]] = {}
@@ -74,7 +74,8 @@ class EnergyPlanner:
         cancel.check()
         features = self._features_of(request.fence)
         flow = Flow(request.flow)
-        table = speed_table(self._model, self._power, float(request.limits[0]), request.cruise_m_s)
+        self._sharing.buoyancy_excess_n = request.buoyancy_excess_n
+        table = speed_table(self._sharing.model, self._power, float(request.limits[0]), request.cruise_m_s)
         found = self._field(request, features, flow, table)
         if found is None:
             return no_plan(request.goal, "no way")
@@ -182,7 +183,7 @@ class EnergyPlanner:
         need = duration_s / (INTERVALS * SUBSTEP_S)
         substeps = next((s for s in SUBSTEPS if s >= need), SUBSTEPS[-1])
         if substeps not in self._programs:
-            self._programs[substeps] = Program(self._model, self._power, INTERVALS, substeps)
+            self._programs[substeps] = Program(self._sharing.model, self._power, INTERVALS, substeps)
         return self._programs[substeps]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from autopilot.control.energy.interval import steps
 from autopilot.control.energy.power import PowerModel
-from autopilot.control.nmpc.model_code import coefficients
+from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, YAW, Model4, R, U, V, W, Z
 
@@ -57,6 +57,7 @@ def shapes_of(n: int) -> dict[str, tuple[int, int]]:
         "planar": (1, n + 1),
         "limits": (4, n + 1),
         "end": (2, 1),
+        "buoyancy": (1, 1),
     }
 
 
@@ -91,7 +92,7 @@ class Shooting:
         """One interval: motion with slopes and Hessian; power of its thrusters with theirs."""
         n, interval = self._n, steps(self._substeps)
         self._matrix = np.array(model.allocation)
-        self._coefficients = ca.repmat(ca.DM(coefficients(model)), 1, n)
+        self._hull = ca.DM(coefficients(model)[:BUOYANCY])
         self._moved, self._slopes, self._curved = (
             each.map(n) for each in (interval.moved, interval.slopes, interval.curved)
         )
@@ -135,7 +136,8 @@ class Shooting:
         state = ca.horzcat(parts["x0"], following[:, : n - 1])
         length = z[-1] / (n * self._substeps)
         variables = ca.vertcat(state, ca.mtimes(ca.DM(self._matrix), thrusts), ca.repmat(length, 1, n))
-        motion = [variables, *(parts[name][:, :n] for name in ("current", "gradient", "places")), self._coefficients]
+        told = ca.repmat(ca.vertcat(self._hull, parts["buoyancy"]), 1, n)
+        motion = [variables, *(parts[name][:, :n] for name in ("current", "gradient", "places")), told]
         end = [following[:, n - 1], parts["goal"], parts["band"], parts["end"], parts["current"][:2, n]]
         return parts, following, thrusts, motion, end
 

@@ -56,6 +56,7 @@ class Ask:
     end_slope_j_m: FloatArray
     """(2,) slope of the cost of what follows, over north and east of the place where the vehicle coasts to."""
     longest_s: float
+    buoyancy_excess_n: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -114,6 +115,7 @@ class Program:
             ask.planar_m_s,
             ask.limits,
             ask.end_slope_j_m,
+            np.array([ask.buoyancy_excess_n]),
         )
         lower, upper = self._bounds(ask)
         guess = np.concatenate([np.hstack([thrust_n, x[1:]]).ravel(), [min(max(end_s, lower[-1]), upper[-1])]])

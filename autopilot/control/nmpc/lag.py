@@ -16,8 +16,8 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from autopilot.control.nmpc.model_code import coefficients
-from autopilot.control.nmpc.ocp import bind, discrete_dynamics
+from autopilot.control.nmpc.model_code import BUOYANCY, COEFFICIENTS, coefficients
+from autopilot.control.nmpc.ocp import bind, trimmed_dynamics
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.model4 import NX, YAW, Model4
@@ -58,6 +58,7 @@ class ThrusterLag:
         # Thrusters that differ: together they give what all would with the mean.
         self._lag_s = lag_s = response.mean_s
         self._x, self._u, self._c, self._out = np.zeros(NX), np.zeros(model.thrusters), np.zeros(3), np.zeros(NX)
+        self._coefficients = np.array(coefficients(model))
         self._lag_owner, self._through_lag = self._bound(model, lag_s)
         self._way_owner, self._under_way = self._bound(model, UNDER_WAY_S)
         self._sent: deque[Sent] = deque()
@@ -78,6 +79,10 @@ class ThrusterLag:
         self._predicted: deque[tuple[float, FloatArray]] = deque()
         self._off = np.zeros(NX)
         self._compared_s = self._now_s
+
+    def trim(self, buoyancy_excess_n: float) -> None:
+        """Predictions count on that excess buoyancy [N] from now on."""
+        self._coefficients[BUOYANCY] = buoyancy_excess_n
 
     def act_late(self, delay_s: float) -> None:
         """Commands reach the thrusters ``delay_s`` late, and have done so from the first."""
@@ -156,19 +161,24 @@ class ThrusterLag:
         """(owner, call): the call takes ``_x`` over ``dt_s`` to ``_out`` with ``_u`` and ``_c``."""
         library = compiled.library()
         if library is not None:
-            return _compiled_ahead(library, model, dt_s, (self._x, self._u, self._c), self._out)
-        interval = discrete_dynamics(model, dt_s, STEPS)
+            return _compiled_ahead(library, model, dt_s, (self._x, self._u, self._c, self._coefficients), self._out)
+        interval = trimmed_dynamics(model, dt_s, STEPS)
         x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
-        function = ca.Function("ahead", [x, u, c], [interval(x, u, c)[0]])
-        return bind(function, (self._x, self._u, self._c), (self._out,))
+        told = ca.SX.sym("told", COEFFICIENTS)
+        function = ca.Function("ahead", [x, u, c, told], [interval(x, u, c, told[BUOYANCY])[0]])
+        return bind(function, (self._x, self._u, self._c, self._coefficients), (self._out,))
 
 
 def _compiled_ahead(
-    library: Any, model: Model4, dt_s: float, given: tuple[FloatArray, FloatArray, FloatArray], out: FloatArray
+    library: Any,
+    model: Model4,
+    dt_s: float,
+    given: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    out: FloatArray,
 ) -> tuple[object, Callable[[], None]]:
     """The same by the compiled library (``data/native/follow.c``)."""
-    arrays = (np.array(coefficients(model)), np.array(model.allocation), *given, out)
-    names = ("coefficients", "allocation", "x", "thrust", "current", "after")
+    arrays = (np.array(model.allocation), *given, out)
+    names = ("allocation", "x", "thrust", "current", "coefficients", "after")
     addresses = {name: array.ctypes.data for name, array in zip(names, arrays, strict=True)}
     told = _Ahead(thrusters=model.thrusters, steps=STEPS, dt_s=dt_s, **addresses)
     return (arrays, told), partial(library.state_ahead, ctypes.byref(told))

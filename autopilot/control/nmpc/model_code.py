@@ -16,6 +16,9 @@ from autopilot.core.model4 import AXES, NX, Model4
 COEFFICIENTS = 3 * AXES + 1
 """Mass, linear and quadratic drag per axis, buoyancy; the thrusters' columns are multiplied beside it."""
 
+BUOYANCY = 3 * AXES
+"""Where it stands among them."""
+
 TITLE = "/* Generated from autopilot/core/model4.py by `python -m autopilot.control.nmpc.model_code`: do not edit. */\n"
 HEAD = """\
 #include <math.h>

@@ -10,7 +10,7 @@ import numpy as np
 
 from autopilot.control.nmpc import ocp
 from autopilot.control.nmpc.grid import REFERENCE_DT_S, TimeGrid
-from autopilot.control.nmpc.model_code import coefficients
+from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import NX, Model4
@@ -63,6 +63,8 @@ class NativeStep:
         self.x_ref, self.u_ref, self.current = arguments["x_ref"], arguments["u_ref"], arguments["current"]
         self.weight_x, self.weight_u = arguments["weight_x"], arguments["weight_u"]
         self.terminal, self.limits = arguments["terminal"], arguments["limits"]
+        self.buoyancy = arguments["buoyancy"]
+        self.buoyancy[:] = model.buoyancy_excess_n
         self.thrust_limit = arguments["thrust_limit"]
         self.plane_n, self.plane_d = arguments["plane_n"].reshape(n - 1, planes, 2), arguments["plane_d"]
         self.x, self.u = np.zeros((n + 1, NX)), np.zeros((n, model.thrusters))
@@ -87,4 +89,5 @@ class NativeStep:
 
     def evaluate(self) -> None:
         """Linearise at the guess, solve, write the results. An unsolved program has an infinite violation."""
+        self._arrays["coefficients"][BUOYANCY] = self.buoyancy[0, 0]
         self._call(self._reference)

@@ -21,7 +21,7 @@ Weights, limits and bounds are given per node, so that margins may grow along th
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -113,18 +113,27 @@ def bind(
 def discrete_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Function:
     """RK4 over one interval: (x, thrust_n, current_ned_m_s) -> (x_next, A (8, 8), B (8, n))."""
     x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
+    moved: Any = trimmed_dynamics(model, dt_s, substeps)(x, u, c, model.buoyancy_excess_n)
+    return ca.Function("interval", [x, u, c], list(moved))
+
+
+def trimmed_dynamics(model: model4.Model4, dt_s: float, substeps: int) -> ca.Function:
+    """The same of a vehicle with another excess buoyancy [N], the fourth argument."""
+    x, u, c = ca.SX.sym("x", NX), ca.SX.sym("u", model.thrusters), ca.SX.sym("c", 3)
+    lift: Any = ca.SX.sym("lift")
     h = dt_s / substeps
+    trimmed = replace(model, buoyancy_excess_n=lift)
 
     def f(state: Any) -> Any:
-        return ca.vertcat(*model4.state_derivative(model, ca.vertsplit(state), ca.vertsplit(u), ca.vertsplit(c), ca))
+        return ca.vertcat(*model4.state_derivative(trimmed, ca.vertsplit(state), ca.vertsplit(u), ca.vertsplit(c), ca))
 
     x_next = model4.rk4(f, x, h)
-    single = ca.Function("rk4", [x, u, c], [x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, u)])
+    single = ca.Function("rk4", [x, u, c, lift], [x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, u)])
     state, a, b = x, ca.SX.eye(NX), ca.SX(NX, model.thrusters)
     for _ in range(substeps):
-        state, a_step, b_step = single(state, u, c)
+        state, a_step, b_step = single(state, u, c, lift)
         a, b = ca.mtimes(a_step, a), ca.mtimes(a_step, b) + b_step
-    return ca.Function("interval", [x, u, c], [state, a, b])
+    return ca.Function("interval", [x, u, c, lift], [state, a, b])
 
 
 def _fastest_rate_1_s(model: model4.Model4, scale: float) -> float:
@@ -165,8 +174,8 @@ def argument_shapes(n: int, planes: int, thrusters: int) -> dict[str, tuple[int,
     """Arguments of the step and their shapes (rows, columns), in order.
 
     State and thrust of the guess and of the reference, current, weights per node (8 at nodes 1 .. N-1, one per
-    thruster at 0 .. N-1, per :data:`REFERENCE_DT_S`), Hessian of the terminal cost, limits at nodes 1 .. N-1, thrust
-    bounds, half-planes at nodes 1 .. N-1.
+    thruster at 0 .. N-1, per :data:`REFERENCE_DT_S`), Hessian of the terminal cost, excess buoyancy [N], limits at
+    nodes 1 .. N-1, thrust bounds, half-planes at nodes 1 .. N-1.
     """
     return {
         "x_guess": (NX, n + 1),
@@ -177,6 +186,7 @@ def argument_shapes(n: int, planes: int, thrusters: int) -> dict[str, tuple[int,
         "weight_x": (NX, n - 1),
         "weight_u": (thrusters, n),
         "terminal": (NX, NX),
+        "buoyancy": (1, 1),
         "limits": (N_LIMITS, n - 1),
         "thrust_limit": (thrusters, n),
         "plane_n": (2, planes * (n - 1)),
@@ -217,7 +227,7 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
     shapes = argument_shapes(n, planes, nu)
     names = list(shapes)
     arguments = [ca.SX.sym(name, *shape) for name, shape in shapes.items()]
-    xg, ug, xref, uref, cur, weight_x, weight_u, terminal, limits, tlim, plane_n, plane_d = arguments
+    xg, ug, xref, uref, cur, weight_x, weight_u, terminal, buoyancy, limits, tlim, plane_n, plane_d = arguments
 
     scale = [dt / REFERENCE_DT_S for dt in grid.dt_s]
     intervals: dict[tuple[float, int], ca.Function] = {}
@@ -226,8 +236,8 @@ def build_qp_step(model: model4.Model4, grid: TimeGrid, planes: int, backend: Qp
     for k, (dt, substeps) in enumerate(zip(grid.dt_s, grid.substeps(longest_step_s(model)), strict=True)):
         key = (float(dt), substeps)
         if key not in intervals:
-            intervals[key] = discrete_dynamics(model, dt, substeps)
-        x_next, a, b = intervals[key](xg[:, k], ug[:, k], cur[:, k])
+            intervals[key] = trimmed_dynamics(model, dt, substeps)
+        x_next, a, b = intervals[key](xg[:, k], ug[:, k], cur[:, k], buoyancy)
         gap = x_next - xg[:, k + 1]
         gaps.append(gap)
         row_low.append(-gap)

@@ -69,6 +69,8 @@ class NmpcProblem:
     """(N-1, PLANES, 2) unit normals of the half-planes n . p >= d at stages 1 .. N-1; zero = unused."""
     plane_d_m: FloatArray
     """(N-1, PLANES)"""
+    buoyancy_excess_n: FloatArray
+    """(1,) buoyancy minus weight [N] as it has proved to be, positive floats up."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -99,8 +101,10 @@ class QpStep:
         self.told = ocp.Arguments(n, planes, model.thrusters)
         arguments = list(self.told.arrays.values())
         self.x_guess, self.u_guess, self.x_ref, self.u_ref, self.current = arguments[:5]
-        self.weight_x, self.weight_u, self.terminal, self.limits, self.thrust_limit = arguments[5:10]
-        self.plane_n, self.plane_d = arguments[10].reshape(n - 1, planes, 2), arguments[11]
+        self.weight_x, self.weight_u, self.terminal, self.buoyancy = arguments[5:9]
+        self.buoyancy[:] = model.buoyancy_excess_n
+        self.limits, self.thrust_limit = arguments[9:11]
+        self.plane_n, self.plane_d = arguments[11].reshape(n - 1, planes, 2), arguments[12]
         self.x = np.zeros((n + 1, NX))
         self.u = np.zeros((n, model.thrusters))
         self.slack = np.zeros((n - 1, ocp.N_SLACKS))
@@ -279,6 +283,7 @@ class Nmpc:
         step.weight_x[:] = problem.weight_x
         step.weight_u[:] = problem.weight_u
         step.terminal[:] = problem.terminal
+        step.buoyancy[:] = problem.buoyancy_excess_n
         step.limits[:] = problem.limits
         step.thrust_limit[:] = problem.thrust_limit_n
         step.plane_n[:] = problem.plane_n

@@ -56,7 +56,9 @@ def solve_again(program: UnsolvedProgram, backends: tuple[ocp.QpBackend, ...] = 
     """What every solver makes of it. LogError if the program is not complete."""
     try:
         model = Model4(**{name: _plain(value) for name, value in _part(program.arrays, "model.").items()})
-        problem = NmpcProblem(**_part(program.arrays, "problem."))
+        # Programs of before the buoyancy was learned have the vehicle file's.
+        trimmed = {"buoyancy_excess_n": np.array([model.buoyancy_excess_n])}
+        problem = NmpcProblem(**(trimmed | _part(program.arrays, "problem.")))
         grid = grid_of(program.arrays["grid.dt_s"])
         x, thrust = program.arrays["guess.x"], program.arrays["guess.thrust_n"]
     except (KeyError, TypeError) as error:

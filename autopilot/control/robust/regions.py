@@ -32,6 +32,9 @@ ANSWER_STEPS = 20
 CURRENT_STEP_M_S = 0.06
 """A goal is certified anew when the current there has changed by this."""
 
+BUOYANCY_STEP_N = 0.5
+"""The same of the buoyancy that the vehicle has proved to have."""
+
 AT_PLACE = ("clearance", "acceptance radius", "acceptance heading", "depth", "decrease")
 """Limits of the goal's place, whatever the water does; all others are of what the vehicle can do in it."""
 
@@ -77,6 +80,7 @@ class TerminalRegions:
         self._told = ""
         self._warned = ""
         self._current: list[float] = [0.0, 0.0, 0.0]
+        self._buoyancy_n = 0.0
         self._cost: FloatArray | None = None
         self._news: list[tuple[Severity, str]] = []
         self._nu: list[float] = []
@@ -112,8 +116,10 @@ class TerminalRegions:
         place, current = goal.pos_ned_m.tolist(), current_ned_m_s.tolist()
         key = (place, yaw, goal.accept_radius_m, clearance_m, q.tobytes(), r.tobytes(), sampled)
         moved = max(abs(now - then) for now, then in zip(current, self._current, strict=True)) > CURRENT_STEP_M_S
+        buoyancy_n = self._sharing.buoyancy_excess_n
+        moved |= abs(buoyancy_n - self._buoyancy_n) > BUOYANCY_STEP_N
         if key != self._key or (moved and self._ticket is None):
-            self._key, self._goal, self._current = key, goal, current
+            self._key, self._goal, self._current, self._buoyancy_n = key, goal, current, buoyancy_n
             told = limits()
             self.law = terminal_law(self._sharing, yaw, current_ned_m_s, q, r, told.thrust_n)
             self._cost, self._nu = self.law.cost_ned(), self.law.nu.tolist()

@@ -33,19 +33,21 @@ HOLD_YAW_RATE_RAD_S = 1.0
 
 HOLD_SAMPLES = 2_000
 CURRENT_STEP_M_S = 0.05
-"""The local law is made anew when the current has changed by this."""
+BUOYANCY_STEP_N = 0.5
+"""The local law is made anew when the current or the buoyancy has changed by this."""
 
 
 class StationKeeper:
     """Holds one place after the other."""
 
     def __init__(self, sharing: Sharing) -> None:
-        self._model, self._sharing = sharing.model, sharing
+        self._sharing = sharing
         self._samples = unit_samples(HOLD_SAMPLES)
         self._target: FloatArray | None = None
         self._law: Terminal | None = None
         self._alpha = 0.0
         self._current = np.zeros(3)
+        self._buoyancy_n = 0.0
         self.inside = False
         """The last command was that of the local law: the vehicle is in the invariant set."""
 
@@ -62,7 +64,9 @@ class StationKeeper:
         """Thrust (n,) that holds the place where this began."""
         if self._target is None:
             self._target = x.copy()
-        if self._law is None or float(np.abs(current_ned_m_s - self._current).max()) > CURRENT_STEP_M_S:
+        sunk_n = abs(self._sharing.buoyancy_excess_n - self._buoyancy_n)
+        flows = float(np.abs(current_ned_m_s - self._current).max()) > CURRENT_STEP_M_S
+        if self._law is None or flows or sunk_n > BUOYANCY_STEP_N:
             self._make(self._target, current_ned_m_s, limit_n)
         law = self._law
         self.inside = False
@@ -75,13 +79,13 @@ class StationKeeper:
         return station_keeping_thrust(self._sharing, x, self._target, current_ned_m_s, limit_n)
 
     def _make(self, target: FloatArray, current: FloatArray, limit_n: FloatArray) -> None:
-        self._current = current.copy()
+        self._current, self._buoyancy_n = current.copy(), self._sharing.buoyancy_excess_n
         law = terminal_law(
             self._sharing,
             float(target[YAW]),
             current,
             np.array(STATE_WEIGHTS),
-            np.full(self._model.thrusters, THRUST_WEIGHT),
+            np.full(self._sharing.model.thrusters, THRUST_WEIGHT),
             limit_n,
         )
         place = Goal(
@@ -101,7 +105,7 @@ class StationKeeper:
             depth_max_m=math.inf,
             clearance_m=math.inf,
         )
-        job = CertificateJob(self._model, law, place, limits, self._samples)
+        job = CertificateJob(self._sharing.model, law, place, limits, self._samples)
         while job.certificate is None:
             job.advance(HOLD_SAMPLES)
         self._law, self._alpha = law, job.certificate.alpha

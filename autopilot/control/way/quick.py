@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from autopilot.control.nmpc.model_code import coefficients
+from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.control.way import reference
 from autopilot.control.way.reference import Route, Target
 from autopilot.core.frames import FloatArray
@@ -99,6 +99,7 @@ class QuickMarch:
             self._tell(target.route)
         self._tell_inverse(limit_n)
         self._x0[:], self._current[:], self._limit_n[:] = x0, current_ned_m_s, limit_n
+        self._coefficients[BUOYANCY] = self._sharing.buoyancy_excess_n
         march.s0_m, march.depth_m, march.yaw_rad = target.s0_m, target.depth_m, target.yaw_rad
         march.cruise_m_s, march.speed_limit_m_s = target.cruise_m_s, target.speed_limit_m_s
         march.heave_limit_m_s, march.yaw_rate_limit_rad_s = target.heave_limit_m_s, target.yaw_rate_limit_rad_s

@@ -76,6 +76,7 @@ def nmpc_status(stamp_ns: int, status: NmpcStatus) -> bytes:
         status.margin_m,
         status.tube_m,
         status.penalty_use,
+        status.lift_n,
     )
 
 
