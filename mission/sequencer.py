@@ -6,24 +6,24 @@ the acceptance ball (3-D) and, if a heading is asked for, inside the heading ban
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from dataclasses import replace
 
 import numpy as np
 
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.messages import Goal, MissionProgress, NavHealth, NavState, ProgressState
-from mission.circling import Circle
+from autopilot.core.messages import MissionProgress, NavState, ProgressState
+from mission.execution import Action as Action
+from mission.execution import Position as Position
+from mission.execution import Run
+from mission.execution import SequencerOutput as SequencerOutput
 from mission.items import (
     ChangeSpeed,
     Circuit,
-    Gate,
     GoTo,
     Instant,
     Jump,
     LookAt,
-    Near,
     Order,
     Passage,
     ReturnHome,
@@ -35,96 +35,11 @@ from mission.items import (
     Travel,
     Wait,
 )
-from mission.lookahead import next_place, next_waypoint
-
-GOALS_AHEAD = 2
-"""A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""
+from mission.step_goals import StepGoals
+from mission.step_goals import is_inside as is_inside
 
 MAX_INSTANT_STEPS = 64
 """Steps without duration that one tick may run; a plan of thousands of empty jumps is spread over ticks."""
-
-
-class Action(StrEnum):
-    """What the mission asks of the vehicle's mode logic, on the one tick on which it does."""
-
-    SURFACE = "surface"
-    """NAV_LAND has come up to the top of the depth band: surface and disarm."""
-    HOLD = "hold"
-    """The mission is complete; the goal stays where it is."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SequencerOutput:
-    """Result of one tick."""
-
-    goal: Goal | None
-    """None while no mission runs and while the estimate is not finite."""
-    progress: MissionProgress
-    reached: tuple[int, ...] = ()
-    """Items reached on this tick (NAV commands only)."""
-    action: Action | None = None
-    home_ned_m: FloatArray | None = None
-    """(3,) new home, on the tick on which a DO_SET_HOME ran."""
-    orders: tuple[Order, ...] = ()
-    """For the equipment, in the order in which the mission came by them on this tick."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Position:
-    """Where a mission stands: all that it takes to go on with it after a restart."""
-
-    cursor: int
-    """Step that runs next."""
-    reached_seq: int
-    lap: int
-    jumps_done: tuple[tuple[int, int], ...]
-    """(step of a jump, how often it was made)."""
-    speed_m_s: float | None
-    default_yaw_rad: float | None
-    facing_ned_m: tuple[float, float] | None = None
-
-
-@dataclass(slots=True, eq=False, kw_only=True)
-class _Run:
-    """What is remembered of one run of the mission."""
-
-    cursor: int
-    """Step that runs now."""
-    state: ProgressState
-    entered: bool = False
-    """Whether the goal of the present step has been set."""
-    goal: Goal | None = None
-    pause_goal: Goal | None = None
-    default_yaw_rad: float | None = None
-    """Heading of goals that leave it free (CONDITION_YAW)."""
-    speed_m_s: float | None = None
-    """None = SPD_CRUISE."""
-    facing_ned_m: FloatArray | None = None
-    """(2,) what the vehicle looks at, None = nothing."""
-    circle: Circle | None = None
-    """Of NAV_LOITER_TURNS, while it runs."""
-    leg_from_ned_m: FloatArray | None = None
-    """(3,) where the way to the present goal begins."""
-    given_up_seq: int = -1
-    """An item to pass over: it was given up on the way, before its turn."""
-    inside_since_us: int | None = None
-    waited_us: int = 0
-    """How long the present wait has run, pauses left out."""
-    clock_us: int | None = None
-    """The last tick of that wait, None = it (or its pause) has just begun or ended."""
-    rising: bool = False
-    """NAV_LAND: above its place and on the way up."""
-    jumps_done: dict[int, int] = field(default_factory=dict)
-    flown: int = 0
-    """Steps that took time so far."""
-    flown_at_jump: dict[int, int] = field(default_factory=dict)
-    """That number when a jump (by its step) was last made."""
-    reached_seq: int = -1
-    lap: int = 0
-    skipped: int = 0
-    """Items given up."""
-    ending: bool = False
-    """The last item has been given up: complete with the next tick."""
 
 
 class Sequencer:
@@ -132,14 +47,20 @@ class Sequencer:
 
     def __init__(self, params: Mapping[str, float]) -> None:
         self._params = params
-        self._home_ned_m: FloatArray = np.zeros(3)
+        self._goals = StepGoals(params)
         self._reached_now: list[int] = []
         self._action: Action | None = None
         self._new_home: FloatArray | None = None
         self._orders: list[Order] = []
-        self._steps: tuple[Step, ...] = ()
         self._lap_marker = -1
-        self._run = _Run(cursor=0, state=ProgressState.NO_MISSION)
+
+    @property
+    def _run(self) -> Run:
+        return self._goals.run
+
+    @property
+    def _steps(self) -> tuple[Step, ...]:
+        return self._goals.steps
 
     @property
     def state(self) -> ProgressState:
@@ -148,7 +69,7 @@ class Sequencer:
 
     def load(self, steps: Sequence[Step]) -> None:
         """Take a new mission and stand at its beginning, not started. An empty one = no mission."""
-        self._steps = tuple(steps)
+        self._goals.steps = tuple(steps)
         jumps = [i for i, s in enumerate(self._steps) if isinstance(s, Jump)]
         placed = [i for i, s in enumerate(self._steps) if isinstance(s, GoTo)]
         self._lap_marker = (jumps or placed or [-1])[0]
@@ -230,12 +151,12 @@ class Sequencer:
         step = self._steps[run.cursor]
         run.skipped += 1
         if isinstance(step, Surface):
-            here = self._goal_here(nav)
+            here = self._goals.here(nav)
             if here is None or run.rising:
                 return
             run.rising = True
             place = np.array([*here.pos_ned_m[:2], self._params["DEPTH_MIN"]])
-            run.goal = self._make_goal(replace(step, yaw_rad=None), place)
+            run.goal = self._goals.of(replace(step, yaw_rad=None), place)
         elif isinstance(step, ReturnHome):
             run.ending = True
         else:
@@ -261,12 +182,12 @@ class Sequencer:
 
     def set_home(self, pos_ned_m: FloatArray) -> None:
         """Where NAV_RETURN_TO_LAUNCH goes (3,), at the depth of the goal before it."""
-        self._home_ned_m = np.array(pos_ned_m, dtype=np.float64)
+        self._goals.home_ned_m = np.array(pos_ned_m, dtype=np.float64)
 
     def set_speed(self, speed_m_s: float | None) -> None:
         """Cruise speed from now on, None = SPD_CRUISE. A DO_CHANGE_SPEED later in the plan replaces it."""
         self._run.speed_m_s = speed_m_s
-        self._refresh_goal()
+        self._goals.refresh()
 
     def step(self, t_us: int, nav: NavState) -> SequencerOutput:
         """One tick. Same calls, same outputs."""
@@ -276,7 +197,7 @@ class Sequencer:
         goal = self._run.goal
         if self._run.state is ProgressState.PAUSED:
             if self._run.pause_goal is None:
-                self._run.pause_goal = self._goal_here(nav)
+                self._run.pause_goal = self._goals.here(nav)
             goal = self._run.pause_goal
         elif self._run.state in (ProgressState.NO_MISSION, ProgressState.NOT_STARTED):
             goal = None
@@ -303,7 +224,9 @@ class Sequencer:
 
     def _clear(self, cursor: int) -> None:
         """Before the first tick of a run from ``cursor``."""
-        self._run = _Run(cursor=cursor, state=ProgressState.NOT_STARTED if self._steps else ProgressState.NO_MISSION)
+        self._goals.run = Run(
+            cursor=cursor, state=ProgressState.NOT_STARTED if self._steps else ProgressState.NO_MISSION
+        )
 
     def _check_seq(self, seq: int) -> None:
         if not 0 <= seq < len(self._steps):
@@ -314,7 +237,7 @@ class Sequencer:
         """Run steps until one needs time. At most one step that needs time ends per tick."""
         if self._run.ending:
             self._run.ending = False
-            self._run.goal = self._goal_here(nav) or self._run.goal
+            self._run.goal = self._goals.here(nav) or self._run.goal
             self._complete(Action.HOLD)
             return
         ended = False
@@ -343,7 +266,7 @@ class Sequencer:
             return
         if isinstance(step, ChangeSpeed):
             self._run.speed_m_s = step.speed_m_s
-            self._refresh_goal()
+            self._goals.refresh()
         elif isinstance(step, SetHeading):
             self._set_heading(step, float(nav.rpy_rad[2]))
         elif isinstance(step, Order):
@@ -353,8 +276,8 @@ class Sequencer:
         elif isinstance(step, SetHome):
             place = nav.pos_ned_m if step.pos_ned_m is None else step.pos_ned_m
             if bool(np.all(np.isfinite(place))):
-                self._home_ned_m = np.array(place, dtype=np.float64)
-                self._new_home = self._home_ned_m
+                self._goals.home_ned_m = np.array(place, dtype=np.float64)
+                self._new_home = self._goals.home_ned_m
         self._advance(self._run.cursor + 1)
 
     def _set_heading(self, step: SetHeading, yaw_rad: float) -> None:
@@ -408,7 +331,7 @@ class Sequencer:
 
     def _enter(self, step: Timed, nav: NavState) -> bool:
         """Set the goal of a step. False (try again on the next tick) while it needs an estimate that is not finite."""
-        goal = self._first_goal(step, nav)
+        goal = self._goals.first(step, nav)
         if goal is None:
             return False
         old = self._run.goal
@@ -421,91 +344,6 @@ class Sequencer:
         self._run.waited_us = 0
         return True
 
-    def _first_goal(self, step: Timed, nav: NavState) -> Goal | None:
-        """The goal that a step begins with, None while that is unknown."""
-        run = self._run
-        if isinstance(step, Circuit):
-            return self._begin_circle(step, nav)
-        if isinstance(step, Passage):
-            return self._goal_beyond(step, nav)
-        target = self._target_ned_m(step, nav)
-        if target is None or (isinstance(step, Wait) and run.goal is not None):
-            return None if target is None else run.goal
-        return self._leading_on(self._make_goal(step, target), run.cursor)
-
-    def _begin_circle(self, step: Circuit, nav: NavState) -> Goal | None:
-        """Round its centre, or round where the mission stands."""
-        run = self._run
-        here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
-        last = here if run.goal is None else run.goal.pos_ned_m
-        centre = last if step.centre_ned_m is None else step.centre_ned_m
-        if centre is None or here is None:
-            return None
-        params, asked = self._params, run.speed_m_s
-        speed = (abs(params["CIRCLE_SPEED"]) or params["SPD_CRUISE"]) if asked is None else asked
-        run.circle = Circle(
-            params,
-            (float(centre[0]), float(centre[1])),
-            params["CIRCLE_RADIUS"] if step.radius_m is None else step.radius_m,
-            speed if step.clockwise else -speed,
-            depth_m=self._in_band(float(centre[2])),
-            turns=step.turns,
-            seq=step.seq,
-        )
-        return self._round(run.circle, nav)
-
-    def _round(self, circle: Circle, nav: NavState) -> Goal:
-        """The circle's goal of this tick."""
-        facing = self._run.facing_ned_m
-        circle.facing_m = None if facing is None else (float(facing[0]), float(facing[1]))
-        return circle.goal(nav)
-
-    def _goal_beyond(self, step: Near | Gate, nav: NavState) -> Goal | None:
-        """The goal of the next step that has a place: the vehicle goes on to it meanwhile. Without one, a gate itself;
-        else the vehicle stays."""
-        run = self._run
-        if not bool(np.all(np.isfinite(nav.pos_ned_m))):
-            return None
-        found = next_place(self._steps, run.cursor, run.jumps_done)
-        last = nav.pos_ned_m if run.goal is None else run.goal.pos_ned_m
-        if found is not None:
-            later = self._steps[found]
-            if isinstance(later, GoTo | Surface):
-                target = self._target_ned_m(later, nav)
-                if target is not None:
-                    return self._leading_on(self._make_goal(later, target), found)
-            if isinstance(later, Circuit) and later.centre_ned_m is not None:
-                radius_m = self._params["CIRCLE_RADIUS"] if later.radius_m is None else later.radius_m
-                away = nav.pos_ned_m[:2] - later.centre_ned_m[:2]
-                out = away / max(float(np.hypot(*away)), 1e-6)
-                place = np.array([*(later.centre_ned_m[:2] + radius_m * out), later.centre_ned_m[2]])
-                return self._goal_at(place, run.default_yaw_rad, None, later.seq)
-        if isinstance(step, Gate):
-            return self._goal_at(
-                np.array([*step.pos_ned_m[:2], last[2] if step.upright else step.pos_ned_m[2]]),
-                run.default_yaw_rad,
-                None,
-                step.seq,
-            )
-        return run.goal or self._goal_here(nav)
-
-    def _target_ned_m(self, step: Travel | Wait, nav: NavState) -> FloatArray | None:
-        """(3,) where a step goes first, None while that is unknown."""
-        here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
-        last = here if self._run.goal is None else self._run.goal.pos_ned_m
-        if isinstance(step, ReturnHome):
-            return None if last is None else np.array([*self._home_ned_m[:2], last[2]])
-        if isinstance(step, GoTo) and step.dives and here is not None:
-            depth_m = self._params["TKOFF_DEPTH"] if step.dive_m is None else step.dive_m
-            return np.array([here[0], here[1], depth_m])
-        if isinstance(step, GoTo):
-            return here if step.pos_ned_m is None else step.pos_ned_m
-        if isinstance(step, Wait) or last is None:
-            return last
-        if step.pos_ned_m is None:
-            return np.array([last[0], last[1], self._params["DEPTH_MIN"]])
-        return np.array([step.pos_ned_m[0], step.pos_ned_m[1], last[2]])
-
     def _is_done(self, step: Timed, t_us: int, nav: NavState) -> bool:
         """Whether a step that takes time has ended."""
         if isinstance(step, Wait):
@@ -517,12 +355,12 @@ class Sequencer:
             circle = self._run.circle
             if circle is None:
                 return True
-            self._run.goal = self._round(circle, nav)
+            self._run.goal = self._goals.round(circle, nav)
             if circle.over:
                 self._run.goal = circle.rest(nav)
             return circle.over
         if isinstance(step, Passage):
-            return self._is_passed(step, nav)
+            return self._goals.is_passed(step, nav)
         if self._run.goal is None or not is_inside(self._run.goal, nav):
             self._run.inside_since_us = None
             return False
@@ -533,24 +371,10 @@ class Sequencer:
         if isinstance(step, Surface) and not self._run.rising:
             self._run.rising = True
             place = self._run.goal.pos_ned_m
-            self._run.goal = self._make_goal(step, np.array([place[0], place[1], self._params["DEPTH_MIN"]]))
+            self._run.goal = self._goals.of(step, np.array([place[0], place[1], self._params["DEPTH_MIN"]]))
             self._run.inside_since_us = None
             return False
         return True
-
-    def _is_passed(self, step: Near | Gate, nav: NavState) -> bool:
-        """Whether a condition of the way to the present goal has come true; at the goal itself it has."""
-        goal, here = self._run.goal, nav.pos_ned_m
-        if goal is None or nav.health is NavHealth.INVALID:
-            return False
-        if isinstance(step, Near):
-            reached = math.dist(here.tolist(), goal.pos_ned_m.tolist()) <= step.distance_m
-        else:
-            begin = here if self._run.leg_from_ned_m is None else self._run.leg_from_ned_m
-            axes = 2 if step.upright else 3
-            way = (goal.pos_ned_m - begin)[:axes]
-            reached = float(way @ way) > 0.0 and float(way @ (here - step.pos_ned_m)[:axes]) >= 0.0
-        return reached or is_inside(goal, nav)
 
     def _leave(self, step: Timed) -> None:
         """Report the end of a step and go on."""
@@ -569,90 +393,3 @@ class Sequencer:
             if isinstance(step, GoTo | Circuit) and not step.autocontinue and self._run.state is ProgressState.ACTIVE:
                 self._run.state = ProgressState.PAUSED
                 self._run.pause_goal = self._run.goal
-
-    # Goals.
-
-    def _make_goal(self, step: Travel | Wait, pos_ned_m: FloatArray) -> Goal:
-        """The goal of a step at a place (3,), which is brought into the depth band."""
-        yaw = step.yaw_rad if isinstance(step, GoTo | Surface) else None
-        radius = step.accept_radius_m if isinstance(step, GoTo) else None
-        return self._goal_at(pos_ned_m, self._run.default_yaw_rad if yaw is None else yaw, radius, step.seq)
-
-    def _goal_at(self, pos_ned_m: FloatArray, yaw_rad: float | None, radius_m: float | None, seq: int) -> Goal:
-        facing = self._run.facing_ned_m
-        return Goal(
-            pos_ned_m=np.array([pos_ned_m[0], pos_ned_m[1], self._in_band(float(pos_ned_m[2]))], dtype=np.float64),
-            yaw_rad=yaw_rad if facing is None else None,
-            speed_m_s=self._speed_m_s,
-            accept_radius_m=self._params["WP_ACCEPT_RADIUS"] if radius_m is None else radius_m,
-            accept_yaw_rad=self._params["WP_ACCEPT_YAW"],
-            seq=seq,
-            speed_asked=self._run.speed_m_s is not None,
-            facing_ned_m=facing,
-        )
-
-    def _in_band(self, depth_m: float) -> float:
-        return min(max(depth_m, self._params["DEPTH_MIN"]), self._params["DEPTH_MAX"])
-
-    @property
-    def _speed_m_s(self) -> float:
-        """That was asked for, else the cruise speed."""
-        asked = self._run.speed_m_s
-        return self._params["SPD_CRUISE"] if asked is None else asked
-
-    def _leading_on(self, goal: Goal, cursor: int) -> Goal:
-        """The goal of a step with those that follow it without a stop."""
-        ahead: list[Goal] = []
-
-        def visit(step: GoTo, yaw_rad: float | None) -> None:
-            if step.pos_ned_m is not None:
-                yaw = yaw_rad if step.yaw_rad is None else step.yaw_rad
-                ahead.append(self._goal_at(step.pos_ned_m, yaw, step.accept_radius_m, step.seq))
-
-        run = self._run
-        next_waypoint(self._steps, cursor, run.jumps_done, run.default_yaw_rad, visit, GOALS_AHEAD)
-        following = None
-        for later in reversed(ahead):
-            following = replace(later, following=following)
-        return replace(goal, following=following)
-
-    def _goal_here(self, nav: NavState) -> Goal | None:
-        """Hold the present position and heading, None while the estimate is not finite."""
-        yaw = float(nav.rpy_rad[2])
-        if not bool(np.all(np.isfinite(nav.pos_ned_m))) or not math.isfinite(yaw):
-            return None
-        return self._goal_at(nav.pos_ned_m, yaw, None, -1)
-
-    def _refresh_goal(self) -> None:
-        """The running goal with a new speed."""
-        if self._run.circle is not None and self._run.speed_m_s is not None:
-            self._run.circle.go(self._run.speed_m_s)
-        elif self._run.goal is not None:
-            asked = self._run.speed_m_s is not None
-            self._run.goal = replace(self._run.goal, speed_m_s=self._speed_m_s, speed_asked=asked)
-
-
-SURE_SIGMAS = 3.0
-DOUBT_SHARE = 0.1
-"""Reached means surely reached: acceptance shrinks by so many standard deviations, but by this share at most."""
-
-_YAW_VARIANCE = 5
-"""Index in NavState.variance."""
-
-
-def is_inside(goal: Goal, nav: NavState) -> bool:
-    """Whether the vehicle is surely in the goal's acceptance ball and, if it has a heading, in its band."""
-    if nav.health is NavHealth.INVALID:
-        return False
-    variance = nav.variance.tolist()
-    radius_m = _shrunk(goal.accept_radius_m, sum(variance[:3]))
-    if not math.dist(nav.pos_ned_m.tolist(), goal.pos_ned_m.tolist()) <= radius_m:
-        return False
-    band_rad = _shrunk(goal.accept_yaw_rad, variance[_YAW_VARIANCE])
-    return goal.yaw_rad is None or abs(wrap_pi(float(nav.rpy_rad[2]) - goal.yaw_rad)) <= band_rad
-
-
-def _shrunk(limit: float, variance: float) -> float:
-    """An acceptance limit less what the estimate may be wrong by."""
-    doubt = SURE_SIGMAS * math.sqrt(variance) if variance >= 0.0 else math.inf
-    return limit - min(doubt, DOUBT_SHARE * limit)

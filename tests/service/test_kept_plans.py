@@ -143,7 +143,7 @@ def test_the_mission_goes_home_to_where_home_was_before_the_restart(tmp_path: Pa
     path, before = _written(tmp_path)
     after = _parts(tmp_path)
     KeptPlans(path, after.plans, after.commander).load()
-    assert (after.commander._mission.sequencer._home_ned_m == before.plans.home_ned_m).all()
+    assert (after.commander._mission.sequencer._goals.home_ned_m == before.plans.home_ned_m).all()
 
 
 def test_a_disk_that_fails_once_is_tried_again_without_a_change(tmp_path: Path) -> None:

@@ -1,0 +1,223 @@
+"""The goals of a mission's steps: places in the depth band with headings, speeds and what follows without a stop."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.messages import Goal, NavHealth, NavState, ProgressState
+from mission.circling import Circle
+from mission.execution import Run
+from mission.items import (
+    Circuit,
+    Gate,
+    GoTo,
+    Near,
+    Passage,
+    ReturnHome,
+    Step,
+    Surface,
+    Timed,
+    Travel,
+    Wait,
+)
+from mission.lookahead import next_place, next_waypoint
+
+GOALS_AHEAD = 2
+"""A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""
+
+
+class StepGoals:
+    """Of one mission. Parameters are read live."""
+
+    def __init__(self, params: Mapping[str, float]) -> None:
+        self._params = params
+        self.home_ned_m: FloatArray = np.zeros(3)
+        self.steps: tuple[Step, ...] = ()
+        self.run = Run(cursor=0, state=ProgressState.NO_MISSION)
+
+    def first(self, step: Timed, nav: NavState) -> Goal | None:
+        """The goal that a step begins with, None while that is unknown."""
+        run = self.run
+        if isinstance(step, Circuit):
+            return self._begin_circle(step, nav)
+        if isinstance(step, Passage):
+            return self._goal_beyond(step, nav)
+        target = self._target_ned_m(step, nav)
+        if target is None or (isinstance(step, Wait) and run.goal is not None):
+            return None if target is None else run.goal
+        return self._leading_on(self.of(step, target), run.cursor)
+
+    def _begin_circle(self, step: Circuit, nav: NavState) -> Goal | None:
+        """Round its centre, or round where the mission stands."""
+        run = self.run
+        here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
+        last = here if run.goal is None else run.goal.pos_ned_m
+        centre = last if step.centre_ned_m is None else step.centre_ned_m
+        if centre is None or here is None:
+            return None
+        params, asked = self._params, run.speed_m_s
+        speed = (abs(params["CIRCLE_SPEED"]) or params["SPD_CRUISE"]) if asked is None else asked
+        run.circle = Circle(
+            params,
+            (float(centre[0]), float(centre[1])),
+            params["CIRCLE_RADIUS"] if step.radius_m is None else step.radius_m,
+            speed if step.clockwise else -speed,
+            depth_m=self._in_band(float(centre[2])),
+            turns=step.turns,
+            seq=step.seq,
+        )
+        return self.round(run.circle, nav)
+
+    def round(self, circle: Circle, nav: NavState) -> Goal:
+        """The circle's goal of this tick."""
+        facing = self.run.facing_ned_m
+        circle.facing_m = None if facing is None else (float(facing[0]), float(facing[1]))
+        return circle.goal(nav)
+
+    def _goal_beyond(self, step: Near | Gate, nav: NavState) -> Goal | None:
+        """The goal of the next step that has a place: the vehicle goes on to it meanwhile. Without one, a gate itself;
+        else the vehicle stays."""
+        run = self.run
+        if not bool(np.all(np.isfinite(nav.pos_ned_m))):
+            return None
+        found = next_place(self.steps, run.cursor, run.jumps_done)
+        last = nav.pos_ned_m if run.goal is None else run.goal.pos_ned_m
+        if found is not None:
+            later = self.steps[found]
+            if isinstance(later, GoTo | Surface):
+                target = self._target_ned_m(later, nav)
+                if target is not None:
+                    return self._leading_on(self.of(later, target), found)
+            if isinstance(later, Circuit) and later.centre_ned_m is not None:
+                radius_m = self._params["CIRCLE_RADIUS"] if later.radius_m is None else later.radius_m
+                away = nav.pos_ned_m[:2] - later.centre_ned_m[:2]
+                out = away / max(float(np.hypot(*away)), 1e-6)
+                place = np.array([*(later.centre_ned_m[:2] + radius_m * out), later.centre_ned_m[2]])
+                return self._goal_at(place, run.default_yaw_rad, None, later.seq)
+        if isinstance(step, Gate):
+            return self._goal_at(
+                np.array([*step.pos_ned_m[:2], last[2] if step.upright else step.pos_ned_m[2]]),
+                run.default_yaw_rad,
+                None,
+                step.seq,
+            )
+        return run.goal or self.here(nav)
+
+    def _target_ned_m(self, step: Travel | Wait, nav: NavState) -> FloatArray | None:
+        """(3,) where a step goes first, None while that is unknown."""
+        here = nav.pos_ned_m if bool(np.all(np.isfinite(nav.pos_ned_m))) else None
+        last = here if self.run.goal is None else self.run.goal.pos_ned_m
+        if isinstance(step, ReturnHome):
+            return None if last is None else np.array([*self.home_ned_m[:2], last[2]])
+        if isinstance(step, GoTo) and step.dives and here is not None:
+            depth_m = self._params["TKOFF_DEPTH"] if step.dive_m is None else step.dive_m
+            return np.array([here[0], here[1], depth_m])
+        if isinstance(step, GoTo):
+            return here if step.pos_ned_m is None else step.pos_ned_m
+        if isinstance(step, Wait) or last is None:
+            return last
+        if step.pos_ned_m is None:
+            return np.array([last[0], last[1], self._params["DEPTH_MIN"]])
+        return np.array([step.pos_ned_m[0], step.pos_ned_m[1], last[2]])
+
+    def is_passed(self, step: Near | Gate, nav: NavState) -> bool:
+        """Whether a condition of the way to the present goal has come true; at the goal itself it has."""
+        goal, here = self.run.goal, nav.pos_ned_m
+        if goal is None or nav.health is NavHealth.INVALID:
+            return False
+        if isinstance(step, Near):
+            reached = math.dist(here.tolist(), goal.pos_ned_m.tolist()) <= step.distance_m
+        else:
+            begin = here if self.run.leg_from_ned_m is None else self.run.leg_from_ned_m
+            axes = 2 if step.upright else 3
+            way = (goal.pos_ned_m - begin)[:axes]
+            reached = float(way @ way) > 0.0 and float(way @ (here - step.pos_ned_m)[:axes]) >= 0.0
+        return reached or is_inside(goal, nav)
+
+    def of(self, step: Travel | Wait, pos_ned_m: FloatArray) -> Goal:
+        """The goal of a step at a place (3,), which is brought into the depth band."""
+        yaw = step.yaw_rad if isinstance(step, GoTo | Surface) else None
+        radius = step.accept_radius_m if isinstance(step, GoTo) else None
+        return self._goal_at(pos_ned_m, self.run.default_yaw_rad if yaw is None else yaw, radius, step.seq)
+
+    def _goal_at(self, pos_ned_m: FloatArray, yaw_rad: float | None, radius_m: float | None, seq: int) -> Goal:
+        facing = self.run.facing_ned_m
+        return Goal(
+            pos_ned_m=np.array([pos_ned_m[0], pos_ned_m[1], self._in_band(float(pos_ned_m[2]))], dtype=np.float64),
+            yaw_rad=yaw_rad if facing is None else None,
+            speed_m_s=self._speed_m_s,
+            accept_radius_m=self._params["WP_ACCEPT_RADIUS"] if radius_m is None else radius_m,
+            accept_yaw_rad=self._params["WP_ACCEPT_YAW"],
+            seq=seq,
+            speed_asked=self.run.speed_m_s is not None,
+            facing_ned_m=facing,
+        )
+
+    def _in_band(self, depth_m: float) -> float:
+        return min(max(depth_m, self._params["DEPTH_MIN"]), self._params["DEPTH_MAX"])
+
+    @property
+    def _speed_m_s(self) -> float:
+        """That was asked for, else the cruise speed."""
+        asked = self.run.speed_m_s
+        return self._params["SPD_CRUISE"] if asked is None else asked
+
+    def _leading_on(self, goal: Goal, cursor: int) -> Goal:
+        """The goal of a step with those that follow it without a stop."""
+        ahead: list[Goal] = []
+
+        def visit(step: GoTo, yaw_rad: float | None) -> None:
+            if step.pos_ned_m is not None:
+                yaw = yaw_rad if step.yaw_rad is None else step.yaw_rad
+                ahead.append(self._goal_at(step.pos_ned_m, yaw, step.accept_radius_m, step.seq))
+
+        run = self.run
+        next_waypoint(self.steps, cursor, run.jumps_done, run.default_yaw_rad, visit, GOALS_AHEAD)
+        following = None
+        for later in reversed(ahead):
+            following = replace(later, following=following)
+        return replace(goal, following=following)
+
+    def here(self, nav: NavState) -> Goal | None:
+        """Hold the present position and heading, None while the estimate is not finite."""
+        yaw = float(nav.rpy_rad[2])
+        if not bool(np.all(np.isfinite(nav.pos_ned_m))) or not math.isfinite(yaw):
+            return None
+        return self._goal_at(nav.pos_ned_m, yaw, None, -1)
+
+    def refresh(self) -> None:
+        """The running goal with a new speed."""
+        if self.run.circle is not None and self.run.speed_m_s is not None:
+            self.run.circle.go(self.run.speed_m_s)
+        elif self.run.goal is not None:
+            asked = self.run.speed_m_s is not None
+            self.run.goal = replace(self.run.goal, speed_m_s=self._speed_m_s, speed_asked=asked)
+
+
+SURE_SIGMAS = 3.0
+DOUBT_SHARE = 0.1
+"""Reached means surely reached: acceptance shrinks by so many standard deviations, but by this share at most."""
+
+_YAW_VARIANCE = 5
+"""Index in NavState.variance."""
+
+
+def is_inside(goal: Goal, nav: NavState) -> bool:
+    """Whether the vehicle is surely in the goal's acceptance ball and, if it has a heading, in its band."""
+    if nav.health is NavHealth.INVALID:
+        return False
+    variance = nav.variance.tolist()
+    radius_m = _shrunk(goal.accept_radius_m, sum(variance[:3]))
+    if not math.dist(nav.pos_ned_m.tolist(), goal.pos_ned_m.tolist()) <= radius_m:
+        return False
+    band_rad = _shrunk(goal.accept_yaw_rad, variance[_YAW_VARIANCE])
+    return goal.yaw_rad is None or abs(wrap_pi(float(nav.rpy_rad[2]) - goal.yaw_rad)) <= band_rad
+
+
+def _shrunk(limit: float, variance: float) -> float:
+    """An acceptance limit less what the estimate may be wrong by."""
+    doubt = SURE_SIGMAS * math.sqrt(variance) if variance >= 0.0 else math.inf
+    return limit - min(doubt, DOUBT_SHARE * limit)
