@@ -42,6 +42,12 @@ PATIENCE_STEPS = 20
 search is left to end, and its route is taken if it is free."""
 
 
+LEAST_PROGRESS_SHARE, LEAST_PROGRESS_M_S = 0.8, 0.05
+"""Progress that is expected of the vehicle: this share of the speed over ground that is asked for, at most so much."""
+
+BEHIND_M, LEAD_M = 0.15, 0.3
+"""So far the vehicle may fall behind that before the reference runs ahead of it, and so far it runs ahead at most."""
+
 FACING_M = 0.1
 """Nearer than this, a place that is looked at has no direction."""
 
@@ -172,6 +178,42 @@ def search_route(request: RouteRequest, cancel: Cancel) -> FloatArray | None:
     return request.planner.path(request.start_ned_m, request.goal_ned_m, cancel)
 
 
+class Lead:
+    """How far the reference runs ahead of a vehicle that falls behind.
+
+    A reference that begins where the vehicle is at every step cannot see that it makes no way: a force that lasts and
+    that the model lacks (more drag, less thrust, a pull) takes a constant speed off it. That matters where a current
+    leaves little more: there the vehicle would hover for ever, on thrust and speed that it has left. So what it falls
+    behind the least progress adds up, and the optimiser, which sees the reference ahead, puts the missing force on.
+    What goes as it should never gets so far, however it starts or turns round.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Another way: nothing is behind."""
+        self._behind_m = self._asked_m_s = 0.0
+        self._last: tuple[Route, int, float] | None = None
+
+    @property
+    def m(self) -> float:
+        """Along the route."""
+        return max(0.0, self._behind_m - BEHIND_M)
+
+    def look(self, t_us: int, route: Route, s_m: float) -> None:
+        """Once per step, with the arc length at which the vehicle is."""
+        if self._last is not None and self._last[0] is route:
+            elapsed_s = max(0.0, (t_us - self._last[1]) * 1e-6)
+            least_m = elapsed_s * min(LEAST_PROGRESS_SHARE * self._asked_m_s, LEAST_PROGRESS_M_S)
+            self._behind_m = min(max(self._behind_m + least_m - (s_m - self._last[2]), 0.0), BEHIND_M + LEAD_M)
+        self._last = route, t_us, s_m
+
+    def ask(self, begin_m: FloatArray, end_m: FloatArray, after_s: float) -> None:
+        """Where the reference is now and ``after_s`` later (each at least x and y)."""
+        self._asked_m_s = math.dist(begin_m[:2].tolist(), end_m[:2].tolist()) / after_s
+
+
 class RouteGuidance:
     """Marches along the shortest free path at cruise speed over ground.
 
@@ -188,6 +230,7 @@ class RouteGuidance:
         self._desk = desk
         self._ticket: Ticket[FloatArray | None] | None = None
         self._mishaps = Mishaps("route search", "Route search failed: holding, send another goal")
+        self._lead = Lead()
         self.unreachable = False
         self.reset()
 
@@ -202,6 +245,7 @@ class RouteGuidance:
         self._route: Route | None = None
         self._route_planner: Planner | None = None
         self._s = 0.0
+        self._lead.reset()
         self._routed_us = 0
         self._yaw_target: float | None = None
         self._hold: FloatArray | None = None
@@ -214,7 +258,9 @@ class RouteGuidance:
     def reference(self, situation: Situation) -> Reference:
         """See :class:`Guidance`."""
         fresh, route = self._update(situation)
+        self._lead.look(situation.t_us, route, self._s)
         x, thrust = self._march(situation, route)
+        self._lead.ask(x[0], x[1], float(self._t_s[1]))
         weights = self._weights.look(situation.params)
         return Reference(
             x=x, thrust_n=thrust, weight_x=weights.x, weight_u=weights.u, terminal=weights.terminal, fresh=fresh
@@ -243,6 +289,7 @@ class RouteGuidance:
             self._yaw_target = None
         if key != self._goal_key:
             self.unreachable = False
+            self._lead.reset()
         changed = key != self._goal_key or now.planner is not self._planner
         self._goal_key, self._planner = key, now.planner
         fresh = self._answered(now)
@@ -353,7 +400,7 @@ class RouteGuidance:
                 self._yaw_target = float(x0[YAW])
         target = Target(
             route=route,
-            s0_m=self._s,
+            s0_m=min(self._s + self._lead.m, route.length_m),
             depth_m=float(goal.pos_ned_m[2] if hold is None else hold[2]),
             yaw_rad=self._yaw_target,
             cruise_m_s=goal.speed_m_s,
