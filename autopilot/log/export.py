@@ -85,7 +85,10 @@ def _writer(kind: Kind) -> Any:
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError as error:
-        raise LogError("Parquet needs pyarrow: pip install pyarrow, or export as CSV (--format csv)") from error
+        raise LogError(
+            "Parquet needs pyarrow, the program's extra [analysis]: pip install '.[analysis]' where its source is, "
+            "or pip install pyarrow; or export as CSV (--format csv)"
+        ) from error
     return _write_parquet
 
 

@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 
 from autopilot.core.errors import LogError
 from autopilot.log.cdr import Layout, Types, decode, fixed_layout, parse_definition, short_name
-from autopilot.log.container import MESSAGE, Contents, Damage, index_from_chunks, read_contents, records, unpack
+from autopilot.log.container import (
+    MESSAGE,
+    Contents,
+    Damage,
+    find_messages,
+    index_from_chunks,
+    read_contents,
+    records,
+    unpack,
+)
 from autopilot.log.description import ATTACHMENT, RUN_RECORD, RunDescription, from_json
 from autopilot.log.table import Table as Table
 
@@ -226,23 +235,19 @@ class Log:
 
     def _gather(self, data: bytes, wanted: Mapping[int, str]) -> None:
         """Pick the wanted messages out of the records of one chunk."""
-        places: dict[int, list[tuple[int, int]]] = {number: [] for number in wanted}
-        for opcode, start, length in records(data):
-            if opcode == MESSAGE and length >= _MESSAGE_HEAD.itemsize:
-                number = data[start] | data[start + 1] << 8
-                if number in places:
-                    places[number].append((start, length))
-        for number, found in places.items():
-            if not found:
+        found = find_messages(data)
+        whole = np.frombuffer(data, np.uint8)
+        for number in np.unique(found.channels).tolist():
+            if number not in wanted:
                 continue
-            raw = self._raw[wanted[number]]
-            size = found[0][1]
-            if all(length == size for _, length in found) and not raw.singles:
-                starts = np.array([start for start, _ in found])
-                whole = np.frombuffer(data, np.uint8)
+            mine = found.channels == number
+            starts, lengths = found.starts[mine], found.lengths[mine]
+            raw, size = self._raw[wanted[number]], int(lengths[0])
+            if (lengths == size).all() and not raw.singles:
                 raw.blocks.append(whole[starts[:, None] + np.arange(size)])
             else:
-                raw.singles += [data[start : start + length] for start, length in found]
+                pairs = zip(starts.tolist(), lengths.tolist(), strict=True)
+                raw.singles += [data[start : start + length] for start, length in pairs]
 
     def _types(self, topic: str) -> tuple[Types, str]:
         channel = next((c for c in self._contents.channels.values() if c.topic == topic), None)

@@ -16,7 +16,7 @@ from rosbags.rosbag2 import Reader
 from autopilot.core.errors import LogError
 from autopilot.log.check import acceptance_table
 from autopilot.log.compare import compare_logs
-from autopilot.log.container import read_contents
+from autopilot.log.container import MESSAGE, Damage, find_messages, read_contents, records, unpack
 from autopilot.log.lock import lock_exclusive
 from autopilot.log.reader import Log, open_log
 from autopilot.log.recover import RECOVERED_RECORD, recover_unfinished
@@ -210,3 +210,19 @@ def test_killed_while_writing(tmp_path: Path) -> None:
     (recovery,) = recover_unfinished(tmp_path)
     assert recovery.repaired and recovery.messages == len(count)
     assert open_log(path).verify() == ()
+
+
+def test_messages_of_a_chunk_are_found_as_its_records_say(sound: Path) -> None:
+    with sound.open("rb") as file:
+        chunks = [unpack(file, chunk) for chunk in read_contents(sound).chunks]
+    assert chunks
+    for data in chunks:
+        found = find_messages(data)
+        messages = [(start, length) for opcode, start, length in records(data) if opcode == MESSAGE]
+        assert list(zip(found.starts.tolist(), found.lengths.tolist(), strict=True)) == messages
+        assert found.channels.tolist() == [int.from_bytes(data[at : at + 2], "little") for at, _ in messages]
+        assert found.log_times_ns.tolist() == [int.from_bytes(data[at + 6 : at + 14], "little") for at, _ in messages]
+        for cut in (1, 5, 13):
+            with pytest.raises(Damage):
+                find_messages(data[:-cut])
+    assert len(find_messages(b"").starts) == 0

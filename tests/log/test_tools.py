@@ -3,6 +3,7 @@
 import csv
 import json
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,12 @@ def test_export_of_some_topics_and_of_none_such(flown: Path, tmp_path: Path) -> 
 def test_parquet_needs_pyarrow(flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     done = call("export", flown, "--format", "parquet", "--out", tmp_path)
-    assert done.exit_code == 1 and "pip install pyarrow" in str(done.exception or done.output)
+    told = str(done.exception or done.output)
+    assert done.exit_code == 1 and "pip install pyarrow" in told
+    extra = told[told.index("extra [") + len("extra [") :].split("]")[0]
+    extras = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    named = [name for name, packages in extras["optional-dependencies"].items() if f"{packages}".count("pyarrow")]
+    assert extra in named and named == ["test", extra], "one extra brings it, and the message names it"
 
 
 def test_parquet_where_pyarrow_is(flown: Path, tmp_path: Path) -> None:

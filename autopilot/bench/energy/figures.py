@@ -1,6 +1,7 @@
 """Figures of the energy benchmark: ways over the flow beside the optimum, and energies."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,28 @@ from autopilot.bench.energy.cases import CASES, CYLINDERS, REGION_M, TANK_X_M, T
 from autopilot.bench.energy.flight import EnergyFlight
 from autopilot.bench.energy.record import CORRIDOR_LAPS, Record, comparator, load_records
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#999999")
-"""Okabe and Ito, safe for the colour-blind."""
 
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Flights whose pilots knew the same: one colour in every figure (Okabe and Ito, safe for the colour-blind)."""
+
+    name: str
+    words: tuple[str, ...]
+    """One of them is in the names of its pilots."""
+    colour: str
+
+
+GROUPS = (
+    Group("least energy, flow known", ("flow known", "map"), "#0072B2"),
+    Group("least energy, flow felt", ("flow felt",), "#56B4E9"),
+    Group("least energy, flow estimated", ("estimate",), "#009E73"),
+    Group("quadratic mode", ("quadratic",), "#E69F00"),
+    Group("knows nothing of the current", ("current-unaware",), "#CC79A7"),
+    Group("line of sight with PID", ("line of sight",), "#D55E00"),
+    Group("other", ("",), "#999999"),
+)
+STYLES = ("-", (0, (6, 1.5)), (0, (1.5, 1)), "-.", (0, (6, 1.5, 1, 1.5, 1, 1.5)))
+"""Of the flights of one group in a map, in order."""
 DPI = 110
 
 
@@ -38,7 +58,9 @@ def draw(flights: Sequence[EnergyFlight], folder: str) -> list[str]:
         figure.savefig(path, dpi=DPI)
         plt.close(figure)
         written.append(str(path))
-    figure, axes = plt.subplots(figsize=(9.0, 0.35 * len(flights) + 1.5), constrained_layout=True)
+    figure, axes = plt.subplots(
+        figsize=(9.5, 0.3 * (len(flights) + len(_by_case(flights))) + 1.2), constrained_layout=True
+    )
     _bars(axes, flights, records)
     path = target / "energy_bars.png"
     figure.savefig(path, dpi=DPI)
@@ -61,17 +83,27 @@ def _map(axes: Any, case: Case, record: Record, flights: Sequence[EnergyFlight])
 
         for x, y, radius in CYLINDERS:
             axes.add_patch(Circle((y, x), radius, color="0.4"))
-    for index, flight in enumerate(flights):
-        again, place = divmod(index, len(COLOURS))
-        style = "-." if again else "-"
-        axes.plot(flight.track[:, 1], flight.track[:, 0], style, color=COLOURS[place], lw=1.2, label=flight.pilot)
     axes.plot(
         record.track_ned_m[:, 1],
         record.track_ned_m[:, 0],
         "k--",
         lw=1.8,
-        label=f"optimum {record.energy_j / len(record.lap_j):.0f} J",
+        label=f"optimum: {record.energy_j / len(record.lap_j):.0f} J",
     )
+    shown: dict[str, int] = {}
+    for flight in sorted(flights, key=lambda flight: GROUPS.index(group_of(flight))):
+        group = group_of(flight)
+        style = STYLES[min(shown.get(group.name, 0), len(STYLES) - 1)]
+        shown[group.name] = shown.get(group.name, 0) + 1
+        energy = f"{flight.lap_j:.0f} J" if flight.finished else "not reached"
+        axes.plot(
+            flight.track[:, 1],
+            flight.track[:, 0],
+            ls=style,
+            color=group.colour,
+            lw=1.2,
+            label=f"{flight.pilot}: {energy}",
+        )
     for goal in case.goals:
         angle = np.linspace(0.0, 2.0 * np.pi, 60)
         east_m, north_m = goal.pos_ned_m[1] + REGION_M * np.sin(angle), goal.pos_ned_m[0] + REGION_M * np.cos(angle)
@@ -82,18 +114,50 @@ def _map(axes: Any, case: Case, record: Record, flights: Sequence[EnergyFlight])
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.02, 0.5))
 
 
+def group_of(flight: EnergyFlight) -> Group:
+    """What the pilot of a flight knew; the first group that its name speaks of."""
+    return next(group for group in GROUPS if any(word in flight.pilot for word in group.words))
+
+
+def _by_case(flights: Sequence[EnergyFlight]) -> dict[str, list[EnergyFlight]]:
+    found: dict[str, list[EnergyFlight]] = {}
+    for flight in flights:
+        found.setdefault(flight.case, []).append(flight)
+    return found
+
+
 def _bars(axes: Any, flights: Sequence[EnergyFlight], records: dict[str, Record]) -> None:
-    """Energy per lap over that of the optimum with the same freedom."""
-    others = [comparator(records, each.case, each.laps, each.corridor, each.drag) for each in flights]
-    ratios = [flight.lap_j / other.lap_j for flight, other in zip(flights, others, strict=True)]
-    finite = [ratio if np.isfinite(ratio) else 0.0 for ratio in ratios]
-    labels = [f"{flight.case}: {flight.pilot}" for flight in flights]
-    places = np.arange(len(flights))
-    axes.barh(places, finite, color=COLOURS[0])
+    """Energy per lap over that of the optimum with the same freedom: a block per case, a colour per group."""
+    from matplotlib.patches import Patch
+
+    place, places, labels, right = 0.0, [], [], 1.0
+    for case, mine in _by_case(flights).items():
+        axes.text(0.0, place, CASES[case].name, va="center", ha="left", fontsize=9, fontweight="bold")
+        place += 1.0
+        for flight in sorted(mine, key=lambda flight: GROUPS.index(group_of(flight))):
+            other = comparator(records, flight.case, flight.laps, flight.corridor, flight.drag)
+            ratio = flight.lap_j / other.lap_j
+            arrived = bool(np.isfinite(ratio))
+            axes.barh(place, ratio if arrived else 0.0, height=0.8, color=group_of(flight).colour)
+            text = f"{ratio:.2f}: {flight.lap_j:.0f} of {other.lap_j:.0f} J" if arrived else "not reached"
+            axes.text((ratio if arrived else 0.0) + 0.01, place, text, va="center", fontsize=8)
+            right = max(right, ratio) if arrived else right
+            places.append(place)
+            labels.append(flight.pilot)
+            place += 1.0
     axes.axvline(1.0, color="k", ls="--", lw=1.0)
-    for place, ratio in zip(places, ratios, strict=True):
-        text = f"{ratio:.3f}" if np.isfinite(ratio) else "not reached"
-        axes.text(0.02, place, text, va="center", color="w" if np.isfinite(ratio) else "k", fontsize=8)
     axes.set_yticks(places, labels, fontsize=8)
-    axes.invert_yaxis()
-    axes.set_xlabel("energy per lap / optimum")
+    axes.set_xlim(0.0, 1.25 * right)
+    axes.set_ylim(place - 0.3, -0.7)
+    axes.set_xlabel("energy per lap / that of the optimum with the same freedom (dashed: 1)")
+    used = [group for group in GROUPS if any(group_of(flight) is group for flight in flights)]
+    axes.legend(
+        handles=[Patch(color=group.colour, label=group.name) for group in used],
+        fontsize=8,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=min(3, len(used)),
+        frameon=False,
+    )
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
