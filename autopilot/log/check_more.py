@@ -4,6 +4,8 @@ None of these is a bound of the vehicle: nothing here fails a run.
 """
 
 import math
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from autopilot.core.messages import ProgressState
 from autopilot.core.params import PARAMETERS
 from autopilot.log.analysis import (
     Flight,
+    Span,
     Track,
     along_track,
     energy_j,
@@ -22,6 +25,7 @@ from autopilot.log.analysis import (
     seconds,
     thruster_count,
     thruster_names,
+    visits,
 )
 from autopilot.log.reader import Table
 from autopilot.log.rows import Row, Verdict, counted, info
@@ -237,12 +241,30 @@ def _thrusters(flight: Flight) -> list[Row]:
         return []
     thrust = np.abs(mine["thrust_n"][:, : len(names)])
     limit = math.inf if flight.run is None else flight.run.paper_bounds.get("thrust_n", math.inf)
-    share = 100.0 * float((thrust >= 0.999 * limit).any(axis=1).mean())
+    full = thrust >= 0.999 * limit
+    share = 100.0 * float(full.any(axis=1).mean())
+    hits = np.diff(full.astype(np.int8), axis=0, prepend=0) > 0
+    by_name = ", ".join(f"{name} {count}" for name, count in zip(names, hits.sum(axis=0).tolist(), strict=False))
     means = ", ".join(f"{name} {value:.2f}" for name, value in zip(names, thrust.mean(axis=0), strict=False))
     return [
         _row("Thrust", "time at the limit of thrust", "%", share),
+        _row("Thrust", "times that a thruster came to its limit", "", float(hits.sum()), by_name),
         _row("Thrust", "mean thrust, all together", "N", float(thrust.sum(axis=1).mean()), means),
+        *_balance(names, thrust.mean(axis=0)),
     ]
+
+
+def _balance(names: Sequence[str], mean_n: FloatArray) -> list[Row]:
+    """What port thrusters give more than starboard ones, of both; none on vehicles without such names."""
+    sides = []
+    for side in ("port", "starboard"):
+        found = [at for at, name in enumerate(names) if side in name.lower()]
+        sides.append(float(mean_n[found].sum()) if found else math.nan)
+    port, starboard = sides
+    if not port + starboard > 0.0:
+        return []
+    share = 100.0 * (port - starboard) / (port + starboard)
+    return [_row("Thrust", "port more than starboard", "%", share, f"{port:.2f} and {starboard:.2f} N on average")]
 
 
 def _current(flight: Flight) -> list[Row]:
@@ -264,6 +286,7 @@ def _power(flight: Flight) -> list[Row]:
     used, way = energy_j(flight, flight.armed), way_m(flight.judged.between(flight.armed))
     if used is not None:
         rows.append(_row("Power", "energy", "J", used, f"{used / way:.1f} J/m" if way > 0.1 else ""))
+    rows += _energy_of_waypoints(flight)
     battery = flight.table("/in/power_raw")
     if battery is not None and len(battery):
         lowest = float(np.nanmin(battery["voltage_v"]))
@@ -286,6 +309,25 @@ def _power(flight: Flight) -> list[Row]:
         else:
             rows.append(_row("Power", "lowest voltage", "V", lowest))
     return rows
+
+
+def _energy_of_waypoints(flight: Flight) -> list[Row]:
+    """Energy from one waypoint of the tour to the next: the median, and the dearest with its name and lap."""
+    if flight.run is None:
+        return []
+    came = [(visit, visit.t_s) for visit in visits(flight.judged, flight.run) if visit.t_s is not None]
+    spent = []
+    for (_, start_s), (visit, end_s) in pairwise(came):
+        used = energy_j(flight, Span(start_s, end_s)) if end_s > start_s else None
+        if used is not None:
+            spent.append((used, visit))
+    if not spent:
+        return []
+    most, dearest = max(spent, key=lambda pair: pair[0])
+    note = f"most to {dearest.waypoint.name} in lap {dearest.lap}: {most:.0f} J; {len(spent)} legs"
+    return [
+        _row("Power", "energy from waypoint to waypoint, median", "J", float(np.median([u for u, _ in spent])), note)
+    ]
 
 
 def _inertial(flight: Flight) -> list[Row]:

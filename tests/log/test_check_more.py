@@ -12,7 +12,7 @@ from log_synthetic import DESCRIPTION, EPOCH_NS, LEG_S, Run, heartbeat, inputs_a
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.samples import AhrsSample, ImuSample, PowerSample
 from autopilot.log.check import Row, Verdict, acceptance_table
-from autopilot.log.description import AcceptBounds
+from autopilot.log.description import AcceptBounds, RunDescription
 from autopilot.log.reader import open_log
 from autopilot.log.session import open_run_log
 
@@ -35,12 +35,13 @@ def golden(
     change_inputs: Callable[[int, Inputs], Inputs] = same_inputs,
     change_outputs: Callable[[int, Outputs], Outputs] = same_outputs,
     ends: bool = True,
+    description: RunDescription = REAL_TIME,
 ) -> dict[str, Row]:
     """The rows of a lap, changed as asked."""
     log = open_run_log(
         path,
         epoch_ns=EPOCH_NS,
-        description=REAL_TIME,
+        description=description,
         metadata={},
         attachments={},
         lossless=True,
@@ -136,3 +137,25 @@ def test_refused_commands_are_named(tmp_path: Path) -> None:
 
     row = golden(tmp_path / "a.mcap", change_outputs=refuse)["commands refused"]
     assert row.worst == 1.0 and row.note == "MAV_CMD (MAV_RESULT): 400 (2)"
+
+
+def test_thrust_and_energy_are_told_by_thruster_and_waypoint(tmp_path: Path) -> None:
+    limit_n = DESCRIPTION.paper_bounds["thrust_n"]
+
+    def pushes(t_us: int, outputs: Outputs) -> Outputs:
+        """Port twice as strong as starboard, and three times at its limit."""
+        thrust = np.array([6.0, 3.0, -1.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+        if t_us in (1_000_000, 1_100_000, 2_000_000, 3_000_000):
+            thrust[0] = limit_n
+        return replace(outputs, command=replace(outputs.command, thrust_n=thrust))
+
+    names = ("port", "starboard", "vertical", "lateral")
+    rows = golden(tmp_path / "a.mcap", change_outputs=pushes, description=replace(REAL_TIME, thruster_names=names))
+    hits = rows["times that a thruster came to its limit"]
+    assert (hits.worst, hits.note) == (3.0, "port 3, starboard 0, vertical 0, lateral 0")
+    assert rows["port more than starboard"].worst == pytest.approx(100.0 / 3.0, abs=2.0)
+    legs = rows["energy from waypoint to waypoint, median"]
+    assert legs.worst is not None and 0.0 < legs.worst < (rows["energy"].worst or 0.0)
+    assert "in lap 1" in legs.note
+    nameless = golden(tmp_path / "b.mcap", change_outputs=pushes)
+    assert "port more than starboard" not in nameless
