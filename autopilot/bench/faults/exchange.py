@@ -1,5 +1,6 @@
 """Figures of clients: parameters, answers in flight while a plan is uploaded, transfers over bad links, a slow line."""
 
+import importlib.util
 import itertools
 import os
 import pty
@@ -8,11 +9,13 @@ import sys
 import time
 import tty
 
+from pymavlink import mavutil
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.faults.finding import Finding, Measured
-from autopilot.bench.faults.wire import Station, live_service, waypoint
+from autopilot.bench.faults.wire import LOCAL, LiveService, Station, live_service, waypoint
 from autopilot.client.plan_client import PlanUpload
+from autopilot.core.errors import AutopilotError
 from autopilot.core.geodesy import Origin
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.params import ParamSet
@@ -48,6 +51,71 @@ def _parameters() -> Measured:
         station.close()
     text = f"{count} parameters in {', '.join(f'{s:.2f}' for s in times)} s"
     return Measured(text=text, kept=min(times) <= 0.3)
+
+
+def _uploads(times_s: list[float], bar_s: float) -> Measured:
+    shown = ", ".join(f"{seconds:.2f}" for seconds in times_s)
+    return Measured(text=f"taken after {shown} s", kept=min(times_s) <= bar_s)
+
+
+def by_pymavlink(service: LiveService, items: int) -> float:
+    """An upload by pymavlink's own connection and a loop as scripts write it; the real time that it took [s]."""
+    os.environ["MAVLINK20"] = "1"  # else pymavlink's connections speak MAVLink 1 only, and do not hear what follows
+    link = mavutil.mavlink_connection(f"udpout:{LOCAL}:{service.udp}", source_system=255, dialect="development")
+    asked, done = ["MISSION_REQUEST_INT", "MISSION_REQUEST"], "MISSION_ACK"
+    try:
+        Station.udp(service.udp, 254).meet(service)
+        begin_s = time.perf_counter()
+        link.mav.mission_count_send(1, 1, items, 0)
+        while service.child.at_work():
+            message = link.recv_match(type=[*asked, done], blocking=True, timeout=1.0)
+            if message is None:
+                continue
+            if message.get_type() == done:
+                if message.type != mav.MAV_MISSION_ACCEPTED:
+                    raise AutopilotError(f"the upload was refused: MAV_MISSION_RESULT {message.type}")
+                return time.perf_counter() - begin_s
+            link.mav.send(waypoint(message.seq, items))
+    finally:
+        link.close()
+    raise AutopilotError("no answer to an upload by pymavlink")
+
+
+def by_mavsdk(service: LiveService, items: int, times: int) -> list[float]:
+    """Uploads by MAVSDK's raw plugin; the real times that they took [s]."""
+    import mavsdk
+    from mavsdk.plugins.mission_raw import MissionItem, MissionRaw
+
+    mavsdk.log_subscribe(lambda *_: True)
+    rows = [waypoint(seq, items) for seq in range(items)]
+    names = ["seq", "frame", "command", "current", "autocontinue", "param1", "param2", "param3", "param4"]
+    names += ["x", "y", "z", "mission_type"]
+    plan = [
+        MissionItem(*(int(seq == 0) if n == "current" else getattr(row, n) for n in names))
+        for seq, row in enumerate(rows)
+    ]
+    took_s = []
+    component = mavsdk.ComponentType.GROUND_STATION
+    with mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(component)) as sdk:
+        sdk.add_any_connection(f"udpout://{LOCAL}:{service.udp}")
+        while (system := sdk.first_autopilot(5.0)) is None:
+            service.child.at_work()
+        plugin = MissionRaw(system)
+        for _ in range(times):
+            begin_s = time.perf_counter()
+            plugin.upload_mission(plan)
+            took_s.append(time.perf_counter() - begin_s)
+    return took_s
+
+
+def _upload_pymavlink() -> Measured:
+    with live_service() as service:
+        return _uploads([by_pymavlink(service, ITEMS) for _ in range(3)], 1.0)
+
+
+def _upload_mavsdk() -> Measured:
+    with live_service() as service:
+        return _uploads(by_mavsdk(service, ITEMS, 3), 0.9)
 
 
 def _in_flight() -> Measured:
@@ -225,6 +293,26 @@ FINDINGS: tuple[Finding, ...] = (
         before="not measured",
         promise="<= 0.3 s",
         measure=_parameters,
+    ),
+    Finding(
+        part="exchange",
+        name=f"{ITEMS} items uploaded by pymavlink, real time",
+        before="5.8 s",
+        promise="<= 1.0 s",
+        measure=_upload_pymavlink,
+    ),
+    *(
+        ()
+        if importlib.util.find_spec("mavsdk") is None
+        else (
+            Finding(
+                part="exchange",
+                name=f"{ITEMS} items uploaded by MAVSDK, real time",
+                before="5.3 s",
+                promise="<= 0.9 s",
+                measure=_upload_mavsdk,
+            ),
+        )
     ),
     Finding(
         part="exchange",
