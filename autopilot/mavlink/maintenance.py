@@ -1,8 +1,9 @@
-"""Commands for a vehicle that does not fly: storage, restart, calibration."""
+"""Commands for a vehicle that does not fly: storage, restart, calibration; and what is done in another way here."""
 
 from collections.abc import Callable, Mapping
 
 from autopilot.core.messages import RunEnd, Severity
+from autopilot.mavlink.api import Answer, CommandResult
 from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.dialect import mav
@@ -12,6 +13,17 @@ _READ, _WRITE, _RESET, _RESET_SENSORS, _FACTORY = range(5)
 """PREFLIGHT_STORAGE_PARAMETER_ACTION."""
 _NOTHING, _RESTART, _STOP = range(3)
 """REBOOT_SHUTDOWN_ACTION."""
+
+_AS_ITEM = "Looking at a place: only as an item of a mission"
+ELSEWHERE: Mapping[int, str] = {
+    mav.MAV_CMD_DO_MOTOR_TEST: "Motor test: run `autopilot motors` on board",
+    mav.MAV_CMD_CONDITION_YAW: "To turn: go-to (DO_REPOSITION) with a heading",
+    mav.MAV_CMD_DO_SET_ROI_LOCATION: _AS_ITEM,
+    mav.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET: _AS_ITEM,
+    mav.MAV_CMD_DO_SET_ROI_NONE: _AS_ITEM,
+    mav.MAV_CMD_DO_SET_ROI: _AS_ITEM,
+}
+"""Commands that clients offer and that are not supported: the way that there is."""
 
 
 class Maintenance:
@@ -26,7 +38,12 @@ class Maintenance:
         def action(handler: Callable[[Call], Reply]) -> Entry:
             return Entry(handler=handler, action=True)
 
+        def elsewhere(reason: str) -> Entry:
+            answer = Answer(result=CommandResult.UNSUPPORTED, reason=reason)
+            return Entry(handler=lambda call: Reply(answer), action=False)
+
         return {
+            **{command: elsewhere(reason) for command, reason in ELSEWHERE.items()},
             mav.MAV_CMD_PREFLIGHT_STORAGE: action(self.storage),
             mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: action(self.reboot),
             mav.MAV_CMD_PREFLIGHT_CALIBRATION: action(self.calibrate),

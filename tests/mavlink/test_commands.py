@@ -491,3 +491,16 @@ def test_diverged_estimates_do_not_break_commands(world: World, client: Client) 
     world.show(nav=nav_state(pos_ned_m=np.array([math.inf, 0.0, 1e300])))
     assert client.command(192, -1, 1, 0, NAN, NAN, NAN, 10.0) == R.DENIED
     assert client.command(512, mav.MAVLINK_MSG_ID_ATTITUDE) == R.TEMPORARILY_REJECTED
+
+
+@pytest.mark.parametrize(
+    ("command", "way"),
+    [(209, "`autopilot motors`"), (115, "DO_REPOSITION"), (195, "item"), (196, "item"), (197, "item"), (201, "item")],
+)
+def test_what_is_done_in_another_way_is_refused_with_that_way(
+    world: World, client: Client, command: int, way: str
+) -> None:
+    assert client.command(command, 1, 0, 10, 1) == R.UNSUPPORTED
+    assert way in client.texts()
+    assert client.command_int(command, 5, (0, 0, 0, 0), 0, 0, 0.0) == R.UNSUPPORTED
+    assert not world.vehicle.calls
