@@ -30,6 +30,8 @@ from mcap.records import (
 
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSION = "zstd"
+PACKED_BYTES = 64 * 1024
+"""So many index records of chunks are compressed at a time: a minute of them."""
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode, length, channel, sequence, log time, publish time; the data follow."""
 _MESSAGE_HEAD = 22
@@ -52,7 +54,9 @@ class McapFile:
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._chunk_index = bytearray()
-        """Records of the chunks so far: as objects they would take ten times that, 30 MB an hour."""
+        """Records of the last chunks: as objects they would take ten times that, 30 MB an hour."""
+        self._packed_index: list[bytes] = []
+        """Those before them, compressed: they are wanted at the end of the file only."""
         self._chunk_count = 0
         self._first_ns: int | None = None
         self._last_ns = 0
@@ -131,7 +135,7 @@ class McapFile:
             (Opcode.SCHEMA, _records(self._schemas)),
             (Opcode.CHANNEL, _records(self._channels)),
             (Opcode.STATISTICS, _record(self._statistics())),
-            (Opcode.CHUNK_INDEX, self._chunk_index),
+            (Opcode.CHUNK_INDEX, self._chunks()),
             (Opcode.ATTACHMENT_INDEX, _records(self._attachments)),
             (Opcode.METADATA_INDEX, _records(self._metadata)),
         )
@@ -183,10 +187,22 @@ class McapFile:
             message_start_time=first_ns,
             uncompressed_size=len(records),
         )
-        self._chunk_index += _record(about)
-        self._chunk_count += 1
+        self._note_chunk(_record(about))
         self._first_ns = first_ns if self._first_ns is None else min(self._first_ns, first_ns)
         self._last_ns = max(self._last_ns, last_ns)
+
+    def _note_chunk(self, record: bytes) -> None:
+        """Keep the index record of a chunk for the summary."""
+        self._chunk_count += 1
+        self._chunk_index += record
+        if len(self._chunk_index) >= PACKED_BYTES:
+            self._packed_index.append(self._compressor.compress(bytes(self._chunk_index)))
+            self._chunk_index.clear()
+
+    def _chunks(self) -> bytes:
+        """The index records of all chunks."""
+        unpack = zstandard.ZstdDecompressor().decompress
+        return b"".join((*(unpack(part) for part in self._packed_index), self._chunk_index))
 
     def _statistics(self) -> Statistics:
         return Statistics(
