@@ -21,7 +21,7 @@ from autopilot.mavlink.wire import Message
 RETRY_US = 300_000
 """An item that does not come is asked for again (clients wait 250 ms to 1.5 s)."""
 WORKING_US = 500_000
-"""While a plan is checked its last item is asked for so often (MAVSDK bears four such questions, others any number)."""
+"""While a plan is checked its last item is asked for so often."""
 GIVE_UP_US = 8_000_000
 """An upload without progress ends (ArduPilot's time)."""
 MAX_WRONG_ITEMS = 20
