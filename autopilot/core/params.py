@@ -223,7 +223,7 @@ PARAMETERS: tuple[ParamSpec, ...] = (
         "Margins along the prediction: 0 = fixed, 1 = tube, 2 = Lipschitz growth.",
     ),
     _real("MPC_W_CURRENT", 0.02, 0.0, 1.0, "m/s", "Bound on the current's error beyond what the estimator admits."),
-    _real("MPC_W_FORCE", 1.0, 0.0, 100.0, "N", "Bound on unmodelled force per axis (slow ones count as current)."),
+    _real("MPC_W_FORCE", 1.0, 0.0, 100.0, "N", "Bound on unmodelled force per axis (slow ones are learned)."),
     _real("MPC_W_MOMENT", 0.1, 0.0, 50.0, "N m", "Bound on unmodelled yaw moment."),
     _real(
         "ORIGIN_ALT", 0.0, -500.0, 9000.0, "m", "Altitude of the water surface at the local origin (AMSL) (restart)."

@@ -164,23 +164,29 @@ def test_position_is_held_and_braking_does_not_rebound(session: OpenSession) -> 
     assert flight.touches_nothing()
 
 
-@pytest.mark.parametrize("buoyancy", [0.992, 1.008])
-def test_depth_is_held_with_the_wrong_buoyancy(session: OpenSession, tmp_path: Path, buoyancy: float) -> None:
-    """AltitudeHold: 0.3 m there, 0.1 m here, with 0.9 N that nobody has told the vehicle of (MPC_W_FORCE is 1 N); a
-    stick still moves it."""
+@pytest.mark.parametrize(
+    ("vehicle", "buoyancy", "cost"),
+    [("lbv150", 1.008, 0), ("bluerov2", 0.97, 1), ("bluerov2", 1.03, 0)],
+)
+def test_depth_is_held_with_the_wrong_buoyancy(
+    session: OpenSession, tmp_path: Path, vehicle: str, buoyancy: float, cost: int
+) -> None:
+    """AltitudeHold: 0.3 m there, with 10 N; 0.06 m here, with 0.9 N and 3.4 N that nobody has told the vehicle of: it
+    sank by 0.3 m and on to the floor, and a stick that asks for 0.12 m/s moved it by 0.05 m."""
     text = (SCENARIOS / "paper-tank-still.toml").read_text(encoding="utf-8")
-    kept = [line for line in text.splitlines() if not line.startswith(("plan", "held", "mismatch"))]
+    kept = [line for line in text.splitlines() if not line.startswith(("plan", "held", "mismatch", "model"))]
     at = kept.index("[vehicle]") + 1
-    kept.insert(at, f"mismatch = {{ buoyancy = {buoyancy} }}")
+    kept[at:at] = [f'model = "{vehicle}"', f"mismatch = {{ buoyancy = {buoyancy} }}"]
     (tmp_path / "tank.toml").write_text("\n".join(kept), encoding="utf-8")
-    flight = Flight(session, scenario=str(tmp_path / "tank.toml"))
+    flight = Flight(session, scenario=str(tmp_path / "tank.toml"), params={"MPC_COST": cost})
     flight.mode(ALTITUDE)  # sinking or rising: from the place in Hold to the depth of now thrust was reversed at once
-    flight.run(4.0, (0, 0, 500, 0))
+    flight.run(8.0, (0, 0, 500, 0))
     flight.run(1.0, (0, 0, 500, 0))
-    before = flight.depth[-1]
-    flight.run(2.5, (0, 0, 100, 0))
+    assert np.ptp(flight.depth[-300:]) < 0.06
+    before, down = flight.depth[-1], buoyancy > 1.0  # the heavy one has sunk before it was armed
+    flight.run(2.5, (0, 0, 100 if down else 900, 0))
     flight.run(3.0, (0, 0, 500, 0))
-    assert flight.depth[-1] > before + 0.03
+    assert (flight.depth[-1] - before) * (1.0 if down else -1.0) > 0.1
     flight.run(4.0, (0, 0, 500, 0))
-    assert np.ptp(flight.depth[-400:]) < 0.1
+    assert np.ptp(flight.depth[-400:]) < 0.06
     assert flight.touches_nothing()
