@@ -6,7 +6,7 @@ import math
 import socket
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -39,9 +39,16 @@ class LiveService:
 
 @contextlib.contextmanager
 def live_service(
-    *connections: str, arguments: Sequence[str] = (), scenario: str = "open-water", speed: float = 1.0
+    *connections: str,
+    arguments: Sequence[str] = (),
+    scenario: str = "open-water",
+    speed: float = 1.0,
+    ends: Collection[int] = (0,),
 ) -> Iterator[LiveService]:
-    """``autopilot sitl`` on a UDP and a TCP port and on further ``connections``, until the block ends."""
+    """``autopilot sitl`` on a UDP and a TCP port and on further ``connections``, until the block ends.
+
+    AutopilotError if its exit code is none of ``ends`` (3: it has touched something).
+    """
     udp, tcp = free_port(), free_port(socket.SOCK_STREAM)
     with tempfile.TemporaryDirectory(prefix="autopilot-") as folder:
         log = Path(folder) / "run.mcap"
@@ -58,7 +65,7 @@ def live_service(
             yield LiveService(child=child, udp=udp, tcp=tcp, log=log)
         finally:
             code = child.end()
-        if code != 0:
+        if code not in ends:
             raise AutopilotError(f"the service ended with exit code {code}")
 
 
