@@ -95,8 +95,14 @@ def fly(station: GroundStation, profile: str) -> None:
         station.set_mode("Return")
         station.until(lambda: station.mode == "Return", "return", 5.0)
         station.been.clear()
+        heard = len(station.texts)
+
+        def dived() -> bool:
+            return any("Dived to" in text for _, text in station.texts[heard:])
+
         station.command(22, -1.0, 0.0, 0.0, *(math.nan,) * 3, 2.0)
-        station.until(lambda: station.modes["Takeoff"] in station.been, "takeoff", 5.0)
+        # A vehicle that is deep enough already has dived at once.
+        station.until(lambda: station.modes["Takeoff"] in station.been or dived(), "takeoff", 5.0)
         station.set_mode("Surface")
     else:
         station.command(193, 1.0)
