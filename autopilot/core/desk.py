@@ -8,12 +8,16 @@ Without an executor the work is done at the moment it is due (tests, studies).
 """
 
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures import CancelledError, Executor, Future, wait
 from concurrent.futures import TimeoutError as NotReadyError
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar, cast
 
 from autopilot.core.witness import Witness
+
+ROOM_S = 0.0005
+"""So long a loop rests at each look at an answer that is late. A loop that never rests (a machine that does not keep up)
+gives its lock away and takes it back before the thread that works has woken up: the answer would never come."""
 
 IDLE_S = 0.05
 """A loop that waits for an answer attends to what cannot wait (heartbeats) this often."""
@@ -100,12 +104,12 @@ class Desk:
         """Answers that were not there when they were due."""
         self.idle: Callable[[], None] = lambda: None
         """Called now and then while the loop waits for an answer."""
-        self.ready: Callable[[Future[Any]], bool] = Future.done
+        self.ready: Callable[[Future[Any]], bool] = _there
         """Whether an answer is there, asked at a desk that is not patient. A replay has its own opinion, and waits."""
 
     def witnessed(self, name: str, witness: Witness) -> "Desk":
         """Have it noted when answers are ready; this desk."""
-        self.ready = lambda future: witness.ask(f"{name} ready", False, future.done)
+        self.ready = lambda future: witness.ask(f"{name} ready", False, lambda: _there(future))
         return self
 
     def submit(self, due: int, work: Callable[[Q, Cancel], A], request: Q) -> Ticket[A]:
@@ -129,3 +133,8 @@ class Desk:
         """Begin nothing any more; what is being worked on is left to end."""
         if self.executor is not None:
             self.executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _there(future: Future[Any]) -> bool:
+    """Whether it has ended; if not, whoever works on it gets room to go on."""
+    return future.done() or bool(wait((future,), ROOM_S).done)

@@ -1,6 +1,7 @@
 """What does not fit into a control step is done beside it: where, when its answer comes, and what happens meanwhile."""
 
 import math
+import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -108,6 +109,22 @@ def test_a_new_fence_binds_at_once_and_the_loop_never_waits_for_the_way_round() 
                 break
         assert inside(loop.x, far)
         assert np.hypot(*(np.array(loop.track) - center).T).min() > 0.3 + VEHICLE.radius_m
+
+
+def test_a_loop_that_never_rests_gets_its_route_all_the_same() -> None:
+    """On a core of its own, as fast as it can, the loop would keep the interpreter from the thread that searches."""
+    cores = sorted(os.sched_getaffinity(0))
+    if len(cores) < 2:
+        pytest.skip("on one core the kernel changes over by itself")
+    with ThreadPoolExecutor(1) as executor:
+        executor.submit(os.sched_setaffinity, 0, cores[1:]).result()
+        os.sched_setaffinity(0, cores[:1])
+        try:
+            loop = Loop(MotionController(VEHICLE, desks=on(executor, patient=False), cpu_clock=lambda: 0.0))
+            lengths = [len(loop.step(goal(2.0, -0.35, 0.45, None), pillar(0.0, -0.35))) for _ in range(1500)]
+        finally:
+            os.sched_setaffinity(0, cores)
+    assert max(lengths) > 4
 
 
 def test_what_does_not_bar_the_route_does_not_stop_the_vehicle() -> None:
