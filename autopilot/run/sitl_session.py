@@ -125,11 +125,13 @@ def open_sitl(
     on_tick: Callable[[Outputs], None] = lambda _: None,
     view: Hub | None = None,
     foxglove: FoxgloveServer | None = None,
+    now_s: float | None = None,
 ) -> SitlSession:
     """Everything of a SITL run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
 
     ``links``: the connections of the settings if they are already open (:mod:`autopilot.run.boot_links`).
-    ``view``: who looks at the run and may steer it. ``foxglove``: who is sent what is logged.
+    ``view``: who looks at the run and may steer it. ``foxglove``: who is sent what is logged. ``now_s``: Unix time at
+    which signatures begin, None = the machine's.
     """
     scenario = load_scenario(settings["scenario"])
     if settings["vehicle"] is not None:
@@ -140,7 +142,7 @@ def open_sitl(
     operator = ScriptedOperator(system_id(params, instance), scenario.fault) if settings["start"] else None
     all_peers = (*peers, operator) if operator is not None else tuple(peers)
     links_count = len(settings["connect"]) + len(all_peers)
-    signing = SigningFiles(state_folder(settings, instance), disk)
+    signing = SigningFiles(state_folder(settings, instance), disk, now_s=now_s)
     warnings += signing.warnings
     setup = _setup(settings, world, params, instance, links=links_count, saving=persistent, signing=signing)
     service, parts = build_service(setup)

@@ -64,6 +64,8 @@ SETTLE_TICKS = 800
 """So long a vehicle may take to come into its fence and fly: after wild moods it may be anywhere."""
 BACKLOG_TICKS = 1000
 """In so many ticks at most every client's backlog is worked off."""
+LOGGED_S = 1_767_261_600
+"""Unix time of the first log that clients can ask for, and of the first signature: the same on every run."""
 SETTLED_MESSAGES = 20_000
 """Memory counts from here: everything has been imported and every cache is warm."""
 
@@ -465,8 +467,10 @@ def _session(seed: int, folder: Path, key: bytes | None = None) -> SitlSession:
     day = folder / "logs" / "2026-01-01"
     day.mkdir(parents=True)
     for number in range(3):
-        (day / f"10_00_0{number}.mcap").write_bytes(bytes(range(256)) * (1 + 40 * number))
-    session = open_sitl(settings, {}, log=False)
+        log = day / f"10_00_0{number}.mcap"
+        log.write_bytes(bytes(range(256)) * (1 + 40 * number))
+        os.utime(log, (LOGGED_S + number, LOGGED_S + number))
+    session = open_sitl(settings, {}, log=False, now_s=LOGGED_S)
     if key is not None:
         ctx: Any = session.parts.server._dispatcher._ctx
         ctx.signing.set_key(key)
