@@ -16,8 +16,8 @@ from typing import Any, Generic, TypeVar, cast
 from autopilot.core.witness import Witness
 
 ROOM_S = 0.0005
-"""So long a loop rests at each look at an answer that is late. A loop that never rests (a machine that does not keep up)
-gives its lock away and takes it back before the thread that works has woken up: the answer would never come."""
+"""So long a loop rests at each look at an answer that is late. A loop that never rests (a machine that does not keep
+up) gives its lock away and takes it back before the thread that works has woken up: the answer would never come."""
 
 IDLE_S = 0.05
 """A loop that waits for an answer attends to what cannot wait (heartbeats) this often."""
