@@ -17,6 +17,8 @@ from autopilot.core.frames import FloatArray
 
 FIRST = 60
 """Arrivals before the beat is looked for; until it is known they stand for themselves."""
+AGAIN = 15
+"""Arrivals after which it is looked for again: that takes milliseconds."""
 WINDOW = 240
 """Arrivals that the line goes through: 8 s at 30 Hz, in which clocks of cameras drift by less than a millisecond."""
 TRIED = np.geomspace(0.28, 1.4, 800)
@@ -74,6 +76,8 @@ class FrameClock:
         self._times_us: deque[int] = deque(maxlen=WINDOW)
         self._line: _Line | None = None
         self._off = 0
+        self._unplaced = 0
+        """Arrivals without a beat since one was looked for last."""
 
     @property
     def rate_hz(self) -> float:
@@ -89,8 +93,11 @@ class FrameClock:
         times.append(arrival_us)
         if line is not None:
             self._follow(line)
-        elif len(times) >= FIRST and len(times) % (FIRST // 4) == 0:
-            self._line = _find(np.array(times, dtype=float))
+        else:
+            self._unplaced += 1
+            if len(times) >= FIRST and self._unplaced >= AGAIN:
+                self._unplaced = 0
+                self._line = _find(np.array(times, dtype=float))
         line = self._line
         return arrival_us if line is None else round(line.of(arrival_us))
 
@@ -140,7 +147,9 @@ def _find(times_us: FloatArray) -> _Line | None:
     """The beat in which arrivals are most alike (a peak of their periodogram); None if there is none."""
     begin_us = float(times_us[0])
     beats_us = float(np.median(np.diff(times_us))) * TRIED
-    phasors = np.exp(2j * np.pi * (times_us[:, None] - begin_us) / beats_us).mean(axis=0)
+    turns = np.modf((times_us[:, None] - begin_us) / beats_us)[0].astype(np.float32)
+    angles = np.float32(2.0 * np.pi) * turns
+    phasors = np.cos(angles).mean(axis=0) + 1j * np.sin(angles).mean(axis=0)
     orders = np.abs(phasors)
     peak = np.r_[False, (orders[1:-1] >= orders[:-2]) & (orders[1:-1] >= orders[2:]), False]
     good = np.flatnonzero(peak & (orders >= max(LEAST_ORDER, LEAST_SHARE * float(orders.max()))))

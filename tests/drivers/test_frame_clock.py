@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.frame_clock import FIRST, WINDOW, FrameClock, LoopTime
+from drivers import frame_clock
+from drivers.frame_clock import AGAIN, FIRST, WINDOW, FrameClock, LoopTime
 
 Delay = Callable[[np.random.Generator], float]
 """Of one picture [us]."""
@@ -62,6 +63,15 @@ def test_without_a_beat_arrivals_stand_for_themselves(seed: int) -> None:
         t_us += rng.uniform(15_000.0, 80_000.0)
         moved.append(abs(clock.stamp(round(t_us)) - round(t_us)))
     assert np.mean(np.array(moved) > 0) < 0.1
+
+
+def test_a_beat_is_not_looked_for_with_every_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    searches, find = [], frame_clock._find
+    monkeypatch.setattr(frame_clock, "_find", lambda times: searches.append(1) or find(times))
+    rng, clock = np.random.default_rng(5), FrameClock()
+    for t_us in np.cumsum(rng.uniform(15_000.0, 80_000.0, 900)):
+        clock.stamp(round(t_us))
+    assert 20 < len(searches) <= 900 // AGAIN
 
 
 def test_a_stream_that_changes_its_rate_is_found_again() -> None:
