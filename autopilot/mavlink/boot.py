@@ -8,6 +8,7 @@ from autopilot.core.clients import EVERYONE
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.context import COMPID
 from autopilot.mavlink.profiles import profile_by_name
+from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import LinkEncoder, LinkParser, Message
 
 MAX_PARSERS = 64
@@ -36,8 +37,7 @@ class BootLink:
     def __init__(self, sysid: int, profile: str) -> None:
         self._sysid = sysid
         self._profile = profile_by_name(profile)
-        self._parsers: dict[int, LinkParser] = {}
-        """Of each client, the one silent for longest first."""
+        self._parsers: LatestUsed[int, LinkParser] = LatestUsed(MAX_PARSERS)
         self._encoder = LinkEncoder(sysid, COMPID)
 
     def heartbeat(self) -> bytes:
@@ -73,11 +73,7 @@ class BootLink:
 
     def _parser_of(self, client: int) -> LinkParser:
         """Every client has its own: half a message of one must not meet another's."""
-        parser = self._parsers.pop(client, None) or LinkParser()
-        if len(self._parsers) >= MAX_PARSERS:
-            del self._parsers[next(iter(self._parsers))]
-        self._parsers[client] = parser
-        return parser
+        return self._parsers.touch(client, LinkParser)
 
     def _is_action(self, msg: Message) -> bool:
         """Whether a message wants the vehicle to do something that it cannot do yet."""

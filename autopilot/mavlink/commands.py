@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.core.messages import Severity
 from autopilot.mavlink.api import Answer, CommandResult
 from autopilot.mavlink.context import COMPID, Context, Peer
+from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import Message
 
 REPEAT_US = 10_000_000
@@ -136,7 +137,7 @@ class Commands:
         self._source = source
         self._keeps_out = keeps_out
         self._table = table
-        self._last: dict[Peer, _Remembered] = {}
+        self._last: LatestUsed[Peer, _Remembered] = LatestUsed(MAX_REMEMBERED)
 
     def on_command(self, peer: Peer, msg: Message) -> None:
         """COMMAND_LONG or COMMAND_INT."""
@@ -162,9 +163,6 @@ class Commands:
             self._ack(peer, call.command, before.answer)
             return
         reply = entry.handler(call)
-        self._last.pop(peer, None)
-        while len(self._last) >= MAX_REMEMBERED:
-            self._last.pop(next(iter(self._last)))
         self._last[peer] = _Remembered(key, datagram, self._ctx.t_us, reply.answer)
         self._reply(peer, call.command, reply)
 

@@ -44,6 +44,7 @@ from autopilot.mavlink.setpoints import SetPoints
 from autopilot.mavlink.signing import KEY_BYTES, Refusals, Signing
 from autopilot.mavlink.status import Status
 from autopilot.mavlink.streams import Streams
+from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.telemetry import Telemetry
 from autopilot.mavlink.utility import Utility
 from autopilot.mavlink.vehicle_commands import VehicleService
@@ -188,7 +189,7 @@ class Dispatcher:
         self._flood_us: int | None = None
         self._new: Recent[Address] = Recent(float("inf"))
         """Clients that have spoken MAVLink 2."""
-        self._greeted: dict[Peer, None] = {}
+        self._greeted: LatestUsed[Peer, None] = LatestUsed(MAX_PEERS)
         self._to_greet: deque[tuple[int, Peer]] = deque()
         """When a greeting is due, and whose."""
         self._heartbeat_us = 0
@@ -440,8 +441,6 @@ class Dispatcher:
         """The true name, once to every client, a moment after its first word."""
         if peer in self._greeted:
             return
-        while len(self._greeted) >= MAX_PEERS:
-            del self._greeted[next(iter(self._greeted))]
         self._greeted[peer] = None
         if len(self._to_greet) < MAX_PEERS:
             self._to_greet.append((self._ctx.t_us + round(GREET_AFTER_US * self._ctx.patience), peer))

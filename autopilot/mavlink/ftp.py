@@ -18,6 +18,7 @@ from autopilot.mavlink.budget import FILES
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS, OpenFile, folder_entries, parts_of
+from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import Message
 
 PACKETS_PER_TICK = 16
@@ -143,14 +144,14 @@ class FileTransfer:
         made: Callable[[str], bytes | None] = lambda path: None,
     ) -> None:
         self._ctx, self._files, self._shelf, self._made = ctx, files, shelf, made
-        self._clients: dict[Peer, _Client] = {}
+        self._clients: LatestUsed[Peer, _Client] = LatestUsed(MAX_CLIENTS, _Client.close)
 
     def on_message(self, peer: Peer, msg: Message) -> None:
         """FILE_TRANSFER_PROTOCOL."""
         request = request_of(bytes(msg.payload))
         if request.opcode in (Op.ACK, Op.NAK):
             return
-        client = self._client(peer)
+        client = self._clients.touch(peer, _Client)
         before = client.answered
         if before is not None and before[:2] == (request.seq, request.opcode) and client.burst is None:
             self._ctx.send(peer, before[2])
@@ -175,13 +176,6 @@ class FileTransfer:
     @property
     def _tick(self) -> int:
         return self._ctx.t_us // TICK_US
-
-    def _client(self, peer: Peer) -> _Client:
-        client = self._clients.pop(peer, None) or _Client()
-        while len(self._clients) >= MAX_CLIENTS:
-            self._clients.pop(next(iter(self._clients))).close()
-        self._clients[peer] = client
-        return client
 
     def _begin(self, peer: Peer, client: _Client, request: Request) -> None:
         """A request that is new."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from autopilot.core.clients import Reach
 from autopilot.core.messages import MavlinkFrame
+from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import LinkParser, Message, Work
 
 HANDLE_WORK = 30
@@ -87,12 +88,14 @@ class Intake:
     """Whether a good frame from so far away is heard."""
     heard: Callable[[Address, bytes], None] = lambda address, frame: None
     """Every good frame that is."""
-    _inboxes: dict[Address, Inbox] = field(default_factory=dict)
-    """The one silent for longest first."""
+    _inboxes: LatestUsed[Address, Inbox] = field(init=False)
     _turns: deque[Inbox] = field(default_factory=deque)
     _served: int = 0
     _dropped_of_gone: int = 0
     _received_of_gone: int = 0
+
+    def __post_init__(self) -> None:
+        self._inboxes = LatestUsed(MAX_INBOXES, self._let_go)
 
     @property
     def dropped(self) -> int:
@@ -107,14 +110,7 @@ class Intake:
     def push(self, frame: MavlinkFrame) -> Inbox:
         """Put a datagram into its client's inbox."""
         address = (frame.link, frame.client)
-        inbox = self._inboxes.pop(address, None)
-        if inbox is None:
-            while len(self._inboxes) >= MAX_INBOXES:
-                self._forget(next(iter(self._inboxes)))
-            reach = frame.reach
-            parser = LinkParser(self.wanted, lambda data: self._admit(address, reach, data))
-            inbox = Inbox(address, parser, frame.sender or f"client {frame.client}", reach)
-        self._inboxes[address] = inbox
+        inbox = self._inboxes.touch(address, lambda: self._inbox(address, frame))
         if inbox.parser.push(frame.data) and not inbox.waiting:
             inbox.waiting = True
             self._turns.append(inbox)
@@ -132,7 +128,7 @@ class Intake:
     def forget_link(self, link: int) -> None:
         """Drop the inboxes of a closed link."""
         for address in [address for address in self._inboxes if address[0] == link]:
-            self._forget(address)
+            self._let_go(self._inboxes.pop(address))
 
     def work(self) -> None:
         """A tick: turn by turn, until everything is handled or the tick's work is done."""
@@ -183,14 +179,18 @@ class Intake:
         work.left -= HEAVY_WORK if message.get_msgId() in self.heavy else HANDLE_WORK
         self.handle(inbox.address, message)
 
+    def _inbox(self, address: Address, frame: MavlinkFrame) -> Inbox:
+        reach = frame.reach
+        parser = LinkParser(self.wanted, lambda data: self._admit(address, reach, data))
+        return Inbox(address, parser, frame.sender or f"client {frame.client}", reach)
+
     def _admit(self, address: Address, reach: Reach, frame: bytes) -> bool:
         if not self.admits(frame, reach):
             return False
         self.heard(address, frame)
         return True
 
-    def _forget(self, address: Address) -> None:
-        gone = self._inboxes.pop(address)
+    def _let_go(self, gone: Inbox) -> None:
         self._dropped_of_gone += gone.parser.dropped
         self._received_of_gone += gone.parser.received
         if gone.waiting:

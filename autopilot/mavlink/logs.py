@@ -14,6 +14,7 @@ from autopilot.mavlink.budget import FILES
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import OpenFile
+from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import Message
 
 DATA_BYTES = 90
@@ -58,12 +59,12 @@ class LogDownload:
     def __init__(self, ctx: Context, shelf: Shelf | None) -> None:
         self._ctx, self._shelf = ctx, shelf
         self._first = 1 if ctx.profile.home_is_item_0 else 0
-        self._clients: dict[Peer, _Client] = {}
+        self._clients: LatestUsed[Peer, _Client] = LatestUsed(MAX_CLIENTS, _Client.stop)
         self._erasing: tuple[Peer, Ticket[int]] | None = None
 
     def on_request_list(self, peer: Peer, msg: Message) -> None:
         """LOG_REQUEST_LIST: an entry for each number from start to end; one of log 0 when there are none."""
-        client = self._client(peer)
+        client = self._clients.touch(peer, _Client)
         client.stop()
         client.entries = range(msg.start, msg.end + 1)
         if self._shelf is None:
@@ -73,7 +74,7 @@ class LogDownload:
 
     def on_request_data(self, peer: Peer, msg: Message) -> None:
         """LOG_REQUEST_DATA: pieces of 90 bytes; a shorter one is the last of the log."""
-        client = self._client(peer)
+        client = self._clients.touch(peer, _Client)
         if client.file is not None and client.wanted is not None and client.wanted[0] != msg.id:
             client.file.close()
             client.file = None
@@ -83,7 +84,7 @@ class LogDownload:
 
     def on_request_end(self, peer: Peer) -> None:
         """LOG_REQUEST_END: nothing more."""
-        self._client(peer).stop()
+        self._clients.touch(peer, _Client).stop()
 
     def on_erase(self, peer: Peer) -> None:
         """LOG_ERASE: all flights that are finished, of a vehicle that is disarmed. The outcome comes as text."""
@@ -116,13 +117,6 @@ class LogDownload:
     @property
     def _tick(self) -> int:
         return self._ctx.t_us // TICK_US
-
-    def _client(self, peer: Peer) -> _Client:
-        client = self._clients.pop(peer, None) or _Client()
-        while len(self._clients) >= MAX_CLIENTS:
-            self._clients.pop(next(iter(self._clients))).stop()
-        self._clients[peer] = client
-        return client
 
     def _listed(self, client: _Client, files: tuple[ShelfFile, ...]) -> None:
         client.logs = tuple(file for file in files if file.path.endswith(_LOG))

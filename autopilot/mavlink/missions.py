@@ -16,6 +16,7 @@ from autopilot.mavlink import home_item
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.recent import Recent
+from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import Message
 
 RETRY_US = 300_000
@@ -103,7 +104,7 @@ class Missions:
         self._upload: Upload | None = None
         self._checking: Checking | None = None
         self._finished: Finished | None = None
-        self._downloads: dict[tuple[Peer, PlanKind], Download] = {}
+        self._downloads: LatestUsed[tuple[Peer, PlanKind], Download] = LatestUsed(MAX_DOWNLOADS)
         self._counts: Recent[tuple[Peer, int, int]] = Recent(DUPLICATE_US * ctx.patience)
         self.current_wire_seq = 0
         """What downloads mark as current."""
@@ -373,9 +374,6 @@ class Missions:
             self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
             return
         items = home_item.wire_plan(self._ctx, kind)
-        self._downloads.pop((peer, kind), None)
-        while len(self._downloads) >= MAX_DOWNLOADS:
-            self._downloads.pop(next(iter(self._downloads)))
         self._downloads[peer, kind] = Download(items, self._ctx.t_us)
         plan_id = self._ctx.plans.checksum(kind)
         self._ctx.send(

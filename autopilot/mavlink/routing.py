@@ -6,7 +6,6 @@ came from, and one that comes again, by a loop in the network, is not passed on 
 """
 
 import struct
-from collections import OrderedDict
 from collections.abc import Callable
 
 from autopilot.core.clients import EVERYONE, Verbatim
@@ -16,6 +15,7 @@ from autopilot.mavlink.context import COMPID, Context
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.inbox import Address
 from autopilot.mavlink.recent import Recent
+from autopilot.mavlink.table import LatestUsed
 
 AGAIN_US = 500_000
 """The same packet within this time is the one before, by another way."""
@@ -39,7 +39,7 @@ class Router:
     def __init__(self, ctx: Context, *, ours: Callable[[int], bool]) -> None:
         """``ours``: whether a component of our system is the service itself."""
         self._ctx, self._ours = ctx, ours
-        self._places: OrderedDict[Component, OrderedDict[Address, None]] = OrderedDict()
+        self._places: LatestUsed[Component, LatestUsed[Address, None]] = LatestUsed(MAX_KNOWN)
         self._passed: Recent[bytes] = Recent(AGAIN_US * ctx.patience)
         self.forwarded = 0
         """Packets passed on so far."""
@@ -67,13 +67,7 @@ class Router:
         self._pass_on(address, (target[0], target[1]), frame, old=old)
 
     def _learn(self, source: Component, address: Address) -> None:
-        places = self._places.pop(source, None) or OrderedDict()
-        while len(self._places) >= MAX_KNOWN:
-            self._places.popitem(last=False)
-        self._places[source] = places
-        places.pop(address, None)
-        while len(places) >= MAX_PLACES:
-            places.popitem(last=False)
+        places: LatestUsed[Address, None] = self._places.touch(source, lambda: LatestUsed(MAX_PLACES))
         places[address] = None
 
     def _pass_on(self, address: Address, target: Component, frame: bytes, *, old: bool) -> None:

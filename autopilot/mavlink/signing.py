@@ -11,7 +11,6 @@ has been used.
 
 import hashlib
 import hmac
-from collections import OrderedDict
 from dataclasses import dataclass
 
 from autopilot.core.clients import Reach
@@ -20,6 +19,7 @@ from autopilot.core.crc import checksum
 from autopilot.core.witness import Noted, Witness
 from autopilot.mavlink.api import AHEAD_UNITS, UNITS_PER_S, SigningState, SigningStore
 from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.table import LatestUsed
 
 KEY_BYTES = 32
 OLD_UNITS = 60 * UNITS_PER_S
@@ -66,7 +66,7 @@ class Signing:
         self._kept = found.stamp + AHEAD_UNITS
         self._beat_stamp = 0
         self._t_us = 0
-        self._streams: OrderedDict[tuple[int, int, int], int] = OrderedDict()
+        self._streams: LatestUsed[tuple[int, int, int], int] = LatestUsed(MAX_STREAMS)
         self.local_may_be_silent = False
         """Programs of this machine need not sign (SIGN_LOCAL)."""
         self.refused = Refusals()
@@ -128,19 +128,13 @@ class Signing:
             return False
         stream = (frame[-_BLOCK], frame[5], frame[6])
         stamp = int.from_bytes(frame[1 - _BLOCK : -_TAG], "little")
-        last = self._streams.pop(stream, None)
-        if last is None:
-            fresh = stamp + OLD_UNITS >= self.stamp
-        else:
-            fresh = stamp > last
-            self._streams[stream] = last
+        last = self._streams.get(stream)
+        fresh = stamp + OLD_UNITS >= self.stamp if last is None else stamp > last
+        if fresh or last is not None:
+            self._streams[stream] = stamp if last is None else max(stamp, last)
         if not fresh:
             self.refused.old += 1
             return False
-        self._streams[stream] = stamp
-        self._streams.move_to_end(stream)
-        if len(self._streams) > MAX_STREAMS:
-            self._streams.popitem(last=False)
         if stamp <= MAX_STAMP - 100 * OLD_UNITS:
             self._stamp = max(self._stamp, stamp)
         return True
