@@ -25,6 +25,7 @@ from autopilot.core.errors import AutopilotError
 from autopilot.core.marks import LoopPart
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan_wire import item_message
 from autopilot.mavlink.vehicle_commands import FORCE_ARM
 from autopilot.run.children import python_command
 from autopilot.run.config import gather, sitl_defaults
@@ -226,13 +227,6 @@ def _upload(station: Station, kind: PlanKind, items: Sequence[PlanItem]) -> tupl
                 continue
             if message.get_type() in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
                 begun = True
-                station.send(_wire_item(items[message.seq], kind))
+                station.send(item_message(items[message.seq], kind))
             elif message.get_type() == "MISSION_ACK" and begun:
                 return int(message.type != 0), time.monotonic() - begin_s
-
-
-def _wire_item(item: PlanItem, kind: PlanKind) -> mav.MAVLink_mission_item_int_message:
-    numbers = (item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z)
-    return mav.MAVLink_mission_item_int_message(
-        1, 1, item.seq, item.frame, item.command, 0, item.autocontinue, *numbers, kind
-    )

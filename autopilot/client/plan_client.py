@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.client.exchange import BaseExchange, Message, Outcome, Target, Timers
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
+from autopilot.core.plan_wire import item_message, item_of
 
 MAX_RESTARTS = 3
 """An upload that broke off for no fault of the plan is begun anew so often."""
@@ -92,23 +93,8 @@ class PlanUpload(BaseExchange):
 
     def _item(self, seq: int) -> Message:
         item, target = self._items[seq], self._target
-        return mav.MAVLink_mission_item_int_message(
-            target.system,
-            target.component,
-            item.seq,
-            item.frame,
-            item.command,
-            int(seq == 0 and self._kind is PlanKind.MISSION),
-            item.autocontinue,
-            item.param1,
-            item.param2,
-            item.param3,
-            item.param4,
-            item.x,
-            item.y,
-            item.z,
-            int(self._kind),
-        )
+        current = seq == 0 and self._kind is PlanKind.MISSION
+        return item_message(item, self._kind, system=target.system, component=target.component, current=current)
 
 
 class PlanDownload(BaseExchange):
@@ -146,7 +132,7 @@ class PlanDownload(BaseExchange):
         if kind == "MISSION_COUNT" and self._count is None:
             self._count = message.count
         elif kind == "MISSION_ITEM_INT" and self._count is not None and message.seq == len(self._items):
-            self._items.append(_plan_item(message))
+            self._items.append(item_of(message))
         else:
             return []
         self._heard_s = self._sent_s = t_s
@@ -169,22 +155,6 @@ class PlanDownload(BaseExchange):
         if self._count is None:
             return mav.MAVLink_mission_request_list_message(target.system, target.component, kind)
         return mav.MAVLink_mission_request_int_message(target.system, target.component, len(self._items), kind)
-
-
-def _plan_item(message: Message) -> PlanItem:
-    return PlanItem(
-        seq=message.seq,
-        frame=message.frame,
-        command=message.command,
-        param1=message.param1,
-        param2=message.param2,
-        param3=message.param3,
-        param4=message.param4,
-        x=message.x,
-        y=message.y,
-        z=message.z,
-        autocontinue=message.autocontinue,
-    )
 
 
 def same_on_the_wire(a: Sequence[PlanItem], b: Sequence[PlanItem]) -> bool:

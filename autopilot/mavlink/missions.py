@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from autopilot.core.messages import Severity
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanChange, PlanItem, PlanKind
+from autopilot.core.plan_wire import item_message, item_of
 from autopilot.mavlink import home_item
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.dialect import extra, mav
@@ -172,19 +173,7 @@ class Missions:
             self._item_out_of_turn(upload, msg)
             return
         ctx, now_us = self._ctx, self._ctx.t_us
-        item = PlanItem(
-            seq=msg.seq,
-            frame=msg.frame,
-            command=msg.command,
-            param1=msg.param1,
-            param2=msg.param2,
-            param3=msg.param3,
-            param4=msg.param4,
-            x=msg.x,
-            y=msg.y,
-            z=msg.z,
-            autocontinue=msg.autocontinue,
-        )
+        item = item_of(msg)
         if not home_item.may_be(ctx, upload.kind, item):
             refusal = ctx.plans.check_item(upload.kind, item)
             if refusal is not None:
@@ -395,27 +384,8 @@ class Missions:
             self._ack(peer, MissionResult.INVALID_SEQUENCE, kind)
             return
         item = items[msg.seq]
-        current = int(kind is PlanKind.MISSION and item.seq == self.current_wire_seq)
-        self._ctx.send(
-            peer,
-            mav.MAVLink_mission_item_int_message(
-                peer.sysid,
-                peer.compid,
-                item.seq,
-                item.frame,
-                item.command,
-                current,
-                item.autocontinue,
-                item.param1,
-                item.param2,
-                item.param3,
-                item.param4,
-                item.x,
-                item.y,
-                item.z,
-                kind,
-            ),
-        )
+        current = kind is PlanKind.MISSION and item.seq == self.current_wire_seq
+        self._ctx.send(peer, item_message(item, kind, system=peer.sysid, component=peer.compid, current=current))
 
     def on_ack(self, peer: Peer, msg: Message) -> None:
         """MISSION_ACK: the client has read everything, or gives a transfer up."""

@@ -8,7 +8,8 @@ import numpy as np
 from piloted_world import PilotedWorld
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.plan import PlanItem
+from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan_wire import item_message
 
 NAN = math.nan
 MISSION = (4 << 16) | (4 << 24)
@@ -60,7 +61,8 @@ class MissionWorld(PilotedWorld):
                     self.run(0.03)
                     return message
                 if message.get_type() == "MISSION_REQUEST_INT":
-                    rx.append(self.pack(item_message(items[message.seq], kind)))
+                    item = items[message.seq]
+                    rx.append(self.pack(item_message(item, PlanKind(kind), current=item.seq == 0)))
         raise AssertionError("no MISSION_ACK")
 
     def fly(self, items: Sequence[PlanItem], seconds: float) -> None:
@@ -80,24 +82,3 @@ class MissionWorld(PilotedWorld):
     def since(self, seconds: float) -> Any:
         """The track (n, 8) of the last seconds."""
         return np.array(self.track[-round(100 * seconds) :])
-
-
-def item_message(item: PlanItem, kind: int = 0) -> Any:
-    """MISSION_ITEM_INT."""
-    return mav.MAVLink_mission_item_int_message(
-        1,
-        1,
-        item.seq,
-        item.frame,
-        item.command,
-        int(item.seq == 0),
-        item.autocontinue,
-        item.param1,
-        item.param2,
-        item.param3,
-        item.param4,
-        item.x,
-        item.y,
-        item.z,
-        kind,
-    )

@@ -22,6 +22,7 @@ from system_harness import RunningService
 
 from autopilot.core.crc import file_crc32
 from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan_wire import item_message
 from autopilot.mavlink.dialect import mav
 
 NAN = math.nan
@@ -516,14 +517,8 @@ class GroundStation:
             if name in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and message.mission_type == kind:
                 asked.append(message.seq)
                 item = items[message.seq]
-                params = (item.param1, item.param2, item.param3, item.param4)
-                current = int(kind is PlanKind.MISSION and message.seq == 0)
-                self.send(
-                    mav.MAVLink_mission_item_int_message(
-                        *(1, 1, message.seq, item.frame, item.command, current, item.autocontinue, *params),
-                        *(item.x, item.y, item.z, int(kind)),
-                    )
-                )
+                current = kind is PlanKind.MISSION and message.seq == 0
+                self.send(item_message(replace(item, seq=message.seq), kind, current=current))
                 sent[0] += 1
             elif name == "MISSION_ACK" and message.mission_type == kind:
                 done.append(message.type)

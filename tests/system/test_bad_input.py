@@ -9,10 +9,11 @@ from typing import Any, TypeAlias
 import pytest
 from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession
-from wire_client import Harbour, WireClient, item_message
+from wire_client import Harbour, WireClient
 
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
+from autopilot.core.plan_wire import item_message
 from mission.paper import paper_plan
 from sitl.operator import ScriptedOperator
 

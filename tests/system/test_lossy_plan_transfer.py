@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import development as mav
 from system_harness import RunningService
 
 from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan_wire import item_message
 from mission.paper import paper_plan
 
 SHARE = 0.2
@@ -100,7 +101,7 @@ class Pilot:
             if asked is None:
                 self.link.send(mav.MAVLink_mission_count_message(1, 1, len(items), int(kind)))
             else:
-                self.link.send(_item_int(items[asked], kind))
+                self.link.send(item_message(items[asked], kind))
 
         def step(message: Any) -> bool:
             nonlocal asked
@@ -136,26 +137,6 @@ class Pilot:
             self.link.send(mav.MAVLink_command_long_message(1, 1, command, 0, param1, 0, 0, 0, 0, 0, 0))
 
         self.wait_for(lambda m: m.get_type() == "COMMAND_ACK" and (m.command, m.result) == (command, 0), send)
-
-
-def _item_int(item: PlanItem, kind: PlanKind) -> Any:
-    return mav.MAVLink_mission_item_int_message(
-        1,
-        1,
-        item.seq,
-        item.frame,
-        item.command,
-        0,
-        item.autocontinue,
-        item.param1,
-        item.param2,
-        item.param3,
-        item.param4,
-        item.x,
-        item.y,
-        item.z,
-        int(kind),
-    )
 
 
 @pytest.mark.parametrize("seed", [1])

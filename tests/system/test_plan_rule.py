@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import development as mav
 from system_harness import OpenSession
-from wire_client import Harbour, WireClient, item_message
+from wire_client import Harbour, WireClient
 
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
+from autopilot.core.plan_wire import item_message
 from mission.paper import paper_plan
 
 PLAN = paper_plan(1)

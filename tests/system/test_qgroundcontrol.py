@@ -10,11 +10,11 @@ import pytest
 from ground_station import GroundStation
 from pymavlink.dialects.v20 import development as mav
 from system_harness import RunningService, free_port
-from wire_client import plan_item
 
 from autopilot.cli.output import EXIT_LOSS
 from autopilot.client.plan_client import same_on_the_wire
 from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan_wire import item_of
 from autopilot.run.children import Child, autopilot_command
 from mission.paper import paper_plan
 
@@ -55,7 +55,7 @@ def test_an_evening_with_a_ground_station(profile: str, tmp_path: Path) -> None:
         for kind, items in plans.items():
             assert station.upload(kind, items) == mav.MAV_MISSION_ACCEPTED
         for kind, items in plans.items():
-            back = [plan_item(message) for message in station.download(kind)]
+            back = [item_of(message) for message in station.download(kind)]
             if profile == "ardusub" and kind is PlanKind.MISSION:
                 back = [replace(item, seq=item.seq - 1, param1=_jump(item)) for item in back[1:]]
             assert same_on_the_wire(back, items), (kind, back, items)
@@ -139,13 +139,13 @@ def files(station: GroundStation) -> None:
 
 def reboot(station: GroundStation) -> None:
     """The vehicle starts anew by command; the station does not, and shows the plan and the parameters that it knows."""
-    before = [plan_item(message) for message in station.download(PlanKind.MISSION)]
+    before = [item_of(message) for message in station.download(PlanKind.MISSION)]
     clock_s = station.vehicle_s
     station.command(246, 1.0)
     station.last.clear()
     station.until(lambda: 0.0 < station.vehicle_s < clock_s, "begun anew", math.inf)
     station.heartbeat_s = None
-    assert [plan_item(message) for message in station.download(PlanKind.MISSION)] == before
+    assert [item_of(message) for message in station.download(PlanKind.MISSION)] == before
     assert station.read("SPD_CRUISE").param_value == pytest.approx(0.3)
 
 
@@ -174,5 +174,5 @@ def test_a_refused_plan_names_the_guilty_item_and_leaves_the_old_one(tmp_path: P
             station.trouble.clear()
             assert station.upload(PlanKind.MISSION, items) not in (None, 0)
             assert len(station.trouble) == 1 and station.trouble[0].endswith("blamed on item 1"), station.trouble
-            assert [plan_item(m).seq for m in station.download(PlanKind.MISSION)] == [0, 1, 2, 3]
+            assert [item_of(m).seq for m in station.download(PlanKind.MISSION)] == [0, 1, 2, 3]
         station.close()

@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.core.clock import TICK_US
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.core.plan_wire import item_message, item_of
 from autopilot.run.sitl_session import SitlSession
 
 _CHUNK_CHARS = 50
@@ -120,29 +121,4 @@ class Harbour:
             self._hear(client, seq + 1, "MISSION_ITEM_INT")
         client.send(mav.MAVLink_mission_ack_message(1, 1, mav.MAV_MISSION_ACCEPTED, int(kind)))
         self.tick()
-        return [plan_item(message) for message in client.heard("MISSION_ITEM_INT")]
-
-
-def item_message(item: PlanItem, kind: PlanKind) -> Any:
-    """MISSION_ITEM_INT of an item."""
-    params = (item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z)
-    return mav.MAVLink_mission_item_int_message(
-        1, 1, item.seq, item.frame, item.command, 0, item.autocontinue, *params, int(kind)
-    )
-
-
-def plan_item(message: Any) -> PlanItem:
-    """The item of a MISSION_ITEM_INT."""
-    return PlanItem(
-        seq=message.seq,
-        frame=message.frame,
-        command=message.command,
-        param1=message.param1,
-        param2=message.param2,
-        param3=message.param3,
-        param4=message.param4,
-        x=message.x,
-        y=message.y,
-        z=message.z,
-        autocontinue=message.autocontinue,
-    )
+        return [item_of(message) for message in client.heard("MISSION_ITEM_INT")]
