@@ -1,6 +1,6 @@
 """Where a mission goes on to after a waypoint that it passes without a stop: for controllers that plan ahead."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import get_args
 
 from mission.items import Agreed, ChangeSpeed, Circuit, GoTo, Jump, Order, Passage, SetHeading, SetHome, Step, Surface
@@ -18,6 +18,25 @@ def passes_on(step: Step) -> bool:
     return isinstance(step, GoTo) and step.hold_s == 0.0 and step.autocontinue
 
 
+def walk(steps: Sequence[Step], cursor: int, jumps_done: Mapping[int, int]) -> Iterator[int]:
+    """The steps in the order in which they come after step ``cursor``, jumps taken as often as is left of them. It
+    ends after the longest walk: a mission may go round for ever."""
+    done = dict(jumps_done)
+    cursor += 1
+    for _ in range(LONGEST_WALK):
+        if cursor >= len(steps):
+            return
+        step = steps[cursor]
+        if isinstance(step, Jump):
+            taken = done.get(cursor, 0)
+            go = step.count is None or taken < step.count
+            done[cursor] = taken + 1
+            cursor = step.target_seq if go else cursor + 1
+        else:
+            yield cursor
+            cursor += 1
+
+
 def next_waypoint(
     steps: Sequence[Step],
     cursor: int,
@@ -29,20 +48,10 @@ def next_waypoint(
     """Call ``visit`` with the next ``count`` waypoints (and the heading of those that leave it free) after step
     ``cursor``. The walk ends at a waypoint that is not passed without a stop (it is still visited) and before any other
     step that takes time or whose effect is not known yet."""
-    done = dict(jumps_done)
     if not passes_on(steps[cursor]):
         return
-    cursor += 1
-    for _ in range(LONGEST_WALK):
-        if cursor >= len(steps):
-            return
-        step = steps[cursor]
-        if isinstance(step, Jump):
-            taken = done.get(cursor, 0)
-            go = step.count is None or taken < step.count
-            done[cursor] = taken + 1
-            cursor = step.target_seq if go else cursor + 1
-            continue
+    for index in walk(steps, cursor, jumps_done):
+        step = steps[index]
         if isinstance(step, SetHeading) and not step.relative:
             default_yaw_rad = step.yaw_rad
         elif isinstance(step, GoTo) and step.pos_ned_m is not None:
@@ -52,26 +61,14 @@ def next_waypoint(
                 return
         elif not isinstance(step, PASSED):
             return
-        cursor += 1
 
 
 def next_place(steps: Sequence[Step], cursor: int, jumps_done: Mapping[int, int]) -> int | None:
     """The next step after ``cursor`` that has a place, None when there is none (or not within the longest walk)."""
-    done = dict(jumps_done)
-    cursor += 1
-    for _ in range(LONGEST_WALK):
-        if cursor >= len(steps):
-            return None
-        step = steps[cursor]
-        if isinstance(step, Jump):
-            taken = done.get(cursor, 0)
-            go = step.count is None or taken < step.count
-            done[cursor] = taken + 1
-            cursor = step.target_seq if go else cursor + 1
-            continue
+    for index in walk(steps, cursor, jumps_done):
+        step = steps[index]
         if isinstance(step, GoTo | Surface) and step.pos_ned_m is not None:
-            return cursor
+            return index
         if isinstance(step, Circuit) and step.centre_ned_m is not None:
-            return cursor
-        cursor += 1
+            return index
     return None
