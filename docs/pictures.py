@@ -6,8 +6,6 @@ view_phone.png, report.png (these need a Chromium: docs/browser.py), demo_xy.png
 docs/view_picture.py draws the view by the page's own code in node.
 """
 
-import os
-import re
 import shutil
 import subprocess
 import sys
@@ -17,15 +15,14 @@ from pathlib import Path
 import browser
 import cv2
 import numpy as np
+from viewed_flight import AT_S, viewed_flight
 
 from autopilot.log.reader import open_log
 from autopilot.run.children import autopilot_command
 
 FIGURES = Path(__file__).resolve().parent / "figures"
-AT_S = 20.0
-"""Vehicle time of the pictures of the view."""
 CAMERA_S = 8.0
-"""And of the camera's: under way."""
+"""Vehicle time of the camera's picture: under way."""
 FLIGHT_S = 1200.0
 """Against a hang only: a busy machine does not keep up with real time."""
 GREEN, RED = (80, 210, 60), (60, 60, 250)
@@ -35,21 +32,8 @@ SHRUNK = 0.75
 
 def view() -> None:
     """A flight until then, with pictures of its view. In lockstep, so that a busy machine shows the same."""
-    with tempfile.TemporaryDirectory() as folder:
-        command = autopilot_command(
-            *("sitl", "paper-tank", "--start", "--speed", "0", "--view", "0"),
-            *("--connect", "udpin:127.0.0.1:24798", "--log", f"{folder}/run.mcap"),
-        )
-        environment = {**os.environ, "AUTOPILOT_STATE_DIR": folder, "AUTOPILOT_LOG_DIR": folder}
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-        try:
-            assert process.stdout is not None
-            found = re.search(r":(\d+)/", process.stdout.readline())
-            assert found is not None, "the process has not printed where its view is"
-            photographed(int(found[1]))
-        finally:
-            process.terminate()
-            process.communicate()
+    with viewed_flight(24798, "--speed", "0") as port:
+        photographed(port)
 
 
 def photographed(port: int) -> None:

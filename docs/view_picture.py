@@ -4,44 +4,21 @@ docs/figures/live_view.svg."""
 
 import http.client
 import json
-import os
-import re
 import subprocess
-import tempfile
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from autopilot.run.children import autopilot_command
+from viewed_flight import AT_S, viewed_flight
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "figures" / "live_view.svg"
 WIDTH, HEIGHT, PANEL = 760, 710, 430
-CONNECT = "udpin:127.0.0.1:24799"
-AT_S = 20.0
-"""Vehicle time of the picture."""
 LINE = 17
 
 
-def recorded(until_s: float) -> list[dict[str, Any]]:
-    """The stream of a run until then."""
-    with tempfile.TemporaryDirectory() as folder:
-        command = autopilot_command(
-            "sitl", "paper-tank", "--start", "--view", "0", "--connect", "udpin:127.0.0.1:24799"
-        )
-        environment = {**os.environ, "AUTOPILOT_LOG_DIR": folder, "AUTOPILOT_STATE_DIR": folder}
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-        try:
-            assert process.stdout is not None
-            found = re.search(r":(\d+)/", process.stdout.readline())
-            assert found is not None, "the process has not printed where its view is"
-            return _events(int(found[1]), until_s)
-        finally:
-            process.terminate()
-            process.wait()
-
-
-def _events(port: int, until_s: float) -> list[dict[str, Any]]:
+def recorded(port: int, until_s: float) -> list[dict[str, Any]]:
+    """The stream of a view until then."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
     connection.request("GET", "/events?pictures=1")
     answer = connection.getresponse()
@@ -107,7 +84,9 @@ def figure(page: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    page = drawn(recorded(AT_S), WIDTH, HEIGHT, "light")
+    with viewed_flight(24799) as port:
+        events = recorded(port, AT_S)
+    page = drawn(events, WIDTH, HEIGHT, "light")
     if page["errors"]:
         raise SystemExit("\n".join(page["errors"]))
     OUT.write_text(figure(page), encoding="utf-8")
