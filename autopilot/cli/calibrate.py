@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.finite import Finite
 from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
 
 if TYPE_CHECKING:
@@ -38,8 +39,8 @@ def _board_options(command: Any) -> Any:
                 show_default=True,
                 help="Squares (or markers) across and down; of a chessboard squares, not inner corners.",
             ),
-            click.option("--square", type=float, default=0.030, show_default=True, help="Pitch of squares [m]."),
-            click.option("--marker", type=float, default=0.022, show_default=True, help="Side of a marker [m]."),
+            click.option("--square", type=Finite(), default=0.030, show_default=True, help="Pitch of squares [m]."),
+            click.option("--marker", type=Finite(), default=0.022, show_default=True, help="Side of a marker [m]."),
             click.option("--dictionary", default="DICT_5X5_100", show_default=True, help="Name or file (.yml)."),
             click.option("--legacy", is_flag=True, help="ChArUco drawn by OpenCV before 4.6."),
         ]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
+from autopilot.cli.finite import FiniteRange
 from autopilot.cli.output import emit_json, print_table
 from autopilot.cli.part_name import part_name
 from autopilot.run.config import SENSORS
@@ -99,7 +100,7 @@ def table(folders: tuple[Path, ...], markdown: bool, as_json: bool) -> None:
 @click.option("--shard", default="1/1", show_default=True, help="I/N: only every N-th run, from the I-th on.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the campaign (default: the scenario's).")
 @click.option("--vehicle", help="Another vehicle than the scenario's: a shipped name or a vehicle file.")
-@click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End every run after so many seconds.")
+@click.option("--duration", type=FiniteRange(min=0.0, min_open=True), help="End every run after so many seconds.")
 @click.option("--estimator", callback=part_name, help="Default: the scenario's, else ekf.")
 @click.option("--sensors", type=click.Choice(SENSORS), help="Default: the scenario's.")
 @click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable.")

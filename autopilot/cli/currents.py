@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.finite import Finite, FiniteRange
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 
@@ -16,7 +17,7 @@ def currents() -> None:
 @click.argument("file", type=click.Path(exists=True, dir_okay=False))
 @click.option("--plan", type=click.Path(exists=True, dir_okay=False), help="Plan whose workspace the map has to cover.")
 @click.option(
-    "--origin", nargs=2, type=float, metavar="LAT LON", help="Local origin (default: ORIGIN_LAT, ORIGIN_LON)."
+    "--origin", nargs=2, type=Finite(), metavar="LAT LON", help="Local origin (default: ORIGIN_LAT, ORIGIN_LON)."
 )
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def check(file: str, plan: str | None, origin: tuple[float, float] | None, as_json: bool) -> None:
@@ -41,7 +42,7 @@ def check(file: str, plan: str | None, origin: tuple[float, float] | None, as_js
 
 @currents.command()
 @click.argument("file", type=click.Path(dir_okay=False))
-@click.option("--error", type=click.FloatRange(0.0, 1.0), help="Write a forecast: wrong by this share of the rms.")
+@click.option("--error", type=FiniteRange(0.0, 1.0), help="Write a forecast: wrong by this share of the rms.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the forecast's error.")
 def b6(file: str, error: float | None, seed: int) -> None:
     """Write the current of benchmark B6 as a map, or a forecast of it."""

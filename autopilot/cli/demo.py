@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.finite import FiniteRange
 from autopilot.cli.output import emit_json
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out/demo"), show_default=True)
 @click.option("--laps", type=click.IntRange(1, 50), default=3, show_default=True, help="Laps A-B-A.")
-@click.option("--speed", type=click.FloatRange(min=0.0), default=0.0, help="0 = as fast as possible (default).")
+@click.option("--speed", type=FiniteRange(min=0.0), default=0.0, help="0 = as fast as possible (default).")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of all randomness (default: the scenario's).")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def demo(out: Path, laps: int, speed: float, seed: int | None, as_json: bool) -> None:

@@ -2,12 +2,13 @@
 
 import click
 
+from autopilot.cli.finite import FiniteRange
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 
 @click.command()
 @click.option("--config", required=True, metavar="FILE", help="Vehicle configuration: a TOML file, or a shipped name.")
-@click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=5.0, show_default=True, help="So long it looks.")
+@click.option("--seconds", type=FiniteRange(1.0, 600.0), default=5.0, show_default=True, help="So long it looks.")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def doctor(config: str, seconds: float, as_json: bool) -> None:
     """What is there, at which rate, how noisy, what is wrong and how to mend it. Nothing moves.

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.finite import FiniteRange
 from autopilot.cli.output import emit_json
 from autopilot.cli.service_run import StopSignals
 
@@ -27,7 +28,7 @@ from autopilot.cli.service_run import StopSignals
     help="Where a tracking system sends the vehicle's pose; repeatable.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End after so many seconds.")
+@click.option("--duration", type=FiniteRange(min=0.0, min_open=True), help="End after so many seconds.")
 @click.option("--truth", type=click.Path(dir_okay=False, path_type=Path), help="File for true poses, a JSON line each.")
 def emulate(
     scenario: str,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.finite import Finite
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 from autopilot.cli.part_name import part_name
 
@@ -23,7 +24,7 @@ SHOWN = 20
 
 @click.command()
 @click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
-@click.option("--step", "step_s", type=float, metavar="T", help="Take apart the control step at T seconds.")
+@click.option("--step", "step_s", type=Finite(), metavar="T", help="Take apart the control step at T seconds.")
 @click.option("--figure", type=click.Path(path_type=Path), help="--step: PNG to draw (default: LOG_step_T.png).")
 @click.option(
     "--set",

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.finite import Finite, FiniteRange
+
 if TYPE_CHECKING:
     from autopilot.core.markers import MarkerMap
 
@@ -15,22 +17,22 @@ if TYPE_CHECKING:
 @click.option("--rows", type=click.IntRange(1, 1000), help="Grid: rows,")
 @click.option("--columns", type=click.IntRange(1, 1000), help="columns,")
 @click.option(
-    "--floor", nargs=2, type=click.FloatRange(min=0.0, min_open=True), metavar="NORTH EAST", help="or metres to fill."
+    "--floor", nargs=2, type=FiniteRange(min=0.0, min_open=True), metavar="NORTH EAST", help="or metres to fill."
 )
 @click.option(
-    "--size", type=click.FloatRange(min=0.0, min_open=True), default=0.06, show_default=True, help="Black square [m]."
+    "--size", type=FiniteRange(min=0.0, min_open=True), default=0.06, show_default=True, help="Black square [m]."
 )
-@click.option("--gap", type=click.FloatRange(min=0.0), default=0.02, show_default=True, help="White between them [m].")
+@click.option("--gap", type=FiniteRange(min=0.0), default=0.02, show_default=True, help="White between them [m].")
 @click.option("--dictionary", default="DICT_4X4_1000", show_default=True, help="OpenCV's name, AprilTags too.")
 @click.option("--first-id", type=click.IntRange(min=0), default=0, show_default=True, help="Of the grid.")
 @click.option("--seed", type=click.IntRange(min=0), default=7, show_default=True, help="Order of ids of a floor.")
 @click.option(
-    "--at", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar="N E D", help="Middle of the board in the map."
+    "--at", nargs=3, type=Finite(), default=(0.0, 0.0, 0.0), metavar="N E D", help="Middle of the board in the map."
 )
-@click.option("--heading", type=float, default=0.0, show_default=True, help="Where the board's top points [deg].")
+@click.option("--heading", type=Finite(), default=0.0, show_default=True, help="Where the board's top points [deg].")
 @click.option("--paper", default="A4", show_default=True, help="A0 to A4, or WIDTHxHEIGHT in mm.")
 @click.option("--landscape", is_flag=True, help="Paper on its side.")
-@click.option("--margin", type=click.FloatRange(min=0.0), default=8.0, show_default=True, help="The printer's, mm.")
+@click.option("--margin", type=FiniteRange(min=0.0), default=8.0, show_default=True, help="The printer's, mm.")
 @click.option("--out", type=click.Path(file_okay=False), required=True, help="Folder for board.pdf, sheets, map.toml.")
 def board(file: str | None, **options: Any) -> None:
     """Make printable sheets in true size (PDF and SVG) and the map file, of a grid, a whole floor or the map FILE."""

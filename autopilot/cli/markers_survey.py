@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.finite import Finite, FiniteRange
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
@@ -21,20 +22,20 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--rough-sigma",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     help="How good its places are [m]; default: not at all.",
 )
 @click.option(
     "--rough-turn",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     default=3.0,
     show_default=True,
     help="And its angles [deg].",
 )
 @click.option("--fix", multiple=True, metavar="ID", help="Marker whose pose in the rough map is right; repeatable.")
 @click.option("--dictionary", help="Without a map: what to look for,")
-@click.option("--size", type=click.FloatRange(min=0.0, min_open=True), help="the black squares' side [m],")
-@click.option("--depth", type=float, default=0.0, show_default=True, help="and the floor's depth [m].")
+@click.option("--size", type=FiniteRange(min=0.0, min_open=True), help="the black squares' side [m],")
+@click.option("--depth", type=Finite(), default=0.0, show_default=True, help="and the floor's depth [m].")
 @click.option(
     "--anywhere", is_flag=True, help="Markers on walls and boxes, in any pose, not face up on one level floor."
 )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.finite import FiniteRange
 from autopilot.cli.mission_new import new
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 from autopilot.core.errors import AutopilotError
@@ -31,7 +32,12 @@ _connect = click.option(
     help="Where the vehicle is: udpout:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT.",
 )
 _patience = click.option(
-    "--patience", default=10.0, show_default=True, metavar="S", help="Wait so long for the vehicle's heartbeat."
+    "--patience",
+    type=FiniteRange(min=0.0),
+    default=10.0,
+    show_default=True,
+    metavar="S",
+    help="Wait so long for the vehicle's heartbeat.",
 )
 _json = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 
@@ -98,7 +104,14 @@ def download(file: Path, connection: str, patience: float, as_json: bool) -> Non
 @click.argument("file", type=click.Path(path_type=Path), required=False)
 @click.option("--clear", is_flag=True, help="Remove the vehicle's old plans before FILE is sent.")
 @click.option("--wait", is_flag=True, help="Watch the mission until it is complete.")
-@click.option("--timeout", default=3600.0, show_default=True, metavar="S", help="Longest vehicle time to watch.")
+@click.option(
+    "--timeout",
+    type=FiniteRange(min=0.0),
+    default=3600.0,
+    show_default=True,
+    metavar="S",
+    help="Longest vehicle time to watch.",
+)
 @_connect
 @_patience
 @_json

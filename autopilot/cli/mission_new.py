@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.finite import Finite
 from autopilot.cli.output import EXIT_LOSS, emit_json
 
 if TYPE_CHECKING:
@@ -57,10 +58,10 @@ class Numbers(_NumbersType):
     multiple=True,
     help="North, east, depth [m], and a heading; without any a tour of the tank is made.",
 )
-@click.option("--depth", default=0.4, show_default=True, metavar="M", help="Of the tour's waypoints.")
+@click.option("--depth", type=Finite(), default=0.4, show_default=True, metavar="M", help="Of the tour's waypoints.")
 @click.option("--laps", default=1, show_default=True, type=click.IntRange(1, 65535), help="How often all is flown.")
 @click.option("--end", "end", type=click.Choice(["hold", "return", "surface"]), default="hold", show_default=True)
-@click.option("--speed", type=float, metavar="M_S", help="Over ground (default: the vehicle's SPD_CRUISE).")
+@click.option("--speed", type=Finite(), metavar="M_S", help="Over ground (default: the vehicle's SPD_CRUISE).")
 @click.option("--origin", type=Numbers("LAT,LON[,ALT]", 2, 3), help="Of the local frame (default: the parameters').")
 @click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle that the plan is checked for.")
 @click.option("--out", "out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="FILE.plan")

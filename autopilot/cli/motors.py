@@ -2,6 +2,7 @@
 
 import click
 
+from autopilot.cli.finite import Finite
 from autopilot.cli.service_run import StopSignals
 from autopilot.core.errors import ConfigError
 
@@ -9,8 +10,8 @@ from autopilot.core.errors import ConfigError
 @click.command()
 @click.option("--config", required=True, metavar="FILE", help="Vehicle configuration: a TOML file, or a shipped name.")
 @click.option("--thruster", multiple=True, help="Name in the vehicle file; repeatable (default: all in turn).")
-@click.option("--level", type=float, default=15.0, show_default=True, help="Percent of the span, -30 to 30.")
-@click.option("--seconds", type=float, default=1.0, show_default=True, help="Each, at most 5.")
+@click.option("--level", type=Finite(), default=15.0, show_default=True, help="Percent of the span, -30 to 30.")
+@click.option("--seconds", type=Finite(), default=1.0, show_default=True, help="Each, at most 5.")
 @click.option("--yes", is_flag=True, help="Do not ask: everybody is clear of the thrusters.")
 def motors(config: str, thruster: tuple[str, ...], level: float, seconds: float, yes: bool) -> None:
     """Turn thrusters one by one, a little: is it the right one, does it push the right way?

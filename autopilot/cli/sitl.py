@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.finite import FiniteRange
 from autopilot.cli.output import EXIT_LOSS
 from autopilot.cli.part_name import part_name
 from autopilot.cli.service_run import StopSignals, settle_memory, tell_losses
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
 @click.argument("scenario", required=False)
 @click.option("--vehicle", help="Another vehicle than the scenario's: a shipped name or a vehicle file.")
 @click.option("--plan", type=click.Path(exists=True, dir_okay=False), help="Preload mission, fence and rally.")
-@click.option("--speed", type=click.FloatRange(min=0.0), help="1 = real time (default), 0 = as fast as possible.")
+@click.option("--speed", type=FiniteRange(min=0.0), help="1 = real time (default), 0 = as fast as possible.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of all randomness (default: the scenario's).")
-@click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), help="End after so many seconds.")
+@click.option("--duration", type=FiniteRange(min=0.0, min_open=True), help="End after so many seconds.")
 @click.option("--log", type=click.Path(dir_okay=False), help="Log file (default: one per arming in the log folder).")
-@click.option("--log-camera-hz", type=click.FloatRange(0.0, 100.0), help="Pictures in the log per second (default 2).")
+@click.option("--log-camera-hz", type=FiniteRange(0.0, 100.0), help="Pictures in the log per second (default 2).")
 @click.option("--connect", multiple=True, help="MAVLink connection; repeatable, replaces the defaults.")
 @click.option("--controller", callback=part_name, help="Default: the scenario's, else nmpc.")
 @click.option("--estimator", callback=part_name, help="ekf, complementary (default: the scenario's, else ekf).")
