@@ -78,6 +78,24 @@ class Equipment:
         index = self._of_actuator(number)
         return f"There is no actuator {number} on this vehicle" if index is None else self._problem(index)
 
+    @property
+    def thruster_channels(self) -> tuple[int, ...]:
+        """Output of each thruster, in the order of the vehicle file."""
+        return tuple(self._thrusters)
+
+    def pulses_us(self) -> dict[int, int]:
+        """Channel -> pulse of what is carried and driven, as of the last tick."""
+        return {
+            output.channel: pulse_us
+            for output, pulse_us in zip(self.outputs, self._pulses_us, strict=True)
+            if output.channel is not None and output.name not in self._unwired
+        }
+
+    def light_shares(self) -> tuple[float, ...]:
+        """How bright the lights are that can be used, 0 to 1, in the order of the vehicle file."""
+        lights = (index for index, output in enumerate(self.outputs) if output.kind == "light")
+        return tuple(self._share(index) for index in lights if not self._problem(index))
+
     # Orders
 
     def set_servo(self, channel: int, pulse_us: float) -> Answer:

@@ -32,6 +32,7 @@ from autopilot.mavlink.metadata import ComponentMetadata, make_metadata
 from autopilot.mavlink.missions import Missions
 from autopilot.mavlink.operators import REQUEST, STATUS_ID, Operators
 from autopilot.mavlink.others import Others
+from autopilot.mavlink.output_messages import OutputMessages
 from autopilot.mavlink.parameters import Parameters
 from autopilot.mavlink.pilot import Pilot
 from autopilot.mavlink.profiles import Profile
@@ -149,6 +150,7 @@ class Dispatcher:
         self._status = Status(ctx)
         self._telemetry = Telemetry(ctx)
         self._sensors = SensorMessages(ctx, self._telemetry)
+        self._outputs = OutputMessages(ctx, self._telemetry, lambda: self.pilot.gain, equipment)
         self._progress = Progress(ctx, self.missions)
         self._streams = Streams(
             ctx,
@@ -156,6 +158,7 @@ class Dispatcher:
                 **self._status.builders(),
                 **self._telemetry.builders(),
                 **self._sensors.builders(),
+                **self._outputs.builders(),
                 **ComponentMetadata(ctx, metadata).builders(),
                 mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
                 mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
@@ -305,6 +308,7 @@ class Dispatcher:
             run("telemetry", partial(ctx.text, event.severity, event.text), None, partial(repr, event))
         run("telemetry", self._say_place, None, lambda: view)
         run("telemetry", self._sensors.tick, None, lambda: view)
+        run("telemetry", self._outputs.tick, None, lambda: view)
         if self._camera is not None:
             run("telemetry", self._camera.tick, None, lambda: view)
         run("progress", lambda: self._progress.tick(reached), None, lambda: view)

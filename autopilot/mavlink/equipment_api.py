@@ -9,6 +9,19 @@ from autopilot.mavlink.api import Answer
 class EquipmentOrders(Protocol):
     """Implemented by :mod:`autopilot.command.equipment`. Every order answers at once."""
 
+    @property
+    def thruster_channels(self) -> tuple[int, ...]:
+        """Output of each thruster, in the order of the vehicle file."""
+        ...
+
+    def pulses_us(self) -> Mapping[int, int]:
+        """Channel -> pulse of what is carried and driven, as of the last tick."""
+        ...
+
+    def light_shares(self) -> tuple[float, ...]:
+        """How bright the lights are that can be used, 0 to 1, in the order of the vehicle file."""
+        ...
+
     def set_servo(self, channel: int, pulse_us: float) -> Answer:
         """A pulse for an output."""
         ...

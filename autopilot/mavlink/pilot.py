@@ -94,6 +94,11 @@ class Pilot:
         return heard.sticks
 
     @property
+    def gain(self) -> float:
+        """Share of full sticks that a pilot gets: the parameter's, until buttons have changed it."""
+        return self._ctx.params["PILOT_GAIN"] if self._gain is None else self._gain
+
+    @property
     def _stale_us(self) -> float:
         return STALE_US * self._ctx.patience
 
@@ -136,7 +141,7 @@ class Pilot:
         return heard
 
     def _take(self, heard: _Heard, *, ahead: float, starboard: float, up: float, turn: float) -> None:
-        gain = self._ctx.params["PILOT_GAIN"] if self._gain is None else self._gain
+        gain = self.gain
         heard.sticks = Sticks(ahead=gain * ahead, starboard=gain * starboard, up=gain * up, turn=gain * turn)
 
     def _up(self, heard: _Heard, z: int) -> float:
@@ -180,9 +185,8 @@ class Pilot:
         elif function in _MODE_BUTTONS:
             answer = vehicle.set_mode(_MODE_BUTTONS[function])
         elif function in (GAIN_UP, GAIN_DOWN):
-            now = self._ctx.params["PILOT_GAIN"] if self._gain is None else self._gain
             step = GAIN_STEP if function == GAIN_UP else -GAIN_STEP
-            self._gain = min(max(round(now + step, 3), LEAST_GAIN), MOST_GAIN)
+            self._gain = min(max(round(self.gain + step, 3), LEAST_GAIN), MOST_GAIN)
             self._ctx.say(Severity.INFO, f"Pilot gain {100.0 * self._gain:.0f} %", peer)
             return
         elif (found := self._carried(function)) is not None:

@@ -64,8 +64,8 @@ class Requests:
     def _message(self, msg_id: int) -> Reply:
         if not self._streams.knows(msg_id):
             return UNSUPPORTED_REPLY
-        message = self._streams.build(msg_id)
-        return LATER if message is None else Reply(ACCEPTED, (message,))
+        messages = self._streams.build(msg_id)
+        return Reply(ACCEPTED, messages) if messages else LATER
 
     def set_message_interval(self, call: Call) -> Reply:
         """SET_MESSAGE_INTERVAL on the client's link: microseconds, -1 = off, 0 = default."""

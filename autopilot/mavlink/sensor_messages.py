@@ -55,7 +55,6 @@ class SensorMessages:
             mav.MAVLINK_MSG_ID_GPS_RAW_INT: self.gps_raw_int,
             mav.MAVLINK_MSG_ID_VIBRATION: self.vibration,
             mav.MAVLINK_MSG_ID_FENCE_STATUS: self.fence_status,
-            mav.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: self.actuator_output_status,
             mav.MAVLINK_MSG_ID_TRAJECTORY_REPRESENTATION_WAYPOINTS: self.trajectory,
         }
 
@@ -227,15 +226,6 @@ class SensorMessages:
         return mav.MAVLink_fence_status_message(
             int(self._is_breached()), self._breaches, kind, self._breach_ms, mav.FENCE_MITIGATE_NONE
         )
-
-    def actuator_output_status(self) -> Message | None:
-        """ACTUATOR_OUTPUT_STATUS: pulse widths [us] of the thrusters."""
-        command = self._ctx.view.command
-        if command is None:
-            return None
-        pwm_us = [float(x) for x in command.pwm_us]
-        active = sum(1 << n for n, width in enumerate(pwm_us) if width)
-        return mav.MAVLink_actuator_output_status_message(self._ctx.t_us, active, (pwm_us + [0.0] * 32)[:32])
 
     def trajectory(self) -> Message | None:
         """TRAJECTORY_REPRESENTATION_WAYPOINTS: five points of what the controller predicts, evenly in time."""

@@ -31,6 +31,7 @@ DEFAULT_INTERVAL_US: Mapping[int, int] = MappingProxyType(
         mav.MAVLINK_MSG_ID_MISSION_CURRENT: _S,
         mav.MAVLINK_MSG_ID_WIND_COV: _S,
         mav.MAVLINK_MSG_ID_DEBUG_VECT: _S,
+        mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: _S,
         mav.MAVLINK_MSG_ID_GPS_RAW_INT: _S,
         mav.MAVLINK_MSG_ID_SCALED_IMU: _S // 2,
         mav.MAVLINK_MSG_ID_RAW_IMU: _S,
@@ -140,9 +141,12 @@ class Streams:
         """Whether a message can be streamed or requested."""
         return msg_id in self._builders
 
-    def build(self, msg_id: int) -> Message | None:
-        """One message now, None when there is nothing to say."""
-        return self._builders[msg_id]()
+    def build(self, msg_id: int) -> tuple[Message, ...]:
+        """A message now (or several of that kind), () when there is nothing to say."""
+        made = self._builders[msg_id]()
+        if made is None:
+            return ()
+        return made if isinstance(made, tuple) else (made,)
 
     def interval_us(self, link: int, msg_id: int) -> int:
         """As in MESSAGE_INTERVAL: microseconds, -1 = off, 0 = not available."""
@@ -183,7 +187,7 @@ class Streams:
     def tick(self) -> None:
         """Send what is due; a message due on several links is built once."""
         t_us = self._ctx.t_us
-        built: dict[int, Message | None] = {}
+        built: dict[int, tuple[Message, ...]] = {}
         for link in self._ctx.links:
             streams = self.of(link)
             if streams.next_us > t_us:
@@ -194,7 +198,7 @@ class Streams:
             for msg_id in streams.take_due(t_us):
                 self._ctx.guard.run("telemetry", partial(self._send, link, msg_id, built), None, lambda: self._ctx.view)
 
-    def _tick_slow(self, link: int, streams: LinkStreams, built: dict[int, Message | None]) -> None:
+    def _tick_slow(self, link: int, streams: LinkStreams, built: dict[int, tuple[Message, ...]]) -> None:
         """What the link can carry of what is due, the longest due first; the rest stays due."""
         ctx, t_us = self._ctx, self._ctx.t_us
         for msg_id in sorted(streams.due(t_us), key=lambda due: streams.due_us[due]):
@@ -204,12 +208,11 @@ class Streams:
             ctx.guard.run("telemetry", partial(self._send, link, msg_id, built), None, lambda: ctx.view)
         streams.settle(t_us)
 
-    def _send(self, link: int, msg_id: int, built: dict[int, Message | None]) -> None:
+    def _send(self, link: int, msg_id: int, built: dict[int, tuple[Message, ...]]) -> None:
         if msg_id not in built:
-            built[msg_id] = None
-            built[msg_id] = self._builders[msg_id]()
-        message = built[msg_id]
-        if message is not None:
+            built[msg_id] = ()
+            built[msg_id] = self.build(msg_id)
+        for message in built[msg_id]:
             self._ctx.send(link, message)
 
     def forget(self, link: int) -> None:

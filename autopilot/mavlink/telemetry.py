@@ -11,8 +11,8 @@ from autopilot.core.messages import NavDoubt, NavHealth, NavState
 from autopilot.mavlink.context import Context, f32, i16, i32, limited, u16
 from autopilot.mavlink.wire import Message
 
-Builder = Callable[[], Message | None]
-"""Makes one message of the present state, None when there is nothing to say yet."""
+Builder = Callable[[], Message | tuple[Message, ...] | None]
+"""Makes one message of the present state or several of a kind, None or () when there is nothing to say yet."""
 
 NAN = math.nan
 
@@ -93,7 +93,6 @@ class Telemetry:
             mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self.global_position_int,
             mav.MAVLINK_MSG_ID_VFR_HUD: self.vfr_hud,
             mav.MAVLINK_MSG_ID_ALTITUDE: self.altitude,
-            mav.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self.servo_output_raw,
             mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self.estimator_status,
             mav.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: self.position_target_local_ned,
             mav.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: self.nav_controller_output,
@@ -192,14 +191,6 @@ class Telemetry:
         return mav.MAVLink_altitude_message(
             self._ctx.t_us, -m.down, f32(self._ctx.view.origin.alt_m - m.down), -m.down, -m.down, NAN, NAN
         )
-
-    def servo_output_raw(self) -> Message | None:
-        """SERVO_OUTPUT_RAW: the pulse widths that the thrusters get."""
-        command = self._ctx.view.command
-        if command is None:
-            return None
-        pwm_us = [u16(x) for x in (*command.pwm_us, *(0,) * 8)[:8]]
-        return mav.MAVLink_servo_output_raw_message(self._ctx.t_us & 0xFFFF_FFFF, 0, *pwm_us)
 
     def estimator_status(self) -> Message | None:
         """ESTIMATOR_STATUS: what may be used, one sigma of position, test ratios (0 where nothing is measured)."""
