@@ -19,6 +19,9 @@ from autopilot.mavlink.recent import Recent
 from autopilot.mavlink.signing import Signing
 from autopilot.mavlink.wire import LinkEncoder, Message
 
+ANSWERS = frozenset((mav.MAVLINK_MSG_ID_PARAM_VALUE,))
+"""Told to everyone, and waited for by who has asked."""
+
 COMPID = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 
@@ -84,6 +87,8 @@ class Context:
     """Of slow links."""
     old: dict[int, frozenset[int]] = field(default_factory=dict)
     """Clients that speak MAVLink 1, by link."""
+    quiet: set[int] = field(default_factory=set)
+    """Links on which nothing is said but what is asked for (:mod:`autopilot.mavlink.high_latency`)."""
     tx: list[MavlinkFrame] = field(default_factory=list)
     notices: list[Event] = field(default_factory=list)
     samples: list[ExternalPoseSample] = field(default_factory=list)
@@ -172,9 +177,11 @@ class Context:
                 yield MavlinkFrame(link=link, client=other, data=packed)
 
     def broadcast(self, message: Message, source: int = COMPID) -> None:
-        """Queue a message on every link."""
+        """Queue a message on every link; on quiet ones only what may be somebody's answer."""
+        spoken = message.get_msgId() in ANSWERS
         for index in self.links:
-            self.send(index, message, source)
+            if spoken or index not in self.quiet:
+                self.send(index, message, source)
 
     def say(self, severity: int, text: str, to: Receiver | None = None) -> None:
         """Tell the operator something of our own (STATUSTEXT to a client, a link or all, and a line for the log)."""
@@ -189,7 +196,9 @@ class Context:
         """STATUSTEXT, in chunks if it is long. Not for DEBUG, which is for the log, and not again within 5 s."""
         if severity >= Severity.DEBUG:
             return
-        receivers: Iterable[Receiver] = self.links if to is None else (to,)
+        urgent = severity <= Severity.CRITICAL
+        everywhere = [link for link in self.links if urgent or link not in self.quiet]
+        receivers: Iterable[Receiver] = everywhere if to is None else (to,)
         news = [receiver for receiver in receivers if self._is_news(receiver, text)]
         for message in self._chunks(max(severity, 0), text) if news else ():
             for receiver in news:

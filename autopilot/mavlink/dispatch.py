@@ -24,7 +24,9 @@ from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.equipment_api import EquipmentOrders
 from autopilot.mavlink.equipment_commands import EquipmentCommands
 from autopilot.mavlink.external import ExternalPoses
+from autopilot.mavlink.flight import Flight
 from autopilot.mavlink.ftp import FileTransfer
+from autopilot.mavlink.high_latency import HighLatency
 from autopilot.mavlink.inbox import Address, Inbox, Intake
 from autopilot.mavlink.logs import LogDownload
 from autopilot.mavlink.maintenance import Maintenance
@@ -46,7 +48,7 @@ from autopilot.mavlink.signing import KEY_BYTES, Refusals, Signing
 from autopilot.mavlink.status import Status
 from autopilot.mavlink.streams import Streams
 from autopilot.mavlink.table import LatestUsed
-from autopilot.mavlink.telemetry import Telemetry
+from autopilot.mavlink.telemetry import Builder, Telemetry
 from autopilot.mavlink.utility import Utility
 from autopilot.mavlink.vehicle_commands import VehicleService
 from autopilot.mavlink.wire import Message
@@ -152,9 +154,14 @@ class Dispatcher:
         self._sensors = SensorMessages(ctx, self._telemetry)
         self._outputs = OutputMessages(ctx, self._telemetry, lambda: self.pilot.gain, equipment)
         self._progress = Progress(ctx, self.missions)
-        self._streams = Streams(
-            ctx,
+        self._flight = Flight(ctx)
+        builders: dict[int, Builder] = {}
+        self._streams = Streams(ctx, builders)
+        self._high_latency = HighLatency(ctx, self._streams, self._status, self._telemetry, self._progress)
+        builders.update(
             {
+                **self._flight.builders(),
+                **self._high_latency.builders(),
                 **self._status.builders(),
                 **self._telemetry.builders(),
                 **self._sensors.builders(),
@@ -164,12 +171,15 @@ class Dispatcher:
                 mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
                 extra.MAVLINK_MSG_ID_CURRENT_EVENT_SEQUENCE: self.utility.event_sequence,
                 STATUS_ID: self._operators.status,
-            },
+            }
         )
         self._vehicle = VehicleService(ctx, self._telemetry, self._progress)
         requests = Requests(ctx, self._streams, self._status)
         # A request for control is judged by itself, also while somebody else has it.
-        control = {REQUEST: Entry(handler=self._operators.request, action=False)}
+        control = {
+            REQUEST: Entry(handler=self._operators.request, action=False),
+            mav.MAV_CMD_CONTROL_HIGH_LATENCY: Entry(handler=self._high_latency.control, action=True),
+        }
         carried = {} if equipment is None else EquipmentCommands(equipment).table()
         maintenance = Maintenance(ctx, self.parameters)
         table = {**self._vehicle.table(), **requests.table(), **maintenance.table(), **control, **carried}
@@ -258,6 +268,7 @@ class Dispatcher:
         self._ctx.remove_link(link)
         self._intake.forget_link(link)
         self._streams.forget(link)
+        self._high_latency.forget(link)
         for peer in [peer for peer in self._greeted if peer.link == link]:
             del self._greeted[peer]
 
@@ -309,6 +320,8 @@ class Dispatcher:
         run("telemetry", self._say_place, None, lambda: view)
         run("telemetry", self._sensors.tick, None, lambda: view)
         run("telemetry", self._outputs.tick, None, lambda: view)
+        run("telemetry", self._flight.tick, None, lambda: view)
+        run("telemetry", self._high_latency.tick, None, lambda: view)
         if self._camera is not None:
             run("telemetry", self._camera.tick, None, lambda: view)
         run("progress", lambda: self._progress.tick(reached), None, lambda: view)
@@ -338,7 +351,8 @@ class Dispatcher:
         """HEARTBEAT for all links, beside the ticks: nothing counts it, so a run is the same with it or without."""
         message = self._status.heartbeat()
         ctx = self._ctx
-        return tuple(frame for link in tuple(ctx.links) for frame in ctx.frames(link, EVERYONE, message, counted=False))
+        links = tuple(link for link in ctx.links if link not in ctx.quiet)
+        return tuple(frame for link in links for frame in ctx.frames(link, EVERYONE, message, counted=False))
 
     def _push(self, frame: MavlinkFrame) -> Inbox | None:
         if frame.link < 0:
@@ -391,7 +405,12 @@ class Dispatcher:
 
     def _heard(self, address: Address, frame: bytes) -> None:
         """A good frame, for us or not: perhaps somebody else wants it."""
-        self._ctx.guard.run("message", lambda: self._router.heard(address, frame), None)
+
+        def note() -> None:
+            self._high_latency.heard(address)
+            self._router.heard(address, frame)
+
+        self._ctx.guard.run("message", note, None)
 
     def _keeps_out(self, call: Call) -> str:
         return self._operators.reason if self._operators.keeps_out(call.peer) else ""
@@ -454,6 +473,8 @@ class Dispatcher:
         identity = self._ctx.identity
         while self._to_greet and self._ctx.t_us >= self._to_greet[0][0]:
             _, peer = self._to_greet.popleft()
+            if peer.link in self._ctx.quiet:
+                continue
             self._ctx.text(Severity.INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer)
 
     def _say_heartbeat(self) -> None:

@@ -131,6 +131,10 @@ class Profile:
                 return mode
         return self.mode_aliases.get(custom_mode)
 
+    def short_mode(self, custom_mode: int) -> int:
+        """A custom_mode in the 16 bits of HIGH_LATENCY2: of PX4's numbers the upper half, in which all of them is."""
+        return custom_mode >> 16 if self.split_modes else custom_mode & 0xFFFF
+
     def mode_of_command(self, main: float, sub: float) -> FlightMode | None:
         """The mode that DO_SET_MODE's param2 and param3 mean, None if there is none."""
         if not (0.0 <= main < 2.0**32 and main == int(main)):

@@ -43,14 +43,16 @@ class Progress:
         else:
             state = progress.state
         return extra.MAVLink_mission_current_message(
-            self._wire_seq(),
+            self.wire_seq,
             total or NO_MISSION_TOTAL,
             int(state),
             _MODE_ACTIVE if ctx.view.mode is FlightMode.MISSION else _MODE_SUSPENDED,
             *(ctx.plans.checksum(kind) for kind in (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)),
         )
 
-    def _wire_seq(self) -> int:
+    @property
+    def wire_seq(self) -> int:
+        """The current item, numbered as on the wire."""
         progress = self._ctx.view.progress
         seq = 0 if progress is None else max(progress.current_seq, 0)
         return seq + home_item.shift(self._ctx, PlanKind.MISSION)
@@ -94,5 +96,5 @@ class Progress:
             if answer_due:
                 self._chosen_us = None
             self._shown, self._told_us = shown, ctx.t_us
-            self._missions.current_wire_seq = self._wire_seq()
+            self._missions.current_wire_seq = self.wire_seq
             ctx.broadcast(self.mission_current())

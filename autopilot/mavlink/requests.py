@@ -37,6 +37,7 @@ class Requests:
             mav.MAV_CMD_GET_MESSAGE_INTERVAL: request(self.get_message_interval),
             mav.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: fixed(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION),
             mav.MAV_CMD_REQUEST_PROTOCOL_VERSION: fixed(MSG_ID_PROTOCOL_VERSION),
+            mav.MAV_CMD_REQUEST_FLIGHT_INFORMATION: fixed(mav.MAVLINK_MSG_ID_FLIGHT_INFORMATION),
             mav.MAV_CMD_GET_HOME_POSITION: fixed(mav.MAVLINK_MSG_ID_HOME_POSITION),
         }
 

@@ -91,7 +91,7 @@ class Router:
 
     def _send(self, link: int, client: int, frame: bytes, *, old: bool, beside: frozenset[int] = frozenset()) -> None:
         ctx = self._ctx
-        if link not in ctx.links or not ctx.has_room(link, LISTS):
+        if link not in ctx.links or not ctx.has_room(link, LISTS) or (client == EVERYONE and link in ctx.quiet):
             return
         if not old:
             speak_old = ctx.old.get(link, frozenset())

@@ -95,7 +95,7 @@ class Status:
             MSG_ID_PROTOCOL_VERSION: self.protocol_version,
         }
 
-    def heartbeat(self) -> Message | None:
+    def heartbeat(self) -> Message:
         """HEARTBEAT."""
         ctx, view = self._ctx, self._ctx.view
         base_mode = mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED

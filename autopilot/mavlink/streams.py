@@ -85,7 +85,12 @@ class LinkStreams:
 
     def __init__(self, t_us: int) -> None:
         self.interval_us = dict(DEFAULT_INTERVAL_US)
-        # Starts are spread over the ticks of the first 100 ms so that not everything falls due in the same tick.
+        self.due_us: dict[int, int] = {}
+        self.next_us = t_us
+        self.spread(t_us)
+
+    def spread(self, t_us: int) -> None:
+        """Begin now, over the ticks of the first 100 ms, so that not everything falls due in the same tick."""
         self.due_us = {msg_id: t_us + TICK_US * (n % 10) for n, msg_id in enumerate(self.interval_us)}
         self.next_us = t_us
 
@@ -129,6 +134,8 @@ class Streams:
         self._ctx = ctx
         self._builders = builders
         self._links: dict[int, LinkStreams] = {}
+        self._before: dict[int, LinkStreams] = {}
+        """Of links that get one message only for a while."""
 
     def of(self, link: int) -> LinkStreams:
         """The schedule of a link."""
@@ -136,6 +143,20 @@ class Streams:
         if streams is None:
             streams = self._links[link] = LinkStreams(self._ctx.t_us)
         return streams
+
+    def only(self, link: int, msg_id: int, interval_us: int) -> None:
+        """Nothing but this on a link, until :meth:`all_again`."""
+        self._before[link] = self.of(link)
+        self._links[link] = streams = LinkStreams(self._ctx.t_us)
+        streams.interval_us, streams.due_us = {}, {}
+        streams.set(msg_id, interval_us, self._ctx.t_us)
+
+    def all_again(self, link: int) -> None:
+        """As it was before :meth:`only`; everything comes once in the next tenth of a second."""
+        before = self._before.pop(link, None)
+        if before is not None:
+            before.spread(self._ctx.t_us)
+            self._links[link] = before
 
     def knows(self, msg_id: int) -> bool:
         """Whether a message can be streamed or requested."""
@@ -218,3 +239,4 @@ class Streams:
     def forget(self, link: int) -> None:
         """Drop the schedule of a closed link."""
         self._links.pop(link, None)
+        self._before.pop(link, None)

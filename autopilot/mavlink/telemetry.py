@@ -170,18 +170,22 @@ class Telemetry:
         m, view = self.motion(), self._ctx.view
         if m is None:
             return None
-        throttle = 0.0
-        if view.command is not None and view.armed:
-            thrust_n = [abs(x) for x in view.command.thrust_n.tolist() if x]
-            throttle = 100.0 * sum(thrust_n) / (max(len(thrust_n), 1) * self._ctx.params["THR_LIMIT"])
         return mav.MAVLink_vfr_hud_message(
             m.water_speed,
             math.hypot(m.vn, m.ve),
             limited(m.heading_deg, 0, 360) % 360,
-            limited(throttle, 0, 100),
+            self.throttle_percent(),
             f32(view.origin.alt_m - m.down),
             -m.vd,
         )
+
+    def throttle_percent(self) -> int:
+        """Mean share of the thrust limit of the thrusters that turn."""
+        view = self._ctx.view
+        if view.command is None or not view.armed:
+            return 0
+        thrust_n = [abs(x) for x in view.command.thrust_n.tolist() if x]
+        return limited(100.0 * sum(thrust_n) / (max(len(thrust_n), 1) * self._ctx.params["THR_LIMIT"]), 0, 100)
 
     def altitude(self) -> Message | None:
         """ALTITUDE: relative and local count from the water surface."""
