@@ -12,6 +12,10 @@ _PLACE = r"(?: - at `(?P<place>\$[^`]*)`)?"
 _NO_KEY = re.compile(rf"unknown field `(?P<name>[^`]*)`{_PLACE}")
 _NO_VALUE = re.compile(rf"Invalid (?:enum )?value '(?P<name>[^']*)'{_PLACE}")
 _NO_KIND = re.compile(rf"missing required field `(?P<name>kind)`{_PLACE}")
+_MISSING = re.compile(r"missing required field `(?P<name>[^`]*)`")
+_ANYWHERE = re.compile(r" - at `(?P<place>\$[^`]*)`")
+MOST_LETTERS = 40
+"""Of a wrong value that is shown."""
 CLOSE = 0.6
 """Likeness (difflib) from which a name is taken for a slip of the pen."""
 
@@ -34,7 +38,12 @@ def remedy(error: str, tables: dict[str, Any], kind: type) -> str:
     found = _NO_KIND.search(error)
     if found is not None:
         return choice("", _kinds(whole, tables, found["place"] or "$"))
-    return choice("", ())
+    found = _MISSING.search(error)
+    if found is not None:
+        return f"add {found['name']}"
+    found = _ANYWHERE.search(error)
+    told = "" if found is None else _told(tables, found["place"])
+    return f"{told}{choice('', ())}"
 
 
 def choice(name: str, names: Sequence[str]) -> str:
@@ -44,6 +53,19 @@ def choice(name: str, names: Sequence[str]) -> str:
     unique = list(dict.fromkeys(names))
     near = difflib.get_close_matches(name, unique, 1, CLOSE)
     return (f"did you mean {near[0]}? " if near else "") + f"use one of {', '.join(unique)}"
+
+
+def _told(tables: dict[str, Any], place: str) -> str:
+    """What stands at a path, as said before a remedy; "" where the path leaves open which entry it means."""
+    value: Any = tables
+    for step in _STEP.finditer(place):
+        key = step["key"] if step["index"] is None else int(step["index"]) if step["index"].isdecimal() else None
+        try:
+            value = value[key]
+        except (IndexError, KeyError, TypeError):
+            return ""
+    words = repr(value)
+    return f"it is {words if len(words) <= MOST_LETTERS else words[: MOST_LETTERS - 3] + '...'}: "
 
 
 def _kinds(whole: inspect.Type, tables: dict[str, Any], place: str) -> list[str]:
