@@ -23,9 +23,11 @@ from autopilot.run.children import autopilot_command
 FIGURES = Path(__file__).resolve().parent / "figures"
 CAMERA_S = 8.0
 """Vehicle time of the camera's picture: under way."""
+DESK = 1440, 900
+"""Pixels of a screen on a desk."""
 FLIGHT_S = 1200.0
 """Against a hang only: a busy machine does not keep up with real time."""
-GREEN, RED = (80, 210, 60), (60, 60, 250)
+GREEN, RED, DARK = (80, 240, 60), (60, 60, 250), (40, 40, 30)
 SHRUNK = 0.75
 """Of the report, whose text has room."""
 
@@ -41,16 +43,15 @@ def photographed(port: int) -> None:
     program = browser.found()
     assert program is not None
     with browser.page(program) as page:
-        page.size(1250, 1010)
+        page.size(*DESK)
         page.open(f"http://127.0.0.1:{port}/")
         page.wait("document.getElementById('state')?.children.length > 4")
-        page.ask("document.getElementById('camerabox').open = true")
-        page.ask("document.getElementById('steer').open = false")
         page.wait(f"parseFloat(document.getElementById('clock').textContent) > {AT_S}", FLIGHT_S)
         page.picture(FIGURES / "view_desk.png")
-        page.ask("document.getElementById('camerabox').open = false")
         page.size(390, 844, phone=True, dark=True)
-        page.wait("new Promise((done) => setTimeout(() => done(true), 1000))")
+        page.open(f"http://127.0.0.1:{port}/")
+        page.wait("document.getElementById('state')?.children.length > 4")
+        page.wait("new Promise((done) => setTimeout(() => done(true), 2000))")
         page.picture(FIGURES / "view_phone.png")
         if page.errors:
             raise SystemExit("\n".join(page.errors))
@@ -98,7 +99,8 @@ def seen(log: Path) -> None:
     for number, corners in zip(row["ids"][: row["count"]], row["corners_px"].reshape(-1, 4, 2), strict=False):
         cv2.polylines(image, [np.round(corners).astype(np.int32)], True, GREEN, 2, cv2.LINE_AA)
         at = np.round(corners.mean(axis=0) - (12, -5)).astype(int).tolist()
-        cv2.putText(image, str(number), at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, GREEN, 1, cv2.LINE_AA)
+        for color, thickness in ((DARK, 4), (GREEN, 1)):
+            cv2.putText(image, str(number), at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, thickness, cv2.LINE_AA)
     if row["laser_found"]:
         cv2.circle(image, np.round(row["laser_px"]).astype(int).tolist(), 9, RED, 2, cv2.LINE_AA)
     cv2.imwrite(str(FIGURES / "camera.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 85])

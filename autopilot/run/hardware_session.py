@@ -144,7 +144,7 @@ def _onlooker(
     watched = WatchedService(parts, lambda: describe_service(parts, config.file.place.name))
     found: list[Onlooker] = []
     if view is not None:
-        found.append(view.attach(watched, config.vehicle, ReadOnly(), simulated=False))
+        found.append(view.attach(watched, config.vehicle, ReadOnly(), simulated=False, pictures=config.has_camera))
     if foxglove is not None:
         found.append(foxglove.attach(watched.describe, watched.revision))
     return Onlookers(*found) if found else None

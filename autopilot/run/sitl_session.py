@@ -203,7 +203,8 @@ def _onlooker(
     watched = WatchedSitl(parts, describe, world.simulated)
     found: list[Onlooker] = []
     if view is not None and steering is not None:
-        found.append(view.attach(watched, world.vehicle, steering, simulated=True))
+        pictured = world.simulated.pictured
+        found.append(view.attach(watched, world.vehicle, steering, simulated=True, pictures=pictured))
     if foxglove is not None:
         found.append(foxglove.attach(describe, watched.revision, lambda: world.simulated.truth))
     return found[0] if len(found) == 1 else Onlookers(*found)

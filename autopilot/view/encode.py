@@ -45,9 +45,9 @@ DIGITS = 4
 JPEG_QUALITY = 70
 
 
-def scene_of(snapshot: Snapshot, vehicle: Vehicle, steerable: Steerable, *, simulated: bool) -> Scene:
+def scene_of(snapshot: Snapshot, vehicle: Vehicle, steerable: Steerable, *, simulated: bool, pictures: bool) -> Scene:
     """What seldom changes."""
-    run, camera = snapshot.description, vehicle.camera
+    run, camera = snapshot.description, vehicle.camera if pictures else None
     bounds = run.paper_bounds
     return Scene(
         title=run.scenario,

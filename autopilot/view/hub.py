@@ -69,8 +69,9 @@ class Viewer:
 class _Run:
     """A run that is looked at."""
 
-    def __init__(self, feed: Feed, vehicle: Vehicle, controls: Controls, simulated: bool) -> None:
-        self.feed, self.vehicle, self.controls, self.simulated = feed, vehicle, controls, simulated
+    def __init__(self, feed: Feed, vehicle: Vehicle, controls: Controls, simulated: bool, pictures: bool) -> None:
+        self.feed, self.vehicle, self.controls = feed, vehicle, controls
+        self.simulated, self.pictures = simulated, pictures
 
 
 class Hub:
@@ -93,11 +94,13 @@ class Hub:
 
     # The run's side
 
-    def attach(self, watched: Watched, vehicle: Vehicle, controls: Controls, *, simulated: bool) -> Feed:
-        """A run begins; the feed is for its loop."""
+    def attach(
+        self, watched: Watched, vehicle: Vehicle, controls: Controls, *, simulated: bool, pictures: bool
+    ) -> Feed:
+        """A run begins; the feed is for its loop. ``pictures``: there is a camera that delivers some."""
         feed = Feed(watched, self._scenes)
         with self._lock:
-            self._run = _Run(feed, vehicle, controls, simulated)
+            self._run = _Run(feed, vehicle, controls, simulated, pictures)
             self._runs += 1
             self._pictured = -1
         self._count()
@@ -202,7 +205,9 @@ class Hub:
         if not without:
             return
         self._scenes = max(self._scenes, snapshot.scene)
-        data = _encoder.encode(scene_of(snapshot, run.vehicle, run.controls.steerable, simulated=run.simulated))
+        steerable = run.controls.steerable
+        scene = scene_of(snapshot, run.vehicle, steerable, simulated=run.simulated, pictures=run.pictures)
+        data = _encoder.encode(scene)
         for viewer in without:
             viewer.scene = snapshot.scene
             viewer.put("scene", data)

@@ -77,6 +77,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
     limits: Limits
     thrusters: tuple[str, ...]
     camera_px: tuple[int, int] | None
+    """None: no camera delivers pictures."""
     steerable: Steerable
     parameters: dict[str, float]
     trail_ned_m: tuple[Point3, ...]

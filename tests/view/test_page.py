@@ -73,7 +73,27 @@ def test_the_page_shows_what_it_is_sent(events: list[dict[str, Any]], width: int
     assert tube in made["svg"]["side"] and tube in made["svg"]["plan"]
     assert ">A</text>" in made["svg"]["plan"] and ">B</text>" in made["svg"]["plan"]
     assert "steer" not in made["hidden"]
+    assert "camerabox" in made["hidden"], "the tracking system's run has no camera"
+    assert words["health"] == "estimate good" and words["control"] == ""
     assert any("Armed" in line for line in made["messages"])
+
+
+@needs_node
+def test_what_is_old_is_no_news(events: list[dict[str, Any]]) -> None:
+    """A prediction of before the estimate was lost, a sensor that no longer measures."""
+    scene = next(event for event in events if event["name"] == "scene")
+    frame = copy.deepcopy(events[-1])
+    fresh = page([scene, frame])
+    silent = frame["data"]["sensors"][0]
+    silent["age_s"], frame["data"]["control"]["age_s"] = 7.2, 6.0
+    frame["data"]["estimate"]["health"] = "INVALID"
+    made = page([scene, frame])
+    horizon = "#d07c00"
+    assert horizon in fresh["svg"]["plan"] and horizon not in made["svg"]["plan"] + made["svg"]["side"]
+    facts = dict(zip(made["state"][::2], made["state"][1::2], strict=True))
+    assert facts["Controller"] == "at rest for 6 s" and "Margin ahead" not in facts
+    assert made["words"]["health"] == "estimate invalid"
+    assert f"{silent['name']} silent" in made["words"]["sensors"] and "silent" not in fresh["words"]["sensors"]
 
 
 @needs_node
@@ -94,7 +114,7 @@ def test_the_page_bears_what_is_missing(events: list[dict[str, Any]]) -> None:
     }
     made = page([scene, bare])
     assert "steer" in made["hidden"] and made["words"]["readonly"] == "read-only"
-    assert "LEAK" in made["words"]["alarms"]
+    assert made["words"]["alarms"].startswith("Failsafe: ") and "leak" in made["words"]["alarms"]
 
 
 @needs_node

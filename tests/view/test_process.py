@@ -144,9 +144,10 @@ def test_ten_viewers_and_one_that_does_not_read(sitl: Run) -> None:
 
 
 def test_no_room_for_a_crowd(sitl: Run) -> None:
-    viewers = [Stream(sitl.port) for _ in range(MAX_VIEWERS + 1)]
-    codes = [viewer.answer.status for viewer in viewers]
-    assert codes.count(200) <= MAX_VIEWERS and codes[-1] == 503
+    viewers = [Stream(sitl.port)]  # those of another test may still be leaving
+    while viewers[-1].answer.status == 200 and len(viewers) <= MAX_VIEWERS:
+        viewers.append(Stream(sitl.port))
+    assert viewers[-1].answer.status == 503
     for viewer in viewers:
         viewer.close()
 

@@ -4,17 +4,25 @@
 export const DARK = {
   back: "#18222c", ink: "#e4ebf1", weak: "#93a4b3", wall: "#c3d0db", fence: "#ff6b6b", margin: "rgba(255,107,107,.16)",
   water: "#1d2c39", solid: "#7d8a96", place: "#4cc38a", goal: "#4cc38a", route: "#c79bff", horizon: "#f0a83c",
-  tube: "rgba(240,168,60,.35)", trail: "#4fb3e8", truth: "#f5f7fa", body: "#4fb3e8", flow: "#4b6f8c", track: "#ff9de0",
+  tube: "rgba(240,168,60,.35)", trail: "#4fb3e8", truth: "#f5f7fa", body: "#4fb3e8", flow: "#5d86a6", felt: "#2fd6c8", track: "#ff9de0",
+  pillar: "rgba(125,138,150,.55)", nose: "rgba(79,179,232,.75)",
 };
 export const LIGHT = {
   back: "#ffffff", ink: "#1b2733", weak: "#5b6b7a", wall: "#33414e", fence: "#c4262e", margin: "rgba(196,38,46,.12)",
   water: "#eef5fa", solid: "#8b98a4", place: "#1a7f4b", goal: "#1a7f4b", route: "#7a3fc0", horizon: "#d07c00",
-  tube: "rgba(208,124,0,.35)", trail: "#0b6fa4", truth: "#111111", body: "#0b6fa4", flow: "#8fb3cc", track: "#b3128a",
+  tube: "rgba(208,124,0,.35)", trail: "#0b6fa4", truth: "#111111", body: "#0b6fa4", flow: "#8fb3cc", felt: "#00857c", track: "#b3128a",
+  pillar: "rgba(139,152,165,.55)", nose: "rgba(11,111,164,.75)",
 };
+// What stands for what: words, colour, and how it is drawn (line, dashed, dotted, area).
 export const LEGEND = [
-  ["vehicle, track", "trail"], ["truth", "truth"], ["prediction", "horizon"], ["tube", "tube"], ["route", "route"],
-  ["fence", "fence"], ["kept free", "margin"], ["waypoint", "place"], ["current", "flow"], ["reported", "track"],
+  ["vehicle (nose filled), track", "trail", "line"], ["truth", "truth", "line"], ["prediction", "horizon", "line"],
+  ["its tube", "tube", "area"], ["route", "route", "dotted"], ["fence, depth limits", "fence", "dashed"],
+  ["kept free", "margin", "area"], ["obstacle", "solid", "area"], ["waypoint, acceptance, heading", "place", "dashed"],
+  ["goal", "goal", "line"], ["current", "flow", "line"], ["current felt", "felt", "line"], ["reported obstacle", "track", "dotted"],
 ];
+
+// An arrow of the current is the way that water goes in this time.
+const REACH_S = 1.6;
 
 // What the plan shows: tank, fence, waypoints, the vehicle; never less than a metre.
 export function extent(scene, frame) {
@@ -130,8 +138,8 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
   ctx.fillRect(0, 0, width, height);
   if (scene.tank_m.length) fill(ctx, many(scene.tank_m), colors.water);
   for (const [n, e, u, v] of flow ? flow.arrows : []) {
-    const reach = 1.6; // an arrow of 1 m/s has so many metres
-    arrow(ctx, at([n - 0.5 * reach * u, e - 0.5 * reach * v]), at([n + 0.5 * reach * u, e + 0.5 * reach * v]), colors.flow, 1.2);
+    const [dn, de] = [0.5 * REACH_S * u, 0.5 * REACH_S * v];
+    arrow(ctx, at([n - dn, e - de]), at([n + dn, e + de]), colors.flow, 1.2);
   }
   // The vehicle's centre stays out of what is kept free, and with it the tube round the prediction.
   for (const shape of scene.fence) {
@@ -142,7 +150,6 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
     stroke(ctx, corners, colors.margin, 2 * scene.body_radius_m * scale, true);
     ctx.restore();
     if (!shape.inclusion) fill(ctx, corners, colors.margin);
-    stroke(ctx, corners, colors.fence, 1.5, true, [6, 4]);
   }
   if (scene.tank_m.length) stroke(ctx, many(scene.tank_m), colors.wall, 2.5, true);
   for (const solid of frame ? frame.solids : []) {
@@ -150,6 +157,8 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
     else circle(ctx, at(solid.center_m), solid.radius_m * scale, colors.solid, 1, true);
     text(ctx, String(solid.number), ...at(solid.center_m), colors.back, "center");
   }
+  // Over walls and obstacles, which a fence often follows.
+  for (const shape of scene.fence) stroke(ctx, many(shape.corners_m), colors.fence, 1.5, true, [6, 4]);
   if (moving) circle(ctx, at(moving.place), moving.radius_m * scale, colors.solid, 2, false, [4, 3]);
   for (const track of frame ? frame.tracks : []) {
     circle(ctx, at(track.pos_ned_m), track.radius_m * scale, colors.track, 1.5, false, [3, 3]);
@@ -185,8 +194,9 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
     circle(ctx, at(place), 3 * Math.max(sigma[0], sigma[1]) * scale, colors.body, 1, false, [2, 2]);
     const shape = many(hull(place, rpy[2], 0.9 * scene.body_radius_m));
     fill(ctx, shape, colors.tube);
+    fill(ctx, [shape[0], shape[1], shape[4]], colors.nose);
     stroke(ctx, shape, colors.body, 2, true);
-    arrow(ctx, at(place), at([place[0] + 1.6 * current[0], place[1] + 1.6 * current[1]]), colors.ink, 2);
+    arrow(ctx, at(place), at([place[0] + REACH_S * current[0], place[1] + REACH_S * current[1]]), colors.felt, 2.5);
   }
   scaleBar(ctx, width, height, view, colors);
   return view;
@@ -212,7 +222,7 @@ export function drawSide(ctx, width, height, { scene, frame, trail }, colors) {
   for (const solid of frame ? frame.solids : []) {
     const along = solid.center_m[axis], r = solid.radius_m;
     if (solid.depth_m !== null) circle(ctx, flat(along, solid.depth_m), r * scale, colors.solid, 1, true);
-    else fill(ctx, [flat(along - r, 0), flat(along + r, 0), flat(along + r, floor), flat(along - r, floor)], colors.tube);
+    else fill(ctx, [flat(along - r, 0), flat(along + r, 0), flat(along + r, floor), flat(along - r, floor)], colors.pillar);
   }
   // The fence as seen from here: where the vehicle's centre may be along this axis, and between which depths.
   for (const shape of scene.fence) {
@@ -230,6 +240,7 @@ export function drawSide(ctx, width, height, { scene, frame, trail }, colors) {
   }
   text(ctx, `${turned ? "north" : "east"} →   depth ↓ ${floor.toFixed(1)} m`, 8, height - 8, colors.weak);
   if (!frame || !frame.estimate) return;
+  if (frame.goal) circle(ctx, at(frame.goal.pos_ned_m), frame.goal.accept_radius_m * scale, colors.goal, 2);
   stroke(ctx, trail.map(at), colors.trail, 1.2);
   if (frame.control) {
     const ahead = frame.control.horizon_ned_m.map(at);
@@ -240,7 +251,9 @@ export function drawSide(ctx, width, height, { scene, frame, trail }, colors) {
   const heading = turned ? Math.cos(rpy[2]) : Math.sin(rpy[2]), forward = heading >= 0 ? 1 : -1;
   const lean = -rpy[1] * forward, half = Math.max(r * Math.abs(heading), 0.5 * r);
   const turn = (x, z) => flat(place[axis] + x * Math.cos(lean) - z * Math.sin(lean), place[2] + x * Math.sin(lean) + z * Math.cos(lean));
-  const body = [turn(-half, -h), turn(half, -h), turn(half + 0.3 * half * forward, 0), turn(half, h), turn(-half, h), turn(-half + 0.3 * half * Math.min(forward, 0), 0)];
+  const body = [turn(-half, -h), turn(half, -h), turn(half + 0.3 * half * Math.max(forward, 0), 0), turn(half, h), turn(-half, h), turn(-half + 0.3 * half * Math.min(forward, 0), 0)];
+  const bow = forward > 0 ? [body[1], body[2], body[3]] : [body[0], body[5], body[4]];
+  fill(ctx, bow, colors.nose);
   stroke(ctx, body, colors.body, 2, true);
   if (frame.truth) circle(ctx, at(frame.truth.pos_ned_m), 2.5, colors.truth, 1, true);
 }

@@ -6,10 +6,13 @@ const token = document.querySelector("meta[name=view-token]").content;
 const dark = matchMedia("(prefers-color-scheme: dark)");
 const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, moving: null };
 const TRAIL = 1500;
+const OLD_S = 2; // what is older is no news: a sensor is silent, the controller at rest
 let source = null, heard = 0, asked = false, messages = 0, drag = null;
 
 const colors = () => (dark.matches ? DARK : LIGHT);
 const fixed = (value, digits = 2) => (value === null || value === undefined ? "–" : value.toFixed(digits));
+const current = (frame) => (frame.control && frame.control.age_s <= OLD_S ? frame.control : null);
+const plain = (name) => name.toLowerCase().replaceAll("_", " ");
 const degrees = (radians) => ((radians * 180) / Math.PI).toFixed(1) + "°";
 
 function element(tag, words, kind) {
@@ -35,8 +38,9 @@ function draw() {
   asked = false;
   const palette = colors();
   if (seen.scene) {
-    seen.view = drawPlan(...context($("plan")), seen, palette);
-    drawSide(...context($("side")), seen, palette);
+    const shown = { ...seen, frame: seen.frame && { ...seen.frame, control: current(seen.frame) } };
+    seen.view = drawPlan(...context($("plan")), shown, palette);
+    drawSide(...context($("side")), shown, palette);
     if (seen.scene.steerable.current) {
       drawFlow(...context($("flow")), drag && drag.flow ? drag.flow : seen.frame && seen.frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
     }
@@ -74,7 +78,8 @@ function showState(frame) {
     rows.push(["Estimate", nav.health + (nav.doubts.length ? ` (doubt: ${nav.doubts.join(", ")})` : "")]);
     rows.push(["North, east, depth", nav.pos_ned_m.map((v) => fixed(v)).join(", ") + " m"]);
     rows.push(["Roll, pitch, yaw", nav.rpy_rad.map(degrees).join(", ")]);
-    rows.push(["Sigma", `${(1e3 * Math.max(...nav.sigma_pos_m)).toFixed(1)} mm, ${degrees(nav.sigma_yaw_rad)}`]);
+    const [north, east, down] = nav.sigma_pos_m.map((v) => (1e3 * v).toFixed(1));
+    rows.push(["Sigma", `${north}, ${east}, ${down} mm, ${degrees(nav.sigma_yaw_rad)}`]);
     rows.push(["Current felt", `${nav.current_ned_m_s.slice(0, 2).map((v) => fixed(v)).join(", ")} m/s`]);
   } else rows.push(["Estimate", "none yet"]);
   if (truth && nav) {
@@ -84,7 +89,8 @@ function showState(frame) {
   if (truth) rows.push(["Contacts", `${truth.contacts}`], ["Power", `${fixed(truth.power_w, 0)} W`]);
   if (progress) rows.push(["Mission", `${progress.state}, item ${progress.item}, lap ${progress.lap + 1}`]);
   if (goal) rows.push(["Goal", `${goal.pos_ned_m.map((v) => fixed(v)).join(", ")} m, ${fixed(goal.speed_m_s)} m/s`]);
-  if (control) {
+  if (control && control.age_s > OLD_S) rows.push(["Controller", `at rest for ${fixed(control.age_s, 0)} s`]);
+  else if (control) {
     rows.push(["Controller", `${control.status}${control.fallback === "NONE" ? "" : ", fallback " + control.fallback}`]);
     rows.push(["Margin ahead", `${fixed(control.margin_m, 3)} m beyond body and tube of ${fixed(control.tube_now_m, 3)} m`]);
     if (control.eta_s !== null) rows.push(["To the goal", `${fixed(control.eta_s, 1)} s, ${fixed(control.energy_j, 0)} J`]);
@@ -100,9 +106,9 @@ function showBars(scene, frame) {
     const [u, v, w] = nav.vel_water_frd_m_s, planar = Math.hypot(u, v);
     rows.push(bar("Planar speed", planar, limits.planar_speed_m_s, `${fixed(planar)} / ${limits.planar_speed_m_s} m/s`));
     rows.push(bar("Heave", w, limits.heave_m_s, `${fixed(w)} / ${limits.heave_m_s} m/s`, true));
-    rows.push(bar("Yaw rate", nav.rate_frd_rad_s[2], limits.yaw_rate_rad_s, `${fixed(nav.rate_frd_rad_s[2])} / ${limits.yaw_rate_rad_s}`, true));
+    rows.push(bar("Yaw rate", nav.rate_frd_rad_s[2], limits.yaw_rate_rad_s, `${fixed(nav.rate_frd_rad_s[2])} / ${limits.yaw_rate_rad_s} rad/s`, true));
   }
-  if (control) rows.push(bar("Solve time", control.solve_ms, limits.solve_ms, `${fixed(control.solve_ms, 1)} / ${limits.solve_ms} ms`));
+  if (current(frame)) rows.push(bar("Solve time", control.solve_ms, limits.solve_ms, `${fixed(control.solve_ms, 1)} / ${limits.solve_ms} ms`));
   if (frame.clearance_m !== null) {
     const room = frame.clearance_m - radius;
     const row = bar("To the fence", Math.max(0, 1 - room), 1, `${fixed(room)} m`);
@@ -124,8 +130,9 @@ function showSensors(frame) {
   head.append(...["sensor", "state", "ratio", "age"].map((words) => element("th", words)));
   $("sensors").replaceChildren(head, ...frame.sensors.map((sensor) => {
     const row = element("tr");
-    const kind = sensor.state === "ACTIVE" ? "good" : sensor.state === "REJECTING" ? "bad" : "warn";
-    row.append(element("td", sensor.name), element("td", sensor.state.toLowerCase(), kind), element("td", fixed(sensor.test_ratio)), element("td", `${fixed(sensor.age_s, 1)} s`));
+    const state = sensor.age_s > OLD_S ? "SILENT" : sensor.state;
+    const kind = state === "ACTIVE" ? "good" : state === "REJECTING" ? "bad" : "warn";
+    row.append(element("td", sensor.name), element("td", plain(state), kind), element("td", fixed(sensor.test_ratio)), element("td", `${fixed(sensor.age_s, 1)} s`));
     return row;
   }));
 }
@@ -147,9 +154,15 @@ function showFrame(frame) {
   $("mode").textContent = frame.mode;
   $("armed").textContent = frame.armed ? "armed" : "disarmed";
   $("armed").className = frame.armed ? "badge on" : "badge";
+  const health = frame.estimate ? frame.estimate.health : "INVALID";
+  $("health").textContent = `estimate ${plain(health)}`;
+  $("health").className = `badge ${{ GOOD: "good", DEAD_RECKONING: "warn" }[health] ?? "bad"}`;
+  const steered = current(frame), lost = steered && steered.fallback !== "NONE";
+  $("control").textContent = lost ? `control: ${plain(steered.fallback)}` : "";
+  $("control").className = "badge warn";
   $("clock").textContent = `${frame.t_s.toFixed(1)} s${frame.paused ? ", paused" : ""}`;
   $("link").textContent = frame.stale_s > 2 && !frame.paused ? `the loop has been silent for ${frame.stale_s.toFixed(0)} s` : "";
-  $("alarms").textContent = frame.failsafes.join(", ");
+  $("alarms").textContent = frame.failsafes.length ? `Failsafe: ${frame.failsafes.map(plain).join(", ")}` : "";
   showState(frame);
   showBars(scene, frame);
   showSensors(frame);
@@ -158,7 +171,7 @@ function showFrame(frame) {
   const speed = $("speed");
   if (document.activeElement !== speed && frame.speed > 0) speed.value = String(frame.speed);
   const flow = frame.extra_current_ned_m_s;
-  $("flowtext").textContent = flow ? `added flow ${fixed(flow[0])} N, ${fixed(flow[1])} E m/s` : "";
+  $("flowtext").textContent = flow ? `added flow: ${fixed(flow[0])} m/s north, ${fixed(flow[1])} m/s east` : "";
 }
 
 function showScene(scene) {
@@ -167,7 +180,7 @@ function showScene(scene) {
   const can = scene.steerable;
   $("steer").hidden = !can.pause;
   $("readonly").textContent = can.pause ? "" : can.missing.join(" ");
-  $("speed").disabled = !can.speed;
+  $("speed").parentElement.hidden = !can.speed;
   const speeds = [0.25, 0.5, 1, 2, 4, 8];
   if (!$("speed").children.length) $("speed").replaceChildren(...speeds.map((value) => Object.assign(element("option", `${value} ×`), { value: String(value) })));
   $("fault").replaceChildren(...can.faults.map((offer, index) => Object.assign(element("option", offer.label), { value: String(index) })));
@@ -180,8 +193,10 @@ function showScene(scene) {
 // The stream
 
 function listen() {
+  const wanted = $("camerabox").open ? "/events?pictures=1" : "/events";
+  if (source && source.url.endsWith(wanted)) return;
   if (source) source.close();
-  source = new EventSource($("camerabox").open ? "/events?pictures=1" : "/events");
+  source = new EventSource(wanted);
   const on = (name, work) => source.addEventListener(name, (event) => { heard = Date.now(); work(JSON.parse(event.data)); soon(); });
   on("scene", (scene) => { seen.scene = scene; seen.trail = scene.trail_ned_m; messages = 0; $("messages").replaceChildren(); showScene(scene); });
   on("frame", (frame) => {
@@ -276,13 +291,16 @@ dark.addEventListener("change", () => { legend(); soon(); });
 setInterval(() => { if (heard && Date.now() - heard > 4000) $("link").textContent = "no news from the vehicle's process"; }, 1000);
 
 function legend() {
-  $("legend").replaceChildren(...LEGEND.map(([words, name]) => {
-    const item = element("li"), mark = element("i");
-    mark.style.background = colors()[name];
+  $("legend").replaceChildren(...LEGEND.map(([words, name, kind]) => {
+    const item = element("li"), mark = element("i", undefined, kind);
+    mark.style.color = colors()[name];
     item.append(mark, words);
     return item;
   }));
 }
 
+// What there is room for: a picture on a desk, the plan first on a phone.
+if (matchMedia("(min-width: 801px)").matches) $("camerabox").open = true;
+else $("steer").open = false;
 legend();
 listen();
