@@ -58,6 +58,7 @@ from estimator.states import (
     BIAS_DOWN,
     BIAS_RIGHT,
     CURRENT,
+    CURRENT_RATE,
     DOWN,
     GYRO_BIAS,
     INITIAL_SIGMA,
@@ -104,6 +105,9 @@ CARRIED_SIGMA = np.array([0.005, 0.005, 0.005, 0.01])
 """m, rad; besides all of what it was carried forward."""
 RELOCATED_VARIANCE = 1e-3
 """Added to the variance of the fix that a reset goes to (m^2, rad^2): it has been carried on to now."""
+
+ASTRAY = (ACCEL_BIAS, CURRENT, CURRENT_RATE)
+"""What dead reckoning goes by: the water may have changed on the way, and its change passed for an offset."""
 
 
 class Engine:
@@ -468,7 +472,7 @@ class Engine:
         if velocity is not None:
             if not lost:
                 self._evidence.note_jump(self._now_us, np.abs(missed.y))
-            self._relocate(history, fix, float(missed.y[3]), velocity)
+            self._relocate(history, fix, float(missed.y[3]), velocity, lost=lost)
 
     def _watch_map(self, history: History, node: Node, fix: PoseFix, *, rejected: bool) -> None:
         """Look for what does not lie where the map has it."""
@@ -592,12 +596,17 @@ class Engine:
         for relocation in self._relocations.values():
             relocation.accepted()
 
-    def _relocate(self, history: History, fix: PoseFix, turn_rad: float, vel_ned_m_s: FloatArray) -> None:
-        """Believe the fixes and not ourselves: move the newest node there and forget the past."""
+    def _relocate(
+        self, history: History, fix: PoseFix, turn_rad: float, vel_ned_m_s: FloatArray, *, lost: bool
+    ) -> None:
+        """Believe the fixes and not ourselves: move the newest node there and forget the past. One who was ``lost``
+        has been carried astray by what was taken for granted on the way."""
         newest = history.newest
         pos = fix.z[:3] + 1e-6 * (newest.t_us - fix.t_us) * vel_ned_m_s
         pose = np.append(pos, newest.state.x[YAW] + turn_rad)
         state = self._core.relocate(newest.state, pose, fix.noise + np.eye(4) * RELOCATED_VARIANCE, vel_ned_m_s)
+        for part in ASTRAY if lost else ():
+            state = self._core.reopen(state, part, float((INITIAL_SIGMA[part] ** 2).max()))
         self._begin_at(Node(newest.t_us, newest.moment, None, state))
         self._evidence.begin_anew(self._now_us)
         aid = self._positions(fix)

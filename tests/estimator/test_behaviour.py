@@ -46,6 +46,27 @@ def test_drift_in_a_gap(make_ekf: Make, field: CurrentField, limits_m: tuple[flo
     assert sum(covered) >= 8
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_what_led_astray_in_a_gap_is_forgotten_with_it(make_ekf: Make, seed: int) -> None:
+    """The water changes by 0.3 m/s while no fix comes: dead reckoning ends far off, and its water is of before.
+
+    The fixes are believed once, without being doubted after it, and so is the water that they then show."""
+    heading = 0.5 + 2.0 * math.pi * seed / 4.0
+
+    def changing(_n: float, _e: float) -> tuple[float, float]:
+        speed = 0.3 * min(1.0, max(0.0, 1e-6 * world.t_us - 8.2))
+        return speed * math.cos(heading), speed * math.sin(heading)
+
+    world = World(changing, Faults(seed=seed, vision_gap_s=(8.0, 10.0)))
+    estimator = make_ekf()
+    track = fly(estimator, world, 12.0)
+    assert np.abs(track.after(9.9, 10.0).pos_error()[:, :2]).max() > 0.1
+    assert estimator.counters()["resets"] <= 1
+    assert not any(nav.doubts for nav in track.nav)
+    assert np.abs(track.after(10.4).pos_error()[:, :2]).max() < 0.03
+    assert rms(track.after(11.0, 11.2).current_error()) < 0.1
+
+
 def test_model_aid_is_what_carries_through_a_gap(make_ekf: Make) -> None:
     def drift(options: EstimatorOptions) -> float:
         ends = []
