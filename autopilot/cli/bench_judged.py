@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
-from autopilot.cli.bench_tables import TITLES, report, tell
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.bench_tables import TITLES, judge, judge_rows, print_rows, tell
+from autopilot.cli.output import print_table
 
 _SHORT = click.option("--short", is_flag=True, help="Fewer runs, for a quick look.")
 _JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
@@ -28,15 +28,15 @@ def faults(short: bool, part: str | None, as_markdown: bool, as_json: bool) -> N
     if part is not None and part not in PARTS:
         raise click.UsageError(f"--part {part}: there is {', '.join(PARTS)}")
     rows = bench_faults(part, tell)
-    if as_json:
-        emit_json([asdict(row) for row in rows])
-    elif as_markdown:
-        click.echo(markdown(rows), nl=False)
-    else:
-        columns = ("part", "finding", "before", "promise", "now", "kept")
-        print_table(TITLES["faults"], list(columns), [[str(getattr(row, c)) for c in columns] for row in rows])
-    if not all(row.kept for row in rows):
-        raise SystemExit(1)
+
+    def show() -> None:
+        if as_markdown:
+            click.echo(markdown(rows), nl=False)
+        else:
+            columns = ("part", "finding", "before", "promise", "now", "kept")
+            print_table(TITLES["faults"], columns, [[str(getattr(row, c)) for c in columns] for row in rows])
+
+    judge(all(row.kept for row in rows), [asdict(row) for row in rows], show, as_json=as_json)
 
 
 @click.command()
@@ -63,12 +63,12 @@ def fuzz(short: bool, messages: int | None, seed: int, as_json: bool) -> None:
         shown = len(result.failures)
 
     result = run_fuzz(messages or (20_000 if short else 1_000_000), seed, show)
-    if as_json:
-        emit_json({**asdict(result), "per_second": result.per_second})
-    else:
-        print_table(TITLES["fuzz"], ["figure", "value"], [[name, value] for name, value in result.rows()])
-    if result.failures:
-        raise SystemExit(1)
+    judge(
+        not result.failures,
+        {**asdict(result), "per_second": result.per_second},
+        lambda: print_table(TITLES["fuzz"], ["figure", "value"], result.rows()),
+        as_json=as_json,
+    )
 
 
 @click.command("sensor-faults")
@@ -82,9 +82,8 @@ def sensor_faults(short: bool, as_json: bool) -> None:
     from autopilot.bench.fault_campaign import HIDDEN, bench_sensor_faults
 
     rows = list(bench_sensor_faults(short, tell))
-    report("sensor-faults", [asdict(row) for row in rows], as_json=as_json)
-    if not all(row.kept for row in rows if row.fault not in HIDDEN):
-        raise SystemExit(1)
+    kept = all(row.kept for row in rows if row.fault not in HIDDEN)
+    judge_rows(kept, "sensor-faults", [asdict(row) for row in rows], as_json=as_json)
 
 
 @click.command()
@@ -105,9 +104,8 @@ def detection(short: bool, frames: int | None, seed: int, as_json: bool) -> None
         tell(f"{row.source}: {row.false_ids + row.blind_false_ids} false ids")
         rows.append(row)
     rows.append(totals(rows))
-    report("detection", [asdict(row) for row in rows], as_json=as_json)
-    if rows[-1].false_ids or rows[-1].blind_false_ids:
-        raise SystemExit(1)
+    kept = not (rows[-1].false_ids or rows[-1].blind_false_ids)
+    judge_rows(kept, "detection", [asdict(row) for row in rows], as_json=as_json)
 
 
 @click.command()
@@ -127,9 +125,8 @@ def vehicles(short: bool, runs: int | None, seed: int, as_json: bool) -> None:
     for number in range(seed, seed + (runs or (4 if short else 40))):
         outcomes.append(fly(number))
         tell(f"vehicle {number}: {outcomes[-1].problem or outcomes[-1].refused or 'flown'}")
-    report("vehicles", [{**asdict(each), "problem": each.problem} for each in outcomes], as_json=as_json)
-    if any(each.problem for each in outcomes):
-        raise SystemExit(1)
+    kept = not any(each.problem for each in outcomes)
+    judge_rows(kept, "vehicles", [{**asdict(each), "problem": each.problem} for each in outcomes], as_json=as_json)
 
 
 @click.command()
@@ -147,16 +144,16 @@ def kills(short: bool, runs: int | None, seed: int, as_json: bool) -> None:
     count = runs or (4 if short else 100)
     found = run(count, seed, lambda done: tell(f"kill {done} of {count}"))
     row = asdict(found)
-    if as_json:
-        emit_json(row)
-    else:
-        starts = sorted(row.pop("start_cpu_s"))
-        shown = {"start_cpu_s": f"{starts[len(starts) // 2]:.1f} ({starts[-1]:.1f} at most)"}
-        report("kills", [{**row, **{key: len(row[key]) for key in ("lost", "damaged_logs")}, **shown}], as_json=False)
+
+    def show() -> None:
+        starts = sorted(found.start_cpu_s)
+        counts = {key: len(row[key]) for key in ("lost", "damaged_logs")}
+        spread = f"{starts[len(starts) // 2]:.1f} ({starts[-1]:.1f} at most)"
+        print_rows("kills", [{**row, **counts, "start_cpu_s": spread}])
         for line in (*found.lost, *found.damaged_logs):
             click.echo(line)
-    if found.lost or found.damaged_logs:
-        raise SystemExit(1)
+
+    judge(not (found.lost or found.damaged_logs), row, show, as_json=as_json)
 
 
 @click.command()
@@ -182,12 +179,8 @@ def soak(short: bool, seed: int, as_json: bool) -> None:
         "more_descriptors": flight.more_descriptors,
         "threads": last.threads,
     }
-    if as_json:
-        emit_json({**row, "looks": [asdict(look) for look in flight.looks]})
-    else:
-        report("soak", [row], as_json=False)
-    if not flight.kept:
-        raise SystemExit(1)
+    looks = [asdict(look) for look in flight.looks]
+    judge(flight.kept, {**row, "looks": looks}, lambda: print_rows("soak", [row]), as_json=as_json)
 
 
 @click.command("thruster-health")
@@ -205,6 +198,4 @@ def thruster_health(short: bool, runs: int | None, out: Path | None, as_json: bo
 
     count = runs or (4 if short else 300)
     rows = list(bench_thruster_health(count, (count + 1) // 2, out, tell))
-    report("thruster-health", [asdict(row) for row in rows], as_json=as_json)
-    if any(row.false for row in rows):
-        raise SystemExit(1)
+    judge_rows(not any(row.false for row in rows), "thruster-health", [asdict(row) for row in rows], as_json=as_json)

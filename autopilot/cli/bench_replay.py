@@ -4,11 +4,9 @@ from dataclasses import asdict
 
 import click
 
-from autopilot.cli.bench_tables import TITLES
+from autopilot.cli.bench_tables import TITLES, judge
 from autopilot.cli.log_replay import moved_rows
-from autopilot.cli.output import emit_json, print_table
-
-EXIT_DIFFERENT = 1
+from autopilot.cli.output import print_table
 
 _JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 
@@ -26,19 +24,17 @@ def replay(only: tuple[str, ...], short: bool, as_json: bool) -> None:
     from autopilot.bench.replays import replay_rows
 
     rows = list(replay_rows(short=short, only=only))
-    if as_json:
-        emit_json([asdict(row) for row in rows])
-    else:
-        print_table(
-            TITLES["replay"],
-            ("flight", "sensors", "speed", "ticks", "messages", "fields that differ", "first"),
-            [
-                (r.flight, r.sensors, f"{r.speed:g}", r.ticks, r.messages, r.differences, r.first or "all the same")
-                for r in rows
-            ],
-        )
-    if any(row.differences or row.first for row in rows):
-        raise click.exceptions.Exit(EXIT_DIFFERENT)
+    table = [
+        (r.flight, r.sensors, f"{r.speed:g}", r.ticks, r.messages, r.differences, r.first or "all the same")
+        for r in rows
+    ]
+    heads = ("flight", "sensors", "speed", "ticks", "messages", "fields that differ", "first")
+    judge(
+        not any(row.differences or row.first for row in rows),
+        [asdict(row) for row in rows],
+        lambda: print_table(TITLES["replay"], heads, table),
+        as_json=as_json,
+    )
 
 
 @click.command()
@@ -57,9 +53,8 @@ def reference(only: tuple[str, ...], short: bool, update: bool, as_json: bool) -
     before = read_release()
     after = flown(only or (SHORT if short else FLIGHTS))
     found = changes(before, after)
-    if as_json:
-        emit_json({name: [asdict(one) for one in rows] for name, rows in found.items()})
-    else:
+
+    def show() -> None:
         for name, rows in found.items():
             kept = len(before.flights.get(name, {}))
             if rows:
@@ -67,7 +62,8 @@ def reference(only: tuple[str, ...], short: bool, update: bool, as_json: bool) -
                 print_table(title, ("figure", "kept", "now", "change"), moved_rows(rows))
             else:
                 click.echo(f"{name}: all {kept} figures as they were at {before.revision}")
+
     if update:
         keep(after)
-    elif any(found.values()):
-        raise click.exceptions.Exit(EXIT_DIFFERENT)
+    figures = {name: [asdict(one) for one in rows] for name, rows in found.items()}
+    judge(update or not any(found.values()), figures, show, as_json=as_json)

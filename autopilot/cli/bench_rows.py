@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from autopilot.cli.bench_tables import Rows, print_rows, seed_range, tell
+from autopilot.cli.bench_tables import Rows, judge, print_rows, seed_range, tell
 from autopilot.cli.output import emit_json
 
 Work = Callable[[bool], Rows]
@@ -185,13 +185,14 @@ def _attitude(short: bool, data: Path | None, seeds: range | None, *, as_json: b
         tell(f"no recorded trials in {folder}: made-up motions only; give --data FOLDER")
     rows = bench_attitude(short, folder, seeds)
     median = median_inclination(rows)
-    if as_json:
-        emit_json({"rows": [asdict(row) for row in rows], "median_inclination": median})
-    else:
-        print_rows("attitude", [asdict(row) for row in rows])
+    table = [asdict(row) for row in rows]
+
+    def show() -> None:
+        print_rows("attitude", table)
         click.echo(f"median inclination {median:.2f} deg, asked <= {INCLINATION_BAR_DEG:g}")
-    if median > INCLINATION_BAR_DEG or any(row.missed for row in rows):
-        raise SystemExit(1)
+
+    kept = not (median > INCLINATION_BAR_DEG or any(row.missed for row in rows))
+    judge(kept, {"rows": table, "median_inclination": median}, show, as_json=as_json)
 
 
 @click.command()

@@ -1,6 +1,6 @@
 """How benchmarks print: titles, short heads, figures."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import click
 
@@ -91,12 +91,20 @@ def print_rows(title: str, rows: Rows) -> None:
             click.echo(f"{row[columns[0]]}, mean tick by part [ms]: {row['parts']}")
 
 
-def report(title: str, rows: Rows, *, as_json: bool) -> None:
-    """A table, or the same as JSON."""
+def judge(kept: bool, rows: object, show: Callable[[], None], *, as_json: bool) -> None:
+    """The end of a benchmark that promises something: its ``rows`` as JSON, or what ``show`` prints; exit code 1 unless
+    the promise was ``kept``."""
     if as_json:
         emit_json(rows)
     else:
-        print_rows(title, rows)
+        show()
+    if not kept:
+        raise SystemExit(1)
+
+
+def judge_rows(kept: bool, title: str, rows: Rows, *, as_json: bool) -> None:
+    """As :func:`judge`, of a benchmark whose table has all that there is to show."""
+    judge(kept, rows, lambda: print_rows(title, rows), as_json=as_json)
 
 
 def tell(line: str) -> None:
