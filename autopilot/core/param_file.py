@@ -104,6 +104,21 @@ def write_param_file(path: Path, values: Mapping[str, float], *, sysid: int = 1)
         raise ConfigError(f"{path}: cannot be written ({error.strerror}); check folder and rights") from error
 
 
+def kept_params(
+    folder: Path, params: ParamSet, overrides: Mapping[str, float], desk: Desk | None
+) -> tuple["PersistentParams", tuple[str, ...]]:
+    """``params``, which have the defaults of vehicle and place, with what earlier runs have kept in ``folder`` and the
+    ``overrides`` of the command line; the result is where they are kept from now on and what is wrong with the file.
+
+    Without the ``desk`` of the disk they are only looked at: nothing is cleaned up, nothing set aside.
+    """
+    persistent = PersistentParams(folder / "parameters.params", params, desk)
+    warnings = persistent.load(mend=desk is not None)
+    for name, value in overrides.items():
+        params.set(name, value)
+    return persistent, warnings
+
+
 class PersistentParams:
     """Keeps on disk what operators set at run time, and nothing else (not defaults, not command-line values).
 

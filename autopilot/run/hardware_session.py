@@ -16,24 +16,21 @@ from autopilot.core.marker_files import load_marker_map
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import Outputs
 from autopilot.core.origin_params import params_origin
-from autopilot.core.param_file import PersistentParams
+from autopilot.core.param_file import PersistentParams, kept_params
 from autopilot.core.params import ParamSet
+from autopilot.run.assembly import Told, onlooker, service_setup
 from autopilot.run.boot_links import BootLinks, open_boot_links
 from autopilot.run.compose import ServiceSetup, build_service
 from autopilot.run.config import Settings, chosen_part, system_id
 from autopilot.run.describe import describe_service
-from autopilot.run.downloads import log_shelf
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.kept_plans import KeptPlans
-from autopilot.run.outside import Onlooker, Onlookers
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.service_record import service_attachments
 from autopilot.run.session import (
-    FASTEST,
     Kept,
     Outside,
     Session,
-    link_rates,
     loop_round,
     marker_vision,
     opened,
@@ -64,10 +61,7 @@ def vehicle_params(
     """Defaults < the file's < saved by earlier runs < command line; as in SITL (:mod:`autopilot.run.sitl_params`)."""
     params = ParamSet()
     apply_parameters(config, params)
-    persistent = PersistentParams(state_folder(settings, config, instance) / "parameters.params", params, disk)
-    warnings = persistent.load(mend=disk is not None)
-    for name, value in overrides.items():
-        params.set(name, value)
+    persistent, warnings = kept_params(state_folder(settings, config, instance), params, overrides, disk)
     return params, persistent, warnings
 
 
@@ -99,7 +93,16 @@ def open_vehicle(
     markers = None if config.markers is None else load_marker_map(config.markers)
     signing = SigningFiles(state_folder(settings, config, instance), disk)
     warnings += signing.warnings
-    setup = _setup(settings, config, params, markers, persistent, signing, instance=instance, speed=speed)
+    setup = service_setup(
+        settings,
+        _told(config, params, markers),
+        params,
+        instance=instance,
+        links=len(settings["connect"]),
+        speed=speed,
+        saving=persistent,
+        signing=signing,
+    )
     service, parts = build_service(setup)
     place = state_folder(settings, config, instance) / "plans.json"
     plans = KeptPlans(place, parts.plans, parts.commander, disk, parts.witness)
@@ -109,6 +112,7 @@ def open_vehicle(
     parts.equipment.leave_out(device.unwired)
     with opened(device, settings["connect"], links) as open_links:
         recorder = _recorder(settings, config, setup, parts, markers, lockstep=speed == 0.0)
+    watched = WatchedService(parts, lambda: describe_service(parts, config.file.place.name))
     outside = Outside(
         device=device,
         vision=marker_vision(config.vehicle, markers, paced=speed > 0.0),
@@ -121,7 +125,9 @@ def open_vehicle(
         notices=device.take_notices,
         refusals=device.refusals,
         skips=speed > 0.0,
-        onlooker=_onlooker(view, foxglove, config, parts),
+        onlooker=onlooker(
+            view, foxglove, watched, config.vehicle, ReadOnly(), simulated=False, pictures=config.has_camera
+        ),
     )
     kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
     return Session(
@@ -137,54 +143,17 @@ def open_vehicle(
     )
 
 
-def _onlooker(
-    view: Hub | None, foxglove: FoxgloveServer | None, config: VehicleConfig, parts: Parts
-) -> Onlooker | None:
-    """The loop's ends of the live view and of other viewers, which have no say."""
-    watched = WatchedService(parts, lambda: describe_service(parts, config.file.place.name))
-    found: list[Onlooker] = []
-    if view is not None:
-        found.append(view.attach(watched, config.vehicle, ReadOnly(), simulated=False, pictures=config.has_camera))
-    if foxglove is not None:
-        found.append(foxglove.attach(watched.describe, watched.revision))
-    return Onlookers(*found) if found else None
-
-
-def _setup(
-    settings: Settings,
-    config: VehicleConfig,
-    params: ParamSet,
-    markers: MarkerMap | None,
-    saving: PersistentParams,
-    signing: SigningFiles,
-    *,
-    instance: int,
-    speed: float,
-) -> ServiceSetup:
-    """What the service for that vehicle and place is made of."""
-    controller, controller_by = chosen_part(settings, "controller", "nmpc")
-    estimator, estimator_by = chosen_part(settings, "estimator", "ekf")
-    return ServiceSetup(
+def _told(config: VehicleConfig, params: ParamSet, markers: MarkerMap | None) -> Told:
+    """What the service is told of that vehicle and place."""
+    return Told(
         vehicle=config.vehicle,
-        params=params,
         origin=params_origin(params),
         markers=markers,
         floor_depth_m=config.file.place.floor_depth_m,
-        estimator=estimator,
-        estimator_asked_by=estimator_by,
-        controller=controller,
-        controller_asked_by=controller_by,
-        profile=settings["profile"],
-        instance=instance,
         currents=_currents(config),
-        links=len(settings["connect"]),
-        patience=FASTEST if speed == 0.0 else max(1.0, speed),
-        waits_for_plans=speed == 0.0,
         pictures=config.has_camera,
-        saving=saving,
-        signing=signing,
-        shelf=log_shelf(settings, patient=speed == 0.0),
-        rates=link_rates(settings["connect"]),
+        controller="nmpc",
+        estimator="ekf",
     )
 
 

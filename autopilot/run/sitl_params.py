@@ -4,7 +4,7 @@ from pathlib import Path
 
 from autopilot.core.desk import Desk
 from autopilot.core.origin_params import set_origin_deg
-from autopilot.core.param_file import PersistentParams
+from autopilot.core.param_file import PersistentParams, kept_params
 from autopilot.core.params import ParamSet
 from autopilot.run.boot_links import BootLinks, open_boot_links
 from autopilot.run.config import Settings, system_id
@@ -35,10 +35,7 @@ def sitl_params(
             params.set(bound, value)
     for name, value in scenario.params.items():
         params.set(name, value)
-    persistent = PersistentParams(state_folder(settings, instance) / "parameters.params", params, disk)
-    warnings = persistent.load(mend=disk is not None)
-    for name, value in overrides.items():
-        params.set(name, value)
+    persistent, warnings = kept_params(state_folder(settings, instance), params, overrides, disk)
     return params, persistent, warnings
 
 

@@ -13,24 +13,21 @@ from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
 from autopilot.core.lane import DaemonLane
 from autopilot.core.messages import Outputs, ThrusterCommand
-from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.log.description import RunDescription
+from autopilot.run.assembly import Told, onlooker, service_setup
 from autopilot.run.clocks import make_clock
 from autopilot.run.compose import ServiceSetup, build_service
-from autopilot.run.config import Settings, chosen_part, system_id
-from autopilot.run.downloads import log_shelf
+from autopilot.run.config import Settings, system_id
 from autopilot.run.kept_plans import KeptPlans
-from autopilot.run.outside import Onlooker, Onlookers, Peer
+from autopilot.run.outside import Peer
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.service_record import service_attachments
 from autopilot.run.session import (
-    FASTEST,
     Kept,
     Outside,
     Session,
-    link_rates,
     loop_round,
     marker_vision,
     opened,
@@ -141,10 +138,18 @@ def open_sitl(
     world = make_world(settings, scenario, params)
     operator = ScriptedOperator(system_id(params, instance), scenario.fault) if settings["start"] else None
     all_peers = (*peers, operator) if operator is not None else tuple(peers)
-    links_count = len(settings["connect"]) + len(all_peers)
     signing = SigningFiles(state_folder(settings, instance), disk, now_s=now_s)
     warnings += signing.warnings
-    setup = _setup(settings, world, params, instance, links=links_count, saving=persistent, signing=signing)
+    setup = service_setup(
+        settings,
+        _told(settings, world),
+        params,
+        instance=instance,
+        links=len(settings["connect"]) + len(all_peers),
+        speed=world.speed,
+        saving=persistent,
+        signing=signing,
+    )
     service, parts = build_service(setup)
     plan, plans = _plan(settings, scenario), _kept_plans(settings, parts, instance, disk)
     warnings += take_plans(
@@ -155,6 +160,7 @@ def open_sitl(
         recorder = _recorder(settings, world, setup, parts, device) if log else NullRecorder()
     clock = make_clock(world.speed)
     steering = None if view is None else Steering(scenario, world.simulated, clock)
+    watched = WatchedSitl(parts, lambda: _described(world, parts), world.simulated)
     outside = Outside(
         device=device,
         vision=marker_vision(world.vehicle, world.markers, paced=world.speed > 0.0),
@@ -165,7 +171,16 @@ def open_sitl(
         clock=clock,
         stills=StillStore(recorder, disk, Path(settings["log_dir"])) if world.simulated.pictured else None,
         mishaps=MachineFaults(scenario.fault).put_into,
-        onlooker=_onlooker(view, foxglove, world, parts, steering),
+        onlooker=onlooker(
+            view,
+            foxglove,
+            watched,
+            world.vehicle,
+            steering,
+            simulated=True,
+            pictures=world.simulated.pictured,
+            truth=lambda: world.simulated.truth,
+        ),
         hold=(lambda _: False) if steering is None else steering.hold,
         notices=(lambda: ()) if steering is None else steering.take_notices,
     )
@@ -190,62 +205,24 @@ def open_sitl(
     )
 
 
-def _onlooker(
-    view: Hub | None, foxglove: FoxgloveServer | None, world: World, parts: Parts, steering: Steering | None
-) -> Onlooker | None:
-    """The loop's connections to the live view and to other viewers."""
-    if view is None and foxglove is None:
-        return None
-
-    def describe() -> RunDescription:
-        return describe_run(world.scenario, parts, seed=world.seed, speed=world.speed, origins=world.parts)
-
-    watched = WatchedSitl(parts, describe, world.simulated)
-    found: list[Onlooker] = []
-    if view is not None and steering is not None:
-        pictured = world.simulated.pictured
-        found.append(view.attach(watched, world.vehicle, steering, simulated=True, pictures=pictured))
-    if foxglove is not None:
-        found.append(foxglove.attach(describe, watched.revision, lambda: world.simulated.truth))
-    return found[0] if len(found) == 1 else Onlookers(*found)
-
-
-def _setup(
-    settings: Settings,
-    world: World,
-    params: ParamSet,
-    instance: int,
-    *,
-    links: int,
-    saving: ParamSaving,
-    signing: SigningFiles,
-) -> ServiceSetup:
-    """What the service for that world is made of: marker map, floor depth and origin, and nothing of the truth."""
-    controller, controller_by = chosen_part(settings, "controller", world.scenario.plugins.controller)
-    estimator, estimator_by = chosen_part(settings, "estimator", world.scenario.plugins.estimator)
-    return ServiceSetup(
+def _told(settings: Settings, world: World) -> Told:
+    """What the service is told of that world: marker map, floor depth and origin, and nothing of the truth."""
+    return Told(
         vehicle=world.vehicle,
-        params=params,
         origin=world.origin,
         markers=world.markers,
         floor_depth_m=told_floor_m(world.scenario),
-        estimator=estimator,
-        estimator_asked_by=estimator_by,
-        controller=controller,
-        controller_asked_by=controller_by,
-        profile=settings["profile"],
-        instance=instance,
         currents=forecast(settings, world),
         water=None if world.water is None else MapCheck(world.water, world.origin),
-        links=links,
-        patience=FASTEST if world.speed == 0.0 else max(1.0, world.speed),
-        waits_for_plans=world.speed == 0.0,
         pictures=world.simulated.pictured,
-        saving=saving,
-        signing=signing,
-        shelf=log_shelf(settings, patient=world.speed == 0.0),
-        rates=link_rates(settings["connect"]),
+        controller=world.scenario.plugins.controller,
+        estimator=world.scenario.plugins.estimator,
     )
+
+
+def _described(world: World, parts: Parts) -> RunDescription:
+    """The run as things stand now."""
+    return describe_run(world.scenario, parts, seed=world.seed, speed=world.speed, origins=world.parts)
 
 
 def _plan(settings: Settings, scenario: Scenario) -> Path | None:
@@ -276,7 +253,7 @@ def _recorder(
     contents = LogContents(
         settings,
         parts,
-        lambda: describe_run(scenario, parts, seed=world.seed, speed=world.speed, origins=world.parts),
+        lambda: _described(world, parts),
         estimator=world.parts["estimator"].name,
         markers=world.markers,
         floor_depth_m=told_floor_m(scenario),
