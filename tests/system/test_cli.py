@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from plan_text import PILLARS, WORKSPACE, pillar, waypoint
 from pymavlink.dialects.v20 import development as mav
 from system_harness import PAPER_PLAN, ROOT, OpenSession, RunningService, free_port
 from wire_client import Harbour, WireClient
@@ -233,12 +234,7 @@ def test_bad_plan_file(autopilot: Command, tmp_path: Path, name: str) -> None:
 def test_plan_with_a_waypoint_in_an_obstacle(autopilot: Command, tmp_path: Path) -> None:
     """As a preloaded plan it is on board and warned of, and never started; `mission check` lists what is wrong."""
     file = tmp_path / "bad.toml"
-    file.write_text(
-        "[origin]\nlat_deg = 37.9755\nlon_deg = 23.7790\n"
-        "[[waypoint]]\nx_m = 0.9\ny_m = 0.0\ndepth_m = 0.4\n"
-        "[[fence.polygon]]\npoints_m = [[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]]\ninclusion = true\n"
-        "[[fence.circle]]\nx_m = 0.9375\ny_m = 0.0\nradius_m = 0.16\n"
-    )
+    file.write_text(WORKSPACE + pillar(*PILLARS[1]) + waypoint(0.9, 0.0, 0.4))
     named = (str(file), "item 0", "inside", "move it 0.43 m")
     loaded = _sitl(autopilot, "paper-tank", "--plan", str(file))
     assert loaded.code == 0

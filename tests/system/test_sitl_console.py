@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plan_text import PILLARS, WORKSPACE, pillar, waypoint
 from system_harness import ROOT
 
 from autopilot.core.geometry import Circle, Fence, Polygon
@@ -16,25 +17,7 @@ from autopilot.run.sitl_console import unknown_obstacles
 from sitl.scenario import load_scenario
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
-PLAN = """
-[origin]
-lat_deg = 37.9755
-lon_deg = 23.7790
-
-[[waypoint]]
-x_m = -1.6
-y_m = 0.3
-depth_m = 0.45
-
-[[fence.polygon]]
-points_m = [[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]]
-inclusion = true
-
-[[fence.circle]]
-x_m = -0.625
-y_m = -0.625
-radius_m = 0.16
-"""
+PLAN = WORKSPACE + pillar(*PILLARS[0]) + waypoint(-1.6, 0.3, 0.45)
 """One waypoint beside the start; one of the two cylinders is in the fence."""
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from plan_text import PILLARS, WORKSPACE, pillar, waypoint
 
 from autopilot.core.messages import Severity
 from autopilot.run.config import gather, sitl_defaults
@@ -16,23 +17,7 @@ BODY_M = 0.3
 """Radius of a vehicle."""
 WAYS = (((-1.8, 0.85, 0.45), (1.8, -0.3, 0.45)), ((1.8, 0.85, 0.45), (-1.8, -0.3, 0.45)))
 """Start and goal of both: the straight ways cross in the middle of the tank, where both would be at the same time."""
-HEAD = """
-[origin]
-lat_deg = 37.9755
-lon_deg = 23.7790
-alt_m = 0.0
-[[fence.polygon]]
-points_m = [[-2.5, -1.5], [2.5, -1.5], [2.5, 1.5], [-2.5, 1.5]]
-inclusion = true
-[[fence.circle]]
-x_m = -0.625
-y_m = -0.625
-radius_m = 0.16
-[[fence.circle]]
-x_m = 0.9375
-y_m = 0.0
-radius_m = 0.16
-"""
+HEAD = WORKSPACE + "".join(pillar(*place) for place in PILLARS)
 
 
 class Water:
@@ -62,10 +47,7 @@ def vehicle(folder: Path, instance: int, water: Water) -> SitlSession:
         if not line.startswith(("plan", "held"))
     ]
     (folder / "tank.toml").write_text("\n".join(lines), encoding="utf-8")
-    x, y, z = goal
-    (folder / "m.toml").write_text(
-        HEAD + f"[[waypoint]]\nx_m = {x}\ny_m = {y}\ndepth_m = {z}\naccept_m = 0.3\n", encoding="utf-8"
-    )
+    (folder / "m.toml").write_text(HEAD + waypoint(*goal, accept_m=0.3), encoding="utf-8")
     given = {
         "scenario": str(folder / "tank.toml"),
         "plan": str(folder / "m.toml"),
