@@ -30,7 +30,9 @@ NO_CAMERA = Camera(
 
 LATE_S = 0.005
 LATE_SHARE = 0.1
-"""Stamps are called late from here on, when it is known to this share of it."""
+"""Stamps are called late from here on, when it is known to this share of it,"""
+LATE_STILL_S = 0.0025
+"""and until what is known of them comes down to this."""
 FOCAL_SHARE, FOCAL_NAMED = 0.003, 0.01
 FOCAL_SIGMAS, FOCAL_LOOKS = 6.0, 10
 """A focal length is corrected from the first share on, when it is so sure and after so many looks, and named from the
@@ -135,12 +137,8 @@ class CameraWatch:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the calibration is wrong."""
-        return self._late or self._focal_told
-
-    @property
-    def _late(self) -> bool:
-        return abs(self.stamps.late_s) >= LATE_S
+        """Whether the calibration is wrong, as the operator has been told."""
+        return self._focal_told or (self._late_told and abs(self.stamps.late_s) >= LATE_STILL_S)
 
     def take_texts(self) -> tuple[str, ...]:
         """What is new, for the operator."""
@@ -151,7 +149,8 @@ class CameraWatch:
         """Whether stamps have been found to be late, or late by another time than was known."""
         changed = self.stamps.look()
         late_s = self.stamps.late_s
-        if self._late and not self._late_told and self.stamps.sigma_s < LATE_SHARE * max(abs(late_s), 2.0 * LATE_S):
+        sure = 0.0 < self.stamps.sigma_s < LATE_SHARE * max(abs(late_s), 2.0 * LATE_S)
+        if abs(late_s) >= LATE_S and sure and not self._late_told:
             self._late_told = True
             what = "late" if late_s > 0.0 else "early"
             self._texts.append(f"Picture stamps {1e3 * abs(late_s):.0f} ms {what}: calibrate latency")

@@ -51,6 +51,16 @@ def test_late_stamps_are_found_and_put_right(make_ekf: Make, floor: MarkerMap, l
     assert nees(after, slice(0, 2)) < 4.0
 
 
+@pytest.mark.parametrize("late_ms", [2.5, 9.5, -7.0, -8.5])
+def test_a_calibration_in_doubt_is_named(make_ekf: Make, floor: MarkerMap, late_ms: float) -> None:
+    """Stamps about as late as is worth telling: what is found is not sure at once, and may never be."""
+    estimator, told = make_ekf(markers=floor), False
+    for truth, samples, command in LaidWorld(floor, 31, stamped_late_us=round(1e3 * late_ms)).run(5.0):
+        nav = estimator.step(truth.t_us, samples, command)
+        told |= bool(estimator.take_remarks())
+        assert nav is None or told is (NavDoubt.CALIBRATION in nav.doubts)
+
+
 def test_stamps_from_the_future_are_late(make_ekf: Make, floor: MarkerMap) -> None:
     """The driver adds what it should take off: pictures arrive before their stamps."""
     estimator = make_ekf(markers=floor)
