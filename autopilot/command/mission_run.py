@@ -87,9 +87,14 @@ class MissionRun:
         """One tick while the mission is flown."""
         out = self.sequencer.step(t_us, nav)
         self._untold += out.reached
-        if t_us - self._told_reached_us >= REACHED_US or out.progress.state is ProgressState.COMPLETE:
+        if out.progress.state is ProgressState.COMPLETE:
             self._tell_reached(t_us)
         return out
+
+    def tell(self, t_us: int) -> None:
+        """What has been reached, as often as that is told; also when the mission is flown no more."""
+        if self._untold and t_us - self._told_reached_us >= REACHED_US:
+            self._tell_reached(t_us)
 
     def _tell_reached(self, t_us: int) -> None:
         """What has been reached since the last text."""

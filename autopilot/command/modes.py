@@ -225,6 +225,7 @@ class Modes:
         """Goal of this tick, and the mission items that have been reached on it."""
         nav = self.nav
         self._watch_position()
+        self._mission.tell(conditions.t_us)
         if not self.armed or self.yielded or nav is None:
             return None, ()
         reached: tuple[int, ...] = ()

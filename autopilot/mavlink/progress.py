@@ -17,6 +17,11 @@ NO_MISSION_TOTAL = 0xFFFF
 MOVES_US = 100_000
 """A change of the current item alone is told so often at most."""
 
+REACHED_AT_ONCE = 20
+REACHED_EVERY_US = 100_000
+"""So many items in a row are told one by one however fast they are reached, and one more for each such time. Of what is
+beyond that the newest is told as soon as it may be: who has reached it has reached those before it."""
+
 _MODE_ACTIVE, _MODE_SUSPENDED = 1, 2
 """MISSION_CURRENT.mission_mode."""
 
@@ -30,6 +35,10 @@ class Progress:
         self._shown: tuple[int, ProgressState, bool, int] | None = None
         self._chosen_us: int | None = None
         self._told_us = 0
+        self._reached: int | None = None
+        """Number on the wire of an item that has been reached and not been told of."""
+        self._spent_us = 0
+        """Time by which all that was told of reached items has had its share."""
 
     def mission_current(self) -> Message:
         """MISSION_CURRENT."""
@@ -76,9 +85,7 @@ class Progress:
     def tick(self, reached: Sequence[int]) -> None:
         """Tell every link what has been reached, and what has changed."""
         ctx = self._ctx
-        by = home_item.shift(ctx, PlanKind.MISSION)
-        for seq in reached:
-            ctx.broadcast(mav.MAVLink_mission_item_reached_message(max(seq, 0) + by))
+        self._tell_reached(reached)
         progress = ctx.view.progress
         shown = (
             -1 if progress is None else progress.current_seq,
@@ -98,3 +105,17 @@ class Progress:
             self._shown, self._told_us = shown, ctx.t_us
             self._missions.current_wire_seq = self.wire_seq
             ctx.broadcast(self.mission_current())
+
+    def _tell_reached(self, reached: Sequence[int]) -> None:
+        """MISSION_ITEM_REACHED; waypoints close together are passed a hundred times a second."""
+        ctx, by = self._ctx, home_item.shift(self._ctx, PlanKind.MISSION)
+        untold = [max(seq, 0) + by for seq in reached]
+        if not untold and self._reached is not None:
+            untold = [self._reached]
+        for number in untold:
+            self._spent_us = max(self._spent_us, ctx.t_us)
+            late = self._spent_us - ctx.t_us > (REACHED_AT_ONCE - 1) * REACHED_EVERY_US
+            self._reached = number if late else None
+            if not late:
+                self._spent_us += REACHED_EVERY_US
+                ctx.broadcast(mav.MAVLink_mission_item_reached_message(number))

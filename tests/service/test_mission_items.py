@@ -143,10 +143,30 @@ def test_waypoints_close_together_do_not_flood_the_operator() -> None:
     world = afloat()
     items = [waypoint(k, -1.2 + 1e-4 * k, 0.6) for k in range(60)]
     world.fly([*items, plain(60, 177, 0.0, -1.0)], 10.0)
-    assert len(world.reached) > 900
+    assert 90 < len(world.reached) <= 121, "20 at once, and ten a second"
     said = [m.text for m in world.heard if m.get_type() == "STATUSTEXT"]
     assert len(said) <= 13 and any("Reached 1" in text and "items, the last is" in text for text in said)
     assert len([m for m in world.heard if m.get_type() == "MISSION_CURRENT"]) <= 115
+
+
+def test_of_many_that_are_reached_at_once_the_last_is_told() -> None:
+    world = afloat()
+    world.fly([waypoint(k, -1.2 + 1e-4 * k, 0.6) for k in range(400)], 6.0)
+    reached = world.reached
+    assert reached[:15] == list(range(reached[0], reached[0] + 15)), "one by one at first"
+    assert reached[-1] == 399 and reached == sorted(set(reached)) and len(reached) <= 20 + 42
+    said = [m.text for m in world.heard if m.get_type() == "STATUSTEXT"]
+    assert "the last is 399" in said[-2] and "Mission complete" in said[-1]
+
+
+def test_what_was_reached_is_told_although_the_mission_is_paused_meanwhile() -> None:
+    world = afloat()
+    world.fly([waypoint(0, -1.2, 0.6), waypoint(1, -1.2, 0.6), waypoint(2, 1.5, 0.6)], 0.5)
+    assert world.command(193, 0.0) == 0
+    texts = world.texts()
+    world.heard.clear()
+    world.run(2.0)
+    assert "Reached item 1" in texts + world.texts()
 
 
 def test_jumps_with_nothing_between_end() -> None:
