@@ -21,7 +21,7 @@ class Context {
   moveTo(x, y) { this.points.push(`M${this.number(x, y)}`); }
   lineTo(x, y) { this.points.push(`L${this.number(x, y)}`); }
   closePath() { this.points.push("Z"); }
-  arc(x, y, r) { this.points.push(`M${this.number(x - r, y)}a${this.number(r, r)} 0 1 0 ${this.number(2 * r, 0)}a${this.number(r, r)} 0 1 0 ${this.number(-2 * r, 0)}`); }
+  arc(x, y, r) { this.points.push(`M${this.number(x - r, y)}a${this.number(r, r)} 0 1 1 ${this.number(2 * r, 0)}a${this.number(r, r)} 0 1 1 ${this.number(-2 * r, 0)}`); }
   fill() { this.out.push(`<path d="${this.points.join("")}" fill="${this.fillStyle}"/>`); }
   setLineDash(dash) { this.dash = dash; }
   stroke() { this.out.push(`<path d="${this.points.join("")}" fill="none" stroke="${this.strokeStyle}" stroke-width="${this.number(this.lineWidth)}" stroke-dasharray="${this.dash.join(" ")}"/>`); }

@@ -108,16 +108,22 @@ function hull(place, yaw, radius) {
   return [corner(1, 0), corner(0.35, 0.62), corner(-0.85, 0.62), corner(-0.85, -0.62), corner(0.35, -0.62)];
 }
 
-function tubeOutline(points, radii) {
-  const left = [], right = [];
-  points.forEach((point, index) => {
-    const before = points[Math.max(index - 1, 0)], after = points[Math.min(index + 1, points.length - 1)];
-    const dn = after[0] - before[0], de = after[1] - before[1], length = Math.hypot(dn, de) || 1;
-    const [n, e] = [(-de / length) * radii[index], (dn / length) * radii[index]];
-    left.push([point[0] + n, point[1] + e]);
-    right.unshift([point[0] - n, point[1] - e]);
+// Everything within its radius of a way, as one shape: circles and what lies between them, all turned the same way.
+function fillTube(ctx, points, radii, color) {
+  ctx.beginPath();
+  points.forEach(([x, y], index) => {
+    const r = radii[index];
+    ctx.moveTo(x + r, y);
+    ctx.arc(x, y, r, 0, 2 * Math.PI);
+    if (!index) return;
+    const [x0, y0] = points[index - 1], r0 = radii[index - 1], length = Math.hypot(x - x0, y - y0) || 1;
+    const [u, v] = [(y - y0) / length, (x0 - x) / length];
+    ctx.moveTo(x0 + r0 * u, y0 + r0 * v);
+    for (const [px, py] of [[x + r * u, y + r * v], [x - r * u, y - r * v], [x0 - r0 * u, y0 - r0 * v]]) ctx.lineTo(px, py);
+    ctx.closePath();
   });
-  return [...left, ...right];
+  ctx.fillStyle = color;
+  ctx.fill();
 }
 
 function scaleBar(ctx, width, height, view, colors) {
@@ -181,7 +187,7 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
   if (control) {
     stroke(ctx, many(control.route_ned_m), colors.route, 1.5, false, [2, 3]);
     if (control.tube_m.length) {
-      fill(ctx, many(tubeOutline(control.horizon_ned_m, control.tube_m)), colors.tube);
+      fillTube(ctx, many(control.horizon_ned_m), control.tube_m.map((r) => r * scale), colors.tube);
     }
     stroke(ctx, many(control.horizon_ned_m), colors.horizon, 2);
     for (const point of many(control.horizon_ned_m)) circle(ctx, point, 1.6, colors.horizon, 1, true);
@@ -244,7 +250,7 @@ export function drawSide(ctx, width, height, { scene, frame, trail }, colors) {
   stroke(ctx, trail.map(at), colors.trail, 1.2);
   if (frame.control) {
     const ahead = frame.control.horizon_ned_m.map(at);
-    if (frame.control.tube_m.length) fill(ctx, tubeOutline(ahead, frame.control.tube_m.map((r) => r * scale)), colors.tube);
+    if (frame.control.tube_m.length) fillTube(ctx, ahead, frame.control.tube_m.map((r) => r * scale), colors.tube);
     stroke(ctx, ahead, colors.horizon, 2);
   }
   const { pos_ned_m: place, rpy_rad: rpy } = frame.estimate, r = scene.body_radius_m, h = scene.half_height_m;
