@@ -3,10 +3,9 @@
 import json
 import math
 import random
-import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 from mavlink_harness import World
+from mavsdk.plugins.action import Action, ActionError
+from mavsdk.plugins.component_metadata import ComponentMetadata, MetadataType
+from mavsdk.plugins.ftp import Ftp, FtpError
+from mavsdk.plugins.log_files import LogFiles
+from mavsdk.plugins.mission_raw import MissionItem, MissionRaw, MissionRawError
+from mavsdk.plugins.param import Param, ParamError
+from mavsdk.plugins.telemetry import Telemetry
+from mavsdk_link import found
 
 from autopilot.core.desk import Desk
 from autopilot.core.geodesy import Place
@@ -23,75 +30,29 @@ from autopilot.log.shelf import LogShelf
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode
 from autopilot.mavlink.stubs import stubs_of
 
-mavsdk = pytest.importorskip("mavsdk")
-
-from mavsdk.plugins.action import Action, ActionError  # noqa: E402
-from mavsdk.plugins.component_metadata import ComponentMetadata, MetadataType  # noqa: E402
-from mavsdk.plugins.ftp import Ftp, FtpError  # noqa: E402
-from mavsdk.plugins.log_files import LogFiles  # noqa: E402
-from mavsdk.plugins.mission_raw import MissionItem, MissionRaw, MissionRawError  # noqa: E402
-from mavsdk.plugins.param import Param, ParamError  # noqa: E402
-from mavsdk.plugins.telemetry import Telemetry  # noqa: E402
-
 NAN = math.nan
-
-
-class Loop(threading.Thread):
-    """Steps the server at 100 Hz between a socket and MAVSDK."""
-
-    def __init__(self, world: World, port: int) -> None:
-        super().__init__(daemon=True)
-        self.world, self.address = world, ("127.0.0.1", port)
-        self.lock = threading.Lock()
-        self._end = threading.Event()
-
-    def run(self) -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-            sock.setblocking(False)
-            start = time.monotonic()
-            while not self._end.wait(0.01):
-                frames = []
-                while True:
-                    try:
-                        frames.append(MavlinkFrame(link=0, data=sock.recv(4096)))
-                    except (BlockingIOError, ConnectionRefusedError):
-                        break
-                with self.lock:
-                    t_us = int((time.monotonic() - start) * 1e6)
-                    for frame in self.world.server.step(t_us, frames, self.world.view):
-                        sock.sendto(frame.data, self.address)
-
-    def end(self) -> None:
-        self._end.set()
-        self.join()
 
 
 @pytest.fixture(name="link", params=["px4", "generic"])
 def link_fixture(request: pytest.FixtureRequest) -> Iterator[tuple[World, Any]]:
-    with vehicle(request.param) as found:
-        yield found
+    with vehicle(request.param) as both:
+        yield both
 
 
 @contextmanager
 def vehicle(profile: str, shelf: LogShelf | None = None) -> Iterator[tuple[World, Any]]:
     """One vehicle as MAVSDK finds it."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
     world = World(profile, shelf=shelf)
     world.show(armed=False, mode=FlightMode.HOLD, intended_mode=FlightMode.HOLD)
-    loop = Loop(world, port)
-    mavsdk.log_subscribe(lambda *args: True)
-    configuration = mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.GROUND_STATION)
-    with mavsdk.Mavsdk(configuration) as sdk:
-        sdk.add_any_connection(f"udpin://127.0.0.1:{port}")
-        loop.start()
-        try:
-            system = sdk.first_autopilot(600.0)
-            assert system is not None, "MAVSDK did not find the vehicle"
-            yield world, system
-        finally:
-            loop.end()
+    start_s = time.monotonic()
+
+    def step(received: Sequence[bytes]) -> list[bytes]:
+        t_us = int((time.monotonic() - start_s) * 1e6)
+        frames = [MavlinkFrame(link=0, data=data) for data in received]
+        return [frame.data for frame in world.server.step(t_us, frames, world.view)]
+
+    with found(step) as (system, _):
+        yield world, system
 
 
 def progress_at(seq: int) -> MissionProgress:
