@@ -50,7 +50,8 @@ def fuzz(short: bool, messages: int | None, seed: int, as_json: bool) -> None:
     On the simulated vehicle: messages per second, exceptions and broken rules, growth of memory (half an hour, one
     minute with --short; exit code 1 if any is found).
     """
-    from autopilot.bench.fuzz.run import Result, run_fuzz
+    from autopilot.bench.fuzz.result import Result
+    from autopilot.bench.fuzz.run import run_fuzz
 
     shown = 0
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from held import tables
 
+from autopilot.bench.fuzz.fuzzer import Fuzzer
 from autopilot.bench.fuzz.messages import Sender, Traffic
-from autopilot.bench.fuzz.run import Fuzzer
 from autopilot.core.lane import DaemonLane
 from autopilot.core.messages import MavlinkFrame
 from autopilot.run.allocator import LARGE_BYTES
