@@ -1,6 +1,7 @@
 """Energy per metre, energy-to-go and the ways that it offers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from autopilot.control.fence.obstacles import Features
 from autopilot.control.water.currents import EstimatedCurrent
 from autopilot.core.free_space import Area, FreeSpace
 from autopilot.core.geometry import Circle, Fence, Polygon
+from autopilot.core.model4 import steady_force
 from tests.control.control_loop import MODEL, TANK, VEHICLE, nav_state
 
 POWER = PowerModel.of(VEHICLE)
@@ -41,6 +43,15 @@ def test_energy_per_metre_is_the_least_over_all_speeds(along: float, across: flo
     found = float(energy_per_metre(TABLE, np.array([along]), np.array([across]))[0])
     if least < 1000.0:
         assert found == pytest.approx(least, rel=0.01)
+
+
+def test_what_holds_the_depth_costs_what_the_side_that_it_pushes_to_costs() -> None:
+    dear = replace(POWER, reverse_w_n15=tuple(3.0 * c for c in POWER.thrust_w_n15))
+    table = speed_table(MODEL, dear, 0.6, count=3)
+    for speed, power_w in zip(table.speed_m_s, table.power_w, strict=True):
+        thrust = np.linalg.solve(MODEL.allocation, np.array(steady_force(MODEL, (speed, 0.0, 0.0, 0.0), np)))
+        watt = dear.thrust_w(thrust)[np.abs(thrust) > 1e-6]
+        assert power_w == pytest.approx(12.0 + watt.sum(), rel=1e-3)
 
 
 @pytest.mark.parametrize(("north", "east"), [(0.0, 0.0), (0.15, 0.0), (-0.15, 0.0), (0.0, 0.15), (0.1, 0.2)])

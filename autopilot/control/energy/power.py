@@ -86,7 +86,7 @@ def speed_table(
     speed = np.linspace(0.0, top_m_s, count)
     force = np.zeros((count, AXES))
     force[:, 0] = (model.linear_drag[0] + model.quadratic_drag[0] * speed) * speed
-    force[:, 2] = -model.buoyancy_excess_n
+    force[:, 2] = model.buoyancy_excess_n
     thrust = Sharing(model, power.thrust_w_n15).thrust_n(force, np.full(model.thrusters, np.inf))
     watts = power.thrust_w(thrust)[:, np.abs(thrust).max(axis=0) > IDLE_N]
     return SpeedTable(speed_m_s=speed, power_w=power.hotel_w + watts.sum(axis=1), cruise_m_s=cruise_m_s)
