@@ -216,27 +216,33 @@ def pockets_rows(short: bool) -> Rows:
 @click.command()
 @_SHORT
 @click.option("--recompute", is_flag=True, help="Compute the optima anew first (minutes).")
+@click.option("--case", "cases", multiple=True, help="Only this case: b1, 'b3 up', b4 ...; may be given again.")
 @click.option("--figures", type=click.Path(file_okay=False), help="Write figures into this folder.")
 @_JSON
-def energy(short: bool, recompute: bool, figures: str | None, as_json: bool) -> None:
+def energy(short: bool, recompute: bool, cases: tuple[str, ...], figures: str | None, as_json: bool) -> None:
     """Energy of closed loops beside the offline optimum and rivals.
 
     With known flow, and with an estimated flow and a wrong model; a quarter of an hour, one minute with --short or
     among all benchmarks.
     """
+    from autopilot.bench.energy.cases import CASES
+
+    for case in cases:
+        if case not in CASES:
+            raise click.BadParameter(f"{case!r} is no case; valid: {', '.join(CASES)}", param_hint="--case")
     if recompute:
         from autopilot.bench.energy.record import recompute as compute
         from autopilot.bench.energy.record import save_records
 
         save_records(compute(tell))
-    _only("energy", partial(energy_rows, figures=figures), short=short, as_json=as_json)
+    _only("energy", partial(energy_rows, cases=cases, figures=figures), short=short, as_json=as_json)
 
 
-def energy_rows(short: bool, figures: str | None = None) -> Rows:
+def energy_rows(short: bool, cases: tuple[str, ...] = (), figures: str | None = None) -> Rows:
     """See :func:`energy`."""
     from autopilot.bench.energy.bench import bench_energy
 
-    result = bench_energy(short, tell)
+    result = bench_energy(short, tell, cases)
     if figures is not None:
         from autopilot.bench.energy.figures import draw
 

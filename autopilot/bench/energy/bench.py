@@ -1,7 +1,7 @@
 """``autopilot bench energy``: the controller beside the optimum and beside its rivals."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from autopilot.bench.energy.cases import CASES
@@ -17,6 +17,10 @@ KNOWN, ESTIMATED = (1.05, 1.02), (1.12, 1.06)
 """Bar and goal, flow known and flow estimated."""
 CRUISES_M_S = (0.2, 0.25, 0.3, 0.35)
 """Cruise speeds that the quadratic controller is tried with; the best counts."""
+
+SHORT_CASES = ("b1", "b5")
+RIVAL_CASE = "b1"
+"""What the rivals fly."""
 
 SERVICE_CASES = {"b1": "b1-est", "b2 0.15@60": "b2-est", "b3 up": "b3-est", "b4": "b4-est", "b5": "b5-est"}
 FELT_CASES = ("b3 up", "b4", "b5")
@@ -62,26 +66,28 @@ class EnergyResult:
     flights: list[EnergyFlight]
 
 
-def bench_energy(short: bool = False, progress: Callable[[str], None] = lambda _: None) -> EnergyResult:
-    """Every row; ``short``: B1 with its rivals in one lap, B5."""
+def bench_energy(
+    short: bool = False, progress: Callable[[str], None] = lambda _: None, cases: Sequence[str] = ()
+) -> EnergyResult:
+    """Every row; ``short``: B1 with its rivals in one lap, B5. ``cases``: only theirs."""
     vehicle, records = load_vehicle("lbv150"), load_records()
     rows: list[EnergyRow] = []
     flights: list[EnergyFlight] = []
-    for flight, (bar, goal) in _flights(vehicle, short):
+    for flight, (bar, goal) in _flights(vehicle, short, tuple(cases) or (SHORT_CASES if short else tuple(CASES))):
         flights.append(flight)
         rows.append(against_optimum(flight, bar, goal, records))
         progress(f"{flight.case}, {flight.pilot}: {rows[-1].lap_j:.1f} J, {rows[-1].ratio:.3f} of {rows[-1].against}")
     own = flights[0]
-    for rival in _rivals(vehicle, laps=own.laps):
+    for rival in _rivals(vehicle, laps=own.laps) if own.case == RIVAL_CASE else ():
         flights.append(rival)
         rows.append(_against_rival(own, rival))
         progress(f"{rival.case}, energy / {rival.pilot}: {rows[-1].ratio:.3f}")
     return EnergyResult(rows=rows, flights=flights)
 
 
-def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[EnergyFlight, tuple[float, float]]]:
-    """Flights with bar and goal."""
-    for name in ("b1", "b5") if short else CASES:
+def _flights(vehicle: Vehicle, short: bool, names: Sequence[str]) -> Iterator[tuple[EnergyFlight, tuple[float, float]]]:
+    """Flights of some cases with bar and goal, B1 first."""
+    for name in sorted(names, key=list(CASES).index):
         case = CASES[name]
         pilot = nmpc_pilot(vehicle, case, ENERGY_PARAMS)
         yield fly(case, pilot, "energy, flow known", vehicle, laps=1 if short else 0), KNOWN
@@ -89,12 +95,12 @@ def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[EnergyFlight, tupl
             again = nmpc_pilot(vehicle, case, ENERGY_PARAMS)
             fenced = "energy, flow known, corridor fenced off"
             yield fly(case, again, fenced, vehicle, laps=1 if short else 0, corridor=False), KNOWN
-    for name in () if short else FELT_CASES:
+    for name in () if short else [name for name in FELT_CASES if name in names]:
         case, felt = CASES[name], LearnedCurrent()
         for number, told in enumerate(("energy, flow felt", "energy, flow felt, second flight")):
             pilot = nmpc_pilot(vehicle, case, ENERGY_PARAMS, felt)
             yield fly(case, pilot, told, vehicle, clock_us=number * SECOND_FLIGHT_US), ESTIMATED
-    for name, scenario in {} if short else SERVICE_CASES.items():
+    for name, scenario in () if short else [row for row in SERVICE_CASES.items() if row[0] in names]:
         for currents in ("estimate", "map"):
             for drag in DRAGS:
                 yield fly_service(CASES[name], scenario, drag, currents), ESTIMATED
@@ -102,7 +108,7 @@ def _flights(vehicle: Vehicle, short: bool) -> Iterator[tuple[EnergyFlight, tupl
 
 def _rivals(vehicle: Vehicle, laps: int) -> list[EnergyFlight]:
     """The best of each kind on B1, over as many laps; and the quadratic one at the speed that nobody has tuned."""
-    case = CASES["b1"]
+    case = CASES[RIVAL_CASE]
     quadratic = [
         fly(case, nmpc_pilot(vehicle, case, QUADRATIC_PARAMS), "quadratic", vehicle, cruise_m_s=cruise, laps=laps)
         for cruise in CRUISES_M_S
