@@ -190,3 +190,19 @@ def test_energy_mode_rides_the_jet() -> None:
         assert flight.wall_distance_m() > 0.3
         joules.append(float((12.0 + 1.2 * ((flight.thrust_n**2 + 1e-4) ** 0.75).sum(axis=1)).sum()) * 0.05)
     assert joules[1] < 0.7 * joules[0]
+
+
+def test_a_vehicle_swept_away_from_a_leg_that_was_left_to_the_route_gets_a_plan() -> None:
+    controller, params = MotionController(VEHICLE, cpu_clock=lambda: 0.0), ParamSet({"MPC_COST": 1})
+    stream, open_water = np.array([0.0, -0.15, 0.0]), Fence(depth_max_m=20.0)
+
+    def plans(first: int, from_m: float) -> int:
+        x = np.array([-from_m, 0.0, 0.5, 0.0, 0.0, 0.15, 0.0, 0.0])
+        steps = range(first, first + 40)
+        to = goal(0.0, 0.0, 0.5, None)
+        told = [controller.step(k * 50_000, nav_state(k * 50_000, x, stream), to, open_water, params) for k in steps]
+        return sum(output.plan is not None for output in told)
+
+    assert plans(0, 1.2) == 0
+    assert plans(40, 1.9) == 0
+    assert plans(80, 6.0) > 0

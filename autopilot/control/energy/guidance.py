@@ -34,7 +34,9 @@ OFF_TRACK_M = 0.15
 """A vehicle this far from its trajectory gets a new one."""
 
 LOST_M = 1.0
-"""A vehicle this far from its trajectory does not go back to it: what lies between is not known to be free."""
+"""A vehicle this far from its trajectory does not go back to it: what lies between is not known to be free. One that
+has been swept so much farther from its goal than it was when the rest of a leg was left to the route guidance gets a
+plan again."""
 
 CHANGED_M_S = 0.03
 """Currents along the next seconds that differ by so much (rms) from those of the plan make a new one."""
@@ -134,7 +136,9 @@ class EnergyGuidance:
         self._planner: object = None
         self._track: Track | None = None
         self._next: Track | None = None
-        self._quick = self._by_route_only = False
+        self._quick = False
+        self._left_at_m: float | None = None
+        """How far from its goal the vehicle was when the leg was left to the route guidance, None = it is not."""
         self._first = Kind.QUICK
         self._taken_step = 0
         self._asked_next = False
@@ -249,7 +253,7 @@ class EnergyGuidance:
             else:
                 self._fail(request, answer.error)
         off_m = 0.0 if self._track is None else self._track.advance(elapsed_s, now.x0)
-        self._leave_if_lost(off_m)
+        self._leave_if_lost(now, off_m)
         if self._ticket is None:
             self._ask_if_needed(now, off_m, elapsed_s)
         elif self._track is None and self._step - self._asked_step == LATE_STEPS:
@@ -261,11 +265,12 @@ class EnergyGuidance:
         force = np.array([0.0, 0.0, buoyancy_excess_n, 0.0])
         return self._sharing.thrust_n(force, np.where(limit_n > 0.0, np.inf, 0.0))
 
-    def _leave_if_lost(self, off_m: float) -> None:
+    def _leave_if_lost(self, now: Situation, off_m: float) -> None:
         """A trajectory that the vehicle is far from, or that has ended without its goal, is followed no more.
 
         Where one ends at a place to stay at, it is followed to the goal's centre. The little that is left of a leg when
-        its region was missed is for the route guidance; the next leg's plan is kept.
+        its region was missed is for the route guidance, until the vehicle is swept away from there; the next leg's
+        plan is kept.
         """
         track = self._track
         if track is None:
@@ -273,7 +278,7 @@ class EnergyGuidance:
         ended = track.rest_s <= (-END_HOLD_S if track.complete else 0.0)
         if off_m > LOST_M or (ended and not (track.complete and self._next is None)):
             self._track = None
-            self._by_route_only = ended and track.complete
+            self._left_at_m = _away_m(now) if ended and track.complete else None
 
     def _fail(self, request: Request, error: Exception) -> None:
         """There is no such plan: a leg that has none is flown by the route guidance meanwhile."""
@@ -287,7 +292,7 @@ class EnergyGuidance:
         left, ahead, same_fence = self._track, self._next, now.planner is self._planner
         self._goal_key, self._planner, self._goal_step = key, now.planner, self._step
         self._track, self._next, self._asked_next = None, None, False
-        self._quick, self._by_route_only, self._first = False, False, Kind.QUICK
+        self._quick, self._left_at_m, self._first = False, None, Kind.QUICK
         self._patience.succeeded()
         if ahead is not None and left is None and ahead.locate(now.x0, 0.0) > OFF_TRACK_M:
             ahead = None
@@ -322,7 +327,7 @@ class EnergyGuidance:
             return False
         runs = float(np.hypot(*now.nav.current_ned_m_s[:2])) > RUNNING_M_S
         if request.kind is Kind.QUICK and plan.complete and track.length_s < SHORT_S and runs:
-            self._by_route_only = True
+            self._left_at_m = _away_m(now)
             return False
         if _key(request.goal) != self._goal_key:
             self._next = track
@@ -354,8 +359,9 @@ class EnergyGuidance:
         track, since = self._track, self._step - self._asked_step
         over = self._patience.over(now, since)
         if track is None:
-            if self._by_route_only:
+            if self._left_at_m is not None and _away_m(now) < self._left_at_m + LOST_M:
                 return
+            self._left_at_m = None
             begun = self._step - self._goal_step
             kind, at_once = self._first, self._first is Kind.COLD
             if (over or at_once) and begun > 0 and (not self._route.searching or begun >= ROUTE_STEPS):
@@ -462,6 +468,11 @@ def planned(planner: TrajectoryPlanner, request: Request, cancel: Cancel) -> Pla
     if found is not None and not bool(np.isfinite(found.x).all() and np.isfinite(found.thrust_n).all()):
         raise ValueError("a trajectory that is not finite")
     return plan
+
+
+def _away_m(now: Situation) -> float:
+    """Distance to the goal in the plane."""
+    return float(np.hypot(*(now.goal.pos_ned_m[:2] - now.x0[:2])))
 
 
 def _key(goal: Goal) -> tuple[float, ...]:
