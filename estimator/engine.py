@@ -524,7 +524,10 @@ class Engine:
         fused = innovation.test_ratio <= 1.0
         if fused:
             history.correct(node, measurement, innovation)
-        self._statuses.append(aid.judged(measurement.t_us, self._now_us, innovation, fused))
+        status = aid.judged(measurement.t_us, self._now_us, innovation, fused)
+        if isinstance(measurement, PoseFix) and measurement.fit is not None:
+            status = replace(status, fit=measurement.fit)
+        self._statuses.append(status)
         return None if fused else innovation
 
     def _reopen(self, history: History, node: Node, measurement: Measurement, aid: Aid, missed: Innovation) -> None:

@@ -18,6 +18,7 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.laser_dot import dot_range
 from autopilot.core.map_errors import STATES, MapErrors
 from autopilot.core.markers import IntArray, MarkerMap
+from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
 from estimator.camera_doubt import LEAST_MARKERS, LOOK_EVERY_US, focal_look
 from estimator.ground import SheetTies, believed
@@ -360,6 +361,7 @@ class MarkerSolver:
             noise=best.covariance,
             tilt_rad=(float(best.rpy_rad[0]), float(best.rpy_rad[1])),
             sigma_tilt_rad=best.sigma_tilt_rad,
+            fit=_fit(len(seen), best.rms_px, off_px),
         )
         return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
 
@@ -447,6 +449,7 @@ class MarkerSolver:
             ground=Ground(which, sigma, best.by_offsets, best.at),
             ties=partial(_ties, best, sighting.t_us, which, sigma),
             strained=tuple(strained),
+            fit=_fit(len(seen), best.rms_px, off_px),
         )
         return _Solved(fix, float(off_px.max()) if good.all() else math.inf)
 
@@ -458,6 +461,13 @@ def _ties(best: SheetPose, t_us: int, which: tuple[int, ...], sigma: FloatArray)
         return None
     ground = Ground(which, sigma, rows, np.zeros(len(best.at)), learns=True)
     return SheetTies(sensor="sheets", t_us=t_us, z=z, noise=noise, ground=ground)
+
+
+def _fit(known: int, rms_px: float, worst_px: FloatArray) -> MarkerFit:
+    """Of ``known`` markers those used, from the root mean square of their corners' residuals along either axis and
+    each one's worst corner (n,)."""
+    worst = float(worst_px.max())
+    return MarkerFit(known=known, used=len(worst_px), rms_px=math.sqrt(2.0) * rms_px, worst_px=worst)
 
 
 def _worst_px(residual_px: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
+from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import PoseSample
 from estimator.inertial import within
 from estimator.measurement import Measurement, Moment
@@ -76,6 +77,8 @@ class PoseFix:
     """Sheets of the image that do not fit to the others; left out of the pose."""
     strays: tuple[Stray, ...] = ()
     """Its markers that do not lie where the map has them."""
+    fit: MarkerFit | None = None
+    """How well its markers fit, None = it is not of markers."""
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Position moved on with the velocity, yaw with the rate."""

@@ -123,7 +123,9 @@ def programs(log_file: Path, as_json: bool) -> None:
     if as_json:
         emit_json({"log": str(log_file), "programs": listed})
     elif not found:
-        click.echo(f"{log_file}: every program was solved")
+        flown = opened.topics.get("/ctl/nmpc")
+        said = "every program was solved" if flown is not None and flown.count else "has no control steps (/ctl/nmpc)"
+        click.echo(f"{log_file}: {said}")
     else:
         rows = [
             (

@@ -222,6 +222,8 @@ class Session:
         kind = message.get_type()
         if kind == "HEARTBEAT" and self._target is not None:
             self._note_heartbeat(message)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            self.send(mav.MAVLink_timesync_message(max(int(1e9 * now_s), 1), message.ts1))
         elif kind == "MISSION_CURRENT":
             self._current = message
         elif kind == "MISSION_ITEM_REACHED":

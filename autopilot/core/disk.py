@@ -1,6 +1,9 @@
-"""What failures of a disk are called in front of an operator."""
+"""Folders and files for results, and what failures of a disk are called in front of an operator."""
 
+import contextlib
 import errno
+import os
+from pathlib import Path
 
 _CAUSES = {
     errno.ENOSPC: "disk full",
@@ -22,3 +25,25 @@ def cause_of(error: Exception) -> str:
     if isinstance(found, OSError):
         return _CAUSES.get(found.errno or 0, str(found.strerror).lower())
     return str(error)
+
+
+def make_folder(folder: Path) -> None:
+    """A folder for results, with those above it. OSError if that is not possible."""
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "is not a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file that is there as a whole or, when the disk fails, as it was. OSError then."""
+    if path.exists() and not path.is_file():  # a device or a pipe: nothing can take its place
+        path.write_text(text, encoding="utf-8")
+        return
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise

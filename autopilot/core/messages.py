@@ -219,6 +219,20 @@ class AidState(IntEnum):
     REJECTING = 3
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MarkerFit:
+    """How well the corners of a picture's markers lie where map, camera and the pose found from them have them."""
+
+    known: int
+    """Markers of the picture that were matched with the map."""
+    used: int
+    """Of these the pose stands on; the others did not fit."""
+    rms_px: float
+    """Of the distances of all corners used from their projections."""
+    worst_px: float
+    """The largest of them."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AidStatus:
     """What became of one measurement. Unused components are 0."""
@@ -236,6 +250,8 @@ class AidStatus:
     state: AidState
     age_s: float
     """Now minus time of validity."""
+    fit: MarkerFit | None = None
+    """Of a pose from markers."""
 
 
 AID_SENSORS = ("heading", "model", "markers", "external", "velocity", "depth", "laser")
@@ -540,6 +556,21 @@ class Event:
     text: str
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProcessStats:
+    """What the process holds, once per second."""
+
+    rss_bytes: int
+    """Memory that is resident; 0 = the system does not say."""
+    log_queue: int
+    """Messages that wait for the writer of the log,"""
+    log_queue_bytes: int
+    """and what they take."""
+    threads: int
+    collect_s: float
+    """Longest pause of the garbage collector in the last second."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LoopStats:
     """Health of the loop, once per second."""
@@ -557,6 +588,7 @@ class LoopStats:
     """Wall time of the slowest tick of the last second by :class:`LoopPart`."""
     part_cpu_s: tuple[float, ...] = (0.0,) * len(LoopPart)
     """CPU time of the same."""
+    process: ProcessStats | None = None
 
     @property
     def late_part(self) -> LoopPart:

@@ -38,6 +38,9 @@ TOPICS_OF_INTEREST = (
     "/mission/progress",
     "/sys/mode",
     "/sys/loop",
+    "/sys/process",
+    "/nav/fit",
+    "/ctl/drive",
     "/in/power_raw",
 )
 """Read in one pass; what a log does not have is left out."""

@@ -327,7 +327,7 @@ def _health_rows(flight: Flight) -> list[Row]:
     nmpc = flight.table("/ctl/nmpc")
     if nmpc is not None:
         solved = nmpc["solve_s"][nmpc["solve_s"] > 0.0]
-        for name, share in (("p50", 50.0), ("p99", 99.0), ("max", 100.0)):
+        for name, share in (("p50", 50.0), ("p95", 95.0), ("p99", 99.0), ("max", 100.0)):
             if len(solved):
                 rows.append(info(f"solve time {name}", "ms", 1000.0 * float(np.percentile(solved, share))))
         mine = flight.armed.holds(seconds(nmpc))

@@ -27,8 +27,11 @@ from autopilot.log.analysis import (
     thruster_names,
     visits,
 )
+from autopilot.log.check_outside import link_rows, process_rows
 from autopilot.log.reader import Table
-from autopilot.log.rows import Row, Verdict, counted, info
+from autopilot.log.rows import Row, Verdict, at_most, counted, row, under
+from autopilot.log.settling import Stay, stays
+from autopilot.log.thruster_energy import thruster_power
 from autopilot.log.topics import AID_PREFIX
 
 CONTROL_PERIOD_S = 0.05
@@ -45,10 +48,10 @@ FEWEST = 50
 """Messages that say something of a share."""
 LONGEST_SILENCE_S = 0.25
 """Of the motion sensor, while armed."""
-MOST_LOST = 0.05
-"""Share of received MAVLink messages that are missing by their numbers."""
-ACK, ACK_ACCEPTED, ACK_IN_PROGRESS = 77, 0, 5
-MAVLINK2 = 0xFD
+MOST_REPROJECTION_PX = 1.0
+"""Of corners from their projections, rms: more, and intrinsics, mounting or map are wrong."""
+MOST_MISFIT = 0.10
+"""Share of markers that are left out of the poses for not fitting."""
 
 
 def more_rows(flight: Flight) -> list[Row]:
@@ -56,6 +59,7 @@ def more_rows(flight: Flight) -> list[Row]:
     return [
         *_mission(flight),
         *_tracking(flight),
+        *_settling(flight),
         *_controller(flight),
         *_estimator(flight),
         *_camera(flight),
@@ -63,27 +67,10 @@ def more_rows(flight: Flight) -> list[Row]:
         *_current(flight),
         *_power(flight),
         *_inertial(flight),
-        *_links(flight),
+        *link_rows(flight),
+        *process_rows(flight),
         *_told(flight),
     ]
-
-
-def _row(subject: str, name: str, unit: str, value: float, note: str = "") -> Row:
-    found = info(name, unit, value if math.isfinite(value) else None, note)
-    return _under(subject, found)
-
-
-def _under(subject: str, row: Row) -> Row:
-    return Row(**{**{name: getattr(row, name) for name in Row.__slots__}, "subject": subject})
-
-
-def _at_most(subject: str, name: str, unit: str, limit: float, value: float, note: str = "") -> Row:
-    """A figure that asks to be looked at above a limit."""
-    verdict = Verdict.PASS if value <= limit else Verdict.WARN
-    margin = limit - value
-    return Row(
-        name=name, unit=unit, limit=limit, worst=value, margin=margin, verdict=verdict, note=note, subject=subject
-    )
 
 
 def way_m(track: Track) -> float:
@@ -93,13 +80,26 @@ def way_m(track: Track) -> float:
 
 def _mission(flight: Flight) -> list[Row]:
     track = flight.judged.between(flight.armed)
-    rows = [_row("Mission", "way", "m", way_m(track), f"in {flight.armed.end_s - flight.armed.start_s:.1f} s")]
+    rows = [row("Mission", "way", "m", way_m(track), f"in {flight.armed.end_s - flight.armed.start_s:.1f} s")]
+    rows += _detour(flight)
     progress, mode = flight.table("/mission/progress"), flight.table("/sys/mode")
     if progress is not None and mode is not None and len(progress) and len(mode):
         cut = bool(mode["armed"][-1]) and int(progress["state"][-1]) == ProgressState.ACTIVE
         note = "the mission was still flown" if cut else ""
-        rows.append(_under("Mission", counted("log ended within a mission", int(cut), note)))
+        rows.append(under("Mission", counted("log ended within a mission", int(cut), note)))
     return rows
+
+
+def _detour(flight: Flight) -> list[Row]:
+    """The way over the straight lines from waypoint to waypoint."""
+    if flight.run is None:
+        return []
+    came = [(visit.waypoint, visit.t_s) for visit in visits(flight.judged, flight.run) if visit.t_s is not None]
+    straight = sum(math.dist(a.pos_ned_m, b.pos_ned_m) for (a, _), (b, _) in pairwise(came))
+    if not straight > 0.0:
+        return []
+    flown = way_m(flight.judged.between(Span(came[0][1], came[-1][1])))
+    return [row("Mission", "way over straight lines between waypoints", "", flown / straight)]
 
 
 def _tracking(flight: Flight) -> list[Row]:
@@ -114,12 +114,12 @@ def _tracking(flight: Flight) -> list[Row]:
             away = np.interp(then_s[seen], track.t_s, track.pos_ned_m[:, index]) - then_m[seen, index]
             note = f"95 % {np.percentile(np.abs(away), 95.0):.3f}, largest {np.abs(away).max():.3f} m"
             name = f"off the plan of {AHEAD_S:g} s before, {axis} rms"
-            rows.append(_row("Tracking", name, "m", float(np.sqrt(np.mean(away**2))), note))
+            rows.append(row("Tracking", name, "m", float(np.sqrt(np.mean(away**2))), note))
     commands, acting = flight.table("/out/thrusters"), flight.table("/sim/thrusters")
     if commands is not None and acting is not None and len(commands) > FEWEST and len(acting) > FEWEST:
         delay = _delay_s(flight, commands, acting)
         if delay is not None:
-            rows.append(_row("Tracking", "thrust follows commands after", "s", delay, "dead time and lag together"))
+            rows.append(row("Tracking", "thrust follows commands after", "s", delay, "dead time and lag together"))
     return rows
 
 
@@ -142,6 +142,30 @@ def _delay_s(flight: Flight, commands: Table, acting: Table) -> float | None:
     return delay
 
 
+def _settling(flight: Flight) -> list[Row]:
+    """At goals that were held."""
+    found = stays(flight)
+    if not found:
+        return []
+    farthest = max(found, key=lambda stay: stay.overshoot_m / stay.accept_radius_m)
+    far = f"of {len(found)} goals that were held; at item {farthest.seq}, {farthest.entered_s:.1f} s"
+    restless = [stay for stay in found if stay.settled_after_s is None]
+    rows = [
+        at_most("Tracking", "overshoot at a goal", "m", farthest.accept_radius_m, farthest.overshoot_m, far),
+        under("Tracking", counted("goals without coming to rest", len(restless), _goals(restless))),
+    ]
+    times = [(stay.settled_after_s, stay) for stay in found if stay.settled_after_s is not None]
+    if times:
+        slowest, stay = max(times, key=lambda pair: pair[0])
+        note = f"longest, at item {stay.seq}; median {float(np.median([time for time, _ in times])):.1f} s"
+        rows.append(row("Tracking", "settled in a goal's region after", "s", slowest, note))
+    return rows
+
+
+def _goals(those: Sequence[Stay]) -> str:
+    return ", ".join(f"item {stay.seq} at {stay.entered_s:.1f} s" for stay in those[:5])
+
+
 def _controller(flight: Flight) -> list[Row]:
     table = flight.table("/ctl/nmpc")
     if table is None or not len(table):
@@ -150,13 +174,13 @@ def _controller(flight: Flight) -> list[Row]:
     flags = np.concatenate(([0], mine["fallback"] != 0, [0]))
     runs = np.diff(np.flatnonzero(np.diff(flags))) if flags.any() else np.zeros(1, dtype=int)
     late = int((mine["solve_s"] > CONTROL_PERIOD_S).sum())
-    rows = [_row("Service", "longest run of fallbacks", "steps", float(runs[::2].max(initial=0)))]
+    rows = [row("Service", "longest run of fallbacks", "steps", float(runs[::2].max(initial=0)))]
     in_time = flight.run is None or flight.run.speed != 0.0
     if in_time:
-        rows.append(_under("Service", counted("control steps beyond their period", late, f"of {len(mine)}")))
+        rows.append(under("Service", counted("control steps beyond their period", late, f"of {len(mine)}")))
     else:
-        rows.append(_row("Service", "control steps beyond their period", "", float(late), "in lockstep: none waited"))
-    rows.append(_row("Service", "largest slack of a soft limit", "", float(mine["slack_max"].max(initial=0.0))))
+        rows.append(row("Service", "control steps beyond their period", "", float(late), "in lockstep: none waited"))
+    rows.append(row("Service", "largest slack of a soft limit", "", float(mine["slack_max"].max(initial=0.0))))
     return rows
 
 
@@ -190,16 +214,16 @@ def _estimator(flight: Flight) -> list[Row]:
         means = np.abs(over[keep].mean(axis=0))
         lag = _lag_one(over[keep][:, int(np.argmax(over[keep].std(axis=0)))])
         note = f"correlation of neighbours {lag:.2f}"
-        rows.append(_at_most("Estimate", f"{sensor}: bias over sigma", "", MOST_BIAS, float(means.max()), note))
+        rows.append(at_most("Estimate", f"{sensor}: bias over sigma", "", MOST_BIAS, float(means.max()), note))
         fused_s = seconds(mine)[mine["fused"] != 0]
         if len(fused_s) > 1:
-            rows.append(_row("Estimate", f"{sensor}: longest gap", "s", float(np.diff(fused_s).max())))
+            rows.append(row("Estimate", f"{sensor}: longest gap", "s", float(np.diff(fused_s).max())))
     covariance = flight.table("/nav/covariance")
     if flight.truth is not None and flight.nav is not None and covariance is not None and len(covariance):
         error = estimate_error(flight.truth, flight.nav.between(flight.mission))
         if error is not None:
             nees = position_nees(error.t_s, error.pos_ned_m, seconds(covariance), covariance["variance"])
-            rows.append(_at_most("Estimate", "NEES of the position", "", MOST_NEES, float(nees.mean()), "3 expected"))
+            rows.append(at_most("Estimate", "NEES of the position", "", MOST_NEES, float(nees.mean()), "3 expected"))
     return rows
 
 
@@ -218,17 +242,35 @@ def _camera(flight: Flight) -> list[Row]:
         return []
     t_s, some = seconds(mine), mine["count"] > 0
     rows = [
-        _row("Camera", "pictures per second", "1/s", len(mine) / max(float(t_s[-1] - t_s[0]), 1e-9)),
-        _row("Camera", "pictures with markers", "%", 100.0 * float(some.mean())),
+        row("Camera", "pictures per second", "1/s", len(mine) / max(float(t_s[-1] - t_s[0]), 1e-9)),
+        row("Camera", "pictures with markers", "%", 100.0 * float(some.mean())),
+        *_fit(flight),
     ]
     seen_s = t_s[some]
     if len(seen_s) > 1:
-        rows.append(_row("Camera", "longest time without a marker", "s", float(np.diff(seen_s).max())))
+        rows.append(row("Camera", "longest time without a marker", "s", float(np.diff(seen_s).max())))
     aid = flight.table(AID_PREFIX + "markers")
     if aid is not None and len(aid):
         age = float(np.percentile(aid["age_s"], 95.0))
-        rows.append(_row("Camera", "age of a fix, 95 %", "s", age))
+        rows.append(row("Camera", "age of a fix, 95 %", "s", age))
     return rows
+
+
+def _fit(flight: Flight) -> list[Row]:
+    """Reprojection: how far corners lie from where map, camera and pose have them."""
+    table = flight.table("/nav/fit")
+    if table is None:
+        return []
+    mine = table[flight.armed.holds(seconds(table))]
+    if len(mine) < FEWEST:
+        return []
+    rms = float(np.sqrt(np.mean(mine["rms_px"] ** 2)))
+    note = f"95 % {np.percentile(mine['rms_px'], 95.0):.2f}, worst corner {mine['worst_px'].max():.2f} px"
+    out = 100.0 * float(1.0 - mine["used"].sum() / max(int(mine["known"].sum()), 1))
+    return [
+        at_most("Camera", "reprojection error, rms", "px", MOST_REPROJECTION_PX, rms, note),
+        at_most("Camera", "markers that did not fit", "%", 100.0 * MOST_MISFIT, out),
+    ]
 
 
 def _thrusters(flight: Flight) -> list[Row]:
@@ -247,9 +289,9 @@ def _thrusters(flight: Flight) -> list[Row]:
     by_name = ", ".join(f"{name} {count}" for name, count in zip(names, hits.sum(axis=0).tolist(), strict=False))
     means = ", ".join(f"{name} {value:.2f}" for name, value in zip(names, thrust.mean(axis=0), strict=False))
     return [
-        _row("Thrust", "time at the limit of thrust", "%", share),
-        _row("Thrust", "times that a thruster came to its limit", "", float(hits.sum()), by_name),
-        _row("Thrust", "mean thrust, all together", "N", float(thrust.sum(axis=1).mean()), means),
+        row("Thrust", "time at the limit of thrust", "%", share),
+        row("Thrust", "times that a thruster came to its limit", "", float(hits.sum()), by_name),
+        row("Thrust", "mean thrust, all together", "N", float(thrust.sum(axis=1).mean()), means),
         *_balance(names, thrust.mean(axis=0)),
     ]
 
@@ -264,7 +306,7 @@ def _balance(names: Sequence[str], mean_n: FloatArray) -> list[Row]:
     if not port + starboard > 0.0:
         return []
     share = 100.0 * (port - starboard) / (port + starboard)
-    return [_row("Thrust", "port more than starboard", "%", share, f"{port:.2f} and {starboard:.2f} N on average")]
+    return [row("Thrust", "port more than starboard", "%", share, f"{port:.2f} and {starboard:.2f} N on average")]
 
 
 def _current(flight: Flight) -> list[Row]:
@@ -272,12 +314,12 @@ def _current(flight: Flight) -> list[Row]:
     along = along_track(track)
     rows = []
     if len(along):
-        rows.append(_row("Current", "way with the current behind", "%", 100.0 * float((along > 0.0).mean())))
+        rows.append(row("Current", "way with the current behind", "%", 100.0 * float((along > 0.0).mean())))
     if flight.truth is not None and flight.nav is not None:
         error = estimate_error(flight.truth, flight.nav.between(flight.mission))
         if error is not None:
             rms = float(np.sqrt(np.mean(np.sum(error.current_ned_m_s[:, :2] ** 2, axis=1))))
-            rows.append(_row("Current", "estimate of the current, rms", "m/s", rms))
+            rows.append(row("Current", "estimate of the current, rms", "m/s", rms))
     return rows
 
 
@@ -285,8 +327,9 @@ def _power(flight: Flight) -> list[Row]:
     rows = []
     used, way = energy_j(flight, flight.armed), way_m(flight.judged.between(flight.armed))
     if used is not None:
-        rows.append(_row("Power", "energy", "J", used, f"{used / way:.1f} J/m" if way > 0.1 else ""))
+        rows.append(row("Power", "energy", "J", used, f"{used / way:.1f} J/m" if way > 0.1 else ""))
     rows += _energy_of_waypoints(flight)
+    rows += _energy_of_thrusters(flight, used)
     battery = flight.table("/in/power_raw")
     if battery is not None and len(battery):
         lowest = float(np.nanmin(battery["voltage_v"]))
@@ -307,7 +350,7 @@ def _power(flight: Flight) -> list[Row]:
                 )
             )
         else:
-            rows.append(_row("Power", "lowest voltage", "V", lowest))
+            rows.append(row("Power", "lowest voltage", "V", lowest))
     return rows
 
 
@@ -326,8 +369,23 @@ def _energy_of_waypoints(flight: Flight) -> list[Row]:
     most, dearest = max(spent, key=lambda pair: pair[0])
     note = f"most to {dearest.waypoint.name} in lap {dearest.lap}: {most:.0f} J; {len(spent)} legs"
     return [
-        _row("Power", "energy from waypoint to waypoint, median", "J", float(np.median([u for u, _ in spent])), note)
+        row("Power", "energy from waypoint to waypoint, median", "J", float(np.median([u for u, _ in spent])), note)
     ]
+
+
+def _energy_of_thrusters(flight: Flight, used_j: float | None) -> list[Row]:
+    """What each took by the vehicle file's figures, and what is left of the energy."""
+    found = thruster_power(flight)
+    if found is None:
+        return []
+    taken = found.energy_j(flight.armed)
+    each = ", ".join(f"{name} {joules:.0f}" for name, joules in zip(found.names, taken, strict=True))
+    rows = [row("Power", "energy of the thrusters", "J", float(taken.sum()), each)]
+    if used_j is not None:
+        hotel_j = found.hotel_w * (flight.armed.end_s - flight.armed.start_s)
+        note = f"{hotel_j:.0f} J by the vehicle file"
+        rows.append(row("Power", "energy of everything else", "J", used_j - float(taken.sum()), note))
+    return rows
 
 
 def _inertial(flight: Flight) -> list[Row]:
@@ -342,60 +400,9 @@ def _inertial(flight: Flight) -> list[Row]:
     usual = f"median {1e3 * float(np.median(gaps)):.1f} ms"
     shaking = float(np.diff(norm).std() / math.sqrt(2.0))
     return [
-        _at_most("Motion sensor", "longest time between samples", "s", LONGEST_SILENCE_S, float(gaps.max()), usual),
-        _row("Motion sensor", "vibration (from sample to sample)", "m/s2", shaking),
+        at_most("Motion sensor", "longest time between samples", "s", LONGEST_SILENCE_S, float(gaps.max()), usual),
+        row("Motion sensor", "vibration (from sample to sample)", "m/s2", shaking),
     ]
-
-
-def _links(flight: Flight) -> list[Row]:
-    rows = []
-    received = flight.table("/in/mavlink")
-    if received is not None and len(received):
-        missing = lost_share(received)
-        if missing is not None:
-            rows.append(
-                _at_most("Links", "MAVLink messages lost on the way in", "%", 100.0 * MOST_LOST, 100.0 * missing)
-            )
-        mine = seconds(received)[flight.armed.holds(seconds(received))]
-        if len(mine) > 1:
-            rows.append(_row("Links", "longest silence of all clients", "s", float(np.diff(mine).max())))
-    sent = flight.table("/out/mavlink")
-    if sent is not None and len(sent):
-        refused = refused_commands(sent)
-        note = ", ".join(f"{command} ({result})" for command, result in refused[:5])
-        rows.append(
-            _row("Links", "commands refused", "", float(len(refused)), note and f"MAV_CMD (MAV_RESULT): {note}")
-        )
-    return rows
-
-
-def lost_share(frames: Table) -> float | None:
-    """Share of messages that are missing by the sequence numbers of their senders; None where too few came."""
-    data = frames["data"]
-    mine = (data[:, 0] == MAVLINK2) & (frames["length"] > 10)
-    if int(mine.sum()) < FEWEST:
-        return None
-    heads = data[mine]
-    senders = np.stack([frames["link"][mine], frames["client"][mine], heads[:, 5], heads[:, 6]], axis=1)
-    missing = came = 0
-    for sender in np.unique(senders, axis=0):
-        numbers = heads[(senders == sender).all(axis=1), 4].astype(int)
-        steps = (np.diff(numbers) - 1) % 256
-        missing += int(steps[steps < 128].sum())  # more is a sender that began anew, or packets out of order
-        came += len(numbers)
-    return missing / max(missing + came, 1)
-
-
-def refused_commands(frames: Table) -> list[tuple[int, int]]:
-    """Command and result of every COMMAND_ACK that is not an acceptance."""
-    data, length = frames["data"], frames["length"]
-    acks = data[(data[:, 0] == MAVLINK2) & (length > 12) & (data[:, 7] == ACK) & (data[:, 8] == 0) & (data[:, 9] == 0)]
-    found = []
-    for row in acks:
-        result = int(row[12]) if row[1] > 2 else 0  # zeros at the end of a payload are not sent
-        if result not in (ACK_ACCEPTED, ACK_IN_PROGRESS):
-            found.append((int(row[10]) | int(row[11]) << 8, result))
-    return found
 
 
 def _told(flight: Flight) -> list[Row]:
@@ -403,11 +410,11 @@ def _told(flight: Flight) -> list[Row]:
     rows = []
     if "/rosout" in flight.log:
         warned = [m.value["msg"] for m in flight.log.messages("/rosout") if m.value["level"] >= 30]
-        rows.append(_row("Events", "warnings to the operator", "", float(len(warned)), warned[0] if warned else ""))
+        rows.append(row("Events", "warnings to the operator", "", float(len(warned)), warned[0] if warned else ""))
     changes = flight.table("/sys/parameters")
     if changes is not None:
         names = dict.fromkeys(bytes(name).rstrip(b"\0").decode(errors="replace") for name in changes["name"])
-        rows.append(_row("Events", "parameters changed", "", float(len(changes)), ", ".join(names)))
+        rows.append(row("Events", "parameters changed", "", float(len(changes)), ", ".join(names)))
     if flight.run is not None and flight.run.parameters:
         defaults = {spec.name: spec.default for spec in PARAMETERS}
         other = [
@@ -415,5 +422,5 @@ def _told(flight: Flight) -> list[Row]:
             for n, v in flight.run.parameters.items()
             if n in defaults and not math.isclose(v, defaults[n], rel_tol=1e-6)
         ]
-        rows.append(_row("Events", "parameters not at their defaults", "", float(len(other)), ", ".join(other[:8])))
+        rows.append(row("Events", "parameters not at their defaults", "", float(len(other)), ", ".join(other[:8])))
     return rows

@@ -13,7 +13,7 @@ import numpy as np
 from autopilot.core.errors import LogError
 from autopilot.log.reader import Log, Message, Table
 
-WALL_CLOCK_TOPICS = ("/sys/loop",)
+WALL_CLOCK_TOPICS = ("/sys/loop", "/sys/process")
 WALL_CLOCK_FIELDS = (
     *("/ctl/nmpc.solve_s", "/in/tick.cpu_load", "/in/tick.overruns", "/in/markers.decode_us"),
     *("/in/step.data.camera[1]", "/in/step.data.camera[2]"),  # size of the disk and what is free

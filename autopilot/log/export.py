@@ -13,6 +13,7 @@ from typing import Any, Literal, TypeAlias
 import msgspec
 import numpy as np
 
+from autopilot.core.disk import make_folder
 from autopilot.core.errors import LogError
 from autopilot.log.reader import Log
 from autopilot.log.table import Columns, flat_columns
@@ -23,17 +24,25 @@ Kind: TypeAlias = Literal["csv", "parquet"]
 def export_log(log: Log, folder: Path, *, topics: Sequence[str] = (), kind: Kind = "csv") -> Iterator[Path]:
     """Write topics (all without any) into ``folder``; the files, as they are written.
 
-    LogError if there is no such topic, or nothing to write that kind with.
+    LogError if there is no such topic, or nothing to write that kind with. One of all that cannot be decoded is left
+    out and named in ``log.problems``; one that was asked for is an error.
     """
     unknown = [topic for topic in topics if topic not in log.topics]
     if unknown:
         raise LogError(f"{log.path}: has no topic {', '.join(unknown)}; it has {', '.join(log.topics)}")
     writer = _writer(kind)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         for topic in topics or [name for name, info in log.topics.items() if info.count]:
             path = folder / f"{topic.strip('/').replace('/', '_')}.{kind}"
-            writer(path, columns_of(log, topic))
+            try:
+                columns = columns_of(log, topic)
+            except LogError as error:
+                if topics:
+                    raise
+                log.leave_out(topic, error)
+                continue
+            writer(path, columns)
             yield path
     except OSError as error:
         raise LogError(f"{folder}: cannot be written ({error.strerror or error}); choose another --out") from error
@@ -50,7 +59,7 @@ def export_stills(log: Log, folder: Path) -> Iterator[Path]:
     known = log["/payload/still"] if "/payload/still" in log.topics else None
     numbers = {} if known is None else dict(zip(known["t_us"].tolist(), known["index"].tolist(), strict=True))
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         for place, image in enumerate(images):
             path = folder / f"{numbers.get(image.t_us, place):04d}.{image.value['format']}"
             path.write_bytes(bytes(image.value["data"]))

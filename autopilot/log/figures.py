@@ -7,6 +7,7 @@ from typing import TypeAlias
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from autopilot.core.disk import make_folder
 from autopilot.core.errors import LogError
 from autopilot.log import figure_more, figure_paper
 from autopilot.log.figure_parts import STYLE, Scene, make_scene
@@ -35,7 +36,7 @@ def write_figures(log: Log, folder: Path) -> list[Path]:
     scene = make_scene(log)
     written = []
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         with mpl.rc_context(STYLE):
             for name, draw in FIGURES.items():
                 figure = draw(scene)

@@ -176,7 +176,11 @@ class Log:
         out = []
         for row in rows:
             log_time = int.from_bytes(row[6:14], "little")
-            out.append(Message((log_time - self.epoch_ns) // 1000, decode(types, name, row[head:])))
+            try:
+                value = decode(types, name, row[head:])
+            except LogError as error:
+                raise LogError(f"{self.path}: {topic}: {error}") from error
+            out.append(Message((log_time - self.epoch_ns) // 1000, value))
         return out
 
     def raw_messages(self, topic: str) -> list[tuple[int, bytes]]:
@@ -212,6 +216,10 @@ class Log:
             self._raw[topic] = _Raw([], [])
         if wanted:
             self._read_chunks(wanted)
+
+    def leave_out(self, topic: str, error: LogError) -> None:
+        """Name a topic that whoever reads the log has to do without."""
+        self._contents.problems.append(f"{topic} is left out ({str(error).removeprefix(f'{self.path}: ')})")
 
     def verify(self) -> tuple[str, ...]:
         """Read every chunk once and return all problems; ``topics`` then counts what is really readable."""

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from autopilot.core.disk import make_folder, write_whole
 from autopilot.core.errors import LogError
 from autopilot.core.params import PARAMETERS
 from autopilot.log.analysis import TOPICS_OF_INTEREST, Flight, energy_j, last_counts, load_flight, seconds
@@ -75,10 +76,13 @@ def write_report(log: Log, path: Path) -> Path:
     aids = [topic for topic in log.topics if topic.startswith(AID_PREFIX)]
     log.load([*TOPICS_OF_INTEREST, *TOPICS, *aids])  # one pass over the file for everything
     flight = load_flight(log)
+    try:
+        make_folder(path.parent)
+    except OSError as error:
+        raise LogError(f"{path.parent}: cannot be made ({error.strerror}); choose another place") from error
     page = _page(flight, acceptance_table(log))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
+        write_whole(path, page)
     except OSError as error:
         raise LogError(f"{path}: the report cannot be written ({error.strerror}); choose another place") from error
     return path

@@ -1,6 +1,7 @@
 """A row of a verdict, and how it is made."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from enum import Enum
 
 
@@ -43,3 +44,22 @@ def counted(name: str, value: int, note: str = "") -> Row:
     """Something that should not happen but breaks no bound."""
     verdict = Verdict.WARN if value else Verdict.PASS
     return Row(name=name, unit="", limit=0.0, worst=float(value), margin=float(-value), verdict=verdict, note=note)
+
+
+def row(subject: str, name: str, unit: str, value: float, note: str = "") -> Row:
+    """A figure without a bound under its subject; one that is not finite is not known."""
+    return under(subject, info(name, unit, value if math.isfinite(value) else None, note))
+
+
+def under(subject: str, made: Row) -> Row:
+    """A row under its subject."""
+    return replace(made, subject=subject)
+
+
+def at_most(subject: str, name: str, unit: str, limit: float, value: float, note: str = "") -> Row:
+    """A figure that asks to be looked at above a limit."""
+    verdict = Verdict.PASS if value <= limit else Verdict.WARN
+    margin = limit - value
+    return Row(
+        name=name, unit=unit, limit=limit, worst=value, margin=margin, verdict=verdict, note=note, subject=subject
+    )

@@ -104,6 +104,13 @@ uint8 fused  # 1 = it went into the estimate
 uint8 state  # 0 stopped, 1 starting, 2 active, 3 rejecting
 float64 age_s  # of the measurement when it was used
 """,
+    "autopilot_msgs/MarkerFit": """
+std_msgs/Header header
+uint16 known  # markers of the picture that were matched with the map
+uint16 used  # of these the pose stands on; the others did not fit
+float64 rms_px  # of the distances of all corners used from where map, camera and pose have them
+float64 worst_px  # the largest of them
+""",
     "autopilot_msgs/Goal": """
 std_msgs/Header header
 float64[3] pos_ned_m  # place
@@ -184,6 +191,14 @@ uint32 dropped_frames  # pictures that detection did not follow
 uint8 late_part  # what most of the slowest tick of the second went into: 0 wait, 1 device, 2 vision, 3 receive
 float64[12] part_s  # its wall time: as late_part, 4 estimate, 5 mavlink, 6 decide, 7 control
 float64[12] part_cpu_s  # its CPU time: as part_s, 8 allocate, 9 write, 10 send, 11 record
+""",
+    "autopilot_msgs/ProcessStats": """
+std_msgs/Header header
+uint64 rss  # bytes of memory that are resident, 0 = the system does not say
+uint32 log_queue  # messages that wait for the writer of the log
+uint64 log_queue_bytes  # what they take
+uint16 threads  # of the process
+float64 collect_s  # longest pause of the garbage collector in the last second
 """,
     "autopilot_msgs/InputTick": """
 std_msgs/Header header

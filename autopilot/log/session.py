@@ -132,6 +132,8 @@ class Messages(Protocol):
     @property
     def dropped(self) -> int: ...
     @property
+    def queued(self) -> tuple[int, int]: ...
+    @property
     def failure(self) -> str | None: ...
     @property
     def cause(self) -> str: ...
@@ -175,6 +177,11 @@ class RunLog:
     def dropped(self) -> int:
         """Messages lost so far, for ``LoopStats.dropped_log``."""
         return self._writer.dropped
+
+    @property
+    def queued(self) -> tuple[int, int]:
+        """Messages and bytes that wait to be written."""
+        return self._writer.queued
 
     @property
     def failure(self) -> str | None:
@@ -258,6 +265,8 @@ class RunLog:
     def loop(self, stats: LoopStats) -> None:
         """Health of the loop, once per second."""
         self._write("/sys/loop", stats.t_us, service.loop_stats(self._ns(stats.t_us), stats))
+        if stats.process is not None:
+            self._write("/sys/process", stats.t_us, service.process_stats(self._ns(stats.t_us), stats.process))
 
     def event(self, event: Event) -> None:
         """A line that does not come from ``step`` (``Outputs.events`` are written by ``outputs``)."""
@@ -276,6 +285,8 @@ class RunLog:
                 self._write("/nav/external", pose.t_us, sensors.external_pose(self._ns(pose.t_us), pose))
         for aid in outputs.aids:
             self._write(AID_PREFIX + aid.sensor, aid.t_us, estimate.aid_status(self._ns(aid.t_us), aid))
+            if aid.fit is not None:
+                self._write("/nav/fit", aid.t_us, estimate.marker_fit(self._ns(aid.t_us), aid.fit))
         if outputs.counters is not None:
             self._write("/nav/counters", t_us, estimate.nav_counters(stamp_ns, outputs.counters))
         if outputs.shadow is not None and self._due("/nav/shadow", t_us, SHADOW_US):

@@ -168,6 +168,11 @@ class LogWriter:
         return self._dropped + self._lost
 
     @property
+    def queued(self) -> tuple[int, int]:
+        """Messages and bytes that wait for the thread."""
+        return self._count_in - self._count_out, self._bytes_in - self._bytes_out
+
+    @property
     def failure(self) -> str | None:
         """Why nothing is written any more, None while all is well."""
         return self._failure

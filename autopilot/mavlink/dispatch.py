@@ -169,6 +169,7 @@ class Dispatcher:
                 **ComponentMetadata(ctx, metadata).builders(),
                 mav.MAVLINK_MSG_ID_MISSION_CURRENT: self._progress.mission_current,
                 mav.MAVLINK_MSG_ID_SYSTEM_TIME: self.utility.system_time,
+                mav.MAVLINK_MSG_ID_TIMESYNC: self.utility.timesync,
                 extra.MAVLINK_MSG_ID_CURRENT_EVENT_SEQUENCE: self.utility.event_sequence,
                 STATUS_ID: self._operators.status,
             }

@@ -23,6 +23,10 @@ class Utility:
         if msg.tc1 == 0:
             self._ctx.send(peer, mav.MAVLink_timesync_message(self._ctx.t_us * 1000, msg.ts1))
 
+    def timesync(self) -> Message | None:
+        """TIMESYNC: a request. Its answer is not needed here; a reader of the log learns how long it took."""
+        return mav.MAVLink_timesync_message(0, self._ctx.t_us * 1000)
+
     def on_request_event(self, peer: Peer, msg: Message) -> None:
         """REQUEST_EVENT: operators are told by STATUSTEXT, there has never been an EVENT that could be sent again."""
         unavailable = extra.MAV_EVENT_ERROR_REASON_UNAVAILABLE

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from autopilot.core.clock import TICK_US
 from autopilot.core.marks import Stopwatch
 from autopilot.core.messages import LoopStats
+from autopilot.run.process_stats import pauses, process_stats
 
 STATS_EVERY_TICKS = 100
 """Loop statistics once per second."""
@@ -28,6 +29,7 @@ class LoopAccount:
     def __init__(self, *, paced: bool) -> None:
         """Without a pace there is no load."""
         self._paced = paced
+        pauses().take()
         self._cpu_mark_s = time.process_time()
         self._busy_s = 0.0
         self._worst_tick_s = 0.0
@@ -37,8 +39,13 @@ class LoopAccount:
         """Work between two ticks."""
         self._busy_s += time_s
 
-    def tick(self, t_us: int, watch: Stopwatch, *, dropped_log: int, dropped_frames: int) -> LoopStats | None:
-        """A tick that ``watch`` has timed is over; once per second what the ticks since the last answer were like."""
+    def tick(
+        self, t_us: int, watch: Stopwatch, *, dropped_log: int, dropped_frames: int, queued: tuple[int, int] = (0, 0)
+    ) -> LoopStats | None:
+        """A tick that ``watch`` has timed is over; once per second what the ticks since the last answer were like.
+
+        ``queued``: messages and bytes that wait for the writer of the log.
+        """
         tick_s = watch.end()
         counters = self.counters
         counters.ticks += 1
@@ -57,6 +64,7 @@ class LoopAccount:
             dropped_frames=dropped_frames,
             part_s=part_s,
             part_cpu_s=part_cpu_s,
+            process=process_stats(queued),
         )
         if self._paced:
             counters.cpu_load = min(1.0, self._busy_s / (STATS_EVERY_TICKS * TICK_US * 1e-6))

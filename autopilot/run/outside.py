@@ -78,6 +78,11 @@ class Recorder(Protocol):
         ...
 
     @property
+    def queued(self) -> tuple[int, int]:
+        """Messages and bytes that wait to be written."""
+        ...
+
+    @property
     def lost(self) -> bool:
         """Whether what happens is not being recorded though it should be."""
         ...

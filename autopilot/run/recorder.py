@@ -56,6 +56,7 @@ class NullRecorder:
     """Logs nothing."""
 
     dropped = 0
+    queued = (0, 0)
     lost = False
     failure: str | None = None
     path: Path | None = None
@@ -129,6 +130,11 @@ class RunRecorder:
         """Messages of all logs that were lost so far."""
         now = 0 if self._log is None else self._log.dropped
         return self._dropped_before + now + sum(log.dropped for log, _ in self._ending)
+
+    @property
+    def queued(self) -> tuple[int, int]:
+        """Messages and bytes that wait to be written to the present log."""
+        return (0, 0) if self._log is None else self._log.queued
 
     def take_notices(self) -> tuple[tuple[Severity, str], ...]:
         """What the operator should know of the log since the last call: severity and text."""

@@ -350,9 +350,16 @@ class Runtime:
 
     def _account(self, t_us: int) -> None:
         dropped_frames = 0 if self._vision is None else self._vision.dropped
-        stats = self._spent.tick(t_us, self.watch, dropped_log=self._recorder.dropped, dropped_frames=dropped_frames)
+        recorder = self._recorder
+        stats = self._spent.tick(
+            t_us,
+            self.watch,
+            dropped_log=recorder.dropped,
+            dropped_frames=dropped_frames,
+            queued=recorder.queued,
+        )
         if stats is not None:
-            self._recorder.loop_stats(stats)
+            recorder.loop_stats(stats)
             if self._onlooker is not None:
                 self._onlooker.loop_stats(stats)
 

@@ -141,7 +141,7 @@ class _Listener:
 class _Messages:
     """Takes the place of a log's file."""
 
-    path, dropped, failure, cause, finished = Path(), 0, None, "", False
+    path, dropped, queued, failure, cause, finished = Path(), 0, (0, 0), None, "", False
 
     def __init__(self, server: FoxgloveServer, epoch_ns: int) -> None:
         self.epoch_ns = epoch_ns

@@ -22,6 +22,7 @@ from autopilot.core.messages import (
     Goal,
     Inputs,
     LoopStats,
+    MarkerFit,
     MavlinkFrame,
     MissionProgress,
     ModeState,
@@ -30,6 +31,7 @@ from autopilot.core.messages import (
     NavState,
     NmpcStatus,
     Outputs,
+    ProcessStats,
     ProgressState,
     ShadowStatus,
     SolveStatus,
@@ -63,6 +65,7 @@ LEG_S = 18.0
 VIA = np.array([[-1.60, -0.35, 0.45], [-0.625, 0.30, 0.42], [0.2, 0.55, 0.38], [0.9375, 0.70, 0.34], [1.75, 0.0, 0.30]])
 """A path from A to B that keeps 0.46 m from both cylinders and 0.3 m from the walls."""
 TANK = ((-2.5, -1.5), (2.5, -1.5), (2.5, 1.5), (-2.5, 1.5))
+PROCESS = ProcessStats(rss_bytes=220_000_000, log_queue=12, log_queue_bytes=9_000, threads=7, collect_s=0.002)
 
 DESCRIPTION = RunDescription(
     scenario="paper-tank",
@@ -222,7 +225,12 @@ def _tick(log: RunLog, run: Run, t_us: int, end_us: int) -> None:
         log.still(t_us, b"png")
         log.payload_truth(t_us, (0.0, 1.0))
     if t_us % 1_000_000 == 0:
-        log.loop(LoopStats(t_us=t_us, tick_s=0.004, cpu_s=0.3, overruns=0, dropped_log=log.dropped))
+        log.loop(loop_at(t_us, log.dropped))
+
+
+def loop_at(t_us: int, dropped: int = 0, process: ProcessStats = PROCESS) -> LoopStats:
+    """A loop without troubles."""
+    return LoopStats(t_us=t_us, tick_s=0.004, cpu_s=0.3, overruns=0, dropped_log=dropped, process=process)
 
 
 def inputs_at(t_us: int, truth: Truth, full: bool = True) -> Inputs:
@@ -313,15 +321,16 @@ def outputs_at(t_us: int, truth: Truth, run: Run, done: bool = False) -> Outputs
         fused=True,
         state=AidState.ACTIVE,
         age_s=0.06,
+        fit=MarkerFit(known=12, used=12, rms_px=0.15, worst_px=0.6),
     )
-    lap = int(t_us * 1e-6 / (2 * LEG_S))
+    lap, leg = int(t_us * 1e-6 / (2 * LEG_S)), int(t_us * 1e-6 / LEG_S)
     goal = Goal(
-        pos_ned_m=VIA[-1],
+        pos_ned_m=VIA[0 if leg % 2 else -1],
         yaw_rad=None,
         speed_m_s=0.4,
         accept_radius_m=0.3,
         accept_yaw_rad=0.15,
-        seq=1 + lap % 2,
+        seq=1 + leg % 2,
         drive=Drive(north_m_s=0.1, down_m_s=0.02) if run.full_inputs and 3_000_000 < t_us <= 6_000_000 else None,
     )
     state = ProgressState.COMPLETE if done else ProgressState.ACTIVE

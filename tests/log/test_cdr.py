@@ -22,6 +22,7 @@ from autopilot.core.messages import (
     Goal,
     Inputs,
     LoopStats,
+    MarkerFit,
     MissionProgress,
     ModeState,
     NavCounters,
@@ -29,6 +30,7 @@ from autopilot.core.messages import (
     NavHealth,
     NavState,
     NmpcStatus,
+    ProcessStats,
     ProgressState,
     ShadowStatus,
     SolveStatus,
@@ -217,6 +219,12 @@ def test_control_and_system(
     read = read_back("autopilot_msgs/LoopStats", service.loop_stats(stamp, stats))
     assert (read.tick_s, read.cpu_s, read.overruns, read.dropped_log, read.dropped_frames) == (x, y, a, b, b)
     assert read.late_part == int(stats.late_part) and tuple(read.part_s) == parts
+    process = ProcessStats(rss_bytes=a, log_queue=b, log_queue_bytes=a, threads=count, collect_s=x)
+    read = read_back("autopilot_msgs/ProcessStats", service.process_stats(stamp, process))
+    assert (read.rss, read.log_queue, read.log_queue_bytes, read.threads, read.collect_s) == (a, b, a, count, x)
+    fit = MarkerFit(known=count, used=3, rms_px=x, worst_px=y)
+    read = read_back("autopilot_msgs/MarkerFit", estimate.marker_fit(stamp, fit))
+    assert (read.known, read.used, read.rms_px, read.worst_px) == (count, 3, x, y)
     inputs = Inputs(t_us=0, overruns=a, cpu_load=x)
     read = read_back("autopilot_msgs/InputTick", service.input_tick(stamp, inputs))
     assert (read.samples, read.frames, read.overruns, read.cpu_load) == (0, 0, a, x)

@@ -5,18 +5,35 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
-from log_synthetic import DESCRIPTION, EPOCH_NS, LEG_S, Run, heartbeat, inputs_at, nav_of, outputs_at, truth_at
+from log_synthetic import (
+    DESCRIPTION,
+    EPOCH_NS,
+    LEG_S,
+    PROCESS,
+    VIA,
+    Run,
+    Truth,
+    heartbeat,
+    inputs_at,
+    loop_at,
+    nav_of,
+    outputs_at,
+    truth_at,
+)
 
-from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
+from autopilot.core.messages import Inputs, MarkerFit, MavlinkFrame, Outputs, ProcessStats
 from autopilot.core.samples import AhrsSample, ImuSample, PowerSample
+from autopilot.core.vehicle import load_vehicle
 from autopilot.log.check import Row, Verdict, acceptance_table
 from autopilot.log.description import AcceptBounds, RunDescription
 from autopilot.log.reader import open_log
 from autopilot.log.session import open_run_log
 
 STEP_US = 100_000
+VEHICLE = load_vehicle("lbv150")
 END_US = int(2 * LEG_S * 1e6) + 500_000
 BATTERY = {**DESCRIPTION.parameters, "BATT_LOW_VOLT": 16.0}
 REAL_TIME = replace(DESCRIPTION, accept=AcceptBounds(laps=1), speed=1.0, parameters=BATTERY)
@@ -36,6 +53,10 @@ def golden(
     change_outputs: Callable[[int, Outputs], Outputs] = same_outputs,
     ends: bool = True,
     description: RunDescription = REAL_TIME,
+    process: Callable[[float], ProcessStats] = lambda t_s: PROCESS,
+    change_truth: Callable[[float, Truth], Truth] = lambda t_s, truth: truth,
+    end_us: int = END_US,
+    step_us: int = STEP_US,
 ) -> dict[str, Row]:
     """The rows of a lap, changed as asked."""
     log = open_run_log(
@@ -43,16 +64,18 @@ def golden(
         epoch_ns=EPOCH_NS,
         description=description,
         metadata={},
-        attachments={},
+        attachments={"vehicle.json": msgspec.json.encode(VEHICLE)},
         lossless=True,
         camera_period_us=None,
     )
-    for number, t_us in enumerate(range(0, END_US, STEP_US)):
-        truth = truth_at(t_us * 1e-6)
+    for number, t_us in enumerate(range(0, end_us, step_us)):
+        truth = change_truth(t_us * 1e-6, truth_at(t_us * 1e-6))
         log.truth(t_us, truth)
         inputs = replace(inputs_at(t_us, truth), mavlink_rx=(MavlinkFrame(link=0, data=heartbeat(number)),))
         log.inputs(change_inputs(t_us, inputs))
-        log.outputs(change_outputs(t_us, outputs_at(t_us, truth, Run(), ends and t_us > END_US - 400_000)))
+        log.outputs(change_outputs(t_us, outputs_at(t_us, truth, Run(), ends and t_us > end_us - 400_000)))
+        if t_us % 1_000_000 == 0:
+            log.loop(loop_at(t_us, process=process(t_us * 1e-6)))
     log.close()
     return {row.name: row for row in acceptance_table(open_log(path))}
 
@@ -100,6 +123,60 @@ def lossy(t_us: int, inputs: Inputs) -> Inputs:
     return replace(inputs, mavlink_rx=() if t_us // STEP_US % 10 == 3 else inputs.mavlink_rx)
 
 
+def fits(**changes: Any) -> Callable[[int, Outputs], Outputs]:
+    fit = replace(MarkerFit(known=12, used=12, rms_px=0.15, worst_px=0.6), **changes)
+    return aids(fit=fit)
+
+
+def timesync(answer: int, ours_ns: int) -> bytes:
+    """A MAVLink 2 TIMESYNC without a valid checksum, cut behind its last byte that is not zero."""
+    payload = (answer.to_bytes(8, "little") + ours_ns.to_bytes(8, "little")).rstrip(b"\0")
+    return bytes([0xFD, len(payload), 0, 0, 0, 2, 1, 111, 0, 0]) + payload + b"\x12\x34"
+
+
+def asks(t_us: int, outputs: Outputs) -> Outputs:
+    """A TIMESYNC every five seconds."""
+    asked = (MavlinkFrame(link=0, data=timesync(0, t_us * 1000)),) if t_us % 5_000_000 == 0 else ()
+    return replace(outputs, mavlink_tx=(*outputs.mavlink_tx, *asked))
+
+
+def answers(after_us: int) -> Callable[[int, Inputs], Inputs]:
+    """The client answers so late, and somebody else's answer comes in between."""
+
+    def answer(t_us: int, inputs: Inputs) -> Inputs:
+        asked_us = t_us - after_us
+        if asked_us < 0 or asked_us % 5_000_000:
+            return inputs
+        frames = [timesync(77, asked_us * 1000), timesync(78, 123)]
+        return replace(inputs, mavlink_rx=(*inputs.mavlink_rx, *(MavlinkFrame(link=0, data=f) for f in frames)))
+
+    return answer
+
+
+HELD_FROM_S = 2 * LEG_S - 4.0
+HELD = {"end_us": int((HELD_FROM_S + 14.0) * 1e6)}
+
+
+def held(t_us: int, outputs: Outputs) -> Outputs:
+    """Near its end the tour's first place is the goal, and stays so."""
+    if t_us < 1e6 * HELD_FROM_S or outputs.goal is None:
+        return outputs
+    return replace(outputs, goal=replace(outputs.goal, pos_ned_m=VIA[0], seq=3, accept_radius_m=0.3))
+
+
+def swings(by_m: float, until_s: float) -> Callable[[float, Truth], Truth]:
+    """It comes to the place, goes beyond it, and to and fro until a time after ``HELD_FROM_S``; then it rests."""
+
+    def swing(t_s: float, truth: Truth) -> Truth:
+        if t_s < HELD_FROM_S:
+            return truth
+        after_s = t_s - HELD_FROM_S
+        off = 0.25 - (0.25 + by_m) * after_s if after_s < 1.0 else -by_m * np.cos(np.pi * (after_s - 1.0))
+        return replace(truth, pos_ned_m=VIA[0] + np.array([off if after_s < until_s else 0.01, 0.0, 0.0]))
+
+    return swing
+
+
 def test_a_sound_log_passes(tmp_path: Path) -> None:
     rows = golden(tmp_path / "a.mcap")
     assert warned(rows) == set()
@@ -121,6 +198,12 @@ def test_a_sound_log_passes(tmp_path: Path) -> None:
         ("longest time between samples", {"change_inputs": silent}),
         ("lowest voltage", {"change_inputs": empty}),
         ("MAVLink messages lost on the way in", {"change_inputs": lossy}),
+        ("reprojection error, rms", {"change_outputs": fits(rms_px=1.3, worst_px=4.0)}),
+        ("markers that did not fit", {"change_outputs": fits(used=10)}),
+        ("there and back to clients, 95 %", {"change_inputs": answers(1_200_000), "change_outputs": asks}),
+        ("messages waiting for the log", {"process": lambda t_s: replace(PROCESS, log_queue=15_000)}),
+        ("overshoot at a goal", {"change_outputs": held, "change_truth": swings(0.35, 5.0), **HELD}),
+        ("goals without coming to rest", {"change_outputs": held, "change_truth": swings(0.15, 99.0), **HELD}),
     ],
 )
 def test_each_golden_log_breaks_its_check(tmp_path: Path, name: str, changes: dict[str, Any]) -> None:
@@ -159,3 +242,51 @@ def test_thrust_and_energy_are_told_by_thruster_and_waypoint(tmp_path: Path) -> 
     assert "in lap 1" in legs.note
     nameless = golden(tmp_path / "b.mcap", change_outputs=pushes)
     assert "port more than starboard" not in nameless
+
+
+def test_a_goal_that_is_held_tells_overshoot_and_settling(tmp_path: Path) -> None:
+    rows = golden(tmp_path / "a.mcap", change_outputs=held, change_truth=swings(0.15, 5.0), **HELD)
+    assert not warned(rows)
+    assert rows["overshoot at a goal"].worst == pytest.approx(0.15, abs=0.01)
+    assert rows["settled in a goal's region after"].worst == pytest.approx(5.0, abs=0.6)
+    assert "settled in a goal's region after" not in golden(tmp_path / "b.mcap"), "both goals are flown through"
+
+
+def test_round_trips_are_those_of_our_own_requests(tmp_path: Path) -> None:
+    row = golden(tmp_path / "a.mcap", answers(300_000), asks)["there and back to clients, 95 %"]
+    assert row.worst == pytest.approx(0.3) and row.note.endswith("of 8")
+    assert "there and back to clients, 95 %" not in golden(tmp_path / "b.mcap", change_outputs=asks)
+    fast = replace(REAL_TIME, speed=0.0)
+    row = golden(tmp_path / "c.mcap", answers(3_000_000), asks, description=fast)["there and back to clients, 95 %"]
+    assert row.verdict is Verdict.INFO, "in lockstep clients live in another time"
+
+
+def test_memory_that_grows_is_told(tmp_path: Path) -> None:
+    def memory(grows: float) -> Row:
+        span = {
+            "end_us": 130_000_000,
+            "step_us": 1_000_000,
+            "description": replace(REAL_TIME, accept=AcceptBounds(laps=None)),
+        }
+        leaking = golden(
+            tmp_path / "a.mcap",
+            process=lambda t_s: replace(PROCESS, rss_bytes=int(2e8 * (1.0 + grows * t_s))),
+            **span,  # type: ignore[arg-type]
+        )
+        return leaking["memory"]
+
+    assert memory(0.0).verdict is Verdict.PASS
+    assert memory(0.01).verdict is Verdict.WARN
+    assert golden(tmp_path / "b.mcap")["memory"].verdict is Verdict.INFO, "too short to say"
+
+
+def test_energy_is_told_by_thruster(tmp_path: Path) -> None:
+    """Of the vehicle file's c |F|^1.5, and what is left for everything else."""
+    rows = golden(tmp_path / "a.mcap")
+    port = VEHICLE.thrusters[0]
+    assert rows["energy of the thrusters"].note.startswith(
+        f"{port.name} {port.drive.power_w_n15 * 3.0**1.5 * (1e-6 * END_US - 0.1):.0f}, "
+    )
+    energy, rest = rows["energy"].worst, rows["energy of everything else"].worst
+    assert energy is not None and rest is not None
+    assert rest == pytest.approx(energy - (rows["energy of the thrusters"].worst or 0.0))

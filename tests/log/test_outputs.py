@@ -1,7 +1,9 @@
 """Figures, report and the command line."""
 
 import json
+import os
 import re
+import resource
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,8 +16,10 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from log_synthetic import DESCRIPTION, EPOCH_NS, Run, shifted, write_run
+from mcap.writer import Writer
 
 from autopilot.cli.log import log as log_command
+from autopilot.core.disk import write_whole
 from autopilot.core.errors import LogError
 from autopilot.log.description import AcceptBounds
 from autopilot.log.figures import FIGURES, write_figures
@@ -61,6 +65,8 @@ def test_a_log_without_failed_programs_says_so_and_a_damaged_one_is_named(run_lo
     code, out = call("programs", run_log)
     assert code == 0
     assert "every program was solved" in out
+    code, out = call("programs", bare(tmp_path / "bare.mcap"))
+    assert code == 0 and "has no control steps" in out
     path = tmp_path / "damaged.mcap"
     LogWriter(path, epoch_ns=EPOCH_NS, metadata={}, attachments={"program-01.npz": b"PK nonsense"}).close()
     code, out = call("programs", path)
@@ -234,3 +240,58 @@ def test_group_lists_its_commands_without_heavy_imports() -> None:
     code = f"import sys, autopilot.cli.log; sys.exit(','.join({heavy} & set(sys.modules)) or 0)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_results_want_a_folder_where_a_file_is(run_log: Path, tmp_path: Path) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    for command in ("plot", "export"):
+        code, out = call(command, run_log, "--out", taken)
+        assert code == 1 and str(taken) in out and "is not a folder" in out
+    code, out = call("report", run_log, "--out", taken / "a.html")
+    assert code == 1 and str(taken) in out and "is not a folder" in out
+    assert taken.read_text() == "mine"
+
+
+def test_a_report_on_a_full_disk_leaves_the_one_before_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.html"
+    path.write_text("before")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            write_whole(path, "x" * 100_000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")
+def test_a_report_on_a_full_device_is_an_error(run_log: Path) -> None:
+    code, out = call("report", run_log, "--out", "/dev/full")
+    assert code == 1 and "/dev/full" in out and "No space left" in out
+
+
+def test_topics_that_cannot_be_decoded_are_left_out_of_an_export_and_named(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("", "another program")
+        json_schema = writer.register_schema("some.Thing", "jsonschema", b"{}")
+        twist = b"geometry_msgs/Vector3 linear\n====\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z"
+        twist_schema = writer.register_schema("geometry_msgs/msg/Twist", "ros2msg", twist)
+        channels = [
+            (writer.register_channel("/nav/state", "json", json_schema), b'{"a": 1}'),
+            (writer.register_channel("/cmd_vel", "cdr", twist_schema), b"\0\1\0\0" + bytes(24)),
+            (writer.register_channel("/short", "cdr", twist_schema), b"\0\1\0\0" + bytes(3)),
+        ]
+        for channel, data in channels:
+            writer.add_message(channel, 10**9, data, 10**9, 0)
+        writer.finish()
+    code, out = call("export", path, "--out", tmp_path / "csv")
+    assert code == 3 and "/nav/state is left out" in out and "/short is left out" in out
+    assert [file.name for file in (tmp_path / "csv").iterdir()] == ["cmd_vel.csv"]
+    code, out = call("export", path, "--topic", "/short", "--out", tmp_path / "csv")
+    assert code == 1 and str(path) in out and "/short" in out
+    code, out = call("check", path)
+    assert code == 1 and "/nav/state is not CDR" in out

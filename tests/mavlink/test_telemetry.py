@@ -377,6 +377,9 @@ def test_ping_is_answered_and_answers_are_not(world: World) -> None:
 
 def test_timesync_is_in_nanoseconds_and_answers_are_not_answered(world: World) -> None:
     client = world.client()
+    world.run(0.2)
+    (request,) = client.got("TIMESYNC")
+    assert request.tc1 == 0 and request.ts1 <= world.t_us * 1000, "ours, every ten seconds: the log has its answers"
     (answer,) = client.ask(mav.MAVLink_timesync_message(0, 123_456), "TIMESYNC", 0.01)
     assert (answer.tc1, answer.ts1) == (world.t_us * 1000, 123_456)
     assert not client.ask(mav.MAVLink_timesync_message(5, 123_456), "TIMESYNC", 0.1)

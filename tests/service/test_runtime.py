@@ -80,6 +80,7 @@ class Link:
 
 class Recorder:
     dropped = 3
+    queued = (0, 0)
     lost = False
 
     def __init__(self) -> None:

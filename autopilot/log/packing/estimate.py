@@ -1,9 +1,9 @@
 """What the estimator says beside the state: how good it is, and what it was made from."""
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import AID_SENSORS, AidStatus, NavCounters, NavDoubt, NavState, ShadowStatus
+from autopilot.core.messages import AID_SENSORS, AidStatus, MarkerFit, NavCounters, NavDoubt, NavState, ShadowStatus
 from autopilot.log.cdr import ENCAPSULATION
-from autopilot.log.packing.parts import FRD, NED, NS, UINT32, clip, eight
+from autopilot.log.packing.parts import FRD, NED, NS, UINT16, UINT32, clip, eight
 from autopilot.log.schemas import layout
 
 _nav_covariance = layout("autopilot_msgs/NavCovariance").packer.pack
@@ -12,6 +12,7 @@ _nav_status = layout("autopilot_msgs/NavStatus").packer.pack
 _nav_counters = layout("autopilot_msgs/NavCounters").packer.pack
 _shadow_status = layout("autopilot_msgs/ShadowStatus").packer.pack
 _aid_status = layout("autopilot_msgs/AidStatus").packer.pack
+_marker_fit = layout("autopilot_msgs/MarkerFit").packer.pack
 
 _OF_THE_FILTER = (
     "resets",
@@ -128,3 +129,9 @@ def aid_status(stamp_ns: int, aid: AidStatus) -> bytes:
         int(aid.state),
         aid.age_s,
     )
+
+
+def marker_fit(stamp_ns: int, fit: MarkerFit) -> bytes:
+    """MarkerFit."""
+    counts = clip(fit.known, UINT16), clip(fit.used, UINT16)
+    return _marker_fit(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *counts, fit.rms_px, fit.worst_px)

@@ -1,11 +1,12 @@
 """The service itself: what came into a tick, what it cost, and the bytes of the links."""
 
-from autopilot.core.messages import MAX_THRUSTERS, Authority, Below, Inputs, LoopStats
+from autopilot.core.messages import MAX_THRUSTERS, Authority, Below, Inputs, LoopStats, ProcessStats
 from autopilot.log.cdr import ENCAPSULATION
 from autopilot.log.packing.parts import FRD, NS, UINT16, UINT32, clip
 from autopilot.log.schemas import layout
 
 _loop_stats = layout("autopilot_msgs/LoopStats").packer.pack
+_process_stats = layout("autopilot_msgs/ProcessStats").packer.pack
 _input_tick = layout("autopilot_msgs/InputTick").packer.pack
 _below = layout("autopilot_msgs/Below").packer.pack
 _parameter_change = layout("autopilot_msgs/ParameterChange").packer.pack
@@ -71,6 +72,20 @@ def loop_stats(stamp_ns: int, stats: LoopStats) -> bytes:
         int(stats.late_part),
         *stats.part_s,
         *stats.part_cpu_s,
+    )
+
+
+def process_stats(stamp_ns: int, stats: ProcessStats) -> bytes:
+    """ProcessStats."""
+    return _process_stats(
+        ENCAPSULATION,
+        *divmod(stamp_ns, NS),
+        *FRD,
+        stats.rss_bytes,
+        clip(stats.log_queue, UINT32),
+        stats.log_queue_bytes,
+        clip(stats.threads, UINT16),
+        stats.collect_s,
     )
 
 

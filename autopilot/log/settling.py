@@ -1,0 +1,85 @@
+"""How the vehicle came to rest at places where it was to stay: how far it went beyond them, how long it took to settle.
+
+Looked at are goals that stayed in force for at least HELD_S after the vehicle had entered their region (place and
+heading); on the others it flew on at once. It has settled from when on it stays within SETTLED of the region's size.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.log.analysis import Flight, Track, seconds, wrap
+
+HELD_S = 4.0
+SETTLED = 0.25
+"""Share of the radius and of the heading that a goal accepts."""
+REST_S = 1.0
+"""It has settled only if it stayed so for so long."""
+APPROACH_M = 0.02
+"""Nearer to the place there is no telling from where it came."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stay:
+    """One goal that was held."""
+
+    seq: int
+    """Mission item, -1 = none."""
+    entered_s: float
+    end_s: float
+    overshoot_m: float
+    """Farthest beyond the place, seen from where the region was entered."""
+    accept_radius_m: float
+    settled_after_s: float | None
+    """Since the region was entered; None = it was not at rest when the goal ended."""
+
+
+def stays(flight: Flight) -> list[Stay]:
+    """All of them, in order."""
+    goals = flight.table("/ctl/goal")
+    if goals is None or not len(goals):
+        return []
+    keys = np.column_stack((goals["pos_ned_m"], goals["yaw_rad"], goals["yaw_free"], goals["seq"]))
+    starts = np.flatnonzero(np.r_[True, (np.diff(np.nan_to_num(keys), axis=0) != 0.0).any(axis=1)])
+    t_s, driven = seconds(goals), _driven(flight)
+    found = []
+    for place, start in enumerate(starts.tolist()):
+        end_s = float(t_s[starts[place + 1]]) if place + 1 < len(starts) else flight.armed.end_s
+        begin_s, end_s = max(float(t_s[start]), flight.armed.start_s), min(end_s, flight.armed.end_s)
+        if end_s - begin_s >= HELD_S and not ((driven >= begin_s) & (driven <= end_s)).any():
+            stay = _stay(flight.judged, goals[start], begin_s, end_s)
+            found += [] if stay is None else [stay]
+    return found
+
+
+def _driven(flight: Flight) -> FloatArray:
+    """(n,) times at which a motion took the place of the goal's."""
+    drive = flight.table("/ctl/drive")
+    return np.zeros(0) if drive is None else seconds(drive)[drive["active"] != 0]
+
+
+def _stay(track: Track, goal: np.void, begin_s: float, end_s: float) -> Stay | None:
+    """What became of one goal; None if its region was not entered in time to stay there."""
+    rows = slice(int(np.searchsorted(track.t_s, begin_s)), int(np.searchsorted(track.t_s, end_s)))
+    t_s, off = track.t_s[rows], track.pos_ned_m[rows] - goal["pos_ned_m"]
+    away = np.linalg.norm(off, axis=1)
+    turned = np.zeros(len(t_s)) if goal["yaw_free"] else np.abs(wrap(track.rpy_rad[rows, 2] - goal["yaw_rad"]))
+    inside = (away <= goal["accept_radius_m"]) & (turned <= goal["accept_yaw_rad"])
+    if not inside.any():
+        return None
+    entry = int(np.argmax(inside))
+    if end_s - t_s[entry] < HELD_S:
+        return None
+    toward = -off[entry] / away[entry] if away[entry] > APPROACH_M else np.zeros(3)
+    moving = (away > SETTLED * goal["accept_radius_m"]) | (turned > SETTLED * goal["accept_yaw_rad"])
+    late = np.flatnonzero(moving[entry:])
+    rest_s = float(t_s[entry + late[-1]]) if len(late) else float(t_s[entry])
+    return Stay(
+        seq=int(goal["seq"]),
+        entered_s=float(t_s[entry]),
+        end_s=end_s,
+        overshoot_m=max(float((off[entry:] @ toward).max()), 0.0),
+        accept_radius_m=float(goal["accept_radius_m"]),
+        settled_after_s=rest_s - float(t_s[entry]) if end_s - rest_s >= REST_S else None,
+    )
