@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -18,6 +18,7 @@ from autopilot.cli.part_name import part_name
 from autopilot.run.config import SENSORS
 
 if TYPE_CHECKING:
+    from autopilot.campaign.definition import Campaign
     from autopilot.campaign.engines import Engine
     from autopilot.campaign.results import RunResult
     from autopilot.campaign.store import Shard
@@ -156,7 +157,8 @@ def fly(
         raise click.Abort
     flown = list(results.values())
     summary = summarise(flown, runs)
-    written, logged = _keep(flown, defined, out, figures=figures, logs=logs)
+    with stoppable() as stop:
+        written, logged = keep(flown, defined, out, lambda: bool(stop), figures=figures, logs=logs)
     if as_json:
         places = {"files": [str(path) for path in written], "logs": {str(run): str(p) for run, p in logged.items()}}
         emit_json({"passed": summary.passed, "scenario": name, **_plain(summary), **places})
@@ -209,10 +211,18 @@ def stoppable() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _keep(
-    results: list[RunResult], defined: Any, out: Path, *, figures: bool, logs: int
+def keep(
+    results: list[RunResult],
+    defined: Campaign | None,
+    out: Path,
+    stop: Callable[[], bool],
+    *,
+    figures: bool,
+    logs: int,
 ) -> tuple[list[Path], dict[int, Path]]:
-    """Tables, figures and logs of the worst runs in the folder. LogError if the disk does not take them."""
+    """Tables in the folder, and of a campaign that has come to its end (else None) figures and logs of its worst runs.
+
+    LogError if the disk does not take them."""
     from autopilot.campaign.store import GO_ON
     from autopilot.campaign.tabular import write_tables
     from autopilot.campaign.worst import logs_of
@@ -220,19 +230,13 @@ def _keep(
 
     try:
         written = write_tables(results, out)
+        if defined is None:
+            return written, {}
         if figures:
             from autopilot.campaign.figures import write_figures
 
             written += write_figures(results, defined.scenario.scenario.name, out)
-        with stoppable() as stop:
-            found = logs_of(
-                results,
-                logs,
-                out,
-                defined.task,
-                lambda: bool(stop),
-                lambda text: click.echo(f"warning: {text}", err=True),
-            )
+        found = logs_of(results, logs, out, defined.task, stop, lambda text: click.echo(f"warning: {text}", err=True))
     except OSError as error:
         raise LogError(f"{out}: cannot be written ({error.strerror}); {GO_ON}") from error
     return written, found

@@ -1,11 +1,17 @@
 """``autopilot campaign sets``: the robustness sets R1 to R4 by one command."""
 
+from __future__ import annotations
+
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from autopilot.cli.output import emit_json, print_table
+
+if TYPE_CHECKING:
+    from autopilot.campaign.definition import Campaign
 
 
 @click.command("sets")
@@ -16,6 +22,10 @@ from autopilot.cli.output import emit_json, print_table
 @click.option("--jobs", type=click.IntRange(min=1), help="Runs at a time (default: one per core).")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the campaigns (default: the scenarios').")
 @click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter in all runs; repeatable.")
+@click.option("--figures/--no-figures", default=True, show_default=True, help="Figures in the folders.")
+@click.option(
+    "--logs", type=click.IntRange(min=0), default=3, show_default=True, help="Fly the N worst runs of each with a log."
+)
 @click.option("--table", "only_table", is_flag=True, help="Fly nothing, print what is there.")
 @click.option("--markdown", is_flag=True, help="As a Markdown table.")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
@@ -27,13 +37,16 @@ def sets(
     jobs: int | None,
     seed: int | None,
     param: tuple[str, ...],
+    figures: bool,
+    logs: int,
     only_table: bool,
     markdown: bool,
     as_json: bool,
 ) -> None:
     """Fly the sets R1 to R4, RUNS runs of each in turn: 1,200 in a night or two, resumable, with one table at the end.
 
-    Finished runs are kept in OUT/SET; the same command goes on where it was stopped. Exit code 1 if a bar is broken.
+    Finished runs are kept in OUT/SET; the same command goes on where it was stopped. At the end every folder has its
+    table of runs, figures, and logs of its worst runs. Exit code 1 if a bar is broken.
     """
     from autopilot.campaign import table as tables
     from autopilot.campaign.definition import define
@@ -41,41 +54,56 @@ def sets(
     from autopilot.campaign.sets import SETS, fly_sets
     from autopilot.campaign.store import IDENTITY, read_results
     from autopilot.campaign.summary import summarise
-    from autopilot.campaign.tabular import write_tables
-    from autopilot.cli.campaign import stoppable, what_broke
+    from autopilot.cli.campaign import keep, stoppable, what_broke
     from autopilot.core.errors import ConfigError
     from autopilot.run.config import parse_overrides
 
-    chosen = tuple(dict.fromkeys(names or SETS))
+    chosen = {Path(name).stem: name for name in names or SETS}
+    if len(chosen) < len(set(names or SETS)):
+        raise ConfigError(f"--set: two of {', '.join(names)} have one name, and would share a folder; rename one")
+    campaigns: dict[str, Campaign] = {}
     stopped = False
     if not only_table:
         overrides = parse_overrides(param)
-        defined = {name: define(name, seed=seed, params=overrides) for name in chosen}
-        labels = {name: Path(name).stem for name in chosen}
-        asked = runs * len(chosen)
+        campaigns = {label: define(name, seed=seed, params=overrides) for label, name in chosen.items()}
+        asked = runs * len(campaigns)
         with stoppable() as stop:
-            campaigns = {labels[name]: defined[name] for name in chosen}
-            done = sum(len(read_results(out / label)) for label in campaigns if (out / label).is_dir())
+            finished = [read_results(out / label) for label in campaigns if (out / label).is_dir()]
+            done = sum(run < runs for results in finished for run in results)
             for label, result in fly_sets(campaigns, make_engine(engine, jobs), out, runs, lambda: bool(stop)):
                 done += 1
                 verdict = f"FAILED: {what_broke(result)}" if result.failed else what_broke(result) or "good"
                 click.echo(f"{done} of {asked}: {label} run {result.run}, seed {result.seed}: {verdict}", err=True)
             stopped = bool(stop)
-    folders = [out / Path(name).stem for name in chosen if (out / Path(name).stem / IDENTITY).is_file()]
+    folders = [out / label for label in chosen if (out / label / IDENTITY).is_file()]
     if not folders:
         raise ConfigError(f"{out}: holds no campaigns; leave --table out to fly them")
     rows, _ = tables.table_of(folders)
     results = {folder.name: [r for r in read_results(folder).values() if r.run < runs] for folder in folders}
+    logged: dict[str, dict[int, Path]] = {}
     passed = True
-    for folder in folders:
-        write_tables(results[folder.name], folder)
-        passed &= summarise(results[folder.name], runs).passed
+    with stoppable() as stop:
+        for folder in folders:
+            label, flown = folder.name, results[folder.name]
+            ended = None if stopped or stop else campaigns.get(label)
+            _, logged[label] = keep(flown, ended, folder, lambda: bool(stop), figures=figures, logs=logs)
+            passed &= summarise(flown, runs).passed
+        stopped |= bool(stop)
     if as_json:
-        emit_json({"passed": passed, "rows": [asdict(row) for row in rows]})
+        places = {label: {str(run): str(path) for run, path in found.items()} for label, found in logged.items()}
+        emit_json({"passed": passed, "rows": [asdict(row) for row in rows], "logs": places})
     elif markdown:
         click.echo(tables.markdown(rows, ()), nl=False)
     else:
         print_table("campaigns", tables.HEADS, [tables.cells(row) for row in rows])
+        looked = [
+            (label, run.run, run.seed, what_broke(run), logged[label][run.run].name if run.run in logged[label] else "")
+            for label, flown in results.items()
+            for run in flown
+            if run.failed or run.run in logged[label]
+        ]
+        if looked:
+            print_table("runs to look at (OUT/SET/logs)", ("set", "run", "seed", "what", "log"), looked)
     if stopped:
         click.echo(f"stopped; finished runs are kept in {out}, the same command goes on", err=True)
         raise click.Abort

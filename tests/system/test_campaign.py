@@ -447,15 +447,20 @@ def test_sets_are_flown_in_turn_and_go_on(tmp_path: Path) -> None:
 
     def sets(*arguments: str) -> Result:
         chosen = [part for file in files for part in ("--set", file)]
-        return CliRunner().invoke(cli, ["campaign", "sets", *chosen, "--out", str(out), *arguments])
+        return CliRunner().invoke(cli, ["campaign", "sets", *chosen, "--out", str(out), "--no-figures", *arguments])
 
-    done = sets("--runs", "1", "--jobs", "1")
+    done = sets("--runs", "1", "--jobs", "1", "--logs", "0")
     assert done.exit_code == 1, "nobody finishes laps in that time"
     assert [line.split(",")[0] for line in done.stderr.splitlines()] == ["1 of 2: one run 0", "2 of 2: two run 0"]
     before = {name: (out / name / "runs.jsonl").read_bytes() for name in ("one", "two")}
-    more = sets("--runs", "2", "--jobs", "1", "--json")
+    more = sets("--runs", "2", "--jobs", "1", "--json", "--logs", "1")
     assert [line.split(",")[0] for line in more.stderr.splitlines()] == ["3 of 4: one run 1", "4 of 4: two run 1"]
-    assert [row["runs"] for row in json.loads(more.stdout)["rows"]] == [2, 2]
+    printed = json.loads(more.stdout)
+    assert [row["runs"] for row in printed["rows"]] == [2, 2]
+    worst = str(worst_first(list(read_results(out / "one").values()))[0].run)
+    for name, logs in printed["logs"].items():
+        assert list(logs) == [worst]
+        assert open_log(logs[worst]).duration_s == pytest.approx(SHORT_S, abs=0.1), name
     for name, kept in before.items():
         assert (out / name / "runs.jsonl").read_bytes().startswith(kept)
         assert (out / name / "runs.csv").is_file()
@@ -464,6 +469,13 @@ def test_sets_are_flown_in_turn_and_go_on(tmp_path: Path) -> None:
     assert "holds no campaigns" in str(
         CliRunner().invoke(cli, ["campaign", "sets", "--table", "--out", str(tmp_path / "no")]).exception
     )
+
+
+def test_sets_that_would_share_a_folder_are_refused(tmp_path: Path) -> None:
+    files = [scenario_in(tmp_path / folder, name="same.toml") for folder in ("one", "two")]
+    command = ["campaign", "sets", "--set", files[0], "--set", files[1], "--out", str(tmp_path / "out")]
+    assert "would share a folder; rename one" in str(CliRunner().invoke(cli, command).exception)
+    assert not (tmp_path / "out").exists()
 
 
 # Summing up.
