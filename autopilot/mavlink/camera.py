@@ -204,11 +204,17 @@ class CameraComponent:
 
         return {
             mav.MAVLINK_MSG_ID_HEARTBEAT: of(self.heartbeat),
-            mav.MAVLINK_MSG_ID_CAMERA_INFORMATION: of(self.information),
+            mav.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._introduction,
             mav.MAVLINK_MSG_ID_CAMERA_SETTINGS: of(self.settings),
             mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: of(self.capture_status),
             mav.MAVLINK_MSG_ID_STORAGE_INFORMATION: partial(self._storage, which=2),
         }
+
+    def _introduction(self, call: Call) -> Reply:
+        """CAMERA_INFORMATION, and before it what goes with it: a client for which the camera is there from that message
+        on (MAVSDK) asks for its state seconds later, and till then has none to show."""
+        status = self.settings(), self.capture_status(), self.storage_information()
+        return Reply(ACCEPTED, (*status, self.information()))
 
     def _if_asked(self, call: Call, msg_id: int, *, which: int | None = None, asked: int = 1) -> Reply:
         """The older requests: a parameter that is 1 asks for it."""

@@ -72,7 +72,7 @@ class HighLatency:
         if wanted not in (0.0, 1.0):
             return denied(f"high latency: param1 = {wanted:g}, use 1 or 0")
         if wanted == 0.0:
-            self._end(link)
+            self.end(link)
             return Reply(ACCEPTED)
         if self._others(link, call.peer.client):
             return denied("High latency refused: others use this link")
@@ -91,7 +91,7 @@ class HighLatency:
             del self._heard_us[next(iter(self._heard_us))]
         self._heard_us[address] = self._ctx.t_us
         if self._owners.get(link, client) != client:
-            self._end(link)
+            self.end(link)
 
     def forget(self, link: int) -> None:
         """A link is closed."""
@@ -104,7 +104,8 @@ class HighLatency:
         since_us = self._ctx.t_us - OTHERS_US * self._ctx.patience
         return any(at_us >= since_us for (its, who), at_us in self._heard_us.items() if its == link and who != client)
 
-    def _end(self, link: int) -> None:
+    def end(self, link: int) -> None:
+        """The link is a common one again, if it was not."""
         if self._owners.pop(link, None) is None:
             return
         self._ctx.quiet.discard(link)

@@ -30,6 +30,9 @@ def test_photos_refusals_and_a_gimbal_that_is_not_there(service: Callable[..., R
         camera = Camera(system)
         (about,) = _until(running, lambda: camera.camera_list().cameras)
         assert (about.horizontal_resolution_px, about.vertical_resolution_px) == (640, 480)
+        # At once, not when MAVSDK asks for them some seconds later.
+        storage = camera.get_storage(about.component_id)
+        assert storage.storage_id == 1 and camera.get_mode(about.component_id) == Mode.PHOTO
         taken: list[Any] = []
         camera.subscribe_capture_info(lambda info, *_: taken.append(info))
         number = about.component_id
