@@ -138,7 +138,7 @@ class Motion:
             fence,
             self._params,
             limit_n,
-            self._tracks.at(t_us),
+            self._tracks.round(t_us, nav.pos_ned_m),
             delay_s=None if actuation.doubtful else actuation.delay_s,
         )
         control = sound(control, limit_n)

@@ -12,7 +12,7 @@ from autopilot.control.fence.tracks import Tracks
 from autopilot.core.camera import CameraModel
 from autopilot.core.geometry import Fence
 from autopilot.core.laser_dot import dot_range
-from autopilot.core.messages import Below, Event, Inputs
+from autopilot.core.messages import Below, Event, Inputs, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import (
     AhrsSample,
@@ -57,6 +57,9 @@ class Surroundings:
         """What devices have against arming."""
         self.facts = Facts()
         """What failsafes go by."""
+        self._t_us = 0
+        self._told_over = False
+        """That the vehicle would be deep inside of an obstacle."""
         self.sensed = Sensed()
         """The newest of each sensor."""
         with_laser = vehicle.camera is not None and vehicle.laser is not None
@@ -69,6 +72,7 @@ class Surroundings:
 
     def note(self, inputs: Inputs) -> None:
         """Take a tick's inputs."""
+        self._t_us = inputs.t_us
         self._events += self.devices.step(inputs.t_us, inputs.troubles)
         self._events += self.camera.step(inputs.t_us, inputs.pictures, inputs.samples)
         self.below, self.refusals = inputs.below, inputs.refusals
@@ -143,6 +147,11 @@ class Surroundings:
 
     def take_events(self) -> list[Event]:
         """Lines for the operator since the last call."""
+        over_m = self.tracks.over_m
+        if over_m is not None and not self._told_over:
+            text = f"Not avoided: we are in an obstacle of {over_m:.0f} m"
+            self._events.append(Event(t_us=self._t_us, severity=Severity.WARNING, text=text))
+        self._told_over = over_m is not None
         events, self._events = self._events, []
         return events
 

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mavlink_harness import World, mav, nav_state
+from mavlink_harness import World, nav_state
+from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.messages import Event, Failsafe, NavHealth, Severity
 from autopilot.mavlink.api import FlightMode

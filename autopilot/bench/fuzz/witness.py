@@ -158,7 +158,10 @@ class Witness:
 
     def _judge(self, message: Any, answer: Any, before: dict[str, object], after: dict[str, object]) -> None:
         kind = answer.get_type()
-        refused = (kind == "COMMAND_ACK" and answer.result not in (0, 5)) or (kind == "MISSION_ACK" and answer.type)
+        # CANCELLED is no refusal: the mode has changed because a client asked for that (COMMAND_CANCEL).
+        refused = (kind == "COMMAND_ACK" and answer.result not in (0, 5, mav.MAV_RESULT_CANCELLED)) or (
+            kind == "MISSION_ACK" and answer.type
+        )
         if refused or kind == "PARAM_ERROR":
             changed = [name for name in before if before[name] != after[name]]
             if changed:

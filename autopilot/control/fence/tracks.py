@@ -31,6 +31,10 @@ FORGET_MOVING_US = 5_000_000
 FORGET_STANDING_US = 300_000_000
 """After so long without news: a mover is somewhere else, what stands is likely to stand there still."""
 
+DEEP_M = 1.0
+"""A vehicle that is so far inside of something is not: the report is wrong, or the circle round a ship is mostly water.
+There is no way out of it, and a vehicle that flees from everywhere presses against its fence."""
+
 MAX_TRACKS = 32
 """The one seen longest ago makes room for another."""
 
@@ -57,6 +61,8 @@ class Tracks:
         self._tracks: dict[int, ObstacleTrack] = {}
         self.dropped = 0
         """Reports that were no good: not finite, out of range, from the future or older than what is known."""
+        self.over_m: float | None = None
+        """Radius of the largest that the vehicle is deep inside of, None = of none. As of the last :meth:`round`."""
 
     def note(self, t_us: int, report: ObstacleTrack) -> None:
         """Take note of a report that arrived at ``t_us``."""
@@ -71,6 +77,17 @@ class Tracks:
     def forget(self, track_id: int) -> None:
         """It has been seen that there is nothing any more."""
         self._tracks.pop(track_id, None)
+
+    def round(self, t_us: int, pos_ned_m: FloatArray) -> tuple[ObstacleTrack, ...]:
+        """What a vehicle at a place (3,) can evade: :meth:`at` without those that it would be deep inside of."""
+        kept: list[ObstacleTrack] = []
+        over: list[ObstacleTrack] = []
+        for track in self.at(t_us):
+            gone_m = track.vel_ned_m_s[:2] * (max(0, t_us - track.t_us) * 1e-6)
+            off_m = math.hypot(*(pos_ned_m[:2] - track.pos_ned_m[:2] - gone_m).tolist())
+            (over if off_m < track.radius_m - DEEP_M else kept).append(track)
+        self.over_m = max((track.radius_m for track in over), default=None)
+        return tuple(kept)
 
     def at(self, t_us: int) -> tuple[ObstacleTrack, ...]:
         """What is remembered at ``t_us``, in the order of the numbers."""
