@@ -160,6 +160,7 @@ def test_the_operator_hears_of_limits_that_are_given_up_once() -> None:
     for _ in range(3 * PATIENCE_STEPS):
         watch.watch(1.0)
     assert watch.take_news() == [(Severity.WARNING, GIVEN_UP)] and watch.largest == 1.0
+    assert len(GIVEN_UP) <= 50, "one STATUSTEXT"
 
 
 def test_nothing_to_follow_means_no_inner_loop() -> None:

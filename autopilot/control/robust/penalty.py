@@ -14,7 +14,8 @@ PATIENCE_STEPS = 20
 """A second of it: less happens whenever an obstacle comes up."""
 
 
-GIVEN_UP = "A limit is given up: no plan keeps them all, or its penalty is too small"
+GIVEN_UP = "No plan keeps all limits: give room or take over"
+"""Whoever steers can do either; that a weight is too small, a reader of the log sees in ``penalty_use``."""
 
 
 class PenaltyWatch:
