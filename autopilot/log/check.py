@@ -18,6 +18,7 @@ from autopilot.core.marks import LoopPart
 from autopilot.core.messages import ProgressState
 from autopilot.log.analysis import (
     Flight,
+    Span,
     Visit,
     distance_to_fence,
     distance_to_obstacle,
@@ -77,10 +78,11 @@ def overall(rows: Iterable[Row]) -> Verdict:
 
 
 def format_figure(value: float | None) -> str:
-    """A figure of a row as text: empty if there is none, whole numbers without decimals."""
+    """A figure of a row as text: empty if there is none, whole and large numbers without decimals."""
     if value is None:
         return ""
-    return f"{value:.0f}" if math.isfinite(value) and value == int(value) else f"{value:.4g}"
+    whole = math.isfinite(value) and (value == int(value) or abs(value) >= 1000.0)
+    return f"{value:.0f}" if whole else f"{value:.4g}"
 
 
 def _at_most(
@@ -136,6 +138,8 @@ def _beyond(t_s: FloatArray, broken: NDArray[np.bool_]) -> str:
     return f"beyond for {lasted_s:.2f} s" + (f", {times} times" if times > 1 else "")
 
 
+LISTED_LAPS = 6
+"""More of them are not listed one by one."""
 FIRST_STATS_S = 1.5
 """A log whose loop statistics (1 Hz) begin by then began with the service."""
 
@@ -161,12 +165,25 @@ def _mission_rows(flight: Flight, run: RunDescription) -> list[Row]:
         rows.append(Row(name="laps", unit="", limit=limit, worst=done, margin=done - limit, verdict=verdict))
     for waypoint in run.waypoints:
         rows += _waypoint_rows([visit for visit in tour if visit.waypoint is waypoint])
-    for number, span in enumerate(spans, 1):
-        rows.append(info(f"time lap {number}", "s", span.end_s - span.start_s))
-        energy = energy_j(flight, span)
-        if energy is not None:
-            note = f"{run.hotel_power_w:g} W hotel load" if run.hotel_power_w else ""
-            rows.append(info(f"energy lap {number}", "J", energy, note))
+    return rows + _lap_rows(flight, run, spans)
+
+
+def _lap_rows(flight: Flight, run: RunDescription, spans: Sequence[Span]) -> list[Row]:
+    """Time and energy of every lap, or of many laps what they have in common and how far they are apart."""
+    times = [span.end_s - span.start_s for span in spans]
+    used = [energy_j(flight, span) for span in spans]
+    note = f"{run.hotel_power_w:g} W hotel load" if run.hotel_power_w else ""
+    rows = []
+    if len(spans) <= LISTED_LAPS:
+        for number, (time_s, energy) in enumerate(zip(times, used, strict=True), 1):
+            rows.append(info(f"time lap {number}", "s", time_s))
+            rows += [] if energy is None else [info(f"energy lap {number}", "J", energy, note)]
+    energies = [energy for energy in used if energy is not None]
+    for name, unit, values in (("time", "s", times), ("energy", "J", energies)):
+        if len(values) > 1:
+            least, most = int(np.argmin(values)), int(np.argmax(values))
+            apart = f"{values[least]:.1f} in lap {least + 1}, {values[most]:.1f} in lap {most + 1}"
+            rows.append(info(f"{name} of a lap, median of {len(values)}", unit, float(np.median(values)), apart))
     return rows
 
 

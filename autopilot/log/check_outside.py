@@ -50,7 +50,7 @@ def link_rows(flight: Flight) -> list[Row]:
 
 def _round_trips(flight: Flight, received: Table, sent: Table) -> list[Row]:
     """From our TIMESYNC requests to their answers; simulated time is not that of clients unless at its own speed."""
-    found_s = round_trips_s(received, sent)
+    _, found_s = round_trips(received, sent)
     if not len(found_s):
         return []
     slow = float(np.percentile(found_s, 95.0))
@@ -61,11 +61,12 @@ def _round_trips(flight: Flight, received: Table, sent: Table) -> list[Row]:
     return [at_most("Links", name, "s", MOST_ROUND_TRIP_S, slow, note)]
 
 
-def round_trips_s(received: Table, sent: Table) -> FloatArray:
-    """(n,) times from our TIMESYNC requests to the answers, which return our stamp [ns]."""
+def round_trips(received: Table, sent: Table) -> tuple[FloatArray, FloatArray]:
+    """(n,) times at which our TIMESYNC requests were answered and (n,) how long that took; they return our stamp."""
     asked = {ours for answer, ours, _ in _timesyncs(sent) if answer == 0}
-    answered = [(ours, t_us) for answer, ours, t_us in _timesyncs(received) if answer != 0]
-    return np.array([1e-6 * t_us - 1e-9 * ours for ours, t_us in answered if ours in asked])
+    came = [(1e-6 * t_us, 1e-9 * ours) for answer, ours, t_us in _timesyncs(received) if answer != 0 and ours in asked]
+    at_s, asked_s = np.array(came, dtype=float).reshape(-1, 2).T
+    return at_s, at_s - asked_s
 
 
 def _timesyncs(frames: Table) -> list[tuple[int, int, int]]:

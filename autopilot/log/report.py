@@ -19,7 +19,7 @@ from autopilot.core.errors import LogError
 from autopilot.core.params import PARAMETERS
 from autopilot.log.analysis import TOPICS_OF_INTEREST, Flight, energy_j, last_counts, load_flight, seconds
 from autopilot.log.check import Row, Verdict, acceptance_table, format_figure, overall
-from autopilot.log.reader import Log
+from autopilot.log.reader import Log, Message
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.visuals import ROS_LEVEL
 
@@ -64,6 +64,8 @@ _JPEG = b"\xff\xd8\xff"
 _ATTACHED_BYTES = 100_000
 """Larger attachments stay in the log."""
 _EVENTS_SHOWN = 500
+_TOLD_LEVEL = 20
+"""Events below this level of rcl_interfaces/Log are no operator's business."""
 _LEVEL_NAMES = {50: "fatal", 40: "error", 30: "warning", 20: "info", 10: "debug"}
 
 
@@ -265,6 +267,13 @@ def _events(log: Log) -> str:
     if "/rosout" not in log:
         return "<p>none</p>"
     messages = log.messages("/rosout")
+    told = [message for message in messages if message.value["level"] >= _TOLD_LEVEL]
+    notes = [message for message in messages if message.value["level"] < _TOLD_LEVEL]
+    inner = f"<details><summary>{len(notes)} notes for developers</summary>{_event_table(notes)}</details>"
+    return _event_table(told) + (inner if notes else "")
+
+
+def _event_table(messages: Sequence[Message]) -> str:
     rows = [
         (f"{m.t_us * 1e-6:.2f}", _LEVEL_NAMES.get(m.value["level"], str(m.value["level"])), m.value["msg"])
         for m in messages[:_EVENTS_SHOWN]

@@ -33,6 +33,8 @@ class Curve:
     dashed: bool = False
     steps: bool = False
     """Holds its value until the next one."""
+    turns: bool = False
+    """Degrees on a circle: from +180 to -180 no line is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +71,12 @@ def decimate(t_s: FloatArray, values: FloatArray, buckets: int = BUCKETS) -> tup
     return t_s[rows], values[rows]
 
 
+def parted(t_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Degrees with a gap (NaN) wherever they go over the end of their circle."""
+    jumps = np.flatnonzero(np.abs(np.diff(values)) > 180.0) + 1
+    return np.insert(t_s, jumps, t_s[jumps]), np.insert(values, jumps, np.nan)
+
+
 class TimeSheet:
     """Plots with a common time axis, shaded by mode, with the same marks."""
 
@@ -96,6 +104,8 @@ class TimeSheet:
         items = []
         for index, curve in enumerate(shown):
             t_s, values = decimate(curve.t_s, curve.values)
+            if curve.turns:
+                t_s, values = parted(t_s, values)
             source = ColumnDataSource({"t": t_s.astype(np.float32), "y": values.astype(np.float32)}, name=curve.name)
             style = {"line_color": COLORS[index % len(COLORS)], "line_width": 1.3}
             style["line_dash"] = "dashed" if curve.dashed else "solid"

@@ -1,10 +1,12 @@
 """Which plots the HTML report has: by subject, of everything that a log holds."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from bokeh.models import Legend
+from bokeh.palettes import viridis
 
 from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import (
@@ -26,6 +28,8 @@ from autopilot.log.analysis import (
     thruster_names,
     visits,
 )
+from autopilot.log.check_more import MOST_REPROJECTION_PX
+from autopilot.log.check_outside import round_trips
 from autopilot.log.description import RunDescription
 from autopilot.log.report_draw import (
     BUCKETS,
@@ -42,6 +46,7 @@ from autopilot.log.report_draw import (
 )
 from autopilot.log.scene import outline
 from autopilot.log.spectra import density
+from autopilot.log.thruster_energy import thruster_power
 from autopilot.log.topics import AID_PREFIX
 
 Subject: TypeAlias = dict[str, Any]
@@ -64,6 +69,14 @@ HORIZONS = 12
 MARKED_LEVEL = 20
 """Events from this level of rcl_interfaces/Log on are marked: what operators are told."""
 MOST_MARKS = 300
+MOST_TURNS_DEG = 1080.0
+"""Who turns further gets an axis from -180 to 180 degrees: on one of all turns nothing could be read."""
+MOST_LAPS = 8
+"""So many laps have a colour of their own; more go over from one colour to another."""
+LAPS_NAMED = 4
+"""Of these the plan names so many."""
+HEADS = 8
+"""Arrow heads of the last lap: which way it went."""
 
 
 class Plots:
@@ -116,6 +129,8 @@ class Plots:
             near = np.interp(seconds(goal), yaw[0].t_s, yaw[0].values)
             aimed = aimed_yaw(np.where(goal["yaw_free"] != 0, np.nan, np.degrees(goal["yaw_rad"])), near)
             yaw.append(Curve(name="set point", t_s=seconds(goal), values=aimed, dashed=True, steps=True))
+        if yaw and float(np.ptp(yaw[0].values)) > MOST_TURNS_DEG:
+            yaw = [replace(curve, values=(curve.values + 180.0) % 360.0 - 180.0, turns=True) for curve in yaw]
         plots["Yaw"] = self._sheet.plot("yaw [deg]", yaw)
         tilts = [
             Curve(name=f"{axis} {name}", t_s=track.t_s, values=np.degrees(track.rpy_rad[:, index]))
@@ -244,7 +259,16 @@ class Plots:
                 "markers", [Curve(name="markers", t_s=t_s, values=table["count"].astype(float))]
             ),
             "Time between pictures and of detection": self._sheet.plot("[ms]", [gap, decode]),
+            "Reprojection error: corners from where map, camera and pose have them": self._reprojection(),
         }
+
+    def _reprojection(self) -> Any | None:
+        fit = self._flight.table("/nav/fit")
+        if fit is None:
+            return None
+        names = (("rms_px", "rms of the corners"), ("worst_px", "worst corner"))
+        curves = [Curve(name=name, t_s=seconds(fit), values=fit[field]) for field, name in names]
+        return self._sheet.plot("[px]", curves, (MOST_REPROJECTION_PX,))
 
     def _thrusters(self) -> Subject:
         table, acting = self._flight.table("/out/thrusters"), self._flight.table("/sim/thrusters")
@@ -289,7 +313,8 @@ class Plots:
             t_s, power = seconds(acting), acting["power_w"]
             used = np.concatenate(([0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t_s))))
             plots["Electrical power"] = self._sheet.plot("power [W]", [Curve(name="power", t_s=t_s, values=power)])
-            plots["Energy"] = self._sheet.plot("energy [J]", [Curve(name="used", t_s=t_s, values=used)])
+            curves = [Curve(name="used", t_s=t_s, values=used), *self._thruster_energy()]
+            plots["Energy, and what each thruster took of it"] = self._sheet.plot("energy [J]", curves)
         if battery is not None:
             t_s = seconds(battery)
             for title, field, label in (
@@ -298,6 +323,14 @@ class Plots:
             ):
                 plots[title] = self._sheet.plot(label, [Curve(name=field, t_s=t_s, values=battery[field])])
         return plots
+
+    def _thruster_energy(self) -> list[Curve]:
+        found = thruster_power(self._flight)
+        if found is None:
+            return []
+        lasts_s = np.diff(found.t_s, append=found.t_s[-1:])
+        taken = np.cumsum(found.power_w * lasts_s[:, None], axis=0)
+        return [Curve(name=name, t_s=found.t_s, values=taken[:, i]) for i, name in enumerate(found.names)]
 
     def _inertial(self) -> Subject:
         table = self._flight.table("/in/ahrs_raw")
@@ -339,6 +372,21 @@ class Plots:
                 for name in ("overruns", "dropped_log", "dropped_frames")
             ]
             plots["Overruns, lost messages of the log, lost pictures"] = self._sheet.plot("so far", lost)
+        received, sent = flight.table("/in/mavlink"), flight.table("/out/mavlink")
+        if received is not None and sent is not None:
+            at_s, trip_s = round_trips(received, sent)
+            trips = [Curve(name="TIMESYNC", t_s=at_s, values=1e3 * trip_s)]
+            plots["There and back to clients"] = self._sheet.plot("[ms]", trips)
+        process = flight.table("/sys/process")
+        if process is not None:
+            t_s = seconds(process)
+            for title, label, field, scale in (
+                ("Memory", "[MB]", "rss", 1e-6),
+                ("Messages waiting for the log", "messages", "log_queue", 1.0),
+                ("Longest garbage collection of a second", "[ms]", "collect_s", 1e3),
+            ):
+                curve = Curve(name=field, t_s=t_s, values=scale * process[field].astype(float), steps=True)
+                plots[title] = self._sheet.plot(label, [curve])
         return plots
 
     def _bound(self, name: str) -> tuple[float, ...]:
@@ -363,12 +411,19 @@ class Plots:
         x, y = track.pos_ned_m[rows, 0].astype(np.float32), track.pos_ned_m[rows, 1].astype(np.float32)
         items = [("way", [plot.line(x, y, line_color="#333333", line_width=1.5)])]
         laps = lap_spans(visits(track, run), run) if run is not None else []
+        colors = COLORS if len(laps) <= MOST_LAPS else viridis(len(laps))
+        named = set(range(len(laps)))
+        if len(laps) > MOST_LAPS:
+            named = {round(share * (len(laps) - 1)) for share in np.linspace(0.0, 1.0, LAPS_NAMED)}
         for number, lap in enumerate(laps):
             keep = lap.holds(track.t_s[rows])
-            color = COLORS[number % len(COLORS)]
-            used = energy_j(self._flight, lap)
-            name = f"lap {number + 1}" + ("" if used is None else f": {used:.0f} J")
-            items.append((name, [plot.line(x[keep], y[keep], line_color=color, line_width=2)]))
+            line = plot.line(x[keep], y[keep], line_color=colors[number], line_width=2)
+            if number in named:
+                used = energy_j(self._flight, lap)
+                items.append((f"lap {number + 1}" + ("" if used is None else f": {used:.0f} J"), [line]))
+        shown = laps[-1:] or [self._flight.armed]
+        heads = _draw_heads(plot, track.between(shown[0]))
+        items += [("direction of travel", [heads])] if heads is not None else []
         made = [one for one in self._predictions if self._flight.armed.start_s <= one.t_s <= self._flight.armed.end_s]
         if made:
             items.append(("predictions", [_draw_predictions(plot, made)]))
@@ -392,6 +447,21 @@ def _draw_predictions(plot: Any, made: Sequence[Prediction]) -> Any:
     xs = [one.pos_ned_m[:, 0].round(3).tolist() for one in some]
     ys = [one.pos_ned_m[:, 1].round(3).tolist() for one in some]
     return plot.multi_line(xs, ys, line_color="#7b3fa0", line_width=1, line_alpha=0.6)
+
+
+def _draw_heads(plot: Any, track: Track) -> Any | None:
+    """Arrow heads along a way, evenly by its length; None where it leads nowhere."""
+    plane = track.pos_ned_m[:, :2]
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(plane, axis=0).T))))
+    if len(plane) < 2 or along[-1] <= 0.0:
+        return None
+    at = np.searchsorted(along, (np.arange(HEADS) + 0.5) / HEADS * along[-1])
+    ahead = np.minimum(np.searchsorted(along, along[at] + 0.05), len(along) - 1)
+    way = plane[ahead] - plane[at]
+    angle = np.arctan2(way[:, 1], way[:, 0]) * -1.0 - np.pi / 2
+    return plot.scatter(
+        plane[at, 0], plane[at, 1], marker="triangle", angle=angle, size=10, fill_color="#111111", line_color="white"
+    )
 
 
 def _draw_current(plot: Any, track: Track) -> list[Any]:
