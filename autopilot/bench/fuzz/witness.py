@@ -7,7 +7,7 @@ from typing import Any
 
 from autopilot.core.messages import Event, MavlinkFrame
 from autopilot.core.plan import PlanKind
-from autopilot.mavlink.api import VehicleView
+from autopilot.mavlink.api import CommandResult, VehicleView
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mavlink.signing import UNSIGNABLE
@@ -159,7 +159,7 @@ class Witness:
     def _judge(self, message: Any, answer: Any, before: dict[str, object], after: dict[str, object]) -> None:
         kind = answer.get_type()
         # CANCELLED is no refusal: the mode has changed because a client asked for that (COMMAND_CANCEL).
-        refused = (kind == "COMMAND_ACK" and answer.result not in (0, 5, mav.MAV_RESULT_CANCELLED)) or (
+        refused = (kind == "COMMAND_ACK" and answer.result not in (0, 5, CommandResult.CANCELLED)) or (
             kind == "MISSION_ACK" and answer.type
         )
         if refused or kind == "PARAM_ERROR":
