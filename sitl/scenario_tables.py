@@ -347,7 +347,8 @@ Fault: TypeAlias = (
 
 
 class Accept(Table, frozen=True, kw_only=True):
-    """``[accept]``: the bounds that a run is judged by, on the plant's truth. Defaults: the paper's, section IV."""
+    """``[accept]``: the bounds that a run is judged by, on the plant's truth. Defaults: the paper's, section IV; None =
+    the run's own limit (a parameter), of speeds with the paper's allowance."""
 
     cylinder_clearance_m: NonNegative = 0.46
     """Centre of the vehicle to the axis of a cylinder: its radius plus the 0.3 m ball."""
@@ -355,19 +356,19 @@ class Accept(Table, frozen=True, kw_only=True):
     tolerance_m: NonNegative = 0.010
     """By how much a clearance may be missed."""
     depth_min_m: float = 0.0
-    depth_max_m: float = 1.2
-    planar_speed_m_s: Positive = 0.52
+    depth_max_m: float | None = None
+    planar_speed_m_s: Positive | None = None
     """Norm of surge and sway relative to the water."""
-    heave_m_s: Positive = 0.26
-    yaw_rate_rad_s: Positive = 1.05
-    thrust_n: Positive = 12.0
+    heave_m_s: Positive | None = None
+    yaw_rate_rad_s: Positive | None = None
+    thrust_n: Positive | None = None
     pos_rms_m: Positive = 0.010
     yaw_rms_deg: Positive = 0.5
     campaign: Literal["bounds", "contact"] = "bounds"
     """What a campaign holds against a run: broken bounds and missing laps, or only contacts."""
 
     def __post_init__(self) -> None:
-        if self.depth_max_m <= self.depth_min_m:
+        if self.depth_max_m is not None and self.depth_max_m <= self.depth_min_m:
             raise ValueError(
                 f"`depth_max_m` = {self.depth_max_m:g} must be greater than `depth_min_m` = {self.depth_min_m:g}"
             )

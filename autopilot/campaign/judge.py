@@ -1,5 +1,7 @@
 """A run against its bounds, on the plant's truth at 100 Hz. Clearances and spans as in ``autopilot log check``."""
 
+from dataclasses import asdict
+
 import msgspec
 import numpy as np
 
@@ -39,7 +41,7 @@ def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end
         judged=scenario.accept.campaign,
         laps_asked=run.accept.laps,
         completed=watch.completed,
-        margins=_margins(scenario, run, watch),
+        margins=_margins(run, watch),
         contacts=end.contact_count,
         penetration_m=end.max_penetration_m,
         steps=watch.steps,
@@ -48,7 +50,7 @@ def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end
         failsafes=watch.failsafe_names,
         events=watch.events,
         tube_shares=[share for share in map(watch.tube.share, AHEAD_S) if share is not None],
-        smoothness=measure(watch.commands(run.parameters.get("THR_LIMIT", scenario.accept.thrust_n))),
+        smoothness=measure(watch.commands(run.parameters["THR_LIMIT"])),
     )
     spans = lap_spans(visits(watch.track, run), run)
     return msgspec.structs.replace(
@@ -60,9 +62,10 @@ def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end
     )
 
 
-def _margins(scenario: Scenario, run: RunDescription, watch: Watch) -> dict[str, Margin]:
+def _margins(run: RunDescription, watch: Watch) -> dict[str, Margin]:
     """Every bound of the scenario and of the plan."""
-    accept, track = scenario.accept, watch.track
+    accept: dict[str, float] = {name: bound for name, bound in asdict(run.accept).items() if bound is not None}
+    track = watch.track
     judged = track.between(watch.mission)
     found: dict[str, Margin] = {}
 
@@ -74,28 +77,28 @@ def _margins(scenario: Scenario, run: RunDescription, watch: Watch) -> dict[str,
                 margin=round(float(margins[worst]), 5), at_s=round(float(at.t_s[worst]), 2), tolerance=tolerance
             )
 
-    near = accept.tolerance_m
+    near = accept["tolerance_m"]
     for obstacle in run.obstacles:
         limit = obstacle_limit_m(obstacle, run)
         if limit is not None:
             add(obstacle.name, distance_to_obstacle(track, obstacle) - limit, track, near)
     plane = track.pos_ned_m[:, :2]
     if run.tank_polygon_m:
-        add("walls", distance_to_polygon(plane, run.tank_polygon_m) - accept.wall_clearance_m, track, near)
+        add("walls", distance_to_polygon(plane, run.tank_polygon_m) - accept["wall_clearance_m"], track, near)
     if run.fence:
         add("fence", distance_to_fence(plane, run.fence) - run.body_radius_m, track, near)
     depth = judged.pos_ned_m[:, 2]
-    add("shallowest", depth - accept.depth_min_m, judged, near)
-    add("deepest", accept.depth_max_m - depth, judged, near)
+    add("shallowest", depth - accept["depth_min_m"], judged, near)
+    add("deepest", accept["depth_max_m"] - depth, judged, near)
     bounds = run.paper_bounds
     for name, values, limit, allowed in (
-        ("planar speed", judged.planar_speed_m_s, bounds["planar_speed_m_s"], accept.planar_speed_m_s),
-        ("heave", np.abs(judged.vel_water_frd_m_s[:, 2]), bounds["heave_m_s"], accept.heave_m_s),
-        ("yaw rate", np.abs(judged.rate_frd_rad_s[:, 2]), bounds["yaw_rate_rad_s"], accept.yaw_rate_rad_s),
+        ("planar speed", judged.planar_speed_m_s, bounds["planar_speed_m_s"], accept["planar_speed_m_s"]),
+        ("heave", np.abs(judged.vel_water_frd_m_s[:, 2]), bounds["heave_m_s"], accept["heave_m_s"]),
+        ("yaw rate", np.abs(judged.rate_frd_rad_s[:, 2]), bounds["yaw_rate_rad_s"], accept["yaw_rate_rad_s"]),
     ):
         add(name, limit - values, judged, round(max(0.0, allowed - limit), 6))
     command_n = watch.column("thrust_n")[watch.mission.holds(track.t_s)]
-    add("thrust", min(bounds["thrust_n"], accept.thrust_n) - command_n, judged, THRUST_TOLERANCE_N)
+    add("thrust", min(bounds["thrust_n"], accept["thrust_n"]) - command_n, judged, THRUST_TOLERANCE_N)
     return found
 
 

@@ -5,6 +5,7 @@ in local metres (NED, origin at the water surface), radians and SI. A log withou
 plotted; only what needs bounds or geometry is left out.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -23,7 +24,8 @@ Point3: TypeAlias = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AcceptBounds:
-    """What the run is judged by. None = not judged. Names as in a scenario's ``[accept]``; defaults: paper, IV."""
+    """What the run is judged by. None = not judged. Names as in a scenario's ``[accept]``; defaults: paper, IV, which
+    :meth:`of_limits` follows where a run has other limits."""
 
     laps: int | None = None
     """Times that the waypoints have to be visited in order (back to the first one if the tour is closed)."""
@@ -42,6 +44,18 @@ class AcceptBounds:
     thrust_n: float | None = 12.0
     pos_rms_m: float | None = 0.010
     yaw_rms_deg: float | None = 0.5
+
+    @classmethod
+    def of_limits(cls, params: Mapping[str, float], laps: int | None) -> "AcceptBounds":
+        """By the limits that the controller is given, with what the paper allows beyond its own."""
+        return cls(
+            laps=laps,
+            depth_max_m=params["DEPTH_MAX"],
+            planar_speed_m_s=round(params["SPD_PLANAR_MAX"] + 0.02, 6),
+            heave_m_s=round(params["SPD_HEAVE_MAX"] + 0.01, 6),
+            yaw_rate_rad_s=round(params["SPD_YAW_MAX"] + 0.05, 6),
+            thrust_n=params["THR_LIMIT"],
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,7 +31,7 @@ def describe_service(parts: Parts, place: str) -> RunDescription:
         fence=fence_shapes(parts.commander.fence),
         waypoints=waypoints,
         closed_tour=laps is not None,
-        accept=AcceptBounds(laps=laps),
+        accept=AcceptBounds.of_limits(params, laps),
         paper_bounds={
             "planar_speed_m_s": params["SPD_PLANAR_MAX"],
             "heave_m_s": params["SPD_HEAVE_MAX"],

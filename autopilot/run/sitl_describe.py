@@ -1,7 +1,8 @@
 """What the log of a simulated run says beside what any vehicle's says: the world, and what the run is judged by."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
 from autopilot.command.parts import Parts
 from autopilot.log.description import AcceptBounds, Obstacle, PartOrigin, RunDescription
@@ -15,7 +16,7 @@ def describe_run(
     scenario: Scenario, parts: Parts, *, seed: int, speed: float, origins: Mapping[str, PartOrigin] | None = None
 ) -> RunDescription:
     """The description of a simulated run as things stand now. ``origins``: of controller, estimator and plant."""
-    tank, accept = scenario.tank, scenario.accept
+    tank = scenario.tank
     service = describe_service(parts, scenario.scenario.name)
     return replace(
         service,
@@ -32,21 +33,14 @@ def describe_run(
             for number, obstacle in enumerate(scenario.obstacle, start=1)
             if not isinstance(obstacle, PrismObstacle)
         ),
-        accept=AcceptBounds(
-            laps=service.accept.laps,
-            cylinder_clearance_m=accept.cylinder_clearance_m,
-            wall_clearance_m=accept.wall_clearance_m,
-            tolerance_m=accept.tolerance_m,
-            depth_min_m=accept.depth_min_m,
-            depth_max_m=accept.depth_max_m,
-            planar_speed_m_s=accept.planar_speed_m_s,
-            heave_m_s=accept.heave_m_s,
-            yaw_rate_rad_s=accept.yaw_rate_rad_s,
-            thrust_n=accept.thrust_n,
-            pos_rms_m=accept.pos_rms_m,
-            yaw_rms_deg=accept.yaw_rms_deg,
-        ),
+        accept=replace(service.accept, **_asked(scenario)),
     )
+
+
+def _asked(scenario: Scenario) -> dict[str, Any]:
+    """Bounds that the scenario gives; the others are the run's own limits."""
+    names = [field.name for field in fields(AcceptBounds) if field.name != "laps"]
+    return {name: value for name in names if (value := getattr(scenario.accept, name)) is not None}
 
 
 def _obstacle(obstacle: SolidTable, number: int) -> Obstacle:
