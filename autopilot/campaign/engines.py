@@ -12,7 +12,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from multiprocessing.synchronize import Event
 from typing import Any, Protocol, TypeVar
 
 from autopilot import THREAD_VARIABLES, __version__
@@ -115,7 +114,8 @@ class LocalPool:
     ) -> Iterator[tuple[int, Result | None]]:
         """Results until all are there, or a process dies: ``broken`` are the runs that were under way then."""
         context = multiprocessing.get_context("spawn")
-        halt = context.Event()
+        # One byte and no lock, as an Event has: who is killed while it looks would keep that for ever.
+        halt = context.RawValue("b", 0)
         with (
             _single_threaded(),
             cf.ProcessPoolExecutor(
@@ -144,7 +144,7 @@ class LocalPool:
             except cf.process.BrokenProcessPool:
                 broken += sorted(under_way) or list(tasks)[:1]
             finally:
-                halt.set()
+                halt.value = 1
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
@@ -153,11 +153,11 @@ def _what(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
-_halt: Event | None = None
-"""In a worker process: set when it is to stop."""
+_halt: Any = None
+"""In a worker process: its value is 1 when it is to stop."""
 
 
-def _begin_worker(halt: Event) -> None:
+def _begin_worker(halt: Any) -> None:
     """Once per process: interrupts are the parent's business; what is imported needs no garbage collection."""
     global _halt
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -169,7 +169,7 @@ def _begin_worker(halt: Event) -> None:
 
 
 def _fly_in_worker(task: Flyable[Result]) -> Result | None:
-    return task.fly((lambda: False) if _halt is None else _halt.is_set)
+    return task.fly(lambda: _halt is not None and bool(_halt.value))
 
 
 @contextmanager

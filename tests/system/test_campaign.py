@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import subprocess
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -323,6 +324,27 @@ def test_a_process_that_dies_takes_no_other_run_with_it(deadly: tuple[int, ...])
     found = sorted(LocalPool(2).run(runs, lambda: False))
     died = "failed: the process that flew it died each time (out of memory?)"
     assert found == [f"run {number} {died}" if number in deadly else f"run {number}" for number in range(5)]
+
+
+class Spinning(Deadly):
+    """A run whose process is killed at any moment while it asks whether to stop, as all do all the time."""
+
+    def fly(self, stop: Any) -> str:
+        if self.deadly:
+            threading.Timer(0.02, os.kill, (os.getpid(), signal.SIGKILL)).start()
+            while True:
+                stop()
+        return f"run {self.number}"
+
+
+def test_a_process_that_dies_holds_nothing_that_others_wait_for() -> None:
+    found: list[str] = []
+    runs = [Spinning(0, True), Spinning(1, False)]
+    flying = threading.Thread(target=lambda: found.extend(LocalPool(2).run(runs, lambda: False)), daemon=True)
+    flying.start()
+    flying.join(300.0)
+    assert not flying.is_alive(), "it waits for a dead process"
+    assert [text.split(":")[0] for text in sorted(found)] == ["run 0 failed", "run 1"]
 
 
 def test_a_plan_that_is_none_is_refused_before_anything_is_flown(tmp_path: Path) -> None:
