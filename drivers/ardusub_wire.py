@@ -22,9 +22,6 @@ ARM_DISARM, SET_INTERVAL, REQUEST_MESSAGE = 400, 511, 512
 KEEP_US = 65535
 """In an override: this channel is not ours."""
 
-HIDDEN_CHANNELS = 12
-"""Channels 7 to 18, which are nobody's."""
-
 
 class Wire:
     """Talks to one flight controller over one link. Whatever else is on the link is passed over."""

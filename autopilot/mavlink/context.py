@@ -29,8 +29,6 @@ MAX_TEXT_CHARS = 600
 """Longest text that is sent (12 chunks)."""
 _CHUNK_CHARS = 50
 """STATUSTEXT.text."""
-BURST_S = 0.05
-"""A link that was silent takes so much of its rate at once; a serial port has that many bytes of buffer."""
 SAME_TEXT_US = 5_000_000
 """The same text does not go out twice on a link within this time."""
 

@@ -76,9 +76,9 @@ class Parameters:
         self._index = {name: i for i, name in enumerate(self._names)}
         self._lists: dict[Peer, int] = {}
         self._saving: dict[str, _Request] = {}
+        """Parameters that are being kept; they are told when they are."""
         self._unsaved = False
         """Whether the operator believes that something is lost at restart."""
-        """Parameters that are being kept; they are told when they are."""
 
     @property
     def specs(self) -> tuple[ParamSpec, ...]:
