@@ -1,20 +1,18 @@
 """Puts the microservices together and hands every message to the one that it belongs to."""
 
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 
-from autopilot.core.clients import EVERYONE, Reach
+from autopilot.core.clients import EVERYONE
 from autopilot.core.clock import TICK_US
-from autopilot.core.geodesy import Place
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
 from autopilot.core.samples import ExternalPoseSample, ObstacleTrack
 from autopilot.core.shelf import Shelf
-from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleCommands, VehicleView
+from autopilot.mavlink.announcements import Announcements
+from autopilot.mavlink.api import Answer, CommandResult, VehicleCommands, VehicleView
 from autopilot.mavlink.budget import Budget
 from autopilot.mavlink.camera import CAMERA_COMPID, CameraComponent
 from autopilot.mavlink.camera_api import CameraOrders
@@ -28,6 +26,7 @@ from autopilot.mavlink.flight import Flight
 from autopilot.mavlink.ftp import FileTransfer
 from autopilot.mavlink.high_latency import HighLatency
 from autopilot.mavlink.inbox import Address, Inbox, Intake
+from autopilot.mavlink.keys import Keys
 from autopilot.mavlink.logs import LogDownload
 from autopilot.mavlink.maintenance import Maintenance
 from autopilot.mavlink.metadata import ComponentMetadata, make_metadata
@@ -44,25 +43,14 @@ from autopilot.mavlink.requests import Requests
 from autopilot.mavlink.routing import Router
 from autopilot.mavlink.sensor_messages import SensorMessages
 from autopilot.mavlink.setpoints import SetPoints
-from autopilot.mavlink.signing import KEY_BYTES, Refusals, Signing
+from autopilot.mavlink.signing import Signing
 from autopilot.mavlink.status import Status
 from autopilot.mavlink.streams import Streams
-from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.telemetry import Builder, Telemetry
 from autopilot.mavlink.utility import Utility
 from autopilot.mavlink.vehicle_commands import VehicleService
 from autopilot.mavlink.wire import Message
 
-FLOOD_SAY_US = 1_000_000
-"""Operators hear of floods no more often than this, however many clients take part."""
-REFUSALS_SAY_US = 10_000_000
-"""Frames that were not believed are told of this often."""
-HEARTBEAT_US = 1_000_000
-"""HEARTBEAT at 1 Hz (https://mavlink.io/en/services/heartbeat.html)."""
-GREET_AFTER_US = 2_000_000
-"""A ground station does not listen yet at the moment in which it has found a vehicle (QGroundControl)."""
-MAX_PEERS = 64
-"""Clients that are remembered as greeted; the oldest goes."""
 MISSION_COMPONENT = 190
 """MAV_COMP_ID_MISSIONPLANNER: older clients address plans to it."""
 
@@ -195,20 +183,13 @@ class Dispatcher:
             table = {**self._camera.actions(), **table}
             self._ours = _OUR_COMPONENTS | {CAMERA_COMPID}
         self._commands = Commands(ctx, table, self._keeps_out)
+        self._keys = Keys(ctx, lambda address: self._intake.reach(address))
         self._handlers = self._table()
         self._router = Router(ctx, ours=self._ours.__contains__)
         self._intake = Intake(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._heard)
-        self._told_refusals = Refusals()
-        self._refusals_us: int | None = None
-        self._flood_us: int | None = None
         self._new: Recent[Address] = Recent(float("inf"))
         """Clients that have spoken MAVLink 2."""
-        self._greeted: LatestUsed[Peer, None] = LatestUsed(MAX_PEERS)
-        self._to_greet: deque[tuple[int, Peer]] = deque()
-        """When a greeting is due, and whose."""
-        self._heartbeat_us = 0
-        self._mode_shown: tuple[bool, FlightMode, FlightMode] | None = None
-        self._place_shown: tuple[Place, Place] | None = None
+        self._announcements = Announcements(ctx, self._status, self._telemetry, self._intake)
         self.last_gcs_t_us: int | None = None
 
     def _table(self) -> Mapping[int, Handler]:
@@ -251,7 +232,7 @@ class Dispatcher:
             mav.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: self._set_points.on_attitude,
             mav.MAVLINK_MSG_ID_SET_ACTUATOR_CONTROL_TARGET: self._set_points.on_actuators,
             mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._on_request_data_stream,
-            mav.MAVLINK_MSG_ID_SETUP_SIGNING: self._on_setup_signing,
+            mav.MAVLINK_MSG_ID_SETUP_SIGNING: self._keys.on_setup,
             mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._others.on_global_position_int,
             mav.MAVLINK_MSG_ID_ADSB_VEHICLE: self._others.on_adsb_vehicle,
             mav.MAVLINK_MSG_ID_AIS_VESSEL: self._others.on_ais_vessel,
@@ -270,8 +251,7 @@ class Dispatcher:
         self._intake.forget_link(link)
         self._streams.forget(link)
         self._high_latency.forget(link)
-        for peer in [peer for peer in self._greeted if peer.link == link]:
-            del self._greeted[peer]
+        self._announcements.forget(link)
 
     @property
     def dropped_rx(self) -> int:
@@ -301,24 +281,26 @@ class Dispatcher:
         ctx = self._ctx
         ctx.t_us, ctx.view, ctx.tx = t_us, view, []
         if ctx.announce_place:
-            ctx.announce_place, self._place_shown = False, None
+            ctx.announce_place = False
+            self._announcements.place_again()
         run = ctx.guard.run
         for budget in ctx.budgets.values():
             budget.tick(t_us)
-        run("message", self._tick_signing, None)
+        run("message", self._keys.tick, None)
         run("plans", self.missions.answer, None)
         for frame in rx:
             self._push(frame)
         run("message", self._intake.work, None)
         ctx.received = self._intake.received
-        run("telemetry", self._say_flood, None)
-        run("telemetry", self._say_refusals, None)
+        say = self._announcements
+        run("telemetry", say.flood, None)
+        run("telemetry", say.refusals, None)
         run("telemetry", self._operators.tick, None)
-        run("heartbeat", self._say_heartbeat, None, lambda: view)
-        run("telemetry", self._say_greetings, None)
+        run("heartbeat", say.heartbeat, None, lambda: view)
+        run("telemetry", say.greetings, None)
         for event in events:
             run("telemetry", partial(ctx.text, event.severity, event.text), None, partial(repr, event))
-        run("telemetry", self._say_place, None, lambda: view)
+        run("telemetry", say.place, None, lambda: view)
         run("telemetry", self._sensors.tick, None, lambda: view)
         run("telemetry", self._outputs.tick, None, lambda: view)
         run("telemetry", self._flight.tick, None, lambda: view)
@@ -376,7 +358,7 @@ class Dispatcher:
         link, client = address
         peer = Peer(link, sysid, msg.get_srcComponent(), client)
         self._note_version(address, msg)
-        self._greet(peer)
+        self._announcements.greet(peer)
         if self._operators.refused(peer, msg):
             return
         try:
@@ -416,89 +398,12 @@ class Dispatcher:
     def _keeps_out(self, call: Call) -> str:
         return self._operators.reason if self._operators.keeps_out(call.peer) else ""
 
-    def _tick_signing(self) -> None:
-        """Signing time goes on; a key that the disk has not got is told."""
-        ctx = self._ctx
-        ctx.signing.local_may_be_silent = ctx.params["SIGN_LOCAL"] > 0.0
-        problem = ctx.signing.tick(ctx.t_us)
-        if problem:
-            ctx.say(Severity.WARNING, f"Signing key or time not saved: {problem}")
-
-    def _say_refusals(self) -> None:
-        """Frames that were not believed are told now and then, with the remedy."""
-        ctx, now, told = self._ctx, self._ctx.signing.refused, self._told_refusals
-        if now == told or (self._refusals_us is not None and ctx.t_us < self._refusals_us + REFUSALS_SAY_US):
-            return
-        self._refusals_us = ctx.t_us
-        self._told_refusals = replace(now)
-        if now.unknown_key > told.unknown_key:
-            ctx.say(Severity.WARNING, "Frames signed with an unknown key: not heard")
-        elif now.unsigned > told.unsigned:
-            ctx.say(Severity.WARNING, "Unsigned frames are not heard: sign them")
-        else:
-            ctx.say(Severity.WARNING, "Signed frames are too old: check the clock")
-        ctx.log(Severity.WARNING, f"frames not heard so far: {now}")
-
-    def _say_flood(self) -> None:
-        """Name who sends more than is taken, now and then."""
-        ctx = self._ctx
-        if self._flood_us is not None and ctx.t_us < self._flood_us + FLOOD_SAY_US:
-            return
-        flood = self._intake.take_flood(ctx.t_us)
-        if flood is None:
-            return
-        self._flood_us = ctx.t_us
-        ctx.say(Severity.WARNING, f"{flood.sender} floods its link: throttled")
-        ctx.log(
-            Severity.WARNING,
-            f"{flood.sender} on link {flood.link}: {flood.lost} bytes dropped, {flood.lost_in_all} in all",
-        )
-
     def _for_us(self, msg: Message) -> bool:
         """Addressed to us, to all, or to nobody. The camera takes commands only."""
         component = getattr(msg, "target_component", 0)
         if getattr(msg, "target_system", 0) not in (0, self._ctx.sysid) or component not in self._ours:
             return False
         return component != CAMERA_COMPID or msg.get_msgId() in _COMMANDS
-
-    def _greet(self, peer: Peer) -> None:
-        """The true name, once to every client, a moment after its first word."""
-        if peer in self._greeted:
-            return
-        self._greeted[peer] = None
-        if len(self._to_greet) < MAX_PEERS:
-            self._to_greet.append((self._ctx.t_us + round(GREET_AFTER_US * self._ctx.patience), peer))
-
-    def _say_greetings(self) -> None:
-        """Greet whose time has come."""
-        identity = self._ctx.identity
-        while self._to_greet and self._ctx.t_us >= self._to_greet[0][0]:
-            _, peer = self._to_greet.popleft()
-            if peer.link in self._ctx.quiet:
-                continue
-            self._ctx.text(Severity.INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer)
-
-    def _say_heartbeat(self) -> None:
-        """1 Hz, and at once when armed state or mode change."""
-        ctx, view = self._ctx, self._ctx.view
-        shown = (view.armed, view.mode, view.intended_mode)
-        if shown == self._mode_shown and ctx.t_us < self._heartbeat_us:
-            return
-        ctx.broadcast(self._status.heartbeat())
-        if shown != self._mode_shown:
-            ctx.broadcast(self._status.current_mode())
-        self._mode_shown = shown
-        self._heartbeat_us = ctx.t_us + HEARTBEAT_US
-
-    def _say_place(self) -> None:
-        """Origin and home when they change."""
-        view = self._ctx.view
-        place = (view.origin, view.home)
-        if place == self._place_shown:
-            return
-        self._place_shown = place
-        self._ctx.broadcast(self._telemetry.gps_global_origin())
-        self._ctx.broadcast(self._telemetry.home_position())
 
     # Messages that need no service of their own
 
@@ -529,26 +434,6 @@ class Dispatcher:
 
     def _on_set_origin(self, peer: Peer, msg: Message) -> None:
         self._explain(peer, self._vehicle.set_origin_message(msg.latitude, msg.longitude, msg.altitude))
-
-    def _on_setup_signing(self, peer: Peer, msg: Message) -> None:
-        """SETUP_SIGNING: only from this machine, where nobody listens on the way, and while disarmed; a key that is in
-        force has to have signed it. All zero takes the key away."""
-        ctx = self._ctx
-        if self._intake.reach((peer.link, peer.client)) is Reach.NETWORK:
-            ctx.say(Severity.WARNING, "Key refused: use `autopilot mavlink key` on board", peer)
-        elif ctx.view.armed:
-            ctx.say(Severity.WARNING, "Key refused: disarm first", peer)
-        elif ctx.signing.key is not None and not msg.get_msgbuf()[2] & mav.MAVLINK_IFLAG_SIGNED:
-            ctx.say(Severity.WARNING, "Key refused: sign it with the present key", peer)
-        else:
-            key = bytes(msg.secret_key)
-            none = key == bytes(KEY_BYTES) and msg.initial_timestamp == 0
-            if not none and key == bytes(KEY_BYTES):
-                ctx.say(Severity.WARNING, "Key refused: it is all zero", peer)
-                return
-            ctx.signing.set_key(None if none else key, msg.initial_timestamp)
-            ctx.key_changed()
-            ctx.say(Severity.INFO, "Signing off" if none else "Signing on: only signed frames are heard")
 
     def _on_request_data_stream(self, peer: Peer, msg: Message) -> None:
         self._streams.on_request_data_stream(

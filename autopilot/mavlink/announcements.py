@@ -1,0 +1,119 @@
+"""What the vehicle says unasked: who it is, that it is there, where home is, and who is not being heard."""
+
+from collections import deque
+from dataclasses import replace
+
+from autopilot.core.geodesy import Place
+from autopilot.core.messages import Severity
+from autopilot.mavlink.api import FlightMode
+from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.inbox import Intake
+from autopilot.mavlink.signing import Refusals
+from autopilot.mavlink.status import Status
+from autopilot.mavlink.table import LatestUsed
+from autopilot.mavlink.telemetry import Telemetry
+
+FLOOD_SAY_US = 1_000_000
+"""Operators hear of floods no more often than this, however many clients take part."""
+REFUSALS_SAY_US = 10_000_000
+"""Frames that were not believed are told of this often."""
+HEARTBEAT_US = 1_000_000
+"""HEARTBEAT at 1 Hz (https://mavlink.io/en/services/heartbeat.html)."""
+GREET_AFTER_US = 2_000_000
+"""A ground station does not listen yet at the moment in which it has found a vehicle (QGroundControl)."""
+MAX_PEERS = 64
+"""Clients that are remembered as greeted; the oldest goes."""
+
+
+class Announcements:
+    """Each method says its part if it is time."""
+
+    def __init__(self, ctx: Context, status: Status, telemetry: Telemetry, intake: Intake) -> None:
+        self._ctx, self._status, self._telemetry, self._intake = ctx, status, telemetry, intake
+        self._told_refusals = Refusals()
+        self._refusals_us: int | None = None
+        self._flood_us: int | None = None
+        self._greeted: LatestUsed[Peer, None] = LatestUsed(MAX_PEERS)
+        self._to_greet: deque[tuple[int, Peer]] = deque()
+        """When a greeting is due, and whose."""
+        self._heartbeat_us = 0
+        self._mode_shown: tuple[bool, FlightMode, FlightMode] | None = None
+        self._place_shown: tuple[Place, Place] | None = None
+
+    def forget(self, link: int) -> None:
+        """A link has gone; whoever comes there is greeted."""
+        for peer in [peer for peer in self._greeted if peer.link == link]:
+            del self._greeted[peer]
+
+    def greet(self, peer: Peer) -> None:
+        """The true name, once to every client, a moment after its first word."""
+        if peer in self._greeted:
+            return
+        self._greeted[peer] = None
+        if len(self._to_greet) < MAX_PEERS:
+            self._to_greet.append((self._ctx.t_us + round(GREET_AFTER_US * self._ctx.patience), peer))
+
+    def greetings(self) -> None:
+        """Greet whose time has come."""
+        identity = self._ctx.identity
+        while self._to_greet and self._ctx.t_us >= self._to_greet[0][0]:
+            _, peer = self._to_greet.popleft()
+            if peer.link in self._ctx.quiet:
+                continue
+            self._ctx.text(Severity.INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer)
+
+    def heartbeat(self) -> None:
+        """1 Hz, and at once when armed state or mode change."""
+        ctx, view = self._ctx, self._ctx.view
+        shown = (view.armed, view.mode, view.intended_mode)
+        if shown == self._mode_shown and ctx.t_us < self._heartbeat_us:
+            return
+        ctx.broadcast(self._status.heartbeat())
+        if shown != self._mode_shown:
+            ctx.broadcast(self._status.current_mode())
+        self._mode_shown = shown
+        self._heartbeat_us = ctx.t_us + HEARTBEAT_US
+
+    def place_again(self) -> None:
+        """Somebody wants origin and home though they are as they were."""
+        self._place_shown = None
+
+    def place(self) -> None:
+        """Origin and home when they change."""
+        view = self._ctx.view
+        place = (view.origin, view.home)
+        if place == self._place_shown:
+            return
+        self._place_shown = place
+        self._ctx.broadcast(self._telemetry.gps_global_origin())
+        self._ctx.broadcast(self._telemetry.home_position())
+
+    def refusals(self) -> None:
+        """Frames that were not believed are told now and then, with the remedy."""
+        ctx, now, told = self._ctx, self._ctx.signing.refused, self._told_refusals
+        if now == told or (self._refusals_us is not None and ctx.t_us < self._refusals_us + REFUSALS_SAY_US):
+            return
+        self._refusals_us = ctx.t_us
+        self._told_refusals = replace(now)
+        if now.unknown_key > told.unknown_key:
+            ctx.say(Severity.WARNING, "Frames signed with an unknown key: not heard")
+        elif now.unsigned > told.unsigned:
+            ctx.say(Severity.WARNING, "Unsigned frames are not heard: sign them")
+        else:
+            ctx.say(Severity.WARNING, "Signed frames are too old: check the clock")
+        ctx.log(Severity.WARNING, f"frames not heard so far: {now}")
+
+    def flood(self) -> None:
+        """Name who sends more than is taken, now and then."""
+        ctx = self._ctx
+        if self._flood_us is not None and ctx.t_us < self._flood_us + FLOOD_SAY_US:
+            return
+        flood = self._intake.take_flood(ctx.t_us)
+        if flood is None:
+            return
+        self._flood_us = ctx.t_us
+        ctx.say(Severity.WARNING, f"{flood.sender} floods its link: throttled")
+        ctx.log(
+            Severity.WARNING,
+            f"{flood.sender} on link {flood.link}: {flood.lost} bytes dropped, {flood.lost_in_all} in all",
+        )
