@@ -8,13 +8,11 @@ import math
 import struct
 from dataclasses import dataclass
 
-from drivers.ig500_protocol import crc16
+from drivers.sbg_frames import Framing, SbgParser, crc16
 
 SYNC = b"\xff\x5a"
 END = 0x33
 MAX_DATA = 4086
-OVERHEAD = 9
-"""Bytes of a frame beside its data."""
 
 LOGS, COMMANDS = 0x00, 0x10
 """Classes."""
@@ -124,46 +122,9 @@ def decode_attitude(data: bytes) -> Attitude | None:
     return Attitude(device_us, tuple(numbers[0:4]), status)
 
 
-class FrameParser:
-    """Bytes in, frames out, however the bytes are cut. Never raises; the counters say what was thrown away."""
+class FrameParser(SbgParser[Frame]):
+    """Frames of an Ellipse."""
 
     def __init__(self) -> None:
-        self._buffer = bytearray()
-        self.skipped = 0
-        """Bytes outside of any good frame."""
-        self.bad_frames = 0
-        """Frames with a wrong size, checksum or end."""
-
-    def feed(self, data: bytes) -> list[Frame]:
-        """The frames that are complete now, oldest first."""
-        self._buffer += data
-        buffer, frames, at = self._buffer, [], 0
-        while True:
-            start = buffer.find(SYNC, at)
-            if start < 0:
-                keep = 1 if buffer[-1:] == SYNC[:1] and len(buffer) > at else 0
-                self.skipped += len(buffer) - at - keep
-                at = len(buffer) - keep
-                break
-            self.skipped += start - at
-            at = start
-            if len(buffer) < at + 6:
-                break
-            size = buffer[at + 4] | buffer[at + 5] << 8
-            end = at + size + OVERHEAD
-            if size <= MAX_DATA and len(buffer) < end:
-                break
-            if size > MAX_DATA or not self._good(buffer, at, end):
-                self.bad_frames += 1
-                self.skipped += len(SYNC)
-                at += len(SYNC)  # not the whole frame: the size itself may be what is damaged
-                continue
-            frames.append(Frame(buffer[at + 2], buffer[at + 3], bytes(buffer[at + 6 : end - 3])))
-            at = end
-        del buffer[:at]
-        return frames
-
-    @staticmethod
-    def _good(buffer: bytearray, at: int, end: int) -> bool:
-        crc = buffer[end - 3] | buffer[end - 2] << 8
-        return buffer[end - 1] == END and crc == crc16(bytes(buffer[at + 2 : end - 3]))
+        framing = Framing(sync=SYNC, end=END, id_bytes=2, max_data=MAX_DATA, order="little")
+        super().__init__(framing, lambda ids, data: Frame(ids[0], ids[1], data))

@@ -6,7 +6,6 @@ command 0x90 whose data holds the fields chosen by the output mask, in the order
 mask: it has to be set before anything can be understood.
 """
 
-import binascii
 import math
 import struct
 from collections.abc import Mapping
@@ -14,13 +13,12 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 from autopilot.core.errors import ConfigError
+from drivers.sbg_frames import Framing, SbgParser, crc16
 
 SYNC = b"\xff\x02"
 END = 0x03
 MAX_DATA = 504
 """Bytes of data that a frame may carry."""
-OVERHEAD = 8
-"""Bytes of a frame beside its data."""
 
 ACKNOWLEDGE = 0x01
 SET_OUTPUT_MASK, GET_OUTPUT_MASK, RETURN_OUTPUT_MASK = 0x50, 0x51, 0x52
@@ -83,14 +81,6 @@ AHRS_MASK = (
 RAW_MASK = Field.GYRO | Field.ACCEL | Field.MAG | Field.TIME_SINCE_RESET | Field.STATUS
 """What it asks for when the attitude is to be made on board."""
 
-_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
-
-
-def crc16(data: bytes) -> int:
-    """CRC-16/KERMIT: the standard library's CRC-CCITT on mirrored bytes, mirrored back."""
-    plain = binascii.crc_hqx(data.translate(_REVERSED), 0)
-    return _REVERSED[plain & 0xFF] << 8 | _REVERSED[plain >> 8]
-
 
 @dataclass(frozen=True, slots=True)
 class Frame:
@@ -123,49 +113,12 @@ def encode_continuous_mode(divider: int) -> bytes:
     return encode_frame(SET_CONTINUOUS_MODE, struct.pack(">BBB", 0, 1, divider))
 
 
-class FrameParser:
-    """Bytes in, frames out, however the bytes are cut. Never raises; the counters say what was thrown away."""
+class FrameParser(SbgParser[Frame]):
+    """Frames of an IG-500."""
 
     def __init__(self) -> None:
-        self._buffer = bytearray()
-        self.skipped = 0
-        """Bytes outside of any good frame."""
-        self.bad_frames = 0
-        """Frames with a wrong size, checksum or end."""
-
-    def feed(self, data: bytes) -> list[Frame]:
-        """The frames that are complete now, oldest first."""
-        self._buffer += data
-        buffer, frames, at = self._buffer, [], 0
-        while True:
-            start = buffer.find(SYNC, at)
-            if start < 0:
-                keep = 1 if buffer[-1:] == SYNC[:1] and len(buffer) > at else 0
-                self.skipped += len(buffer) - at - keep
-                at = len(buffer) - keep
-                break
-            self.skipped += start - at
-            at = start
-            if len(buffer) < at + 5:
-                break
-            size = buffer[at + 3] << 8 | buffer[at + 4]
-            end = at + size + OVERHEAD
-            if size <= MAX_DATA and len(buffer) < end:
-                break
-            if size > MAX_DATA or not self._good(buffer, at, end):
-                self.bad_frames += 1
-                self.skipped += len(SYNC)
-                at += len(SYNC)  # not the whole frame: the size itself may be what is damaged
-                continue
-            frames.append(Frame(buffer[at + 2], bytes(buffer[at + 5 : end - 3])))
-            at = end
-        del buffer[:at]
-        return frames
-
-    @staticmethod
-    def _good(buffer: bytearray, at: int, end: int) -> bool:
-        crc = buffer[end - 3] << 8 | buffer[end - 2]
-        return buffer[end - 1] == END and crc == crc16(bytes(buffer[at + 2 : end - 3]))
+        framing = Framing(sync=SYNC, end=END, id_bytes=1, max_data=MAX_DATA, order="big")
+        super().__init__(framing, lambda ids, data: Frame(ids[0], data))
 
 
 class OutputCodec:
