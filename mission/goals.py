@@ -111,6 +111,19 @@ class Goals:
             return f"target {length} {where} the fence, keep {self._keep_m():.2f} m"
         return ""
 
+    def may_drift(self, nav: NavState, more_m: float) -> bool:
+        """Whether a vehicle keeps ``more_m`` more than the controller does from every boundary, also where it comes to
+        rest by itself."""
+        way_m = self._way_m(nav)
+        places = nav.pos_ned_m + np.linspace(0.0, 1.0, STOP_SAMPLES + 1)[:, None] * way_m
+        return bool((self.room.clearance_m(places[:, :2]) >= self._keep_m() + more_m).all())
+
+    def _way_m(self, nav: NavState) -> FloatArray:
+        """(3,) braking distance v^2 / 2a over ground."""
+        vel_ned_m_s = r_ned_from_frd(nav.rpy_rad) @ nav.vel_frd_m_s
+        way_m: FloatArray = vel_ned_m_s * (math.hypot(*vel_ned_m_s) / (2.0 * STOP_DECELERATION_M_S2))
+        return way_m
+
     def _key(self) -> tuple[float, ...]:
         return (self._plans.revision, self._params["DEPTH_MIN"], self._params["DEPTH_MAX"])
 
@@ -123,8 +136,7 @@ class Goals:
 
     def _stopping_place(self, nav: NavState) -> FloatArray:
         """(3,) end of the braking distance v^2 / 2a over ground, or the last place on the way that the fence allows."""
-        vel_ned_m_s = r_ned_from_frd(nav.rpy_rad) @ nav.vel_frd_m_s
-        way_m = vel_ned_m_s * (math.hypot(*vel_ned_m_s) / (2.0 * STOP_DECELERATION_M_S2))
+        way_m = self._way_m(nav)
         places = nav.pos_ned_m + np.linspace(0.0, 1.0, STOP_SAMPLES + 1)[:, None] * way_m
         forbidden = np.flatnonzero(self.room.clearance_m(places[1:, :2]) < self._keep_m())
         last = int(forbidden[0]) if len(forbidden) else STOP_SAMPLES

@@ -16,6 +16,7 @@ from autopilot.command.decision import Decision
 from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.mission_run import MissionRun
 from autopilot.command.modes import Modes
+from autopilot.command.motor_tests import MotorTests
 from autopilot.command.offboard import Offboard
 from autopilot.command.piloting import Piloting
 from autopilot.command.plan_watch import FenceGuard, PlanCheckNews
@@ -31,7 +32,7 @@ from autopilot.core.messages import Event, NavState, RunEnd, Severity
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
-from autopilot.mavlink.api import BLIND, Answer, Circling, CommandResult, FlightMode, SetPoint
+from autopilot.mavlink.api import BLIND, Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint
 from mission.goals import Goals
 from mission.judgement import Verdict
 from mission.sequencer import Position
@@ -70,6 +71,7 @@ class Commander:
         piloting, self._offboard = Piloting(vehicle, params, self._goals), Offboard(params, self._goals)
         self._modes = Modes(self._goals, self._mission, self._failsafes, self._operator, piloting, self._offboard)
         self._steering = Steering(vehicle, params, plans, self._goals, self._modes)
+        self._tests = MotorTests(vehicle, self._goals, self._modes, self._operator)
         self._refusals = Refusals(plans, self._goals, self._mission, self._modes, self._failsafes, self._offboard)
         self._watch = Watch(vehicle, plans, self._goals)
         self._arming = ArmingChecks(params, plans, self._goals, self._failsafes, controller_check)
@@ -247,6 +249,11 @@ class Commander:
         self._modes.choose(FlightMode.CIRCLE)
         return _ACCEPTED
 
+    def test_motor(self, test: MotorTest) -> Answer:
+        """Turn one thruster for a moment."""
+        reason = self._tests.begin(test)
+        return denied(f"Motor test denied: {reason}") if reason else _ACCEPTED
+
     def change_depth(self, depth_m: float) -> Answer:
         """Another depth where the vehicle is, or on its circle."""
         nav = self._modes.nav
@@ -376,18 +383,20 @@ class Commander:
             self._readiness = self.prearm_reasons()
         self._ticks += 1
         goal, reached = modes.advance(conditions)
+        test = self._tests.step(conditions)
         orders, modes.equipment_orders = tuple(modes.equipment_orders), []
         return Decision(
             orders=orders,
             armed=modes.armed,
             mode=modes.mode,
-            goal=goal,
+            goal=goal if test is None else None,
+            motor_test=test,
             blind_ascent=(modes.armed and not modes.yielded and modes.nav is None and modes.mode is FlightMode.SURFACE),
             progress=self._mission.sequencer.progress(conditions.t_us),
             reached=reached,
             failsafes=self._failsafes.bits,
             ascent=modes.ascent,
-            by_hand=modes.by_hand(conditions),
+            by_hand=modes.by_hand(conditions) if test is None else None,
             drop_weight=modes.drop_weight,
             hand_back=modes.handed_back,
         )

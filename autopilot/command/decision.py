@@ -30,6 +30,8 @@ class Decision:
     """Surface without the controller: up to here (north, east, depth, heading) by the simple station-keeping law."""
     by_hand: ByHand | None = None
     """Without a position: what the pilot asks for, flown without the controller."""
+    motor_test: tuple[int, int] | None = None
+    """Thruster by its place in the vehicle file and its pulse [us]: it alone turns, there is no goal."""
     orders: tuple[Order, ...] = ()
     """Of mission items passed on this tick, for what the vehicle carries."""
     hand_back: bool = False

@@ -10,6 +10,7 @@ from autopilot.control.protocol import Controller, sound, sound_thrust_n
 from autopilot.control.robust.fallback import station_keeping_thrust
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.thrust.by_hand import SLEW_SHARE_1_S, Felt, HandLaw
+from autopilot.core.clock import TICK_US
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import ControlOutput, Fallback, Goal, NavHealth, NavState, NmpcStatus, SolveStatus
@@ -78,7 +79,11 @@ class Motion:
             self.thrust_n = actuation.lift_n(lift_n) if decision.blind_ascent else actuation.nothing()
             if decision.ascent is not None and nav is not None and nav.health is not NavHealth.INVALID:
                 self.thrust_n = self._ascend(nav, decision.ascent)
-            if decision.by_hand is not None:
+            if decision.motor_test is not None:
+                self.thrust_n = self._tested(t_us, decision.motor_test, before_n)
+                self._soft = (t_us, self.thrust_n)
+                self._hand.release()
+            elif decision.by_hand is not None:
                 limit_n = np.minimum(actuation.limit_n, self._params["THR_LIMIT"])
                 self.thrust_n = self._hand.thrust_n(t_us, decision.by_hand, self.felt(t_us), limit_n, before_n)
                 self._soft = (t_us, self.thrust_n)
@@ -102,6 +107,18 @@ class Motion:
             self._wanted_n = kept_n if between is None else sound_thrust_n(between, self._limit_n)
         self.thrust_n = self._softened(t_us, self._wanted_n)
         return control
+
+    def _tested(self, t_us: int, test: tuple[int, int], before_n: FloatArray) -> FloatArray:
+        """One thruster's pulse as thrust, within its limit; all thrust comes and goes as fast as a pilot's."""
+        place, pulse_us = test
+        actuation = self._actuation
+        limit_n = np.minimum(actuation.limit_n, self._params["THR_LIMIT"])
+        wanted_n = actuation.nothing()
+        wanted_n[place] = actuation.allocation.thrust_n(place, pulse_us, actuation.supply_v)
+        last_us = t_us - TICK_US if self._soft is None else self._soft[0]
+        most_n = SLEW_SHARE_1_S * (t_us - last_us) * 1e-6 * limit_n
+        thrust_n: FloatArray = np.clip(np.clip(wanted_n, -limit_n, limit_n), before_n - most_n, before_n + most_n)
+        return thrust_n
 
     def _note_mode(self, t_us: int, mode: FlightMode) -> None:
         """A switch between modes, one of which somebody steers in, is no jolt."""

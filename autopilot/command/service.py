@@ -250,9 +250,9 @@ class Autopilot:
         if decision is None:
             decision = self._undecided(t_us)
         faults.step()
-        return (
-            replace(decision, armed=False, goal=None, blind_ascent=False, by_hand=None) if faults.stopped else decision
-        )
+        if not faults.stopped:
+            return decision
+        return replace(decision, armed=False, goal=None, blind_ascent=False, by_hand=None, motor_test=None)
 
     def _conditions(self, t_us: int, estimated: Estimated) -> Conditions:
         actuation, motion, shadow = self._actuation, self._motion, estimated.shadow

@@ -110,6 +110,19 @@ class Circling:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MotorTest:
+    """One thruster alone, for a moment; exactly one of share and pulse is given."""
+
+    number: int
+    """Of the thruster, from 1 in the order of the vehicle file."""
+    share: float | None = None
+    """Of its pulse's span, positive along its direction."""
+    pulse_us: float | None = None
+    seconds: float = 0.0
+    """0 = until the next word is late."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
     """Result of a command and, when it is a refusal, the reason for the operator in one line."""
 
@@ -243,6 +256,10 @@ class VehicleCommands(Protocol):
 
     def orbit(self, circle: Circling) -> Answer:
         """Round a place, in mode CIRCLE."""
+        ...
+
+    def test_motor(self, test: MotorTest) -> Answer:
+        """Turn one thruster; to be said again and again while it is to turn."""
         ...
 
     def change_depth(self, depth_m: float) -> Answer:

@@ -1,9 +1,10 @@
 """Commands for a vehicle that does not fly: storage, restart, calibration; and what is done in another way here."""
 
+import math
 from collections.abc import Callable, Mapping
 
 from autopilot.core.messages import RunEnd, Severity
-from autopilot.mavlink.api import Answer, CommandResult
+from autopilot.mavlink.api import Answer, CommandResult, MotorTest
 from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context
 from autopilot.mavlink.dialect import mav
@@ -16,7 +17,6 @@ _NOTHING, _RESTART, _STOP = range(3)
 
 _AS_ITEM = "Looking at a place: only as an item of a mission"
 ELSEWHERE: Mapping[int, str] = {
-    mav.MAV_CMD_DO_MOTOR_TEST: "Motor test: run `autopilot motors` on board",
     mav.MAV_CMD_CONDITION_YAW: "To turn: go-to (DO_REPOSITION) with a heading",
     mav.MAV_CMD_DO_SET_ROI_LOCATION: _AS_ITEM,
     mav.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET: _AS_ITEM,
@@ -44,10 +44,29 @@ class Maintenance:
 
         return {
             **{command: elsewhere(reason) for command, reason in ELSEWHERE.items()},
+            mav.MAV_CMD_DO_MOTOR_TEST: action(self.test_motor),
             mav.MAV_CMD_PREFLIGHT_STORAGE: action(self.storage),
             mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: action(self.reboot),
             mav.MAV_CMD_PREFLIGHT_CALIBRATION: action(self.calibrate),
         }
+
+    def test_motor(self, call: Call) -> Reply:
+        """DO_MOTOR_TEST: param1 motor from 1, param2 0 = param3 is percent (50 stands, as ArduSub has it), 1 = a pulse
+        [us], param4 seconds. One motor at a time, in whatever order (param5, param6)."""
+        number, kind, value, seconds = call.whole(1), call.whole(2), call.params[2], call.param(4)
+        if number is None or number < 1 or not math.isfinite(value) or not 0.0 <= seconds < math.inf:
+            return denied(f"Motor test denied: motor {call.param(1):g}, value {value:g}, {seconds:g} s")
+        if not call.exact and call.x > 1.0:
+            return denied("Motor test denied: one motor at a time (param5)")
+        if kind == mav.MOTOR_TEST_THROTTLE_PERCENT:
+            if not 0.0 <= value <= 100.0:
+                return denied(f"Motor test denied: {value:g} %, use 0 to 100, 50 stands")
+            test = MotorTest(number=number, share=value / 50.0 - 1.0, seconds=seconds)
+        elif kind == mav.MOTOR_TEST_THROTTLE_PWM:
+            test = MotorTest(number=number, pulse_us=value, seconds=seconds)
+        else:
+            return denied(f"Motor test denied: throttle type {call.param(2):g}, use 0 (percent) or 1 (us)")
+        return Reply(self._ctx.vehicle.test_motor(test))
 
     def storage(self, call: Call) -> Reply:
         """PREFLIGHT_STORAGE: parameters are written when they are set, so reading and writing are done; 2 and 4 set all

@@ -23,7 +23,7 @@ from autopilot.core.messages import (
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection
 from autopilot.core.samples import PowerSample
-from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, SetPoint, VehicleView
+from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
 from mission.store import Change, plan_checksum
 
@@ -131,6 +131,9 @@ class RecordingVehicle:
 
     def orbit(self, circle: Circling) -> Answer:
         return self._note("orbit", circle)
+
+    def test_motor(self, test: MotorTest) -> Answer:
+        return self._note("test_motor", test)
 
     def change_depth(self, depth_m: float) -> Answer:
         return self._note("change_depth", depth_m)

@@ -140,7 +140,7 @@ def test_wrong_parameters_are_refused_and_reach_nobody(
     assert world.vehicle.calls == []
 
 
-@pytest.mark.parametrize("command", [23, 201, 209, 519 + 1000, 2510, 31_999, 65_535, 0])
+@pytest.mark.parametrize("command", [23, 201, 519 + 1000, 2510, 31_999, 65_535, 0])
 def test_everything_else_is_unsupported(world: World, client: Client, command: int) -> None:
     assert client.command(command) == R.UNSUPPORTED
     assert client.command_int(command, 0, (0, 0, 0, 0), 0, 0, 0.0) == R.UNSUPPORTED
@@ -495,7 +495,7 @@ def test_diverged_estimates_do_not_break_commands(world: World, client: Client) 
 
 @pytest.mark.parametrize(
     ("command", "way"),
-    [(209, "`autopilot motors`"), (115, "DO_REPOSITION"), (195, "item"), (196, "item"), (197, "item"), (201, "item")],
+    [(115, "DO_REPOSITION"), (195, "item"), (196, "item"), (197, "item"), (201, "item")],
 )
 def test_what_is_done_in_another_way_is_refused_with_that_way(
     world: World, client: Client, command: int, way: str

@@ -293,6 +293,7 @@ class Traffic:
                 (20, (), 0.0),
                 (17, (), 0.0),
                 (224, (rng.randrange(6),), 0.0),
+                (209, (rng.randint(1, 5), rng.randrange(3), rng.choice((0.0, 30.0, 100.0, 1600.0)), rng.random()), 0.0),
             )
         )
         fields = [float(value) for value in (*params, 0, 0, 0, 0)[:4]]
