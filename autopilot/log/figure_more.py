@@ -7,10 +7,11 @@ from matplotlib.figure import Figure
 from autopilot.core.frames import FloatArray
 from autopilot.log.analysis import energy_j, estimate_error, seconds
 from autopilot.log.figure_parts import (
-    LAP_COLORS,
+    LISTED_LAPS,
     TRUTH,
     WIDTH_IN,
     Scene,
+    lap_colors,
     legend_above,
     make_room,
     stacked_axes,
@@ -18,6 +19,8 @@ from autopilot.log.figure_parts import (
 )
 
 SIGMAS = 3.0
+CONTROL_PERIOD_MS = 50.0
+"""What a control step has (docs/architecture.md)."""
 SLIGHT_CURRENT_M_S = 0.05
 """Axes of currents show at least this much, so that still water looks still."""
 
@@ -73,12 +76,22 @@ def solve_time(scene: Scene) -> Figure | None:
     left.set_xlabel("time [s]")
     left.set_ylabel("NMPC step [ms]")
     left.set_ylim(bottom=0.0)
-    right.hist(solve_ms, bins=60, range=(0.0, float(np.percentile(solve_ms, 99.5)) * 1.2), color="#1f77b4")
-    for share, style in ((50, "-"), (99, "--")):
-        value = float(np.percentile(solve_ms, share))
-        right.axvline(value, color="#d62728", linestyle=style, linewidth=1.0, label=f"p{share} {value:.2f} ms")
+    longest = float(solve_ms.max())
+    edges = np.geomspace(0.8 * float(solve_ms.min()), 1.25 * max(longest, CONTROL_PERIOD_MS), 61)
+    right.hist(solve_ms, bins=edges, color="#1f77b4")
+    right.set_xscale("log")
+    right.set_yscale("log")
+    p50, p99 = (float(np.percentile(solve_ms, share)) for share in (50, 99))
+    for value, name, color, style in (
+        (p50, f"p50 {p50:.2f}", "#444444", "-"),
+        (p99, f"p99 {p99:.2f}", "#ff7f0e", "--"),
+        (longest, f"longest {longest:.1f}", "#9467bd", "--"),
+        (CONTROL_PERIOD_MS, f"deadline {CONTROL_PERIOD_MS:g}", "red", "--"),
+    ):
+        right.axvline(value, color=color, linestyle=style, linewidth=1.0, label=name)
     right.set_xlabel("NMPC step [ms]")
-    legend_above(right, 1)
+    right.set_ylabel("steps")
+    legend_above(right, 2)
     return figure
 
 
@@ -97,12 +110,16 @@ def energy(scene: Scene) -> Figure | None:
     left.set_ylim(bottom=0.0)
     left.set_ylabel("power [W]")
     time_axis(scene, [left])
-    for number, lap in enumerate(scene.laps, 1):
-        joules = energy_j(scene.flight, lap)
-        if joules is not None:
-            right.bar(number, joules, color=LAP_COLORS[(number - 1) % len(LAP_COLORS)], width=0.6)
-            right.annotate(f"{joules:.0f} J", (number, joules), ha="center", va="bottom", fontsize=8)
-    right.set_xticks(range(1, len(scene.laps) + 1))
+    used = {number: energy_j(scene.flight, lap) for number, lap in enumerate(scene.laps, 1)}
+    known = {number: joules for number, joules in used.items() if joules is not None}
+    for (number, joules), color in zip(known.items(), lap_colors(len(known)), strict=True):
+        right.bar(number, joules, color=color, width=0.6)
+    told = set(known) if len(known) <= LISTED_LAPS else {min(known, key=known.__getitem__)}
+    for number in told | ({max(known, key=known.__getitem__)} if known else set()):
+        place = (number, known[number])
+        right.annotate(f"{known[number]:.0f} J", place, ha="center", va="bottom", fontsize=8)
+    if len(scene.laps) <= LISTED_LAPS:
+        right.set_xticks(range(1, len(scene.laps) + 1))
     right.set_xlabel("lap")
     right.set_ylabel("energy [J]")
     right.margins(y=0.12)

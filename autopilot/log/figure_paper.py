@@ -10,16 +10,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from autopilot.core.frames import FloatArray, unwrap_near
-from autopilot.log.analysis import Track, Visit, seconds, thruster_names
+from autopilot.log.analysis import Track, Visit, seconds, thruster_names, wrap
 from autopilot.log.figure_parts import (
     BAND,
-    LAP_COLORS,
+    LISTED_LAPS,
+    MOST_TURNS_RAD,
     TRUTH,
     WIDTH_IN,
     Scene,
     draw_bounds,
+    lap_colors,
     legend_above,
     make_room,
+    named_laps,
     stacked_axes,
     time_axis,
 )
@@ -40,14 +43,16 @@ def trajectory(scene: Scene) -> Figure | None:
     plane = scene.track.pos_ned_m
     label = "outside of laps" if scene.laps else scene.basis
     ax.plot(plane[:, 0], plane[:, 1], color="#aaaaaa", linewidth=0.8, label=label)
+    colors, named = lap_colors(len(scene.laps)), named_laps(len(scene.laps))
     for number, lap in enumerate(scene.laps):
         keep = lap.holds(scene.track.t_s)
-        color = LAP_COLORS[number % len(LAP_COLORS)]
-        ax.plot(plane[keep, 0], plane[keep, 1], color=color, linewidth=1.3, label=f"lap {number + 1}")
-        _direction(ax, plane[keep, :2], color)
+        color, name = colors[number], f"lap {number + 1}" if number in named else None
+        ax.plot(plane[keep, 0], plane[keep, 1], color=color, linewidth=1.3, label=name)
+        if len(scene.laps) <= LISTED_LAPS or number == len(scene.laps) - 1:
+            _direction(ax, plane[keep, :2], color)
     ax.plot(plane[0, 0], plane[0, 1], "k^", markersize=4, label="start")
     _jet(ax, scene)
-    legend_above(ax, 4)
+    legend_above(ax, 5 if scene.laps else 4)
     ax.set_aspect("equal")
     ax.yaxis.set_inverted(True)
     ax.set_xlabel("x, north [m]")
@@ -91,7 +96,7 @@ def _jet(ax: Axes, scene: Scene) -> None:
         zorder=1.5,
     )
     told = min((0.05, 0.1, 0.2, 0.5), key=lambda speed: abs(speed - fastest))
-    ax.quiverkey(arrows, 0.04, 1.05, told, f"current {told:g} m/s", labelpos="E", color="#17a2b8")
+    ax.quiverkey(arrows, 0.02, 1.05, told, f"current {told:g} m/s", labelpos="E", color="#17a2b8")
 
 
 def depth_and_yaw(scene: Scene) -> Figure | None:
@@ -107,11 +112,26 @@ def depth_and_yaw(scene: Scene) -> Figure | None:
     top.yaxis.set_inverted(True)
     top.set_ylabel("z, depth [m]")
     yaw = np.unwrap(track.rpy_rad[:, 2])
-    bottom.plot(track.t_s, yaw, **TRUTH)
-    _bands(scene, bottom, lambda visit: _yaw_band(visit, track, yaw))
-    bottom.set_ylabel("yaw, unwrapped [rad]")
+    if np.ptp(yaw) <= MOST_TURNS_RAD:
+        bottom.plot(track.t_s, yaw, **TRUTH)
+        _bands(scene, bottom, lambda visit: _yaw_band(visit, track, yaw))
+        bottom.set_ylabel("yaw, unwrapped [rad]")
+    else:
+        around = wrap(yaw)
+        jumps = np.flatnonzero(np.abs(np.diff(around)) > np.pi) + 1  # no line from one end of the axis to the other
+        bottom.plot(np.insert(track.t_s, jumps, track.t_s[jumps]), np.insert(around, jumps, np.nan), **TRUTH)
+        for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi):
+            _bands(scene, bottom, lambda visit, turn=turn: _heading_band(visit, turn))
+        bottom.set_ylim(-np.pi, np.pi)
+        bottom.set_ylabel("yaw [rad]")
     time_axis(scene, [top, bottom])
     return figure
+
+
+def _heading_band(visit: Visit, turn_rad: float) -> tuple[float, float] | None:
+    """Centre and half width of a heading band, a turn further."""
+    waypoint = visit.waypoint
+    return None if waypoint.yaw_rad is None else (float(wrap(waypoint.yaw_rad)) + turn_rad, waypoint.accept_yaw_rad)
 
 
 def _yaw_band(visit: Visit, track: Track, unwrapped_rad: FloatArray) -> tuple[float, float] | None:

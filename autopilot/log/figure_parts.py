@@ -1,8 +1,11 @@
 """What all figures share: the scene of a run, style, axes, bounds, legends."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
+import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -11,6 +14,11 @@ from autopilot.log.analysis import Flight, Span, Track, Visit, lap_spans, load_f
 from autopilot.log.reader import Log
 
 LAP_COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf")
+LISTED_LAPS = len(LAP_COLORS)
+"""More laps go over from one colour to another, and only some are named."""
+NAMED_LAPS = 4
+MOST_TURNS_RAD = 6.0 * math.pi
+"""Who turns further gets an axis from -pi to pi: on one of all turns nothing could be read."""
 BOUND: dict[str, Any] = {"color": "red", "linestyle": "--", "linewidth": 1.0}
 TRUTH: dict[str, Any] = {"color": "#1f77b4", "linewidth": 1.2}
 ESTIMATE: dict[str, Any] = {"color": "#444444", "linewidth": 0.8, "linestyle": ":"}
@@ -59,6 +67,21 @@ def make_scene(log: Log) -> Scene:
     tour = visits(track, flight.run) if flight.run is not None else []
     laps = lap_spans(tour, flight.run) if flight.run is not None else []
     return Scene(flight=flight, track=track, tour=tuple(tour), laps=tuple(laps))
+
+
+def lap_colors(count: int) -> list[str]:
+    """One colour per lap."""
+    if count <= LISTED_LAPS:
+        return list(LAP_COLORS[:count])
+    shades = mpl.colormaps["viridis"](np.linspace(0.0, 0.92, count))
+    return [mpl.colors.to_hex(shade) for shade in shades]
+
+
+def named_laps(count: int) -> set[int]:
+    """Which laps (from 0) a legend names."""
+    if count <= LISTED_LAPS:
+        return set(range(count))
+    return {round(share * (count - 1)) for share in np.linspace(0.0, 1.0, NAMED_LAPS)}
 
 
 def stacked_axes(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:

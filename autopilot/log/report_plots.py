@@ -76,7 +76,9 @@ MOST_LAPS = 8
 LAPS_NAMED = 4
 """Of these the plan names so many."""
 HEADS = 8
-"""Arrow heads of the last lap: which way it went."""
+"""Arrow heads of the last lap: which way it went;"""
+HEAD_SHARE, HEAD_M = 0.018, 0.05
+"""half their length as a share of the plan's, and over which way their direction is taken."""
 
 
 class Plots:
@@ -456,12 +458,16 @@ def _draw_heads(plot: Any, track: Track) -> Any | None:
     if len(plane) < 2 or along[-1] <= 0.0:
         return None
     at = np.searchsorted(along, (np.arange(HEADS) + 0.5) / HEADS * along[-1])
-    ahead = np.minimum(np.searchsorted(along, along[at] + 0.05), len(along) - 1)
+    ahead = np.minimum(np.searchsorted(along, along[at] + HEAD_M), len(along) - 1)
     way = plane[ahead] - plane[at]
-    angle = np.arctan2(way[:, 1], way[:, 0]) * -1.0 - np.pi / 2
-    return plot.scatter(
-        plane[at, 0], plane[at, 1], marker="triangle", angle=angle, size=10, fill_color="#111111", line_color="white"
-    )
+    length = np.hypot(*way.T)[:, None]
+    along_way = np.divide(way, length, out=np.zeros_like(way), where=length > 0.0)
+    size_m = HEAD_SHARE * max(float(np.ptp(plane, axis=0).max()), HEAD_M)
+    across = np.column_stack((-along_way[:, 1], along_way[:, 0]))  # slender: an even triangle has three points
+    corners = [plane[at] + size_m * along_way]
+    corners += [plane[at] + size_m * (side * 0.45 * across - along_way) for side in (1.0, -1.0)]
+    xs, ys = (np.stack([corner[:, i] for corner in corners], axis=1).round(4).tolist() for i in (0, 1))
+    return plot.patches(xs, ys, fill_color="#111111", line_color="white")
 
 
 def _draw_current(plot: Any, track: Track) -> list[Any]:
