@@ -9,7 +9,16 @@ from autopilot.log.analysis import load_flight
 from autopilot.log.check import acceptance_table, flown_commands
 from autopilot.log.reader import Log
 
-MACHINE = ("solve time", "longest tick", "loop overruns", "lost log messages", "slowest")
+MACHINE = (
+    "solve time",
+    "longest tick",
+    "loop overruns",
+    "lost log messages",
+    "slowest",
+    "memory",
+    "messages waiting",
+    "longest garbage",
+)
 """Rows of the acceptance table that are the machine's and not the flight's, by how they begin."""
 
 Figures = dict[str, float]

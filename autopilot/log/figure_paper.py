@@ -4,12 +4,13 @@ Plans show the tank from above: x (north) to the right, y (east) down.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from autopilot.core.frames import FloatArray, unwrap_near
+from autopilot.core.frames import FloatArray, unwrap_near, wrap_pi
 from autopilot.log.analysis import Track, Visit, seconds, thruster_names, wrap
 from autopilot.log.figure_parts import (
     BAND,
@@ -121,7 +122,7 @@ def depth_and_yaw(scene: Scene) -> Figure | None:
         jumps = np.flatnonzero(np.abs(np.diff(around)) > np.pi) + 1  # no line from one end of the axis to the other
         bottom.plot(np.insert(track.t_s, jumps, track.t_s[jumps]), np.insert(around, jumps, np.nan), **TRUTH)
         for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi):
-            _bands(scene, bottom, lambda visit, turn=turn: _heading_band(visit, turn))
+            _bands(scene, bottom, partial(_heading_band, turn_rad=turn))
         bottom.set_ylim(-np.pi, np.pi)
         bottom.set_ylabel("yaw [rad]")
     time_axis(scene, [top, bottom])
@@ -131,7 +132,7 @@ def depth_and_yaw(scene: Scene) -> Figure | None:
 def _heading_band(visit: Visit, turn_rad: float) -> tuple[float, float] | None:
     """Centre and half width of a heading band, a turn further."""
     waypoint = visit.waypoint
-    return None if waypoint.yaw_rad is None else (float(wrap(waypoint.yaw_rad)) + turn_rad, waypoint.accept_yaw_rad)
+    return None if waypoint.yaw_rad is None else (wrap_pi(waypoint.yaw_rad) + turn_rad, waypoint.accept_yaw_rad)
 
 
 def _yaw_band(visit: Visit, track: Track, unwrapped_rad: FloatArray) -> tuple[float, float] | None:
