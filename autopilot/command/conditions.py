@@ -29,6 +29,8 @@ class Conditions:
     """The estimator in the shadow of the flown one has been somewhere else for a while."""
     thruster_share: tuple[float, ...] = ()
     """What each thruster gives of its thrust, in the order of the vehicle file; empty = not known."""
+    thrusters_doubtful: tuple[tuple[str, ...], ...] = ()
+    """Those that do the same of which one is weak, nobody knows which: each has its part of what they give."""
     thruster_problem: str = ""
     """What the thrusters that are left cannot do any more."""
     thrusters_unseen: tuple[str, ...] = ()

@@ -267,6 +267,7 @@ class Autopilot:
             nav_disagrees=shadow is not None and shadow.disagrees,
             nav_doubts=estimated.doubts,
             thruster_share=tuple(actuation.share.tolist()),
+            thrusters_doubtful=actuation.doubtful_thrusters,
             thruster_problem=self._surroundings.thruster_problem or actuation.problem,
             thrusters_unseen=actuation.unseen,
             command_delay_s=actuation.delay_s,

@@ -1,6 +1,7 @@
 """What the operator is told without having asked: position lost or found, no way to the goal, a new fence."""
 
 from autopilot.command.conditions import Conditions
+from autopilot.control.thrust.twins import lossy_share
 from autopilot.core.messages import NavDoubt, NavHealth, NavState, Severity
 from autopilot.core.vehicle import Vehicle
 from mission.goals import Goals
@@ -48,6 +49,7 @@ class Watch:
         self._thrusters = tuple(thruster.name for thruster in vehicle.thrusters)
         self._share: dict[str, float] = {}
         self._shares: tuple[float, ...] | None = None
+        self._doubtful: tuple[tuple[str, ...], ...] = ()
         self._armed_us: int | None = None
         self._delay_s = 0.0
 
@@ -67,6 +69,7 @@ class Watch:
             texts.append((Severity.WARNING, "No free way to the goal: holding; move the goal"))
         texts += self._of_commands(conditions.command_delay_s) if armed else []
         self._health, self._unreachable = health, conditions.unreachable
+        texts += self._of_twins(conditions.thruster_share, conditions.thrusters_doubtful)
         texts += self._of_thrusters(conditions.thruster_share)
         texts += self._of_flight(conditions, armed)
         if self._goals.fence is not self._fence:
@@ -84,6 +87,21 @@ class Watch:
             return [(Severity.INFO, "Commands act at once again")]
         return [(Severity.WARNING, f"Commands act {delay_s:.1f} s late: check the tether")]
 
+    def _of_twins(self, shares: tuple[float, ...], doubtful: tuple[tuple[str, ...], ...]) -> list[tuple[Severity, str]]:
+        """One of several thrusters that do the same gives less than it should, or none of them any more."""
+        if doubtful == self._doubtful:
+            return []
+        share_of = dict(zip(self._thrusters, shares, strict=False))
+        texts: list[tuple[Severity, str]] = []
+        for twins in doubtful:
+            if twins not in self._doubtful:
+                left = 100.0 * lossy_share([share_of[name] for name in twins])
+                texts.append((Severity.WARNING, f"One of {', '.join(twins)} gives {left:.0f} % of its thrust"))
+        sound = [twins for twins in self._doubtful if twins not in doubtful and all(share_of[t] == 1.0 for t in twins)]
+        texts += [(Severity.INFO, f"{', '.join(twins)} give their full thrust again") for twins in sound]
+        self._doubtful = doubtful
+        return texts
+
     def _of_thrusters(self, shares: tuple[float, ...]) -> list[tuple[Severity, str]]:
         """A thruster that gives less than it should, or again what it should."""
         texts: list[tuple[Severity, str]] = []
@@ -91,6 +109,8 @@ class Watch:
             return texts
         self._shares = shares
         for name, share in zip(self._thrusters, shares, strict=False):
+            if any(name in twins for twins in self._doubtful):
+                continue
             said = self._share.get(name, 1.0)
             if abs(share - said) < SHARE_NEWS and not (share == 1.0 != said):
                 continue

@@ -11,9 +11,10 @@ from control_loop import STEP_US, goal, nav_state, rk4, still
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc import ocp
 from autopilot.control.thrust.thruster_health import ThrusterHealth
+from autopilot.control.thrust.twins import tilt_of
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Fence
-from autopilot.core.messages import Drive, Fallback, Goal, Severity, SolveStatus
+from autopilot.core.messages import Drive, Fallback, Goal, NavState, Severity, SolveStatus
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 from autopilot.core.vehicle import Vehicle, load_vehicle
@@ -52,19 +53,19 @@ def dive(
     bottom_m: float = math.inf,
     top_m: float = -math.inf,
     share: Callable[[float], FloatArray] | None = None,
-    look: Callable[[int, FloatArray, FloatArray], object] = lambda *_: None,
+    look: Callable[[NavState, FloatArray], object] = lambda *_: None,
     controller: MotionController | None = None,
     noise: np.random.Generator | None = None,
     failing_s: float = math.inf,
 ) -> Dive:
     """The controller on its model with a force beyond it; the hull is stopped at ``bottom_m`` and ``top_m``. ``share``:
-    what the thrusters (n,) really give at a time; ``look`` sees time, state and command. From ``failing_s`` on nothing
-    is solved."""
+    what the thrusters (n,) really give at a time; ``look`` sees estimate and command. Thrusters tilt the hull, its
+    righting moment swings it back. From ``failing_s`` on nothing is solved."""
     controller = controller or MotionController(vehicle, cpu_clock=lambda: 0.0)
     params = ParamSet({"DEPTH_MIN": LOW_M, "DEPTH_MAX": HIGH_M, "MPC_COST": cost})
     model, response = vehicle.to_model(), Response.of(vehicle.thrusters)
     x, acting = np.array([0.0, 0.0, start_m, 0.0, 0.0, 0.0, 0.0, 0.0]), np.zeros(model.thrusters)
-    gives = np.ones(model.thrusters)
+    gives, tilting, tilt, swing = np.ones(model.thrusters), tilt_of(vehicle), np.zeros(2), np.zeros(2)
     depth, lift, thrust, fallbacks = [], [], [], set()
     for step in range(round(seconds * 1e6 / STEP_US)):
         t_s = step * STEP_US * 1e-6
@@ -74,14 +75,19 @@ def dive(
         if noise is not None:
             seen[2] += noise.normal(0.0, 0.003)
             seen[4:7] += noise.normal(0.0, 0.01, 3)
-        output = controller.step(step * STEP_US, nav_state(step * STEP_US, seen), at(t_s), BAND, params)
+        nav = nav_state(step * STEP_US, seen)
+        output = controller.step(step * STEP_US, nav, at(t_s), BAND, params)
         fallbacks.add(output.status.fallback)
         gives = gives if share is None else share(t_s)
-        look(step * STEP_US, seen, output.thrust_n)
+        rolling = np.random.default_rng(step).normal(0.0, 0.006, 2)
+        rates = np.array([*(swing + rolling), nav.rate_frd_rad_s[2]])
+        look(replace(nav, rpy_rad=np.array([*tilt, nav.rpy_rad[2]]), rate_frd_rad_s=rates), output.thrust_n)
         for _ in range(5):
             acting = acting + response.share(0.01) * (output.thrust_n - acting)
             pushed = replace(model, buoyancy_excess_n=model.buoyancy_excess_n + push(t_s))
             x = rk4(pushed, x, gives * acting, still, 0.01)
+            swing = swing + 0.01 * (tilting @ (gives * acting) - 8.0 * np.sin(tilt) - 1.5 * swing)
+            tilt = tilt + 0.01 * swing
             if not top_m < x[2] < bottom_m:
                 x[2], x[6] = min(max(x[2], top_m), bottom_m), 0.0
         depth.append(x[2])
@@ -201,11 +207,13 @@ def test_station_keeping_counts_on_what_was_learned() -> None:
     assert np.abs(held.depth_m[300:] - 1.0).max() < 0.12
 
 
-@pytest.mark.parametrize(("name", "lost", "left", "push_n"), [("lbv150", 2, 0.5, 3.5)], ids=["half"])
+@pytest.mark.parametrize(
+    ("name", "lost", "left", "push_n"), [("bluerov2", 5, 0.0, -3.5), ("lbv150", 2, 0.5, 3.5)], ids=["dead", "half"]
+)
 def test_what_is_learned_hides_no_lost_thruster(name: str, lost: int, left: float, push_n: float) -> None:
     """Nor does the force look like a lost thruster."""
     vehicle, at_s = VEHICLES[name], 14.0
-    health = ThrusterHealth(vehicle.to_model(), Response.of(vehicle.thrusters))
+    health = ThrusterHealth(vehicle.to_model(), Response.of(vehicle.thrusters), tilt=tilt_of(vehicle))
     rng, first = np.random.default_rng(7), []
 
     def up_and_down(t_s: float) -> Goal:
@@ -216,9 +224,9 @@ def test_what_is_learned_hides_no_lost_thruster(name: str, lost: int, left: floa
         share[lost] = left if t_s >= at_s else 1.0
         return share
 
-    def look(t_us: int, x: FloatArray, thrust_n: FloatArray) -> None:
-        if health.step(t_us, nav_state(t_us, x), thrust_n) and not first:
-            first.append(t_us * 1e-6)
+    def look(nav: NavState, thrust_n: FloatArray) -> None:
+        if health.step(nav.t_us, nav, thrust_n) and not first:
+            first.append(nav.t_us * 1e-6)
 
     dive(vehicle, lambda _: push_n, up_and_down, 40.0, share=gives, look=look, noise=rng)
     assert first

@@ -43,6 +43,7 @@ class Bench:
         self.thruster_share: tuple[float, ...] = (1.0,) * 4
         self.thruster_problem = ""
         self.thrusters_unseen: tuple[str, ...] = ()
+        self.thrusters_doubtful: tuple[tuple[str, ...], ...] = ()
         self.command_delay_s = 0.0
         self.doubts: frozenset[NavDoubt] = frozenset()
         self.facts = Facts()
@@ -80,6 +81,7 @@ class Bench:
                     thruster_share=self.thruster_share,
                     thruster_problem=self.thruster_problem,
                     thrusters_unseen=self.thrusters_unseen,
+                    thrusters_doubtful=self.thrusters_doubtful,
                     command_delay_s=self.command_delay_s,
                     nav_doubts=self.doubts,
                     facts=self.facts,

@@ -22,6 +22,23 @@ def test_a_weak_thruster_is_named_once_and_the_vehicle_goes_on() -> None:
     assert bench.texts[-1] == "Thruster port gives its full thrust again"
 
 
+def test_one_of_several_is_named_with_its_twins_until_it_is_known_which() -> None:
+    bench = Bench().armed()
+    bench.thruster_share, bench.thrusters_doubtful = (1.0, 1.0, 0.55, 0.55), (("vertical", "lateral"),)
+    bench.run(5.0)
+    told = [text for text in bench.texts if "thrust" in text]
+    assert told == ["One of vertical, lateral gives 10 % of its thrust"]
+    bench.thruster_share, bench.thrusters_doubtful = (1.0, 1.0, 1.0, 0.0), ()
+    bench.run(1.0)
+    told = [text for text in bench.texts if "hrust" in text]
+    assert told[1:] == ["Thruster lateral gives 0 % of its thrust"]
+    bench.thruster_share, bench.thrusters_doubtful = (0.6, 0.6, 1.0, 1.0), (("port", "starboard"),)
+    bench.run(1.0)
+    bench.thruster_share, bench.thrusters_doubtful = (1.0,) * 4, ()
+    bench.run(1.0)
+    assert bench.texts[-1] == "port, starboard give their full thrust again"
+
+
 def test_after_a_flight_it_is_said_of_which_thrusters_silence_says_nothing() -> None:
     bench = Bench().armed()
     bench.thrusters_unseen = ("vertical",)

@@ -57,6 +57,11 @@ class Actuation:
         return self._losses.problem
 
     @property
+    def doubtful_thrusters(self) -> tuple[tuple[str, ...], ...]:
+        """Thrusters that do the same of which one is lossy, nobody knows which."""
+        return self._losses.doubtful
+
+    @property
     def unseen(self) -> tuple[str, ...]:
         """Thrusters that have been asked for too little so far to be judged."""
         return self._losses.unseen

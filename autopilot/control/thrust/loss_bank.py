@@ -229,6 +229,13 @@ class LossBank:
         at = self._at
         return self._x[FREE, at.e].copy(), np.sqrt(np.diag(self._p[FREE])[at.e])
 
+    def sum_sigma(self, twins: np.ndarray) -> FloatArray:
+        """(n,) standard deviation of what each thruster and its ``twins`` (n, n) give together, without any belief."""
+        of_e = self._p[FREE][self._at.e, self._at.e]
+        together = twins.astype(float)
+        result: FloatArray = np.sqrt(np.einsum("ij,jk,ik->i", together, of_e, together))
+        return result
+
     @property
     def memory(self) -> Memory:
         """All that is known; nothing of it changes any more."""
@@ -250,6 +257,17 @@ class LossBank:
         self._x, self._p = self._x.copy(), self._p.copy()
         self._set(0, thruster, 1.0, self._beliefs.sound)
         self._turn(thruster)
+
+    def swap(self, thruster: int, other: int) -> None:
+        """Filter 0 believes from now on that it is the other one of two that do the same which is lossy."""
+        order = np.arange(self._at.size)
+        order[[thruster, other]] = other, thruster
+        self._x, self._p = self._x.copy(), self._p.copy()
+        self._x[0], self._p[0] = self._x[0][order], self._p[0][np.ix_(order, order)]
+        lossy = list(self.lossy)
+        lossy[thruster], lossy[other] = lossy[other], lossy[thruster]
+        self.lossy = tuple(lossy)
+        self._begin_all()
 
     def _turn(self, thruster: int) -> None:
         self.lossy = tuple(was != (i == thruster) for i, was in enumerate(self.lossy))
@@ -275,7 +293,8 @@ class LossBank:
         self._predict(look)
         h = self._derivatives(look)
         thrust = np.square(self._effect) @ np.square(look.thrust_n)
-        noise = (np.square(b.noise) + b.noise_share**2 * thrust) * (b.independent_s / look.dt_s)
+        known = np.square(b.noise) + b.noise_share**2 * thrust + np.square(look.swing)
+        noise = known * (b.independent_s / look.dt_s)
         if not heave:
             noise[2] = UNSEEN
         innovation = look.residual - self._expected(look)

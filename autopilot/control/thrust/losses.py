@@ -3,6 +3,7 @@
 import numpy as np
 
 from autopilot.control.thrust.thruster_health import ThrusterHealth, hover_problem, told, usable
+from autopilot.control.thrust.twins import lossy_share, tilt_of, weak_thrusters
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ThrusterHealthState
 from autopilot.core.params import ParamSet
@@ -17,6 +18,9 @@ REPORT_EVERY_TICKS = 50
 SUBMERGED = 1.5
 """Above so many half heights of the hull below the surface heave tells nothing of what pushes down."""
 
+SAME_LOSS = 0.2
+"""What is told of a thruster that gives by so much more than what was found is still the same loss."""
+
 
 class ThrusterLosses:
     """Combines what operators tell (THRn_HEALTH) with what is found (THR_DETECT), the smaller counts."""
@@ -28,6 +32,7 @@ class ThrusterLosses:
         self._health = ThrusterHealth(
             self._sharing.model,
             Response.of(vehicle.thrusters),
+            tilt=tilt_of(vehicle),
             submerged_m=SUBMERGED * vehicle.hull_half_height_m,
         )
         self._ticks = 0
@@ -37,6 +42,8 @@ class ThrusterLosses:
         """(n,) effectiveness that bounds and allocation go by; dead thrusters have 0."""
         self.problem = ""
         """What the thrusters that are left do not allow, "" while the vehicle can stay where it is."""
+        self.doubtful: tuple[tuple[str, ...], ...] = ()
+        """Thrusters that do the same of which one is lossy, nobody knows which."""
         self.unseen: tuple[str, ...] = ()
         """Thrusters that have been asked for too little so far: the loss of half of one would not show."""
 
@@ -78,6 +85,12 @@ class ThrusterLosses:
             return False
         self._known = (said, found)
         before = self.share
+        found, doubts = found.copy(), [list(twins) for twins in self._health.doubtful]
+        for twins in doubts:
+            # What is told of one of them is what was found of all.
+            if min(said[twin] for twin in twins) < lossy_share(found[twins].tolist()) + SAME_LOSS:
+                found[twins] = 1.0
+        self.doubtful = tuple(tuple(self._names[i] for i in twins) for twins in doubts if found[twins[0]] < 1.0)
         self.share = usable(np.minimum(said, found))
         return bool((self.share != before).any())
 
@@ -94,7 +107,7 @@ class ThrusterLosses:
 
         With all thrusters alive a goal's heading may be met in passing; with a dead one it must be possible to stay.
         """
-        weak = [f"{name} {100.0 * of:.0f} %" for name, of in zip(self._names, self.share, strict=True) if of < 1.0]
+        weak = weak_thrusters(self._names, self.share.tolist(), self.doubtful)
         if not weak:
             return ""
         current = np.zeros(3) if nav is None else nav.current_ned_m_s

@@ -40,6 +40,10 @@ class Look:
     """(2,) cosine and sine of the heading."""
     moved_ned_m_s: FloatArray
     """(2,) by so much the current that the model goes by has changed since the last look."""
+    tilt: FloatArray
+    """(2, 3) roll and pitch: their acceleration [rad/s^2], the sine of the angle and its rate [rad/s]."""
+    swing: FloatArray
+    """(4,) what rolling and pitching make of the velocity, which the 4-DoF model does not know."""
 
 
 class MotionLooks:
@@ -98,10 +102,11 @@ class MotionLooks:
         self._moved = (self._moved[0] + dn, self._moved[1] + de)
 
     def _terms(self, nav: NavState) -> FloatArray:
-        """(23 + n,) everything that is filtered."""
+        """(27 + n,) everything that is filtered."""
         model, (m22_m11, m11_m22, munk) = self._model, self._ratios
         ground_u, ground_v, ground_w = nav.vel_frd_m_s.tolist()
-        heading, r = nav.rpy_rad.item(2), nav.rate_frd_rad_s.item(2)
+        roll, pitch, heading = nav.rpy_rad.tolist()
+        roll_rate, pitch_rate, r = nav.rate_frd_rad_s.tolist()
         c, s = math.cos(heading), math.sin(heading)
         north, east = self._current
         flow_u, flow_v = c * north + s * east, c * east - s * north
@@ -130,24 +135,29 @@ class MotionLooks:
                 *(c * sway[0] - s * sway[1], s * sway[0] + c * sway[1]),
                 *(c * yaw[0] - s * yaw[1], s * yaw[0] + c * yaw[1]),
                 *(c, s),
+                *(math.sin(roll), roll_rate, math.sin(pitch), pitch_rate),
                 *self._acting.tolist(),
             ]
         )
 
     def _look(self, terms: FloatArray) -> Look:
         past, rate = self._filtered, (terms - self._filtered) / self._filter_s
+        u, v, w = past[:3].tolist()
+        p, q = past.item(24), past.item(26)
         flow = np.zeros((4, 2))
         flow[[0, 1, 3]] = past[15:21].reshape(3, 2)
         look = Look(
             dt_s=min(self._since_s, 1.0),
             residual=rate[0:4] - past[4:8],
-            thrust_n=past[23:],
-            thrust_rate_n_s=rate[23:],
+            thrust_n=past[27:],
+            thrust_rate_n_s=rate[27:],
             drag=past[8:12],
             coriolis=past[12:15],
             flow=flow,
             north=past[21:23],
             moved_ned_m_s=np.array(self._moved),
+            tilt=np.array([[rate[24], *past[23:25]], [rate[26], *past[25:27]]]),
+            swing=np.array([q * w, p * w, math.hypot(p * v, q * u), 0.0]),
         )
         self._since_s, self._moved = 0.0, (0.0, 0.0)
         return look

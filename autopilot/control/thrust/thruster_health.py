@@ -4,8 +4,9 @@
 and :mod:`autopilot.control.thrust.loss_bank` weighs whether a thruster that lost its thrust explains it, or an error
 of the model, a tether, the water, a tug. Here it is decided: a loss is declared when the evidence for it is beyond
 doubt and ahead of that for every other thruster, and revoked when there is as much evidence that the thruster is
-sound. Told values (THR1_HEALTH to THR8_HEALTH) hold at once; what is told and what is found are combined by the
-smaller.
+sound. Thrusters that do the same (:mod:`autopilot.control.thrust.twins`) have the same evidence: where their tilt does
+not say which of them it is, they are declared together, each with its part of what they give. Told values (THR1_HEALTH
+to THR8_HEALTH) hold at once; what is told and what is found are combined by the smaller.
 """
 
 import math
@@ -16,6 +17,7 @@ import numpy as np
 
 from autopilot.control.thrust.loss_bank import Beliefs, LossBank, Memory
 from autopilot.control.thrust.motion_looks import MotionLooks
+from autopilot.control.thrust.twins import TiltEvidence, alike
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS, NavHealth, NavState
 from autopilot.core.model4 import Model4, steady_force
@@ -34,6 +36,9 @@ SHORT_N = 0.3
 
 DEAD = 0.2
 """Below this a thruster is not used at all: five times the pulse for what little it gives, and that uncertain."""
+
+SETTLED_EVERY = 10
+"""After so many looks (1 s) it is asked anew which of several twins is lossy."""
 
 UNLEARNED_LOOKS = 10
 """So many looks (1 s) are taken back when the estimate ceases to be good."""
@@ -57,6 +62,10 @@ class Tuning:
     """Evidence that is enough then [nats]."""
     ahead: float = 2.0
     """So much less there is for any other."""
+    settle_s: float = 15.0
+    """So long the tilt is waited for."""
+    which: float = 6.0
+    """So much less there is for any twin when it is said which of them it is [nats]."""
     confirm_s: float = 0.5
     """For so long."""
     lost_below: float = 0.75
@@ -73,6 +82,19 @@ class Tuning:
     """Half of a thruster is seen where the effectiveness is known that well (standard deviation)."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Doubt:
+    """One of several twins is lossy."""
+
+    twins: tuple[int, ...]
+    lossy: int
+    """That stands for it in the bank."""
+    by_s: float
+    """When it was declared, on the clock of the tilt's evidence."""
+    memory: Memory
+    """What the bank knew then."""
+
+
 class ThrusterHealth:
     """Estimate of the effectiveness of all thrusters. :meth:`step` at every tick, deterministic."""
 
@@ -81,17 +103,21 @@ class ThrusterHealth:
         model: Model4,
         response: Response,
         *,
+        tilt: FloatArray | None = None,
         submerged_m: float = 0.0,
         tuning: Tuning | None = None,
         beliefs: Beliefs | None = None,
     ) -> None:
-        """Above the depth ``submerged_m`` the hull stands out of the water: heave tells nothing there."""
+        """Above the depth ``submerged_m`` the hull stands out of the water: heave tells nothing there. ``tilt`` (2, n)
+        is what thrusters do to roll and pitch (:func:`autopilot.control.thrust.twins.tilt_of`), None = not known."""
         self._tuning = tuning = tuning or Tuning()
         self._submerged_m = submerged_m
         self._bank = LossBank(model, beliefs)
         self._n = model.thrusters
         # Those that push along several axes are measured against each other; the others have an axis each.
         self._paired = (np.array(model.allocation) != 0.0).sum(axis=0) > 1
+        self._twins = alike(model)
+        self._tilt = TiltEvidence(np.zeros((2, self._n)) if tilt is None else tilt)
         self._looks = MotionLooks(
             model, response, filter_s=tuning.filter_s, interval_s=tuning.interval_s, current_s=tuning.current_s
         )
@@ -102,21 +128,31 @@ class ThrusterHealth:
     def reset(self) -> None:
         """All thrusters are sound, nothing is known."""
         self._bank.reset()
-        self._past: deque[tuple[Memory, FloatArray, FloatArray]] = deque(maxlen=UNLEARNED_LOOKS)
+        self._tilt.forget()
+        self._past: deque[tuple[Memory, FloatArray, FloatArray, tuple[_Doubt, ...]]] = deque(maxlen=UNLEARNED_LOOKS)
         self._certain_s = np.zeros(self._n)
+        self._doubts: tuple[_Doubt, ...] = ()
         self.found = np.ones(self._n)
         """(n,) effectiveness as declared: 1 while a thruster is not beyond doubt lossy."""
         self.pause()
 
     @property
     def lost(self) -> tuple[bool, ...]:
-        """Whether each thruster is declared lossy."""
-        return self._bank.lossy
+        """Whether each thruster is declared lossy, alone or as one of several (:attr:`doubtful`)."""
+        lossy = list(self._bank.lossy)
+        for twin in (twin for doubt in self._doubts for twin in doubt.twins):
+            lossy[twin] = True
+        return tuple(lossy)
+
+    @property
+    def doubtful(self) -> tuple[tuple[int, ...], ...]:
+        """Thrusters that do the same of which one is lossy; nobody knows which."""
+        return tuple(doubt.twins for doubt in self._doubts)
 
     @property
     def effectiveness(self) -> FloatArray:
         """(n,) the running estimate: of lossy thrusters as declared, of the others as if nothing were known of any."""
-        return np.where(self.lost, self._bank.declared[0], self._bank.free[0])
+        return np.where(self.lost, self._shared(self._bank.declared[0]), self._bank.free[0])
 
     @property
     def sigma(self) -> FloatArray:
@@ -131,7 +167,7 @@ class ThrusterHealth:
     @property
     def seen(self) -> tuple[bool, ...]:
         """Whether a thruster has been asked for enough that the loss of half of it would show."""
-        return tuple((self._bank.free[1] < self._tuning.seen).tolist())
+        return tuple((self._bank.sum_sigma(self._twins) < self._tuning.seen).tolist())
 
     def pause(self) -> None:
         """Disarmed, or without an estimate: what was learned stays, the motion is forgotten."""
@@ -158,7 +194,8 @@ class ThrusterHealth:
         if look is None:
             return False
         if self._hit_s <= 0.0:
-            self._past.append((self._bank.memory, self.found, self._certain_s))
+            self._past.append((self._bank.memory, self.found, self._certain_s, self._doubts))
+            self._tilt.look(look)
         submerged = float(nav.pos_ned_m[2]) > self._submerged_m
         if self._bank.look(look, heave=submerged, learn=self._hit_s <= 0.0):
             if 0.0 < self._hit_s <= look.dt_s:
@@ -184,28 +221,91 @@ class ThrusterHealth:
     def _unlearn(self) -> None:
         """Back to what was known before the last looks: an estimate is bad for a moment before it is called bad."""
         if self._past:
-            memory, self.found, self._certain_s = self._past[0]
+            memory, self.found, self._certain_s, self._doubts = self._past[0]
             self._bank.recall(memory)
+            self._tilt.forget(len(self._past))
             self._past.clear()
 
     def _declare(self, dt_s: float) -> bool:
         """Accept what is beyond doubt; True when the declared effectiveness has changed."""
         tuning, bank = self._tuning, self._bank
         evidence, changed_to = bank.evidence, bank.changed_to
-        *_, second, first = sorted(evidence.tolist())
-        others = np.where(evidence == first, second, first)
-        certain = (evidence > self._needed()) & (evidence > others + tuning.ahead)
+        certain = (evidence > self._needed()) & (evidence > self._rivals(evidence) + tuning.ahead)
         certain &= np.array(bank.lossy) | (changed_to < tuning.lost_below)
+        certain &= ~self._open()
         self._certain_s = np.where(certain, self._certain_s + dt_s, 0.0)
         best = int(self._certain_s.argmax())
         if self._certain_s[best] >= tuning.confirm_s - 1e-9:
-            bank.accept(best)
+            self._accept(best)
             self._certain_s = np.zeros(self._n)
         e, sigma = bank.declared
         for i in np.flatnonzero(bank.lossy):
             if e[i] - sigma[i] > tuning.sound_above:
                 bank.clear(int(i))
-        return self._follow(np.where(bank.lossy, np.minimum(e, 1.0), 1.0))
+        self._doubts = tuple(doubt for doubt in self._doubts if bank.lossy[doubt.lossy])
+        if self._tilt.looks % SETTLED_EVERY == 0:
+            self._doubts = tuple(doubt for doubt in self._doubts if not self._settled(doubt))
+        return self._follow(self._shared(np.where(bank.lossy, np.minimum(bank.declared[0], 1.0), 1.0)))
+
+    def _open(self) -> np.ndarray:
+        """(n,) bool, twins of which it is about to come out which one is lossy: that the other is as well would be the
+        same motion, told wrongly."""
+        result = np.zeros(self._n, dtype=bool)
+        for doubt in self._doubts:
+            if self._tilt.clock_s - doubt.by_s < self._tuning.settle_s and self._tilt.tells(doubt.twins):
+                result[list(doubt.twins)] = True
+        return result
+
+    def _rivals(self, evidence: FloatArray) -> FloatArray:
+        """(n,) evidence of the best other story that is not the same of a twin."""
+        lossy = np.array(self._bank.lossy)
+        same = self._twins & (lossy[:, None] == lossy)
+        result: FloatArray = np.where(same, -np.inf, evidence).max(axis=1, initial=-np.inf)
+        return result
+
+    def _accept(self, thruster: int) -> None:
+        """Declare the best story of this thruster, or of the twin that it is likelier of."""
+        bank = self._bank
+        others = np.where(bank.lossy, bank.declared[0], 1.0)
+        twins = np.flatnonzero(self._twins[thruster] & ~np.array(bank.lossy))
+        if bank.lossy[thruster] or len(twins) == 1:
+            bank.accept(thruster)
+            return
+        told = bank.evidence[twins] + self._tilt.of(twins.tolist(), self._tilt.clock_s, others)
+        lossy = int(twins[told.argmax()])
+        bank.accept(lossy)
+        second, first = np.sort(told)[-2:]
+        if first - second < self._tuning.which:
+            doubt = _Doubt(tuple(twins.tolist()), lossy, self._tilt.clock_s, bank.memory)
+            self._doubts = (*self._doubts, doubt)
+
+    def _settled(self, doubt: _Doubt) -> bool:
+        """Whether it is clear by now which of the twins is lossy; then it is declared alone."""
+        bank = self._bank
+        if sum(bank.lossy[twin] for twin in doubt.twins) > 1:
+            return False
+        others = np.where(bank.lossy, bank.declared[0], 1.0)
+        others[doubt.lossy] = 1.0
+        told = self._tilt.of(doubt.twins, doubt.by_s, others)
+        second, first = np.sort(told)[-2:]
+        lossy = doubt.twins[int(told.argmax())]
+        if first - second < self._tuning.which:
+            return False
+        if lossy != doubt.lossy:
+            if bank.lossy == doubt.memory.lossy:
+                # What was learned since then was learned with the wrong one.
+                bank.recall(doubt.memory)
+                bank.forget_motion()
+            bank.swap(doubt.lossy, lossy)
+        return True
+
+    def _shared(self, e: FloatArray) -> FloatArray:
+        """(n,) the same with what twins give shared out among those that one of is lossy."""
+        shared = e.copy()
+        for doubt in self._doubts:
+            twins = list(doubt.twins)
+            shared[twins] = e[twins].mean()
+        return shared
 
     def _needed(self) -> FloatArray:
         """(n,) evidence that is enough: less where the filter that believes in no thruster sees the loss as well."""
