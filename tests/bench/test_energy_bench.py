@@ -8,7 +8,7 @@ import pytest
 
 from autopilot.bench.energy.bench import against_optimum
 from autopilot.bench.energy.cases import CASES, REGION_M, Case, EnergyGoal, uniform
-from autopilot.bench.energy.flight import ENERGY_PARAMS, EnergyFlight, fly, los_pilot, nmpc_pilot, plant_field
+from autopilot.bench.energy.flight import EnergyFlight, fly, los_pilot, plant_field
 from autopilot.bench.energy.los_pid import LosGains
 from autopilot.bench.energy.optimum import (
     Guess,
@@ -22,7 +22,6 @@ from autopilot.bench.energy.optimum import (
 )
 from autopilot.bench.energy.record import CORRIDOR, CORRIDOR_LAPS, LAPS, SINGLE, case_of, comparator, load_records
 from autopilot.control.energy.power import PowerModel, energy_per_metre, speed_table
-from autopilot.control.water.current_learning import LearnedCurrent
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.vehicle import load_vehicle
@@ -179,14 +178,6 @@ def test_follower_reaches_both_goals_without_touching() -> None:
     assert flight.finished
     assert flight.nearest_m > 0.0
     assert flight.energy_j == pytest.approx(sum(flight.leg_j))
-
-
-def test_the_other_side_of_an_eddy_is_looked_for_where_nothing_is_told_of_the_water() -> None:
-    """Nominal vehicle, the vortex felt only where it is: what the first leg misses of the optimum."""
-    case = CASES["b5"]
-    flight = fly(case, nmpc_pilot(VEHICLE, case, ENERGY_PARAMS, LearnedCurrent()), "felt", VEHICLE)
-    assert flight.finished
-    assert flight.energy_j < 1.12 * load_records()["b5"].energy_j
 
 
 def test_energy_of_a_drifting_vehicle_is_hotel_power() -> None:

@@ -39,10 +39,6 @@ class Basin(StrEnum):
 CLOSED_SHARE = {Basin.CLOSED: 0.95, Basin.OPEN: 0.02, Basin.UNKNOWN: 0.25}
 """How likely a basin is closed beforehand. A fence says nothing about it: it is no wall."""
 
-EDDIES_SHARE = 0.5
-"""The same without a fence where nothing is told of the water: whether what is felt at first is a stream or the near
-side of an eddy is as likely as not. Where a forecast has to be earned (within a fence) it matters little."""
-
 FLOW_M_S = (0.2, 0.1, 0.03)
 """Standard deviations of the varying part of the flow that are weighed against each other ..."""
 
@@ -159,8 +155,7 @@ class LearnedCurrent:
     def _forget(self) -> None:
         self._cells: dict[tuple[int, int], _Cell] = {}
         self._fitted_us: int | None = None
-        told = self._fenced or self._basin is not Basin.UNKNOWN
-        closed = CLOSED_SHARE[self._basin] if told else EDDIES_SHARE
+        closed = CLOSED_SHARE[self._basin]
         shares = np.column_stack([CLOSED_FLOW_SHARES, OPEN_FLOW_SHARES]) * [closed, 1.0 - closed]
         self._belief: FloatArray = shares
         self._log_prior: FloatArray = np.log(shares)
