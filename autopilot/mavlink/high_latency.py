@@ -18,6 +18,7 @@ from autopilot.mavlink.inbox import Address
 from autopilot.mavlink.progress import Progress
 from autopilot.mavlink.status import Status
 from autopilot.mavlink.streams import Streams
+from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.telemetry import SANE, Builder, Telemetry
 from autopilot.mavlink.wire import Message
 
@@ -55,8 +56,8 @@ class HighLatency:
     ) -> None:
         self._ctx, self._streams, self._status = ctx, streams, status
         self._telemetry, self._progress = telemetry, progress
-        self._heard_us: dict[Address, int] = {}
-        """When clients were last heard; the one silent for longest first."""
+        self._heard_us: LatestUsed[Address, int] = LatestUsed(MAX_ADDRESSES)
+        """When clients were last heard."""
         self._owners: dict[int, int] = {}
         """Client that made a link such a one."""
         self._climb_m_s = self._across_m = self._deep_m = 0.0
@@ -86,9 +87,6 @@ class HighLatency:
     def heard(self, address: Address) -> None:
         """A good frame of a client."""
         link, client = address
-        self._heard_us.pop(address, None)
-        while len(self._heard_us) >= MAX_ADDRESSES:
-            del self._heard_us[next(iter(self._heard_us))]
         self._heard_us[address] = self._ctx.t_us
         if self._owners.get(link, client) != client:
             self.end(link)
