@@ -17,13 +17,12 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.bench.faults.wire import LOCAL, free_port
 from autopilot.client.session import CommandRefusedError, Session
 from autopilot.core.errors import AutopilotError
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.log.reader import open_log
 from autopilot.mavlink.wire import Message
-from autopilot.run.children import Child, autopilot_command
+from autopilot.run.children import LOCAL, Child, autopilot_command, free_port
 from mission.paper import paper_plan
 
 LATEST_KILL_S = 3.0

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.bench.faults.wire import LOCAL, Station, free_port
+from autopilot.bench.faults.wire import Station
 from autopilot.bench.predict_clock import PredictClock
 from autopilot.core.errors import AutopilotError
 from autopilot.core.marks import LoopPart
@@ -27,7 +27,7 @@ from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message
 from autopilot.mavlink.vehicle_commands import FORCE_ARM
-from autopilot.run.children import python_command
+from autopilot.run.children import LOCAL, free_port, python_command
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from mission.local_plan import FenceTable, LocalPlan, OriginTable, PolygonTable, WaypointTable, plan_of_local

@@ -6,6 +6,7 @@ takes says nothing on a busy machine, so a child is judged by what it does: it l
 """
 
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -27,6 +28,16 @@ STUCK_S = 120.0
 LEAST_SHARE = 0.002
 """Of a core, over :data:`STUCK_S`: less only sleeps. Beside ten busy processes it gets thirty times that."""
 LOOK_S = 0.5
+
+
+LOCAL = "127.0.0.1"
+
+
+def free_port(kind: int = socket.SOCK_DGRAM) -> int:
+    """A port of this machine that nobody uses now, for a child to listen on: UDP, or SOCK_STREAM for TCP."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind((LOCAL, 0))
+        return int(probe.getsockname()[1])
 
 
 def python_command(code: str) -> list[str]:

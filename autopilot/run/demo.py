@@ -5,7 +5,6 @@ watches the laps and then judges the log by the plant's truth.
 """
 
 import contextlib
-import socket
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from autopilot.log.check import Row, Verdict, acceptance_table
 from autopilot.log.figures import write_figures
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
-from autopilot.run.children import Child, autopilot_command
+from autopilot.run.children import Child, autopilot_command, free_port
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
 from mission.plan_model import PlanFile
@@ -67,7 +66,7 @@ def fly(scenario: str, folder: Path, *, laps: int, speed: float, seed: int | Non
     log = folder / "run.mcap"
     plan = paper_plan(laps)
     write_plan(folder / "paper.plan", plan)
-    port = _free_port()
+    port = free_port()
     with (
         _service(scenario, log, port, folder, speed=speed, seed=seed) as service,
         Session(f"udpout:127.0.0.1:{port}", at_work=service.at_work) as session,
@@ -139,10 +138,3 @@ def _service(scenario: str, log: Path, port: int, folder: Path, *, speed: float,
         yield service
     finally:
         service.end()
-
-
-def _free_port() -> int:
-    """A UDP port that nobody uses now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

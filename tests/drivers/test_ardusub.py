@@ -1,7 +1,6 @@
 """The ArduSub driver against the emulated flight controller, over UDP; time is handed in to both."""
 
 import contextlib
-import socket
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,6 +11,7 @@ from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.messages import Authority
 from autopilot.core.samples import AhrsSample, DepthSample, LeakSample, PowerSample
 from autopilot.core.vehicle import load_vehicle
+from autopilot.run.children import free_port
 from drivers.ardusub import ArduSub, ArduSubOptions
 from drivers.devices import read_devices
 from drivers.links import open_link
@@ -21,12 +21,6 @@ from sitl.scenario import load_scenario, with_vehicle
 TICK_US = 10_000
 NEUTRAL = (1500,) * 6
 FORWARD = (1600, 1600, 1400, 1400, 1500, 1500)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Bench:

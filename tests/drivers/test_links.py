@@ -13,13 +13,13 @@ import pytest
 
 from autopilot.core.errors import ConfigError, DriverError
 from autopilot.mavlink.dialect import mav
+from autopilot.run.children import LOCAL, free_port
 from drivers.links import open_link
 from drivers.protocols import Link, Received
 from drivers.serial_port import REOPEN_US
 from drivers.tcp import MAX_CLIENTS, RECONNECT_US
 from drivers.udp import FORGET_US, KEEP_US, MAX_CLIENT_BYTES, MAX_PEERS, UdpIn
 
-LOCAL = "127.0.0.1"
 PATIENT_S = 600.0
 """Against a hang only: what is waited for has been sent."""
 KINDS = ("udpin", "udpout", "tcpin", "tcp", "serial")
@@ -28,12 +28,6 @@ KINDS = ("udpin", "udpout", "tcpin", "tcp", "serial")
 def frame(number: int) -> bytes:
     """Bytes with the shape of a MAVLink frame (of version 1: links do not number those)."""
     return bytes([0xFE, 1, 0, 1, 1, 0, number % 256, 0x12, 0x34])
-
-
-def free_port(kind: int = socket.SOCK_DGRAM) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind((LOCAL, 0))
-        return int(probe.getsockname()[1])
 
 
 def entries(link: Link, count: int, t_us: int = 0) -> list[Received]:

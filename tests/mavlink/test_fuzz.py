@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavlink_harness import World, download, mav, same_items, upload, waypoint
 
+from autopilot.bench.fuzz.messages import field_codes
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.plan import PlanKind
 
@@ -40,7 +41,7 @@ def random_frames(rng: random.Random, count: int) -> Iterator[bytes]:
         payload = bytearray(rng.choice((rng.randbytes(size), bytes(size))))
         offset = 0
         for name, length, code in zip(
-            kind.ordered_fieldnames, kind.array_lengths, formats(kind.unpacker.format), strict=True
+            kind.ordered_fieldnames, kind.array_lengths, field_codes(kind.unpacker.format), strict=True
         ):
             width = struct.calcsize("<" + code)
             if name in ("target_system", "target_component") and rng.random() < 0.95:
@@ -56,18 +57,6 @@ def random_frames(rng: random.Random, count: int) -> Iterator[bytes]:
             offset += width
         cut = bytes(payload).rstrip(b"\0") or b"\0"
         yield frame_of(msg_id, cut, n)
-
-
-def formats(text: str) -> list[str]:
-    """A struct format string cut into its fields."""
-    out, number = [], ""
-    for char in text.lstrip("<"):
-        if char.isdigit():
-            number += char
-        else:
-            out.append(number + char)
-            number = ""
-    return out
 
 
 @pytest.mark.parametrize("profile", ["generic", "px4", "ardusub"])

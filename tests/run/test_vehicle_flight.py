@@ -1,6 +1,5 @@
 """`autopilot run`'s composition on the emulated BlueROV2: service, driver and wire as on the vehicle, in lockstep."""
 
-import socket
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +12,7 @@ from autopilot.core.messages import Outputs
 from autopilot.core.vehicle import load_vehicle
 from autopilot.log.reader import open_log
 from autopilot.mavlink.api import FlightMode
+from autopilot.run.children import free_port
 from autopilot.run.config import Settings, gather, vehicle_defaults
 from autopilot.run.demo import paper_plan
 from autopilot.run.hardware_session import open_vehicle
@@ -24,12 +24,6 @@ from mission.plan_files import write_plan
 from sitl.ardusub_vehicle import ArduSubVehicle
 from sitl.operator import ScriptedOperator
 from sitl.scenario import load_scenario, with_vehicle
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Tank:

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from system_harness import OpenSession, RunningService, free_port
+from system_harness import OpenSession, RunningService
 
 from autopilot.core.messages import Outputs
-from autopilot.run.children import Child, autopilot_command
+from autopilot.run.children import Child, autopilot_command, free_port
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
 

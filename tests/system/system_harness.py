@@ -1,6 +1,5 @@
 """What the whole-system tests share."""
 
-import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,10 +29,3 @@ class RunningService:
         assert self.child.at_work(), "the service hangs"
         spent_s = self.child.cpu_s()
         assert spent_s is None or spent_s < cpu_s, f"the service has used {spent_s:.0f} s of CPU time"
-
-
-def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
-    """A port that nobody uses now."""
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

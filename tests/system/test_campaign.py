@@ -14,7 +14,6 @@ import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from system_harness import free_port
 
 from autopilot.campaign.definition import Campaign, define, first_difference
 from autopilot.campaign.engines import DaskCluster, InProcess, LocalPool, make_engine
@@ -29,7 +28,7 @@ from autopilot.cli.main import cli, run
 from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.log.check import acceptance_table
 from autopilot.log.reader import open_log
-from autopilot.run.children import autopilot_command, python_command
+from autopilot.run.children import autopilot_command, free_port, python_command
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
 from sitl.scenario import scenario_path

@@ -14,12 +14,12 @@ from pathlib import Path
 import pytest
 from plan_text import PILLARS, WORKSPACE, pillar, waypoint
 from pymavlink.dialects.v20 import development as mav
-from system_harness import PAPER_PLAN, ROOT, OpenSession, RunningService, free_port
+from system_harness import PAPER_PLAN, ROOT, OpenSession, RunningService
 from wire_client import Harbour, WireClient
 
 from autopilot.cli.main import cli, run
 from autopilot.core.param_file import scan_param_file
-from autopilot.run.children import Child, autopilot_command
+from autopilot.run.children import Child, autopilot_command, free_port
 from mission.plan_files import read_plan
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()

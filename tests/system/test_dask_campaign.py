@@ -10,10 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from system_harness import free_port
 
 from autopilot.campaign.store import read_results
-from autopilot.run.children import ROOT, autopilot_command
+from autopilot.run.children import ROOT, autopilot_command, free_port
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
 from sitl.scenario import scenario_path

@@ -12,10 +12,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from system_harness import RunningService, free_port
+from system_harness import RunningService
 
 from autopilot.cli.output import EXIT_LOSS
-from autopilot.run.children import Child, autopilot_command
+from autopilot.run.children import Child, autopilot_command, free_port
 
 if importlib.util.find_spec("MAVProxy") is None:
     pytest.skip("MAVProxy is not installed (pip install MAVProxy)", allow_module_level=True)

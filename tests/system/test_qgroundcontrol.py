@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from ground_station import GroundStation
 from pymavlink.dialects.v20 import development as mav
-from system_harness import RunningService, free_port
+from system_harness import RunningService
 
 from autopilot.cli.output import EXIT_LOSS
 from autopilot.client.plan_client import same_on_the_wire
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.core.plan_wire import item_of
-from autopilot.run.children import Child, autopilot_command
+from autopilot.run.children import Child, autopilot_command, free_port
 from mission.paper import paper_plan
 
 SPEED = 2.0

@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import development as mav
-from system_harness import free_port
 
 from autopilot.core.messages import Outputs
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.log import writer
 from autopilot.log.reader import open_log
+from autopilot.run.children import free_port
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from estimator.vision import Hint, MarkerDetector

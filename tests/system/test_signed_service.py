@@ -9,9 +9,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.bench.faults.wire import LOCAL, Station, free_port
+from autopilot.bench.faults.wire import Station
 from autopilot.log.reader import open_log
-from autopilot.run.children import Child, autopilot_command
+from autopilot.run.children import LOCAL, Child, autopilot_command, free_port
 
 KEY = bytes(range(7, 39))
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import development as mav
-from system_harness import RunningService, free_port
+from system_harness import RunningService
 
 from autopilot.mavlink.boot import STARTING
-from autopilot.run.children import Child, autopilot_command
+from autopilot.run.children import Child, autopilot_command, free_port
 
 FIRST_HEARTBEAT_CPU_S = 1.0
 

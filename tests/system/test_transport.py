@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import development as mav
-from system_harness import free_port
 
 from autopilot.bench.faults.wire import Station, waypoint
 from autopilot.core.clock import TICK_US
@@ -22,6 +21,7 @@ from autopilot.core.guard import Guard
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.samples import CameraFrame
 from autopilot.log.reader import open_log
+from autopilot.run.children import free_port
 from autopilot.run.clocks import LockstepClock
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.recorder import NullRecorder

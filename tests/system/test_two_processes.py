@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from system_harness import free_port
 from test_two_vehicles import BODY_M, HEAD, SCENARIOS, WAYS
 
 from autopilot.core.geodesy import Origin, deg_from_e7, ned_from_geodetic
 from autopilot.log.reader import open_log
 from autopilot.mavlink.dialect import mav
-from autopilot.run.children import Child, autopilot_command
+from autopilot.run.children import Child, autopilot_command, free_port
 
 AHEAD_S = 0.15
 """So far one's time may be ahead of the other's."""

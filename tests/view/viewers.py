@@ -5,25 +5,18 @@ import http.client
 import json
 import os
 import re
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from autopilot.run.children import autopilot_command
+from autopilot.run.children import autopilot_command, free_port
 
 PATIENCE_S = 300.0
 """Against a hang only."""
 MOST_EVENTS = 1000
 """So many events are waited for: a minute or two."""
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Run:

@@ -13,7 +13,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.faults.finding import Finding, Measured
-from autopilot.bench.faults.wire import LOCAL, LiveService, Station, live_service, waypoint
+from autopilot.bench.faults.wire import LiveService, Station, live_service, waypoint
 from autopilot.client.plan_client import PlanUpload
 from autopilot.core.errors import AutopilotError
 from autopilot.core.geodesy import Origin
@@ -23,6 +23,7 @@ from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import load_vehicle
 from autopilot.mavlink.server import MavlinkServer, blank_view
 from autopilot.mavlink.wire import LinkParser
+from autopilot.run.children import LOCAL
 
 TRANSFERS = 200
 BAD = 0.3

@@ -12,8 +12,9 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.faults.finding import Finding, Measured
-from autopilot.bench.faults.wire import LOCAL, LiveService, Station, download, live_service, upload
+from autopilot.bench.faults.wire import LiveService, Station, download, live_service, upload
 from autopilot.mavlink.vehicle_commands import FORCE_DISARM
+from autopilot.run.children import LOCAL
 
 GAP_S = 1.2
 """Longest silence of HEARTBEAT that is promised."""

@@ -14,14 +14,13 @@ from typing import Any
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.faults.finding import Finding, Measured
-from autopilot.bench.faults.wire import LOCAL, free_port
 from autopilot.client.session import Session
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.log import writer
 from autopilot.mavlink.vehicle_commands import FORCE_ARM
 from autopilot.run import sitl_session
-from autopilot.run.children import Child, autopilot_command, python_command
+from autopilot.run.children import LOCAL, Child, autopilot_command, free_port, python_command
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from estimator.vision import Hint, MarkerDetector

@@ -12,13 +12,13 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.bench.faults.finding import Finding, Measured
 from autopilot.bench.faults.pilot import PilotedFlight, crowded_plan, piloted
-from autopilot.bench.faults.wire import LOCAL, live_service
+from autopilot.bench.faults.wire import live_service
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG, profile_by_name
 from autopilot.mavlink.vehicle_commands import FORCE_ARM
-from autopilot.run.children import autopilot_command
+from autopilot.run.children import LOCAL, autopilot_command
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
 

@@ -14,17 +14,9 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.errors import AutopilotError
 from autopilot.mavlink.wire import LinkParser, Message
-from autopilot.run.children import Child, autopilot_command
+from autopilot.run.children import LOCAL, Child, autopilot_command, free_port
 
-LOCAL = "127.0.0.1"
 MAX_BYTES = 4096
-
-
-def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
-    """A port that nobody uses now."""
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind((LOCAL, 0))
-        return int(probe.getsockname()[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -217,7 +217,7 @@ class Traffic:
         kind = KINDS[msg_id]
         payload = bytearray()
         names = kind.ordered_fieldnames
-        for name, length, code in zip(names, kind.array_lengths, _codes(kind.unpacker.format), strict=True):
+        for name, length, code in zip(names, kind.array_lengths, field_codes(kind.unpacker.format), strict=True):
             payload += self._field(name, length, code)
         if self._rng.random() < 0.1:  # fields that a sender does not know of are left out
             del payload[self._rng.randint(1, len(payload)) :]
@@ -462,8 +462,8 @@ def _sized(frame: bytes, size: int, rng: random.Random) -> bytes:
     return b"\xfd" + body + _crc(body, 0 if kind is None else kind.crc_extra) + frame[end + 2 :]
 
 
-def _codes(text: str) -> list[str]:
-    """A struct format cut into its fields."""
+def field_codes(text: str) -> list[str]:
+    """A struct format cut into its fields: "<I4sB" is I, 4s and B."""
     out, number = [], ""
     for char in text.lstrip("<"):
         if char.isdigit():
