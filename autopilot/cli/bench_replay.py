@@ -1,29 +1,39 @@
 """``autopilot bench replay`` and ``bench reference``: does a flight repeat itself, and did it always do so?"""
 
+from __future__ import annotations
+
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import click
 
-from autopilot.cli.bench_tables import TITLES, judge
+from autopilot.cli.bench_tables import TITLES, judge, told_one_by_one
 from autopilot.cli.log_replay import moved_rows
 from autopilot.cli.output import print_table
+
+if TYPE_CHECKING:
+    from autopilot.bench.replays import ReplayRow
 
 _JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 
 
 @click.command()
 @click.option("--short", is_flag=True, help="5 s of each flight instead of 30.")
+@click.option("--whole", is_flag=True, help="Each flight until its mission is complete.")
 @click.option("--only", multiple=True, metavar="SCENARIO", help="Only this scenario; repeatable.")
 @_JSON
-def replay(only: tuple[str, ...], short: bool, as_json: bool) -> None:
+def replay(only: tuple[str, ...], short: bool, whole: bool, as_json: bool) -> None:
     """Every shipped scenario flown and replayed, bit for bit.
 
-    30 s (--short: 5 s) of each, with pictures and without, and one in real time (an hour, a quarter with --short; exit
-    code 1 if anything differs).
+    30 s (--short: 5 s, --whole: all) of each, with pictures and without, and one in real time (an hour, a quarter with
+    --short, some hours with --whole; exit code 1 if anything differs). Every row is told on stderr when it is there.
     """
-    from autopilot.bench.replays import replay_rows
+    from autopilot.bench.replays import flown_and_replayed, planned_flights
 
-    rows = list(replay_rows(short=short, only=only))
+    if short and whole:
+        raise click.UsageError("--short and --whole: give one of them")
+    flights = planned_flights(short=short, whole=whole, only=only)
+    rows = told_one_by_one(flights, flown_and_replayed, _outcome)
     table = [
         (r.flight, r.sensors, f"{r.speed:g}", r.ticks, r.messages, r.differences, r.first or "all the same")
         for r in rows
@@ -35,6 +45,11 @@ def replay(only: tuple[str, ...], short: bool, as_json: bool) -> None:
         lambda: print_table(TITLES["replay"], heads, table),
         as_json=as_json,
     )
+
+
+def _outcome(row: ReplayRow) -> str:
+    differs = f"{row.differences} differ, {row.first}" if row.differences else row.first or "all the same"
+    return f"{row.ticks} ticks, {row.messages} messages: {differs}"
 
 
 @click.command()

@@ -1,12 +1,15 @@
 """How benchmarks print: titles, short heads, figures."""
 
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import click
 
 from autopilot.cli.output import emit_json, print_table
 
 Rows = list[dict[str, object]]
+_Part = TypeVar("_Part")
+_Result = TypeVar("_Result")
 
 TITLES = {
     "loop": "The loop in real time with a camera, 500 items and 50 octagons uploaded in flight; asked = at most",
@@ -110,6 +113,32 @@ def judge_rows(kept: bool, title: str, rows: Rows, *, as_json: bool) -> None:
 def tell(line: str) -> None:
     """How far a long benchmark is: on stderr, so that its table can be kept."""
     click.echo(line, err=True)
+
+
+def told_one_by_one(
+    parts: Sequence[_Part], work: Callable[[_Part], _Result], outcome: Callable[[_Result], str]
+) -> list[_Result]:
+    """What ``work`` makes of the parts of a long benchmark, each told on stderr as soon as it is done.
+
+    A terminal shows a bar below these lines, with the part that is worked on.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    results = []
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("", total=len(parts))
+        for number, part in enumerate(parts, 1):
+            progress.update(bar, description=str(part), completed=number - 1)
+            results.append(work(part))
+            line = f"{number} of {len(parts)}  {part}: {outcome(results[-1])}"
+            if console.is_terminal:
+                progress.console.print(line, highlight=False, markup=False)
+            else:
+                tell(line)
+    return results
 
 
 def _figure(value: object) -> str:

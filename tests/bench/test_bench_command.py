@@ -5,9 +5,10 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from autopilot.bench.replays import planned_flights
 from autopilot.cli import bench_rows
 from autopilot.cli.bench import ALL, LONG, bench
-from autopilot.cli.bench_tables import TITLES, Rows
+from autopilot.cli.bench_tables import TITLES, Rows, told_one_by_one
 
 OLD_LINES: dict[str, tuple[str, dict[str, Any]]] = {
     "nmpc --short": ("nmpc", {"short": True}),
@@ -67,3 +68,21 @@ def test_all_are_run_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> Non
     assert done.exit_code == 0, done.output
     assert ran == [(name, name in LONG) for name in ALL]
     assert "times slower" in done.output
+
+
+def test_each_part_of_a_long_benchmark_is_told_before_the_next_begins(capsys: pytest.CaptureFixture[str]) -> None:
+    told: list[str] = []
+
+    def work(part: str) -> int:
+        told.append(capsys.readouterr().err)
+        return len(part)
+
+    assert told_one_by_one(("one", "three"), work, lambda length: f"{length} letters") == [3, 5]
+    assert told == ["", "1 of 2  one: 3 letters\n"]
+    assert capsys.readouterr() == ("", "2 of 2  three: 5 letters\n")
+
+
+def test_whole_flights_end_with_their_mission_where_there_is_one() -> None:
+    flights = planned_flights(whole=True)
+    assert {flight.scenario for flight in flights if not flight.whole} == {"narrow-gap", "vortex"}
+    assert [str(flight) for flight in planned_flights(only=["b5"])] == ["b5, pose", "paper-tank, pose, in real time"]
