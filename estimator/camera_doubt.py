@@ -149,8 +149,9 @@ class CameraWatch:
         """Whether stamps have been found to be late, or late by another time than was known."""
         changed = self.stamps.look()
         late_s = self.stamps.late_s
-        sure = 0.0 < self.stamps.sigma_s < LATE_SHARE * max(abs(late_s), 2.0 * LATE_S)
-        if abs(late_s) >= LATE_S and sure and not self._late_told:
+        if self._late_told or abs(late_s) < LATE_S:
+            return changed
+        if 0.0 < self.stamps.sigma_s < LATE_SHARE * max(abs(late_s), 2.0 * LATE_S):
             self._late_told = True
             what = "late" if late_s > 0.0 else "early"
             self._texts.append(f"Picture stamps {1e3 * abs(late_s):.0f} ms {what}: calibrate latency")

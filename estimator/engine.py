@@ -88,9 +88,11 @@ TRACKED_US = 1_000_000
 """So recent a velocity over ground keeps dead reckoning going."""
 INERTIAL = (AhrsSample, ImuSample)
 FIXES = (PoseSample, MarkerSighting, ExternalPoseSample)
+PICTURES = (PoseSample, MarkerSighting)
 SCALARS = (LaserSample, DepthSample, VelocitySample, MarkerSighting)
 AIDING = (PoseSample, MarkerSighting, ExternalPoseSample, LaserSample, DepthSample, VelocitySample)
-"""Kinds of samples that make a node, that give a pose, that give something else, and all of the last two."""
+"""Kinds of samples that make a node, that give a pose, that give one by a picture, that give something else, and all
+of the last three."""
 REDRIVEN_US = 800_000
 """A sensor that ceases to be believed has been wrong for up to so long."""
 DOUBT_US = 1_000_000
@@ -151,6 +153,8 @@ class Engine:
         self._statuses: list[AidStatus] = []
         self._now_us = -1
         self._last: NavState | None = None
+        self._against: frozenset[NavDoubt] = frozenset()
+        """:meth:`_doubts` of the last step."""
         self._samples_since = 0
         self._ground_us: int | None = None
         self._ahrs_us: int | None = None
@@ -182,7 +186,7 @@ class Engine:
             self._rescale(self._history)
         newest = self._history.newest
         tracked = self._ground_us is not None and t_us - self._ground_us <= TRACKED_US
-        doubts = self._doubts(t_us)
+        doubts = self._against = self._doubts(self._history, t_us)
         doubted = bool(doubts) and not self._harmless(doubts, t_us)
         health = judge_health(
             newest, self._core, self._fix_age_us(t_us), self._options, tracked=tracked, doubted=doubted
@@ -234,7 +238,7 @@ class Engine:
     @property
     def doubts(self) -> frozenset[NavDoubt]:
         """See :class:`estimator.protocol.Estimator`."""
-        return self._doubts(self._now_us) if self._history is not None else frozenset()
+        return self._against
 
     @property
     def ahrs_us(self) -> int | None:
@@ -272,7 +276,7 @@ class Engine:
             if isinstance(other, AIDING):
                 aiding = self._sources.on_our_clock(other)
                 self._intake.admit(aiding, self._now_us)
-                if isinstance(aiding, PoseSample | MarkerSighting):
+                if isinstance(aiding, PICTURES):
                     ahead_us = aiding.t_us - self._now_us
                     self._stamps_changed |= self._camera.stamps.arrives(ahead_us, self._latency_s)
 
@@ -343,10 +347,9 @@ class Engine:
         for part, variance, value in forgotten:
             history.reopen(node, Reopening("imu", node.t_us, part, variance, value))
 
-    def _doubts(self, t_us: int) -> frozenset[NavDoubt]:
+    def _doubts(self, history: History, t_us: int) -> frozenset[NavDoubt]:
         """What speaks against the estimate or its sensors."""
-        newest = None if self._history is None else self._history.newest
-        found = self._evidence.doubts(t_us, 0.0 if newest is None else newest.state.x.item(LASER_BIAS))
+        found = self._evidence.doubts(t_us, history.newest.state.x.item(LASER_BIAS))
         if self._imu.accel.since_us is not None:
             found.add(NavDoubt.ACCELEROMETER)
         if self._imu.gyro.since_us is not None:
@@ -369,8 +372,8 @@ class Engine:
 
     def _fix_age_us(self, t_us: int) -> int:
         """How long ago, at ``t_us``, the newest fix was that has been used. There is one since the start."""
-        times = [aid.last_fused_us for aid in (self._sources.markers, self._sources.external)]
-        return min((t_us - last_us for last_us in times if last_us is not None), default=0)
+        newest_us = self._sources.newest_fix_us
+        return 0 if newest_us is None else t_us - newest_us
 
     def _anchor_age_us(self, t_us: int) -> int:
         """The same of anything that tells the motion over ground: a fix or a velocity."""

@@ -77,7 +77,8 @@ class History:
     def newest(self) -> Node:
         """The latest node."""
         node = self._nodes[-1]
-        self._settle(node)
+        if self._changed is not None or node.pending:
+            self._settle(node)
         return node
 
     def append(self, t_us: int, moment: Moment, step: Step) -> Node:
@@ -174,8 +175,9 @@ class History:
         The order does not depend on when things arrived, so neither does the result."""
         self._settle(node)
         place = len(node.used)
-        if node.prior is not None:
-            while place and _rank(node.used[place - 1]) > _rank(new):
+        if place and node.prior is not None:
+            rank = _rank(new)
+            while place and _rank(node.used[place - 1]) > rank:
                 place -= 1
         last = place == len(node.used)
         if node is not self._nodes[-1]:

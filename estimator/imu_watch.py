@@ -46,7 +46,10 @@ class ImuWatch:
     @property
     def since_us(self) -> int | None:
         """When the younger of the doubts began, None without any."""
-        return max((s for s in (self.accel.since_us, self.gyro.since_us) if s is not None), default=None)
+        accel_us, gyro_us = self.accel.since_us, self.gyro.since_us
+        if accel_us is None or gyro_us is None:
+            return gyro_us if accel_us is None else accel_us
+        return max(accel_us, gyro_us)
 
     def drive(self, before: Node, inertial: Inertial) -> tuple[Inertial, Step]:
         """The moment after ``before`` without the sensors that are not believed, and the step to it."""
@@ -122,6 +125,8 @@ class ImuWatch:
         if self.gyro.since_us is not None and not gyro:
             unexplained = raw.yaw_rate_rad_s - (turn / dt_s if jump == 0.0 else rate)
             gyro_offset = self.gyro.steady_offset(dt_s, unexplained, anchored=anchored and not denied)
+        if not (accel or gyro or jump) and accel_offset is None and gyro_offset is None:
+            return NOTHING_NEW
         return Verdicts(
             doubted=accel or gyro,
             apart_rad=apart,

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import Enum, IntEnum
+from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -79,7 +79,7 @@ class Step(NamedTuple):
     """(3, 21) d acceleration / d state when the vehicle model makes it, None when it is measured."""
 
 
-class Verdict(Enum):
+class Verdict(StrEnum):
     """What became of a sample at the intake."""
 
     GOOD = "good"

@@ -44,7 +44,7 @@ class Intake:
             aid.counts["future"] += 1
         elif sample.t_us in self._seen[kind]:
             aid.counts["duplicate"] += 1
-        elif sum(type(waiting) is kind for waiting in self._waiting) >= WAITING_MAX:
+        elif len(self._waiting) >= WAITING_MAX and sum(type(s) is kind for s in self._waiting) >= WAITING_MAX:
             aid.counts["late"] += 1
         else:
             self._seen[kind].append(sample.t_us)
@@ -58,7 +58,9 @@ class Intake:
         """What was valid at or before ``until_us``, oldest first; the rest waits."""
         if not self._waiting:
             return ()
-        ready = sorted((s for s in self._waiting if s.t_us <= until_us), key=lambda s: (s.t_us, self._order[type(s)]))
+        ready = [s for s in self._waiting if s.t_us <= until_us]
         if ready:
             self._waiting = [s for s in self._waiting if s.t_us > until_us]
+        if len(ready) > 1:
+            ready.sort(key=lambda s: (s.t_us, self._order[type(s)]))
         return ready

@@ -97,6 +97,14 @@ class Sources:
         """All of them."""
         return self.markers, self.laser, self.heading, self.model, self.depth, self.velocity, self.external
 
+    @property
+    def newest_fix_us(self) -> int | None:
+        """Time of validity of the newest fix that has been used, None before the first."""
+        markers_us, external_us = self.markers.last_fused_us, self.external.last_fused_us
+        if markers_us is None or external_us is None:
+            return external_us if markers_us is None else markers_us
+        return max(markers_us, external_us)
+
     def on_our_clock(self, sample: AidingSample) -> AidingSample:
         """The sample with its sensor's time offset taken off."""
         offset_us = self._offset_us[type(sample)]

@@ -94,7 +94,8 @@ class StampWatch:
         self._soon = self._soon + 1 if missed else 0
         if self._fixes and stamp_us <= self._fixes[-1][0]:
             return  # mixed up
-        self._fixes.append((stamp_us, *fix.z[[0, 1, 3]].tolist()))
+        north, east, _, yaw = fix.z.tolist()
+        self._fixes.append((stamp_us, north, east, yaw))
         while self._fixes[0][0] < stamp_us - WINDOW_US:
             self._fixes.popleft()
 
