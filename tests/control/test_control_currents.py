@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from autopilot.control.water.current_memory import CurrentMemory
 from autopilot.control.water.currents import (
     CurrentForecast,
     EstimatedCurrent,
@@ -179,3 +180,19 @@ def test_without_currents_ground_speed_is_water_speed() -> None:
     assert (view.current_ned_m_s == 0.0).all()
     assert view.vel_water_frd_m_s == pytest.approx([0.3, 0.0, 0.0])
     assert not _filled(NoCurrent(), view, PLACES, TIMES).any()
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_memory_that_works_out_its_nodes_at_every_lesson_knows_the_same(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    kept, anew = CurrentMemory(1.0), CurrentMemory(1.0)
+    place, t_us = random.normal(size=3), 0
+    for _ in range(30):
+        t_us += int(random.choice([0, 10_000, 20_000, 500_000]))
+        place = place + random.normal(size=3) * random.choice([0.02, 0.3, 40.0], p=[0.8, 0.18, 0.02])
+        lesson = t_us, place, random.normal(size=3), random.uniform(0.0, 1e-3)
+        kept.learn(*lesson)
+        anew._patch = None  # the same cell is looked up again
+        anew.learn(*lesson)
+    asked = t_us, place + 0.3 * random.normal(size=(9, 3)), np.zeros(3)
+    assert np.array_equal(kept.recall(*asked), anew.recall(*asked))

@@ -1,5 +1,7 @@
 """What was seen of the water where: a coarse grid of weighted means that wraps round."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,6 +34,24 @@ LONGEST_LESSON_S = 0.2
 """One look counts no longer than this, however long nobody has looked."""
 
 
+@dataclass(slots=True, eq=False)
+class _Patch:
+    """The 5 x 5 nodes round the vehicle: worked out when it comes into another cell, not at every lesson."""
+
+    node: tuple[int, int]
+    """The one in the middle."""
+    north_m: FloatArray
+    """(5,) of its rows."""
+    east_m: FloatArray
+    """(5,) of its columns."""
+    slot: NDArray[np.int64]
+    """(25,) where they are kept."""
+    place: NDArray[np.int64]
+    """(25,) which nodes they are among all that are kept there."""
+    learned_us: float | None = None
+    """When all of them have been taught last, None = they have not been."""
+
+
 class CurrentMemory:
     """Means (3,) by place. Bounded (0.9 MB), deterministic; planar: what was seen at one depth counts at all.
 
@@ -47,8 +67,9 @@ class CurrentMemory:
         self._sums: FloatArray = np.zeros((NODES * NODES, 4))
         self._place: NDArray[np.int64] = np.full(NODES * NODES, -1, dtype=np.int64)
         self._learned_us: FloatArray = np.zeros(NODES * NODES)
-        around = np.arange(-REACH, REACH + 1)
-        self._around = np.stack(np.meshgrid(around, around, indexing="ij")).reshape(2, -1)
+        self._around = np.arange(-REACH, REACH + 1)
+        self._patch: _Patch | None = None
+        """Where the last lesson was."""
         self._last_us: int | None = None
 
     def learn(self, t_us: int, pos_ned_m: FloatArray, seen_m_s: FloatArray, variance_m2_s2: float) -> None:
@@ -57,17 +78,29 @@ class CurrentMemory:
         self._last_us = t_us
         if elapsed_s <= 0.0:
             return
-        xy = pos_ned_m[:2]
-        node = np.rint(xy / self._cell_m).astype(np.int64)[:, None] + self._around
-        slot, place = _slot(node)
-        r2 = np.square(node * self._cell_m - xy[:, None]).sum(axis=0)
+        x, y = pos_ned_m[:2].tolist()
+        patch = self._patch_round((round(x / self._cell_m), round(y / self._cell_m)))
+        r2 = np.add.outer(np.square(patch.north_m - x), np.square(patch.east_m - y)).reshape(-1)
         gain = min(elapsed_s, LONGEST_LESSON_S) / (max(variance_m2_s2, 0.0) + VARIANCE_FLOOR_M2_S2)
         weight = gain * np.exp(-0.5 * r2 / self._spread_m**2)
-        kept = self._kept(slot, place, t_us)
-        self._sums[slot] *= kept[:, None]
-        self._sums[slot, 0] += weight
-        self._sums[slot, 1:] += weight[:, None] * seen_m_s
-        self._place[slot], self._learned_us[slot] = place, t_us
+        sums = self._sums[patch.slot]
+        if patch.learned_us is None:
+            sums *= self._kept(patch.slot, patch.place, t_us)[:, None]
+            self._place[patch.slot] = patch.place
+        else:
+            sums *= _left(patch.learned_us, t_us)
+        sums += weight[:, None] * np.array((1.0, *seen_m_s.tolist()))
+        self._sums[patch.slot] = sums
+        self._learned_us[patch.slot] = patch.learned_us = t_us
+
+    def _patch_round(self, node: tuple[int, int]) -> _Patch:
+        """The nodes round one; those of the last lesson where that was at the same."""
+        if self._patch is None or self._patch.node != node:
+            north, east = node[0] + self._around, node[1] + self._around
+            slot, place = _slot(np.stack(np.meshgrid(north, east, indexing="ij")).reshape(2, -1))
+            north_m, east_m = (np.asarray(nodes * self._cell_m, dtype=float) for nodes in (north, east))
+            self._patch = _Patch(node, north_m, east_m, slot, place)
+        return self._patch
 
     def recall(self, t_us: int, pos_ned_m: FloatArray, prior_m_s: FloatArray) -> FloatArray:
         """(n, 3) at places (n, 3): what was seen there, ``prior_m_s`` (3,) where nothing was."""
@@ -85,9 +118,14 @@ class CurrentMemory:
 
     def _kept(self, slot: NDArray[np.int64], place: NDArray[np.int64], t_us: int) -> FloatArray:
         """What is left of a node's weight: nothing if it is kept for another place."""
-        age = np.exp((self._learned_us[slot] - t_us) * (1e-6 / FORGET_S))
-        kept: FloatArray = np.where(self._place[slot] == place, age, 0.0)
+        kept: FloatArray = np.where(self._place[slot] == place, _left(self._learned_us[slot], t_us), 0.0)
         return kept
+
+
+def _left(learned_us: float | FloatArray, t_us: int) -> FloatArray:
+    """Share of a weight that is left of what was learned then."""
+    left: FloatArray = np.exp((learned_us - t_us) * (1e-6 / FORGET_S))
+    return left
 
 
 _CORNERS: NDArray[np.int64] = np.array([[0, 0, 1, 1], [0, 1, 0, 1]])

@@ -154,9 +154,10 @@ class MappedCurrent(_Anywhere):
 
     def view(self, nav: NavState) -> NavState:
         """Unchanged; learns from it."""
-        if nav.health is NavHealth.GOOD and bool(np.isfinite(nav.current_ned_m_s).all()):
+        numbers = (*nav.current_ned_m_s.tolist(), *nav.pos_ned_m.tolist())
+        if nav.health is NavHealth.GOOD and all(map(math.isfinite, numbers)):
             here = self._field.velocity(nav.pos_ned_m[None], np.array([nav.t_us * 1e-6]))[0]
-            variance = float(nav.variance[9:11].mean())
+            variance = 0.5 * (nav.variance.item(9) + nav.variance.item(10))
             self._memory.learn(nav.t_us, nav.pos_ned_m, nav.current_ned_m_s - here, variance)
         return nav
 
