@@ -18,6 +18,9 @@ AXES = len(AXIS_NAMES)
 X, Y, Z, YAW, U, V, W, R = range(NX)
 """Indices of the state."""
 
+NO_FORCES = (0.0,) * AXES
+"""Of thrusters that stand still."""
+
 ABS_SMOOTHING_M2_S2 = 1e-6
 """|a| is taken as sqrt(a^2 + this) so that quadratic drag is differentiable at rest (1 mm/s)."""
 
@@ -46,9 +49,14 @@ class Model4:
 
 def body_acceleration(model: Model4, nu: Sequence[Any], thrust_n: Sequence[Any], ops: Any) -> list[Any]:
     """Acceleration relative to the water (4): u', v', w' [m/s^2], r' [rad/s^2] from nu = (u_r, v_r, w_r, r)."""
+    forces = [sum([a * thrust_n[j] for j, a in enumerate(row) if a != 0.0]) for row in model.allocation]
+    return forced_acceleration(model, nu, forces, ops)
+
+
+def forced_acceleration(model: Model4, nu: Sequence[Any], forces: Sequence[Any], ops: Any) -> list[Any]:
+    """The same (4) with the thrusters' force (4) X, Y, Z [N], N [N m]."""
     u, v, w, r = nu[0], nu[1], nu[2], nu[3]
     m11, m22, m33, m44 = model.mass_kg
-    forces = [sum([a * thrust_n[j] for j, a in enumerate(row) if a != 0.0]) for row in model.allocation]
     drag = [
         model.linear_drag[i] * a + model.quadratic_drag[i] * ops.sqrt(a * a + ABS_SMOOTHING_M2_S2) * a
         for i, a in enumerate((u, v, w, r))
@@ -77,7 +85,7 @@ def state_derivative(
 
 def steady_force(model: Model4, nu: Sequence[Any], ops: Any) -> list[Any]:
     """Force (4) X, Y, Z [N], N [N m] that holds the velocity nu = (u, v, w, r): drag, buoyancy and Munk moment."""
-    drift = body_acceleration(model, nu, (0.0,) * model.thrusters, ops)
+    drift = forced_acceleration(model, nu, NO_FORCES, ops)
     return [-m * a for m, a in zip(model.mass_kg, drift, strict=True)]
 
 

@@ -1,7 +1,7 @@
 """How thrusters follow their commands: first order, each with its own time constant."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -28,3 +28,9 @@ class Response:
         if self._alike:
             return 1.0 - math.exp(-dt_s / self.mean_s)
         return np.array([1.0 - math.exp(-dt_s / each) for each in self.time_constants_s])
+
+    def after(self, dt_s: float, acting: Sequence[float], command: Sequence[float]) -> list[float]:
+        """What acts after that time of what acted (n,) and is commanded (n,): for a few numbers quicker than arrays."""
+        share = self.share(dt_s)
+        shares = [share] * len(acting) if isinstance(share, float) else share.tolist()
+        return [f + s * (to - f) for f, to, s in zip(acting, command, shares, strict=True)]

@@ -17,6 +17,7 @@ all delays that are longer than the wait: first it is known that commands are la
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,10 +108,11 @@ class ActuationDelay:
         self._evidence = np.zeros(n)
         self._known: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque(maxlen=UNLEARNED_LOOKS)
         self._past = np.zeros((n, nu))
-        self._acting, self._thrust = np.zeros(nu), np.zeros(nu)
-        self._followed: FloatArray | None = None
+        # What changes at every tick are plain numbers: for so few of them quicker than arrays.
+        self._acting, self._thrust = [0.0] * nu, [0.0] * nu
+        self._followed: Sequence[float] | None = None
         """(8,) of :func:`thrustless_motion`, filtered."""
-        self._current: FloatArray | None = None
+        self._current: list[float] | None = None
         self._t_us: int | None = None
         self._since_s = self._wait_s = self._certain_s = 0.0
         self._reset_count = -1
@@ -122,7 +124,7 @@ class ActuationDelay:
     @property
     def current_ned_m_s(self) -> FloatArray:
         """(3,) the current as it is believed slowly: thrust that has not acted yet is not in it."""
-        return np.zeros(3) if self._current is None else self._current.copy()
+        return np.zeros(3) if self._current is None else np.array(self._current)
 
     @property
     def shortest_s(self) -> float:
@@ -144,8 +146,8 @@ class ActuationDelay:
         dt_s = 0.0 if self._t_us is None else (t_us - self._t_us) * 1e-6
         self._t_us = t_us
         share = 1.0 - math.exp(-dt_s / self._tuning.filter_s)
-        self._acting += self._response.share(dt_s) * (thrust_n - self._acting)
-        self._thrust += share * (self._acting - self._thrust)
+        self._acting = self._response.after(dt_s, self._acting, thrust_n.tolist())
+        self._thrust = _toward(self._thrust, self._acting, share)
         self._since_s += dt_s
         due = self._since_s >= self._tuning.interval_s - 1e-9
         look_s = min(self._since_s, 1.0)
@@ -158,22 +160,22 @@ class ActuationDelay:
             self._unlearn()
             return False
         if self._current is None:
-            self._current = nav.current_ned_m_s.copy()
+            self._current = nav.current_ned_m_s.tolist()
         motion, followed = thrustless_motion(self._model, nav, self._current), self._followed
         if followed is None or nav.reset_count != self._reset_count:
             self._wait_s = 0.0 if followed is None and self._reset_count < 0 else 3.0 * self._tuning.filter_s
             self._reset_count, self._followed = nav.reset_count, motion
             return False
         self._wait_s -= dt_s
-        self._current += dt_s / self._tuning.current_s * (nav.current_ned_m_s - self._current)
-        followed += share * (motion - followed)
+        self._current = _toward(self._current, nav.current_ned_m_s.tolist(), dt_s / self._tuning.current_s)
+        self._followed = followed = _toward(followed, motion, share)
         if not due or self._wait_s > 0.0:
             return False
         self._known.append((self._x, self._p, self._evidence))
         self._look(
             look_s,
             push_sigma(self._model, nav, self._tuning.push, self._tuning.flow_m_s),
-            (motion[:AXES] - followed[:AXES]) / self._tuning.filter_s - followed[AXES:],
+            np.subtract(motion[:AXES], followed[:AXES]) / self._tuning.filter_s - followed[AXES:],
         )
         return self._declare(look_s)
 
@@ -235,3 +237,8 @@ class ActuationDelay:
             self.delay_s = 0.0
         self.doubtful = self.delay_s == 0.0 and normal < -tuning.doubt
         return self.delay_s != before
+
+
+def _toward(values: Sequence[float], goals: Sequence[float], share: float) -> list[float]:
+    """Numbers that go that share of the way to others."""
+    return [value + share * (goal - value) for value, goal in zip(values, goals, strict=True)]

@@ -67,7 +67,7 @@ class MotionLooks:
     def forget(self) -> None:
         """The motion so far says nothing about the next; the current is kept."""
         self._t_us: int | None = None
-        self._acting: FloatArray = np.zeros(self._model.thrusters)
+        self._acting = [0.0] * self._model.thrusters
         self._filtered: FloatArray = np.zeros(0)
         self._since_s = self._moving_s = 0.0
         self._moved = (0.0, 0.0)
@@ -79,13 +79,13 @@ class MotionLooks:
             self._known = True
         if self._t_us is None:
             self._t_us = t_us
-            self._acting = np.array(thrust_n, dtype=float)
+            self._acting = thrust_n.tolist()
             self._filtered = self._terms(nav)
             return None
         dt_s = (t_us - self._t_us) * 1e-6
         self._t_us = t_us
         self._follow_current(nav, dt_s)
-        self._acting = self._acting + self._response.share(dt_s) * (thrust_n - self._acting)
+        self._acting = self._response.after(dt_s, self._acting, thrust_n.tolist())
         terms = self._terms(nav)
         self._filtered = self._filtered + (1.0 - math.exp(-dt_s / self._filter_s)) * (terms - self._filtered)
         self._since_s += dt_s
@@ -136,7 +136,7 @@ class MotionLooks:
                 *(c * yaw[0] - s * yaw[1], s * yaw[0] + c * yaw[1]),
                 *(c, s),
                 *(math.sin(roll), roll_rate, math.sin(pitch), pitch_rate),
-                *self._acting.tolist(),
+                *self._acting,
             ]
         )
 

@@ -6,25 +6,26 @@ know.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
-from autopilot.core.model4 import Model4, body_acceleration
+from autopilot.core.model4 import NO_FORCES, Model4, forced_acceleration
 
 
-def thrustless_motion(model: Model4, nav: NavState, current_ned_m_s: FloatArray) -> FloatArray:
-    """(8,) velocity over ground and yaw rate, and their rate of change without thrust in that current."""
+def thrustless_motion(model: Model4, nav: NavState, current_ned_m_s: Sequence[float]) -> tuple[float, ...]:
+    """(8,) velocity over ground and yaw rate, and their rate of change without thrust in that current (3,)."""
     ground_u, ground_v, ground_w = nav.vel_frd_m_s.tolist()
-    north, east, down = current_ned_m_s.tolist()
+    north, east, down = current_ned_m_s
     yaw, r = nav.rpy_rad.item(2), nav.rate_frd_rad_s.item(2)
     c, s = math.cos(yaw), math.sin(yaw)
     flow_u, flow_v = c * north + s * east, c * east - s * north
     nu = (ground_u - flow_u, ground_v - flow_v, ground_w - down, r)
-    du, dv, dw, dr = body_acceleration(model, nu, (0.0,) * model.thrusters, math)
+    du, dv, dw, dr = forced_acceleration(model, nu, NO_FORCES, math)
     # A steady current turns in the body frame.
-    return np.array([ground_u, ground_v, ground_w, r, du + r * flow_v, dv - r * flow_u, dw, dr])
+    return ground_u, ground_v, ground_w, r, du + r * flow_v, dv - r * flow_u, dw, dr
 
 
 def push_sigma(model: Model4, nav: NavState, at_rest: tuple[float, ...], flow_m_s: float) -> FloatArray:
