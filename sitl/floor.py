@@ -4,6 +4,7 @@ Grey, seen from above: columns run to the east, rows to the south, so that it is
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeAlias
 
@@ -18,6 +19,7 @@ from autopilot.core.map_errors import Laid, MapErrors, map_errors
 from autopilot.core.marker_files import load_marker_map, placed_markers
 from autopilot.core.markers import ID_SPAN, MarkerMap, grid_floor
 from sitl.scenario import LaidByHand, Scenario
+from sitl.scenario_tables import Vec2
 
 Image: TypeAlias = NDArray[np.uint8]
 
@@ -145,13 +147,28 @@ def _planned(scenario: Scenario) -> MarkerMap | None:
     layout = scenario.markers
     if layout.file is not None:
         return _of_file(layout.file, np.array(scenario.tank.polygon_m), scenario.tank.depth_m)
+    return _grid(
+        tuple(scenario.tank.polygon_m),
+        scenario.tank.depth_m,
+        layout.pitch_m,
+        layout.size_m,
+        layout.seed,
+        layout.dictionary,
+    )
+
+
+@lru_cache(maxsize=4)
+def _grid(
+    polygon_m: tuple[Vec2, ...], depth_m: float, pitch_m: float, size_m: float, seed: int, dictionary: str
+) -> MarkerMap:
+    """The floor of these numbers, kept: a run asks twice, a campaign for every run."""
     return grid_floor(
-        polygon_m=np.array(scenario.tank.polygon_m),
-        depth_m=scenario.tank.depth_m,
-        pitch_m=layout.pitch_m,
-        size_m=layout.size_m,
-        seed=layout.seed,
-        dictionary=layout.dictionary,
+        polygon_m=np.array(polygon_m),
+        depth_m=depth_m,
+        pitch_m=pitch_m,
+        size_m=size_m,
+        seed=seed,
+        dictionary=dictionary,
     )
 
 
@@ -177,10 +194,16 @@ def _of_file(file: str, polygon_m: FloatArray, depth_m: float) -> MarkerMap:
 
 def build_floor(scenario: Scenario) -> Floor | None:
     """The floor of a scenario's tank; None in open water."""
-    markers = build_markers(scenario)
-    if markers is None or scenario.tank is None:
+    markers, tank = build_markers(scenario), scenario.tank
+    if markers is None or tank is None:
         return None
-    polygon = np.array(scenario.tank.polygon_m)
+    return _printed(markers, tuple(tank.polygon_m), tank.depth_m, scenario.markers.seed)
+
+
+@lru_cache(maxsize=1)
+def _printed(markers: MarkerMap, polygon_m: tuple[Vec2, ...], depth_m: float, seed: int) -> Floor:
+    """A floor with its picture, the last one kept: runs of one scenario print it once (maps are equal by identity)."""
+    polygon = np.array(polygon_m)
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     extent_m = high - low
     px_per_m = min(PX_PER_M, float(np.sqrt(MAX_PX / (extent_m[0] * extent_m[1]))))
@@ -189,13 +212,13 @@ def build_floor(scenario: Scenario) -> Floor | None:
     _print_markers(ink, markers, float(high[0]), float(low[1]), px_per_m)
     shades = np.linspace(WHITE, BLACK, 256).round().astype(np.uint8)
     picture = cv2.LUT(ink, shades)
-    _scatter_sand(picture, np.random.default_rng((scenario.markers.seed, 1)))
+    _scatter_sand(picture, np.random.default_rng((seed, 1)))
     levels = [picture]
     for _ in range(1, LEVELS):
         size = (max(1, levels[-1].shape[1] // 2), max(1, levels[-1].shape[0] // 2))
         levels.append(cv2.resize(levels[-1], size, interpolation=cv2.INTER_AREA))
     return Floor(
-        depth_m=scenario.tank.depth_m,
+        depth_m=depth_m,
         markers=markers,
         north_m=float(high[0]),
         east_m=float(low[1]),
