@@ -1,10 +1,20 @@
 """For all tests: property tests always take the same examples, a slow machine is no failure, faults are raised."""
 
 import os
+import sys
+from pathlib import Path
 
+import platformdirs
 from hypothesis import HealthCheck, settings
 
-import autopilot  # noqa: F401 - before any test imports numpy: it says how many threads linear algebra takes
+if sys.dont_write_bytecode:
+    # Each of a hundred processes would compile all that it imports: half a second of the two that its start takes.
+    sys.dont_write_bytecode = False
+    sys.pycache_prefix = str(Path(platformdirs.user_cache_dir("underwater-autopilot-tests")) / "bytecode")
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+import autopilot  # noqa: E402, F401 - before any test imports numpy: it says how many threads linear algebra takes
 
 settings.register_profile("repeatable", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
