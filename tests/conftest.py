@@ -14,7 +14,7 @@ if sys.dont_write_bytecode:
     os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-import autopilot  # noqa: E402, F401 - before any test imports numpy: it says how many threads linear algebra takes
+import autopilot  # noqa: F401 - before any test imports numpy: it says how many threads linear algebra takes
 
 settings.register_profile("repeatable", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
