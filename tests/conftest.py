@@ -21,6 +21,3 @@ settings.load_profile("repeatable")
 
 os.environ["AUTOPILOT_GUARD"] = "raise"
 """Exceptions inside the service end a test, in this process and in those that it starts."""
-
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-"""Where this is set each of the many processes that tests start compiles all modules anew: half a second each."""
