@@ -12,9 +12,11 @@ computing everything again but for one thing: Jacobians stay those of the states
 the correction. Larger corrections are not carried (:data:`LINEAR`).
 """
 
+import operator
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dgesv
 
 from autopilot.core.frames import FloatArray
 from estimator.states import CURRENT, DRAG_EXCESS, NX, VEL, YAW, FilterState
@@ -22,6 +24,7 @@ from estimator.states import CURRENT, DRAG_EXCESS, NX, VEL, YAW, FilterState
 LINEAR: FloatArray = np.full(NX, np.inf)
 LINEAR[YAW], LINEAR[VEL], LINEAR[CURRENT], LINEAR[DRAG_EXCESS] = 0.002, 0.006, 0.008, 0.02
 """(21,) A state that is corrected by more turns or drags otherwise than the Jacobians say."""
+_LINEAR: list[float] = LINEAR.tolist()
 MOST_COLUMNS = 12
 """With more, computing again is cheaper."""
 
@@ -54,8 +57,8 @@ class Correction(NamedTuple):
         """Whether Jacobians hold over it."""
         if len(self.e) > MOST_COLUMNS:
             return False
-        change = np.abs(self.w.dot(self.e))
-        return bool((change <= LINEAR).all())
+        change = np.abs(self.w.dot(self.e)).tolist()
+        return all(map(operator.le, change, _LINEAR))
 
     def joined(self, other: "Correction") -> "Correction":
         """First this one, then the other at the same node."""
@@ -70,7 +73,7 @@ class Correction(NamedTuple):
         v = look.jacobian.dot(w).T
         cv = c.dot(v)
         spread = symmetric(look.spread - v.T.dot(cv))
-        pull = cv.dot(np.linalg.inv(spread))
+        pull = cv.dot(_inverse(spread))
         behind = w - look.gain.dot(v.T)
         known = v.T.dot(e)
         after = Correction(behind, symmetric(c + pull.dot(cv.T)), e + pull.dot(known - look.y))
@@ -79,6 +82,15 @@ class Correction(NamedTuple):
     def on(self, state: FilterState) -> FilterState:
         """The state with it."""
         return FilterState(state.x + self.w.dot(self.e), symmetric(state.p - self.w.dot(self.c).dot(self.w.T)))
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """As numpy's, bit for bit, in half of its time."""
+    _, _, result, flawed = dgesv(matrix, np.eye(len(matrix)))
+    if flawed:
+        raise np.linalg.LinAlgError("singular matrix")
+    inverse: FloatArray = result
+    return inverse
 
 
 def symmetric(p: FloatArray) -> FloatArray:

@@ -100,10 +100,9 @@ class History:
 
     def correct(self, node: Node, measurement: Measurement, innovation: Innovation) -> None:
         """Use a measurement at ``node``."""
-        look = innovation.look
-        if self._place(node, measurement, None if look is None else Correction(look.gain, look.spread, look.y)):
+        if self._place(node, measurement, innovation.look):
             node.state = self._core.correct(node.state, innovation)
-            node.looks.append(look)
+            node.looks.append(innovation.look)
 
     def reopen(self, node: Node, reopening: Reopening) -> None:
         """Forget states at ``node``."""
@@ -167,9 +166,7 @@ class History:
                 self._compute(before, [node])
             before = node
 
-    def _place(
-        self, node: Node, new: Measurement | Reopening | Loosening, correction: Correction | None = None
-    ) -> bool:
+    def _place(self, node: Node, new: Measurement | Reopening | Loosening, look: Look | None = None) -> bool:
         """Put it among what the node has used. True if it comes last, else the node has been computed again.
 
         The order does not depend on when things arrived, so neither does the result."""
@@ -181,7 +178,8 @@ class History:
                 place -= 1
         last = place == len(node.used)
         if node is not self._nodes[-1]:
-            self._note(node, correction if last else None)
+            carried = None if look is None or not last else Correction(look.gain, look.spread, look.y)
+            self._note(node, carried)
         node.used.insert(place, new)
         if last:
             return True
@@ -234,7 +232,7 @@ def _carried(correction: Correction, nodes: list[Node]) -> Correction:
     """The correction at the last of these nodes, when it has gone through all of them."""
     for node in nodes:
         assert node.transition is not None
-        correction = correction._replace(w=node.transition.dot(correction.w))
+        correction = Correction(node.transition.dot(correction.w), correction.c, correction.e)
         for i, look in enumerate(node.looks):
             assert look is not None
             correction, node.looks[i] = correction.through(look)

@@ -14,8 +14,10 @@ class ThrustLag:
     def __init__(self, thrusters: Sequence[Thruster]) -> None:
         self._time_constants_s = [thruster.drive.time_constant_s for thruster in thrusters]
         self._limits_n = [thruster.limit_n for thruster in thrusters]
-        self._alike = len(set(self._time_constants_s)) == 1
         self._none = (0.0,) * len(thrusters)
+        self._held_us = 0
+        self._shares = [0.0] * len(thrusters)
+        """By which a force comes nearer to its command within ``_held_us``, per thruster."""
         self._track: deque[tuple[int, tuple[float, ...]]] = deque([(-1, self._none)], maxlen=64)
         self.malformed = 0
 
@@ -23,19 +25,17 @@ class ThrustLag:
         """The command (n,) held since the last call until ``t_us``; what follows the n thrusters is not looked at. A
         malformed one counts as zero thrust."""
         last_us, before = self._track[-1]
-        # Comparisons with NaN are false.
         values: Sequence[float] = command_n.tolist()[: len(before)]
-        if len(values) != len(before) or not all(-math.inf < value < math.inf for value in values):
+        if len(values) != len(before) or not all(map(math.isfinite, values)):
             self.malformed += 1
             values = self._none
-        since_s = 1e-6 * (last_us - t_us)
-        shares = [1.0 - math.exp(since_s / tau) for tau in self._time_constants_s[: 1 if self._alike else None]]
-        if self._alike:
-            shares *= len(before)
+        if t_us - last_us != self._held_us:
+            self._held_us = t_us - last_us
+            self._shares = [1.0 - math.exp(-1e-6 * self._held_us / tau) for tau in self._time_constants_s]
         acting = tuple(
             [
                 a + share * (min(limit, max(-limit, value)) - a)
-                for a, value, share, limit in zip(before, values, shares, self._limits_n, strict=True)
+                for a, value, share, limit in zip(before, values, self._shares, self._limits_n, strict=True)
             ]
         )
         self._track.append((t_us, acting))
