@@ -110,5 +110,6 @@ class Aid:
 
 def _three(values: FloatArray) -> FloatArray:
     """First three components (3,), missing ones 0."""
-    given = values.tolist()[:3]
-    return np.array(given + [0.0] * (3 - len(given)))
+    result = np.zeros(3)
+    result[: len(values)] = values[:3]
+    return result

@@ -100,6 +100,7 @@ class VehicleAcceleration:
         self._model, self._follow = model, follow
         self._work = np.zeros(_JACOBIAN_AT + 3 * NX)
         self._address, self._buffer = self._work.ctypes.data, self._work.data
+        self._compiled_jacobian = self._work[_JACOBIAN_AT:].reshape(3, NX)
         self._jacobian: FloatArray | None = None
         self._acceleration = (0.0, 0.0, 0.0, 0.0)
         self._asked: tuple[FloatArray | None, Moment | None] = (None, None)
@@ -146,7 +147,7 @@ class VehicleAcceleration:
         self._compiled(self._address)
         ahead, right, down, turn = self._work[_ACCELERATION_AT:_JACOBIAN_AT].tolist()
         self._acceleration = ahead, right, down, turn
-        self._jacobian = self._work[_JACOBIAN_AT:].reshape(3, NX)
+        self._jacobian = self._compiled_jacobian
 
 
 def acceleration_jacobian(model: Model4, follow: tuple[float, float], x: FloatArray, moment: Moment) -> FloatArray:

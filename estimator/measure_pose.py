@@ -12,7 +12,7 @@ from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import PoseSample
 from estimator.inertial import within
 from estimator.measurement import Measurement, Moment
-from estimator.states import DOWN, EAST, GYRO_BIAS, NORTH, NX, POS, VEL, VEL_DOWN, VEL_EAST, VEL_NORTH, YAW
+from estimator.states import GYRO_BIAS, NX, VEL_DOWN, VEL_EAST, VEL_NORTH
 
 MIN_SIGMA_POS_M = 5e-5
 MIN_SIGMA_YAW_RAD = 5e-5
@@ -25,6 +25,11 @@ MAX_DISTANCE_M = 1e5
 MAX_YAW_RAD = 1e3
 MAX_SIGMA_POS_M = 1.0
 """A fix that is worse than this says nothing worth having."""
+
+
+_AT_ONCE: FloatArray = np.eye(4, NX)
+_AT_ONCE.flags.writeable = False
+"""Jacobian of a pose that is measured at the very moment of its node."""
 
 
 class Ground(NamedTuple):
@@ -82,15 +87,13 @@ class PoseFix:
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Position moved on with the velocity, yaw with the rate."""
-        h = np.empty(4)
-        h[:3] = x[POS] + after_s * x[VEL]
-        h[3] = x[YAW] + after_s * (moment.inertial.yaw_rate_rad_s - x[GYRO_BIAS])
-        return h
+        n, e, d, yaw, vn, ve, vd, gyro_bias = x[: GYRO_BIAS + 1].tolist()
+        rate = moment.inertial.yaw_rate_rad_s - gyro_bias
+        return np.array([n + after_s * vn, e + after_s * ve, d + after_s * vd, yaw + after_s * rate])
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Rows north, east, down, yaw."""
-        jac = np.zeros((4, NX))
-        jac[0, NORTH] = jac[1, EAST] = jac[2, DOWN] = jac[3, YAW] = 1.0
+        jac = _AT_ONCE.copy()
         jac[0, VEL_NORTH] = jac[1, VEL_EAST] = jac[2, VEL_DOWN] = after_s
         jac[3, GYRO_BIAS] = -after_s
         return jac
@@ -108,14 +111,14 @@ def fix_from_sample(sample: PoseSample, sensor: str) -> PoseFix | None:
     sigma = np.asarray(sample.sigma_pos_m, dtype=float)
     if pos.shape != (3,) or sigma.shape != (3,):
         return None
+    place, sigmas = pos.tolist(), sigma.tolist()
     # Comparisons with NaN are false, so a NaN anywhere is malformed as well.
-    if not within(pos.tolist(), MAX_DISTANCE_M) or not abs(sample.yaw_rad) <= MAX_YAW_RAD:
+    if not within(place, MAX_DISTANCE_M) or not abs(sample.yaw_rad) <= MAX_YAW_RAD:
         return None
-    sigmas = sigma.tolist()
     if not (within(sigmas, MAX_SIGMA_POS_M) and min(sigmas) >= 0.0) or not 0.0 <= sample.sigma_yaw_rad <= math.pi:
         return None
     noise = np.zeros((4, 4))
     sigmas = [max(value, MIN_SIGMA_POS_M) for value in sigmas] + [max(sample.sigma_yaw_rad, MIN_SIGMA_YAW_RAD)]
     noise.flat[::5] = [value * value for value in sigmas]
-    z = np.array([*pos.tolist(), sample.yaw_rad])
+    z = np.array([*place, sample.yaw_rad])
     return PoseFix(sensor=sensor, t_us=sample.t_us, z=z, noise=noise)

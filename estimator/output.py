@@ -63,22 +63,26 @@ def nav_state(
         return [cp * forward - sp * down, cr * right + sr * below, cr * below - sr * right]
 
     pn, pe, pd, pyaw, pu, pv, pw, pcn, pce, pcd = core.variance(node.state, cy, sy)
-    more_n, more_e, more_d, more_yaw = [
-        max(extra, LEAST_LESS * own) for extra, own in zip(more.tolist(), (pn, pe, pd, pyaw), strict=True)
-    ]
+    more_n, more_e, more_d, more_yaw = more.tolist()
+    pn += max(more_n, LEAST_LESS * pn)
+    pe += max(more_e, LEAST_LESS * pe)
+    pd += max(more_d, LEAST_LESS * pd)
+    pyaw += max(more_yaw, LEAST_LESS * pyaw)
     tilt = _TILT_VARIANCE_RAD2[node.step.mode if node.step is not None else Mode.NOMINAL]
+    # One array and parts of it: seven arrays would take three times as long.
+    place, velocities = [n, e, d, roll, pitch, wrap_pi(yaw)], body(vn, ve, vd) + body(vn - cn, ve - ce, vd - cd)
+    variances = [pn, pe, pd, tilt, tilt, pyaw, pu, pv, pw, pcn, pce, pcd]
+    numbers = np.array([*place, *velocities, p, q, r - gyro_bias, cn, ce, cd, *variances])
     return NavState(
         t_us=t_us,
         health=health,
-        pos_ned_m=np.array([n, e, d]),
-        rpy_rad=np.array([roll, pitch, wrap_pi(yaw)]),
-        vel_frd_m_s=np.array(body(vn, ve, vd)),
-        vel_water_frd_m_s=np.array(body(vn - cn, ve - ce, vd - cd)),
-        rate_frd_rad_s=np.array([p, q, r - gyro_bias]),
-        current_ned_m_s=np.array([cn, ce, cd]),
-        variance=np.array(
-            [pn + more_n, pe + more_e, pd + more_d, tilt, tilt, pyaw + more_yaw, pu, pv, pw, pcn, pce, pcd]
-        ),
+        pos_ned_m=numbers[0:3],
+        rpy_rad=numbers[3:6],
+        vel_frd_m_s=numbers[6:9],
+        vel_water_frd_m_s=numbers[9:12],
+        rate_frd_rad_s=numbers[12:15],
+        current_ned_m_s=numbers[15:18],
+        variance=numbers[18:],
         reset_count=resets,
         doubts=doubts,
     )
