@@ -58,12 +58,9 @@ class Estimation:
 
     def step(self, inputs: Inputs, given: EstimatorInputs) -> Estimated:
         """Estimate of this tick; when the estimator fails the last one for a moment, then none that is valid."""
-        last = self.nav
-        if last is not None:
-            stale = inputs.t_us - self._estimated_us > LAST_ESTIMATE_US
-            last = replace(last, t_us=inputs.t_us, health=NavHealth.INVALID if stale else last.health)
-        otherwise = Estimated(nav=last, ahrs_us=self._ahrs_us, doubts=self.doubts)
-        found = self._guard.run("estimator", lambda: self._estimate(inputs, given), otherwise, lambda: (inputs, given))
+        found = self._guard.run("estimator", lambda: self._estimate(inputs, given), None, lambda: (inputs, given))
+        if found is None:
+            found = self._stand_in(inputs.t_us)
         self.nav, self._ahrs_us = found.nav, found.ahrs_us
         self.aid_ratio.update((aid.sensor, aid.test_ratio) for aid in found.aids)
         return found
@@ -71,17 +68,25 @@ class Estimation:
     def _estimate(self, inputs: Inputs, given: EstimatorInputs) -> Estimated:
         estimator, t_us = self._estimator, inputs.t_us
         nav = estimator.step(t_us, inputs.samples + given.samples, given.thrust_n)
-        self._estimated_us = t_us
-        self.doubts = estimator.doubts
         remarks = estimator.take_remarks()
         self._remarks += [Event(t_us=t_us, severity=Severity.WARNING, text=text) for text in remarks]
-        return Estimated(
+        estimated = Estimated(
             nav=nav,
             ahrs_us=estimator.ahrs_us,
             aids=estimator.take_aids(),
             shadow=estimator.shadow,
-            doubts=self.doubts,
+            doubts=estimator.doubts,
         )
+        self._estimated_us, self.doubts = t_us, estimated.doubts
+        return estimated
+
+    def _stand_in(self, t_us: int) -> Estimated:
+        """The estimator has failed: what it said last, for a moment."""
+        last = self.nav
+        if last is not None:
+            stale = t_us - self._estimated_us > LAST_ESTIMATE_US
+            last = replace(last, t_us=t_us, health=NavHealth.INVALID if stale else last.health)
+        return Estimated(nav=last, ahrs_us=self._ahrs_us, doubts=self.doubts)
 
     def take_remarks(self) -> list[Event]:
         """What the estimator has to say to the operator, since the last call."""

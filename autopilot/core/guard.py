@@ -8,10 +8,10 @@ set to raise (tests, continuous integration), the exception goes on.
 import os
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -31,6 +31,9 @@ MAX_TEXT = 32_768
 """Longest traceback and longest description of inputs that is kept, in characters."""
 
 T = TypeVar("T")
+
+Work: TypeAlias = tuple[str, Callable[[], object]]
+"""A part's name, and what it does."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -81,6 +84,14 @@ class Guard:
         except Exception as error:  # noqa: BLE001 - the loop's one blanket; the fault is kept and acted upon
             self.note(part, error, given)
             return otherwise
+
+    def run_all(self, works: Iterable[Work], given: Callable[[], object] = lambda: "") -> None:
+        """The same of several that give nothing, one after the other: one that raises does not keep the others."""
+        for part, work in works:
+            try:
+                work()
+            except Exception as error:  # noqa: BLE001 - as in run
+                self.note(part, error, given)
 
     def note(self, part: str, error: Exception, given: Callable[[], object] = lambda: "") -> None:
         """An exception that was caught. Raises it again where the guard is set to."""

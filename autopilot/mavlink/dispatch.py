@@ -5,7 +5,7 @@ from functools import partial
 
 from autopilot.core.clients import EVERYONE
 from autopilot.core.clock import TICK_US
-from autopilot.core.guard import Guard
+from autopilot.core.guard import Guard, Work
 from autopilot.core.messages import Event, MavlinkFrame, Severity
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.plan import PlanStore
@@ -191,6 +191,38 @@ class Dispatcher:
         """Clients that have spoken MAVLink 2."""
         self._announcements = Announcements(ctx, self._status, self._telemetry, self._intake)
         self.last_gcs_t_us: int | None = None
+        self._before_hearing: tuple[Work, ...] = (("message", self._keys.tick), ("plans", self.missions.answer))
+        self._before_news = self._works_before_news()
+        self._after_news = self._works_after_news()
+        files, logs = self._files.tick, self._logs.tick
+        self._at_last = self._works_at_last(logs, files), self._works_at_last(files, logs)
+        """On even ticks and on odd ones."""
+
+    def _works_before_news(self) -> tuple[Work, ...]:
+        """Of every tick, in this order."""
+        say = self._announcements
+        return (
+            ("telemetry", say.flood),
+            ("telemetry", say.refusals),
+            ("telemetry", self._operators.tick),
+            ("heartbeat", say.heartbeat),
+            ("telemetry", say.greetings),
+        )
+
+    def _works_after_news(self) -> tuple[Work, ...]:
+        """The same once events are told."""
+        shown = (self._announcements.place, self._sensors.tick, self._outputs.tick, self._flight.tick)
+        camera = () if self._camera is None else (self._camera.tick,)
+        return tuple(("telemetry", work) for work in (*shown, self._high_latency.tick, *camera))
+
+    def _works_at_last(self, *turns: Callable[[], None]) -> tuple[Work, ...]:
+        """The same at the end of a tick; ``turns`` are whose turn it is to use what the links can carry."""
+        return (
+            ("parameters", self.parameters.tick),
+            ("plans", self.missions.tick),
+            ("telemetry", self._streams.tick),
+            *(("files", turn) for turn in turns),
+        )
 
     def _table(self) -> Mapping[int, Handler]:
         missions, parameters, utility = self.missions, self.parameters, self.utility
@@ -283,38 +315,25 @@ class Dispatcher:
         if ctx.announce_place:
             ctx.announce_place = False
             self._announcements.place_again()
-        run = ctx.guard.run
+        run_all, run = ctx.guard.run_all, ctx.guard.run
         for budget in ctx.budgets.values():
             budget.tick(t_us)
-        run("message", self._keys.tick, None)
-        run("plans", self.missions.answer, None)
+        run_all(self._before_hearing)
         for frame in rx:
             self._push(frame)
         run("message", self._intake.work, None)
         ctx.received = self._intake.received
-        say = self._announcements
-        run("telemetry", say.flood, None)
-        run("telemetry", say.refusals, None)
-        run("telemetry", self._operators.tick, None)
-        run("heartbeat", say.heartbeat, None, lambda: view)
-        run("telemetry", say.greetings, None)
+
+        def given() -> VehicleView:
+            return view
+
+        run_all(self._before_news, given)
         for event in events:
             run("telemetry", partial(ctx.text, event.severity, event.text), None, partial(repr, event))
-        run("telemetry", say.place, None, lambda: view)
-        run("telemetry", self._sensors.tick, None, lambda: view)
-        run("telemetry", self._outputs.tick, None, lambda: view)
-        run("telemetry", self._flight.tick, None, lambda: view)
-        run("telemetry", self._high_latency.tick, None, lambda: view)
-        if self._camera is not None:
-            run("telemetry", self._camera.tick, None, lambda: view)
-        run("progress", lambda: self._progress.tick(reached), None, lambda: view)
-        run("parameters", self.parameters.tick, None)
-        run("plans", self.missions.tick, None)
-        run("telemetry", self._streams.tick, None, lambda: view)
+        run_all(self._after_news, given)
+        run("progress", partial(self._progress.tick, reached), None, given)
         # In turns: on a narrow link whoever comes first takes what there is.
-        turns = (self._files.tick, self._logs.tick)
-        for turn in turns if t_us // TICK_US % 2 else reversed(turns):
-            run("files", turn, None)
+        run_all(self._at_last[t_us // TICK_US % 2], given)
         return tuple(ctx.tx)
 
     def serve(self, t_us: int, rx: Sequence[MavlinkFrame]) -> tuple[MavlinkFrame, ...]:

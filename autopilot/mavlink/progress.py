@@ -108,6 +108,8 @@ class Progress:
 
     def _tell_reached(self, reached: Sequence[int]) -> None:
         """MISSION_ITEM_REACHED; waypoints close together are passed a hundred times a second."""
+        if not reached and self._reached is None:
+            return
         ctx, by = self._ctx, home_item.shift(self._ctx, PlanKind.MISSION)
         untold = [max(seq, 0) + by for seq in reached]
         if not untold and self._reached is not None:

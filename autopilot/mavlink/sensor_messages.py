@@ -31,6 +31,7 @@ _ACCEL_AND_GYRO = 0b111111
 _NO_SATELLITES_COUNTED = 255
 _COVARIANCE_DIAGONAL = (0, 6, 11, 15, 18, 20)
 """Places of x, y, z, roll, pitch, yaw in the upper triangle of a 6 x 6 matrix."""
+_CAGE = 1 << Failsafe.CAGE_SOFT | 1 << Failsafe.CAGE_HARD
 _LASER_MIN_CM, _LASER_MAX_CM = 5, 1000
 
 
@@ -210,8 +211,7 @@ class SensorMessages:
         return mav.MAVLink_vibration_message(self._ctx.t_us, *shakes, 0, 0, 0)
 
     def _is_breached(self) -> bool:
-        bits = 1 << Failsafe.CAGE_SOFT | 1 << Failsafe.CAGE_HARD
-        return bool(self._ctx.view.failsafes & bits)
+        return bool(self._ctx.view.failsafes & _CAGE)
 
     def fence_status(self) -> Message | None:
         """FENCE_STATUS: what the failsafes on fence and depth band say."""

@@ -61,9 +61,15 @@ def motion_of(nav: NavState) -> Motion | None:
     """Plain numbers of an estimate; None when it is invalid or not finite."""
     if nav.health is NavHealth.INVALID:
         return None
-    parts = (nav.pos_ned_m, nav.rpy_rad, nav.rate_frd_rad_s, nav.vel_frd_m_s, nav.vel_water_frd_m_s)
-    numbers = [x for part in parts for x in part.tolist()]
-    if not all(abs(x) < SANE for x in numbers):
+    numbers: list[float] = [
+        *nav.pos_ned_m.tolist(),
+        *nav.rpy_rad.tolist(),
+        *nav.rate_frd_rad_s.tolist(),
+        *nav.vel_frd_m_s.tolist(),
+        *nav.vel_water_frd_m_s.tolist(),
+    ]
+    # The extremes say nothing of what is no number, the sum does.
+    if not (max(numbers) < SANE and min(numbers) > -SANE and math.isfinite(sum(numbers))):
         return None
     north, east, down, roll, pitch, yaw, p, q, r, u, v, w, ur, vr, wr = numbers
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)

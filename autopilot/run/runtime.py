@@ -106,6 +106,10 @@ class Runtime:
         self._service = service
         self._step: Callable[[Inputs], Outputs] = service.step
         self._device = device
+        # What the device can do besides (a protocol is slow to ask).
+        self._release = device if isinstance(device, WeightRelease) else None
+        self._carries = device if isinstance(device, Actuates) else None
+        self._below_us = device if isinstance(device, HandsBack) else None
         self._vision = vision
         self._outside: tuple[Fault, ...] = ()
         """Exceptions of drivers on this tick."""
@@ -271,13 +275,12 @@ class Runtime:
             still = replace(rest, armed=outputs.command.armed)  # to stand is not to disarm a vehicle below
             self._try(t_us, DeviceRole.THRUSTERS, lambda: self._device.write(t_us, still), None)
             del self._troubles[before + 1 :]
-        device = self._device
-        if outputs.drop_weight and isinstance(device, WeightRelease):
-            self._try(t_us, DeviceRole.THRUSTERS, partial(device.release_weight, t_us), None)
-        if outputs.payload is not None and isinstance(device, Actuates):
-            self._try(t_us, DeviceRole.THRUSTERS, partial(device.actuate, t_us, outputs.payload), None)
-        if outputs.hand_back and isinstance(device, HandsBack):
-            self._try(t_us, DeviceRole.THRUSTERS, partial(device.hand_back, t_us), None)
+        if outputs.drop_weight and self._release is not None:
+            self._try(t_us, DeviceRole.THRUSTERS, partial(self._release.release_weight, t_us), None)
+        if outputs.payload is not None and self._carries is not None:
+            self._try(t_us, DeviceRole.THRUSTERS, partial(self._carries.actuate, t_us, outputs.payload), None)
+        if outputs.hand_back and self._below_us is not None:
+            self._try(t_us, DeviceRole.THRUSTERS, partial(self._below_us.hand_back, t_us), None)
 
     def _with_faults(self, outputs: Outputs) -> Outputs:
         """Faults of drivers join the service's; the first of each kind is shown where the service was started."""
