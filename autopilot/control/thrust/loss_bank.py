@@ -291,13 +291,14 @@ class LossBank:
         ``heave``: whether its third axis says anything (not at the surface)."""
         b, at = self._beliefs, self._at
         self._predict(look)
-        h = self._derivatives(look)
+        pull = self._pull(look)
+        h = self._derivatives(look, pull)
         thrust = np.square(self._effect) @ np.square(look.thrust_n)
         known = np.square(b.noise) + b.noise_share**2 * thrust + np.square(look.swing)
         noise = known * (b.independent_s / look.dt_s)
         if not heave:
             noise[2] = UNSEEN
-        innovation = look.residual - self._expected(look)
+        innovation = look.residual - self._expected(look, h, pull)
         cross = h @ self._p
         s = cross @ h.transpose(0, 2, 1) + np.diag(noise)
         inverse = np.linalg.inv(s)
@@ -309,8 +310,10 @@ class LossBank:
             x[:, at.e] = np.clip(x[:, at.e], 0.0, 1.5)
             # No sound vehicle is so heavy and so weak as a lost thruster would have it.
             x[:, at.gain] = np.maximum(x[:, at.gain], b.least_gain - x[:, at.common, None])
-            p = self._p - gain @ cross
-            self._x, self._p = x, 0.5 * (p + p.transpose(0, 2, 1))
+            p = gain @ cross
+            np.subtract(self._p, p, out=p)
+            self._x, self._p = x, p + p.transpose(0, 2, 1)
+            self._p *= 0.5
             self._weigh(-0.5 * (distance2 + np.log(np.linalg.det(s))), look.dt_s)
         return explained
 
@@ -382,7 +385,8 @@ class LossBank:
         keep[at.flow] = keep[at.swirl] = math.exp(-dt_s / b.flow_s)
         keep[at.push] = math.exp(-dt_s / b.push_s)
         x, kept = self._x * keep, np.outer(keep, keep)
-        p = self._p * kept + (1.0 - kept) * self._still
+        p = self._p * kept
+        p += (1.0 - kept) * self._still
         # The same water, against another belief.
         x[:, at.flow] -= look.moved_ned_m_s
         x[:, at.swirl] -= look.moved_ned_m_s
@@ -396,22 +400,21 @@ class LossBank:
         p[:, index, index] += grow
         self._x, self._p = x, p
 
-    def _expected(self, look: Look) -> FloatArray:
-        """(n, 4) residual that each filter expects."""
+    def _expected(self, look: Look, h: FloatArray, pull: FloatArray) -> FloatArray:
+        """(n, 4) residual that each filter expects, with its derivatives (n, 4, states)."""
         x, at = self._x, self._at
-        ideal = np.einsum("ij,nj->ni", self._effect, look.thrust_n * x[:, at.e])
-        rate = np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, at.e])
+        ideal, rate = h[:, :, at.common], -h[:, :, at.lag]
         result: FloatArray = (
             self._gain() * ideal - x[:, at.lag, None] * rate + x[:, at.drag] * look.drag + x[:, at.push]
         )
-        result += x[:, at.pull] @ self._pull(look).T
+        result += x[:, at.pull] @ pull.T
         result[:, :3] += x[:, at.flow] @ look.flow[:3].T
         result[:, 3] += x[:, at.swirl] @ look.flow[3]
         result[:, [0, 1, 3]] += x[:, at.turn] * look.coriolis
         result[:, 3] += x[:, at.moment] + x[:, at.arm] * (look.thrust_n @ self._sway)
         return result
 
-    def _derivatives(self, look: Look) -> FloatArray:
+    def _derivatives(self, look: Look, pull: FloatArray) -> FloatArray:
         """(n, 4, states) of what is expected."""
         x, at = self._x, self._at
         h = np.zeros((len(x), 4, at.size))
@@ -426,7 +429,7 @@ class LossBank:
         h[:, [0, 1, 3], range(at.turn.start, at.turn.stop)] = look.coriolis
         h[:, 3, at.arm] = look.thrust_n @ self._sway
         h[:, :, at.lag] = -np.einsum("ij,nj->ni", self._effect, look.thrust_rate_n_s * x[:, at.e])
-        h[:, :, at.pull] = self._pull(look)
+        h[:, :, at.pull] = pull
         h[:, 3, at.moment] = 1.0
         h[:, :3, at.flow] = look.flow[:3]
         h[:, 3, at.swirl] = look.flow[3]

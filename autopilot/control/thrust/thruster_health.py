@@ -229,23 +229,31 @@ class ThrusterHealth:
     def _declare(self, dt_s: float) -> bool:
         """Accept what is beyond doubt; True when the declared effectiveness has changed."""
         tuning, bank = self._tuning, self._bank
-        evidence, changed_to = bank.evidence, bank.changed_to
-        certain = (evidence > self._needed()) & (evidence > self._rivals(evidence) + tuning.ahead)
-        certain &= np.array(bank.lossy) | (changed_to < tuning.lost_below)
-        certain &= ~self._open()
-        self._certain_s = np.where(certain, self._certain_s + dt_s, 0.0)
+        self._certain_s = np.where(self._certain(), self._certain_s + dt_s, 0.0)
         best = int(self._certain_s.argmax())
         if self._certain_s[best] >= tuning.confirm_s - 1e-9:
             self._accept(best)
             self._certain_s = np.zeros(self._n)
-        e, sigma = bank.declared
-        for i in np.flatnonzero(bank.lossy):
-            if e[i] - sigma[i] > tuning.sound_above:
-                bank.clear(int(i))
+        if any(bank.lossy):
+            e, sigma = bank.declared
+            for i in np.flatnonzero(bank.lossy):
+                if e[i] - sigma[i] > tuning.sound_above:
+                    bank.clear(int(i))
         self._doubts = tuple(doubt for doubt in self._doubts if bank.lossy[doubt.lossy])
         if self._tilt.looks % SETTLED_EVERY == 0:
             self._doubts = tuple(doubt for doubt in self._doubts if not self._settled(doubt))
         return self._follow(self._shared(np.where(bank.lossy, np.minimum(bank.declared[0], 1.0), 1.0)))
+
+    def _certain(self) -> np.ndarray:
+        """(n,) bool, thrusters of which it is beyond doubt now that they have changed."""
+        tuning, bank = self._tuning, self._bank
+        evidence = bank.evidence
+        if float(evidence.max()) <= min(tuning.certain, tuning.certain_plain):  # nearly always
+            return np.zeros(self._n, dtype=bool)
+        certain = (evidence > self._needed()) & (evidence > self._rivals(evidence) + tuning.ahead)
+        certain &= np.array(bank.lossy) | (bank.changed_to < tuning.lost_below)
+        certain &= ~self._open()
+        return certain
 
     def _open(self) -> np.ndarray:
         """(n,) bool, twins of which it is about to come out which one is lossy: that the other is as well would be the
