@@ -92,12 +92,12 @@ def flight(tmp_path: Path) -> Iterator[Callable[..., Flight]]:
         settings.put("state_dir", str(tmp_path / "state"), "test")
         settings.put("log", None if log is None else str(log), "test")
         client = Client()
-        session = open_sitl(settings, {"FS_FAULT_TIME": 2.0}, log=log is not None, peers=(client,))
+        session = open_sitl(settings, {"FS_FAULT_TIME": 2.0, "MPC_COST": 0.0}, log=log is not None, peers=(client,))
         session.parts.guard.raises = False
         session.runtime._guard.raises = False
         opened.append(session)
         made = Flight(session, client)
-        made.fly(6.0 if under_way else 1.5)
+        made.fly(3.5 if under_way else 1.5)
         assert made.outputs[-1].mode.armed is under_way
         return made
 

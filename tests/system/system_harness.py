@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from autopilot.core.messages import Outputs, ProgressState
 from autopilot.run.children import Child
 from autopilot.run.sitl_session import SitlSession
 
@@ -11,6 +13,20 @@ ROOT = Path(__file__).resolve().parents[2]
 PAPER_PLAN = ROOT / "sitl" / "scenarios" / "paper.plan"
 
 OpenSession = Callable[..., SitlSession]
+
+
+def fly_to_the_end(session: OpenSession, *arguments: Any, **given: Any) -> SitlSession:
+    """A run that is started in this process and ends a second after its mission (what would follow is station keeping),
+    at the latest at its ``duration``."""
+    complete: list[int] = []
+
+    def look(outputs: Outputs) -> None:
+        if outputs.progress is not None and outputs.progress.state is ProgressState.COMPLETE:
+            complete.append(outputs.t_us)
+
+    run = session(*arguments, start=True, on_tick=look, **given)
+    run.run(stop=lambda: len(complete) >= 100)
+    return run
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -385,7 +385,7 @@ def _flight(session: OpenSession, *others: Any) -> tuple[list[Outputs], Any]:
     for kind in (PlanKind.FENCE, PlanKind.MISSION):
         assert run.parts.plans.replace(kind, PLAN.items(kind)) is None
     harbour = Harbour(run)
-    harbour.run(12.0)
+    harbour.run(8.0)
     assert operator.started
     return outputs, run
 
@@ -395,7 +395,7 @@ def test_garbage_while_flying_is_counted_and_nothing_else(session: OpenSession) 
     vandal = Vandal(seed=4)
     quiet, _ = _flight(session)
     noisy, run = _flight(session, vandal)
-    assert run.parts.server.dropped_rx > 200
+    assert run.parts.server.dropped_rx > 130
     assert vandal.frames_heard > 100  # telemetry goes on
     assert vandal.bad_texts == 0
     assert any(abs(n) > 0.5 for n in noisy[-1].command.thrust_n)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from system_harness import ROOT, OpenSession
+from system_harness import ROOT, OpenSession, fly_to_the_end
 
 from autopilot.log.check import Verdict, acceptance_table
 from autopilot.log.reader import open_log
@@ -14,7 +14,7 @@ def test_a_lap_with_an_obstacle_across_the_route(session: OpenSession, tmp_path:
     plan, log = tmp_path / "paper.plan", tmp_path / "run.mcap"
     write_plan(plan, paper_plan(1))
     scenario = ROOT / "sitl" / "scenarios" / "crossing.toml"
-    session(str(scenario), sensors="pose", plan=str(plan), start=True, duration=36.0, log=log).run()
+    fly_to_the_end(session, str(scenario), sensors="pose", plan=str(plan), duration=36.0, log=log)
     read = open_log(log)
     rows = {row.name: row for row in acceptance_table(read)}
     assert rows["laps"].worst == 1

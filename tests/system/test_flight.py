@@ -1,29 +1,15 @@
 """Whole missions in lockstep, judged on the plant's truth."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
-from system_harness import OpenSession
+from system_harness import OpenSession, fly_to_the_end
 
-from autopilot.core.messages import NavHealth, Outputs, ProgressState
+from autopilot.core.messages import NavHealth, Outputs
 from autopilot.log.check import Verdict, acceptance_table
 from autopilot.log.reader import open_log
 from mission.paper import paper_plan
 from mission.plan_files import write_plan
-
-
-def _fly_to_the_end(session: OpenSession, **given: Any) -> None:
-    """Until the mission is complete, as ``--until complete`` does, and a moment more."""
-    ends_us: list[int] = []
-
-    def on_tick(outputs: Outputs) -> None:
-        if not ends_us and outputs.progress is not None and outputs.progress.state is ProgressState.COMPLETE:
-            ends_us.append(outputs.t_us + 1_000_000)
-        now_us[0] = outputs.t_us
-
-    now_us = [0]
-    session(start=True, on_tick=on_tick, **given).run(stop=lambda: bool(ends_us) and now_us[0] >= ends_us[0])
 
 
 def _plan(folder: Path, laps: int) -> str:
@@ -44,9 +30,9 @@ def test_laps_without_a_broken_bound(
     session: OpenSession, tmp_path: Path, scenario: str, sensors: str, estimator: str, laps: int, duration_s: float
 ) -> None:
     log = tmp_path / "run.mcap"
-    _fly_to_the_end(
+    fly_to_the_end(
         session,
-        scenario=scenario,
+        scenario,
         sensors=sensors,
         estimator=estimator,
         plan=_plan(tmp_path, laps),
@@ -61,7 +47,7 @@ def test_laps_without_a_broken_bound(
 
 def test_the_complementary_observer_flies_the_lap(session: OpenSession, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    _fly_to_the_end(
+    fly_to_the_end(
         session,
         sensors="pose",
         estimator="complementary",

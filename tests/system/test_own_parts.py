@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from system_harness import ROOT, OpenSession
+from system_harness import ROOT, OpenSession, fly_to_the_end
 
 from autopilot.control.protocol import Controller, ControllerContext, simple_output
 from autopilot.core.messages import Failsafe, Outputs
@@ -46,9 +46,8 @@ def test_a_controller_of_ones_own_flies_the_paper_tank_and_gets_the_same_report(
     session: OpenSession, tmp_path: Path
 ) -> None:
     log = tmp_path / "run.mcap"
-    given = {"controller": "my_controller:Follower", "plan": plan(tmp_path), "start": True, "duration": 45.0}
-    run = session(sensors="pose", log=log, **given)
-    run.run()
+    given = {"controller": "my_controller:Follower", "plan": plan(tmp_path), "duration": 45.0}
+    fly_to_the_end(session, sensors="pose", log=log, **given)
     opened = open_log(log)
     rows = {row.name: row for row in acceptance_table(opened)}
     assert rows["laps"].worst == 1

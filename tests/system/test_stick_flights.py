@@ -133,13 +133,13 @@ def random_flight(flight: Flight, seed: int, legs: int) -> None:
         assert flight.touches_nothing()
 
 
-@pytest.mark.parametrize(("seed", "sensors"), [(1, "camera"), (2, "pose")])
+@pytest.mark.parametrize(("seed", "sensors", "legs"), [(1, "camera", 3), (2, "pose", 5)])
 def test_random_sticks_and_modes_on_the_simulated_vehicle_touch_nothing(
-    session: OpenSession, seed: int, sensors: str
+    session: OpenSession, seed: int, sensors: str, legs: int
 ) -> None:
     """DiveManual and ModeChanges (depth <= 0.2 m there, 0.1 m here)."""
     flight = Flight(session, sensors=sensors, seed=seed)
-    random_flight(flight, seed, legs=5)
+    random_flight(flight, seed, legs)
 
 
 def test_position_is_held_and_braking_does_not_rebound(session: OpenSession) -> None:
