@@ -52,7 +52,7 @@ def judge(task: Task, scenario: Scenario, run: RunDescription, watch: Watch, end
         tube_shares=[share for share in map(watch.tube.share, AHEAD_S) if share is not None],
         smoothness=measure(watch.commands(run.parameters["THR_LIMIT"])),
     )
-    spans = lap_spans(visits(watch.track, run), run)
+    spans = lap_spans(visits(watch.track, run), run, watch.mission.start_s)
     return msgspec.structs.replace(
         flown,
         laps=len(spans),

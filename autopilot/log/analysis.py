@@ -405,16 +405,18 @@ def _visit(
     return visit, end
 
 
-def lap_spans(tour: Sequence[Visit], run: RunDescription) -> list[Span]:
-    """Start and end of every completed lap."""
+def lap_spans(tour: Sequence[Visit], run: RunDescription, begun_s: float) -> list[Span]:
+    """Start and end of every completed lap, from its first waypoint to its last. A tour of one waypoint has no way
+    between waypoints: its lap is the way to it, from ``begun_s`` or from the visit before."""
     size = len(run.waypoints)
     closed = run.closed_tour and size > 1
-    spans = []
+    spans: list[Span] = []
     for lap in range(run.accept.laps or 1):
         steps = tour[lap * size : (lap + 1) * size + closed]
         times = [visit.t_s for visit in steps if visit.t_s is not None]
         if steps and len(times) == size + closed:
-            spans.append(Span(times[0], times[-1]))
+            start_s = times[0] if size > 1 else (spans[-1].end_s if spans else begun_s)
+            spans.append(Span(start_s, times[-1]))
     return spans
 
 

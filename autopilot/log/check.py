@@ -155,7 +155,7 @@ def _mission_rows(flight: Flight, run: RunDescription) -> list[Row]:
     if not run.waypoints:
         return []
     tour = visits(flight.judged.between(flight.armed), run)
-    spans = lap_spans(tour, run)
+    spans = lap_spans(tour, run, flight.armed.start_s)
     rows = []
     if run.accept.laps is not None:
         done, limit = float(len(spans)), float(run.accept.laps)

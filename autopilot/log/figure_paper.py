@@ -28,22 +28,34 @@ from autopilot.log.figure_parts import (
     time_axis,
 )
 from autopilot.log.figure_plan import draw_plan
+from autopilot.log.plan_facts import met_current, moved_obstacles, plan_box
 
+PLAN_IN, AROUND_PLAN_IN, PLAN_HEIGHTS_IN = 5.7, 1.25, (2.6, 9.0)
+"""Width of a plan without its axes, what its legend and axes need above and below it, how high it may be with them."""
+KEY_ABOVE_IN = 0.13
+"""The key of the current, above the figure's lower edge."""
+LEAST_OUTSIDE = 0.01
+"""Of a flight's time: less outside of its laps is not worth a word."""
 HEADS, HEAD_M = 6, 0.08
 """Arrow heads on the way of a lap, and how long they are."""
-FLOW_EVERY_M, MOST_FLOWS = 0.25, 90
-LEAST_FLOW_M_S = 0.005
 
 
 def trajectory(scene: Scene) -> Figure | None:
     """The way in the horizontal plane, one colour per lap."""
-    figure = Figure(figsize=(WIDTH_IN, 4.7))
+    low, high = plan_box(scene.track, scene.flight.run)
+    north_m, east_m = high - low
+    height_in = float(np.clip(PLAN_IN * east_m / max(north_m, 1e-9) + AROUND_PLAN_IN, *PLAN_HEIGHTS_IN))
+    figure = Figure(figsize=(WIDTH_IN, height_in))
     ax = figure.subplots()
     if scene.flight.run is not None:
-        draw_plan(ax, scene.flight.run)
+        draw_plan(ax, scene.flight.run, moved_obstacles(scene.track, scene.flight.run))
     plane = scene.track.pos_ned_m
-    label = "outside of laps" if scene.laps else scene.basis
-    ax.plot(plane[:, 0], plane[:, 1], color="#aaaaaa", linewidth=0.8, label=label)
+    outside = ~np.any([lap.holds(scene.track.t_s) for lap in scene.laps], axis=0) if scene.laps else None
+    if outside is None:
+        ax.plot(plane[:, 0], plane[:, 1], label=scene.basis, **TRUTH)
+        _direction(ax, plane[:, :2], TRUTH["color"])
+    elif outside.mean() > LEAST_OUTSIDE:
+        ax.plot(plane[:, 0], plane[:, 1], color="#aaaaaa", linewidth=0.8, label="outside of laps")
     colors, named = lap_colors(len(scene.laps)), named_laps(len(scene.laps))
     for number, lap in enumerate(scene.laps):
         keep = lap.holds(scene.track.t_s)
@@ -52,7 +64,7 @@ def trajectory(scene: Scene) -> Figure | None:
         if len(scene.laps) <= LISTED_LAPS or number == len(scene.laps) - 1:
             _direction(ax, plane[keep, :2], color)
     ax.plot(plane[0, 0], plane[0, 1], "k^", markersize=4, label="start")
-    _jet(ax, scene)
+    _current(ax, scene, height_in)
     legend_above(ax, 5 if scene.laps else 4)
     ax.set_aspect("equal")
     ax.yaxis.set_inverted(True)
@@ -75,29 +87,26 @@ def _direction(ax: Axes, plane_m: FloatArray, color: str) -> None:
             ax.annotate("", plane_m[ahead], plane_m[at], arrowprops=style)
 
 
-def _jet(ax: Axes, scene: Scene) -> None:
-    """The current where the vehicle met it, nothing where there was none worth drawing."""
-    track = scene.track
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(track.pos_ned_m[:, :2], axis=0).T))))
-    rows = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], max(along[-1] / MOST_FLOWS, FLOW_EVERY_M))))
-    flow = track.current_ned_m_s[rows, :2]
-    fastest = float(np.hypot(*flow.T).max(initial=0.0)) if np.isfinite(flow).all() else 0.0
-    if fastest < LEAST_FLOW_M_S:
+def _current(ax: Axes, scene: Scene, height_in: float) -> None:
+    """The current where the vehicle met it, to scale with the plan and with a key; nothing where there was none."""
+    met = met_current(scene.track, scene.flight.run)
+    if met is None:
         return
-    place = track.pos_ned_m[rows, :2]
+    ax.update_datalim(met.place_m + met.scale_m * met.flow_m_s)
     arrows = ax.quiver(
-        *place.T,
-        *flow.T,
+        *met.place_m.T,
+        *met.flow_m_s.T,
         color="#17a2b8",
         alpha=0.8,
         width=0.0025,
         angles="xy",
         scale_units="xy",
-        scale=0.5,
+        scale=1.0 / met.scale_m,
         zorder=1.5,
     )
-    told = min((0.05, 0.1, 0.2, 0.5), key=lambda speed: abs(speed - fastest))
-    ax.quiverkey(arrows, 0.02, 1.05, told, f"current {told:g} m/s", labelpos="E", color="#17a2b8")
+    low = KEY_ABOVE_IN / height_in  # beside the label of the axis
+    words = f"current {met.told_m_s:g} m/s"
+    ax.quiverkey(arrows, 0.08, low, met.told_m_s, words, labelpos="E", coordinates="figure", color="#17a2b8")
 
 
 def depth_and_yaw(scene: Scene) -> Figure | None:

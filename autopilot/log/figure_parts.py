@@ -65,7 +65,7 @@ def make_scene(log: Log) -> Scene:
     if not len(track.t_s):
         raise LogError(f"{log.path}: the vehicle's track is empty; there is nothing to draw")
     tour = visits(track, flight.run) if flight.run is not None else []
-    laps = lap_spans(tour, flight.run) if flight.run is not None else []
+    laps = lap_spans(tour, flight.run, flight.armed.start_s) if flight.run is not None else []
     return Scene(flight=flight, track=track, tour=tuple(tour), laps=tuple(laps))
 
 

@@ -6,23 +6,30 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 
 from autopilot.log.description import Point2, RunDescription
+from autopilot.log.plan_facts import MovedObstacle
 from autopilot.log.scene import outline
+
+MOVED = "#555555"
+"""What moves, where it was at other times."""
 
 _ALREADY_DRAWN_M = 0.02
 """A fence shape that lies on a wall or obstacle to this (it came as latitude and longitude) is not drawn twice."""
 
 
-def draw_plan(ax: Axes, run: RunDescription) -> None:
+def draw_plan(ax: Axes, run: RunDescription, moved: Sequence[MovedObstacle]) -> None:
     """Draw everything of the run's description that has a place in the horizontal plane."""
     if run.tank_polygon_m:
         ax.add_patch(Polygon(run.tank_polygon_m, closed=True, fill=False, edgecolor="black", linewidth=2.0))
-    for number, obstacle in enumerate(run.obstacles):
+    standing = [obstacle for obstacle in run.obstacles if not obstacle.path_m]
+    for number, obstacle in enumerate(standing):
         center = (obstacle.center_m[0], obstacle.center_m[1])
         zone = obstacle.radius_m + run.body_radius_m
         ax.add_patch(Circle(center, obstacle.radius_m, facecolor="#777777", edgecolor="black", linewidth=0.8))
         label = "safe zone" if number == 0 else None
         ax.add_patch(Circle(center, zone, fill=False, edgecolor="red", linestyle="--", linewidth=1.0, label=label))
-    drawn = [(o.center_m[0], o.center_m[1], o.radius_m) for o in run.obstacles]
+    for number, one in enumerate(moved):
+        _draw_moved(ax, one, run, "safe zone" if number == 0 and not standing else None)
+    drawn = [(o.center_m[0], o.center_m[1], o.radius_m) for o in standing]
     for shape in run.fence:
         circle = None if shape.center_m is None else (*shape.center_m, shape.radius_m or 0.0)
         if circle is not None and any(_same(circle, other) for other in drawn):
@@ -40,6 +47,21 @@ def draw_plan(ax: Axes, run: RunDescription) -> None:
         ax.plot(*center, "k+", markersize=7)
         ax.annotate(waypoint.name, center, xytext=(5, 5), textcoords="offset points", fontweight="bold")
     ax.autoscale_view()
+
+
+def _draw_moved(ax: Axes, moved: MovedObstacle, run: RunDescription, label: str | None) -> None:
+    """An obstacle on its way: solid where the vehicle came closest to it, outlines where it began and ended."""
+    radius = moved.obstacle.radius_m
+    ax.plot(*moved.way_m.T, color=MOVED, linestyle=":", linewidth=1.0)
+    for place, style, side, word in ((moved.way_m[0], "--", -1, "start "), (moved.way_m[-1], "-", 1, " end")):
+        center = (float(place[0]), float(place[1]))
+        ax.add_patch(Circle(center, radius, fill=False, edgecolor=MOVED, linestyle=style, linewidth=0.8))
+        beside = (center[0] + side * radius, center[1])
+        ax.annotate(word, beside, ha="right" if side < 0 else "left", va="center", fontsize=7, color=MOVED)
+    ax.add_patch(Circle(moved.nearest_m, radius, facecolor="#777777", edgecolor="black", linewidth=0.8))
+    zone = radius + run.body_radius_m
+    ax.add_patch(Circle(moved.nearest_m, zone, fill=False, edgecolor="red", linestyle="--", linewidth=1.0, label=label))
+    ax.annotate(f"{moved.nearest_s:.0f} s", moved.nearest_m, ha="center", va="center", fontsize=7, color="white")
 
 
 def _same_corners(a: Sequence[Point2], b: Sequence[Point2]) -> bool:

@@ -39,7 +39,7 @@ tr.row-fail td { background: #fdecea; } tr.row-warn td { background: #fff6e0; } 
 td.note { color: #555; }
 .problem { border-left: 4px solid #c62828; padding: 4px 10px; background: #fdecea; }
 .strip { display: flex; flex-wrap: wrap; gap: 8px; } .strip figure { margin: 0; font-size: 12px; color: #555; }
-nav a { margin-right: 12px; } details { margin: 8px 0; } summary { cursor: pointer; }
+nav a { margin-right: 12px; white-space: nowrap; } details { margin: 8px 0; } summary { cursor: pointer; }
 """
 _SCRIPT = """
 function saveCsv(id, name) {

@@ -19,6 +19,8 @@ LEFT_PX, RIGHT_PX = 104, 24
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
 TOOLS = "xpan,xwheel_zoom,box_zoom,crosshair,reset,save"
 BOUND_COLOR, EVENT_COLOR, PARAMETER_COLOR = "#c62828", "#d08700", "#7b3fa0"
+NAME_SHARE = 0.08
+"""Of the sheet's width: what the name of a mode needs."""
 EDGE = 0.06
 """Share of the height of a plot that stays free above and below what is shown."""
 
@@ -84,6 +86,7 @@ class TimeSheet:
         margin = 0.02 * max(end_s - start_s, 1.0)
         self.start_s, self.end_s = start_s - margin, end_s + margin
         self._range = Range1d(self.start_s, self.end_s)
+        self._late_s = self.end_s - NAME_SHARE * (self.end_s - self.start_s)
         self._bands, self._marks = bands, marks
         self._mark_source = ColumnDataSource(
             {"t": [mark.t_s for mark in marks], "color": [mark.color for mark in marks]}, name="marks"
@@ -134,14 +137,17 @@ class TimeSheet:
                 fill_color=color,
                 line_color="#888888",
             )
-            plot.text(
-                [band.start_s for band in mine],
-                [0.22] * len(mine),
-                [name] * len(mine),
-                text_font_size="9pt",
-                text_baseline="middle",
-                x_offset=3,
-            )
+            for late in (False, True):  # near the right edge a name stands before its band
+                those = [band.start_s for band in mine if (band.start_s > self._late_s) is late]
+                plot.text(
+                    those,
+                    [0.22] * len(those),
+                    [name] * len(those),
+                    text_font_size="9pt",
+                    text_baseline="middle",
+                    text_align="right" if late else "left",
+                    x_offset=-3 if late else 3,
+                )
         # Marks that lie close to each other stand at different heights.
         heights = [0.6 + 0.1 * (number % 4) for number in range(len(self._marks))]
         source = ColumnDataSource(
@@ -194,7 +200,10 @@ class TimeSheet:
         low, high = float(found.min()), float(found.max())
         if log_scale:
             return Range1d(low / 1.5, high * 1.5)
-        margin = EDGE * (high - low) if high > low else max(0.5 * abs(high), 0.01)
+        if high > low:
+            margin = EDGE * (high - low)
+        else:  # flat: a count, a flag or a share is not shown as if thousandths of it mattered
+            margin = max(0.1 * abs(high), 1.0) if high == round(high) else 0.5 * abs(high)
         return Range1d(low - margin, high + margin)
 
 
@@ -242,7 +251,9 @@ def histogram(label: str, values: FloatArray, limit: float, limit_name: str) -> 
     top = 2.0 * float(counts.max())
     plot = plain_figure(label, "steps", x_axis_type="log", y_axis_type="log", x_range=(low, high), y_range=(0.5, top))
     some = counts > 0
-    plot.quad(left=edges[:-1][some], right=edges[1:][some], top=counts[some], bottom=0.5, line_color="white")
+    bars = {"t": edges[:-1][some], "right": edges[1:][some], "y": counts[some]}
+    source = ColumnDataSource(bars, name="steps from here to the next")
+    plot.quad(left="t", right="right", top="y", bottom=0.5, line_color="white", source=source)
     marks = (
         (f"median {np.median(values):.3g}", float(np.median(values)), "#444444"),
         (f"p99 {np.percentile(values, 99.0):.3g}", float(np.percentile(values, 99.0)), "#ff7f0e"),

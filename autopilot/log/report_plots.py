@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
-from bokeh.models import Legend
+from bokeh.models import ColumnDataSource, Legend
 from bokeh.palettes import viridis
 
 from autopilot.core.frames import FloatArray
@@ -31,6 +31,7 @@ from autopilot.log.analysis import (
 from autopilot.log.check_more import MOST_REPROJECTION_PX
 from autopilot.log.check_outside import round_trips
 from autopilot.log.description import RunDescription
+from autopilot.log.plan_facts import MetCurrent, MovedObstacle, met_current, moved_obstacles
 from autopilot.log.report_draw import (
     BUCKETS,
     COLORS,
@@ -179,7 +180,8 @@ class Plots:
         flags = [
             Curve(name=name, t_s=t_s, values=table[name].astype(float), steps=True) for name in ("status", "fallback")
         ]
-        room = [Curve(name=name, t_s=t_s, values=table[name]) for name in ("margin_m", "tube_m")]
+        fields = (("clearance", "margin_m"), ("tube", "tube_m"))
+        room = [Curve(name=name, t_s=t_s, values=table[field]) for name, field in fields]
         plan = self._flight.table("/ctl/plan")
         energy = (
             []
@@ -189,7 +191,7 @@ class Plots:
         return {
             "Time of a control step": self._sheet.plot(
                 "CPU time [ms]",
-                [Curve(name="solve_s", t_s=t_s[solved], values=solve_ms[solved])],
+                [Curve(name="control step", t_s=t_s[solved], values=solve_ms[solved])],
                 (CONTROL_PERIOD_MS,),
                 log_scale=True,
             ),
@@ -319,11 +321,12 @@ class Plots:
             plots["Energy, and what each thruster took of it"] = self._sheet.plot("energy [J]", curves)
         if battery is not None:
             t_s = seconds(battery)
-            for title, field, label in (
-                ("Battery", "voltage_v", "voltage [V]"),
-                ("Battery current", "current_a", "current [A]"),
+            for title, field, name, unit in (
+                ("Battery", "voltage_v", "voltage", "V"),
+                ("Battery current", "current_a", "current", "A"),
             ):
-                plots[title] = self._sheet.plot(label, [Curve(name=field, t_s=t_s, values=battery[field])])
+                curve = Curve(name=name, t_s=t_s, values=battery[field])
+                plots[title] = self._sheet.plot(f"{name} [{unit}]", [curve])
         return plots
 
     def _thruster_energy(self) -> list[Curve]:
@@ -346,7 +349,7 @@ class Plots:
         return {
             "Specific force": self._sheet.plot("[m/s²]", [Curve(name="norm", t_s=t_s, values=norm)]),
             "Time between samples": self._sheet.plot(
-                "[ms]", [Curve(name="ms", t_s=t_s[1:], values=1e3 * np.diff(t_s))]
+                "[ms]", [Curve(name="since the sample before", t_s=t_s[1:], values=1e3 * np.diff(t_s))]
             ),
             "Spectra of the rates": spectrum("(rad/s)²/Hz", rates),
             "Spectra of the specific force": spectrum("(m/s²)²/Hz", forces),
@@ -368,10 +371,16 @@ class Plots:
             t_s = seconds(loop)
             tick = [Curve(name="longest tick of a second", t_s=t_s, values=1e3 * loop["tick_s"])]
             plots["Loop"] = self._sheet.plot("[ms]", tick, (TICK_MS,), log_scale=True)
-            plots["CPU time per second"] = self._sheet.plot("[s]", [Curve(name="cpu_s", t_s=t_s, values=loop["cpu_s"])])
+            plots["CPU time per second"] = self._sheet.plot(
+                "[s]", [Curve(name="whole process", t_s=t_s, values=loop["cpu_s"])]
+            )
             lost = [
-                Curve(name=name, t_s=t_s, values=loop[name].astype(float), steps=True)
-                for name in ("overruns", "dropped_log", "dropped_frames")
+                Curve(name=name, t_s=t_s, values=loop[field].astype(float), steps=True)
+                for name, field in (
+                    ("overruns", "overruns"),
+                    ("messages of the log", "dropped_log"),
+                    ("pictures", "dropped_frames"),
+                )
             ]
             plots["Overruns, lost messages of the log, lost pictures"] = self._sheet.plot("so far", lost)
         received, sent = flight.table("/in/mavlink"), flight.table("/out/mavlink")
@@ -382,12 +391,12 @@ class Plots:
         process = flight.table("/sys/process")
         if process is not None:
             t_s = seconds(process)
-            for title, label, field, scale in (
-                ("Memory", "[MB]", "rss", 1e-6),
-                ("Messages waiting for the log", "messages", "log_queue", 1.0),
-                ("Longest garbage collection of a second", "[ms]", "collect_s", 1e3),
+            for title, label, name, field, scale in (
+                ("Memory", "[MB]", "in memory", "rss", 1e-6),
+                ("Messages waiting for the log", "messages", "waiting", "log_queue", 1.0),
+                ("Longest garbage collection of a second", "[ms]", "longest", "collect_s", 1e3),
             ):
-                curve = Curve(name=field, t_s=t_s, values=scale * process[field].astype(float), steps=True)
+                curve = Curve(name=name, t_s=t_s, values=scale * process[field].astype(float), steps=True)
                 plots[title] = self._sheet.plot(label, [curve])
         return plots
 
@@ -409,17 +418,19 @@ class Plots:
         track = self._track.between(self._flight.armed)
         if run is not None:
             _draw_world(plot, run)
+            for one in moved_obstacles(track, run):
+                _draw_moved(plot, one, run)
         rows = np.arange(0, len(track.t_s), max(1, len(track.t_s) // (4 * BUCKETS)))
         x, y = track.pos_ned_m[rows, 0].astype(np.float32), track.pos_ned_m[rows, 1].astype(np.float32)
-        items = [("way", [plot.line(x, y, line_color="#333333", line_width=1.5)])]
-        laps = lap_spans(visits(track, run), run) if run is not None else []
+        items = [("way", [_draw_way(plot, "way", x, y, line_color="#333333", line_width=1.5)])]
+        laps = lap_spans(visits(track, run), run, self._flight.armed.start_s) if run is not None else []
         colors = COLORS if len(laps) <= MOST_LAPS else viridis(len(laps))
         named = set(range(len(laps)))
         if len(laps) > MOST_LAPS:
             named = {round(share * (len(laps) - 1)) for share in np.linspace(0.0, 1.0, LAPS_NAMED)}
         for number, lap in enumerate(laps):
             keep = lap.holds(track.t_s[rows])
-            line = plot.line(x[keep], y[keep], line_color=colors[number], line_width=2)
+            line = _draw_way(plot, f"lap {number + 1}", x[keep], y[keep], line_color=colors[number], line_width=2)
             if number in named:
                 used = energy_j(self._flight, lap)
                 items.append((f"lap {number + 1}" + ("" if used is None else f": {used:.0f} J"), [line]))
@@ -429,19 +440,22 @@ class Plots:
         made = [one for one in self._predictions if self._flight.armed.start_s <= one.t_s <= self._flight.armed.end_s]
         if made:
             items.append(("predictions", [_draw_predictions(plot, made)]))
-        arrows = _draw_current(plot, track)
-        if arrows:
-            items.append((f"current, {ARROW_S:g} s of it", arrows))
+        met = met_current(track, run)
+        if met is not None:
+            items.append(("current", _draw_current(plot, met)))
         plot.add_layout(Legend(items=items, click_policy="hide", padding=4), "right")
         return plot
 
 
-ARROW_S = 2.0
-"""Arrows of the current are as long as the way that the water makes in so many seconds."""
-ARROWS = 60
-LEAST_CURRENT_M_S = 0.005
+CURRENT_COLOR, MOVED_COLOR = "#17a2b8", "#555555"
 CHI2_3 = (0.216, 9.348)
 """95 % band of chi square with 3 degrees of freedom."""
+
+
+def _draw_way(plot: Any, name: str, north: FloatArray, east: FloatArray, **style: Any) -> Any:
+    """A line of the plan, which can be saved as CSV."""
+    source = ColumnDataSource({"t": north, "y": east}, name=name)
+    return plot.line("t", "y", source=source, **style)
 
 
 def _draw_predictions(plot: Any, made: Sequence[Prediction]) -> Any:
@@ -470,25 +484,30 @@ def _draw_heads(plot: Any, track: Track) -> Any | None:
     return plot.patches(xs, ys, fill_color="#111111", line_color="white")
 
 
-def _draw_current(plot: Any, track: Track) -> list[Any]:
-    """Where the current was met: a line downstream from a dot."""
-    rows = np.arange(0, len(track.t_s), max(1, len(track.t_s) // ARROWS))
-    start, flow = track.pos_ned_m[rows, :2], track.current_ned_m_s[rows, :2]
-    if not np.isfinite(flow).all() or float(np.hypot(*flow.T).max(initial=0.0)) < LEAST_CURRENT_M_S:
-        return []
-    tip = start + ARROW_S * flow
-    color = {"line_color": "#17a2b8", "line_alpha": 0.8}
+def _draw_current(plot: Any, met: MetCurrent) -> list[Any]:
+    """Arrows where the current was met, to scale with the plan, and one of a round figure as their key."""
+    key, key_m = np.array(met.key_m), met.scale_m * met.told_m_s
+    start = np.vstack((met.place_m, key))
+    way = np.vstack((met.scale_m * met.flow_m_s, (key_m, 0.0)))
+    tip, length = start + way, np.hypot(*way.T)[:, None]
+    along = np.divide(way, length, out=np.zeros_like(way), where=length > 0.0)
+    barb = np.minimum(0.3 * length, 0.12 * length.max())
+    across = np.column_stack((-along[:, 1], along[:, 0]))
+    corners = [tip, *(tip - barb * (along + side * 0.45 * across) for side in (1.0, -1.0))]
+    xs, ys = (np.stack([corner[:, i] for corner in corners], axis=1).round(4).tolist() for i in (0, 1))
+    color = {"line_color": CURRENT_COLOR, "line_alpha": 0.8}
     lines = plot.segment(start[:, 0], start[:, 1], tip[:, 0], tip[:, 1], **color)
-    heads = plot.scatter(
-        tip[:, 0],
-        tip[:, 1],
-        marker="triangle",
-        angle=np.arctan2(flow[:, 1], flow[:, 0]) * -1.0 - np.pi / 2,
-        size=5,
-        fill_color="#17a2b8",
-        line_color=None,
+    heads = plot.patches(xs, ys, fill_color=CURRENT_COLOR, fill_alpha=0.8, line_color=None)
+    words = plot.text(
+        [tip[-1, 0]],
+        [tip[-1, 1]],
+        text=[f"current {met.told_m_s:g} m/s"],
+        x_offset=6,
+        text_baseline="middle",
+        text_font_size="9pt",
+        text_color=CURRENT_COLOR,
     )
-    return [lines, heads]
+    return [lines, heads, words]
 
 
 def clearances(flight: Flight) -> list[Curve]:
@@ -541,6 +560,8 @@ def _draw_world(plot: Any, run: RunDescription) -> None:
         corners = np.array(outline(shape))
         plot.patch(corners[:, 0], corners[:, 1], fill_color=None, line_color="#d62728", line_width=1)
     for obstacle in run.obstacles:
+        if obstacle.path_m:
+            continue
         north, east = obstacle.center_m[0], obstacle.center_m[1]
         zone = obstacle.radius_m + run.body_radius_m
         plot.circle([north], [east], radius=obstacle.radius_m, fill_color="#777777", line_color="black")
@@ -551,6 +572,26 @@ def _draw_world(plot: Any, run: RunDescription) -> None:
             [north], [east], radius=waypoint.accept_radius_m, fill_color="#2ca02c", fill_alpha=0.2, line_color=None
         )
         plot.text([north], [east], text=[waypoint.name], text_align="center", text_baseline="middle")
+
+
+def _draw_moved(plot: Any, moved: MovedObstacle, run: RunDescription) -> None:
+    """An obstacle on its way: solid where the vehicle came closest to it, outlines where it began and ended."""
+    radius, way = moved.obstacle.radius_m, moved.way_m
+    plot.line(way[:, 0], way[:, 1], line_color=MOVED_COLOR, line_dash="dotted")
+    for place, dash, word in ((way[0], "dashed", "start"), (way[-1], "solid", "end")):
+        plot.circle([place[0]], [place[1]], radius=radius, fill_color=None, line_color=MOVED_COLOR, line_dash=dash)
+        _word(plot, place, word, MOVED_COLOR)
+    north, east = moved.nearest_m
+    plot.circle([north], [east], radius=radius, fill_color="#777777", line_color="black")
+    plot.circle(
+        [north], [east], radius=radius + run.body_radius_m, fill_color=None, line_color="red", line_dash="dashed"
+    )
+    _word(plot, moved.nearest_m, f"{moved.nearest_s:.0f} s", "white")
+
+
+def _word(plot: Any, place: Sequence[float] | FloatArray, word: str, color: str) -> None:
+    style = {"text_align": "center", "text_baseline": "middle", "text_font_size": "8pt", "text_color": color}
+    plot.text([place[0]], [place[1]], text=[word], **style)
 
 
 def mode_bands(flight: Flight) -> list[Band]:

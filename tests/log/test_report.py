@@ -97,7 +97,7 @@ def test_the_histogram_holds_the_longest_step_and_the_deadline() -> None:
     assert plot is not None
     assert plot.x_range.start < 0.8 and plot.x_range.end > 180.0
     bars = plot.renderers[0].data_source.data
-    assert sum(bars["top"]) == len(values) and max(bars["right"]) > 180.0
+    assert sum(bars["y"]) == len(values) and max(bars["right"]) > 180.0
     (legend,) = plot.legend
     assert {item.label.value for item in legend.items} == {"median 0.8", "p99 0.8", "longest 180", "deadline 50"}
 
