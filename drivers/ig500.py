@@ -90,6 +90,7 @@ class Ig500(Closing):
         self._confirmed = False
         self.status: Status | None = None
         """What the device says of itself with its last measurement."""
+        self._status_bits: int | None = None
         self._parser = FrameParser()
         self._clock = DeviceClock()
         self._silent_polls = 0
@@ -152,7 +153,8 @@ class Ig500(Closing):
         if numbers is None:
             return None
         quaternion = (1.0, 0.0, 0.0, 0.0) if self._quaternion is None else numbers[self._quaternion]
-        norm = math.sqrt(sum(part * part for part in quaternion))
+        w, x, y, z = quaternion
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
         if abs(norm - 1.0) > QUATERNION_TOLERANCE:
             return None
         device_us = int(numbers[self._time]) * 1000
@@ -162,7 +164,9 @@ class Ig500(Closing):
         if reset:  # it has been without power: its mask is its own again
             self._configure()
             return None
-        self.status = Status(int(numbers[self._status]) & STATUS_GOOD)
+        bits = int(numbers[self._status])
+        if bits != self._status_bits:
+            self._status_bits, self.status = bits, Status(bits & STATUS_GOOD)
         t_us = self._clock.stamp(arrival_us, device_us) - self._latency_us
         if t_us <= self._last_us:
             return None
@@ -171,5 +175,5 @@ class Ig500(Closing):
         if self._magnet is not None:
             magnet = np.array(numbers[self._magnet])
             return ImuSample(t_us=t_us, rate_frd_rad_s=rate, accel_frd_m_s2=accel, mag_frd=magnet)
-        rpy_rad = rpy_from_quat([part / norm for part in quaternion])
+        rpy_rad = rpy_from_quat((w / norm, x / norm, y / norm, z / norm))
         return AhrsSample(t_us=t_us, rpy_rad=rpy_rad, rate_frd_rad_s=rate, accel_frd_m_s2=accel)

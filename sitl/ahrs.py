@@ -108,8 +108,8 @@ class Ig500Emulator(AlwaysOpen):
         self.next_us = round(self._count * 1e6 / self._rate_hz)
         if not self._sending or self._count % self._divider:
             return
-        stamped = {**values, Field.TIME_SINCE_RESET: (truth.t_us // 1000,)}
-        data = encode_frame(CONTINUOUS_OUTPUT, self._codec.encode(stamped))
+        values[Field.TIME_SINCE_RESET] = (truth.t_us // 1000,)
+        data = encode_frame(CONTINUOUS_OUTPUT, self._codec.encode(values))
         if chance[0] < self._settings.corrupt_probability:
             broken = bytearray(data)
             broken[int(chance[1] * len(data))] ^= 0x5A
@@ -155,6 +155,8 @@ class Ig500Emulator(AlwaysOpen):
 
     def _field_rad(self, pos_ned_m: FloatArray) -> float:
         """Magnetic disturbance of the heading at a place."""
+        if self._settings.yaw_field_rad == 0.0:
+            return 0.0
         wave = 2.0 * math.pi / self._settings.yaw_field_length_m
         north, east, _ = pos_ned_m.tolist()
         pattern = math.sin(wave * north + self._field_phase[0]) + math.sin(wave * east + self._field_phase[1])

@@ -288,7 +288,7 @@ class SimulatedVehicle(Closing):
             for observer in self._observers:
                 if observer.next_us == due_us:
                     observer.observe(truth)
-            self._due_us = min(observer.next_us for observer in self._observers)
+            self._due_us = min([observer.next_us for observer in self._observers])
         self._move(t_us)
 
     def poll(self, t_us: int) -> tuple[Sample, ...]:

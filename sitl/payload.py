@@ -15,6 +15,7 @@ class SimPayload:
         self._outputs = vehicle.payload
         self._wanted = [self._share(index, output.start_us) for index, output in enumerate(self._outputs)]
         self._shares = list(self._wanted)
+        self._heard_us: tuple[int, ...] = ()
         self._t_us = 0
 
     @property
@@ -24,6 +25,10 @@ class SimPayload:
 
     def set(self, pulses_us: Sequence[int]) -> None:
         """The pulses that they hear from now on; a relay hears one side or the other."""
+        heard_us = tuple(pulses_us)
+        if heard_us == self._heard_us:
+            return
+        self._heard_us = heard_us
         for index, pulse_us in enumerate(pulses_us[: len(self._outputs)]):
             share = self._share(index, pulse_us)
             self._wanted[index] = float(share > 0.5) if self._outputs[index].kind == "relay" else share
@@ -31,6 +36,8 @@ class SimPayload:
     def advance(self, t_us: int) -> None:
         """Let time go on."""
         passed_s, self._t_us = (t_us - self._t_us) * 1e-6, t_us
+        if self._shares == self._wanted:
+            return
         for index, output in enumerate(self._outputs):
             step = SHARE_PER_S[output.kind] * passed_s
             left = self._wanted[index] - self._shares[index]

@@ -55,6 +55,7 @@ class SimPoseSensor(AlwaysOpen):
         self._rate_hz = pose.rate_hz or (POSE_RATE_HZ if camera is None else camera.rate_hz)
         latency_s = POSE_LATENCY_S if camera is None else camera.latency_s
         self._latency_s = latency_s if pose.latency_s is None else pose.latency_s
+        self._sigma_pos_m = np.array([pose.sigma_xy_m, pose.sigma_xy_m, pose.sigma_z_m])
         self._faults = OpticalFaults(faults)
         self._rng = np.random.default_rng((seed, 20))
         self._outages = OutageClock(pose.outages, faults, np.random.default_rng((seed, 21)))
@@ -91,7 +92,7 @@ class SimPoseSensor(AlwaysOpen):
 
     def _measured(self, truth: Truth, r: FloatArray, noise: list[float], chance: list[float]) -> PoseSample:
         scale = self._scale(truth, r)
-        sigma_pos = scale * np.array([self._pose.sigma_xy_m, self._pose.sigma_xy_m, self._pose.sigma_z_m])
+        sigma_pos = scale * self._sigma_pos_m
         sigma_yaw = scale * self._pose.sigma_yaw_rad
         seen_ned_m, seen_yaw_rad = self._faults.pose(truth, self._camera_frd_m, self._floor_depth_m)
         position = seen_ned_m + sigma_pos * noise[0:3]

@@ -77,6 +77,8 @@ class OpticalFaults:
 
     def pose(self, truth: Truth, camera_frd_m: FloatArray, floor_depth_m: float | None) -> tuple[FloatArray, float]:
         """Position (3,) and heading that pictures would give, without noise."""
+        if not self._faults:
+            return truth.pos_ned_m, float(truth.rpy_rad[2])
         truth = self.seen(truth)
         position, yaw = truth.pos_ned_m, float(truth.rpy_rad[2])
         for fault in self.camera_at(truth.t_us):

@@ -35,6 +35,9 @@ class Held(NamedTuple):
     def at(self, supply_v: float) -> float:
         """Steady thrust [N]: linear between the voltages, with the square of the voltage beyond them."""
         last = len(self.supply_v) - 1
+        if not last:  # known at one voltage only
+            ratio = supply_v / self.supply_v[0]
+            return self.thrust_n[0] * (ratio * ratio)
         above = bisect_right(self.supply_v, supply_v)
         if 0 < above <= last:
             low, high = self.supply_v[above - 1], self.supply_v[above]
@@ -104,7 +107,8 @@ class Thrusters:
         self._gain[:count] = [1.0] * count
         self._pwm_us: tuple[int, ...] | None = None
         self._held: list[Held] = []
-        self._known: list[dict[int, Held]] = [{} for _ in self._thrusters]
+        self._known: list[tuple[int, dict[int, Held], Thruster]] = [(t.channel - 1, {}, t) for t in self._thrusters]
+        """Of each thruster its place among the pulses and what these give."""
         self._mean_n: MutableSequence[float] = [0.0] * count if compiled is None else compiled.mean_n
 
     @property
@@ -160,15 +164,17 @@ class Thrusters:
 
     def _holds(self, pwm_us: Sequence[int]) -> list[Held]:
         """What each thruster makes of the pulse on its channel."""
-        result = []
-        for thruster, known in zip(self._thrusters, self._known, strict=True):
-            pulse = pwm_us[thruster.channel - 1] if thruster.channel <= len(pwm_us) else OFF_US
-            if pulse not in known:
+        result, count = [], len(pwm_us)
+        for place, known, thruster in self._known:
+            pulse = pwm_us[place] if place < count else OFF_US
+            gives = known.get(pulse)
+            if gives is None:
                 if len(known) >= MOST_KNOWN:
                     known.clear()
                 mirrored = thruster.reversed and pulse != OFF_US
-                known[pulse] = held(thruster.drive, 2 * thruster.drive.neutral_us - pulse if mirrored else pulse)
-            result.append(known[pulse])
+                gives = held(thruster.drive, 2 * thruster.drive.neutral_us - pulse if mirrored else pulse)
+                known[pulse] = gives
+            result.append(gives)
         return result
 
 

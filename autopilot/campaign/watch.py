@@ -147,9 +147,10 @@ class Watch:
         progress = outputs.progress
         if armed and progress is not None and progress.state is ProgressState.COMPLETE and self._complete_s is None:
             self._complete_s = t_s
-        for event in outputs.events:
-            self._note_event(event, t_s)
-        self._told_s += [t_s] * int(is_told([event.text for event in outputs.events]).sum())
+        if outputs.events:
+            for event in outputs.events:
+                self._note_event(event, t_s)
+            self._told_s += [t_s] * int(is_told([event.text for event in outputs.events]).sum())
 
     def _note_event(self, event: Event, t_s: float) -> None:
         if event.severity > Severity.WARNING:

@@ -59,7 +59,8 @@ def rpy_from_r(r_ned_from_frd_: FloatArray) -> FloatArray:
 
 def quat_from_rpy(rpy_rad: FloatArray | Sequence[float]) -> FloatArray:
     """Quaternion [w, x, y, z] (body to world) of roll, pitch, yaw (3,)."""
-    hr, hp, hy = (0.5 * float(a) for a in rpy_rad)
+    roll, pitch, yaw = map(float, rpy_rad)
+    hr, hp, hy = 0.5 * roll, 0.5 * pitch, 0.5 * yaw
     cr, sr = math.cos(hr), math.sin(hr)
     cp, sp = math.cos(hp), math.sin(hp)
     cy, sy = math.cos(hy), math.sin(hy)
@@ -75,7 +76,7 @@ def quat_from_rpy(rpy_rad: FloatArray | Sequence[float]) -> FloatArray:
 
 def rpy_from_quat(quat: FloatArray | Sequence[float]) -> FloatArray:
     """Roll, pitch, yaw (3,) of a quaternion [w, x, y, z] (body to world)."""
-    w, x, y, z = (float(a) for a in quat)
+    w, x, y, z = map(float, quat)
     return np.array(
         [
             math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
