@@ -58,10 +58,12 @@ class Aid:
         self._last_us = now_us
         if fused:
             self.counts["fused"] += 1
-            self.rejected_in_row = 0
-            self._rejected.clear()
+            if self.rejected_in_row:
+                self.rejected_in_row = 0
+                self._rejected.clear()
             self._fused_in_row += 1
-            self.last_fused_us = t_us if self.last_fused_us is None else max(t_us, self.last_fused_us)
+            if self.last_fused_us is None or t_us > self.last_fused_us:
+                self.last_fused_us = t_us
         else:
             self.counts["rejected"] += 1
             self.rejected_in_row += 1

@@ -71,6 +71,11 @@ GATE_FLOOR = (0.03, 0.02)
 """m, rad: standard deviation of the residual that the gate allows at least; the variances here know no correlations."""
 _FIX_VARIANCE, _GATE_VARIANCE = (np.array([pos, pos, pos, yaw]) ** 2 for pos, yaw in (FIX_FLOOR, GATE_FLOOR))
 MODEL_GATE_SIGMA_M_S2 = 0.4
+_MODEL_GATE_VARIANCE: FloatArray = np.full(2, MODEL_GATE_SIGMA_M_S2**2)
+_MODEL_GATE_VARIANCE.flags.writeable = False
+_MODEL_SPREAD: FloatArray = np.zeros((NX, 2))
+_MODEL_SPREAD.flags.writeable = False
+"""Looks at the model correct the current by a fixed gain and tell no variance."""
 POS_NOISE = 0.012
 YAW_NOISE = 0.008
 VEL_NOISE = 0.06
@@ -113,13 +118,12 @@ class ObserverCore:
         """Gate on the sum of squares of the normalised residuals."""
         x, p = state.x, state.p
         y = measurement.residual(measurement.z, measurement.predicted(x, moment, after_s))
+        if isinstance(measurement, ModelAid):
+            return self._result(y, _MODEL_GATE_VARIANCE, _model_gain(x), _MODEL_SPREAD)
         noise = measurement.noise.diagonal()
         ground = ground_of(measurement)
         if ground is not None:  # of sheets it knows only how well they were laid
             noise = noise + (ground.jacobian**2).dot(ground.sigma.reshape(-1) ** 2)
-        if isinstance(measurement, ModelAid):
-            variance = np.full(2, MODEL_GATE_SIGMA_M_S2**2)
-            return self._result(y, variance, _model_gain(x), np.zeros((NX, 2)))
         h = measurement.jacobian(x, moment, after_s)
         spread = p[:, None] * h.T
         seen = np.add.reduce(h.T * spread)
@@ -129,7 +133,7 @@ class ObserverCore:
             return self._result(y, variance, _fix_gain(spread / (seen + noise), x), spread)
         variance = seen + noise
         gain = spread / variance
-        if isinstance(measurement, LaserRange | Depth):
+        if isinstance(measurement, (LaserRange, Depth)):
             variance = np.maximum(variance, GATE_FLOOR[0] ** 2)
         return self._result(y, variance, gain, spread)
 
@@ -199,7 +203,7 @@ def _model_gain(x: FloatArray) -> FloatArray:
     """Gain (21, 2): an acceleration that the model does not explain is water that pushes."""
     c, s = float(np.cos(x[YAW])), float(np.sin(x[YAW]))
     gain = np.zeros((NX, 2))
-    gain[CURRENT] = K_CURRENT_S * np.array([[c, -s], [s, c]])
+    gain[CURRENT] = (K_CURRENT_S * c, K_CURRENT_S * -s), (K_CURRENT_S * s, K_CURRENT_S * c)
     return gain
 
 

@@ -43,9 +43,12 @@ class SheetTies:
         return y
 
 
+_GROUNDED = (PoseFix, SheetTies)
+
+
 def ground_of(measurement: Measurement) -> Ground | None:
     """How a measurement depends on sheets, None = not at all."""
-    return measurement.ground if isinstance(measurement, PoseFix | SheetTies) else None
+    return measurement.ground if isinstance(measurement, _GROUNDED) else None
 
 
 def columns_of(which: tuple[int, ...], sheets: tuple[int, ...]) -> list[int]:

@@ -111,11 +111,10 @@ class ImuWatch:
         if model_dt_s > 0.0 and not idle(node.moment, x):
             expected = self._vehicle.at(x, node.moment)
             over = [a - e for a, e in zip(raw.accel_level_m_s2, expected, strict=False)]
-            bias = x[ACCEL_BIAS].tolist()
             accel = self.accel.look(
                 node.t_us,
                 model_dt_s,
-                [o - b for o, b in zip(over, bias, strict=True)],
+                [o - b for o, b in zip(over, x[ACCEL_BIAS].tolist(), strict=True)],
                 anchored=anchored,
                 denied=denied,
                 rejected=model_rejected,

@@ -112,12 +112,12 @@ class KalmanCore:
         if ground is not None:
             return self._on_sheets(state, measurement, ground, moment, after_s)
         kf.x, kf.P = state.x, state.p
+        kf.R = measurement.noise
         h = measurement.jacobian(state.x, moment, after_s)
         kf.update(
             measurement.z,
             lambda _: h,
             measurement.predicted,
-            R=measurement.noise,
             hx_args=(moment, after_s),
             residual=measurement.residual,
         )
