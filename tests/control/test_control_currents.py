@@ -192,6 +192,7 @@ def test_memory_that_works_out_its_nodes_at_every_lesson_knows_the_same(seed: in
         place = place + random.normal(size=3) * random.choice([0.02, 0.3, 40.0], p=[0.8, 0.18, 0.02])
         lesson = t_us, place, random.normal(size=3), random.uniform(0.0, 1e-3)
         kept.learn(*lesson)
+        anew._put_back()
         anew._patch = None  # the same cell is looked up again
         anew.learn(*lesson)
     asked = t_us, place + 0.3 * random.normal(size=(9, 3)), np.zeros(3)

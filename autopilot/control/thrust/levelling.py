@@ -45,6 +45,8 @@ class Levelling:
 
         As much as cancels the tilt of all others at their limits, at most :data:`MOST` of the thruster's own.
         """
+        if not self._given:
+            return np.zeros_like(limit_n)
         ways = self._ways_of(limit_n)
         levels = np.abs(ways).max(axis=1) > 0.0
         worst = np.abs(self._tilt) @ np.where(levels, 0.0, limit_n)

@@ -36,7 +36,8 @@ LONGEST_LESSON_S = 0.2
 
 @dataclass(slots=True, eq=False)
 class _Patch:
-    """The 5 x 5 nodes round the vehicle: worked out when it comes into another cell, not at every lesson."""
+    """The 5 x 5 nodes round the vehicle: found when it comes into another cell, and learned from aside until it leaves
+    or somebody asks."""
 
     node: tuple[int, int]
     """The one in the middle."""
@@ -48,8 +49,10 @@ class _Patch:
     """(25,) where they are kept."""
     place: NDArray[np.int64]
     """(25,) which nodes they are among all that are kept there."""
-    learned_us: float | None = None
-    """When all of them have been taught last, None = they have not been."""
+    sums: FloatArray
+    """(25, 4) of them."""
+    learned_us: int
+    """When all of them have been taught last."""
 
 
 class CurrentMemory:
@@ -79,31 +82,37 @@ class CurrentMemory:
         if elapsed_s <= 0.0:
             return
         x, y = pos_ned_m[:2].tolist()
-        patch = self._patch_round((round(x / self._cell_m), round(y / self._cell_m)))
+        patch = self._patch_round((round(x / self._cell_m), round(y / self._cell_m)), t_us)
         r2 = np.add.outer(np.square(patch.north_m - x), np.square(patch.east_m - y)).reshape(-1)
         gain = min(elapsed_s, LONGEST_LESSON_S) / (max(variance_m2_s2, 0.0) + VARIANCE_FLOOR_M2_S2)
         weight = gain * np.exp(-0.5 * r2 / self._spread_m**2)
-        sums = self._sums[patch.slot]
-        if patch.learned_us is None:
-            sums *= self._kept(patch.slot, patch.place, t_us)[:, None]
-            self._place[patch.slot] = patch.place
-        else:
-            sums *= _left(patch.learned_us, t_us)
-        sums += weight[:, None] * np.array((1.0, *seen_m_s.tolist()))
-        self._sums[patch.slot] = sums
-        self._learned_us[patch.slot] = patch.learned_us = t_us
+        patch.sums += weight[:, None] * np.array((1.0, *seen_m_s.tolist()))
 
-    def _patch_round(self, node: tuple[int, int]) -> _Patch:
-        """The nodes round one; those of the last lesson where that was at the same."""
-        if self._patch is None or self._patch.node != node:
-            north, east = node[0] + self._around, node[1] + self._around
-            slot, place = _slot(np.stack(np.meshgrid(north, east, indexing="ij")).reshape(2, -1))
-            north_m, east_m = (np.asarray(nodes * self._cell_m, dtype=float) for nodes in (north, east))
-            self._patch = _Patch(node, north_m, east_m, slot, place)
-        return self._patch
+    def _patch_round(self, node: tuple[int, int], t_us: int) -> _Patch:
+        """The nodes round one, with what is left now of what they were taught."""
+        patch = self._patch
+        if patch is not None and patch.node == node:
+            patch.sums *= _left(patch.learned_us, t_us)
+            patch.learned_us = t_us
+            return patch
+        self._put_back()
+        north, east = node[0] + self._around, node[1] + self._around
+        slot, place = _slot(np.stack(np.meshgrid(north, east, indexing="ij")).reshape(2, -1))
+        north_m, east_m = (np.asarray(nodes * self._cell_m, dtype=float) for nodes in (north, east))
+        sums = self._sums[slot] * self._kept(slot, place, t_us)[:, None]
+        self._patch = patch = _Patch(node, north_m, east_m, slot, place, sums, t_us)
+        return patch
+
+    def _put_back(self) -> None:
+        """What was learned aside."""
+        patch = self._patch
+        if patch is not None:
+            self._sums[patch.slot], self._place[patch.slot] = patch.sums, patch.place
+            self._learned_us[patch.slot] = patch.learned_us
 
     def recall(self, t_us: int, pos_ned_m: FloatArray, prior_m_s: FloatArray) -> FloatArray:
         """(n, 3) at places (n, 3): what was seen there, ``prior_m_s`` (3,) where nothing was."""
+        self._put_back()
         scaled = pos_ned_m[:, :2].T / self._cell_m
         corner = np.floor(scaled)
         ahead = scaled - corner
