@@ -194,12 +194,13 @@ class Sequencer:
         self._reached_now, self._action, self._new_home, self._orders = [], None, None, []
         if self._run.state is ProgressState.ACTIVE:
             self._run_steps(t_us, nav)
-        goal = self._run.goal
-        if self._run.state is ProgressState.PAUSED:
-            if self._run.pause_goal is None:
-                self._run.pause_goal = self._goals.here(nav)
-            goal = self._run.pause_goal
-        elif self._run.state in (ProgressState.NO_MISSION, ProgressState.NOT_STARTED):
+        run = self._run
+        goal = run.goal
+        if run.state is ProgressState.PAUSED:
+            if run.pause_goal is None:
+                run.pause_goal = self._goals.here(nav)
+            goal = run.pause_goal
+        elif run.state in (ProgressState.NO_MISSION, ProgressState.NOT_STARTED):
             goal = None
         return SequencerOutput(
             goal=goal,
@@ -212,12 +213,9 @@ class Sequencer:
 
     def progress(self, t_us: int) -> MissionProgress:
         """How far the mission is, for telemetry between ticks too."""
+        run = self._run
         return MissionProgress(
-            t_us=t_us,
-            current_seq=self._run.cursor,
-            reached_seq=self._run.reached_seq,
-            lap=self._run.lap,
-            state=self._run.state,
+            t_us=t_us, current_seq=run.cursor, reached_seq=run.reached_seq, lap=run.lap, state=run.state
         )
 
     # Inside one tick.
@@ -361,18 +359,19 @@ class Sequencer:
             return circle.over
         if isinstance(step, Passage):
             return self._goals.is_passed(step, nav)
-        if self._run.goal is None or not is_inside(self._run.goal, nav):
-            self._run.inside_since_us = None
+        run = self._run
+        if run.goal is None or not is_inside(run.goal, nav):
+            run.inside_since_us = None
             return False
-        if self._run.inside_since_us is None:
-            self._run.inside_since_us = t_us
+        if run.inside_since_us is None:
+            run.inside_since_us = t_us
         if isinstance(step, GoTo):
-            return step.hold_s is not None and t_us - self._run.inside_since_us >= step.hold_s * 1e6
-        if isinstance(step, Surface) and not self._run.rising:
-            self._run.rising = True
-            place = self._run.goal.pos_ned_m
-            self._run.goal = self._goals.of(step, np.array([place[0], place[1], self._params["DEPTH_MIN"]]))
-            self._run.inside_since_us = None
+            return step.hold_s is not None and t_us - run.inside_since_us >= step.hold_s * 1e6
+        if isinstance(step, Surface) and not run.rising:
+            run.rising = True
+            place = run.goal.pos_ned_m
+            run.goal = self._goals.of(step, np.array([place[0], place[1], self._params["DEPTH_MIN"]]))
+            run.inside_since_us = None
             return False
         return True
 

@@ -18,6 +18,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import MAX_RANGE_M, Origin, Place, far_text, geodetic_from_ned, ned_from_geodetic
 from autopilot.core.geometry import Fence
 from autopilot.core.origin_params import params_origin
+from autopilot.core.params import ParamSet
 from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, PlanProblem, PlanRejection, PlanStore
 from mission.fence import FenceShape, build_fence
 from mission.item_types import parse_step
@@ -98,6 +99,7 @@ class Plans(PlanStore):
         desk: Desk | None = None,
     ) -> None:
         self._params = params
+        self._live = params.live if isinstance(params, ParamSet) else params
         self._water = water
         self._radius_m = radius_m
         self._origin = origin or params_origin(params)
@@ -324,6 +326,7 @@ class Plans(PlanStore):
         if not moved and PlanKind.FENCE not in changed:
             verdict = replace(verdict, shapes=self._verdict.shapes)
         self._verdict, self._plans = verdict, now.plans
+        self._wanted = now  # the question of the next ticks, if nothing else changes
 
     def close(self) -> None:
         """The end of a run: no answer is wanted any more."""
@@ -342,7 +345,7 @@ class Plans(PlanStore):
 
     def _question(self, change: Change | None = None) -> Question:
         """What is to be known now; without a change the same object as long as it is the same question."""
-        limits = _limits(self._params)
+        limits = _limits(self._live)
         known = self._wanted
         asked_before = known is not None and known.plans is self._plans and known.origin is self._origin
         if change is None and known is not None and asked_before and known.limits == limits:

@@ -34,6 +34,8 @@ KNOWN_M = 0.3
 """What beams end at so near to a shape of the fence is that."""
 RANGE_US = 200_000
 """The laser's range is worked out of pictures this often."""
+INERTIAL = (AhrsSample, ImuSample)
+"""At every tick: no union, which is slower to ask."""
 POWER_S = 30.0
 """Time over which the mean power is taken."""
 
@@ -79,13 +81,11 @@ class Surroundings:
         facts = self.facts
         facts.note(inputs)
         for sample in inputs.samples:
+            if isinstance(sample, INERTIAL):
+                self._feel(inputs.t_us, sample)
+                continue
             self._show(inputs.t_us, sample)
-            if isinstance(sample, AhrsSample | ImuSample):
-                if isinstance(sample, AhrsSample):
-                    facts.note_ahrs(inputs.t_us, sample)
-                if self._jolts.look(sample, facts.thrust_n, self._params["FS_COLL_ACC"]):
-                    facts.collided_us = inputs.t_us
-            elif isinstance(sample, PowerSample):
+            if isinstance(sample, PowerSample):
                 if plausible(sample):
                     self.power = sample
                     facts.note_sample(inputs.t_us, sample)
@@ -95,6 +95,16 @@ class Surroundings:
                 self.tracks.note(inputs.t_us, sample)
             else:
                 facts.note_sample(inputs.t_us, sample)
+
+    def _feel(self, t_us: int, sample: AhrsSample | ImuSample) -> None:
+        """What comes with every tick."""
+        facts, sensed = self.facts, self.sensed
+        sensed.inertial = sample
+        sensed.vibration.note(sample.accel_frd_m_s2)
+        if isinstance(sample, AhrsSample):
+            facts.note_ahrs(t_us, sample)
+        if self._jolts.look(sample, facts.thrust_n, self._params["FS_COLL_ACC"]):
+            facts.collided_us = t_us
 
     def note_others(self, t_us: int, tracks: Sequence[ObstacleTrack], gone: Sequence[int], fence: Fence) -> None:
         """Take what others have told of; what beams see of the fence itself is known."""
@@ -108,12 +118,9 @@ class Surroundings:
                 self.tracks.note(t_us, track)
 
     def _show(self, t_us: int, sample: Sample) -> None:
-        """Keep the newest of what operators are shown."""
+        """Keep the newest of what operators are shown; AHRS and IMU come in :meth:`_feel`."""
         sensed = self.sensed
-        if isinstance(sample, AhrsSample | ImuSample):
-            sensed.inertial = sample
-            sensed.vibration.note(sample.accel_frd_m_s2)
-        elif isinstance(sample, DepthSample):
+        if isinstance(sample, DepthSample):
             sensed.depth = sample
         elif isinstance(sample, LaserSample):
             sensed.laser = sample

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from types import MappingProxyType
 from typing import Protocol
 
 from autopilot.core.errors import ConfigError
@@ -306,6 +307,11 @@ class ParamSet(Mapping[str, float]):
 
     def __len__(self) -> int:
         return len(self._values)
+
+    @property
+    def live(self) -> Mapping[str, float]:
+        """The same values, always those of now, for who reads many of them at every tick."""
+        return MappingProxyType(self._values)
 
     def spec(self, name: str) -> ParamSpec:
         """Declaration of a parameter; ConfigError if there is none of that name."""

@@ -136,7 +136,7 @@ class Actuation:
         if not armed:
             self._pulse_n = self.nothing()
             return self._told(t_us, self._pulse_n, self.allocation.neutral_us)
-        if self._nav is not None:
+        if self._nav is not None and self._levelling.given:
             tilt, turning = self._nav.rpy_rad, self._nav.rate_frd_rad_s
             thrust_n = self._levelling.thrust_n(thrust_n, self._can_n, tilt, turning)
         pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.share)

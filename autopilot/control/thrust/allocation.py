@@ -44,12 +44,10 @@ class Allocation:
     ) -> tuple[int, ...]:
         """Pulses for all thrusters. One that gives only the share ``effectiveness`` (n,) of its thrust gets a larger
         pulse, up to its limit; a dead one (0) stands still."""
-        wanted = [float(thrust) for thrust in thrust_n]
+        wanted: list[float] = np.asarray(thrust_n, dtype=float).tolist()
         if effectiveness is not None:
-            wanted = [
-                thrust / float(share) if share > 0.0 else 0.0
-                for thrust, share in zip(wanted, effectiveness, strict=True)
-            ]
+            shares = effectiveness.tolist()
+            wanted = [thrust / share if share > 0.0 else 0.0 for thrust, share in zip(wanted, shares, strict=True)]
         return tuple(self.pulse_us(index, thrust, supply_v) for index, thrust in enumerate(wanted))
 
     def thrusts_n(self, pulses_us: Sequence[int], supply_v: float | None = None) -> FloatArray:

@@ -37,7 +37,8 @@ class Levelling:
         self._controlled, self._tilt = wrench[list(CONTROLLED)], wrench[3:5]
         self._inertia = np.zeros(2) if table is None else np.array(table.inertia_kg_m2)
         self._rate_rad_s = 0.0 if table is None else table.natural_rad_s
-        self._given = table is not None
+        self.given = table is not None
+        """Whether there is anything to do."""
         self._ways: dict[bytes, FloatArray] = {}
 
     def reserve_n(self, limit_n: FloatArray) -> FloatArray:
@@ -45,7 +46,7 @@ class Levelling:
 
         As much as cancels the tilt of all others at their limits, at most :data:`MOST` of the thruster's own.
         """
-        if not self._given:
+        if not self.given:
             return np.zeros_like(limit_n)
         ways = self._ways_of(limit_n)
         levels = np.abs(ways).max(axis=1) > 0.0
@@ -58,7 +59,7 @@ class Levelling:
     ) -> FloatArray:
         """(n,) the controller's thrust ``wanted_n`` with that of levelling added, within ``limit_n``; when there is no
         room for all of it as much as leaves the four controlled axes alone."""
-        ways = self._ways_of(limit_n) if self._given else None
+        ways = self._ways_of(limit_n) if self.given else None
         if ways is None or not ways.any():
             return wanted_n
         angle = np.clip(rpy_rad[:2], -MOST_TILT_RAD, MOST_TILT_RAD)
@@ -76,7 +77,7 @@ class Levelling:
         """(n, 2) thrust for 1 N m about roll and pitch by the thrusters that are alive; 0 for what they cannot push."""
         key = (limit_n > 0.0).tobytes()
         if key not in self._ways:
-            self._ways[key] = self._found(limit_n > 0.0) if self._given else np.zeros((len(limit_n), 2))
+            self._ways[key] = self._found(limit_n > 0.0) if self.given else np.zeros((len(limit_n), 2))
         return self._ways[key]
 
     def _found(self, alive: np.ndarray) -> FloatArray:
