@@ -209,9 +209,11 @@ def is_inside(goal: Goal, nav: NavState) -> bool:
     """Whether the vehicle is surely in the goal's acceptance ball and, if it has a heading, in its band."""
     if nav.health is NavHealth.INVALID:
         return False
+    away_m = math.dist(nav.pos_ned_m.tolist(), goal.pos_ned_m.tolist())
+    if not away_m <= goal.accept_radius_m:  # nearly always
+        return False
     variance = nav.variance.tolist()
-    radius_m = _shrunk(goal.accept_radius_m, sum(variance[:3]))
-    if not math.dist(nav.pos_ned_m.tolist(), goal.pos_ned_m.tolist()) <= radius_m:
+    if not away_m <= _shrunk(goal.accept_radius_m, sum(variance[:3])):
         return False
     band_rad = _shrunk(goal.accept_yaw_rad, variance[_YAW_VARIANCE])
     return goal.yaw_rad is None or abs(wrap_pi(float(nav.rpy_rad[2]) - goal.yaw_rad)) <= band_rad

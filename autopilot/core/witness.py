@@ -43,12 +43,12 @@ class Noted:
     """A flight's: asks, and notes."""
 
     def __init__(self) -> None:
-        self._asked: Counter[str] = Counter()
+        self._asked: dict[str, int] = {}
         self._notes: list[Note] = []
 
     def ask(self, kind: str, usual: F, find: Callable[[], F]) -> F:
         """Find the answer, and note it where it is not the usual one."""
-        self._asked[kind] += 1
+        self._asked[kind] = self._asked.get(kind, 0) + 1
         fact = find()
         if fact != usual:
             self._notes.append(Note(kind, self._asked[kind], fact))

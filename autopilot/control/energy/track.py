@@ -151,8 +151,8 @@ class Track:
 
     def ahead(self) -> FloatArray:
         """(m, 2) what is still to come."""
-        later = self.trajectory.t_s > self.clock_s
-        return np.vstack([self.trajectory.x[later, :2], np.asarray(self.goal.pos_ned_m[:2], dtype=float)[None]])
+        later = int(np.searchsorted(self.trajectory.t_s, self.clock_s, side="right"))
+        return np.vstack([self.trajectory.x[later:, :2], np.asarray(self.goal.pos_ned_m[:2], dtype=float)[None]])
 
 
 def joined(first: Trajectory, from_s: float, second: Trajectory) -> Trajectory:
