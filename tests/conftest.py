@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import platformdirs
+import pytest
 from hypothesis import HealthCheck, settings
 
 if sys.dont_write_bytecode:
@@ -21,3 +22,18 @@ settings.load_profile("repeatable")
 
 os.environ["AUTOPILOT_GUARD"] = "raise"
 """Exceptions inside the service end a test, in this process and in those that it starts."""
+
+LONGEST = ("system", "service", "estimator", "control")
+"""Folders of the modules that take longest. They begin first, so that at the end no process is left with one."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Modules begin in the order of :data:`LONGEST`, not those with the most tests first, as xdist would have it."""
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest first, else as they were."""
+    place = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.parent.name, len(LONGEST)))
