@@ -28,6 +28,8 @@ from autopilot.log.analysis import (
     visits,
 )
 from autopilot.log.check_outside import link_rows, process_rows
+from autopilot.log.clipping import clipped
+from autopilot.log.drag_work import drag_work
 from autopilot.log.reader import Table
 from autopilot.log.rows import Row, Verdict, at_most, counted, row, under
 from autopilot.log.settling import Stay, stays
@@ -315,6 +317,13 @@ def _current(flight: Flight) -> list[Row]:
     rows = []
     if len(along):
         rows.append(row("Current", "way with the current behind", "%", 100.0 * float((along > 0.0).mean())))
+    worked = drag_work(flight)
+    if worked is not None:
+        share = 100.0 * worked.flown_j / worked.still_j
+        note = (
+            f"{worked.flown_j:.0f} of {worked.still_j:.0f} J: same way and ground speed, drag by the vehicle file"
+        )
+        rows.append(row("Current", "work of the drag, of that in still water", "%", share, note))
     if flight.truth is not None and flight.nav is not None:
         error = estimate_error(flight.truth, flight.nav.between(flight.mission))
         if error is not None:
@@ -402,7 +411,14 @@ def _inertial(flight: Flight) -> list[Row]:
     return [
         at_most("Motion sensor", "longest time between samples", "s", LONGEST_SILENCE_S, float(gaps.max()), usual),
         row("Motion sensor", "vibration (from sample to sample)", "m/s2", shaking),
+        _clipping(mine),
     ]
+
+
+def _clipping(samples: Table) -> Row:
+    rates, forces = clipped(samples["rate_frd_rad_s"], samples["accel_frd_m_s2"])
+    note = f"turn rate {rates}, specific force {forces}" if rates + forces else ""
+    return under("Motion sensor", counted("samples at the end of the sensor's range", rates + forces, note))
 
 
 def _told(flight: Flight) -> list[Row]:

@@ -1,5 +1,6 @@
 """Golden logs: a sound one passes the checks of the parts, and each of the others breaks one of them and no other."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from autopilot.core.messages import Inputs, MarkerFit, MavlinkFrame, Outputs, Pr
 from autopilot.core.samples import AhrsSample, ImuSample, PowerSample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.log.check import Row, Verdict, acceptance_table
+from autopilot.log.clipping import clipped
 from autopilot.log.description import AcceptBounds, RunDescription
 from autopilot.log.reader import open_log
 from autopilot.log.session import open_run_log
@@ -113,6 +115,23 @@ def silent(t_us: int, inputs: Inputs) -> Inputs:
     )
 
 
+def clips(rate: bool) -> Callable[[int, Inputs], Inputs]:
+    """A turn rate, or a specific force, that stays at the end of the range for some samples while others go on."""
+
+    def change(t_us: int, inputs: Inputs) -> Inputs:
+        def one(sample: Any) -> Any:
+            if not isinstance(sample, AhrsSample | ImuSample):
+                return sample
+            noise = 1e-3 * math.sin(t_us)
+            rates = np.array([1e-3, noise, 2.6179939 if rate and 10_000_000 <= t_us < 10_500_000 else noise])
+            forces = np.array([noise, 19.62 if not rate and 10_000_000 <= t_us < 10_500_000 else 0.0, -9.81])
+            return replace(sample, rate_frd_rad_s=rates, accel_frd_m_s2=forces)
+
+        return replace(inputs, samples=tuple(one(s) for s in inputs.samples))
+
+    return change
+
+
 def empty(t_us: int, inputs: Inputs) -> Inputs:
     return replace(
         inputs, samples=tuple(replace(s, voltage_v=15.9) if isinstance(s, PowerSample) else s for s in inputs.samples)
@@ -196,6 +215,8 @@ def test_a_sound_log_passes(tmp_path: Path) -> None:
         ("NEES of the position", {"change_outputs": overconfident}),
         ("control steps beyond their period", {"change_outputs": late}),
         ("longest time between samples", {"change_inputs": silent}),
+        ("samples at the end of the sensor's range", {"change_inputs": clips(rate=True)}),
+        ("samples at the end of the sensor's range", {"change_inputs": clips(rate=False)}),
         ("lowest voltage", {"change_inputs": empty}),
         ("MAVLink messages lost on the way in", {"change_inputs": lossy}),
         ("reprojection error, rms", {"change_outputs": fits(rms_px=1.3, worst_px=4.0)}),
@@ -210,6 +231,31 @@ def test_each_golden_log_breaks_its_check(tmp_path: Path, name: str, changes: di
     rows = golden(tmp_path / "a.mcap", **changes)
     assert warned(rows) == {name}
     assert rows[name].verdict is Verdict.WARN
+
+
+def test_a_sensor_that_stops_or_counts_in_large_steps_is_not_clipped() -> None:
+    rng = np.random.default_rng(5)
+    rates, forces = rng.normal(size=(500, 3)) * 3.0, rng.normal(size=(500, 3)) * 30.0
+    assert clipped(rates, forces) == (0, 0)
+    stopped = np.repeat(rates[:1], 500, axis=0) + 20.0, np.repeat(forces[:1], 500, axis=0) + 200.0
+    assert clipped(*stopped) == (0, 0)
+    assert clipped(np.round(rng.normal(size=(5000, 3)) * 0.002, 3), np.round(rng.normal(size=(5000, 3)), 1)) == (0, 0)
+    assert clipped(rates[:0], forces[:0]) == (0, 0)
+    for end in (2.0, -2.0):
+        at_the_end = np.minimum(rates, 2.0) if end > 0 else np.maximum(rates, -2.0)
+        assert clipped(at_the_end, forces)[0] > 20 and clipped(at_the_end, forces)[1] == 0
+
+
+def test_what_the_current_spared(tmp_path: Path) -> None:
+    """Half of the speed through the water: an eighth (quadratic drag) to a quarter (linear) of the work."""
+
+    def carried(t_s: float, truth: Truth) -> Truth:
+        return replace(truth, vel_water_frd_m_s=0.5 * truth.vel_frd_m_s)
+
+    name = "work of the drag, of that in still water"
+    assert golden(tmp_path / "a.mcap")[name].worst == pytest.approx(100.0)
+    row = golden(tmp_path / "b.mcap", change_truth=carried)[name]
+    assert row.worst is not None and 12.5 <= row.worst <= 25.0
 
 
 def test_refused_commands_are_named(tmp_path: Path) -> None:
