@@ -320,9 +320,7 @@ def _current(flight: Flight) -> list[Row]:
     worked = drag_work(flight)
     if worked is not None:
         share = 100.0 * worked.flown_j / worked.still_j
-        note = (
-            f"{worked.flown_j:.0f} of {worked.still_j:.0f} J: same way and ground speed, drag by the vehicle file"
-        )
+        note = f"{worked.flown_j:.0f} of {worked.still_j:.0f} J: same way and ground speed, drag by the vehicle file"
         rows.append(row("Current", "work of the drag, of that in still water", "%", share, note))
     if flight.truth is not None and flight.nav is not None:
         error = estimate_error(flight.truth, flight.nav.between(flight.mission))
