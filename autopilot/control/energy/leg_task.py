@@ -48,8 +48,15 @@ BOTH_TURNS_RAD = 0.4 * math.pi
 SLIGHT_TURN_RAD = 0.8
 TURNED_WITHIN_M = 0.05
 
+SHORTEST_GUESS_S = 1.0
+"""Of a guess, where neither way nor depth nor turn asks for more."""
+
+TURNLESS_S = 2.0
+"""A guess that takes less keeps its heading, where the goal asks for none."""
+
 GUESS_TURN_RAD_S = 0.4
-"""Rate at which first guesses turn from where the vehicle points to their way."""
+"""Rate at which first guesses turn from where the vehicle points to their way; where that would take more than half of
+the time they turn quicker."""
 
 LINEAR_TURN_S = 20.0
 """On a way that takes less, the first guess turns evenly from start to end; on a longer one it follows the way."""
@@ -137,22 +144,17 @@ class LegTask:
             points, times = points[: last + 1], times[: last + 1]
         if times[-1] > LINEAR_TURN_S:
             points, times = self._turned_first(points, times)
-        t = np.linspace(0.0, max(float(times[-1]), 0.5), INTERVALS + 1)
-        x = np.zeros((INTERVALS + 1, NX))
-        x[:, X], x[:, Y] = np.interp(t, times, points[:, 0]), np.interp(t, times, points[:, 1])
-        depth = float(request.goal.pos_ned_m[2] if self._gate is None else self._gate[2])
-        x[:, Z] = np.linspace(request.x0[Z], depth, INTERVALS + 1)
-        ground = np.gradient(x[:, :2], t, axis=0)
-        water = ground - self._flow.current(x[:, :2])[:, :2]
-        course = np.arctan2(water[1:, 1], water[1:, 0])
-        here = np.hypot(*(x[1:, :2] - x[0, :2]).T) < TURNED_WITHIN_M
-        if here.any() and not here.all():
-            course[here] = course[int(here.argmin())]
-        along = np.unwrap(np.concatenate([[request.x0[YAW]], course]))
-        turn = float(along[1] - along[0])
-        if turn and t[-1] > LINEAR_TURN_S:
-            along[1:] -= turn * np.clip(1.0 - t[1:] * GUESS_TURN_RAD_S / abs(turn), 0.0, 1.0)
-        return [self._guess(t, x, water, along, yaw) for yaw in self._turns(float(along[-1]))]
+        return [self._guess(points, times, yaw) for yaw in self._turns()]
+
+    def _least_s(self, yaw_rad: float | None) -> float:
+        """What the change of depth to the goal's region and the turn to a heading take at least, however near it is."""
+        if self._gate is not None:
+            return SHORTEST_GUESS_S
+        start, goal = self._request.x0, self._request.goal
+        heave, turn_rate = (float(limit) for limit in self._request.limits[1:3])
+        rise = abs(float(goal.pos_ned_m[2] - start[Z])) - RADIUS_SHARE * goal.accept_radius_m
+        turn = 0.0 if yaw_rad is None else abs(yaw_rad - float(start[YAW]))
+        return max(SHORTEST_GUESS_S, rise / heave, turn / turn_rate)
 
     def _turned_first(self, points: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A timed way that begins when the vehicle has turned to it: it would else be guessed to go backwards at full
@@ -167,27 +169,51 @@ class LegTask:
         wait_s = turn / GUESS_TURN_RAD_S
         return np.vstack([points[:1], points]), np.concatenate([[0.0], times + wait_s])
 
-    def _guess(
-        self, t: FloatArray, x: FloatArray, water: FloatArray, along: FloatArray, yaw_rad: float | None
-    ) -> Trajectory:
-        x = x.copy()
-        start = float(self._request.x0[YAW])
-        if yaw_rad is None:
-            x[:, YAW] = along
-        elif t[-1] < LINEAR_TURN_S:
-            x[:, YAW] = np.linspace(start, yaw_rad, len(t))
-        else:
-            last = unwrap_near(yaw_rad, float(along[-1]))
-            fade = np.clip((t - t[-1] + 0.5 * LINEAR_TURN_S) / (0.5 * LINEAR_TURN_S), 0.0, 1.0)
-            x[:, YAW] = along + fade * (last - along)
+    def _guess(self, points: FloatArray, times: FloatArray, yaw_rad: float | None) -> Trajectory:
+        """The first trajectory along a timed way that ends with a heading (None: as the way leads)."""
+        request = self._request
+        whole_s = float(times[-1])
+        end_s = max(whole_s, self._least_s(yaw_rad))
+        times = times * (end_s / whole_s)
+        t = np.linspace(0.0, end_s, INTERVALS + 1)
+        x = np.zeros((INTERVALS + 1, NX))
+        x[:, X], x[:, Y] = np.interp(t, times, points[:, 0]), np.interp(t, times, points[:, 1])
+        depth = float(request.goal.pos_ned_m[2] if self._gate is None else self._gate[2])
+        x[:, Z] = np.linspace(request.x0[Z], depth, INTERVALS + 1)
+        water = np.gradient(x[:, :2], t, axis=0) - self._flow.current(x[:, :2])[:, :2]
+        x[:, YAW] = self._headings(t, x, water, yaw_rad)
         c, s = np.cos(x[:, YAW]), np.sin(x[:, YAW])
         x[:, U], x[:, V] = c * water[:, 0] + s * water[:, 1], c * water[:, 1] - s * water[:, 0]
         x[:, R] = np.gradient(x[:, YAW], t)
-        limit = self._request.thrust_limit_n
-        thrust = self._steady(0.5 * (x[1:, U:] + x[:-1, U:]), limit)
-        x[0] = self._request.x0
-        energy = float(t[-1]) * float(self._table.power_w.min())
+        thrust = self._steady(0.5 * (x[1:, U:] + x[:-1, U:]), request.thrust_limit_n)
+        x[0] = request.x0
+        energy = end_s * float(self._table.power_w.min())
         return Trajectory(t_s=t, x=x, thrust_n=thrust, energy_j=energy, cost_j=energy, solved=False)
+
+    def _headings(self, t: FloatArray, x: FloatArray, water: FloatArray, yaw_rad: float | None) -> FloatArray:
+        """(n + 1,) of a guess with places ``x`` and velocities ``water`` (n + 1, 2) through the water.
+
+        No guess may turn within an interval: from such a one no solution is found.
+        """
+        start, end_s = float(self._request.x0[YAW]), float(t[-1])
+        if yaw_rad is not None and end_s < LINEAR_TURN_S:
+            return np.linspace(start, yaw_rad, len(t))
+        if end_s < TURNLESS_S:
+            return np.full(len(t), start)
+        course = np.arctan2(water[1:, 1], water[1:, 0])
+        here = np.hypot(*(x[1:, :2] - x[0, :2]).T) < TURNED_WITHIN_M
+        if here.any() and not here.all():
+            course[here] = course[int(here.argmin())]
+        along: FloatArray = np.unwrap(np.concatenate([[start], course]))
+        turn = float(along[1] - along[0])
+        if turn:
+            rate = max(GUESS_TURN_RAD_S, 2.0 * abs(turn) / end_s)
+            along[1:] -= turn * np.clip(1.0 - t[1:] * rate / abs(turn), 0.0, 1.0)
+        if yaw_rad is None:
+            return along
+        last = unwrap_near(yaw_rad, float(along[-1]))
+        faded: FloatArray = along + np.clip((t - end_s) / (0.5 * LINEAR_TURN_S) + 1.0, 0.0, 1.0) * (last - along)
+        return faded
 
     def energy_along(self, trajectory: Trajectory) -> float:
         """What the way of a trajectory costs by the measure of the energy field: steady speeds, heading along it."""
@@ -220,7 +246,7 @@ class LegTask:
         speed = np.maximum(ground[best, np.arange(len(ds))], 0.02)
         return points, np.concatenate(([0.0], np.cumsum(ds / speed)))
 
-    def _turns(self, along_rad: float) -> Sequence[float | None]:
+    def _turns(self) -> Sequence[float | None]:
         """Headings to end with, on the turns by which they may be reached; None = free."""
         goal = self._request.goal
         if goal.yaw_rad is None or self._gate is not None:
