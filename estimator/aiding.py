@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.messages import AidState, AidStatus
+from autopilot.core.messages import AidState, AidStatus, MarkerFit
 from estimator.filter_core import Innovation
 
 START_COUNT = 5
@@ -52,8 +52,10 @@ class Aid:
             self._fused_in_row = 0
         return self._state
 
-    def judged(self, t_us: int, now_us: int, innovation: Innovation, fused: bool) -> AidStatus:
-        """Count one measurement that met its gate or did not, and report it."""
+    def judged(
+        self, t_us: int, now_us: int, innovation: Innovation, fused: bool, fit: MarkerFit | None = None
+    ) -> AidStatus:
+        """Count one measurement that met its gate or did not, and report it; ``fit``: of one that is of markers."""
         self.state(now_us)
         self._last_us = now_us
         if fused:
@@ -84,6 +86,7 @@ class Aid:
             fused=fused,
             state=self._state,
             age_s=1e-6 * (now_us - t_us),
+            fit=fit,
         )
 
     def agreed_miss(self, innovation: Innovation) -> float | None:

@@ -69,12 +69,15 @@ class AccelDoubt:
         ``anchored``: fixes or velocities over ground are being used; ``denied``: they are being rejected.
         """
         share, slow = min(1.0, dt_s / RESIDUAL_TIME_S), min(1.0, dt_s / USUAL_TIME_S)
-        self._smooth = [s + share * (r - s) for s, r in zip(self._smooth, residual, strict=True)]
+        (x, y, z), (now_x, now_y, now_z) = self._smooth, residual
+        x, y, z = x + share * (now_x - x), y + share * (now_y - y), z + share * (now_z - z)
+        self._smooth = [x, y, z]
         if self.since_us is not None:
             return False
-        absurd = max(map(abs, self._smooth)) > ABSURD_M_S2
+        absurd = max(abs(x), abs(y), abs(z)) > ABSURD_M_S2
         if anchored and not denied and not absurd:
-            self._usual = [u + slow * (s - u) for u, s in zip(self._usual, self._smooth, strict=True)]
+            u, v, w = self._usual
+            self._usual = [u + slow * (x - u), v + slow * (y - v), w + slow * (z - w)]
             return False
         pairs = zip(self._smooth, self._usual, RESIDUAL_LIMIT_M_S2, strict=True)
         over = any(abs(smooth - usual) > limit for smooth, usual, limit in pairs)

@@ -527,10 +527,8 @@ class Engine:
         fused = innovation.test_ratio <= 1.0
         if fused:
             history.correct(node, measurement, innovation)
-        status = aid.judged(measurement.t_us, self._now_us, innovation, fused)
-        if isinstance(measurement, PoseFix) and measurement.fit is not None:
-            status = replace(status, fit=measurement.fit)
-        self._statuses.append(status)
+        fit = measurement.fit if isinstance(measurement, PoseFix) else None
+        self._statuses.append(aid.judged(measurement.t_us, self._now_us, innovation, fused, fit))
         return None if fused else innovation
 
     def _reopen(self, history: History, node: Node, measurement: Measurement, aid: Aid, missed: Innovation) -> None:

@@ -32,7 +32,7 @@ class Heading:
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """True heading plus offset."""
-        return np.array([x[YAW] + x[HEADING_OFFSET]])
+        return np.array([x.item(YAW) + x.item(HEADING_OFFSET)])
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """Constant."""

@@ -34,18 +34,19 @@ class LaserRange:
     beam_frd: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Where it goes, of length 1."""
 
-    def _tilt(self, inertial: Inertial) -> tuple[float, float]:
-        """Depth of the laser below the centre of gravity [m], and cosine between the beam and the vertical."""
-        return down_of(inertial, self.mount_frd_m), max(down_of(inertial, self.beam_frd), 0.2)
+    def _cosine(self, inertial: Inertial) -> float:
+        """Between the beam and the vertical."""
+        return max(down_of(inertial, self.beam_frd), 0.2)
 
     def predicted(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """(floor - depth of the laser) / cosine of the tilt, plus bias."""
-        below, cosine = self._tilt(moment.inertial)
-        return np.array([(self.floor_depth_m - x[DOWN] - after_s * x[VEL_DOWN] - below) / cosine + x[LASER_BIAS]])
+        below, cosine = down_of(moment.inertial, self.mount_frd_m), self._cosine(moment.inertial)
+        down, speed, bias = x.item(DOWN), x.item(VEL_DOWN), x.item(LASER_BIAS)
+        return np.array([(self.floor_depth_m - down - after_s * speed - below) / cosine + bias])
 
     def jacobian(self, x: FloatArray, moment: Moment, after_s: float) -> FloatArray:
         """d/d depth, heave speed and bias."""
-        _, cosine = self._tilt(moment.inertial)
+        cosine = self._cosine(moment.inertial)
         jac = np.zeros((1, NX))
         jac[0, DOWN] = -1.0 / cosine
         jac[0, VEL_DOWN] = -after_s / cosine

@@ -230,13 +230,13 @@ def _push(model: Model4, thrust_n: Sequence[float]) -> tuple[float, float]:
 
 _NOISE: FloatArray = np.eye(3) * SIGMA_M_S2**2
 _NOISE.flags.writeable = False
+_PLANAR_NOISE: FloatArray = _NOISE[:2, :2]
 
 
 def model_aid_of(inertial: Inertial, vehicle: VehicleAcceleration, *, vertical: bool = False) -> ModelAid:
     """The measurement that one AHRS sample makes with the model, in the plane or with the ``vertical`` as well."""
-    rows = 3 if vertical else 2
-    z = np.array(inertial.accel_level_m_s2[:rows])
-    return ModelAid(sensor="model", t_us=inertial.t_us, z=z, noise=_NOISE[:rows, :rows], vehicle=vehicle)
+    accel, noise = (inertial.accel_level_m_s2, _NOISE) if vertical else (inertial.accel_level_m_s2[:2], _PLANAR_NOISE)
+    return ModelAid(sensor="model", t_us=inertial.t_us, z=np.array(accel), noise=noise, vehicle=vehicle)
 
 
 def added_share(vehicle: Vehicle) -> tuple[float, float]:
