@@ -97,7 +97,7 @@ class CurrentMemory:
             return patch
         self._put_back()
         north, east = node[0] + self._around, node[1] + self._around
-        slot, place = _slot(np.stack(np.meshgrid(north, east, indexing="ij")).reshape(2, -1))
+        slot, place = (found.reshape(-1) for found in _slot(north[:, None], east))
         north_m, east_m = (np.asarray(nodes * self._cell_m, dtype=float) for nodes in (north, east))
         sums = self._sums[slot] * self._kept(slot, place, t_us)[:, None]
         self._patch = patch = _Patch(node, north_m, east_m, slot, place, sums, t_us)
@@ -116,12 +116,12 @@ class CurrentMemory:
         scaled = pos_ned_m[:, :2].T / self._cell_m
         corner = np.floor(scaled)
         ahead = scaled - corner
-        # (2, 4, n): the four nodes round every place, and how near they are.
-        node = corner.astype(np.int64)[:, None] + _CORNERS[:, :, None]
-        near = np.where(_CORNERS[:, :, None] == 1, ahead[:, None], 1.0 - ahead[:, None])
-        slot, place = _slot(node)
-        share = near[0] * near[1] * self._kept(slot, place, t_us)
-        sums = (share[:, :, None] * self._sums[slot]).sum(axis=0)
+        # (2, n) of north and of east: the nodes before and behind every place, and how near they are.
+        north, east = corner.astype(np.int64)[:, None] + _BEFORE_AND_BEHIND
+        near_n, near_e = np.stack((1.0 - ahead, ahead), axis=1)
+        slot, place = _slot(north[:, None], east)
+        share = near_n[:, None] * near_e * self._kept(slot, place, t_us)
+        sums = (share[..., None] * self._sums[slot]).reshape(4, -1, 4).sum(axis=0)
         out: FloatArray = (sums[:, 1:] + PRIOR_WEIGHT * prior_m_s) / (sums[:, :1] + PRIOR_WEIGHT)
         return out
 
@@ -137,10 +137,10 @@ def _left(learned_us: float | FloatArray, t_us: int) -> FloatArray:
     return left
 
 
-_CORNERS: NDArray[np.int64] = np.array([[0, 0, 1, 1], [0, 1, 0, 1]])
+_BEFORE_AND_BEHIND: NDArray[np.int64] = np.array([[0], [1]])
 
 
-def _slot(node: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where a node (2, ...) is kept, and a number that tells it from the others that are kept there."""
-    window = node // NODES
-    return (node[0] % NODES) * NODES + node[1] % NODES, (window[0] + (1 << 20)) * (1 << 22) + window[1] + (1 << 20)
+def _slot(north: NDArray[np.int64], east: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where nodes are kept, and a number that tells each from the others that are kept there."""
+    slot = (north % NODES) * NODES + east % NODES
+    return slot, (north // NODES + (1 << 20)) * (1 << 22) + (east // NODES + (1 << 20))
