@@ -38,7 +38,9 @@ class ImuSample:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CameraFrame:
-    """One image. ``t_us`` is the time of exposure; pixels are BGR uint8 (rows, columns, 3)."""
+    """One image. ``t_us`` is the time of exposure; pixels are BGR uint8 (rows, columns, 3).
+
+    Detection and log look at it on threads of their own: whoever made it does not write into it any more."""
 
     t_us: int
     image_bgr: Any

@@ -21,6 +21,8 @@ _CRC_EXTRA = bytes((71,))
 _KEY_AT = 20
 """Where the key begins in a packet of it: after header, time and target."""
 _SETUP_SIGNING_ID = SETUP_SIGNING.to_bytes(3, "little")
+_KEY_PACKET_BYTES = 67
+"""Of a SETUP_SIGNING with signature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +115,12 @@ class StreamCutter:
             return data
         self.removed = Removed(len(data) - len(out) + taken_back, tuple(keys))
         return bytes(out)
+
+    def lose_track(self) -> None:
+        """Bytes have been left out before what comes next, perhaps the beginning of a key: the rest of it would not be
+        known as one. So as many bytes as that may be are taken out."""
+        self._rest = self._history = b""
+        self._skip = _KEY_PACKET_BYTES - 1
 
     def rest(self) -> list[Piece]:
         """What has waited for more, when nothing more comes."""

@@ -1,69 +1,31 @@
-"""What the runtime calls: takes whole inputs, outputs and truth of a tick and writes every topic at its rate.
+"""What the runtime calls: hands whole ticks over to the writer's thread, which makes their messages.
 
-Rates follow the service's clock, never the wall clock, so that the same run gives the same messages. Inputs are stamped
-with their time of validity; ``/in/tick`` opens the group of inputs that one call of ``step`` took in, in file order.
+Nothing is packed on the loop's thread (:mod:`autopilot.log.packer` does that). Inputs, outputs, truth and pictures are
+handed over as they are: whoever made them does not change them any more.
 """
 
-from collections import deque
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from autopilot.core.errors import LogError
-from autopilot.core.frames import FloatArray
-from autopilot.core.guard import Fault
-from autopilot.core.messages import Event, Inputs, LoopStats, MavlinkFrame, NavState, Outputs, Severity
-from autopilot.core.samples import (
-    AhrsSample,
-    CameraFrame,
-    DepthSample,
-    ExternalPoseSample,
-    HullSample,
-    ImuSample,
-    LaserSample,
-    LeakSample,
-    MarkerSighting,
-    ObstacleTrack,
-    PilotSample,
-    PoseSample,
-    PowerSample,
-    Sample,
-    VelocitySample,
-)
-from autopilot.log import visuals
+from autopilot.core.messages import Event, Inputs, LoopStats, Outputs
+from autopilot.core.samples import CameraFrame
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
-from autopilot.log.mavlink_frames import Removed, StreamCutter
-from autopilot.log.packing import decisions, estimate, payload, programs, sensors, service, step_notes, vehicle
-from autopilot.log.scene import TRUE_CURRENT, body_markers, current_marker, moving_markers, scene_markers
-from autopilot.log.topics import AID_PREFIX
+from autopilot.log.packer import Packer, Sink
+from autopilot.log.packing.vehicle import TruthLike
 from autopilot.log.writer import LogHead, LogWriter, Payload
 
-TRUTH_US = 10_000
-THRUSTERS_US = 20_000
-COVARIANCE_US = 100_000
-SHADOW_US = 100_000
-HORIZON_US = 100_000
-SLOW_US = 1_000_000
-"""State that seldom changes is written when it changes, and this often."""
-VIZ_US = 100_000
-TRAIL_US = 500_000
-TRAIL_POINTS = 600
-"""Points of /viz/path: five minutes of trail."""
-MAX_STREAMS = 256
-"""MAVLink streams that are being cut; the oldest goes."""
 CAMERA_US = 500_000
-PICTURES = 64
-"""Times of pictures that are kept until their markers come."""
-JPEG_QUALITY = 80
-MAX_PROGRAMS = 32
-"""Programs of the optimiser that were not solved that a log keeps, the first ones."""
-MAX_FAULTS = 32
-"""Internal faults that a log keeps with all they had; of the others it has the line."""
-_BODY = 12
-"""Bytes of a message in front of its content: encapsulation and stamp."""
+TICK_MESSAGES, TICK_BYTES = 4, 4096
+"""What a tick comes to in messages and holds in memory while it waits, without those below;"""
+SAMPLE_MESSAGES, SAMPLE_BYTES = 2, 512
+"""one sample,"""
+FRAME_MESSAGES, FRAME_BYTES = 2, 512
+"""one datagram,"""
+CONTROL_MESSAGES, CONTROL_BYTES = 2, 16_384
+"""one control step."""
 
 
 def log_path(folder: Path, start_ns: int) -> Path:
@@ -139,34 +101,54 @@ class Messages(Protocol):
     def cause(self) -> str: ...
     @property
     def finished(self) -> bool: ...
-    def write(self, topic: str, t_us: int, payload: Payload, size: int | None = None) -> None: ...
-    def write_packet(self, t_us: int, packet: bytes) -> None: ...
-    def attach(self, name: str, t_us: int, data: Payload) -> None: ...
+    @property
+    def sink(self) -> Sink: ...
+    def defer(self, topic: str, t_us: int, work: Callable[[], None], messages: int, size: int) -> bool: ...
+    def take_error(self) -> Exception | None: ...
     def end(self) -> None: ...
     def close(self, timeout_s: float | None = None) -> None: ...
 
 
+class LoggedTruth(TruthLike, Protocol):
+    """The part of a simulated vehicle's truth that is logged."""
+
+    @property
+    def contact_count(self) -> int:
+        """Contacts since the start."""
+        ...
+
+    @property
+    def contact_depth_m(self) -> float:
+        """Deepest penetration of now."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """What a simulated vehicle can say that a real one cannot."""
+
+    truth: LoggedTruth
+    payload_shares: tuple[float, ...]
+    """Where each thing that it carries is, 0 to 1; in the order of the vehicle file."""
+
+
 class RunLog:
-    """One log, fed tick by tick: ``inputs`` before ``step``, ``outputs`` after it, ``truth`` in simulation."""
+    """One log, fed tick by tick.
+
+    A tick is given whole (:meth:`tick`), or in its order: ``inputs``, ``camera``, ``truth`` in simulation, ``outputs``.
+    """
 
     def __init__(
         self, writer: Messages, description: RunDescription, *, camera_period_us: int | None = CAMERA_US
     ) -> None:
         """``camera_period_us``: time between logged images, None = no images."""
         self._writer = writer
-        self._description, self._scene = description, scene_markers(description)
+        self._packer = Packer(writer.sink, writer.epoch_ns, description)
         self._camera_period_us = camera_period_us
-        self._last_us: dict[str, int] = {}
-        self._last_key: dict[str, Hashable] = {}
-        self._last_body: dict[str, bytes] = {}
-        self._cutters: dict[tuple[str, int, int], StreamCutter] = {}
-        self._standing = step_notes.Standing()
-        self._trail: list[tuple[float, float, float]] = []
-        self._pictures: deque[int] = deque(maxlen=PICTURES)
-        """Times of the pictures that were logged last: what was found in them is yet to come."""
-        self._truth: tuple[FloatArray, FloatArray] | None = None
-        """Place and current of the simulated vehicle."""
-        self._faults = self._programs = 0
+        self._camera_us: int | None = None
+        """Time of the last logged image."""
+        self._lost = False
+        """What was handed over last had no room."""
 
     @property
     def path(self) -> Path:
@@ -198,6 +180,10 @@ class RunLog:
         """Whether nothing is left to write after ``end``."""
         return self._writer.finished
 
+    def take_error(self) -> Exception | None:
+        """What went wrong in making messages of something that was handed over, each once; the log goes on."""
+        return self._writer.take_error()
+
     def end(self) -> None:
         """Nothing more comes: the file is finished beside the loop."""
         self._writer.end()
@@ -208,278 +194,96 @@ class RunLog:
 
     def describe(self, t_us: int, description: RunDescription, attachments: Mapping[str, Payload]) -> None:
         """A newer description and what belongs to it (plans have come since the log began); readers take the last."""
-        self._description, self._scene = description, scene_markers(description)
-        for name, data in {ATTACHMENT: lambda: to_json(description), **attachments}.items():
-            self._writer.attach(name, t_us, data)
+        self._hand_over("", t_us, lambda: self._packer.describe(t_us, description, attachments))
+
+    def tick(
+        self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame] = (), world: World | None = None
+    ) -> None:
+        """A whole tick: all that went into ``step`` and came out of it, pictures, and the simulated world."""
+        t_us, packer = inputs.t_us, self._packer
+        pictures = [frame for frame in frames if self._due(frame)] if frames else ()
+
+        def pack() -> None:
+            packer.inputs(inputs)
+            for frame in pictures:
+                packer.camera(frame)
+            if world is not None:
+                truth = world.truth
+                packer.truth(t_us, truth)
+                packer.contact(t_us, truth.contact_count, truth.contact_depth_m)
+                packer.payload_truth(t_us, world.payload_shares)
+            packer.outputs(outputs)
+
+        datagrams, samples = len(inputs.mavlink_rx) + len(outputs.mavlink_tx), len(inputs.samples)
+        messages = TICK_MESSAGES + SAMPLE_MESSAGES * samples + FRAME_MESSAGES * datagrams
+        size = TICK_BYTES + SAMPLE_BYTES * samples + FRAME_BYTES * datagrams
+        if outputs.control is not None:
+            messages, size = messages + CONTROL_MESSAGES, size + CONTROL_BYTES
+        for frame in pictures:
+            size += frame.image_bgr.nbytes
+        self._hand_over("/in/tick", t_us, pack, messages, size)
 
     def inputs(self, inputs: Inputs) -> None:
         """Everything that goes into ``step``, in its order."""
-        t_us = inputs.t_us
-        self._write("/in/tick", t_us, service.input_tick(self._ns(t_us), inputs))
-        for sample in inputs.samples:
-            self._sample(sample)
-        if inputs.below is not None:
-            self._on_change("/in/below", t_us, service.below(self._ns(t_us), inputs.below))
-        removed = [self._mavlink("/in/mavlink", t_us, frame) for frame in inputs.mavlink_rx]
-        notes = step_notes.notes_of(inputs, removed, self._standing)
-        if notes is not None:
-            self._write("/in/step", t_us, step_notes.pack(notes))
+        samples, datagrams = len(inputs.samples), len(inputs.mavlink_rx)
+        messages = 1 + SAMPLE_MESSAGES * samples + FRAME_MESSAGES * datagrams
+        size = TICK_BYTES + SAMPLE_BYTES * samples + FRAME_BYTES * datagrams
+        self._hand_over("/in/tick", inputs.t_us, lambda: self._packer.inputs(inputs), messages, size)
 
     def camera(self, frame: CameraFrame) -> None:
-        """An image, reduced to the camera's log rate and compressed on the writer's thread. The pixels are copied."""
-        if self._camera_period_us is None or not self._due("/in/camera", frame.t_us, self._camera_period_us):
-            return
-        pixels, stamp_ns = frame.image_bgr.copy(), self._ns(frame.t_us)
-        self._pictures.append(frame.t_us)
-        self._writer.write("/in/camera", frame.t_us, _jpeg_maker(pixels, stamp_ns), size=pixels.nbytes)
-        camera = self._description.camera
-        if camera is not None:
-            self._writer.write("/in/camera_info", frame.t_us, partial(visuals.camera_info, stamp_ns, camera))
+        """An image, reduced to the camera's log rate and compressed on the writer's thread."""
+        if self._due(frame):
+            self._hand_over("/in/camera", frame.t_us, lambda: self._packer.camera(frame), 2, frame.image_bgr.nbytes)
 
     def still(self, exposure_us: int, png: bytes) -> None:
         """A still in full size, as a PNG; what is known of it comes with ``Outputs.stills``."""
-        data = visuals.compressed_image(self._ns(exposure_us), png, "png")
-        self._write("/payload/image", exposure_us, data)
+        self._hand_over("/payload/image", exposure_us, lambda: self._packer.still(exposure_us, png), size=len(png))
 
-    def truth(self, t_us: int, truth: vehicle.TruthLike) -> None:
+    def truth(self, t_us: int, truth: TruthLike) -> None:
         """The simulated vehicle, once per tick."""
-        if self._due("/sim/truth", t_us, TRUTH_US):
-            self._write("/sim/truth", t_us, vehicle.vehicle_state(self._ns(t_us), truth))
-        if self._due("/sim/thrusters", t_us, THRUSTERS_US):
-            self._write("/sim/thrusters", t_us, vehicle.thruster_state(self._ns(t_us), truth))
-        if self._due("/viz/truth", t_us, VIZ_US):
-            self._truth = truth.pos_ned_m.copy(), truth.current_ned_m_s.copy()
-            self._write("/viz/truth", t_us, visuals.pose_stamped(self._ns(t_us), truth))
-            self._write("/viz/tf", t_us, visuals.true_transform(self._ns(t_us), truth))
+        self._hand_over("/sim/truth", t_us, lambda: self._packer.truth(t_us, truth), 2, TICK_BYTES)
 
     def contact(self, t_us: int, count: int, penetration_m: float) -> None:
         """Contacts of the simulated hull begun so far and the deepest penetration of now, once per tick."""
-        if self._changed("/sim/contact", t_us, (count, penetration_m)):
-            self._on_change("/sim/contact", t_us, vehicle.contact_state(self._ns(t_us), count, penetration_m))
+        self._hand_over("/sim/contact", t_us, lambda: self._packer.contact(t_us, count, penetration_m))
 
     def payload_truth(self, t_us: int, shares: tuple[float, ...]) -> None:
         """Where the simulated vehicle's equipment is, once per tick."""
-        if shares and self._changed("/sim/payload", t_us, shares):
-            self._on_change("/sim/payload", t_us, payload.truth(self._ns(t_us), shares))
+        self._hand_over("", t_us, lambda: self._packer.payload_truth(t_us, shares))
 
     def loop(self, stats: LoopStats) -> None:
         """Health of the loop, once per second."""
-        self._write("/sys/loop", stats.t_us, service.loop_stats(self._ns(stats.t_us), stats))
-        if stats.process is not None:
-            self._write("/sys/process", stats.t_us, service.process_stats(self._ns(stats.t_us), stats.process))
+        self._hand_over("/sys/loop", stats.t_us, lambda: self._packer.loop(stats))
 
     def event(self, event: Event) -> None:
         """A line that does not come from ``step`` (``Outputs.events`` are written by ``outputs``)."""
-        self._write("/rosout", event.t_us, visuals.event(self._ns(event.t_us), event))
+        self._hand_over("/rosout", event.t_us, lambda: self._packer.event(event))
 
     def outputs(self, outputs: Outputs) -> None:
         """Everything that ``step`` decided."""
-        t_us = outputs.t_us
-        stamp_ns = self._ns(t_us)
-        if outputs.nav is not None:
-            self._nav(t_us, stamp_ns, outputs.nav)
-        if outputs.estimated_from is not None:
-            given = outputs.estimated_from
-            self._on_change("/nav/thrust", t_us, estimate.acting_thrust(stamp_ns, given.thrust_n))
-            for pose in given.samples:
-                self._write("/nav/external", pose.t_us, sensors.external_pose(self._ns(pose.t_us), pose))
-        for aid in outputs.aids:
-            self._write(AID_PREFIX + aid.sensor, aid.t_us, estimate.aid_status(self._ns(aid.t_us), aid))
-            if aid.fit is not None:
-                self._write("/nav/fit", aid.t_us, estimate.marker_fit(self._ns(aid.t_us), aid.fit))
-        if outputs.counters is not None:
-            self._write("/nav/counters", t_us, estimate.nav_counters(stamp_ns, outputs.counters))
-        if outputs.shadow is not None and self._due("/nav/shadow", t_us, SHADOW_US):
-            self._write("/nav/shadow", t_us, estimate.shadow_status(stamp_ns, outputs.shadow))
-        mode, done = outputs.mode, outputs.progress
-        if self._changed("/sys/mode", t_us, (mode.armed, mode.custom_mode, mode.failsafes)):
-            self._on_change("/sys/mode", t_us, decisions.mode_state(stamp_ns, mode))
-        if done is not None and self._changed(
-            "/mission/progress", t_us, (done.current_seq, done.reached_seq, done.lap, done.state)
-        ):
-            self._on_change("/mission/progress", t_us, decisions.mission_progress(stamp_ns, done))
-        if outputs.goal is not None and self._changed("/ctl/goal", t_us, outputs.goal):
-            self._on_change("/ctl/goal", t_us, decisions.goal(stamp_ns, outputs.goal))
-        drive = None if outputs.goal is None else outputs.goal.drive
-        if (drive is not None or "/ctl/drive" in self._last_key) and self._changed("/ctl/drive", t_us, drive):
-            self._on_change("/ctl/drive", t_us, decisions.drive(stamp_ns, drive))
-        if outputs.control is not None:
-            self._control(t_us, stamp_ns, outputs)
-        command = decisions.thruster_command(stamp_ns, outputs.command)
-        self._on_change("/out/thrusters", t_us, command, always=outputs.control is not None)
-        if outputs.thrusters is not None:
-            self._write("/ctl/thrusters", t_us, decisions.thruster_health(stamp_ns, outputs.thrusters))
-        if outputs.payload is not None and self._changed("/payload/outputs", t_us, outputs.payload.pulses_us):
-            self._on_change("/payload/outputs", t_us, payload.outputs(stamp_ns, outputs.payload))
-        for record in outputs.stills:
-            exposure_us = record.still.exposure_us
-            self._write("/payload/still", exposure_us, payload.still(self._ns(exposure_us), record))
-        for name, value in outputs.parameters.items():
-            self._write("/sys/parameters", t_us, service.parameter_change(stamp_ns, name, value))
-        for frame in outputs.mavlink_tx:
-            self._mavlink("/out/mavlink", t_us, frame)
-        for event in outputs.events:
-            self.event(event)
-        for fault in outputs.faults:
-            self._fault(fault)
+        datagrams = len(outputs.mavlink_tx)
+        messages = TICK_MESSAGES + FRAME_MESSAGES * datagrams
+        size = TICK_BYTES + FRAME_BYTES * datagrams + (0 if outputs.control is None else CONTROL_BYTES)
+        self._hand_over("/nav/state", outputs.t_us, lambda: self._packer.outputs(outputs), messages, size)
 
-    def _fault(self, fault: Fault) -> None:
-        """An exception inside the service: a line, and an attachment with all that it had; one that goes on, now and
-        then."""
-        if not fault.traceback:
-            return
-        text = f"{fault.line}: {fault.text} ({fault.place})"
-        self.event(Event(t_us=fault.t_us, severity=Severity.ERROR, text=text))
-        if self._faults < MAX_FAULTS:
-            self._faults += 1
-            body = f"{fault.t_us} us, {fault.part}\n\n{fault.traceback}\ninputs:\n{fault.inputs}\n"
-            self._writer.attach(f"fault-{self._faults:02d}.txt", fault.t_us, body.encode(errors="replace"))
-
-    def _ns(self, t_us: int) -> int:
-        return self._writer.epoch_ns + t_us * 1000
-
-    def _write(self, topic: str, t_us: int, payload: bytes) -> None:
-        self._writer.write(topic, t_us, payload)
-
-    def _due(self, topic: str, t_us: int, period_us: int) -> bool:
-        last = self._last_us.get(topic)
-        if last is not None and t_us - last < period_us:
+    def _due(self, frame: CameraFrame) -> bool:
+        """Whether the image is one that is logged."""
+        period_us, last_us = self._camera_period_us, self._camera_us
+        if period_us is None or (last_us is not None and frame.t_us - last_us < period_us):
             return False
-        self._last_us[topic] = t_us
+        self._camera_us = frame.t_us
         return True
 
-    def _changed(self, topic: str, t_us: int, key: Hashable) -> bool:
-        """Whether a message is worth packing: what it is made of is new, or SLOW_US have passed."""
-        if self._last_key.get(topic) == key and t_us - self._last_us[topic] < SLOW_US:
-            return False
-        self._last_key[topic] = key
-        return True
-
-    def _on_change(self, topic: str, t_us: int, payload: bytes, always: bool = False) -> None:
-        """Write when the content differs from the last, when ``always``, and every SLOW_US."""
-        changed = self._last_body.get(topic) != payload[_BODY:]
-        if changed or always or t_us - self._last_us[topic] >= SLOW_US:
-            self._last_body[topic] = payload[_BODY:]
-            self._last_us[topic] = t_us
-            self._write(topic, t_us, payload)
-
-    def _sample(self, sample: Sample) -> None:
-        t_us, stamp_ns = sample.t_us, self._ns(sample.t_us)
-        match sample:
-            case AhrsSample():
-                self._write("/in/ahrs_raw", t_us, sensors.ahrs_raw(stamp_ns, sample))
-                self._write("/in/ahrs", t_us, sensors.imu(stamp_ns, sample))
-            case ImuSample():
-                self._write("/in/imu", t_us, sensors.imu_raw(stamp_ns, sample))
-            case MarkerSighting():
-                self._write("/in/markers", t_us, sensors.marker_sighting(stamp_ns, sample))
-                if t_us in self._pictures:
-                    made = partial(visuals.image_annotations, stamp_ns, sample)
-                    self._writer.write("/viz/detections", t_us, made)
-            case PoseSample():
-                self._write("/in/pose", t_us, sensors.pose_fix(stamp_ns, sample))
-            case LaserSample():
-                self._write("/in/laser_raw", t_us, sensors.laser_raw(stamp_ns, sample))
-                self._write("/in/laser", t_us, sensors.laser_range(stamp_ns, sample))
-            case DepthSample():
-                self._write("/in/depth", t_us, sensors.depth_raw(stamp_ns, sample))
-            case VelocitySample():
-                self._write("/in/velocity", t_us, sensors.velocity_raw(stamp_ns, sample))
-            case ExternalPoseSample():
-                self._write("/in/external", t_us, sensors.external_pose(stamp_ns, sample))
-            case ObstacleTrack():
-                self._write("/in/tracks", t_us, sensors.obstacle_track(stamp_ns, sample))
-            case LeakSample():
-                self._write("/in/leak", t_us, sensors.leak_raw(stamp_ns, sample))
-            case HullSample():
-                self._write("/in/hull", t_us, sensors.hull_raw(stamp_ns, sample))
-            case PilotSample():
-                self._write("/in/pilot", t_us, sensors.pilot_raw(stamp_ns, sample))
-            case PowerSample():
-                self._write("/in/power_raw", t_us, sensors.power_raw(stamp_ns, sample))
-                self._write("/in/power", t_us, visuals.battery_state(stamp_ns, sample))
-
-    def _mavlink(self, topic: str, t_us: int, frame: MavlinkFrame) -> Removed:
-        """The packets that a datagram completes; what was left out of it."""
-        stream = (topic, frame.link, frame.client)
-        if stream not in self._cutters and len(self._cutters) >= MAX_STREAMS:
-            self._forget_stream(next(iter(self._cutters)), t_us)
-        cutter = self._cutters.setdefault(stream, StreamCutter())
-        stamp_ns = self._ns(t_us)
-        for piece in cutter.cut(frame.data):
-            self._write(topic, t_us, service.mavlink_frame(stamp_ns, piece.data, frame.link, frame.client))
-            if piece.is_packet:
-                self._writer.write_packet(t_us, piece.data)
-        return cutter.removed
-
-    def _forget_stream(self, stream: tuple[str, int, int], t_us: int) -> None:
-        """Write what has waited for the end of a packet."""
-        topic, link, client = stream
-        for piece in self._cutters.pop(stream).rest():
-            self._write(topic, t_us, service.mavlink_frame(self._ns(t_us), piece.data, link, client))
-
-    def _nav(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
-        self._write("/nav/state", t_us, vehicle.vehicle_state(stamp_ns, nav))
-        if self._changed("/nav/status", t_us, (nav.health, nav.reset_count)):
-            self._on_change("/nav/status", t_us, estimate.nav_status(stamp_ns, nav))
-        if self._due("/nav/covariance", t_us, COVARIANCE_US):
-            self._write("/nav/covariance", t_us, estimate.nav_covariance(stamp_ns, nav))
-        if self._due("/viz/pose", t_us, VIZ_US):
-            self._write("/viz/pose", t_us, visuals.pose_stamped(stamp_ns, nav))
-            self._write("/viz/tf", t_us, visuals.transforms(stamp_ns, nav, self._description.camera))
-            self._current(t_us, stamp_ns, nav)
-        if self._due("trail", t_us, TRAIL_US):
-            north, east, down = nav.pos_ned_m.tolist()
-            self._trail = [*self._trail[1 - TRAIL_POINTS :], (north, east, down)]
-        if self._due("/viz/markers", t_us, SLOW_US):
-            self._draw(t_us, stamp_ns)
-
-    def _draw(self, t_us: int, stamp_ns: int) -> None:
-        """What viewers draw beside poses. Packed on the writer's thread."""
-        run, truth, write = self._description, self._truth, self._writer.write
-        write("/viz/markers", t_us, partial(_all_markers, stamp_ns, self._scene, run, t_us * 1e-6))
-        write("/viz/path", t_us, partial(visuals.path, stamp_ns, self._trail))
-        body = body_markers(run, truth=truth is not None)
-        write("/viz/body", t_us, partial(visuals.marker_array, stamp_ns, body))
-
-    def _current(self, t_us: int, stamp_ns: int, nav: NavState) -> None:
-        """The current at the vehicle as an arrow: what the estimator believes and, in simulation, what there is."""
-        arrows = [current_marker("current", nav.pos_ned_m, nav.current_ned_m_s)]
-        if self._truth is not None:
-            arrows.append(current_marker(TRUE_CURRENT, *self._truth))
-        self._writer.write("/viz/current", t_us, partial(visuals.marker_array, stamp_ns, arrows))
-
-    def _control(self, t_us: int, stamp_ns: int, outputs: Outputs) -> None:
-        control = outputs.control
-        assert control is not None
-        self._write("/ctl/nmpc", t_us, decisions.nmpc_status(stamp_ns, control.status))
-        for program in control.unsolved[: MAX_PROGRAMS - self._programs]:
-            self._programs += 1
-            self._writer.attach(programs.NAME.format(self._programs), t_us, partial(programs.pack, program))
-        if control.plan is not None:
-            self._write("/ctl/plan", t_us, decisions.energy_plan(stamp_ns, control.plan))
-        if not self._due("/ctl/horizon", t_us, HORIZON_US):
-            return
-        places, after_s = control.horizon_ned_m.tolist(), control.nominal_t_s.tolist()
-        if len(after_s) != len(places):
-            after_s = []
-        self._writer.write("/ctl/horizon", t_us, partial(visuals.path, stamp_ns, places, after_s))
-        depth = 0.0 if outputs.nav is None else float(outputs.nav.pos_ned_m[2])
-        route = [(north, east, depth) for north, east in control.route_ned_m.tolist()]
-        self._writer.write("/ctl/route", t_us, partial(visuals.path, stamp_ns, route))
+    def _hand_over(self, topic: str, t_us: int, work: Callable[[], None], messages: int = 1, size: int = 0) -> None:
+        """To the thread. ``topic`` gets a gap in its numbers when there is no room; "" = none does."""
+        if self._lost:
+            work = _both(self._packer.after_loss, work)
+        self._lost = not self._writer.defer(topic, t_us, work, messages, size)
 
 
-def _all_markers(stamp_ns: int, scene: Sequence[visuals.Marker], run: RunDescription, t_s: float) -> bytes:
-    return visuals.marker_array(stamp_ns, [*scene, *moving_markers(run, t_s)])
+def _both(first: Callable[[], None], second: Callable[[], None]) -> Callable[[], None]:
+    def work() -> None:
+        first()
+        second()
 
-
-def _jpeg_maker(pixels: object, stamp_ns: int) -> Callable[[], bytes]:
-    def make() -> bytes:
-        import cv2
-
-        done, jpeg = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-        if not done:
-            raise LogError("image cannot be compressed as JPEG; camera images must be uint8 (rows, columns, 3)")
-        return visuals.compressed_image(stamp_ns, jpeg.tobytes())
-
-    return make
+    return work

@@ -53,8 +53,13 @@ QOS_PROFILES = (
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".txt": "text/plain", ".plan": "text/plain"}
 
 Payload: TypeAlias = bytes | Callable[[], bytes]
-_Item: TypeAlias = tuple[str, int, Payload, int, int]
-"""Topic, time [us], payload, sequence number, bytes in memory."""
+Work: TypeAlias = Callable[[], None]
+"""Makes messages on the writer's thread and gives them to :attr:`LogWriter.sink`."""
+_Item: TypeAlias = tuple[str, int, Payload, Work | None, int, int, Mapping[str, int] | None]
+"""Topic, time [us], payload or, if there is any, work instead; how many messages and bytes in memory that is; messages
+by topic that were dropped before it."""
+MAX_ERRORS = 16
+"""What went wrong in packing, kept until it is asked for; the oldest goes."""
 _TLOG = ""
 """Stands for the topic of a packet that goes to the ``.tlog``."""
 _ATTACHMENT = "attachment:"
@@ -137,7 +142,13 @@ class LogWriter:
         self._lossless = lossless
         self._limit_messages, self._limit_bytes = queue_messages, queue_bytes
         self._queue: deque[_Item] = deque()
+        self._missed: dict[str, int] = {}
+        """Messages by topic that were dropped since the last that was queued."""
         self._sequence: dict[str, int] = {}
+        """Messages so far by topic; the thread's."""
+        self._second = 0
+        """Of log time that was reached; the thread's."""
+        self._errors: deque[Exception] = deque(maxlen=MAX_ERRORS)
         self._count_in = self._count_out = self._bytes_in = self._bytes_out = 0
         self._dropped = self._lost = 0
         self._failure: str | None = None
@@ -187,26 +198,47 @@ class LogWriter:
         """Whether the thread has ended: after ``close`` or ``end``, once everything is on disk."""
         return self._stopped
 
+    @property
+    def sink(self) -> "WriterSink":
+        """Where work that was deferred puts its messages."""
+        return WriterSink(self._put)
+
     def write(self, topic: str, t_us: int, payload: Payload, size: int | None = None) -> None:
         """Queue one CDR message. Never touches the disk.
 
         ``payload`` may be a function that makes the bytes on the writer's thread (an image to compress); ``size`` is
         then what it holds in memory meanwhile. LogError for a topic that is not declared.
         """
-        sequence = self._sequence.get(topic)
-        if sequence is None:
-            sequence = 0
-            if topic != _TLOG and not topic.startswith(_ATTACHMENT):
-                type_of(topic)
-        self._sequence[topic] = sequence + 1
+        if topic != _TLOG and not topic.startswith(_ATTACHMENT):
+            type_of(topic)
         if size is None:
             size = len(payload) if isinstance(payload, bytes) else 0
+        self._queue_up(topic, t_us, payload, None, 1, size)
+
+    def defer(self, topic: str, t_us: int, work: Work, messages: int = 1, size: int = 0) -> bool:
+        """Queue work of the writer's thread that makes about so many messages and holds so many bytes meanwhile.
+
+        False = there is no room: it is not done, and counts as lost. ``topic`` is the one whose numbers then show it,
+        "" = none. What it works on does not change any more. An error in it goes to :meth:`take_error`.
+        """
+        return self._queue_up(topic, t_us, b"", work, messages, size)
+
+    def take_error(self) -> Exception | None:
+        """The oldest error in deferred work that has not been taken, None = there is none."""
+        return self._errors.popleft() if self._errors else None
+
+    def _queue_up(self, topic: str, t_us: int, payload: Payload, work: Work | None, messages: int, size: int) -> bool:
         if self._closing or self._stopped or (self._is_full() and not self._wait_for_room()):
-            self._dropped += 1
-            return
-        self._count_in += 1
+            self._dropped += messages
+            self._missed[topic] = self._missed.get(topic, 0) + 1
+            return False
+        missed = None
+        if self._missed:
+            missed, self._missed = self._missed, {}
+        self._count_in += messages
         self._bytes_in += size
-        self._queue.append((topic, t_us, payload, sequence, size))
+        self._queue.append((topic, t_us, payload, work, messages, size, missed))
+        return True
 
     def write_packet(self, t_us: int, packet: bytes) -> None:
         """Queue one MAVLink packet for the ``.tlog``."""
@@ -268,12 +300,11 @@ class LogWriter:
         if head is not None:
             self._guard(lambda: self._open(head()))
         flushed = synced = time.monotonic_ns()
-        second: int = 0
         while True:
             self._wake.wait(POLL_S)
             last = self._closing
             self._wake.clear()
-            second = self._drain(second)
+            self._drain()
             now = time.monotonic_ns()
             if not self._lossless and now - flushed >= FLUSH_NS and self._failure is None:
                 flushed = now
@@ -287,25 +318,35 @@ class LogWriter:
                     self._guard(self._file.close)
                 return
 
-    def _drain(self, second: int) -> int:
-        """Write what is queued now; returns the second of log time that was reached."""
+    def _drain(self) -> None:
+        """Write what is queued now."""
         for _ in range(len(self._queue)):
-            topic, t_us, payload, sequence, size = self._queue.popleft()
+            topic, t_us, payload, work, messages, size, missed = self._queue.popleft()
+            for name, count in (missed or {}).items():
+                self._sequence[name] = self._sequence.get(name, 0) + count
             if self._failure is None:
                 try:
-                    if self._lossless and t_us // 1_000_000 > second:
-                        second = t_us // 1_000_000
-                        self._flush()
-                    self._put(topic, t_us, payload, sequence)
+                    if work is None:
+                        self._put(topic, t_us, payload)
+                    else:
+                        self._do(work)
                 except (OSError, LogError) as error:
                     self._fail(error)
             if self._failure is not None:
-                self._lost += 1
-            self._count_out += 1
+                self._lost += messages
+            self._count_out += messages
             self._bytes_out += size
             if self._waiting:
                 self._room.set()
-        return second
+
+    def _do(self, work: Work) -> None:
+        """Deferred work. Only the disk ends a log: what else goes wrong costs the rest of that work."""
+        try:
+            work()
+        except OSError:
+            raise
+        except Exception as error:  # noqa: BLE001 - the loop takes it, for its guard
+            self._errors.append(error)
 
     def _guard(self, action: Callable[[], object]) -> None:
         """Run one step of writing."""
@@ -323,23 +364,31 @@ class LogWriter:
             else:
                 self._failure = str(error)
 
-    def _put(self, topic: str, t_us: int, payload: Payload, sequence: int) -> None:
+    def _put(self, topic: str, t_us: int, payload: Payload) -> None:
+        """Write one message; on the thread."""
+        if self._lossless and t_us // 1_000_000 > self._second:
+            self._second = t_us // 1_000_000
+            self._flush()
         data = payload if isinstance(payload, bytes) else payload()
         time_ns = self.epoch_ns + t_us * 1000
         channel = self._channels.get(topic)
-        if channel is not None:
-            self._mcap.add_message(channel, time_ns, data, sequence & 0xFFFFFFFF)
-            return
-        if topic == _TLOG:
-            if self._tlog is None:
-                self._tlog = self.path.with_suffix(".tlog").open("wb")
-            self._tlog.write(struct.pack(">Q", time_ns // 1000) + data)
-            return
-        if topic.startswith(_ATTACHMENT):
-            self._add_attachment(topic.removeprefix(_ATTACHMENT), time_ns, data)
-            return
-        channel = self._channels[topic] = self._register(topic)
+        if channel is None:
+            if topic == _TLOG:
+                self._put_packet(time_ns, data)
+                return
+            if topic.startswith(_ATTACHMENT):
+                self._add_attachment(topic.removeprefix(_ATTACHMENT), time_ns, data)
+                return
+            channel = self._channels[topic] = self._register(topic)
+        sequence = self._sequence.get(topic, 0)
+        self._sequence[topic] = sequence + 1
         self._mcap.add_message(channel, time_ns, data, sequence & 0xFFFFFFFF)
+
+    def _put_packet(self, time_ns: int, packet: bytes) -> None:
+        """A MAVLink packet for the ``.tlog``."""
+        if self._tlog is None:
+            self._tlog = self.path.with_suffix(".tlog").open("wb")
+        self._tlog.write(struct.pack(">Q", time_ns // 1000) + packet)
 
     def _add_attachment(self, name: str, time_ns: int, data: bytes) -> None:
         media = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
@@ -372,3 +421,22 @@ class LogWriter:
             self._sync()
         if self._tlog is not None:
             self._tlog.close()
+
+
+class WriterSink:
+    """The thread's end of a :class:`LogWriter`: messages go straight into the file."""
+
+    def __init__(self, put: Callable[[str, int, Payload], None]) -> None:
+        self._put = put
+
+    def write(self, topic: str, t_us: int, payload: Payload) -> None:
+        """One CDR message."""
+        self._put(topic, t_us, payload)
+
+    def write_packet(self, t_us: int, packet: bytes) -> None:
+        """One MAVLink packet for the ``.tlog``."""
+        self._put(_TLOG, t_us, packet)
+
+    def attach(self, name: str, t_us: int, data: Payload) -> None:
+        """An attachment."""
+        self._put(_ATTACHMENT + name, t_us, data)

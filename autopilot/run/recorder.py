@@ -16,26 +16,11 @@ from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs, LoopStats, Outputs, Severity
 from autopilot.core.samples import CameraFrame
 from autopilot.log.description import RunDescription
-from autopilot.log.packing.vehicle import TruthLike
-from autopilot.log.session import RunLog
+from autopilot.log.session import LoggedTruth, RunLog, World
 from autopilot.log.writer import Payload
 
 CLOSE_S = 30.0
 """How long the end of a run waits for a disk that does not answer."""
-
-
-class LoggedTruth(TruthLike, Protocol):
-    """The part of a simulated vehicle's truth that is logged."""
-
-    @property
-    def contact_count(self) -> int:
-        """Contacts since the start."""
-        ...
-
-    @property
-    def contact_depth_m(self) -> float:
-        """Deepest penetration of now."""
-        ...
 
 
 class TruthSource(Protocol):
@@ -150,15 +135,8 @@ class RunRecorder:
         log = self._log
         if log is None:
             return
-        log.inputs(inputs)
-        for frame in frames:
-            log.camera(frame)
-        if self._truth is not None:
-            truth = self._truth.truth
-            log.truth(inputs.t_us, truth)
-            log.contact(inputs.t_us, truth.contact_count, truth.contact_depth_m)
-            log.payload_truth(inputs.t_us, self._truth.payload_shares)
-        log.outputs(outputs)
+        source = self._truth
+        log.tick(inputs, outputs, frames, None if source is None else World(source.truth, source.payload_shares))
         if log.failure is not None:
             self._failed(log)
         elif log.dropped and not self._told_slow:
@@ -166,6 +144,9 @@ class RunRecorder:
             self._tell("Log loses messages: disk too slow", f"log {log.path}: messages lost, the disk is too slow")
         if self._per_arming and not self._armed:
             self._end()
+        error = log.take_error()
+        if error is not None:
+            raise error  # to the guard, as if it had come up here
 
     def loop_stats(self, stats: LoopStats) -> None:
         """Log the health of the loop."""
@@ -236,6 +217,9 @@ class RunRecorder:
         except LogError as error:
             if not told:
                 self._tell(f"Log stopped: {log.cause or 'disk does not answer'}", str(error))
+        missed = log.take_error()
+        if missed is not None:
+            self._tell("Log misses messages: internal fault", f"log {log.path}: {type(missed).__name__}: {missed}")
         self._dropped_before += log.dropped
 
     def _tell(self, text: str, reason: str) -> None:

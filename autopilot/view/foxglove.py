@@ -20,7 +20,7 @@ from autopilot.log.packing.vehicle import TruthLike
 from autopilot.log.schemas import ENCODING, MESSAGE_ENCODING, definition, ros_name
 from autopilot.log.session import RunLog
 from autopilot.log.topics import AID_PREFIX, TOPICS, type_of
-from autopilot.log.writer import Payload
+from autopilot.log.writer import Payload, Work
 
 QUEUE = 5000
 """Messages that wait for the thread, some seconds of them; the oldest go."""
@@ -147,8 +147,22 @@ class _Messages:
         self.epoch_ns = epoch_ns
         self._server = server
 
-    def write(self, topic: str, t_us: int, payload: Payload, size: int | None = None) -> None:
-        """See :meth:`autopilot.log.writer.LogWriter.write`."""
+    @property
+    def sink(self) -> "_Messages":
+        """Nothing waits on the way."""
+        return self
+
+    def defer(self, topic: str, t_us: int, work: Work, messages: int, size: int) -> bool:
+        """Done at once: an error comes up here."""
+        work()
+        return True
+
+    def take_error(self) -> Exception | None:
+        """There are none that wait."""
+        return None
+
+    def write(self, topic: str, t_us: int, payload: Payload) -> None:
+        """To those who subscribed to it."""
         if topic.startswith(AID_PREFIX):
             self._server.announce(topic)
         self._server.put(topic, self.epoch_ns + 1000 * t_us, payload)

@@ -17,8 +17,8 @@ from autopilot.control.nmpc.solver import QpStep
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import Failsafe, Fallback, Outputs
 from autopilot.core.samples import CameraFrame, MarkerSighting
+from autopilot.log.packer import MAX_PROGRAMS
 from autopilot.log.reader import open_log
-from autopilot.log.session import MAX_PROGRAMS
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from estimator.frame_filter import FrameFilter
