@@ -51,6 +51,7 @@ def vehicle(folder: Path, *arguments: str) -> Iterator[Vehicle]:
     port = free_port()
     command = autopilot_command(
         *("sitl", "paper-tank", "--quiet", "--sensors", "pose", "--speed", "0", "--keep-plans"),
+        *("--param", "MPC_COST=0"),
         *("--connect", f"udpin:127.0.0.1:{port}", *arguments),
     )
     places = {"AUTOPILOT_STATE_DIR": str(folder / "state"), "AUTOPILOT_LOG_DIR": str(folder / "logs")}

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from system_harness import ROOT, OpenSession
+from system_harness import ROOT, OpenSession, fly_to_the_end
 
-from autopilot.core.messages import Failsafe
+from autopilot.core.messages import Failsafe, Outputs
 from autopilot.log.check import Row, Verdict, acceptance_table
 from autopilot.log.reader import open_log
 from mission.paper import paper_plan
@@ -19,15 +19,34 @@ FAULT_S = 12.0
 QUADRATIC = "\n[params]\nMPC_COST = 0\n"
 
 
-def _fly(session: OpenSession, folder: Path, thruster: str, loss: float, duration_s: float, params: str = "") -> Path:
-    """One lap of the shipped scenario with this fault; the log."""
+def _fly(
+    session: OpenSession,
+    folder: Path,
+    thruster: str,
+    loss: float,
+    duration_s: float,
+    params: str = "",
+    safe_after_s: float = 0.0,
+) -> Path:
+    """One lap of the shipped scenario with this fault, to its end or until so long after the failsafe; the log."""
     shipped = 'thruster = "port"\nloss = 0.5'
     text = SCENARIO.read_text(encoding="utf-8")
     assert shipped in text
     variant, plan, log = folder / "variant.toml", folder / "paper.plan", folder / "run.mcap"
     variant.write_text(text.replace(shipped, f'thruster = "{thruster}"\nloss = {loss}') + params, encoding="utf-8")
     write_plan(plan, paper_plan(1))
-    session(str(variant), sensors="pose", plan=str(plan), start=True, duration=duration_s, log=log).run()
+    given = {"sensors": "pose", "plan": str(plan), "duration": duration_s, "log": log}
+    if not safe_after_s:
+        fly_to_the_end(session, str(variant), **given)
+        return log
+    raised: list[int] = []
+
+    def look(outputs: Outputs) -> None:
+        if outputs.mode.failsafes >> Failsafe.THRUSTER & 1:
+            raised.append(outputs.t_us)
+
+    run = session(str(variant), start=True, on_tick=look, **given)
+    run.run(stop=lambda: bool(raised) and raised[-1] - raised[0] > 1e6 * safe_after_s)
     return log
 
 
@@ -49,7 +68,7 @@ def test_half_a_thruster_does_not_end_a_mission(session: OpenSession, tmp_path: 
 
 def test_a_dead_horizontal_thruster_ends_safely(session: OpenSession, tmp_path: Path) -> None:
     # Long enough for both ends: with one thruster less the lap is slow, and where it has to stay it is found out.
-    log = _fly(session, tmp_path, "port", 1.0, 70.0)
+    log = _fly(session, tmp_path, "port", 1.0, 70.0, safe_after_s=10.0)
     rows = _rows(log)
     assert rows["contacts"].worst == 0
     for name in ("distance to cylinder 1", "distance to cylinder 2", "distance to walls"):
