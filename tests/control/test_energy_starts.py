@@ -50,6 +50,22 @@ def test_a_leg_that_begins_at_the_cruise_speed_is_planned(surge: float) -> None:
     assert plan.energy_j == pytest.approx(200.5, abs=1.0)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_dive_or_a_turn_on_the_spot_is_planned(seed: int) -> None:
+    """A guess of half a second, as there is no way to go, left no time for either: none of these was solved, in 150
+    iterations each, and it was asked for again and again."""
+    rng = np.random.default_rng(seed)
+    place, depth = rng.uniform(-1.0, 1.0, 2), float(rng.uniform(6.0, 40.0))
+    dive, turn = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))[seed % 3]
+    start = depth - dive * float(rng.choice([-1.0, 1.0]) * rng.uniform(1.0, 4.0))
+    yaw = turn * float(rng.uniform(1.5, 3.1)) if turn else None
+    x0 = np.array([*(place + rng.uniform(-0.05, 0.05, 2)), start, *np.zeros(5)])
+    plan = quick(x0, goal(*place, depth, yaw), np.zeros(2), 0.5)
+    assert plan.trajectory is not None, plan.why
+    end = plan.trajectory.x[-1]
+    assert np.linalg.norm(end[:3] - [*place, depth]) < 0.3 and (yaw is None or abs(end[3] - yaw) < 0.15)
+
+
 def test_small_thrusts_do_not_swing_from_side_to_side(monkeypatch: pytest.MonkeyPatch) -> None:
     """Newton's step on |F|^1.5 goes from F to -F: one in six of these took more than 50 iterations."""
     counts = []
