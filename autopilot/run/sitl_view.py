@@ -217,6 +217,8 @@ class Steering:
     def _add_flow(self, north_m_s: float, east_m_s: float) -> str:
         self._vehicle.add_flow((north_m_s, east_m_s))
         self._flow_m_s = (north_m_s, east_m_s)
+        if north_m_s == east_m_s == 0.0:
+            return "No current added"
         return f"Current {north_m_s:+.2f} N {east_m_s:+.2f} E m/s added"
 
     def _call(self, t_us: int, table: dict[str, object]) -> str:
@@ -225,7 +227,8 @@ class Steering:
         except msgspec.ValidationError as error:
             raise ViewError(f"fault: {error}") from error
         self._vehicle.suffer(fault)
-        return f"Fault {fault.__struct_config__.tag}"
+        which = (str(table[name]) for name in ("thruster", "looks") if name in table)
+        return " ".join((f"Fault {fault.__struct_config__.tag}", *which))
 
     def _faults(self) -> tuple[FaultOffer, ...]:
         """Faults that make sense here."""

@@ -78,6 +78,48 @@ def test_the_page_shows_what_it_is_sent(events: list[dict[str, Any]], width: int
     assert any("Armed" in line for line in made["messages"])
 
 
+PLANS = """
+import { drawPlan, extent, flowScale, planView } from "%s";
+const made = [];
+for (const [width, height] of [[720, 440], [360, 500], [500, 500], [900, 300]]) {
+  for (const [north, east, speed] of [[5, 3, 0.25], [3, 5, 0.004], [12, 6, 0.021], [400, 120, 0.7], [4, 4, 1.9]]) {
+    const tank_m = [[0, 0], [north, 0], [north, east], [0, east]], scene = { tank_m, places: [], fence: [] };
+    const box = extent(scene, null), view = planView(width, height, box), ys = tank_m.map((p) => view.at(p)[1]);
+    const flow = { arrows: [[1, 1, speed, 0], [2, 1, 0, -0.3 * speed]] }, { told, reach } = flowScale(flow, box);
+    const share = (reach * speed) / Math.max(north, east), still = flowScale(null, box).told;
+    made.push({ height, top: Math.min(...ys), bottom: Math.max(...ys), speed, told, share, still });
+  }
+}
+console.log(JSON.stringify(made));
+"""
+
+
+@needs_node
+def test_the_plan_leaves_room_for_its_margins_and_shows_every_current() -> None:
+    """North, scale and key stand in strips that no wall reaches; arrows are to scale with the field."""
+    code = PLANS % (PAGE / "draw.js").as_uri()
+    done = subprocess.run(["node", "--input-type=module", "-e", code], capture_output=True, text=True, check=True)
+    made = json.loads(done.stdout)
+    assert len(made) == 20
+    for plan in made:
+        assert plan["top"] >= 26 and plan["bottom"] <= plan["height"] - 26
+        assert plan["still"] == pytest.approx(0.2)
+        if plan["speed"] >= 0.005:
+            assert 0.39 * plan["speed"] <= plan["told"] <= 1.001 * plan["speed"]
+            assert 0.06 <= plan["share"] <= 0.25, "neither a dot nor across the plan"
+
+
+@needs_node
+def test_nothing_has_no_sign(events: list[dict[str, Any]]) -> None:
+    scene, frame = next(event for event in events if event["name"] == "scene"), copy.deepcopy(events[-1])
+    frame["data"]["estimate"]["pos_ned_m"] = [-0.004, -0.006, 0.3]
+    frame["data"]["estimate"]["rpy_rad"] = [-1e-4, 0.0, 0.0]
+    made = page([scene, frame])
+    facts = dict(zip(made["state"][::2], made["state"][1::2], strict=True))
+    assert facts["North, east, depth"] == "0.00, -0.01, 0.30 m"
+    assert facts["Roll, pitch, yaw"] == "0.0°, 0.0°, 0.0°"
+
+
 @needs_node
 def test_what_is_old_is_no_news(events: list[dict[str, Any]]) -> None:
     """A prediction of before the estimate was lost, a sensor that no longer measures."""

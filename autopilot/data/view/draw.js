@@ -21,8 +21,25 @@ export const LEGEND = [
   ["goal", "goal", "line"], ["current", "flow", "line"], ["current felt", "felt", "line"], ["reported obstacle", "track", "dotted"],
 ];
 
-// An arrow of the current is the way that water goes in this time.
-const REACH_S = 1.6;
+// Arrows of the current: a round figure, of the size of the fastest there is, is drawn as long as this share of the
+// plan's longer side, and stands beside the plan as the key. Where no water is shown to flow it is that of a tank.
+const ARROW_SHARE = 0.07, TANK_M_S = 0.2, STILL_M_S = 0.005;
+
+// The largest of 1, 2 and 5 times a power of ten that is not above a value.
+function roundFigure(value) {
+  const power = 10 ** Math.floor(Math.log10(value) + 1e-9);
+  return power * Math.max(...[1, 2, 5].filter((figure) => figure * power <= value * (1 + 1e-9)));
+}
+
+// The speed that the key tells, and the way (m) that 1 m/s is drawn as.
+export function flowScale(flow, box) {
+  const fastest = Math.max(0, ...(flow ? flow.arrows : []).map(([, , u, v]) => Math.hypot(u, v)));
+  const told = fastest < STILL_M_S ? TANK_M_S : roundFigure(fastest);
+  return { told, reach: (ARROW_SHARE * Math.max(box.n1 - box.n0, box.e1 - box.e0)) / told };
+}
+
+// Strips above and below the plan: for north, the key of the current and the scale.
+const STRIP = 26;
 
 // What the plan shows: tank, fence, waypoints, the vehicle; never less than a metre.
 export function extent(scene, frame) {
@@ -40,7 +57,8 @@ export function extent(scene, frame) {
 // North is up, or to the right where the water is longer that way than the canvas is high.
 export function planView(width, height, box) {
   const north = box.n1 - box.n0, east = box.e1 - box.e0;
-  const upright = Math.min(width / east, height / north), lying = Math.min(width / north, height / east);
+  const high = Math.max(height - 2 * STRIP, 1);
+  const upright = Math.min(width / east, high / north), lying = Math.min(width / north, high / east);
   const turned = lying > 1.2 * upright, scale = turned ? lying : upright;
   const n = 0.5 * (box.n0 + box.n1), e = 0.5 * (box.e0 + box.e1);
   return {
@@ -126,25 +144,30 @@ function fillTube(ctx, points, radii, color) {
   ctx.fill();
 }
 
-function scaleBar(ctx, width, height, view, colors) {
+// North in the strip above the plan; in that below the key of the current and the scale.
+function margins(ctx, width, height, view, told, reach, colors) {
+  const at = view.turned ? [12, STRIP / 2] : [18, STRIP - 4], up = view.turned ? [34, STRIP / 2] : [18, 4];
+  arrow(ctx, at, up, colors.ink, 1.5);
+  text(ctx, "N", view.turned ? 40 : 26, STRIP / 2, colors.ink);
+  const low = height - STRIP / 2, key = told * reach * view.scale;
+  arrow(ctx, [12, low], [12 + key, low], colors.flow, 1.5);
+  text(ctx, `${Number(told.toPrecision(1))} m/s`, 18 + key, low, colors.weak);
   let metres = 10 ** Math.floor(Math.log10(0.3 * width / view.scale));
   if (metres * view.scale < 0.06 * width) metres *= 5;
-  const length = metres * view.scale, x = width - 14 - length, y = height - 14;
-  stroke(ctx, [[x, y - 4], [x, y], [x + length, y], [x + length, y - 4]], colors.ink, 1.5);
-  text(ctx, `${metres} m`, x + length / 2, y - 8, colors.ink, "center");
-  const at = [26, 34], up = view.turned ? [46, 34] : [26, 14];
-  arrow(ctx, at, up, colors.ink, 1.5);
-  text(ctx, "N", view.turned ? 52 : 26, view.turned ? 34 : 8, colors.ink, view.turned ? "left" : "center");
+  const length = metres * view.scale, x = width - 12 - length;
+  stroke(ctx, [[x, low - 4], [x, low], [x + length, low], [x + length, low - 4]], colors.ink, 1.5);
+  text(ctx, `${metres} m`, x - 6, low, colors.ink, "right");
 }
 
 export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving }, colors) {
-  const view = planView(width, height, extent(scene, frame)), { at, scale } = view;
+  const box = extent(scene, frame), view = planView(width, height, box), { at, scale } = view;
+  const { told, reach } = flowScale(flow, box);
   const many = (points) => points.map(at);
   ctx.fillStyle = colors.back;
   ctx.fillRect(0, 0, width, height);
   if (scene.tank_m.length) fill(ctx, many(scene.tank_m), colors.water);
   for (const [n, e, u, v] of flow ? flow.arrows : []) {
-    const [dn, de] = [0.5 * REACH_S * u, 0.5 * REACH_S * v];
+    const [dn, de] = [0.5 * reach * u, 0.5 * reach * v];
     arrow(ctx, at([n - dn, e - de]), at([n + dn, e + de]), colors.flow, 1.2);
   }
   // The vehicle's centre stays out of what is kept free, and with it the tube round the prediction.
@@ -181,6 +204,7 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
     }
     text(ctx, place.name, here[0] + 8, here[1] - 9, colors.place);
   }
+  margins(ctx, width, height, view, told, reach, colors);
   if (!frame) return view;
   stroke(ctx, many(trail), colors.trail, 1.5);
   const control = frame.control;
@@ -202,9 +226,8 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
     fill(ctx, shape, colors.tube);
     fill(ctx, [shape[0], shape[1], shape[4]], colors.nose);
     stroke(ctx, shape, colors.body, 2, true);
-    arrow(ctx, at(place), at([place[0] + REACH_S * current[0], place[1] + REACH_S * current[1]]), colors.felt, 2.5);
+    arrow(ctx, at(place), at([place[0] + reach * current[0], place[1] + reach * current[1]]), colors.felt, 2.5);
   }
-  scaleBar(ctx, width, height, view, colors);
   return view;
 }
 
@@ -279,14 +302,15 @@ export function drawPicture(ctx, width, height, picture, image, colors) {
   if (picture.laser_px) circle(ctx, at(picture.laser_px), 6, "#ff4d4d", 2);
 }
 
-// The flow that is added, 1 m/s at the rim.
+// The flow that is added, 1 m/s at the rim, outside of which there is room for the word.
+const RIM = 0.36;
 export function drawFlow(ctx, width, height, flow, turned, colors) {
-  const middle = [width / 2, height / 2], reach = 0.46 * Math.min(width, height);
+  const middle = [width / 2, height / 2], reach = RIM * Math.min(width, height);
   ctx.fillStyle = colors.back;
   ctx.fillRect(0, 0, width, height);
   circle(ctx, middle, reach, colors.weak, 1);
   circle(ctx, middle, reach / 2, colors.weak, 1, false, [2, 3]);
-  text(ctx, "N", turned ? width - 8 : middle[0], turned ? middle[1] : 8, colors.weak, "center");
+  text(ctx, "N", turned ? width - 7 : middle[0], turned ? middle[1] : 7, colors.weak, "center");
   if (!flow) return;
   const [u, v] = flow.map((part) => Math.sign(part) * Math.sqrt(Math.abs(part)));
   const tip = turned ? [middle[0] + reach * u, middle[1] + reach * v] : [middle[0] + reach * v, middle[1] - reach * u];
@@ -295,7 +319,7 @@ export function drawFlow(ctx, width, height, flow, turned, colors) {
 }
 
 export function flowAt(x, y, width, height, turned) {
-  const reach = 0.46 * Math.min(width, height), part = (value) => Math.max(-1, Math.min(1, value / reach));
+  const reach = RIM * Math.min(width, height), part = (value) => Math.max(-1, Math.min(1, value / reach));
   const [u, v] = turned ? [part(x - width / 2), part(y - height / 2)] : [part(height / 2 - y), part(x - width / 2)];
   const square = (value) => Math.round(100 * Math.sign(value) * value * value) / 100;
   return [square(u), square(v)];

@@ -10,10 +10,11 @@ const OLD_S = 2; // what is older is no news: a sensor is silent, the controller
 let source = null, heard = 0, asked = false, messages = 0, drag = null;
 
 const colors = () => (dark.matches ? DARK : LIGHT);
-const fixed = (value, digits = 2) => (value === null || value === undefined ? "–" : value.toFixed(digits));
+const unsigned = (words) => words.replace(/^-(0(\.0*)?)$/, "$1"); // no minus before nothing
+const fixed = (value, digits = 2) => (value === null || value === undefined ? "–" : unsigned(value.toFixed(digits)));
 const current = (frame) => (frame.control && frame.control.age_s <= OLD_S ? frame.control : null);
 const plain = (name) => name.toLowerCase().replaceAll("_", " ");
-const degrees = (radians) => ((radians * 180) / Math.PI).toFixed(1) + "°";
+const degrees = (radians) => unsigned(((radians * 180) / Math.PI).toFixed(1)) + "°";
 
 function element(tag, words, kind) {
   const made = document.createElement(tag);
