@@ -114,6 +114,15 @@ def test_released_sticks_hold_the_place_and_rates_are_flown_as_asked() -> None:
     assert float(np.abs(flight.x[-1, :3] - (0.0, 0.0, 0.5)).max()) < 0.03
 
 
+@pytest.mark.parametrize("north", [0.0, 0.03, 0.2])
+def test_depth_changes_as_fast_as_asked_however_fast_the_other_stick_goes(north: float) -> None:
+    """With a drift of 0.03 m/s it changed at half of that: it was to arrive with the way ahead, near the end of the
+    depth band ever more slowly."""
+    flight = drive(lambda _, __: driving(north, 0.0, down_m_s=-0.12), (-1.9, 0.6, 0.6, 0.0, 0.0, 0.0, 0.0, 0.0), 3.5)
+    assert 0.6 - flight.x[-1, 2] > 0.3
+    assert flight.x[:, 2].min() > ParamSet()["DEPTH_MIN"]
+
+
 def test_an_arc_is_flown_as_an_arc() -> None:
     """The velocity's direction turns along the prediction: a circle is not cut."""
     radius, speed = 0.6, 0.2

@@ -21,6 +21,7 @@ from autopilot.control.way.reference import (
     Route,
     Target,
     build_reference,
+    climb_at_once,
     turn_target,
 )
 from autopilot.core import compiled
@@ -99,6 +100,9 @@ class DriveGuidance:
             x, thrust = self._quick(now.x0, target, current, limit_n)
         else:
             x = build_reference(self._t_s, now.x0, target, current)
+            thrust = self._steady(x[:-1, U : R + 1], limit_n)
+        if drive.down_m_s is not None:
+            climb_at_once(x, self._t_s, target, float(current[2]))
             thrust = self._steady(x[:-1, U : R + 1], limit_n)
         weights = self._weights.look(now.params)
         return Reference(

@@ -209,3 +209,11 @@ def build_reference(t_s: FloatArray, x0: FloatArray, target: Target, current_ned
     ref[:, U], ref[:, V], ref[:, W] = water.real, water.imag, dz_sign * rate[1] - current_ned_m_s[2]
     ref[:, R] = turn_sign * rate[2]
     return ref
+
+
+def climb_at_once(x: FloatArray, t_s: FloatArray, target: Target, current_down_m_s: float) -> None:
+    """Let references (N+1, 8) change depth as fast as heave allows, and not so that they arrive with the route."""
+    dz = target.depth_m - x.item(0, Z)
+    travel, rate = approach(((abs(dz), HEAVE_SHARE * target.heave_limit_m_s, HEAVE_DECELERATION_M_S2),), t_s)
+    x[:, Z] = x.item(0, Z) + math.copysign(1.0, dz) * travel[0]
+    x[:, W] = math.copysign(1.0, dz) * rate[0] - current_down_m_s
