@@ -59,8 +59,8 @@ JUMP_M = 0.5
 """A reference that moves by so much between two steps has nothing to do with the last one."""
 
 SLEW_SHARE_1_S = 4.5
-"""Commands change by at most so many times the thruster's limit per second (2.7 N from step to step; 0.44 s from full
-ahead to full astern, as long as the thrusters' own lag takes): a reference that jumps does not tear at the drive."""
+"""Commands change by at most so many times the limit in force per second (of 12 N: 2.7 N from step to step; 0.44 s from
+full ahead to full astern, as the thrusters' own lag takes): a reference that jumps does not tear at the drive."""
 
 BLIND_WAY_M = 0.15
 """Way over ground that guidance asks for within the delay of late commands."""
@@ -416,8 +416,8 @@ class MotionController:
         thrust, limits = thrust_n.tolist(), limit_n.tolist()
         if self._stepped is not None:
             share = SLEW_SHARE_1_S * max(elapsed_s, 0.0)
-            stepped, most = self._stepped.tolist(), [share * each for each in self._most_n.tolist()]
-            thrust = [min(max(t, s - m), s + m) for t, s, m in zip(thrust, stepped, most, strict=True)]
+            steps = zip(thrust, self._stepped.tolist(), limits, strict=True)
+            thrust = [min(max(t, s - share * limit), s + share * limit) for t, s, limit in steps]
         return np.array([min(max(t, -limit), limit) for t, limit in zip(thrust, limits, strict=True)])
 
     def _neutral(self, t_us: int, nav: NavState, began: float) -> ControlOutput:

@@ -9,6 +9,7 @@ from control_loop import TANK, VEHICLE, A, B, Flight, fly, goal, jet, nav_state,
 
 from autopilot.control.controller import MotionController
 from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import load_vehicle
 from autopilot.log.smoothness import BARS, Commands, Smoothness, measure
 
 STEP_S = 0.05
@@ -92,12 +93,14 @@ def test_a_thruster_is_not_turned_round_for_what_noise_asks_for() -> None:
     assert math.hypot(*(flight.x[-1, :2] - here[:2])) < 0.03
 
 
-def test_a_reference_that_jumps_does_not_tear_at_the_thrusters() -> None:
-    """Goals to and fro while under way: each is a new route and a burst, and would be a step of 10 N and more."""
-    controller, params = MotionController(VEHICLE, cpu_clock=lambda: 0.0), ParamSet()
+@pytest.mark.parametrize("vehicle", ["lbv150", "bluerov2"])
+def test_a_reference_that_jumps_does_not_tear_at_the_thrusters(vehicle: str) -> None:
+    """Goals to and fro while under way: each is a new route and a burst, and would be a step of 10 N and more. What a
+    step may be depends on the limit in force (12 N for both), not on what the thrusters could do."""
+    controller, params = MotionController(load_vehicle(vehicle), cpu_clock=lambda: 0.0), ParamSet({"THR_LIMIT": 12.0})
     x, thrust = np.array([-1.6, -0.35, 0.45, 0, 0.2, 0, 0, 0.0]), []
     for step in range(40):
         target = (B, A)[step // 10 % 2]
         thrust.append(controller.step(step * 50_000, nav_state(step * 50_000, x), target, TANK, params).thrust_n)
-    assert np.abs(thrust).max() > 4.0, "it does turn round"
+    assert np.abs(thrust).max() > 3.0, "it does turn round"
     assert np.abs(np.diff(thrust, axis=0)).max() <= 3.0
