@@ -142,6 +142,8 @@ class CameraWatch:
 
     def take_texts(self) -> tuple[str, ...]:
         """What is new, for the operator."""
+        if not self._texts:
+            return ()
         texts, self._texts = tuple(self._texts), []
         return texts
 

@@ -38,7 +38,7 @@ from estimator.filter_core import FilterCore, Innovation
 from estimator.history import History, Loosening, Node, Reopening
 from estimator.imu_watch import GYRO_STATE, HEADING_STATES, NOTHING_NEW, ImuWatch
 from estimator.inertial import AhrsDoor, AhrsMount, Inertial, Mode, level, made_up, step_between
-from estimator.intake import Intake
+from estimator.intake import AidingSample, Intake
 from estimator.map_watch import LOOSE_VARIANCE, MapWatch
 from estimator.markers_pose import MarkerSolver
 from estimator.measure_heading import heading_of
@@ -253,32 +253,42 @@ class Engine:
     # Samples in.
 
     def _take_in(self, samples: Sequence[Sample]) -> None:
-        inertial_samples = [s for s in samples if isinstance(s, INERTIAL)]
-        if len(inertial_samples) > 1:
-            inertial_samples.sort(key=lambda s: s.t_us)
-        for given in inertial_samples:
-            own = isinstance(given, AhrsSample)
-            sample = given if isinstance(given, AhrsSample) else self._attitude.attitude(given)
-            if self._ahrs_offset_us:
-                sample = replace(sample, t_us=sample.t_us + self._ahrs_offset_us)
-            newest_us = self._recent[-1].t_us if self._recent else -1
-            if self._door.let_in(sample, self._now_us, newest_us):
-                self._ahrs_us = self._now_us
-                if own and self._options.watch_tilt:
-                    self._attitude.watch(sample)
-                sample = self._mount.at_center(sample)
-                inertial = level(sample, self._trim.at(sample))
-                self._recent.append(inertial)
-                self._camera.stamps.feel(inertial)
-                if self._history is not None:
-                    self._advance(self._history, inertial)
-        for other in samples:
-            if isinstance(other, AIDING):
-                aiding = self._sources.on_our_clock(other)
-                self._intake.admit(aiding, self._now_us)
-                if isinstance(aiding, PICTURES):
-                    ahead_us = aiding.t_us - self._now_us
-                    self._stamps_changed |= self._camera.stamps.arrives(ahead_us, self._latency_s)
+        inertial: list[AhrsSample | ImuSample] = []
+        aiding: list[AidingSample] = []
+        for sample in samples:
+            if isinstance(sample, INERTIAL):
+                inertial.append(sample)
+            elif isinstance(sample, AIDING):
+                aiding.append(sample)
+        if len(inertial) > 1:
+            inertial.sort(key=lambda s: s.t_us)
+        for given in inertial:
+            self._take_inertial(given)
+        for stamped in aiding:
+            sample = self._sources.on_our_clock(stamped)
+            self._intake.admit(sample, self._now_us)
+            if isinstance(sample, PICTURES):
+                ahead_us = sample.t_us - self._now_us
+                self._stamps_changed |= self._camera.stamps.arrives(ahead_us, self._latency_s)
+
+    def _take_inertial(self, given: AhrsSample | ImuSample) -> None:
+        """One sample that makes a node, if it is good."""
+        own = isinstance(given, AhrsSample)
+        sample = given if isinstance(given, AhrsSample) else self._attitude.attitude(given)
+        if self._ahrs_offset_us:
+            sample = replace(sample, t_us=sample.t_us + self._ahrs_offset_us)
+        newest_us = self._recent[-1].t_us if self._recent else -1
+        if not self._door.let_in(sample, self._now_us, newest_us):
+            return
+        self._ahrs_us = self._now_us
+        if own and self._options.watch_tilt:
+            self._attitude.watch(sample)
+        sample = self._mount.at_center(sample)
+        inertial = level(sample, self._trim.at(sample))
+        self._recent.append(inertial)
+        self._camera.stamps.feel(inertial)
+        if self._history is not None:
+            self._advance(self._history, inertial)
 
     def _advance(self, history: History, inertial: Inertial) -> None:
         """One node more, with the measurements that every so many AHRS samples bring."""

@@ -46,7 +46,7 @@ class Shadowed:
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
         """See :class:`estimator.protocol.Estimator`."""
         nav = self._flown.step(t_us, samples, thrust_n)
-        self._waiting += (sample for sample in samples if self._wanted(sample))
+        self._waiting += [sample for sample in samples if self._wanted(sample)]
         self._waiting += self._flown.take_made()
         self._ticks += 1
         if self._ticks % EVERY_TICKS == 0:

@@ -119,6 +119,8 @@ class Sources:
 
     def take_made(self) -> tuple[PoseSample | LaserSample, ...]:
         """What was made of pictures since the last call, stamped as the pictures were."""
+        if not self._made:
+            return ()
         made = tuple(self._made)
         self._made.clear()
         return made
