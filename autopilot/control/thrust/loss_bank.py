@@ -167,6 +167,8 @@ class LossBank:
         self._sway = np.array(model.allocation)[1]
         self._n, self._at = model.thrusters, Layout(model.thrusters)
         self._still = self._stationary()
+        self._work = np.empty((self._at.filters, self._at.size, self._at.size))
+        """Kept for :meth:`_shrink`: memory that is in use stays in the processor's cache."""
         self._evidence: FloatArray = np.zeros(len(self._at.stories))
         self._age_s: FloatArray = np.zeros(len(self._at.stories))
         self.reset()
@@ -310,12 +312,17 @@ class LossBank:
             x[:, at.e] = np.clip(x[:, at.e], 0.0, 1.5)
             # No sound vehicle is so heavy and so weak as a lost thruster would have it.
             x[:, at.gain] = np.maximum(x[:, at.gain], b.least_gain - x[:, at.common, None])
-            p = gain @ cross
-            np.subtract(self._p, p, out=p)
-            self._x, self._p = x, p + p.transpose(0, 2, 1)
-            self._p *= 0.5
+            self._x = x
+            self._shrink(gain, cross)
             self._weigh(-0.5 * (distance2 + np.log(np.linalg.det(s))), look.dt_s)
         return explained
+
+    def _shrink(self, gain: FloatArray, cross: FloatArray) -> None:
+        """The covariances after a look, in place: they are a predicted look's, which nobody else has."""
+        p, work = self._p, self._work
+        p -= np.matmul(gain, cross, out=work)
+        np.add(p, p.transpose(0, 2, 1), out=work)
+        np.multiply(work, 0.5, out=p)
 
     def _weigh(self, told: FloatArray, dt_s: float) -> None:
         """Evidence of a look from the log-likelihoods (n,); stories begin in their time."""
