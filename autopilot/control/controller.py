@@ -283,7 +283,7 @@ class MotionController:
         if not _finite(x, current):
             return None
         thrust = self._inner.thrust(t_us, self._lag.ahead(x, current), current, self._limit_n)
-        self._command = self._reversals.worth(thrust)
+        self._command = self._reversals.worth(thrust, between=True)
         return self._command
 
     def planar_speed_m_s(self, nav: NavState, params: ParamSet) -> float:

@@ -8,6 +8,7 @@ import pytest
 from control_loop import TANK, VEHICLE, A, B, Flight, fly, goal, jet, nav_state, still
 
 from autopilot.control.controller import MotionController
+from autopilot.control.nmpc.reversal import Reversals
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
 from autopilot.log.smoothness import BARS, Commands, Smoothness, measure
@@ -91,6 +92,15 @@ def test_a_thruster_is_not_turned_round_for_what_noise_asks_for() -> None:
     flight = fly(controller, [hold], here, noise=0.003, limit_s=15.0, seed=3, hold=True)
     assert smoothness(flight).reversals_1_s <= BARS.reversals_1_s
     assert math.hypot(*(flight.x[-1, :2] - here[:2])) < 0.03
+
+
+def test_one_tick_of_noise_between_steps_turns_no_thruster_round() -> None:
+    """The feedback of the inner loop has the noise of every tick: what it turned round stayed so."""
+    reversals = Reversals(np.array([12.0, 12.0]))
+    assert reversals.worth(np.array([1.0, 1.0])).tolist() == [1.0, 1.0]
+    assert reversals.worth(np.array([-0.5, -2.0]), between=True).tolist() == [0.0, -2.0]
+    assert reversals.worth(np.array([0.1, 0.1])).tolist() == [0.1, 0.0], "the first has not been turned"
+    assert reversals.worth(np.array([-0.5, 0.5])).tolist() == [-0.5, 0.5], "a control step decides"
 
 
 @pytest.mark.parametrize("vehicle", ["lbv150", "bluerov2"])

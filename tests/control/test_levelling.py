@@ -98,3 +98,26 @@ def test_what_cannot_be_pushed_is_left_alone(name: str) -> None:
     assert np.allclose(wrench[4] @ (turned - wanted), 0.0)
     if name == "lbv150":
         assert np.array_equal(turned, wanted) and not loop.reserve_n(limit).any()
+
+
+@pytest.mark.parametrize("name", ["bluerov2", "bluerov2-heavy"])
+def test_the_noise_of_rates_and_of_the_controller_turns_no_thruster_to_and_fro(name: str) -> None:
+    """Two verticals share a weight of 1 N and level what a slow sway tilts: pulses changed sides six to eight times a
+    second."""
+    vehicle, rng, seconds = load_vehicle(name), np.random.default_rng(1), 12.0
+    actuation, sharing = Actuation(vehicle, ParamSet()), Sharing.of(vehicle)
+    plant = Plant(vehicle, World(), start_pos_ned_m=(0.0, 0.0, 20.0))
+    count, pulses, most = len(vehicle.thrusters), [], np.zeros(2)
+    for tick in range(round(100 * seconds)):
+        t_us, nav = tick * TICK_US, nav_of(plant.truth)
+        nav = replace(nav, rate_frd_rad_s=nav.rate_frd_rad_s + rng.normal(0.0, 0.008, 3))
+        actuation.learn(t_us, nav, actuation.send(t_us), None, armed=True, reached=True)
+        force = np.array([2.0, 2.0 * math.sin(0.006 * tick), 1.0 + math.sin(0.002 * tick), 0.0])
+        wanted = sharing.thrust_n(force, actuation.limit_n) + rng.normal(0.0, 0.1, count)
+        command = actuation.command(t_us, wanted, armed=True)
+        plant.advance(t_us + TICK_US, command.pwm_us[:count])
+        pulses.append(command.pwm_us[4:count])
+        most = np.maximum(most, np.abs(plant.truth.rpy_rad[:2]))
+    sides = [np.sign(column[column != 1500] - 1500.0) for column in np.array(pulses).T]
+    assert max(np.count_nonzero(np.diff(side)) for side in sides) < 1.0 * seconds
+    assert most[0] < math.radians(3.0)

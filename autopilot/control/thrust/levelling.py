@@ -23,6 +23,13 @@ MOST = 0.5
 SMALL = 1e-6
 """Less than this of a newton per newton metre is rounding."""
 
+LEVEL_RAD = math.radians(2.0)
+"""Within so much of level, in roll and pitch, levelling alone turns no thruster round ..."""
+
+LEAST_SHARE = 0.0125
+"""... for less than this share of its limit (0.4 N of 34 N): it would run to and fro with the noise of rates and of the
+controller's thrust, several times a second, where two thrusters share a weight of 1 N."""
+
 MOST_TILT_RAD = math.radians(60.0)
 """Beyond this an angle counts as so much."""
 
@@ -40,6 +47,9 @@ class Levelling:
         self.given = table is not None
         """Whether there is anything to do."""
         self._ways: dict[bytes, FloatArray] = {}
+        self._least_n = LEAST_SHARE * np.array([t.limit_n for t in thrusters])
+        self._turned = np.zeros(len(thrusters))
+        """Which way each turned last."""
 
     def reserve_n(self, limit_n: FloatArray) -> FloatArray:
         """(n,) what of ``limit_n`` (n,), 0 for a dead thruster, is kept from the controller.
@@ -70,7 +80,24 @@ class Levelling:
         if not used.any() or not np.isfinite(more).all():
             return wanted_n
         room = (limit_n - wanted_n * np.sign(more))[used] / np.abs(more)[used]
-        result: FloatArray = wanted_n + min(1.0, max(0.0, float(room.min()))) * more
+        share = min(1.0, max(0.0, float(room.min())))
+        result: FloatArray = wanted_n + share * more
+        if float(np.abs(angle * ways.any(axis=0)).max()) < LEVEL_RAD:
+            result = self._unturned(wanted_n, share * more, result)
+        turns = np.abs(result) > SMALL
+        self._turned[turns] = np.sign(result[turns])
+        return result
+
+    def _unturned(self, wanted_n: FloatArray, more_n: FloatArray, result: FloatArray) -> FloatArray:
+        """(n,) with less of ``more_n`` (n,), so that it turns no thruster round for next to nothing: one that would be
+        rests, or does what the controller wants, which knows by itself what is worth it."""
+        for _ in more_n:
+            back = (result * self._turned < 0.0) & (np.abs(result) < self._least_n) & (wanted_n * more_n <= 0.0)
+            back &= (np.abs(result) > SMALL) & (result * more_n > 0.0)
+            if not back.any():
+                break
+            more_n = more_n * float((np.abs(wanted_n)[back] / np.abs(more_n)[back]).min())
+            result = wanted_n + more_n
         return result
 
     def _ways_of(self, limit_n: FloatArray) -> FloatArray:
