@@ -266,7 +266,7 @@ class Autopilot:
             way_left_m=motion.way_left_m,
             nav_disagrees=shadow is not None and shadow.disagrees,
             nav_doubts=estimated.doubts,
-            thruster_share=tuple(actuation.share.tolist()),
+            thruster_share=actuation.shares,
             thrusters_doubtful=actuation.doubtful_thrusters,
             thruster_problem=self._surroundings.thruster_problem or actuation.problem,
             thrusters_unseen=actuation.unseen,

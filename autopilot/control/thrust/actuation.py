@@ -52,6 +52,11 @@ class Actuation:
         return self._losses.share
 
     @property
+    def shares(self) -> tuple[float, ...]:
+        """The same."""
+        return self._losses.shares
+
+    @property
     def problem(self) -> str:
         """What the thrust that is left does not allow, "" while the vehicle can stay where it is."""
         return self._losses.problem

@@ -38,8 +38,12 @@ class ThrusterLosses:
         self._ticks = 0
         self._known: tuple[list[float], FloatArray] | None = None
         """What is told and what is found, of the last look."""
+        self._revision = -1
+        """Of the parameters at the last look."""
         self.share = np.ones(len(self._names))
-        """(n,) effectiveness that bounds and allocation go by; dead thrusters have 0."""
+        """(n,) effectiveness that bounds and allocation go by; dead thrusters have 0. Another array when it changes."""
+        self.shares = (1.0,) * len(self._names)
+        """The same."""
         self.problem = ""
         """What the thrusters that are left do not allow, "" while the vehicle can stay where it is."""
         self.doubtful: tuple[tuple[str, ...], ...] = ()
@@ -80,7 +84,11 @@ class ThrusterLosses:
 
     def _look(self) -> bool:
         """Whether :attr:`share` is another one than on the last tick."""
-        said, found = told(self._params, len(self._names)), self._health.found
+        revision, found = self._params.revision, self._health.found
+        if revision == self._revision and self._known is not None and found is self._known[1]:
+            return False
+        self._revision = revision
+        said = told(self._params, len(self._names))
         if self._known is not None and said == self._known[0] and found is self._known[1]:
             return False
         self._known = (said, found)
@@ -92,6 +100,7 @@ class ThrusterLosses:
                 found[twins] = 1.0
         self.doubtful = tuple(tuple(self._names[i] for i in twins) for twins in doubts if found[twins[0]] < 1.0)
         self.share = usable(np.minimum(said, found))
+        self.shares = tuple(self.share.tolist())
         return bool((self.share != before).any())
 
     def _find(self, t_us: int, nav: NavState | None, pulse_n: FloatArray, armed: bool) -> None:
