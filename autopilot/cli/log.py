@@ -102,12 +102,16 @@ def plot(log_file: Path, out: Path | None) -> None:
 @_LOG
 @_JSON
 def programs(log_file: Path, as_json: bool) -> None:
-    """Solve what the optimiser failed to solve in LOG once more, by every solver. Exit 1 if there is something."""
+    """Solve what the optimiser failed to solve in LOG once more, by every solver.
+
+    Exit 1 if there is something, 3 if part of LOG could not be read.
+    """
     from autopilot.control.nmpc.unsolved import solve_again
     from autopilot.log.packing.programs import unpack
     from autopilot.log.reader import open_log
 
     opened = open_log(log_file)
+    opened.verify()
     found = {name: unpack(name, data) for name, data in opened.attachments.items() if name.startswith("program-")}
     trials = {name: solve_again(program) for name, program in found.items()}
     listed = [
@@ -145,6 +149,7 @@ def programs(log_file: Path, as_json: bool) -> None:
         print_table(f"{log_file}: programs that were not solved, solved again", columns, rows)
     if found:
         raise click.exceptions.Exit(EXIT_FAILED)
+    _tell_loss(opened, "looked at")
 
 
 def _as_json(trial: "Trial") -> dict[str, Any]:
@@ -153,10 +158,10 @@ def _as_json(trial: "Trial") -> dict[str, Any]:
     return {**values, "status": None if trial.status is None else trial.status.name}
 
 
-def _tell_loss(opened: "Log") -> None:
+def _tell_loss(opened: "Log", done: str = "drawn") -> None:
     """What was drawn is not all that was flown: say so, and in the exit code."""
     if opened.problems:
-        click.echo(f"warning: {opened.path}: {'; '.join(opened.problems)}; only what is readable was drawn", err=True)
+        click.echo(f"warning: {opened.path}: {'; '.join(opened.problems)}; only what is readable was {done}", err=True)
         raise click.exceptions.Exit(EXIT_LOSS)
 
 

@@ -53,7 +53,7 @@ def export(
 @click.option("--all", "everything", is_flag=True, help="Compare also what the machine has measured of itself.")
 @_JSON
 def diff(first: Path, second: Path, ignore: tuple[str, ...], everything: bool, as_json: bool) -> None:
-    """Where the messages of A and B differ, and their parameters. Exit 1 if they do."""
+    """Where the messages of A and B differ, and their parameters. Exit 1 if they do, 3 if part could not be read."""
     from autopilot.log.compare import WALL_CLOCK_FIELDS, WALL_CLOCK_TOPICS, compare_logs
     from autopilot.log.reader import open_log
 
@@ -67,8 +67,10 @@ def diff(first: Path, second: Path, ignore: tuple[str, ...], everything: bool, a
         for name in sorted({*ours, *others})
         if ours.get(name) != others.get(name)
     ]
+    problems = [f"{log.path}: {problem}" for log in (a, b) for problem in log.problems]
     if as_json:
-        emit_json({"differences": [asdict(difference) for difference in found], "parameters": parameters})
+        differences = [asdict(difference) for difference in found]
+        emit_json({"differences": differences, "parameters": parameters, "problems": problems})
     else:
         for changed in parameters:
             click.echo(f"parameter {changed['name']}: {changed['first']} against {changed['second']}")
@@ -76,8 +78,12 @@ def diff(first: Path, second: Path, ignore: tuple[str, ...], everything: bool, a
             click.echo(str(difference))
         if not found:
             click.echo("the same messages")
+    for problem in problems:
+        click.echo(f"warning: {problem}; compared is what is readable", err=True)
     if found or parameters:
         raise click.exceptions.Exit(EXIT_DIFFERENT)
+    if problems:
+        raise click.exceptions.Exit(EXIT_LOSS)
 
 
 @click.command()
@@ -88,12 +94,12 @@ def recover(place: Path, as_json: bool) -> None:
 
     Exit 0 if nothing was to be done, 3 if something was repaired, 1 if something could not be.
     """
-    from autopilot.log.recover import recover_log, recover_unfinished
+    from autopilot.log.recover import damage_within, recover_log, recover_unfinished
 
     if place.is_dir():
         found = recover_unfinished(place)
     else:
-        one = recover_log(place)
+        one = recover_log(place) or damage_within(place)
         found = [] if one is None else [one]
     if as_json:
         emit_json([{**asdict(one), "path": str(one.path)} for one in found])

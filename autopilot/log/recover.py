@@ -13,6 +13,7 @@ from autopilot.core.errors import LogError
 from autopilot.log.container import MESSAGE, Contents, Damage, read_contents, records, unpack
 from autopilot.log.lock import lock_exclusive
 from autopilot.log.mcap_file import McapFile
+from autopilot.log.reader import open_log
 from autopilot.log.schemas import PROFILE
 from autopilot.log.writer import CHUNK_BYTES, LIBRARY, QOS_PROFILES
 
@@ -70,6 +71,17 @@ def recover_log(path: Path) -> Recovery | None:
         finally:
             copy.unlink(missing_ok=True)
     return Recovery(path=path, messages=written, problem=problem, repaired=True)
+
+
+def damage_within(path: Path) -> Recovery | None:
+    """What is wrong with a log that was finished, None if nothing is: such a one is left as it is, since whatever can
+    be read of it is read where it lies."""
+    log = open_log(path)
+    log.verify()
+    if not log.problems or not read_contents(path).finished:  # the latter is being written
+        return None
+    problem = f"{'; '.join(log.problems)}; it was finished: export and the others read what is left of it"
+    return Recovery(path=path, messages=log.message_count, problem=problem, repaired=False)
 
 
 def _copy(source: IO[bytes], contents: Contents, target: Path, problem: str) -> int:

@@ -13,6 +13,7 @@ from click.testing import CliRunner, Result
 from log_synthetic import Run, write_run
 
 from autopilot.cli.main import cli
+from autopilot.log.container import read_contents
 from autopilot.log.export import columns_of
 from autopilot.log.reader import open_log
 
@@ -96,6 +97,25 @@ def test_recover(flown: Path, tmp_path: Path) -> None:
     for place in (junk, tmp_path / "none.mcap"):
         done = call("recover", place)
         assert done.exit_code == 1 and str(place) in str(done.exception or done.output)
+
+
+def test_damage_within_a_finished_log_is_named_by_every_command(flown: Path, tmp_path: Path) -> None:
+    """A stretch of zeros where the file system lost a block: the end of the file, and with it the index, are sound."""
+    chunk = read_contents(flown).chunks[2]
+    data = bytearray(flown.read_bytes())
+    data[chunk.offset + 60 : chunk.offset + 200] = bytes(140)
+    hurt = tmp_path / "hurt.mcap"
+    hurt.write_bytes(data)
+    before = hurt.read_bytes()
+    for args in (("programs", hurt), ("diff", hurt, hurt), ("export", hurt, "--out", tmp_path / "csv")):
+        done = call(*args)
+        assert done.exit_code == 3, args[0]
+        assert f"{hurt}: " in done.output and "left out" in done.output, args[0]
+    done = call("recover", hurt)
+    assert done.exit_code == 1 and "left as it is" in done.output and "it was finished" in done.output
+    assert hurt.read_bytes() == before
+    assert json.loads(call("diff", hurt, flown, "--json").stdout)["problems"]
+    assert json.loads(call("diff", flown, flown, "--json").stdout)["problems"] == []
 
 
 def test_find(flown: Path, tmp_path: Path) -> None:

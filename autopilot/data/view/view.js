@@ -121,7 +121,7 @@ function showBars(scene, frame) {
     const thrust = frame.thrust_n[index] ?? 0, weak = frame.effectiveness[index] ?? 1;
     const acting = frame.truth ? ` (${fixed(frame.truth.thrust_n[index], 1)})` : "";
     const row = bar(name + (weak < 0.95 ? ` ${(100 * weak).toFixed(0)} %` : ""), thrust, limits.thrust_n, `${fixed(thrust, 1)}${acting} N`, true);
-    row.title = `${frame.pwm_us[index]} us; bound ${limits.thrust_n} N; in brackets: acting`;
+    row.title = `${name}: ${frame.pwm_us[index]} us; bound ${limits.thrust_n} N; in brackets: acting`;
     return row;
   }));
 }
