@@ -322,6 +322,8 @@ def _smoothness_rows(flight: Flight) -> list[Row]:
         return []
     end_s = flight.mission.end_s
     slow = f"{found.variation_n_s:.2f} N/s, {found.low_passed_n_s:.2f} below 2 Hz"
+    if found.low_passed_n_s < found.least_n_s:
+        slow += f", taken as {found.least_n_s:.2g}"
     return [
         _smooth("alternating commands", "%", 100.0 * BARS.alternating, 100.0 * found.alternating, end_s, "by 2 N"),
         _smooth("variation of thrust over its slow part", "", BARS.ratio, found.ratio, end_s, slow),

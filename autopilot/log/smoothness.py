@@ -6,13 +6,16 @@ between them. Over N steps with the commands u_k of one thruster and their diffe
 * *alternating*: d_k and d_(k+1) have opposite signs and both exceed ALTERNATION_N. Counted are the steps k at which any
   thruster does, against all steps
 * *variation*: sum of |d_k| over the time, the mean of the thrusters; and the same of the commands behind a low-pass of
-  LOW_PASS_HZ without phase (Butterworth, second order, forwards and backwards), which is what the motion can follow
+  LOW_PASS_HZ without phase (Butterworth, second order, forwards and backwards), which is what the motion can follow.
+  Their ratio is judged. On a straight way nothing has to change, and any noise is a multiple of nothing: the slow part
+  counts as at least LEAST_SLOW_1_S of the thrust limit
 * *largest step*: the largest |d_k| that neither begins nor ends at the thrust limit and is no start. Starts are the
   differences to commands within START_S after arming and after a goal that is another place
 * *reversals*: changes of sign per second, of the worst thruster; what is smaller than REVERSAL_N is no thrust
 * *silent*: steps flown by a fallback of which the operator has not heard within TOLD_S before or ANSWER_S after
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -28,6 +31,9 @@ START_S = 0.25
 REVERSAL_N = 0.1
 TOLD_S = 30.0
 ANSWER_S = 1.0
+LEAST_SLOW_1_S = 1.0 / 12.0
+"""Share of the limit per second: 1 N/s of 12 N. Twice that is the variation of white noise of 0.7 % of the limit."""
+
 AT_LIMIT = 0.999
 """Share of the thrust limit from which on a command counts as saturated."""
 
@@ -72,11 +78,14 @@ class Smoothness:
     """Per second, worst thruster."""
     silent: int
     """Steps."""
+    least_n_s: float = 0.0
+    """What counts as slow at least."""
 
     @property
     def ratio(self) -> float:
-        """Variation over what is left of it below LOW_PASS_HZ; 1 when nothing moves."""
-        return self.variation_n_s / self.low_passed_n_s if self.low_passed_n_s > 0.0 else 1.0
+        """Variation over what is left of it below LOW_PASS_HZ, or over what counts as slow at least."""
+        slow_n_s = max(self.low_passed_n_s, self.least_n_s)
+        return self.variation_n_s / slow_n_s if slow_n_s > 0.0 else 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +121,7 @@ def measure(commands: Commands) -> Smoothness | None:
     return Smoothness(
         alternating=float(alternates.any(axis=1).sum()) / len(t_s),
         variation_n_s=float(np.abs(d).sum(axis=0).mean()) / span_s,
+        least_n_s=LEAST_SLOW_1_S * commands.limit_n if math.isfinite(commands.limit_n) else 0.0,
         low_passed_n_s=float(np.abs(np.diff(low_passed(t_s, thrust), axis=0)[follows]).sum(axis=0).mean()) / span_s,
         step_n=float(counted.max()),
         step_at_s=float(t_s[at + 1]),

@@ -20,10 +20,10 @@ def commands(thrust_n: np.ndarray, **changes: object) -> Commands:
 
 
 def test_slow_commands_keep_every_bar() -> None:
-    found = measure(commands(5.0 + 3.0 * np.sin(0.5 * T_S)))
+    found = measure(commands(7.0 + 4.5 * np.sin(1.5 * T_S)))
     assert found is not None and not BARS.broken(found)
     assert found.ratio == pytest.approx(1.0, abs=0.02)
-    assert found.variation_n_s == pytest.approx(0.5 * 3.0 * 0.5 * 2.0 / math.pi, rel=0.03)
+    assert found.variation_n_s == pytest.approx(0.5 * 4.5 * 1.5 * 2.0 / math.pi, rel=0.03)
     assert found.alternating == found.reversals_1_s == found.silent == 0
 
 
@@ -36,6 +36,17 @@ def test_a_tenth_of_the_steps_alternates() -> None:
     assert found.variation_n_s == pytest.approx(0.5 * 40 * 3.5 / (399 * 0.05))
     assert found.step_n == 3.5 and found.step_at_s == pytest.approx(5.0)
     assert set(BARS.broken(found)) == {"alternating", "ratio", "step_n"}
+
+
+def test_noise_on_a_straight_way_is_judged_by_the_limit_and_not_by_what_does_not_have_to_change() -> None:
+    rng = np.random.default_rng(4)
+    for sigma_n, kept in ((0.1, True), (0.2, False)):
+        thrust = 2.0 + rng.normal(0.0, sigma_n, len(T_S))
+        found = measure(commands(thrust))
+        unlimited = measure(commands(thrust, limit_n=math.inf))
+        assert found is not None and unlimited is not None
+        assert ("ratio" not in BARS.broken(found)) is kept
+        assert unlimited.ratio > BARS.ratio, "a log that does not say what its thrusters may"
 
 
 def test_steps_of_starts_and_into_the_limit_do_not_count() -> None:
