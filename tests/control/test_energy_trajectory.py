@@ -8,7 +8,7 @@ import pytest
 
 from autopilot.control.controller import MotionController
 from autopilot.control.energy.flow import area_of, sample_flow
-from autopilot.control.energy.leg_task import shifted
+from autopilot.control.energy.leg_task import LEG_DEPTH_M, shifted
 from autopilot.control.energy.power import PowerModel
 from autopilot.control.energy.request import Request
 from autopilot.control.energy.search import EnergyPlanner
@@ -206,3 +206,14 @@ def test_a_vehicle_swept_away_from_a_leg_that_was_left_to_the_route_gets_a_plan(
     assert plans(0, 1.2) == 0
     assert plans(40, 1.9) == 0
     assert plans(80, 6.0) > 0
+
+
+def test_a_long_leg_keeps_to_the_depth_that_was_drawn() -> None:
+    """Sinking all the way and rising at the end would be a little cheaper, and every new plan would begin deeper."""
+    open_water = Fence(depth_max_m=20.0)
+    controller = MotionController(VEHICLE, cpu_clock=lambda: 0.0)
+    params = ParamSet({"MPC_COST": 1, "DEPTH_MAX": 20.0})
+    to = goal(60.0, 0.0, 5.0, None)
+    flight = fly(controller, [to], [0, 0, 5.0, 0, 0, 0, 0, 0], fence=open_water, params=params, limit_s=240.0)
+    assert flight.reached_s
+    assert np.abs(flight.x[:, 2] - 5.0).max() < LEG_DEPTH_M + 0.05

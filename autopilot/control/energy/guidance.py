@@ -27,7 +27,7 @@ from autopilot.control.way.guidance import Reference, RouteGuidance, Situation, 
 from autopilot.core.desk import Cancel, Desk, Ticket
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import EnergyPlan, Goal, Severity
-from autopilot.core.model4 import YAW, R, U
+from autopilot.core.model4 import YAW, R, U, Z
 from autopilot.core.sharing import Sharing
 
 OFF_TRACK_M = 0.15
@@ -133,6 +133,7 @@ class EnergyGuidance:
         self._last_us: int | None = None
         self._goal_key: tuple[float, ...] | None = None
         self._goal_step = 0
+        self._leg_depth_m: float | None = None
         self._planner: object = None
         self._track: Track | None = None
         self._next: Track | None = None
@@ -291,6 +292,7 @@ class EnergyGuidance:
         """Take the plan that was made ahead for this goal, or begin without one."""
         left, ahead, same_fence = self._track, self._next, now.planner is self._planner
         self._goal_key, self._planner, self._goal_step = key, now.planner, self._step
+        self._leg_depth_m = float(now.x0[Z])
         self._track, self._next, self._asked_next = None, None, False
         self._quick, self._left_at_m, self._first = False, None, Kind.QUICK
         self._patience.succeeded()
@@ -446,6 +448,7 @@ class EnergyGuidance:
             thrust_limit_n=BOUND_SHARE * now.thrust_limit_n,
             buoyancy_excess_n=self._sharing.buoyancy_excess_n,
             cruise_m_s=goal.speed_m_s,
+            leg_depth_m=None if kind is Kind.NEXT else self._leg_depth_m,
             warm=begun,
             kind=kind,
         )

@@ -70,6 +70,10 @@ SLOWING_RAD_S2 = 0.3
 BETWEEN_M = 0.004
 """Kept beyond the optimiser's own margin, for what lies between the nodes."""
 
+LEG_DEPTH_M = 0.3
+"""A leg stays so near the depths of its start and goal. Sinking slowly and rising on the buoyancy at the end is cheaper
+by some 0.3 %, and over 360 m it went 5 m deeper than anyone had drawn."""
+
 WIDENING_M_S = 0.02
 """A vehicle that is nearer than that goes away from the boundary so fast."""
 
@@ -110,7 +114,7 @@ class LegTask:
         """The task of the leg after this one, from where ``end`` ends."""
         goal = self._request.goal.following
         assert goal is not None
-        request = replace(self._request, x0=end.x[-1], goal=goal, warm=None)
+        request = replace(self._request, x0=end.x[-1], goal=goal, warm=None, leg_depth_m=None)
         rest = (np.zeros(2), self._program, self._steady, self._cancel)
         return LegTask(request, self._features, self._flow, self._table, beyond, *rest)
 
@@ -338,6 +342,10 @@ class LegTask:
         limits = np.tile(request.limits[1:], (len(guess.t_s), 1))
         limits[:, 0] = np.maximum(limits[:, 0], abs(heave) - SLOWING_M_S2 * guess.t_s)
         limits[:, 1] = np.maximum(limits[:, 1], abs(turn) - SLOWING_RAD_S2 * guess.t_s)
+        began = depth if request.leg_depth_m is None else request.leg_depth_m
+        ends = began, float(request.goal.pos_ned_m[2])
+        limits[:, 2] = np.maximum(limits[:, 2], min(ends) - LEG_DEPTH_M)
+        limits[:, 3] = np.minimum(limits[:, 3], max(ends) + LEG_DEPTH_M)
         limits[:, 2] = np.minimum(limits[:, 2], depth + min(stop, 0.0))
         limits[:, 3] = np.maximum(limits[:, 3], depth + max(stop, 0.0))
         return limits

@@ -36,6 +36,8 @@ class Request:
     """(4,)"""
     buoyancy_excess_n: float
     """Buoyancy minus weight, as it has proved to be."""
+    leg_depth_m: float | None = None
+    """Depth at which the leg to the goal was begun, None = here."""
     cruise_m_s: float = math.inf
     """See :func:`autopilot.control.energy.power.planar_limit_m_s`."""
     warm: Trajectory | None = None
