@@ -1,10 +1,12 @@
 """What may stand where in a TOML file: the names that an unknown key, kind or value has to be one of."""
 
+import copy
 import difflib
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import msgspec
 from msgspec import inspect
 
 _STEP = re.compile(r"\.(?P<key>[^.\[\]]+)|\[(?P<index>\d+|\.\.\.)\]")
@@ -13,6 +15,8 @@ _NO_KEY = re.compile(rf"unknown field `(?P<name>[^`]*)`{_PLACE}")
 _NO_VALUE = re.compile(rf"Invalid (?:enum )?value '(?P<name>[^']*)'{_PLACE}")
 _NO_KIND = re.compile(rf"missing required field `(?P<name>kind)`{_PLACE}")
 _MISSING = re.compile(r"missing required field `(?P<name>[^`]*)`")
+_ENTRY = re.compile(r" - at `(?P<place>\$[^`]*?)\[\.\.\.\]")
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
 _ANYWHERE = re.compile(r" - at `(?P<place>\$[^`]*)`")
 MOST_LETTERS = 40
 """Of a wrong value that is shown."""
@@ -44,6 +48,48 @@ def remedy(error: str, tables: dict[str, Any], kind: type) -> str:
     found = _ANYWHERE.search(error)
     told = "" if found is None else _told(tables, found["place"])
     return f"{told}{choice('', ())}"
+
+
+def with_entry(error: str, tables: dict[str, Any], kind: type) -> str:
+    """An error with the name of the entry that msgspec leaves open as ``[...]``: the one that is refused alone, too."""
+    found = _ENTRY.search(error)
+    if found is None:
+        return error
+    place = found["place"]
+    name = next((key for key in _at(tables, place) if _refused(_only(tables, place, key), kind) == error), None)
+    if name is None:
+        return error
+    step = f".{name}" if _BARE.fullmatch(name) else f'."{name}"'
+    return error.replace(f"{place}[...]", f"{place}{step}", 1)
+
+
+def _at(tables: dict[str, Any], place: str) -> dict[str, Any]:
+    """The table at a path; an empty one where there is none."""
+    value: Any = tables
+    for step in _STEP.finditer(place):
+        try:
+            value = value[step["key"] if step["index"] is None else int(step["index"])]
+        except (IndexError, KeyError, TypeError, ValueError):
+            return {}
+    return value if isinstance(value, dict) else {}
+
+
+def _only(tables: dict[str, Any], place: str, key: str) -> dict[str, Any]:
+    """The tables with nothing but one entry in the table at a path."""
+    copied = copy.deepcopy(tables)
+    table = _at(copied, place)
+    for other in [name for name in table if name != key]:
+        del table[other]
+    return copied
+
+
+def _refused(tables: dict[str, Any], kind: type) -> str:
+    """What is wrong with tables, "" if nothing is."""
+    try:
+        msgspec.convert(tables, kind, strict=True)
+    except msgspec.ValidationError as error:
+        return str(error)
+    return ""
 
 
 def choice(name: str, names: Sequence[str]) -> str:

@@ -51,9 +51,10 @@ def convert(tables: dict[str, Any], kind: type, origin: str) -> Any:
     try:
         return msgspec.convert(tables, kind, strict=True)
     except msgspec.ValidationError as error:
-        from autopilot.core.toml_names import remedy  # for errors only
+        from autopilot.core.toml_names import remedy, with_entry  # for errors only
 
-        raise ConfigError(f"{origin}: {error}; {remedy(str(error), tables, kind)}") from error
+        told = with_entry(str(error), tables, kind)
+        raise ConfigError(f"{origin}: {told}; {remedy(str(error), tables, kind)}") from error
 
 
 def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
