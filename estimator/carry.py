@@ -25,7 +25,6 @@ from estimator.states import CURRENT, DRAG_EXCESS, NX, VEL, YAW, FilterState
 LINEAR: FloatArray = np.full(NX, np.inf)
 LINEAR[YAW], LINEAR[VEL], LINEAR[CURRENT], LINEAR[DRAG_EXCESS] = 0.002, 0.006, 0.008, 0.02
 """(21,) A state that is corrected by more turns or drags otherwise than the Jacobians say."""
-_LINEAR: list[float] = LINEAR.tolist()
 MOST_COLUMNS = 12
 """With more, computing again is cheaper."""
 
@@ -59,7 +58,7 @@ class Correction(NamedTuple):
         if len(self.e) > MOST_COLUMNS:
             return False
         change = np.abs(self.w.dot(self.e)).tolist()
-        return all(map(operator.le, change, _LINEAR))
+        return all(map(operator.le, change, LINEAR.tolist()))
 
     def joined(self, other: "Correction") -> "Correction":
         """First this one, then the other at the same node."""
