@@ -2,6 +2,8 @@
 
 import ctypes
 import gc
+import subprocess
+import sys
 import threading
 import weakref
 from pathlib import Path
@@ -129,3 +131,25 @@ def test_large_blocks_go_back_to_the_system(tmp_path: Path) -> None:
     assert LIBRARY.mallinfo2().hblkhd - before >= block.nbytes
     del block
     assert LIBRARY.mallinfo2().hblkhd <= before
+
+
+@pytest.mark.skipif(not hasattr(LIBRARY, "mallinfo2"), reason="another C library")
+def test_memory_that_is_wanted_again_and_again_is_not_fetched_from_the_system_each_time() -> None:
+    """In a process of its own: what others have left in the heap would be enough."""
+    taken = """
+import resource
+import numpy as np
+from autopilot.run.allocator import LARGE_BYTES, give_back_large_blocks
+
+def pages() -> int:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    blocks = [np.ones(LARGE_BYTES // 2, dtype=np.uint8) for _ in range(16)]
+    del blocks
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+give_back_large_blocks()
+pages()
+print(min(pages() for _ in range(3)))
+"""
+    run = subprocess.run([sys.executable, "-c", taken], capture_output=True, text=True, check=True)
+    assert int(run.stdout) < 200  # of 2048
