@@ -3,10 +3,12 @@
 import asyncio
 import concurrent.futures as cf
 import gc
+import importlib
 import logging
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections import Counter, deque
@@ -22,7 +24,9 @@ LOOK_S = 0.2
 SUSPECT = 2
 """Deaths of processes during a run after which it is flown alone."""
 AHEAD = 2
-"""Runs per thread of a cluster that are handed out at a time: a worker that dies takes few with it."""
+"""Runs per process, or thread of a cluster, that are handed out at a time: one that dies takes few with it."""
+WORKER = "autopilot.campaign.worker"
+"""Imports all that a run needs."""
 CONNECT_S = 10.0
 FIRST_WORKER_S = 30.0
 NOBODY_S = 300.0
@@ -85,10 +89,26 @@ class InProcess:
 
 
 class LocalPool:
-    """A process per core. Each imports once and flies many runs."""
+    """A process per core, each of which flies many runs.
+
+    On Linux they are forked from a process that has nothing in it but what a run imports, and no thread; it does so
+    from the moment that the engine is made, while the campaign is being prepared. Elsewhere each imports for itself.
+    """
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
+        self._context: Any = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Start the process that the others come from, if they do and it is not there. Does not wait for it."""
+        if self._context.get_start_method() != "forkserver":
+            return
+        from multiprocessing import forkserver
+
+        self._context.set_forkserver_preload([WORKER])
+        with _single_threaded(), _deaf_to_interrupt():
+            forkserver.ensure_running()
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
         """See :class:`Engine`. A process that dies takes no run with it but one that kills its process again when it
@@ -113,7 +133,8 @@ class LocalPool:
         self, tasks: dict[int, Flyable[Result]], stop: Stop, broken: list[int]
     ) -> Iterator[tuple[int, Result | None]]:
         """Results until all are there, or a process dies: ``broken`` are the runs that were under way then."""
-        context = multiprocessing.get_context("spawn")
+        context = self._context
+        self._prepare()
         # One byte and no lock, as an Event has: who is killed while it looks would keep that for ever.
         halt = context.RawValue("b", 0)
         with (
@@ -123,10 +144,14 @@ class LocalPool:
             ) as pool,
         ):
             under_way: set[int] = set()
+            waiting = deque(tasks.items())
+            pending: dict[cf.Future[Result | None], int] = {}
             try:
-                with _deaf_to_interrupt():
-                    pending = {pool.submit(_fly_in_worker, task): key for key, task in tasks.items()}
-                while pending and not stop():
+                while (waiting or pending) and not stop():
+                    with _deaf_to_interrupt():
+                        while waiting and len(pending) < AHEAD * self._jobs:
+                            key, task = waiting.popleft()
+                            pending[pool.submit(_fly_in_worker, task)] = key
                     under_way = {key for future, key in pending.items() if future.running()} or under_way
                     done, _ = cf.wait(pending, LOOK_S, cf.FIRST_COMPLETED)
                     for future in done:
@@ -162,8 +187,12 @@ def _begin_worker(halt: Any) -> None:
     global _halt
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _halt = halt
-    import autopilot.campaign.flight  # noqa: F401
+    _settle()
 
+
+def _settle() -> None:
+    """Import what a run needs, which then needs no garbage collection."""
+    importlib.import_module(WORKER)
     gc.collect()
     gc.freeze()
 
@@ -206,12 +235,13 @@ class DaskCluster:
     def __init__(self, address: str | None, jobs: int) -> None:
         """ConfigError if dask.distributed is not installed."""
         try:
-            import distributed
+            distributed, settings = (importlib.import_module(name) for name in ("distributed", "dask.config"))
         except ImportError as error:
             raise ConfigError(
                 "--engine dask needs dask.distributed; install underwater-autopilot[cluster] or use --engine local"
             ) from error
         self._distributed: Any = distributed
+        self._settings: Any = settings
         self._address = address
         self._jobs = jobs
 
@@ -224,8 +254,9 @@ class DaskCluster:
         """
         if not tasks:
             return
-        with self._quiet(), self._client() as client:
+        with self._quiet(), self._unsampled(), self._client() as client:
             self._see_workers(client)
+            client.register_worker_callbacks(_settle)  # of those that come later, too
             waiting = deque(tasks)
             pending: dict[Any, Flyable[Result]] = {}
             missed_s: float | None = None
@@ -309,6 +340,13 @@ class DaskCluster:
         finally:
             for name, level in before.items():
                 logging.getLogger(name).setLevel(level)
+
+    @contextmanager
+    def _unsampled(self) -> Iterator[None]:
+        """A cluster of its own begins meanwhile: its workers do not look at the stacks of all threads 100 times a
+        second, which takes the interpreter from the runs."""
+        with self._settings.set({"distributed.worker.profile.enabled": False}):
+            yield
 
     def _client(self) -> Any:
         if self._address is None:

@@ -1,0 +1,9 @@
+"""What a process that flies runs has in it: imported once, by whoever such processes are forked from.
+
+A run imports much of this only when it comes to it (estimators, controllers and MAVLink's services are found by name);
+here it is at hand before the first run, so that a process of a pool begins with flying.
+"""
+
+import estimator.complementary
+import estimator.ekf
+import estimator.relocation  # noqa: F401
