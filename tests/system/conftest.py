@@ -14,8 +14,8 @@ from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Iterator[OpenSession]:
+@contextlib.contextmanager
+def sessions(folder: Path) -> Iterator[OpenSession]:
     """Makes sessions with nothing shared: no sockets, a state folder of their own, lockstep."""
     opened: list[SitlSession] = []
 
@@ -30,7 +30,7 @@ def session(tmp_path: Path) -> Iterator[OpenSession]:
     ) -> SitlSession:
         settings = gather(sitl_defaults(0), {"scenario": scenario, "speed": 0.0, **given}, {})
         settings.put("connect", (), "test")
-        settings.put("state_dir", str(tmp_path / "state"), "test")
+        settings.put("state_dir", str(folder / "state"), "test")
         settings.put("log", None if log is None else str(log), "test")
         made = open_sitl(settings, params or {}, log=log is not None, peers=peers, on_tick=on_tick)
         opened.append(made)
@@ -40,6 +40,20 @@ def session(tmp_path: Path) -> Iterator[OpenSession]:
     for made in opened:
         made.runtime.close()
         made.recorder.close()
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[OpenSession]:
+    """Sessions of a test."""
+    with sessions(tmp_path) as make:
+        yield make
+
+
+@pytest.fixture(scope="module")
+def module_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpenSession]:
+    """Sessions of flights that several tests of a module look at."""
+    with sessions(tmp_path_factory.mktemp("flights")) as make:
+        yield make
 
 
 @pytest.fixture

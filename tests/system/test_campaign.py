@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from deadly_runs import Deadly, Spinning
 
 from autopilot.campaign.definition import Campaign, define, first_difference
 from autopilot.campaign.engines import DaskCluster, InProcess, LocalPool, make_engine
@@ -302,38 +303,12 @@ def test_the_worst_come_first() -> None:
     assert [result.run for result in worst_first(runs)] == [2, 1, 0]
 
 
-class Deadly:
-    """A run that kills its process every time, or does no harm."""
-
-    def __init__(self, number: int, deadly: bool) -> None:
-        self.number, self.deadly = number, deadly
-
-    def fly(self, stop: Any) -> str:
-        if self.deadly:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return f"run {self.number}"
-
-    def failed(self, error: str) -> str:
-        return f"run {self.number} failed: {error}"
-
-
 @pytest.mark.parametrize("deadly", [(), (1,), (0, 2), (0, 1, 2)])
 def test_a_process_that_dies_takes_no_other_run_with_it(deadly: tuple[int, ...]) -> None:
     runs = [Deadly(number, number in deadly) for number in range(3)]
     found = sorted(LocalPool(2).run(runs, lambda: False))
     died = "failed: the process that flew it died each time (out of memory?)"
     assert found == [f"run {number} {died}" if number in deadly else f"run {number}" for number in range(3)]
-
-
-class Spinning(Deadly):
-    """A run whose process is killed at any moment while it asks whether to stop, as all do all the time."""
-
-    def fly(self, stop: Any) -> str:
-        if self.deadly:
-            threading.Timer(0.02, os.kill, (os.getpid(), signal.SIGKILL)).start()
-            while True:
-                stop()
-        return f"run {self.number}"
 
 
 def test_a_process_that_dies_holds_nothing_that_others_wait_for() -> None:

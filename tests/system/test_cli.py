@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import signal
 import socket
 import sys
@@ -317,12 +318,18 @@ def test_port_in_use(autopilot: Command, tmp_path: Path, kind: socket.SocketKind
 # Logs
 
 
+@pytest.fixture(scope="module")
+def flight(module_session: OpenSession, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the log of a few seconds of flight."""
+    path = tmp_path_factory.mktemp("flight") / "flown.mcap"
+    module_session(sensors="pose", plan=str(PAPER_PLAN), start=True, duration=4.0, log=path).run()
+    return path.parent
+
+
 @pytest.fixture
-def flown(session: OpenSession, tmp_path: Path) -> Path:
-    """A log of a few seconds of flight."""
-    path = tmp_path / "logs/flown.mcap"
-    session(sensors="pose", plan=str(PAPER_PLAN), start=True, duration=4.0, log=path).run()
-    return path
+def flown(flight: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    return shutil.copytree(flight, tmp_path / "logs") / "flown.mcap"
 
 
 def test_log_that_is_whole(autopilot: Command, flown: Path) -> None:

@@ -35,7 +35,7 @@ def test_a_row_has_a_scenario_that_can_be_flown_and_asks_for_an_effect_of_the_ro
 
 @pytest.mark.parametrize("case", [case for case in CASES if case.rule.name in FLOWN], ids=lambda case: case.rule.name)
 def test_the_failsafe_comes_in_time_and_the_vehicle_ends_as_promised(case: FaultCase) -> None:
-    result = fly_fault_case(case, "paper-tank", seed=7, at_s=10.0)
+    result = fly_fault_case(case, "paper-tank", seed=7, at_s=6.0)
     assert result.armed and result.contacts == 0
     assert result.raised_s is not None and 0.0 <= result.raised_s <= case.within_s
     assert result.kept, result

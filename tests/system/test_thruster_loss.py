@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from system_harness import ROOT, OpenSession, fly_to_the_end
 
-from autopilot.core.messages import Failsafe, Outputs
+from autopilot.core.messages import Failsafe, Outputs, ProgressState
 from autopilot.log.check import Row, Verdict, acceptance_table
 from autopilot.log.reader import open_log
 from mission.paper import paper_plan
@@ -28,7 +28,7 @@ def _fly(
     params: str = "",
     safe_after_s: float = 0.0,
 ) -> Path:
-    """One lap of the shipped scenario with this fault, to its end or until so long after the failsafe; the log."""
+    """One lap with this fault, to its end, or to so long after the loss has been found out for good; the log."""
     shipped = 'thruster = "port"\nloss = 0.5'
     text = SCENARIO.read_text(encoding="utf-8")
     assert shipped in text
@@ -39,14 +39,18 @@ def _fly(
     if not safe_after_s:
         fly_to_the_end(session, str(variant), **given)
         return log
-    raised: list[int] = []
+    dead: list[int] = []
+    ended: list[int] = []
 
     def look(outputs: Outputs) -> None:
-        if outputs.mode.failsafes >> Failsafe.THRUSTER & 1:
-            raised.append(outputs.t_us)
+        if outputs.thrusters is not None and 0.0 in outputs.thrusters.effectiveness[:4]:
+            dead.append(outputs.t_us)
+        complete = outputs.progress is not None and outputs.progress.state is ProgressState.COMPLETE
+        if outputs.mode.failsafes >> Failsafe.THRUSTER & 1 or (complete and dead):
+            ended.append(outputs.t_us)
 
     run = session(str(variant), start=True, on_tick=look, **given)
-    run.run(stop=lambda: bool(raised) and raised[-1] - raised[0] > 1e6 * safe_after_s)
+    run.run(stop=lambda: bool(ended) and ended[-1] - ended[0] > 1e6 * safe_after_s)
     return log
 
 
