@@ -10,6 +10,7 @@ import argparse
 import ast
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -41,15 +42,20 @@ def room_of(module: str, path: Path) -> str:
 
 def imports_of(path: Path, known: dict[str, Path]) -> set[str]:
     """Modules of ours that a file imports, wherever in it."""
+    found = {full if full in known else module for full, module in _names(path)}
+    return found & known.keys()
+
+
+@cache
+def _names(path: Path) -> frozenset[tuple[str, str]]:
+    """What a file imports, wherever in it: each name with its module in front, and that module."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names if alias.name in known)
+            found.update((alias.name, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
-            for alias in node.names:
-                full = f"{node.module}.{alias.name}"
-                found.update(name for name in (full if full in known else node.module,) if name in known)
-    return found
+            found.update((f"{node.module}.{alias.name}", node.module) for alias in node.names)
+    return frozenset(found)
 
 
 def arrows() -> dict[str, set[str]]:
