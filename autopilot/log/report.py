@@ -116,7 +116,7 @@ def _page(flight: Flight, rows: Sequence[Row]) -> str:
             drawn += f"<h3>{html.escape(title)}{button}</h3>\n{parts[f'{subject}: {title}']}\n"
     title = f"{flight.run.scenario if flight.run is not None else flight.log.path.stem}: {flight.log.path.name}"
     tables = ("Verdicts", *subjects, "Events", "Counters", "Parameters", "Topics", "Downloads")
-    links = "".join(f'<a href="#{_anchor(name)}">{html.escape(name)}</a>' for name in tables)
+    links = " ".join(f'<a href="#{_anchor(name)}">{html.escape(name)}</a>' for name in tables)
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>\n'
         f'<meta name="viewport" content="width=device-width">\n'

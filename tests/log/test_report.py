@@ -119,6 +119,7 @@ def test_rows_are_tinted_and_notes_can_be_read(page: Path) -> None:
     assert filled and all(".badge" in selector for selector in filled)
     assert '<tr class="row-fail">' in text and '<td class="note">reached' in text
     assert text.count("<figure>") == 10 and "data:image/jpeg" in text
+    assert "</a> <a" in text, "the line of links can be broken"
     for name in ("verdicts.csv", "parameters.params", "run.json"):
         assert f'download="{name}"' in text
 
