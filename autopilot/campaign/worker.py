@@ -3,7 +3,17 @@
 A run imports much of this only when it comes to it (estimators, controllers and MAVLink's services are found by name);
 here it is at hand before the first run, so that a process of a pool begins with flying.
 """
+# ruff: noqa: F401
 
+import autopilot.campaign.flight
+import autopilot.control.controller
+import autopilot.control.energy.guidance
+import autopilot.control.energy.search
+import autopilot.control.robust.ancillary
+import autopilot.control.robust.regions
+import autopilot.control.robust.terminal
+import autopilot.control.robust.tube
+import autopilot.mavlink.dispatch
 import estimator.complementary
 import estimator.ekf
-import estimator.relocation  # noqa: F401
+import estimator.relocation
