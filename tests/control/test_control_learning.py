@@ -187,15 +187,3 @@ def test_a_goal_up_a_stream_through_a_fence_is_flown_to_and_not_round() -> None:
         limit_s=7.0,
     )
     assert np.abs(flown.x[:, 1]).max() < 0.2
-
-
-@pytest.mark.parametrize("sweep_y", [0.0, 0.3])
-def test_the_walls_of_a_closed_basin_turn_what_is_expected_beyond_the_way(sweep_y: float) -> None:
-    """One pass along a jet: less is expected to flow across the walls than along them."""
-    forecast, _ = taught(sweep_y)
-    x, y = np.linspace(-2.0, 2.0, 9), np.linspace(-1.2, 1.2, 7)
-    sides = [forecast._fit.flow(np.column_stack([x, np.full(9, side)])) for side in (-1.5, 1.5)]
-    ends = [forecast._fit.flow(np.column_stack([np.full(7, side), y])) for side in (-2.5, 2.5)]
-    across = np.concatenate([flow[:, 1] for flow in sides] + [flow[:, 0] for flow in ends])
-    along = np.concatenate([flow[:, 0] for flow in sides])
-    assert np.square(across).mean() < 0.85 * np.square(along).mean()

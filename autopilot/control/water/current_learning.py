@@ -62,14 +62,6 @@ OPEN_LENGTH_M = 6.0
 EVIDENCE_SHARE = 0.5
 """Exponent of the likelihood: neighbouring estimates err alike, because they lag."""
 
-WALL_LEAK = 0.15
-"""Standard deviation of what flows across the fence of a closed basin, in those of the flow within: it may be drawn a
-little inside of the walls."""
-
-WALLS_PER_LENGTH = 1.5
-MAX_WALLS = 60
-"""Places along the fence at which that is said."""
-
 SHORTEST_M, LONGEST_M = 0.3, 50.0
 
 CELLS_PER_LENGTH = 2.5
@@ -137,35 +129,6 @@ class Fit:
         return out
 
 
-class _Walls:
-    """Where a closed basin ends, nothing flows across: the varying part given that, and how the walls pull at it.
-
-    Conditioning a Gaussian process on n'(w) v(w) = 0 at places w takes B G B' from its covariance, B that of the
-    flow with n'v at the walls, G the inverse of that between walls; what cells pull with is answered by -G B' there.
-    """
-
-    def __init__(self, fence: Fence, length_m: float) -> None:
-        self.places_ned_m, normal = _wall_places(fence, length_m)
-        """(m, 2)"""
-        m = len(self.places_ned_m)
-        self._length_m = length_m
-        self._across = np.vstack([np.diag(normal[:, 0]), np.diag(normal[:, 1])])
-        """(2 m, m): pulls across as pulls north and east."""
-        between = self._across.T @ _varying(self.places_ned_m, length_m) @ self._across
-        self._gain = np.linalg.inv(between + WALL_LEAK**2 * np.eye(m))
-
-    def condition(self, places: FloatArray, varying: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(2 n, 2 n) the covariance ``varying`` at places (n, 2) given the walls, and (2 m, 2 n) what pulls at the
-        places are answered with at the walls."""
-        n = len(places)
-        both = _varying(np.vstack([places, self.places_ned_m]), self._length_m)
-        cell = np.concatenate([np.arange(n), len(both) // 2 + np.arange(n)])
-        wall = np.setdiff1d(np.arange(len(both)), cell)
-        answer = self._gain @ (both[np.ix_(cell, wall)] @ self._across).T
-        given: FloatArray = varying - both[np.ix_(cell, wall)] @ self._across @ answer
-        return given, -self._across @ answer
-
-
 class LearnedCurrent:
     """See :class:`autopilot.control.water.currents.CurrentForecast`."""
 
@@ -173,7 +136,6 @@ class LearnedCurrent:
         self._basin = basin
         self._length_m = OPEN_LENGTH_M
         self._fenced = False
-        self._walls: _Walls | None = None
         self._last_us: int | None = None
         self._revision = Revision()
         library = compiled.library()
@@ -208,7 +170,6 @@ class LearnedCurrent:
         width = narrowest_width_m(fence)
         length = OPEN_LENGTH_M if width is None else LENGTH_SHARE * width
         length = min(max(length, SHORTEST_M), LONGEST_M)
-        self._walls = _Walls(fence, length) if width is not None and self._basin is Basin.CLOSED else None
         if (length, width is not None) != (self._length_m, self._fenced):
             self._length_m, self._fenced = length, width is not None
             self._forget()
@@ -281,21 +242,11 @@ class LearnedCurrent:
         alpha = np.empty((*likely.shape, len(seen)))
         for i, flow in enumerate(FLOW_M_S):
             likely[i], alpha[i] = _weights(flow, varying, noise, seen)
-        walls = self._walls
-        if walls is not None:
-            within, answer = walls.condition(places, varying)
-            for i, flow in enumerate(FLOW_M_S):
-                both = _weights(flow, within, noise, seen)
-                likely[i, 0], alpha[i, 0] = both[0][0], both[1][0]
         belief = EVIDENCE_SHARE * likely + self._log_prior
         belief = np.exp(belief - belief.max())
         self._belief = belief = belief / belief.sum()
-        pulls = np.einsum("ij,i,ijk->jk", belief, np.square(FLOW_M_S), alpha)
-        pull = pulls.sum(axis=0).reshape(2, -1)
+        pull = np.einsum("ij,i,ijk->k", belief, np.square(FLOW_M_S), alpha).reshape(2, -1)
         mean = np.einsum("ij,j,ijk->k", belief, np.square(_MEANS_M_S), alpha).reshape(2, -1).sum(axis=1)
-        if walls is not None:
-            pull = np.hstack([pull, (answer @ pulls[0]).reshape(2, -1)])
-            places = np.vstack([places, walls.places_ned_m])
         pull = np.ascontiguousarray(pull)
         self._fit = Fit(length_m=self._length_m, places_ned_m=places, pull=pull, mean_m_s=mean)
 
@@ -392,31 +343,6 @@ def _varying(places: FloatArray, length_m: float) -> FloatArray:
     out[n:, n:] = bell * (1.0 - dx * dx)
     out[:n, n:] = out[n:, :n] = bell * dx * dy
     return out
-
-
-def _wall_places(fence: Fence, length_m: float) -> tuple[FloatArray, FloatArray]:
-    """(m, 2) places along the inclusions of a fence, evenly apart, and (m, 2) unit vectors across it there."""
-    places: list[FloatArray] = []
-    normals: list[FloatArray] = []
-    most = MAX_WALLS // max(1, len(fence.inclusions))
-    for shape in fence.inclusions:
-        if isinstance(shape, Circle):
-            angle = np.linspace(0.0, 2.0 * math.pi, 65)
-            ring = np.asarray(shape.center_ned_m, dtype=float)[:2] + float(shape.radius_m) * np.column_stack(
-                [np.cos(angle), np.sin(angle)]
-            )
-        else:
-            corners = np.asarray(shape.vertices_ned_m, dtype=float)
-            ring = np.vstack([corners, corners[:1]])
-        side = np.diff(ring, axis=0)
-        s = np.concatenate([[0.0], np.cumsum(np.hypot(*side.T))])
-        count = min(max(4, most), max(4, math.ceil(s[-1] * WALLS_PER_LENGTH / length_m)))
-        at = (np.arange(count) + 0.5) * s[-1] / count
-        edge = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(side) - 1)
-        places.append(np.column_stack([np.interp(at, s, ring[:, i]) for i in range(2)]))
-        along = side[edge] / np.maximum(np.hypot(*side[edge].T), 1e-9)[:, None]
-        normals.append(np.column_stack([-along[:, 1], along[:, 0]]))
-    return np.vstack(places), np.vstack(normals)
 
 
 def narrowest_width_m(fence: Fence) -> float | None:
