@@ -152,6 +152,7 @@ class EstimateError:
 def load_flight(log: Log) -> Flight:
     """Read what is judged in one pass."""
     log.load(TOPICS_OF_INTEREST)
+    log.check_clock()
     truth, nav = _track(log, "/sim/truth"), _track(log, "/nav/state")
     times = [track.t_s for track in (truth, nav) if track is not None and len(track.t_s)]
     whole = Span(min(float(t[0]) for t in times), max(float(t[-1]) for t in times)) if times else Span(0.0, 0.0)

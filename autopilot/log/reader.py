@@ -63,6 +63,10 @@ def open_log(path: str | Path) -> "Log":
     return Log(Path(path))
 
 
+CLOCKED = ("/in/tick", "/nav/state", "/sim/truth")
+"""Topics that tell whether time went back: a message per tick, as the ticks were."""
+
+
 class Log:
     """A log that is being read."""
 
@@ -72,6 +76,7 @@ class Log:
         self._contents: Contents = read_contents(path)
         self._raw: dict[str, _Raw] = {}
         self._tables: dict[str, Table] = {}
+        self._clock_checked = False
 
     @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
@@ -228,7 +233,28 @@ class Log:
             with self.path.open("rb") as file:
                 index_from_chunks(file, self._contents)
             self.__dict__.pop("topics", None)
+        self.check_clock()
         return self.problems
+
+    def check_clock(self) -> None:
+        """Name it as a problem if time goes back in a topic that has its messages in the order of time."""
+        if self._clock_checked:
+            return
+        self._clock_checked = True
+        self.load(CLOCKED)
+        for topic in CLOCKED:
+            try:
+                t_us = self[topic]["t_us"].astype(np.int64) if topic in self else np.zeros(0, dtype=np.int64)
+            except LogError:
+                continue  # foreign or damaged: whoever wants it will say so
+            back = np.flatnonzero(np.diff(t_us) < 0)
+            if len(back):
+                at, by = 1e-6 * float(t_us[back[0]]), 1e-6 * float(t_us[back[0]] - t_us[back[0] + 1])
+                text = (
+                    f"{topic}: time goes back by {by:.3f} s after {at:.3f} s; figures over time are not to be trusted"
+                )
+                self._contents.problems.append(text)
+                return
 
     def _read_chunks(self, wanted: Mapping[int, str]) -> None:
         bad = []

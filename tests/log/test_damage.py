@@ -8,11 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from log_synthetic import EPOCH_NS, Run, write_run
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 
+from autopilot.cli.log import log as log_command
 from autopilot.core.errors import LogError
 from autopilot.log.check import acceptance_table
 from autopilot.log.compare import compare_logs
@@ -70,6 +74,42 @@ def test_cut_off_anywhere(sound: Path, rows: dict[str, set[bytes]], tmp_path: Pa
             assert log.problems and not log._contents.finished
             readable.append(log.message_count)
     assert readable == sorted(readable) and readable[-1] == open_log(sound).message_count
+
+
+def set_back(source: Path, target: Path, after_s: float, by_s: float) -> Path:
+    """A log whose clock was set back."""
+    with source.open("rb") as read, target.open("wb") as write:
+        reader, writer = make_reader(read), Writer(write)
+        writer.start("ros2", "")
+        for attachment in reader.iter_attachments():
+            writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        channels: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
+            late = message.log_time > EPOCH_NS + int(1e9 * after_s)
+            t_ns = message.log_time - int(1e9 * by_s) * late
+            writer.add_message(channels[channel.id], t_ns, message.data, t_ns, message.sequence)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return target
+
+
+def test_time_that_goes_back_is_named(sound: Path, tmp_path: Path) -> None:
+    hurt = set_back(sound, tmp_path / "back.mcap", 12.0, 3.0)
+    (problem,) = open_log(hurt).verify()
+    assert "time goes back by 2.500 s after 12.000 s" in problem and problem.startswith("/in/tick")
+    log = open_log(hurt)
+    rows = {row.name: row for row in acceptance_table(log)}
+    assert rows["log damage"].verdict.value == "warn" and "time goes back" in rows["log damage"].note
+    for command in ("info", "plot", "report"):
+        out = () if command == "info" else ("--out", str(tmp_path / f"{command}.html"))
+        done = CliRunner().invoke(log_command, [command, str(hurt), *out])
+        assert done.exit_code == 3 and "time goes back" in " ".join(done.output.split())
+    assert open_log(set_back(sound, tmp_path / "same.mcap", 99.0, 0.0)).verify() == ()
 
 
 @given(st.floats(0.0, 0.999999), st.integers(1, 255))
