@@ -137,8 +137,7 @@ class HighLatency:
             eph, epv = limited(10.0 * self._across_m, 0, 255), limited(10.0 * self._deep_m, 0, 255)
             depth_dm = limited(10.0 * motion.down, -128, 127)
             if target is not None:
-                gap = target - [motion.north, motion.east, motion.down]
-                distance_dam = u16(0.1 * float((gap * gap).sum()) ** 0.5)
+                distance_dam = u16(0.1 * math.dist(target.tolist(), (motion.north, motion.east, motion.down)))
         hull, power = view.sensed.hull, view.power
         warm_c = 0.0 if hull is None or hull.temperature_c is None else hull.temperature_c
         climb_dm_s = limited(10.0 * self._climb_m_s, 0, 127)

@@ -21,11 +21,15 @@ class Utility:
     def on_timesync(self, peer: Peer, msg: Message) -> None:
         """TIMESYNC: tc1 = 0 is a request, answered with our time in nanoseconds."""
         if msg.tc1 == 0:
-            self._ctx.send(peer, mav.MAVLink_timesync_message(self._ctx.t_us * 1000, msg.ts1))
+            self._ctx.send(peer, mav.MAVLink_timesync_message(self._now_ns(), msg.ts1))
 
     def timesync(self) -> Message | None:
         """TIMESYNC: a request. Its answer is not needed here; a reader of the log learns how long it took."""
-        return mav.MAVLink_timesync_message(0, self._ctx.t_us * 1000)
+        return mav.MAVLink_timesync_message(0, self._now_ns())
+
+    def _now_ns(self) -> int:
+        """The service's time as TIMESYNC carries it (int64)."""
+        return min(self._ctx.t_us * 1000, (1 << 63) - 1)
 
     def on_request_event(self, peer: Peer, msg: Message) -> None:
         """REQUEST_EVENT: operators are told by STATUSTEXT, there has never been an EVENT that could be sent again."""
