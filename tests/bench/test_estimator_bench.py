@@ -323,12 +323,17 @@ def test_a_recorded_flight_over_another_floor() -> None:
     exact = over(recording, camera, recording.plan, recording.plan, 1)
     assert len(exact.t_s) == 15
     assert exact.xy_mm() < 2.0
-    rng = np.random.default_rng(1)
-    floor = laid_floor(recording.plan, rng, sigma_of(0.0069))
-    off = 1e3 * np.sqrt(((floor.centers_ned_m - recording.plan.centers_ned_m) ** 2).sum(axis=1).mean())
-    assert off == pytest.approx(6.9, rel=0.25)
-    ignorant = over(recording, camera, floor, recording.plan, 1)
-    told = over(recording, camera, floor, told_plan(recording.plan, None), 1)
-    assert ignorant.nees(slice(0, 2)) > 6.0 > told.nees(slice(0, 2))
+    ignorant, told = [], []
+    for seed in (1, 2, 3):
+        floor = laid_floor(recording.plan, np.random.default_rng(seed), sigma_of(0.0069))
+        off = 1e3 * np.sqrt(((floor.centers_ned_m - recording.plan.centers_ned_m) ** 2).sum(axis=1).mean())
+        assert off == pytest.approx(6.9, rel=0.25)
+        unaware = over(recording, camera, floor, recording.plan, 1)
+        aware = over(recording, camera, floor, told_plan(recording.plan, None), 1)
+        assert unaware.xy_mm() > 10.0 * aware.xy_mm()
+        ignorant.append(unaware.nees(slice(0, 2)))
+        told.append(aware.nees(slice(0, 2)))
+    # A single floor may be kind to one flight.
+    assert np.mean(ignorant) > 6.0 > np.mean(told)
     with pytest.raises(ValueError, match="record a longer one"):
         spoilt_floor(recording, camera, recording.plan, floor, 1)
