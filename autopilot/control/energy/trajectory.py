@@ -171,7 +171,9 @@ class _Stop(ca.Callback):
     def begin(self, cancel: Cancel, rough: bool) -> None:
         """A new program is to be solved."""
         self._cancel, self._rough = cancel, rough
-        self._cost = math.inf
+        self._cost = self._least_off = math.inf
+        self._since = 0
+        """Iterations since rows were that near to what they may be."""
         self.settled = False
         """Whether a rough solution was good enough."""
 
@@ -197,13 +199,20 @@ class _Stop(ca.Callback):
 
     def eval(self, arg: Any) -> list[int]:
         """1 = stop."""
+        rows = arg[2].full().ravel()
+        off = float(max((self._lower - rows).max(), (rows - self._upper).max()))
         if self._rough:
             cost = float(arg[1])
             still, self._cost = abs(cost - self._cost) < ROUGH_SHARE * abs(cost), cost
-            if still:
-                rows = arg[2].full().ravel()
-                self.settled = bool(max((self._lower - rows).max(), (rows - self._upper).max()) < ROUGH_FEASIBLE)
-        return [int(self._cancel.requested or self.settled)]
+            self.settled = still and off < ROUGH_FEASIBLE
+        return [int(self._cancel.requested or self.settled or self._stalled(off))]
+
+    def _stalled(self, off: float) -> bool:
+        """Whether what rows are off by at most is no less than it was STALLED_ITERATIONS ago."""
+        if off < NEARER * self._least_off:
+            self._least_off, self._since = off, 0
+        self._since += 1
+        return self._since > STALLED_ITERATIONS and self._least_off > ROUGH_FEASIBLE
 
 
 MIN_INTERVAL_S = 0.005
@@ -211,6 +220,11 @@ MIN_INTERVAL_S = 0.005
 ROUGH_SHARE, ROUGH_FEASIBLE = 3e-3, 1e-3
 """A rough solution is at hand when an iteration changes the cost by less than this share and dynamics and bounds are
 obeyed within so much: candidates differ by more, and the one that is flown is solved to the end."""
+
+STALLED_ITERATIONS, NEARER = 25, 0.9
+"""A program is given up when dynamics and bounds have come no nearer than to so much of what they were for so many
+iterations. Where there is no solution (a stream that is too fast for a leg's time) each takes 20 times as long: a plan
+was answered after 25 s, and meanwhile there was none."""
 
 STOPPED_SHORT, FEASIBLE = ("Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small"), 1e-5
 """A program that ends like this may have been at its optimum for long, without proof. What obeys dynamics and bounds
