@@ -214,9 +214,8 @@ class RunLog:
                 packer.payload_truth(t_us, world.payload_shares)
             packer.outputs(outputs)
 
-        datagrams, samples = len(inputs.mavlink_rx) + len(outputs.mavlink_tx), len(inputs.samples)
-        messages = TICK_MESSAGES + SAMPLE_MESSAGES * samples + FRAME_MESSAGES * datagrams
-        size = TICK_BYTES + SAMPLE_BYTES * samples + FRAME_BYTES * datagrams
+        messages, size = _room(len(inputs.samples), len(inputs.mavlink_rx) + len(outputs.mavlink_tx))
+        messages += TICK_MESSAGES
         if outputs.control is not None:
             messages, size = messages + CONTROL_MESSAGES, size + CONTROL_BYTES
         for frame in pictures:
@@ -225,10 +224,8 @@ class RunLog:
 
     def inputs(self, inputs: Inputs) -> None:
         """Everything that goes into ``step``, in its order."""
-        samples, datagrams = len(inputs.samples), len(inputs.mavlink_rx)
-        messages = 1 + SAMPLE_MESSAGES * samples + FRAME_MESSAGES * datagrams
-        size = TICK_BYTES + SAMPLE_BYTES * samples + FRAME_BYTES * datagrams
-        self._hand_over("/in/tick", inputs.t_us, lambda: self._packer.inputs(inputs), messages, size)
+        messages, size = _room(len(inputs.samples), len(inputs.mavlink_rx))
+        self._hand_over("/in/tick", inputs.t_us, lambda: self._packer.inputs(inputs), 1 + messages, size)
 
     def camera(self, frame: CameraFrame) -> None:
         """An image, reduced to the camera's log rate and compressed on the writer's thread."""
@@ -261,10 +258,11 @@ class RunLog:
 
     def outputs(self, outputs: Outputs) -> None:
         """Everything that ``step`` decided."""
-        datagrams = len(outputs.mavlink_tx)
-        messages = TICK_MESSAGES + FRAME_MESSAGES * datagrams
-        size = TICK_BYTES + FRAME_BYTES * datagrams + (0 if outputs.control is None else CONTROL_BYTES)
-        self._hand_over("/nav/state", outputs.t_us, lambda: self._packer.outputs(outputs), messages, size)
+        messages, size = _room(0, len(outputs.mavlink_tx))
+        size += 0 if outputs.control is None else CONTROL_BYTES
+        self._hand_over(
+            "/nav/state", outputs.t_us, lambda: self._packer.outputs(outputs), TICK_MESSAGES + messages, size
+        )
 
     def _due(self, frame: CameraFrame) -> bool:
         """Whether the image is one that is logged."""
@@ -279,6 +277,12 @@ class RunLog:
         if self._lost:
             work = _both(self._packer.after_loss, work)
         self._lost = not self._writer.defer(topic, t_us, work, messages, size)
+
+
+def _room(samples: int, datagrams: int) -> tuple[int, int]:
+    """Messages beside those of the tick itself, and bytes with them, that a tick with so much takes in the queue."""
+    messages = SAMPLE_MESSAGES * samples + FRAME_MESSAGES * datagrams
+    return messages, TICK_BYTES + SAMPLE_BYTES * samples + FRAME_BYTES * datagrams
 
 
 def _both(first: Callable[[], None], second: Callable[[], None]) -> Callable[[], None]:
