@@ -25,6 +25,7 @@ from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
 from autopilot.control.robust.station import StationKeeper
 from autopilot.control.step_program import StepProgram
+from autopilot.control.thrust.by_hand import SLEW_SHARE_1_S
 from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent
 from autopilot.control.water.lift import Lift
 from autopilot.control.way import shortest
@@ -57,10 +58,6 @@ LONGEST_SHIFT_S = 1.0
 
 JUMP_M = 0.5
 """A reference that moves by so much between two steps has nothing to do with the last one."""
-
-SLEW_SHARE_1_S = 4.5
-"""Commands change by at most so many times the limit in force per second (of 12 N: 2.7 N from step to step; 0.44 s from
-full ahead to full astern, as the thrusters' own lag takes): a reference that jumps does not tear at the drive."""
 
 BLIND_WAY_M = 0.15
 """Way over ground that guidance asks for within the delay of late commands."""

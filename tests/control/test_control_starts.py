@@ -14,7 +14,7 @@ from control_loop import VEHICLE, fly, goal, nav_state
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from autopilot.control.controller import SLEW_SHARE_1_S, MotionController
+from autopilot.control.controller import MotionController
 from autopilot.control.energy.flow import Flow
 from autopilot.control.energy.request import Plan, Request
 from autopilot.control.energy.trajectory import Trajectory
@@ -23,6 +23,7 @@ from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.nmpc.reversal import LEAST_SHARE
 from autopilot.control.nmpc.unsolved import solve_again
 from autopilot.control.step_program import MOST_QPS
+from autopilot.control.thrust.by_hand import SLEW_SHARE_1_S
 from autopilot.core.desk import Cancel
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Polygon

@@ -26,7 +26,9 @@ DEPTH_RATE_S = 0.3
 """Time constant of the rate of depth."""
 
 SLEW_SHARE_1_S = 4.5
-"""Commands change by at most so many times a thruster's limit per second, as the controller's do."""
+"""Commands, the controller's as well, change by at most so many times the limit in force per second (of 12 N: 2.7 N
+from control step to control step; 0.44 s from full ahead to full astern, as the thrusters' own lag takes): a reference
+or a stick that jumps does not tear at the drive."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
