@@ -4,9 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint library sanitize mutations bench clean
 
-$(VENV)/installed: pyproject.toml setup.py $(wildcard autopilot/data/native/*.[ch])
+$(VENV)/installed: pyproject.toml setup.py $(wildcard autopilot/data/native/*.[ch]) autopilot/core/model4.py autopilot/control/nmpc/model_code.py autopilot/control/energy/interval.py
 	@echo "setting up $(VENV) (about a minute)"
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --editable .
@@ -27,6 +27,16 @@ lint: $(VENV)/tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# Fails, with the reason, where the package works without its compiled library.
+library: $(VENV)/installed
+	$(BIN)/python -c "import sys; from autopilot.core.compiled import missing; sys.exit(missing())"
+
+sanitize: $(VENV)/tools
+	$(BIN)/python -m tests.sanitize
+
+mutations: $(VENV)/tools
+	$(BIN)/python -m tests.mutate --seed 1 --places 200
 
 bench: $(VENV)/installed
 	$(BIN)/autopilot bench

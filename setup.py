@@ -6,16 +6,25 @@ vehicles (`THRUSTERS`) and, on x86-64, processors with and without AVX2.
 
 import platform
 import runpy
+import sys
+from importlib import import_module
 from pathlib import Path
 
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
+from setuptools.errors import CompileError
 
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE / "autopilot" / "data" / "native"
 THRUSTERS = range(4, 9)
 ONCE = ("surroundings", "reference", "program", "follow", "water", "estimator", "plant", "interval")
 """Sources that are the same for all vehicles and processors."""
+
+GENERATED = {
+    "model.c": ("autopilot.control.nmpc.model_code", "model_code"),
+    "interval.c": ("autopilot.control.energy.interval", "interval_code"),
+}
+"""Sources that CasADi writes of the model's expressions: module and function that give the text."""
 
 FLAGS = ["-O2", "-g0", "-std=c99", "-fno-math-errno", "-fno-trapping-math", "-fno-wrapv", "-fvisibility=hidden"]
 WIDE = """\
@@ -38,12 +47,26 @@ def variants() -> list[tuple[int, str]]:
     return [(thrusters, kind) for thrusters in THRUSTERS for kind in kinds]
 
 
+def generate(folder: Path) -> None:
+    """Write the generated sources. CompileError without CasADi."""
+    sys.path.insert(0, str(HERE))
+    try:
+        for name, (module, function) in GENERATED.items():
+            (folder / name).write_text(getattr(import_module(module), function)(), encoding="utf-8")
+    except ImportError as error:
+        raise CompileError(f"needs {error.name} to write the model in C: pip install casadi numpy") from error
+    finally:
+        sys.path.remove(str(HERE))
+
+
 class BuildStep(build_ext):
-    """Writes one source per variant, has them compiled, and seals the library."""
+    """Writes the model and one source per variant, has them compiled, and seals the library."""
 
     def build_extension(self, ext: Extension) -> None:
         work = Path(self.build_temp) / "step"
         work.mkdir(parents=True, exist_ok=True)
+        generate(work)
+        ext.include_dirs.append(str(work))
         for thrusters, kind in variants():
             path = work / f"step_{thrusters}_{kind}.c"
             names = "".join(

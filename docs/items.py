@@ -1,6 +1,6 @@
 """Writes the table of mission items into docs/mavlink.md: ``python docs/items.py --write``.
 
-The table stands between the lines ``items:begin`` and ``items:end`` and comes from :mod:`mission.item_types`. Without
+The table stands between the lines ``items:begin`` and ``items:end`` and comes from :mod:`.mission.item_types`. Without
 ``--write`` the exit code says whether it is current.
 """
 
@@ -16,7 +16,7 @@ _BLOCK = re.compile(r"(<!-- items:begin -->\n).*?(<!-- items:end -->)", re.S)
 
 def written(text: str) -> str:
     """The page with the table as it should be."""
-    from mission.item_types import table
+    from autopilot.mission.item_types import table
 
     found, count = _BLOCK.subn(lambda block: f"{block[1]}{table()}\n{block[2]}", text)
     if count != 1:

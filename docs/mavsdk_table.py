@@ -471,7 +471,10 @@ def bench_on_a_vehicle() -> Iterator[Bench]:
 
     mavsdk.log_subscribe(lambda *args: True)
     # In the middle of the tank, where everything that is tried has room; disarmed, it drifts against a wall in the end.
-    with tempfile.TemporaryDirectory() as folder, live_service(scenario="paper-tank", ends=(0, 3)) as service:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        live_service(scenario="paper-tank", arguments=("--param", "FENCE_REQUIRED=0"), ends=(0, 3)) as service,
+    ):
         configuration = mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.GROUND_STATION)
         with mavsdk.Mavsdk(configuration) as sdk:
             sdk.add_any_connection(f"udpout://127.0.0.1:{service.udp}")

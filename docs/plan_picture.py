@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from autopilot.core.geodesy import ned_from_geodetic, place_from_ned
-from mission.plan_files import read_plan
-from mission.plan_model import PlanFile
+from autopilot.mission.plan_files import read_plan
+from autopilot.mission.plan_model import PlanFile
 
 PAGE = Path(__file__).resolve().parent
 PAPER = PAGE.parent / "sitl" / "scenarios" / "paper.plan"

@@ -28,7 +28,8 @@ def modules() -> dict[str, Path]:
     for top in TOPS:
         for path in sorted((ROOT / top).rglob("*.py")):
             parts = path.relative_to(ROOT).with_suffix("").parts
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+            inside = () if top == "autopilot" else ("autopilot",)
+            found[".".join((*inside, *(parts[:-1] if parts[-1] == "__init__" else parts)))] = path
     return found
 
 

@@ -1,11 +1,11 @@
 """ArduSub as the flight controller below us: it measures, and its motors do what our thrust asks for.
 
 Its MAVLink is attitude, rates and acceleration, pressure, battery and leak probe. Our pulses go down as
-RC_CHANNELS_OVERRIDE in its MANUAL mode, fifty times a second (:mod:`drivers.ardusub_mixing`), and what comes out at its
+RC_CHANNELS_OVERRIDE in its MANUAL mode, at 50 Hz (:mod:`.drivers.ardusub_mixing`), and what comes out at its
 servo rail is compared with what was meant. Stopping means 1500 on every channel: to say nothing would leave the last
 thrust standing until its own failsafe. It keeps its arming, its failsafes and its pilot: we are a ground station to it,
 whose heartbeat it misses when this process dies, and a change of its mode takes the vehicle from us at once
-(:mod:`drivers.ardusub_authority`). Its parameters are read and checked (:mod:`drivers.ardusub_settings`), and never
+(:mod:`.drivers.ardusub_authority`). Its parameters are read and checked (:mod:`.drivers.ardusub_settings`), and never
 written.
 """
 
@@ -20,21 +20,23 @@ from autopilot.core.messages import Authority, Below, Severity
 from autopilot.core.samples import Sample
 from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
-from drivers.ardusub_authority import AuthorityWatch
-from drivers.ardusub_mixing import FRAMES, NEUTRAL, PLANE_MOTORS, Mixer
-from drivers.ardusub_payload import Passing
-from drivers.ardusub_settings import Settings
-from drivers.ardusub_telemetry import Telemetry
-from drivers.ardusub_wire import Wire
-from drivers.base import Closing
-from drivers.links import open_link
+from autopilot.drivers.ardusub_authority import AuthorityWatch
+from autopilot.drivers.ardusub_mixing import FRAMES, NEUTRAL, Mixer
+from autopilot.drivers.ardusub_payload import Passing
+from autopilot.drivers.ardusub_prearm import RUN_CHECKS, SYS_STATUS_ID, PrearmWatch
+from autopilot.drivers.ardusub_senders import OutputWatch
+from autopilot.drivers.ardusub_settings import Settings
+from autopilot.drivers.ardusub_telemetry import Telemetry
+from autopilot.drivers.ardusub_wire import Wire
+from autopilot.drivers.base import Closing
+from autopilot.drivers.links import open_link
 
 SEND_EVERY_US = 20_000
 """It reads its channels at 50 Hz."""
 HEARTBEAT = 0
 HEARTBEAT_US = 1_000_000
 ASK_EVERY_US = 500_000
-PARAMETERS_PER_ASK = 8
+PARAMETERS_PER_ASK = 16
 READ_AGAIN_US = 30_000_000
 """Parameters act live and may be changed by the pilot: while disarmed they are read anew."""
 STALE_US = 500_000
@@ -42,23 +44,15 @@ STALE_US = 500_000
 REST_SENDS = 3
 """How often 1500 is sent after the last command."""
 
-SERVO_RATE_HZ, SLOW_HZ, PRESSURE_HZ = 50.0, 2.0, 20.0
+SERVO_RATE_HZ, SLOW_HZ, PRESSURE_HZ, STATUS_HZ = 50.0, 2.0, 20.0, 1.0
 REBOOT_MS = 1000
 ENOUGH = 0.7
 """Share of a rate below which it is asked for anew."""
-SERVO_WITHIN_US = 450_000
-"""What comes out belongs to one of the commands of so long before: 20 ms to act, the way back, and a late loop."""
-SERVO_TOLERANCE_US = 4
-SERVO_WRONG_US = 300_000
-SERVO_WRONG_SHARE, SERVO_RIGHT_SHARE = 0.2, 0.05
-"""Other pulses than ours for so long, in so many of the reports, are somebody else's: a joystick speaks 20 to 50 times
-a second, and the last of two senders wins. From so few on they are ours again."""
-SERVO_MEMORY, SERVO_MOST_SHARE = 20, 0.3
-"""Reports that the share is of, and what more of them do not raise it beyond."""
-
 SHOWN_SEVERITY = 4
 """MAV_SEVERITY_WARNING: what it says that is less is for its own ground station."""
 MAX_NOTICES = 20
+ARMED = "flight controller is armed without us: disarm it first"
+FOUND_ARMED = "Flight controller found ARMED: disarm it first"
 NO_PILOT = "lost manual control"
 """It misses our pulses: news only while we mean to send some."""
 
@@ -82,7 +76,7 @@ class ArduSubOptions(Table, frozen=True, kw_only=True):
 
 
 class ArduSub(Closing):
-    """A :class:`drivers.protocols.FlightController`."""
+    """A :class:`autopilot.drivers.protocols.FlightController`."""
 
     Options = ArduSubOptions
 
@@ -103,6 +97,7 @@ class ArduSub(Closing):
         self._wire: Wire | None = None
         self._telemetry = self._new_telemetry()
         self._watch = AuthorityWatch()
+        self._prearm = PrearmWatch()
         self.settings = Settings(frame.number, frame.motors, options.gcs_system)
         """Its parameters."""
         self._payload = Passing(vehicle)
@@ -114,23 +109,18 @@ class ArduSub(Closing):
         self._heard_of = dict.fromkeys(self._rates_hz, 0)
         """How often each has come since it was last looked at."""
         self._beat_us = self._asked_us = self._read_us = -(1 << 62)
+        self._again: deque[str] = deque()
+        """Parameters that are to be read anew."""
         self._command_us: int | None = None
         self._sent_us = 0
+        self._standing_down = False
         self._rest = 0
         """So often 1500 has still to be sent."""
-        self._meant: deque[tuple[int, tuple[int, ...]]] = deque()
+        self._senders = OutputWatch()
         self._seen: tuple[int, tuple[int, ...]] | None = None
         """What is at the servo rail, and when that was told."""
-        self._wrong_share = 0.0
-        """Of the last reports of the servo rail."""
-        self._wrong_us: int | None = None
-        """Since when there are some."""
-        self.problem = ""
-        """What comes out though it was not meant, "" while all is well."""
         self.saturated_count = 0
         """Commands that did not fit its channels."""
-        self.mismatch_count = 0
-        """Reports of the servo rail that show something else than what was meant."""
 
     def _new_telemetry(self) -> Telemetry:
         options = self._options
@@ -140,6 +130,11 @@ class ArduSub(Closing):
             depth_sigma_m=options.depth_sigma_m,
             ground_pa=options.surface_pa,
         )
+
+    @property
+    def mismatch_count(self) -> int:
+        """Reports of the servo rail that show something else than what was meant."""
+        return self._senders.mismatch_count
 
     @property
     def bad_frames(self) -> int:
@@ -157,6 +152,7 @@ class ArduSub(Closing):
             wire = Wire(open_link(self._options.connect), system=self._options.system, ours=self._options.gcs_system)
             self._telemetry = self._new_telemetry()
             self._watch.lose_sight()
+            self._prearm = PrearmWatch()
             self._heard_us, self._heard_of = None, dict.fromkeys(self._rates_hz, 0)
             self._beat_us = self._asked_us = self._read_us = -(1 << 62)
             self.settings.forget()
@@ -191,22 +187,36 @@ class ArduSub(Closing):
         if t_us - self._beat_us >= HEARTBEAT_US:
             self._beat_us = t_us
             wire.heartbeat()
-        asked = self._watch.due(t_us)
-        if asked is not None:
-            wire.arm(armed=asked)
+        self._ask_arming(wire, t_us)
         if self._heard_us is not None and t_us - self._asked_us >= ASK_EVERY_US:
             passed_s = 1e-6 * min(t_us - self._asked_us, 10 * ASK_EVERY_US)
             self._asked_us = t_us
             self._ask(wire, t_us, passed_s)
         return samples
 
+    def _ask_arming(self, wire: Wire, t_us: int) -> None:
+        asked = self._watch.due(t_us)
+        if asked is not None:
+            wire.arm(armed=asked)
+        if self._watch.beat_due(t_us):
+            wire.ask_for(HEARTBEAT)
+
     def advice(self) -> tuple[tuple[str, str], ...]:
         """Settings with which it flies, and others that would be better."""
-        return self.settings.advice()
+        rivals = () if self._wire is None else sorted(self._wire.rivals)
+        found = tuple(
+            (
+                f"ground station {self._options.gcs_system}/{component} speaks to it, too: it obeys both",
+                "keep its joystick off, or give it another system id",
+            )
+            for component in rivals
+        )
+        return (*self.settings.advice(), *found)
 
     def take_notices(self) -> Sequence[tuple[Severity, str]]:
         """What it says that our operators should know."""
-        notices, self._notices = self._notices, []
+        clock = [(severity, f"FC: {text}") for severity, text in self._telemetry.clock.take_notices()]
+        notices, self._notices = self._notices + clock, []
         return notices
 
     def unwired(self) -> dict[str, str]:
@@ -237,6 +247,7 @@ class ArduSub(Closing):
         if kind == "ATTITUDE":
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:  # rebooted: its parameters may be others
                 self.settings.forget()
+                self._prearm = PrearmWatch()
                 self._payload.forget()
             self._boot_ms = message.time_boot_ms
         if kind in self._heard_of:
@@ -251,8 +262,11 @@ class ArduSub(Closing):
             return []
         if kind == "COMMAND_ACK":
             self._note_payload(self._payload.acknowledge(message))
-        commanding = self._watch.takes_commands
+        self._prearm.take(t_us, message)
+        commanding, found = self._watch.takes_commands, self._watch.found_armed
         self._watch.take(t_us, message)
+        if self._watch.found_armed and not found:
+            self._notices.append((Severity.CRITICAL, FOUND_ARMED))
         if commanding and not self._watch.takes_commands:
             self._let_go()
         if kind == "STATUSTEXT" and message.severity <= SHOWN_SEVERITY:
@@ -277,15 +291,20 @@ class ArduSub(Closing):
             if self._heard_of[kind] < int(ENOUGH * rate_hz * passed_s):
                 wire.interval(self._ids[kind], rate_hz)
             self._heard_of[kind] = 0
+        if not self._watch.wanted and self._prearm.due(t_us):
+            wire.interval(SYS_STATUS_ID, STATUS_HZ)
+            wire.order(RUN_CHECKS, 0.0, 0.0)
         if self._read_us < 0:
             self._read_us = t_us
         if t_us - self._read_us > READ_AGAIN_US and not self._watch.wanted:
             self._read_us = t_us
-            for name in self.settings.names:
-                wire.read_parameter(name)
-        for name in self.settings.missing()[:PARAMETERS_PER_ASK]:
+            self._again = deque(self.settings.names)
+        missing = self.settings.missing()[:PARAMETERS_PER_ASK]
+        for name in missing:
             self.settings.ask(name)
             wire.read_parameter(name)
+        for _ in range(min(PARAMETERS_PER_ASK - len(missing), len(self._again))):
+            wire.read_parameter(self._again.popleft())
 
     # Who has it
 
@@ -294,8 +313,8 @@ class ArduSub(Closing):
         watch = self._watch
         if watch.wanted and not armed:
             self._let_go()
-        elif armed and not watch.wanted:
-            self._count_as_right()
+        if watch.wanted is not armed:
+            self._senders.begin()
         watch.want(t_us, armed=armed)
 
     def hand_back(self, t_us: int) -> None:
@@ -305,6 +324,29 @@ class ArduSub(Closing):
             self._let_go()
         self._watch.hand_back()
 
+    def stop(self, t_us: int) -> None:
+        """Neutral, and disarmed by force until its heartbeat has shown it, whoever armed it."""
+        if self._watch.takes_commands:
+            self._let_go()
+        self._watch.stop(t_us)
+
+    def stand_down(self, t_us: int) -> bool:
+        """The service ends: disarm what is ours to disarm; True when there is nothing left to wait for."""
+        watch = self._watch
+        if self._wire is None or not (watch.ours_to_stop or self._standing_down):
+            return True
+        if self.armed(t_us) is False and not self._standing_down:
+            return True
+        self._standing_down = True
+        self.stop(t_us)
+        self._rest_of(t_us)
+        self.poll(t_us)
+        return self.armed(t_us) is False
+
+    def armed(self, t_us: int) -> bool | None:
+        """By its heartbeat, None = not known."""
+        return None if self._silent(t_us) else self._watch.is_armed(t_us)
+
     def below(self, t_us: int) -> Below:
         """Who has the vehicle now."""
         watch = self._watch
@@ -313,9 +355,11 @@ class ArduSub(Closing):
             authority=watch.authority,
             acts=watch.acts(t_us) and not self._silent(t_us),
             text=watch.text,
-            problem=self.problem,
+            problem=self._senders.problem,
             refusals=self._refusals(t_us),
             pulses_us=self._pulses_us(t_us),
+            armed=self.armed(t_us),
+            rival=self._senders.rival and watch.wanted and watch.authority is Authority.OURS,
         )
 
     def _pulses_us(self, t_us: int) -> tuple[int, ...]:
@@ -326,10 +370,29 @@ class ArduSub(Closing):
 
     def _refusals(self, t_us: int) -> tuple[str, ...]:
         if self._silent(t_us) or not self._watch.known:
-            return ("flight controller is silent: check cable and link",)
+            return (self._unheard,)
         pilot = self._watch.authority is Authority.PILOT
         mode = (f"pilot has it in {self._watch.text}: switch it to MANUAL",) if pilot else ()
-        return (*mode, *self.settings.problems())
+        return (*mode, *self._armed_refusal(), *self.settings.problems(), *self._prearm.refusals(t_us))
+
+    def _armed_refusal(self) -> tuple[str, ...]:
+        watch = self._watch
+        return (ARMED,) if watch.armed and not (watch.wanted or watch.handed_back) else ()
+
+    @property
+    def other_systems(self) -> tuple[int, ...]:
+        """Flight controllers on its link that are not ours."""
+        return () if self._wire is None else tuple(sorted(self._wire.other_systems))
+
+    @property
+    def _unheard(self) -> str:
+        """Why nothing is heard of it."""
+        others = self.other_systems
+        if self._heard_us is not None or not others:
+            return "flight controller is silent: check cable and link"
+        told = ", ".join(map(str, others))
+        found = f"system {told} is heard, {self._options.system} expected"
+        return f"flight controller: {found}: set `system` = {others[0]} in [devices]"
 
     def _silent(self, t_us: int) -> bool:
         return self._heard_us is None or t_us - self._heard_us > STALE_US
@@ -337,8 +400,7 @@ class ArduSub(Closing):
     def _let_go(self) -> None:
         """Nothing of ours is left standing in its channels."""
         self._command_us = None
-        self._meant.clear()
-        self.problem = ""
+        self._senders.forget()
         self._rest = REST_SENDS
         self._send_rest()
 
@@ -364,7 +426,7 @@ class ArduSub(Closing):
         mixed = self._mixer.mix(pwm_us, self._telemetry.supply_v)
         self.saturated_count += mixed.saturated
         wire.override(mixed.channels_us)
-        self._meant.append((t_us, mixed.servos_us))
+        self._senders.sent(t_us, mixed.servos_us)
 
     def check(self, t_us: int) -> bool:
         """1500 when the last command is too old; True while it is."""
@@ -394,39 +456,7 @@ class ArduSub(Closing):
         """What comes out, with what was meant."""
         found = tuple(getattr(message, f"servo{motor}_raw") for motor in range(1, self._mixer.motors + 1))
         self._seen = (t_us, found)
-        while self._meant and t_us - self._meant[0][0] > SERVO_WITHIN_US and len(self._meant) > 1:
-            self._meant.popleft()
-        if not self._watch.acts(t_us) or not self._meant:
-            self._count_as_right()
-            return
-        wrong = not self._is_meant(found)
-        self.mismatch_count += wrong
-        share = self._wrong_share + (wrong - self._wrong_share) / SERVO_MEMORY
-        self._wrong_share = min(share, SERVO_MOST_SHARE)
-        if not wrong and share < SERVO_RIGHT_SHARE:
-            self._wrong_us, self.problem = None, ""
-            return
-        if self._wrong_us is None:
-            self._wrong_us = t_us
-        if wrong and share > SERVO_WRONG_SHARE and t_us - self._wrong_us > SERVO_WRONG_US:
-            meant = self._meant[-1][1]
-            worst = max(range(len(meant)), key=lambda motor: abs(found[motor] - meant[motor]))
-            self.problem = f"motor {worst + 1} gets {found[worst]} us instead of {meant[worst]}: joystick off?"
-
-    def _count_as_right(self) -> None:
-        self._wrong_share, self._wrong_us = 0.0, None
-
-    def _is_meant(self, found: tuple[int, ...]) -> bool:
-        """Whether it is one of the last commands; with slow heave, upright motors lie between those of longer."""
-        if not self._watch.slow_heave:
-            return any(_alike(found, meant) for _, meant in reversed(self._meant))
-        upright = zip(*(meant[PLANE_MOTORS:] for _, meant in self._meant), strict=True)
-        between = all(
-            min(meant) - SERVO_TOLERANCE_US <= pulse <= max(meant) + SERVO_TOLERANCE_US
-            for pulse, meant in zip(found[PLANE_MOTORS:], upright, strict=True)
-        )
-        return between and any(_alike(found[:PLANE_MOTORS], meant[:PLANE_MOTORS]) for _, meant in reversed(self._meant))
-
-
-def _alike(found: Sequence[int], meant: Sequence[int]) -> bool:
-    return all(abs(one - other) <= SERVO_TOLERANCE_US for one, other in zip(found, meant, strict=True))
+        if self._watch.acts(t_us):
+            self._senders.look(t_us, message.time_usec, found, slow_heave=self._watch.slow_heave)
+        else:
+            self._senders.skip()

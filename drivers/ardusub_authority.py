@@ -1,7 +1,8 @@
 """Who has a vehicle with ArduSub on board: we, its pilot, or nobody.
 
 We fly in its MANUAL mode and in no other: any other mode is the pilot's, and so is the choice. Nothing here sets a
-mode. It is armed and disarmed together with us, by its own checks.
+mode. It is armed together with us, by its own checks, and disarmed by force: asked again and again until a heartbeat
+that came behind its answer shows it.
 """
 
 from typing import Any
@@ -34,6 +35,16 @@ ASK_EVERY_US = 1_000_000
 GIVE_UP_US = 5_000_000
 """So long it may take to arm."""
 ARM_DISARM = 400
+DISARM_EVERY_US = 250_000
+"""A disarming that is waited for is asked for so often,"""
+BEAT_EVERY_US = 100_000
+"""and the heartbeat that shows it."""
+NO_ANSWER_US = 1_000_000
+"""A heartbeat so long behind the first request counts without the answer to it, which may have been lost."""
+UNHEARD_US = 3_000_000
+"""So long a silent one is asked; later, when it is heard again: what lies in a buffer on the way may come late."""
+STALE_BEAT_US = 3_500_000
+"""It sends a heartbeat a second: an older one does not say how it is now."""
 
 
 class AuthorityWatch:
@@ -48,6 +59,19 @@ class AuthorityWatch:
         """Below."""
         self.wanted = False
         """By us."""
+        self.found_armed = False
+        """It was armed when it was first heard, and has been since."""
+        self.handed_back = False
+        """It was left armed on purpose, since we last wanted it."""
+        self._first = True
+        """No heartbeat has come yet."""
+        self._beat_us = -STALE_BEAT_US
+        """When the newest came."""
+        self._stop_us: int | None = None
+        """Since when a disarming is waited for, None = it is not."""
+        self._answered = False
+        """That it takes the disarming."""
+        self._beat_asked_us = -BEAT_EVERY_US
         self.slow_heave = False
         """What its depth hold leaves behind: MANUAL's heave goes through a low-pass of 2 Hz until disarming."""
         self._armed_us = 0
@@ -94,13 +118,50 @@ class AuthorityWatch:
             self._stopped = self._refusal = ""
             if armed:
                 self._had = self.armed
+                self.handed_back = self.found_armed = False
+                self._stop_us = None
 
     def hand_back(self) -> None:
         """It keeps the vehicle, armed as it is: its own failsafes and its pilot decide."""
         self.wanted = self._had = False
+        self.handed_back = self.armed
+
+    def stop(self, t_us: int) -> None:
+        """Disarm it, whoever armed it and whatever its mode; told on every tick until :meth:`is_armed` says False."""
+        if self._stop_us is None:
+            self._stop_us, self._answered = t_us, False
+            self._asked_us = t_us - DISARM_EVERY_US
+            self._beat_asked_us = t_us - BEAT_EVERY_US
+
+    def is_armed(self, t_us: int) -> bool | None:
+        """By its heartbeat; None = not known, or a disarming is waited for that it has not confirmed."""
+        if not self.known or t_us - self._beat_us > STALE_BEAT_US:
+            return None
+        return True if self.armed else None if self._stop_us is not None else False
+
+    @property
+    def ours_to_stop(self) -> bool:
+        """Whether an orderly end of ours ends its arming: not what its pilot has armed or flies."""
+        pilots = self.mode is not None and self.mode != MANUAL
+        return not pilots and not self.handed_back and (self.wanted or self._had or self.found_armed)
+
+    def beat_due(self, t_us: int) -> bool:
+        """Whether it is to be asked for a heartbeat now."""
+        if self._stop_us is None or t_us - self._beat_asked_us < BEAT_EVERY_US or self._unheard(t_us, self._stop_us):
+            return False
+        self._beat_asked_us = t_us
+        return True
+
+    def _unheard(self, t_us: int, since_us: int) -> bool:
+        return not self.known and t_us - since_us > UNHEARD_US
 
     def due(self, t_us: int) -> bool | None:
         """Whether it is to be asked now to arm (True) or disarm (False)."""
+        if self._stop_us is not None:
+            if t_us - self._asked_us < DISARM_EVERY_US or self._unheard(t_us, self._stop_us):
+                return None
+            self._asked_us = t_us
+            return False
         if not self.known or self.mode != MANUAL or self._stopped or self.armed == self.wanted:
             return None
         if not self.wanted and not self._had:  # somebody else armed it: not ours to end
@@ -117,8 +178,12 @@ class AuthorityWatch:
         """Note a message."""
         match message.get_type():
             case "HEARTBEAT":
-                self.mode, self.known = int(message.custom_mode), True
-                self._set_armed(t_us, bool(message.base_mode & ARMED_FLAG), "")
+                self.mode, self.known, self._beat_us = int(message.custom_mode), True, t_us
+                armed = bool(message.base_mode & ARMED_FLAG)
+                self.found_armed = armed and (self.found_armed or (self._first and not self.wanted))
+                self._first = False
+                self._set_armed(t_us, armed, "")
+                self._confirm(t_us)
                 self.slow_heave |= self.armed and self.mode in HOLDS_DEPTH
                 self.slow_heave &= self.armed and self.mode not in SETS_HEAVE
             case "STATUSTEXT":
@@ -130,10 +195,19 @@ class AuthorityWatch:
                     self._set_armed(t_us, True, "")
                 elif lower.startswith(("prearm:", "arm:", "arming")) and message.severity <= 4:
                     self._refusal = text
-            case "COMMAND_ACK" if message.command == ARM_DISARM and message.result != 0:
+            case "COMMAND_ACK" if message.command == ARM_DISARM and message.result == 0:
+                self._answered = True
+            case "COMMAND_ACK" if message.command == ARM_DISARM:
                 self._refusal = self._refusal or f"refused (result {message.result})"
             case _:
                 return
+
+    def _confirm(self, t_us: int) -> None:
+        """A heartbeat behind the answer to the disarming, or long behind the request, says that it is done."""
+        if self._stop_us is None or self.armed:
+            return
+        if self._answered or t_us - self._stop_us >= NO_ANSWER_US:
+            self._stop_us = None
 
     def _set_armed(self, t_us: int, armed: bool, why: str) -> None:
         if armed and not self.armed:
@@ -144,7 +218,7 @@ class AuthorityWatch:
         if lost and self.wanted and self.mode == MANUAL:
             self._stopped = why or "disarmed by pilot or failsafe"
         if not armed and not self.wanted:
-            self._had = False
+            self._had = self.handed_back = False
 
 
 def mode_name(number: int) -> str:

@@ -27,12 +27,48 @@ def _is(value: float) -> Callable[[float], bool]:
     return lambda found: abs(found - value) < 0.5
 
 
+def _without(bit: int) -> Callable[[float], bool]:
+    return lambda found: not round(found) >> bit & 1
+
+
 CHANNELS = range(1, 7)
+CHANNEL_OF = {"PITCH": 1, "ROLL": 2, "THROTTLE": 3, "YAW": 4, "FORWARD": 5, "LATERAL": 6}
+"""RCMAP_...: which channel each axis is."""
+FIRST_MOTOR = 33
+"""SERVOn_FUNCTION of motor 1."""
+IGNORE_OVERRIDES = 1
+"""Bit of RC_OPTIONS."""
+
+STANDING_THRUST = "RC_PROTOCOLS"
+"""With a receiver enabled, each of its frames counts as pilot input while an override is younger than RC_OVERRIDE_TIME,
+and the last override is applied again: FS_PILOT_TIMEOUT does not begin before that (ArduSub's Sub::read_radio)."""
 
 RULES: tuple[Rule, ...] = (
     Rule(name="MOT_FV_CPLNG_K", fits=lambda k: abs(k) < 1e-3, wanted="0", why="else heave takes from forward"),
     Rule(name="FS_PILOT_INPUT", fits=lambda k: k >= 0.5, wanted="1", why="else thrust goes on without us"),
     Rule(name="FS_PILOT_TIMEOUT", fits=lambda k: 0.1 <= k <= 0.55, wanted="0.4", why="thrust goes on so long"),
+    Rule(
+        name=STANDING_THRUST,
+        fits=_is(0.0),
+        wanted="0",
+        why="else thrust goes on without us for RC_OVERRIDE_TIME",
+        optional=True,
+    ),
+    Rule(
+        name="RC_OVERRIDE_TIME",
+        fits=lambda k: 0.1 <= k <= 3.0,
+        wanted="3",
+        why="0 refuses our thrust, longer ones keep it",
+        optional=True,
+    ),
+    Rule(
+        name="RC_OPTIONS",
+        fits=_without(IGNORE_OVERRIDES),
+        wanted="it without 2",
+        why="else our thrust is ignored",
+        optional=True,
+    ),
+    Rule(name="FS_THR_ENABLE", fits=lambda k: k < 1.5, wanted="0", why="2 surfaces when we are silent", optional=True),
     Rule(name="FS_GCS_ENABLE", fits=lambda k: k >= 0.5, wanted="1 or more", why="its own failsafe stays on"),
     Rule(name="MOT_BAT_CURR_MAX", fits=_is(0.0), wanted="0", why="else it scales our thrust", optional=True),
     Rule(name="MOT_PWM_MIN", fits=_is(1100.0), wanted="1100", why="pulses are 1500 +- 400", optional=True),
@@ -41,6 +77,14 @@ RULES: tuple[Rule, ...] = (
     *(Rule(name=f"RC{n}_MIN", fits=_is(1100.0), wanted="1100", why="its range is ours") for n in CHANNELS),
     *(Rule(name=f"RC{n}_MAX", fits=_is(1900.0), wanted="1900", why="its range is ours") for n in CHANNELS),
     *(Rule(name=f"RC{n}_REVERSED", fits=_is(0.0), wanted="0", why="its sign is ours") for n in CHANNELS),
+    *(
+        Rule(name=f"RC{n}_OPTION", fits=_is(0.0), wanted="0", why="our thrust would switch it", optional=True)
+        for n in CHANNELS
+    ),
+    *(
+        Rule(name=f"RCMAP_{axis}", fits=_is(n), wanted=f"{n}", why="its channels are ours", optional=True)
+        for axis, n in CHANNEL_OF.items()
+    ),
 )
 
 OTHERS = ("FRAME_CONFIG", "ACRO_YAW_P", "BARO1_GND_PRESS", "BARO2_GND_PRESS", "BARO_SPEC_GRAV")
@@ -48,6 +92,22 @@ OTHERS = ("FRAME_CONFIG", "ACRO_YAW_P", "BARO1_GND_PRESS", "BARO2_GND_PRESS", "B
 
 GCS_IDS = ("MAV_GCS_SYSID", "SYSID_MYGCS")
 """Whom it obeys: a version has the one or the other."""
+LAST_GCS_ID = "MAV_GCS_SYSID_HI"
+"""It obeys all ids from the first to this; a smaller one counts for nothing."""
+
+
+def motor_rules(motors: int) -> tuple[Rule, ...]:
+    """What its first outputs have to be: motor n at output n."""
+    return tuple(
+        Rule(
+            name=f"SERVO{n}_FUNCTION",
+            fits=_is(FIRST_MOTOR + n - 1),
+            wanted=f"{FIRST_MOTOR + n - 1}",
+            why=f"motor {n} is there",
+            optional=True,
+        )
+        for n in range(1, motors + 1)
+    )
 
 
 class Settings:
@@ -56,9 +116,11 @@ class Settings:
     def __init__(self, frame_number: int, motors: int, ours: int) -> None:
         self._frame_number = frame_number
         self._ours = ours
+        self._rules = (*RULES, *motor_rules(motors))
         self.values: dict[str, float] = {}
         directions = [f"MOT_{motor}_DIRECTION" for motor in range(1, motors + 1)]
-        self._asked = dict.fromkeys((*(rule.name for rule in RULES), *OTHERS, *GCS_IDS, *directions), 0)
+        rules = (rule.name for rule in self._rules)
+        self._asked = dict.fromkeys((*rules, *OTHERS, *GCS_IDS, LAST_GCS_ID, *directions), 0)
         """Name -> how often it was asked for in vain."""
 
     @property
@@ -109,10 +171,13 @@ class Settings:
         if frame is None or round(frame) != self._frame_number:
             told = "is not answered" if frame is None else f"= {frame:g}"
             found.append(f"FRAME_CONFIG {told}: set {self._frame_number}, or the other `frame` in [devices]")
-        found += [text for rule in RULES if (text := _verdict(rule, values))]
+        found += [text for rule in self._rules if (text := _verdict(rule, values))]
         ids = [values[name] for name in GCS_IDS if name in values]
         if ids and round(ids[0]) != self._ours:
             found.append(f"it obeys system {ids[0]:g}: set {GCS_IDS[0]} {self._ours}, or `gcs_system` in [devices]")
+        elif ids and values.get(LAST_GCS_ID, 0.0) > ids[0]:
+            last = values[LAST_GCS_ID]
+            found.append(f"it obeys systems {ids[0]:g} to {last:g}: set {LAST_GCS_ID} 0, one sender is enough")
         return tuple(f"flight controller: {text}" for text in found)
 
 

@@ -5,13 +5,15 @@ from typing import Any
 
 import numpy as np
 
+from autopilot.core.device_clock import DeviceClock
 from autopilot.core.samples import AhrsSample, DepthSample, LeakSample, PowerSample, Sample
 from autopilot.core.vehicle import Vehicle
-from drivers.ig500 import DeviceClock
 
 G_M_S2 = 9.80665
 FRESH_IMU_US = 50_000
 """An acceleration older than this beside an attitude: the sample is left out."""
+CLOCK_SPAN_US = (1 << 32) * 1000
+"""time_boot_ms begins anew after 50 days."""
 LEAK_HOLD_US = 45_000_000
 """It repeats its warning every 20 s while the probe is wet."""
 LEAK_EVERY_US = 1_000_000
@@ -32,9 +34,9 @@ class Telemetry:
         self._density = density_kg_m3
         self._depth_sigma_m = depth_sigma_m
         self._told_ground_pa = ground_pa
-        self._clock = DeviceClock()
+        self.clock = DeviceClock(CLOCK_SPAN_US)
+        """Its own, on ours."""
         self._accel: tuple[int, list[float]] | None = None
-        self._last_us = -(1 << 62)
         self._pressure: tuple[int, float] = (-AGAIN_US, math.nan)
         """The last one that was passed on."""
         self._leak_us: int | None = None
@@ -79,15 +81,13 @@ class Telemetry:
         if not all(math.isfinite(number) for number in numbers):
             self.bad_samples += 1
             return []
-        stamp_us = self._clock.stamp(t_us, int(message.time_boot_ms) * 1000)
-        stamp_us -= round(1e6 * self._vehicle.ahrs.latency_s)
-        if stamp_us <= self._last_us:
+        stamped_us = self.clock.stamp(t_us, int(message.time_boot_ms) * 1000)
+        if stamped_us is None:
             self.bad_samples += 1
             return []
-        self._last_us = stamp_us
         return [
             AhrsSample(
-                t_us=stamp_us,
+                t_us=stamped_us - round(1e6 * self._vehicle.ahrs.latency_s),
                 rpy_rad=np.array(numbers[:3]),
                 rate_frd_rad_s=np.array(numbers[3:]),
                 accel_frd_m_s2=np.array(self._accel[1]),
@@ -116,7 +116,8 @@ class Telemetry:
         used_j = 100.0 * message.energy_consumed if message.energy_consumed >= 0 else 0.0
         if used_j == 0.0 and message.current_consumed > 0:
             used_j = 3.6 * message.current_consumed * voltage_v
-        self.supply_v = voltage_v
+        if self._vehicle.battery.limits.can_be(voltage_v):
+            self.supply_v = voltage_v
         if message.battery_remaining >= 0:
             remaining = 0.01 * message.battery_remaining
         else:

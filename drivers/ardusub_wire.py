@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from autopilot.core.errors import DriverError
-from drivers.framing import FrameCutter
-from drivers.protocols import Link
+from autopilot.drivers.framing import FrameCutter
+from autopilot.drivers.protocols import Link
 
 AUTOPILOT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
@@ -18,6 +18,9 @@ GCS, INVALID_AUTOPILOT, ACTIVE = 6, 8, 4
 
 ARM_DISARM, SET_INTERVAL, REQUEST_MESSAGE = 400, 511, 512
 """MAV_CMD_COMPONENT_ARM_DISARM, MAV_CMD_SET_MESSAGE_INTERVAL, MAV_CMD_REQUEST_MESSAGE."""
+
+FORCE_DISARM = 21196.0
+"""COMPONENT_ARM_DISARM.param2: whatever it checks, it disarms."""
 
 KEEP_US = 65535
 """In an override: this channel is not ours."""
@@ -33,12 +36,16 @@ class Wire:
         except ModuleNotFoundError as error:
             raise DriverError("the driver needs the Python module 'pymavlink', which is not installed") from error
         self._link = link
-        self._system = system
+        self._system, self._ours = system, ours
         self._cutters: dict[int, FrameCutter] = {}
         self._reader: Any = self._dialect.MAVLink(None)
         self._mav: Any = self._dialect.MAVLink(None, srcSystem=ours, srcComponent=US_COMPONENT)
         self.bad_frames = 0
         """Frames that were damaged, or unknown."""
+        self.other_systems: set[int] = set()
+        """Flight controllers that are not ours."""
+        self.rivals: set[int] = set()
+        """Components that speak as the ground station that it obeys, beside us."""
 
     def receive(self, t_us: int) -> Iterator[Any]:
         """Its messages since the last call."""
@@ -54,6 +61,16 @@ class Wire:
                     self.bad_frames += 1
                 elif (message.get_srcSystem(), message.get_srcComponent()) == (self._system, AUTOPILOT):
                     yield message
+                elif message.get_type() == "HEARTBEAT":
+                    self._note_other(message)
+
+    def _note_other(self, message: Any) -> None:
+        """A heartbeat of somebody else on the link."""
+        system, component = message.get_srcSystem(), message.get_srcComponent()
+        if message.autopilot != INVALID_AUTOPILOT and component == AUTOPILOT:
+            self.other_systems.add(system)
+        elif message.type == GCS and system == self._ours:
+            self.rivals.add(component)
 
     def _decoded(self, frame: bytes) -> Any | None:
         try:
@@ -71,8 +88,8 @@ class Wire:
         self._send(self._mav.rc_channels_override_encode(self._system, AUTOPILOT, *pulses))
 
     def arm(self, *, armed: bool) -> None:
-        """Ask for it, by its own checks."""
-        self._command(ARM_DISARM, float(armed))
+        """Arm by its own checks, or disarm in any case."""
+        self._command(ARM_DISARM, float(armed), 0.0 if armed else FORCE_DISARM)
 
     def interval(self, message_id: int, rate_hz: float) -> None:
         """Ask for a message so often."""

@@ -1,6 +1,7 @@
 """What every battery monitor makes of voltage and current: energy used and the share that is left."""
 
 from autopilot.core.samples import PowerSample, plausible
+from autopilot.core.vehicle import BatteryLimits
 
 LONGEST_GAP_US = 2_000_000
 """A longer gap is bridged with no more than this much of the present power: nobody knows what was drawn meanwhile."""
@@ -9,16 +10,20 @@ LONGEST_GAP_US = 2_000_000
 class EnergyMeter:
     """Integrates power over time."""
 
-    def __init__(self, capacity_j: float) -> None:
+    def __init__(self, capacity_j: float, limits: BatteryLimits) -> None:
         self._capacity_j = capacity_j
+        self._limits = limits
         self._used_j = 0.0
         self._last: tuple[int, float] | None = None
 
     def sample(self, t_us: int, voltage_v: float, current_a: float) -> PowerSample | None:
-        """The sample of a reading; None if no battery can say that."""
+        """The sample of a reading; None if no battery can say that. What this battery cannot say counts for nothing:
+        the service refuses it."""
         power_w = voltage_v * current_a
         before_us, before_w = (t_us, power_w) if self._last is None else self._last
         gap_s = 1e-6 * min(max(0, t_us - before_us), LONGEST_GAP_US)
+        if not self._limits.can_be(voltage_v):
+            power_w = before_w = 0.0
         used_j = max(0.0, self._used_j + 0.5 * (power_w + before_w) * gap_s)
         remaining = min(1.0, max(0.0, 1.0 - used_j / self._capacity_j))
         sample = PowerSample(

@@ -1,7 +1,7 @@
 """``[devices]`` of a vehicle configuration: which back end stands for what, with its options.
 
-One table per kind (:data:`drivers.registry.DEVICE_KINDS`). ``driver`` names the back end, every other key is one of its
-options: fields of the class's ``Options``. A flight controller brings what it measures and drives the thrusters, so
+One table per kind (:data:`.drivers.registry.DEVICE_KINDS`). ``driver`` names the back end, every other key is one of
+its options: fields of the class's ``Options``. A flight controller brings what it measures and drives the thrusters, so
 that beside it there are no ``thrusters``; a sensor of its own kind beside it takes the place of what it would send.
 """
 
@@ -13,7 +13,7 @@ import msgspec
 from autopilot.core.errors import ConfigError
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
-from drivers.registry import DEVICE_KINDS, backend_names, load_backend
+from autopilot.drivers.registry import DEVICE_KINDS, backend_names, load_backend
 
 FLIGHT_CONTROLLER, THRUSTERS, CAMERA = "flight_controller", "thrusters", "camera"
 
@@ -30,7 +30,7 @@ class DeviceSetup(msgspec.Struct, frozen=True, kw_only=True):
     """Of the back end's class ``Options``."""
 
     def make(self, vehicle: Vehicle) -> Any:
-        """The device, not opened yet: a sensor, a thruster output or a flight controller (:mod:`drivers.protocols`)."""
+        """The device, not opened yet: sensor, thruster output or flight controller (:mod:`.drivers.protocols`)."""
         return load_backend(self.kind, self.driver)(vehicle, self.options)
 
 

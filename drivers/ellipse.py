@@ -6,16 +6,18 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
+from autopilot.core.device_clock import DeviceClock
 from autopilot.core.errors import DriverError
 from autopilot.core.frames import rpy_from_quat
+from autopilot.core.messages import Severity
 from autopilot.core.samples import AhrsSample
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
-from drivers import ellipse_protocol as wire
-from drivers.base import Closing
-from drivers.ig500 import ASK_AGAIN_POLLS, QUATERNION_TOLERANCE, DeviceClock
-from drivers.protocols import BytePort
-from drivers.serial_port import SerialPort
+from autopilot.drivers import ellipse_protocol as wire
+from autopilot.drivers.base import Closing
+from autopilot.drivers.ig500 import ASK_AGAIN_POLLS, QUATERNION_TOLERANCE
+from autopilot.drivers.protocols import BytePort
+from autopilot.drivers.serial_port import SerialPort
 
 LOGS = (wire.IMU_DATA, wire.EKF_QUATERNION)
 CLOCK_SPAN_US = 1 << 32
@@ -37,7 +39,7 @@ class EllipseOptions(Table, frozen=True, kw_only=True):
 
 
 class Ellipse(Closing):
-    """A :class:`drivers.protocols.Sensor`. The device is mounted with its axes forward, right, down."""
+    """A :class:`autopilot.drivers.protocols.Sensor`. The device is mounted with its axes forward, right, down."""
 
     Options = EllipseOptions
 
@@ -46,12 +48,10 @@ class Ellipse(Closing):
         self._latency_us = round(vehicle.ahrs.latency_s * 1e6)
         self._mode = options.divider
         self._parser = wire.FrameParser()
-        self._clock = DeviceClock()
+        self.clock = DeviceClock(CLOCK_SPAN_US)
+        """The device's, on the service's time."""
         self._imu: wire.Imu | None = None
         self._attitude: wire.Attitude | None = None
-        self._wraps_us = 0
-        self._device_us = -1
-        self._last_us = -(1 << 62)
         self._silent_polls = 0
         self.confirmed: set[int] = set()
         """Logs that the device says it sends as asked."""
@@ -69,6 +69,7 @@ class Ellipse(Closing):
         """Open the line and configure the device."""
         self._port.open()
         self._parser = wire.FrameParser()
+        self.clock.begin()
         self._configure()
 
     def close(self) -> None:
@@ -90,6 +91,10 @@ class Ellipse(Closing):
             self._silent_polls = 0
             self._configure()
         return samples
+
+    def take_notices(self) -> list[tuple[Severity, str]]:
+        """What operators should know since the last call."""
+        return self.clock.take_notices()
 
     def _configure(self) -> None:
         self.confirmed.clear()
@@ -126,17 +131,13 @@ class Ellipse(Closing):
         if not (imu.status & wire.IMU_WORKS and attitude.status & wire.ATTITUDE_VALID):
             return None
         norm = math.sqrt(sum(part * part for part in attitude.quaternion))
-        if abs(norm - 1.0) > QUATERNION_TOLERANCE or imu.device_us == self._device_us:
+        if abs(norm - 1.0) > QUATERNION_TOLERANCE:
             return None
-        if imu.device_us < self._device_us - CLOCK_SPAN_US // 2:
-            self._wraps_us += CLOCK_SPAN_US
-        self._device_us = imu.device_us
-        t_us = self._clock.stamp(arrival_us, imu.device_us + self._wraps_us) - self._latency_us
-        if t_us <= self._last_us:
+        stamped_us = self.clock.stamp(arrival_us, imu.device_us)
+        if stamped_us is None:
             return None
-        self._last_us = t_us
         return AhrsSample(
-            t_us=t_us,
+            t_us=stamped_us - self._latency_us,
             rpy_rad=rpy_from_quat([part / norm for part in attitude.quaternion]),
             rate_frd_rad_s=np.array(imu.rate_frd_rad_s),
             accel_frd_m_s2=np.array(imu.accel_frd_m_s2),

@@ -8,7 +8,7 @@ import math
 import struct
 from dataclasses import dataclass
 
-from drivers.sbg_frames import Framing, SbgParser, crc16
+from autopilot.drivers.sbg_frames import Framing, SbgParser, crc16
 
 SYNC = b"\xff\x5a"
 END = 0x33

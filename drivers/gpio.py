@@ -3,8 +3,8 @@
 from typing import Any, Protocol
 
 from autopilot.core.errors import DriverError
-from drivers.base import Closing
-from drivers.protocols import Device
+from autopilot.drivers.base import Closing
+from autopilot.drivers.protocols import Device
 
 
 class GpioLine(Device, Protocol):

@@ -4,8 +4,8 @@ import fcntl
 from typing import Any, Protocol
 
 from autopilot.core.errors import DriverError
-from drivers.base import Closing
-from drivers.protocols import Device
+from autopilot.drivers.base import Closing
+from autopilot.drivers.protocols import Device
 
 _I2C_RETRIES, _I2C_TIMEOUT = 0x0701, 0x0702
 """Requests of linux/i2c-dev.h."""

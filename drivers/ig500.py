@@ -4,10 +4,12 @@ import math
 
 import numpy as np
 
+from autopilot.core.device_clock import DeviceClock
 from autopilot.core.frames import rpy_from_quat
+from autopilot.core.messages import Severity
 from autopilot.core.samples import AhrsSample, ImuSample
-from drivers.base import Closing
-from drivers.ig500_protocol import (
+from autopilot.drivers.base import Closing
+from autopilot.drivers.ig500_protocol import (
     AHRS_MASK,
     CONTINUOUS_OUTPUT,
     GET_OUTPUT_MASK,
@@ -23,50 +25,14 @@ from drivers.ig500_protocol import (
     encode_frame,
     encode_output_mask,
 )
-from drivers.protocols import BytePort
+from autopilot.drivers.protocols import BytePort
 
 ASK_AGAIN_POLLS = 100
 """Polls without a good sample after which the device is configured again (1 s at the 100 Hz tick)."""
 QUATERNION_TOLERANCE = 0.05
 """Samples whose quaternion's norm is farther from 1 are dropped."""
-
-
-class DeviceClock:
-    """Turns the device's millisecond counter into the service's time: the mean difference is followed slowly.
-
-    Arrival times jitter by the scheduling of both ends; the device's own clock does not. The mean difference holds the
-    mean latency, which the caller subtracts.
-    """
-
-    GAIN = 0.01
-    """Share of a new difference once the start is over (1 s at 100 Hz)."""
-    CLIP_US = 5_000.0
-    """A late arrival moves the mean no further than if it had been late by this."""
-    LOST_US = 50_000.0
-    """A difference that is off by more counts as lost; after :data:`LOST_COUNT` in a row the clock starts anew."""
-    LOST_COUNT = 50
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._lost = 0
-        self._offset_us = 0.0
-        self._last_us = 0
-
-    def stamp(self, arrival_us: int, device_us: int) -> int:
-        """The service's time at which the device read ``device_us``, plus the mean latency."""
-        difference = float(arrival_us - device_us)
-        error = difference - self._offset_us
-        self._lost = self._lost + 1 if abs(error) > self.LOST_US else 0
-        if self._count == 0 or device_us < self._last_us or self._lost >= self.LOST_COUNT:
-            self._count, self._lost, self._offset_us = 1, 0, difference
-        else:
-            self._count += 1
-            gain = max(1.0 / self._count, self.GAIN)
-            if self._count > 1.0 / self.GAIN:
-                error = max(-self.CLIP_US, min(self.CLIP_US, error))
-            self._offset_us += gain * error
-        self._last_us = device_us
-        return round(device_us + self._offset_us)
+CLOCK_SPAN_US = (1 << 32) * 1000
+"""The device's milliseconds begin anew after 50 days."""
 
 
 class Ig500(Closing):
@@ -92,9 +58,9 @@ class Ig500(Closing):
         """What the device says of itself with its last measurement."""
         self._status_bits: int | None = None
         self._parser = FrameParser()
-        self._clock = DeviceClock()
+        self.clock = DeviceClock(CLOCK_SPAN_US)
+        """The device's, on the service's time."""
         self._silent_polls = 0
-        self._last_us = -(1 << 62)
         self._last_device_us = -1
         self.bad_samples = 0
         """Frames that are intact but useless (wrong size, not finite, no rotation, time standing still)."""
@@ -109,6 +75,7 @@ class Ig500(Closing):
     def open(self) -> None:
         """Open the port and configure the device."""
         self._port.open()
+        self.clock.begin()
         self._configure()
 
     def close(self) -> None:
@@ -134,6 +101,10 @@ class Ig500(Closing):
             self._configure()
         return samples
 
+    def take_notices(self) -> list[tuple[Severity, str]]:
+        """What operators should know since the last call."""
+        return self.clock.take_notices()
+
     @property
     def warnings(self) -> list[str]:
         """Parts of the device that are not in order by its own account."""
@@ -158,19 +129,17 @@ class Ig500(Closing):
         if abs(norm - 1.0) > QUATERNION_TOLERANCE:
             return None
         device_us = int(numbers[self._time]) * 1000
-        if device_us == self._last_device_us:
-            return None
         reset, self._last_device_us = device_us < self._last_device_us, device_us
-        if reset:  # it has been without power: its mask is its own again
+        stamped_us = self.clock.stamp(arrival_us, device_us)
+        if reset:  # it may have been without power: its mask is its own again
             self._configure()
+            return None
+        if stamped_us is None:
             return None
         bits = int(numbers[self._status])
         if bits != self._status_bits:
             self._status_bits, self.status = bits, Status(bits & STATUS_GOOD)
-        t_us = self._clock.stamp(arrival_us, device_us) - self._latency_us
-        if t_us <= self._last_us:
-            return None
-        self._last_us = t_us
+        t_us = stamped_us - self._latency_us
         rate, accel = np.array(numbers[self._gyro]), np.array(numbers[self._accel])
         if self._magnet is not None:
             magnet = np.array(numbers[self._magnet])

@@ -5,12 +5,13 @@ from typing import Annotated
 import msgspec
 
 from autopilot.core.errors import DriverError
+from autopilot.core.messages import Severity
 from autopilot.core.samples import AhrsSample, ImuSample
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
-from drivers.base import Closing
-from drivers.ig500 import Ig500
-from drivers.serial_port import SerialPort
+from autopilot.drivers.base import Closing
+from autopilot.drivers.ig500 import Ig500
+from autopilot.drivers.serial_port import SerialPort
 
 
 class Ig500Options(Table, frozen=True, kw_only=True):
@@ -26,7 +27,7 @@ class Ig500Options(Table, frozen=True, kw_only=True):
 
 
 class Ig500Device(Closing):
-    """A :class:`drivers.protocols.Sensor`."""
+    """A :class:`autopilot.drivers.protocols.Sensor`."""
 
     Options = Ig500Options
 
@@ -48,6 +49,10 @@ class Ig500Device(Closing):
     def bad_samples(self) -> int:
         """Frames that are intact but useless."""
         return self._driver.bad_samples
+
+    def take_notices(self) -> list[tuple[Severity, str]]:
+        """What operators should know since the last call."""
+        return self._driver.take_notices()
 
     def open(self) -> None:
         """Open the line and configure the device."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 from autopilot.core.errors import ConfigError
-from drivers.sbg_frames import Framing, SbgParser, crc16
+from autopilot.drivers.sbg_frames import Framing, SbgParser, crc16
 
 SYNC = b"\xff\x02"
 END = 0x03

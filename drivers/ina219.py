@@ -8,9 +8,9 @@ from autopilot.core.errors import DriverError
 from autopilot.core.samples import PowerSample
 from autopilot.core.toml_table import Positive, Table
 from autopilot.core.vehicle import Vehicle
-from drivers.base import Closing
-from drivers.battery_meter import EnergyMeter
-from drivers.i2c import I2cBus, LinuxI2c, register
+from autopilot.drivers.base import Closing
+from autopilot.drivers.battery_meter import EnergyMeter
+from autopilot.drivers.i2c import I2cBus, LinuxI2c, register
 
 CONFIG, SHUNT, BUS = 0x00, 0x01, 0x02
 SETTING = 0x3FFF
@@ -40,7 +40,7 @@ class Ina219(Closing):
     def __init__(self, vehicle: Vehicle, options: Ina219Options, *, bus: I2cBus | None = None) -> None:
         self._bus = LinuxI2c(options.bus) if bus is None else bus
         self._options = options
-        self._meter = EnergyMeter(vehicle.battery.capacity_j)
+        self._meter = EnergyMeter(vehicle.battery.capacity_j, vehicle.battery.limits)
         self.bad_samples = 0
         """Readings that no battery gives."""
         self._next_us = -(1 << 62)

@@ -1,17 +1,13 @@
 """A process that stands by an output without a watchdog of its own, and stops the thrusters when nobody else does.
 
 The PCA9685 and the PWM of a computer repeat their last pulse for ever. The keeper hears every command's beat over a
-pipe: when the pipe ends without a farewell (the program was killed) or the beats stop for the command timeout (it
-hangs), the keeper opens the same output by itself, which sets it to neutral. It ignores the signals that end the
-program, which says farewell when it ends in order.
+socket and answers it (:mod:`autopilot.drivers.keeper_process`): when the line ends without a farewell (the program was
+killed) or the beats stop for the command timeout (it hangs), the keeper opens the same output by itself, which sets it
+to neutral. It ignores the signals that end the program, which says farewell when it ends in order.
 """
 
 import contextlib
-import os
 import select
-import signal
-import subprocess
-import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,14 +16,12 @@ import msgspec
 from autopilot.core.errors import DriverError
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
-from drivers.registry import load_backend
-from drivers.thruster_output import SafeThrusterOutput
+from autopilot.drivers.keeper_process import FAREWELL, HELLO, KeeperProcess, hear, listen
+from autopilot.drivers.registry import load_backend
+from autopilot.drivers.thruster_output import SafeThrusterOutput
 
-BEAT, FAREWELL = b".", b"!"
 TRIES, PAUSE_S = 20, 0.05
 """How often neutral is tried when it does not get through."""
-
-_ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class KeptOutput(SafeThrusterOutput):
@@ -42,71 +36,50 @@ class KeptOutput(SafeThrusterOutput):
         super().__init__(vehicle, spare)
         self._kept = kept
         self._told = msgspec.json.encode([self.driver, vehicle, options]) + b"\n"
-        self._keeper: subprocess.Popen[bytes] | None = None
-        self.keepers = 0
-        """How many have been started."""
+        self.keeper: KeeperProcess | None = None
+
+    @property
+    def watchdog_problem(self) -> str:
+        """What is wrong with the keeper, "" while one answers or none is needed."""
+        return "" if self.keeper is None else self.keeper.problem
+
+    @property
+    def watchdog_failed(self) -> bool:
+        """Whether that is more than that the first keeper is starting."""
+        return self.keeper is not None and self.keeper.failed
 
     def open(self) -> None:
         """Set the device to neutral, and have somebody stand by."""
         super().open()
-        self._stand_by()
+        if self._kept and self.keeper is None:
+            self.keeper = KeeperProcess(self._told)
+            self.keeper.start()
 
     def write(self, t_us: int, pwm_us: Any) -> None:
         """Command one pulse per thruster [us]."""
         super().write(t_us, pwm_us)
-        self._tell(BEAT)
+        if self.keeper is not None:
+            self.keeper.beat(t_us)
+
+    def check(self, t_us: int) -> bool:
+        """As :meth:`SafeThrusterOutput.check`; looks after the keeper."""
+        if self.keeper is not None:
+            self.keeper.look(t_us)
+        return super().check(t_us)
 
     def close(self) -> None:
         """Neutral, and nobody stands by any more."""
         super().close()
-        keeper, self._keeper = self._keeper, None
-        if keeper is not None and keeper.stdin is not None:
-            with contextlib.suppress(OSError):
-                os.write(keeper.stdin.fileno(), FAREWELL)
-            with contextlib.suppress(OSError):
-                keeper.stdin.close()
-            keeper.wait()
-
-    def _stand_by(self) -> None:
-        if not self._kept or self._keeper is not None:
-            return
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)  # inherited: no moment in which they would end it
-        try:
-            self._keeper = subprocess.Popen(
-                [sys.executable, "-m", "drivers.keeper"], stdin=subprocess.PIPE, start_new_session=True
-            )
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        self.keepers += 1
-        if self._keeper.stdin is not None:
-            self._keeper.stdin.write(self._told)
-            self._keeper.stdin.flush()
-            os.set_blocking(self._keeper.stdin.fileno(), False)
-
-    def _tell(self, what: bytes) -> None:
-        if self._keeper is None or self._keeper.stdin is None:
-            return
-        try:
-            os.write(self._keeper.stdin.fileno(), what)
-        except BlockingIOError:
-            return  # it has enough of them
-        except OSError:  # somebody has killed it
-            self._keeper.wait()
-            self._keeper = None
-            self._stand_by()
+        keeper, self.keeper = self.keeper, None
+        if keeper is not None:
+            keeper.end(neutral=self._at_rest)
 
 
 def main() -> None:
     """Stand by until the farewell."""
-    for number in _ENDINGS:
-        signal.signal(number, signal.SIG_IGN)
-    pipe = sys.stdin.fileno()
-    told = b""
-    while not told.endswith(b"\n"):
-        byte = os.read(pipe, 1)
-        if not byte:
-            return  # nothing was commanded yet
-        told += byte
+    line, told = listen()
+    if not told:
+        return  # nothing was commanded yet
     driver, vehicle, options = msgspec.json.decode(told, type=tuple[str, msgspec.Raw, msgspec.Raw])
     kind = load_backend("thrusters", driver)
     output = kind(
@@ -115,15 +88,17 @@ def main() -> None:
     timeout_s = min(thruster.drive.command_timeout_s for thruster in output.vehicle.thrusters)
     moving = False
     while True:
-        ready, _, _ = select.select([pipe], [], [], timeout_s if moving else None)
-        heard = os.read(pipe, 4096) if ready else b""
+        ready, _, _ = select.select([line], [], [], timeout_s if moving else None)
+        heard = hear(line) if ready else b""
         if FAREWELL in heard:
             return
         if heard:
-            moving = True
+            moving = moving or any(number != HELLO for number in heard)
+            with contextlib.suppress(OSError):  # it does not listen now, or has ended, which is heard next
+                line.send(heard[-1:])
             continue
         _stop(output)
-        if ready:  # the pipe has ended
+        if ready:  # the line has ended
             return
         moving = False
 
@@ -137,7 +112,3 @@ def _stop(output: SafeThrusterOutput) -> None:
             return
         except (DriverError, OSError):
             select.select([], [], [], PAUSE_S)
-
-
-if __name__ == "__main__":
-    main()

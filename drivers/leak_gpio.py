@@ -7,8 +7,8 @@ import msgspec
 from autopilot.core.samples import LeakSample
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
-from drivers.base import Closing
-from drivers.gpio import GpioLine, LinuxGpio
+from autopilot.drivers.base import Closing
+from autopilot.drivers.gpio import GpioLine, LinuxGpio
 
 PERIOD_US = 200_000
 """Between samples while nothing changes; a change is told at once."""
@@ -24,7 +24,7 @@ class GpioLeakOptions(Table, frozen=True, kw_only=True):
 
 
 class GpioLeak(Closing):
-    """A :class:`drivers.protocols.Sensor`."""
+    """A :class:`autopilot.drivers.protocols.Sensor`."""
 
     Options = GpioLeakOptions
 

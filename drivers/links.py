@@ -16,8 +16,8 @@ host listens on the loopback interface only, 0.0.0.0 has to be written to let th
 from dataclasses import dataclass
 
 from autopilot.core.errors import ConfigError
-from drivers.protocols import LOOPBACK, Link
-from drivers.registry import load_backend
+from autopilot.drivers.protocols import LOOPBACK, Link
+from autopilot.drivers.registry import load_backend
 
 DEFAULT_BAUD = 57600
 """Telemetry radios and pymavlink alike."""

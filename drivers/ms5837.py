@@ -15,8 +15,8 @@ from autopilot.core.errors import DriverError
 from autopilot.core.samples import DepthSample
 from autopilot.core.toml_table import Positive, Table
 from autopilot.core.vehicle import Vehicle
-from drivers.base import Closing
-from drivers.i2c import I2cBus, LinuxI2c, register
+from autopilot.drivers.base import Closing
+from autopilot.drivers.i2c import I2cBus, LinuxI2c, register
 
 ADDRESS = 0x76
 """Every MS5837 has this one."""
@@ -88,7 +88,7 @@ def compensated(kind: Kind, words: Sequence[int], d1: int, d2: int) -> tuple[flo
 
 
 class Ms5837(Closing):
-    """The driver: a :class:`drivers.protocols.Sensor`."""
+    """The driver: a :class:`autopilot.drivers.protocols.Sensor`."""
 
     Options = Ms5837Options
 

@@ -1,7 +1,7 @@
 """Camera through OpenCV's VideoCapture: V4L2, RTSP and other network streams, or a GStreamer pipeline.
 
 A thread of its own grabs and stamps, so that neither a slow nor a hanging camera holds up the loop; of several pictures
-since the last poll the newest wins. Stamps follow the beat in which pictures are grabbed (:mod:`drivers.frame_clock`);
+since the last poll the newest wins. Stamps follow the beat in which pictures are grabbed (:mod:`.drivers.frame_clock`);
 what passes between exposure and grab in the mean is ``latency_s``, and ``autopilot calibrate latency`` finds what is
 left of it.
 """
@@ -18,8 +18,8 @@ from autopilot.core.errors import DriverError
 from autopilot.core.samples import CameraFrame
 from autopilot.core.toml_table import NonNegative, Positive, Table
 from autopilot.core.vehicle import Vehicle
-from drivers.base import Closing
-from drivers.frame_clock import FrameClock, LoopTime, machine_us
+from autopilot.drivers.base import Closing
+from autopilot.drivers.frame_clock import FrameClock, LoopTime, machine_us
 
 DEAD_US = 3_000_000
 """Without a picture for so long the camera is gone."""
@@ -126,7 +126,7 @@ class _Grabber:
 
 
 class OpenCvCamera(Closing):
-    """A :class:`drivers.protocols.Sensor` of pictures."""
+    """A :class:`autopilot.drivers.protocols.Sensor` of pictures."""
 
     Options = OpenCvCameraOptions
 

@@ -15,7 +15,7 @@ from autopilot.core.lane import DaemonLane
 from autopilot.core.samples import CameraFrame
 from autopilot.core.toml_table import Positive, Table
 from autopilot.core.vehicle import Vehicle
-from drivers.base import Closing
+from autopilot.drivers.base import Closing
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 TOPIC = "/in/camera"
@@ -38,7 +38,7 @@ class PlaybackOptions(Table, frozen=True, kw_only=True):
 
 
 class Playback(Closing):
-    """A :class:`drivers.protocols.Sensor` of pictures."""
+    """A :class:`autopilot.drivers.protocols.Sensor` of pictures."""
 
     Options = PlaybackOptions
 

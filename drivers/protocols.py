@@ -4,11 +4,11 @@ Time is handed in by the caller (``t_us``, microseconds since the service's cloc
 Opening may raise DriverError; bad data from a device never raises, it is counted and dropped. Closing twice is allowed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
-from autopilot.core.clients import EVERYONE, Reach
+from autopilot.core.clients import EVERYONE, Reach, Standing
 
 if TYPE_CHECKING:  # links are opened before anything heavy is loaded
     from autopilot.core.messages import Below, Severity
@@ -42,6 +42,15 @@ class Sensor(Device, Protocol[T]):
 
     def poll(self, t_us: int) -> list[T]:
         """What has arrived up to ``t_us``, oldest first. Never blocks, never raises because of bad data."""
+        ...
+
+
+@runtime_checkable
+class Noticing(Protocol):
+    """A sensor that has something to say of itself, for instance of its clock (:mod:`autopilot.core.device_clock`)."""
+
+    def take_notices(self) -> "Sequence[tuple[Severity, str]]":
+        """What operators should know since the last call; the device's name is put before it."""
         ...
 
 
@@ -86,6 +95,21 @@ class PayloadOutput(Protocol):
         ...
 
 
+@runtime_checkable
+class WatchedOutput(Protocol):
+    """An output that a process beside the service stops when the service cannot (:mod:`autopilot.drivers.keeper`)."""
+
+    @property
+    def watchdog_problem(self) -> str:
+        """What is wrong with that process, "" while it answers or none is needed."""
+        ...
+
+    @property
+    def watchdog_failed(self) -> bool:
+        """Whether that is more than that the first one is starting."""
+        ...
+
+
 class FlightController(Sensor[Any], ThrusterOutput, Protocol):
     """An autopilot below ours: it measures, and drives the thrusters with what we ask for as long as it is asked to."""
 
@@ -95,6 +119,14 @@ class FlightController(Sensor[Any], ThrusterOutput, Protocol):
 
     def hand_back(self, t_us: int) -> None:
         """Nothing is commanded any more, and it is left armed; after ``command`` and ``write`` of the same tick."""
+        ...
+
+    def stop(self, t_us: int) -> None:
+        """Disarm it, whoever armed it; called on every tick until :meth:`below` says that it is not armed."""
+        ...
+
+    def stand_down(self, t_us: int) -> bool:
+        """The service ends: called instead of ``poll`` until True, or for a bounded time. Disarms what is ours."""
         ...
 
     def below(self, t_us: int) -> "Below":
@@ -156,4 +188,16 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Let go of the port. Idempotent."""
+        ...
+
+
+@runtime_checkable
+class SharedLink(Protocol):
+    """A link with places for so many clients and no more."""
+
+    standing: Callable[[int], Standing]
+    """What a client (its number) has shown of itself; set by who reads what the link brings."""
+
+    def take_news(self) -> tuple[bool, str] | None:
+        """Who lost his place or found none since the last call: whether it is a warning, and a line."""
         ...

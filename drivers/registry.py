@@ -1,7 +1,7 @@
 """Back ends by name. A back end is imported when it is asked for, so that a missing library breaks only its own.
 
-To add one: write it in a file of its own against :mod:`drivers.protocols`, and add a line here. What stands in
-``[devices]`` of a vehicle configuration is made by :mod:`drivers.devices`.
+To add one: write it in a file of its own against :mod:`.drivers.protocols`, and add a line here. What stands in
+``[devices]`` of a vehicle configuration is made by :mod:`autopilot.drivers.devices`.
 """
 
 from importlib import import_module
@@ -10,25 +10,28 @@ from typing import Any
 from autopilot.core.errors import ConfigError, DriverError
 
 BACKENDS: dict[str, dict[str, str]] = {
-    "ahrs": {"ellipse": "drivers.ellipse:Ellipse", "ig500": "drivers.ig500_device:Ig500Device"},
-    "camera": {"opencv": "drivers.opencv_camera:OpenCvCamera", "playback": "drivers.playback:Playback"},
-    "depth": {"ms5837": "drivers.ms5837:Ms5837"},
-    "dvl": {"waterlinked_a50": "drivers.waterlinked_a50:WaterLinkedA50"},
-    "battery": {"ads1115": "drivers.ads1115:Ads1115", "ina219": "drivers.ina219:Ina219"},
-    "leak": {"gpio": "drivers.leak_gpio:GpioLeak"},
-    "thrusters": {
-        "pca9685": "drivers.pca9685:Pca9685",
-        "sabertooth": "drivers.sabertooth:Sabertooth",
-        "sysfs_pwm": "drivers.sysfs_pwm:SysfsPwm",
+    "ahrs": {"ellipse": "autopilot.drivers.ellipse:Ellipse", "ig500": "autopilot.drivers.ig500_device:Ig500Device"},
+    "camera": {
+        "opencv": "autopilot.drivers.opencv_camera:OpenCvCamera",
+        "playback": "autopilot.drivers.playback:Playback",
     },
-    "flight_controller": {"ardusub": "drivers.ardusub:ArduSub"},
+    "depth": {"ms5837": "autopilot.drivers.ms5837:Ms5837"},
+    "dvl": {"waterlinked_a50": "autopilot.drivers.waterlinked_a50:WaterLinkedA50"},
+    "battery": {"ads1115": "autopilot.drivers.ads1115:Ads1115", "ina219": "autopilot.drivers.ina219:Ina219"},
+    "leak": {"gpio": "autopilot.drivers.leak_gpio:GpioLeak"},
+    "thrusters": {
+        "pca9685": "autopilot.drivers.pca9685:Pca9685",
+        "sabertooth": "autopilot.drivers.sabertooth:Sabertooth",
+        "sysfs_pwm": "autopilot.drivers.sysfs_pwm:SysfsPwm",
+    },
+    "flight_controller": {"ardusub": "autopilot.drivers.ardusub:ArduSub"},
     "link": {
-        "udpin": "drivers.udp:UdpIn",
-        "udpout": "drivers.udp:UdpOut",
-        "udpbcast": "drivers.udp:UdpBroadcast",
-        "tcpin": "drivers.tcp:TcpServer",
-        "tcpout": "drivers.tcp:TcpClient",
-        "serial": "drivers.serial_port:SerialLink",
+        "udpin": "autopilot.drivers.udp:UdpIn",
+        "udpout": "autopilot.drivers.udp:UdpOut",
+        "udpbcast": "autopilot.drivers.udp:UdpBroadcast",
+        "tcpin": "autopilot.drivers.tcp:TcpServer",
+        "tcpout": "autopilot.drivers.tcp:TcpClient",
+        "serial": "autopilot.drivers.serial_port:SerialLink",
     },
 }
 """Kind -> name -> ``module:class``."""

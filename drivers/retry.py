@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 from autopilot.core.errors import DriverError
 from autopilot.core.lane import DaemonLane
 from autopilot.core.messages import Severity
-from drivers.protocols import Device, FlightController, Sensor, ThrusterOutput
+from autopilot.drivers.protocols import Device, FlightController, Noticing, Sensor, ThrusterOutput
 
 FIRST_PAUSE_US = 500_000
 LONGEST_PAUSE_US = 10_000_000
@@ -145,11 +145,18 @@ class Steady(Generic[D]):
 class SteadySensor(Steady[Sensor[Any]]):
     """A sensor that gives nothing while it is away."""
 
+    def __init__(self, device: Sensor[Any], name: str) -> None:
+        super().__init__(device, name)
+        self._noticing = device if isinstance(device, Noticing) else None
+
     def poll(self, t_us: int) -> list[Any]:
         """What has arrived."""
         nothing: list[Any] = []
         samples = self.use(t_us, lambda: self.device.poll(t_us), nothing)
         self.heard(t_us, samples)
+        if self._noticing is not None:
+            for severity, text in self._noticing.take_notices():
+                self._tell(severity, text)
         return samples
 
 
@@ -178,7 +185,6 @@ class SteadyOutput(Steady[Out]):
                 self.lose(t_us, str(error))
             raise
         self._failed = 0
-        self._heard_us = t_us
 
     def check(self, t_us: int) -> None:
         """Once per tick: stale commands stop the thrusters."""

@@ -13,9 +13,9 @@ import msgspec
 from autopilot.core.errors import ConfigError
 from autopilot.core.toml_table import Table
 from autopilot.core.vehicle import Vehicle
-from drivers.protocols import BytePort
-from drivers.serial_port import SerialPort
-from drivers.thruster_output import SafeThrusterOutput
+from autopilot.drivers.protocols import BytePort
+from autopilot.drivers.serial_port import SerialPort
+from autopilot.drivers.thruster_output import SafeThrusterOutput
 
 FIRST_ADDRESS, ADDRESSES = 128, 8
 AUTOBAUD = bytes([0xAA])

@@ -7,10 +7,10 @@ from types import ModuleType
 
 from autopilot.core.clients import EVERYONE
 from autopilot.core.errors import DriverError
-from drivers.base import Closing
-from drivers.framing import FrameCutter
-from drivers.numbering import Numbering
-from drivers.protocols import Received
+from autopilot.drivers.base import Closing
+from autopilot.drivers.framing import FrameCutter
+from autopilot.drivers.numbering import Numbering
+from autopilot.drivers.protocols import Received
 
 CHUNK = 4096
 """Bytes per system call; 115200 baud brings 115 per tick."""

@@ -1,26 +1,36 @@
 """MAVLink over TCP: a server for several clients, and a client that reconnects. Both hand out whole frames."""
 
+import select
 import socket
+from collections.abc import Callable
 
-from autopilot.core.clients import EVERYONE, Reach
+from autopilot.core.clients import EVERYONE, UNPROVEN, Reach, Standing
 from autopilot.core.errors import DriverError
-from drivers.framing import FrameCutter
-from drivers.numbering import Numbering
-from drivers.protocols import Received
-from drivers.udp import bind_error, reach_of, resolve
+from autopilot.drivers.admission import Admission, DoorNews, displaced_text
+from autopilot.drivers.framing import FrameCutter
+from autopilot.drivers.numbering import Numbering
+from autopilot.drivers.protocols import Received
+from autopilot.drivers.udp import bind_error, reach_of, resolve
 
 CHUNK = 4096
 """Bytes taken of one connection per call: who sends more is slowed down by TCP itself."""
 MAX_ACCEPTED = 4
 """Connections accepted per call."""
 MAX_CLIENTS = 8
-"""Further clients are turned away."""
+"""There is one place more (:mod:`autopilot.drivers.admission`); further clients wait in the system's queue."""
+MAX_WAITING = 64
+"""Length of that queue."""
+GRACE_US = 1_500_000
+"""A connection gets so long to say something (heartbeats of ground stations come every second)."""
 MAX_PENDING = 262_144
 """Bytes that may wait for a slow client before it is cut off (2 s of dense telemetry would be 100 kB)."""
 CONNECT_TIMEOUT_S = 3.0
 """For the first connection."""
 RECONNECT_US = 1_000_000
 """Between attempts to reconnect."""
+_KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 20_000}
+"""Seconds of silence before the system asks whether the other side is there, between its questions, how many without an
+answer end the connection; the same of data that is not acknowledged [ms]. A cut tether says no goodbye."""
 
 
 class _Stream:
@@ -29,12 +39,20 @@ class _Stream:
     def __init__(self, connection: socket.socket, client: int, sender: str, reach: Reach) -> None:
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _KEEPALIVE.items():
+            if hasattr(socket, name):  # not every system has all of them
+                connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         self._socket = connection
         self._cutter = FrameCutter()
         self._numbering = Numbering()
         self.client, self.sender, self._reach = client, sender, reach
         self._pending = bytearray()
         self.open = True
+        self.spoke = False
+        """Whether bytes have come; taken back by who looks."""
+        self.slow = False
+        """Whether it was closed because it does not read."""
 
     def fileno(self) -> int:
         """File descriptor, negative when closed."""
@@ -52,6 +70,7 @@ class _Stream:
         if not data:
             self.close()
             return []
+        self.spoke = True
         return [Received(frame, self.client, self.sender, self._reach) for frame in self._cutter.feed(data)]
 
     def send(self, data: bytes) -> bool:
@@ -59,6 +78,7 @@ class _Stream:
         self._pending += self._numbering(data)
         self._flush()
         if len(self._pending) > MAX_PENDING:
+            self.slow = True
             self.close()
         return self.open
 
@@ -88,8 +108,14 @@ class TcpServer:
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self._name = name
-        self._clients: list[_Stream] = []
+        self._clients: dict[int, _Stream] = {}
+        """By number."""
         self._numbers = 0
+        self.standing: Callable[[int], Standing] = lambda client: UNPROVEN
+        self._admission: Admission[int] = Admission(MAX_CLIENTS, lambda client: self.standing(client), GRACE_US)
+        self._news = DoorNews()
+        self._full = False
+        """Whether somebody may be waiting who cannot come in now."""
         self.dropped_tx = 0
         """Clients lost while sending to them."""
         address = resolve(name, host, port)
@@ -98,7 +124,7 @@ class TcpServer:
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             self._listener.bind(address)
-            self._listener.listen(MAX_CLIENTS)
+            self._listener.listen(MAX_WAITING)
         except OSError as error:
             self._listener.close()
             raise bind_error(name, port, error) from error
@@ -114,48 +140,80 @@ class TcpServer:
         return len(self._clients)
 
     def filenos(self) -> list[int]:
-        """The listening socket and all connections."""
-        numbers = [self._listener.fileno(), *(client.fileno() for client in self._clients)]
+        """All connections, and the listening socket while somebody could come in."""
+        numbers = [client.fileno() for client in self._clients.values()]
+        if not self._full:
+            numbers.append(self._listener.fileno())
         return [number for number in numbers if number >= 0]
 
     def recv(self, t_us: int) -> list[Received]:
         """Frames since the last call, client by client."""
-        self._accept()
-        frames = [frame for client in self._clients for frame in client.recv()]
-        self._clients = [client for client in self._clients if client.open]
+        self._admission.begin()
+        self._accept(t_us)
+        frames = []
+        for number, client in self._clients.items():
+            frames += client.recv()
+            if client.spoke:
+                client.spoke = False
+                self._admission.heard(number, t_us)
+        self._forget_closed()
         return frames
 
     def send(self, data: bytes, client: int = EVERYONE, beside: frozenset[int] = frozenset()) -> None:
         """Send to every client, or to one."""
-        for stream in self._clients:
+        for stream in self._clients.values():
             if stream.client in beside:
                 continue
             if client in (EVERYONE, stream.client) and not stream.send(data):
                 self.dropped_tx += 1
-        self._clients = [client for client in self._clients if client.open]
+        self._forget_closed()
+
+    def take_news(self) -> tuple[bool, str] | None:
+        """Who lost his place or found none since the last call."""
+        return self._news.take()
 
     def close(self) -> None:
         """Close all connections and the port."""
-        for client in self._clients:
+        for client in self._clients.values():
             client.close()
-        self._clients = []
+        self._clients = {}
         self._listener.close()
 
-    def _accept(self) -> None:
+    def _forget_closed(self) -> None:
+        for number in [number for number, client in self._clients.items() if not client.open]:
+            self._admission.leave(number)
+            gone = self._clients.pop(number)
+            if gone.slow:
+                self._news.note(f"{gone.sender} cut off: it does not read")
+
+    def _accept(self, t_us: int) -> None:
+        """Let in who waits, as far as there are places."""
         for _ in range(MAX_ACCEPTED):
+            self._full = not self._admission.has_room(t_us)
+            if self._full:
+                if select.select([self._listener], [], [], 0.0)[0]:
+                    self._news.note(f"a client waits for a place: {len(self._clients)} are served")
+                return
             try:
                 connection, address = self._listener.accept()
-            except OSError:  # nobody there, or closed
+            except (OSError, ValueError):  # nobody there, or closed
                 return
-            if len(self._clients) >= MAX_CLIENTS:
-                connection.close()
-                continue
             self._numbers += 1
             try:
-                sender, reach = f"{address[0]}:{address[1]}", reach_of(address[0])
-                self._clients.append(_Stream(connection, self._numbers, sender, reach))
+                stream = _Stream(connection, self._numbers, f"{address[0]}:{address[1]}", reach_of(address[0]))
             except OSError:  # gone again
                 connection.close()
+                continue
+            self._enter(stream, t_us)
+
+    def _enter(self, stream: _Stream, t_us: int) -> None:
+        """A place for a connection, which takes somebody else's where all are taken."""
+        entry = self._admission.enter(stream.client, t_us)
+        if entry.displaced is not None:
+            gone = self._clients.pop(entry.displaced.key)
+            gone.close()
+            self._news.note(displaced_text(gone.sender, entry.displaced), warning=False)
+        self._clients[stream.client] = stream
 
 
 class TcpClient:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 from autopilot.core.errors import DriverError
 from autopilot.core.vehicle import Vehicle
-from drivers.base import Closing
+from autopilot.drivers.base import Closing
 
 INSPECT_EVERY = 25
 """Commands between two looks at a device that acknowledges commands even when it does not follow them (0.25 s)."""

@@ -5,12 +5,14 @@ Every address is a client of its own. A flood is read and thrown away, so that o
 
 import errno
 import socket
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from autopilot.core.clients import EVERYONE, Reach
+from autopilot.core.clients import EVERYONE, UNPROVEN, Reach, Standing
 from autopilot.core.errors import DriverError
-from drivers.numbering import Numbering
-from drivers.protocols import LOOPBACK, Received
+from autopilot.drivers.admission import KEEP_US, Admission, DoorNews, displaced_text
+from autopilot.drivers.numbering import Numbering
+from autopilot.drivers.protocols import LOOPBACK, Received
 
 MAX_DATAGRAM = 2048
 """Bytes; several MAVLink frames may share a datagram, none is longer than 280."""
@@ -19,11 +21,13 @@ MAX_PER_CALL = 128
 MAX_CLIENT_BYTES = 4096
 """Bytes per call that one client may hand in; what is beyond is dropped."""
 MAX_PEERS = 16
-"""Clients that a port knows; one more has to wait until another has been silent for KEEP_US."""
-KEEP_US = 5_000_000
-"""A client that has spoken within this time is not displaced by another."""
+"""Clients that a port knows; there is one place more (:mod:`autopilot.drivers.admission`)."""
 FORGET_US = 100_000_000
 """A client is forgotten after so much silence."""
+FORGET_UNPROVEN_US = 10_000_000
+"""The same of one that has never said anything valid."""
+LOOK_US = 1_000_000
+"""Between looks for those who are silent."""
 LOOPBACK_NET = "127."
 
 Address = tuple[str, int]
@@ -78,6 +82,12 @@ class _Udp:
         """The one silent for longest first."""
         self._addresses: dict[int, Address] = {}
         self._numbers = 0
+        self.standing: Callable[[int], Standing] = lambda client: UNPROVEN
+        self._admission: Admission[Address] = Admission(
+            MAX_PEERS, lambda address: self.standing(self._known[address].client)
+        )
+        self._news = DoorNews()
+        self._look_us = 0
         self.dropped_tx = 0
         """Datagrams that could not be sent."""
 
@@ -104,6 +114,7 @@ class _Udp:
         """Datagrams since the last call, with who sent them."""
         received: list[Received] = []
         bytes_of: dict[int, int] = {}
+        self._admission.begin()
         for data, address in self._receive():
             peer = self._peer(t_us, address) if self._welcome(address) else None
             if peer is None:
@@ -118,34 +129,51 @@ class _Udp:
         """Whether an address may speak here at all."""
         return True
 
+    def _expects(self, address: Address) -> bool:
+        """Whether an address has its place whoever else is there."""
+        return False
+
+    def take_news(self) -> tuple[bool, str] | None:
+        """Who lost his place or found none since the last call."""
+        return self._news.take()
+
     def _peer(self, t_us: int, address: Address) -> _Peer | None:
         """The client of an address, now the last to have spoken; None when there is no place for another."""
         peer = self._known.pop(address, None)
         if peer is None:
-            if len(self._known) >= MAX_PEERS and not self._displace(t_us):
+            peer = self._admit(t_us, address)
+            if peer is None:
                 return None
-            self._numbers += 1
-            peer = _Peer(self._numbers, f"{address[0]}:{address[1]}", t_us, reach_of(address[0]))
-            self._addresses[peer.client] = address
         peer.heard_us = t_us
+        self._admission.heard(address, t_us)
         self._known[address] = peer
         return peer
 
-    def _displace(self, t_us: int) -> bool:
-        oldest = next(iter(self._known))
-        if t_us - self._known[oldest].heard_us < KEEP_US:
-            return False
-        self._drop(oldest)
-        return True
+    def _admit(self, t_us: int, address: Address) -> _Peer | None:
+        """A client that has not been heard lately."""
+        sender = f"{address[0]}:{address[1]}"
+        entry = self._admission.enter(address, t_us, always=self._expects(address))
+        if entry.displaced is not None:
+            gone = self._known[entry.displaced.key]
+            self._drop(entry.displaced.key)
+            self._news.note(displaced_text(gone.sender, entry.displaced), warning=False)
+        if not entry.admitted:
+            self._news.note(f"{sender} turned away: {len(self._known)} clients are served")
+            return None
+        self._numbers += 1
+        peer = _Peer(self._numbers, sender, t_us, reach_of(address[0]))
+        self._addresses[peer.client] = address
+        return peer
 
     def _forget(self, t_us: int) -> None:
-        while self._known:
-            oldest = next(iter(self._known))
-            if t_us - self._known[oldest].heard_us <= FORGET_US:
-                break
-            self._drop(oldest)
+        if 0 <= t_us - self._look_us < LOOK_US:
+            return
+        self._look_us = t_us
+        for address in self._admission.idle(t_us, FORGET_UNPROVEN_US, FORGET_US):
+            self._drop(address)
 
     def _drop(self, address: Address) -> None:
+        self._admission.leave(address)
         del self._addresses[self._known.pop(address).client]
 
     def _receive(self) -> list[tuple[bytes, Address]]:
@@ -198,6 +226,9 @@ class UdpOut(_Udp):
 
     def _welcome(self, address: Address) -> bool:
         return address[0] == self._target[0]
+
+    def _expects(self, address: Address) -> bool:
+        return address == self._target
 
 
 class UdpBroadcast(_Udp):

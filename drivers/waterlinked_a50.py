@@ -6,17 +6,21 @@ report says how old it was when it was sent, by the device's own clock.
 
 import math
 import socket
+from collections import deque
+from statistics import median
 from typing import Annotated
 
 import msgspec
 import numpy as np
 
+from autopilot.core.device_clock import DeviceClock
 from autopilot.core.errors import DriverError
 from autopilot.core.frames import FloatArray
+from autopilot.core.messages import Severity
 from autopilot.core.samples import VelocityLock, VelocitySample
 from autopilot.core.toml_table import Positive, Table
 from autopilot.core.vehicle import Vehicle
-from drivers.base import Closing
+from autopilot.drivers.base import Closing
 
 CONNECT_S = 2.0
 CHUNK = 65536
@@ -26,6 +30,10 @@ DEAD_US = 3_000_000
 """The device reports several times a second, locked or not: without a byte for so long the connection is dead."""
 MOST_M_S = 10.0
 MOST_DELAY_US = 2_000_000
+USUAL_DELAYS = 9
+"""Reports of which the median is the usual delay. It changes with the altitude, by less than"""
+DELAY_BAND_US = 50_000
+"""this from one report to the next: beyond it the clock has been set between measuring and sending."""
 
 
 class Report(msgspec.Struct):
@@ -60,7 +68,7 @@ class WaterLinkedA50Options(Table, frozen=True, kw_only=True):
 
 
 class WaterLinkedA50(Closing):
-    """A :class:`drivers.protocols.Sensor`."""
+    """A :class:`autopilot.drivers.protocols.Sensor`."""
 
     Options = WaterLinkedA50Options
 
@@ -73,6 +81,9 @@ class WaterLinkedA50(Closing):
         self._buffer = b""
         self._heard_us: int | None = None
         self._last_us = -(1 << 62)
+        self._delays_us: deque[int] = deque(maxlen=USUAL_DELAYS)
+        self.clock = DeviceClock()
+        """Its clock (Unix time), on the service's time: only the age of a report is of use, but jumps are told."""
         self._decoder = msgspec.json.Decoder(Report)
         self.bad_frames = 0
         """Lines that are no report."""
@@ -95,6 +106,8 @@ class WaterLinkedA50(Closing):
             why = error.strerror or str(error) or "no answer"
             raise DriverError(f"nobody answers at {host}:{port} ({why}); check address, cable and power") from error
         self._buffer, self._heard_us = b"", None
+        self._delays_us.clear()
+        self.clock.begin()
 
     def close(self) -> None:
         """Hang up."""
@@ -131,14 +144,13 @@ class WaterLinkedA50(Closing):
             return None
         if report.type != "velocity":
             return None
+        if report.time_of_transmission > 0:
+            self.clock.stamp(t_us, report.time_of_transmission)
         if not report.velocity_valid:
             self.unlocked += 1
             return None
         vel = np.array([report.vx, report.vy, report.vz])
-        delay_us = report.time_of_transmission - report.time_of_validity
-        if not 0 < delay_us <= MOST_DELAY_US:
-            delay_us = self._latency_us
-        taken_us = t_us - delay_us
+        taken_us = t_us - self._delay_us(report)
         if not float(np.abs(vel).max()) <= MOST_M_S or taken_us <= self._last_us:
             self.bad_samples += 1
             return None
@@ -150,6 +162,19 @@ class WaterLinkedA50(Closing):
             sigma_m_s=self._sigma(report),
             lock=VelocityLock.WATER if report.tracking_mode == "water" else VelocityLock.BOTTOM,
         )
+
+    def take_notices(self) -> list[tuple[Severity, str]]:
+        """What operators should know since the last call."""
+        return self.clock.take_notices()
+
+    def _delay_us(self, report: Report) -> int:
+        """Age of the report when it was sent: by its own stamps, unless its clock was set in between."""
+        delay_us = report.time_of_transmission - report.time_of_validity
+        if not 0 < delay_us <= MOST_DELAY_US:
+            return round(median(self._delays_us)) if self._delays_us else self._latency_us
+        self._delays_us.append(delay_us)
+        usual_us = round(median(self._delays_us))
+        return delay_us if abs(delay_us - usual_us) <= DELAY_BAND_US else usual_us
 
     def _sigma(self, report: Report) -> FloatArray:
         rows = report.covariance

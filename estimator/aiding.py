@@ -3,7 +3,7 @@
 Every source goes through the same: gate, counts, report. What a reset means is the only difference. A source with an
 offset that is a state of the filter (heading, laser, depth) or that measures one kind of state alone (velocity) has
 these states reopened, when it has been rejected for a while and its residuals agree among themselves. A source of
-positions moves the whole filter (:mod:`estimator.relocation`).
+positions moves the whole filter (:mod:`autopilot.estimator.relocation`).
 """
 
 from collections import deque
@@ -13,7 +13,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import AidState, AidStatus, MarkerFit
-from estimator.filter_core import Innovation
+from autopilot.estimator.filter_core import Innovation
 
 START_COUNT = 5
 """Measurements used in a row before a sensor counts as active."""

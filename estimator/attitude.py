@@ -5,8 +5,8 @@ the specific force is low-pass filtered, twice: pushes of the vehicle average ou
 those of swell or of a hand far more than behind the one integrator of a filter that turns its estimate towards what it
 feels. What is left is the vertical: a second rotation levels the frame by it.
 The magnetometer turns the estimate about the vertical only, so that magnetic disturbance never tilts it, and not at all
-while the field is not the known one (:mod:`estimator.magnetic`). What both have to correct shows the gyros' bias
-(:mod:`estimator.gyro_bias`).
+while the field is not the known one (:mod:`.estimator.magnetic`). What both have to correct shows the gyros' bias
+(:mod:`autopilot.estimator.gyro_bias`).
 """
 
 import math
@@ -16,10 +16,10 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import AhrsSample, ImuSample
-from estimator.gyro_bias import LOOK_S, GyroBias
-from estimator.inertial import GRAVITY_M_S2, MAX_ACCEL_M_S2, MAX_RATE_RAD_S, within
-from estimator.magnetic import FieldWatch
-from estimator.rotation import (
+from autopilot.estimator.gyro_bias import LOOK_S, GyroBias
+from autopilot.estimator.inertial import GRAVITY_M_S2, MAX_ACCEL_M_S2, MAX_RATE_RAD_S, within
+from autopilot.estimator.magnetic import FieldWatch
+from autopilot.estimator.rotation import (
     IDENTITY,
     Four,
     Three,

@@ -1,6 +1,6 @@
 """What a camera's calibration is off, found in flight: stamps that are late, a focal length that does not fit.
 
-How late stamps are is found by :mod:`estimator.stamp_watch`. The focal length: in a level picture a wrong one passes
+How late stamps are is found by :mod:`.estimator.stamp_watch`. The focal length: in a level picture a wrong one passes
 for another height, which nothing denies; only where the lens bends the picture it shows, because the bend grows
 with the focal length and the height does not: every picture tells the share that fits its residuals best, and hundreds
 together are sure.
@@ -13,8 +13,8 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray
 from autopilot.core.vehicle import Camera
-from estimator.stamp_watch import LOOK_S, StampWatch
-from estimator.states import VEL, YAW
+from autopilot.estimator.stamp_watch import LOOK_S, StampWatch
+from autopilot.estimator.states import VEL, YAW
 
 NO_CAMERA = Camera(
     width_px=1,
@@ -31,6 +31,8 @@ NO_CAMERA = Camera(
 LATE_S = 0.005
 LATE_SHARE = 0.1
 """Stamps are called late from here on, when it is known to this share of it,"""
+JUMP_SIGMAS = 3.0
+"""A jump of stamps is told from 5 ms and so many standard deviations on."""
 LATE_STILL_S = 0.0025
 """and until what is known of them comes down to this."""
 FOCAL_SHARE, FOCAL_NAMED = 0.003, 0.01
@@ -104,7 +106,9 @@ class CameraWatch:
         self._stamp_sigma_s = camera.time_offset_sigma_s
         self._mounting = _of_mounting(camera)
         self._texts: list[str] = []
-        self._late_told = self._focal_told = False
+        self._late_told_s: float | None = None
+        self._focal_told = False
+        self._pictures = False
         self._weight = self._sum = 0.0
         self._looks = 0
         self.focal_share = 0.0
@@ -117,7 +121,7 @@ class CameraWatch:
         """(4,) north, east, down, yaw that the calibration's uncertainty is worth, so high above the markers."""
         share = math.hypot(self._found_focal_sigma or self._focal_sigma, self._focal_pending)
         across = share * ASIDE_M
-        late_s = self.stamps.sigma_s or self._stamp_sigma_s
+        late_s = math.hypot(self.stamps.sigma_s or self._stamp_sigma_s, self.stamps.unsure_s)
         if share == late_s == 0.0 and self._mounting is None:
             return _NOTHING
         north, east, down = x[VEL].tolist()
@@ -138,7 +142,7 @@ class CameraWatch:
     @property
     def doubtful(self) -> bool:
         """Whether the calibration is wrong, as the operator has been told."""
-        return self._focal_told or (self._late_told and abs(self.stamps.late_s) >= LATE_STILL_S)
+        return self._focal_told or (self._late_told_s is not None and abs(self.stamps.late_s) >= LATE_STILL_S)
 
     def take_texts(self) -> tuple[str, ...]:
         """What is new, for the operator."""
@@ -151,13 +155,26 @@ class CameraWatch:
         """Whether stamps have been found to be late, or late by another time than was known."""
         changed = self.stamps.look()
         late_s = self.stamps.late_s
-        if self._late_told or abs(late_s) < LATE_S:
-            return changed
-        if 0.0 < self.stamps.sigma_s < LATE_SHARE * max(abs(late_s), 2.0 * LATE_S):
-            self._late_told = True
+        jumped_s, told_s = self.stamps.jumped_s, self._late_told_s
+        sure = 0.0 < self.stamps.sigma_s < LATE_SHARE * max(abs(late_s), 2.0 * LATE_S)
+        if jumped_s:
+            if abs(jumped_s) >= max(LATE_S, JUMP_SIGMAS * self.stamps.sigma_s):
+                self.stamps.jumped_s, self._late_told_s = 0.0, late_s
+                self._texts.append(f"{self._name} stamps jumped {1e3 * jumped_s:+.0f} ms: check its clock")
+        elif told_s is None and abs(late_s) >= LATE_S and sure:
+            self._late_told_s = late_s
             what = "late" if late_s > 0.0 else "early"
-            self._texts.append(f"Picture stamps {1e3 * abs(late_s):.0f} ms {what}: calibrate latency")
+            self._texts.append(f"{self._name} stamps {1e3 * abs(late_s):.0f} ms {what}: calibrate latency")
         return changed
+
+    @property
+    def _name(self) -> str:
+        """What the stamps are of: without pictures no camera is blamed."""
+        return "Picture" if self._pictures else "Pose"
+
+    def note_picture(self) -> None:
+        """A picture has come."""
+        self._pictures = True
 
     def look_at_focal(self, share: float, sigma: float) -> bool:
         """One more picture's opinion of the focal length. True if :attr:`focal_share` has changed."""

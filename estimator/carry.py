@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg.lapack import dgesv
 
 from autopilot.core.frames import FloatArray
-from estimator.states import CURRENT, DRAG_EXCESS, NX, VEL, YAW, FilterState
+from autopilot.estimator.states import CURRENT, DRAG_EXCESS, NX, VEL, YAW, FilterState
 
 LINEAR: FloatArray = np.full(NX, np.inf)
 LINEAR[YAW], LINEAR[VEL], LINEAR[CURRENT], LINEAR[DRAG_EXCESS] = 0.002, 0.006, 0.008, 0.02

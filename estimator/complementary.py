@@ -17,20 +17,20 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
 from autopilot.core.vehicle import Vehicle
-from estimator.engine import Engine
-from estimator.filter_core import Innovation
-from estimator.ground import ground_of
-from estimator.inertial import Mode, Step
-from estimator.kalman import RELOCATED_SIGMA_VEL_M_S, VERTICAL_CURRENT_VARIANCE
-from estimator.measure_depth import Depth
-from estimator.measure_laser import LaserRange
-from estimator.measure_model import ModelAid
-from estimator.measure_pose import PoseFix
-from estimator.measurement import CHI2_999, Measurement, Moment
-from estimator.motion import moved
-from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
-from estimator.protocol import Estimator, EstimatorContext
-from estimator.states import (
+from autopilot.estimator.engine import Engine
+from autopilot.estimator.filter_core import Innovation
+from autopilot.estimator.ground import ground_of
+from autopilot.estimator.inertial import Mode, Step
+from autopilot.estimator.kalman import RELOCATED_SIGMA_VEL_M_S, VERTICAL_CURRENT_VARIANCE
+from autopilot.estimator.measure_depth import Depth
+from autopilot.estimator.measure_laser import LaserRange
+from autopilot.estimator.measure_model import ModelAid
+from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.measurement import CHI2_999, Measurement, Moment
+from autopilot.estimator.motion import moved
+from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from autopilot.estimator.protocol import Estimator, EstimatorContext
+from autopilot.estimator.states import (
     ACCEL_BIAS,
     BIAS_AHEAD,
     BIAS_DOWN,
@@ -87,7 +87,7 @@ OFFSET_NOISE, LASER_BIAS_NOISE, DEPTH_OFFSET_NOISE = 0.0087, 1e-3, 3e-4
 
 
 class ObserverCore:
-    """:class:`estimator.filter_core.FilterCore` with one variance per state."""
+    """:class:`autopilot.estimator.filter_core.FilterCore` with one variance per state."""
 
     def __init__(self) -> None:
         self._growth = np.zeros(NX)
@@ -150,7 +150,7 @@ class ObserverCore:
         return FilterState(state.x + innovation.gain @ innovation.y, p)
 
     def relocate(self, state: FilterState, pose: FloatArray, noise: FloatArray, vel_ned_m_s: FloatArray) -> FilterState:
-        """See :class:`estimator.filter_core.FilterCore`."""
+        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         x, p = state.x.copy(), state.p.copy()
         x[HEADING_OFFSET] -= pose[3] - x[YAW]
         x[POS], x[YAW], x[VEL] = pose[:3], pose[3], vel_ned_m_s
@@ -161,7 +161,7 @@ class ObserverCore:
     def reopen(
         self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
     ) -> FilterState:
-        """See :class:`estimator.filter_core.FilterCore`."""
+        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         x, p = state.x, state.p.copy()
         p[part] = variance
         if value is not None:
@@ -181,7 +181,7 @@ class ObserverCore:
         return [*p[POSE], water, water, down, CURRENT_VARIANCE, CURRENT_VARIANCE, VERTICAL_CURRENT_VARIANCE]
 
     def planar_variance(self, state: FilterState) -> float:
-        """See :class:`estimator.filter_core.FilterCore`."""
+        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         return max(state.p.item(NORTH), state.p.item(EAST))
 
 
@@ -213,7 +213,7 @@ def create_complementary(
     floor_depth_m: float | None,
     options: EstimatorOptions = DEFAULT_OPTIONS,
 ) -> Engine:
-    """The observer behind :class:`estimator.protocol.Estimator`."""
+    """The observer behind :class:`autopilot.estimator.protocol.Estimator`."""
     return Engine(ObserverCore(), vehicle, markers, floor_depth_m, replace(options, current_3d=False))
 
 

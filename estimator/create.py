@@ -5,13 +5,13 @@ from dataclasses import replace
 from autopilot.core.markers import MarkerMap
 from autopilot.core.plugins import Plugin, find_plugin
 from autopilot.core.vehicle import Vehicle
-from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
-from estimator.protocol import Estimator, EstimatorContext
-from estimator.shadow import Shadowed
+from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from autopilot.estimator.protocol import Estimator, EstimatorContext
+from autopilot.estimator.shadow import Shadowed
 
 ESTIMATORS = {
-    "ekf": "estimator.ekf:of_context",
-    "complementary": "estimator.complementary:of_context",
+    "ekf": "autopilot.estimator.ekf:of_context",
+    "complementary": "autopilot.estimator.complementary:of_context",
 }
 """Shipped estimators: name -> what makes one."""
 

@@ -114,6 +114,11 @@ class GyroDoubt:
         """How far gyro and compass have come apart lately."""
         return max(abs(self._apart), abs(self._slow))
 
+    @property
+    def quick_rad(self) -> float:
+        """The same within a third of a second, the compass beyond the gyro."""
+        return self._quick
+
     def jumped_rad(self, dt_s: float, turn_rad: float, rate_rad_s: float) -> float:
         """How far the compass has jumped in one sample: ``turn_rad`` by the compass, ``rate_rad_s`` by the gyro."""
         jump = wrap_pi(turn_rad - rate_rad_s * dt_s)

@@ -2,10 +2,10 @@
 
 from autopilot.core.markers import MarkerMap
 from autopilot.core.vehicle import Vehicle
-from estimator.engine import Engine
-from estimator.kalman import KalmanCore
-from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
-from estimator.protocol import Estimator, EstimatorContext
+from autopilot.estimator.engine import Engine
+from autopilot.estimator.kalman import KalmanCore
+from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from autopilot.estimator.protocol import Estimator, EstimatorContext
 
 
 def create_ekf(
@@ -14,7 +14,7 @@ def create_ekf(
     floor_depth_m: float | None,
     options: EstimatorOptions = DEFAULT_OPTIONS,
 ) -> Engine:
-    """The extended Kalman filter behind :class:`estimator.protocol.Estimator`."""
+    """The extended Kalman filter behind :class:`autopilot.estimator.protocol.Estimator`."""
     return Engine(KalmanCore(current_3d=options.current_3d), vehicle, markers, floor_depth_m, options)
 
 

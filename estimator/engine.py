@@ -1,7 +1,7 @@
 """The estimator around a filter core: takes samples in, keeps history, gates, watches over the sensors, reports.
 
 The filter lives on the time axis of the AHRS: every good AHRS sample makes a node. Measurements go to the node at or
-before their time of validity, and the nodes after it change with it (:mod:`estimator.history`). What is told to the
+before their time of validity, and the nodes after it change with it (:mod:`.estimator.history`). What is told to the
 vehicle is the newest node carried on to now.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import AidStatus, NavDoubt, NavState, ShadowStatus
+from autopilot.core.messages import AidStatus, NavDoubt, NavHealth, NavState, ShadowStatus
 from autopilot.core.samples import (
     AhrsSample,
     DepthSample,
@@ -29,30 +29,32 @@ from autopilot.core.samples import (
     VelocitySample,
 )
 from autopilot.core.vehicle import Vehicle
-from estimator.aiding import Aid
-from estimator.attitude import AttitudeSource
-from estimator.camera_doubt import NO_CAMERA, CameraWatch
-from estimator.doubt import STEADY_M_S2, STEADY_RAD_S
-from estimator.evidence import Evidence
-from estimator.filter_core import FilterCore, Innovation
-from estimator.history import History, Loosening, Node, Reopening
-from estimator.imu_watch import GYRO_STATE, HEADING_STATES, NOTHING_NEW, ImuWatch
-from estimator.inertial import AhrsDoor, AhrsMount, Inertial, Mode, level, made_up, step_between
-from estimator.intake import AidingSample, Intake
-from estimator.map_watch import LOOSE_VARIANCE, MapWatch
-from estimator.markers_pose import MarkerSolver
-from estimator.measure_heading import heading_of
-from estimator.measure_model import VehicleAcceleration, added_share, idle, model_aid_of
-from estimator.measure_pose import PoseFix
-from estimator.measure_velocity import BodyVelocity
-from estimator.measurement import Measurement, Moment
-from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
-from estimator.output import judge_health, nav_state
-from estimator.refined import refined_map
-from estimator.relocation import Relocation
-from estimator.sources import OF_PICTURES, Sources
-from estimator.startup import StartUp
-from estimator.states import (
+from autopilot.estimator.aiding import Aid
+from autopilot.estimator.attitude import AttitudeSource
+from autopilot.estimator.camera_doubt import NO_CAMERA, CameraWatch
+from autopilot.estimator.doubt import STEADY_M_S2, STEADY_RAD_S
+from autopilot.estimator.evidence import Evidence
+from autopilot.estimator.filter_core import FilterCore, Innovation
+from autopilot.estimator.fix_motion import Seen, drift_variance, plausible
+from autopilot.estimator.fix_trust import DENYING, FixTrust
+from autopilot.estimator.history import History, Loosening, Node, Reopening
+from autopilot.estimator.imu_watch import GYRO_STATE, HEADING_STATES, NOTHING_NEW, ImuWatch
+from autopilot.estimator.inertial import AhrsDoor, AhrsMount, Inertial, Mode, level, made_up, step_between
+from autopilot.estimator.intake import AidingSample, Intake
+from autopilot.estimator.map_watch import LOOSE_VARIANCE, MapWatch
+from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.measure_heading import heading_of
+from autopilot.estimator.measure_model import VehicleAcceleration, added_share, idle, model_aid_of
+from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.measure_velocity import BodyVelocity
+from autopilot.estimator.measurement import Measurement, Moment
+from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from autopilot.estimator.output import judge_health, nav_state
+from autopilot.estimator.refined import refined_map
+from autopilot.estimator.relocation import Relocation
+from autopilot.estimator.sources import OF_PICTURES, Sources
+from autopilot.estimator.startup import StartUp
+from autopilot.estimator.states import (
     ACCEL_BIAS,
     BIAS_AHEAD,
     BIAS_DOWN,
@@ -68,8 +70,8 @@ from estimator.states import (
     YAW,
     initial_state,
 )
-from estimator.thrust import ThrustLag
-from estimator.tilt import TiltTrim
+from autopilot.estimator.thrust import ThrustLag
+from autopilot.estimator.tilt import TiltTrim
 
 HEADING_EVERY = 20
 """AHRS samples per heading measurement: 5 Hz, its errors are slow."""
@@ -113,7 +115,7 @@ ASTRAY = (ACCEL_BIAS, CURRENT, CURRENT_RATE)
 
 
 class Engine:
-    """:class:`estimator.protocol.Estimator` on a filter core."""
+    """:class:`autopilot.estimator.protocol.Estimator` on a filter core."""
 
     def __init__(
         self,
@@ -148,6 +150,7 @@ class Engine:
         self._startup = StartUp()
         self._trim = TiltTrim()
         self._relocations = {"markers": Relocation(), "external": Relocation()}
+        self._trusts = {"markers": FixTrust(), "external": FixTrust()}
         self._history: History | None = None
         self._recent: deque[Inertial] = deque(maxlen=128)
         self._statuses: list[AidStatus] = []
@@ -164,7 +167,7 @@ class Engine:
         self._counts = dict.fromkeys(names, 0)
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
-        """See :class:`estimator.protocol.Estimator`."""
+        """See :class:`autopilot.estimator.protocol.Estimator`."""
         if t_us <= self._now_us:
             self._counts["clock.backwards"] += 1
             return self._last
@@ -200,19 +203,20 @@ class Engine:
         return self._last
 
     def take_aids(self) -> tuple[AidStatus, ...]:
-        """See :class:`estimator.protocol.Estimator`."""
+        """See :class:`autopilot.estimator.protocol.Estimator`."""
         result = tuple(self._statuses)
         self._statuses.clear()
         return result
 
     def counters(self) -> Mapping[str, int]:
-        """See :class:`estimator.protocol.Estimator`."""
+        """See :class:`autopilot.estimator.protocol.Estimator`."""
         result = dict(self._counts)
         result.update({f"ahrs.{verdict.value}": count for verdict, count in self._door.counts.items()})
         result["ahrs.tilt_disagreements"] = self._attitude.disagreements
         result["ahrs.field_disturbances"] = self._attitude.field_disturbances
         result["doubt.accel"], result["doubt.gyro"] = self._imu.accel.count, self._imu.gyro.count
         result["doubt.jumps"] = self._evidence.jumps
+        result["doubt.camera"] = self._trusts["markers"].count
         result["doubt.compass_jumps"] = self._imu.gyro.jumps
         result["thrust.malformed"] = self._thrust.malformed
         for aid in self._sources.aids:
@@ -225,24 +229,24 @@ class Engine:
         return self._sources.take_made()
 
     def take_remarks(self) -> tuple[str, ...]:
-        """See :class:`estimator.protocol.Estimator`."""
+        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._camera.take_texts() + (() if self._map is None else self._map.take_texts())
 
     @property
     def refined_map(self) -> MarkerMap | None:
-        """See :class:`estimator.protocol.Estimator`."""
+        """See :class:`autopilot.estimator.protocol.Estimator`."""
         if self._markers is None or self._history is None:
             return self._markers
         return refined_map(self._markers, self._history.newest.state.sheets)
 
     @property
     def doubts(self) -> frozenset[NavDoubt]:
-        """See :class:`estimator.protocol.Estimator`."""
+        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._against
 
     @property
     def ahrs_us(self) -> int | None:
-        """See :class:`estimator.protocol.Estimator`."""
+        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._ahrs_us
 
     @property
@@ -268,8 +272,10 @@ class Engine:
             sample = self._sources.on_our_clock(stamped)
             self._intake.admit(sample, self._now_us)
             if isinstance(sample, PICTURES):
+                if isinstance(sample, MarkerSighting):
+                    self._camera.note_picture()
                 ahead_us = sample.t_us - self._now_us
-                self._stamps_changed |= self._camera.stamps.arrives(ahead_us, self._latency_s)
+                self._stamps_changed |= self._camera.stamps.arrives(self._now_us, ahead_us, self._latency_s)
 
     def _take_inertial(self, given: AhrsSample | ImuSample) -> None:
         """One sample that makes a node, if it is good."""
@@ -335,7 +341,7 @@ class Engine:
             model_dt_s=1e-6 * MODEL_EVERY * (node.t_us - before.t_us) * (self._samples_since % MODEL_EVERY == 0),
             anchored=anchored,
             denied=self._evidence.denies,
-            heading_denied=self._evidence.denies_heading and not self._camera.stamps.suspects,
+            heading_denied=not self._camera.stamps.suspects and self._evidence.denies_heading(self._imu.gyro.quick_rad),
             model_rejected=self._sources.model.rejected_in_row,
             compass_rejected=self._sources.heading.rejected_in_row,
         )
@@ -343,6 +349,8 @@ class Engine:
             return
         if found.doubted:
             history.redrive(node.t_us - REDRIVEN_US, self._imu.drive, self._sources.model.sensor)
+            for trust in self._trusts.values():
+                trust.begin_anew()
         forgotten: list[tuple[slice, float, tuple[float, ...] | None]] = []
         if found.apart_rad:
             forgotten += [(part, found.apart_rad**2, None) for part in HEADING_STATES]
@@ -360,19 +368,21 @@ class Engine:
     def _doubts(self, history: History, t_us: int) -> frozenset[NavDoubt]:
         """What speaks against the estimate or its sensors."""
         found = self._evidence.doubts(t_us, history.newest.state.x.item(LASER_BIAS))
-        if self._imu.accel.since_us is not None:
-            found.add(NavDoubt.ACCELEROMETER)
-        if self._imu.gyro.since_us is not None:
-            found.add(NavDoubt.GYRO)
+        trust = self._trusts[self._sources.markers.sensor]
+        for sensor, name in ((self._imu.accel, NavDoubt.ACCELEROMETER), (self._imu.gyro, NavDoubt.GYRO)):
+            if sensor.since_us is not None and trust.witnessed(sensor.since_us):
+                found.add(name)
         if self._map is not None and self._map.doubtful(t_us):
             found.add(NavDoubt.MAP)
         if self._camera.doubtful:
             found.add(NavDoubt.CALIBRATION)
+        if trust.doubtful(t_us):
+            found.add(NavDoubt.CAMERA)
         return frozenset(found)
 
     def _harmless(self, doubts: frozenset[NavDoubt], t_us: int) -> bool:
         """Whether fixes hold the position in spite of the doubts: only inertial sensors or the range are concerned."""
-        if NavDoubt.FIXES in doubts:
+        if NavDoubt.FIXES in doubts or NavDoubt.CAMERA in doubts:
             return False
         since_us = self._imu.since_us
         if since_us is None:
@@ -447,7 +457,7 @@ class Engine:
                 self._use_fix(history, node, fix, aid)
             if self._history is not history:  # moved to another pose: the old history is gone
                 return
-            if isinstance(sample, SCALARS):
+            if isinstance(sample, SCALARS) and (self._camera_believed or not isinstance(sample, OF_PICTURES)):
                 scalar, aid = self._sources.scalars(sample)
                 if scalar is not None:
                     self._use_scalar(history, node, scalar, aid)
@@ -455,9 +465,16 @@ class Engine:
     def _positions(self, fix: PoseFix) -> Aid:
         return self._sources.external if fix.sensor == "external" else self._sources.markers
 
+    @property
+    def _camera_believed(self) -> bool:
+        return self._trusts[self._sources.markers.sensor].believed
+
     def _use_fix(self, history: History, node: Node, fix: PoseFix, aid: Aid) -> None:
         """Gate one fix, and what follows from it for sheets, tilt, doubts and resets."""
-        relocation = self._relocations[aid.sensor]
+        relocation, trust = self._relocations[aid.sensor], self._trusts[aid.sensor]
+        if not trust.believed:
+            self._watch_doubted(history, node, fix, aid)
+            return
         known = () if node.state.sheets is None else node.state.sheets.which
         missed = self._fuse(history, node, fix, aid)
         if aid is self._sources.markers or not self._markers_in_view(fix.t_us):
@@ -469,23 +486,85 @@ class Engine:
         self._watch_map(history, node, fix, rejected=missed is not None)
         if missed is None:
             relocation.accepted()
+            trust.begin_anew()
             self._learn_sheets(history, node, fix, known)
             if aid is self._sources.external:
                 self._sources.external_jumped = False
             elif fix.tilt_rad is not None and node.moment.inertial.real:
                 self._trim.learn(node.moment.inertial, *fix.tilt_rad, fix.sigma_tilt_rad, fix.t_us)
             return
-        lost = self._fix_age_us(fix.t_us) > 1e6 * self._options.dead_reckoning_after_s
-        lost = lost or self._imu.since_us is not None
-        if aid is self._sources.external:
-            if self._markers_in_view(fix.t_us):
-                return  # they know better
-            lost = lost or self._sources.external_jumped
+        seen = self._against_reckoning(node, fix, missed)
+        trust.see(fix, seen)
+        if aid is not self._sources.external or not self._markers_in_view(fix.t_us):  # they know better
+            self._consider_reset(history, fix, aid, missed, seen)
+
+    def _consider_reset(self, history: History, fix: PoseFix, aid: Aid, missed: Innovation, seen: Seen) -> None:
+        """After a fix that was rejected: go where fixes are, or cease to believe them."""
+        relocation, trust = self._relocations[aid.sensor], self._trusts[aid.sensor]
+        gap = self._in_gap(fix.t_us)
+        lost = gap or self._imu.since_us is not None
+        lost = lost or (aid is self._sources.external and self._sources.external_jumped)
+        agreeing = 1 + relocation.agreeing_with(fix)
         velocity = relocation.rejected(fix, lost)
-        if velocity is not None:
+        if velocity is None:
+            return
+        camera = aid is self._sources.markers
+        near = plausible(seen.y, missed.variance, seen.drift, 1e-6 * self._anchor_age_us(fix.t_us))
+        if trust.denied(agreeing):
+            if camera and agreeing >= DENYING:
+                self._disbelieve(trust)
+        elif (
+            camera
+            and self._imu.since_us is None
+            and not (trust.may_reset(self._now_us, agreeing) and (not gap or near))
+        ):
+            self._disbelieve(trust)
+        else:
             if not lost:
                 self._evidence.note_jump(self._now_us, np.abs(missed.y))
             self._relocate(history, fix, float(missed.y[3]), velocity, lost=lost)
+
+    def _in_gap(self, t_us: int) -> bool:
+        """Whether no fix has been used for so long that the estimate is dead reckoning."""
+        return self._fix_age_us(t_us) > 1e6 * self._options.dead_reckoning_after_s
+
+    def _disbelieve(self, trust: FixTrust) -> None:
+        """The camera shows another place or time: what its fixes have denied so far they have denied wrongly."""
+        trust.disbelieve(self._now_us)
+        self._evidence.forgive()
+
+    def _against_reckoning(self, node: Node, fix: PoseFix, judged: Innovation) -> Seen:
+        """A fix that is not used, as it lies to dead reckoning."""
+        p = node.state.p
+        gap_s = 1e-6 * self._anchor_age_us(fix.t_us)
+        drift = drift_variance(
+            p if p.ndim == 1 else p.diagonal(),
+            gap_s,
+            accel=self._imu.accel.since_us is None,
+            gyro=self._imu.gyro.since_us is None,
+        )
+        return Seen(fix.t_us, fix.z, judged.y, fix.noise.diagonal(), drift, judged.test_ratio <= 1.0)
+
+    def _watch_doubted(self, history: History, node: Node, fix: PoseFix, aid: Aid) -> None:
+        """A fix of a camera that is not believed: not used, until a run of them is right again."""
+        trust = self._trusts[aid.sensor]
+        judged = self._core.innovation(node.state, fix, node.moment, 1e-6 * (fix.t_us - node.t_us))
+        self._statuses.append(aid.judged(fix.t_us, self._now_us, judged, False, fix.fit))
+        self._camera.stamps.see(fix, missed=True)
+        trust.see(fix, self._against_reckoning(node, fix, judged))
+        run = trust.recovered(lost=self._last is not None and self._last.health is NavHealth.INVALID)
+        if run is None:
+            return
+        for sensor in (self._imu.accel, self._imu.gyro):
+            if sensor.since_us is not None and not trust.witnessed(sensor.since_us):
+                sensor.believe()  # nobody could tell who was wrong: fixes will
+        trust.believe(self._now_us)
+        self._relocations[aid.sensor].accepted()
+        if judged.test_ratio <= 1.0:
+            return
+        self._evidence.note_jump(self._now_us, np.abs(judged.y))
+        velocity = run.velocity(node.state.x[VEL])
+        self._relocate(history, fix, float(judged.y[3]), velocity, lost=self._in_gap(fix.t_us))
 
     def _watch_map(self, history: History, node: Node, fix: PoseFix, *, rejected: bool) -> None:
         """Look for what does not lie where the map has it."""
@@ -602,6 +681,8 @@ class Engine:
         self._imu.accel.believe()
         self._imu.gyro.believe()
         self._begin_at(Node(newest.t_us, newest.moment, None, state))
+        for trust in self._trusts.values():
+            trust.believe(None if trust.believed else self._now_us)
         self._evidence.forgive()
 
     def _begin_at(self, node: Node) -> None:
@@ -609,6 +690,8 @@ class Engine:
         self._history = History(self._core, node)
         for relocation in self._relocations.values():
             relocation.accepted()
+        for trust in self._trusts.values():
+            trust.begin_anew()
 
     def _relocate(
         self, history: History, fix: PoseFix, turn_rad: float, vel_ned_m_s: FloatArray, *, lost: bool
@@ -626,5 +709,6 @@ class Engine:
         aid = self._positions(fix)
         aid.reset(self._now_us)
         aid.last_fused_us = fix.t_us
+        self._trusts[aid.sensor].note_reset(self._now_us)
         self._sources.external_jumped = False
         self._counts["resets"] += 1

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from autopilot.core.frames import FloatArray
-from estimator.carry import Look
-from estimator.inertial import Step
-from estimator.measurement import Measurement, Moment
-from estimator.states import FilterState
+from autopilot.estimator.carry import Look
+from autopilot.estimator.inertial import Step
+from autopilot.estimator.measurement import Measurement, Moment
+from autopilot.estimator.states import FilterState
 
 
 class Innovation(NamedTuple):
@@ -26,7 +26,7 @@ class Innovation(NamedTuple):
     after: FilterState | None = None
     """The state if it is used, when that is known already."""
     look: Look | None = None
-    """The update for :mod:`estimator.carry`; None where its effect cannot be carried on."""
+    """The update for :mod:`autopilot.estimator.carry`; None where its effect cannot be carried on."""
 
 
 class FilterCore(Protocol):

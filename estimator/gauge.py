@@ -9,7 +9,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES, MapErrors
-from estimator.states import EAST, NORTH, SheetStates
+from autopilot.estimator.states import EAST, NORTH, SheetStates
 
 KNOWN_SHARE = 0.25
 """An offset is known when its variance is this share of what it was believed to be."""

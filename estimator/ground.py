@@ -12,9 +12,9 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES
-from estimator.measure_pose import Ground, PoseFix
-from estimator.measurement import Measurement, Moment
-from estimator.states import NX, SheetStates
+from autopilot.estimator.measure_pose import Ground, PoseFix
+from autopilot.estimator.measurement import Measurement, Moment
+from autopilot.estimator.states import NX, SheetStates
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -16,7 +16,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from autopilot.core.frames import FloatArray
-from estimator.rotation import Four, Three, rows
+from autopilot.estimator.rotation import Four, Three, rows
 
 LOOK_S = 0.1
 """Corrections are gathered for so long, unless told otherwise."""

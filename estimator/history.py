@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import AID_SENSORS
-from estimator.carry import Correction, Look
-from estimator.filter_core import FilterCore, Innovation
-from estimator.inertial import Inertial, Step
-from estimator.measurement import Measurement, Moment
-from estimator.states import FilterState
+from autopilot.estimator.carry import Correction, Look
+from autopilot.estimator.filter_core import FilterCore, Innovation
+from autopilot.estimator.inertial import Inertial, Step
+from autopilot.estimator.measurement import Measurement, Moment
+from autopilot.estimator.states import FilterState
 
 SPAN_US = 1_000_000
 """How far back a measurement may lie; older ones are dropped and counted."""

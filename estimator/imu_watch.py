@@ -8,11 +8,11 @@ import math
 from typing import NamedTuple
 
 from autopilot.core.frames import wrap_pi
-from estimator.doubt import AccelDoubt, GyroDoubt
-from estimator.history import Node
-from estimator.inertial import Inertial, Mode, Step, step_between
-from estimator.measure_model import VehicleAcceleration, idle
-from estimator.states import ACCEL_BIAS, GYRO_BIAS, HEADING_OFFSET, YAW
+from autopilot.estimator.doubt import AccelDoubt, GyroDoubt
+from autopilot.estimator.history import Node
+from autopilot.estimator.inertial import Inertial, Mode, Step, step_between
+from autopilot.estimator.measure_model import VehicleAcceleration, idle
+from autopilot.estimator.states import ACCEL_BIAS, GYRO_BIAS, HEADING_OFFSET, YAW
 
 TURN_MAX_RAD_S = 2.0
 """No vehicle of this class turns faster: beyond it the compass has jumped."""

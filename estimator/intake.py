@@ -15,8 +15,8 @@ from autopilot.core.samples import (
     PoseSample,
     VelocitySample,
 )
-from estimator.aiding import Aid
-from estimator.inertial import FUTURE_TOLERANCE_US
+from autopilot.estimator.aiding import Aid
+from autopilot.estimator.inertial import FUTURE_TOLERANCE_US
 
 AidingSample: TypeAlias = PoseSample | MarkerSighting | LaserSample | DepthSample | VelocitySample | ExternalPoseSample
 

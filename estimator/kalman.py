@@ -8,14 +8,14 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from autopilot.core.frames import FloatArray
-from estimator.carry import Look, symmetric
-from estimator.filter_core import Innovation
-from estimator.ground import columns_of, entered, ground_of
-from estimator.inertial import Mode, Step
-from estimator.measure_pose import Ground
-from estimator.measurement import CHI2_999, Measurement, Moment, chi2_999
-from estimator.motion import MotionModel
-from estimator.states import (
+from autopilot.estimator.carry import Look, symmetric
+from autopilot.estimator.filter_core import Innovation
+from autopilot.estimator.ground import columns_of, entered, ground_of
+from autopilot.estimator.inertial import Mode, Step
+from autopilot.estimator.measure_pose import Ground
+from autopilot.estimator.measurement import CHI2_999, Measurement, Moment, chi2_999
+from autopilot.estimator.motion import MotionModel
+from autopilot.estimator.states import (
     CURRENT_DOWN,
     CURRENT_EAST,
     CURRENT_NORTH,
@@ -35,7 +35,7 @@ from estimator.states import (
     FilterState,
     SheetStates,
 )
-from estimator.tuning import TILTED_GYRO_NOISE, process_noise
+from autopilot.estimator.tuning import TILTED_GYRO_NOISE, process_noise
 
 VERTICAL_CURRENT_VARIANCE = 0.02**2
 """The vertical current is taken as zero unless it is a state; this is how wrong that may be [m^2/s^2]."""
@@ -68,7 +68,7 @@ class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no ty
 
 
 class KalmanCore:
-    """:class:`estimator.filter_core.FilterCore` by filterpy: predict() and update() are its own."""
+    """:class:`autopilot.estimator.filter_core.FilterCore` by filterpy: predict() and update() are its own."""
 
     def __init__(self, *, current_3d: bool = False) -> None:
         """``current_3d``: the vertical current is a state."""
@@ -99,7 +99,7 @@ class KalmanCore:
         return FilterState(kf.x, kf.P, sheets)
 
     def transition(self) -> FloatArray | None:
-        """See :class:`estimator.filter_core.FilterCore`."""
+        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         return self._kf.F.copy()
 
     def innovation(self, state: FilterState, measurement: Measurement, moment: Moment, after_s: float) -> Innovation:
@@ -189,7 +189,7 @@ class KalmanCore:
     def reopen(
         self, state: FilterState, part: slice, variance: float, value: Sequence[float] | None = None
     ) -> FilterState:
-        """See :class:`estimator.filter_core.FilterCore`."""
+        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         x, p = state.x, state.p.copy()
         p[part, :] = 0.0
         p[:, part] = 0.0
@@ -200,7 +200,7 @@ class KalmanCore:
         return FilterState(x, p, _forgotten(state.sheets, part))
 
     def loosen(self, state: FilterState, sheet: int, sigma: Sequence[float], variance: Sequence[float]) -> FilterState:
-        """See :class:`estimator.filter_core.FilterCore`."""
+        """See :class:`autopilot.estimator.filter_core.FilterCore`."""
         sheets = entered(state.sheets, (sheet,), np.array([sigma]), MAX_SHEETS)
         cov = sheets.cov.copy()
         columns = columns_of(sheets.which, (sheet,))

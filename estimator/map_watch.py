@@ -9,9 +9,9 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import ID_SPAN, MarkerMap
-from estimator.gauge import KNOWN_SHARE, Gauge
-from estimator.measure_pose import PoseFix, Stray
-from estimator.states import EAST, NORTH, SheetStates
+from autopilot.estimator.gauge import KNOWN_SHARE, Gauge
+from autopilot.estimator.measure_pose import PoseFix, Stray
+from autopilot.estimator.states import EAST, NORTH, SheetStates
 
 SIGHTINGS = 8
 """Pictures that must show a marker at the same wrong place."""

@@ -2,7 +2,7 @@
 
 Ids repeat over the floor. While the pose is roughly known, a marker is the nearest one of its id to where it seems to
 lie (:meth:`MarkerSolver.track`); without a pose, every marker votes for all places where it could be seen like this
-(:meth:`MarkerSolver.locate`). Both end in the same least squares over all corners (:mod:`estimator.pnp`). Markers may
+(:meth:`MarkerSolver.locate`). Both end in the same least squares over all corners (:mod:`.estimator.pnp`). Markers may
 lie anywhere in any attitude: each is looked for at its own depth, and votes by the square that it is.
 """
 
@@ -20,12 +20,12 @@ from autopilot.core.map_errors import STATES, MapErrors
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import MarkerSighting
-from estimator.camera_doubt import LEAST_MARKERS, LOOK_EVERY_US, focal_look
-from estimator.ground import SheetTies, believed
-from estimator.measure_pose import Ground, PoseFix, Stray
-from estimator.pnp import inward_of, linearise_corners, solve_pose
-from estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets
-from estimator.states import SheetStates
+from autopilot.estimator.camera_doubt import LEAST_MARKERS, LOOK_EVERY_US, focal_look
+from autopilot.estimator.ground import SheetTies, believed
+from autopilot.estimator.measure_pose import Ground, PoseFix, Stray
+from autopilot.estimator.pnp import inward_of, linearise_corners, solve_pose
+from autopilot.estimator.sheet_fit import SheetCorners, SheetPose, fit_on_sheets
+from autopilot.estimator.states import SheetStates
 
 NEAREST_M = 0.45
 """A marker is not looked for further from where it seems to lie: markers of one id are a metre and more apart."""

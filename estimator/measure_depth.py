@@ -7,9 +7,9 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.samples import DepthSample
-from estimator.inertial import down_of
-from estimator.measurement import Moment
-from estimator.states import DEPTH_OFFSET, DOWN, NX, VEL_DOWN
+from autopilot.estimator.inertial import down_of
+from autopilot.estimator.measurement import Moment
+from autopilot.estimator.states import DEPTH_OFFSET, DOWN, NX, VEL_DOWN
 
 MIN_SIGMA_M = 0.003
 """Floor of the noise: waves, and the pressure of the flow round the hull (v^2/2g is 6 mm at 0.35 m/s)."""

@@ -12,8 +12,8 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import ExternalFrame, ExternalPoseSample
-from estimator.inertial import Inertial
-from estimator.measure_pose import PoseFix
+from autopilot.estimator.inertial import Inertial
+from autopilot.estimator.measure_pose import PoseFix
 
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.1)
 """Floors of what a source claims."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from estimator.inertial import Inertial
-from estimator.measurement import Moment
-from estimator.states import HEADING_OFFSET, NX, YAW
+from autopilot.estimator.inertial import Inertial
+from autopilot.estimator.measurement import Moment
+from autopilot.estimator.states import HEADING_OFFSET, NX, YAW
 
 SIGMA_RAD = 0.026
 """1.5 degrees: the AHRS's short-term heading error, for 5 looks per second that share it."""

@@ -7,9 +7,9 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.samples import LaserSample
-from estimator.inertial import Inertial, down_of
-from estimator.measurement import Moment
-from estimator.states import DOWN, LASER_BIAS, NX, VEL_DOWN
+from autopilot.estimator.inertial import Inertial, down_of
+from autopilot.estimator.measurement import Moment
+from autopilot.estimator.states import DOWN, LASER_BIAS, NX, VEL_DOWN
 
 MIN_SIGMA_M = 0.005
 """Floor of the range noise: waves of the floor, calibration."""

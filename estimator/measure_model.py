@@ -10,6 +10,7 @@ Roll and pitch are left out: the level frame stands for the body's planar axes. 
 (``EstimatorOptions.current_3d``) the heave equation comes on top; its buoyancy is taken as known.
 """
 
+import ctypes
 import math
 import operator
 import struct
@@ -18,13 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.core.compiled import library
+from autopilot.core.compiled import Mirror, library
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import ABS_SMOOTHING_M2_S2, Model4, body_acceleration
 from autopilot.core.vehicle import Vehicle
-from estimator.inertial import Inertial
-from estimator.measurement import Moment
-from estimator.states import (
+from autopilot.estimator.inertial import Inertial
+from autopilot.estimator.measurement import Moment
+from autopilot.estimator.states import (
     ACCEL_BIAS,
     BIAS_AHEAD,
     BIAS_DOWN,
@@ -83,10 +84,28 @@ class ModelAid:
 
 _INPUTS = struct.Struct("9d")
 _THRUSTERS = 8
-_VEHICLE_AT = NX + 1 + _THRUSTERS
-_ACCELERATION_AT = _VEHICLE_AT + 16 + 4 * _THRUSTERS
-_JACOBIAN_AT = _ACCELERATION_AT + 4
-"""As autopilot/data/native/estimator.c lays out a ``Look`` (in doubles)."""
+
+
+class _Look(Mirror):
+    """The struct of estimator.c."""
+
+    _fields_ = (
+        ("x", ctypes.c_double * NX),
+        ("yaw_rate", ctypes.c_double),
+        ("thrust", ctypes.c_double * _THRUSTERS),
+        *((name, ctypes.c_double * 4) for name in ("mass", "linear", "quadratic")),
+        ("buoyancy_excess", ctypes.c_double),
+        ("follow", ctypes.c_double * 2),
+        ("smoothing", ctypes.c_double),
+        ("allocation", ctypes.c_double * (4 * _THRUSTERS)),
+        ("acceleration", ctypes.c_double * 4),
+        ("jacobian", ctypes.c_double * (3 * NX)),
+    )
+
+
+_VEHICLE_AT, _ACCELERATION_AT = _Look.mass.offset // 8, _Look.acceleration.offset // 8
+_JACOBIAN_AT = _Look.jacobian.offset // 8
+"""In doubles."""
 
 
 class VehicleAcceleration:
@@ -104,10 +123,8 @@ class VehicleAcceleration:
         self._jacobian: FloatArray | None = None
         self._acceleration = (0.0, 0.0, 0.0, 0.0)
         self._asked: tuple[FloatArray | None, Moment | None] = (None, None)
-        compiled = library()
         fits = model.thrusters <= _THRUSTERS
-        if compiled is not None and not (fits and compiled.look_doubles() == len(self._work)):
-            compiled = None
+        compiled = library(_Look) if fits else None
         self._compiled = None if compiled is None else compiled.model_look
         allocation = np.zeros((4, _THRUSTERS))
         if fits:
@@ -143,7 +160,9 @@ class VehicleAcceleration:
             self._jacobian = None
             return
         self._work[:NX] = x
-        _INPUTS.pack_into(self._buffer, 8 * NX, moment.inertial.yaw_rate_rad_s, *moment.thrust_n, *self._none)
+        _INPUTS.pack_into(
+            self._buffer, _Look.yaw_rate.offset, moment.inertial.yaw_rate_rad_s, *moment.thrust_n, *self._none
+        )
         self._compiled(self._address)
         ahead, right, down, turn = self._work[_ACCELERATION_AT:_JACOBIAN_AT].tolist()
         self._acceleration = ahead, right, down, turn

@@ -10,9 +10,9 @@ import numpy as np
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import MarkerFit
 from autopilot.core.samples import PoseSample
-from estimator.inertial import within
-from estimator.measurement import Measurement, Moment
-from estimator.states import GYRO_BIAS, NX, VEL_DOWN, VEL_EAST, VEL_NORTH
+from autopilot.estimator.inertial import within
+from autopilot.estimator.measurement import Measurement, Moment
+from autopilot.estimator.states import GYRO_BIAS, NX, VEL_DOWN, VEL_EAST, VEL_NORTH
 
 MIN_SIGMA_POS_M = 5e-5
 MIN_SIGMA_YAW_RAD = 5e-5

@@ -6,9 +6,9 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.samples import VelocityLock, VelocitySample
-from estimator.inertial import Inertial, cross
-from estimator.measurement import Moment
-from estimator.states import (
+from autopilot.estimator.inertial import Inertial, cross
+from autopilot.estimator.measurement import Moment
+from autopilot.estimator.states import (
     ACCEL_BIAS,
     BIAS_AHEAD,
     BIAS_DOWN,

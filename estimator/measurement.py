@@ -3,7 +3,7 @@
 from typing import NamedTuple, Protocol
 
 from autopilot.core.frames import FloatArray
-from estimator.inertial import Inertial
+from autopilot.estimator.inertial import Inertial
 
 CHI2_999 = {1: 10.83, 2: 13.82, 3: 16.27, 4: 18.47}
 """99.9 % points of the chi-square distribution by degrees of freedom (Abramowitz & Stegun, table 26.8)."""

@@ -1,14 +1,15 @@
 """How the state moves in one step, shared by both estimators, with its Jacobian."""
 
+import ctypes
 import math
 import struct
 
 import numpy as np
 
-from autopilot.core.compiled import library
+from autopilot.core.compiled import Mirror, library
 from autopilot.core.frames import FloatArray
-from estimator.inertial import Step
-from estimator.states import (
+from autopilot.estimator.inertial import Step
+from autopilot.estimator.states import (
     ACCEL_BIAS,
     BIAS_AHEAD,
     BIAS_DOWN,
@@ -29,7 +30,7 @@ from estimator.states import (
     VEL_NORTH,
     YAW,
 )
-from estimator.tuning import CURRENT_RATE_TIME_S
+from autopilot.estimator.tuning import CURRENT_RATE_TIME_S
 
 _ENTRIES = (
     (NORTH, VEL_NORTH), (NORTH, YAW), (NORTH, BIAS_AHEAD), (NORTH, BIAS_RIGHT),
@@ -46,9 +47,23 @@ _PLACES = np.array([NX * row + column for row, column in _ENTRIES])
 """Where the Jacobian differs from the identity: one call that fills them all is four times faster than one by one."""
 
 
+class _Motion(Mirror):
+    """The struct of estimator.c."""
+
+    _fields_ = (
+        ("x", ctypes.c_double * NX),
+        ("dt_s", ctypes.c_double),
+        ("yaw_rate", ctypes.c_double),
+        ("accel", ctypes.c_double * 3),
+        ("fade_s", ctypes.c_double),
+        ("moved", ctypes.c_double * NX),
+        ("jacobian", ctypes.c_double * (NX * NX)),
+    )
+
+
 _INPUTS = struct.Struct("6d")
-_INPUTS_AT, _MOVED_AT, _JACOBIAN_AT = NX, NX + 6, 2 * NX + 6
-"""As autopilot/data/native/estimator.c lays out a ``Motion`` (in doubles)."""
+_MOVED_AT, _JACOBIAN_AT = _Motion.moved.offset // 8, _Motion.jacobian.offset // 8
+"""In doubles."""
 
 
 class MotionModel:
@@ -61,9 +76,7 @@ class MotionModel:
         self._x, self._moved = self._work[:NX], self._work[_MOVED_AT:_JACOBIAN_AT]
         self._driven = False
         reset_model(self.jacobian)
-        compiled = library()
-        if compiled is not None and compiled.motion_doubles() != len(self._work):
-            compiled = None
+        compiled = library(_Motion)
         self._compiled = None if compiled is None else compiled.motion_step
         self._address, self._buffer = self._work.ctypes.data, self._work.data
 
@@ -78,7 +91,7 @@ class MotionModel:
         else:
             self._x[:] = x
             dt_s, rate, accel, mode, _ = step
-            _INPUTS.pack_into(self._buffer, 8 * _INPUTS_AT, dt_s, rate, *accel, CURRENT_RATE_TIME_S[mode])
+            _INPUTS.pack_into(self._buffer, _Motion.dt_s.offset, dt_s, rate, *accel, CURRENT_RATE_TIME_S[mode])
             self._compiled(self._address)
             after = self._moved.copy()
         if step.slope is not None:

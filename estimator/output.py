@@ -6,11 +6,11 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import NavDoubt, NavHealth, NavState
-from estimator.filter_core import FilterCore
-from estimator.history import Node
-from estimator.inertial import Mode, hold
-from estimator.motion import moved
-from estimator.options import EstimatorOptions
+from autopilot.estimator.filter_core import FilterCore
+from autopilot.estimator.history import Node
+from autopilot.estimator.inertial import Mode, hold
+from autopilot.estimator.motion import moved
+from autopilot.estimator.options import EstimatorOptions
 
 TILT_VARIANCE_RAD2 = {
     Mode.NOMINAL: math.radians(0.5) ** 2,

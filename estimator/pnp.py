@@ -18,7 +18,7 @@ import numpy as np
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
-from estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
+from autopilot.estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
 
 STEPS = 10
 CONVERGED = 4e-3

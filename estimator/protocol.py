@@ -16,7 +16,7 @@ from autopilot.core.messages import AidStatus, NavDoubt, NavState, ShadowStatus
 from autopilot.core.model4 import Model4
 from autopilot.core.samples import LaserSample, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle
-from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

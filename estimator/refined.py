@@ -7,8 +7,8 @@ import numpy as np
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import MarkerMap
-from estimator.gauge import common_columns, known_sheets, laid_scales
-from estimator.states import SheetStates
+from autopilot.estimator.gauge import common_columns, known_sheets, laid_scales
+from autopilot.estimator.states import SheetStates
 
 LEAST_SIGMA_M, LEAST_SIGMA_RAD = 1e-4, 1e-4
 """Of a sheet in a refined map: its paper and its markers' print."""

@@ -3,9 +3,9 @@
 from collections import deque
 
 from autopilot.core.frames import FloatArray
-from estimator.aiding import REJECT_COUNT
-from estimator.measure_pose import PoseFix
-from estimator.startup import AGREE_COUNT, WINDOW_US, agree
+from autopilot.estimator.aiding import REJECT_COUNT
+from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.startup import AGREE_COUNT, WINDOW_US, agree
 
 
 class Relocation:

@@ -2,7 +2,7 @@
 
 import math
 
-from estimator.inertial import cross
+from autopilot.estimator.inertial import cross
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]

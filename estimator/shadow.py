@@ -14,7 +14,7 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import AidStatus, NavDoubt, NavHealth, NavState, ShadowStatus
 from autopilot.core.samples import AhrsSample, LaserSample, MarkerSighting, PoseSample, Sample
-from estimator.protocol import Estimator
+from autopilot.estimator.protocol import Estimator
 
 SIGMAS = 3.0
 """Of the difference of two estimates, taken as independent."""
@@ -30,7 +30,7 @@ AFTER_US = 1_000_000
 
 
 class Shadowed:
-    """:class:`estimator.protocol.Estimator`: says what the flown one says, and how far the other is from it."""
+    """:class:`.estimator.protocol.Estimator`: says what the flown one says, and how far the other is from it."""
 
     def __init__(self, flown: Estimator, other: Estimator) -> None:
         self._flown = flown
@@ -44,7 +44,7 @@ class Shadowed:
         self._ticks = 0
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
-        """See :class:`estimator.protocol.Estimator`."""
+        """See :class:`autopilot.estimator.protocol.Estimator`."""
         nav = self._flown.step(t_us, samples, thrust_n)
         self._waiting += [sample for sample in samples if self._wanted(sample)]
         self._waiting += self._flown.take_made()
@@ -74,7 +74,7 @@ class Shadowed:
 
     @property
     def ahrs_us(self) -> int | None:
-        """See :class:`estimator.protocol.Estimator`."""
+        """See :class:`autopilot.estimator.protocol.Estimator`."""
         return self._flown.ahrs_us
 
     @property
@@ -89,7 +89,7 @@ class Shadowed:
 
     @property
     def shadow(self) -> ShadowStatus | None:
-        """See :class:`estimator.protocol.Estimator`. None while one of the two is lost: nothing to compare then."""
+        """See :class:`.estimator.protocol.Estimator`. None while one of the two is lost: nothing to compare then."""
         return self._status
 
     def _wanted(self, sample: Sample) -> bool:

@@ -15,8 +15,8 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r
 from autopilot.core.map_errors import STATES
 from autopilot.core.markers import IntArray
-from estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
-from estimator.pnp import (
+from autopilot.estimator.measure_pose import MIN_SIGMA_POS_M, MIN_SIGMA_YAW_RAD
+from autopilot.estimator.pnp import (
     CONVERGED,
     MIN_SCALE,
     PRIOR_COUNT,

@@ -17,18 +17,18 @@ from autopilot.core.samples import (
     VelocitySample,
 )
 from autopilot.core.vehicle import Laser, Vehicle
-from estimator.aiding import Aid
-from estimator.history import Node
-from estimator.inertial import Inertial
-from estimator.intake import AidingSample
-from estimator.markers_pose import MarkerSolver
-from estimator.measure_depth import depth_from_sample
-from estimator.measure_external import Alignment, aligned, fix_from_external, tracked_point, well_formed
-from estimator.measure_laser import range_from_sample
-from estimator.measure_pose import PoseFix, fix_from_sample
-from estimator.measure_velocity import velocity_from_sample
-from estimator.measurement import Measurement
-from estimator.states import DEPTH_OFFSET, HEADING_OFFSET, LASER_BIAS, POS, VEL, YAW
+from autopilot.estimator.aiding import Aid
+from autopilot.estimator.history import Node
+from autopilot.estimator.inertial import Inertial
+from autopilot.estimator.intake import AidingSample
+from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.measure_depth import depth_from_sample
+from autopilot.estimator.measure_external import Alignment, aligned, fix_from_external, tracked_point, well_formed
+from autopilot.estimator.measure_laser import range_from_sample
+from autopilot.estimator.measure_pose import PoseFix, fix_from_sample
+from autopilot.estimator.measure_velocity import velocity_from_sample
+from autopilot.estimator.measurement import Measurement
+from autopilot.estimator.states import DEPTH_OFFSET, HEADING_OFFSET, LASER_BIAS, POS, VEL, YAW
 
 OF_PICTURES = PoseSample | MarkerSighting | LaserSample
 """Kinds of samples that have a picture's stamp."""

@@ -5,20 +5,31 @@ reset and no bias that has already given way to wrong stamps. Over a window of t
 accelerometer's way must fit the fixes, but for what these sensors cannot know (where and how fast it began, their
 biases), and they fit best when the fixes are put where they belong. For each of a grid of delays what remains is
 squared and summed; a window in which nothing changes (rest, steady motion) says the same of all of them, which is
-nothing. Windows are added by their likelihoods. While stamps are good as far as is known nothing is touched.
+nothing but noise. How much it says is told by the fixes: noise of inertial sensors explains none of what they show, a
+motion that was felt explains nearly all of it. Windows count by the share that is explained, and are added by their
+likelihoods. What the last two say by themselves is enough to forget those before: stamps may jump. While stamps are
+good as far as is known nothing is touched.
+
+Stamps that are late fit as well as others once they are put right. A sensor whose offset begins within the window fits
+no delay: where the remaining misses are larger than usual, held against what the fixes say of their noise, the window
+says nothing of stamps. Nor where an offset or a scale of the gyro that begins within it explains the heading by far
+better than any delay. Place alone says nothing if only the accelerometer is wrong; the gyro is in both. The first few
+fixes after such an offset may fit some delay by chance, but not the same one as those after them: a delay must last.
 """
 
 import math
 from collections import deque
+from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
-from estimator.inertial import FUTURE_TOLERANCE_US, Inertial
-from estimator.measure_pose import PoseFix
+from autopilot.estimator.inertial import FUTURE_TOLERANCE_US, Inertial
+from autopilot.estimator.measure_pose import PoseFix
 
-GRID_S = np.arange(-0.10, 0.2501, 0.005)
+GRID_S = np.arange(-0.25, 0.2501, 0.005)
 """Delays that are held against each other; in between by a parabola."""
 WINDOW_US = 2_000_000
 LEAST_US, LEAST_FIXES = 600_000, 12
@@ -39,12 +50,35 @@ FLOOR_RAD, FLOOR_M = 4e-4, 3e-4
 """What a window fits to at best."""
 FAR = 6.0
 """Times the median miss: such a fix is an outlier."""
+UNEXPLAINED = 0.5
+"""A window in which the inertial sensors leave this share of what fixes show, in squares, says nothing of stamps."""
+UNFIT_SIGMA = 4.9
+"""A window fits worse than usual by chance once in so many standard deviations."""
+SCALE = 0.05
+"""Share of what fixes show that errors of scale (gyro, accelerometer, lens) may leave: no reason to call it unfit."""
+NEWEST = 3
+"""So many outliers in a row that are the newest fixes are what begins to be otherwise."""
+USUAL_COUNT = 9
+"""Windows that tell how well they fit as a rule: their median. An offset that lasts is fitted after one of them."""
+LASTS_US, LASTS_S = 500_000, 0.01
+"""A delay is acted on once it has been found for so long, from look to look within this or three sigma,"""
+SETTLED_COUNT = 2
+"""if so many windows have told what is usual: stamps that are late from the start have not changed."""
 SURE = 12.0
 """Difference of the logarithms of two likelihoods that is acted on: 4.9 sigma."""
 SUSPECTED = 4.0
 AHEAD_US, AHEAD_COUNT = 200_000, 10
 """Pictures in a row from a future that is nearer than this are stamped late. Others are garbage."""
 AHEAD_SIGMA_S = 0.02
+AGE_STEP_US, AGE_SOON, AGE_COUNT = 30_000, 3, 10
+"""Pictures whose age at their arrival is off by so much have other stamps, or come later than they did: which of both
+is not known. From so many in a row on it is possible, and from so many evidence of before is of other stamps."""
+AGE_SHARE = 0.02
+"""Of a new age in the usual one."""
+MISSED_US = 1_000_000
+"""Fixes that have missed so long before the age was found to have changed missed for it."""
+DOUBTED_US = 4_000_000
+"""So long after such a step other sensors are not blamed for what stamps may have done."""
 APART_S, APART_FIRST_S = 0.001, 0.003
 """Smaller changes are not worth it; nor is a first one."""
 
@@ -58,23 +92,56 @@ class StampWatch:
         """By which stamps are late as far as is known: what is to be taken off."""
         self.sigma_s = 0.0
         """Its standard deviation; 0 = nothing has been found."""
-        self.suspects = False
-        """Whether late stamps would explain by far better what fixes say."""
         self._imu: deque[tuple[int, float, float, float]] = deque()
-        self._fixes: deque[tuple[int, float, float, float]] = deque()
+        self._fixes: deque[tuple[int, float, float, float, float, float]] = deque()
+        self._usual_heading, self._usual_place = _Usual(), _Usual()
         self._old, self._last = np.zeros(len(GRID_S)), np.zeros(len(GRID_S))
         self._last_us = self._looked_us = 0
+        self._found_s, self._found_us = math.inf, 0
         self._soon = 0
+        self.jumped_s = 0.0
+        """By how much stamps have moved that were known before, 0 = they have not."""
         self._ahead_us: list[int] = []
+        self._explains = False
+        self._ages = Ages()
+        self._moved_s, self._moved_known = 0.0, False
+        self._arrived_us = self._moved_us = 0
+        self._missed_us = -MISSED_US - 1
 
-    def arrives(self, ahead_us: int, latency_s: float) -> bool:
+    @property
+    def suspects(self) -> bool:
+        """Whether late stamps would explain by far better what fixes say, or what pictures' ages at arrival say."""
+        moved = self._moved_s != 0.0 and self._arrived_us - self._moved_us < DOUBTED_US
+        return self._explains or moved or self._ages.off_s != 0.0
+
+    @property
+    def unsure_s(self) -> float:
+        """By how much stamps may have moved that nothing has told of yet: the age of pictures has changed so much, and
+        fixes have missed since. Pictures that only come later miss nothing."""
+        return abs(self._moved_s) if self._missed_us >= self._moved_us - MISSED_US else 0.0
+
+    def arrives(self, now_us: int, ahead_us: int, latency_s: float) -> bool:
         """A picture's result is there whose stamp, put right, is so far ahead of the clock. True if :attr:`late_s` has
         changed: what always comes from the future is late, most likely by what it needs to get here on top."""
+        self._arrived_us = now_us
+        moved_us = self._ages.note(-ahead_us)
+        if moved_us:
+            self._moved_s, self._moved_us = self._moved_s + 1e-6 * moved_us, now_us
+            self._moved_known |= self._known()
+            self._forget()
+            self._fixes.clear()
         self._ahead_us = [*self._ahead_us, ahead_us] if FUTURE_TOLERANCE_US < ahead_us < AHEAD_US else []
         if len(self._ahead_us) < AHEAD_COUNT:
             return False
-        self.late_s += 1e-6 * max(self._ahead_us) + latency_s
+        more_s = self._moved_s if self._moved_s > 0.0 else 1e-6 * max(self._ahead_us) + latency_s
+        if self._moved_known or self._known():
+            self.jumped_s += more_s
+        self._moved_s, self._moved_known = 0.0, False
+        self.late_s += more_s
         self.sigma_s, self._ahead_us = AHEAD_SIGMA_S, []
+        self._ages.put_right(more_s)
+        self._forget()
+        self._fixes.clear()
         return True
 
     def feel(self, inertial: Inertial) -> None:
@@ -92,10 +159,13 @@ class StampWatch:
         """One fix, its stamp put right by :attr:`late_s`; ``missed``: it is not where the filter expects it."""
         stamp_us = fix.t_us + round(1e6 * self.late_s)
         self._soon = self._soon + 1 if missed else 0
+        if missed:
+            self._missed_us = self._arrived_us
         if self._fixes and stamp_us <= self._fixes[-1][0]:
             return  # mixed up
         north, east, _, yaw = fix.z.tolist()
-        self._fixes.append((stamp_us, north, east, yaw))
+        variance = fix.noise.diagonal()
+        self._fixes.append((stamp_us, north, east, yaw, variance.item(3), 0.5 * (variance.item(0) + variance.item(1))))
         while self._fixes[0][0] < stamp_us - WINDOW_US:
             self._fixes.popleft()
 
@@ -106,23 +176,52 @@ class StampWatch:
         now_us = self._fixes[-1][0]
         if now_us - self._looked_us < (1 if 0 < self._soon <= LOOKS_SOON else self._every_us):
             return False
+        if now_us - self._looked_us > 2 * self._every_us:
+            self._found_s = math.inf
         self._looked_us = now_us
         window = self._window()
         if window is None:
             return False
         fresh = min(1.0, 1e-6 * (now_us - self._last_us) / (1e-6 * WINDOW_US))
-        cost = self._old + (1.0 - fresh) * self._last + window
-        if fresh == 1.0:
+        recent = (1.0 - fresh) * self._last + window
+        moved = self._against(recent) > SURE and self._known()
+        cost = recent if moved else self._old + recent
+        before_s = self.late_s
+        sudden = self._usual_heading.count >= SETTLED_COUNT and self._against(window) > SURE
+        changed = self._judge(cost)
+        if fresh == 1.0 and (changed or not sudden):  # what may be of the newest fixes alone is not kept
             keep = math.exp(-1e-6 * (now_us - self._last_us) / FORGET_S) if self._last_us else 0.0
             self._old = keep * (self._old + self._last)
             self._last, self._last_us = window, now_us
-        return self._judge(cost)
+            self._usual_heading.learn()
+            self._usual_place.learn()
+        if changed:
+            if moved:
+                self._old = np.zeros(len(GRID_S))
+            if moved or self._moved_known:
+                self.jumped_s += self.late_s - before_s
+            self._ages.put_right(self.late_s - before_s)
+        if changed or float(np.interp(self.late_s + self._moved_s, GRID_S, cost)) - cost.min() > SURE:
+            self._moved_s, self._moved_known = 0.0, False
+        return changed
+
+    def _against(self, cost: FloatArray) -> float:
+        """What speaks against the delay that is taken off."""
+        return float(np.interp(self.late_s, GRID_S, cost) - cost.min())
+
+    def _known(self) -> bool:
+        """Whether windows of before have told how late stamps are."""
+        return bool(self._old.max() - self._old.min() > SURE)
+
+    def _forget(self) -> None:
+        """Evidence of other stamps."""
+        self._old, self._last = np.zeros(len(GRID_S)), np.zeros(len(GRID_S))
 
     def _judge(self, cost: FloatArray) -> bool:
         k = int(cost.argmin())
-        against = float(np.interp(self.late_s, GRID_S, cost)) - cost.item(k)
+        against = self._against(cost)
         if not 0 < k < len(GRID_S) - 1:
-            self.suspects = against > SUSPECTED
+            self._explains = against > SUSPECTED
             return False
         step = float(GRID_S[1] - GRID_S[0])
         before, least, after = cost[k - 1 : k + 2].tolist()
@@ -133,17 +232,26 @@ class StampWatch:
             return False
         sigma_s = step / math.sqrt(bend)
         if self.sigma_s:  # found before: nothing but better
-            self.suspects = against > SUSPECTED and apart > APART_FIRST_S
+            self._explains = against > SUSPECTED and apart > APART_FIRST_S
             if sigma_s < self.sigma_s:
                 self.sigma_s = sigma_s
             if apart < max(APART_S, sigma_s):
                 return False
         else:
-            self.suspects = against > SUSPECTED and apart > APART_FIRST_S
+            self._explains = against > SUSPECTED and apart > APART_FIRST_S
             if apart < APART_FIRST_S or against < SURE:
+                self._found_s = math.inf
                 return False
-        self.late_s, self.sigma_s, self.suspects = late_s, sigma_s, False
+        if apart >= APART_FIRST_S and not self._lasts(late_s, sigma_s):
+            return False
+        self.late_s, self.sigma_s, self._explains = late_s, sigma_s, False
         return True
+
+    def _lasts(self, late_s: float, sigma_s: float) -> bool:
+        """Whether this delay has been found for long enough."""
+        if abs(late_s - self._found_s) > max(LASTS_S, 3.0 * sigma_s):
+            self._found_s, self._found_us = late_s, self._looked_us
+        return self._looked_us - self._found_us >= LASTS_US or self._usual_heading.count < SETTLED_COUNT
 
     def _window(self) -> FloatArray | None:
         """(g,) what speaks against each delay, from the fixes at hand; None if they are too few."""
@@ -164,7 +272,9 @@ class StampWatch:
         yaw = np.unwrap(fixes[:, 3])
         known_s = at_s - self.late_s
         one, since = np.ones(len(at_s)), at_s - at_s.mean()
-        heading = _Fit(np.column_stack((one, since)), yaw[:, None] - np.interp(true_s, t_s, turned))
+        # The last column is that of no delay at all: what the fixes show by themselves.
+        by_delay = yaw[:, None] - np.interp(true_s, t_s, turned)
+        heading = _Fit(np.column_stack((one, since)), np.column_stack((by_delay, yaw)))
         psi = turned + float(np.median(yaw - np.interp(known_s, t_s, turned)))
         c, s = np.cos(psi), np.sin(psi)
         way_n = _summed(_summed(c * imu[:, 2] - s * imu[:, 3], dt_s), dt_s)
@@ -176,28 +286,140 @@ class StampWatch:
         off = np.concatenate(
             (fixes[:, 1, None] - np.interp(true_s, t_s, way_n), fixes[:, 2, None] - np.interp(true_s, t_s, way_e))
         )
-        place = _Fit(np.concatenate((north, east)), off)
-        good = heading.near() & np.logical_and(*np.split(place.near(), 2))
+        alone = np.concatenate((fixes[:, 1] - fixes[0, 1], fixes[:, 2] - fixes[0, 2]))
+        place = _Fit(np.concatenate((north, east)), np.column_stack((off, alone)))
+        near_heading, near_place = heading.near(), np.logical_and(*np.split(place.near(), 2))
+        good = near_heading & near_place
+        turns, moves = bool(near_heading[-NEWEST:].any()), bool(near_place[-NEWEST:].any())
         if not good.all():
             if good.sum() < LEAST_FIXES:
                 return None
             heading, place = heading.only(good), place.only(np.tile(good, 2))
-        result: FloatArray = heading.cost(FLOOR_RAD) + place.cost(FLOOR_M)
+            fixes, known_s = fixes[good], known_s[good]
+        turns &= self._usual_heading.fits(heading.fit(FLOOR_RAD), float(np.median(fixes[:, 4])))
+        turns = turns and not heading.beaten(
+            int(np.abs(GRID_S - self.late_s).argmin()), _wrong_gyro(known_s, t_s, turned), FLOOR_RAD
+        )
+        moves &= self._usual_place.fits(place.fit(FLOOR_M), float(np.median(fixes[:, 5])))
+        result: FloatArray = turns * heading.cost(FLOOR_RAD) + (turns and moves) * place.cost(FLOOR_M)
         return result if np.isfinite(result).all() else None
 
 
+class _Goodness(NamedTuple):
+    """How well a window fits at the best delay."""
+
+    variance: float
+    """Remaining, per degree of freedom."""
+    shown: float
+    """The same without inertial sensors."""
+    freedom: float
+    """Degrees of freedom, those that are alike counted as one."""
+
+
+class _Usual:
+    """How well windows fit as a rule, as a share of the variance that fixes tell of themselves."""
+
+    def __init__(self) -> None:
+        self._shares: deque[float] = deque(maxlen=USUAL_COUNT)
+        self._share = 0.0
+
+    @property
+    def count(self) -> int:
+        """How many windows have told."""
+        return len(self._shares)
+
+    def fits(self, found: _Goodness, told: float) -> bool:
+        """Whether a window fits as well as others, fixes telling this variance. The first one does."""
+        self._share = found.variance / told
+        if not self._shares:
+            return True
+        usual = median(self._shares) * told
+        return found.variance <= usual * _chance(found.freedom) + SCALE * SCALE * found.shown
+
+    def learn(self) -> None:
+        """The last one asked for is one of those that tell what is usual."""
+        self._shares.append(self._share)
+
+
+class Ages:
+    """How old pictures are when they arrive."""
+
+    def __init__(self) -> None:
+        self._last_us: deque[int] = deque(maxlen=AGE_COUNT)
+        self._usual_us: float | None = None
+        self._off = 0
+        """Pictures in a row that are older or younger than usual: their number, with the sign."""
+
+    @property
+    def off_s(self) -> float:
+        """By how much later than usual the last ones are stamped, 0 = they are not."""
+        if abs(self._off) < AGE_SOON or self._usual_us is None:
+            return 0.0
+        return 1e-6 * (self._usual_us - self._last_us[-1])
+
+    def note(self, age_us: int) -> float:
+        """One more picture. By how much stamps seem to be later for good [us], 0 = they do not."""
+        self._last_us.append(age_us)
+        if self._usual_us is None:
+            if len(self._last_us) == AGE_COUNT:
+                self._usual_us = median(self._last_us)
+            return 0.0
+        off_us = age_us - self._usual_us
+        if abs(off_us) <= AGE_STEP_US:
+            self._off = 0
+            self._usual_us += AGE_SHARE * off_us
+            return 0.0
+        side = 1 if off_us > 0.0 else -1
+        self._off = self._off + side if self._off * side > 0 else side
+        if abs(self._off) < AGE_COUNT or max(self._last_us) - min(self._last_us) > AGE_STEP_US:
+            return 0.0  # a busy machine delays each picture by another time
+        before_us, self._usual_us, self._off = self._usual_us, median(self._last_us), 0
+        return before_us - self._usual_us
+
+    def put_right(self, more_s: float) -> None:
+        """So much more is taken off the stamps."""
+        if self._usual_us is not None:
+            self._usual_us += 1e6 * more_s
+        self._last_us.clear()
+        self._off = 0
+
+
 class _Fit:
-    """Least squares of (n, g) columns by the same (n, p)."""
+    """Least squares of (n, g) columns by the same (n, p), and of one more: what is shown without any delay."""
 
     def __init__(self, by: FloatArray, what: FloatArray) -> None:
         self._by, self._what = by, what
-        q, _ = np.linalg.qr(by)
-        self._rest = what - q @ (q.T @ what)
+        self._q, _ = np.linalg.qr(by)
+        self._rest = self._without(what)
         self._squares = np.square(self._rest).sum(axis=0)
+
+    def _without(self, columns: FloatArray) -> FloatArray:
+        """What the fit leaves of (n, k)."""
+        result: FloatArray = columns - self._q @ (self._q.T @ columns)
+        return result
+
+    def beaten(self, known: int, others: FloatArray, floor: float) -> bool:
+        """Whether one of (n, k) other causes explains what column ``known`` leaves by far better than any delay."""
+        n, p = self._by.shape
+        least = float(self._squares[:-1].min()) + n * floor * floor
+        if self._squares[known] + n * floor * floor <= 1.1 * least:
+            return False
+        first = self._without(others)
+        both, second = first[:, :-1], first[:, 1:]  # what begins between two fixes is a mixture of two that begin there
+        rest = self._rest[:, known]
+        a, b, c = (np.einsum("ij,ij->j", x, y) for x, y in ((both, both), (both, second), (second, second)))
+        by_first, by_second = both.T @ rest, second.T @ rest
+        det = a * c - b * b
+        felt = det > np.maximum(1e-6 * a * c, 1e-18)
+        if not felt.any():
+            return False
+        gain = (by_first**2 * c - 2.0 * by_first * by_second * b + by_second**2 * a)[felt] / det[felt]
+        left = max(0.0, float(self._squares[known] - gain.max())) + n * floor * floor
+        return bool(0.5 / ALIKE * (n - p) * math.log(least / left) > SUSPECTED)
 
     def near(self) -> NDArray[np.bool_]:
         """(n,) which are no outliers."""
-        rest = np.abs(self._rest[:, self._squares.argmin()])
+        rest = np.abs(self._rest[:, self._squares[:-1].argmin()])
         result: NDArray[np.bool_] = rest <= FAR * max(float(np.median(rest)), 1e-5)
         return result
 
@@ -205,12 +427,35 @@ class _Fit:
         """Of some rows."""
         return _Fit(self._by[good], self._what[good])
 
-    def cost(self, floor: float) -> FloatArray:
-        """(g,) negative logarithm of the likelihood, its least taken off; how large the errors are is not known."""
+    def fit(self, floor: float) -> _Goodness:
+        """At the best delay."""
         n, p = self._by.shape
-        squares = self._squares + n * floor * floor
-        result: FloatArray = 0.5 / ALIKE * (n - p) * np.log(squares / squares.min())
+        *_, shown = squares = self._squares + n * floor * floor
+        return _Goodness(float(squares[:-1].min()) / (n - p), float(shown) / (n - p), (n - p) / ALIKE)
+
+    def cost(self, floor: float) -> FloatArray:
+        """(g,) negative logarithm of the likelihood, its least taken off; how large the errors are is not known.
+
+        It counts by the share of what fixes show that the inertial sensors explain: their noise explains nothing."""
+        n, p = self._by.shape
+        *_, shown = squares = self._squares + n * floor * floor
+        squares = squares[:-1]
+        told = min(1.0, max(0.0, 2.0 - 2.0 * squares.min() / (UNEXPLAINED * shown)))
+        result: FloatArray = 0.5 / ALIKE * (n - p) * told * np.log(squares / squares.min())
         return result
+
+
+def _chance(freedom: float) -> float:
+    """Chi-square per degree of freedom that is exceeded by chance beyond ``UNFIT_SIGMA`` (Wilson and Hilferty 1931)."""
+    spread = 2.0 / (9.0 * freedom)
+    return (1.0 - spread + UNFIT_SIGMA * math.sqrt(spread)) ** 3
+
+
+def _wrong_gyro(at_s: FloatArray, t_s: FloatArray, turned: FloatArray) -> FloatArray:
+    """(n, 2 n) what an offset and a wrong scale of the gyro from one of the fixes on do to the heading."""
+    since_s = np.maximum(at_s[:, None] - at_s, 0.0)
+    heading = np.interp(at_s, t_s, turned)
+    return np.hstack((since_s, np.where(since_s > 0.0, heading[:, None] - heading, 0.0)))
 
 
 def _summed(values: FloatArray, dt_s: FloatArray) -> FloatArray:

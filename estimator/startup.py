@@ -4,7 +4,7 @@ import math
 from collections import deque
 
 from autopilot.core.frames import FloatArray, wrap_pi
-from estimator.measure_pose import PoseFix
+from autopilot.estimator.measure_pose import PoseFix
 
 AGREE_COUNT = 3
 """Fixes that must agree, the newest among them."""

@@ -8,7 +8,7 @@ degree. The difference is followed slowly and taken off the samples that come la
 import math
 
 from autopilot.core.samples import AhrsSample
-from estimator.inertial import Inertial
+from autopilot.estimator.inertial import Inertial
 
 GAIN = 0.1
 """Share of the difference per fix (30 Hz): follows within 0.3 s and averages the noise of ten fixes."""

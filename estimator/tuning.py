@@ -3,8 +3,8 @@
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from estimator.inertial import Mode
-from estimator.states import (
+from autopilot.estimator.inertial import Mode
+from autopilot.estimator.states import (
     ACCEL_BIAS,
     CURRENT,
     CURRENT_DOWN,

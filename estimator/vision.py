@@ -25,8 +25,8 @@ from autopilot.core.dictionaries import opencv_dictionary
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import MAX_SIGHTED, CameraFrame, MarkerSighting
-from estimator.laser_dot import find_dot
-from estimator.marker_looks import corner_sigma_px, looks_of, patterns_of
+from autopilot.estimator.laser_dot import find_dot
+from autopilot.estimator.marker_looks import corner_sigma_px, looks_of, patterns_of
 
 HINT_MARGIN_PX, HINT_MARGIN_M = 60.0, 0.06
 """Markers so far outside of the predicted image (the larger one, seen on the floor) may be in view: some centimetres

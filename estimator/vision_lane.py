@@ -18,11 +18,14 @@ import cv2
 from autopilot.core.guard import Guard
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.samples import CameraFrame, FrameVerdict, MarkerSighting, PictureReport
-from estimator.frame_filter import FrameFilter
-from estimator.vision import Hint
+from autopilot.estimator.frame_filter import FrameFilter
+from autopilot.estimator.vision import Hint
 
 ACQUISITION_EVERY = 6
 """Without a prediction the whole dictionary is searched, which is slow: every sixth frame, 5 Hz."""
+DOUBTED_EVERY = 3
+"""With a prediction that is not good every third frame is searched without it: a vehicle that is somewhere else would
+not find itself among the markers that should be in view."""
 
 MAX_PENDING = 4
 """Frames that may wait in lockstep; a newer one is dropped and counted when detection cannot follow."""
@@ -67,7 +70,9 @@ class VisionWorker:
         self._pending: deque[_Pending] = deque()
         self._waiting: _Request | None = None
         """Paced only: the newest frame, behind the one that is in work."""
-        self._blind_frames = 0
+        self._blind_frames = self._doubted_frames = 0
+        self._found = False
+        """Whether the last picture showed markers."""
         self.dropped = 0
         """Frames that were never looked at because detection did not follow."""
         self.late = 0
@@ -83,10 +88,13 @@ class VisionWorker:
             return
         hint = None
         if nav is not None and nav.health is not NavHealth.INVALID:
-            hint = Hint(pos_ned_m=nav.pos_ned_m, rpy_rad=nav.rpy_rad)
+            self._doubted_frames = self._doubted_frames + 1 if nav.health is not NavHealth.GOOD else 0
+            if self._doubted_frames % DOUBTED_EVERY != 1:
+                hint = Hint(pos_ned_m=nav.pos_ned_m, rpy_rad=nav.rpy_rad)
         else:
             self._blind_frames += 1
-            if self._blind_frames % ACQUISITION_EVERY != 1:
+            every = DOUBTED_EVERY if nav is not None and self._found else ACQUISITION_EVERY
+            if self._blind_frames % every != 1:
                 return
         request = _Request(due_us=t_us + self._delay_us, frame=frame, hint=hint)
         if self._paced:
@@ -124,7 +132,9 @@ class VisionWorker:
                 first.late = True
                 break
             try:
-                found.append(self._pending.popleft().sighting.result())
+                sighting = self._pending.popleft().sighting.result()
+                self._found = len(sighting.ids) > 0
+                found.append(sighting)
             except Exception as error:  # noqa: BLE001 - what is not OpenCV's word on a picture goes to the guard
                 self.failed += 1
                 if not isinstance(error, cv2.error):

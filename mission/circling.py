@@ -9,7 +9,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Drive, Goal, NavState
 from autopilot.core.orbit import OrbitYaw
-from mission.room import Room
+from autopilot.mission.room import Room
 
 PULL_1_S = 0.6
 """How fast a distance from the circle is made good."""

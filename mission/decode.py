@@ -1,7 +1,7 @@
 """Reads the fields of an item as they come from the wire: parameters, frames, degrees.
 
 An item that cannot be taken is refused with the MAV_MISSION_RESULT that points at the wrong field and a line for the
-operator (MAVLink mission protocol, common.xml). What commands mean stands in :mod:`mission.item_types`.
+operator (MAVLink mission protocol, common.xml). What commands mean stands in :mod:`autopilot.mission.item_types`.
 """
 
 import math
@@ -17,7 +17,7 @@ from autopilot.core.geodesy import (
     surface_distance_m,
 )
 from autopilot.core.plan import MissionResult, PlanItem, PlanRejection
-from mission.items import AMSL_FRAMES, GLOBAL_FRAMES, TERRAIN_FRAMES, Frame
+from autopilot.mission.items import AMSL_FRAMES, GLOBAL_FRAMES, TERRAIN_FRAMES, Frame
 
 INVALID_INT32 = 2147483647
 """MAVLink's "not a number" of an integer coordinate."""

@@ -7,8 +7,8 @@ import numpy as np
 from autopilot.core.frames import wrap_pi
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
-from mission.decode import depth_m, horizontal_ned_m, is_here, number, refuse, whole
-from mission.items import (
+from autopilot.mission.decode import depth_m, horizontal_ned_m, is_here, number, refuse, whole
+from autopilot.mission.items import (
     AMSL_FRAMES,
     Agreed,
     ChangeSpeed,

@@ -5,8 +5,8 @@ from enum import StrEnum
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, MissionProgress, ProgressState
-from mission.circling import Circle
-from mission.items import Order
+from autopilot.mission.circling import Circle
+from autopilot.mission.items import Order
 
 
 class Action(StrEnum):

@@ -14,9 +14,9 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle, Fence, Polygon, Shape
 from autopilot.core.plan import MissionResult, PlanItem, PlanRejection
 from autopilot.core.shapes import crossing_edges, signed_area_m2
-from mission.decode import ItemRefusedError, horizontal_ned_m, number, refuse
-from mission.items import Command
-from mission.room import Room
+from autopilot.mission.decode import ItemRefusedError, horizontal_ned_m, number, refuse
+from autopilot.mission.items import Command
+from autopilot.mission.room import Room
 
 LABEL = "fence item"
 MIN_VERTICES = 3

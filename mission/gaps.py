@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle
 from autopilot.core.shapes import boundary_gap_m, boundary_point, bounding_box, clearance_m
-from mission.fence import FenceShape
+from autopilot.mission.fence import FenceShape
 
 TOUCH_M = 0.02
 """Boundaries nearer than this touch: each coordinate is rounded to 1e-7 degrees, 11 mm."""

@@ -9,8 +9,8 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import Goal, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
-from mission.room import Room
-from mission.store import Plans
+from autopilot.mission.room import Room
+from autopilot.mission.store import Plans
 
 STOP_DECELERATION_M_S2 = 0.25
 """How hard a vehicle that is told to hold brakes: from cruise speed its drag alone gives it 0.25 to 0.35 m/s^2, so that

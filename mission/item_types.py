@@ -1,7 +1,7 @@
 """The mission items that can be flown: one row per command, read by the parser and by the documentation.
 
-A row more is a command more: what it asks for is a class of :mod:`mission.items`, what it does stands in
-:mod:`mission.sequencer`. ``python docs/items.py --write`` brings the table of docs/mavlink.md in line.
+A row more is a command more: what it asks for is a class of :mod:`autopilot.mission.items`, what it does stands in
+:mod:`autopilot.mission.sequencer`. ``python docs/items.py --write`` brings the table of docs/mavlink.md in line.
 """
 
 from collections.abc import Callable
@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
-from mission import do_items, nav_items, payload_items
-from mission.decode import refuse
-from mission.items import GLOBAL_FRAMES, Agreed, Command, Frame, Step
+from autopilot.mission import do_items, nav_items, payload_items
+from autopilot.mission.decode import refuse
+from autopilot.mission.items import GLOBAL_FRAMES, Agreed, Command, Frame, Step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Mission items as typed steps: what a MISSION_ITEM_INT asks for, in local metres and radians.
 
-:func:`mission.item_types.parse_step` makes them from items.
+:func:`autopilot.mission.item_types.parse_step` makes them from items.
 """
 
 from dataclasses import dataclass

@@ -13,13 +13,13 @@ from autopilot.core.desk import Cancel
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Fence
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
-from mission.fence import FenceShape, build_fence, read_fence
-from mission.gaps import narrow_gaps
-from mission.items import GoTo, Step
-from mission.plan_model import PlanFile
-from mission.reach import widest_m
-from mission.room import Room
-from mission.validation import (
+from autopilot.mission.fence import FenceShape, build_fence, read_fence
+from autopilot.mission.gaps import narrow_gaps
+from autopilot.mission.items import GoTo, Step
+from autopilot.mission.plan_model import PlanFile
+from autopilot.mission.reach import widest_m
+from autopilot.mission.room import Room
+from autopilot.mission.validation import (
     MAX_GAPS,
     PlanContext,
     fence_problems,

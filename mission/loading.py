@@ -2,8 +2,8 @@
 
 from autopilot.core.errors import PlanError
 from autopilot.core.plan import PlanKind
-from mission.plan_model import PlanFile
-from mission.store import Plans
+from autopilot.mission.plan_model import PlanFile
+from autopilot.mission.store import Plans
 
 
 def load_plan(plans: Plans, plan: PlanFile, origin: str) -> str:

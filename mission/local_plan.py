@@ -43,8 +43,8 @@ from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.geodesy import Origin, geodetic_from_ned
 from autopilot.core.plan import PlanItem
 from autopilot.core.toml_table import Table, convert, parse_toml
-from mission.items import Command, Frame
-from mission.plan_model import PlanFile, make_item
+from autopilot.mission.items import Command, Frame
+from autopilot.mission.plan_model import PlanFile, make_item
 
 NAN = math.nan
 _GROUND_SPEED = 1.0

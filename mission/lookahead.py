@@ -3,7 +3,19 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import get_args
 
-from mission.items import Agreed, ChangeSpeed, Circuit, GoTo, Jump, Order, Passage, SetHeading, SetHome, Step, Surface
+from autopilot.mission.items import (
+    Agreed,
+    ChangeSpeed,
+    Circuit,
+    GoTo,
+    Jump,
+    Order,
+    Passage,
+    SetHeading,
+    SetHome,
+    Step,
+    Surface,
+)
 
 LONGEST_WALK = 64
 """Steps looked at: a plan of empty jumps ends the look ahead."""

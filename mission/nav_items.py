@@ -6,7 +6,7 @@ import numpy as np
 
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
-from mission.decode import (
+from autopilot.mission.decode import (
     SURFACE_TOLERANCE_M,
     depth_m,
     heading_rad,
@@ -16,7 +16,7 @@ from mission.decode import (
     refuse,
     seconds,
 )
-from mission.items import AMSL_FRAMES, Circuit, Command, Frame, GoTo, ReturnHome, Step, Surface, Wait
+from autopilot.mission.items import AMSL_FRAMES, Circuit, Command, Frame, GoTo, ReturnHome, Step, Surface, Wait
 
 DIVED_M = 0.1
 """NAV_TAKEOFF is done within this distance of its depth."""

@@ -6,7 +6,7 @@ it says the same in local metres; a test holds the three together.
 
 import math
 
-from mission.local_plan import (
+from autopilot.mission.local_plan import (
     CircleTable,
     FenceTable,
     LocalPlan,
@@ -16,7 +16,7 @@ from mission.local_plan import (
     WaypointTable,
     plan_of_local,
 )
-from mission.plan_model import PlanFile
+from autopilot.mission.plan_model import PlanFile
 
 LAPS = 3
 """Paper, section IV: the tour was run three times in a row."""

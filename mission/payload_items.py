@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MissionResult, PlanItem
-from mission.decode import INVALID_INT32, number, refuse, whole
-from mission.items import Order, Step
+from autopilot.mission.decode import INVALID_INT32, number, refuse, whole
+from autopilot.mission.items import Order, Step
 
 GRIPPER_ACTIONS = (0, 1)
 """Open, close."""

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from autopilot.core.errors import PlanError
-from mission.local_plan import read_local_plan
-from mission.plan_model import PlanFile
-from mission.qgc_plan import read_qgc_plan, write_qgc_plan
-from mission.waypoints_file import read_waypoints
+from autopilot.mission.local_plan import read_local_plan
+from autopilot.mission.plan_model import PlanFile
+from autopilot.mission.qgc_plan import read_qgc_plan, write_qgc_plan
+from autopilot.mission.waypoints_file import read_waypoints
 
 MAX_FILE_BYTES = 8_000_000
 """A full plan of 3 x 1000 items is about 1.5 MB of JSON."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from autopilot.core.errors import PlanError
 from autopilot.core.geodesy import Origin, deg_from_e7, e7_from_deg, local_e4_from_m
 from autopilot.core.plan import PlanItem, PlanKind
-from mission.items import Command, Frame
+from autopilot.mission.items import Command, Frame
 
 FLOAT32_MAX = 3.4028234e38
 """Parameters travel as 32-bit floats."""

@@ -12,8 +12,8 @@ from typing import Any
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.geodesy import Origin, deg_from_e7, m_from_local_e4
 from autopilot.core.plan import PlanItem
-from mission.items import Command, Frame
-from mission.plan_model import PlanFile, make_item, without_home
+from autopilot.mission.items import Command, Frame
+from autopilot.mission.plan_model import PlanFile, make_item, without_home
 
 FILE_TYPE = "Plan"
 VERSION = 1

@@ -8,8 +8,8 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import Area, FreeSpace, workspace_of
 from autopilot.core.geometry import Fence
 from autopilot.core.shapes import bounding_box
-from mission.fence import fence_clearance_m
-from mission.room import Room
+from autopilot.mission.fence import fence_clearance_m
+from autopilot.mission.room import Room
 
 WIDEST_GRID = 24
 """Places per axis at which the widest part of a workspace is looked for."""

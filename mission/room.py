@@ -12,7 +12,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence, Shape
 from autopilot.core.shapes import PAIRS, BoolArray, Edges, bounding_box, signed_m
-from mission.small_shapes import SmallShapes
+from autopilot.mission.small_shapes import SmallShapes
 
 FEW = 8
 """So many shapes are looked at one by one, more of them together."""

@@ -13,11 +13,11 @@ import numpy as np
 from autopilot.core.errors import PlanError
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import MissionProgress, NavState, ProgressState
-from mission.execution import Action as Action
-from mission.execution import Position as Position
-from mission.execution import Run
-from mission.execution import SequencerOutput as SequencerOutput
-from mission.items import (
+from autopilot.mission.execution import Action as Action
+from autopilot.mission.execution import Position as Position
+from autopilot.mission.execution import Run
+from autopilot.mission.execution import SequencerOutput as SequencerOutput
+from autopilot.mission.items import (
     ChangeSpeed,
     Circuit,
     GoTo,
@@ -35,8 +35,8 @@ from mission.items import (
     Travel,
     Wait,
 )
-from mission.step_goals import StepGoals
-from mission.step_goals import is_inside as is_inside
+from autopilot.mission.step_goals import StepGoals
+from autopilot.mission.step_goals import is_inside as is_inside
 
 MAX_INSTANT_STEPS = 64
 """Steps without duration that one tick may run; a plan of thousands of empty jumps is spread over ticks."""

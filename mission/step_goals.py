@@ -8,9 +8,9 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Goal, NavHealth, NavState, ProgressState
-from mission.circling import Circle
-from mission.execution import Run
-from mission.items import (
+from autopilot.mission.circling import Circle
+from autopilot.mission.execution import Run
+from autopilot.mission.items import (
     Circuit,
     Gate,
     GoTo,
@@ -23,7 +23,7 @@ from mission.items import (
     Travel,
     Wait,
 )
-from mission.lookahead import next_place, next_waypoint
+from autopilot.mission.lookahead import next_place, next_waypoint
 
 GOALS_AHEAD = 2
 """A leg is planned with the next one's beginning in view, and the next leg while this one is flown."""

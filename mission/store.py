@@ -20,11 +20,11 @@ from autopilot.core.geometry import Fence
 from autopilot.core.origin_params import params_origin
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MissionResult, PlanChange, PlanItem, PlanKind, PlanProblem, PlanRejection, PlanStore
-from mission.fence import FenceShape, build_fence
-from mission.item_types import parse_step
-from mission.items import Order, Step
-from mission.judgement import EMPTY, PLAN_PARAMETERS, Plans3, Question, Verdict, WaterCheck, judge
-from mission.validation import check_item
+from autopilot.mission.fence import FenceShape, build_fence
+from autopilot.mission.item_types import parse_step
+from autopilot.mission.items import Order, Step
+from autopilot.mission.judgement import EMPTY, PLAN_PARAMETERS, Plans3, Question, Verdict, WaterCheck, judge
+from autopilot.mission.validation import check_item
 
 __all__ = ["Change", "Plans", "WaterCheck", "plan_checksum"]
 
@@ -78,7 +78,7 @@ class Change(PlanChange):
     def cancel(self) -> None:
         """It is not wanted any more: the plans in force stay, unless it was done before."""
         text = "another change came before this one was checked; send it again"
-        self.end(PlanRejection(seq=0, result=MissionResult.OPERATION_CANCELLED, reason=text))
+        self.end(PlanRejection(seq=None, result=MissionResult.OPERATION_CANCELLED, reason=text))
 
 
 _limits: Callable[[Mapping[str, float]], tuple[float, ...]] = itemgetter(*PLAN_PARAMETERS)
@@ -276,7 +276,7 @@ class Plans(PlanStore):
             return
         if self._change is not None and self._change.asked >= MAX_ASKED:
             text = "parameters or origin change faster than plans are checked; try again"
-            self._change.end(PlanRejection(seq=0, result=MissionResult.ERROR, reason=text))
+            self._change.end(PlanRejection(seq=None, result=MissionResult.ERROR, reason=text))
             self._drop()
         else:
             self._ask()
@@ -311,7 +311,7 @@ class Plans(PlanStore):
         except Exception as error:
             # Whoever waits for the answer must not wait for ever.
             text = f"the decision failed ({type(error).__name__}): send the plan again, and report this with the log"
-            change.end(PlanRejection(seq=0, result=MissionResult.ERROR, reason=text))
+            change.end(PlanRejection(seq=None, result=MissionResult.ERROR, reason=text))
             raise
         change.end(rejection)
 

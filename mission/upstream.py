@@ -9,7 +9,7 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavHealth, NavState
-from mission.items import GoTo, Step
+from autopilot.mission.items import GoTo, Step
 
 TOLD_M_S = 0.1
 """Legs on which less than this is left over ground are told: a third of the usual cruise speed."""

@@ -15,14 +15,26 @@ import numpy as np
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind, PlanProblem, PlanRejection
-from mission.circling import worst_on_ring
-from mission.decode import ItemRefusedError, depth_m, horizontal_ned_m, refuse
-from mission.fence import FenceShape, build_fence, check_fence_item
-from mission.gaps import Gap, narrow_gaps
-from mission.item_types import parse_step
-from mission.items import ChangeSpeed, Circuit, Command, GoTo, Jump, Near, SetHome, Step, Surface, Travel, Wait
-from mission.reach import free_regions, has_room
-from mission.room import Room
+from autopilot.mission.circling import worst_on_ring
+from autopilot.mission.decode import ItemRefusedError, depth_m, horizontal_ned_m, refuse
+from autopilot.mission.fence import FenceShape, build_fence, check_fence_item
+from autopilot.mission.gaps import Gap, narrow_gaps
+from autopilot.mission.item_types import parse_step
+from autopilot.mission.items import (
+    ChangeSpeed,
+    Circuit,
+    Command,
+    GoTo,
+    Jump,
+    Near,
+    SetHome,
+    Step,
+    Surface,
+    Travel,
+    Wait,
+)
+from autopilot.mission.reach import free_regions, has_room
+from autopilot.mission.room import Room
 
 DEPTH_TOLERANCE_M = 1e-3
 """Altitudes arrive as 32-bit floats."""

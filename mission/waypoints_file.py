@@ -11,7 +11,7 @@ from dataclasses import replace
 from autopilot.core.errors import ConfigError, PlanError
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import PlanItem, begins_with_home
-from mission.plan_model import PlanFile, make_item
+from autopilot.mission.plan_model import PlanFile, make_item
 
 HEADER = "QGC WPL 110"
 _COLUMNS = 12

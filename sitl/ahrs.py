@@ -1,6 +1,6 @@
 """A simulated SBG IG-500A: true motion in, the bytes of the real device's serial line out.
 
-It understands the commands of the real driver (:mod:`drivers.ig500`) and stays silent until it is told to send, as the
+It understands the commands of the real driver (:mod:`.drivers.ig500`) and stays silent until it is told to send, as the
 device does. Errors: white noise and walking bias of gyros and accelerometers, slow errors of attitude, a magnetic
 heading that is off by a constant and by an amount that depends on the place.
 """
@@ -14,8 +14,8 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray, quat_from_rpy, r_ned_from_frd
 from autopilot.core.vehicle import Ahrs
-from drivers.base import AlwaysOpen
-from drivers.ig500_protocol import (
+from autopilot.drivers.base import AlwaysOpen
+from autopilot.drivers.ig500_protocol import (
     ACKNOWLEDGE,
     CONTINUOUS_OUTPUT,
     GET_OUTPUT_MASK,
@@ -28,9 +28,9 @@ from drivers.ig500_protocol import (
     OutputCodec,
     encode_frame,
 )
-from sitl.plant import Truth
-from sitl.scenario import AhrsFreeze, AhrsSensor, Fault
-from sitl.sensor_faults import ImuFaults
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import AhrsFreeze, AhrsSensor, Fault
+from autopilot.sitl.sensor_faults import ImuFaults
 
 POWER_UP_MASK = Field.EULER | Field.GYRO | Field.ACCEL
 """What the device would send before it is told otherwise."""
@@ -38,6 +38,8 @@ DIP_RAD = math.radians(55.0)
 """Of the magnetic field below the horizontal, as in southern Europe. The field's horizontal part has size 1."""
 ACCURACY_RAD = 0.02
 """What the device says of its own attitude."""
+CLOCK_SPAN_MS = 1 << 32
+"""The device's counter of milliseconds has 32 bits."""
 NOISE_NUMBERS = 16
 """Random numbers drawn per sample, whatever becomes of it, so that one fault does not change all that follows."""
 NOISE_SAMPLES = 256
@@ -59,7 +61,7 @@ class SlowError:
 
 
 class Ig500Emulator(AlwaysOpen):
-    """The device and its cable: a :class:`drivers.protocols.BytePort` for the driver."""
+    """The device and its cable: a :class:`autopilot.drivers.protocols.BytePort` for the driver."""
 
     def __init__(self, settings: AhrsSensor, ahrs: Ahrs, faults: list[Fault], seed: int) -> None:
         self._settings = settings
@@ -75,6 +77,8 @@ class Ig500Emulator(AlwaysOpen):
         self._count = 0
         self.next_us = 0
         """When the device takes its next sample."""
+        self.clock_ahead_us = 0
+        """What its clock shows beyond the time [us]; a change of it is a jump of the device's clock."""
         self._queue: deque[tuple[int, bytes]] = deque()
         self._last_arrival_us = 0
         self._held: dict[Field, tuple[float, ...]] | None = None
@@ -108,7 +112,7 @@ class Ig500Emulator(AlwaysOpen):
         self.next_us = round(self._count * 1e6 / self._rate_hz)
         if not self._sending or self._count % self._divider:
             return
-        values[Field.TIME_SINCE_RESET] = (truth.t_us // 1000,)
+        values[Field.TIME_SINCE_RESET] = ((truth.t_us + self.clock_ahead_us) // 1000 % CLOCK_SPAN_MS,)
         data = encode_frame(CONTINUOUS_OUTPUT, self._codec.encode(values))
         if chance[0] < self._settings.corrupt_probability:
             broken = bytearray(data)

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from autopilot.core.frames import r_ned_from_frd
-from sitl.plant import Truth
+from autopilot.sitl.plant import Truth
 
 PORT = 9002
 CHANNELS_OF = {18458: 16, 29569: 32}

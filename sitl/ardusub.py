@@ -1,10 +1,11 @@
 """A flight controller with ArduSub, as it is seen on the wire: what the driver is flown against.
 
 Behaves as ArduSub 4.7 was measured to: axes are RC channels, motors sums of them, linear in the pulse; channels are
-read fifty times a second and keep their value when nobody speaks any more, until the pilot's failsafe; it obeys one
-ground station; arming is followed by half a second of neutral and half a second in which heave grows; a mode change
-shows in a heartbeat at once, a disarming first in a text. Other modes than MANUAL are flown by the channels, too: what
-they would stabilise is left to the hull. It shares no code with the driver.
+read fifty times a second and keep their value when nobody speaks any more, until the pilot's failsafe. With a receiver
+enabled (RC_PROTOCOLS) every frame of that counts as the pilot's while an override is younger than RC_OVERRIDE_TIME. It
+obeys one ground station; arming is followed by half a second of neutral and half a second in which heave grows; a mode
+change shows in a heartbeat at once, a disarming first in a text. Other modes than MANUAL are flown by the channels,
+too: what they would stabilise is left to the hull. It shares no code with the driver.
 """
 
 import math
@@ -14,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.vehicle import Vehicle
-from sitl.plant import Truth
-from sitl.thrusters import wrench_of
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.thrusters import wrench_of
 
 SYSTEM, COMPONENT = 1, 1
 MANUAL, STABILIZE = 19, 0
@@ -31,6 +32,8 @@ FACTORS = {
 """Per motor, the axes that it adds up."""
 FRAME_NUMBERS = {"vectored": 1, "vectored_6dof": 2}
 CHANNEL_OF = {"P": 0, "R": 1, "T": 2, "Y": 3, "F": 4, "L": 5}
+CHANNEL_NUMBERS = {"PITCH": 1, "ROLL": 2, "THROTTLE": 3, "YAW": 4, "FORWARD": 5, "LATERAL": 6}
+"""RCMAP_..., as it comes."""
 PLANE = 4
 SERVOS, RELAYS = 16, 2
 """Motors 1 to 4 lie in the plane."""
@@ -58,7 +61,16 @@ DEFAULT_RATES_HZ = {
     "SERVO_OUTPUT_RAW": 2.0,
     "BATTERY_STATUS": 3.0,
 }
-MESSAGE_IDS = {30: "ATTITUDE", 27: "RAW_IMU", 137: "SCALED_PRESSURE2", 36: "SERVO_OUTPUT_RAW", 147: "BATTERY_STATUS"}
+PREARM_BIT = 0x1000_0000
+"""Of SYS_STATUS: its pre-arm checks."""
+MESSAGE_IDS = {
+    1: "SYS_STATUS",
+    30: "ATTITUDE",
+    27: "RAW_IMU",
+    137: "SCALED_PRESSURE2",
+    36: "SERVO_OUTPUT_RAW",
+    147: "BATTERY_STATUS",
+}
 
 
 def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float]:
@@ -67,7 +79,9 @@ def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float
     channels: dict[str, float] = {}
     for number in range(1, 9):
         channels |= {f"RC{number}_TRIM": 1500.0, f"RC{number}_MIN": 1100.0, f"RC{number}_MAX": 1900.0}
-        channels[f"RC{number}_REVERSED"] = 0.0
+        channels[f"RC{number}_REVERSED"] = channels[f"RC{number}_OPTION"] = 0.0
+    channels |= {f"RCMAP_{name}": float(number) for name, number in CHANNEL_NUMBERS.items()}
+    channels |= {f"SERVO{motor}_FUNCTION": 32.0 + motor for motor in range(1, len(directions) + 1)}
     return {
         **motors,
         **channels,
@@ -79,6 +93,10 @@ def default_parameters(frame: str, directions: Sequence[int]) -> dict[str, float
         "MOT_SPOOL_TIME": 0.5,
         "FS_PILOT_INPUT": 1.0,
         "FS_PILOT_TIMEOUT": 0.5,
+        "FS_THR_ENABLE": 0.0,
+        "RC_PROTOCOLS": 0.0,
+        "RC_OVERRIDE_TIME": 3.0,
+        "RC_OPTIONS": 32.0,
         "FS_GCS_ENABLE": 2.0,
         "FS_GCS_TIMEOUT": 5.0,
         "ACRO_YAW_P": 3.375,
@@ -118,6 +136,8 @@ class ArduSubEmulator:
         self.armed = False
         self.wet = False
         """The leak probe."""
+        self.objection = ""
+        """What its own pre-arm checks find, "" = nothing."""
         self.servos_us = (NEUTRAL_US,) * len(self._rows)
         """What is at the servo rail now."""
         self.spare_us: dict[int, int] = {}
@@ -135,6 +155,8 @@ class ArduSubEmulator:
         """Filtered, us off neutral, and when."""
         self._armed_us = 0
         self._input_us: int | None = None
+        self._override_us: int | None = None
+        """Of the newest override or joystick."""
         self._gcs_us: int | None = None
         self._failed = self._gcs_lost = False
         self._leak_us = -20_000_000
@@ -245,6 +267,7 @@ class ArduSubEmulator:
     def _watch(self, t_us: int) -> None:
         """Its own failsafes."""
         values = self.parameters
+        self._hear_receiver(t_us)
         if self.armed and self._input_us is not None:
             late = t_us - self._input_us > 1e6 * values["FS_PILOT_TIMEOUT"]
             if late and not self._failed and values["FS_PILOT_INPUT"] >= 1.0:
@@ -266,6 +289,21 @@ class ArduSubEmulator:
         if self.wet and t_us - self._leak_us >= 20_000_000:
             self._leak_us = t_us
             self._text(4, "Leak Detected")
+
+    @property
+    def _overridable(self) -> bool:
+        """RC_OVERRIDE_TIME 0 and bit 1 of RC_OPTIONS switch overrides off, a joystick's as well."""
+        return self.parameters["RC_OVERRIDE_TIME"] != 0.0 and not round(self.parameters["RC_OPTIONS"]) & 2
+
+    def _hear_receiver(self, t_us: int) -> None:
+        """A radio receiver with centred sticks, where one is enabled."""
+        if self._override_us is None or round(self.parameters["RC_PROTOCOLS"]) == 0:
+            return
+        lasts_s = self.parameters["RC_OVERRIDE_TIME"]
+        if lasts_s >= 0.0 and t_us - self._override_us >= 1e6 * lasts_s:
+            self._channels[:6] = [NEUTRAL_US] * 6
+        if self._input_us is not None:
+            self._input_us, self._failed = t_us, False
 
     def _arm(self, t_us: int) -> None:
         if not self.armed:
@@ -294,12 +332,15 @@ class ArduSubEmulator:
             self._gcs_us = t_us
         match kind:
             case "RC_CHANNELS_OVERRIDE" if obeyed and message.target_system == SYSTEM:
+                self._input_us, self._failed = t_us, False
+                if not self._overridable:
+                    return
                 for channel in range(8):
                     value = getattr(message, f"chan{channel + 1}_raw")
                     if value not in (0, 65535):
                         self._channels[channel] = value
-                self._input_us, self._failed = t_us, False
-            case "MANUAL_CONTROL" if obeyed and message.target == SYSTEM:
+                self._override_us = t_us
+            case "MANUAL_CONTROL" if obeyed and message.target == SYSTEM and self._overridable:
                 self._pilot(t_us, message)
             case "COMMAND_LONG":
                 self._command(t_us, message, source)
@@ -323,13 +364,21 @@ class ArduSubEmulator:
         self._channels[CHANNEL_OF["T"]] = int(NEUTRAL_US + 0.8 * gain * (message.z - 500))
         self._channels[0] = self._channels[1] = NEUTRAL_US
         self._input_us, self._failed = t_us, False
+        self._override_us = t_us
 
     def _command(self, t_us: int, message: Any, source: int) -> None:
         """Anybody may arm, disarm and change the mode."""
         result = 3
-        if message.command == 400:
+        if message.command == 400 and message.param1 > 0.5 and self.objection:
+            result = 4
+            self._text(2, f"Arm: {self.objection}")
+        elif message.command == 400:
             result = 0
             (self._arm if message.param1 > 0.5 else self._disarm)(t_us)
+        elif message.command == 401:
+            result = 0
+            if self.objection:
+                self._text(2, f"PreArm: {self.objection}")
         elif message.command == 176:
             result = 0 if self._set_mode(int(message.param2)) else 4
         elif message.command == 511 and int(message.param1) in MESSAGE_IDS:
@@ -370,7 +419,9 @@ class ArduSubEmulator:
                 flags = 1 | 64 | (128 if self._shown_armed else 0)
                 self._say(mav.heartbeat_encode(12, 3, flags, self.mode, 4 if self._shown_armed else 3))
             case "SYS_STATUS":
-                self._say(mav.sys_status_encode(0, 0, 0, 100, round(1e3 * truth.voltage_v), 0, -1, 0, 0, 0, 0, 0, 0))
+                sound = 0 if self.objection else PREARM_BIT
+                known = (PREARM_BIT, PREARM_BIT, sound)
+                self._say(mav.sys_status_encode(*known, 100, round(1e3 * truth.voltage_v), 0, -1, 0, 0, 0, 0, 0, 0))
             case "ATTITUDE":
                 rpy = (truth.rpy_rad + self._slow_errors(t_us)).tolist()
                 rate = (truth.rate_frd_rad_s + RATE_NOISE_RAD_S * self._rng.standard_normal(3)).tolist()

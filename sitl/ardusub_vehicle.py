@@ -1,6 +1,6 @@
 """A vehicle with ArduSub on board, in the water of a scenario: plant, flight controller, and a tracking system.
 
-What :class:`sitl.backend.SimulatedVehicle` is for a vehicle of our own drivers, for one that is reached by its flight
+What :class:`.sitl.backend.SimulatedVehicle` is for a vehicle of our own drivers, for one that is reached by its flight
 controller's MAVLink alone.
 """
 
@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from autopilot.core.vehicle import Vehicle
-from sitl.ardusub import ArduSubEmulator
-from sitl.plant import Truth
-from sitl.protocol import PlantContext, create_plant
-from sitl.scenario import Scenario
+from autopilot.sitl.ardusub import ArduSubEmulator
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.protocol import PlantContext, create_plant
+from autopilot.sitl.scenario import Scenario
 
 POSE_PERIOD_US = 33_333
 POSE_SIGMA_M, YAW_SIGMA_RAD = 0.005, 0.008

@@ -7,30 +7,32 @@ from typing import Literal, Protocol
 from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.markers import MarkerMap
+from autopilot.core.messages import Below
 from autopilot.core.samples import CameraFrame, PowerSample, Sample
 from autopilot.core.toml_table import Vec2
 from autopilot.core.vehicle import Vehicle
-from drivers.base import AlwaysOpen, Closing
-from drivers.ig500 import Ig500
-from drivers.thruster_output import SafeThrusterOutput
-from sitl.ahrs import Ig500Emulator
-from sitl.camera import SimCamera, true_camera
-from sitl.camera_feed import CameraFeed
-from sitl.contact import Prism
-from sitl.depth_sensor import SimDepthSensor
-from sitl.dvl import SimDvl
-from sitl.fault_tables import BatterySag, LateCommands, Shove, Snag
-from sitl.floor import build_floor
-from sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
-from sitl.hull_sensor import SimHullSensor
-from sitl.obstacle_sensor import SimObstacleSensor
-from sitl.payload import SimPayload
-from sitl.plant import Truth
-from sitl.pose_sensor import SimPoseSensor
-from sitl.protocol import PlantContext, PlantLike, SteerablePlant, create_plant
-from sitl.scenario import Fault, Scenario
-from sitl.scenario_tables import ThrusterLoss
-from sitl.waves import wave_train
+from autopilot.drivers.base import AlwaysOpen, Closing
+from autopilot.drivers.ig500 import Ig500
+from autopilot.drivers.thruster_output import SafeThrusterOutput
+from autopilot.sitl.ahrs import Ig500Emulator
+from autopilot.sitl.camera import SimCamera, true_camera
+from autopilot.sitl.camera_feed import CameraFeed
+from autopilot.sitl.contact import Prism
+from autopilot.sitl.depth_sensor import SimDepthSensor
+from autopilot.sitl.dvl import SimDvl
+from autopilot.sitl.fault_tables import BatterySag, LateCommands, Shove, Snag
+from autopilot.sitl.floor import build_floor
+from autopilot.sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
+from autopilot.sitl.hull_sensor import SimHullSensor
+from autopilot.sitl.obstacle_sensor import SimObstacleSensor
+from autopilot.sitl.payload import SimPayload
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.pose_sensor import SimPoseSensor
+from autopilot.sitl.protocol import PlantContext, PlantLike, SteerablePlant, create_plant
+from autopilot.sitl.scenario import Fault, Scenario
+from autopilot.sitl.scenario_tables import ThrusterLoss
+from autopilot.sitl.second_sender import SharedThrusters
+from autopilot.sitl.waves import wave_train
 
 POWER_PERIOD_US = 500_000
 """The battery monitor reports at 2 Hz."""
@@ -155,7 +157,8 @@ class SimulatedVehicle(Closing):
         self._truth: Truth | None = None
         plain = SimThrusterOutput(vehicle)
         self.output: SimThrusterOutput | BoardOutput = BoardOutput(vehicle) if "pwm" in hil else plain
-        """A :class:`drivers.protocols.ThrusterOutput`."""
+        """A :class:`autopilot.drivers.protocols.ThrusterOutput`."""
+        self._shared = SharedThrusters(faults)
         self._line = CommandLine(scenario.vehicle.command_latency_s, plain.pwm_us, faults)
         emulator = Ig500Emulator(sensors.ahrs, vehicle.ahrs, faults, seed)
         attitude = sensors.ahrs.attitude
@@ -308,10 +311,15 @@ class SimulatedVehicle(Closing):
     def write(self, pwm_us: Sequence[int]) -> None:
         """Command the thrusters now."""
         self.output.write(self._t_us, pwm_us)
+        self._shared.sent(self._t_us, self.output.pwm_us)
+
+    def below(self, t_us: int, *, armed: bool) -> Below | None:
+        """What a flight controller says of its outputs, where the scenario has one."""
+        return self._shared.below(t_us, armed=armed)
 
     def _move(self, t_us: int) -> None:
         if t_us > self._t_us or self._truth is None:
-            self._line.send(self._t_us, self.output.pwm_us)
+            self._line.send(self._t_us, self._shared.pulses_us(self._t_us, self.output.pwm_us))
             for until_us, pulses in self._line.until(self._t_us, t_us):
                 self._plant.advance(until_us, pulses)
             self._t_us = t_us

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from autopilot.core.camera import NEAR_M, CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd
-from sitl.fault_tables import Lens, Mounting
-from sitl.floor import Floor, Image
-from sitl.plant import Truth
-from sitl.scenario import CameraLook, LaserSensor
+from autopilot.sitl.fault_tables import Lens, Mounting
+from autopilot.sitl.floor import Floor, Image
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import CameraLook, LaserSensor
 
 STEP_PX = 8
 """Distance of the rays that are really cut with the floor."""

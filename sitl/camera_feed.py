@@ -9,14 +9,15 @@ import numpy as np
 
 from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Camera
-from drivers.base import Closing
-from sitl.camera import SimCamera
-from sitl.fault_tables import Lens, Mounting
-from sitl.floor import Image
-from sitl.outages import OutageClock
-from sitl.plant import Truth
-from sitl.scenario import CameraPicture, CameraSensor, Fault
-from sitl.sensor_faults import OpticalFaults
+from autopilot.drivers.base import Closing
+from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.fault_tables import Lens, Mounting
+from autopilot.sitl.floor import Image
+from autopilot.sitl.outages import OutageClock
+from autopilot.sitl.picture_faults import Exposure, PictureFaults, reflected
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import CameraPicture, CameraSensor, Fault
+from autopilot.sitl.sensor_faults import OpticalFaults
 
 FOG_LEVEL, FOG_BLUR_PX, SPOILT_NOISE = 130.0, 25.0, 2.0
 """Grey level and blur of a lens that has fogged up, and noise of spoilt pictures [grey levels]."""
@@ -25,7 +26,7 @@ TRANSPORT_SHARE = 0.5
 
 
 class CameraFeed(Closing):
-    """A :class:`drivers.protocols.Sensor` of pictures.
+    """A :class:`autopilot.drivers.protocols.Sensor` of pictures.
 
     Rendering starts at the exposure on one thread of its own and is waited for when the picture is due, so that the
     result does not depend on how fast the machine is. A ``paced`` feed never waits: a picture comes when it is ready,
@@ -49,10 +50,12 @@ class CameraFeed(Closing):
         self._rng = np.random.default_rng((seed, 30))
         self._outages = OutageClock(settings.outages, faults, np.random.default_rng((seed, 31)))
         self._spoilt = [fault for fault in faults if isinstance(fault, CameraPicture)]
+        self._pictures = PictureFaults(faults)
         self._before: Image | None = None
         self._count = 0
         self._last_due_us = 0
-        self._queue: deque[tuple[int, int, Future[Image]]] = deque()
+        self._queue: deque[tuple[int, int, int, Future[Image]]] = deque()
+        """When a picture is due, when it was taken, its number, and the picture."""
         self._worker: ThreadPoolExecutor | None = None
 
     @property
@@ -77,23 +80,31 @@ class CameraFeed(Closing):
         if isinstance(fault, CameraPicture):
             self._spoilt.append(fault)
             return True
-        return self._outages.add(fault)
+        return self._pictures.add(fault) or self._outages.add(fault)
 
     def observe(self, truth: Truth) -> None:
         """Expose the picture that is due at ``truth.t_us``."""
         index = self._count
         self._count += 1
         jitter, chance = float(self._rng.standard_normal()), float(self._rng.random())
+        exposure = self._pictures.shown(truth, index)
         lost = self._outages.silent(truth.t_us) or chance < self._settings.drop_probability
         if lost or self._worker is None:
             return
         delay_s = self._transport_s + self._settings.latency_jitter_s * jitter
         due_us = max(self._last_due_us, truth.t_us + max(0, round(delay_s * 1e6)))
         self._last_due_us = due_us
-        if self.paced and len(self._queue) > 1 and self._queue[-1][2].cancel():
+        if self.paced and len(self._queue) > 1 and self._queue[-1][3].cancel():
             self._queue.pop()  # the machine does not follow: the newer picture takes its place
-        seen = self._faults.seen(truth)
-        self._queue.append((due_us, truth.t_us, self._worker.submit(self._renderer(truth.t_us).render, seen, index)))
+        self._queue.append((due_us, truth.t_us, index, self._rendered(self._worker, exposure, truth.t_us)))
+
+    def _rendered(self, worker: ThreadPoolExecutor, exposure: Exposure, t_us: int) -> Future[Image]:
+        """The picture of an exposure, taken at ``t_us``."""
+        seen, renderer = self._faults.seen(exposure.truth), self._renderer(t_us)
+        reflection = self._pictures.reflection(t_us)
+        if reflection is None:
+            return worker.submit(renderer.render, seen, exposure.number)
+        return worker.submit(reflected, renderer.render, exposure._replace(truth=seen), reflection.strength)
 
     def _renderer(self, t_us: int) -> SimCamera:
         """The camera as it is then: one per combination of faults."""
@@ -105,9 +116,10 @@ class CameraFeed(Closing):
     def poll(self, t_us: int) -> list[CameraFrame]:
         """The pictures that have arrived up to ``t_us``."""
         frames = []
-        while self._queue and self._queue[0][0] <= t_us and (self._queue[0][2].done() or not self.paced):
-            _, exposure_us, picture = self._queue.popleft()
-            image = self._before = self._sent(picture.result(), 1e-6 * exposure_us)
+        while self._queue and self._queue[0][0] <= t_us and (self._queue[0][3].done() or not self.paced):
+            _, exposure_us, index, picture = self._queue.popleft()
+            sent = self._pictures.sent(picture.result(), exposure_us, index)
+            image = self._before = self._sent(sent, 1e-6 * exposure_us)
             frames.append(CameraFrame(t_us=exposure_us + self._stamp_error_us, image_bgr=image))
         return frames
 

@@ -1,5 +1,5 @@
-"""A step of the hull by the compiled library (``data/native/plant.c``): the numbers of :mod:`sitl.rigid_body` and
-:mod:`sitl.thrusters` bit for bit, which say what they mean, in a tenth of the time.
+"""A step of the hull by the compiled library (``data/native/plant.c``): the numbers of :mod:`.sitl.rigid_body` and
+:mod:`autopilot.sitl.thrusters` bit for bit, which say what they mean, in a tenth of the time.
 
 What the library leaves alone is a hull that may touch something.
 """
@@ -10,18 +10,23 @@ from typing import Any
 
 import numpy as np
 
+from autopilot.core.compiled import Mirror
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS
 from autopilot.core.thrusters import Thruster
 from autopilot.core.vehicle import Body
-from sitl.rigid_body import Water, Wrench, displaced_mass_kg
-from sitl.tether import TetherForce
+from autopilot.sitl.rigid_body import Water, Wrench, displaced_mass_kg
+from autopilot.sitl.tether import TetherForce
 
 _Eight = ctypes.c_double * MAX_THRUSTERS
 _Three, _State, _Columns = ctypes.c_double * 3, ctypes.c_double * 13, (ctypes.c_double * 6) * MAX_THRUSTERS
 
 
-class _Coefficients(ctypes.Structure):
+WATER = 13
+"""Numbers of the water, from ``current`` on to ``rate``."""
+
+
+class Coefficients(Mirror):
     """The struct of plant.c."""
 
     _fields_ = (
@@ -39,7 +44,7 @@ class _Coefficients(ctypes.Structure):
     )
 
 
-class _Hull(ctypes.Structure):
+class Hull(Mirror):
     """The struct of plant.c."""
 
     _fields_ = (
@@ -47,10 +52,17 @@ class _Hull(ctypes.Structure):
         *((name, _Eight) for name in ("motor", "gain", "goal", "mean")),
         ("power", ctypes.c_double),
         ("external", ctypes.c_double * 9),
-        ("water", ctypes.c_double * 13),
+        ("current", _Three),
+        ("place", ctypes.c_double * 2),
+        ("varies", ctypes.c_double),
+        ("gradient", ctypes.c_double * 4),
+        ("rate", _Three),
         *((name, ctypes.c_double) for name in ("held", "gravity")),
         ("numbers", ctypes.c_double * (25 + MAX_THRUSTERS)),
     )
+
+
+STRUCTS = Coefficients, Hull
 
 
 class CompiledHull:
@@ -69,13 +81,10 @@ class CompiledHull:
         gravity_m_s2: float,
     ) -> None:
         """``columns``: force and moment (6,) of 1 N of each thruster."""
-        sizes = library.plant_bytes(0), library.plant_bytes(1)
-        if sizes != (ctypes.sizeof(_Coefficients), ctypes.sizeof(_Hull)):
-            raise RuntimeError(f"plant.c has structs of {sizes} bytes")
         drives = [thruster.drive for thruster in thrusters]
         astern = [d.power_w_n15 if d.reverse_power_w_n15 is None else d.reverse_power_w_n15 for d in drives]
         inertia = [rigid + added for rigid, added in zip(body.inertia_kg_m2, body.added_inertia_kg_m2, strict=True)]
-        coefficients = _Coefficients(
+        coefficients = Coefficients(
             mass=body.mass_kg,
             added=_Three(*body.added_mass_kg),
             inertia=_Three(*inertia),
@@ -98,9 +107,10 @@ class CompiledHull:
             coefficients.tethered, coefficients.entry = 1.0, _Three(*tether.entry_ned_m)
             coefficients.tether_drag, coefficients.tether_pull = tether.drag_n_s2_m2, tether.pull_n
             coefficients.slack = tether.slack_m
-        self._own = coefficients, _Hull(gravity=gravity_m_s2)
+        self._own = coefficients, Hull(gravity=gravity_m_s2)
         self._hull = hull = self._own[1]
-        self._state, self._water, self._external = hull.state, hull.water, hull.external
+        self._state, self._external = hull.state, hull.external
+        self._water: Any = (ctypes.c_double * WATER).from_buffer(hull, Hull.current.offset)
         self._numbers = np.frombuffer(hull.numbers)
         self._both = ctypes.byref(coefficients), ctypes.byref(hull)
         self._look, self._turn = library.plant_look, library.plant_turn
@@ -136,7 +146,7 @@ class CompiledHull:
         return state
 
     def measured(self, held: bool) -> FloatArray:
-        """The numbers of a Truth (33,), as :class:`sitl.plant.Plant` lists them; ``held``: nothing accelerates it."""
+        """The numbers of a Truth (33,), as :class:`.sitl.plant.Plant` lists them; ``held``: nothing accelerates it."""
         self._hull.held = held
         self._measure(*self._both)
         return self._numbers.copy()

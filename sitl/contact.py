@@ -3,7 +3,7 @@
 The hull is an upright cylinder round the centre of gravity (radius and half height in the vehicle file), which covers
 the real box at every heading: what touches here may still have had a few centimetres, what does not touch here did not
 touch. Forces are normal and pass through the centre of gravity: no friction, no moment. The surface is no solid: the
-hull loses buoyancy as it comes out (:mod:`sitl.rigid_body`), and how far it stood out is recorded beside the contacts.
+hull loses buoyancy as it comes out (:mod:`.sitl.rigid_body`), and how far it stood out is recorded beside the contacts.
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 from autopilot.core.shapes import is_inside
 from autopilot.core.toml_table import Vec2, Vec3
-from sitl.moving import MovingPath
+from autopilot.sitl.moving import MovingPath
 
 STIFFNESS_N_M = 2.0e4
 """Assumed: a bumper bar; full thrust (29 N) presses it in by 1.5 mm, a run at 0.5 m/s by about 15 mm."""

@@ -1,7 +1,7 @@
 """Water currents over the local NED frame: analytic fields, all free of divergence, and gridded ones.
 
 Every field gives its velocity, its gradient and its rate of change at a fixed place, because a hull that moves through
-a field that varies in space feels the acceleration of the water (:mod:`sitl.rigid_body`). Analytic fields are the same
+a field that varies in space feels the acceleration of the water (:mod:`.sitl.rigid_body`). Analytic fields are the same
 at every depth; vertical velocity is zero except in the uniform field and on a grid that has one.
 """
 
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
 from autopilot.core.toml_table import Vec2, Vec3
-from sitl import scenario_tables as sc
-from sitl.grid_current import GridField, read_grid
+from autopilot.sitl import scenario_tables as sc
+from autopilot.sitl.grid_current import GridField, read_grid
 
 Gradient: TypeAlias = tuple[float, float, float, float]
 """d c_i / d x_j [1/s], row by row: (c_n,n c_n,e c_e,n c_e,e); the other five are zero in every analytic field."""

@@ -6,8 +6,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from sitl.outages import OutageClock
-from sitl.scenario import Fault, Outages
+from autopilot.sitl.outages import OutageClock
+from autopilot.sitl.scenario import Fault, Outages
 
 T = TypeVar("T")
 

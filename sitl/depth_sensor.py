@@ -8,12 +8,12 @@ import numpy as np
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.samples import DepthSample
 from autopilot.core.vehicle import DepthMount
-from drivers.base import AlwaysOpen
-from sitl.delayed import DelayedSamples
-from sitl.fault_tables import SensorFrozen
-from sitl.plant import Truth
-from sitl.scenario import DepthSensor, Fault
-from sitl.waves import WaveTrain
+from autopilot.drivers.base import AlwaysOpen
+from autopilot.sitl.delayed import DelayedSamples
+from autopilot.sitl.fault_tables import SensorFrozen
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import DepthSensor, Fault
+from autopilot.sitl.waves import WaveTrain
 
 
 class SimDepthSensor(AlwaysOpen):

@@ -7,11 +7,11 @@ import numpy as np
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.samples import VelocityLock, VelocitySample
 from autopilot.core.vehicle import DvlMount
-from drivers.base import AlwaysOpen
-from sitl.delayed import DelayedSamples
-from sitl.fault_tables import SensorFrozen
-from sitl.plant import Truth
-from sitl.scenario import DvlSensor, Fault
+from autopilot.drivers.base import AlwaysOpen
+from autopilot.sitl.delayed import DelayedSamples
+from autopilot.sitl.fault_tables import SensorFrozen
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import DvlSensor, Fault
 
 
 class SimDvl(AlwaysOpen):

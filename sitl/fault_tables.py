@@ -8,6 +8,9 @@ import msgspec
 from autopilot.core.toml_table import NonNegative, Positive, Table, Vec3
 
 Angle = Annotated[float, msgspec.Meta(ge=-3.15, le=3.15)]
+MOST_DELAY_S = 10.0
+MOST_PICTURES = 300
+"""As much of the past is kept for pictures that are shown late or again."""
 
 
 class _Fault(Table, frozen=True, kw_only=True):
@@ -86,6 +89,58 @@ class MarkersMoved(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="mar
     yaw_rad: Angle = 0.0
 
 
+class NearFrozen(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="camera_near_frozen"):
+    """The picture of the beginning again and again, under new stamps and with other noise each time."""
+
+    noise_levels: NonNegative = 2.0
+    """Standard deviation of the noise [grey levels]."""
+
+
+class Repeated(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="camera_repeated"):
+    """The last pictures before the beginning in a loop, under new stamps."""
+
+    pictures: Annotated[int, msgspec.Meta(ge=1, le=MOST_PICTURES)] = 15
+
+
+class Delayed(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="camera_delayed"):
+    """Pictures are older than their stamps say."""
+
+    delay_s: Annotated[float, msgspec.Meta(gt=0.0, le=MOST_DELAY_S)]
+
+
+class Mirrored(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="camera_mirrored"):
+    """Pictures are mirrored or turned upside down (a wrong setting of the camera)."""
+
+    across: Literal["columns", "rows", "both"] = "columns"
+    """What is exchanged: left and right, top and bottom, or both."""
+
+
+class HalfFrozen(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="camera_half_frozen"):
+    """A part of the picture stays as it was at the beginning, with other noise each time."""
+
+    part: Literal["top", "bottom", "left", "right"] = "bottom"
+    share: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.5
+    """Of the height or width of the picture."""
+    noise_levels: NonNegative = 2.0
+
+
+class Elsewhere(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="camera_elsewhere"):
+    """Pictures of another place over the same floor: another camera's, or an old recording."""
+
+    offset_m: Vec3 = (0.0, 0.0, 0.0)
+    """From the vehicle to that place at the beginning, north, east, down."""
+    yaw_rad: Angle = 0.0
+    follows: bool = False
+    """Whether the place moves on as the vehicle does; else it stays where it was at the beginning."""
+
+
+class Reflection(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="camera_reflection"):
+    """The floor's image in the water surface shines into the picture: mirrored, and as far away as its way is long."""
+
+    strength: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.5
+    """Share of the light that comes by way of the surface."""
+
+
 class Leak(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="leak"):
     """Water at the leak probe."""
 
@@ -140,6 +195,15 @@ class LateCommands(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="lat
     latency_s: Positive
 
 
+class SecondSender(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="second_sender"):
+    """Somebody else commands the thrusters, by turns with the service."""
+
+    push_us: Annotated[float, msgspec.Meta(ge=-400.0, le=400.0)] = 120.0
+    """Its pulses beside the service's, up and down by turns from thruster to thruster."""
+    rate_hz: Annotated[float, msgspec.Meta(ge=1.0, le=50.0)] = 20.0
+    """So often it speaks."""
+
+
 class SlowLoop(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="slow_loop"):
     """The machine is so busy that ticks begin late."""
 
@@ -156,8 +220,14 @@ class ClockJump(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="clock_
     jump_s: float
 
 
-MachineFault: TypeAlias = SlowLoop | DiskFull | ClockJump | LateCommands
+class WatchdogEnded(_Fault, frozen=True, kw_only=True, tag_field="kind", tag="watchdog_ended"):
+    """The process that stops the thrusters when the service cannot has ended."""
+
+
+MachineFault: TypeAlias = SlowLoop | DiskFull | ClockJump | WatchdogEnded | LateCommands | SecondSender
 HullFault: TypeAlias = Leak | HullClimate
 Mishap: TypeAlias = Shove | Snag | BatterySag
 OperatorFault: TypeAlias = LinkLoss | Pilot
+PictureFault: TypeAlias = NearFrozen | Repeated | Delayed | Mirrored | HalfFrozen | Elsewhere | Reflection
+"""Pictures that look right and are not of here and now."""
 SensorFault: TypeAlias = ImuOffset | ImuScale | ImuStuck | ImuClip | AhrsAttitude | Lens | Mounting | MarkersMoved

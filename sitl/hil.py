@@ -12,18 +12,18 @@ from typing import Literal
 
 from autopilot.core.samples import AhrsSample, CameraFrame, ImuSample
 from autopilot.core.vehicle import Vehicle
-from drivers.base import Closing
-from drivers.frame_clock import LoopTime, machine_us
-from drivers.ig500 import Ig500
-from drivers.ig500_device import Ig500Device, Ig500Options
-from drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
-from drivers.pca9685 import Pca9685, Pca9685Options
-from drivers.retry import SteadySensor
-from sitl.ahrs import Ig500Emulator
-from sitl.camera_feed import TRANSPORT_SHARE, CameraFeed
-from sitl.i2c_bus import EmulatedI2c, Pca9685Chip
-from sitl.mjpeg import MjpegServer
-from sitl.pty_line import PtyLine
+from autopilot.drivers.base import Closing
+from autopilot.drivers.frame_clock import LoopTime, machine_us
+from autopilot.drivers.ig500 import Ig500
+from autopilot.drivers.ig500_device import Ig500Device, Ig500Options
+from autopilot.drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
+from autopilot.drivers.pca9685 import Pca9685, Pca9685Options
+from autopilot.drivers.retry import SteadySensor
+from autopilot.sitl.ahrs import Ig500Emulator
+from autopilot.sitl.camera_feed import TRANSPORT_SHARE, CameraFeed
+from autopilot.sitl.i2c_bus import EmulatedI2c, Pca9685Chip
+from autopilot.sitl.mjpeg import MjpegServer
+from autopilot.sitl.pty_line import PtyLine
 
 Wire = Literal["serial", "camera", "pwm"]
 """AHRS on a pseudo-terminal, pictures as a network stream, pulses through a PCA9685 on an emulated bus."""

@@ -3,11 +3,11 @@
 from collections.abc import Iterable
 
 from autopilot.core.samples import HullSample, LeakSample
-from drivers.base import AlwaysOpen
-from sitl.fault_tables import HullClimate, Leak
-from sitl.plant import Truth
-from sitl.scenario_tables import Fault, SensorSilence
-from sitl.sensor_tables import HullSensor
+from autopilot.drivers.base import AlwaysOpen
+from autopilot.sitl.fault_tables import HullClimate, Leak
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario_tables import Fault, SensorSilence
+from autopilot.sitl.sensor_tables import HullSensor
 
 PERIOD_US = 500_000
 

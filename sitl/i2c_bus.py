@@ -1,9 +1,9 @@
-"""An emulated I2C bus and the chips on it, byte by byte: what stands behind :class:`drivers.i2c.I2cBus`."""
+"""An emulated I2C bus and the chips on it, byte by byte: what stands behind :class:`autopilot.drivers.i2c.I2cBus`."""
 
 import errno
 from typing import Protocol
 
-from drivers.base import AlwaysOpen
+from autopilot.drivers.base import AlwaysOpen
 
 
 class I2cChip(Protocol):

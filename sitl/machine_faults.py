@@ -1,12 +1,13 @@
-"""What the machine does to the service: ticks that begin late, a disk that is full, a clock that is set."""
+"""What the machine does to the service: ticks that begin late, a disk that is full, a clock that is set, a process that
+is killed."""
 
 from collections.abc import Iterable
 from dataclasses import replace
 
 from autopilot.core.clock import TICK_US
-from autopilot.core.messages import Inputs
-from sitl.fault_tables import ClockJump, DiskFull, SlowLoop
-from sitl.scenario_tables import Fault
+from autopilot.core.messages import DeviceRole, DeviceTrouble, Inputs
+from autopilot.sitl.fault_tables import ClockJump, DiskFull, SlowLoop, WatchdogEnded
+from autopilot.sitl.scenario_tables import Fault
 
 
 class MachineFaults:
@@ -17,7 +18,8 @@ class MachineFaults:
         self._slow = [fault for fault in faults if isinstance(fault, SlowLoop)]
         self._full = [fault for fault in faults if isinstance(fault, DiskFull)]
         self._jumps = [fault for fault in faults if isinstance(fault, ClockJump)]
-        self._none = not (self._slow or self._full or self._jumps)
+        self._ended = [fault for fault in faults if isinstance(fault, WatchdogEnded)]
+        self._none = not (self._slow or self._full or self._jumps or self._ended)
         self._late = 0.0
 
     def put_into(self, inputs: Inputs) -> Inputs:
@@ -27,8 +29,10 @@ class MachineFaults:
         t_us = inputs.t_us
         self._late += max((fault.share for fault in self._slow if fault.holds(t_us)), default=0.0)
         jump_s = sum(j.jump_s for j in self._jumps if t_us - TICK_US < j.at_s * 1e6 <= t_us)
+        ended = (DeviceTrouble(t_us=t_us, device=DeviceRole.WATCHDOG, text="has ended"),)
         return replace(
             inputs,
+            troubles=inputs.troubles + (ended if any(fault.holds(t_us) for fault in self._ended) else ()),
             overruns=inputs.overruns + int(self._late),
             log_lost=inputs.log_lost or any(fault.holds(t_us) for fault in self._full),
             clock_jump_s=inputs.clock_jump_s + jump_s,

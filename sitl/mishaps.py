@@ -5,7 +5,7 @@ from typing import TypeAlias
 
 from autopilot.core.frames import r_ned_from_frd, rpy_from_quat
 from autopilot.core.toml_table import Vec3
-from sitl.fault_tables import BatterySag, Mishap, Shove, Snag
+from autopilot.sitl.fault_tables import BatterySag, Mishap, Shove, Snag
 
 Forces: TypeAlias = tuple[Vec3, Vec3]
 """Force NED [N], moment FRD [N m]."""

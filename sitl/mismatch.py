@@ -150,6 +150,10 @@ def _curve(curve: ThrustCurve, drive: Drive, thrust: float, deadband: float) -> 
     return msgspec.structs.replace(curve, pulse_us=tuple(pulses), thrust_n=tuple(points[pulse] for pulse in pulses))
 
 
+def _scaled2(pair: tuple[float, float], factor: float) -> tuple[float, float]:
+    return pair[0] * factor, pair[1] * factor
+
+
 def mismatched(vehicle: Vehicle, mismatch: Mapping[str, float], where: str = "mismatch") -> Vehicle:
     """``vehicle`` with the factors of ``mismatch`` (missing keys = 1) applied.
 
@@ -179,6 +183,9 @@ def mismatched(vehicle: Vehicle, mismatch: Mapping[str, float], where: str = "mi
             empty_v=battery.empty_v * factor("supply"),
             capacity_j=battery.capacity_j * factor("capacity"),
             internal_resistance_ohm=battery.internal_resistance_ohm * factor("resistance"),
+            plausible_v=None if battery.plausible_v is None else _scaled2(battery.plausible_v, factor("supply")),
+            low_v=None if battery.low_v is None else battery.low_v * factor("supply"),
+            critical_v=None if battery.critical_v is None else battery.critical_v * factor("supply"),
         ),
         tether=msgspec.structs.replace(
             tether,

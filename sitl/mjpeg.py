@@ -7,7 +7,7 @@ from contextlib import suppress
 import cv2
 
 from autopilot.core.samples import CameraFrame
-from drivers.base import Closing
+from autopilot.drivers.base import Closing
 
 QUALITY = 90
 BOUNDARY = b"frame"

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from autopilot.core.samples import ObstacleTrack
-from drivers.base import AlwaysOpen
-from sitl.delayed import arrived
-from sitl.moving import Motion, MovingPath
-from sitl.plant import Truth
-from sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, ObstacleSensor
-from sitl.world import moving_path
+from autopilot.drivers.base import AlwaysOpen
+from autopilot.sitl.delayed import arrived
+from autopilot.sitl.moving import Motion, MovingPath
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, ObstacleSensor
+from autopilot.sitl.world import moving_path
 
 
 class SimObstacleSensor(AlwaysOpen):

@@ -7,8 +7,8 @@ whole mission is reproducible bit for bit.
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from sitl.fault_tables import LinkLoss, Pilot
-from sitl.scenario_tables import Fault
+from autopilot.sitl.fault_tables import LinkLoss, Pilot
+from autopilot.sitl.scenario_tables import Fault
 
 GCS_SYSTEM, GCS_COMPONENT = 255, 190
 """Ids of an ordinary ground station (MAV_COMP_ID_MISSIONPLANNER)."""

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from sitl.scenario import CameraBlackout, Fault, Outages, SensorSilence
+from autopilot.sitl.scenario import CameraBlackout, Fault, Outages, SensorSilence
 
 
 class OutageClock:

@@ -1,4 +1,4 @@
-"""The simulated vehicle: pulses in, truth out. Its equations (:mod:`sitl.rigid_body`) are not the controller's.
+"""The simulated vehicle: pulses in, truth out. Its equations (:mod:`.sitl.rigid_body`) are not the controller's.
 
 The plant advances in fixed steps, shorter ones near anything solid. Within a step the pulses, the supply voltage and
 the gradient of the current are held, the thrust follows its lag exactly, and the hull is integrated by Runge-Kutta 4.
@@ -18,18 +18,18 @@ from autopilot.core.frames import FloatArray, quat_from_rpy
 from autopilot.core.messages import MAX_THRUSTERS
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.core.vehicle import Vehicle
-from sitl.battery import Battery
-from sitl.compiled_hull import CompiledHull
-from sitl.contact import NEAR_M, ContactLog, ContactRecord, Cylinder, Prism, Sphere, Surroundings, moved_to
-from sitl.currents import WithFlow
-from sitl.fault_tables import BatterySag, Mishap, Shove, Snag
-from sitl.mishaps import Mishaps
-from sitl.mismatch import mismatched
-from sitl.rigid_body import ForceNed, State, Water, Wrench, make_derivative, rk4_step
-from sitl.scenario_tables import Scenario, ThrusterLoss
-from sitl.tether import make_tether
-from sitl.thrusters import Thrusters, wrench_of
-from sitl.world import World, build_world
+from autopilot.sitl.battery import Battery
+from autopilot.sitl.compiled_hull import STRUCTS, CompiledHull
+from autopilot.sitl.contact import NEAR_M, ContactLog, ContactRecord, Cylinder, Prism, Sphere, Surroundings, moved_to
+from autopilot.sitl.currents import WithFlow
+from autopilot.sitl.fault_tables import BatterySag, Mishap, Shove, Snag
+from autopilot.sitl.mishaps import Mishaps
+from autopilot.sitl.mismatch import mismatched
+from autopilot.sitl.rigid_body import ForceNed, State, Water, Wrench, make_derivative, rk4_step
+from autopilot.sitl.scenario_tables import Scenario, ThrusterLoss
+from autopilot.sitl.tether import make_tether
+from autopilot.sitl.thrusters import Thrusters, wrench_of
+from autopilot.sitl.world import World, build_world
 
 STEP_US = 10_000
 """Integration step in open water: 15 steps in the thruster lag of 0.15 s, the fastest thing there."""
@@ -118,7 +118,7 @@ class Plant:
     ) -> None:
         """Place the vehicle at a position (3,) NED, attitude (3,), velocity over ground and rate (3,) FRD.
 
-        ``mismatch`` holds factors (:data:`sitl.mismatch.MISMATCH_KEYS`). ``held``: a hand holds the hull where it is
+        ``mismatch`` holds factors (:data:`.sitl.mismatch.MISMATCH_KEYS`). ``held``: a hand holds the hull where it is
         until a thruster is commanded for the first time. ``losses`` and ``mishaps`` happen at their times.
         ConfigError: unknown factor or thruster, or the start touches something.
         """
@@ -175,7 +175,7 @@ class Plant:
 
     @property
     def contacts(self) -> tuple[ContactRecord, ...]:
-        """Every contact of the hull so far (at most :data:`sitl.contact.MAX_RECORDS`)."""
+        """Every contact of the hull so far (at most :data:`autopilot.sitl.contact.MAX_RECORDS`)."""
         return self._contacts.records
 
     @property
@@ -307,7 +307,7 @@ class Plant:
 
     def _by_library(self, froude_krylov: bool) -> CompiledHull | None:
         """The compiled hull, None where there is no library."""
-        library = compiled.library()
+        library = compiled.library(*STRUCTS)
         if library is None:
             return None
         return CompiledHull(

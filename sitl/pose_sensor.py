@@ -12,12 +12,13 @@ import numpy as np
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import LaserSample, PoseSample
 from autopilot.core.vehicle import Laser, Vehicle
-from drivers.base import AlwaysOpen
-from sitl.delayed import arrived
-from sitl.outages import OutageClock
-from sitl.plant import Truth
-from sitl.scenario import Fault, LaserSensor, PoseSensor
-from sitl.sensor_faults import OpticalFaults
+from autopilot.drivers.base import AlwaysOpen
+from autopilot.sitl.delayed import arrived
+from autopilot.sitl.outages import OutageClock
+from autopilot.sitl.picture_faults import PictureFaults
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import Fault, LaserSensor, PoseSensor
+from autopilot.sitl.sensor_faults import OpticalFaults
 
 REFERENCE_HEIGHT_M = 1.0
 """Height of the camera above the floor at which the scenario's standard deviations hold."""
@@ -56,7 +57,9 @@ class SimPoseSensor(AlwaysOpen):
         latency_s = POSE_LATENCY_S if camera is None else camera.latency_s
         self._latency_s = latency_s if pose.latency_s is None else pose.latency_s
         self._sigma_pos_m = np.array([pose.sigma_xy_m, pose.sigma_xy_m, pose.sigma_z_m])
+        faults = list(faults)
         self._faults = OpticalFaults(faults)
+        self._pictures = PictureFaults(faults)
         self._rng = np.random.default_rng((seed, 20))
         self._outages = OutageClock(pose.outages, faults, np.random.default_rng((seed, 21)))
         self._count = 0
@@ -67,7 +70,7 @@ class SimPoseSensor(AlwaysOpen):
 
     def add(self, fault: Fault) -> bool:
         """A fault that begins while the simulation runs; whether it is one of this sensor."""
-        return self._outages.add(fault)
+        return self._pictures.add(fault) or self._outages.add(fault)
 
     def observe(self, truth: Truth) -> None:
         """Take the sample that is due at ``truth.t_us``."""
@@ -75,14 +78,15 @@ class SimPoseSensor(AlwaysOpen):
         self.next_us = round(self._count * 1e6 / self._rate_hz)
         noise = self._rng.standard_normal(6).tolist()
         chance = self._rng.random(6).tolist()
-        if self._outages.silent(truth.t_us) or chance[0] < self._pose.drop_probability:
+        shown = self._pictures.pose_shown(truth, self._count)
+        if self._outages.silent(truth.t_us) or chance[0] < self._pose.drop_probability or shown is None:
             return
         delay_s = self._latency_s + self._pose.latency_jitter_s * noise[5]
         due_us = max(self._last_due_us, truth.t_us + max(0, round(delay_s * 1e6)))
         self._last_due_us = due_us
-        r = r_ned_from_frd(truth.rpy_rad)
-        self._queue.append((due_us, self._measured(truth, r, noise, chance)))
-        laser = self._range(truth, r, noise[4], chance)
+        r = r_ned_from_frd(shown.rpy_rad)
+        self._queue.append((due_us, self._measured(shown, r, noise, chance)))
+        laser = self._range(shown, r, noise[4], chance)
         if laser is not None:
             self._queue.append((due_us, laser))
 

@@ -8,13 +8,13 @@ from typing import Protocol, runtime_checkable
 from autopilot.core.plugins import Plugin, find_plugin
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.core.vehicle import Vehicle
-from sitl.contact import Cylinder, Prism, Sphere
-from sitl.fault_tables import Mishap
-from sitl.plant import Plant, Truth, build_plant
-from sitl.scenario import Scenario
-from sitl.scenario_tables import ThrusterLoss
+from autopilot.sitl.contact import Cylinder, Prism, Sphere
+from autopilot.sitl.fault_tables import Mishap
+from autopilot.sitl.plant import Plant, Truth, build_plant
+from autopilot.sitl.scenario import Scenario
+from autopilot.sitl.scenario_tables import ThrusterLoss
 
-PLANTS = {"rigid-body": "sitl.protocol:rigid_body"}
+PLANTS = {"rigid-body": "autopilot.sitl.protocol:rigid_body"}
 """Shipped plants: name -> what makes one."""
 
 

@@ -7,8 +7,8 @@ import tempfile
 import tty
 from pathlib import Path
 
-from drivers.base import Closing
-from drivers.protocols import BytePort
+from autopilot.drivers.base import Closing
+from autopilot.drivers.protocols import BytePort
 
 CHUNK = 4096
 

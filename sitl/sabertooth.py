@@ -1,6 +1,6 @@
 """Emulated Sabertooth amplifiers on one serial line: packets in, duty out, with their own timeout."""
 
-from drivers.base import AlwaysOpen
+from autopilot.drivers.base import AlwaysOpen
 
 COMMANDS = {0: (1, 1), 1: (1, -1), 4: (2, 1), 5: (2, -1)}
 """Command -> motor, direction."""
@@ -8,7 +8,7 @@ TIMEOUT = 14
 
 
 class SabertoothEmulator(AlwaysOpen):
-    """A :class:`drivers.protocols.BytePort`. Time passes by :meth:`read`, as with every emulated line."""
+    """A :class:`autopilot.drivers.protocols.BytePort`. Time passes by :meth:`read`, as with every emulated line."""
 
     def __init__(self, addresses: tuple[int, ...] = (128, 129)) -> None:
         self._addresses = addresses

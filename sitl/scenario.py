@@ -14,8 +14,8 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
 from autopilot.core.toml_table import convert, read_toml
 from autopilot.core.vehicle import load_vehicle
-from sitl.mismatch import mismatched
-from sitl.scenario_tables import (
+from autopilot.sitl.mismatch import mismatched
+from autopilot.sitl.scenario_tables import (
     Accept,
     AhrsFreeze,
     BickleyCurrent,
@@ -48,7 +48,7 @@ from sitl.scenario_tables import (
     VortexCurrent,
     Waves,
 )
-from sitl.sensor_tables import (
+from autopilot.sitl.sensor_tables import (
     AhrsSensor,
     CameraLook,
     CameraSensor,
@@ -60,7 +60,7 @@ from sitl.sensor_tables import (
     PoseSensor,
     Sensors,
 )
-from sitl.spread import Tables, check_spread
+from autopilot.sitl.spread import Tables, check_spread
 
 __all__ = [
     "Accept",
@@ -117,7 +117,7 @@ FILE_KEYS = (("current", "file"), ("controller", "map"), ("markers", "file"))
 
 def scenario_names() -> list[str]:
     """Names of the scenarios that ship with the simulator. (``NAME.mission.toml`` beside them are plans.)"""
-    folder = resources.files("sitl") / "scenarios"
+    folder = resources.files("autopilot") / "sitl" / "scenarios"
     stems = [entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")]
     return sorted(stem for stem in stems if "." not in stem)
 
@@ -125,7 +125,7 @@ def scenario_names() -> list[str]:
 def scenario_path(name_or_path: str) -> Path:
     """The file of a shipped scenario (by name) or the path as given. ConfigError if it is neither."""
     if name_or_path in scenario_names():
-        return Path(str(resources.files("sitl") / "scenarios" / f"{name_or_path}.toml"))
+        return Path(str(resources.files("autopilot") / "sitl" / "scenarios" / f"{name_or_path}.toml"))
     path = Path(name_or_path)
     if path.suffix != ".toml":
         raise ConfigError(

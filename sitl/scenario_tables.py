@@ -1,4 +1,4 @@
-"""The tables of a scenario file as immutable structs (what they mean as a whole: :mod:`sitl.scenario`)."""
+"""The tables of a scenario file as immutable structs (what they mean as a whole: :mod:`autopilot.sitl.scenario`)."""
 
 from itertools import pairwise
 from typing import Annotated, Literal, TypeAlias
@@ -6,8 +6,16 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 
 from autopilot.core.toml_table import NonNegative, Positive, Table, Vec2, Vec3
-from sitl.fault_tables import HullFault, MachineFault, Mishap, OperatorFault, SensorFault, SensorFrozen
-from sitl.sensor_tables import CameraLook, Probability, Sensors
+from autopilot.sitl.fault_tables import (
+    HullFault,
+    MachineFault,
+    Mishap,
+    OperatorFault,
+    PictureFault,
+    SensorFault,
+    SensorFrozen,
+)
+from autopilot.sitl.sensor_tables import CameraLook, Probability, Sensors
 
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
@@ -175,7 +183,7 @@ class GyreCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="gyre"
 
 
 class GridCurrent(Table, frozen=True, kw_only=True, tag_field="kind", tag="grid"):
-    """Gridded, linear between the nodes in space and time (:mod:`sitl.grid_current`)."""
+    """Gridded, linear between the nodes in space and time (:mod:`autopilot.sitl.grid_current`)."""
 
     file: str
     """``.npz`` or NetCDF-3, relative to the scenario file."""
@@ -187,7 +195,7 @@ Current: TypeAlias = (
 
 
 class Waves(Table, frozen=True, kw_only=True):
-    """``[waves]``: surface waves by linear theory (:mod:`sitl.waves`). Absent = a flat surface."""
+    """``[waves]``: surface waves by linear theory (:mod:`autopilot.sitl.waves`). Absent = a flat surface."""
 
     height_m: NonNegative
     """Crest to trough; of an irregular sea the significant height."""
@@ -335,6 +343,7 @@ Fault: TypeAlias = (
     ThrusterLoss
     | CameraBlackout
     | CameraPicture
+    | PictureFault
     | AhrsFreeze
     | SensorSilence
     | SensorFrozen

@@ -1,4 +1,4 @@
-"""What the faults of :mod:`sitl.fault_tables` make of readings, poses and pictures."""
+"""What the faults of :mod:`autopilot.sitl.fault_tables` make of readings, poses and pictures."""
 
 import math
 from collections.abc import Iterable
@@ -7,9 +7,18 @@ from dataclasses import replace
 import numpy as np
 
 from autopilot.core.frames import FloatArray, r_ned_from_frd
-from sitl.fault_tables import AhrsAttitude, ImuClip, ImuOffset, ImuScale, ImuStuck, Lens, MarkersMoved, Mounting
-from sitl.plant import Truth
-from sitl.scenario_tables import Fault
+from autopilot.sitl.fault_tables import (
+    AhrsAttitude,
+    ImuClip,
+    ImuOffset,
+    ImuScale,
+    ImuStuck,
+    Lens,
+    MarkersMoved,
+    Mounting,
+)
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario_tables import Fault
 
 AXES = {"x": 0, "y": 1, "z": 2}
 SENSORS = {"gyro": 0, "accel": 3}

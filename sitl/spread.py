@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from autopilot.core.errors import ConfigError
-from sitl.scenario_tables import Spread
+from autopilot.sitl.scenario_tables import Spread
 
 Tables: TypeAlias = dict[str, Any]
 """A scenario file as TOML reads it."""

@@ -17,7 +17,7 @@ from autopilot.core.toml_table import Vec3
 from autopilot.core.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from sitl.compiled_hull import CompiledHull
+    from autopilot.sitl.compiled_hull import CompiledHull
 
 OFF_US = 0
 """This pulse length means: no pulses."""

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from autopilot.core.toml_table import Vec3
-from sitl.currents import CurrentField, Gradient
-from sitl.scenario_tables import Waves
+from autopilot.sitl.currents import CurrentField, Gradient
+from autopilot.sitl.scenario_tables import Waves
 
 GRAVITY_M_S2 = 9.80665
 DEEP = 30.0
@@ -130,7 +130,7 @@ class WaveTrain:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WithWaves:
-    """A current with waves on it: a :class:`sitl.currents.CurrentField`."""
+    """A current with waves on it: a :class:`autopilot.sitl.currents.CurrentField`."""
 
     field: CurrentField
     waves: WaveTrain
@@ -141,7 +141,7 @@ class WithWaves:
         return False
 
     def velocity(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`sitl.currents.CurrentField`."""
+        """See :class:`autopilot.sitl.currents.CurrentField`."""
         n, e, d = self.field.velocity(pos_ned_m, t_s)
         for each in self.waves.components:
             vn, ve, vd = each.velocity(pos_ned_m, t_s)
@@ -149,7 +149,7 @@ class WithWaves:
         return (n, e, d)
 
     def gradient(self, pos_ned_m: Sequence[float], t_s: float) -> Gradient:
-        """See :class:`sitl.currents.CurrentField`."""
+        """See :class:`autopilot.sitl.currents.CurrentField`."""
         nn, ne, en, ee = self.field.gradient(pos_ned_m, t_s)
         for each in self.waves.components:
             a, b, c, d = each.gradient(pos_ned_m, t_s)
@@ -157,7 +157,7 @@ class WithWaves:
         return (nn, ne, en, ee)
 
     def rate(self, pos_ned_m: Sequence[float], t_s: float) -> Vec3:
-        """See :class:`sitl.currents.CurrentField`."""
+        """See :class:`autopilot.sitl.currents.CurrentField`."""
         n, e, d = self.field.rate(pos_ned_m, t_s)
         for each in self.waves.components:
             vn, ve, vd = each.rate(pos_ned_m, t_s)

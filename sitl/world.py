@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from autopilot.core.errors import ConfigError
 from autopilot.core.shapes import is_inside
 from autopilot.core.toml_table import Vec2, Vec3
-from sitl.contact import Cylinder, MovingCylinder, Prism, Solid, Sphere
-from sitl.currents import CurrentField, Uniform, current_field
-from sitl.moving import MovingPath
-from sitl.scenario import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
-from sitl.waves import WithWaves, breaking_height_m, wave_train
+from autopilot.sitl.contact import Cylinder, MovingCylinder, Prism, Solid, Sphere
+from autopilot.sitl.currents import CurrentField, Uniform, current_field
+from autopilot.sitl.moving import MovingPath
+from autopilot.sitl.scenario import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
+from autopilot.sitl.waves import WithWaves, breaking_height_m, wave_train
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

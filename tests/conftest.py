@@ -1,8 +1,11 @@
 """For all tests: property tests always take the same examples, a slow machine is no failure, faults are raised."""
 
 import os
+import socket
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 import pytest
@@ -23,6 +26,10 @@ settings.load_profile("repeatable")
 os.environ["AUTOPILOT_GUARD"] = "raise"
 """Exceptions inside the service end a test, in this process and in those that it starts."""
 
+ROOT = Path(__file__).resolve().parent.parent
+CLIENTS = (f"{ROOT}/tests/", f"{ROOT}/autopilot/bench/")
+"""Files whose sockets are a client's in a test."""
+
 LONGEST = ("system", "service", "estimator", "control")
 """Folders of the modules that take longest. They begin first, so that at the end no process is left with one."""
 
@@ -37,3 +44,31 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest first, else as they were."""
     place = {name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.parent.name, len(LONGEST)))
+
+
+def _opened_by(frame: Any) -> str:
+    """The file of ours that called for what is being made."""
+    while frame is not None:
+        name = str(frame.f_code.co_filename)
+        if name.startswith(f"{ROOT}/") and "site-packages" not in name:
+            return name
+        frame = frame.f_back
+    return ""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def clients_hang_up() -> Iterator[None]:
+    """Sockets that tests open for clients of their own are closed after the module. What the product opens it has to
+    close itself: a socket of its that is collected unclosed is an error."""
+    made, begin = [], socket.socket.__init__
+
+    def noted(self: socket.socket, *given: Any, **named: Any) -> None:
+        begin(self, *given, **named)
+        if _opened_by(sys._getframe(1)).startswith(CLIENTS):
+            made.append(self)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(socket.socket, "__init__", noted)
+        yield
+    for client in made:
+        client.close()

@@ -3,12 +3,16 @@
 import os
 import subprocess
 import sys
+import sysconfig
 import tomllib
+import venv
 import zipfile
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from hostile_folder import imported_from, make_hostile
+from pwm_vehicle import PwmVehicle, gone, keepers_of, until
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -52,24 +56,151 @@ needs_setuptools = pytest.mark.skipif(
 )
 
 
-@needs_setuptools
-def test_a_built_wheel_holds_them(tmp_path: Path) -> None:
-    """Without the compiled step, which is optional and takes ten times as long."""
-    build = "import setuptools.build_meta as backend, sys; backend.build_wheel(sys.argv[1])"
-    source = tmp_path / "source"
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built of the files of the repository, as `pip wheel` does it; compiled where there is a compiler."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
         capture_output=True,
         text=True,
+        check=True,
     )
     for name in filter(None, listed.stdout.split("\0")):
-        if (ROOT / name).is_file():
-            (source / name).parent.mkdir(parents=True, exist_ok=True)
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        if (ROOT / name).is_symlink():
+            (source / name).symlink_to((ROOT / name).readlink())
+        elif (ROOT / name).is_file():
             (source / name).write_bytes((ROOT / name).read_bytes())
-    environment = {**os.environ, "CC": "false", "PYTHONPATH": ""}
-    subprocess.run([sys.executable, "-c", build, str(tmp_path)], cwd=source, env=environment, check=True)
-    (wheel,) = tmp_path.glob("*.whl")
+    build = "import setuptools.build_meta as backend, sys; backend.build_wheel(sys.argv[1])"
+    command = [sys.executable, "-c", build, str(folder)]
+    subprocess.run(command, cwd=source, env={**os.environ, "PYTHONPATH": ""}, check=True, capture_output=True)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@needs_setuptools
+def test_a_built_wheel_holds_every_module_and_data_file(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
-    assert {str(path.relative_to(ROOT)) for path in data_files()} <= held
-    assert {str(path.relative_to(ROOT)) for package in packages() for path in package.rglob("*.py")} <= held
+    modules = {path for package in packages() for path in package.rglob("*.py")}
+    assert {str(path.relative_to(ROOT)) for path in data_files() | modules} <= held
+    assert {"autopilot/py.typed", "autopilot/sitl/scenarios/paper-tank.toml", "autopilot/drivers/keeper.py"} <= held
+
+
+@needs_setuptools
+def test_a_built_wheel_puts_one_package_among_those_of_others(wheel: Path) -> None:
+    tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"autopilot"}
+
+
+class Installed:
+    """The wheel in an environment of its own, beside a user's folder. Dependencies are those of the tests."""
+
+    def __init__(self, wheel: Path, folder: Path) -> None:
+        self.folder = folder
+        venv.create(folder / "venv", with_pip=False)
+        self.programs = folder / "venv" / ("Scripts" if os.name == "nt" else "bin")
+        self.python = self.programs / "python"
+        site = Path(self._of("import sysconfig; print(sysconfig.get_path('purelib'))", folder).strip())
+        (site / "dependencies.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
+        pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", str(self.python)]
+        install = [*pip, "install", "--quiet", "--no-deps", "--no-index", "--ignore-installed", str(wheel)]
+        subprocess.run(install, check=True)
+        found = self._of("import autopilot; print(autopilot.__file__)", folder)
+        assert Path(found.strip()) == site / "autopilot" / "__init__.py"
+        self.site = site
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Without the checkout."""
+        return {**os.environ, "PYTHONPATH": "", "AUTOPILOT_STATE_DIR": str(self.folder / "state")}
+
+    def _of(self, code: str, cwd: Path) -> str:
+        done = subprocess.run(
+            [self.python, "-c", code], cwd=cwd, env=self.environment, capture_output=True, text=True, check=True
+        )
+        return done.stdout
+
+    def run(self, *command: str | Path, cwd: Path) -> "subprocess.CompletedProcess[str]":
+        return subprocess.run(
+            command, cwd=cwd, env=self.environment, capture_output=True, text=True, check=False, timeout=1200
+        )
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """Once for all tests."""
+    pytest.importorskip("pip")
+    return Installed(wheel, tmp_path_factory.mktemp("installed"))
+
+
+@needs_setuptools
+def test_an_installation_adds_one_package(installed: Installed) -> None:
+    added = {path.name for path in installed.site.iterdir()} - {"dependencies.pth"}
+    assert {name for name in added if not name.endswith(".dist-info")} == {"autopilot"}
+
+
+OURS = ("drivers", "estimator", "mission", "sitl")
+FLIGHT = """
+import mission  # the user's
+import autopilot
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import open_sitl
+
+settings = gather(sitl_defaults(0), {"speed": 0.0, "sensors": "pose"}, {})
+settings.put("connect", (), "here")
+settings.put("log", None, "here")
+ticks = []
+session = open_sitl(settings, {}, log=False, on_tick=ticks.append)
+for tick in range(1, 21):
+    session.runtime.tick(10_000 * tick)
+session.runtime.close()
+print(mission.MINE, len(ticks), ticks[-1].nav is not None, autopilot.__file__)
+"""
+
+
+@needs_setuptools
+def test_a_users_script_beside_a_mission_of_his_own_flies(installed: Installed, tmp_path: Path) -> None:
+    hostile = make_hostile(tmp_path / "project", tuple(name for name in OURS if name != "mission"))
+    (hostile / "mission.py").write_text("MINE = 42\n", encoding="utf-8")
+    (hostile / "fly.py").write_text(FLIGHT, encoding="utf-8")
+    done = installed.run(installed.python, "fly.py", cwd=hostile)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["42", "20", "True", str(installed.site / "autopilot" / "__init__.py")]
+    assert imported_from(hostile) == []
+
+
+@needs_setuptools
+def test_the_commands_of_an_installation_work_in_a_users_folder(installed: Installed, tmp_path: Path) -> None:
+    check = ("mission", "check", str(installed.site / "autopilot" / "sitl" / "scenarios" / "paper.plan"))
+    sitl = ("sitl", "--sensors", "pose", "--speed", "0", "--duration", "0.05", "--connect", "udpout:127.0.0.1:9")
+    hostile = make_hostile(tmp_path / "project")
+    for arguments in (check, (*sitl, "--log", str(tmp_path / "run.mcap"))):
+        done = installed.run(installed.programs / "autopilot", *arguments, cwd=hostile)
+        assert done.returncode == 0, done.stderr
+    # -m looks for the package itself, and for what Python needs to begin, in the current folder: that is what -m means.
+    for_m = make_hostile(tmp_path / "another", (*OURS, "numpy", "click", "msgspec"))
+    done = installed.run(installed.python, "-m", "autopilot", *check, cwd=for_m)
+    assert done.returncode == 0, done.stderr
+    assert imported_from(hostile) == imported_from(for_m) == []
+
+
+@needs_setuptools
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
+def test_the_keeper_of_an_installation_stops_the_thrusters_of_a_killed_service(
+    installed: Installed, tmp_path: Path
+) -> None:
+    hostile = make_hostile(tmp_path / "project")
+    with PwmVehicle(tmp_path / "vehicle") as vehicle:
+        command = [installed.programs / "autopilot", "run", "--config", str(vehicle.config)]
+        service = subprocess.Popen(command, cwd=hostile, env=installed.environment, stdout=subprocess.DEVNULL)
+        try:
+            vehicle.fly()
+            (keeper,) = keepers_of(service.pid)
+        finally:
+            service.kill()
+            service.wait()
+        until(lambda: vehicle.still and gone(keeper))
+    assert imported_from(hostile) == []

@@ -22,7 +22,7 @@ from autopilot.core.thrusters import MAX_CHANNEL, MAX_THRUSTERS, MIN_THRUSTERS
 from autopilot.core.vehicle import load_vehicle
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
-from sitl.toml_text import toml_text
+from autopilot.sitl.toml_text import toml_text
 
 FLOWN_S = 20.0
 GOAL_M = (2.0, 1.0, 1.0)

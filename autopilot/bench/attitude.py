@@ -22,8 +22,9 @@ from autopilot.bench.attitude_motions import DURATION_S, FAMILIES, Recording, re
 from autopilot.bench.attitude_recordings import FOLDER, load_trials
 from autopilot.bench.estimator_figures import pooled_rms, rms
 from autopilot.core.frames import FloatArray
+from autopilot.core.own_python import safe_path
 from autopilot.core.samples import ImuSample
-from estimator.attitude import DEFAULT_TUNING, AttitudeFilter, AttitudeTuning
+from autopilot.estimator.attitude import DEFAULT_TUNING, AttitudeFilter, AttitudeTuning
 
 SEEDS, SHORT_SEEDS = range(101, 111), range(101, 103)
 """Of the table's motions."""
@@ -123,7 +124,8 @@ def bench_attitude(
     """The table: trials found in ``folder`` first. ``short``: with the autopilot's own parameters, none are chosen."""
     groups = [*(recording.name for recording in load_trials(folder)), *FAMILIES]
     seeds = tuple(seeds or (SHORT_SEEDS if short else SEEDS))
-    with ProcessPoolExecutor(max_workers=workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with safe_path(), ProcessPoolExecutor(max_workers=workers, mp_context=spawn) as pool:
         tunings, gains = [DEFAULT_TUNING] * len(groups), [FixedGains()] * len(groups)
         if not short:
             costs = list(pool.map(partial(_costs, folder), [*TUNINGS, *GAINS]))

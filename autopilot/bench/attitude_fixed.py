@@ -12,8 +12,8 @@ import numpy as np
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.samples import ImuSample
-from estimator.inertial import cross
-from estimator.rotation import (
+from autopilot.estimator.inertial import cross
+from autopilot.estimator.rotation import (
     IDENTITY,
     Four,
     Three,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.core.frames import FloatArray
-from estimator.inertial import GRAVITY_M_S2
+from autopilot.estimator.inertial import GRAVITY_M_S2
 
 RATE_HZ = 100.0
 DURATION_S = 120.0

@@ -33,11 +33,11 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import IntArray, MarkerMap
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.core.vehicle import load_vehicle
-from estimator.vision import Hint, MarkerDetector
-from sitl.camera import SimCamera
-from sitl.floor import build_floor
-from sitl.plant import build_plant
-from sitl.scenario import CameraLook, load_scenario
+from autopilot.estimator.vision import Hint, MarkerDetector
+from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.floor import build_floor
+from autopilot.sitl.plant import build_plant
+from autopilot.sitl.scenario import CameraLook, load_scenario
 
 FLOORS = (
     "DICT_4X4_1000",

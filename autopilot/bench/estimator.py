@@ -46,6 +46,7 @@ from autopilot.bench.estimator_flights import (
     fly,
 )
 from autopilot.bench.laid_rows import bench_laid
+from autopilot.core.own_python import safe_path
 
 SEEDS, SHORT_SEEDS = range(1, 21), range(1, 4)
 CAMERA_SEEDS, SHORT_CAMERA_SEEDS = range(1, 4), range(1, 2)
@@ -115,7 +116,8 @@ def bench_estimator(
     wanted = [name for name in GROUPS if groups is None or name in groups]
     needed = {flight for name in wanted for flight in GROUPS[name][0]}
     specs = [spec for spec in flight_specs(seeds, camera_seeds) if spec.name in needed]
-    with ProcessPoolExecutor(max_workers=workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with safe_path(), ProcessPoolExecutor(max_workers=workers, mp_context=spawn) as pool:
         flown = list(pool.map(fly, specs))
         laid = bench_laid(seeds, pool) if groups is None or LAID in groups else []
         off = bench_calibration(seeds, pool) if groups is None or CALIBRATION in groups else []

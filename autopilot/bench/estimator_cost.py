@@ -12,9 +12,9 @@ from autopilot.bench.machine import Pace, slowness
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.samples import MarkerSighting, Sample
+from autopilot.estimator.create import create_estimator
 from autopilot.run.sitl_session import SitlSession
-from estimator.create import create_estimator
-from sitl.floor import told_markers
+from autopilot.sitl.floor import told_markers
 
 ESTIMATOR_BAR_PCT, VISION_BAR_PCT, LATE_BAR_PCT = 5.0, 30.0, 1.0
 """Shares of one core at the reference speed; ticks more than one period (10 ms) late: 1 % is the 99 % point."""

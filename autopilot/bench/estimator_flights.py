@@ -17,20 +17,20 @@ from autopilot.bench.estimator_figures import Watched
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.messages import AidStatus, Inputs, NavState, Outputs
 from autopilot.core.samples import PoseSample, PowerSample, Sample
+from autopilot.estimator.engine import Engine
+from autopilot.estimator.kalman import KalmanCore
+from autopilot.estimator.measurement import CHI2_999
+from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from autopilot.estimator.states import FilterState
 from autopilot.log.analysis import Track, load_flight, wrap
 from autopilot.log.reader import open_log
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from estimator.engine import Engine
-from estimator.kalman import KalmanCore
-from estimator.measurement import CHI2_999
-from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
-from estimator.states import FilterState
-from mission.paper import paper_plan
-from mission.plan_files import write_plan
-from sitl.floor import told_markers
-from sitl.scenario import scenario_path
-from sitl.toml_text import toml_text
+from autopilot.sitl.floor import told_markers
+from autopilot.sitl.scenario import scenario_path
+from autopilot.sitl.toml_text import toml_text
 
 BASE = "paper-tank"
 """The scenario that is varied."""

@@ -17,15 +17,15 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.core.vehicle import load_vehicle
-from estimator.markers_pose import MarkerSolver
-from estimator.measure_laser import MIN_SIGMA_M
-from estimator.measure_pose import PoseFix
-from estimator.measurement import CHI2_999
-from estimator.vision import Hint, MarkerDetector
-from sitl.camera import SimCamera
-from sitl.floor import Floor, build_floor
-from sitl.plant import Truth, build_plant
-from sitl.scenario import CameraLook, load_scenario
+from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.measure_laser import MIN_SIGMA_M
+from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.measurement import CHI2_999
+from autopilot.estimator.vision import Hint, MarkerDetector
+from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.floor import Floor, build_floor
+from autopilot.sitl.plant import Truth, build_plant
+from autopilot.sitl.scenario import CameraLook, load_scenario
 
 SCENARIO, VEHICLE = "paper-tank", "lbv150"
 HEIGHTS_M = (0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.2, 1.3)

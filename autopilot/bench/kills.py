@@ -22,8 +22,8 @@ from autopilot.core.errors import AutopilotError
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.log.reader import open_log
 from autopilot.mavlink.wire import Message
+from autopilot.mission.paper import paper_plan
 from autopilot.run.children import LOCAL, Child, autopilot_command, free_port
-from mission.paper import paper_plan
 
 LATEST_KILL_S = 3.0
 MOST_CHANGES = 6

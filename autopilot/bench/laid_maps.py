@@ -24,11 +24,11 @@ from autopilot.core.markers import ID_SPAN, MarkerMap
 from autopilot.core.messages import NavState
 from autopilot.core.samples import LaserSample, MarkerSighting, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
+from autopilot.estimator.create import create_estimator
 from autopilot.log.analysis import Track, load_flight
 from autopilot.log.reader import open_log
-from estimator.create import create_estimator
-from sitl.floor import sheets_moved, sheets_of, told_markers
-from sitl.scenario import load_scenario
+from autopilot.sitl.floor import sheets_moved, sheets_of, told_markers
+from autopilot.sitl.scenario import load_scenario
 
 RECORDED_S = 32.0
 """The first lap of the paper's tour and some of the second."""

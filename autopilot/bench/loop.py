@@ -27,11 +27,11 @@ from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message
 from autopilot.mavlink.vehicle_commands import FORCE_ARM
+from autopilot.mission.local_plan import FenceTable, LocalPlan, OriginTable, PolygonTable, WaypointTable, plan_of_local
+from autopilot.mission.paper import ORIGIN
 from autopilot.run.children import LOCAL, free_port, python_command
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from mission.local_plan import FenceTable, LocalPlan, OriginTable, PolygonTable, WaypointTable, plan_of_local
-from mission.paper import ORIGIN
 
 ITEMS = 500
 OCTAGONS = 50

@@ -16,7 +16,7 @@ from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_console import RunWatch
 from autopilot.run.sitl_replay import replay_service
 from autopilot.run.sitl_session import open_sitl
-from sitl.scenario import load_scenario, scenario_names, scenario_path
+from autopilot.sitl.scenario import load_scenario, scenario_names, scenario_path
 
 FLIGHT_S, SHORT_S, PACED_S = 30.0, 5.0, 15.0
 WHOLE_S = 1800.0

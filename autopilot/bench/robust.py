@@ -24,7 +24,7 @@ from autopilot.core.model4 import Model4, U
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
-from mission.fence import fence_clearance_m
+from autopilot.mission.fence import fence_clearance_m
 
 ESTIMATES: dict[str, tuple[float, ...]] = {
     "perfect": (0.0, 0.0, 0.0, 0.0, 0.0),

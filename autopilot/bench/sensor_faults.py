@@ -17,11 +17,11 @@ import numpy as np
 
 from autopilot.bench.estimator_flights import overlaid
 from autopilot.core.frames import wrap_pi
-from autopilot.core.messages import Failsafe, NavHealth, Outputs, Severity
+from autopilot.core.messages import AidStatus, Failsafe, NavHealth, Outputs, Severity
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from sitl.scenario import scenario_path
-from sitl.toml_text import toml_text
+from autopilot.sitl.scenario import scenario_path
+from autopilot.sitl.toml_text import toml_text
 
 SIGMAS = 3.0
 FAR_M = 0.10
@@ -66,6 +66,10 @@ class FaultResult:
     worst_yaw_rad: float
     unflagged_s: float
     """Longest time in a row in which the estimate was far off, outside 3 sigma, and called good."""
+    outside_s: float
+    """The same outside 3 sigma by however little."""
+    back_s: float | None
+    """From the end of the faults to the first fix that is used, None = none is, or they do not end."""
     contacts: int
     resets: int
     good: float
@@ -82,18 +86,38 @@ class FaultResult:
         return honest and self.contacts == 0 and not self.thrusters_blamed
 
 
+class _Longest:
+    """The longest time in a row for which something holds."""
+
+    def __init__(self) -> None:
+        self.most_s = 0.0
+        self._since_s: float | None = None
+
+    def look(self, t_s: float, *, holds: bool) -> None:
+        self._since_s = (t_s if self._since_s is None else self._since_s) if holds else None
+        if self._since_s is not None:
+            self.most_s = max(self.most_s, t_s - self._since_s)
+
+
+def _seen_after(aid: AidStatus, t_s: float) -> bool:
+    """Whether this is a fix of markers, seen after that time, that is used."""
+    return aid.sensor == "markers" and aid.fused and 1e-6 * aid.t_us >= t_s
+
+
 class _Watch:
     """Looks at every tick."""
 
-    def __init__(self, session: SitlSession, from_s: float) -> None:
+    def __init__(self, session: SitlSession, from_s: float, until_s: float = math.inf) -> None:
         self._truth = session.device
         self._from_s = from_s
+        self._until_s = until_s
+        self._back_s: float | None = None
+        self._outside = _Longest()
+        self._unflagged = _Longest()
         self._inside: list[bool] = []
         self._good: list[bool] = []
         self._worst = (0.0, 0.0)
         self._worst_yaw = 0.0
-        self._far_since_s: float | None = None
-        self._unflagged_s = 0.0
         self._blamed = False
         self._contacts = 0
         self._resets: list[int] = []
@@ -102,6 +126,8 @@ class _Watch:
     def tick(self, outputs: Outputs) -> None:
         t_s, nav, truth = 1e-6 * outputs.t_us, outputs.nav, self._truth.truth
         self._contacts = truth.contact_count
+        if self._back_s is None and any(_seen_after(aid, self._until_s) for aid in outputs.aids):
+            self._back_s = t_s - self._until_s
         if t_s < self._from_s or nav is None or not outputs.mode.armed:
             return
         self._texts.update({e.text: None for e in outputs.events if e.severity <= Severity.WARNING})
@@ -115,10 +141,9 @@ class _Watch:
         if off_m > self._worst[0]:
             self._worst = (off_m, float(bound[:3].max()))
         self._worst_yaw = max(self._worst_yaw, float(error[3]))
-        far = not inside and (off_m > FAR_M or error[3] > FAR_RAD) and nav.health is NavHealth.GOOD
-        self._far_since_s = (t_s if self._far_since_s is None else self._far_since_s) if far else None
-        if self._far_since_s is not None:
-            self._unflagged_s = max(self._unflagged_s, t_s - self._far_since_s)
+        claimed = not inside and nav.health is NavHealth.GOOD
+        self._outside.look(t_s, holds=claimed)
+        self._unflagged.look(t_s, holds=claimed and (off_m > FAR_M or error[3] > FAR_RAD))
         if outputs.thrusters is not None:
             self._blamed = self._blamed or bool((outputs.thrusters.effectiveness < 1.0).any())
         self._blamed = self._blamed or bool(outputs.mode.failsafes >> Failsafe.LATENCY & 1)
@@ -129,7 +154,9 @@ class _Watch:
             worst_m=self._worst[0],
             worst_claim_m=self._worst[1],
             worst_yaw_rad=self._worst_yaw,
-            unflagged_s=self._unflagged_s,
+            unflagged_s=self._unflagged.most_s,
+            outside_s=self._outside.most_s,
+            back_s=self._back_s,
             contacts=self._contacts,
             resets=self._resets[-1] - self._resets[0] if self._resets else 0,
             good=float(np.mean(self._good)) if self._good else math.nan,
@@ -154,7 +181,8 @@ def fly_fault(flight: FaultFlight) -> FaultResult:
         settings.put("state_dir", folder, "bench")
         watches: list[_Watch] = []
         session = open_sitl(settings, PLAIN_WAY, log=False, on_tick=lambda outputs: watches[0].tick(outputs))
-        watches.append(_Watch(session, flight.at_s))
+        until_s = math.inf if flight.lasts_s is None else flight.at_s + flight.lasts_s
+        watches.append(_Watch(session, flight.at_s, until_s))
         session.run()
     return watches[0].result()
 

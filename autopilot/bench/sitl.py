@@ -13,10 +13,10 @@ import psutil
 
 from autopilot.bench.predict_clock import PredictClock
 from autopilot.core.messages import Inputs, Outputs
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from mission.paper import paper_plan
-from mission.plan_files import write_plan
 
 REACH = {"camera": 4.0, "pose": 20.0}
 """Speed against real time that the project asks for, machine quiet."""

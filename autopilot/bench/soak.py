@@ -15,10 +15,10 @@ import psutil
 
 from autopilot.core.clock import TICK_US
 from autopilot.core.messages import Outputs
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.qgc_plan import write_qgc_plan
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
-from mission.paper import paper_plan
-from mission.qgc_plan import write_qgc_plan
 
 LAPS = 1000
 """More than any soak flies."""

@@ -24,9 +24,9 @@ from autopilot.core.model4 import Model4, body_acceleration
 from autopilot.core.response import Response
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from sitl.currents import current_field
-from sitl.plant import Plant, Truth
-from sitl.scenario_tables import (
+from autopilot.sitl.currents import current_field
+from autopilot.sitl.plant import Plant, Truth
+from autopilot.sitl.scenario_tables import (
     GyreCurrent,
     JetCurrent,
     NoCurrent,
@@ -35,7 +35,7 @@ from sitl.scenario_tables import (
     UniformCurrent,
     VortexCurrent,
 )
-from sitl.world import World
+from autopilot.sitl.world import World
 
 STEP_US = 20_000
 """Of the loop."""

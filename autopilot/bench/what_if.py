@@ -24,7 +24,7 @@ from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_console import RunWatch
 from autopilot.run.sitl_replay import replay_service
 from autopilot.run.sitl_session import open_sitl
-from sitl.scenario import load_scenario
+from autopilot.sitl.scenario import load_scenario
 
 LONGER = 1.5
 """A mission that was complete may take so much longer than it did."""

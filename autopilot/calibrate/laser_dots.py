@@ -1,6 +1,6 @@
 """Green dots anywhere in a picture, for a laser of which nothing is known yet.
 
-The detector that flies (:mod:`estimator.laser_dot`) looks along the calibrated beam only.
+The detector that flies (:mod:`autopilot.estimator.laser_dot`) looks along the calibrated beam only.
 """
 
 from pathlib import Path

@@ -1,7 +1,7 @@
 """Pose of the camera from one sighting, by itself: no attitude prior, no filter.
 
 Least squares over position, rotation and the distance by which blur draws corners into their markers (see
-:mod:`estimator.pnp`, which leans on the AHRS where it has to; a calibration of the AHRS against the camera must not).
+:mod:`.estimator.pnp`, which leans on the AHRS where it has to; a calibration of the AHRS against the camera must not).
 """
 
 import math
@@ -16,7 +16,7 @@ from autopilot.core.frames import FloatArray
 STEPS = 8
 CONVERGED = 1e-7
 SHRINK_PX, SHRINK_SIGMA_PX = 0.25, 0.1
-"""Prior of the distance by which corners are found inside of the true ones, as in :mod:`estimator.pnp`."""
+"""Prior of the distance by which corners are found inside of the true ones, as in :mod:`autopilot.estimator.pnp`."""
 CORNER_SIGMA_PX = 0.12
 """Only against the weight of that prior."""
 MAX_RMS_PX = 2.0

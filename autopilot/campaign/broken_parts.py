@@ -15,9 +15,9 @@ from autopilot.control.protocol import ControllerContext
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import ControlOutput, NavState
 from autopilot.core.samples import Sample
-from estimator.engine import Engine
-from estimator.kalman import KalmanCore
-from estimator.protocol import EstimatorContext
+from autopilot.estimator.engine import Engine
+from autopilot.estimator.kalman import KalmanCore
+from autopilot.estimator.protocol import EstimatorContext
 
 
 class Breaking(MotionController):
@@ -74,7 +74,7 @@ class Displaced(Engine):
         super().__init__(core, given.vehicle, given.markers, given.floor_depth_m, given.options)
 
     def step(self, t_us: int, samples: Sequence[Sample], thrust_n: FloatArray) -> NavState | None:
-        """See :class:`estimator.protocol.Estimator`."""
+        """See :class:`autopilot.estimator.protocol.Estimator`."""
         nav = super().step(t_us, samples, thrust_n)
         since_s = 1e-6 * t_us - Breaking.from_s
         if nav is None or not 0.0 <= since_s < self.LASTS_S:

@@ -10,11 +10,11 @@ from autopilot import __version__
 from autopilot.campaign.results import Task
 from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
+from autopilot.mission.plan_files import read_plan
 from autopilot.run.provenance import revision
-from mission.plan_files import read_plan
-from sitl.scenario import Scenario, load_scenario, load_tables, plan_path, with_vehicle
-from sitl.spread import Tables, drawn_tables, drawn_values, run_seed
-from sitl.toml_text import toml_text
+from autopilot.sitl.scenario import Scenario, load_scenario, load_tables, plan_path, with_vehicle
+from autopilot.sitl.spread import Tables, drawn_tables, drawn_values, run_seed
+from autopilot.sitl.toml_text import toml_text
 
 FORMAT = 1
 """Of the campaign's folder."""

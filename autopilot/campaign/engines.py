@@ -9,15 +9,16 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import Any, Protocol, TypeVar
 
 from autopilot import THREAD_VARIABLES, __version__
 from autopilot.core.errors import AutopilotError, ConfigError
+from autopilot.core.own_python import safe_path
 
 LOOK_S = 0.2
 """How often a waiting engine looks whether it is to stop."""
@@ -107,7 +108,7 @@ class LocalPool:
         from multiprocessing import forkserver
 
         self._context.set_forkserver_preload([WORKER])
-        with _single_threaded(), _deaf_to_interrupt():
+        with safe_path(), _single_threaded(), interrupt_later():
             forkserver.ensure_running()
 
     def run(self, tasks: Sequence[Flyable[Result]], stop: Stop) -> Iterator[Result]:
@@ -138,6 +139,7 @@ class LocalPool:
         # One byte and no lock, as an Event has: who is killed while it looks would keep that for ever.
         halt = context.RawValue("b", 0)
         with (
+            safe_path(),
             _single_threaded(),
             cf.ProcessPoolExecutor(
                 min(self._jobs, len(tasks)), mp_context=context, initializer=_begin_worker, initargs=(halt,)
@@ -148,7 +150,7 @@ class LocalPool:
             pending: dict[cf.Future[Result | None], int] = {}
             try:
                 while (waiting or pending) and not stop():
-                    with _deaf_to_interrupt():
+                    with interrupt_later():
                         while waiting and len(pending) < AHEAD * self._jobs:
                             key, task = waiting.popleft()
                             pending[pool.submit(_fly_in_worker, task)] = key
@@ -186,6 +188,7 @@ def _begin_worker(halt: Any) -> None:
     """Once per process: interrupts are the parent's business; what is imported needs no garbage collection."""
     global _halt
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     _halt = halt
     _settle()
 
@@ -217,16 +220,17 @@ def _single_threaded() -> Iterator[None]:
 
 
 @contextmanager
-def _deaf_to_interrupt() -> Iterator[None]:
-    """Processes that begin meanwhile do not hear Ctrl-C before they can ignore it themselves."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def interrupt_later() -> Iterator[None]:
+    """Processes that begin meanwhile do not hear Ctrl-C before they can ignore it themselves; this one hears it after.
+
+    Blocked, not ignored: what comes while it is ignored is lost, and the campaign goes on.
+    """
+    resource_tracker.ensure_running()  # Its start would end the blocking.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class DaskCluster:
@@ -254,7 +258,7 @@ class DaskCluster:
         """
         if not tasks:
             return
-        with self._quiet(), self._unsampled(), self._client() as client:
+        with safe_path(), self._quiet(), self._unsampled(), self._client() as client:
             self._see_workers(client)
             client.register_worker_callbacks(_settle)  # of those that come later, too
             waiting = deque(tasks)

@@ -205,4 +205,18 @@ CASES: tuple[FaultCase, ...] = (
         effect="disarm",
         within_s=15.0,
     ),
+    FaultCase(
+        rule=Failsafe.WATCHDOG,
+        faults=(_fault("watchdog_ended"),),
+        params={"FS_WDOG_ACT": 2},
+        effect="surface",
+        within_s=3.2,
+    ),
+    FaultCase(
+        rule=Failsafe.CAMERA,
+        faults=(_fault("camera_near_frozen", 3.0),),
+        effect="hold",
+        within_s=12.0,
+    ),
+    FaultCase(rule=Failsafe.SENDER, faults=(_fault("second_sender"),), effect="hold", within_s=0.3),
 )

@@ -20,11 +20,11 @@ from autopilot.campaign.fault_cases import FaultCase
 from autopilot.command.failsafe_table import Effect
 from autopilot.core.messages import Outputs
 from autopilot.mavlink.api import FlightMode
+from autopilot.mission.room import Room
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from mission.room import Room
-from sitl.scenario import scenario_path
-from sitl.toml_text import toml_text
+from autopilot.sitl.scenario import scenario_path
+from autopilot.sitl.toml_text import toml_text
 
 PLANS = {"paper-tank": "paper.plan", "harbour": "harbour.mission.toml"}
 """Scenarios that are flown, and what is flown in them."""

@@ -10,7 +10,7 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Event, Failsafe, Fallback, Outputs, ProgressState, Severity
 from autopilot.log.analysis import Span, Track
 from autopilot.log.smoothness import Commands, is_told
-from sitl.plant import Truth
+from autopilot.sitl.plant import Truth
 
 COLUMNS = (
     *("t_s", "x", "y", "z", "roll", "pitch", "yaw", "u", "v", "w", "u_r", "v_r", "w_r", "p", "q", "r"),

@@ -13,7 +13,7 @@ import autopilot.control.robust.ancillary
 import autopilot.control.robust.regions
 import autopilot.control.robust.terminal
 import autopilot.control.robust.tube
+import autopilot.estimator.complementary
+import autopilot.estimator.ekf
+import autopilot.estimator.relocation
 import autopilot.mavlink.dispatch
-import estimator.complementary
-import estimator.ekf
-import estimator.relocation

@@ -88,7 +88,8 @@ for _command in (
     *(bench_rows.nmpc, bench_rows.sitl, bench_rows.estimator, bench_rows.pockets, bench_rows.energy),
     *(bench_rows.energy_latency, bench_rows.loop, bench_rows.modes),
     *(bench_judged.faults, bench_judged.fuzz, bench_judged.sensor_faults, bench_judged.detection),
-    *(bench_judged.vehicles, bench_judged.kills, bench_judged.soak, bench_judged.thruster_health),
+    *(bench_judged.vehicles, bench_judged.kills, bench_judged.soak, bench_judged.alarms),
+    *(bench_judged.picture_faults, bench_judged.thruster_health),
     *(bench_replay.replay, bench_replay.reference),
 ):
     bench.add_command(_command)

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import click
 
-from autopilot.cli.bench_tables import TITLES, judge, judge_rows, print_rows, tell
+from autopilot.cli.bench_tables import TITLES, judge, judge_rows, print_rows, seed_range, tell
+from autopilot.cli.finite import FiniteRange
 from autopilot.cli.output import print_table
 
 _SHORT = click.option("--short", is_flag=True, help="Fewer runs, for a quick look.")
 _JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+PICTURE_KINDS = ("near_frozen", "repeated", "delayed", "mirrored", "half_frozen", "elsewhere", "reflection")
 _SEED = click.option("--seed", type=int, default=1, show_default=True, help="Where its random numbers come from.")
 
 
@@ -85,6 +87,31 @@ def sensor_faults(short: bool, as_json: bool) -> None:
     rows = list(bench_sensor_faults(short, tell))
     kept = all(row.kept for row in rows if row.fault not in HIDDEN)
     judge_rows(kept, "sensor-faults", [asdict(row) for row in rows], as_json=as_json)
+
+
+@click.command("picture-faults")
+@_SHORT
+@click.option("--kind", "kinds", multiple=True, type=click.Choice(PICTURE_KINDS), help="Only these kinds of faults.")
+@click.option("--sensors", type=click.Choice(("pose", "camera")), default="camera", show_default=True)
+@click.option(
+    "--seeds",
+    metavar="A..B",
+    callback=seed_range,
+    help="First and last seed (default 1..20, with --short 1..2).",
+)
+@_JSON
+def picture_faults(short: bool, kinds: tuple[str, ...], sensors: str, seeds: range | None, as_json: bool) -> None:
+    """Flights with pictures that look right and are not of here and now.
+
+    Near-frozen, repeated, delayed, mirrored, half-frozen, of another place, with reflections, 1 to 10 s each (an hour
+    with rendered pictures, ten minutes with the pose sensor; exit code 1 if a promise is not kept).
+    """
+    from autopilot.bench.picture_faults import SEEDS, SHORT_SEEDS, bench_picture_faults
+
+    chosen = seeds or (SHORT_SEEDS if short else SEEDS)
+    rows = list(bench_picture_faults(kinds or PICTURE_KINDS, chosen, sensors, tell))
+    shown = [{key: value for key, value in asdict(row).items() if as_json or key != "texts"} for row in rows]
+    judge_rows(all(row.kept for row in rows), "picture-faults", shown, as_json=as_json)
 
 
 @click.command()
@@ -182,6 +209,35 @@ def soak(short: bool, seed: int, as_json: bool) -> None:
     }
     looks = [asdict(look) for look in flight.looks]
     judge(flight.kept, {**row, "looks": looks}, lambda: print_rows("soak", [row]), as_json=as_json)
+
+
+@click.command()
+@_SHORT
+@click.option("--runs", type=click.IntRange(1), help="Seeds (default 20, with --short 1).")
+@click.option("--duration", type=FiniteRange(6.0), help="Of each flight [s] (default 600, with --short 30).")
+@click.option("--sensors", type=click.Choice(("pose", "camera")), default="pose", show_default=True)
+@click.option("--only", metavar="SCENARIO", help="This one alone.")
+@_SEED
+@_JSON
+def alarms(
+    short: bool, runs: int | None, duration: float | None, sensors: str, only: str | None, seed: int, as_json: bool
+) -> None:
+    """Sound vehicles that raise an alarm: no warning is allowed.
+
+    All scenarios and vehicles without a fault, a third of the time each disarmed, armed and on the mission (hours, ten
+    minutes with --short; exit code 1 if any WARNING or worse is said).
+    """
+    from autopilot.bench.alarms import FLIGHTS, bench_alarms
+
+    if only is not None and only not in {scenario for scenario, _ in FLIGHTS}:
+        raise click.UsageError(f"--only {only}: there is {', '.join(dict(FLIGHTS))}")
+    flights = []
+    for flight in bench_alarms(
+        range(seed, seed + (runs or (1 if short else 20))), duration or (30.0 if short else 600.0), sensors, only
+    ):
+        tell(f"{flight.scenario} {flight.vehicle} seed {flight.seed}: {', '.join(flight.alarms) or 'quiet'}")
+        flights.append(flight)
+    judge_rows(all(each.kept for each in flights), "alarms", [asdict(each) for each in flights], as_json=as_json)
 
 
 @click.command("thruster-health")

@@ -17,11 +17,14 @@ TITLES = {
     "faults": "What comes from outside, and what the service makes of it; before = at revision 0501193",
     "sensor-faults": "Worst of the seeds from the beginning of the fault on; kept: inside 3 sigma in 95 % of the ticks,"
     " called good for at most 1 s when far off, no contact, nothing blamed on thrusters",
+    "picture-faults": "Pictures that are not of here and now; kept: no contact, outside 3 sigma called good for at most"
+    " 0.5 s; back = from the fault's end to the first fix used; blamed = a sound thruster or inertial sensor",
     "thruster-health": "Sound and lossy thrusters; false = flights with a word about a sound one, false_below with 95 %"
     " confidence; times from the loss on, inf = not within 35 s",
     "replay": "Flights and their replays: fields that differ, and the first of them",
     "reference": "Figures of the reference flights that have moved since they were kept",
     "kills": "A service killed at random moments: changes accepted, killed in the middle of one, lost, and its logs",
+    "alarms": "Sound vehicles, disarmed, holding and flying: what was said that was not true",
     "soak": "Laps without end: memory after the warm-up, its growth per hour, descriptors",
     "vehicles": "Vehicles made at random, 20 s in open water each: flown or refused with the axis that lacks thrust",
     "detection": "Markers shown and found with a prediction, by OpenCV's defaults, by these and not by us, false ids;"

@@ -47,8 +47,8 @@ def certify(
     from autopilot.bench.robust import certificate_table, cost_table, lipschitz_table, tube_table
     from autopilot.core.params import ParamSet
     from autopilot.core.vehicle import load_vehicle
+    from autopilot.mission.reach import widest_m
     from autopilot.run.config import parse_overrides
-    from mission.reach import widest_m
 
     params, body = ParamSet(parse_overrides(overrides)), load_vehicle(vehicle)
     goals, fence = _goals(plan, params, body)
@@ -86,11 +86,11 @@ def _goals(path: Path | None, params: "ParamSet", vehicle: "Vehicle") -> "tuple[
     """Waypoints of a plan (no place twice) and its fence. PlanError if there is none or it does not pass the checks."""
     from autopilot.core.errors import PlanError
     from autopilot.core.messages import Goal
-    from mission.items import GoTo
-    from mission.loading import load_plan
-    from mission.paper import paper_plan
-    from mission.plan_files import read_plan
-    from mission.store import Plans
+    from autopilot.mission.items import GoTo
+    from autopilot.mission.loading import load_plan
+    from autopilot.mission.paper import paper_plan
+    from autopilot.mission.plan_files import read_plan
+    from autopilot.mission.store import Plans
 
     plan = paper_plan() if path is None else read_plan(path)
     name = "the paper's plan" if path is None else str(path)

@@ -46,7 +46,7 @@ def _of_sitl(scenario: str | None, instance: int) -> "tuple[Settings, dict[str, 
 
     from autopilot.core.vehicle import load_vehicle
     from autopilot.run.config import gather, sitl_defaults
-    from sitl.scenario import load_scenario
+    from autopilot.sitl.scenario import load_scenario
 
     settings = gather(sitl_defaults(instance), {"scenario": scenario})
     loaded = load_scenario(settings["scenario"])

@@ -89,8 +89,8 @@ def _truth(log: Path, vehicle: "Vehicle") -> dict[str, float]:
     from autopilot.identify.prediction import AXES
     from autopilot.identify.report import REFERENCE_SPEEDS
     from autopilot.log.reader import open_log
-    from sitl.mismatch import mismatched
-    from sitl.scenario import Scenario
+    from autopilot.sitl.mismatch import mismatched
+    from autopilot.sitl.scenario import Scenario
 
     data = open_log(log).attachments.get("scenario.json")
     if data is None:

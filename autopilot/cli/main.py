@@ -18,7 +18,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "config": ("autopilot.cli.config:config", "Show the effective configuration and where it comes from."),
     "currents": ("autopilot.cli.currents:currents", "Check current maps, make the benchmark's."),
     "demo": ("autopilot.cli.demo:demo", "Fly the paper's mission in the simulated tank and judge it."),
-    "doctor": ("autopilot.cli.doctor:doctor", "Look a real vehicle over: what is there, what is wrong, what to do."),
+    "doctor": ("autopilot.cli.doctor:doctor", "Whether a real vehicle would arm, and if not, why and what to do."),
     "emulate": ("autopilot.cli.emulate:emulate", "Be a vehicle's flight controller, to try `run` on."),
     "failsafes": ("autopilot.cli.failsafes:failsafes", "The table of failsafes: conditions, parameters, effects."),
     "identify": ("autopilot.cli.identify:identify", "Masses and drags of a vehicle from logs of its flights."),

@@ -3,8 +3,14 @@
 import hashlib
 import secrets
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+from autopilot.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from autopilot.run.signing_files import SigningFiles
 
 
 @click.group()
@@ -14,33 +20,58 @@ def mavlink() -> None:
 
 @mavlink.command()
 @click.argument("action", type=click.Choice(["make", "show", "forget"]))
-@click.option("--config", "config_file", help="The vehicle's configuration, as for `autopilot run`; without it SITL's.")
-@click.option("--instance", type=click.IntRange(0, 99), default=0, show_default=True, help="Number of the vehicle.")
+@click.option("--config", "config_file", help="The vehicle's configuration, as for `autopilot run`.")
+@click.option("--instance", type=click.IntRange(0, 99), help="The simulated vehicle of this number (with --config: 0).")
 @click.option("--passphrase", is_flag=True, help="make: ask for a passphrase (SHA-256 of it, as MAVProxy does).")
-def key(action: str, config_file: str | None, instance: int, passphrase: bool) -> None:
+@click.option("--force", is_flag=True, help="make: replace the key that is there.")
+def key(action: str, config_file: str | None, instance: int | None, passphrase: bool, force: bool) -> None:
     """Make, show or forget the key that frames are signed with.
 
     The key is printed once, for the ground station; it stands in the vehicle's state folder, readable by its user only.
-    A running service takes it at its next start.
+    A running service takes it at its next start. `make` and `forget` want to know whose: --config or --instance.
     """
-    from autopilot.run.signing_files import SigningFiles
-
-    files = SigningFiles(_folder(config_file, instance))
+    if config_file is None and instance is None and action != "show":
+        raise click.UsageError(
+            f"key {action}: whose key? Give --config FILE for a vehicle, or --instance 0 for the simulation"
+        )
+    whose = f"simulation, instance {instance or 0}" if config_file is None else f"vehicle of {config_file}"
+    files = _files(_folder(config_file, instance or 0), replace=force and action == "make")
     for warning in files.warnings:
         click.echo(f"warning: {warning}", err=True)
     if action == "show":
         present = files.state.key
+        click.echo(f"{whose} ({files.path})", err=True)
         click.echo("no key: frames are not signed" if present is None else present.hex())
     elif action == "forget":
         files.write_key(None)
-        click.echo(f"{files.path}: no key; restart the service")
+        click.echo(f"{whose}: no key any more ({files.path}); restart the service")
     else:
+        if files.state.key is not None and not force:
+            raise click.UsageError(
+                f"key make: the {whose} has a key ({files.path}); `show` prints it, --force replaces it, and ground "
+                "stations with the old one are not heard any more"
+            )
         made = secrets.token_bytes(32)
         if passphrase:
             made = hashlib.sha256(click.prompt("Passphrase", hide_input=True).encode()).digest()
         files.write_key(made)
         click.echo(made.hex())
-        click.echo(f"{files.path}: key made; restart the service, give the key to the ground station", err=True)
+        click.echo(
+            f"{whose}: key made ({files.path}); restart the service, give the key to the ground station", err=True
+        )
+
+
+def _files(folder: Path, *, replace: bool) -> "SigningFiles":
+    """The key of a state folder. ``replace``: a file that is no key is no obstacle."""
+    from autopilot.run.signing_files import SigningFiles
+
+    try:
+        return SigningFiles(folder)
+    except ConfigError:
+        if not replace:
+            raise
+        SigningFiles.discard(folder)
+        return SigningFiles(folder)
 
 
 def _folder(config_file: str | None, instance: int) -> Path:

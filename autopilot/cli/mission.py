@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from autopilot.client.session import MissionStatus, Session
     from autopilot.client.texts import Text
     from autopilot.core.plan import PlanKind
-    from mission.plan_model import PlanFile
+    from autopilot.mission.plan_model import PlanFile
 
 DEFAULT_CONNECTION = "udpout:127.0.0.1:14540"
 """Where a simulated vehicle listens for clients."""
@@ -59,7 +59,7 @@ def upload(file: Path, clear: bool, connection: str, patience: float, as_json: b
     Exit code 1: refused, the vehicle keeps what it had. 3: stored, but mission, fence and rally points do not fit each
     other, and the vehicle does not fly before that is mended.
     """
-    from mission.plan_files import read_plan
+    from autopilot.mission.plan_files import read_plan
 
     plan = read_plan(file)
     with _session(connection, patience, as_json) as session:
@@ -82,7 +82,7 @@ def upload(file: Path, clear: bool, connection: str, patience: float, as_json: b
 def download(file: Path, connection: str, patience: float, as_json: bool) -> None:
     """Read the vehicle's plans and write them to FILE (.plan)."""
     from autopilot.core.plan import PlanKind
-    from mission.plan_files import PlanFile, write_plan
+    from autopilot.mission.plan_files import PlanFile, write_plan
 
     with _session(connection, patience, as_json) as session:
         plans = {}
@@ -120,7 +120,7 @@ def start(
 ) -> None:
     """Arm the vehicle and start its mission, after sending FILE if one is given."""
     from autopilot.core.messages import ProgressState
-    from mission.plan_files import read_plan
+    from autopilot.mission.plan_files import read_plan
 
     plan = None if file is None else read_plan(file)
     with _session(connection, patience, as_json) as session:
@@ -159,9 +159,9 @@ def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -
     from autopilot.core.params import ParamSet
     from autopilot.core.plan import PlanKind
     from autopilot.core.vehicle import load_vehicle
+    from autopilot.mission.judgement import judge_file
+    from autopilot.mission.plan_files import read_plan
     from autopilot.run.config import parse_overrides
-    from mission.judgement import judge_file
-    from mission.plan_files import read_plan
 
     params = ParamSet(parse_overrides(overrides))
     radius_m = load_vehicle(vehicle).radius_m

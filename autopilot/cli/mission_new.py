@@ -12,7 +12,7 @@ from autopilot.cli.finite import Finite
 from autopilot.cli.output import EXIT_LOSS, emit_json
 
 if TYPE_CHECKING:
-    from mission.local_plan import WaypointTable
+    from autopilot.mission.local_plan import WaypointTable
 
     _NumbersType = click.ParamType[tuple[float, ...]]
 else:
@@ -90,8 +90,8 @@ def new(
     from autopilot.core.origin_params import params_origin
     from autopilot.core.params import ParamSet
     from autopilot.core.vehicle import load_vehicle
-    from mission.judgement import judge_file
-    from mission.local_plan import (
+    from autopilot.mission.judgement import judge_file
+    from autopilot.mission.local_plan import (
         CircleTable,
         EndTable,
         FenceTable,
@@ -101,7 +101,7 @@ def new(
         RepeatTable,
         plan_of_local,
     )
-    from mission.plan_files import write_plan
+    from autopilot.mission.plan_files import write_plan
 
     if out.suffix != ".plan":
         raise ConfigError(f"--out {out}: give a name that ends in .plan")
@@ -153,7 +153,7 @@ def _corners(tank: tuple[float, ...]) -> list[tuple[float, float]]:
 
 def _told(waypoints: tuple[tuple[float, ...], ...], speed: float | None) -> list[WaypointTable]:
     """The waypoints of the command line; the speed holds from the first one on."""
-    from mission.local_plan import WaypointTable
+    from autopilot.mission.local_plan import WaypointTable
 
     return [
         WaypointTable(

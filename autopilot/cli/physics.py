@@ -39,7 +39,7 @@ def physics(
 
     from autopilot.core.errors import ConfigError
     from autopilot.run.sitl_physics import home_of, serve_physics
-    from sitl.scenario import load_scenario
+    from autopilot.sitl.scenario import load_scenario
 
     host, _, port = listen.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:

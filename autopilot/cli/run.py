@@ -1,5 +1,6 @@
 """``autopilot run``: the service on a real vehicle."""
 
+import time
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,6 +11,7 @@ from autopilot.cli.part_name import part_name
 from autopilot.cli.service_run import StopSignals, settle_memory, tell_losses
 from autopilot.cli.view_option import foxglove_option, opened_foxglove, opened_view, view_option
 from autopilot.run.config import PROFILES
+from autopilot.run.process_start import process_start_s
 
 if TYPE_CHECKING:
     from autopilot.core.messages import RunEnd
@@ -40,7 +42,7 @@ def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given
     from autopilot.run.config import gather, parse_overrides, vehicle_defaults
     from autopilot.run.vehicle_config import load_config
 
-    stop = StopSignals()
+    stop, began_s = StopSignals(), process_start_s()
     loaded = load_config(config)
     settings = gather(
         vehicle_defaults(instance),
@@ -51,7 +53,8 @@ def run(config: str, param: tuple[str, ...], instance: int, quiet: bool, **given
     overrides = parse_overrides(param)
     with opened_view(settings["view"]) as view, opened_foxglove(settings["foxglove"]) as foxglove:
         while True:
-            session, end = _run(settings, loaded, overrides, instance, stop, view, foxglove, quiet=quiet)
+            session, end = _run(settings, loaded, overrides, instance, stop, view, foxglove, began_s, quiet=quiet)
+            began_s = time.time()
             if stop or end is None or end.value != "again":
                 break
             tell_losses(session)
@@ -71,6 +74,7 @@ def _run(
     stop: StopSignals,
     view: "Hub | None",
     foxglove: "FoxgloveServer | None",
+    began_s: float,
     *,
     quiet: bool,
 ) -> "tuple[Session, RunEnd | None]":
@@ -89,6 +93,7 @@ def _run(
             overrides,
             instance=instance,
             links=boot.links,
+            now_s=began_s,
             on_tick=lines.step,
             view=view,
             foxglove=foxglove,

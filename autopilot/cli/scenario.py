@@ -10,7 +10,7 @@ import click
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
-    from sitl.scenario import Scenario
+    from autopilot.sitl.scenario import Scenario
 
 
 @click.group()
@@ -22,7 +22,7 @@ def scenario() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 def list_shipped(as_json: bool) -> None:
     """The scenarios that are shipped."""
-    from sitl.scenario import load_scenario, scenario_names
+    from autopilot.sitl.scenario import load_scenario, scenario_names
 
     known = [load_scenario(name) for name in scenario_names()]
     if as_json:
@@ -71,7 +71,7 @@ def check(file: str, vehicle: str | None, as_json: bool) -> None:
     Exit code 1, with the reason, if it cannot be simulated or its plan not flown; 3 with remarks.
     """
     from autopilot.run.sitl_check import check_scenario
-    from sitl.scenario import load_scenario, with_vehicle
+    from autopilot.sitl.scenario import load_scenario, with_vehicle
 
     known = load_scenario(file)
     if vehicle is not None:
@@ -111,9 +111,9 @@ def new(name: str, source: str, out: Path) -> None:
 def plan(file: str, out: Path, force: bool) -> None:
     """Write the plan of a scenario, with the fence that it draws, for QGroundControl or autopilot mission upload."""
     from autopilot.core.errors import ConfigError
+    from autopilot.mission.plan_files import read_plan, write_plan
     from autopilot.run.sitl_fence import scenario_plan
-    from mission.plan_files import read_plan, write_plan
-    from sitl.scenario import load_scenario, plan_path
+    from autopilot.sitl.scenario import load_scenario, plan_path
 
     known = load_scenario(file)
     source = plan_path(file, known)

@@ -1,5 +1,6 @@
 """``autopilot sitl``: the service on a simulated vehicle."""
 
+import time
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -11,6 +12,7 @@ from autopilot.cli.service_run import StopSignals, settle_memory, tell_losses
 from autopilot.cli.view_option import foxglove_option, opened_foxglove, opened_view, view_option
 from autopilot.core.errors import AutopilotError
 from autopilot.run.config import BASINS, CURRENTS, PROFILES, SENSORS, UNTIL, WIRES
+from autopilot.run.process_start import process_start_s
 
 if TYPE_CHECKING:
     from autopilot.run.config import Settings
@@ -63,11 +65,12 @@ def sitl(scenario: str | None, param: tuple[str, ...], instance: int, quiet: boo
     from autopilot.run.config import gather, parse_overrides, sitl_defaults
 
     settings = gather(sitl_defaults(instance), {"scenario": scenario, **given})
-    stop = StopSignals()
+    stop, began_s = StopSignals(), process_start_s()
     overrides = parse_overrides(param)
     with opened_view(settings["view"]) as view, opened_foxglove(settings["foxglove"]) as foxglove:
         while True:
-            session, watch = _run(settings, overrides, instance, stop, view, foxglove, quiet=quiet)
+            session, watch = _run(settings, overrides, instance, stop, view, foxglove, began_s, quiet=quiet)
+            began_s = time.time()
             again = watch.run_end is not None and watch.run_end.value == "again" and not stop
             if not again and (session.steering is None or not session.steering.reset):
                 break
@@ -93,6 +96,7 @@ def _run(
     stop: StopSignals,
     view: "Hub | None",
     foxglove: "FoxgloveServer | None",
+    began_s: float,
     *,
     quiet: bool,
 ) -> "tuple[SitlSession, RunWatch]":
@@ -109,6 +113,7 @@ def _run(
             overrides,
             instance=instance,
             links=boot.links,
+            now_s=began_s,
             on_tick=lambda outputs: watch.step(outputs),
             view=view,
             foxglove=foxglove,

@@ -8,9 +8,10 @@ from autopilot.command.failsafes import FailsafeRules
 from autopilot.core.geodesy import MAX_RANGE_M, far_text
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
-from autopilot.core.phrases import PLAN_REASON
-from mission.goals import Goals
-from mission.store import Plans
+from autopilot.core.phrases import NO_FENCE, PLAN_REASON
+from autopilot.core.plan import PlanKind, has_shapes
+from autopilot.mission.goals import Goals
+from autopilot.mission.store import Plans
 
 CHECKING = "plan check is running, try again"
 """What is said when parameters or origin have changed and the answer about the plans is not there yet."""
@@ -46,6 +47,8 @@ class ArmingChecks:
         reasons += [] if nav is None else self._of_place(nav)
         if self._params["DEPTH_MIN"] >= self._params["DEPTH_MAX"]:
             reasons.append("the depth band is empty: set DEPTH_MIN below DEPTH_MAX")
+        if not self.fenced and self._params["FENCE_REQUIRED"] > 0.0:
+            reasons.append(f"{NO_FENCE}: upload one (FENCE_REQUIRED 0: only warn)")
         if self._plans.checking:
             reasons.append(CHECKING)
         else:
@@ -58,6 +61,11 @@ class ArmingChecks:
     def of_plans(self) -> tuple[str, ...]:
         """What mission, fence and rally points have against it."""
         return (PLAN_REASON + self._plans.problem,) if self._plans.problem else ()
+
+    @property
+    def fenced(self) -> bool:
+        """Whether there is a fence."""
+        return has_shapes(self._plans.items(PlanKind.FENCE))
 
     def _of_place(self, nav: NavState) -> list[str]:
         reasons = []

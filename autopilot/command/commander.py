@@ -13,6 +13,7 @@ from autopilot.command.announcements import Announcements
 from autopilot.command.arming import CHECKING, STARTING, ArmingChecks, ControllerCheck
 from autopilot.command.conditions import Conditions
 from autopilot.command.decision import Decision
+from autopilot.command.disarming import Disarming
 from autopilot.command.failsafes import FailsafeRules
 from autopilot.command.mission_run import MissionRun
 from autopilot.command.modes import Modes
@@ -30,13 +31,14 @@ from autopilot.core.geodesy import Origin, Place, refuse_place
 from autopilot.core.geometry import Fence
 from autopilot.core.messages import Event, NavState, RunEnd, Severity
 from autopilot.core.params import ParamSet
+from autopilot.core.phrases import NO_FENCE
 from autopilot.core.plan import PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import BLIND, Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint
-from mission.goals import Goals
-from mission.judgement import Verdict
-from mission.sequencer import Position
-from mission.store import Plans
+from autopilot.mission.goals import Goals
+from autopilot.mission.judgement import Verdict
+from autopilot.mission.sequencer import Position
+from autopilot.mission.store import Plans
 
 READINESS_EVERY_TICKS = 50
 """Arming checks are looked at twice per second for telemetry, and anew when arming is asked for."""
@@ -71,6 +73,7 @@ class Commander:
         piloting, self._offboard = Piloting(vehicle, params, self._goals), Offboard(params, self._goals)
         self._modes = Modes(self._goals, self._mission, self._failsafes, self._operator, piloting, self._offboard)
         self._steering = Steering(vehicle, params, plans, self._goals, self._modes)
+        self._disarming = Disarming(self._operator)
         self._tests = MotorTests(vehicle, self._goals, self._modes, self._operator)
         self._refusals = Refusals(plans, self._goals, self._mission, self._modes, self._failsafes, self._offboard)
         self._watch = Watch(vehicle, plans, self._goals)
@@ -87,6 +90,18 @@ class Commander:
     def armed(self) -> bool:
         """Whether thrusters may turn."""
         return self._modes.armed
+
+    @property
+    def shows_armed(self) -> bool:
+        """Whether thrusters may turn, by us or by the flight controller below."""
+        conditions = self._modes.conditions
+        below = None if conditions is None else conditions.below
+        return self._modes.armed or (below is not None and below.armed is True)
+
+    @property
+    def stops_below(self) -> bool:
+        """Whether the flight controller below is to be disarmed."""
+        return self._disarming.waits and not self._modes.armed
 
     @property
     def mode(self) -> FlightMode:
@@ -127,6 +142,11 @@ class Commander:
         """:meth:`prearm_reasons` as of the last half second, for telemetry; only that of the plans while armed."""
         return self._arming.of_plans if self._modes.armed else self._readiness
 
+    @property
+    def fenced(self) -> bool:
+        """Whether there is a fence."""
+        return self._arming.fenced
+
     def prearm_reasons(self) -> tuple[str, ...]:
         """Why arming would be refused now; empty when ready."""
         return self._arming.reasons(self._modes.conditions, blind=self._modes.chosen in BLIND)
@@ -145,17 +165,29 @@ class Commander:
         if reasons:
             self._operator.say(Severity.WARNING, "Forced arming despite: " + "; ".join(reasons))
         self._modes.arm()
+        self._disarming.give_up()
         self._ending = None
         mode = self._modes.chosen
         allowed = self._refusals.of_mode(mode) is None and not self._steering.prepare(mode)
         self._modes.enter(mode if allowed else FlightMode.HOLD)
         self._operator.say(Severity.INFO, "Armed")
+        if not self._arming.fenced:
+            self._operator.say(Severity.NOTICE, f"Armed with {NO_FENCE}: keep clear of walls, or upload one")
         return _ACCEPTED
 
     def disarm(self, force: bool) -> Answer:
-        """Disarm. ``force`` marks an emergency stop; both are always accepted. The next arming begins in HOLD."""
-        self._modes.disarm(force=force)
-        return _ACCEPTED
+        """Disarm. ``force`` marks an emergency stop; neither is refused. The next arming begins in HOLD.
+
+        With a flight controller below the answer is IN_PROGRESS until its heartbeat shows it (:meth:`disarmed`)."""
+        modes = self._modes
+        modes.disarm(force=force)
+        modes.stops_below = modes.handed_back = False
+        self._disarming.begin()
+        return self._disarming.answer
+
+    def disarmed(self) -> Answer:
+        """What has become of the last disarming."""
+        return self._disarming.answer
 
     def set_mode(self, mode: FlightMode) -> Answer:
         """Change the mode, or say why not."""
@@ -384,6 +416,7 @@ class Commander:
         self._ticks += 1
         goal, reached = modes.advance(conditions)
         test = self._tests.step(conditions)
+        self._stop_below(conditions)
         orders, modes.equipment_orders = tuple(modes.equipment_orders), []
         return Decision(
             orders=orders,
@@ -399,7 +432,15 @@ class Commander:
             by_hand=modes.by_hand(conditions) if test is None else None,
             drop_weight=modes.drop_weight,
             hand_back=modes.handed_back,
+            stop_below=self.stops_below,
         )
+
+    def _stop_below(self, conditions: Conditions) -> None:
+        """What has been disarmed is disarmed below."""
+        if self._modes.stops_below:
+            self._modes.stops_below = False
+            self._disarming.begin()
+        self._disarming.step(conditions.below)
 
     def _may_resume(self) -> bool:
         """Whether a mission that a pilot has interrupted goes on."""

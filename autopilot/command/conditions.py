@@ -33,6 +33,8 @@ class Conditions:
     """Those that do the same of which one is weak, nobody knows which: each has its part of what they give."""
     thruster_problem: str = ""
     """What the thrusters that are left cannot do any more."""
+    watchdog_problem: str = ""
+    """What is wrong with the process that stops the thrusters when the service cannot."""
     thrusters_unseen: tuple[str, ...] = ()
     """Those of which nobody would know had they lost half of their thrust."""
     command_delay_s: float = 0.0

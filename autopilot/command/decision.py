@@ -6,7 +6,7 @@ from typing import TypeAlias
 from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.messages import Goal, MissionProgress
 from autopilot.mavlink.api import FlightMode
-from mission.items import Order
+from autopilot.mission.items import Order
 
 Pose: TypeAlias = tuple[float, float, float, float]
 
@@ -36,3 +36,5 @@ class Decision:
     """Of mission items passed on this tick, for what the vehicle carries."""
     hand_back: bool = False
     """A failsafe has given the thrusters to the flight controller below."""
+    stop_below: bool = False
+    """The flight controller below is to be disarmed, until its heartbeat shows it."""

@@ -14,7 +14,10 @@ _DEVICE_NAMES = {
     DeviceRole.SENSORS: "Sensors",
     DeviceRole.CAMERA: "Camera",
     DeviceRole.THRUSTERS: "Thrusters",
+    DeviceRole.WATCHDOG: "Thruster watchdog",
 }
+_SAID_ONCE = frozenset({DeviceRole.WATCHDOG})
+"""What is not said again while it lasts: it has a failsafe of its own."""
 
 
 class DeviceWatch:
@@ -25,6 +28,8 @@ class DeviceWatch:
         self._last_us: dict[DeviceRole, int] = {}
         self.counts = dict.fromkeys(DeviceRole, 0)
         """Ticks on which a device could not be used."""
+        self.watchdog_problem = ""
+        """What is wrong on this tick with the process that stops the thrusters when the service cannot."""
 
     @property
     def thruster_problem(self) -> str:
@@ -34,10 +39,13 @@ class DeviceWatch:
     def step(self, t_us: int, troubles: Sequence[DeviceTrouble]) -> list[Event]:
         """Lines for the operator."""
         events = []
+        self.watchdog_problem = ""
         for trouble in troubles:
             device, name = trouble.device, _DEVICE_NAMES[trouble.device]
             self.counts[device] += 1
-            said_us = self._said_us.get(device)
+            if device is DeviceRole.WATCHDOG:
+                self.watchdog_problem = trouble.text
+            said_us = self._last_us.get(device) if device in _SAID_ONCE else self._said_us.get(device)
             if said_us is None or t_us - said_us >= SAY_EVERY_US:
                 self._said_us[device] = t_us
                 events.append(Event(t_us=t_us, severity=Severity.CRITICAL, text=f"{name} failed: {trouble.text}"))

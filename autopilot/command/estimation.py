@@ -16,7 +16,8 @@ from autopilot.core.messages import (
     Severity,
     ShadowStatus,
 )
-from estimator.protocol import Estimator
+from autopilot.core.model4 import NO_STATE
+from autopilot.estimator.protocol import Estimator
 
 LAST_ESTIMATE_US = 200_000
 """So long the last estimate stands in for an estimator that fails; then there is none."""
@@ -38,8 +39,18 @@ class Estimated:
     doubts: frozenset[NavDoubt] = frozenset()
 
 
+NOT_FINITE = "Estimate not finite: not used, restart if it stays"
+FINITE = "Estimate is finite again"
+FINITE_AGAIN_US = 1_000_000
+"""After so long without one that is not finite."""
+
+
 class Estimation:
-    """Runs the estimator under the guard."""
+    """Runs the estimator under the guard.
+
+    An estimate that is not finite, or of no vehicle, is none: the last one stands in for it as for one that failed. It
+    is counted as ``nav.not_finite`` and told.
+    """
 
     def __init__(self, estimator: Estimator, guard: Guard) -> None:
         self._estimator = estimator
@@ -47,6 +58,8 @@ class Estimation:
         self._estimated_us = 0
         self._ahrs_us: int | None = None
         self._remarks: list[Event] = []
+        self._not_finite = 0
+        self._not_finite_us: int | None = None
         self.nav: NavState | None = None
         """The estimate of the last tick."""
         self.doubts: frozenset[NavDoubt] = frozenset()
@@ -61,6 +74,10 @@ class Estimation:
         found = self._guard.run("estimator", lambda: self._estimate(inputs, given), None, lambda: (inputs, given))
         if found is None:
             found = self._stand_in(inputs.t_us)
+        elif not self._finite(inputs.t_us, found.nav):
+            found = replace(found, nav=self._stand_in(inputs.t_us).nav)
+        else:
+            self._estimated_us, self.doubts = inputs.t_us, found.doubts
         self.nav, self._ahrs_us = found.nav, found.ahrs_us
         self.aid_ratio.update((aid.sensor, aid.test_ratio) for aid in found.aids)
         return found
@@ -70,15 +87,29 @@ class Estimation:
         nav = estimator.step(t_us, inputs.samples + given.samples, given.thrust_n)
         remarks = estimator.take_remarks()
         self._remarks += [Event(t_us=t_us, severity=Severity.WARNING, text=text) for text in remarks]
-        estimated = Estimated(
+        return Estimated(
             nav=nav,
             ahrs_us=estimator.ahrs_us,
             aids=estimator.take_aids(),
             shadow=estimator.shadow,
             doubts=estimator.doubts,
         )
-        self._estimated_us, self.doubts = t_us, estimated.doubts
-        return estimated
+
+    def _finite(self, t_us: int, nav: NavState | None) -> bool:
+        """Whether an estimate may be used; tells of one that may not."""
+        if nav is None or nav.health is NavHealth.INVALID:
+            return True
+        numbers = (nav.pos_ned_m, nav.rpy_rad, nav.vel_frd_m_s, nav.vel_water_frd_m_s, nav.rate_frd_rad_s)
+        sound = sum([sum(map(abs, part.tolist())) for part in (*numbers, nav.current_ned_m_s)]) < NO_STATE
+        sound = sound and sum(map(abs, nav.variance.tolist())) < NO_STATE**2
+        if not sound:
+            if self._not_finite_us is None:
+                self._remarks.append(Event(t_us=t_us, severity=Severity.ERROR, text=NOT_FINITE))
+            self._not_finite, self._not_finite_us = self._not_finite + 1, t_us
+        elif self._not_finite_us is not None and t_us - self._not_finite_us > FINITE_AGAIN_US:
+            self._not_finite_us = None
+            self._remarks.append(Event(t_us=t_us, severity=Severity.INFO, text=FINITE))
+        return sound
 
     def _stand_in(self, t_us: int) -> Estimated:
         """The estimator has failed: what it said last, for a moment."""
@@ -105,4 +136,4 @@ class Estimation:
             sum(unused.values()) - fixes,
             counts.get("resets", 0),
         )
-        return {**counts, **pictures}
+        return {**counts, **pictures, "nav.not_finite": self._not_finite}

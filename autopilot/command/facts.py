@@ -33,6 +33,9 @@ LATCHED_US = 2_000_000
 FROZEN_READINGS = 20
 """So many equal readings in a row are no measurement: the last digits of every sensor here are noise."""
 
+QUIET, IMPLAUSIBLE = "silent or frozen", "implausible"
+"""Of a sensor that says nothing that counts."""
+
 LATE_EVERY_US = 1_000_000
 """The share of late ticks is taken over so long."""
 
@@ -54,6 +57,8 @@ class _Heard:
     """When it last said something new."""
     reading: object = None
     equal: int = 0
+    how: str = QUIET
+    """What is wrong with it when it has said nothing new."""
 
 
 @dataclass(slots=True, eq=False)
@@ -142,6 +147,14 @@ class Facts:
         name = min(self.sensors, key=self._last_us)
         return 1e-6 * (t_us - self.sensors[name].last_us), name
 
+    def note_implausible(self, t_us: int, name: str) -> None:
+        """A sensor says what cannot be: it has spoken, and might as well be silent."""
+        self.sensors.setdefault(name, _Heard(t_us)).how = IMPLAUSIBLE
+
+    def how_silent(self, name: str) -> str:
+        """What is wrong with a sensor that :meth:`silent` has named."""
+        return self.sensors[name].how if name else ""
+
     def _last_us(self, name: str) -> int:
         return self.sensors[name].last_us
 
@@ -150,7 +163,7 @@ class Facts:
         if heard is None:
             self.sensors[name] = _Heard(t_us)
         else:
-            heard.last_us = t_us
+            heard.last_us, heard.how = t_us, QUIET
 
     def _read(self, t_us: int, name: str, reading: object) -> None:
         """A reading that repeats itself to the last digit is as good as none."""

@@ -109,14 +109,15 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.BATTERY,
-        condition="share of the battery below `FS_BATT_LOW`, or voltage below `BATT_LOW_VOLT` for `BATT_LOW_TIMER`",
+        condition="share of the battery below `FS_BATT_LOW`, or voltage below `BATT_LOW_VOLT` (0: the vehicle file's "
+        "`low_v`) for `BATT_LOW_TIMER`",
         level=lambda c, s: _NAN if c.power is None else min(c.power.remaining, s.low_voltage),
         enter="FS_BATT_LOW",
         below=True,
         gap=0.02,
         action="FS_BATT_ACT",
-        text="battery below {FS_BATT_LOW:.0%}",
-        arming="battery at {remaining:.0%}: charge it",
+        text="battery {battery_low}",
+        arming="battery {battery_now}: charge it",
     ),
     Row(
         rule=Failsafe.AHRS_STALE,
@@ -194,14 +195,15 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.SENSOR,
-        condition="depth sensor, velocity log, power monitor, leak probe or hull sensor has spoken and is silent, or "
-        "repeats one reading to the last digit, for `FS_SENS_TIME`",
+        condition="depth sensor, velocity log, power monitor, leak probe or hull sensor has spoken and is silent, "
+        "repeats one reading to the last digit, or (power monitor) says what is no voltage of this battery, for "
+        "`FS_SENS_TIME`",
         level=lambda c, s: s.silent_s,
         enter="FS_SENS_TIME",
         action="FS_SENS_ACT",
         severity=Severity.WARNING,
-        text="{silent_sensor} silent or frozen",
-        arming="{silent_sensor} silent or frozen: check its cable",
+        text="{silent_sensor} {silence}",
+        arming="{silent_sensor} {silence}: check its cable",
     ),
     Row(
         rule=Failsafe.DOUBT,
@@ -217,7 +219,8 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         rule=Failsafe.BATTERY_CRITICAL,
-        condition="share of the battery below `FS_BATT_CRT`, or voltage below `BATT_CRT_VOLT` for `BATT_LOW_TIMER`",
+        condition="share of the battery below `FS_BATT_CRT`, or voltage below `BATT_CRT_VOLT` (0: the vehicle file's "
+        "`critical_v`) for `BATT_LOW_TIMER`",
         level=lambda c, s: _NAN if c.power is None else min(c.power.remaining, s.critical_voltage),
         enter="FS_BATT_CRT",
         below=True,
@@ -376,6 +379,38 @@ ROWS: tuple[Row, ...] = (
         enter="FS_ASCENT_TIME",
         action="FS_ASCENT_ACT",
         text="ascent takes too long: heave it in",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.WATCHDOG,
+        condition="the process that stops the thrusters when the service cannot has ended, hangs or cannot be started, "
+        "for 3 s ([reliability.md](reliability.md#children))",
+        level=lambda c, s: 1.0 if c.watchdog_problem else 0.0,
+        enter=1.0,
+        enter_s=3.0,
+        action="FS_WDOG_ACT",
+        text="thruster watchdog {watchdog_problem}: come up",
+        arming="thruster watchdog {watchdog_problem}: restart the service",
+    ),
+    Row(
+        rule=Failsafe.CAMERA,
+        condition="pictures have jumped, or do not move as gyro and vehicle model say "
+        "([estimation.md](estimation.md#pictures-that-are-not-of-here-and-now))",
+        level=lambda c, s: 1.0 if NavDoubt.CAMERA in c.nav_doubts else 0.0,
+        enter=1.0,
+        leave_s=1.0,
+        action="FS_CAM_ACT",
+        text="camera not believed: check its pictures",
+        flying=True,
+    ),
+    Row(
+        rule=Failsafe.SENDER,
+        condition="the outputs of the flight controller below show commands that are not ours, by turns with ours or "
+        "instead of them, within 15 reports (0.3 s)",
+        level=lambda c, s: _NAN if c.below is None else float(c.below.rival),
+        enter=1.0,
+        action="FS_SENDER_ACT",
+        text="another sender on the thrusters: stop it",
         flying=True,
     ),
 )

@@ -12,6 +12,7 @@ from autopilot.command.failsafe_table import RANK, ROWS, Bound, Effect, Row
 from autopilot.command.situation import Situation
 from autopilot.core.messages import Event, Failsafe, NavDoubt, NavHealth, Severity
 from autopilot.core.params import ParamSet
+from autopilot.core.samples import PowerSample
 
 AHRS_TIMEOUT_S = 0.5
 """50 AHRS frames missing: attitude is no longer known."""
@@ -198,9 +199,12 @@ class _Words(Mapping[str, object]):
         power = conditions.power
         self._facts = {
             "thruster_problem": conditions.thruster_problem,
+            "watchdog_problem": conditions.watchdog_problem,
             "fault": conditions.fault,
             "silent_sensor": situation.silent_sensor,
-            "remaining": 0.0 if power is None else power.remaining,
+            "silence": situation.silent_how,
+            "battery_now": _battery(power, situation, "at {remaining:.0%}"),
+            "battery_low": _battery(power, situation, f"below {params['FS_BATT_LOW']:.0%}"),
         }
         self._params = params
 
@@ -216,6 +220,15 @@ class _Words(Mapping[str, object]):
     def put_in(self, text: str) -> str:
         """The text with its braces filled."""
         return text.format_map(self).replace("%", " %").replace("  %", " %")
+
+
+def _battery(power: PowerSample | None, situation: Situation, share: str) -> str:
+    """What is low of the battery: its voltage, or its share."""
+    if power is None:
+        return "unknown"
+    if situation.low_voltage < 0.0:
+        return f"at {power.voltage_v:.1f} V"
+    return share.format(remaining=power.remaining)
 
 
 def _override_event(t_us: int, bits: int) -> Event:

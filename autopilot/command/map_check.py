@@ -16,11 +16,11 @@ from autopilot.core.geometry import Fence, Polygon, Shape
 from autopilot.core.origin_params import params_origin
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
-from mission.items import GoTo, Step
-from mission.plan_files import read_plan
-from mission.room import Room
-from mission.store import Plans
-from mission.upstream import TOLD_M_S, SlowLeg, slowest_leg
+from autopilot.mission.items import GoTo, Step
+from autopilot.mission.plan_files import read_plan
+from autopilot.mission.room import Room
+from autopilot.mission.store import Plans
+from autopilot.mission.upstream import TOLD_M_S, SlowLeg, slowest_leg
 
 CIRCLE_PLACES = 36
 LATTICE = 120
@@ -54,7 +54,7 @@ def parse_utc(text: str) -> datetime:
 
 
 class MapCheck:
-    """Judges a map against workspaces, as :class:`mission.store.Plans` asks."""
+    """Judges a map against workspaces, as :class:`autopilot.mission.store.Plans` asks."""
 
     def __init__(self, water: CurrentMap, origin: Origin) -> None:
         """``origin``: the local origin that the map was read with."""

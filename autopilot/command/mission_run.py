@@ -11,10 +11,10 @@ from autopilot.command.conditions import Conditions
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Goal, NavState, ProgressState, Severity
 from autopilot.core.params import ParamSet
-from mission.items import Step, Timed
-from mission.sequencer import Sequencer, SequencerOutput
-from mission.store import Plans
-from mission.upstream import TOLD_M_S, MadeGood, SlowLeg, slowest_leg
+from autopilot.mission.items import Step, Timed
+from autopilot.mission.sequencer import Sequencer, SequencerOutput
+from autopilot.mission.store import Plans
+from autopilot.mission.upstream import TOLD_M_S, MadeGood, SlowLeg, slowest_leg
 
 UPSTREAM_US = 5_000_000
 """What the current leaves of the present leg is looked at so often: a vehicle that lies still does not know it yet."""

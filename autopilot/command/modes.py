@@ -17,10 +17,10 @@ from autopilot.control.thrust.by_hand import ByHand
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import Authority, Below, Failsafe, Goal, NavHealth, NavState, Severity
 from autopilot.mavlink.api import BLIND, PILOTED, FlightMode
-from mission.circling import Circle
-from mission.goals import Goals
-from mission.items import Order
-from mission.sequencer import Action, is_inside
+from autopilot.mission.circling import Circle
+from autopilot.mission.goals import Goals
+from autopilot.mission.items import Order
+from autopilot.mission.sequencer import Action, is_inside
 
 DIVED_M = 0.1
 """TAKEOFF is over within this distance of its depth."""
@@ -68,6 +68,8 @@ class Modes:
         """Depth that mode TAKEOFF goes to."""
         self.drop_weight = False
         """A failsafe has let the drop weight go, since the last arming."""
+        self.stops_below = False
+        """A disarming of ours is to reach the flight controller below; taken by the commander."""
         self.handed_back = False
         """A failsafe has given the thrusters to the flight controller below, since the last arming."""
         self.ascent: Pose | None = None
@@ -102,7 +104,7 @@ class Modes:
 
     def arm(self) -> None:
         """Thrusters may turn; home is here. The mode is to be entered then."""
-        self.armed = True
+        self.armed, self.stops_below = True, False
         self.drop_weight = self.handed_back = False
         self._failsafes.clear()
         if self.nav is not None:
@@ -114,6 +116,7 @@ class Modes:
         if not self.armed:
             return
         self.armed = self.yielded = False
+        self.stops_below = True
         self._override = None
         self.enter(FlightMode.HOLD)
         severity, text = (Severity.WARNING, "Emergency stop") if force else (Severity.INFO, "Disarmed")
@@ -169,6 +172,7 @@ class Modes:
         if below.authority is Authority.STOPPED:
             self._operator.say(Severity.CRITICAL, f"Stopped below: {below.text}")
             self.disarm(force=True)
+            self.stops_below = False
         elif below.authority is Authority.PILOT and not self.yielded:
             self._before = self.chosen
             self.enter(FlightMode.HOLD)
@@ -197,6 +201,7 @@ class Modes:
             self._operator.say(Severity.CRITICAL, f"Failsafe {verb}: {self._failsafes.describe()}")
             self.handed_back = action == "hand back"
             self.disarm(force=True)
+            self.stops_below = not self.handed_back
             return
         if action == "drop" and not self.drop_weight:
             self.drop_weight = True

@@ -1,5 +1,6 @@
 """From goal to thrust: the controller on its ticks, its inner loop in between, and what is flown without either."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -71,7 +72,18 @@ class Motion:
     def step(
         self, t_us: int, nav: NavState | None, decision: Decision, last_goal: Goal | None, fence: Fence, *, due: bool
     ) -> ControlOutput | None:
-        """One tick. ``due``: a tick of the controller; a goal that appears does not wait for one."""
+        """One tick. ``due``: a tick of the controller; a goal that appears does not wait for one. ValueError: thrust
+        that is not finite, of which nothing is left behind."""
+        control = self._step(t_us, nav, decision, last_goal, fence, due=due)
+        if not all(map(math.isfinite, self.thrust_n.tolist())):
+            wrong, self.thrust_n, self._soft = self.thrust_n, self._actuation.nothing(), None
+            self._hand.release()
+            raise ValueError(f"thrust is not finite: {wrong.tolist()}")
+        return control
+
+    def _step(
+        self, t_us: int, nav: NavState | None, decision: Decision, last_goal: Goal | None, fence: Fence, *, due: bool
+    ) -> ControlOutput | None:
         goal, before_n = decision.goal, self.thrust_n
         if goal is None or nav is None:
             lift_n = BLIND_ASCENT_SHARE * self._params["THR_LIMIT"]

@@ -10,7 +10,7 @@ from autopilot.command.modes import Modes
 from autopilot.core.messages import Severity
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import FlightMode, MotorTest, Sticks
-from mission.goals import Goals
+from autopilot.mission.goals import Goals
 
 MOST_SHARE = 0.3
 """Of the pulse's span."""

@@ -9,7 +9,7 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Drive, Goal, NavState
 from autopilot.core.params import ParamSet
 from autopilot.mavlink.api import SetPoint
-from mission.goals import Goals
+from autopilot.mission.goals import Goals
 
 NONE_YET = "send set points first"
 

@@ -12,9 +12,9 @@ from autopilot.core.guard import Guard
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.core.witness import Witness
+from autopilot.estimator.protocol import Estimator
 from autopilot.mavlink.server import MavlinkServer
-from estimator.protocol import Estimator
-from mission.store import Plans
+from autopilot.mission.store import Plans
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

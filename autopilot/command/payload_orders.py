@@ -10,8 +10,8 @@ from autopilot.command.equipment import Equipment
 from autopilot.command.photographer import Photographer
 from autopilot.core.messages import Event, Severity
 from autopilot.mavlink.api import Answer, CommandResult
-from mission.items import Order
-from mission.payload_items import (
+from autopilot.mission.items import Order
+from autopilot.mission.payload_items import (
     Grip,
     MoveActuators,
     MoveServo,

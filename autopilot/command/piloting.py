@@ -17,7 +17,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import FlightMode, Sticks
-from mission.goals import Goals
+from autopilot.mission.goals import Goals
 
 FRESH_TICKS = 5
 """While something moves the goal follows heading and current so often: once a control step."""

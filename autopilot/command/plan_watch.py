@@ -9,11 +9,11 @@ from autopilot.core.params import ParamSet
 from autopilot.core.phrases import NO_START
 from autopilot.core.plan import MissionResult, PlanKind, PlanRejection
 from autopilot.core.vehicle import Vehicle
-from mission.goals import Goals
-from mission.judgement import Verdict
-from mission.room import Room
-from mission.store import Plans, plan_checksum
-from mission.validation import PLACE_TOLERANCE_M
+from autopilot.mission.goals import Goals
+from autopilot.mission.judgement import Verdict
+from autopilot.mission.room import Room
+from autopilot.mission.store import Plans, plan_checksum
+from autopilot.mission.validation import PLACE_TOLERANCE_M
 
 REPEAT_US = 5_000_000
 """The same problem of another upload is told again after this time at the earliest."""
@@ -82,7 +82,7 @@ class FenceGuard:
             reason = self._lack(Room([(s.shape, s.inclusion) for s in verdict.shapes]), nav, goal)
         if not reason:
             return None
-        return PlanRejection(seq=0, result=MissionResult.DENIED, reason=f"{reason}; FENCE_ARMED_CHG 1 allows it")
+        return PlanRejection(seq=None, result=MissionResult.DENIED, reason=f"{reason}; FENCE_ARMED_CHG 1 allows it")
 
     def _lack(self, room: Room, nav: NavState | None, goal: Goal | None) -> str:
         """What another workspace has against where the vehicle is and where it goes, "" if nothing."""

@@ -5,7 +5,7 @@ import numpy as np
 from autopilot.control.protocol import Controller
 from autopilot.core.messages import NavState
 from autopilot.core.params import ParamSet
-from mission.store import Plans
+from autopilot.mission.store import Plans
 
 
 class MarginCheck:

@@ -8,8 +8,8 @@ from autopilot.command.offboard import Offboard
 from autopilot.core.messages import Failsafe
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink.api import BLIND, Answer, CommandResult, FlightMode
-from mission.goals import Goals
-from mission.store import Plans
+from autopilot.mission.goals import Goals
+from autopilot.mission.store import Plans
 
 
 def denied(reason: str) -> Answer:

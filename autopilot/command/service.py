@@ -21,6 +21,7 @@ from autopilot.command.parts import Parts
 from autopilot.command.payload_orders import PayloadOrders
 from autopilot.command.surroundings import Surroundings
 from autopilot.command.view import vehicle_view
+from autopilot.core.clients import Standing
 from autopilot.core.frames import FloatArray
 from autopilot.core.marks import LoopPart, Marks, NoMarks
 from autopilot.core.messages import (
@@ -101,6 +102,10 @@ class Autopilot:
         """A HEARTBEAT for every link, of the last tick's state; changes nothing."""
         return self._run("heartbeat", self._parts.server.beat, NO_FRAMES)
 
+    def standing(self, link: int, client: int) -> Standing:
+        """What a client of a link has shown of itself so far: who keeps its place where there are too few."""
+        return self._parts.server.standing(link, client)
+
     def step(self, inputs: Inputs) -> Outputs:
         """One tick. Raises only where the guard is set to."""
         guard = self._parts.guard
@@ -165,6 +170,7 @@ class Autopilot:
             thrusters=thrusters,
             drop_weight=decision.drop_weight,
             hand_back=decision.hand_back,
+            stop_below=decision.stop_below,
             payload=self._run("payload", lambda: parts.equipment.step(t_us), None),
             shots=shots,
             stills=stills,
@@ -185,6 +191,7 @@ class Autopilot:
             mode=self._mode_state(t_us, armed=self._faults.drives, decision=self._decision, fault=True),
             drop_weight=self._decision is not None and self._decision.drop_weight,
             hand_back=self._decision is not None and self._decision.hand_back,
+            stop_below=self._parts.commander.stops_below,
             events=self._events,
         )
 
@@ -202,8 +209,9 @@ class Autopilot:
             self._actuation.not_taken()
         self._surroundings.note(inputs)
         self._actuation.supply_v = self._surroundings.supply_v
-        if inputs.below is not None and not inputs.below.acts:
-            self._actuation.taken(inputs.below.pulses_us)
+        below = inputs.below
+        if below is not None and (below.rival or not below.acts):
+            self._actuation.taken(below.pulses_us)
 
     def _counted(self, inputs: Inputs) -> NavCounters:
         """The counts of estimator, pictures, faults and devices."""
@@ -237,7 +245,8 @@ class Autopilot:
         def watch() -> ThrusterHealthState | None:
             reached = self._surroundings.acts
             armed = self._parts.commander.armed
-            return self._actuation.learn(t_us, nav, acting_n, self._goal, armed=armed, reached=reached)
+            alone = self._surroundings.alone
+            return self._actuation.learn(t_us, nav, acting_n, self._goal, armed=armed, reached=reached, alone=alone)
 
         return self._run("thrusters", watch, None, lambda: (nav, acting_n, self._goal))
 
@@ -252,7 +261,9 @@ class Autopilot:
         faults.step()
         if not faults.stopped:
             return decision
-        return replace(decision, armed=False, goal=None, blind_ascent=False, by_hand=None, motor_test=None)
+        return replace(
+            decision, armed=False, stop_below=True, goal=None, blind_ascent=False, by_hand=None, motor_test=None
+        )
 
     def _conditions(self, t_us: int, estimated: Estimated) -> Conditions:
         actuation, motion, shadow = self._actuation, self._motion, estimated.shadow
@@ -269,6 +280,7 @@ class Autopilot:
             thruster_share=actuation.shares,
             thrusters_doubtful=actuation.doubtful_thrusters,
             thruster_problem=self._surroundings.thruster_problem or actuation.problem,
+            watchdog_problem=self._surroundings.devices.watchdog_problem,
             thrusters_unseen=actuation.unseen,
             command_delay_s=actuation.delay_s,
             fault=self._faults.problem(t_us),
@@ -302,6 +314,7 @@ class Autopilot:
             failsafes=_with_fault(last),
             drop_weight=last is not None and last.drop_weight,
             hand_back=last is not None and last.hand_back,
+            stop_below=commander.stops_below,
         )
 
     def _photograph(
@@ -353,7 +366,7 @@ class Autopilot:
             inputs,
             nav,
             self._estimation,
-            surroundings.power,
+            surroundings.power_watch.shown,
             motion.status,
             motion.ahead,
             surroundings.sensed,

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
-from mission.goals import Goals
-from mission.items import Jump, Step
-from mission.sequencer import Position, Sequencer
-from mission.store import Plans
+from autopilot.mission.goals import Goals
+from autopilot.mission.items import Jump, Step
+from autopilot.mission.sequencer import Position, Sequencer
+from autopilot.mission.store import Plans
 
 if TYPE_CHECKING:
     from autopilot.command.conditions import Conditions
@@ -47,6 +47,7 @@ class Situation:
     def __init__(self, vehicle: Vehicle, params: ParamSet, plans: Plans, goals: Goals, sequencer: Sequencer) -> None:
         self._radius_m = vehicle.radius_m
         self._capacity_j = vehicle.battery.capacity_j
+        self._limits = vehicle.battery.limits
         self._params = params
         self._plans = plans
         self._goals = goals
@@ -78,6 +79,8 @@ class Situation:
         """Share of the battery that is missing for the rest of the mission and the reserve."""
         self.silent_s = NEVER
         self.silent_sensor = ""
+        self.silent_how = ""
+        """Silent, or worse."""
         self.low_voltage = self.critical_voltage = math.inf
         """-1 = the voltage is too low and has been for BATT_LOW_TIMER, else inf."""
 
@@ -101,6 +104,7 @@ class Situation:
         self.no_fix_s = 1e-6 * (t_us - self._fix_us) if self._known else NEVER
         self._look_ascent(t_us, blind=armed and surfacing and not valid)
         self.silent_s, self.silent_sensor = conditions.facts.silent(t_us)
+        self.silent_how = conditions.facts.how_silent(self.silent_sensor)
         self._look_voltage(conditions)
         if nav is None or not valid:
             self.beyond_m = self.stuck_s = self.tether_m = NEVER
@@ -129,11 +133,11 @@ class Situation:
         if power is None:
             return
         t_us, patience_us = conditions.t_us, params["BATT_LOW_TIMER"] * 1e6
-        if power.voltage_v >= params["BATT_LOW_VOLT"]:
+        if power.voltage_v >= (params["BATT_LOW_VOLT"] or self._limits.low_v):
             self._low_us = None
         elif self._low_us is None:
             self._low_us = t_us
-        if power.voltage_v >= params["BATT_CRT_VOLT"]:
+        if power.voltage_v >= (params["BATT_CRT_VOLT"] or self._limits.critical_v):
             self._critical_us = None
         elif self._critical_us is None:
             self._critical_us = t_us

@@ -7,9 +7,9 @@ from autopilot.core.geodesy import refuse_place
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.mavlink.api import Circling, FlightMode
-from mission.circling import Circle
-from mission.goals import Goals
-from mission.store import Plans
+from autopilot.mission.circling import Circle
+from autopilot.mission.goals import Goals
+from autopilot.mission.store import Plans
 
 
 class Steering:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from autopilot.command.battery_watch import BatteryWatch
 from autopilot.command.camera_watch import CameraWatch
 from autopilot.command.device_watch import DeviceWatch
 from autopilot.command.facts import Facts, Jolts
@@ -24,7 +25,6 @@ from autopilot.core.samples import (
     ObstacleTrack,
     PowerSample,
     Sample,
-    plausible,
 )
 from autopilot.core.sensed import Sensed
 from autopilot.core.vehicle import Vehicle
@@ -46,13 +46,12 @@ class Surroundings:
     def __init__(self, vehicle: Vehicle, params: ParamSet) -> None:
         self._params = params
         self._jolts = Jolts(vehicle.to_model())
-        self._bad_power = 0
+        self.power_watch = BatteryWatch(vehicle.battery.limits)
         self._events: list[Event] = []
         self.devices = DeviceWatch()
         self.camera = CameraWatch()
         self.tracks = Tracks()
         """Obstacles beside the fence."""
-        self.power: PowerSample | None = None
         self.below: Below | None = None
         """The flight controller below us."""
         self.refusals: tuple[str, ...] = ()
@@ -66,6 +65,11 @@ class Surroundings:
         """The newest of each sensor."""
         with_laser = vehicle.camera is not None and vehicle.laser is not None
         self._camera = CameraModel.of(vehicle.eye, vehicle.laser) if with_laser else None
+
+    @property
+    def power(self) -> PowerSample | None:
+        """The newest reading of the battery that is believed."""
+        return self.power_watch.power
 
     @property
     def supply_v(self) -> float | None:
@@ -84,17 +88,24 @@ class Surroundings:
             if isinstance(sample, INERTIAL):
                 self._feel(inputs.t_us, sample)
                 continue
-            self._show(inputs.t_us, sample)
             if isinstance(sample, PowerSample):
-                if plausible(sample):
-                    self.power = sample
-                    facts.note_sample(inputs.t_us, sample)
-                else:
-                    self._bad_power += 1
-            elif isinstance(sample, ObstacleTrack):
+                self._note_power(inputs.t_us, sample)
+                continue
+            self._show(inputs.t_us, sample)
+            if isinstance(sample, ObstacleTrack):
                 self.tracks.note(inputs.t_us, sample)
             else:
                 facts.note_sample(inputs.t_us, sample)
+
+    def _note_power(self, t_us: int, sample: PowerSample) -> None:
+        """One reading of the battery; what is not believed is as good as silence."""
+        share = self._power_share(sample.t_us)
+        if not self.power_watch.note(t_us, sample):
+            self.facts.note_implausible(t_us, "power monitor")
+            return
+        self.facts.note_sample(t_us, sample)
+        power_w, before_w = sample.voltage_v * sample.current_a, self.sensed.power_w
+        self.sensed.power_w = power_w if before_w is None else before_w + share * (power_w - before_w)
 
     def _feel(self, t_us: int, sample: AhrsSample | ImuSample) -> None:
         """What comes with every tick."""
@@ -126,9 +137,6 @@ class Surroundings:
             sensed.laser = sample
         elif isinstance(sample, HullSample):
             sensed.hull = sample
-        elif isinstance(sample, PowerSample) and plausible(sample):
-            power_w, passed = sample.voltage_v * sample.current_a, self._power_share(sample.t_us)
-            sensed.power_w = power_w if sensed.power_w is None else sensed.power_w + passed * (power_w - sensed.power_w)
         elif isinstance(sample, MarkerSighting) and sample.laser_px is not None and self._camera is not None:
             shown = sensed.laser
             if shown is None or t_us - shown.t_us >= RANGE_US:
@@ -150,7 +158,13 @@ class Surroundings:
     @property
     def acts(self) -> bool:
         """Whether thrusters do what they are commanded, as far as their device says."""
-        return not self.thruster_problem and (self.below is None or self.below.acts)
+        below = self.below
+        return not self.thruster_problem and self.alone and (below is None or below.acts)
+
+    @property
+    def alone(self) -> bool:
+        """Whether nobody else commands the thrusters."""
+        return self.below is None or not self.below.rival
 
     def take_events(self) -> list[Event]:
         """Lines for the operator since the last call."""
@@ -159,7 +173,7 @@ class Surroundings:
             text = f"Not avoided: we are in an obstacle of {over_m:.0f} m"
             self._events.append(Event(t_us=self._t_us, severity=Severity.WARNING, text=text))
         self._told_over = over_m is not None
-        events, self._events = self._events, []
+        events, self._events = self._events + self.power_watch.take_events(), []
         return events
 
     def pictures(self, frames: Mapping[str, int] | None) -> dict[str, int]:
@@ -167,6 +181,7 @@ class Surroundings:
         return {} if frames is None else {**frames, "frames.foggy": self.camera.foggy}
 
     def counts(self) -> dict[str, int]:
-        """Ticks without a device and power samples that were no power samples, for the log."""
+        """Ticks without a device and readings of the battery that were refused, for the log."""
         troubles = {f"devices.{role.name.lower()}": count for role, count in self.devices.counts.items() if count}
-        return {**troubles, "power.malformed": self._bad_power} if self._bad_power else troubles
+        refused = self.power_watch.refused
+        return {**troubles, "power.malformed": refused} if refused else troubles

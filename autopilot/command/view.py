@@ -27,7 +27,7 @@ def vehicle_view(
     goal = None if decision is None else decision.goal
     return VehicleView(
         t_us=inputs.t_us,
-        armed=commander.armed,
+        armed=commander.shows_armed,
         mode=commander.mode,
         intended_mode=commander.intended_mode,
         nav=nav,
@@ -38,6 +38,8 @@ def vehicle_view(
         origin=parts.plans.origin,
         home=parts.plans.home,
         prearm_reasons=commander.readiness,
+        refusals=inputs.refusals,
+        fenced=commander.fenced,
         failsafes=0 if decision is None else decision.failsafes,
         cpu_load=inputs.cpu_load,
         under_way=commander.under_way,

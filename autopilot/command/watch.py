@@ -4,8 +4,8 @@ from autopilot.command.conditions import Conditions
 from autopilot.control.thrust.twins import lossy_share
 from autopilot.core.messages import NavDoubt, NavHealth, NavState, Severity
 from autopilot.core.vehicle import Vehicle
-from mission.goals import Goals
-from mission.store import Plans
+from autopilot.mission.goals import Goals
+from autopilot.mission.store import Plans
 
 _HEALTH_TEXTS = {
     NavHealth.GOOD: (Severity.INFO, "Position is good again"),
@@ -21,6 +21,7 @@ _DOUBT_TEXTS = {
     NavDoubt.MAP: "Marker map disagrees: check it or survey it",
     NavDoubt.CALIBRATION: "Camera calibration doubtful: see messages",
     NavDoubt.RESETS: "Position reset repeatedly: check map, camera",
+    NavDoubt.CAMERA: "Camera wrong: it shows another place or time",
 }
 """What to do about a sensor that the evidence denies."""
 

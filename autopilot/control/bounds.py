@@ -26,7 +26,7 @@ _GIVEN = ("back_off", "thrust_back_off", "limit_n", "thrust_ref", "thrust", "wei
 _MADE = ("limits", "left", "keep_m", "tube_m", "held", "held_weight")
 
 
-class _Program(ctypes.Structure):
+class _Program(compiled.Mirror):
     """The struct of program.c."""
 
     _fields_ = (
@@ -52,10 +52,12 @@ class ProgramBounds:
         self.held_ref_n: FloatArray = np.zeros((n, thrusters))
         """(N, n) thrust between what is wished for and that of the last plan, ..."""
         self.held_weight: FloatArray = np.zeros(thrusters)
-        """(n,) ... with the weight of both."""
-        library = compiled.library()
+        """(n,) or (N, n), as the wish's, ... with the weight of both."""
+        self._one_weight, self._each_weight = self.held_weight, np.zeros((n, thrusters))
+        """Where it is kept for wishes that weigh the same at all nodes, or not: the library writes to the first."""
+        library = compiled.library(_Program)
         self._call = None if library is None else library.program_bounds
-        made = (self.limits, self.thrust_n, self.keep_m, self.tube_m, self.held_ref_n, self.held_weight)
+        made = (self.limits, self.thrust_n, self.keep_m, self.tube_m, self.held_ref_n, self._one_weight)
         shapes = (_KINDS, n - 1), (n, thrusters), (thrusters,), (n, thrusters), (n, thrusters), (thrusters,)
         self._given = tuple(np.zeros(shape) for shape in shapes)
         self._told = _Program(
@@ -84,6 +86,7 @@ class ProgramBounds:
         states[3], states[4] = back_off.heave_m_s, back_off.yaw_rate_rad_s
         thrust_back_off[:], limit_n[:], thrust_ref[:] = back_off.thrust_n, now.thrust_limit_n, reference.thrust_n
         thrust[:], weight[:] = plan_n, reference.weight_u
+        self.held_weight = self._one_weight
         self._call(self._reference)
 
     def _fill_limits(
@@ -105,8 +108,7 @@ class ProgramBounds:
     ) -> None:
         self.thrust_n[:] = left = left_n(limit_n, back_off.thrust_n)
         wanted = np.minimum(np.maximum(reference.thrust_n, -left), left)
-        if reference.weight_u.ndim > 1:
-            self.held_weight = np.zeros_like(reference.weight_u)
+        self.held_weight = self._each_weight if reference.weight_u.ndim > 1 else self._one_weight
         self.held_weight[:] = reference.weight_u + change
         self.held_ref_n[:] = (reference.weight_u * wanted + change * plan_n) / self.held_weight
 
@@ -121,8 +123,10 @@ class PlanRoom:
     """By how much a plan meets its half-planes; of one set of arrays."""
 
     def __init__(self, path: FloatArray, plane_n: FloatArray, plane_d_m: FloatArray) -> None:
-        """Points (m, 2), normals (m, slots, 2), offsets (m, slots)."""
+        """Points (m, 2), normals (m, slots, 2), offsets (m, slots). ValueError if they are not so many."""
         self._path, self._plane_n, self._plane_d_m = path, plane_n, plane_d_m
+        if path.shape != (len(plane_d_m), 2) or plane_n.shape != (*plane_d_m.shape, 2):
+            raise ValueError(f"path {path.shape}, plane_n {plane_n.shape} do not fit to plane_d_m {plane_d_m.shape}")
         library, contiguous = compiled.library(), plane_n.flags.c_contiguous and plane_d_m.flags.c_contiguous
         tight = path.strides[1] == path.itemsize and contiguous
         self._call = None if library is None or not tight else library.least_room
@@ -147,10 +151,13 @@ class Gaps:
         self._call = None if library is None else library.largest_gap
 
     def largest(self, a: FloatArray, b: FloatArray | None, first: int, width: int) -> float:
-        """Of ``width`` columns from ``first`` on of contiguous tables (m, 8); None = from zero. NaN if there is one."""
+        """Of ``width`` columns from ``first`` on of contiguous tables (m, 8); None = from zero. NaN if there is one.
+        ValueError if they have other shapes or too few columns."""
         if self._call is not None:
-            other = None if b is None else compiled.address(b)
-            gap: float = self._call(*a.shape, first, width, compiled.address(a), other)
+            if first + width > a.shape[1]:
+                raise ValueError(f"columns {first} to {first + width} of {a.shape[1]}")
+            other = None if b is None else compiled.fitting("b", b, *a.shape)
+            gap: float = self._call(*a.shape, first, width, compiled.fitting("a", a, *a.shape), other)
             return gap
         columns = slice(first, first + width)
         return float(np.abs(a[:, columns] if b is None else a[:, columns] - b[:, columns]).max())

@@ -19,7 +19,7 @@ from autopilot.control.nmpc.lag import ThrusterLag
 from autopilot.control.nmpc.reversal import Reversals
 from autopilot.control.nmpc.solver import NmpcResult
 from autopilot.control.protocol import Controller, ControllerContext
-from autopilot.control.robust.fallback import FallbackWatch
+from autopilot.control.robust.fallback import FallbackWatch, FiniteWatch
 from autopilot.control.robust.inner import InnerLoop, plan_error
 from autopilot.control.robust.margins import Tighten
 from autopilot.control.robust.penalty import PenaltyWatch
@@ -46,7 +46,7 @@ from autopilot.core.messages import (
     Severity,
     SolveStatus,
 )
-from autopilot.core.model4 import YAW, U, X
+from autopilot.core.model4 import NO_STATE, YAW, U, X
 from autopilot.core.params import ParamSet
 from autopilot.core.response import Response
 from autopilot.core.samples import ObstacleTrack
@@ -118,7 +118,7 @@ class MotionController:
         self._station = StationKeeper(sharing)
         self._reversals = Reversals(self._most_n)
         self._penalty = PenaltyWatch()
-        self._fallbacks = FallbackWatch()
+        self._fallbacks, self._numbers = FallbackWatch(), FiniteWatch()
         self._nominal_t_s = response.mean_s + grid.t_s
         self._plan_current = np.zeros(3)
         self.trajectories = trajectories = trajectories or EnergyPlanner(self._model, PowerModel.of(vehicle))
@@ -191,19 +191,23 @@ class MotionController:
         """Thrust for the next interval. ``thruster_limit_n`` (n,) lowers THR_LIMIT per thruster (derating, failure).
 
         ``tracks`` are obstacles beside the fence, seen at or before ``t_us``. Commands reach the thrusters ``delay_s``
-        late; None = it is in doubt whether they do at all: no thrust.
+        late; None = it is in doubt whether they do at all: no thrust. ValueError: a limit below 0 or NaN.
         """
         began = self._cpu_clock()
         limit_n = np.minimum(self._most_n, params["THR_LIMIT"])
         if thruster_limit_n is not None:
             limit_n = np.minimum(limit_n, thruster_limit_n)
+            if not limit_n.min() >= 0.0:
+                raise ValueError(f"thruster_limit_n has to be 0 or more: {limit_n.tolist()}")
         elapsed_s = 0.0 if self._last_us is None else (t_us - self._last_us) * 1e-6
         self._last_us, self._limit_n = t_us, limit_n
         self._follow_lag(t_us)
         nav = self._forecast.view(nav)
         x, current = self._state(nav), nav.current_ned_m_s
-        if nav.health is NavHealth.INVALID or not _finite(x, current) or delay_s is None:
+        if nav.health is NavHealth.INVALID or delay_s is None:
             return self._neutral(t_us, nav, began)
+        if not _sound(x, current):
+            return self._void(t_us, nav, began)
         self._trim(nav, fence, params, limit_n)
         if delay_s:
             goal = replace(goal, speed_m_s=min(goal.speed_m_s, BLIND_WAY_M / delay_s))
@@ -218,11 +222,16 @@ class MotionController:
         if fence is not self._told_fence:
             self._told_fence = fence
             self._forecast.within(fence)
+        x0 = self._lag.ahead(x, current)
+        # The model's drag grows with the square of the speed: a finite state may be none one lag later.
+        if not _sound(x0):
+            return self._void(t_us, nav, began)
+        self._numbers.watch(True)
         fence = self._go_round(t_us, fence, nav, goal, params, tracks)
         planner = self._planner_for(fence, params)
         now = Situation(
             t_us=t_us,
-            x0=self._lag.ahead(x, current),
+            x0=x0,
             nav=nav,
             goal=goal,
             params=params,
@@ -271,15 +280,19 @@ class MotionController:
 
     def tick(self, t_us: int, nav: NavState) -> FloatArray | None:
         """Thrust (n,) between two steps: the last plan with the ancillary feedback. None = keep what was commanded
-        (no plan, no estimate, or margins that credit no feedback)."""
+        (no plan, no estimate, or margins that credit no feedback); none for a state that is no number."""
         self._follow_lag(t_us)
         if not self._inner.active or nav.health is NavHealth.INVALID or nav.reset_count != self._reset_count:
             return None
         nav = self._forecast.view(nav)
         x, current = self._state(nav), nav.current_ned_m_s
-        if not _finite(x, current):
-            return None
-        thrust = self._inner.thrust(t_us, self._lag.ahead(x, current), current, self._limit_n)
+        x0 = self._lag.ahead(x, current) if _sound(x, current) else None
+        sound = x0 is not None and _sound(x0)
+        self._numbers.watch(sound)
+        if x0 is None or not sound:
+            self._command = np.zeros(self._model.thrusters)
+            return self._command
+        thrust = self._inner.thrust(t_us, x0, current, self._limit_n)
         self._command = self._reversals.worth(thrust, between=True)
         return self._command
 
@@ -296,7 +309,15 @@ class MotionController:
     def take_news(self) -> list[tuple[Severity, str]]:
         """Severity and text of what the operator should know since the last call."""
         first, self._solver_news = self._solver_news, []
-        for part in (self._lift, self.margins, self.regions, self._penalty, self._fallbacks, self._guidance):
+        for part in (
+            self._lift,
+            self.margins,
+            self.regions,
+            self._penalty,
+            self._fallbacks,
+            self._numbers,
+            self._guidance,
+        ):
             first += part.take_news()
         return first
 
@@ -326,9 +347,10 @@ class MotionController:
 
     def _state(self, nav: NavState) -> FloatArray:
         yaw = float(nav.rpy_rad[2])
-        self._yaw_rad = yaw if self._yaw_rad is None else unwrap_near(yaw, self._yaw_rad)
+        if abs(yaw) < NO_STATE:
+            self._yaw_rad = yaw = yaw if self._yaw_rad is None else unwrap_near(yaw, self._yaw_rad)
         water = nav.vel_water_frd_m_s.tolist()
-        return np.array([*nav.pos_ned_m.tolist(), self._yaw_rad, *water, nav.rate_frd_rad_s.item(2)])
+        return np.array([*nav.pos_ned_m.tolist(), yaw, *water, nav.rate_frd_rad_s.item(2)])
 
     def _go_round(
         self,
@@ -417,6 +439,12 @@ class MotionController:
             thrust = [min(max(t, s - share * limit), s + share * limit) for t, s, limit in steps]
         return np.array([min(max(t, -limit), limit) for t, limit in zip(thrust, limits, strict=True)])
 
+    def _void(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
+        """The state, or what the model predicts from it, is no number: no thrust, and nothing of it is remembered."""
+        self._numbers.watch(False)
+        self._lag.jumped()
+        return self._neutral(t_us, nav, began)
+
     def _neutral(self, t_us: int, nav: NavState, began: float) -> ControlOutput:
         """Without an estimate there is nothing to control: no thrust, and the plan is void."""
         self._command = np.zeros(self._model.thrusters)
@@ -445,9 +473,9 @@ class MotionController:
         )
 
 
-def _finite(x: FloatArray, current: FloatArray) -> bool:
-    """Whether state and current are numbers."""
-    return math.isfinite(sum(x.tolist()) + sum(current.tolist()))
+def _sound(*arrays: FloatArray) -> bool:
+    """Whether a state and a current are finite, and no larger than any of a vehicle."""
+    return sum([sum(map(abs, array.tolist())) for array in arrays]) < NO_STATE
 
 
 def of_context(context: ControllerContext) -> Controller:

@@ -171,13 +171,16 @@ def sound(control: ControlOutput, limit_n: FloatArray) -> ControlOutput:
 
 
 def sound_thrust_n(thrust_n: FloatArray, limit_n: FloatArray) -> FloatArray:
-    """Thrust (N,) within the limits (N,). ValueError if it has another shape or is not finite."""
+    """Thrust (N,) within the limits (N,). ValueError: of another shape, not finite, a limit that is NaN."""
     if np.shape(thrust_n) != limit_n.shape:
         raise ValueError(f"thrust_n has shape {np.shape(thrust_n)}, this vehicle needs {limit_n.shape}")
     # Four to eight numbers, at every tick: a list is quicker than three small arrays.
     wanted = np.asarray(thrust_n).tolist()
     if not all(map(math.isfinite, wanted)):
         raise ValueError(f"thrust_n is not finite: {wanted}")
-    if all(abs(thrust) <= limit for thrust, limit in zip(wanted, limit_n.tolist(), strict=True)):
+    limits = limit_n.tolist()
+    if all(abs(thrust) <= limit for thrust, limit in zip(wanted, limits, strict=True)):
         return thrust_n
+    if any(map(math.isnan, limits)):
+        raise ValueError(f"limit_n is not a number: {limits}")
     return np.clip(thrust_n, -limit_n, limit_n)

@@ -1,5 +1,6 @@
 """Clients of a link, as links and service both number them."""
 
+from dataclasses import dataclass
 from enum import IntEnum
 
 EVERYONE = 0
@@ -21,3 +22,17 @@ class Reach(IntEnum):
     """A program of this machine (loopback interface)."""
     PROCESS = 2
     """A part of this service's own process."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What a client has shown of itself so far."""
+
+    valid_us: int | None = None
+    """When a frame with a good checksum (and signature, where there is a key) last came of it; None = never."""
+    in_control: bool = False
+    """Whether it is the operator in control."""
+
+
+UNPROVEN = Standing()
+"""Of a client that nobody has understood so far."""

@@ -12,6 +12,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from autopilot.core.frames import FloatArray
 from autopilot.core.seal import flaw
 
 SWITCH = "AUTOPILOT_COMPILED"
@@ -19,6 +22,23 @@ OFF = "no"
 LIBRARY = Path(__file__).with_name(f"_compiled{sysconfig.get_config_var('EXT_SUFFIX')}")
 SOURCES = Path(__file__).resolve().parents[1] / "data" / "native"
 AGAIN = "run pip install again with a C compiler at hand"
+
+
+class Mirror(ctypes.Structure):
+    """A struct of the C sources as Python lays it out: same name (a leading underscore aside), same fields in the same
+    order. :func:`load` compares both; a part asks for the library with the mirrors that it uses."""
+
+
+class _Field(ctypes.Structure):
+    """The ``FieldLayout`` of common.h."""
+
+    _fields_ = (("name", ctypes.c_char_p), ("offset", ctypes.c_long), ("size", ctypes.c_long))
+
+
+class _Layout(ctypes.Structure):
+    """The ``StructLayout`` of common.h."""
+
+    _fields_ = (("size", ctypes.c_long), ("count", ctypes.c_long), ("fields", _Field * 32))
 
 
 def missing() -> str | None:
@@ -30,10 +50,10 @@ def missing() -> str | None:
     return None
 
 
-def library() -> Any | None:
-    """The library, None where there is none: for parts that only get slower without it."""
+def library(*mirrors: type[Mirror]) -> Any | None:
+    """The library, None where there is none with these structs: for parts that only get slower without it."""
     try:
-        return load()
+        return load(*mirrors)
     except RuntimeError:
         return None
 
@@ -43,11 +63,52 @@ def address(array: Any) -> int:
     return ctypes.addressof(ctypes.c_char.from_buffer(array)) if array.size else 0
 
 
-def load() -> Any:
-    """The library. RuntimeError says why there is none."""
+def fitting(name: str, array: FloatArray, *shape: int) -> int:
+    """The address of an array that the library reads or writes at this shape; the caller keeps the array.
+
+    ValueError if it has another shape, or is not contiguous and of float64: the library would reach past its end.
+    """
+    if array.shape != shape or array.dtype != np.float64 or not array.flags.c_contiguous:
+        wrong = f"{name} is {array.dtype} {array.shape}{'' if array.flags.c_contiguous else ', not contiguous'}"
+        raise ValueError(f"{wrong}; give contiguous float64 {shape}")
+    address: int = array.ctypes.data
+    return address
+
+
+def load(*mirrors: type[Mirror]) -> Any:
+    """The library, its structs those of ``mirrors``. RuntimeError says why there is none."""
     if os.environ.get(SWITCH, "").strip().lower() == OFF:
         raise RuntimeError(f"switched off by {SWITCH}={OFF}")
-    return _load(LIBRARY)
+    library = _load(LIBRARY)
+    for mirror in mirrors:
+        wrong = _mismatch(library, mirror)
+        if wrong:
+            raise RuntimeError(f"the compiled library is of another version: {wrong}; {AGAIN}")
+    return library
+
+
+def layout_of(library: Any, name: str) -> tuple[int, tuple[tuple[str, int, int], ...]]:
+    """Bytes of a struct of the library, and name, offset and bytes of its fields. ValueError if it tells of none."""
+    layout = _Layout.in_dll(library, f"layout_{name}")
+    fields = layout.fields[: layout.count]
+    return layout.size, tuple((field.name.decode(), field.offset, field.size) for field in fields)
+
+
+@lru_cache(maxsize=64)
+def _mismatch(library: Any, mirror: type[Mirror]) -> str:
+    """In what a struct of the library differs from its mirror, "" when in nothing."""
+    name = mirror.__name__.lstrip("_")
+    try:
+        size, fields = layout_of(library, name)
+    except ValueError:
+        return f"it has no struct {name}"
+    ours = [(field[0], getattr(mirror, field[0]).offset, getattr(mirror, field[0]).size) for field in mirror._fields_]
+    for mine, theirs in zip(ours, fields, strict=False):
+        if mine != theirs:
+            return f"{name}.{mine[0]} at {mine[1]} of {mine[2]} bytes, there {theirs[0]} at {theirs[1]} of {theirs[2]}"
+    if len(ours) != len(fields) or ctypes.sizeof(mirror) != size:
+        return f"{name} has {len(ours)} fields in {ctypes.sizeof(mirror)} bytes, there {len(fields)} in {size}"
+    return ""
 
 
 @lru_cache(maxsize=2)
@@ -61,7 +122,7 @@ def _load(path: Path) -> Any:
         # Calls of microseconds: if each gave the interpreter away the loop would wait for other threads to return it.
         library = ctypes.PyDLL(str(path))
         address, whole = ctypes.c_void_p, ctypes.c_long
-        library.workspace_bytes.restype = library.task_bytes.restype = whole
+        library.workspace_bytes.restype = whole
         library.workspace_bytes.argtypes = [whole, whole]
         library.control_step.restype = library.tube_back_offs.restype = None
         library.program_bounds.restype, library.least_room.restype = None, ctypes.c_double
@@ -81,11 +142,9 @@ def _load(path: Path) -> Any:
         library.march.argtypes, library.steady_thrust.argtypes = [address] * 2, [address, whole, address, address]
         library.half_planes.restype = ctypes.c_double
         library.half_planes.argtypes = [address, whole, address, whole, address, address, whole, address, address]
-        library.motion_doubles.restype = library.look_doubles.restype = whole
         library.motion_step.restype = library.model_look.restype = None
         library.motion_step.argtypes = library.model_look.argtypes = [address]
         library.tube_back_offs.argtypes = [address, whole, whole, whole, address, address, address, address]
-        library.plant_bytes.restype, library.plant_bytes.argtypes = whole, [whole]
         for plain in (library.plant_look, library.plant_measure):
             plain.restype, plain.argtypes = None, [address, address]
         for timed in (library.plant_turn, library.plant_step):

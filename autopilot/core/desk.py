@@ -120,6 +120,13 @@ class Desk:
         cancel = Cancel()
         return Ticket(self, due, lambda: work(request, cancel), cancel)
 
+    def run(self, work: Callable[[], None]) -> None:
+        """Have ``work``, which does not raise, done in its turn; nobody waits for it."""
+        if self.executor is None:
+            work()
+        else:
+            self.executor.submit(work)
+
     def wait(self, future: "Future[A]") -> A:
         """The result of ``future``, whatever time that takes."""
         while not future.done():

@@ -132,8 +132,12 @@ class Below:
     refusals: tuple[str, ...] = ()
     """Why it would not fly for us, for the arming checks; a line each."""
     pulses_us: tuple[int, ...] = ()
-    """What the thrusters get while they do not act for us (its pilot's, or neutral), in the order of the vehicle file;
-    empty = not known."""
+    """What the thrusters get while they do not act for us alone (a pilot's, a second sender's, neutral), in the order
+    of the vehicle file; empty = not known."""
+    armed: bool | None = None
+    """By its heartbeat; None = not known, or asked to disarm and not yet confirmed."""
+    rival: bool = False
+    """Somebody else commands the thrusters beside us."""
 
 
 class DeviceRole(IntEnum):
@@ -142,6 +146,8 @@ class DeviceRole(IntEnum):
     SENSORS = 0
     CAMERA = 1
     THRUSTERS = 2
+    WATCHDOG = 3
+    """The process that stops the thrusters when the service cannot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -182,6 +188,8 @@ class NavDoubt(Enum):
     """Residuals show a wrong focal length or late stamps."""
     RESETS = "resets"
     """The estimate has begun anew again and again."""
+    CAMERA = "camera"
+    """Not believed: its fixes do not move as gyro and vehicle model say, or have moved the estimate twice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -264,7 +272,7 @@ class NavCounters:
 
     t_us: int
     counts: Mapping[str, int]
-    """By name: ``ahrs.stuck``, ``markers.fused``, ``resets``, ... (:meth:`estimator.protocol.Estimator.counters`)."""
+    """By name: ``ahrs.stuck``, ``markers.fused``, ``resets``, ... (:meth:`.estimator.protocol.Estimator.counters`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -524,6 +532,9 @@ class Failsafe(IntEnum):
     LOG = 25
     CLOCK = 26
     ASCENT = 27
+    WATCHDOG = 28
+    CAMERA = 29
+    SENDER = 30
 
 
 class RunEnd(Enum):
@@ -632,6 +643,8 @@ class Outputs:
     """A failsafe wants the drop weight off."""
     hand_back: bool = False
     """A failsafe has given the thrusters to whatever is below us; ``command`` is neutral."""
+    stop_below: bool = False
+    """The flight controller below is to be disarmed, until its heartbeat shows it."""
     payload: PayloadState | None = None
     """What gripper, lights, relays and the like get; None on a vehicle without any."""
     shots: tuple[int, ...] = ()

@@ -15,6 +15,9 @@ NX = 8
 AXIS_NAMES = ("surge", "sway", "heave", "yaw")
 AXES = len(AXIS_NAMES)
 
+NO_STATE = 1e6
+"""m, m/s, rad: a hundred times what the local frame holds; what is beyond comes of an integration that overflows."""
+
 X, Y, Z, YAW, U, V, W, R = range(NX)
 """Indices of the state."""
 

@@ -7,6 +7,7 @@ warnings, the parameter has its default then, and names that this version does n
 """
 
 import re
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from autopilot.core.disk import cause_of
 from autopilot.core.errors import ConfigError
 from autopilot.core.keeper import Keeper
 from autopilot.core.params import ParamSet, ParamType, Saved
-from autopilot.core.state_file import StateFile
+from autopilot.core.state_file import Loss, StateFile
 
 MAV_PARAM_TYPE = {ParamType.INT32: 6, ParamType.REAL32: 9}
 """MAV_PARAM_TYPE (common.xml)."""
@@ -34,6 +35,8 @@ class ParamText:
     """Lines with names that do not exist, by "file:line: name"."""
     errors: tuple[str, ...]
     """What is wrong with lines that cannot be used, each with file and line."""
+    unusable: tuple[str, ...] = ()
+    """Those lines."""
 
 
 def scan_params(text: str, origin: str) -> ParamText:
@@ -42,6 +45,7 @@ def scan_params(text: str, origin: str) -> ParamText:
     values: dict[str, float] = {}
     unknown: dict[str, str] = {}
     errors: list[str] = []
+    unusable: list[str] = []
     for number, line in enumerate(text.splitlines(), start=1):
         place = f"{origin}:{number}"
         try:
@@ -53,7 +57,8 @@ def scan_params(text: str, origin: str) -> ParamText:
                 values[found[0]] = found[1]
         except ConfigError as error:
             errors.append(f"{place}: {error}")
-    return ParamText(values=values, unknown=unknown, errors=tuple(errors))
+            unusable.append(line)
+    return ParamText(values=values, unknown=unknown, errors=tuple(errors), unusable=tuple(unusable))
 
 
 def _read_line(line: str) -> tuple[str, float] | None:
@@ -131,62 +136,105 @@ class PersistentParams:
         self._params = params
         self._wanted: dict[str, float] = {}
         self._unknown: tuple[str, ...] = ()
-        self._keeper: Keeper[bytes] = Keeper(desk or Desk(), self._file.write)
+        self._unusable: tuple[str, ...] = ()
+        """Lines that stay in the file until an operator accepts that they are not used."""
+        self._desk = desk or Desk()
+        self._keeper: Keeper[bytes] = Keeper(self._desk, self._file.write)
         self._number = 0
         self.failure: str | None = None
         """Why the last change is not on disk; None while all is well."""
+        self.unsaved = ""
+        """The same for the operator, "" while all is well."""
+        self.losses: tuple[Loss, ...] = ()
+        """What :meth:`load` has not found again."""
 
     def load(self, *, mend: bool = True) -> tuple[str, ...]:
         """Apply the file, if there is one. The result is what an operator should know: lines that were left out.
 
         ``mend``: remove what a killed service left, set a file aside that cannot be used.
         """
-        problems: list[str] = []
-        try:
-            if mend:
-                self._file.clean()
-            found, problems = self._file.read(self._parse, set_aside=mend)
-        except OSError as error:
-            return (f"{self._file.path}: cannot be read ({error.strerror}); parameters have their defaults",)
+        if mend:
+            self._file.clean()
+        found, problems = self._file.read(self._parse, set_aside=mend)
+        self.losses = self._lost(found, problems)
         if found is None:
             return tuple(problems)
-        self._wanted = dict(found.values)
-        self._unknown = tuple(found.unknown.values())
-        for name, value in found.values.items():
+        self._wanted = {name: value for name, value in found.values.items() if self._params.spec(name).kept}
+        self._unknown, self._unusable = tuple(found.unknown.values()), found.unusable
+        for name, value in self._wanted.items():
             self._params.set(name, value)
         left_out = (f"{place}; the line is kept and not used" for place in found.unknown)
         return (*problems, *(f"{error}; its default is used" for error in found.errors), *left_out)
 
     def save(self, tick: int, name: str) -> int | None:
         """Have the value in force of a parameter kept. A number to wait for; None when that is on disk already."""
+        if not self._params.spec(name).kept:
+            return None
         value = self._params[name]
         if self._wanted.get(name) != value:
             self._wanted[name] = value
+            self._unusable = tuple(line for line in self._unusable if name not in re.split(r"[,\s]+", line))
         elif not self._keeper.busy and self.failure is None:
             return None
-        text = param_text(self._wanted, more=self._unknown)
-        self._number = self._keeper.put(tick, text.encode())
-        return self._number
+        return self._put(tick)
 
     def saved(self, tick: int) -> Saved | None:
         """What became of a write, once."""
         kept = self._keeper.poll(tick)
         if kept is None:
             return None
-        error = kept.error
-        self.failure = None if error is None else f"parameters are not saved: {self._file.path}: {error}"
-        cause = "" if error is None else cause_of(error)
-        return Saved(number=kept.number, failure=cause)
+        self._note(kept.error)
+        return Saved(number=kept.number, failure="" if kept.error is None else cause_of(kept.error))
 
     def finish(self) -> None:
         """Write what is not yet on disk."""
-        error = self._keeper.finish()
+        self._note(self._keeper.finish())
+
+    def _note(self, error: Exception | None) -> None:
         self.failure = None if error is None else f"parameters are not saved: {self._file.path}: {error}"
+        self.unsaved = "" if error is None else f"parameters not saved ({cause_of(error)})"
+
+    def _put(self, tick: int) -> int:
+        text = param_text(self._wanted, more=(*self._unknown, *self._unusable)).encode()
+        self._number = self._keeper.put(tick, _check_line(text) + text)
+        return self._number
+
+    def _lost(self, found: ParamText | None, problems: list[str]) -> tuple[Loss, ...]:
+        """What operators have to know before they arm."""
+        if problems and found is None:
+            text = "stored parameters not loaded, defaults in force"
+        elif problems:
+            text = "stored parameters damaged, the copy before is in force"
+        elif found is not None and found.unusable:
+            count = len(found.unusable)
+            text = f"{count} stored parameter{'s' if count > 1 else ''} not loaded, defaults in force"
+        elif self._file.lost:
+            text = "stored parameters were damaged in an earlier run"
+        else:
+            return ()
+        return (Loss(text, self._accept),)
+
+    def _accept(self, tick: int) -> None:
+        self._desk.run(self._file.accept)
+        if self._unusable:
+            self._unusable = ()
+            self._put(tick)
 
     def _parse(self, data: bytes) -> ParamText:
         if not data.strip():
             raise ValueError("is empty")
+        head, _, rest = data.partition(b"\n")
+        if head.startswith(_CHECK) and head + b"\n" != _check_line(rest):
+            raise ValueError("is damaged, or was edited by hand with its first line left in it")
         try:
             return scan_params(data.decode("utf-8"), str(self._file.path))
         except UnicodeDecodeError as error:
             raise ValueError("is not UTF-8 text") from error
+
+
+_CHECK = b"# CRC-32 of what follows; remove this line to edit by hand: "
+
+
+def _check_line(text: bytes) -> bytes:
+    """The first line of a file that a vehicle keeps."""
+    return b"%s%08x\n" % (_CHECK, zlib.crc32(text))

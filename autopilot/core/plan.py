@@ -63,7 +63,8 @@ class PlanItem:
 class PlanRejection:
     """Why a plan is refused. ``reason`` names the item, what is wrong and what to do, in one line."""
 
-    seq: int
+    seq: int | None
+    """The item that is to be changed; None when it is no item's fault."""
     result: MissionResult
     reason: str
 
@@ -79,6 +80,7 @@ class PlanProblem(PlanRejection):
 MAX_ITEMS = {PlanKind.MISSION: 2000, PlanKind.FENCE: 1000, PlanKind.RALLY: 1000}
 """Items that a plan may hold; a mission one more when it begins with home."""
 
+_FENCE_RETURN_POINT = 5000
 _NAV_WAYPOINT = 16
 _AMSL = (0, 5)
 """MAV_FRAME_GLOBAL and _GLOBAL_INT."""
@@ -96,6 +98,11 @@ def begins_with_home(items: Sequence[PlanItem]) -> bool:
         return False
     frames = {item.frame in _AMSL for item in items[1:] if item.x or item.y}
     return frames == {False}
+
+
+def has_shapes(fence: Sequence[PlanItem]) -> bool:
+    """Whether a fence plan keeps the vehicle in or out of anything."""
+    return any(item.command != _FENCE_RETURN_POINT for item in fence)
 
 
 class PlanChange(Protocol):

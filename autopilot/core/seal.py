@@ -12,10 +12,15 @@ MAGIC = b"\nautopilot step, sealed 1\n"
 DIGEST = hashlib.sha256().digest_size
 
 
+GENERATORS = ("core/model4.py", "control/nmpc/model_code.py", "control/energy/interval.py")
+"""Files of the package that the generated sources come from."""
+
+
 def sources_digest(folder: Path) -> bytes:
-    """Of all C sources in ``folder``."""
+    """Of all C sources in the package's ``data/native``, and of what writes the others."""
     digest = hashlib.sha256()
-    for path in sorted([*folder.glob("*.c"), *folder.glob("*.h")], key=lambda path: path.name):
+    written = sorted([*folder.glob("*.c"), *folder.glob("*.h")], key=lambda path: path.name)
+    for path in [*written, *(folder.parents[1] / name for name in GENERATORS)]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.digest()
 

@@ -4,10 +4,12 @@ At every moment there is one whole file: the new content is on disk under anothe
 place, and the old one has got its second name by then. What is found damaged is set aside and not overwritten.
 """
 
+import contextlib
 import os
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,6 +17,16 @@ T = TypeVar("T")
 
 _LEFT_OVER = re.compile(r"[a-z0-9_]{8}")
 """What earlier versions' temporary names ended with."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loss:
+    """Something that earlier runs have kept and that is not in force."""
+
+    text: str
+    """For the operator, without a path."""
+    accept: Callable[[int], None]
+    """An operator knows it and goes on without (at this tick): the next start does not ask again."""
 
 
 class StateFile:
@@ -29,14 +41,35 @@ class StateFile:
         """The content before the last."""
         self.damaged = path.with_name(path.name + ".damaged")
         """The last content that could not be used."""
+        self.accepted = path.with_name(path.name + ".accepted")
+        """The same, once an operator knows of it."""
         self._new = path.with_name(path.name + ".new")
+        self._unread = False
+        """Whether there is a file that could not be read: it is not overwritten but set aside."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether content was set aside that no operator has accepted to be without."""
+        try:
+            return self.damaged.exists()
+        except OSError:
+            return False
+
+    def accept(self) -> None:
+        """An operator goes on without what was set aside or cannot be read; where nothing can be renamed he is asked
+        again at the next start."""
+        for path in (self.path, self.damaged) if self._unread else (self.damaged,):
+            with contextlib.suppress(OSError):
+                os.replace(path, self.accepted)
+        self._unread = False
 
     def clean(self) -> None:
-        """Remove what a killed service left half written."""
-        self._new.unlink(missing_ok=True)
-        for found in self.path.parent.glob(f"{self.path.name}????????"):
-            if _LEFT_OVER.fullmatch(found.name.removeprefix(self.path.name)):
-                found.unlink(missing_ok=True)
+        """Remove what a killed service left half written; on a disk that takes no writes it stays and does no harm."""
+        with contextlib.suppress(OSError):
+            self._new.unlink(missing_ok=True)
+            for found in self.path.parent.glob(f"{self.path.name}????????"):
+                if _LEFT_OVER.fullmatch(found.name.removeprefix(self.path.name)):
+                    found.unlink(missing_ok=True)
 
     def read(self, parse: Callable[[bytes], T], *, set_aside: bool = True) -> tuple[T | None, list[str]]:
         """The content, else that of the copy before; None when there is neither. Beside it what was wrong.
@@ -51,10 +84,12 @@ class StateFile:
                 continue
             except OSError as error:
                 problems.append(f"{path}: cannot be read ({error.strerror})")
+                self._unread |= path is self.path
             except ValueError as error:
                 problems.append(f"{path}: {error}")
                 if path is self.path and set_aside:
-                    os.replace(path, self.damaged)
+                    with contextlib.suppress(OSError):  # a disk that takes no writes: it stays where it is
+                        os.replace(path, self.damaged)
         return None, problems
 
     def set_aside(self) -> Path:
@@ -65,6 +100,10 @@ class StateFile:
     def write(self, data: bytes) -> None:
         """Replace the content. OSError leaves what was there."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        if self._unread:
+            with contextlib.suppress(FileNotFoundError):
+                os.replace(self.path, self.damaged)
+            self._unread = False
         try:
             self._new.unlink(missing_ok=True)
             with open(os.open(self._new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, self._mode), "wb") as stream:
@@ -81,7 +120,7 @@ class StateFile:
 
     def remove(self) -> None:
         """Have no such file any more, nor its copies. OSError when it stays."""
-        for path in (self.path, self.previous, self.damaged, self._new):
+        for path in (self.path, self.previous, self.damaged, self.accepted, self._new):
             path.unlink(missing_ok=True)
         if self.path.parent.is_dir():
             _sync_folder(self.path.parent)

@@ -4,6 +4,7 @@ Vehicles ship in ``autopilot/data/vehicles``; every value there has its origin i
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
@@ -80,13 +81,64 @@ class LevellingTable(Table, frozen=True, kw_only=True):
     """How quickly it levels; a third of what the thrusters' lag allows, 1 / (3 lag), is quick."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatteryLimits:
+    """What is known of a battery's voltage at its terminals."""
+
+    min_v: float
+    max_v: float
+    """Readings beyond these are not this battery's."""
+    low_v: float
+    critical_v: float
+    """Under load, for some seconds."""
+
+    def can_be(self, voltage_v: float) -> bool:
+        """Whether it can have this voltage."""
+        return self.min_v <= voltage_v <= self.max_v
+
+
+LOW, CRITICAL = 0.9, 0.85
+"""Of the voltage of an empty battery: where the file gives no ``low_v``, ``critical_v``."""
+LEAST, MOST = 0.5, 1.15
+"""Of the voltage of an empty and of a full one: where the file gives no ``plausible_v``. A battery that is asked for
+more than it can give sags to half of what it has."""
+
+
 class Battery(Table, frozen=True, kw_only=True):
     """Supply voltage falls linearly with the energy used and with the current drawn."""
 
     open_circuit_v: Positive
+    """Full, at rest."""
     empty_v: Positive
+    """Empty, at rest."""
     capacity_j: Positive
     internal_resistance_ohm: NonNegative
+    plausible_v: tuple[NonNegative, Positive] | None = None
+    """Readings below and above are refused; absent: :data:`LEAST`, :data:`MOST`."""
+    low_v: Positive | None = None
+    """Of a low battery, at its terminals under load; absent: :data:`LOW`."""
+    critical_v: Positive | None = None
+    """The same of a critical one; absent: :data:`CRITICAL`."""
+
+    def __post_init__(self) -> None:
+        limits = self.limits
+        if not limits.min_v < limits.critical_v <= limits.low_v < self.open_circuit_v <= limits.max_v:
+            found = f"{limits.min_v:g} < {limits.critical_v:g} <= {limits.low_v:g} < {self.open_circuit_v:g}"
+            raise ValueError(
+                "`battery`: give least of `plausible_v` < `critical_v` <= `low_v` < `open_circuit_v` <= most of"
+                f" `plausible_v`, not {found} <= {limits.max_v:g}"
+            )
+
+    @property
+    def limits(self) -> BatteryLimits:
+        """As failsafes and monitors go by them."""
+        least_v, most_v = self.plausible_v or (LEAST * self.empty_v, MOST * self.open_circuit_v)
+        return BatteryLimits(
+            min_v=least_v,
+            max_v=most_v,
+            low_v=self.low_v or LOW * self.empty_v,
+            critical_v=self.critical_v or CRITICAL * self.empty_v,
+        )
 
 
 class Tether(Table, frozen=True, kw_only=True):

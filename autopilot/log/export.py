@@ -1,8 +1,8 @@
 """A log's topics as files that anything reads: CSV, and Parquet where pyarrow is installed.
 
 One file per topic, one row per message: ``t_us`` and ``t_s`` on the service's clock, then the fields; arrays element by
-element (``pos_ned_m[0]``). Topics of variable size (paths, markers, pictures) go out with one column of JSON, their
-bytes as lengths. Numbers keep every digit that they have.
+element (``pos_ned_m[0]``), nested fields by their path (``orientation.x``). Topics of variable size (paths, markers,
+pictures) go out with one column of JSON, their bytes as lengths. Numbers keep every digit that they have.
 """
 
 import csv
@@ -106,12 +106,7 @@ def _write_csv(path: Path, columns: Columns) -> None:
         writer = csv.writer(file)
         writer.writerow(columns)
         lists = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns.values()]
-        writer.writerows(zip(*([_text(value) for value in column] for column in lists), strict=True))
-
-
-def _text(value: object) -> object:
-    """A fixed-size text is bytes in the table."""
-    return value.rstrip(b"\0").decode(errors="replace") if isinstance(value, bytes) else value
+        writer.writerows(zip(*lists, strict=True))
 
 
 def _write_parquet(path: Path, columns: Columns) -> None:

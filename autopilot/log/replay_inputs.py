@@ -31,7 +31,7 @@ THRUST = "/nav/thrust"
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class EstimatorTick:
-    """The arguments of one :meth:`estimator.protocol.Estimator.step`."""
+    """The arguments of one :meth:`autopilot.estimator.protocol.Estimator.step`."""
 
     t_us: int
     samples: tuple[Sample, ...]
@@ -128,6 +128,8 @@ def below(row: Any) -> Below:
         problem=_text(row["problem"]),
         refusals=tuple(_text(row["refusals"]).splitlines()),
         pulses_us=tuple(int(pulse) for pulse in row["pulses_us"][: int(row["thrusters"])]),
+        armed=(False, True, None)[int(row["armed"])],
+        rival=bool(row["rival"]),
     )
 
 

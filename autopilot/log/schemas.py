@@ -50,7 +50,7 @@ float64[8] thrust_n  # that the estimator was told, unused = 0
 std_msgs/Header header
 uint8 health  # 0 invalid, 1 dead reckoning, 2 good
 uint32 reset_count  # jumps of the estimate so far
-uint32 doubts  # bits: 1 accelerometer, 2 gyro, 4 fixes, 8 range, 16 map, 32 calibration, 64 resets
+uint32 doubts  # bits: 1 accelerometer, 2 gyro, 4 fixes, 8 range, 16 map, 32 calibration, 64 resets, 128 camera
 """,
     "autopilot_msgs/NavCounters": """
 std_msgs/Header header
@@ -81,8 +81,8 @@ uint32 doubt_accel  # times that the accelerometer was doubted
 uint32 doubt_gyro  # times that the gyros were doubted
 uint32 doubt_compass_jumps  # of the heading source
 uint32 doubt_jumps  # of the estimate
-uint32[4] devices  # ticks on which it failed: 0 sensors, 1 camera, 2 thrusters
-uint32 power_malformed  # power samples that are not finite or out of range
+uint32[4] devices  # ticks on which it failed: 0 sensors, 1 camera, 2 thrusters, 3 their watchdog
+uint32 power_malformed  # readings of the battery that were refused: not finite, or none that it can have
 uint32 faults  # inside the service
 uint32 other  # counted, and not one of these
 uint32 ahrs_field_disturbances  # how often the magnetometer ceased to be believed
@@ -320,6 +320,8 @@ uint16[8] pulses_us  # what the thrusters get while they do not act for us
 uint8[64] text  # its mode, or why it has stopped; UTF-8, zeros behind it
 uint8[128] problem  # how its thrusters do something else than what they are commanded, the same
 uint8[512] refusals  # why it would not fly for us, the same; lines end with a newline
+uint8 armed  # by its heartbeat: 0 no, 1 yes, 2 not known
+uint8 rival  # 1 = somebody else commands the thrusters beside us
 """,
     "autopilot_msgs/MavlinkFrame": """
 std_msgs/Header header

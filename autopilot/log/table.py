@@ -1,6 +1,7 @@
 """What a topic of fixed-size messages is read as: a numpy array with one row per message."""
 
 import importlib
+from collections.abc import Iterator
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -34,10 +35,21 @@ class Table(np.ndarray[Any, np.dtype[np.void]]):
 
 
 def flat_columns(table: Table) -> Columns:
-    """The fields of a fixed-size topic, arrays element by element."""
+    """The fields of a fixed-size topic: arrays element by element, what is nested by its path (``orientation.x``)."""
     columns: Columns = {"t_us": table["t_us"], "t_s": table["t_us"] * 1e-6}
     for name in (table.dtype.names or ())[1:]:
-        column = table[name]
-        for place in np.ndindex(*column.shape[1:]):
-            columns[name + "".join(f"[{index}]" for index in place)] = column[(slice(None), *place)]
+        columns.update(_flat(name, table[name]))
     return columns
+
+
+def _flat(name: str, column: np.ndarray[Any, Any]) -> Iterator[tuple[str, Any]]:
+    """One field's columns; a text of fixed size as text."""
+    for place in np.ndindex(*column.shape[1:]):
+        element, label = column[(slice(None), *place)], name + "".join(f"[{index}]" for index in place)
+        if element.dtype.names is not None:
+            for inner in element.dtype.names:
+                yield from _flat(f"{label}.{inner}", element[inner])
+        elif element.dtype.kind == "S":
+            yield label, [text.decode(errors="replace") for text in element.tolist()]
+        else:
+            yield label, element

@@ -2,7 +2,7 @@
 
 Unknown are the camera's pose in every view, the pose of every marker (on a level floor: north, east and heading) and
 how far blur draws corners towards their markers' centres, on the whole and in every view (motion and window differ; see
-:mod:`estimator.pnp`). Minimised is the sum of Cauchy's loss of the reprojection errors and of the squared distances
+:mod:`.estimator.pnp`). Minimised is the sum of Cauchy's loss of the reprojection errors and of the squared distances
 from what is known of markers beforehand. That knowledge also holds the whole in place: a free network has no origin, no
 heading, and its scale is only the markers' printed size. Levenberg and Marquardt's method, normal equations sparse and
 factorised, all derivatives analytic; steps at first order in small rotations, applied as rotations.

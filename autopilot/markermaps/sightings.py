@@ -16,9 +16,9 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.markers import ID_SPAN, IntArray, MarkerMap
 from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Vehicle
+from autopilot.estimator.marker_looks import misread_cells, patterns_of
+from autopilot.estimator.vision import MarkerDetector
 from autopilot.log.reader import Log, open_log
-from estimator.marker_looks import misread_cells, patterns_of
-from estimator.vision import MarkerDetector
 
 MOST_OF_A_FILM = 120
 """Frames of a film that are looked at."""

@@ -54,13 +54,15 @@ class Announcements:
             self._to_greet.append((self._ctx.t_us + round(GREET_AFTER_US * self._ctx.patience), peer))
 
     def greetings(self) -> None:
-        """Greet whose time has come."""
+        """Greet whose time has come, and say what keeps the vehicle from arming that nobody sees from outside."""
         identity = self._ctx.identity
         while self._to_greet and self._ctx.t_us >= self._to_greet[0][0]:
             _, peer = self._to_greet.popleft()
             if peer.link in self._ctx.quiet:
                 continue
             self._ctx.text(Severity.INFO, f"{identity.name} {identity.version}, {self._ctx.profile.note}", peer)
+            for reason in self._ctx.view.refusals:
+                self._ctx.text(Severity.WARNING, f"No arming: {reason}", peer)
 
     def heartbeat(self) -> None:
         """1 Hz, and at once when armed state or mode change."""
@@ -91,6 +93,7 @@ class Announcements:
     def refusals(self) -> None:
         """Frames that were not believed are told now and then, with the remedy."""
         ctx, now, told = self._ctx, self._ctx.signing.refused, self._told_refusals
+        told.ahead = now.ahead
         if now == told or (self._refusals_us is not None and ctx.t_us < self._refusals_us + REFUSALS_SAY_US):
             return
         self._refusals_us = ctx.t_us

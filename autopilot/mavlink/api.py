@@ -12,6 +12,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Place
 from autopilot.core.messages import MissionProgress, NavDoubt, NavState, NmpcStatus, RunEnd, ThrusterCommand
 from autopilot.core.orbit import OrbitYaw as OrbitYaw
+from autopilot.core.params import Saved
 from autopilot.core.samples import PowerSample
 from autopilot.core.sensed import Sensed
 
@@ -149,6 +150,8 @@ class VehicleView:
     home: Place
     prearm_reasons: tuple[str, ...]
     """Why arming would be refused now; empty = ready."""
+    refusals: tuple[str, ...] = ()
+    """Those of them that devices and the disk have, as whoever connects is told."""
     failsafes: int
     cpu_load: float
     """0..1 of one tick."""
@@ -156,6 +159,8 @@ class VehicleView:
     """Armed and sent somewhere since (mission, go-to, return, surface), also when it has been stopped on the way."""
     dropped_rx: int
     """Malformed frames so far."""
+    fenced: bool = True
+    """Whether a fence is in force."""
     aid_ratio: Mapping[str, float] = field(default_factory=dict)
     """Test ratio of the newest measurement of each aiding sensor, by name; above 1 it was rejected."""
     nav_errors: tuple[int, int, int, int] = (0, 0, 0, 0)
@@ -177,8 +182,9 @@ BEAM_TRACKS = 4 << 28
 
 UNITS_PER_S = 100_000
 """Signing time counts in 10 us since 2015."""
-AHEAD_UNITS = 60 * UNITS_PER_S
-"""The signing time on disk is so far ahead of what has been used, at most."""
+AHEAD_UNITS = 2 * UNITS_PER_S
+"""The signing time on disk is so far ahead of what has been used and heard, at most. Nothing up to it is heard after a
+restart, which takes about as long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +193,7 @@ class SigningState:
 
     key: bytes | None
     stamp: int
-    """Signing time that has not been used."""
+    """Signing time: nothing later has been used or heard."""
 
     def __repr__(self) -> str:
         """Without the key."""
@@ -199,15 +205,15 @@ class SigningStore(Protocol):
 
     @property
     def state(self) -> SigningState:
-        """As found at the start; the time is on disk already, and so is a minute beyond it."""
+        """As found at the start; where there is a key, AHEAD_UNITS beyond the time are on disk already."""
         ...
 
     def keep(self, tick: int, state: SigningState) -> None:
-        """Have it written."""
+        """Have it written; the n-th call's number is n."""
         ...
 
-    def poll(self, tick: int) -> str | None:
-        """What became of the last one: "" = written, else why not; None = nothing new."""
+    def poll(self, tick: int) -> Saved | None:
+        """What became of one of them, once; None = nothing new."""
         ...
 
 
@@ -219,7 +225,11 @@ class VehicleCommands(Protocol):
         ...
 
     def disarm(self, force: bool) -> Answer:
-        """Disarm; ``force`` = emergency stop, always accepted."""
+        """Disarm; ``force`` = emergency stop. Never refused; IN_PROGRESS while a flight controller below confirms."""
+        ...
+
+    def disarmed(self) -> Answer:
+        """What has become of the last disarming; IN_PROGRESS while it is waited for."""
         ...
 
     def set_mode(self, mode: FlightMode) -> Answer:

@@ -1,19 +1,25 @@
 """What a service says before it can do anything: that it is there, and starting."""
 
 from collections.abc import Hashable
+from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.core.clients import EVERYONE
+from autopilot.core.clients import EVERYONE, Reach
 from autopilot.mavlink.api import FlightMode
+from autopilot.mavlink.boot_identity import BootFiles, BootIdentity
 from autopilot.mavlink.context import COMPID
 from autopilot.mavlink.profiles import profile_by_name
+from autopilot.mavlink.signing import is_signed_with, signed
 from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.wire import LinkEncoder, LinkParser, Message
 
 MAX_PARSERS = 64
 """Clients of a link whose unfinished messages are kept."""
 STARTING = "Service is starting; try again in a few seconds"
+
+_MISSION_COMPONENT = 190
+"""MAV_COMP_ID_MISSIONPLANNER: older clients address vehicles so."""
 
 _REQUESTS = frozenset(
     (
@@ -25,20 +31,90 @@ _REQUESTS = frozenset(
         mav.MAV_CMD_GET_HOME_POSITION,
     )
 )
-"""What every client asks for at its connect. They go unanswered until the service answers them."""
+"""What every client asks for at its connect. What is not known yet goes unanswered until the service answers it."""
+
+_KEPT = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_HEARTBEAT,
+        mav.MAVLINK_MSG_ID_COMMAND_LONG,
+        mav.MAVLINK_MSG_ID_COMMAND_INT,
+        mav.MAVLINK_MSG_ID_SET_MODE,
+        mav.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN,
+        mav.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
+        mav.MAVLINK_MSG_ID_PARAM_SET,
+        mav.MAVLINK_MSG_ID_MISSION_COUNT,
+        mav.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+        mav.MAVLINK_MSG_ID_MISSION_REQUEST,
+        mav.MAVLINK_MSG_ID_MISSION_SET_CURRENT,
+        mav.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_LIST,
+        mav.MAVLINK_MSG_ID_LOG_REQUEST_DATA,
+        mav.MAVLINK_MSG_ID_REQUEST_DATA_STREAM,
+        mav.MAVLINK_MSG_ID_SETUP_SIGNING,
+    )
+)
+"""What may be left for the service: requests. Anything else (sticks, positions of others) is of the moment in which it
+was sent, and a service that begins seconds later has no use for it."""
+
+
+_SIGNED_AS = 0x40
+"""Added to a link's number: what is signed while the service starts is a sequence of its own, whose times do not get in
+the way of the service's."""
+
+
+@dataclass(slots=True)
+class BootSigning:
+    """The signing key while the service starts, for all links."""
+
+    key: bytes
+    stamp: int
+    """Signing time of the last frame; it goes on by one for each, and not with the clock."""
+    local_may_be_silent: bool
+    """Programs of this machine need not sign (SIGN_LOCAL)."""
+
+    def sign(self, frame: bytes, crc_extra: int, link: int) -> bytes:
+        """A frame that goes out."""
+        self.stamp += 1
+        return signed(frame, crc_extra, self.key, _SIGNED_AS | link & 0x3F, self.stamp)
+
+    def answers(self, frame: bytes, reach: Reach) -> bool:
+        """Whether who sent a frame is answered. Nothing is obeyed here, so an old frame does no harm."""
+        return is_signed_with(self.key, frame) or (self.local_may_be_silent and reach is Reach.MACHINE)
 
 
 class BootLink:
-    """One link of a service that is starting: heartbeats in MAV_STATE_BOOT, and actions are put off.
+    """One link of a service that is starting: heartbeats in MAV_STATE_BOOT, who the vehicle is; actions are put off.
 
     ConfigError for an unknown profile. Never raises on received bytes.
     """
 
-    def __init__(self, sysid: int, profile: str) -> None:
+    def __init__(
+        self,
+        sysid: int,
+        profile: str,
+        identity: BootIdentity,
+        signing: BootSigning | None = None,
+        number: int = 0,
+    ) -> None:
+        """``number``: of the link; ``signing``: None without a key."""
         self._sysid = sysid
         self._profile = profile_by_name(profile)
+        self._identity, self._signing = identity, signing
         self._parsers: LatestUsed[int, LinkParser] = LatestUsed(MAX_PARSERS)
         self._encoder = LinkEncoder(sysid, COMPID)
+        if signing is not None:
+            self._encoder.sign = lambda frame, crc_extra, counted: signing.sign(frame, crc_extra, number)
+        self._answers: list[tuple[int, bytes]] = []
+        self._files = BootFiles(identity, self._send)
+
+    def tick(self, t_us: int) -> list[tuple[int, bytes]]:
+        """What goes on without being asked again (files in bursts): client and message. Time has any beginning."""
+        self._files.t_us = t_us
+        self._files.tick()
+        return self._take_answers()
 
     def heartbeat(self) -> bytes:
         """HEARTBEAT of a disarmed vehicle that is starting."""
@@ -53,42 +129,71 @@ class BootLink:
             )
         )
 
-    def answer(self, data: bytes, client: int = EVERYONE) -> tuple[list[bytes], dict[Hashable, bytes]]:
+    def answer(
+        self, data: bytes, client: int = EVERYONE, reach: Reach = Reach.NETWORK
+    ) -> tuple[list[bytes], dict[Hashable, bytes]]:
         """Answers to what a client sent, and what of it is left for the service: what it asks -> the message.
 
         Actions are temporarily rejected, with a text that says why; they are not left.
         """
-        out: list[bytes] = []
         left: dict[Hashable, bytes] = {}
         for msg in self._parser_of(client).feed(data):
-            if not self._is_action(msg):
+            if not self._is_known(client, msg, reach) and not self._put_off(client, msg):
                 left[_asked(msg)] = bytes(msg.get_msgbuf())
-                continue
-            out.append(self._encoder.pack(mav.MAVLink_statustext_message(mav.MAV_SEVERITY_WARNING, STARTING.encode())))
-            if msg.get_type() != "SET_MODE":  # that one knows no acknowledgement
-                asker = msg.get_srcSystem(), msg.get_srcComponent()
-                later = mav.MAV_RESULT_TEMPORARILY_REJECTED
-                out.append(self._encoder.pack(mav.MAVLink_command_ack_message(msg.command, later, 0, 0, *asker)))
-        return out, left
+        return [answer for _, answer in self._take_answers()], left
+
+    def _is_known(self, client: int, msg: Message, reach: Reach) -> bool:
+        """Whether a message asks for what can be told already; it is, then."""
+        if not self._is_for_us(msg):
+            return False
+        if self._signing is not None and not self._signing.answers(bytes(msg.get_msgbuf()), reach):
+            return False
+        if msg.get_type() == "FILE_TRANSFER_PROTOCOL":
+            return self._files.take(client, msg)
+        answers = self._identity.answer(msg)
+        for answer in answers:
+            self._send(client, answer)
+        return bool(answers)
+
+    def _put_off(self, client: int, msg: Message) -> bool:
+        """Whether a message wants the vehicle to do something that it cannot do yet; it is told so, then."""
+        if not self._is_action(msg):
+            return False
+        self._send(client, mav.MAVLink_statustext_message(mav.MAV_SEVERITY_WARNING, STARTING.encode()))
+        if msg.get_type() != "SET_MODE":  # that one knows no acknowledgement
+            asker = msg.get_srcSystem(), msg.get_srcComponent()
+            later = mav.MAV_RESULT_TEMPORARILY_REJECTED
+            self._send(client, mav.MAVLink_command_ack_message(msg.command, later, 0, 0, *asker))
+        return True
+
+    def _send(self, client: int, message: Message) -> None:
+        self._answers.append((client, self._encoder.pack(message)))
+
+    def _take_answers(self) -> list[tuple[int, bytes]]:
+        answers, self._answers = self._answers, []
+        return answers
 
     def _parser_of(self, client: int) -> LinkParser:
         """Every client has its own: half a message of one must not meet another's."""
-        return self._parsers.touch(client, LinkParser)
+        return self._parsers.touch(client, lambda: LinkParser(_KEPT))
+
+    def _is_for_us(self, msg: Message) -> bool:
+        return getattr(msg, "target_system", 0) in (0, self._sysid) and (
+            getattr(msg, "target_component", 0) in (0, COMPID, _MISSION_COMPONENT)
+        )
 
     def _is_action(self, msg: Message) -> bool:
-        """Whether a message wants the vehicle to do something that it cannot do yet."""
+        """Whether a message wants the vehicle to do something."""
         kind = msg.get_type()
         if kind == "SET_MODE":
             return msg.target_system in (0, self._sysid)
-        return (
-            kind in ("COMMAND_LONG", "COMMAND_INT")
-            and msg.command not in _REQUESTS
-            and msg.target_system in (0, self._sysid)
-            and msg.target_component in (0, COMPID)
-        )
+        return kind in ("COMMAND_LONG", "COMMAND_INT") and msg.command not in _REQUESTS and self._is_for_us(msg)
 
 
 def _asked(msg: Message) -> Hashable:
-    """Who asks for what: the same again takes the place of what has been asked before."""
-    what = (getattr(msg, field, None) for field in ("mission_type", "command", "param1", "param_id", "seq"))
-    return msg.get_srcSystem(), msg.get_srcComponent(), msg.get_msgId(), *what
+    """Who asks for what: the same again takes the place of what has been asked before.
+
+    A field may be an array in some message or other, so that all of them are compared as text.
+    """
+    what = tuple(repr(getattr(msg, field, None)) for field in ("mission_type", "command", "param1", "param_id", "seq"))
+    return msg.get_srcSystem(), msg.get_srcComponent(), msg.get_msgId(), what

@@ -1,11 +1,12 @@
 """Command protocol: COMMAND_LONG and COMMAND_INT to the vehicle, an answer to each. https://mavlink.io/en/services/command.html
 
-Every command is answered at once. A retransmission of an action gets the first answer again and is not executed twice;
+Every command is answered at once, but for one whose effect is waited for: that is answered when it has come, and
+IN_PROGRESS is sent meanwhile. A retransmission of an action gets the first answer again and is not executed twice;
 requests are simply answered again. Unused parameters may be 0 or NaN.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import development as mav
 
@@ -19,6 +20,9 @@ REPEAT_US = 10_000_000
 """COMMAND_LONG with confirmation > 0 counts as a retransmission so long after the first."""
 DUPLICATE_US = 250_000
 """The same datagram again within this time is a duplicate made by the network."""
+FIRST_PROGRESS_US = 300_000
+PROGRESS_US = 1_000_000
+"""A client that waits is told that there is progress so long after its command, and so often."""
 MAX_REMEMBERED = 64
 """Clients whose last command is remembered; the oldest goes."""
 
@@ -73,6 +77,8 @@ class Reply:
 
     answer: Answer
     messages: tuple[Message, ...] = ()
+    later: Callable[[], Answer] | None = None
+    """Asked on every tick for the final answer while ``answer`` and what this says are IN_PROGRESS."""
 
 
 Handler = Callable[[Call], Reply]
@@ -95,6 +101,15 @@ class _Remembered:
     datagram: tuple[int, int]
     at_us: int
     answer: Answer
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """A client that waits for what its command does."""
+
+    later: Callable[[], Answer]
+    told_us: int
+    """When it is to be told next that there is progress."""
 
 
 def denied(reason: str) -> Reply:
@@ -138,6 +153,13 @@ class Commands:
         self._keeps_out = keeps_out
         self._table = table
         self._last: LatestUsed[Peer, _Remembered] = LatestUsed(MAX_REMEMBERED)
+        self._waiting: LatestUsed[tuple[Peer, int], _Waiting] = LatestUsed(MAX_REMEMBERED)
+        """By client and command."""
+
+    @property
+    def table(self) -> Mapping[int, Entry]:
+        """The commands that are understood."""
+        return self._table
 
     def on_command(self, peer: Peer, msg: Message) -> None:
         """COMMAND_LONG or COMMAND_INT."""
@@ -163,8 +185,30 @@ class Commands:
             self._ack(peer, call.command, before.answer)
             return
         reply = entry.handler(call)
+        self._waiting.pop((peer, call.command), None)
         self._last[peer] = _Remembered(key, datagram, self._ctx.t_us, reply.answer)
+        if reply.later is not None and reply.answer.result is CommandResult.IN_PROGRESS:
+            self._waiting[peer, call.command] = _Waiting(reply.later, self._ctx.t_us + FIRST_PROGRESS_US)
+            return
         self._reply(peer, call.command, reply)
+
+    def tick(self) -> None:
+        """Answer those who wait."""
+        for (peer, command), waiting in list(self._waiting.items()):
+            answer = waiting.later()
+            if answer.result is not CommandResult.IN_PROGRESS:
+                del self._waiting[peer, command]
+                self._remember(peer, command, answer)
+                self._reply(peer, command, Reply(answer))
+            elif self._ctx.t_us >= waiting.told_us:
+                waiting.told_us = self._ctx.t_us + PROGRESS_US
+                self._ack(peer, command, answer)
+
+    def _remember(self, peer: Peer, command: int, answer: Answer) -> None:
+        """The final answer is what a repetition gets."""
+        before = self._last.get(peer)
+        if before is not None and before.key[0] == command:
+            self._last[peer] = replace(before, answer=answer)
 
     def _is_repeat(self, before: _Remembered, msg: Message, datagram: tuple[int, int]) -> bool:
         age_us = self._ctx.t_us - before.at_us

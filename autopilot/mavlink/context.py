@@ -41,6 +41,11 @@ class Peer(NamedTuple):
     compid: int
     client: int = 0
 
+    @property
+    def name(self) -> str:
+        """For operators: system and component id."""
+        return f"{self.sysid}/{self.compid}"
+
 
 Receiver: TypeAlias = int | Peer
 """Who gets something: everyone on a link, or one client."""

@@ -4,15 +4,12 @@
 packaged decoder know both; a message that stands in both is decoded with its newer fields.
 """
 
-from typing import Any
-
 from pymavlink.dialects.v20 import development as mav
 
 from autopilot.mavlink import extra_messages
 
-extra: Any = extra_messages
-"""Untyped, as the packaged dialect is."""
+extra = extra_messages.load()
 
-mav.mavlink_map.update(extra_messages.mavlink_map)
+mav.mavlink_map.update(extra.mavlink_map)
 
 __all__ = ["extra", "mav"]

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from autopilot.core.clients import EVERYONE
+from autopilot.core.clients import EVERYONE, Standing
 from autopilot.core.clock import TICK_US
 from autopilot.core.guard import Guard, Work
 from autopilot.core.messages import Event, MavlinkFrame, Severity
@@ -25,13 +25,13 @@ from autopilot.mavlink.external import ExternalPoses
 from autopilot.mavlink.flight import Flight
 from autopilot.mavlink.ftp import FileTransfer
 from autopilot.mavlink.high_latency import HighLatency
-from autopilot.mavlink.inbox import Address, Inbox, Intake
+from autopilot.mavlink.inbox import MAX_INBOXES, Address, Inbox, Intake
 from autopilot.mavlink.keys import Keys
 from autopilot.mavlink.logs import LogDownload
 from autopilot.mavlink.maintenance import Maintenance
 from autopilot.mavlink.metadata import ComponentMetadata, make_metadata
 from autopilot.mavlink.missions import Missions
-from autopilot.mavlink.operators import REQUEST, STATUS_ID, Operators
+from autopilot.mavlink.operators import GRAVE_COMMANDS, REQUEST, STATUS_ID, Operators, Rights, rights
 from autopilot.mavlink.others import Others
 from autopilot.mavlink.output_messages import OutputMessages
 from autopilot.mavlink.parameters import Parameters
@@ -46,6 +46,7 @@ from autopilot.mavlink.setpoints import SetPoints
 from autopilot.mavlink.signing import Signing
 from autopilot.mavlink.status import Status
 from autopilot.mavlink.streams import Streams
+from autopilot.mavlink.table import LatestUsed
 from autopilot.mavlink.telemetry import Builder, Telemetry
 from autopilot.mavlink.utility import Utility
 from autopilot.mavlink.vehicle_commands import VehicleService
@@ -187,6 +188,8 @@ class Dispatcher:
         self._handlers = self._table()
         self._router = Router(ctx, ours=self._ours.__contains__)
         self._intake = Intake(self._handlers.keys(), _HEAVY, self._handle, ctx.signing.admits, self._heard)
+        self._valid_us: LatestUsed[Address, int] = LatestUsed(MAX_INBOXES)
+        """When each client was last understood."""
         self._new: Recent[Address] = Recent(float("inf"))
         """Clients that have spoken MAVLink 2."""
         self._announcements = Announcements(ctx, self._status, self._telemetry, self._intake)
@@ -285,6 +288,10 @@ class Dispatcher:
         self._high_latency.forget(link)
         self._announcements.forget(link)
 
+    def finish(self) -> None:
+        """The end of a run."""
+        self._ctx.signing.finish()
+
     @property
     def dropped_rx(self) -> int:
         """Damaged stretches of input so far."""
@@ -321,6 +328,7 @@ class Dispatcher:
         run_all(self._before_hearing)
         for frame in rx:
             self._push(frame)
+        run("message", self._commands.tick, None)
         run("message", self._intake.work, None)
         ctx.received = self._intake.received
 
@@ -350,11 +358,25 @@ class Dispatcher:
         return tuple(ctx.tx)
 
     def beat(self) -> tuple[MavlinkFrame, ...]:
-        """HEARTBEAT for all links, beside the ticks: nothing counts it, so a run is the same with it or without."""
-        message = self._status.heartbeat()
+        """HEARTBEAT of every component for all links, beside the ticks: nothing counts it, so a run is the same with it
+        or without."""
         ctx = self._ctx
-        links = tuple(link for link in ctx.links if link not in ctx.quiet)
-        return tuple(frame for link in links for frame in ctx.frames(link, EVERYONE, message, counted=False))
+        beats = [(COMPID, self._status.heartbeat())]
+        if self._camera is not None:
+            beats.append((CAMERA_COMPID, self._camera.heartbeat()))
+        return tuple(
+            frame
+            for link in ctx.links
+            if link not in ctx.quiet
+            for source, message in beats
+            for frame in ctx.frames(link, EVERYONE, message, counted=False, source=source)
+        )
+
+    def standing(self, link: int, client: int) -> Standing:
+        """What a client has shown of itself so far."""
+        owner = self._operators.owner
+        in_control = owner is not None and (owner.link, owner.client) == (link, client)
+        return Standing(self._valid_us.get((link, client)), in_control)
 
     def _push(self, frame: MavlinkFrame) -> Inbox | None:
         if frame.link < 0:
@@ -407,6 +429,7 @@ class Dispatcher:
 
     def _heard(self, address: Address, frame: bytes) -> None:
         """A good frame, for us or not: perhaps somebody else wants it."""
+        self._valid_us[address] = self._ctx.t_us
 
         def note() -> None:
             self._high_latency.heard(address)
@@ -415,7 +438,13 @@ class Dispatcher:
         self._ctx.guard.run("message", note, None)
 
     def _keeps_out(self, call: Call) -> str:
-        return self._operators.reason if self._operators.keeps_out(call.peer) else ""
+        return self._operators.refusal(call.peer, grave=call.command in GRAVE_COMMANDS)
+
+    def rights(self) -> Rights:
+        """Who may send what, as this server handles it."""
+        tables = [self._commands.table, *([] if self._to_camera is None else [self._to_camera.table])]
+        entries = {number: entry for table in tables for number, entry in table.items()}
+        return rights(self._handlers, entries)
 
     def _for_us(self, msg: Message) -> bool:
         """Addressed to us, to all, or to nobody. The camera takes commands only."""

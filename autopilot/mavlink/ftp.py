@@ -6,16 +6,17 @@ burst sends no more than its link takes: so many packets per tick, none while th
 """
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Protocol
 
 from autopilot.core.clock import TICK_US
 from autopilot.core.crc import file_crc32
 from autopilot.core.desk import Ticket
 from autopilot.core.shelf import Shelf, ShelfFile
 from autopilot.mavlink.budget import FILES
-from autopilot.mavlink.context import Context, Peer
+from autopilot.mavlink.context import Peer
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.files import LOGS, OpenFile, folder_entries, parts_of
 from autopilot.mavlink.table import LatestUsed
@@ -32,6 +33,28 @@ MAX_DATA = 239
 _HEADER = struct.Struct("<HBBBBBxI")
 """Sequence number, session, opcode, size, opcode asked for, end of a burst, offset."""
 _PAYLOAD_BYTES = 251
+
+
+class Outlet(Protocol):
+    """The way to the clients: :class:`autopilot.mavlink.context.Context`, or a service that is starting."""
+
+    @property
+    def t_us(self) -> int:
+        """Time of the tick."""
+        ...
+
+    @property
+    def links(self) -> Container[int]:
+        """Links that are open."""
+        ...
+
+    def send(self, to: Peer, message: Message) -> None:
+        """Queue a message to a client."""
+        ...
+
+    def has_room(self, link: int, share: float) -> bool:
+        """Whether a link can carry what is not urgent."""
+        ...
 
 
 class Op(IntEnum):
@@ -138,7 +161,7 @@ class FileTransfer:
 
     def __init__(
         self,
-        ctx: Context,
+        ctx: Outlet,
         files: Mapping[str, bytes],
         shelf: Shelf | None,
         made: Callable[[str], bytes | None] = lambda path: None,

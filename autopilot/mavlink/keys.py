@@ -44,4 +44,5 @@ class Keys:
                 return
             ctx.signing.set_key(None if none else key, msg.initial_timestamp)
             ctx.key_changed()
-            ctx.say(Severity.INFO, "Signing off" if none else "Signing on: only signed frames are heard")
+            act = "Signing off" if none else "Signing on: only signed frames are heard"
+            ctx.say(Severity.WARNING, f"{act} (key set by {peer.name})")

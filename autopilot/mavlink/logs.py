@@ -94,6 +94,7 @@ class LogDownload:
         elif self._shelf is None:
             ctx.say(Severity.WARNING, "Logs not erased: there is no log folder", peer)
         elif self._erasing is None:
+            ctx.say(Severity.WARNING, f"All logs are being erased: asked for by {peer.name}")
             for client in self._clients.values():
                 client.stop()
             self._erasing = peer, self._shelf.erase(self._tick)
@@ -185,4 +186,4 @@ class LogDownload:
         if answer.error is not None:
             self._ctx.say(Severity.WARNING, f"Logs not erased: {answer.error}", peer)
         else:
-            self._ctx.say(Severity.INFO, f"Logs erased: {answer.value}", peer)
+            self._ctx.say(Severity.INFO, f"Logs erased: {answer.value}")

@@ -82,7 +82,7 @@ class Maintenance:
             if self._ctx.view.armed:
                 return denied("Parameters not reset: disarm first")
             count = self._parameters.reset()
-            self._ctx.say(Severity.INFO, f"Parameters set to defaults: {count}", call.peer)
+            self._ctx.say(Severity.WARNING, f"Parameters set to defaults by {call.peer.name}: {count}")
         return Reply(ACCEPTED)
 
     def reboot(self, call: Call) -> Reply:
@@ -92,7 +92,12 @@ class Maintenance:
             return Reply(ACCEPTED)
         if what not in (_RESTART, _STOP):
             return denied(f"reboot: param1 = {call.param(1):g}, use 1 (restart) or 2 (stop)")
-        return Reply(self._ctx.vehicle.end_run(RunEnd.AGAIN if what == _RESTART else RunEnd.STOP))
+        answer = self._ctx.vehicle.end_run(RunEnd.AGAIN if what == _RESTART else RunEnd.STOP)
+        if answer.result is CommandResult.ACCEPTED:
+            ends = what == _STOP
+            act = "Service ends" if ends else "Service restarts"
+            self._ctx.say(Severity.WARNING if ends else Severity.INFO, f"{act}: asked for by {call.peer.name}")
+        return Reply(answer)
 
     def calibrate(self, call: Call) -> Reply:
         """PREFLIGHT_CALIBRATION: sensors come calibrated or are calibrated from logs; nothing runs that all zeros could

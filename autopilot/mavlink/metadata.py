@@ -97,13 +97,22 @@ class ComponentMetadata:
 
     def component_metadata(self) -> Message:
         """COMPONENT_METADATA."""
-        uri = uri_of(GENERAL).encode("ascii")
-        return extra.MAVLink_component_metadata_message(self._ctx.boot_ms, self._metadata.general_crc, uri)
+        return component_metadata(self._metadata, self._ctx.boot_ms)
 
     def component_information(self) -> Message:
         """COMPONENT_INFORMATION, for ground stations that know only this one."""
-        uri = uri_of(GENERAL).encode("ascii")
-        return extra.MAVLink_component_information_message(self._ctx.boot_ms, self._metadata.general_crc, uri, 0, b"")
+        return component_information(self._metadata, self._ctx.boot_ms)
+
+
+def component_metadata(metadata: Metadata, boot_ms: int) -> Message:
+    """COMPONENT_METADATA: where the general file is."""
+    return extra.MAVLink_component_metadata_message(boot_ms, metadata.general_crc, uri_of(GENERAL).encode("ascii"))
+
+
+def component_information(metadata: Metadata, boot_ms: int) -> Message:
+    """COMPONENT_INFORMATION: the same."""
+    uri = uri_of(GENERAL).encode("ascii")
+    return extra.MAVLink_component_information_message(boot_ms, metadata.general_crc, uri, 0, b"")
 
 
 def _packed(content: dict[str, Any]) -> bytes:

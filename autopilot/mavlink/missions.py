@@ -11,7 +11,8 @@ meanwhile cannot mix.
 from dataclasses import dataclass, field
 
 from autopilot.core.messages import Severity
-from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanChange, PlanItem, PlanKind
+from autopilot.core.phrases import NO_FENCE
+from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanChange, PlanItem, PlanKind, has_shapes
 from autopilot.core.plan_wire import item_message, item_of
 from autopilot.mavlink import home_item
 from autopilot.mavlink.context import Context, Peer
@@ -38,6 +39,8 @@ REPEAT_PAUSE_US = 200_000
 """But not more often than this: a duplicated datagram is not a repetition."""
 SLOW_DISK_US = 1_000_000
 """A plan in force waits so long for the disk before it is called accepted (a client's last retry comes after 1.5 s)."""
+FENCE_AFTER_US = 2_000_000
+"""Ground stations send the fence behind its mission: one that has not begun so long after the last transfer is none."""
 MAX_DOWNLOADS = 16
 """Snapshots kept at once; the oldest goes."""
 
@@ -57,6 +60,8 @@ class Upload:
     count: int
     asked_us: int
     progress_us: int
+    asked: int | None = None
+    """The item that was asked for last."""
     wrong: int = 0
     items: list[PlanItem] = field(default_factory=list)
     """As the wire numbers them."""
@@ -87,6 +92,8 @@ class Finished:
     plan_id: int
     at_us: int
     said_us: int
+    guilty: int | None = None
+    """The item of a refusal."""
 
 
 @dataclass(slots=True)
@@ -111,6 +118,8 @@ class Missions:
         """What downloads mark as current."""
         self.revision = 0
         """Grows with every plan that is taken."""
+        self._fence_due_us: int | None = None
+        """When it is looked whether a mission has come without its fence; None = it has been."""
 
     @property
     def uploading(self) -> bool:
@@ -177,7 +186,7 @@ class Missions:
         if not home_item.may_be(ctx, upload.kind, item):
             refusal = ctx.plans.check_item(upload.kind, item)
             if refusal is not None:
-                self._end(upload, refusal.result, refusal.reason)
+                self._end(upload, refusal.result, refusal.reason, refusal.seq)
                 return
         upload.items.append(item)
         upload.progress_us, upload.wrong = now_us, 0
@@ -219,15 +228,19 @@ class Missions:
         if done is None or done.peer != peer or done.kind != msg.mission_type or now_us - done.at_us > late_us:
             self._ack(peer, MissionResult.ERROR, msg.mission_type)
             return
-        if msg.seq == done.count - 1 and now_us - done.said_us >= REPEAT_PAUSE_US:
+        if msg.seq in (done.count - 1, done.guilty) and now_us - done.said_us >= REPEAT_PAUSE_US:
             done.said_us = now_us
+            if done.guilty is not None and done.guilty != msg.seq:
+                self._request(peer, done.guilty, done.kind)
             self._ack(peer, done.result, done.kind, done.plan_id)
 
     def _ask(self, upload: Upload, seq: int | None = None) -> None:
         """For the next item, or for ``seq``."""
-        upload.asked_us = self._ctx.t_us
-        peer, wanted = upload.peer, len(upload.items) if seq is None else seq
-        self._ctx.send(peer, mav.MAVLink_mission_request_int_message(peer.sysid, peer.compid, wanted, upload.kind))
+        upload.asked_us, upload.asked = self._ctx.t_us, len(upload.items) if seq is None else seq
+        self._request(upload.peer, upload.asked, upload.kind)
+
+    def _request(self, peer: Peer, seq: int, kind: PlanKind) -> None:
+        self._ctx.send(peer, mav.MAVLink_mission_request_int_message(peer.sysid, peer.compid, seq, kind))
 
     def _finish(self, upload: Upload) -> None:
         """All items are there: hand the plan over."""
@@ -273,8 +286,9 @@ class Missions:
         ctx, refusal, upload = self._ctx, checking.change.rejection, checking.upload
         if refusal is None:
             self.revision += len(checking.kinds)
+            self._fence_due_us = self._fence_after()
         if upload is not None and refusal is not None:
-            self._end(upload, refusal.result, refusal.reason)
+            self._end(upload, refusal.result, refusal.reason, refusal.seq)
         elif upload is not None:
             self._end(upload, MissionResult.ACCEPTED, "")
             self._say_taken(upload.kind)
@@ -303,13 +317,15 @@ class Missions:
         ctx.say(Severity.WARNING, "Plan in force, not on disk yet")
         return True
 
-    def _end(self, upload: Upload, result: MissionResult, reason: str) -> None:
-        """Close the transfer with its answer; a refusal leaves the plan in force."""
+    def _end(self, upload: Upload, result: MissionResult, reason: str, guilty: int | None = None) -> None:
+        """Close the transfer with its answer; a refusal leaves the plan in force and names item ``guilty``."""
         now_us = self._ctx.t_us
         self._upload = None
         plan_id = self._ctx.plans.checksum(upload.kind) if result is MissionResult.ACCEPTED else 0
-        self._finished = Finished(upload.peer, upload.kind, upload.count, result, plan_id, now_us, now_us)
+        self._finished = Finished(upload.peer, upload.kind, upload.count, result, plan_id, now_us, now_us, guilty)
         self._ctx.begin_anew()
+        if guilty is not None and guilty != upload.asked and 0 <= guilty < upload.count:
+            self._ask(upload, guilty)
         self._ack(upload.peer, result, upload.kind, plan_id)
         if reason:
             text = f"{upload.kind.name.capitalize()} refused: {reason}"
@@ -410,11 +426,27 @@ class Missions:
         """MISSION_WRITE_PARTIAL_LIST was never standardised."""
         self._ack(peer, MissionResult.UNSUPPORTED, msg.mission_type)
 
+    def _fence_after(self) -> int:
+        return self._ctx.t_us + round(FENCE_AFTER_US * self._ctx.patience)
+
+    def _miss_fence(self) -> None:
+        """A mission without a fence is told, once its fence would have come."""
+        due_us, ctx = self._fence_due_us, self._ctx
+        if due_us is None:
+            return
+        if self.uploading:
+            self._fence_due_us = self._fence_after()
+        elif ctx.t_us >= due_us:
+            self._fence_due_us = None
+            if ctx.plans.items(PlanKind.MISSION) and not has_shapes(ctx.plans.items(PlanKind.FENCE)):
+                ctx.say(Severity.WARNING, f"Mission with {NO_FENCE}: upload its fence, or keep clear of walls")
+
     # Time
 
     def tick(self) -> None:
         """Answer, ask again, give up, forget."""
         self.answer()
+        self._miss_fence()
         ctx = self._ctx
         now_us = ctx.t_us
         upload = self._upload

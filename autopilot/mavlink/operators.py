@@ -5,11 +5,12 @@ one asks; then whoever else wants to change something is refused (NOT_IN_CONTROL
 A ground station is known by its system id: only signing makes that more than a name.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
 from autopilot.core.messages import Severity
 from autopilot.mavlink.api import Answer, CommandResult
-from autopilot.mavlink.commands import ACCEPTED, Call, Reply, denied
+from autopilot.mavlink.commands import ACCEPTED, Call, Entry, Reply, denied
 from autopilot.mavlink.context import Context, Peer
 from autopilot.mavlink.dialect import extra, mav
 from autopilot.mavlink.wire import Message
@@ -47,6 +48,12 @@ OPEN = frozenset(
 )
 """Messages that are heard of everybody: reading, rates, time, what others measure. Commands are judged one by one. All
 others, also those that nobody has thought of here, are for the one in control."""
+GRAVE = frozenset((mav.MAVLINK_MSG_ID_LOG_ERASE, mav.MAVLINK_MSG_ID_SETUP_SIGNING))
+"""Messages that do what nobody can take back. All clients are told who it was."""
+GRAVE_COMMANDS = frozenset((mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, mav.MAV_CMD_PREFLIGHT_STORAGE))
+"""The same of commands."""
+GUARD = "MAV_CTRL_NEEDED"
+"""Parameter: whether what is grave needs control, also while nobody has it. It guards itself."""
 _PLAN = frozenset(
     (
         mav.MAVLINK_MSG_ID_MISSION_COUNT,
@@ -80,6 +87,11 @@ class Operators:
         """System id, 0 = nobody."""
         return 0 if self._owner is None else self._owner.sysid
 
+    @property
+    def owner(self) -> Peer | None:
+        """Where the one in control was heard last, None = nobody is in control."""
+        return self._owner
+
     def status(self) -> Message:
         """CONTROL_STATUS."""
         flags = extra.GCS_CONTROL_STATUS_FLAGS_SYSTEM_MANAGER
@@ -109,10 +121,22 @@ class Operators:
         """Whether somebody else is in control."""
         return self._owner is not None and peer.sysid != self._owner.sysid
 
+    def refusal(self, peer: Peer, *, grave: bool) -> str:
+        """Why somebody may not change anything, or nothing ``grave``, now; "" = he may."""
+        if self.keeps_out(peer):
+            return self.reason
+        if grave and self._owner is None and self._ctx.params[GUARD] > 0.0:
+            return f"Refused: take operator control first ({GUARD})"
+        return ""
+
     def refused(self, peer: Peer, msg: Message) -> bool:
         """Whether a message that is not a command is for the one in control only; its sender is told."""
         kind = msg.get_msgId()
-        if kind in OPEN or not self.keeps_out(peer):
+        if kind in OPEN:
+            return False
+        guard = kind == mav.MAVLINK_MSG_ID_PARAM_SET and msg.param_id == GUARD
+        reason = self.refusal(peer, grave=kind in GRAVE or guard)
+        if not reason:
             return False
         ctx = self._ctx
         if kind in _PLAN:
@@ -128,7 +152,7 @@ class Operators:
             present = self._value(msg.param_id)
             if present is not None:
                 ctx.send(peer, present)
-        ctx.text(Severity.WARNING, self.reason, peer)
+        ctx.text(Severity.WARNING, reason, peer)
         return True
 
     @property
@@ -166,3 +190,37 @@ class Operators:
         ask = mav.MAVLink_command_long_message(owner.sysid, owner.compid, REQUEST, 0, *params)
         self._ctx.send(owner, ask)
         self._ctx.text(Severity.INFO, f"Operator {call.peer.sysid} asks for control", owner)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rights:
+    """Names of messages and commands by who may send them."""
+
+    anyone: tuple[tuple[str, ...], tuple[str, ...]]
+    """Always: messages, commands."""
+    control: tuple[tuple[str, ...], tuple[str, ...]]
+    """Anyone while nobody is in control, else he alone."""
+    grave: tuple[tuple[str, ...], tuple[str, ...]]
+    """The same; with MAV_CTRL_NEEDED nobody while nobody is in control."""
+
+
+def rights(messages: Iterable[int], commands: Mapping[int, Entry]) -> Rights:
+    """Of the messages and commands that are handled."""
+
+    def names(kind: Mapping[int, str], numbers: Iterable[int]) -> tuple[str, ...]:
+        return tuple(sorted(kind[number] for number in numbers))
+
+    called = {number: known.msgname for number, known in (*extra.mavlink_map.items(), *mav.mavlink_map.items())}
+    ordered = {number: entry.name.removeprefix("MAV_CMD_") for number, entry in mav.enums["MAV_CMD"].items()}
+    ordered[REQUEST] = "REQUEST_OPERATOR_CONTROL"
+    heard = set(messages)
+    open_commands = {number for number, entry in commands.items() if not entry.action}
+    grave_commands = GRAVE_COMMANDS & set(commands)
+    return Rights(
+        anyone=(names(called, heard & OPEN), names(ordered, open_commands)),
+        control=(
+            names(called, heard - OPEN - GRAVE),
+            names(ordered, set(commands) - open_commands - grave_commands),
+        ),
+        grave=(names(called, heard & GRAVE), names(ordered, grave_commands)),
+    )

@@ -13,19 +13,49 @@ from types import MappingProxyType
 from autopilot.core.errors import ConfigError
 from autopilot.mavlink.api import FlightMode
 
-STANDARD_MODES: Mapping[int, FlightMode] = MappingProxyType(
+STANDARD_MODES_2025: Mapping[int, str] = MappingProxyType(
     {
-        1: FlightMode.POSHOLD,
-        2: FlightMode.CIRCLE,
-        4: FlightMode.ALT_HOLD,
-        5: FlightMode.RETURN,
-        6: FlightMode.MISSION,
-        7: FlightMode.SURFACE,
-        8: FlightMode.TAKEOFF,
+        1: "POSITION_HOLD",
+        2: "ORBIT",
+        3: "CRUISE",
+        4: "ALTITUDE_HOLD",
+        5: "SAFE_RECOVERY",
+        6: "MISSION",
+        7: "LAND",
+        8: "TAKEOFF",
     }
 )
-"""MAV_STANDARD_MODE: 1 position hold (with sticks), 2 orbit, 4 altitude hold, 5 safe recovery, 6 mission, 7 land,
-8 takeoff."""
+"""MAV_STANDARD_MODE of common.xml since January 2025."""
+
+STANDARD_MODES_2022: Mapping[int, str] = MappingProxyType(
+    {
+        1: "POSITION_HOLD",
+        2: "ORBIT",
+        3: "CRUISE",
+        4: "ALTITUDE_HOLD",
+        5: "RETURN_HOME",
+        6: "SAFE_RECOVERY",
+        7: "MISSION",
+        8: "LAND",
+        9: "TAKEOFF",
+    }
+)
+"""The same in development.xml from 2022 to then; ground stations of that time go by it."""
+
+_STANDARD_NAMES: Mapping[str, FlightMode] = MappingProxyType(
+    {"POSITION_HOLD": FlightMode.POSHOLD, "ORBIT": FlightMode.CIRCLE, "ALTITUDE_HOLD": FlightMode.ALT_HOLD}
+)
+"""Position hold is the one with sticks. Other modes go by name and custom mode: a number that means one mode to this
+side and another to the other (7: land, or mission) would surface a vehicle that is to start."""
+
+STANDARD_MODES: Mapping[int, FlightMode] = MappingProxyType(
+    {
+        number: _STANDARD_NAMES[name]
+        for number, name in STANDARD_MODES_2025.items()
+        if name in _STANDARD_NAMES and STANDARD_MODES_2022.get(number) == name
+    }
+)
+"""MAV_STANDARD_MODE numbers that mean the same in both numberings, and the modes that they are."""
 
 NON_STANDARD = 0
 """MAV_STANDARD_MODE_NON_STANDARD."""

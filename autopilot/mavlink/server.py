@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from autopilot.core.clients import Standing
 from autopilot.core.geodesy import Place
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame
@@ -23,6 +24,7 @@ from autopilot.mavlink.profiles import profile_by_name
 
 if TYPE_CHECKING:
     from autopilot.mavlink.dispatch import Dispatcher
+    from autopilot.mavlink.operators import Rights
 
 NAME = "Underwater Autopilot"
 """The true name, in the greeting."""
@@ -105,8 +107,21 @@ class MavlinkServer:
         return self._dispatcher.serve(t_us, rx)
 
     def beat(self) -> tuple[MavlinkFrame, ...]:
-        """A HEARTBEAT for every link while the loop waits; changes nothing, may be called at any moment of a tick."""
+        """A HEARTBEAT of every component for every link while the loop waits; changes nothing, may be called at any
+        moment of a tick."""
         return self._dispatcher.beat()
+
+    def standing(self, link: int, client: int) -> Standing:
+        """What a client of a link has shown of itself so far."""
+        return self._dispatcher.standing(link, client)
+
+    def finish(self) -> None:
+        """The end of a run, before what it keeps is written."""
+        self._dispatcher.finish()
+
+    def rights(self) -> Rights:
+        """Who may send what."""
+        return self._dispatcher.rights()
 
     def custom_mode(self, mode: FlightMode) -> int:
         """The profile's custom_mode number of a mode."""

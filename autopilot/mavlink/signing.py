@@ -5,8 +5,11 @@ obeyed. With a key everything that goes out as MAVLink 2 is signed, and only wha
 for the status of radios, which cannot sign, the service's own parts, and, where ``SIGN_LOCAL`` says so, programs of
 this machine.
 
-Time counts in 10 us since 2015. It never goes back: :class:`autopilot.mavlink.api.SigningStore` has more on disk than
-has been used.
+Time counts in 10 us since 2015. It never goes back, and nothing is heard twice, across restarts too: no frame is sent
+or heard with a time beyond the one that :class:`autopilot.mavlink.api.SigningStore` has on disk, and after a restart
+none that is not beyond it. A client that does as the guide says (next time at least the latest received: pymavlink,
+MAVSDK, QGroundControl) is beyond it as soon as it has heard one of our frames; one that goes by a clock of its own,
+once that has passed the start of the service.
 """
 
 import hashlib
@@ -24,11 +27,15 @@ from autopilot.mavlink.table import LatestUsed
 KEY_BYTES = 32
 OLD_UNITS = 60 * UNITS_PER_S
 """A sender not heard before may be so far behind our time."""
-RENEW_UNITS = 30 * UNITS_PER_S
-"""It is renewed when less than this is left."""
+RENEW_UNITS = UNITS_PER_S
+"""The time on disk is renewed when less than this is left."""
+SLOW_DISK_US = 1_000_000
+"""A disk that takes longer, or fails, does not make the vehicle deaf: what is beyond the time on disk is heard then."""
 MAX_STREAMS = 256
-"""Senders whose time is remembered; one that was forgotten has to be less than a minute old."""
+"""Senders whose time is remembered; when one is forgotten, its last time is the least for all that are not known."""
 MAX_STAMP = (1 << 48) - 1
+LATEST_STAMP = MAX_STAMP - 100 * OLD_UNITS
+"""Later times (the year 2104) are not heard: they would leave none for anybody else."""
 
 _SIGNED = mav.MAVLINK_IFLAG_SIGNED
 _V1 = mav.PROTOCOL_MARKER_V1
@@ -48,6 +55,8 @@ class Refusals:
     unsigned: int = 0
     unknown_key: int = 0
     old: int = 0
+    ahead: int = 0
+    """Later than the time on disk: heard as soon as that has been moved on."""
 
 
 class Signing:
@@ -62,11 +71,21 @@ class Signing:
         self._store, self._patience = store, patience
         found = SigningState(None, 0) if store is None else store.state
         self.key = found.key
-        self._stamp = self._base = found.stamp
+        self._stamp = self._base = self._floor = found.stamp
+        """``_floor``: who has not been heard in this run has to be beyond it."""
         self._kept = found.stamp + AHEAD_UNITS
+        """The time that the disk has been asked to keep,"""
+        self._safe = self._kept if found.key is not None else found.stamp
+        """and the one that it has."""
+        self._asked = 0
+        """Number of the last request to the disk,"""
+        self._asked_us: int | None = None
+        """since when it has been waited for, None = it is done,"""
+        self._disk_fails = False
+        """and whether it has refused."""
         self._beat_stamp = 0
         self._t_us = 0
-        self._streams: LatestUsed[tuple[int, int, int], int] = LatestUsed(MAX_STREAMS)
+        self._streams: LatestUsed[tuple[int, int, int], int] = LatestUsed(MAX_STREAMS, self._forget)
         self.local_may_be_silent = False
         """Programs of this machine need not sign (SIGN_LOCAL)."""
         self.refused = Refusals()
@@ -77,25 +96,46 @@ class Signing:
         return max(self._stamp, self._base + int(self._t_us / 10 / self._patience))
 
     def tick(self, t_us: int) -> str | None:
-        """Time goes on; what there is to tell of the disk, "" = the key is on it."""
+        """Time goes on; what there is to tell of the disk, "" = key and time are on it."""
         self._t_us = t_us
         if self._store is None:
             return None
         if self.key is not None and self.stamp > self._kept - RENEW_UNITS:
-            self._keep()
-        return self._store.poll(t_us // TICK_US)
+            self._keep(self.stamp + AHEAD_UNITS)
+        saved = self._store.poll(t_us // TICK_US)
+        if saved is None:
+            return None
+        self._disk_fails = bool(saved.failure)
+        if saved.number == self._asked:
+            self._asked_us = None
+            if not saved.failure:
+                self._safe = self._kept
+        return saved.failure
+
+    def finish(self) -> None:
+        """The end of a run: nothing is sent or heard any more, and the next run goes on from here."""
+        if self.key is not None:
+            self._keep(max(self.stamp, self._beat_stamp) + 1)
 
     def set_key(self, key: bytes | None, stamp: int = 0) -> None:
         """Another key from now on, None = none. The time goes on from the later one, and that of every sender with it:
         a key that comes back does not make old frames new."""
-        self._stamp = min(max(self.stamp, stamp), MAX_STAMP - 100 * OLD_UNITS)
+        self._stamp = min(max(self.stamp, stamp), LATEST_STAMP)
         self.key = key
-        self._keep()
+        self._keep(self.stamp + AHEAD_UNITS)
 
-    def _keep(self) -> None:
-        self._kept = self.stamp + AHEAD_UNITS
-        if self._store is not None:
-            self._store.keep(self._t_us // TICK_US, SigningState(self.key, self._kept))
+    def _keep(self, stamp: int) -> None:
+        self._kept = stamp
+        if self._store is None:
+            return
+        self._asked += 1
+        if self._asked_us is None:
+            self._asked_us = self._t_us
+        self._store.keep(self._t_us // TICK_US, SigningState(self.key, stamp))
+
+    def _forget(self, stamp: int) -> None:
+        """A sender is not remembered any more: none of its frames may be new again."""
+        self._floor = max(self._floor, stamp)
 
     def sign(self, frame: bytes, crc_extra: int, link: int, *, counted: bool = True) -> bytes:
         """An unsigned MAVLink 2 frame, signed. What is not ``counted`` leaves the time of others as it is."""
@@ -104,11 +144,8 @@ class Signing:
             self._stamp = stamp = max(self._stamp + 1, self.stamp)
         else:
             self._beat_stamp = stamp = max(self._beat_stamp + 1, self.stamp)
-        body = bytes((frame[1], frame[2] | _SIGNED)) + frame[3:-2]
-        crc = checksum(body + bytes((crc_extra,)))
         number = (link & 0x7F) | (0 if counted else _BEATS)
-        text = frame[:1] + body + crc.to_bytes(2, "little") + bytes((number,)) + stamp.to_bytes(6, "little")
-        return text + _tag(self.key, text)
+        return signed(frame, crc_extra, self.key, number, stamp)
 
     def admits(self, frame: bytes, reach: Reach) -> bool:
         """Whether a whole frame with a good checksum is to be heard. Its time is used up by being asked for."""
@@ -121,23 +158,47 @@ class Signing:
             self.refused.unsigned += 1
             return False
         key = self.key
-        if key is None or not self._witness.ask(
-            "signature", True, lambda: hmac.compare_digest(_tag(key, frame[:-_TAG]), frame[-_TAG:])
-        ):
+        if key is None or not self._witness.ask("signature", True, lambda: is_signed_with(key, frame)):
             self.refused.unknown_key += 1
             return False
         stream = (frame[-_BLOCK], frame[5], frame[6])
         stamp = int.from_bytes(frame[1 - _BLOCK : -_TAG], "little")
         last = self._streams.get(stream)
-        fresh = stamp + OLD_UNITS >= self.stamp if last is None else stamp > last
-        if fresh or last is not None:
-            self._streams[stream] = stamp if last is None else max(stamp, last)
-        if not fresh:
+        if last is None:
+            fresh = stamp > self._floor and stamp + OLD_UNITS >= self.stamp
+        else:
+            fresh = stamp > last
+        if not fresh or stamp > LATEST_STAMP:
             self.refused.old += 1
             return False
-        if stamp <= MAX_STAMP - 100 * OLD_UNITS:
-            self._stamp = max(self._stamp, stamp)
+        self._stamp = max(self._stamp, stamp)
+        if not self._is_kept(stamp):
+            self.refused.ahead += 1
+            return False
+        self._streams[stream] = stamp
         return True
+
+    def _is_kept(self, stamp: int) -> bool:
+        """Whether a frame of that time is old after a restart at any moment. If not, the disk gets a later time on the
+        next tick, and the client's next frame is heard."""
+        if self._store is None or stamp <= self._safe or self._disk_fails:
+            return True
+        return self._asked_us is not None and self._t_us - self._asked_us > SLOW_DISK_US
+
+
+def signed(frame: bytes, crc_extra: int, key: bytes, number: int, stamp: int) -> bytes:
+    """An unsigned MAVLink 2 frame, signed as link ``number`` at signing time ``stamp``."""
+    body = bytes((frame[1], frame[2] | _SIGNED)) + frame[3:-2]
+    crc = checksum(body + bytes((crc_extra,)))
+    text = frame[:1] + body + crc.to_bytes(2, "little") + bytes((number,)) + stamp.to_bytes(6, "little")
+    return text + _tag(key, text)
+
+
+def is_signed_with(key: bytes, frame: bytes) -> bool:
+    """Whether a whole frame is signed with a key; of its time nothing is said."""
+    if frame[0] == _V1 or not frame[2] & _SIGNED:
+        return False
+    return hmac.compare_digest(_tag(key, frame[:-_TAG]), frame[-_TAG:])
 
 
 def _tag(key: bytes, text: bytes) -> bytes:

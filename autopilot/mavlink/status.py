@@ -6,8 +6,8 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.messages import Failsafe, NavDoubt, NavHealth
 from autopilot.mavlink.api import PILOTED, FlightMode
-from autopilot.mavlink.context import Context, i16, i32, limited, u16
-from autopilot.mavlink.profiles import NON_STANDARD, STANDARD_MODE_OF, ParamEncoding
+from autopilot.mavlink.context import Context, Identity, i16, i32, limited, u16
+from autopilot.mavlink.profiles import NON_STANDARD, STANDARD_MODE_OF, ParamEncoding, Profile
 from autopilot.mavlink.telemetry import Builder
 from autopilot.mavlink.wire import Message, RawMessage
 
@@ -74,6 +74,45 @@ def version_number(version: str, least: tuple[int, int, int]) -> int:
     own = (*digits, 0, 0, 0)
     major, minor, patch = (min(n, 255) for n in max((own[0], own[1], own[2]), least))
     return (major << 24) | (minor << 16) | (patch << 8) | _OFFICIAL
+
+
+def autopilot_version(identity: Identity, profile: Profile) -> Message:
+    """AUTOPILOT_VERSION: the true version in middleware_sw_version, the git revision in every custom version."""
+    true_version = version_number(identity.version, (0, 0, 0))
+    revision = identity.git[:8].encode("ascii", errors="replace").ljust(8, b"\0")
+    return mav.MAVLink_autopilot_version_message(
+        _CAPABILITIES | _ENCODING_BIT[profile.param_encoding],
+        version_number(identity.version, profile.least_version),
+        true_version,
+        0,
+        0,
+        list(revision),
+        list(revision),
+        [0] * 8,
+        VENDOR_ID,
+        PRODUCT_ID,
+        identity.uid & (2**64 - 1),
+        list((identity.uid & (2**64 - 1)).to_bytes(18, "little")),
+    )
+
+
+def protocol_version() -> Message:
+    """PROTOCOL_VERSION: MAVLink 2 out, 1 and 2 in."""
+    versions = b"".join(n.to_bytes(2, "little") for n in (200, 100, 200))
+    return RawMessage(MSG_ID_PROTOCOL_VERSION, _PROTOCOL_VERSION_CRC_EXTRA, versions + bytes(16))
+
+
+def available_mode(profile: Profile, index: int) -> Message:
+    """AVAILABLE_MODES of one mode, ``index`` from 1."""
+    mode = profile.listed[index - 1]
+    return mav.MAVLink_available_modes_message(
+        len(profile.listed),
+        index,
+        STANDARD_MODE_OF.get(mode, NON_STANDARD),
+        profile.custom_modes[mode],
+        0,
+        profile.mode_names[mode].encode("ascii"),
+    )
 
 
 class Status:
@@ -149,16 +188,21 @@ class Status:
                 health &= ~mav.MAV_SYS_STATUS_SENSOR_BATTERY
         else:
             health &= ~mav.MAV_SYS_STATUS_SENSOR_BATTERY
-        present = _SENSORS
+        present = enabled = _SENSORS
+        if not view.fenced:  # "disabled" to ground stations; a fault where arming needs one
+            health &= ~mav.MAV_SYS_STATUS_GEOFENCE
+            if not ctx.params["FENCE_REQUIRED"]:
+                enabled &= ~mav.MAV_SYS_STATUS_GEOFENCE
         if nav_health is NavHealth.GOOD:
             # As GPS_RAW_INT does: MAVSDK's global position is ok by this bit alone. Only then, for without it
             # QGroundControl offers to set the origin.
             present |= mav.MAV_SYS_STATUS_SENSOR_GPS
+            enabled |= mav.MAV_SYS_STATUS_SENSOR_GPS
             health |= mav.MAV_SYS_STATUS_SENSOR_GPS
         lost = 1e4 * view.dropped_rx / max(ctx.received + view.dropped_rx, 1)
         return mav.MAVLink_sys_status_message(
             present,
-            present,
+            enabled,
             health,
             limited(view.cpu_load * 1e3, 0, 1000),
             voltage_mv,
@@ -210,30 +254,12 @@ class Status:
         return limited(left_j / power_w, 1, 0x7FFF_FFFF)
 
     def autopilot_version(self) -> Message | None:
-        """AUTOPILOT_VERSION: the true version in middleware_sw_version, the git revision in every custom version."""
-        ctx = self._ctx
-        identity = ctx.identity
-        true_version = version_number(identity.version, (0, 0, 0))
-        revision = identity.git[:8].encode("ascii", errors="replace").ljust(8, b"\0")
-        return mav.MAVLink_autopilot_version_message(
-            _CAPABILITIES | _ENCODING_BIT[ctx.profile.param_encoding],
-            version_number(identity.version, ctx.profile.least_version),
-            true_version,
-            0,
-            0,
-            list(revision),
-            list(revision),
-            [0] * 8,
-            VENDOR_ID,
-            PRODUCT_ID,
-            identity.uid & (2**64 - 1),
-            list((identity.uid & (2**64 - 1)).to_bytes(18, "little")),
-        )
+        """AUTOPILOT_VERSION."""
+        return autopilot_version(self._ctx.identity, self._ctx.profile)
 
     def protocol_version(self) -> Message | None:
-        """PROTOCOL_VERSION: MAVLink 2 out, 1 and 2 in."""
-        versions = b"".join(n.to_bytes(2, "little") for n in (200, 100, 200))
-        return RawMessage(MSG_ID_PROTOCOL_VERSION, _PROTOCOL_VERSION_CRC_EXTRA, versions + bytes(16))
+        """PROTOCOL_VERSION."""
+        return protocol_version()
 
     def current_mode(self) -> Message | None:
         """CURRENT_MODE: what it does and what the operator asked for."""
@@ -248,13 +274,4 @@ class Status:
 
     def available_mode(self, index: int) -> Message:
         """AVAILABLE_MODES of one mode, ``index`` from 1."""
-        profile = self._ctx.profile
-        mode = profile.listed[index - 1]
-        return mav.MAVLink_available_modes_message(
-            len(profile.listed),
-            index,
-            STANDARD_MODE_OF.get(mode, NON_STANDARD),
-            profile.custom_modes[mode],
-            0,
-            profile.mode_names[mode].encode("ascii"),
-        )
+        return available_mode(self._ctx.profile, index)

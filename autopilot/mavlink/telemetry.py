@@ -34,7 +34,7 @@ _FLAGS_GOOD = (
 )
 _FLAGS_DEAD_RECKONING = mav.ESTIMATOR_ATTITUDE | mav.ESTIMATOR_PRED_POS_HORIZ_REL | mav.ESTIMATOR_PRED_POS_HORIZ_ABS
 
-_POSITION_DOUBTS = {NavDoubt.FIXES, NavDoubt.MAP, NavDoubt.CALIBRATION, NavDoubt.RESETS}
+_POSITION_DOUBTS = {NavDoubt.FIXES, NavDoubt.MAP, NavDoubt.CALIBRATION, NavDoubt.RESETS, NavDoubt.CAMERA}
 """Where positions come from is in doubt: GPS_GLITCH is the flag that there is for it."""
 
 

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.geodesy import MAX_ORIGIN_LAT_DEG, Place, far_text, place_from_ned
 from autopilot.core.messages import Severity
-from autopilot.core.phrases import ARMING_CHECK
+from autopilot.core.phrases import ARMING_CHECK, NO_FENCE
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink import home_item
 from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, OrbitYaw
@@ -98,13 +98,17 @@ class VehicleService:
         if call.params[0] == 1.0:
             return Reply(self._ctx.vehicle.arm(force))
         if call.params[0] == 0.0:
-            return Reply(self._ctx.vehicle.disarm(force))
+            return self._disarmed(force)
         return denied(f"arm/disarm: param1 = {call.params[0]:g}, use 1 or 0")
+
+    def _disarmed(self, force: bool) -> Reply:
+        vehicle = self._ctx.vehicle
+        return Reply(vehicle.disarm(force), later=vehicle.disarmed)
 
     def terminate(self, call: Call) -> Reply:
         """DO_FLIGHTTERMINATION: stop the thrusters now. There is nothing that could be taken back."""
         if call.params[0] == 1.0:
-            return Reply(self._ctx.vehicle.disarm(True))
+            return self._disarmed(True)
         return denied("flight termination: send param1 = 1")
 
     def fence_enable(self, call: Call) -> Reply:
@@ -131,11 +135,12 @@ class VehicleService:
         return self._ctx.vehicle.set_mode(mode)
 
     def do_set_standard_mode(self, call: Call) -> Reply:
-        """DO_SET_STANDARD_MODE; FAILED for a mode that does not exist here, as the specification says."""
+        """DO_SET_STANDARD_MODE; FAILED for a mode that does not exist here, as the specification says, and for a number
+        that older and newer clients do not mean the same mode by."""
         mode = STANDARD_MODES.get(call.whole(1) or 0)
         if mode is None:
             known = ", ".join(str(n) for n in STANDARD_MODES)
-            reason = f"standard mode {call.param(1):g} is not available: use one of {known}"
+            reason = f"standard mode {call.param(1):g} is not available: use {known} or DO_SET_MODE"
             return Reply(Answer(result=CommandResult.FAILED, reason=reason))
         return Reply(self._ctx.vehicle.set_mode(mode))
 
@@ -153,6 +158,8 @@ class VehicleService:
             for reason in view.prearm_reasons:
                 self._ctx.say(Severity.WARNING, ARMING_CHECK + reason, call.peer)
         elif not view.armed:
+            if not view.fenced:
+                self._ctx.say(Severity.NOTICE, f"{ARMING_CHECK}{NO_FENCE}, which FENCE_REQUIRED allows", call.peer)
             self._ctx.say(Severity.INFO, "Arming checks passed", call.peer)
         if view.armed:
             return Reply(

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from autopilot.core.crc import checksum
-from autopilot.mavlink.dialect import extra, mav
+from autopilot.mavlink.dialect import mav
+from autopilot.mavlink.mavlink1_sizes import MAVLINK1_SIZES
 
 Message: TypeAlias = Any
 """A generated pymavlink message (the dialect is untyped)."""
@@ -243,7 +244,7 @@ class LinkEncoder:
     def pack_old(self, message: Message, *, counted: bool = True) -> bytes | None:
         """One MAVLink 1 frame, without extension fields; None for a message that MAVLink 1 does not have."""
         number = message.get_msgId() if not isinstance(message, RawMessage) else message.msg_id
-        size = extra.MAVLINK1_SIZES.get(number)
+        size = MAVLINK1_SIZES.get(number)
         if size is None:
             return None
         frame: bytes = message.pack(self._state)

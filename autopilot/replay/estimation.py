@@ -18,13 +18,13 @@ from autopilot.core.errors import ConfigError, LogError
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavState
+from autopilot.estimator.create import create_estimator
+from autopilot.estimator.options import EstimatorOptions
 from autopilot.log.packing import estimate, vehicle
 from autopilot.log.reader import Log, Table
 from autopilot.log.replay_inputs import estimator_ticks
 from autopilot.log.writer import LogWriter
 from autopilot.replay.setup import EstimatorSetup, read_markers, read_setup, read_vehicle
-from estimator.create import create_estimator
-from estimator.options import EstimatorOptions
 
 _Bits: TypeAlias = dict[str, NDArray[Any]]
 

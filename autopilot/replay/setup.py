@@ -15,8 +15,8 @@ from autopilot.core.map_errors import error_arrays, errors_of_arrays
 from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
+from autopilot.estimator.options import EstimatorOptions
 from autopilot.log.reader import Log
-from estimator.options import EstimatorOptions
 
 ESTIMATOR_FILE = "estimator.json"
 MARKERS_FILE = "markers.npz"

@@ -15,9 +15,9 @@ import numpy as np
 from autopilot.core.errors import LogError
 from autopilot.core.samples import AhrsSample
 from autopilot.core.vehicle import load_vehicle
+from autopilot.estimator.create import create_estimator
+from autopilot.estimator.inertial import GRAVITY_M_S2
 from autopilot.log.tlog_file import DamagedPiece, Origin, read_tlog
-from estimator.create import create_estimator
-from estimator.inertial import GRAVITY_M_S2
 
 GAP_SHARE = 3.0
 """More than so many median intervals between two messages are a gap."""

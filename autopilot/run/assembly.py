@@ -10,6 +10,7 @@ from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.packing.vehicle import TruthLike
 from autopilot.mavlink.api import SigningStore
+from autopilot.mission.store import WaterCheck
 from autopilot.run.compose import ServiceSetup
 from autopilot.run.config import Settings, chosen_part
 from autopilot.run.downloads import log_shelf
@@ -19,7 +20,6 @@ from autopilot.run.watched import WatchedService
 from autopilot.view.controls import Controls
 from autopilot.view.foxglove import FoxgloveServer
 from autopilot.view.hub import Hub
-from mission.store import WaterCheck
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

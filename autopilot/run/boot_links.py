@@ -4,19 +4,30 @@ Loading takes a second or two of CPU time, ten times that on a busy machine; a g
 in MAV_STATE_BOOT. The vehicle's own time begins when all is there.
 """
 
+import math
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from autopilot import __version__
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import MavlinkFrame
-from autopilot.mavlink.boot import BootLink
-from drivers.links import open_link
-from drivers.protocols import Link
+from autopilot.core.params import ParamSet
+from autopilot.drivers.links import open_link
+from autopilot.drivers.protocols import Link, Received
+from autopilot.mavlink.boot import BootLink, BootSigning
+from autopilot.mavlink.boot_identity import BootIdentity
+from autopilot.mavlink.context import Identity
+from autopilot.mavlink.profiles import profile_by_name
+from autopilot.mavlink.server import NAME
+from autopilot.run.config import system_id, vehicle_uid
+from autopilot.run.provenance import revision
+from autopilot.run.signing_files import SigningFiles
 
 HEARTBEAT_S = 1.0
 TURN_S = 0.05
@@ -29,14 +40,27 @@ MAX_KEPT = 256
 class BootLinks:
     """Answers on open links from ``with`` to its end; then they are the service's. An error closes them."""
 
-    def __init__(self, links: Sequence[Link], sysid: int, profile: str) -> None:
+    def __init__(
+        self,
+        links: Sequence[Link],
+        sysid: int,
+        profile: str,
+        *,
+        uid: int = 1,
+        signing: BootSigning | None = None,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """``uid``: as the service has it; ``signing``: None without a key; ``now_s``: real time [s], from any
+        beginning."""
         self.links = tuple(links)
-        self._boot = [BootLink(sysid, profile) for _ in self.links]
-        self._beat_s = [-HEARTBEAT_S] * len(self.links)
+        self._now_s = now_s
+        known = BootIdentity(profile_by_name(profile), lambda: _identity(uid))
+        self._boot = [BootLink(sysid, profile, known, signing, number) for number in range(len(self.links))]
+        self._beat_s = [-math.inf] * len(self.links)
         """When each link got its last heartbeat."""
         self._spoken_to: set[int] = set()
         self._shown: set[int] = set()
-        """Links whose driver's fault has been shown."""
+        """Links of which a fault has been shown."""
         self._kept: dict[Hashable, tuple[float, MavlinkFrame]] = {}
         """By link, client and what is asked, the oldest first."""
         self._end = threading.Event()
@@ -60,7 +84,7 @@ class BootLinks:
 
     def take_unanswered(self) -> tuple[MavlinkFrame, ...]:
         """What the service has to answer: requests of the last seconds. Actions that were refused are not in them."""
-        now_s = time.monotonic()
+        now_s = self._now_s()
         frames = tuple(frame for kept_s, frame in self._kept.values() if now_s - kept_s < KEPT_S)
         self._kept.clear()
         return frames
@@ -72,26 +96,25 @@ class BootLinks:
     def _turn(self) -> None:
         for index in range(len(self.links)):
             try:
-                self._attend(index, time.monotonic())
+                self._attend(index, self._now_s())
             except (DriverError, OSError):  # the service tells it, which asks the same link in a moment
                 continue
             except Exception:  # noqa: BLE001 - a driver's own fault: the other links go on
-                if index not in self._shown:
-                    self._shown.add(index)
-                    print(f"link {index}:\n{traceback.format_exc()}", file=sys.stderr)
+                self._show(index)
 
     def _attend(self, index: int, now_s: float) -> None:
-        """A link's turn."""
+        """A link's turn. Nothing that is received keeps the heartbeat back."""
         link, boot = self.links[index], self._boot[index]
         received = link.recv(0)  # the vehicle's time has not begun
-        for data, client, sender, reach in received:
-            answers, left = boot.answer(data, client)
-            for asked, message in left.items():
-                self._keep(
-                    asked, now_s, MavlinkFrame(link=index, client=client, sender=sender, reach=reach, data=message)
-                )
-            for answer in answers:
-                link.send(answer, client)
+        for one in received:
+            try:
+                self._answer(index, one, now_s)
+            except (DriverError, OSError):
+                raise
+            except Exception:  # noqa: BLE001 - a fault of ours costs the message that shows it
+                self._show(index)
+        for client, message in boot.tick(round(now_s * 1e6)):
+            link.send(message, client)
         # Who listens for the vehicle on a port of ours hears it when he has spoken, and not a second later.
         first_word = bool(received) and index not in self._spoken_to
         if first_word:
@@ -99,6 +122,21 @@ class BootLinks:
         if first_word or now_s - self._beat_s[index] >= HEARTBEAT_S:
             self._beat_s[index] = now_s
             link.send(boot.heartbeat())
+
+    def _answer(self, index: int, one: Received, now_s: float) -> None:
+        """What has been received from a client."""
+        data, client, sender, reach = one
+        answers, left = self._boot[index].answer(data, client, reach)
+        for asked, message in left.items():
+            self._keep(asked, now_s, MavlinkFrame(link=index, client=client, sender=sender, reach=reach, data=message))
+        for answer in answers:
+            self.links[index].send(answer, client)
+
+    def _show(self, index: int) -> None:
+        """The fault that is being handled, on the console, once per link."""
+        if index not in self._shown:
+            self._shown.add(index)
+            print(f"link {index}:\n{traceback.format_exc()}", file=sys.stderr)
 
     def _keep(self, asked: Hashable, now_s: float, frame: MavlinkFrame) -> None:
         key = (frame.link, frame.client, asked)
@@ -108,12 +146,24 @@ class BootLinks:
         self._kept[key] = (now_s, frame)
 
 
-def open_boot_links(connections: Sequence[str], sysid: int, profile: str) -> BootLinks:
-    """Open links. DriverError names what is wrong; nothing is open then."""
+def _identity(uid: int) -> Identity:
+    """As the service has it (:mod:`autopilot.run.compose`)."""
+    return Identity(name=NAME, version=__version__, git=revision(), uid=uid)
+
+
+def open_boot_links(
+    connections: Sequence[str], params: ParamSet, instance: int, profile: str, folder: Path
+) -> BootLinks:
+    """Open links. ConfigError and DriverError name what is wrong; nothing is open then. ``folder``: the vehicle's
+    state."""
+    found = SigningFiles(folder).state
+    signing = None
+    if found.key is not None:
+        signing = BootSigning(found.key, found.stamp, params["SIGN_LOCAL"] > 0.0)
     links: list[Link] = []
     try:
         links.extend(open_link(connection) for connection in connections)
-        return BootLinks(links, sysid, profile)
+        return BootLinks(links, system_id(params, instance), profile, uid=vehicle_uid(instance), signing=signing)
     except BaseException:
         for link in links:
             link.close()

@@ -1,25 +1,23 @@
 """Processes of our own that we start, and whether they get on.
 
-A child runs the same code as its parent, whatever lies in the folder in which it is started: without ``-P`` Python
-looks for modules there first, and a ``mission.py`` of the user's would be imported in place of ours. How long something
-takes says nothing on a busy machine, so a child is judged by what it does: it lives, and its CPU time moves.
+A child runs the same code as its parent, whatever lies in the folder in which it is started
+(:mod:`autopilot.core.own_python`). How long something takes says nothing on a busy machine, so a child is judged by
+what it does: it lives, and its CPU time moves.
 """
 
 import os
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import IO
 
 import psutil
 
 from autopilot.core.errors import AutopilotError
+from autopilot.core.own_python import ROOT, python_command
 
-ROOT = Path(__file__).resolve().parents[2]
-"""The folder that holds our packages: a checkout, or site-packages."""
+__all__ = ("LOCAL", "ROOT", "Child", "autopilot_command", "free_port", "python_command")
 
 _MAIN = "from autopilot.cli.main import main; main()"
 
@@ -38,13 +36,6 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind((LOCAL, 0))
         return int(probe.getsockname()[1])
-
-
-def python_command(code: str) -> list[str]:
-    """Command that runs ``code`` with our packages and nothing from the current folder."""
-    root = str(ROOT)
-    door = f"import os, sys; sys.path[:0] = [] if {root!r} in map(os.path.realpath, sys.path) else [{root!r}]\n"
-    return [sys.executable, "-P", "-c", door + code]
 
 
 def autopilot_command(*arguments: str) -> list[str]:

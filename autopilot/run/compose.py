@@ -23,15 +23,15 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.params import ParamSaving, ParamSet
 from autopilot.core.vehicle import Vehicle
 from autopilot.core.witness import Noted, Witness
+from autopilot.estimator.create import create_estimator
 from autopilot.log.shelf import LogShelf
 from autopilot.mavlink.api import SigningStore
 from autopilot.mavlink.server import MavlinkServer
+from autopilot.mission.store import Plans, WaterCheck
 from autopilot.replay.setup import options_of
-from autopilot.run.config import system_id
+from autopilot.run.config import system_id, vehicle_uid
 from autopilot.run.provenance import revision
 from autopilot.run.witnessed import WitnessedSaving, WitnessedShelf, WitnessedStore
-from estimator.create import create_estimator
-from mission.store import Plans, WaterCheck
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -136,7 +136,7 @@ def build_service(
             vehicle=commander,
             version=__version__,
             git=setup.git,
-            uid=setup.instance + 1,
+            uid=vehicle_uid(setup.instance),
             links=range(setup.links),
             patience=setup.patience,
             guard=guard,

@@ -25,7 +25,7 @@ PLANTS = ("rigid-body",)
 SENSORS = ("camera", "pose")
 UNTIL = ("complete",)
 WIRES = ("serial", "camera", "pwm")
-"""As :data:`sitl.hil.WIRES`."""
+"""As :data:`autopilot.sitl.hil.WIRES`."""
 CURRENTS = ("estimate", "map", "none", "uniform")
 BASINS = ("closed", "open", "unknown")
 SHIPPED_PARTS = {"controller": CONTROLLERS, "estimator": ESTIMATORS, "plant": PLANTS}
@@ -243,3 +243,8 @@ def system_id(params: ParamSet, instance: int) -> int:
             f"SYSID_THISMAV {sysid - instance} plus instance {instance} is {sysid}; it may be {MAX_SYSTEM_ID} at most"
         )
     return sysid
+
+
+def vehicle_uid(instance: int) -> int:
+    """What tells an instance from others in AUTOPILOT_VERSION."""
+    return instance + 1

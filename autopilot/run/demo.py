@@ -18,10 +18,10 @@ from autopilot.log.check import Row, Verdict, acceptance_table
 from autopilot.log.figures import write_figures
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
+from autopilot.mission.plan_model import PlanFile
 from autopilot.run.children import Child, autopilot_command, free_port
-from mission.paper import paper_plan
-from mission.plan_files import write_plan
-from mission.plan_model import PlanFile
 
 FLIGHTS = (("paper-tank", ""), ("paper-tank-still", "still"))
 """Scenario and sub-folder of each flight: jet of 0.25 m/s, still water."""

@@ -9,8 +9,8 @@ from autopilot.core.camera import CameraModel
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.log.description import AcceptBounds, CameraView, RunDescription, Waypoint, fence_shapes
 from autopilot.mavlink.api import FlightMode
-from mission.items import GoTo, Jump
-from mission.store import Plans
+from autopilot.mission.items import GoTo, Jump
+from autopilot.mission.store import Plans
 
 
 def describe_service(parts: Parts, place: str) -> RunDescription:

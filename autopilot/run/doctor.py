@@ -1,78 +1,163 @@
-"""``autopilot doctor``: what is there of a vehicle, how well it works, what is wrong and how to mend it.
+"""``autopilot doctor``: would it arm, and if not, why, and what to do.
 
-Nothing is armed and nothing is written but the log folder, if it is not there. What devices have against flying comes
-from the same place as at arming (:meth:`autopilot.run.hardware.HardwareVehicle.refusals`); to it come what only a look
-over some seconds shows: rates and noise.
+The service itself answers: what ``autopilot run`` composes is run for some seconds on the same devices, parameters and
+plans, and asked what it has against arming. Its links only listen (:mod:`autopilot.run.doctor_links`), so that nobody
+can arm it meanwhile, and what it keeps on disk is a copy. To that come things only a look over some seconds shows:
+rates, noise, and whether what is measured can be true. Nothing moves.
 """
 
+import contextlib
 import shutil
 import sys
+import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from autopilot.command.arming import CHECKING
 from autopilot.core.clock import TICK_US
 from autopilot.core.errors import AutopilotError
-from autopilot.core.samples import (
-    AhrsSample,
-    CameraFrame,
-    DepthSample,
-    ImuSample,
-    LeakSample,
-    PowerSample,
-    VelocitySample,
-)
-from autopilot.core.vehicle import Vehicle
-from autopilot.run.clocks import make_clock
-from autopilot.run.config import Settings
-from autopilot.run.hardware import HardwareVehicle
+from autopilot.core.messages import Inputs, LoopStats, NavHealth, Outputs
+from autopilot.core.plan import PlanKind
+from autopilot.core.samples import CameraFrame
+from autopilot.drivers.links import open_link
+from autopilot.drivers.protocols import Link
+from autopilot.drivers.retry import DeviceState
+from autopilot.run.config import Settings, system_id
+from autopilot.run.doctor_links import ListeningLink, Speaker, company
+from autopilot.run.doctor_samples import judge_samples
+from autopilot.run.findings import Finding, Verdict
+from autopilot.run.hardware import NAMES, HardwareVehicle
+from autopilot.run.hardware_session import open_vehicle, state_folder, vehicle_params
+from autopilot.run.remedies import silent_remedy
+from autopilot.run.session import Session
 from autopilot.run.vehicle_config import VehicleConfig
 
 SETTLE_S = 3.0
 """Devices are opened and configured in this time; it is not counted."""
-ENOUGH = 0.7
-"""Share of the vehicle file's rate below which a sensor is too slow."""
+UNCHANGED_S = 2.0
+"""Reasons against arming that have been the same for so long are final."""
+PATIENCE_S = 30.0
+"""So much longer it looks at most while they change (parameters that are read, plans that are checked)."""
 LEAST_FREE_MB = 500.0
 LOW_FREE_MB = 2000.0
 """Free space of the log folder: an hour of log with pictures takes about 2 GB."""
-STILL_ACCEL_M_S2, STILL_RATE_RAD_S = 1.5, 0.2
-"""A vehicle on the bench shakes less."""
+REST = "fix that first"
+"""For reasons that name no remedy of their own."""
 
 
-class Verdict(Enum):
-    """How bad it is."""
+class _Look:
+    """An :class:`autopilot.run.outside.Onlooker`: keeps what comes after the settling time, and the last outputs."""
 
-    OK = "ok"
-    WARN = "warn"
-    FAIL = "fail"
+    def __init__(self, session_of: Callable[[], Session]) -> None:
+        self.samples = defaultdict[type, list[Any]](list)
+        self.aids: dict[str, int] = {}
+        """When each source was last used."""
+        self.reasons: tuple[str, ...] = ()
+        self.outputs: Outputs | None = None
+        self._session_of = session_of
+        self._changed_us = 0
+
+    def tick(self, inputs: Inputs, outputs: Outputs, frames: Sequence[CameraFrame]) -> None:
+        """A tick is over."""
+        self.outputs = outputs
+        self.aids.update((aid.sensor, outputs.t_us) for aid in outputs.aids if aid.fused)
+        reasons = self._session_of().parts.commander.readiness
+        if reasons != self.reasons:
+            self.reasons, self._changed_us = reasons, outputs.t_us
+        if outputs.t_us > SETTLE_S * 1e6:
+            for sample in inputs.samples:
+                self.samples[type(sample)].append(sample)
+            self.samples[CameraFrame] += [frame.t_us for frame in frames]  # the pictures themselves fill the memory
+
+    def loop_stats(self, stats: LoopStats) -> None:
+        """Nothing."""
+
+    def settled(self, t_us: int, end_us: int) -> bool:
+        """Whether what the service says of arming is its last word."""
+        if t_us < end_us or t_us > end_us + PATIENCE_S * 1e6:
+            return t_us >= end_us
+        waits = any(CHECKING in reason for reason in self.reasons)
+        return not self.reasons or (not waits and t_us - self._changed_us > UNCHANGED_S * 1e6)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """One line of the doctor's."""
+def examine(
+    config: VehicleConfig,
+    settings: Settings,
+    seconds: float,
+    overrides: dict[str, float] | None = None,
+    *,
+    instance: int = 0,
+    speed: float = 1.0,
+    on_tick: Callable[[Outputs], None] = lambda _: None,
+) -> list[Finding]:
+    """All findings. The devices are looked at for ``seconds`` and as long as reasons against arming still change.
 
-    verdict: Verdict
-    what: str
-    found: str
-    remedy: str = ""
-
-
-def examine(config: VehicleConfig, settings: Settings, seconds: float) -> list[Finding]:
-    """All findings. The devices are looked at for ``seconds``."""
+    ``speed``: of the devices' time; 0 where they, being emulated, follow the ticks and ``on_tick``.
+    """
+    given = overrides or {}
     findings = [*_machine(), *_folders(settings)]
-    vehicle = HardwareVehicle(config)
-    try:
-        samples = _listen(vehicle, seconds)
-        findings += _devices(vehicle, round(1e6 * (SETTLE_S + seconds)))
-        findings += _rates(config.vehicle, config, samples, seconds)
-    finally:
-        vehicle.close()
+    with contextlib.ExitStack() as end:
+        copied = end.enter_context(_copied(settings, config, instance, findings))
+        params, *_ = vehicle_params(copied, config, given, instance)
+        speakers: dict[tuple[int, int], Speaker] = {}
+        system = system_id(params, instance)
+        links = _open_links(copied["connect"], system, speakers, findings)
+        try:
+            found = _run(config, copied, seconds, given, instance, links, speed, on_tick)
+        except AutopilotError as error:
+            findings.append(_failed("service", str(error)))
+            return findings
+    session, look, devices = found
+    findings += devices
+    findings += judge_samples(config, look.samples, max(_looked_s(look), 1e-6))
+    findings += _company(tuple(speakers.values()), system)
+    findings += _flight(session, look, config, settings)
+    findings += _arming(look.reasons)
     return findings
+
+
+def _looked_s(look: _Look) -> float:
+    return 0.0 if look.outputs is None else 1e-6 * look.outputs.t_us - SETTLE_S
+
+
+def _run(
+    config: VehicleConfig,
+    settings: Settings,
+    seconds: float,
+    overrides: dict[str, float],
+    instance: int,
+    links: Sequence[Link],
+    speed: float,
+    on_tick: Callable[[Outputs], None],
+) -> tuple[Session, _Look, list[Finding]]:
+    """The service for some seconds; it is closed afterwards, thrusters neutral as they were all the time."""
+    made: list[Session] = []
+    look = _Look(lambda: made[0])
+    session = open_vehicle(
+        settings,
+        config,
+        overrides,
+        instance=instance,
+        links=links,
+        speed=speed,
+        on_tick=on_tick,
+        beside=look,
+    )
+    made.append(session)
+    devices: list[Finding] = []
+    try:
+        tick, end_us = 0, round(1e6 * (SETTLE_S + seconds))
+        while not look.settled(tick * TICK_US, end_us):
+            tick += 1 + session.runtime.late_ticks(tick + 1)
+            session.runtime.tick(tick * TICK_US)
+        vehicle = session.device
+        assert isinstance(vehicle, HardwareVehicle)
+        devices = _devices(vehicle, config)
+    finally:
+        session.close()
+    return session, look, devices
 
 
 def _machine() -> list[Finding]:
@@ -110,34 +195,49 @@ def _folders(settings: Settings) -> list[Finding]:
     return findings
 
 
-def _listen(vehicle: HardwareVehicle, seconds: float) -> dict[type, list[Any]]:
-    """What the devices say, by type."""
-    clock, samples = make_clock(1.0), defaultdict[type, list[Any]](list)
-    for tick in range(1, round((SETTLE_S + seconds) * 1e6 / TICK_US) + 1):
-        t_us = clock.wait_until(tick * TICK_US)
-        vehicle.advance(t_us)
-        heard = [*vehicle.poll(t_us), *vehicle.frames(t_us)]
-        if t_us > SETTLE_S * 1e6:
-            for sample in heard:
-                samples[type(sample)].append(sample)
-    return samples
+@contextlib.contextmanager
+def _copied(settings: Settings, config: VehicleConfig, instance: int, findings: list[Finding]) -> Iterator[Settings]:
+    """Settings with a copy of what is kept on disk: what is damaged there stays for the service to find."""
+    kept = state_folder(settings, config, instance)
+    with tempfile.TemporaryDirectory(prefix="doctor-") as folder:
+        copied = Settings(dict(settings.table))
+        for name, value in (("state_dir", folder), ("log_dir", folder), ("log", None)):
+            copied.put(name, value, "doctor")
+        try:
+            if kept.exists():
+                shutil.copytree(kept, state_folder(copied, config, instance))
+        except (OSError, shutil.Error) as error:
+            remedy = "give the service the right to read it"
+            findings.append(Finding(verdict=Verdict.FAIL, what="state_dir", found=f"{kept}: {error}", remedy=remedy))
+        yield copied
 
 
-def _devices(vehicle: HardwareVehicle, t_us: int) -> list[Finding]:
+def _open_links(
+    connections: Sequence[str], system: int, speakers: dict[tuple[int, int], Speaker], findings: list[Finding]
+) -> list[Link]:
+    links: list[Link] = []
+    for connection in connections:
+        try:
+            links.append(ListeningLink(open_link(connection), system, speakers))
+        except (AutopilotError, OSError) as error:
+            findings.append(_failed("link", str(error)))
+    return links
+
+
+def _devices(vehicle: HardwareVehicle, config: VehicleConfig) -> list[Finding]:
     findings = []
+    setups = {NAMES[kind]: setup for kind, setup in config.devices.items()}
     for device in vehicle.devices:
         counts = {name: getattr(device.device, name, 0) for name in ("bad_frames", "bad_samples")}
-        told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)
-        found = device.state.value + (f" ({told})" if told else "")
-        remedy = device.problem or ("check power and settings" if device.state.value != "up" else "")
-        verdict = Verdict.OK if device.state.value == "up" else Verdict.FAIL
+        bad = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)
+        found = device.state.value + (f" ({bad})" if bad else "")
+        up = device.state is DeviceState.UP
+        others = ", ".join(map(str, getattr(device.device, "other_systems", ())))
+        remedy = "" if up else device.problem or silent_remedy(setups[device.name])
+        if not up and others:
+            found, remedy = f"{found}; system {others} is heard", "correct `system` in [devices], or MAV_SYS_ID of it"
+        verdict = Verdict.OK if up else Verdict.FAIL
         findings.append(Finding(verdict=verdict, what=device.name, found=found, remedy=remedy))
-    below = vehicle.below(t_us)
-    told_already = {finding.remedy for finding in findings}
-    for text in () if below is None else below.refusals:
-        if text not in told_already:
-            what, _, remedy = text.rpartition(": ")
-            findings.append(Finding(verdict=Verdict.FAIL, what="arming", found=what, remedy=remedy))
     findings += [
         Finding(verdict=Verdict.WARN, what="Flight controller", found=what, remedy=remedy)
         for what, remedy in vehicle.advice()
@@ -145,58 +245,79 @@ def _devices(vehicle: HardwareVehicle, t_us: int) -> list[Finding]:
     return findings
 
 
-def _rates(vehicle: Vehicle, config: VehicleConfig, samples: dict[type, list[Any]], seconds: float) -> list[Finding]:
-    wanted: list[tuple[str, tuple[type, ...], float | None, Callable[[Sequence[Any]], str]]] = [
-        ("attitude", (AhrsSample, ImuSample), vehicle.ahrs.rate_hz, _shaking),
-        ("depth", (DepthSample,), vehicle.depth_sensor.rate_hz if "depth" in config.devices else None, _depth),
-        ("velocity", (VelocitySample,), vehicle.dvl.rate_hz if "dvl" in config.devices else None, _nothing),
-        ("pictures", (CameraFrame,), vehicle.eye.rate_hz if config.has_camera else None, _nothing),
-        ("battery", (PowerSample,), None, _power),
-        ("leak", (LeakSample,), None, _leak),
+def _company(speakers: Sequence[Speaker], system: int) -> list[Finding]:
+    """Who else is on the links."""
+    verdicts = {True: Verdict.FAIL, None: Verdict.WARN, False: Verdict.OK}
+    found = [
+        Finding(verdict=verdicts[bad], what="who speaks", found=what, remedy=remedy)
+        for bad, what, remedy in company(speakers, system)
     ]
-    findings = []
-    for name, kinds, rate_hz, describe in wanted:
-        found = [sample for kind in kinds for sample in samples.get(kind, ())]
-        if not found and rate_hz is None:
-            continue
-        rate = len(found) / seconds
-        text = f"{rate:.1f} Hz" + (describe(found) if found else "")
-        slow = rate_hz is not None and rate < ENOUGH * rate_hz
-        bad = text.endswith("!")
-        verdict = Verdict.FAIL if slow or bad else Verdict.OK
-        remedy = f"{rate_hz:g} Hz expected by the vehicle file: check baud rate, divider, load" if slow else ""
-        findings.append(
-            Finding(verdict=verdict, what=name, found=text, remedy=remedy or ("mend that first" if bad else ""))
-        )
-    return findings
+    return found or [Finding(verdict=Verdict.OK, what="who speaks", found="no ground station on our links")]
 
 
-def _nothing(_: Sequence[Any]) -> str:
-    return ""
+def _flight(session: Session, look: _Look, config: VehicleConfig, settings: Settings) -> list[Finding]:
+    """Where it is, and what it is to fly within."""
+    plans, params = session.parts.plans, session.parts.params
+    missions, shapes = len(plans.items(PlanKind.MISSION)), len(plans.items(PlanKind.FENCE))
+    names = ("ORIGIN_LAT", "ORIGIN_LON")
+    given = config.file.place.origin_lat_deg is not None
+    set_up = given or any(params[name] != params.spec(name).default for name in names)
+    place = f"{plans.origin.lat_deg:.7f} N {plans.origin.lon_deg:.7f} E"
+    return [
+        _position(look, config, settings),
+        _thing(
+            "origin",
+            set_up,
+            place if set_up else f"not set, {place} stands for it",
+            "set it in [place], or from the ground station",
+        ),
+        _thing("fence", shapes > 0, f"{shapes} items", "draw one in the ground station and upload it"),
+        _thing("plan", missions > 0, f"{missions} items", "upload a mission, or fly by hand and go-to only"),
+    ]
 
 
-def _shaking(found: Sequence[Any]) -> str:
-    accel = np.array([sample.accel_frd_m_s2 for sample in found])
-    rate = np.array([sample.rate_frd_rad_s for sample in found])
-    size = float(np.linalg.norm(accel.mean(axis=0)))
-    text = f", noise {accel.std(axis=0).max():.3f} m/s2 and {rate.std(axis=0).max():.4f} rad/s, weight {size:.2f} m/s2"
-    return text + (": no gravity!" if abs(size - 9.81) > STILL_ACCEL_M_S2 else "")
+def _thing(what: str, there: bool, found: str, remedy: str) -> Finding:
+    """Something that is on board or not."""
+    if there:
+        return Finding(verdict=Verdict.OK, what=what, found=found)
+    return Finding(verdict=Verdict.WARN, what=what, found="none on board" if what != "origin" else found, remedy=remedy)
 
 
-def _depth(found: Sequence[Any]) -> str:
-    depths = np.array([sample.depth_m for sample in found])
-    return f", {depths.mean():.3f} m, noise {1e3 * depths.std():.1f} mm"
+def _position(look: _Look, config: VehicleConfig, settings: Settings) -> Finding:
+    nav = None if look.outputs is None else look.outputs.nav
+    places = [name for name in ("markers", "external") if name in look.aids]
+    source = "markers in view" if config.has_camera else "VISION_POSITION_ESTIMATE or ODOMETRY"
+    remedy = f"{source}: nothing of it was used; " + (
+        "put the vehicle over its markers, check map, light and lens"
+        if config.has_camera
+        else f"let the tracking system send to {' or '.join(settings['connect'])}"
+    )
+    if nav is None or not places:
+        return Finding(verdict=Verdict.FAIL, what="position", found="no source", remedy=remedy)
+    sigma_m = float(max(nav.variance[:3])) ** 0.5
+    found = f"{nav.health.name.lower()}, from {', '.join(places)}, sigma {1e3 * sigma_m:.0f} mm"
+    good = nav.health is NavHealth.GOOD
+    return Finding(
+        verdict=Verdict.OK if good else Verdict.FAIL, what="position", found=found, remedy="" if good else remedy
+    )
 
 
-def _power(found: Sequence[Any]) -> str:
-    last = found[-1]
-    return f", {last.voltage_v:.1f} V, {last.current_a:.1f} A, {100.0 * last.remaining:.0f} % left"
+def _failed(what: str, text: str) -> Finding:
+    """A text of the service's: what is wrong, and behind the last sign of that kind what to do."""
+    found, remedy = text, REST
+    for sign in ("; ", ": ", ", "):
+        if sign in text:
+            found, _, remedy = text.rpartition(sign)
+            break
+    return Finding(verdict=Verdict.FAIL, what=what, found=found, remedy=remedy)
 
 
-def _leak(found: Sequence[Any]) -> str:
-    return ", water in the hull!" if found[-1].wet else ", dry"
+def _arming(reasons: Sequence[str]) -> list[Finding]:
+    """What the service has against arming: its own words."""
+    findings = [_failed("arming", reason) for reason in reasons]
+    return findings or [Finding(verdict=Verdict.OK, what="arming", found="would be accepted")]
 
 
 def failed_config(error: AutopilotError) -> list[Finding]:
     """What is said when the configuration itself is no good."""
-    return [Finding(verdict=Verdict.FAIL, what="configuration", found=str(error))]
+    return [_failed("configuration", str(error))]

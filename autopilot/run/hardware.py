@@ -7,10 +7,10 @@ from typing import Any
 from autopilot.core.messages import Below, Severity, ThrusterCommand
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
+from autopilot.drivers.devices import CAMERA, FLIGHT_CONTROLLER, THRUSTERS
+from autopilot.drivers.protocols import PayloadOutput, ThrusterOutput, WatchedOutput
+from autopilot.drivers.retry import DeviceState, Steady, SteadyController, SteadyOutput, SteadySensor
 from autopilot.run.vehicle_config import VehicleConfig
-from drivers.devices import CAMERA, FLIGHT_CONTROLLER, THRUSTERS
-from drivers.protocols import PayloadOutput, ThrusterOutput
-from drivers.retry import DeviceState, Steady, SteadyController, SteadyOutput, SteadySensor
 
 NAMES = {
     "ahrs": "AHRS",
@@ -58,6 +58,8 @@ class HardwareVehicle:
                 self._camera = SteadySensor(device, NAMES[kind])
             else:
                 self._sensors[kind] = SteadySensor(device, NAMES[kind])
+        device = None if self._output is None else self._output.device
+        self._watched = device if isinstance(device, WatchedOutput) else None
         self._passed_over = {name for kind in self._sensors for name in REPLACES.get(kind, ())}
         self._t_us = 0
         self._early: list[Sample] = []
@@ -120,6 +122,18 @@ class HardwareVehicle:
         if self._below is not None and self._below.attend(t_us):
             self._below.device.hand_back(t_us)
 
+    def stop_below(self, t_us: int) -> None:
+        """The flight controller below is disarmed, whoever armed it."""
+        if self._below is not None and self._below.attend(t_us):
+            self._below.device.stop(t_us)
+
+    def stand_down(self, t_us: int) -> bool:
+        """The run ends: whether the flight controller below is disarmed, or is not ours to disarm."""
+        controller = self._below
+        if controller is None or controller.opened_count == 0:
+            return True
+        return controller.use(t_us, lambda: controller.device.stand_down(t_us), False)
+
     def below(self, t_us: int) -> Below | None:
         """Who has the vehicle, None without a flight controller."""
         if self._below is None:
@@ -128,13 +142,21 @@ class HardwareVehicle:
         if self._below.attend(t_us):
             return below
         text = f"flight controller down: {self._below.problem}"
-        return replace(below, acts=False, refusals=(text,), pulses_us=())
+        return replace(below, acts=False, refusals=(text,), pulses_us=(), armed=None, rival=False)
 
     def refusals(self, t_us: int) -> tuple[str, ...]:
         """Why the vehicle must not be armed: what the configuration names and is not there, a line each."""
         found = [f"{d.name} {d.state.value}: {d.problem or 'check power and settings'}" for d in self._missing()]
+        watched = self._watched
+        if watched is not None and watched.watchdog_problem and not watched.watchdog_failed:
+            found.append(f"thruster watchdog {watched.watchdog_problem}: wait")
         below = self.below(t_us)
         return tuple(found) if below is None or not self._heard_below() else (*found, *below.refusals)
+
+    def watchdog(self, t_us: int) -> str:
+        """What is wrong with the process that stops the thrusters when the service cannot."""
+        watched = self._watched
+        return "" if watched is None or not watched.watchdog_failed else watched.watchdog_problem
 
     def advice(self) -> tuple[tuple[str, str], ...]:
         """What could be set better, and how."""
@@ -142,7 +164,9 @@ class HardwareVehicle:
         return () if device is None else device.advice()
 
     def _missing(self) -> list[Steady[Any]]:
-        return [device for device in self.devices if device.state is not DeviceState.UP]
+        """Without a flight controller that is only silent: it says itself why (:class:`Below`)."""
+        away = [device for device in self.devices if device.state is not DeviceState.UP]
+        return [device for device in away if device is not self._below or device.state is DeviceState.DOWN]
 
     def _heard_below(self) -> bool:
         return self._below is not None and self._below.state is not DeviceState.DOWN

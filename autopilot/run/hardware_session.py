@@ -18,13 +18,15 @@ from autopilot.core.messages import Outputs
 from autopilot.core.origin_params import params_origin
 from autopilot.core.param_file import PersistentParams, kept_params
 from autopilot.core.params import ParamSet
+from autopilot.drivers.protocols import Link
 from autopilot.run.assembly import Told, onlooker, service_setup
 from autopilot.run.boot_links import BootLinks, open_boot_links
 from autopilot.run.compose import ServiceSetup, build_service
-from autopilot.run.config import Settings, chosen_part, system_id
+from autopilot.run.config import Settings, chosen_part
 from autopilot.run.describe import describe_service
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.kept_plans import KeptPlans
+from autopilot.run.outside import Onlooker
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.service_record import service_attachments
 from autopilot.run.session import (
@@ -44,7 +46,6 @@ from autopilot.run.watched import WatchedService
 from autopilot.view.controls import ReadOnly
 from autopilot.view.foxglove import FoxgloveServer
 from autopilot.view.hub import Hub
-from drivers.protocols import Link
 
 
 def open_vehicle_links(
@@ -52,7 +53,8 @@ def open_vehicle_links(
 ) -> BootLinks:
     """Open a vehicle's links. ConfigError and DriverError name what is wrong; nothing is open then."""
     params, *_ = vehicle_params(settings, config, overrides, instance)
-    return open_boot_links(settings["connect"], system_id(params, instance), settings["profile"])
+    folder = state_folder(settings, config, instance)
+    return open_boot_links(settings["connect"], params, instance, settings["profile"], folder)
 
 
 def vehicle_params(
@@ -81,17 +83,20 @@ def open_vehicle(
     on_tick: Callable[[Outputs], None] = lambda _: None,
     view: Hub | None = None,
     foxglove: FoxgloveServer | None = None,
+    now_s: float | None = None,
+    beside: Onlooker | None = None,
 ) -> Session:
     """Everything of a run. ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
 
     ``links``: the connections of the settings if they are already open (:mod:`autopilot.run.boot_links`). ``speed``: of
     the devices' time; 0 where they, being emulated, follow the ticks. ``view``: who looks at the run.
-    ``foxglove``: who is sent what is logged.
+    ``foxglove``: who is sent what is logged. ``now_s``: Unix time at which signatures begin, None = the machine's.
+    ``beside``: who looks on instead of these.
     """
     disk = Desk(DaemonLane("disk"), patient=speed == 0.0)
     params, persistent, warnings = vehicle_params(settings, config, overrides, instance, disk)
     markers = None if config.markers is None else load_marker_map(config.markers)
-    signing = SigningFiles(state_folder(settings, config, instance), disk)
+    signing = SigningFiles(state_folder(settings, config, instance), disk, now_s=now_s)
     warnings += signing.warnings
     setup = service_setup(
         settings,
@@ -125,11 +130,12 @@ def open_vehicle(
         notices=device.take_notices,
         refusals=device.refusals,
         skips=speed > 0.0,
-        onlooker=onlooker(
-            view, foxglove, watched, config.vehicle, ReadOnly(), simulated=False, pictures=config.has_camera
-        ),
+        onlooker=beside
+        or onlooker(view, foxglove, watched, config.vehicle, ReadOnly(), simulated=False, pictures=config.has_camera),
     )
-    kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
+    kept = Kept(
+        folder=state_folder(settings, config, instance), params=persistent, plans=plans, disk=disk, signing=signing
+    )
     return Session(
         vehicle=config.vehicle,
         service=service,

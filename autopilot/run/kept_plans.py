@@ -5,7 +5,6 @@ forbid) leaves the vehicle without any plan, because a mission is not to be flow
 disarmed and holds. The file itself: :mod:`autopilot.run.plans_format`.
 """
 
-import contextlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,16 +21,18 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.keeper import Keeper
 from autopilot.core.messages import Severity
 from autopilot.core.plan import PlanKind
-from autopilot.core.state_file import StateFile
+from autopilot.core.state_file import Loss, StateFile
 from autopilot.core.witness import Noted, Witness
+from autopilot.mission.loading import load_plan
+from autopilot.mission.plan_model import PlanFile
+from autopilot.mission.sequencer import Position
+from autopilot.mission.store import Plans
 from autopilot.run.plans_format import Content, Snapshot, decode, encode, place_of, plan_item
-from mission.loading import load_plan
-from mission.plan_model import PlanFile
-from mission.sequencer import Position
-from mission.store import Plans
 
 PLANS_KEPT = "plans kept"
 """What the witness is asked for the service: whether the plans in force are on disk."""
+
+_NOT_LOADED = "stored mission, fence and rally points not loaded"
 
 _CLEAR_ORDER = (PlanKind.MISSION, PlanKind.FENCE, PlanKind.RALLY)
 
@@ -64,7 +65,8 @@ class KeptPlans:
         self._file = StateFile(path)
         self._plans = plans
         self._vehicle = vehicle
-        self._keeper: Keeper[Snapshot] = Keeper(desk or Desk(), lambda now: self._file.write(encode(now)))
+        self._desk = desk or Desk()
+        self._keeper: Keeper[Snapshot] = Keeper(self._desk, lambda now: self._file.write(encode(now)))
         self._configured = plans.origin
         self._revision = plans.revision
         self._home: FloatArray = plans.home_ned_m
@@ -73,15 +75,21 @@ class KeptPlans:
         self._notices: list[tuple[Severity, str]] = []
         self.failure: str | None = None
         """Why the last change is not on disk; None while all is well."""
+        self.unsaved = ""
+        """The same for the operator, "" while all is well."""
+        self.losses: tuple[Loss, ...] = ()
+        """What :meth:`load` has not found again."""
         plans.keeper = lambda: seen.ask(PLANS_KEPT, True, self._settled)
 
     def load(self) -> tuple[str, ...]:
         """Take what was kept, before the loop runs. The result is what an operator should know."""
-        try:
-            self._file.clean()
-            content, problems = self._file.read(decode)
-        except OSError as error:
-            return (f"{self._file.path}: cannot be read ({error.strerror}); there is no plan on board",)
+        self._file.clean()
+        content, problems = self._file.read(decode)
+        lost = ""
+        if problems:
+            lost = "stored plans damaged, the copy before is in force"
+        elif self._file.lost:
+            lost = "stored plans were damaged or refused in an earlier run"
         home_ned_m = self._plans.home_ned_m
         self._note()
         if content is not None:
@@ -91,14 +99,16 @@ class KeptPlans:
             except (PlanError, ConfigError) as error:
                 self._take_none(home_ned_m)
                 problems.append(f"stored plans are not loaded{self._set_aside()}, upload them again: {error}")
+                lost = _NOT_LOADED
         elif problems:
             problems.append("there is no plan on board, upload it again")
+            lost = _NOT_LOADED
+        self.losses = (Loss(lost, lambda tick: self._desk.run(self._file.accept)),) if lost else ()
         return tuple(problems)
 
     def skip(self) -> None:
         """Other plans have been loaded: they are what is kept from now on."""
-        with contextlib.suppress(OSError):  # the first write finds out, and says so
-            self._file.clean()
+        self._file.clean()
         self._revision = -1
 
     def tick(self, t_us: int) -> None:
@@ -113,7 +123,7 @@ class KeptPlans:
         if kept is None:
             return
         before, error = self.failure, kept.error
-        self.failure = None if error is None else f"plans are not saved: {self._file.path}: {error}"
+        self._note_failure(error)
         if error is not None and before is None:
             self._notices.append((Severity.WARNING, f"Plans not saved: {cause_of(error)}"))
 
@@ -126,8 +136,11 @@ class KeptPlans:
 
     def finish(self) -> None:
         """Write what is not yet on disk."""
-        error = self._keeper.finish()
+        self._note_failure(self._keeper.finish())
+
+    def _note_failure(self, error: Exception | None) -> None:
         self.failure = None if error is None else f"plans are not saved: {self._file.path}: {error}"
+        self.unsaved = "" if error is None else f"plans not saved ({cause_of(error)})"
 
     def _settled(self) -> bool:
         """Whether what is in force is on disk, or the disk has refused it."""

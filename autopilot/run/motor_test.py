@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import Vehicle
-from drivers.protocols import ThrusterOutput
+from autopilot.drivers.protocols import ThrusterOutput
 
 MOST_PERCENT, MOST_S = 30.0, 5.0
 """Of the pulse's span, and of time: enough to see it turn, too little to run away or to burn a dry seal."""

@@ -53,11 +53,33 @@ class HandsBack(Protocol):
 
 
 @runtime_checkable
+class StopsBelow(Protocol):
+    """A vehicle with a flight controller below us that can be disarmed whoever armed it."""
+
+    def stop_below(self, t_us: int) -> None:
+        """Called on every tick until its heartbeat shows that it is disarmed."""
+        ...
+
+    def stand_down(self, t_us: int) -> bool:
+        """The run ends: disarm it where that is ours to do; True when there is nothing left to wait for."""
+        ...
+
+
+@runtime_checkable
 class Actuates(Protocol):
     """A vehicle that carries something that moves."""
 
     def actuate(self, t_us: int, state: PayloadState) -> None:
         """What all of it is to have; called on every tick. Raises as :class:`VehicleIo` does."""
+        ...
+
+
+@runtime_checkable
+class HasWatchdog(Protocol):
+    """A vehicle whose thrusters a process beside the service stops when the service cannot."""
+
+    def watchdog(self, t_us: int) -> str:
+        """What is wrong with that process, "" while it answers or none is needed; asked for once per tick."""
         ...
 
 

@@ -10,7 +10,7 @@ import msgspec
 from autopilot.core.frames import FloatArray
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import PlanItem, PlanKind
-from mission.sequencer import Position
+from autopilot.mission.sequencer import Position
 
 FORMAT = "underwater-autopilot plans"
 VERSION = 1

@@ -35,13 +35,23 @@ from autopilot.core.messages import (
 from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.stills import StoredStill
 from autopilot.core.witness import Note
+from autopilot.drivers.protocols import Link
+from autopilot.estimator.vision_lane import VisionWorker
 from autopilot.run.clocks import DayClock
 from autopilot.run.loop_account import LoopAccount
-from autopilot.run.outside import Actuates, HandsBack, Onlooker, Peer, Recorder, VehicleIo, WeightRelease
+from autopilot.run.outside import (
+    Actuates,
+    HandsBack,
+    HasWatchdog,
+    Onlooker,
+    Peer,
+    Recorder,
+    StopsBelow,
+    VehicleIo,
+    WeightRelease,
+)
 from autopilot.run.stills import StillStore
 from autopilot.run.transport import Transport
-from drivers.protocols import Link
-from estimator.vision_lane import VisionWorker
 
 SERVE_MARGIN_S = 0.0005
 """Serving ends so long before a tick."""
@@ -51,6 +61,10 @@ HOLD_S = 0.02
 
 SKIP_TICKS = 5
 """A loop that is later than this on a real vehicle goes on with the present."""
+
+STAND_DOWN_TICKS = 300
+"""A flight controller below gets so long to confirm at the end that it is disarmed: twelve requests in 3 s."""
+NOT_STOPPED = "Flight controller has not confirmed that it is disarmed: use its own switch"
 
 NO_SAMPLES: Sequence[Sample] = ()
 NO_PICTURES: Sequence[CameraFrame] = ()
@@ -110,6 +124,8 @@ class Runtime:
         self._release = device if isinstance(device, WeightRelease) else None
         self._carries = device if isinstance(device, Actuates) else None
         self._below_us = device if isinstance(device, HandsBack) else None
+        self._watchdog = device if isinstance(device, HasWatchdog) else None
+        self._stopped_by = device if isinstance(device, StopsBelow) else None
         self._vision = vision
         self._outside: tuple[Fault, ...] = ()
         """Exceptions of drivers on this tick."""
@@ -125,6 +141,7 @@ class Runtime:
         self._troubles: list[DeviceTrouble] = []
         self._guard = Guard()
         self._transport = Transport(links, guard=self._guard)
+        self._transport.judge_by(lambda link, client: service.standing(link, client))
         self._shown_faults: set[tuple[str, str]] = set()
         self._rest: ThrusterCommand | None = None
         self._peer_rx: list[MavlinkFrame] = []
@@ -152,12 +169,27 @@ class Runtime:
                     self._serve((tick + 1) * TICK_US, HOLD_S)
                     self.attend()
                     continue
-                tick += 1 + self._too_late(tick + 1)
+                tick += 1 + self.late_ticks(tick + 1)
                 self.tick(tick * TICK_US)
         finally:
-            self.close()
+            try:
+                self._stand_down(tick)
+            finally:
+                self.close()
 
-    def _too_late(self, tick: int) -> int:
+    def _stand_down(self, tick: int) -> None:
+        """Ends with the flight controller below disarmed, as far as it is there and ours."""
+        device = self._stopped_by
+        if device is None or tick == 0:
+            return
+        for later in range(tick + 1, tick + 1 + STAND_DOWN_TICKS):
+            t_us = self._clock.wait_until(later * TICK_US) if self._paced else later * TICK_US
+            if self._try(t_us, DeviceRole.THRUSTERS, partial(device.stand_down, t_us), False):
+                return
+            self.attend()
+        _show(NOT_STOPPED)
+
+    def late_ticks(self, tick: int) -> int:
         """Ticks to leave out: made up for in a hurry, they would hear now what devices have measured since."""
         late = (self._clock.now_us() - tick * TICK_US) // TICK_US if self._skips else 0
         if late <= SKIP_TICKS:
@@ -174,6 +206,9 @@ class Runtime:
         watch, self._guard.t_us = self.watch, t_us
         watch.begin(1e-6 * late_us if in_time else 0.0)
         self._try(t_us, DeviceRole.SENSORS, lambda: self._device.advance(t_us), None)
+        problem = "" if self._watchdog is None else self._watchdog.watchdog(t_us)
+        if problem:
+            self._troubles.append(DeviceTrouble(t_us=t_us, device=DeviceRole.WATCHDOG, text=problem))
         self.attend()
         frames = self._try(t_us, DeviceRole.CAMERA, lambda: self._device.frames(t_us), NO_PICTURES)
         samples = list(self._try(t_us, DeviceRole.SENSORS, lambda: self._device.poll(t_us), NO_SAMPLES))
@@ -279,6 +314,8 @@ class Runtime:
             self._try(t_us, DeviceRole.THRUSTERS, partial(self._release.release_weight, t_us), None)
         if outputs.payload is not None and self._carries is not None:
             self._try(t_us, DeviceRole.THRUSTERS, partial(self._carries.actuate, t_us, outputs.payload), None)
+        if outputs.stop_below and self._stopped_by is not None:
+            self._try(t_us, DeviceRole.THRUSTERS, partial(self._stopped_by.stop_below, t_us), None)
         if outputs.hand_back and self._below_us is not None:
             self._try(t_us, DeviceRole.THRUSTERS, partial(self._below_us.hand_back, t_us), None)
 
@@ -298,7 +335,7 @@ class Runtime:
         """What cannot wait while the loop does: a HEARTBEAT, when none has gone out for too long in real time."""
         if self._transport.beat_due:
             beat = self._service.beat()
-            self._transport.send(beat)
+            self._transport.beat(beat)
             if self._paced:  # else the log would depend on how fast the machine is
                 self._between_tx += beat
                 self._between.append(Between(t_us=None))

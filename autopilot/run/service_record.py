@@ -216,6 +216,6 @@ class _Store:
     def keep(self, tick: int, state: SigningState) -> None:
         """Nothing is written."""
 
-    def poll(self, tick: int) -> str | None:
+    def poll(self, tick: int) -> Saved | None:
         """Never asked: the witness answers."""
         raise AssertionError("a replay asks its log")

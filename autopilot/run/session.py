@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from autopilot.command.parts import Parts
@@ -17,6 +18,13 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import Below, Inputs, Outputs, Severity
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.vehicle import Vehicle
+from autopilot.drivers.links import open_link, parse_connection
+from autopilot.drivers.protocols import Link
+from autopilot.estimator.frame_filter import FrameFilter
+from autopilot.estimator.vision import MarkerDetector
+from autopilot.estimator.vision_lane import VisionWorker
+from autopilot.mission.loading import load_plan
+from autopilot.mission.plan_files import PlanFile, read_plan
 from autopilot.run.allocator import give_back_large_blocks
 from autopilot.run.clocks import make_clock
 from autopilot.run.kept_plans import KeptPlans
@@ -25,14 +33,8 @@ from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.runtime import Runtime
 from autopilot.run.service_manager import ServiceManager
 from autopilot.run.signing_files import SigningFiles
+from autopilot.run.state_check import StateCheck
 from autopilot.run.stills import StillStore
-from drivers.links import open_link, parse_connection
-from drivers.protocols import Link
-from estimator.frame_filter import FrameFilter
-from estimator.vision import MarkerDetector
-from estimator.vision_lane import VisionWorker
-from mission.loading import load_plan
-from mission.plan_files import PlanFile, read_plan
 
 FASTEST = 20.0
 """How much faster than real time a run without pace may be: clients get that much more of the service's time."""
@@ -75,6 +77,8 @@ class Outside:
 class Kept:
     """What outlives a run."""
 
+    folder: Path
+    """Where."""
     params: PersistentParams
     plans: KeptPlans | None
     """Where the plans are kept, None when they are not."""
@@ -129,6 +133,7 @@ class Session:
         end.callback(self.kept.params.finish)
         if self.kept.signing is not None:
             end.callback(self.kept.signing.finish)
+            end.callback(self.parts.server.finish)
         end.callback(self.recorder.close)
 
     def _status(self) -> str:
@@ -158,6 +163,7 @@ def loop_round(
     sys.setswitchinterval(THREAD_SWITCH_S)
     give_back_large_blocks()
     plans, recorder = kept.plans, outside.recorder
+    state = _state_check(parts, kept)
     news: list[tuple[Severity, str]] = [(Severity.WARNING, text) for text in warnings]
 
     def each_tick(outputs: Outputs) -> None:
@@ -167,7 +173,7 @@ def loop_round(
 
     def notices() -> Sequence[tuple[Severity, str]]:
         kept_news = () if plans is None else plans.take_notices()
-        told = (*news, *recorder.take_notices(), *kept_news, *outside.notices())
+        told = (*news, *state.take_notices(), *recorder.take_notices(), *kept_news, *outside.notices())
         news.clear()
         return told
 
@@ -183,7 +189,7 @@ def loop_round(
         paced=outside.speed > 0.0,
         notices=notices,
         below=outside.below,
-        refusals=outside.refusals,
+        refusals=lambda t_us: outside.refusals(t_us) + state.refusals(t_us),
         skips=outside.skips,
         onlooker=outside.onlooker,
         hold=outside.hold,
@@ -194,6 +200,14 @@ def loop_round(
     for desk in (*parts.desks, kept.disk):
         desk.idle = runtime.attend
     return runtime
+
+
+def _state_check(parts: Parts, kept: Kept) -> StateCheck:
+    """What is missing of what was kept, or cannot be kept."""
+    keepers = tuple(keeper for keeper in (kept.params, kept.plans, kept.signing) if keeper is not None)
+    losses = [loss for keeper in keepers for loss in keeper.losses]
+    unsaved = [partial(getattr, keeper, "unsaved") for keeper in keepers]
+    return StateCheck(parts.params, kept.folder, kept.disk, losses, unsaved)
 
 
 LINE_SHARE = 0.9

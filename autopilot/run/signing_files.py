@@ -1,7 +1,7 @@
 """The signing key and the signing time on disk (:class:`autopilot.mavlink.api.SigningStore`).
 
-``signing.key`` is the key in hex digits, readable by its owner only. ``signing.time`` is a time that no frame has been
-signed with yet: it is written ahead, so that after a power cut no time is used twice.
+``signing.key`` is the key in hex digits, readable by its owner only. ``signing.time`` is a time beyond which no frame
+has been signed or heard: it is written ahead, so that after a power cut no time is used and no frame is heard twice.
 """
 
 import os
@@ -13,10 +13,12 @@ from autopilot.core.desk import Desk
 from autopilot.core.disk import cause_of
 from autopilot.core.errors import ConfigError
 from autopilot.core.keeper import Keeper
-from autopilot.core.state_file import StateFile
+from autopilot.core.params import Saved
+from autopilot.core.state_file import Loss, StateFile
 from autopilot.mavlink.api import AHEAD_UNITS, UNITS_PER_S, SigningState
 
 KEY_BYTES = 32
+KEY_FILE = "signing.key"
 EPOCH_S = 1_420_070_400
 """2015-01-01 in Unix time."""
 
@@ -26,23 +28,46 @@ class SigningFiles:
 
     def __init__(self, folder: Path, desk: Desk | None = None, *, now_s: float | None = None) -> None:
         """``desk``: the lane of the disk, None = nothing is written, only looked at; ``now_s``: Unix time."""
-        self._key = StateFile(folder / "signing.key", copies=False, private=True)
+        self._key = StateFile(folder / KEY_FILE, copies=False, private=True)
         self._time = StateFile(folder / "signing.time")
         key, warnings = self._read_key()
         kept, problems = self._time.read(_parse_time, set_aside=desk is not None)
+        if problems and kept is not None:
+            kept += AHEAD_UNITS  # the copy before the last: the last was at most so much later
         self.warnings = (*warnings, *problems)
         """What operators should know."""
+        self.losses: tuple[Loss, ...] = ()
+        """The same, to be accepted before arming."""
         clock = max(0, round(((time.time() if now_s is None else now_s) - EPOCH_S) * UNITS_PER_S))
         self._state = SigningState(key, max(kept or 0, clock))
         self._written = key
-        self._keeper: Keeper[SigningState] = Keeper(desk or Desk(), self._write)
+        self._desk = desk or Desk()
+        self._keeper: Keeper[SigningState] = Keeper(self._desk, self._write)
+        self.unsaved = ""
+        """Why the time is not on disk, "" while it is."""
         if key is not None and desk is not None:
-            try:
-                self._write(SigningState(key, self._state.stamp + AHEAD_UNITS))
-            except OSError as error:
-                raise ConfigError(
-                    f"{self._time.path}: cannot be written ({cause_of(error)}); make room, check rights"
-                ) from error
+            self._begin(lost=bool(problems) or self._time.lost)
+
+    def _begin(self, *, lost: bool) -> None:
+        if lost:
+            text = "signing time damaged, the machine's clock is in force"
+            self.losses = (Loss(text, lambda tick: self._desk.run(self._time.accept)),)
+        try:
+            self._write(SigningState(self._state.key, self._state.stamp + AHEAD_UNITS))
+        except OSError as error:
+            self._note(error)
+
+    def _note(self, error: Exception | None) -> None:
+        self.unsaved = "" if error is None else f"signing time not saved ({cause_of(error)})"
+
+    @staticmethod
+    def discard(folder: Path) -> None:
+        """Take away a key that cannot be used. ConfigError when the disk does not let it."""
+        path = folder / KEY_FILE
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be removed ({cause_of(error)}); check folder and rights") from error
 
     @property
     def path(self) -> Path:
@@ -58,14 +83,17 @@ class SigningFiles:
         """Have it written, beside the loop."""
         self._keeper.put(tick, state)
 
-    def poll(self, tick: int) -> str | None:
-        """What became of it: "" = written, else why not; None = nothing new."""
+    def poll(self, tick: int) -> Saved | None:
+        """What became of one of them."""
         kept = self._keeper.poll(tick)
-        return None if kept is None else "" if kept.error is None else cause_of(kept.error)
+        if kept is None:
+            return None
+        self._note(kept.error)
+        return Saved(number=kept.number, failure="" if kept.error is None else cause_of(kept.error))
 
     def finish(self) -> None:
         """The end of a run."""
-        self._keeper.finish()
+        self._note(self._keeper.finish())
 
     def write_key(self, key: bytes | None) -> None:
         """Another key, None = none, at once. ConfigError when the disk does not take it."""
@@ -90,7 +118,7 @@ class SigningFiles:
         except ValueError:
             key = b""
         if len(key) != KEY_BYTES:
-            raise ConfigError(f"{path}: is no key of 64 hex digits; make another with `autopilot mavlink key make`")
+            raise ConfigError(f"{path}: is no key of 64 hex digits; make another: `autopilot mavlink key make --force`")
         if mode & 0o077:
             return key, (f"{path} can be read by others: chmod 600, and make another key",)
         return key, ()

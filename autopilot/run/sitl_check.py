@@ -11,17 +11,17 @@ from autopilot.core.geometry import Fence
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.core.vehicle_facts import facts_of
+from autopilot.mission.fence import FenceShape, build_fence
+from autopilot.mission.items import GoTo, Step
+from autopilot.mission.judgement import judge_file
+from autopilot.mission.plan_files import read_plan
 from autopilot.run.sitl_console import unknown_obstacles
 from autopilot.run.sitl_fence import scenario_plan
-from mission.fence import FenceShape, build_fence
-from mission.items import GoTo, Step
-from mission.judgement import judge_file
-from mission.plan_files import read_plan
-from sitl.contact import Surroundings
-from sitl.plant import build_plant
-from sitl.scenario import Scenario, plan_path
-from sitl.waves import breaking_height_m
-from sitl.world import build_world
+from autopilot.sitl.contact import Surroundings
+from autopilot.sitl.plant import build_plant
+from autopilot.sitl.scenario import Scenario, plan_path
+from autopilot.sitl.waves import breaking_height_m
+from autopilot.sitl.world import build_world
 
 GRID = 21
 """Places north and east at which the current is looked at."""

@@ -5,7 +5,7 @@ from importlib import resources
 from pathlib import Path
 
 from autopilot.core.errors import ConfigError
-from sitl.scenario import FILE_KEYS, load_scenario, load_tables, plan_path, scenario_path
+from autopilot.sitl.scenario import FILE_KEYS, load_scenario, load_tables, plan_path, scenario_path
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 DRAWN = 'fence = "from tank and obstacles" # the plan\'s fence follows what stands below'

@@ -6,10 +6,10 @@ from pathlib import Path
 import msgspec
 
 from autopilot.core.vehicle import load_vehicle
+from autopilot.drivers.links import open_link
 from autopilot.run.clocks import make_clock
-from drivers.links import open_link
-from sitl.ardusub_vehicle import ArduSubVehicle
-from sitl.scenario import load_scenario, with_vehicle
+from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
+from autopilot.sitl.scenario import load_scenario, with_vehicle
 
 STEP_US = 5_000
 """Its main loop."""

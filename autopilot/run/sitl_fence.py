@@ -9,10 +9,10 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle, Shape
 from autopilot.core.plan import PlanItem
-from mission.fence import FenceShape, read_fence
-from mission.local_plan import CircleTable, FenceTable, LocalPlan, OriginTable, PolygonTable, plan_of_local
-from mission.plan_model import PlanFile
-from sitl.scenario import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
+from autopilot.mission.fence import FenceShape, read_fence
+from autopilot.mission.local_plan import CircleTable, FenceTable, LocalPlan, OriginTable, PolygonTable, plan_of_local
+from autopilot.mission.plan_model import PlanFile
+from autopilot.sitl.scenario import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
 
 SAME_M = 0.03
 """Corners and radii of two fences that differ by less are the same: plans lie on a grid of 11 mm."""

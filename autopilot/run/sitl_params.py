@@ -7,20 +7,21 @@ from autopilot.core.origin_params import set_origin_deg
 from autopilot.core.param_file import PersistentParams, kept_params
 from autopilot.core.params import ParamSet
 from autopilot.run.boot_links import BootLinks, open_boot_links
-from autopilot.run.config import Settings, system_id
-from sitl.scenario import Scenario, load_scenario
+from autopilot.run.config import Settings
+from autopilot.sitl.scenario import Scenario, load_scenario
 
 
 def open_sitl_links(settings: Settings, overrides: dict[str, float], *, instance: int) -> BootLinks:
     """Open a SITL run's links. ConfigError and DriverError name what is wrong; nothing is open then."""
     params, *_ = sitl_params(settings, load_scenario(settings["scenario"]), overrides, instance)
-    return open_boot_links(settings["connect"], system_id(params, instance), settings["profile"])
+    folder = state_folder(settings, instance)
+    return open_boot_links(settings["connect"], params, instance, settings["profile"], folder)
 
 
 def sitl_params(
     settings: Settings, scenario: Scenario, overrides: dict[str, float], instance: int, disk: Desk | None = None
 ) -> tuple[ParamSet, PersistentParams, tuple[str, ...]]:
-    """Defaults < scenario's origin, disturbance bounds and parameters < saved by earlier runs < command line.
+    """Defaults < scenario's origin, tank, disturbance bounds and parameters < saved by earlier runs < command line.
 
     The last of the result is what is wrong with the saved ones. Without the lane of the ``disk`` they are only looked
     at: nothing is cleaned up, nothing set aside.
@@ -33,6 +34,8 @@ def sitl_params(
     for bound, value in (("MPC_W_FORCE", told.disturbance_n), ("MPC_W_MOMENT", told.disturbance_n_m)):
         if value is not None:
             params.set(bound, value)
+    if scenario.tank is not None:
+        params.set("FENCE_REQUIRED", 1)
     for name, value in scenario.params.items():
         params.set(name, value)
     persistent, warnings = kept_params(state_folder(settings, instance), params, overrides, disk)

@@ -3,11 +3,11 @@
 from autopilot import __version__
 from autopilot.control.protocol import find_controller
 from autopilot.core.plugins import Plugin
+from autopilot.estimator.create import find_estimator
 from autopilot.log.description import PartOrigin
 from autopilot.run.config import Settings, chosen_part
-from estimator.create import find_estimator
-from sitl.protocol import find_plant
-from sitl.scenario import Scenario
+from autopilot.sitl.protocol import find_plant
+from autopilot.sitl.scenario import Scenario
 
 
 def part_origins(settings: Settings, scenario: Scenario) -> dict[str, PartOrigin]:

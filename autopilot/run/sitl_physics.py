@@ -11,11 +11,11 @@ import msgspec
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import load_vehicle
-from drivers.links import open_link
-from sitl.ardupilot_json import JsonPhysics
-from sitl.ardusub_vehicle import ArduSubVehicle
-from sitl.plant import Truth
-from sitl.scenario import Scenario, load_scenario, with_vehicle
+from autopilot.drivers.links import open_link
+from autopilot.sitl.ardupilot_json import JsonPhysics
+from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import Scenario, load_scenario, with_vehicle
 
 LOOK_S = 0.2
 """How often a server that hears nothing looks whether it is to stop."""

@@ -30,7 +30,7 @@ from autopilot.log.writer import LogWriter
 from autopilot.run.service_record import service_again
 from autopilot.run.sitl_world import formula
 from autopilot.run.witnessed import SHELF_ASKED
-from sitl.scenario import Scenario
+from autopilot.sitl.scenario import Scenario
 
 NOT_OURS = ("/sim/", "/viz/", "/in/camera")
 """How topics begin that are the world's, or for viewers alone."""

@@ -12,9 +12,10 @@ from autopilot.command.parts import Parts
 from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
 from autopilot.core.lane import DaemonLane
-from autopilot.core.messages import Outputs, ThrusterCommand
+from autopilot.core.messages import Below, Outputs, ThrusterCommand
 from autopilot.core.payload import PayloadState
 from autopilot.core.samples import CameraFrame, Sample
+from autopilot.drivers.protocols import Link
 from autopilot.log.description import RunDescription
 from autopilot.run.assembly import Told, onlooker, service_setup
 from autopilot.run.clocks import make_clock
@@ -41,15 +42,14 @@ from autopilot.run.sitl_params import sitl_params, state_folder
 from autopilot.run.sitl_view import Steering, WatchedSitl
 from autopilot.run.sitl_world import World, forecast, knowledge, make_world, map_path
 from autopilot.run.stills import StillStore
+from autopilot.sitl.backend import SimulatedVehicle
+from autopilot.sitl.floor import told_floor_m
+from autopilot.sitl.machine_faults import MachineFaults
+from autopilot.sitl.operator import ScriptedOperator
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import Scenario, load_scenario, plan_path, with_vehicle
 from autopilot.view.foxglove import FoxgloveServer
 from autopilot.view.hub import Hub
-from drivers.protocols import Link
-from sitl.backend import SimulatedVehicle
-from sitl.floor import told_floor_m
-from sitl.machine_faults import MachineFaults
-from sitl.operator import ScriptedOperator
-from sitl.plant import Truth
-from sitl.scenario import Scenario, load_scenario, plan_path, with_vehicle
 
 SITL_EPOCH_NS = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
 """Log time of simulated time zero: fixed, so that two runs of a scenario and seed give the same log."""
@@ -61,6 +61,7 @@ class SimulatedDevice:
     def __init__(self, vehicle: SimulatedVehicle, thrusters: int) -> None:
         self._vehicle = vehicle
         self._thrusters = thrusters
+        self._armed = False
         vehicle.open()
 
     @property
@@ -91,7 +92,12 @@ class SimulatedDevice:
 
     def write(self, t_us: int, command: ThrusterCommand) -> None:
         """Drive the thrusters."""
+        self._armed = command.armed
         self._vehicle.write(command.pwm_us[: self._thrusters])
+
+    def below(self, t_us: int) -> Below | None:
+        """What the flight controller below says, in a scenario that has one."""
+        return self._vehicle.below(t_us, armed=self._armed)
 
     def close(self) -> None:
         """Thrusters to neutral."""
@@ -170,6 +176,7 @@ def open_sitl(
         speed=world.speed,
         clock=clock,
         stills=StillStore(recorder, disk, Path(settings["log_dir"])) if world.simulated.pictured else None,
+        below=device.below,
         mishaps=MachineFaults(scenario.fault).put_into,
         onlooker=onlooker(
             view,
@@ -184,7 +191,7 @@ def open_sitl(
         hold=(lambda _: False) if steering is None else steering.hold,
         notices=(lambda: ()) if steering is None else steering.take_notices,
     )
-    kept = Kept(params=persistent, plans=plans, disk=disk, signing=signing)
+    kept = Kept(folder=state_folder(settings, instance), params=persistent, plans=plans, disk=disk, signing=signing)
     runtime = loop_round(service, parts, outside, kept, warnings, on_tick)
     given_s = settings["duration"]
     return SitlSession(

@@ -18,6 +18,9 @@ from autopilot.core.messages import Severity
 from autopilot.log.description import RunDescription
 from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.watched import WatchedService
+from autopilot.sitl.backend import SimulatedVehicle
+from autopilot.sitl.contact import Prism, Sphere
+from autopilot.sitl.scenario import Fault, Scenario
 from autopilot.view.controls import (
     Ask,
     CallFault,
@@ -32,9 +35,6 @@ from autopilot.view.controls import (
 )
 from autopilot.view.feed import TruthSeen
 from autopilot.view.shown import FaultOffer, Flow, Solid, Steerable
-from sitl.backend import SimulatedVehicle
-from sitl.contact import Prism, Sphere
-from sitl.scenario import Fault, Scenario
 
 ANSWER_S = 5.0
 """The loop answers an ask in that time, or is busy."""

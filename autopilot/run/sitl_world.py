@@ -26,11 +26,11 @@ from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.description import PartOrigin
 from autopilot.run.config import Settings, chosen_part
 from autopilot.run.sitl_parts import part_origins
-from sitl.backend import SimulatedVehicle, simulated_vehicle
-from sitl.currents import current_field
-from sitl.floor import told_markers
-from sitl.hil import Wire, wires
-from sitl.scenario import GridCurrent, Scenario
+from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
+from autopilot.sitl.currents import current_field
+from autopilot.sitl.floor import told_markers
+from autopilot.sitl.hil import Wire, wires
+from autopilot.sitl.scenario import GridCurrent, Scenario
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

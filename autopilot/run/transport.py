@@ -7,13 +7,14 @@ looked after by its driver. An exception that no driver may raise is a fault for
 import select
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TypeVar
 
-from autopilot.core.clients import Verbatim
+from autopilot.core.clients import EVERYONE, Standing, Verbatim
 from autopilot.core.errors import DriverError
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Event, MavlinkFrame, Severity
-from drivers.protocols import Link
+from autopilot.drivers.protocols import Link, SharedLink
 
 POLL_S = 0.002
 """Links without a file descriptor are looked at this often."""
@@ -28,12 +29,28 @@ MAX_BETWEEN_BYTES = 16_384
 MAX_BETWEEN_CALLS = 64
 """How often one link is read between two ticks."""
 
-_MAVLINK2 = 0xFD
-"""First byte of a MAVLink 2 frame."""
-_HEARTBEAT_ID = b"\0\0\0"
-"""Message id of HEARTBEAT, as in the header."""
+AUTOPILOT = 1
+"""MAV_COMP_ID_AUTOPILOT1: the component that is there from the start."""
+
+_MAVLINK1, _MAVLINK2 = b"\xfe", b"\xfd"
+"""First bytes of frames."""
 
 T = TypeVar("T")
+
+
+def _beat_of(frame: MavlinkFrame) -> int | None:
+    """The component whose HEARTBEAT a frame brings to all clients of a link; None for any other frame.
+
+    One that goes to a single client, or is passed on for somebody else, keeps nobody else from missing us.
+    """
+    data = frame.data
+    if isinstance(data, Verbatim) or frame.client != EVERYONE:
+        return None
+    if data[:1] == _MAVLINK2 and data[7:10] == b"\0\0\0":
+        return data[6]
+    if data[:1] == _MAVLINK1 and data[5] == 0:
+        return data[4]
+    return None
 
 
 class Transport:
@@ -46,7 +63,8 @@ class Transport:
         self._names = [link.name for link in self._links]
         self._guard = guard or Guard()
         self._now_s = now_s
-        self._beat_s = now_s()
+        self._beats_s = dict.fromkeys(((index, AUTOPILOT) for index in range(len(self._links))), now_s())
+        """When each link got the last HEARTBEAT of each of our components."""
         self._between_bytes = [0] * len(self._links)
         self._between_calls = [0] * len(self._links)
         self._problems: list[str | None] = [None] * len(self._links)
@@ -55,14 +73,22 @@ class Transport:
         """What a driver raised although it must not, by what it was asked to do; until it does that again."""
         self.errors = 0
         """How often that happened."""
+        self._shared = [(index, link) for index, link in enumerate(self._links) if isinstance(link, SharedLink)]
+        self._news_us = [0] * len(self._links)
+        """When who lost or found no place on a link may be named again."""
 
     def __len__(self) -> int:
         return len(self._links)
 
+    def judge_by(self, standing: Callable[[int, int], Standing]) -> None:
+        """Who has a place where there are too few goes by ``standing`` of a link's client."""
+        for index, link in self._shared:
+            link.standing = partial(standing, index)
+
     @property
     def beat_due(self) -> bool:
-        """Whether the links have not seen a HEARTBEAT for so long that one has to go out now."""
-        return bool(self._links) and self._now_s() - self._beat_s >= BEAT_S
+        """Whether a link has not seen a component's HEARTBEAT for so long that one has to go out now."""
+        return bool(self._beats_s) and self._now_s() - min(self._beats_s.values()) >= BEAT_S
 
     def receive(self, t_us: int) -> list[MavlinkFrame]:
         """What all links have for a tick. What they may bring until the next one counts anew."""
@@ -97,12 +123,17 @@ class Transport:
             received += frames
         return received
 
+    def beat(self, frames: Sequence[MavlinkFrame]) -> None:
+        """Send the HEARTBEATs that are due: a link or component without one among them gets none (a quiet link)."""
+        self._beats_s.clear()
+        self.send(frames)
+
     def send(self, frames: Sequence[MavlinkFrame]) -> None:
         """Send what goes to these links."""
         for frame in frames:
-            ours = not isinstance(frame.data, Verbatim)
-            if ours and frame.data[7:10] == _HEARTBEAT_ID and frame.data[0] == _MAVLINK2:
-                self._beat_s = self._now_s()
+            component = _beat_of(frame)
+            if component is not None:
+                self._beats_s[frame.link, component] = self._now_s()
         for index in range(len(self._links)):
             for frame in frames:
                 if frame.link in (index, -1):
@@ -120,6 +151,12 @@ class Transport:
                 notices.append(Event(t_us=t_us, severity=Severity.INFO, text=f"{name}: back"))
             else:
                 notices.append(Event(t_us=t_us, severity=Severity.WARNING, text=f"{name}: {problem}"))
+        for index, link in self._shared:
+            news = None if t_us < self._news_us[index] else self._try(index, "tell", link.take_news, None)
+            if news is not None:
+                self._news_us[index] = t_us + NOTICE_US
+                severity = Severity.WARNING if news[0] else Severity.INFO
+                notices.append(Event(t_us=t_us, severity=severity, text=news[1]))
         return tuple(notices)
 
     def close(self) -> None:

@@ -17,7 +17,7 @@ from autopilot.core.origin_params import set_origin_deg
 from autopilot.core.params import ParamSet
 from autopilot.core.toml_table import NonNegative, Positive, Table, convert, read_toml
 from autopilot.core.vehicle import Vehicle, load_vehicle, vehicle_names
-from drivers.devices import CAMERA, DeviceSetup, read_devices
+from autopilot.drivers.devices import CAMERA, DeviceSetup, read_devices
 
 Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
@@ -152,8 +152,10 @@ def _check(config: VehicleConfig) -> None:
 
 
 def apply_parameters(config: VehicleConfig, params: ParamSet) -> None:
-    """Origin and ``[parameters]`` of the file as defaults. ConfigError names file and key."""
+    """Origin, basin and ``[parameters]`` of the file as defaults. ConfigError names file and key."""
     place = config.file.place
+    if place.basin == "closed":
+        params.set("FENCE_REQUIRED", 1)
     told = {"ORIGIN_LAT": place.origin_lat_deg, "ORIGIN_LON": place.origin_lon_deg, "ORIGIN_ALT": place.origin_alt_m}
     for name, value in ({k: v for k, v in told.items() if v is not None} | config.file.parameters).items():
         try:

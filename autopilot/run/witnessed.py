@@ -1,6 +1,7 @@
 """What the service asks of disks, with a witness beside it: a flight notes the answers, a replay has them from its
 log."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from autopilot.core.desk import Ticket
@@ -26,13 +27,16 @@ class WitnessedSaving:
 
     def saved(self, tick: int) -> Saved | None:
         """What became of requests, once."""
+        return _saved(self.witness, "parameters saved", lambda: self.saving.saved(tick))
 
-        def found() -> tuple[int, str] | None:
-            saved = self.saving.saved(tick)
-            return None if saved is None else (saved.number, saved.failure)
 
-        fact = self.witness.ask("parameters saved", None, found)
-        return None if fact is None else Saved(number=fact[0], failure=fact[1])
+def _saved(witness: Witness, kind: str, ask: Callable[[], Saved | None]) -> Saved | None:
+    def found() -> tuple[int, str] | None:
+        saved = ask()
+        return None if saved is None else (saved.number, saved.failure)
+
+    fact = witness.ask(kind, None, found)
+    return None if fact is None else Saved(number=fact[0], failure=fact[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +55,9 @@ class WitnessedStore:
         """Have it written."""
         self.store.keep(tick, state)
 
-    def poll(self, tick: int) -> str | None:
-        """What became of the last one."""
-        return self.witness.ask("key saved", None, lambda: self.store.poll(tick))
+    def poll(self, tick: int) -> Saved | None:
+        """What became of one of them."""
+        return _saved(self.witness, "key saved", lambda: self.store.poll(tick))
 
 
 @dataclass(frozen=True, slots=True)

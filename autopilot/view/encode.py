@@ -13,12 +13,14 @@ from autopilot.core.shapes import clearance_m
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.description import RunDescription
 from autopilot.log.scene import outline
+from autopilot.view.ages import CONTROL_S, UNKNOWN_S, age_limits, sensor_limits_s
 from autopilot.view.controls import Steered
 from autopilot.view.feed import Picture as TakenPicture
 from autopilot.view.feed import Snapshot, TruthSeen
 from autopilot.view.shown import (
     Battery,
     Control,
+    Device,
     Estimate,
     Frame,
     Limits,
@@ -38,8 +40,6 @@ from autopilot.view.shown import (
     TrueState,
 )
 
-CONTROL_MS = 50.0
-"""Time between two control steps."""
 DIGITS = 4
 """Of numbers on the way to the page: a tenth of a millimetre."""
 JPEG_QUALITY = 70
@@ -67,8 +67,9 @@ def scene_of(snapshot: Snapshot, vehicle: Vehicle, steerable: Steerable, *, simu
             heave_m_s=bounds["heave_m_s"],
             yaw_rate_rad_s=bounds["yaw_rate_rad_s"],
             thrust_n=bounds["thrust_n"],
-            solve_ms=CONTROL_MS,
+            solve_ms=1e3 * CONTROL_S,
         ),
+        ages=age_limits(vehicle),
         thrusters=tuple(thruster.name for thruster in vehicle.thrusters),
         camera_px=None if camera is None else (camera.width_px, camera.height_px),
         steerable=steerable,
@@ -81,9 +82,10 @@ def frame_of(snapshot: Snapshot, vehicle: Vehicle, steered: Steered, *, now_s: f
     """What changes all the time."""
     out, mode = snapshot.outputs, snapshot.outputs.mode
     t_us, count = out.t_us, len(vehicle.thrusters)
-    health = snapshot.thrusters
+    health, limits_s = snapshot.thrusters, sensor_limits_s(vehicle)
     return Frame(
         scene=snapshot.scene,
+        sent_s=round(now_s, 3),
         t_s=1e-6 * t_us,
         stale_s=round(max(0.0, now_s - snapshot.wall_s), 2),
         paused=steered.paused,
@@ -92,7 +94,7 @@ def frame_of(snapshot: Snapshot, vehicle: Vehicle, steered: Steered, *, now_s: f
         armed=mode.armed,
         mode=snapshot.description.mode_names.get(str(mode.custom_mode), str(mode.custom_mode)),
         failsafes=tuple(failsafe.name for failsafe in Failsafe if mode.failsafes >> failsafe & 1),
-        estimate=None if out.nav is None else _estimate(out.nav),
+        estimate=None if out.nav is None else _estimate(out.nav, _age_s(t_us, _newest_us(snapshot, out.nav))),
         truth=None if snapshot.truth is None else _truth(snapshot.truth, count),
         solids=snapshot.solids,
         extra_current_ned_m_s=steered.extra_current_ned_m_s,
@@ -110,9 +112,14 @@ def frame_of(snapshot: Snapshot, vehicle: Vehicle, steered: Steered, *, now_s: f
                 state=aid.state.name,
                 test_ratio=_number(aid.test_ratio),
                 fused=aid.fused,
-                age_s=_number(1e-6 * (t_us - aid.t_us)),
+                age_s=_age_s(t_us, aid.t_us),
+                limit_s=limits_s.get(aid.sensor, UNKNOWN_S),
             )
             for aid in snapshot.aids.values()
+        ),
+        devices=tuple(
+            Device(name=name, age_s=_age_s(t_us, heard_us), limit_s=limits_s.get(name, UNKNOWN_S))
+            for name, heard_us in snapshot.heard_us.items()
         ),
         battery=_battery(snapshot),
         loop=_loop(snapshot),
@@ -157,6 +164,16 @@ def _number(value: float) -> float:
     return round(float(value), DIGITS) if np.isfinite(value) else -1.0
 
 
+def _age_s(t_us: int, since_us: int) -> float:
+    """In the vehicle's time."""
+    return _number(1e-6 * max(t_us - since_us, 0))
+
+
+def _newest_us(snapshot: Snapshot, nav: NavState) -> int:
+    """Of when an estimate is: its attitude is no newer than the AHRS."""
+    return min(nav.t_us, snapshot.heard_us.get("ahrs", nav.t_us))
+
+
 def _numbers(values: Iterable[float]) -> tuple[float, ...]:
     return tuple(_number(value) for value in values)
 
@@ -184,9 +201,10 @@ def _places(run: RunDescription) -> tuple[Place, ...]:
     )
 
 
-def _estimate(nav: NavState) -> Estimate:
+def _estimate(nav: NavState, age_s: float) -> Estimate:
     sigma = np.sqrt(np.maximum(nav.variance, 0.0))
     return Estimate(
+        age_s=age_s,
         health=nav.health.name,
         pos_ned_m=_point3(nav.pos_ned_m),
         rpy_rad=_point3(nav.rpy_rad),
@@ -220,7 +238,7 @@ def _tracks(snapshot: Snapshot) -> tuple[Track, ...]:
             pos_ned_m=_point2(track.pos_ned_m),
             vel_ned_m_s=_point2(track.vel_ned_m_s),
             radius_m=_number(track.radius_m),
-            age_s=_number(1e-6 * (snapshot.outputs.t_us - track.t_us)),
+            age_s=_age_s(snapshot.outputs.t_us, track.t_us),
         )
         for number, track in snapshot.tracks.items()
     )
@@ -265,7 +283,7 @@ def _control(snapshot: Snapshot) -> Control | None:
     return Control(
         status=status.status.name,
         fallback=status.fallback.name,
-        age_s=_number(1e-6 * (snapshot.outputs.t_us - status.t_us)),
+        age_s=_age_s(snapshot.outputs.t_us, status.t_us),
         solve_ms=_number(1e3 * status.solve_s),
         iterations=status.iterations,
         cost=_number(status.cost),
@@ -278,6 +296,7 @@ def _control(snapshot: Snapshot) -> Control | None:
         tube_m=_numbers(control.tube_m) if tubed else (),
         eta_s=None if plan is None else _number(plan.eta_s),
         energy_j=None if plan is None else _number(plan.energy_j),
+        plan_age_s=None if plan is None else _age_s(snapshot.outputs.t_us, snapshot.plan_us),
     )
 
 
@@ -286,6 +305,7 @@ def _battery(snapshot: Snapshot) -> Battery | None:
     if power is None:
         return None
     return Battery(
+        age_s=_age_s(snapshot.outputs.t_us, snapshot.heard_us.get("battery", power.t_us)),
         voltage_v=_number(power.voltage_v),
         current_a=_number(power.current_a),
         energy_used_j=_number(power.energy_used_j),
@@ -298,6 +318,7 @@ def _loop(snapshot: Snapshot) -> Loop | None:
     if stats is None:
         return None
     return Loop(
+        age_s=_age_s(snapshot.outputs.t_us, stats.t_us),
         longest_tick_ms=_number(1e3 * stats.tick_s),
         cpu_share=_number(stats.cpu_s),
         overruns=stats.overruns,

@@ -8,7 +8,7 @@ on the view's own thread (:mod:`autopilot.view.hub`).
 
 import time
 from collections import deque
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -24,7 +24,19 @@ from autopilot.core.messages import (
     Outputs,
     ThrusterHealthState,
 )
-from autopilot.core.samples import CameraFrame, MarkerSighting, ObstacleTrack, PowerSample
+from autopilot.core.samples import (
+    AhrsSample,
+    CameraFrame,
+    DepthSample,
+    HullSample,
+    ImuSample,
+    LeakSample,
+    MarkerSighting,
+    ObstacleTrack,
+    PowerSample,
+    Sample,
+    VelocitySample,
+)
 from autopilot.log.description import RunDescription
 from autopilot.view.shown import Solid
 
@@ -40,8 +52,23 @@ TRAIL_POINTS = 1200
 """Five minutes."""
 TRACK_US = 5_000_000
 """A report of an obstacle is shown so long."""
-AID_US = 30_000_000
-"""And so long what became of a sensor's last measurement."""
+DEVICES = {
+    AhrsSample: "ahrs",
+    ImuSample: "ahrs",
+    DepthSample: "depth",
+    VelocitySample: "dvl",
+    PowerSample: "battery",
+    LeakSample: "leak",
+    HullSample: "hull",
+}
+"""Devices by what they deliver; pictures come by a way of their own."""
+READINGS: dict[type, Callable[[Any], bytes]] = {
+    AhrsSample: lambda sample: sample.rate_frd_rad_s.tobytes(),
+    ImuSample: lambda sample: sample.rate_frd_rad_s.tobytes(),
+    VelocitySample: lambda sample: sample.vel_frd_m_s.tobytes(),
+}
+"""Of devices whose last digits are noise: one that repeats itself has delivered nothing."""
+CAMERA = "camera"
 
 
 class TruthSeen(Protocol):
@@ -116,7 +143,11 @@ class Snapshot:
     control: ControlOutput | None
     """Of the last control step."""
     plan: EnergyPlan | None
+    plan_us: int
+    """When it came into force."""
     thrusters: ThrusterHealthState | None
+    heard_us: Mapping[str, int]
+    """When each device delivered last, by :data:`DEVICES` and :data:`CAMERA`."""
     aids: Mapping[str, AidStatus]
     tracks: Mapping[int, ObstacleTrack]
     power: PowerSample | None
@@ -132,11 +163,23 @@ class _Kept:
 
     control: ControlOutput | None = None
     plan: EnergyPlan | None = None
+    plan_us: int = 0
     thrusters: ThrusterHealthState | None = None
     loop: LoopStats | None = None
     power: PowerSample | None = None
+    heard_us: dict[str, int] = field(default_factory=dict)
     aids: dict[str, AidStatus] = field(default_factory=dict)
     tracks: dict[int, ObstacleTrack] = field(default_factory=dict)
+    readings: dict[str, bytes] = field(default_factory=dict)
+
+    def news(self, device: str, sample: Sample) -> bool:
+        """Whether a device says something else than before."""
+        reading_of = READINGS.get(type(sample))
+        if reading_of is None:
+            return True
+        reading, before = reading_of(sample), self.readings.get(device)
+        self.readings[device] = reading
+        return reading != before
 
 
 class Feed:
@@ -175,6 +218,8 @@ class Feed:
         if not self.watched:
             return
         self._keep(inputs, outputs)
+        if frames:
+            self._kept.heard_us[CAMERA] = inputs.t_us
         now_s = time.monotonic()
         if self.pictured:
             self._look(now_s, inputs, frames)
@@ -190,7 +235,8 @@ class Feed:
         kept = self._kept
         if outputs.control is not None:
             kept.control = outputs.control
-            kept.plan = outputs.control.plan or kept.plan
+            if outputs.control.plan is not None:
+                kept.plan, kept.plan_us = outputs.control.plan, outputs.t_us
         if outputs.goal is None:
             kept.plan = None
         if outputs.thrusters is not None:
@@ -198,6 +244,9 @@ class Feed:
         for aid in outputs.aids:
             kept.aids[aid.sensor] = aid
         for sample in inputs.samples:
+            device = DEVICES.get(type(sample))
+            if device is not None and kept.news(device, sample):
+                kept.heard_us[device] = inputs.t_us
             if isinstance(sample, PowerSample):
                 kept.power = sample
             elif isinstance(sample, ObstacleTrack):
@@ -260,8 +309,10 @@ class Feed:
             solids=run.solids(),
             control=kept.control,
             plan=kept.plan,
+            plan_us=kept.plan_us,
             thrusters=kept.thrusters,
-            aids={name: aid for name, aid in kept.aids.items() if t_us - aid.t_us < AID_US},
+            heard_us=dict(kept.heard_us),
+            aids=dict(kept.aids),
             tracks={number: track for number, track in kept.tracks.items() if t_us - track.t_us < TRACK_US},
             power=kept.power,
             loop=kept.loop,

@@ -12,12 +12,12 @@ from collections.abc import Mapping
 import msgspec
 
 from autopilot.core.vehicle import Vehicle
+from autopilot.view.ages import FLOW_S
 from autopilot.view.controls import Controls
 from autopilot.view.encode import frame_of, picture_of, scene_of
 from autopilot.view.feed import Feed, Snapshot, Watched
 
 POLL_S = 0.05
-FLOW_S = 1.0
 IDLE_S = 0.5
 """Without news of the loop the page hears so often that there is none."""
 BREATH_S = 5.0

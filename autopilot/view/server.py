@@ -6,6 +6,7 @@ Origin or Sec-Fetch-Site and is refused; and what changes anything has to come f
 the process's token. There is no CORS header, so no other page can read an answer either.
 """
 
+import hashlib
 import secrets
 import socket
 import threading
@@ -26,6 +27,8 @@ PATIENCE_S = 2.0
 """A viewer that takes nothing off the wire for so long is dropped."""
 REQUEST_S = 5.0
 """A request has to be there in that time."""
+RETRY_MS = 1000
+"""A page that has lost its stream asks for another so often."""
 SEND_BUFFER = 1 << 16
 """What the kernel keeps for a viewer; what is older has no value."""
 MAX_CONNECTIONS = 48
@@ -38,6 +41,7 @@ PAGES = {
     "/view.css": ("view.css", "text/css; charset=utf-8"),
     "/view.js": ("view.js", "text/javascript; charset=utf-8"),
     "/draw.js": ("draw.js", "text/javascript; charset=utf-8"),
+    "/ages.js": ("ages.js", "text/javascript; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
 """Path -> file of the package, type."""
@@ -66,6 +70,7 @@ class _Server(ThreadingHTTPServer):
     def __init__(self, port: int, hub: Hub) -> None:
         self.hub = hub
         self.token = secrets.token_urlsafe(24)
+        self.version = _version()
         self._room = threading.BoundedSemaphore(MAX_CONNECTIONS)
         super().__init__(("127.0.0.1", port), _Handler)
 
@@ -84,6 +89,16 @@ class _Server(ThreadingHTTPServer):
 
     def handle_error(self, request: object, client_address: object) -> None:
         """A connection that breaks is nobody's business."""
+
+
+def _file(name: str) -> bytes:
+    """A file of the page as it is in the package."""
+    return (files("autopilot") / "data" / "view" / name).read_bytes()
+
+
+def _version() -> str:
+    """Of the page's code: another one is loaded anew when its process is."""
+    return hashlib.sha256(b"".join(_file(name) for name, _ in PAGES.values())).hexdigest()[:16]
 
 
 class ViewServer:
@@ -141,8 +156,11 @@ class _Handler(BaseHTTPRequestHandler):
             self._stream(pictures=parse_qs(url.query).get("pictures") == ["1"])
         elif url.path in PAGES:
             name, kind = PAGES[url.path]
-            data = (files("autopilot") / "data" / "view" / name).read_bytes()
-            self._answer(200, data.replace(b"@TOKEN@", self.server.token.encode()), kind)
+            marked = {b"@TOKEN@": self.server.token, b"@VERSION@": self.server.version}
+            data = _file(name)
+            for mark, text in marked.items() if name == "index.html" else ():
+                data = data.replace(mark, text.encode())
+            self._answer(200, data, kind)
         else:
             self._say(404, "there is no such page; the view is at /")
 
@@ -190,7 +208,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Origin") is None:
             self._say(403, "a browser names the page that asks; nobody else may")
         elif not secrets.compare_digest(token.encode(), self.server.token.encode()):
-            self._say(403, "the page is of another run of the program: load it again")
+            self._say(403, "this page belongs to an earlier run; wait until it is connected again")
         elif self.headers.get_content_type() != "application/json":
             self._say(415, "ask as application/json")
         else:
@@ -207,6 +225,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
             self.connection.settimeout(PATIENCE_S)
             self._head(200, "text/event-stream", None)
+            hello = msgspec.json.encode({"token": self.server.token, "version": self.server.version})
+            self.wfile.write(b"retry: %d\nevent: hello\ndata: %b\n\n" % (RETRY_MS, hello))
             while (data := viewer.take()) is not None:
                 self.wfile.write(data)
         except OSError:

@@ -40,6 +40,20 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     """Time between two control steps."""
 
 
+class AgeLimits(msgspec.Struct, frozen=True, kw_only=True):
+    """From which age on what is shown is grey [s]: each by the rate at which it nominally comes."""
+
+    link_s: float
+    """Real time without a frame of the loop. All others are in the vehicle's time."""
+    estimate_s: float
+    control_s: float
+    picture_s: float
+    battery_s: float
+    loop_s: float
+    flow_s: float
+    track_s: float
+
+
 class FaultOffer(msgspec.Struct, frozen=True, kw_only=True):
     """A fault that can be called up."""
 
@@ -75,6 +89,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
     fence: tuple[Outline, ...]
     places: tuple[Place, ...]
     limits: Limits
+    ages: AgeLimits
     thrusters: tuple[str, ...]
     camera_px: tuple[int, int] | None
     """None: no camera delivers pictures."""
@@ -87,6 +102,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
 class Estimate(msgspec.Struct, frozen=True, kw_only=True):
     """What the vehicle believes."""
 
+    age_s: float
     health: str
     pos_ned_m: Point3
     rpy_rad: Point3
@@ -168,6 +184,8 @@ class Control(msgspec.Struct, frozen=True, kw_only=True):
     eta_s: float | None
     energy_j: float | None
     """To the goal, as planned (energy mode)."""
+    plan_age_s: float | None
+    """Of ``eta_s`` and ``energy_j``."""
 
 
 class Sensor(msgspec.Struct, frozen=True, kw_only=True):
@@ -178,6 +196,17 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True):
     test_ratio: float
     fused: bool
     age_s: float
+    limit_s: float
+    """Older than that it is silent."""
+
+
+class Device(msgspec.Struct, frozen=True, kw_only=True):
+    """What a device has delivered last, used or not."""
+
+    name: str
+    age_s: float
+    limit_s: float
+    """Older than that it is silent."""
 
 
 class Progress(msgspec.Struct, frozen=True, kw_only=True):
@@ -192,6 +221,7 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
 class Battery(msgspec.Struct, frozen=True, kw_only=True):
     """What the battery's monitor said last."""
 
+    age_s: float
     voltage_v: float
     current_a: float
     energy_used_j: float
@@ -201,6 +231,7 @@ class Battery(msgspec.Struct, frozen=True, kw_only=True):
 class Loop(msgspec.Struct, frozen=True, kw_only=True):
     """How the loop gets on, of the last second."""
 
+    age_s: float
     longest_tick_ms: float
     cpu_share: float
     overruns: int
@@ -224,9 +255,11 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True):
 
     scene: int
     """Which scene it belongs to."""
+    sent_s: float
+    """When the process made it, real time on a clock of its own: how much later than others it arrives is its delay."""
     t_s: float
     stale_s: float
-    """Real time since the loop was heard of."""
+    """Real time since the loop left what this was made of."""
     paused: bool
     speed: float
     """That is asked for; 0 = as fast as possible."""
@@ -250,6 +283,7 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True):
     effectiveness: tuple[float, ...]
     """Share of its thrust that each thruster gives; empty while nobody knows."""
     sensors: tuple[Sensor, ...]
+    devices: tuple[Device, ...]
     battery: Battery | None
     loop: Loop | None
     messages: tuple[Message, ...]

@@ -6,7 +6,7 @@ from autopilot.core.frames import r_ned_from_frd, wrap_pi
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.model4 import body_acceleration
 from autopilot.core.samples import AhrsSample, PoseSample
-from estimator.protocol import Estimator, EstimatorContext
+from autopilot.estimator.protocol import Estimator, EstimatorContext
 
 PULL_1_S = (8.0, 6.0, 2.0)
 """How fast fixes correct position, velocity through the water, and current."""

@@ -3,8 +3,8 @@
 import numpy as np
 
 from autopilot.core.errors import ConfigError
-from sitl.plant import build_plant
-from sitl.protocol import PlantContext, PlantLike
+from autopilot.sitl.plant import build_plant
+from autopilot.sitl.protocol import PlantContext, PlantLike
 
 FORCE_N, PERIOD_S, SLICE_US = 3.0, 4.0, 20_000
 DECAY_1_M = (2.0 * np.pi / PERIOD_S) ** 2 / 9.81

@@ -17,8 +17,8 @@ from autopilot.bench.attitude_recordings import load_trials
 from autopilot.cli.bench import bench as bench_command
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
-from estimator.attitude import AttitudeFilter
-from estimator.rotation import IDENTITY, product, rotation_by, rows, turn_between
+from autopilot.estimator.attitude import AttitudeFilter
+from autopilot.estimator.rotation import IDENTITY, product, rotation_by, rows, turn_between
 
 
 @pytest.mark.parametrize("family", FAMILIES)

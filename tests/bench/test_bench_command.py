@@ -22,6 +22,10 @@ OLD_LINES: dict[str, tuple[str, dict[str, Any]]] = {
     "fuzz": ("fuzz", {"seed": 1, "messages": None}),
     "vehicles --runs 2": ("vehicles", {"runs": 2, "seed": 1}),
     "--runs 2 --out kept thruster-health": ("thruster-health", {"runs": 2}),
+    "picture-faults --kind repeated --sensors pose --seeds 3..4": (
+        "picture-faults",
+        {"kinds": ("repeated",), "sensors": "pose", "seeds": range(3, 5)},
+    ),
     "sensor-faults --short --json": ("sensor-faults", {"short": True, "as_json": True}),
 }
 """As one command with all options took them, and what they mean."""
@@ -41,7 +45,8 @@ def test_options_of_others_are_told_to_whom_they_belong() -> None:
     done = CliRunner().invoke(bench, ["nmpc", "--frames", "3"])
     assert done.exit_code == 2 and "--frames belongs to the benchmark detection" in done.output
     done = CliRunner().invoke(bench, ["--seed", "3", "nmpc"])
-    assert done.exit_code == 2 and "belongs to the benchmarks fuzz, detection, vehicles, kills and soak" in done.output
+    assert done.exit_code == 2
+    assert "belongs to the benchmarks fuzz, detection, vehicles, kills, soak and alarms" in done.output
 
 
 def test_every_benchmark_has_a_title_and_says_what_it_takes() -> None:

@@ -25,7 +25,7 @@ from autopilot.control.energy.power import PowerModel, energy_per_metre, speed_t
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.core.vehicle import load_vehicle
-from sitl.scenario import load_scenario, plan_path
+from autopilot.sitl.scenario import load_scenario, plan_path
 
 VEHICLE = load_vehicle("lbv150")
 MODEL, POWER = VEHICLE.to_model(), PowerModel.of(VEHICLE)

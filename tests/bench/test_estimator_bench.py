@@ -48,8 +48,8 @@ from autopilot.bench.laid_rows import LaidRun, laid_rows
 from autopilot.cli.bench import bench as bench_command
 from autopilot.core.markers import grid_floor
 from autopilot.core.messages import NavState, Outputs
-from sitl.scenario import load_scenario
-from sitl.toml_text import toml_text
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.toml_text import toml_text
 
 SIGMA = np.array([0.002, 0.003, 0.001, 0.0005, 0.01, 0.02, 0.01])
 SPAN_S = (0.0, 1e9)
@@ -173,7 +173,7 @@ def test_tables_are_merged_and_other_kinds_replaced() -> None:
 def test_every_flight_has_a_scenario_that_loads(name: str, tmp_path: Any) -> None:
     path = tmp_path / "varied.toml"
     from autopilot.bench.estimator_flights import BASE
-    from sitl.scenario import scenario_path
+    from autopilot.sitl.scenario import scenario_path
 
     changes, duration_s, sensors, watchers = PLAN[name]
     path.write_text(toml_text(overlaid(tomllib.loads(scenario_path(BASE).read_text()), changes)))

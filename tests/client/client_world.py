@@ -14,8 +14,8 @@ from autopilot.core.messages import Event, MavlinkFrame, NavHealth, NavState, Pr
 from autopilot.core.params import ParamSet
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode, VehicleView
 from autopilot.mavlink.server import MavlinkServer
-from mission.sequencer import Sequencer
-from mission.store import Plans
+from autopilot.mission.sequencer import Sequencer
+from autopilot.mission.store import Plans
 
 TICK_US = 10_000
 RADIUS_M = 0.3
@@ -46,6 +46,9 @@ class StraightVehicle:
 
     def disarm(self, force: bool) -> Answer:
         self.armed = False
+        return OK
+
+    def disarmed(self) -> Answer:
         return OK
 
     def start_mission(self, first_seq: int | None) -> Answer:

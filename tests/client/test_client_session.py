@@ -12,7 +12,7 @@ from autopilot.client.session import CommandRefusedError, MissionStatus, Session
 from autopilot.core.errors import DriverError, PlanError
 from autopilot.core.messages import Event, ProgressState
 from autopilot.core.plan import PlanItem, PlanKind
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 BAD = {"drop": 0.2, "duplicate": 0.2, "delay": 0.2}
 

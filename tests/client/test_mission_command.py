@@ -10,9 +10,9 @@ from client_world import MemoryLink
 from autopilot.cli.mission import mission
 from autopilot.core.errors import DriverError, PlanError
 from autopilot.core.plan import PlanKind
-from mission.paper import paper_plan
-from mission.plan_files import read_plan, write_plan
-from mission.store import plan_checksum
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import read_plan, write_plan
+from autopilot.mission.store import plan_checksum
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "sitl" / "scenarios"
 PAPER = SCENARIOS / "paper.plan"

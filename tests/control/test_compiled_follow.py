@@ -16,6 +16,7 @@ from autopilot.control.way.reference import Route
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.response import Response
+from tests.hostile_numbers import HOSTILE, agree, outcome, with_one
 
 needs_library = pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
 
@@ -109,3 +110,102 @@ def test_the_nearest_place_of_a_route(monkeypatch: pytest.MonkeyPatch) -> None:
         made = [Route(corners) for corners in routes]
         found.append([r.project(p, share * r.length_m, w) for r, (p, share, w) in zip(made, asked, strict=True)])
     assert np.allclose(*found, rtol=1e-11, atol=1e-11)
+
+
+@needs_library
+@pytest.mark.parametrize("value", HOSTILE)
+def test_what_is_no_number_stays_none(value: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clamp that takes the other number makes full thrust of NaN."""
+    rng, grid, thrusters = np.random.default_rng(5), geometric_grid(), 4
+    model = drawn(rng, thrusters).to_model()
+    ancillary, response = Ancillary(model), Response([0.15] * thrusters)
+    compiled_parts = ThrusterLag(model, response), InnerLoop(ancillary, grid)
+    monkeypatch.setenv(compiled.SWITCH, compiled.OFF)
+    plain_parts = ThrusterLag(model, response), InnerLoop(ancillary, grid)
+    for turn in range(40):
+        given = [rng.normal(size=8), 0.2 * rng.normal(size=3), rng.uniform(1.0, 9.0, thrusters)]
+        plan = [rng.normal(size=(grid.n + 1, 8)), rng.normal(size=(grid.n, thrusters)), 0.1 * rng.normal(size=3)]
+        (given if turn % 2 else plan)[turn % 3] = with_one(rng, (given if turn % 2 else plan)[turn % 3], value)
+        x, current, limit_n = given
+        answers, ahead = [], []
+        for lag, inner in (compiled_parts, plain_parts):
+            inner.start(0, *plan)
+            answers.append(outcome(inner.thrust, 260_000, x, current, limit_n))
+            ahead.append(outcome(lag.ahead, x, current))
+        assert agree(*answers), (turn, answers)
+        # The order of sums differs: where one overflows the other may be just below.
+        assert agree(*ahead) or abs(value) == 1e308, (turn, ahead)
+
+
+@needs_library
+def test_thrust_of_a_state_that_is_no_number_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = drawn(np.random.default_rng(5), 4).to_model()
+    grid = geometric_grid()
+    inner = InnerLoop(Ancillary(model), grid)
+    inner.start(0, np.zeros((grid.n + 1, 8)), np.zeros((grid.n, 4)), np.zeros(3))
+    for place in range(8):
+        x = np.zeros(8)
+        x[place] = np.nan
+        thrust = inner.thrust(20_000, x, np.zeros(3), np.full(4, 9.0))
+        assert np.isnan(thrust).any()
+        assert not (np.abs(thrust) == 9.0).any(), "no full reverse"
+
+
+@needs_library
+@pytest.mark.parametrize("value", HOSTILE)
+def test_no_place_on_a_trajectory_is_made_of_what_is_no_number(value: float) -> None:
+    rng = np.random.default_rng(7)
+    for turn in range(30):
+        ours = Track(_trajectory(rng), None, True)  # type: ignore[arg-type]
+        plain = Track(ours.trajectory, None, True)  # type: ignore[arg-type]
+        plain._library = None
+        times = with_one(rng, rng.uniform(0.0, ours.length_s, 9), value)
+        assert agree(ours._at(times), outcome(plain._at, times))
+        x0, around_s = ours.trajectory.x[0].copy(), rng.uniform(0.0, ours.length_s)
+        x0[turn % 2] = value
+        with np.errstate(all="ignore"):
+            found, expected = ours._nearest(x0, around_s), plain._nearest(x0, around_s)
+        assert agree(found[1], expected[1]), (turn, found, expected)
+        assert np.isfinite(found[0])
+
+
+@needs_library
+@pytest.mark.parametrize("value", HOSTILE)
+def test_no_current_is_made_of_what_is_no_number(value: float) -> None:
+    rng = np.random.default_rng(3)
+    for turn in range(20):
+        arrays = [rng.normal(size=(6, 2)), rng.normal(size=(2, 6)), rng.normal(size=2)]
+        along, t_s, here = rng.normal(size=(9, 3)), np.linspace(0.0, 40.0, 9), rng.normal(size=8)
+        which = turn % 6
+        if which < 3:
+            arrays[which] = with_one(rng, arrays[which], value)
+        else:
+            along, t_s, here[:3] = (
+                with_one(rng, each, value) if which == 3 + i else each for i, each in enumerate((along, t_s, here[:3]))
+            )
+        fit = Fit(length_m=0.7, places_ned_m=arrays[0], pull=arrays[1], mean_m_s=arrays[2])
+        quick, plain, filled = LearnedCurrent(), LearnedCurrent(), [np.zeros((9, 3)), np.zeros((9, 3))]
+        for forecast in (quick, plain):
+            forecast._fit, forecast._trust.share = fit, 0.7
+        plain._quick = None
+        with np.errstate(all="ignore"):
+            quick.fill(nav_state(0, here, rng.normal(size=3)), along, t_s, filled[0])
+            monkey = pytest.MonkeyPatch()
+            monkey.setenv(compiled.SWITCH, compiled.OFF)
+            plain.fill(nav_state(0, here, np.zeros(3)), along, t_s, filled[1])
+            monkey.undo()
+        assert (np.isfinite(filled[0]) == np.isfinite(filled[1])).all() or abs(value) == 1e308, (turn, which)
+
+
+@needs_library
+@pytest.mark.parametrize("value", HOSTILE)
+def test_the_nearest_place_of_a_route_of_what_is_no_number(value: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    route, asked = np.array([[0.0, 0.0], [1.0, 0.5], [2.0, 0.0]]), np.array([0.4, 0.3, 0.5, 0.6])
+    for place in range(4):
+        given, found = asked.copy(), []
+        given[place] = value
+        for switch in ("", compiled.OFF):
+            monkeypatch.setenv(compiled.SWITCH, switch)
+            made = Route(route)
+            found.append(outcome(made.project, given[:2], given[2], given[3]))
+        assert agree(found[0], found[1]), (place, found)

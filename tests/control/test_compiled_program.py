@@ -20,6 +20,7 @@ from autopilot.core.geometry import Fence
 from autopilot.core.messages import ControlOutput
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
+from tests.hostile_numbers import HOSTILE, agree, with_one
 
 needs_library = pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
 MADE = ("limits", "thrust_n", "keep_m", "tube_m", "held_ref_n", "held_weight")
@@ -113,5 +114,47 @@ def test_a_steady_step_is_a_few_hundred_calls() -> None:
 def test_the_whole_step_with_and_without_what_surrounds_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     ours = _flown(60)
     # Only the solver loads the library: all else asks whether there is one, and goes without.
-    monkeypatch.setattr(compiled, "library", lambda: None)
+    monkeypatch.setattr(compiled, "library", lambda *_: None)
     assert np.allclose(ours, _flown(60), atol=1e-6)
+
+
+@needs_library
+@pytest.mark.parametrize("value", HOSTILE)
+def test_no_bound_is_made_of_what_is_no_number(value: float) -> None:
+    rng, grid, thrusters = np.random.default_rng(2), uniform_grid(9), 4
+    ours, plain = (ProgramBounds(grid, thrusters, 0.2) for _ in range(2))
+    plain._call = None
+    names = ("clearance_m", "depth_m", "planar_speed_m_s", "heave_m_s", "yaw_rate_rad_s")
+    fence = Fence(inclusions=(), exclusions=(), depth_max_m=2.0)
+    for turn in range(44):
+        given = dict(zip(names, rng.uniform(0.0, 0.6, (5, grid.n - 1)), strict=True))
+        given["thrust_n"] = rng.uniform(0.0, 6.0, (grid.n, thrusters))
+        given |= {"x0": rng.normal(size=8), "limit_n": rng.uniform(1.0, 9.0, thrusters)}
+        given |= {"wished_n": rng.normal(size=(grid.n, thrusters)), "weight_u": rng.uniform(0.1, 1.0, thrusters)}
+        given["plan_n"] = rng.normal(size=(grid.n, thrusters))
+        hostile = list(given)[turn % len(given)]
+        given[hostile] = with_one(rng, given[hostile], value)
+        back_off = BackOffs(**{name: given[name] for name in (*names, "thrust_n")})
+        now = SimpleNamespace(x0=given["x0"], params=ParamSet(), fence=fence, thrust_limit_n=given["limit_n"])
+        wished = SimpleNamespace(thrust_n=given["wished_n"], weight_u=given["weight_u"])
+        with np.errstate(all="ignore"):
+            for each in (ours, plain):
+                each.fill(back_off, cast(Any, now), cast(Any, wished), given["plan_n"], 0.2)
+        for name in MADE:
+            assert agree(getattr(ours, name), getattr(plain, name), 1e-12), (hostile, name)
+
+
+@needs_library
+@pytest.mark.parametrize("value", HOSTILE)
+def test_no_room_and_no_gap_is_made_of_what_is_no_number(value: float) -> None:
+    rng, gaps, plain_gaps = np.random.default_rng(1), Gaps(), Gaps()
+    x, normals, offsets = np.zeros((12, 8)), np.zeros((11, 3, 2)), np.zeros((11, 3))
+    room, plain = PlanRoom(x[1:, :2], normals, offsets), PlanRoom(x[1:, :2], normals, offsets)
+    plain._call = plain_gaps._call = None
+    for turn in range(30):
+        x[:], normals[:], offsets[:] = (rng.normal(size=each.shape) for each in (x, normals, offsets))
+        hostile = (x[1:, :2], normals, offsets)[turn % 3]
+        hostile[:] = with_one(rng, hostile, value)
+        with np.errstate(all="ignore"):
+            assert agree(room.least_m(), plain.least_m(), 1e-12), turn
+            assert agree(gaps.largest(x, None, 0, 2), plain_gaps.largest(x, None, 0, 2)), turn

@@ -1,6 +1,7 @@
 """References of the compiled library against those of the code that says what they mean."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from autopilot.control.way.reference import Route, Target, build_reference
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.sharing import Sharing
+from tests.hostile_numbers import HOSTILE, agree, outcome, with_one
 
 needs_library = pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
 
@@ -53,3 +55,46 @@ def test_references_are_those_of_the_code_that_says_what_they_mean(thrusters: in
             again, _ = quick(x0 + 1.0, target, current, limit_n)
             assert again is not x
             assert np.allclose(x, meant, rtol=1e-12, atol=1e-12), "an answer is no view of the next one"
+
+
+NUMBERS = (
+    *("s0_m", "depth_m", "yaw_rad", "cruise_m_s", "speed_limit_m_s", "heave_limit_m_s", "yaw_rate_limit_rad_s"),
+    *("x0", "current"),
+)
+
+
+@needs_library
+@pytest.mark.parametrize("value", HOSTILE)
+@pytest.mark.parametrize("hostile", NUMBERS)
+def test_no_reference_is_made_of_what_is_no_number(hostile: str, value: float) -> None:
+    rng, grid = np.random.default_rng(3), uniform_grid(7)
+    sharing = Sharing(drawn(rng, 4).to_model())
+    quick = QuickMarch(compiled.load(), sharing, grid.t_s)
+    sound = Target(
+        route=Route(np.array([[0.0, 0.0], [1.0, 0.5], [2.0, 0.0]])),
+        s0_m=0.3,
+        depth_m=0.8,
+        yaw_rad=1.0,
+        cruise_m_s=0.35,
+        speed_limit_m_s=0.4,
+        heave_limit_m_s=0.2,
+        yaw_rate_limit_rad_s=0.9,
+    )
+    for _ in range(8):
+        x0, current, target = rng.normal(size=8), 0.1 * rng.normal(size=3), sound
+        if hostile == "x0":
+            x0[2:4] = with_one(rng, x0[2:4], value)
+        elif hostile == "current":
+            current = with_one(rng, current, value)
+        else:
+            target = replace(sound, **{hostile: value})
+        limit_n = np.full(4, 9.0)
+        ours = outcome(lambda *given: quick(*given)[0], x0, target, current, limit_n)
+        theirs = outcome(build_reference, grid.t_s, x0, target, current)
+        if abs(value) == 1e308 and np.ndim(theirs) == 0:
+            continue  # the absolute value of a complex number raises, a square in C need not count in the end
+        # A state is used as a whole: in which of its numbers it shows is another matter.
+        rows = np.isfinite(ours).all(axis=-1) & np.isfinite(theirs).all(axis=-1)
+        assert (rows == np.isfinite(ours).all(axis=-1)).all()
+        assert agree(np.asarray(ours)[rows], np.broadcast_to(theirs, (len(grid.t_s), 8))[rows]), (ours, theirs)
+        assert not (np.isnan(value) and rows.all())

@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.control.thrust.allocation import Allocation
+from autopilot.core.thrust_law import law_of
+from autopilot.core.vehicle import load_vehicle
 
 ALLOCATION = Allocation(VEHICLE.thrusters)
 DRIVE = VEHICLE.drive
@@ -87,3 +89,16 @@ def test_arrays_and_neutral() -> None:
     assert pulses[2] == 1500
     assert np.allclose(ALLOCATION.thrusts_n(pulses), [3.0, -3.0, 0.0, 12.0], atol=0.06)
     assert ALLOCATION.neutral_us == (1500,) * 4
+
+
+@pytest.mark.parametrize("name", ["lbv150", "bluerov2"])
+def test_a_request_below_half_of_the_smallest_thrust_turns_nothing(name: str) -> None:
+    """Either kind of drive, either way."""
+    thruster = load_vehicle(name).thrusters[0]
+    law = law_of(thruster.drive)
+    for sign in (1, -1):
+        edge = next(offset for offset in range(1, 400) if law.thrust_n(sign * offset, None) != 0.0)
+        smallest_n = law.thrust_n(sign * edge, None)
+        assert law.offset_us(0.45 * smallest_n, thruster.limit_n, None) == 0
+        assert law.offset_us(1e-6 * sign, thruster.limit_n, None) == 0
+        assert law.offset_us(0.55 * smallest_n, thruster.limit_n, None) == sign * edge

@@ -15,7 +15,7 @@ from autopilot.control.water.currents import EstimatedCurrent
 from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import NavHealth
 from autopilot.core.params import ParamSet
-from sitl.currents import Gyre
+from autopilot.sitl.currents import Gyre
 from tests.control.control_loop import TANK, VEHICLE, fly, goal, jet, nav_state
 from tests.control.waters import KINDS, errors_of, room, world_of
 

@@ -26,8 +26,8 @@ from autopilot.control.way.reference import (
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.model4 import state_derivative
 from autopilot.core.sharing import Sharing
-from mission.reach import free_regions
-from mission.validation import PASSAGE_M
+from autopilot.mission.reach import free_regions
+from autopilot.mission.validation import PASSAGE_M
 
 RADIUS_M = 0.33
 A, B = np.array([-1.6, -0.35]), np.array([1.75, 0.0])

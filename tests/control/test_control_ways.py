@@ -18,8 +18,8 @@ from autopilot.control.way.planner import Planner
 from autopilot.core.frames import FloatArray
 from autopilot.core.free_space import MAX_CELLS, FreeSpace
 from autopilot.core.geometry import Circle, Fence, Polygon
-from mission.reach import free_regions
-from mission.validation import PASSAGE_M
+from autopilot.mission.reach import free_regions
+from autopilot.mission.validation import PASSAGE_M
 
 KEEP_M = 0.33
 TABLE = speed_table(MODEL, PowerModel.of(VEHICLE), 0.5)

@@ -33,11 +33,6 @@ def known(rng: np.random.Generator, thrusters: int) -> tuple[model4.Model4, list
     return model, [q, *water, np.array(coefficients(model))]
 
 
-def test_the_code_of_an_interval_is_current() -> None:
-    text = (compiled.SOURCES / "interval.c").read_text(encoding="utf-8")
-    assert text == interval.interval_code(), "run python -m autopilot.control.energy.interval"
-
-
 @pytest.mark.parametrize("count", [1, 2])
 def test_an_interval_is_the_model_integrated(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng, found = np.random.default_rng(5), functions(count, monkeypatch, "yes")

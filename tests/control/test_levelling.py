@@ -18,8 +18,8 @@ from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from sitl.plant import Plant, Truth
-from sitl.world import World
+from autopilot.sitl.plant import Plant, Truth
+from autopilot.sitl.world import World
 
 HEAVY = load_vehicle("bluerov2-heavy")
 TICK_US = 10_000

@@ -168,7 +168,9 @@ def test_nothing_to_follow_means_no_inner_loop() -> None:
     assert controller.tick(0, nav_state(0, START)) is None
     controller.step(10_000, nav_state(10_000, START), B, TANK, params)
     assert controller.tick(20_000, nav_state(20_000, START)) is not None
-    assert controller.tick(30_000, nav_state(30_000, np.full(8, math.nan))) is None
+    none = controller.tick(30_000, nav_state(30_000, np.full(8, math.nan)))
+    assert none is not None
+    assert not none.any(), "what is no state gives no thrust, not that of before"
     params.set("MPC_TIGHTEN", 0)
     controller.step(50_000, nav_state(50_000, START), B, TANK, params)
     assert controller.tick(60_000, nav_state(60_000, START)) is None, "fixed margins credit no feedback"

@@ -17,8 +17,8 @@ from autopilot.core.model4 import Model4
 from autopilot.core.params import ParamSet
 from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from sitl.plant import Plant
-from sitl.world import World
+from autopilot.sitl.plant import Plant
+from autopilot.sitl.world import World
 
 SHIPPED = {name: load_vehicle(name) for name in ("lbv150", "bluerov2", "bluerov2-heavy")}
 TICK_US, LOST_S = 20_000, 8.0

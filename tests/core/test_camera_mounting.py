@@ -11,7 +11,7 @@ from autopilot.core.markers import grid_floor
 from autopilot.core.samples import MarkerSighting
 from autopilot.core.toml_table import convert
 from autopilot.core.vehicle import Laser, load_vehicle
-from estimator.markers_pose import MarkerSolver
+from autopilot.estimator.markers_pose import MarkerSolver
 
 
 def test_a_turned_camera_and_a_slanting_beam() -> None:

@@ -18,6 +18,7 @@ from autopilot.core.geodesy import (
     local_e4_from_m,
     m_from_local_e4,
     ned_from_geodetic,
+    radii_m,
     surface_distance_m,
 )
 
@@ -83,6 +84,13 @@ def test_across_the_date_line() -> None:
     _, lon, _ = geodetic_from_ned(origin, np.array([0.0, 100.0, 0.0]))
     assert -180.0 <= lon < -179.99
     assert ned_from_geodetic(origin, -17.0, lon, 0.0)[1] == pytest.approx(100.0, abs=0.01)
+
+
+def test_radii_of_curvature_at_equator_and_pole() -> None:
+    """a (1 - e^2) and a; both a / sqrt(1 - e^2) (WGS 84)."""
+    one = 1.0 - ECCENTRICITY_SQ
+    assert radii_m(0.0) == pytest.approx((SEMI_MAJOR_M * one, SEMI_MAJOR_M), rel=1e-14)
+    assert radii_m(0.5 * math.pi) == pytest.approx((SEMI_MAJOR_M / math.sqrt(one),) * 2, rel=1e-14)
 
 
 def test_surface_distance_tells_near_from_far() -> None:

@@ -13,8 +13,8 @@ from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.map_errors import SHEET_SIGMA_M, SHEET_SIGMA_RAD, error_arrays, errors_of_arrays
 from autopilot.core.marker_files import load_marker_map, make_map, marker_file_text, placed_markers
 from autopilot.core.markers import MarkerMap, grid_floor
-from sitl.floor import build_markers, told_floor_m, told_markers
-from sitl.scenario import load_scenario
+from autopilot.sitl.floor import build_markers, told_floor_m, told_markers
+from autopilot.sitl.scenario import load_scenario
 
 POLYGON = np.array([[-0.9, -0.6], [0.9, -0.6], [0.9, 0.6], [-0.9, 0.6]])
 

@@ -219,6 +219,29 @@ def test_one_above_the_other_is_no_overlap(tmp_path: Path) -> None:
     assert len(load_marker_map(written(tmp_path, text)).ids) == 2
 
 
+@pytest.mark.parametrize(
+    ("second", "overlap"),
+    [
+        ("center_m = [0.02, 0.0, 1.309]", True),
+        ("center_m = [0.02, 0.0, 1.291]", True),
+        ("center_m = [0.02, 0.0, 1.311]", False),
+        ("center_m = [0.02, 0.0, 1.289]", False),
+        # On edge, across the first: its lower edge in the plane of that, 9 mm beside it and 11 mm.
+        ("center_m = [0.0, 0.0, 1.25]\nrpy_rad = [1.5707963, 0.0, 0.0]", True),
+        ("center_m = [0.0, 0.0, 1.241]\nrpy_rad = [1.5707963, 0.0, 0.0]", True),
+        ("center_m = [0.0, 0.0, 1.239]\nrpy_rad = [1.5707963, 0.0, 0.0]", False),
+    ],
+)
+def test_squares_overlap_in_one_plane(tmp_path: Path, second: str, overlap: bool) -> None:
+    block = f"[[marker]]\nid = 1\ncenter_m = [0.0, 0.0, 1.3]\n[[marker]]\nid = 2\n{second}\n"
+    path = written(tmp_path, '[defaults]\ndictionary = "DICT_4X4_50"\nsize_m = 0.1\n' + block)
+    if overlap:
+        with pytest.raises(ConfigError, match="overlap"):
+            load_marker_map(path)
+    else:
+        assert len(load_marker_map(path).ids) == 2
+
+
 def test_a_map_of_one_dictionary_has_that_dictionarys_ids(tmp_path: Path) -> None:
     text = '[defaults]\ndictionary = "DICT_APRILTAG_36h11"\nsize_m = 0.1\n' + ONE
     markers: MarkerMap = load_marker_map(written(tmp_path, text))

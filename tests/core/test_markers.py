@@ -12,7 +12,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.markers import SAME_ID_DISTANCE_M, MarkerMap, grid_floor
 from autopilot.core.vehicle import load_vehicle
-from sitl.scenario import load_scenario
+from autopilot.sitl.scenario import load_scenario
 
 VEHICLE = load_vehicle("lbv150")
 CAMERA = CameraModel.of_vehicle(VEHICLE)

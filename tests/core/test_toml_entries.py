@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.toml_table import convert
-from sitl.scenario_tables import Scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 HEAD = {"scenario": {"name": "a", "description": "A tank"}, "vehicle": {"model": "lbv150", "start_m": [0.0, 0.0, 0.5]}}
 SOUND = {f"vehicle.mismatch.{name}": {"low": 0.8, "high": 1.2} for name in ("surge_mass", "sway_mass", "thrust", "arm")}

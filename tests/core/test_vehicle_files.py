@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import Vehicle, checked, convert, load_vehicle, vehicle_names
 from autopilot.core.vehicle_facts import facts_of, terminal_speed, tilts_of
-from sitl.toml_text import toml_text
+from autopilot.sitl.toml_text import toml_text
 
 FOLDER = resources.files("autopilot") / "data"
 
@@ -77,6 +77,13 @@ def test_what_vehicles_can_do() -> None:
     assert [round(axis.speed, 2) for axis in facts.axes] == [0.83, 0.42, 0.39, 1.43]  # plant.md 2: 0.83, 0.41, -, 1.43
     assert facts.hover_w == pytest.approx(12.0 + 1.2 * 0.6**1.5)
     assert terminal_speed(8.0, 2.0, 0.0) == 4.0 and terminal_speed(-1.0, 2.0, 1.0) == 0.0
+
+
+@given(force=st.floats(1e-3, 200.0), linear=st.floats(0.0, 50.0), quadratic=st.floats(1e-2, 300.0))
+def test_at_the_terminal_speed_drag_is_the_force(force: float, linear: float, quadratic: float) -> None:
+    speed = terminal_speed(force, linear, quadratic)
+    assert linear * speed + quadratic * speed**2 == pytest.approx(force, rel=1e-6)
+    assert terminal_speed(force, 0.0, 0.0) == math.inf
 
 
 def _change(made: dict[str, Any], change: str) -> None:
@@ -160,7 +167,35 @@ def test_the_service_reads_nothing_of_the_plants_tables() -> None:
     rooms = ("estimator", "mission", "drivers", "autopilot/command", "autopilot/control", "autopilot/mavlink")
     files = [file for room in rooms for file in (root / room).rglob("*.py")]
     assert len(files) > 100
-    # What a battery holds is printed on it: battery monitors count down from there.
-    plants = re.compile(r"\.(body|battery(?!\.capacity_j)|tether)\.|added_mass")
+    # What a battery holds and which voltages it has is printed on it: battery monitors go by that.
+    plants = re.compile(r"\.(body|battery(?!\.(capacity_j|limits))|tether)\.|added_mass")
     found = [file.name for file in files if plants.search(file.read_text())]
     assert found == []
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_a_shipped_vehicle_says_which_voltages_its_battery_has_and_whence_they_are(name: str) -> None:
+    vehicle = load_vehicle(name)
+    battery, limits = vehicle.battery, vehicle.battery.limits
+    assert (limits.min_v, limits.max_v) == battery.plausible_v
+    assert (limits.low_v, limits.critical_v) == (battery.low_v, battery.critical_v)
+    assert {f"battery.{key}" for key in ("plausible_v", "low_v", "critical_v")} <= set(vehicle.sources)
+    assert limits.can_be(battery.open_circuit_v) and limits.can_be(battery.empty_v)
+    assert not any(limits.can_be(volts) for volts in (0.3, 66.0, 65.535, math.nan))
+
+
+def test_a_battery_without_limits_of_its_own_has_some(tmp_path: Path) -> None:
+    made = tables("bluerov2")
+    for key in ("plausible_v", "low_v", "critical_v"):
+        del made["battery"][key]
+    limits = load_vehicle(written(tmp_path / "made.toml", made)).battery.limits
+    assert (limits.min_v, limits.max_v) == (7.0, pytest.approx(19.32))
+    assert (limits.low_v, limits.critical_v) == (pytest.approx(12.6), pytest.approx(11.9))
+
+
+@pytest.mark.parametrize("wrong", [{"low_v": 20.0}, {"critical_v": 14.5}, {"plausible_v": [8.0, 18.0]}, {"low_v": 5.0}])
+def test_limits_of_a_battery_that_contradict_each_other_are_refused(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    made = tables("lbv150")
+    made["battery"] |= wrong
+    text = refusal(tmp_path, made)
+    assert "`battery`" in text and "`plausible_v`" in text

@@ -7,8 +7,8 @@ import struct
 import numpy as np
 
 from autopilot.core.frames import quat_from_rpy
-from drivers import ellipse_protocol as ellipse
-from drivers.base import AlwaysOpen
+from autopilot.drivers import ellipse_protocol as ellipse
+from autopilot.drivers.base import AlwaysOpen
 
 RPY_RAD = (0.05, -0.08, 1.2)
 RATE_RAD_S = (0.01, 0.02, 0.1)
@@ -194,6 +194,7 @@ class A50Server:
         self.plug()
 
     def plug(self) -> None:
+        self.unplug()
         self._listener = socket.socket()
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._listener.bind(("127.0.0.1", self.port))

@@ -8,14 +8,14 @@ from concurrent.futures import wait
 from pathlib import Path
 
 from autopilot.core.vehicle import load_vehicle
-from drivers.pca9685 import Pca9685, Pca9685Options
-from drivers.retry import SteadyOutput
-from drivers.sabertooth import Sabertooth, SabertoothOptions
-from drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
-from drivers.thruster_output import SafeThrusterOutput
-from sitl.i2c_bus import EmulatedI2c, Pca9685Chip
-from sitl.pty_line import PtyLine
-from sitl.sabertooth import SabertoothEmulator
+from autopilot.drivers.pca9685 import Pca9685, Pca9685Options
+from autopilot.drivers.retry import SteadyOutput
+from autopilot.drivers.sabertooth import Sabertooth, SabertoothOptions
+from autopilot.drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
+from autopilot.drivers.thruster_output import SafeThrusterOutput
+from autopilot.sitl.i2c_bus import EmulatedI2c, Pca9685Chip
+from autopilot.sitl.pty_line import PtyLine
+from autopilot.sitl.sabertooth import SabertoothEmulator
 
 VEHICLE = load_vehicle("lbv150")
 TICK_US = 10_000

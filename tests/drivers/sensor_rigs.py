@@ -28,21 +28,21 @@ from emulators import (
 from autopilot.core.frames import quat_from_rpy
 from autopilot.core.samples import AhrsSample, DepthSample, LeakSample, PowerSample, VelocitySample
 from autopilot.core.vehicle import load_vehicle
-from drivers.ads1115 import Ads1115, Ads1115Options
-from drivers.base import AlwaysOpen
-from drivers.ellipse import Ellipse, EllipseOptions
-from drivers.ig500_device import Ig500Device, Ig500Options
-from drivers.ina219 import Ina219, Ina219Options
-from drivers.leak_gpio import GpioLeak, GpioLeakOptions
-from drivers.ms5837 import Ms5837, Ms5837Options
-from drivers.protocols import BytePort
-from drivers.retry import SteadySensor
-from drivers.waterlinked_a50 import WaterLinkedA50, WaterLinkedA50Options
-from sitl.ahrs import Ig500Emulator
-from sitl.i2c_bus import EmulatedI2c, I2cChip
-from sitl.plant import Truth
-from sitl.pty_line import PtyLine
-from sitl.scenario import AhrsSensor
+from autopilot.drivers.ads1115 import Ads1115, Ads1115Options
+from autopilot.drivers.base import AlwaysOpen
+from autopilot.drivers.ellipse import Ellipse, EllipseOptions
+from autopilot.drivers.ig500_device import Ig500Device, Ig500Options
+from autopilot.drivers.ina219 import Ina219, Ina219Options
+from autopilot.drivers.leak_gpio import GpioLeak, GpioLeakOptions
+from autopilot.drivers.ms5837 import Ms5837, Ms5837Options
+from autopilot.drivers.protocols import BytePort
+from autopilot.drivers.retry import SteadySensor
+from autopilot.drivers.waterlinked_a50 import WaterLinkedA50, WaterLinkedA50Options
+from autopilot.sitl.ahrs import Ig500Emulator
+from autopilot.sitl.i2c_bus import EmulatedI2c, I2cChip
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.pty_line import PtyLine
+from autopilot.sitl.scenario import AhrsSensor
 
 TICK_US = 10_000
 VEHICLE = load_vehicle("lbv150")
@@ -168,6 +168,10 @@ class SerialRig(Rig):
 
     def halve(self, on: bool) -> None:
         self._spoilt.half = on
+
+    def close(self) -> None:
+        super().close()
+        self.line.close()
 
     def unplug(self) -> None:
         self.line.unplug()

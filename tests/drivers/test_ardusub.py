@@ -11,12 +11,12 @@ from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.messages import Authority
 from autopilot.core.samples import AhrsSample, DepthSample, LeakSample, PowerSample
 from autopilot.core.vehicle import load_vehicle
+from autopilot.drivers.ardusub import ArduSub, ArduSubOptions
+from autopilot.drivers.devices import read_devices
+from autopilot.drivers.links import open_link
 from autopilot.run.children import free_port
-from drivers.ardusub import ArduSub, ArduSubOptions
-from drivers.devices import read_devices
-from drivers.links import open_link
-from sitl.ardusub_vehicle import ArduSubVehicle
-from sitl.scenario import load_scenario, with_vehicle
+from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
+from autopilot.sitl.scenario import load_scenario, with_vehicle
 
 TICK_US = 10_000
 NEUTRAL = (1500,) * 6
@@ -255,6 +255,15 @@ def test_commands_that_stop_coming_are_stopped_by_the_driver(bench: Bench) -> No
         ("FS_PILOT_INPUT", 0.0, "FS_PILOT_INPUT = 0: set 1"),
         ("FS_PILOT_TIMEOUT", 3.0, "FS_PILOT_TIMEOUT = 3: set 0.4"),
         ("MOT_FV_CPLNG_K", 1.0, "MOT_FV_CPLNG_K = 1: set 0"),
+        ("RC_PROTOCOLS", 1.0, "RC_PROTOCOLS = 1: set 0, else thrust goes on without us"),
+        ("RC_OVERRIDE_TIME", -1.0, "RC_OVERRIDE_TIME = -1: set 3"),
+        ("RC_OVERRIDE_TIME", 0.0, "RC_OVERRIDE_TIME = 0: set 3"),
+        ("RC_OPTIONS", 34.0, "RC_OPTIONS = 34: set it without 2"),
+        ("FS_THR_ENABLE", 2.0, "FS_THR_ENABLE = 2: set 0"),
+        ("RC3_OPTION", 153.0, "RC3_OPTION = 153: set 0"),
+        ("RCMAP_YAW", 1.0, "RCMAP_YAW = 1: set 4"),
+        ("SERVO6_FUNCTION", 59.0, "SERVO6_FUNCTION = 59: set 38"),
+        ("MAV_GCS_SYSID_HI", 258.0, "it obeys systems 255 to 258: set MAV_GCS_SYSID_HI 0"),
         ("RC5_TRIM", 1520.0, "RC5_TRIM = 1520: set 1500"),
         ("RC3_REVERSED", 1.0, "RC3_REVERSED = 1: set 0"),
         ("MAV_GCS_SYSID", 254.0, "it obeys system 254: set MAV_GCS_SYSID 255"),
@@ -268,16 +277,55 @@ def test_a_parameter_that_thrust_depends_on_refuses_arming(name: str, value: flo
     bench.close()
 
 
-@pytest.mark.parametrize(("every", "y"), [(1, 800), (4, 0), (5, 0)])
-def test_a_joystick_that_is_on_is_noticed(bench: Bench, every: int, y: int) -> None:
+@pytest.mark.parametrize("overrides", [False, True])
+@pytest.mark.parametrize(("every", "y"), [(1, 800), (2, 300), (4, 0), (4, -800), (5, 0), (5, 500)])
+def test_a_second_sender_is_noticed_within_fifteen_reports(bench: Bench, every: int, y: int, overrides: bool) -> None:
     bench.fly()
+    noticed = None
     for turn in range(150):
         bench.tick()
-        if turn % every == 0:  # 100, 25 and 20 times a second; a centred stick, too: the last of two senders wins
-            bench.says(bench.pilot.manual_control_encode(1, 0, y, 500, 0, 0))
+        if noticed is None and bench.state.rival:
+            noticed = turn
+        if turn % every == 0:  # 100 to 20 times a second; a centred stick, too: the last of two senders wins
+            pulses = (1500, 1500, 1500, 1500, 1500, 1500 + round(0.2 * y), 65535, 65535)
+            override = bench.pilot.rc_channels_override_encode(1, 1, *pulses)
+            bench.says(override if overrides else bench.pilot.manual_control_encode(1, 0, y, 500, 0, 0))
+        assert bench.state.problem == ""
+    assert noticed is not None and noticed <= 32  # reports come on every second tick, and one more on the way
+    assert bench.state.rival
+    bench.run(1.1)
+    assert not bench.state.rival
+
+
+@pytest.mark.parametrize("slow", [False, True])
+@pytest.mark.parametrize("late", [3, 10, 30, 44, 60, 100])
+def test_reports_and_commands_that_come_in_bunches_are_no_second_sender(bench: Bench, late: int, slow: bool) -> None:
+    bench.fly()
+    if slow:  # what its depth hold leaves behind
+        bench.set_mode(2)
+        bench.run(1.0)
+        bench.set_mode(19)
+    for turn in range(900):  # thrust changes all the time, and the loop stands for up to a second again and again
+        push, up = 40 * (turn // 7 % 5), 30 * (turn // 9 % 4)
+        bench.pulses = (1500 + push, 1500 + push, 1500 - push, 1500 - push, 1500 + up, 1500 + up)
+        bench.silent = turn % 150 < late
+        bench.tick()
+        assert not bench.state.rival and bench.state.problem == ""
+
+
+def test_neutral_outputs_for_want_of_our_commands_are_no_second_sender(bench: Bench) -> None:
+    bench.fly()
+    for _ in range(100):  # what we say does not arrive: its failsafe makes them neutral
+        bench.t_us += TICK_US
+        for data in bench.world.advance(bench.t_us):
+            bench.wire.send(data)
+        bench.driver.check(bench.t_us)
+        bench.driver.poll(bench.t_us)
+        bench.driver.command(bench.t_us, armed=True)
+        bench.driver.write(bench.t_us, bench.pulses)
+        bench.wire.recv(bench.t_us)
+        assert not bench.state.rival
     assert "motor" in bench.state.problem
-    bench.run(1.0)
-    assert bench.state.problem == ""
 
 
 @pytest.mark.parametrize("holds_depth", [False, True])
@@ -291,7 +339,7 @@ def test_heave_that_depth_hold_has_left_slow_is_no_joystick(bench: Bench, holds_
         up = turn // 10 % 2
         bench.pulses = (*FORWARD[:4], 1500 + 90 * up, 1500 + 90 * up)
         bench.tick()
-        assert bench.state.problem == ""
+        assert bench.state.problem == "" and not bench.state.rival
         seen.add(bench.below.servos_us[4])
     assert (len(seen) > 10) == holds_depth
     # What a joystick does is noticed all the same, in the plane and upright.
@@ -301,7 +349,7 @@ def test_heave_that_depth_hold_has_left_slow_is_no_joystick(bench: Bench, holds_
         for _ in range(150):
             bench.tick()
             bench.says(bench.pilot.manual_control_encode(1, x, 0, z, 0, 0))
-        assert "motor" in bench.state.problem
+        assert bench.state.rival
 
 
 def test_disarming_by_us_is_no_news_of_a_lost_pilot(bench: Bench) -> None:
@@ -465,7 +513,7 @@ def test_options_are_checked_by_name() -> None:
 
 
 def _both() -> dict[str, dict[str, Any]]:
-    from drivers.registry import backend_names
+    from autopilot.drivers.registry import backend_names
 
     outputs = backend_names("thrusters")
     if not outputs:

@@ -16,11 +16,11 @@ from mcap.writer import Writer
 from autopilot.core.errors import DriverError
 from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import load_vehicle
+from autopilot.drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
+from autopilot.drivers.playback import Playback, PlaybackOptions, compressed_picture
+from autopilot.drivers.retry import DeviceState, SteadySensor
 from autopilot.log.visuals import compressed_image
-from drivers.opencv_camera import OpenCvCamera, OpenCvCameraOptions
-from drivers.playback import Playback, PlaybackOptions, compressed_picture
-from drivers.retry import DeviceState, SteadySensor
-from sitl.mjpeg import MjpegServer
+from autopilot.sitl.mjpeg import MjpegServer
 
 VEHICLE = load_vehicle("lbv150")
 TRANSPORT_US = 30_000

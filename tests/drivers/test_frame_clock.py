@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers import frame_clock
-from drivers.frame_clock import AGAIN, FIRST, WINDOW, FrameClock, LoopTime
+from autopilot.drivers import frame_clock
+from autopilot.drivers.frame_clock import AGAIN, FIRST, WINDOW, FrameClock, LoopTime
 
 Delay = Callable[[np.random.Generator], float]
 """Of one picture [us]."""

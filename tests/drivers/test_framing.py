@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.framing import FrameCutter
+from autopilot.drivers.framing import FrameCutter
 
 
 def v1(payload: bytes) -> bytes:

@@ -13,10 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autopilot.core.device_clock import DeviceClock
 from autopilot.core.frames import quat_from_rpy
-from drivers.base import Closing
-from drivers.ig500 import ASK_AGAIN_POLLS, DeviceClock, Ig500
-from drivers.ig500_protocol import (
+from autopilot.drivers.base import Closing
+from autopilot.drivers.ig500 import ASK_AGAIN_POLLS, Ig500
+from autopilot.drivers.ig500_protocol import (
     AHRS_MASK,
     CONTINUOUS_OUTPUT,
     GET_OUTPUT_MASK,
@@ -30,7 +31,7 @@ from drivers.ig500_protocol import (
     Status,
     encode_frame,
 )
-from drivers.serial_port import SerialPort
+from autopilot.drivers.serial_port import SerialPort
 
 CODEC = OutputCodec(AHRS_MASK)
 

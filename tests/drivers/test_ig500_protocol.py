@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.core.errors import ConfigError
-from drivers.ig500_protocol import (
+from autopilot.drivers.ig500_protocol import (
     AHRS_MASK,
     MAX_DATA,
     Field,

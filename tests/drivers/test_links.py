@@ -11,14 +11,16 @@ from pathlib import Path
 
 import pytest
 
+from autopilot.core.clients import Standing
 from autopilot.core.errors import ConfigError, DriverError
+from autopilot.drivers.admission import KEEP_US
+from autopilot.drivers.links import open_link
+from autopilot.drivers.protocols import Link, Received
+from autopilot.drivers.serial_port import REOPEN_US
+from autopilot.drivers.tcp import GRACE_US, MAX_CLIENTS, RECONNECT_US, TcpServer
+from autopilot.drivers.udp import FORGET_UNPROVEN_US, FORGET_US, MAX_CLIENT_BYTES, MAX_PEERS, UdpIn
 from autopilot.mavlink.dialect import mav
 from autopilot.run.children import LOCAL, free_port
-from drivers.links import open_link
-from drivers.protocols import Link, Received
-from drivers.serial_port import REOPEN_US
-from drivers.tcp import MAX_CLIENTS, RECONNECT_US
-from drivers.udp import FORGET_US, KEEP_US, MAX_CLIENT_BYTES, MAX_PEERS, UdpIn
 
 PATIENT_S = 600.0
 """Against a hang only: what is waited for has been sent."""
@@ -181,29 +183,40 @@ def test_udpout_survives_a_receiver_that_is_not_there() -> None:
 
 
 def test_udpin_answers_everyone_it_has_heard_up_to_a_limit() -> None:
+    """One place more than MAX_PEERS; all say something valid all the time but the last, who may take no place."""
     link = UdpIn("test", LOCAL, port := free_port())
+    link.standing = lambda client: Standing(valid_us=0)
     with contextlib.ExitStack() as stack:
-        ends = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(MAX_PEERS + 2)]
+        ends = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(MAX_PEERS + 3)]
         for number, end in enumerate(ends):
             end.settimeout(PATIENT_S)
             end.sendto(frame(number), (LOCAL, port))
-            known = number < MAX_PEERS
+            known = number < MAX_PEERS + 1
             assert receive(link, 1) == ([frame(number)] if known else [])
+        assert link.take_news() == (
+            True,
+            f"{LOCAL}:{ends[-2].getsockname()[1]} turned away: 17 clients are served (1 more)",
+        )
         link.send(frame(99))
-        assert [end.recv(100) for end in ends[:MAX_PEERS]] == [frame(99)] * MAX_PEERS
+        assert [end.recv(100) for end in ends[: MAX_PEERS + 1]] == [frame(99)] * (MAX_PEERS + 1)
         # Who has been silent makes room, who speaks stays: any number of others cannot push him out.
+        link.standing = lambda client: Standing(valid_us=KEEP_US if client == 1 else client)
         ends[0].sendto(frame(1), (LOCAL, port))
         assert receive(link, 1, KEEP_US) == [frame(1)]
         ends[-1].sendto(frame(2), (LOCAL, port))
-        assert receive(link, 1, KEEP_US) == [frame(2)]
+        assert receive(link, 1, KEEP_US + 100) == [frame(2)]
         ports = [number for _, number in link.peers]
         assert ends[-1].getsockname()[1] in ports and ends[0].getsockname()[1] in ports
         assert ends[1].getsockname()[1] not in ports
+        assert link.take_news() == (False, f"{LOCAL}:{ends[1].getsockname()[1]} lost its place: silent for 5 s")
     link.close()
 
 
-def test_udpin_forgets_who_is_silent_and_keeps_who_speaks() -> None:
+@pytest.mark.parametrize("proven", [True, False])
+def test_udpin_forgets_who_is_silent_and_keeps_who_speaks(proven: bool) -> None:
+    forget_us = FORGET_US if proven else FORGET_UNPROVEN_US
     link = UdpIn("test", LOCAL, port := free_port())
+    link.standing = lambda client: Standing(valid_us=0 if proven else None)
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as lively,
@@ -212,8 +225,9 @@ def test_udpin_forgets_who_is_silent_and_keeps_who_speaks() -> None:
         lively.sendto(b"2", (LOCAL, port))
         receive(link, 2)
         lively.sendto(b"3", (LOCAL, port))
-        receive(link, 1, FORGET_US // 2)
-        link.recv(FORGET_US + 1)
+        receive(link, 1, forget_us // 2)
+        assert len(link.peers) == 2
+        link.recv(forget_us + 1)
         assert [port for _, port in link.peers] == [lively.getsockname()[1]]
     link.close()
 
@@ -406,19 +420,70 @@ def test_tcp_clients_do_not_mix_and_all_get_everything() -> None:
     link.close()
 
 
-def test_tcp_server_turns_further_clients_away() -> None:
+def test_a_tcp_connection_whose_other_end_is_gone_is_noticed() -> None:
+    """A cut tether says no goodbye: the system asks, and ends the connection within half a minute."""
     link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
+    assert isinstance(link, TcpServer)
+    with socket.create_connection((LOCAL, port)) as end:
+        end.send(frame(1))
+        receive(link, 1)
+        (number,) = [number for number in link.filenos() if number != link.filenos()[-1]]
+        with socket.socket(fileno=os.dup(number)) as accepted:
+            assert accepted.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+            idle, gap, count, unacknowledged_ms = (
+                accepted.getsockopt(socket.IPPROTO_TCP, option)
+                for option in (
+                    socket.TCP_KEEPIDLE,
+                    socket.TCP_KEEPINTVL,
+                    socket.TCP_KEEPCNT,
+                    socket.TCP_USER_TIMEOUT,
+                )
+            )
+            assert idle + gap * count <= 30 and 0 < unacknowledged_ms <= 30_000
+    link.close()
+
+
+def test_tcp_clients_that_say_nothing_make_room() -> None:
+    """In the order in which they came; who came last and has not had his time stays, and others wait meanwhile."""
+    link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
+    assert isinstance(link, TcpServer)
     with contextlib.ExitStack() as stack:
-        for number in range(MAX_CLIENTS):
-            client = stack.enter_context(socket.create_connection((LOCAL, port)))
-            client.send(frame(number))
-            assert receive(link, 1) == [frame(number)]
-        late = stack.enter_context(socket.create_connection((LOCAL, port)))
-        late.settimeout(PATIENT_S)
-        for _ in range(20):
+        silent = [stack.enter_context(socket.create_connection((LOCAL, port))) for _ in range(MAX_CLIENTS + 1)]
+        for _ in range(4):
             link.recv(0)
-            select.select([], [], [], 0.002)
-        assert late.recv(10) == b""
+        assert link.clients == MAX_CLIENTS + 1
+        late = stack.enter_context(socket.create_connection((LOCAL, port)))
+        late.send(frame(7))
+        assert entries(link, 1, GRACE_US - 1) == []
+        assert link.take_news() == (True, "a client waits for a place: 9 are served (199 more)")
+        assert receive(link, 1, GRACE_US) == [frame(7)]
+        name = f"{LOCAL}:{silent[0].getsockname()[1]}"
+        assert link.take_news() == (False, f"{name} lost its place: sent nothing valid")
+        silent[0].settimeout(PATIENT_S)
+        assert silent[0].recv(10) == b""
+    link.close()
+
+
+def test_tcp_clients_that_are_heard_keep_their_places_and_one_is_kept_for_the_operator() -> None:
+    link = open_link(f"tcpin:{LOCAL}:{(port := free_port(socket.SOCK_STREAM))}")
+    assert isinstance(link, TcpServer)
+    now_us, operator = 0, 0
+    link.standing = lambda client: Standing(valid_us=now_us, in_control=client == operator)
+    with contextlib.ExitStack() as stack:
+        for _ in range(MAX_CLIENTS + 1):
+            stack.enter_context(socket.create_connection((LOCAL, port))).send(frame(1))
+        entries(link, MAX_CLIENTS + 1, 0)
+        now_us = KEEP_US
+        station = stack.enter_context(socket.create_connection((LOCAL, port)))
+        station.send(frame(2))
+        (heard,) = entries(link, 1, now_us)
+        operator = heard.client
+        now_us *= 10
+        another = stack.enter_context(socket.create_connection((LOCAL, port)))
+        another.send(frame(3))
+        assert [entry.data for entry in entries(link, 1, now_us)] == [frame(3)]
+        station.send(frame(4))
+        assert [entry.client for entry in entries(link, 1, now_us)] == [operator]
     link.close()
 
 
@@ -431,7 +496,9 @@ def test_tcp_server_cuts_off_a_client_that_does_not_read() -> None:
             link.send(bytes(280))
             if link.dropped_tx:
                 break
-        assert link.clients == 0  # type: ignore[attr-defined]
+        assert isinstance(link, TcpServer)
+        assert link.clients == 0
+        assert link.take_news() == (True, f"{LOCAL}:{lazy.getsockname()[1]} cut off: it does not read")
     link.close()
 
 

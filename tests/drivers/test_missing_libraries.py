@@ -6,10 +6,10 @@ import pytest
 
 from autopilot.core.errors import DriverError
 from autopilot.core.vehicle import load_vehicle
-from drivers.gpio import LinuxGpio
-from drivers.i2c import LinuxI2c
-from drivers.pca9685 import Pca9685, Pca9685Options
-from drivers.serial_port import SerialPort
+from autopilot.drivers.gpio import LinuxGpio
+from autopilot.drivers.i2c import LinuxI2c
+from autopilot.drivers.pca9685 import Pca9685, Pca9685Options
+from autopilot.drivers.serial_port import SerialPort
 
 HINT = r"install it with pip install 'underwater-autopilot\[hardware\]'"
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from autopilot.core.errors import DriverError
 from autopilot.core.vehicle import load_vehicle
-from drivers.ms5837 import CONVERSION_US, Kind, Ms5837, Ms5837Options, compensated, crc4
-from sitl.i2c_bus import EmulatedI2c
+from autopilot.drivers.ms5837 import CONVERSION_US, Kind, Ms5837, Ms5837Options, compensated, crc4
+from autopilot.sitl.i2c_bus import EmulatedI2c
 
 VEHICLE = load_vehicle("bluerov2")
 

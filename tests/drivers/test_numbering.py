@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mav
 
-from drivers.numbering import Numbering, renumbered
+from autopilot.drivers.numbering import Numbering, renumbered
 
 
 def packed(rng: random.Random, number: int) -> bytes:

@@ -9,8 +9,8 @@ import pytest
 from output_rigs import RIGS, TICK_US, VEHICLE, OutputRig
 
 from autopilot.core.errors import DriverError
-from drivers.registry import BACKENDS
-from drivers.retry import DeviceState
+from autopilot.drivers.registry import BACKENDS
+from autopilot.drivers.retry import DeviceState
 
 NEUTRAL = (1500, 1500, 1500, 1500)
 COMMAND = (1600, 1400, 1537, 1900)

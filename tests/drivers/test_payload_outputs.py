@@ -7,11 +7,11 @@ from output_rigs import CLOCK_HZ
 from test_ardusub import Bench
 
 from autopilot.core.vehicle import load_vehicle
-from drivers.pca9685 import Pca9685, Pca9685Options
-from drivers.protocols import PayloadOutput
-from drivers.sabertooth import Sabertooth, SabertoothOptions
-from drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
-from sitl.i2c_bus import EmulatedI2c, Pca9685Chip
+from autopilot.drivers.pca9685 import Pca9685, Pca9685Options
+from autopilot.drivers.protocols import PayloadOutput
+from autopilot.drivers.sabertooth import Sabertooth, SabertoothOptions
+from autopilot.drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
+from autopilot.sitl.i2c_bus import EmulatedI2c, Pca9685Chip
 
 
 def test_spare_channels_of_the_board_move_and_stay_when_thrusters_stop() -> None:

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from autopilot.core.errors import DriverError
-from drivers.base import Closing
-from drivers.retry import DeviceState, SteadyOutput, SteadySensor
+from autopilot.drivers.base import Closing
+from autopilot.drivers.retry import DeviceState, SteadyOutput, SteadySensor
 
 
 class Plug(Closing):

@@ -11,8 +11,8 @@ import pytest
 from sensor_rigs import RIGS, Rig
 
 from autopilot.core.messages import Severity
-from drivers.registry import BACKENDS
-from drivers.retry import DeviceState
+from autopilot.drivers.registry import BACKENDS
+from autopilot.drivers.retry import DeviceState
 
 SENSORS = ("ahrs", "depth", "dvl", "battery", "leak")
 

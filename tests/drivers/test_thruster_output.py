@@ -6,8 +6,8 @@ import pytest
 
 from autopilot.core.errors import DriverError
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from drivers.thruster_output import SafeThrusterOutput
-from sitl.backend import SimThrusterOutput
+from autopilot.drivers.thruster_output import SafeThrusterOutput
+from autopilot.sitl.backend import SimThrusterOutput
 
 VEHICLE = load_vehicle("lbv150")
 NEUTRAL = (1500, 1500, 1500, 1500)

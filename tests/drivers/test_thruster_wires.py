@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.thrusters import ThrusterTable
 from autopilot.core.vehicle import load_vehicle
-from drivers.pca9685 import Pca9685, Pca9685Options
-from drivers.sabertooth import TELL_EVERY, Sabertooth, SabertoothOptions, packet
-from drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
-from drivers.thruster_output import INSPECT_EVERY
-from sitl.i2c_bus import EmulatedI2c, Pca9685Chip
-from sitl.sabertooth import SabertoothEmulator
+from autopilot.drivers.pca9685 import Pca9685, Pca9685Options
+from autopilot.drivers.sabertooth import TELL_EVERY, Sabertooth, SabertoothOptions, packet
+from autopilot.drivers.sysfs_pwm import SysfsPwm, SysfsPwmOptions
+from autopilot.drivers.thruster_output import INSPECT_EVERY
+from autopilot.sitl.i2c_bus import EmulatedI2c, Pca9685Chip
+from autopilot.sitl.sabertooth import SabertoothEmulator
 
 VEHICLE = load_vehicle("lbv150")
 NEUTRAL = (1500,) * 4

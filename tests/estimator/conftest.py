@@ -7,13 +7,13 @@ from makers import Make
 from autopilot.core.camera import CameraModel
 from autopilot.core.markers import MarkerMap, grid_floor
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from estimator.complementary import create_complementary
-from estimator.ekf import create_ekf
-from estimator.engine import Engine
-from estimator.options import DEFAULT_OPTIONS, EstimatorOptions
-from estimator.vision import MarkerDetector
-from sitl.floor import Floor, build_floor
-from sitl.scenario import load_scenario
+from autopilot.estimator.complementary import create_complementary
+from autopilot.estimator.ekf import create_ekf
+from autopilot.estimator.engine import Engine
+from autopilot.estimator.options import DEFAULT_OPTIONS, EstimatorOptions
+from autopilot.estimator.vision import MarkerDetector
+from autopilot.sitl.floor import Floor, build_floor
+from autopilot.sitl.scenario import load_scenario
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from autopilot.core.map_errors import Laid, map_errors
 from autopilot.core.markers import MarkerMap
 from autopilot.core.samples import MarkerSighting
 from autopilot.core.vehicle import load_vehicle
-from estimator.engine import Engine
+from autopilot.estimator.engine import Engine
 
 VEHICLE = load_vehicle("lbv150")
 CAMERA = CameraModel.of_vehicle(VEHICLE)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from estimator.engine import Engine
+from autopilot.estimator.engine import Engine
 
 Make = Callable[..., Engine]
 """(options, markers) -> estimator; both may be left out."""

@@ -23,10 +23,10 @@ from autopilot.core.samples import (
     VelocitySample,
 )
 from autopilot.core.vehicle import Vehicle
-from estimator.ekf import create_ekf
-from estimator.engine import Engine
-from estimator.inertial import AhrsMount
-from estimator.options import EstimatorOptions
+from autopilot.estimator.ekf import create_ekf
+from autopilot.estimator.engine import Engine
+from autopilot.estimator.inertial import AhrsMount
+from autopilot.estimator.options import EstimatorOptions
 
 LEVER = (0.25, -0.1, 0.15)
 MOUNT = {"position_frd_m": LEVER}
@@ -144,7 +144,7 @@ def test_a_depth_sensor_that_jumps_is_taken_up_again(make_ekf: Make) -> None:
 @pytest.mark.parametrize("name", ["ekf", "complementary"])
 def test_velocity_over_ground_carries_a_long_gap(name: str, vehicle: Vehicle) -> None:
     """Ten seconds blind: the drift stays below 0.1 m, the state stays usable and inside three sigma."""
-    from estimator.complementary import create_complementary
+    from autopilot.estimator.complementary import create_complementary
 
     create = {"ekf": create_ekf, "complementary": create_complementary}[name]
     estimator = create(mounted(vehicle, dvl=MOUNT), None, None)

@@ -17,11 +17,11 @@ from autopilot.bench.attitude_recordings import load_trials
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.messages import NavCounters
 from autopilot.core.samples import AhrsSample, ImuSample, Sample
+from autopilot.estimator.attitude import APART_RAD, AttitudeFilter, AttitudeSource
+from autopilot.estimator.gyro_bias import MAX_RAD_S
+from autopilot.estimator.protocol import Estimator
 from autopilot.log.packing.estimate import nav_counters
 from autopilot.log.schemas import layout
-from estimator.attitude import APART_RAD, AttitudeFilter, AttitudeSource
-from estimator.gyro_bias import MAX_RAD_S
-from estimator.protocol import Estimator
 
 DIP = math.tan(math.radians(60.0))
 
@@ -168,8 +168,8 @@ def test_iron_that_turns_with_the_device_is_not_taken_for_a_field(
 ) -> None:
     """Its size and dip change as the device turns, so it is never alike for long enough."""
     if believed:
-        monkeypatch.setattr("estimator.magnetic.SIZE_SHARE", 1e9)
-        monkeypatch.setattr("estimator.magnetic.DIP_RAD", math.pi)
+        monkeypatch.setattr("autopilot.estimator.magnetic.SIZE_SHARE", 1e9)
+        monkeypatch.setattr("autopilot.estimator.magnetic.DIP_RAD", math.pi)
     attitude = AttitudeFilter()
     errors = []
     for n in range(1, 6000):

@@ -18,14 +18,14 @@ from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavHealth
 from autopilot.core.samples import CameraFrame, FrameVerdict, MarkerSighting
-from estimator.frame_filter import FrameFilter, quantile
-from estimator.markers_pose import MarkerSolver
-from estimator.pnp import solve_pose
-from estimator.vision import Hint, MarkerDetector
-from estimator.vision_lane import VisionWorker
-from sitl.camera import SimCamera
-from sitl.floor import Floor
-from sitl.scenario import CameraLook
+from autopilot.estimator.frame_filter import FrameFilter, quantile
+from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.pnp import solve_pose
+from autopilot.estimator.vision import Hint, MarkerDetector
+from autopilot.estimator.vision_lane import VisionWorker
+from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.floor import Floor
+from autopilot.sitl.scenario import CameraLook
 
 POS, RPY = np.array([0.5, -0.2, 0.6]), np.array([0.01, -0.01, 0.4])
 HINT = Hint(pos_ned_m=POS + 0.004, rpy_rad=RPY)

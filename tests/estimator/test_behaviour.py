@@ -7,7 +7,7 @@ import pytest
 from makers import Make
 from truth import CurrentField, Faults, World, fly, no_current, rms, tank_jet, uniform_current
 
-from estimator.options import EstimatorOptions
+from autopilot.estimator.options import EstimatorOptions
 
 
 def test_latency_is_compensated(make_ekf: Make) -> None:

@@ -11,13 +11,15 @@ from truth import Track, rms
 
 from autopilot.core.camera import CameraModel
 from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import NavDoubt
+from autopilot.core.messages import NavDoubt, NavHealth
 from autopilot.core.samples import MarkerSighting, PoseSample
 from autopilot.core.vehicle import Vehicle
-from estimator.camera_doubt import CameraWatch, focal_look
-from estimator.ekf import create_ekf
+from autopilot.estimator.camera_doubt import CameraWatch, focal_look
+from autopilot.estimator.ekf import create_ekf
 
 SOME = np.random.default_rng(20261122)
+JUMP_US = 8_000_000
+"""When a camera's clock is set."""
 
 
 def with_camera(**changes: object) -> Vehicle:
@@ -78,6 +80,61 @@ def test_good_stamps_are_not_suspected(make_ekf: Make, floor: MarkerMap) -> None
     counts = estimator.counters()
     assert counts["stamps.retimed"] == counts["focal.rescaled"] == 0
     assert rms(track.after(2.0).pos_error()[:, :2]) < 0.001
+
+
+class JumpingWorld(LaidWorld):
+    """The camera's clock is set in flight: from then on its stamps are later by ``by_us``."""
+
+    def __init__(self, floor: MarkerMap, seed: int, by_us: int) -> None:
+        super().__init__(floor, seed)
+        self.by_us = by_us
+
+    def _look(self, t: float) -> None:
+        self._late_us = self.by_us if self.t_us >= JUMP_US else 0
+        super()._look(t)
+
+
+@pytest.mark.parametrize("by_ms", [150, -150, *(int(sign * SOME.integers(40, 180)) for sign in (1, -1))])
+def test_stamps_that_jump_in_flight_are_told_within_seconds(make_ekf: Make, floor: MarkerMap, by_ms: int) -> None:
+    """However long they were good before; and nothing is called good meanwhile that is not."""
+    estimator = make_ekf(markers=floor)
+    world, told, silent, last = JumpingWorld(floor, 31, 1000 * by_ms), [], 0, None
+    for truth, samples, command in world.run(1e-6 * JUMP_US + 6.0):
+        nav = estimator.step(truth.t_us, samples, command)
+        told += [(truth.t_us, text) for text in estimator.take_remarks()]
+        if nav is None:
+            continue
+        last = math.hypot(*(nav.pos_ned_m - truth.pos)[:2])
+        off = last > 3.7 * math.sqrt(float(nav.variance[:2].max()))  # 99.9 % in the plane
+        silent += nav.health is NavHealth.GOOD and off
+    first_us, text = told[0]
+    assert JUMP_US < first_us < JUMP_US + 4_500_000
+    jumped, rest = text.removeprefix("Picture stamps jumped ").split(" ms: ")
+    assert float(jumped) == pytest.approx(by_ms, abs=20.0)
+    assert rest == "check its clock"
+    assert NavDoubt.CALIBRATION in estimator.doubts
+    assert silent < 50, "called good for half a second in which it was not"
+    assert last is not None and last < 0.003
+    assert estimator.counters()["stamps.retimed"] <= 4
+
+
+def test_pictures_that_only_come_later_are_no_jump(make_ekf: Make, floor: MarkerMap) -> None:
+    """A busy machine: the stamps are right, the results are late."""
+    estimator, told = make_ekf(markers=floor), []
+    world = LaidWorld(floor, 33)
+    for truth, samples, command in world.run(10.0):
+        nav = estimator.step(truth.t_us, samples, command)
+        told += estimator.take_remarks()
+        world._latency_us = 60_000 if truth.t_us < 4_000_000 or truth.t_us > 7_000_000 else 180_000
+        assert nav is None or not nav.doubts
+    assert told == []
+
+
+def test_without_pictures_no_camera_is_blamed() -> None:
+    watch = CameraWatch(VEHICLE.camera)
+    watch.stamps.late_s, watch.stamps.sigma_s = 0.06, 0.001
+    watch.look_at_stamps()
+    assert watch.take_texts() == ("Pose stamps 60 ms late: calibrate latency",)
 
 
 def test_at_rest_nothing_is_found(make_ekf: Make, floor: MarkerMap) -> None:

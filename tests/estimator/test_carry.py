@@ -6,10 +6,10 @@ from truth import Faults, World, tank_jet
 
 from autopilot.core.frames import FloatArray
 from autopilot.core.vehicle import load_vehicle
-from estimator import carry
-from estimator.carry import Correction, Look
-from estimator.ekf import create_ekf
-from estimator.states import NX, FilterState
+from autopilot.estimator import carry
+from autopilot.estimator.carry import Correction, Look
+from autopilot.estimator.ekf import create_ekf
+from autopilot.estimator.states import NX, FilterState
 
 
 def updated(x: FloatArray, p: FloatArray, h: FloatArray, z: FloatArray, noise: FloatArray) -> tuple[FilterState, Look]:

@@ -6,11 +6,12 @@ import pytest
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.model4 import AXES, Model4
-from estimator.inertial import Inertial, Mode, Step
-from estimator.measure_model import VehicleAcceleration, acceleration_jacobian, expected_acceleration
-from estimator.measurement import Moment
-from estimator.motion import MotionModel, add_model, fill_jacobian, moved
-from estimator.states import NX
+from autopilot.estimator.inertial import Inertial, Mode, Step
+from autopilot.estimator.measure_model import VehicleAcceleration, acceleration_jacobian, expected_acceleration
+from autopilot.estimator.measurement import Moment
+from autopilot.estimator.motion import MotionModel, add_model, fill_jacobian, moved
+from autopilot.estimator.states import NX
+from tests.hostile_numbers import HOSTILE, agree, outcome, with_one
 
 pytestmark = pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
 TOLERANCE = 1e-12
@@ -80,3 +81,40 @@ def model_of(rng: np.random.Generator, thrusters: int) -> Model4:
 def moment_of(rng: np.random.Generator, thrusters: int) -> Moment:
     inertial = Inertial(0, 0.1, -0.1, 0.3, rng.normal(), (0.1, 0.2, 0.3), rng.normal(size=3), (0.0, 0.0), True)
     return Moment(inertial, tuple((10.0 * rng.normal(size=thrusters)).tolist()))
+
+
+@pytest.mark.parametrize("value", HOSTILE)
+def test_no_motion_is_made_of_what_is_no_number(value: float) -> None:
+    rng, model = np.random.default_rng(1), MotionModel()
+    for turn in range(60):
+        x, forces = state_of(rng), rng.normal(size=4)
+        if turn % 2:
+            x = with_one(rng, x, value)
+        else:
+            forces = with_one(rng, forces, value)
+        rate, ax, ay, az = forces.tolist()
+        step, jacobian = Step(0.01, rate, (ax, ay, az), Mode.NOMINAL, None), np.eye(NX)
+        assert agree(outcome(model.step, x, step), outcome(moved, x, step)), turn
+        if np.isfinite(x[3]):  # of an angle that is none Python has no sine
+            fill_jacobian(jacobian, x, step)
+            assert agree(model.jacobian, jacobian), turn
+
+
+@pytest.mark.parametrize("value", HOSTILE)
+def test_no_acceleration_is_made_of_what_is_no_number(value: float) -> None:
+    rng = np.random.default_rng(2)
+    for turn in range(60):
+        model = model_of(rng, 4)
+        look, x, moment = VehicleAcceleration(model, (0.3, 0.4)), state_of(rng), moment_of(rng, 4)
+        if turn % 2:
+            x = with_one(rng, x, value)
+        else:
+            thrust = with_one(rng, np.array(moment.thrust_n), value)
+            moment = Moment(moment.inertial, tuple(thrust.tolist()))
+        ours = outcome(look.at, x, moment)
+        theirs = outcome(expected_acceleration, model, (0.3, 0.4), x, moment)
+        # Python leaves out a thruster that does nothing on an axis; the order of sums decides which overflow.
+        finite = np.isfinite(ours)
+        if abs(value) != 1e308 and np.ndim(theirs):
+            assert agree(np.asarray(ours)[finite], np.broadcast_to(theirs, 4)[finite], 1e-6), (turn, ours, theirs)
+        assert np.ndim(theirs) or not finite.all(), turn

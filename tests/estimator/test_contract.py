@@ -12,7 +12,7 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.messages import AidState, NavHealth
 from autopilot.core.samples import AhrsSample, LaserSample, MarkerSighting, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle
-from estimator.create import create_estimator
+from autopilot.estimator.create import create_estimator
 
 ZERO = np.zeros(4)
 

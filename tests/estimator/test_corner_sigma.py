@@ -12,11 +12,11 @@ from autopilot.bench.photographs import PHOTOGRAPHS, Photograph, read_photograph
 from autopilot.core.camera import R_FRD_FROM_CAM, CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import CameraFrame, MarkerSighting
-from estimator.pnp import solve_pose
-from estimator.vision import Hint, MarkerDetector
-from sitl.camera import SimCamera
-from sitl.floor import Floor
-from sitl.scenario import CameraLook
+from autopilot.estimator.pnp import solve_pose
+from autopilot.estimator.vision import Hint, MarkerDetector
+from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.floor import Floor
+from autopilot.sitl.scenario import CameraLook
 
 BOARD = ("img_00", "choriginal", "img_02", "img_03")
 

@@ -13,18 +13,18 @@ from truth import Faults, World, fly, no_current, tank_jet
 from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.samples import VelocityLock
 from autopilot.core.vehicle import load_vehicle
-from estimator.inertial import Inertial, Mode, Step
-from estimator.kalman import LEANING_M_S2, KalmanCore
-from estimator.measure_depth import Depth
-from estimator.measure_heading import heading_of
-from estimator.measure_laser import LaserRange
-from estimator.measure_model import ModelAid, VehicleAcceleration, added_share, model_aid_of
-from estimator.measure_pose import PoseFix
-from estimator.measure_velocity import BodyVelocity
-from estimator.measurement import CHI2_999, Measurement, Moment
-from estimator.motion import fill_jacobian, moved
-from estimator.states import NX, YAW, FilterState
-from estimator.tuning import TILTED_GYRO_NOISE, process_noise
+from autopilot.estimator.inertial import Inertial, Mode, Step
+from autopilot.estimator.kalman import LEANING_M_S2, KalmanCore
+from autopilot.estimator.measure_depth import Depth
+from autopilot.estimator.measure_heading import heading_of
+from autopilot.estimator.measure_laser import LaserRange
+from autopilot.estimator.measure_model import ModelAid, VehicleAcceleration, added_share, model_aid_of
+from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.measure_velocity import BodyVelocity
+from autopilot.estimator.measurement import CHI2_999, Measurement, Moment
+from autopilot.estimator.motion import fill_jacobian, moved
+from autopilot.estimator.states import NX, YAW, FilterState
+from autopilot.estimator.tuning import TILTED_GYRO_NOISE, process_noise
 
 VEHICLE = load_vehicle("lbv150")
 ACCELERATION = VehicleAcceleration(VEHICLE.to_model(), added_share(VEHICLE))

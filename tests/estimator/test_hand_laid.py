@@ -13,15 +13,15 @@ from makers import Make
 from autopilot.core.frames import FloatArray
 from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavDoubt
-from estimator.gauge import common_columns, laid_scales
-from estimator.ground import Ground, SheetTies, columns_of
-from estimator.inertial import Inertial, Mode, Step
-from estimator.kalman import KalmanCore
-from estimator.measure_heading import heading_of
-from estimator.measure_pose import PoseFix
-from estimator.measurement import Measurement, Moment
-from estimator.sheet_fit import scatter
-from estimator.states import NX, FilterState
+from autopilot.estimator.gauge import common_columns, laid_scales
+from autopilot.estimator.ground import Ground, SheetTies, columns_of
+from autopilot.estimator.inertial import Inertial, Mode, Step
+from autopilot.estimator.kalman import KalmanCore
+from autopilot.estimator.measure_heading import heading_of
+from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.measurement import Measurement, Moment
+from autopilot.estimator.sheet_fit import scatter
+from autopilot.estimator.states import NX, FilterState
 
 FLIGHT_S = 13.0
 """There and back: the way back is flown over what the way there has shown."""

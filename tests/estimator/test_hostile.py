@@ -27,11 +27,11 @@ from autopilot.core.samples import (
     VelocitySample,
 )
 from autopilot.core.vehicle import load_vehicle
-from estimator.complementary import create_complementary
-from estimator.create import create_estimator
-from estimator.ekf import create_ekf
-from estimator.engine import Engine
-from estimator.options import EstimatorOptions
+from autopilot.estimator.complementary import create_complementary
+from autopilot.estimator.create import create_estimator
+from autopilot.estimator.ekf import create_ekf
+from autopilot.estimator.engine import Engine
+from autopilot.estimator.options import EstimatorOptions
 
 VEHICLE = load_vehicle("lbv150")
 

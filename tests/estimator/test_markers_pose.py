@@ -16,8 +16,8 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import NavHealth
 from autopilot.core.samples import MarkerSighting, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from estimator.markers_pose import MarkerSolver
-from estimator.pnp import solve_pose
+from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.pnp import solve_pose
 
 VEHICLE = load_vehicle("lbv150")
 CAMERA = CameraModel.of_vehicle(VEHICLE)

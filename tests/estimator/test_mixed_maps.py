@@ -14,8 +14,8 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.marker_files import PlacedMarker, make_map
 from autopilot.core.markers import MarkerMap
 from autopilot.core.samples import MarkerSighting
-from estimator.markers_pose import MarkerSolver
-from estimator.pnp import solve_pose
+from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.pnp import solve_pose
 
 
 def terrain(lean_rad: float) -> MarkerMap:

@@ -6,7 +6,7 @@ import pytest
 from autopilot.bench.photographs import PHOTOGRAPHS, Photograph, read_photographs, shown
 from autopilot.core.frames import FloatArray
 from autopilot.core.samples import CameraFrame, MarkerSighting
-from estimator.vision import Hint, MarkerDetector
+from autopilot.estimator.vision import Hint, MarkerDetector
 
 PHOTOS = {photo.name: photo for photo in read_photographs(PHOTOGRAPHS)}
 LEVEL = Hint(pos_ned_m=np.zeros(3), rpy_rad=np.zeros(3))

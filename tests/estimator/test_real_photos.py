@@ -16,8 +16,8 @@ from autopilot.core.dictionaries import opencv_dictionary, read_dictionary
 from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.core.markers import MarkerMap
 from autopilot.core.samples import CameraFrame, MarkerSighting
-from estimator.pnp import solve_pose
-from estimator.vision import MarkerDetector
+from autopilot.estimator.pnp import solve_pose
+from autopilot.estimator.vision import MarkerDetector
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 OPENCV = DATA / "opencv_contrib"

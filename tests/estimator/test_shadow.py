@@ -13,14 +13,14 @@ from autopilot.core.markers import MarkerMap
 from autopilot.core.messages import AidStatus, NavDoubt, NavState, ShadowStatus
 from autopilot.core.samples import LaserSample, MarkerSighting, PoseSample, Sample
 from autopilot.core.vehicle import Vehicle
-from estimator import engine
-from estimator.complementary import create_complementary
-from estimator.create import create_estimator
-from estimator.ekf import create_ekf
-from estimator.markers_pose import MarkerSolver
-from estimator.measure_pose import PoseFix
-from estimator.shadow import Shadowed
-from estimator.states import SheetStates
+from autopilot.estimator import engine
+from autopilot.estimator.complementary import create_complementary
+from autopilot.estimator.create import create_estimator
+from autopilot.estimator.ekf import create_ekf
+from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.measure_pose import PoseFix
+from autopilot.estimator.shadow import Shadowed
+from autopilot.estimator.states import SheetStates
 
 
 class Displaced:

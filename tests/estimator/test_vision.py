@@ -4,21 +4,23 @@ import math
 from dataclasses import replace
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 from test_markers_pose import CAMERA, VEHICLE
 
+from autopilot.core.camera import CameraModel
 from autopilot.core.errors import ConfigError
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.markers import MarkerMap
 from autopilot.core.samples import CameraFrame
-from estimator.laser_dot import find_dot
-from estimator.markers_pose import MarkerSolver
-from estimator.vision import Hint, MarkerDetector
-from sitl.camera import SimCamera
-from sitl.floor import Floor
-from sitl.plant import Truth, build_plant
-from sitl.scenario import CameraLook, load_scenario
+from autopilot.estimator.laser_dot import find_dot
+from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.vision import Hint, MarkerDetector
+from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.floor import Floor
+from autopilot.sitl.plant import Truth, build_plant
+from autopilot.sitl.scenario import CameraLook, load_scenario
 
 
 def truth_at(pos: FloatArray, rpy: FloatArray) -> Truth:
@@ -120,6 +122,29 @@ def test_dot_on_plain_ground_and_none_in_noise() -> None:
         dot = find_dot(np.clip(image, 0, 255).astype(np.uint8), CAMERA, range_m)
         assert dot is not None
         assert np.abs(dot - [x, y]).max() < 0.6
+
+
+SHIFTS_PX = (-900, -640, -420, -300, 0, 300, 420, 640, 900)
+
+
+@pytest.mark.parametrize("right_px", SHIFTS_PX)
+@pytest.mark.parametrize("down_px", SHIFTS_PX)
+def test_a_beam_at_the_border_or_beside_the_picture(right_px: int, down_px: int) -> None:
+    """The strip that is looked at is cut at all four borders; of one that is outside nothing is looked at."""
+    table = VEHICLE.camera
+    center_px = (table.center_px[0] + right_px, table.center_px[1] + down_px)
+    shifted = msgspec.structs.replace(table, center_px=center_px)
+    camera = CameraModel.of(shifted, VEHICLE.laser)
+    x, y = camera.laser_pixel(0.8)
+    image = np.clip(np.random.default_rng(0).normal(120.0, 4.0, (480, 640, 3)), 0, 255)
+    rows, columns = np.mgrid[0:480, 0:640]
+    image[:, :, 1] += 60.0 * np.exp(-0.5 * ((columns - x) ** 2 + (rows - y) ** 2) / 2.0)
+    dot = find_dot(np.clip(image, 0, 255).astype(np.uint8), camera, 0.8)
+    if 15.0 < x < 624.0 and 15.0 < y < 464.0:
+        assert dot is not None
+        assert np.abs(dot - [x, y]).max() < 0.6
+    elif not (-2.0 < x < 642.0 and -2.0 < y < 482.0):
+        assert dot is None
 
 
 def test_unknown_dictionary_is_refused(floor: MarkerMap) -> None:

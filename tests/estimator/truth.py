@@ -13,7 +13,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray, r_ned_from_frd, rpy_from_r, wrap_pi
 from autopilot.core.messages import NavState
 from autopilot.core.samples import AhrsSample, LaserSample, PoseSample, Sample
-from estimator.protocol import Estimator
+from autopilot.estimator.protocol import Estimator
 
 G = 9.81
 TICK_US = 10_000

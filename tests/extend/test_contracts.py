@@ -16,11 +16,11 @@ from autopilot.core.messages import ControlOutput, Goal, NavHealth, NavState
 from autopilot.core.model4 import rk4, state_derivative
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import load_vehicle
-from estimator.create import create_estimator
-from sitl.backend import simulated_vehicle
-from sitl.plant import Truth
-from sitl.protocol import PlantContext, PlantLike, create_plant
-from sitl.scenario import load_scenario
+from autopilot.estimator.create import create_estimator
+from autopilot.sitl.backend import simulated_vehicle
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.protocol import PlantContext, PlantLike, create_plant
+from autopilot.sitl.scenario import load_scenario
 
 VEHICLE = load_vehicle("lbv150")
 MODEL = VEHICLE.to_model()

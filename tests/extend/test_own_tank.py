@@ -6,8 +6,8 @@ from click.testing import CliRunner
 
 from autopilot.cli.mission import mission
 from autopilot.core.vehicle import load_vehicle
-from sitl.backend import simulated_vehicle
-from sitl.scenario import load_scenario, plan_path
+from autopilot.sitl.backend import simulated_vehicle
+from autopilot.sitl.scenario import load_scenario, plan_path
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 

@@ -11,13 +11,13 @@ from autopilot.control.water.currents import NoCurrent
 from autopilot.control.way.desks import Desks
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import load_vehicle
+from autopilot.estimator.create import ESTIMATORS, create_estimator
 from autopilot.run.config import CONTROLLERS as CONTROLLER_NAMES
 from autopilot.run.config import ESTIMATORS as ESTIMATOR_NAMES
 from autopilot.run.config import PLANTS as PLANT_NAMES
 from autopilot.run.config import chosen_part, gather, sitl_defaults
-from estimator.create import ESTIMATORS, create_estimator
-from sitl.protocol import PLANTS, PlantContext, create_plant
-from sitl.scenario import load_scenario
+from autopilot.sitl.protocol import PLANTS, PlantContext, create_plant
+from autopilot.sitl.scenario import load_scenario
 
 VEHICLE = load_vehicle("lbv150")
 WRITTEN = "lab_written"

@@ -142,7 +142,7 @@ def test_nav(stamp: int, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, var: An
     np.testing.assert_array_equal(covariance.variance, var)
     status = read_back("autopilot_msgs/NavStatus", estimate.nav_status(stamp, nav))
     assert (status.health, status.reset_count) == (health % 3, resets)
-    assert status.doubts == resets % 128
+    assert status.doubts == resets % (1 << len(NavDoubt))
 
 
 @given(stamps, st.lists(floats, min_size=1, max_size=8), finite, u32, finite)

@@ -232,16 +232,15 @@ while True:
 def test_killed_while_writing(tmp_path: Path) -> None:
     """What was flushed before a kill -9 is there, without a gap, and is repaired at the next start."""
     path = tmp_path / "killed.mcap"
-    victim = subprocess.Popen([sys.executable, "-c", _VICTIM, str(path)], stdout=subprocess.PIPE)
-    try:
+    with subprocess.Popen([sys.executable, "-c", _VICTIM, str(path)], stdout=subprocess.PIPE) as victim:
         assert victim.stdout is not None
         victim.stdout.readline()
-        while os.path.getsize(path) < 2000:
-            assert victim.poll() is None
-            time.sleep(0.05)
-    finally:
-        victim.kill()
-        victim.wait()
+        try:
+            while os.path.getsize(path) < 2000:
+                assert victim.poll() is None
+                time.sleep(0.05)
+        finally:
+            victim.kill()
     log = open_log(path)
     assert log.problems and log.attachments == {"a": b"b"}
     count = log["/sim/contact"]["count"]

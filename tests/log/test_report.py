@@ -132,5 +132,8 @@ def test_it_opens_in_a_browser(page: Path, tmp_path: Path) -> None:
     given = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}"]
     given += ["--virtual-time-budget=20000", "--enable-logging=stderr", "--dump-dom", page.as_uri()]
     done = subprocess.run(given, capture_output=True, text=True, check=True)
-    assert "CONSOLE" not in done.stderr, done.stderr
-    assert done.stdout.count("<canvas") >= page.read_text(encoding="utf-8").count("data-root-id")
+    said = [line for line in done.stderr.splitlines() if "CONSOLE" in line and ":INFO:" not in line]
+    assert not said, done.stderr
+    # Newer Bokeh draws below a shadow root, which is not in the dump: its view stands there instead.
+    drawn = max(done.stdout.count("<canvas"), done.stdout.count('class="bk-Figure"'))
+    assert drawn >= page.read_text(encoding="utf-8").count("data-root-id")

@@ -38,7 +38,9 @@ def test_every_input_comes_back_from_its_notes() -> None:
         log_lost=True,
         clock_jump_s=-0.5,
         frame_counts={"frames.ok": 7},
-        below=Below(t_us=19_000, authority=Authority.PILOT, acts=False, text="MANUAL", pulses_us=(1500, 1600)),
+        below=Below(
+            t_us=19_000, authority=Authority.PILOT, acts=False, text="MANUAL", pulses_us=(1500, 1600), armed=True
+        ),
         refusals=("no AHRS",),
         camera=CameraReport(frame_us=None, total_bytes=10, free_bytes=5, refusal="full"),
         stills=(StoredStill(index=1, exposure_us=4, path="a.png", width_px=6, height_px=4, size=99),),

@@ -66,9 +66,20 @@ def test_parquet_needs_pyarrow(flown: Path, tmp_path: Path, monkeypatch: pytest.
 
 def test_parquet_where_pyarrow_is(flown: Path, tmp_path: Path) -> None:
     parquet: Any = pytest.importorskip("pyarrow.parquet")
-    assert call("export", flown, "--format", "parquet", "--topic", "/nav/state", "--out", tmp_path).exit_code == 0
-    table = parquet.read_table(tmp_path / "nav_state.parquet")
-    assert table.column_names == list(columns_of(open_log(flown), "/nav/state"))
+    done = call("export", flown, "--format", "parquet", "--out", tmp_path)
+    assert done.exit_code == 0, done.output
+    log = open_log(flown)
+    for topic in (name for name, info in log.topics.items() if info.count):
+        table = parquet.read_table(tmp_path / f"{topic.strip('/').replace('/', '_')}.parquet")
+        assert table.column_names == list(columns_of(log, topic)) and table.num_rows == log.topics[topic].count
+
+
+def test_what_is_nested_has_a_column_for_each_number(flown: Path) -> None:
+    log = open_log(flown)
+    columns = columns_of(log, "/in/ahrs")
+    assert np.array_equal(columns["orientation.w"], log["/in/ahrs"]["orientation"]["w"])
+    numbers = {name: np.asarray(column).dtype.kind for name, column in columns.items()}
+    assert set(numbers.values()) <= set("fiub"), numbers
 
 
 def test_diff_names_the_first_difference(flown: Path, tmp_path: Path) -> None:

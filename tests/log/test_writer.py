@@ -291,7 +291,8 @@ def test_names_by_start_time(tmp_path: Path) -> None:
     assert log_path(tmp_path, EPOCH_NS).name == "22_13_20_3.mcap"
 
 
-texts = st.text(max_size=40)
+texts = st.text(max_size=40).filter(lambda text: len(text.encode(errors="replace")) <= 64)
+"""That fit into their field."""
 speeds = st.floats(-3.0, 3.0)
 belows = st.builds(
     Below,
@@ -302,6 +303,8 @@ belows = st.builds(
     problem=texts,
     refusals=st.lists(texts.filter(bool), max_size=4).map(tuple),
     pulses_us=st.lists(st.integers(0, 0xFFFF), max_size=8).map(tuple),
+    armed=st.sampled_from((False, True, None)),
+    rival=st.booleans(),
 )
 drives = st.none() | st.builds(
     Drive,
@@ -341,7 +344,8 @@ def test_what_the_vehicle_below_says_and_what_a_pilot_asks_for_stand_in_the_log_
         (now,) = [said for said in belows_read if said.t_us <= 10_000 * tick][-1:]
         kept = (now.authority, now.acts, now.pulses_us, now.text, now.problem)
         assert kept == (below.authority, below.acts, below.pulses_us, plain(below.text), plain(below.problem))
-        assert now.refusals == tuple("\n".join(plain(line) for line in below.refusals).splitlines())
+        assert (now.armed, now.rival) == (below.armed, below.rival)
+        assert now.refusals == tuple("".join(f"{plain(line)}\n" for line in below.refusals).splitlines())
         assert ([None, *(said for t_us, said in drives_read if t_us <= 10_000 * tick)])[-1] == drive
 
 

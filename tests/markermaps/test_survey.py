@@ -188,10 +188,10 @@ def test_what_cannot_be_surveyed_is_said(laid: tuple[MarkerMap, MarkerMap, list[
 
 def test_from_images_by_the_command(tmp_path: Path) -> None:
     """Pictures of a rendered floor, a rough map that is 6 mm off: exit 0 or 3, and a map good to 2 mm."""
-    from sitl.camera import SimCamera
-    from sitl.floor import build_floor
-    from sitl.plant import build_plant
-    from sitl.scenario import CameraLook, load_scenario
+    from autopilot.sitl.camera import SimCamera
+    from autopilot.sitl.floor import build_floor
+    from autopilot.sitl.plant import build_plant
+    from autopilot.sitl.scenario import CameraLook, load_scenario
 
     scenario = load_scenario("paper-tank")
     floor = build_floor(scenario)

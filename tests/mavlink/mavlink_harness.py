@@ -25,7 +25,7 @@ from autopilot.core.plan import MissionResult, PlanItem, PlanKind, PlanRejection
 from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import Answer, Circling, CommandResult, FlightMode, MotorTest, SetPoint, VehicleView
 from autopilot.mavlink.server import MavlinkServer
-from mission.store import Change, plan_checksum
+from autopilot.mission.store import Change, plan_checksum
 
 TICK_US = 10_000
 ORIGIN = Place(lat_deg=37.9755, lon_deg=23.7790, alt_m=12.0)
@@ -99,6 +99,9 @@ class RecordingVehicle:
 
     def disarm(self, force: bool) -> Answer:
         return self._note("disarm", force)
+
+    def disarmed(self) -> Answer:
+        return self.answers.get("disarmed", Answer(result=CommandResult.ACCEPTED))
 
     def set_mode(self, mode: FlightMode) -> Answer:
         return self._note("set_mode", mode)

@@ -12,7 +12,7 @@ from mavlink_harness import World, mav
 from autopilot.bench.fuzz.messages import ALL_COMMANDS, COMMANDS
 from autopilot.core.messages import RunEnd
 from autopilot.core.params import PARAMETERS
-from autopilot.mavlink.api import CommandResult, FlightMode
+from autopilot.mavlink.api import Answer, CommandResult, FlightMode
 from autopilot.mavlink.dialect import extra
 
 numbers = st.sampled_from((0.0, 1.0, 2.0, -1.0, 3.0, 129.0, 512.0, math.nan, math.inf, 1e9))
@@ -150,3 +150,28 @@ def test_events_that_never_were_are_not_waited_for() -> None:
     wanted = float(extra.MAVLINK_MSG_ID_CURRENT_EVENT_SEQUENCE)
     ask = mav.MAVLink_command_long_message(1, 1, 512, 0, wanted, *(0.0,) * 6)
     assert client.ask(ask, "CURRENT_EVENT_SEQUENCE", 0.1)[0].sequence == 0
+
+
+@pytest.mark.parametrize("result", [CommandResult.ACCEPTED, CommandResult.FAILED])
+@pytest.mark.parametrize("ticks", [5, 60, 250])
+def test_a_disarming_is_answered_when_it_has_happened(ticks: int, result: CommandResult) -> None:
+    world = World()
+    client, waiting = world.client(sysid=77, compid=88), Answer(result=CommandResult.IN_PROGRESS)
+    world.vehicle.answers.update(disarm=waiting, disarmed=waiting)
+    world.run(0.02)
+    client.send(message(mav.MAV_CMD_COMPONENT_ARM_DISARM, [0.0, 0.0, 0.0, 0.0], (1, 1), None, 0))
+    world.run(0.01 * ticks)
+    results = [ack.result for ack in client.got("COMMAND_ACK")]
+    assert results == [5] * (0 if ticks < 30 else 1 + (ticks - 31) // 100)
+    client.send(message(mav.MAV_CMD_COMPONENT_ARM_DISARM, [0.0, 0.0, 0.0, 0.0], (1, 1), None, 1))
+    world.run(0.02)
+    assert [ack.result for ack in client.got("COMMAND_ACK")][len(results) :] == [5]  # asked again: still under way
+    reason = "" if result is CommandResult.ACCEPTED else "not confirmed"
+    world.vehicle.answers["disarmed"] = Answer(result=result, reason=reason)
+    world.run(0.05)
+    final = [ack for ack in client.got("COMMAND_ACK") if ack.result != 5]
+    assert [(ack.result, ack.target_system, ack.target_component) for ack in final] == [(result, 77, 88)]
+    client.send(message(mav.MAV_CMD_COMPONENT_ARM_DISARM, [0.0, 0.0, 0.0, 0.0], (1, 1), None, 2))
+    world.run(0.05)
+    assert client.got("COMMAND_ACK")[-1].result == result  # a repetition gets the final answer
+    assert len([call for call in world.vehicle.calls if call[0] == "disarm"]) == 1

@@ -49,9 +49,6 @@ CASES: list[tuple[int, tuple[float, ...], tuple[Any, ...]]] = [
     (92, (1,), ("set_mode", FlightMode.GUIDED)),
     (186, (-0.5, 3), ("change_depth", 0.5)),
     (186, (0.5, 1), ("change_depth", 0.5)),
-    (262, (5,), ("set_mode", RET)),
-    (262, (6,), ("set_mode", M)),
-    (262, (7,), ("set_mode", S)),
     (20, (), ("set_mode", RET)),
     (21, (), ("set_mode", S)),
     (17, (), ("set_mode", H)),
@@ -102,6 +99,7 @@ def test_the_same_as_command_int(
         (176, (129, 4.5, 3), R.DENIED),
         (176, (NAN, NAN, NAN), R.DENIED),
         (262, (3,), R.FAILED),
+        *((262, (number,), R.FAILED) for number in range(5, 10)),
         (186, (-0.5, 10), R.UNSUPPORTED_FRAME),
         (34, (1.0, 0.2, 4), R.DENIED),
         (262, (0,), R.FAILED),
@@ -282,7 +280,7 @@ def test_a_mode_change_shows_at_once(world: World, client: Client) -> None:
     (beat,) = client.got("HEARTBEAT")
     (mode,) = client.got("CURRENT_MODE")
     assert beat.custom_mode == world.server.custom_mode(S) == mode.custom_mode
-    assert mode.intended_custom_mode == world.server.custom_mode(M) and mode.standard_mode == 7
+    assert mode.intended_custom_mode == world.server.custom_mode(M) and mode.standard_mode == 0
 
 
 # Mission start under ArduPilot's numbering
@@ -446,6 +444,41 @@ def test_available_modes(profile: str) -> None:
     assert client.command(512, 435, 3) == R.ACCEPTED
     assert [m.mode_index for m in client.got("AVAILABLE_MODES")] == [3]
     assert client.command(512, 435, 12) == R.DENIED
+
+
+OLD_STANDARD_MODES = {1: "Position", 2: "Orbit", 4: "Depth hold", 5: "Return", 7: "Mission", 8: "Surface"}
+"""MAV_STANDARD_MODE of development.xml, 2022 to January 2025, by what they are called here."""
+NEW_STANDARD_MODES = {1: "Position", 2: "Orbit", 4: "Depth hold", 6: "Mission", 7: "Surface", 8: "Takeoff"}
+"""The same of common.xml since; 5, safe recovery, is no return home."""
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_a_standard_mode_is_the_same_to_older_and_newer_clients(profile: str) -> None:
+    """Whichever numbering a client goes by, no mode is taken for another one, shown or asked for."""
+    packaged = {n: entry.name for n, entry in mav.enums["MAV_STANDARD_MODE"].items()}
+    assert packaged[6].endswith("_MISSION") and packaged[7].endswith("_LAND"), "the numbering that is called new here"
+    world = World(profile)
+    client = world.client()
+    assert client.command(512, 435, 0) == R.ACCEPTED
+    name_of = {m.custom_mode: m.mode_name for m in client.got("AVAILABLE_MODES")}
+    shown = {m.custom_mode: m.standard_mode for m in client.got("AVAILABLE_MODES")}
+    for mode in FlightMode:
+        world.show(mode=mode, intended_mode=mode)
+        world.tick()
+        current = client.got("CURRENT_MODE")[-1]
+        assert current.standard_mode == shown[current.custom_mode]
+    for custom, standard in shown.items():
+        if standard:
+            name = name_of[custom].replace("Circle", "Orbit")
+            assert OLD_STANDARD_MODES[standard] == NEW_STANDARD_MODES[standard] == name
+    assert sorted(filter(None, shown.values())) == [1, 2, 4], "as many as both agree on"
+    for number in range(12):
+        world.vehicle.calls.clear()
+        taken = client.command(mav.MAV_CMD_DO_SET_STANDARD_MODE, number) == R.ACCEPTED
+        assert taken == (number in (1, 2, 4)) == bool(world.vehicle.calls)
+        if taken:
+            ((_, mode),) = world.vehicle.calls
+            assert shown[world.server.custom_mode(mode)] == number
 
 
 def test_protocol_version_is_answered(client: Client) -> None:

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import all as everybody
 
 from autopilot.core.clients import Reach, Verbatim
 from autopilot.core.messages import MavlinkFrame
-from drivers.numbering import Numbering
+from autopilot.drivers.numbering import Numbering
 
 CAMERA, STATION, OTHER, SECOND = (1, 100), (255, 190), (2, 1), (254, 190)
 

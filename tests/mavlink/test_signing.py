@@ -17,9 +17,12 @@ from mavlink_harness import World, mav
 
 from autopilot.cli.main import cli
 from autopilot.core.clients import Reach
+from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
 from autopilot.core.messages import MavlinkFrame
+from autopilot.core.params import Saved
 from autopilot.mavlink.api import AHEAD_UNITS, SigningState
+from autopilot.mavlink.signing import MAX_STREAMS
 from autopilot.run.signing_files import EPOCH_S, SigningFiles
 
 KEY, OTHER = bytes(range(32)), hashlib.sha256(b"other").digest()
@@ -34,12 +37,17 @@ class MemoryStore:
     def __init__(self, key: bytes | None, stamp: int = NOW) -> None:
         self.state = SigningState(key, stamp)
         self.kept: list[SigningState] = []
+        self.failure = ""
+        self._told = 0
 
     def keep(self, tick: int, state: SigningState) -> None:
         self.kept.append(state)
 
-    def poll(self, tick: int) -> str | None:
-        return None
+    def poll(self, tick: int) -> Saved | None:
+        if self._told == len(self.kept):
+            return None
+        self._told = len(self.kept)
+        return Saved(number=self._told, failure=self.failure)
 
 
 class Remote:
@@ -50,7 +58,7 @@ class Remote:
         self.mav = mav.MAVLink(None, srcSystem=sysid, srcComponent=190)
         if key is not None:
             self.mav.signing.secret_key, self.mav.signing.sign_outgoing = key, True
-            self.mav.signing.timestamp, self.mav.signing.link_id = NOW, 3
+            self.mav.signing.timestamp, self.mav.signing.link_id = NOW + 1, 3
         self.mav.robust_parsing = True
         self.raw: list[bytes] = []
 
@@ -154,13 +162,141 @@ def test_a_key_that_comes_back_does_not_make_recorded_frames_new() -> None:
     assert calls(world) == ["disarm"] * 2
 
 
-def test_after_a_restart_frames_of_more_than_a_minute_ago_are_old() -> None:
-    old = World(signing=MemoryStore(KEY, NOW + 61 * 100_000))
-    Remote(old, KEY).disarm()
-    assert calls(old) == []
-    fresh = World(signing=MemoryStore(KEY, NOW + 59 * 100_000))
-    Remote(fresh, KEY).disarm()
-    assert calls(fresh) == ["disarm"]
+class Station(Remote):
+    """A ground station whose clock is off by some seconds. ``follows``: its time is never behind what it receives."""
+
+    def __init__(self, world: World, off_s: float, *, follows: bool, sysid: int) -> None:
+        super().__init__(world, KEY, sysid=sysid)
+        self._off, self._follows = round(off_s * 100_000), follows
+        self.sent: list[bytes] = []
+
+    def speak(self, true_s: float) -> None:
+        """A disarm command at the true time, kept as somebody on the wire would."""
+        clock = round((true_s - EPOCH_S) * 100_000) + self._off
+        latest = self.mav.signing.timestamp if self._follows else 0
+        self.mav.signing.timestamp = max(clock, latest)
+        self.sent.append(self.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0)))
+        self.give(self.sent[-1])
+
+
+def run_signed(folder: Path, seconds: float, true_s: float, clock_s: float) -> tuple[World, list[Station]]:
+    """A service whose machine's clock stands at ``clock_s`` and four stations that speak every half second."""
+    world = World(signing=SigningFiles(folder, Desk(), now_s=clock_s))
+    stations = [
+        Station(world, off_s, follows=follows, sysid=10 + number)
+        for number, (off_s, follows) in enumerate(((0.0, False), (0.0, True), (-20.0, True), (45.0, False)))
+    ]
+    for turn in range(round(2.0 * seconds)):
+        for station in stations:
+            station.speak(true_s + 0.5 * turn)
+        world.run(0.5)
+    return world, stations
+
+
+@pytest.mark.parametrize("end", ["kill", "orderly"])
+@pytest.mark.parametrize("clock_off_s", [0.0, -1e8, -40.0, 3600.0])
+@pytest.mark.parametrize("run_s", [0.5, 1.5, 2.5, 4.0, 61.0])
+def test_no_frame_from_before_a_restart_is_obeyed_after_it(
+    tmp_path: Path, end: str, clock_off_s: float, run_s: float
+) -> None:
+    """Whatever was recorded on the wire, the client's clock ahead or behind, and whatever the clock says then."""
+    SigningFiles(tmp_path, now_s=NOW_S).write_key(KEY)
+    world, stations = run_signed(tmp_path, run_s, NOW_S + 1.0, NOW_S)
+    assert calls(world).count("disarm") > 0
+    if end == "orderly":
+        world.server.finish()
+        world.server._dispatcher._ctx.signing._store.finish()  # type: ignore[union-attr]
+    down_s = NOW_S + 1.0 + run_s + 3.0  # what a start takes
+    world = World(signing=SigningFiles(tmp_path, Desk(), now_s=down_s + clock_off_s))
+    for _ in range(3):
+        for number, station in enumerate(stations):
+            replayed = Remote(world, None, sysid=100 + number)  # on any link
+            for data in station.sent:
+                replayed.give(data)
+        world.run(1.0)
+    assert calls(world) == []
+    follower = Station(world, -20.0, follows=True, sysid=20)
+    follower.give(b"")
+    world.run(1.0)
+    for _ in range(110):
+        follower.give(b"")  # hears a heartbeat at least
+    follower.speak(down_s)
+    follower.speak(down_s)
+    assert calls(world), "who listens goes on, whatever its clock says"
+
+
+@pytest.mark.parametrize("end", ["kill", "orderly"])
+def test_a_client_with_a_right_clock_goes_on_after_a_restart(tmp_path: Path, end: str) -> None:
+    """Also one that does not go by what it hears: at once after an orderly end, 2 s after a kill at the latest."""
+    SigningFiles(tmp_path, now_s=NOW_S).write_key(KEY)
+    world = World(signing=SigningFiles(tmp_path, Desk(), now_s=NOW_S))
+    station = Station(world, 0.0, follows=False, sysid=10)
+    for turn in range(20):
+        station.speak(NOW_S + 0.5 * turn + 0.1)
+        world.run(0.5)
+    assert len(calls(world)) == 20, "none is refused on the way"
+    if end == "orderly":
+        world.server.finish()
+        world.server._dispatcher._ctx.signing._store.finish()  # type: ignore[union-attr]
+    begin_s = NOW_S + 10.5 if end == "orderly" else NOW_S + 10.0 + 2.2
+    world = World(signing=SigningFiles(tmp_path, Desk(), now_s=begin_s))
+    station.world = world
+    station.speak(begin_s + 0.1)
+    assert calls(world) == ["disarm"]
+
+
+def test_a_client_whose_clock_is_far_ahead_is_heard_once_the_disk_has_its_time(tmp_path: Path) -> None:
+    SigningFiles(tmp_path, now_s=NOW_S).write_key(KEY)
+    store = SigningFiles(tmp_path, Desk(), now_s=NOW_S)
+    world = World(signing=store)
+    station = Station(world, 600.0, follows=False, sysid=10)
+    station.speak(NOW_S)
+    assert calls(world) == [], "killed now, its frame would be new again"
+    world.run(0.1)
+    station.speak(NOW_S + 0.1)
+    assert calls(world) == ["disarm"]
+    assert SigningFiles(tmp_path, now_s=NOW_S).state.stamp > NOW + 600 * 100_000
+
+
+def test_a_disk_that_fails_does_not_make_the_vehicle_deaf() -> None:
+    store = MemoryStore(KEY)
+    store.failure = "disk full"
+    world = World(signing=store)
+    station = Station(world, 600.0, follows=False, sysid=10)
+    for turn in range(6):
+        station.speak(NOW_S + turn)
+        world.run(1.0)
+    assert len(calls(world)) >= 5
+    assert "Signing key or time not saved: disk full" in " ".join(e.text for e in world.server.take_notices())
+
+
+def test_of_more_senders_than_are_remembered_none_is_heard_twice() -> None:
+    world = World(signing=MemoryStore(KEY))
+    first = Remote(world, KEY, sysid=1)
+    first.mav.signing.timestamp = NOW + 100
+    recorded = first.pack(mav.MAVLink_command_long_message(1, 1, 400, 0, *DISARM, 0, 0, 0, 0, 0))
+    first.give(recorded)
+    assert calls(world) == ["disarm"]
+    crowd = Remote(world, KEY, sysid=200)
+    beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
+    for number in range(MAX_STREAMS + 5):
+        crowd.mav.signing.link_id, crowd.mav.srcComponent = number % 256, 1 + number // 256
+        crowd.give(crowd.pack(beat))
+    first.give(recorded)
+    assert calls(world) == ["disarm"]
+
+
+def test_a_damaged_signing_time_is_a_loss_and_nothing_that_was_heard_is_heard_again(tmp_path: Path) -> None:
+    SigningFiles(tmp_path, now_s=NOW_S).write_key(KEY)
+    world, stations = run_signed(tmp_path, 9.0, NOW_S + 1.0, NOW_S)
+    (tmp_path / "signing.time").write_text("nonsense")
+    files = SigningFiles(tmp_path, Desk(), now_s=0.0)  # and no clock
+    assert [loss.text for loss in files.losses] == ["signing time damaged, the machine's clock is in force"]
+    world = World(signing=files)
+    for number, station in enumerate(stations):
+        for data in station.sent:
+            Remote(world, None, sysid=100 + number).give(data)
+    assert calls(world) == []
 
 
 def setup(key: bytes = KEY, stamp: int = NOW) -> Any:
@@ -219,8 +355,6 @@ def test_the_key_file_is_its_owners_and_the_time_never_goes_back(tmp_path: Path)
     files.write_key(KEY)
     assert stat.S_IMODE((tmp_path / "signing.key").stat().st_mode) == 0o600
 
-    from autopilot.core.desk import Desk
-
     used = 0
     clock_s = NOW_S
     for restart in range(5):
@@ -257,12 +391,47 @@ def test_the_command_makes_shows_and_forgets_a_key(tmp_path: Path, monkeypatch: 
         return result.stdout
 
     assert "no key" in run("show")
-    made = run("make").splitlines()[0]
+    made = run("make", "--instance", "0").splitlines()[0]
     assert SigningFiles(tmp_path / "sitl-0").state.key == bytes.fromhex(made)
     assert run("show").strip() == made
-    assert hashlib.sha256(b"depth").hexdigest() in run("make", "--passphrase", given="depth\n")
-    run("forget")
+    phrase = hashlib.sha256(b"depth").hexdigest()
+    assert phrase in run("make", "--instance", "0", "--passphrase", "--force", given="depth\n")
+    assert run("show").strip() == phrase
+    run("forget", "--instance", "0")
     assert not (tmp_path / "sitl-0" / "signing.key").exists()
+
+
+@pytest.mark.parametrize("whose", ["simulation", "vehicle"])
+def test_a_key_is_not_replaced_unasked_and_nobody_s_by_mistake(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whose: str
+) -> None:
+    """The real command: a vehicle has to be named, and its key stays unless --force says otherwise."""
+    monkeypatch.setenv("AUTOPILOT_STATE_DIR", str(tmp_path))
+
+    def run(*args: str) -> tuple[int, str]:
+        result = CliRunner().invoke(cli, ["mavlink", "key", *args])
+        return result.exit_code, " ".join(result.output.split())
+
+    def everything() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    for action in ("make", "forget"):
+        code, said = run(action)
+        assert code == 2 and "--config FILE" in said and "--instance 0" in said and not everything()
+    named = ("--instance", "3") if whose == "simulation" else ("--config", "lbv150.toml")
+    code, said = run("make", *named)
+    (path,) = (path for path in everything() if path.name == "signing.key")
+    assert code == 0 and str(path) in said and (f"instance {named[1]}" if whose == "simulation" else named[1]) in said
+    before = everything()
+    for again in (("make",), ("make", "--passphrase")):
+        code, said = run(*again, *named)
+        assert code == 2 and "has a key" in said and str(path) in said and "--force" in said
+        assert everything() == before
+    assert run("make", "--force", *named)[0] == 0 and everything()[path] != before[path]
+    path.write_text("0123")
+    assert run("make", *named)[0] != 0 and path.read_text() == "0123"
+    assert run("make", "--force", *named)[0] == 0
+    assert SigningFiles(path.parent).state.key is not None
 
 
 # MAVLink 1

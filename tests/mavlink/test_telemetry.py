@@ -12,7 +12,7 @@ from mavlink_harness import NAN, ORIGIN, World, base_view, mav, nav_state
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import Place
-from autopilot.core.messages import Event, Fallback, MavlinkFrame, NavHealth, NmpcStatus, SolveStatus
+from autopilot.core.messages import Event, Fallback, MavlinkFrame, NavHealth, NmpcStatus, Severity, SolveStatus
 from autopilot.core.params import ParamSet
 from autopilot.core.samples import PowerSample
 from autopilot.mavlink.api import FlightMode
@@ -244,6 +244,32 @@ def test_position_and_velocity(world: World) -> None:
     assert (target.x, target.y, target.z, target.type_mask & 7) == (1.75, 0.0, pytest.approx(0.3), 0)
     servo = client.got("SERVO_OUTPUT_RAW")[-1]
     assert (servo.servo1_raw, servo.servo3_raw, servo.servo5_raw) == (1600, 1550, 0)
+
+
+@pytest.mark.parametrize(
+    ("offset", "distance_m", "bearing_deg"),
+    [
+        ((30.0, 0.0), 30, 0),
+        ((0.0, 40.0), 40, 90),
+        ((-30.0, -40.0), 50, 233),
+        ((0.0, -7.0), 7, 270),
+        ((-5.0, 12.0), 13, 113),
+    ],
+)
+def test_the_target_lies_where_it_is_told(offset: tuple[float, float], distance_m: int, bearing_deg: int) -> None:
+    world = World()
+    client = world.client()
+    world.show(target_ned_m=np.array([-1.6 + offset[0], -0.35 + offset[1], 1.45]))
+    world.run(2.0)
+    nav = client.got("NAV_CONTROLLER_OUTPUT")[-1]
+    assert nav.wp_dist == distance_m
+    assert abs(nav.target_bearing - bearing_deg) <= 1
+    assert nav.alt_error == pytest.approx(-1.0)
+
+
+def test_severities_are_mavlinks() -> None:
+    for severity in Severity:
+        assert getattr(mav, f"MAV_SEVERITY_{severity.name}") == severity
 
 
 def test_quaternion_and_angles_agree(world: World) -> None:

@@ -9,8 +9,8 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.messages import NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanItem
-from mission.items import Command, Frame
-from mission.validation import PlanContext
+from autopilot.mission.items import Command, Frame
+from autopilot.mission.validation import PlanContext
 
 ORIGIN = Origin(lat_deg=37.9755, lon_deg=23.7790)
 RADIUS_M = 0.3

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from mission.item_types import ITEM_TYPES, table
+from autopilot.mission.item_types import ITEM_TYPES, table
 
 DOCS = Path(__file__).parents[2] / "docs" / "mavlink.md"
 

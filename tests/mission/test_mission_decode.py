@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from mission_helpers import NAN, ORIGIN, circle, local, plain, waypoint
 
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
-from mission.item_types import parse_step
-from mission.items import ChangeSpeed, Command, GoTo, Jump, ReturnHome, SetHeading, SetHome, Surface, Wait
-from mission.validation import check_item
+from autopilot.mission.item_types import parse_step
+from autopilot.mission.items import ChangeSpeed, Command, GoTo, Jump, ReturnHome, SetHeading, SetHome, Surface, Wait
+from autopilot.mission.validation import check_item
 
 GOOD = PlanItem(seq=3, frame=3, command=16, param4=NAN, x=379755000, y=237790000, z=-0.45)
 R = MissionResult

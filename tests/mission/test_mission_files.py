@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,12 +15,12 @@ from mission_helpers import NAN
 from autopilot.core.errors import PlanError
 from autopilot.core.geodesy import Origin
 from autopilot.core.plan import PlanItem, PlanKind
-from mission.paper import paper_plan
-from mission.plan_files import read_plan, write_plan
-from mission.plan_model import PlanFile, without_home
-from mission.qgc_plan import read_qgc_plan, write_qgc_plan
-from mission.store import plan_checksum
-from mission.waypoints_file import read_waypoints
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import read_plan, write_plan
+from autopilot.mission.plan_model import FLOAT32_MAX, PlanFile, without_home
+from autopilot.mission.qgc_plan import read_qgc_plan, write_qgc_plan
+from autopilot.mission.store import plan_checksum
+from autopilot.mission.waypoints_file import read_waypoints
 
 PAPER = write_qgc_plan(paper_plan())
 
@@ -330,3 +331,7 @@ def test_rally_points_of_version_1_are_read(tmp_path: Path) -> None:
     written.write_text(json.dumps(text), encoding="utf-8")
     with pytest.raises(PlanError, match="rallyPoints: version 3"):
         read_plan(written)
+
+
+def test_the_largest_number_of_a_plan_is_that_of_the_wire() -> None:
+    assert float(np.finfo(np.float32).max) == pytest.approx(FLOAT32_MAX, rel=1e-7)

@@ -15,11 +15,11 @@ from autopilot.core.geometry import Circle, Polygon, Shape
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
 from autopilot.core.shapes import boundary_gap_m, boundary_point, clearance_m
-from mission.fence import read_fence
-from mission.gaps import narrow_gaps
-from mission.judgement import PLAN_PARAMETERS, Question, Verdict, judge
-from mission.room import Room
-from mission.store import CHECK_TICKS, Plans
+from autopilot.mission.fence import read_fence
+from autopilot.mission.gaps import narrow_gaps
+from autopilot.mission.judgement import PLAN_PARAMETERS, Question, Verdict, judge
+from autopilot.mission.room import Room
+from autopilot.mission.store import CHECK_TICKS, Plans
 
 MOST = MAX_ITEMS[PlanKind.FENCE]
 

@@ -14,9 +14,9 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle, Polygon
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
-from mission.fence import fence_clearance_m
-from mission.paper import paper_plan
-from mission.store import Plans, plan_checksum
+from autopilot.mission.fence import fence_clearance_m
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.store import Plans, plan_checksum
 
 R = MissionResult
 
@@ -345,8 +345,8 @@ def test_a_full_plan_is_taken() -> None:
 
 
 def test_the_shipped_plan_is_its_generators_output() -> None:
-    from mission.local_plan import read_local_plan
-    from mission.qgc_plan import write_qgc_plan
+    from autopilot.mission.local_plan import read_local_plan
+    from autopilot.mission.qgc_plan import write_qgc_plan
 
     folder = Path(__file__).resolve().parents[2] / "sitl" / "scenarios"
     shipped = (folder / "paper.plan").read_text(encoding="utf-8")

@@ -14,10 +14,10 @@ from autopilot.core.frames import wrap_pi
 from autopilot.core.messages import Goal, NavHealth, ProgressState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanItem
-from mission.item_types import parse_step
-from mission.items import Command
-from mission.paper import paper_plan
-from mission.sequencer import Action, Sequencer, SequencerOutput, is_inside
+from autopilot.mission.item_types import parse_step
+from autopilot.mission.items import Command
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.sequencer import Action, Sequencer, SequencerOutput, is_inside
 
 TICK_US = 10_000
 S = ProgressState

@@ -11,10 +11,10 @@ from autopilot.core.frames import wrap_pi
 from autopilot.core.messages import Goal, ProgressState
 from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanItem, PlanKind
-from mission.item_types import ITEM_TYPES
-from mission.items import Circuit, Gate, GoTo, Jump, Near, Surface, Wait
-from mission.sequencer import Action, Sequencer
-from mission.store import Plans
+from autopilot.mission.item_types import ITEM_TYPES
+from autopilot.mission.items import Circuit, Gate, GoTo, Jump, Near, Surface, Wait
+from autopilot.mission.sequencer import Action, Sequencer
+from autopilot.mission.store import Plans
 
 STEP_S = 0.1
 TICKS = 4000

@@ -12,18 +12,22 @@ from autopilot.core.errors import DriverError
 from autopilot.core.messages import ThrusterCommand
 from autopilot.core.samples import AhrsSample, CameraFrame
 from autopilot.core.vehicle import load_vehicle
+from autopilot.drivers.retry import DeviceState
+from autopilot.run.children import free_port
+from autopilot.run.config import gather, vehicle_defaults
+from autopilot.run.doctor import examine
+from autopilot.run.findings import Finding, Verdict
 from autopilot.run.hardware import HardwareVehicle
 from autopilot.run.vehicle_config import load_config
-from drivers.retry import DeviceState
-from sitl.ahrs import Ig500Emulator
-from sitl.camera import SimCamera, true_camera
-from sitl.camera_feed import CameraFeed
-from sitl.floor import build_floor
-from sitl.mjpeg import MjpegServer
-from sitl.protocol import PlantContext, create_plant
-from sitl.pty_line import PtyLine
-from sitl.sabertooth import SabertoothEmulator
-from sitl.scenario import load_scenario
+from autopilot.sitl.ahrs import Ig500Emulator
+from autopilot.sitl.camera import SimCamera, true_camera
+from autopilot.sitl.camera_feed import CameraFeed
+from autopilot.sitl.floor import build_floor
+from autopilot.sitl.mjpeg import MjpegServer
+from autopilot.sitl.protocol import PlantContext, create_plant
+from autopilot.sitl.pty_line import PtyLine
+from autopilot.sitl.sabertooth import SabertoothEmulator
+from autopilot.sitl.scenario import load_scenario
 
 SCENARIO = load_scenario("paper-tank")
 VEHICLE = load_vehicle("lbv150")
@@ -137,3 +141,32 @@ def test_the_shipped_configuration_measures_and_moves_the_vehicle(tank: Tank, tm
         tank.motor_line.pump(t_us)
         time.sleep(0.002)
     assert not any(tank.amplifiers.duty.values())
+
+
+def looked_over(tank: Tank, folder: Path, seconds: float) -> dict[str, list[Finding]]:
+    """What the doctor finds, by what."""
+    config = load_config(str(configuration(tank, folder)))
+    given = {"state_dir": str(folder), "log_dir": str(folder), "connect": (f"udpin:127.0.0.1:{free_port()}",)}
+    found: dict[str, list[Finding]] = {}
+    settings = gather(vehicle_defaults(0), given, {})
+    for finding in examine(config, settings, seconds, on_tick=lambda outputs: tank.advance(outputs.t_us)):
+        found.setdefault(finding.what, []).append(finding)
+    assert not any(tank.amplifiers.duty.values()), "nothing moves"
+    return found
+
+
+def test_the_doctor_looks_a_vehicle_with_devices_of_its_own_over(tank: Tank, tmp_path: Path) -> None:
+    found = looked_over(tank, tmp_path, 2.0)
+    assert [found[name][0].found for name in ("AHRS", "Camera", "Thrusters")] == ["up"] * 3, found
+    assert "Hz" in found["pictures"][0].found and "weight 9.8" in found["attitude"][0].found
+
+
+def test_the_doctor_says_which_cable_is_off(tank: Tank, tmp_path: Path) -> None:
+    tank.server.close()
+    tank.motor_line.unplug()
+    found = looked_over(tank, tmp_path, 2.0)
+    for name, path in (("Camera", tank.server.url), ("Thrusters", str(tank.motor_line.path))):
+        assert found[name][0].verdict is Verdict.FAIL and path in found[name][0].remedy, found[name]
+    reasons = [f"{finding.found}: {finding.remedy}" for finding in found["arming"]]
+    assert any(reason.startswith("Thrusters down") for reason in reasons), reasons
+    assert "baud" not in found["Camera"][0].remedy and "map, light and lens" in found["position"][0].remedy

@@ -7,10 +7,10 @@ from autopilot.cli.motors import motors
 from autopilot.core.errors import ConfigError
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.vehicle import load_vehicle
+from autopilot.drivers.sabertooth import Sabertooth, SabertoothOptions
 from autopilot.run.motor_test import MOST_S, pulses, turn
 from autopilot.run.vehicle_config import load_config
-from drivers.sabertooth import Sabertooth, SabertoothOptions
-from sitl.sabertooth import SabertoothEmulator
+from autopilot.sitl.sabertooth import SabertoothEmulator
 
 VEHICLE = load_vehicle("lbv150")
 

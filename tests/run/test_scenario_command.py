@@ -18,11 +18,11 @@ from autopilot.cli.scenario import scenario as command
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle
 from autopilot.core.toml_table import convert
+from autopilot.mission.fence import read_fence
+from autopilot.mission.plan_files import read_plan
 from autopilot.run.sitl_fence import drawn_fence, scenario_plan
-from mission.fence import read_fence
-from mission.plan_files import read_plan
-from sitl.grid_current import read_grid
-from sitl.scenario import Scenario, load_scenario, plan_path, scenario_names, scenario_path
+from autopilot.sitl.grid_current import read_grid
+from autopilot.sitl.scenario import Scenario, load_scenario, plan_path, scenario_names, scenario_path
 
 
 def call(*arguments: object) -> Result:

@@ -42,6 +42,7 @@ def test_ready_once_then_alive_three_times_within_the_timeout(tmp_path: Path, ea
     assert heard(ear) == [f"{'READY=1' + chr(10) if n == 0 else ''}WATCHDOG=1\nSTATUS=armed" for n in range(6)]
     manager.stopping()
     assert heard(ear) == ["STOPPING=1"]
+    manager.close()
 
 
 @pytest.mark.parametrize("told", [{}, {"NOTIFY_SOCKET": ""}, {"NOTIFY_SOCKET": "/nobody/is/here"}])
@@ -61,6 +62,7 @@ def test_a_watchdog_of_somebody_else_is_not_fed_faster(tmp_path: Path, ear: sock
         now_s = 0.01 * tick
         manager.tick()
     assert len(heard(ear)) == 1
+    manager.close()
 
 
 def test_a_manager_that_does_not_read_or_goes_stops_nothing(tmp_path: Path, ear: socket.socket) -> None:

@@ -15,8 +15,8 @@ from autopilot.core.plan import PlanKind
 from autopilot.core.samples import PowerSample
 from autopilot.core.vehicle import load_vehicle
 from autopilot.mavlink.api import CommandResult
-from mission.paper import paper_plan
-from mission.store import Plans
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.store import Plans
 
 TICK_US = 10_000
 OK = CommandResult.ACCEPTED

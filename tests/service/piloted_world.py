@@ -13,7 +13,7 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import AhrsSample, DepthSample, PoseSample, PowerSample, Sample
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 PILLARS = ((-0.625, -0.625), (0.9375, 0.0))
 OFFBOARD, HOLD, MANUAL, ALTITUDE, POSITION, STABILIZED, TAKEOFF, ORBIT = (

@@ -69,7 +69,7 @@ class ServiceWorld:
                 PoseSample(t_us=t_us, pos_ned_m=self.pos_ned_m, yaw_rad=0.0, sigma_pos_m=sigma, sigma_yaw_rad=0.02)
             )
         if t_us % 1_000_000 == 0:
-            said.append(PowerSample(t_us=t_us, voltage_v=24.0, current_a=1.0, energy_used_j=0.0, remaining=0.9))
+            said.append(PowerSample(t_us=t_us, voltage_v=19.0, current_a=1.0, energy_used_j=0.0, remaining=0.9))
         return tuple(said)
 
     def camera(self) -> dict[str, Any]:

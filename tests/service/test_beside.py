@@ -13,7 +13,7 @@ from autopilot.control.way.planner import Planner
 from autopilot.core.geodesy import geodetic_from_ned
 from autopilot.core.messages import Outputs, Severity
 from autopilot.core.plan import PlanKind
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 WARNING = "No energy plan: flying the plain route"
 

@@ -11,7 +11,7 @@ from autopilot.core.geodesy import Place, geodetic_from_ned
 from autopilot.core.messages import Failsafe, NavHealth
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from commander_bench import OK, Bench
 from autopilot.core.messages import Failsafe, NavHealth
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 
 def circle(north_m: float, east_m: float, radius_m: float) -> PlanItem:

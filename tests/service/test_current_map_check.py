@@ -23,11 +23,11 @@ from autopilot.core.params import ParamSet
 from autopilot.core.plan import PlanKind
 from autopilot.core.vehicle import load_vehicle
 from autopilot.mavlink.api import CommandResult
-from mission.goals import Goals
-from mission.paper import paper_plan
-from mission.store import Plans
-from sitl.grid_current import GridField, read_grid
-from sitl.scenario import scenario_path
+from autopilot.mission.goals import Goals
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.store import Plans
+from autopilot.sitl.grid_current import GridField, read_grid
+from autopilot.sitl.scenario import scenario_path
 
 NORTH, EAST = np.linspace(-3.0, 3.0, 25), np.linspace(-2.0, 2.0, 17)
 

@@ -17,13 +17,13 @@ from autopilot.control.nmpc.solver import QpStep
 from autopilot.core.errors import DriverError
 from autopilot.core.messages import Failsafe, Fallback, Outputs
 from autopilot.core.samples import CameraFrame, MarkerSighting
+from autopilot.estimator.frame_filter import FrameFilter
+from autopilot.estimator.vision import Hint
+from autopilot.estimator.vision_lane import VisionWorker
 from autopilot.log.packer import MAX_PROGRAMS
 from autopilot.log.reader import open_log
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from estimator.frame_filter import FrameFilter
-from estimator.vision import Hint
-from estimator.vision_lane import VisionWorker
 
 OpenSession = Callable[..., SitlSession]
 NEUTRAL_US = 1500

@@ -15,12 +15,12 @@ from autopilot.core.geodesy import Origin
 from autopilot.core.keeper import KEEP_TICKS, RETRY_TICKS, Keeper
 from autopilot.core.plan import PlanKind
 from autopilot.core.state_file import StateFile
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.sequencer import Position
+from autopilot.mission.store import Plans
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.sitl_session import open_sitl
-from mission.paper import paper_plan
-from mission.sequencer import Position
-from mission.store import Plans
 
 
 def _parts(folder: Path) -> Parts:
@@ -168,7 +168,7 @@ def test_a_disk_that_fails_is_told_once_and_tried_with_the_next_change(tmp_path:
     folder, parts = tmp_path / "gone", _parts(tmp_path)
     folder.write_bytes(b"in the way")
     kept = KeptPlans(folder / "plans.json", parts.plans, parts.commander)
-    assert len(kept.load()) <= 1
+    assert "cannot be read" in kept.load()[0]
     for k in range(4):
         parts.plans.set_home(parts.plans.home_ned_m + np.array([1.0, 0.0, 0.0]))
         for tick in range(10 * k, 10 * k + 10):
@@ -220,3 +220,21 @@ def test_numbers_come_back_bit_for_bit(value: float) -> None:
 
     item = PlanItem(seq=0, frame=3, command=16, param1=value, param4=value, z=value)
     assert repr(plan_item(stored_item(item))) == repr(item)
+
+
+def test_what_is_not_on_disk_at_the_end_is_a_failure(tmp_path: Path) -> None:
+    """Of a run that ends in order: the exit code goes by it."""
+    for spoilt in (False, True):
+        folder = tmp_path / str(spoilt)
+        folder.mkdir()
+        path, parts = folder / "state" / "kept.json", _parts(folder)
+        kept = KeptPlans(path, parts.plans, parts.commander)
+        assert kept.load() == ()
+        _upload(parts.plans)
+        if spoilt:
+            (folder / "state").rename(folder / "gone") if (folder / "state").exists() else None
+            (folder / "state").write_text("no folder")
+        kept.tick(10_000)
+        kept.finish()
+        assert (kept.failure is not None) is spoilt
+        assert not spoilt or "plans are not saved" in str(kept.failure)

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from autopilot.core.messages import Goal, NavHealth, NavState, Outputs, ProgressState
 from autopilot.mavlink.api import FlightMode
+from autopilot.mission.items import GoTo
+from autopilot.mission.upstream import FRESH_STARTS, MadeGood, ground_speed_m_s, slowest_leg
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
-from mission.items import GoTo
-from mission.upstream import FRESH_STARTS, MadeGood, ground_speed_m_s, slowest_leg
 from tests.service.commander_bench import OK, Bench
 
 SCENARIO = """

@@ -16,9 +16,9 @@ from autopilot.core.desk import Cancel, Desk
 from autopilot.core.geodesy import Place
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.mavlink.api import CommandResult, FlightMode
-from mission.fence import fence_clearance_m
-from mission.judgement import judge
-from mission.store import CHECK_TICKS, Change, plan_checksum
+from autopilot.mission.fence import fence_clearance_m
+from autopilot.mission.judgement import judge
+from autopilot.mission.store import CHECK_TICKS, Change, plan_checksum
 
 HALF_N, HALF_E = 3.0, 2.0
 
@@ -302,7 +302,7 @@ def test_a_check_that_fails_forbids_to_fly_and_ends_nothing(monkeypatch: pytest.
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("mission.store.judge", broken)
+    monkeypatch.setattr("autopilot.mission.store.judge", broken)
     change = yard.plans.propose({PlanKind.MISSION: ()})
     yard.run(0.1)
     assert change.rejection is not None and "ZeroDivisionError" in change.rejection.reason

@@ -13,7 +13,7 @@ from autopilot.control.nmpc.grid import geometric_grid
 from autopilot.control.robust.margins import Margins
 from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.core.vehicle import load_vehicle
-from mission.reach import widest_m
+from autopilot.mission.reach import widest_m
 
 VEHICLE = load_vehicle("lbv150")
 

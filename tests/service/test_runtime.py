@@ -9,9 +9,9 @@ import pytest
 from autopilot.core.marks import LoopPart, Stopwatch
 from autopilot.core.messages import Inputs, LoopStats, MavlinkFrame, ModeState, Outputs, ThrusterCommand
 from autopilot.core.samples import CameraFrame, Sample
+from autopilot.drivers.protocols import Received
 from autopilot.run.clocks import LockstepClock
 from autopilot.run.runtime import Runtime
-from drivers.protocols import Received
 
 
 class Service:

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from sitl.plant import Plant, Truth
-from sitl.world import World
+from autopilot.sitl.plant import Plant, Truth
+from autopilot.sitl.world import World
 
 VEHICLE = load_vehicle("lbv150")
 NEUTRAL = (1500,) * 4 + (0,) * 4

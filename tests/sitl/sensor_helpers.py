@@ -9,10 +9,10 @@ import numpy as np
 from autopilot.core.camera import CameraModel
 from autopilot.core.frames import quat_from_rpy
 from autopilot.core.vehicle import load_vehicle
-from sitl.camera import SimCamera
-from sitl.floor import Floor, build_floor
-from sitl.plant import Truth
-from sitl.scenario import CameraLook, load_scenario
+from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.floor import Floor, build_floor
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import CameraLook, load_scenario
 
 VEHICLE = load_vehicle("lbv150")
 SCENARIO = load_scenario("paper-tank")

@@ -8,11 +8,11 @@ from sensor_helpers import VEHICLE, truth_at
 
 from autopilot.core.frames import wrap_pi
 from autopilot.core.samples import AhrsSample
-from drivers.ig500 import Ig500
-from drivers.ig500_protocol import ACKNOWLEDGE, CONTINUOUS_OUTPUT, FrameParser, encode_continuous_mode
-from sitl.ahrs import Ig500Emulator
-from sitl.plant import Truth
-from sitl.scenario import AhrsFreeze, AhrsSensor, Fault
+from autopilot.drivers.ig500 import Ig500
+from autopilot.drivers.ig500_protocol import ACKNOWLEDGE, CONTINUOUS_OUTPUT, FrameParser, encode_continuous_mode
+from autopilot.sitl.ahrs import Ig500Emulator
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import AhrsFreeze, AhrsSensor, Fault
 
 PERFECT = AhrsSensor(
     latency_jitter_s=0.0,

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from autopilot.control.thrust.allocation import Allocation
 from autopilot.core.thrusters import thrusters_of
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from sitl.backend import SimThrusterOutput
-from sitl.mismatch import mismatched
-from sitl.plant import Plant
-from sitl.thrusters import Thrusters, held
-from sitl.world import World
+from autopilot.sitl.backend import SimThrusterOutput
+from autopilot.sitl.mismatch import mismatched
+from autopilot.sitl.plant import Plant
+from autopilot.sitl.thrusters import Thrusters, held
+from autopilot.sitl.world import World
 
 LBV150, BLUEROV2 = load_vehicle("lbv150"), load_vehicle("bluerov2")
 T200 = BLUEROV2.drive

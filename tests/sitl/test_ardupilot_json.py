@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from autopilot.core.frames import r_ned_from_frd, rpy_from_quat
 from autopilot.core.vehicle import load_vehicle
 from autopilot.run.children import autopilot_command
-from sitl.ardupilot_json import JsonPhysics, parse_servos
-from sitl.ardusub_vehicle import ArduSubVehicle
-from sitl.scenario import load_scenario, with_vehicle
+from autopilot.sitl.ardupilot_json import JsonPhysics, parse_servos
+from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
+from autopilot.sitl.scenario import load_scenario, with_vehicle
 
 STILL = """
 [scenario]

@@ -11,12 +11,12 @@ from sensor_helpers import SCENARIO, VEHICLE, truth_at
 
 from autopilot.core.errors import ConfigError, DriverError
 from autopilot.core.samples import AhrsSample, CameraFrame, LaserSample, PoseSample, PowerSample, Sample
-from drivers.protocols import BytePort, Sensor, ThrusterOutput
-from sitl.ahrs import Ig500Emulator
-from sitl.backend import PowerMonitor, SimulatedVehicle, simulated_vehicle
-from sitl.plant import Truth
-from sitl.pose_sensor import SimPoseSensor
-from sitl.scenario import (
+from autopilot.drivers.protocols import BytePort, Sensor, ThrusterOutput
+from autopilot.sitl.ahrs import Ig500Emulator
+from autopilot.sitl.backend import PowerMonitor, SimulatedVehicle, simulated_vehicle
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.pose_sensor import SimPoseSensor
+from autopilot.sitl.scenario import (
     AhrsSensor,
     CameraBlackout,
     CameraSensor,

@@ -8,11 +8,12 @@ from plant_helpers import VEHICLE
 
 from autopilot.core import compiled
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from sitl.contact import Cylinder
-from sitl.currents import CurrentField, Gyre, Shear, TankJet, Uniform, Vortex
-from sitl.plant import Plant
-from sitl.scenario_tables import ThrusterLoss
-from sitl.world import World
+from autopilot.sitl.contact import Cylinder
+from autopilot.sitl.currents import CurrentField, Gyre, Shear, TankJet, Uniform, Vortex
+from autopilot.sitl.plant import Plant
+from autopilot.sitl.scenario_tables import ThrusterLoss
+from autopilot.sitl.world import World
+from tests.hostile_numbers import HOSTILE
 
 FLOWS: tuple[CurrentField, ...] = (
     Uniform(velocity_m_s=(0.2, -0.1, 0.03)),
@@ -76,6 +77,25 @@ def test_compiled_or_not_the_hull_flies_the_same(seed: int, monkeypatch: pytest.
 def test_a_hull_away_from_everything_is_moved_by_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing falls back unseen: the equations in Python are not asked there."""
     hull = Plant(VEHICLE, World(), start_pos_ned_m=(0.0, 0.0, 5.0))
-    monkeypatch.setattr("sitl.plant.rk4_step", lambda *_: pytest.fail("in Python"))
+    monkeypatch.setattr("autopilot.sitl.plant.rk4_step", lambda *_: pytest.fail("in Python"))
     hull.advance(1_000_000, (1700, 1600, 1500, 1450))
     assert hull.truth.vel_frd_m_s[0] > 0.01
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("value", HOSTILE)
+def test_compiled_or_not_a_force_that_is_no_number_ends_the_same(value: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = []
+    for switch in ("", compiled.OFF):
+        monkeypatch.setenv(compiled.SWITCH, switch)
+        hull = Plant(VEHICLE, World(), start_pos_ned_m=(0.0, 0.0, 5.0))
+        hull.set_external_wrench(force_frd_n=(value, 0.0, 0.0), moment_frd_n_m=(0.0, 0.0, 0.0))
+        try:
+            hull.advance(100_000, (1700, 1600, 1500, 1450))
+            ends.append(np.concatenate((hull.truth.pos_ned_m, hull.truth.vel_frd_m_s, hull.truth.rate_frd_rad_s)))
+        except (ArithmeticError, ValueError):
+            ends.append(np.full(9, np.nan))
+    finite = [np.isfinite(end) for end in ends]
+    assert (finite[0] == finite[1]).all() or not (finite[0].all() or finite[1].all())
+    assert np.array_equal(ends[0][finite[0] & finite[1]], ends[1][finite[0] & finite[1]])
+    assert finite[0].all() == (abs(value) < 1.0)

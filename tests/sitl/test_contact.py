@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from plant_helpers import NEUTRAL, VEHICLE, body_with, kinetic_energy_j, plant
 
 from autopilot.core.errors import ConfigError
-from sitl.contact import STIFFNESS_N_M, Cylinder, Prism, Sphere, Surroundings, is_inside
-from sitl.plant import Plant
-from sitl.world import World
+from autopilot.sitl.contact import STIFFNESS_N_M, Cylinder, Prism, Sphere, Surroundings, is_inside
+from autopilot.sitl.plant import Plant
+from autopilot.sitl.world import World
 
 TRIMMED = body_with(buoyancy_excess_n=0.0)
 TANK = ((-2.5, -1.5), (2.5, -1.5), (2.5, 1.5), (-2.5, 1.5))

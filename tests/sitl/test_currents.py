@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autopilot.core.toml_table import convert
-from sitl.currents import (
+from autopilot.sitl.currents import (
     Bickley,
     CurrentField,
     Gyre,
@@ -19,7 +19,7 @@ from sitl.currents import (
     Vortex,
     current_field,
 )
-from sitl.scenario import Scenario
+from autopilot.sitl.scenario import Scenario
 
 FIELDS: dict[str, CurrentField] = {
     "uniform": Uniform(velocity_m_s=(0.1, -0.2, 0.05), tide_m_s=(0.3, 0.0, 0.1), tide_period_s=60.0),

@@ -10,9 +10,9 @@ from sensor_helpers import FLOOR_M, truth_at
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.samples import VelocityLock
 from autopilot.core.vehicle import DepthMount, DvlMount
-from sitl.depth_sensor import SimDepthSensor
-from sitl.dvl import SimDvl
-from sitl.scenario import DepthSensor, DvlSensor, Outages, SensorSilence, load_scenario, scenario_path
+from autopilot.sitl.depth_sensor import SimDepthSensor
+from autopilot.sitl.dvl import SimDvl
+from autopilot.sitl.scenario import DepthSensor, DvlSensor, Outages, SensorSilence, load_scenario, scenario_path
 
 LEVER = (0.3, -0.2, 0.1)
 EXACT_DEPTH = DepthSensor(sigma_m=0.0, bias_m=0.0, drift_m_rts=0.0)

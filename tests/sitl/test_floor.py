@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from sensor_helpers import SCENARIO, floor
 
-from sitl.floor import MAX_PX, build_floor, build_markers
-from sitl.scenario import Markers, Tank, load_scenario
+from autopilot.sitl.floor import MAX_PX, build_floor, build_markers
+from autopilot.sitl.scenario import Markers, Tank, load_scenario
 
 MARKER_CELLS = 6
 """A 4x4 marker with its border of one cell."""

@@ -9,12 +9,12 @@ import pytest
 from autopilot.core.errors import ConfigError
 from autopilot.core.samples import AhrsSample, CameraFrame
 from autopilot.core.vehicle import load_vehicle
+from autopilot.drivers.retry import DeviceState
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
-from drivers.retry import DeviceState
-from sitl.backend import SimulatedVehicle, simulated_vehicle
-from sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
-from sitl.scenario import load_scenario
+from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
+from autopilot.sitl.hil import BoardOutput, NetworkCamera, SerialAhrs, Wire
+from autopilot.sitl.scenario import load_scenario
 
 SCENARIO = load_scenario("paper-tank")
 VEHICLE = load_vehicle(SCENARIO.vehicle.model)

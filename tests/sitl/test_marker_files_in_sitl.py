@@ -14,11 +14,11 @@ from autopilot.core.marker_files import load_marker_map
 from autopilot.core.markers import ID_SPAN
 from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Port
-from estimator.markers_pose import MarkerSolver
-from estimator.vision import Hint, MarkerDetector
-from sitl.camera import SimCamera, true_camera
-from sitl.floor import Floor, build_floor
-from sitl.scenario import CameraLook, LaserSensor, Markers, Scenario, load_scenario
+from autopilot.estimator.markers_pose import MarkerSolver
+from autopilot.estimator.vision import Hint, MarkerDetector
+from autopilot.sitl.camera import SimCamera, true_camera
+from autopilot.sitl.floor import Floor, build_floor
+from autopilot.sitl.scenario import CameraLook, LaserSensor, Markers, Scenario, load_scenario
 
 BOARDS = f"""
 [defaults]

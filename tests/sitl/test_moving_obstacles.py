@@ -11,12 +11,12 @@ from autopilot.core.samples import ObstacleTrack
 from autopilot.core.vehicle import load_vehicle
 from autopilot.log.analysis import obstacle_position
 from autopilot.log.description import Obstacle
-from sitl.backend import SimulatedVehicle, simulated_vehicle
-from sitl.contact import MovingCylinder, Surroundings
-from sitl.moving import MovingPath
-from sitl.plant import Plant
-from sitl.scenario import load_scenario
-from sitl.world import World
+from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
+from autopilot.sitl.contact import MovingCylinder, Surroundings
+from autopilot.sitl.moving import MovingPath
+from autopilot.sitl.plant import Plant
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.world import World
 
 VEHICLE = load_vehicle("lbv150")
 CORNERS = [(0.0, 0.0), (3.0, 0.0), (3.0, 4.0)]

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from plant_helpers import DEEP, NEUTRAL, NO_DRAG, VEHICLE, body_with, kinetic_energy_j, plant, terminal_speed
 
 from autopilot.core.frames import r_ned_from_frd
-from sitl.currents import Shear, Uniform, Vortex
-from sitl.plant import GRAVITY_M_S2
-from sitl.thrusters import wrench_of
-from sitl.world import World
+from autopilot.sitl.currents import Shear, Uniform, Vortex
+from autopilot.sitl.plant import GRAVITY_M_S2
+from autopilot.sitl.thrusters import wrench_of
+from autopilot.sitl.world import World
 
 BODY = VEHICLE.body
 TRIMMED = body_with(buoyancy_excess_n=0.0)

@@ -11,10 +11,10 @@ from plant_helpers import NEUTRAL, VEHICLE, plant
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.thrusters import thrusters_of
-from sitl.battery import Battery
-from sitl.tether import WATER_DENSITY_KG_M3, make_tether
-from sitl.thrusters import Thrusters, duty_from_pwm, steady_thrust_n
-from sitl.world import World
+from autopilot.sitl.battery import Battery
+from autopilot.sitl.tether import WATER_DENSITY_KG_M3, make_tether
+from autopilot.sitl.thrusters import Thrusters, duty_from_pwm, steady_thrust_n
+from autopilot.sitl.world import World
 
 DRIVE = VEHICLE.drive
 

@@ -8,9 +8,9 @@ import pytest
 from sensor_helpers import FLOOR_M, VEHICLE, height, truth_at
 
 from autopilot.core.samples import LaserSample, PoseSample
-from sitl.outages import OutageClock
-from sitl.pose_sensor import SimPoseSensor
-from sitl.scenario import CameraBlackout, LaserSensor, Outages, PoseSensor
+from autopilot.sitl.outages import OutageClock
+from autopilot.sitl.pose_sensor import SimPoseSensor
+from autopilot.sitl.scenario import CameraBlackout, LaserSensor, Outages, PoseSensor
 
 POSE = PoseSensor(drop_probability=0.0)
 LATENCY_US = round(VEHICLE.camera.latency_s * 1e6)

@@ -7,9 +7,9 @@ from plant_helpers import VEHICLE
 
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import load_vehicle
-from sitl.mismatch import MISMATCH_KEYS, mismatched
-from sitl.plant import build_plant
-from sitl.scenario import load_scenario, plan_path, scenario_names, scenario_path
+from autopilot.sitl.mismatch import MISMATCH_KEYS, mismatched
+from autopilot.sitl.plant import build_plant
+from autopilot.sitl.scenario import load_scenario, plan_path, scenario_names, scenario_path
 
 GOOD = """
 [scenario]

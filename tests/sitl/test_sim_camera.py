@@ -8,8 +8,8 @@ import pytest
 from sensor_helpers import CAMERA, CLEAN, floor, height, renderer, truth_at
 
 from autopilot.core.frames import r_ned_from_frd
-from sitl.camera import WALL_LEVEL, camera_of
-from sitl.plant import Truth
+from autopilot.sitl.camera import WALL_LEVEL, camera_of
+from autopilot.sitl.plant import Truth
 
 
 def detect(picture: np.ndarray, truth: Truth) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from autopilot.core.errors import ConfigError
-from sitl.scenario import Spread, load_scenario, load_tables, scenario_path
-from sitl.spread import RUN_SEEDS, drawn_tables, drawn_values, run_seed
-from sitl.toml_text import toml_text
+from autopilot.sitl.scenario import Spread, load_scenario, load_tables, scenario_path
+from autopilot.sitl.spread import RUN_SEEDS, drawn_tables, drawn_values, run_seed
+from autopilot.sitl.toml_text import toml_text
 
 SETS = ("r1", "r2", "r3", "r4", "r5", "r6")
 

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from plant_helpers import VEHICLE
 
 from autopilot.core.errors import ConfigError
-from sitl.backend import simulated_vehicle
-from sitl.plant import Plant, build_plant
-from sitl.scenario import Waves, load_scenario
-from sitl.waves import GRAVITY_M_S2, WithWaves, wave_number, wave_train
-from sitl.world import World, water_field
+from autopilot.sitl.backend import simulated_vehicle
+from autopilot.sitl.plant import Plant, build_plant
+from autopilot.sitl.scenario import Waves, load_scenario
+from autopilot.sitl.waves import GRAVITY_M_S2, WithWaves, wave_number, wave_train
+from autopilot.sitl.world import World, water_field
 
 TEXT = """
 [scenario]

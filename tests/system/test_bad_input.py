@@ -14,8 +14,8 @@ from wire_client import Harbour, WireClient
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import MAX_ITEMS, MissionResult, PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message
-from mission.paper import paper_plan
-from sitl.operator import ScriptedOperator
+from autopilot.mission.paper import paper_plan
+from autopilot.sitl.operator import ScriptedOperator
 
 NO_NUMBER = -(2**31)
 """NaN as an integer coordinate: what a conversion of NaN gives on x86."""

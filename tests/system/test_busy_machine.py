@@ -12,7 +12,7 @@ from autopilot.client.session import Session
 from autopilot.core.errors import AutopilotError
 from autopilot.core.messages import ProgressState
 from autopilot.core.plan import PlanKind
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 IMPATIENT = Timers(give_up_s=1.0)
 HELD_S = 3.0

@@ -13,7 +13,7 @@ from autopilot.log.analysis import last_counts
 from autopilot.log.packing.estimate import COUNTER_NAMES
 from autopilot.log.reader import open_log
 from autopilot.log.report import write_report
-from sitl.scenario import scenario_path
+from autopilot.sitl.scenario import scenario_path
 
 TROUBLES = {"black": "dark", "white": "bright", "frozen": "frozen", "fog": FOGGY}
 FIRST_S, EACH_S, LASTS_S, RATE_HZ = 1.5, 2.6, 1.3, 12.0

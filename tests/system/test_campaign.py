@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 from deadly_runs import Deadly, Spinning
 
 from autopilot.campaign.definition import Campaign, define, first_difference
-from autopilot.campaign.engines import DaskCluster, InProcess, LocalPool, make_engine
+from autopilot.campaign.engines import DaskCluster, InProcess, LocalPool, interrupt_later, make_engine
 from autopilot.campaign.figures import write_figures
 from autopilot.campaign.flight import fly
 from autopilot.campaign.results import Margin, RunResult, Task
@@ -25,14 +25,15 @@ from autopilot.campaign.store import Shard, Store, read_results, scenario_file
 from autopilot.campaign.summary import failure_bound, failure_interval, summarise
 from autopilot.campaign.tabular import write_tables
 from autopilot.campaign.worst import logs_of, worst_first
+from autopilot.cli.campaign import stoppable
 from autopilot.cli.main import cli, run
 from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.log.check import acceptance_table
 from autopilot.log.reader import open_log
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import autopilot_command, free_port, python_command
-from mission.paper import paper_plan
-from mission.plan_files import write_plan
-from sitl.scenario import scenario_path
+from autopilot.sitl.scenario import scenario_path
 
 SHORT_S = 2.5
 SPREAD = '[spread]\n"vehicle.mismatch.drag" = { low = 0.7, high = 1.3 }\n'
@@ -383,6 +384,14 @@ def test_an_interrupted_campaign_can_go_on(tmp_path: Path) -> None:
     assert again is not None
     alike = msgspec.structs.replace(again, cpu_s=kept[min(kept)].cpu_s)
     assert alike == kept[min(kept)], "a process of the pool flies the same run"
+
+
+def test_ctrl_c_while_a_process_is_begun_is_kept() -> None:
+    """It was ignored there, and a campaign of many short runs is there most of the time."""
+    with stoppable() as stopped:
+        with interrupt_later():
+            os.kill(os.getpid(), signal.SIGINT)
+        assert stopped == [signal.SIGINT]
 
 
 def test_a_run_that_cannot_be_flown_is_a_failed_one(tmp_path: Path) -> None:

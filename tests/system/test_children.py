@@ -1,6 +1,7 @@
 """Processes that the project starts: they run our code wherever they are started, and are judged by what they do."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -9,22 +10,16 @@ from pathlib import Path
 
 import psutil
 import pytest
+from hostile_folder import make_hostile
 from system_harness import PAPER_PLAN, ROOT
 
 from autopilot.core.errors import AutopilotError
 from autopilot.run.children import Child, autopilot_command, python_command
 
-HOSTILE = ("mission", "drivers", "sitl", "estimator", "autopilot", "click", "numpy", "psutil", "logging")
-"""Modules of a user's own in the folder in which he works."""
-
 
 @pytest.fixture
 def hostile(tmp_path: Path) -> Path:
-    folder = tmp_path / "project"
-    folder.mkdir()
-    for name in HOSTILE:
-        (folder / f"{name}.py").write_text(f"raise SystemExit('the {name}.py of the current folder was imported')\n")
-    return folder
+    return make_hostile(tmp_path / "project")
 
 
 def _without_python_path() -> dict[str, str]:
@@ -42,26 +37,19 @@ def test_a_service_is_started_in_a_folder_with_modules_of_our_names(hostile: Pat
 
 
 def test_a_child_runs_the_code_of_its_parent(hostile: Path) -> None:
-    command = python_command("import autopilot, mission; print(autopilot.__file__, mission.__file__)")
+    command = python_command("import autopilot, autopilot.mission as m; print(autopilot.__file__, m.__file__)")
     done = subprocess.run(command, cwd=hostile, env=_without_python_path(), capture_output=True, text=True, check=True)
-    assert done.stdout.split() == [str(ROOT / "autopilot/__init__.py"), str(ROOT / "mission/__init__.py")]
+    assert done.stdout.split() == [str(ROOT / "autopilot/__init__.py"), str(ROOT / "autopilot/mission/__init__.py")]
 
 
 def test_python_m_does_not_import_from_the_current_folder(hostile: Path) -> None:
     """Only the package itself is looked for there, by Python: that is what -m means."""
-    (hostile / "autopilot.py").unlink()
+    shutil.rmtree(hostile / "autopilot")
     command = [sys.executable, "-m", "autopilot", "mission", "check", str(PAPER_PLAN)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=hostile, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "fit to fly" in done.stdout
-
-
-def test_no_process_is_started_in_another_way() -> None:
-    """``-m`` and a bare ``-c`` put the current folder first."""
-    for path in (ROOT / "autopilot").rglob("*.py"):
-        if path.name != "children.py":
-            assert "sys.executable" not in path.read_text(encoding="utf-8"), path
 
 
 def test_a_child_that_has_ended_is_named_with_its_exit_code() -> None:

@@ -20,8 +20,8 @@ from wire_client import Harbour, WireClient
 
 from autopilot.cli.main import cli, run
 from autopilot.core.param_file import scan_param_file
+from autopilot.mission.plan_files import read_plan
 from autopilot.run.children import Child, autopilot_command, free_port
-from mission.plan_files import read_plan
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
 VEHICLE = (ROOT / "autopilot/data/vehicles/lbv150.toml").read_text()

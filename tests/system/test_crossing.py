@@ -6,8 +6,8 @@ from system_harness import ROOT, OpenSession, fly_to_the_end
 
 from autopilot.log.check import Verdict, acceptance_table
 from autopilot.log.reader import open_log
-from mission.paper import paper_plan
-from mission.plan_files import write_plan
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
 
 
 def test_a_lap_with_an_obstacle_across_the_route(session: OpenSession, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.log.reader import open_log
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from sitl.scenario import scenario_path
+from autopilot.sitl.scenario import scenario_path
 
 NORTH, EAST = np.linspace(-3.0, 3.0, 13), np.linspace(-2.0, 2.0, 9)
 SCENARIO = """

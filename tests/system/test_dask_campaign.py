@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from autopilot.campaign.store import read_results
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import ROOT, autopilot_command, free_port
-from mission.paper import paper_plan
-from mission.plan_files import write_plan
-from sitl.scenario import scenario_path
+from autopilot.sitl.scenario import scenario_path
 
 pytest.importorskip("distributed")
 

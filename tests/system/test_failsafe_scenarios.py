@@ -14,7 +14,7 @@ from autopilot.cli.campaign import campaign
 from autopilot.command.failsafe_table import ROWS, Row
 from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
-from sitl.scenario_tables import Fault
+from autopilot.sitl.scenario_tables import Fault
 
 BY_RULE = {case.rule: case for case in CASES}
 FLOWN = ("SOLVER", "COLLISION")

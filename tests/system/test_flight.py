@@ -8,8 +8,8 @@ from system_harness import OpenSession, fly_to_the_end
 from autopilot.core.messages import NavHealth, Outputs
 from autopilot.log.check import Verdict, acceptance_table
 from autopilot.log.reader import open_log
-from mission.paper import paper_plan
-from mission.plan_files import write_plan
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
 
 
 def _plan(folder: Path, laps: int) -> str:

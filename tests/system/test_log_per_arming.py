@@ -32,7 +32,7 @@ def test_one_log_per_arming(tmp_path: Path) -> None:
     settings = gather(sitl_defaults(0), {"speed": 0.0, "sensors": "pose", "duration": 7.0}, {})
     for name, value in {"connect": (), "state_dir": str(tmp_path / "state"), "log_dir": str(tmp_path / "logs")}.items():
         settings.put(name, value, "test")
-    open_sitl(settings, {}, peers=[Switch({2.0: 1, 3.5: 0, 4.5: 1, 6.0: 0})]).run()
+    open_sitl(settings, {"FENCE_REQUIRED": 0.0}, peers=[Switch({2.0: 1, 3.5: 0, 4.5: 1, 6.0: 0})]).run()
     logs = sorted((tmp_path / "logs").rglob("*.mcap"))
     assert len(logs) == 2
     for path, begin_s in zip(logs, (2.0, 4.5), strict=True):
@@ -54,7 +54,7 @@ def test_old_logs_make_room_for_a_new_one_which_says_so(tmp_path: Path) -> None:
     places = {"connect": (), "state_dir": str(tmp_path / "state"), "log_dir": str(tmp_path / "logs")}
     for name, value in {**places, "log_quota_mb": 1.0}.items():
         settings.put(name, value, "test")
-    open_sitl(settings, {}, peers=[Switch({2.0: 1})]).run()
+    open_sitl(settings, {"FENCE_REQUIRED": 0.0}, peers=[Switch({2.0: 1})]).run()
     (new,) = sorted((tmp_path / "logs").rglob("*.mcap"))
     assert new != old
     assert open_log(new).metadata["run"]["removed_logs"] == "2020-02-02/10_20_30.mcap"

@@ -13,7 +13,7 @@ from system_harness import RunningService
 
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 SHARE = 0.2
 """Of the datagrams that are lost, of those that come twice, and of those that come after the next one."""

@@ -2,14 +2,16 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import replace
 
+import pytest
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync, ActionError
 from mavsdk.asyncio.plugins.mission_raw import MissionItem, MissionRawAsync, MissionRawError
 from system_harness import RunningService
 
 from autopilot.core.plan import PlanItem, PlanKind
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 LOOK_S = 1.0
 
@@ -49,6 +51,10 @@ async def _fly(service: RunningService) -> None:
         plan = paper_plan(1)
         fence, items = _raw(PlanKind.FENCE, plan.fence), _raw(PlanKind.MISSION, plan.mission)
         await _patiently(service, lambda: raw.upload_geofence(fence))
+        # A refusal that asks for the guilty item again, behind which the next upload goes as ever.
+        with pytest.raises(MissionRawError):
+            deep = replace(plan.mission[1], z=-3.0)
+            await raw.upload_mission(_raw(PlanKind.MISSION, (plan.mission[0], deep, *plan.mission[2:])))
         await _patiently(service, lambda: raw.upload_mission(items))
         assert [_key(item) for item in await raw.download_geofence()] == [_key(item) for item in fence]
         assert [_key(item) for item in await raw.download_mission()] == [_key(item) for item in items]

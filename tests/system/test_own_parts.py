@@ -13,9 +13,9 @@ from autopilot.core.messages import Failsafe, Outputs
 from autopilot.log.check import Verdict, acceptance_table
 from autopilot.log.figures import write_figures
 from autopilot.log.reader import open_log
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
 from autopilot.replay.estimation import matches, replay, replay_setup
-from mission.paper import paper_plan
-from mission.plan_files import write_plan
 
 EXAMPLES = ROOT / "docs" / "examples"
 

@@ -11,7 +11,7 @@ from wire_client import Harbour, WireClient
 
 from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.core.plan_wire import item_message
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 PLAN = paper_plan(1)
 ACCEPTED, DENIED = mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_DENIED
@@ -61,9 +61,6 @@ def _every_way_to_start(made: Harbour, client: WireClient) -> dict[str, Any]:
     results["start"] = made.command(client, START)
     results["start at an item"] = made.command(client, START, 1.0)
     results["mode"] = made.command(client, mav.MAV_CMD_DO_SET_MODE, *PX4_MISSION)
-    results["standard mode"] = made.command(
-        client, mav.MAV_CMD_DO_SET_STANDARD_MODE, float(mav.MAV_STANDARD_MODE_MISSION)
-    )
     results["continue"] = made.command(client, PAUSE_CONTINUE, 1.0)
     made.command(client, mav.MAV_CMD_DO_SET_MISSION_CURRENT, 1.0)
     results["item, then mode"] = made.command(client, mav.MAV_CMD_DO_SET_MODE, *PX4_MISSION)
@@ -182,7 +179,7 @@ def test_a_long_check_is_waited_for_and_its_answer_is_given_once(
 ) -> None:
     """The client sends its last item again while the plan is checked: no second upload, no error, one answer."""
     made, client = harbour()
-    monkeypatch.setattr("mission.store.CHECK_TICKS", 300)
+    monkeypatch.setattr("autopilot.mission.store.CHECK_TICKS", 300)
     client.send(mav.MAVLink_mission_count_message(1, 1, len(PLAN.fence), 1))
     for item in PLAN.fence:
         made.run(0.1)

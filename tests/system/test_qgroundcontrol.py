@@ -15,8 +15,8 @@ from autopilot.cli.output import EXIT_LOSS
 from autopilot.client.plan_client import same_on_the_wire
 from autopilot.core.plan import PlanItem, PlanKind
 from autopilot.core.plan_wire import item_of
+from autopilot.mission.paper import paper_plan
 from autopilot.run.children import Child, autopilot_command, free_port
-from mission.paper import paper_plan
 
 SPEED = 2.0
 LAT_DEG, LON_DEG = 37.9755, 23.7790
@@ -47,7 +47,6 @@ def test_an_evening_with_a_ground_station(profile: str, tmp_path: Path) -> None:
     with running(tmp_path, profile, port) as service:
         station = GroundStation(service, port, profile, SPEED)
         station.connect()
-        station.ready()
         station.rest(2.5)
         assert not station.flying
         # Plan view: all three types, as QGroundControl sends them, and what comes back is what was sent.
@@ -59,6 +58,7 @@ def test_an_evening_with_a_ground_station(profile: str, tmp_path: Path) -> None:
             if profile == "ardusub" and kind is PlanKind.MISSION:
                 back = [replace(item, seq=item.seq - 1, param1=_jump(item)) for item in back[1:]]
             assert same_on_the_wire(back, items), (kind, back, items)
+        station.ready()
         fly(station, profile)
         edit(station)
         if profile == "px4":

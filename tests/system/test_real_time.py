@@ -14,12 +14,12 @@ from pymavlink.dialects.v20 import development as mav
 
 from autopilot.core.messages import Outputs
 from autopilot.core.samples import CameraFrame, MarkerSighting
+from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.log import writer
 from autopilot.log.reader import open_log
 from autopilot.run.children import free_port
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from estimator.vision import Hint, MarkerDetector
 
 SPEED = 5.0
 PATIENCE_S = 60.0
@@ -85,7 +85,7 @@ def _session(folder: Path, *, on_tick: Callable[[Outputs], None] = lambda _: Non
     settings = gather(sitl_defaults(0), {"speed": SPEED, "sensors": "pose", **given}, {})
     for name, value in {"connect": (), "state_dir": str(folder / "state"), "log_dir": str(folder / "logs")}.items():
         settings.put(name, value, "test")
-    return open_sitl(settings, {}, peers=peers, on_tick=on_tick)
+    return open_sitl(settings, {"FENCE_REQUIRED": 0.0}, peers=peers, on_tick=on_tick)
 
 
 class SlowDetector(MarkerDetector):

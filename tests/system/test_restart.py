@@ -11,9 +11,9 @@ from pymavlink.dialects.v20 import development as mav
 from autopilot.client.plan_client import same_on_the_wire
 from autopilot.client.session import Session
 from autopilot.core.plan import PlanItem, PlanKind
+from autopilot.mission.paper import paper_plan
 from autopilot.run.children import Child, autopilot_command, free_port
 from autopilot.run.plans_format import decode, plan_item
-from mission.paper import paper_plan
 
 
 class Vehicle:

@@ -23,10 +23,10 @@ from autopilot.campaign.rooms.verdict import judge_flight, judge_refusal
 from autopilot.cli.main import cli, run
 from autopilot.core.frames import FloatArray
 from autopilot.core.params import ParamSet
-from mission.judgement import judge_file
-from mission.plan_files import read_plan
-from sitl.scenario import load_scenario
-from sitl.world import build_world
+from autopilot.mission.judgement import judge_file
+from autopilot.mission.plan_files import read_plan
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.world import build_world
 
 SEEDS = range(3_000, 3_024)
 HALL = ((0.0, -4.0), (12.0, -4.0), (12.0, 4.0), (0.0, 4.0))
@@ -147,7 +147,7 @@ def refused_rooms() -> list[tuple[Room, str]]:
 
 
 def read_local(room: Room) -> Any:
-    from mission.local_plan import read_local_plan
+    from autopilot.mission.local_plan import read_local_plan
 
     return read_local_plan(files_of(room, mode=0, duration_s=1.0)["plan.toml"].decode(), "plan.toml")
 

@@ -1,6 +1,7 @@
 """`autopilot run` and `autopilot doctor` as processes, and what is wrong with a vehicle's configuration."""
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -10,8 +11,11 @@ import pytest
 
 from autopilot.core.errors import ConfigError
 from autopilot.log.reader import open_log
+from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import autopilot_command
+from autopilot.run.demo import paper_plan
 from autopilot.run.vehicle_config import load_config
+from autopilot.sitl.scenario import load_scenario
 
 ARDUSUB = '[devices.flight_controller]\ndriver = "ardusub"\nframe = "vectored"\nconnect = "udpin:127.0.0.1:{port}"\n'
 
@@ -57,6 +61,39 @@ def test_the_doctor_says_what_is_not_there_and_what_to_do(tmp_path: Path) -> Non
     assert failed["attitude"]["found"].startswith("0.0 Hz")
     assert any("cable and link" in line["remedy"] for line in failed.values())
     assert all(line["remedy"] for line in failed.values())
+
+
+TRIES = 5
+"""On a machine that has other work an emulated sensor may be too slow for a moment."""
+
+
+def test_the_doctor_on_an_emulated_vehicle_says_that_it_would_arm(tmp_path: Path) -> None:
+    """Both as processes, in real time; then the service has the ports, and the doctor says so."""
+    config, plan = _rov(tmp_path), tmp_path / "paper.plan"
+    write_plan(plan, paper_plan(1))
+    origin = load_scenario("paper-tank").origin
+    text = config.read_text().replace("[service]", f"[place]\norigin_lat_deg = {origin.lat_deg}\n[service]")
+    config.write_text(text.replace("[service]", f"origin_lon_deg = {origin.lon_deg}\n[service]"))
+    ours, below = re.findall(r"udpin:([\d.:]+)", config.read_text())
+    emulated = autopilot_command("emulate", "--link", f"udpout:{below}", "--pose", f"udpout:{ours}")
+    doctor = autopilot_command("doctor", "--config", str(config), "--plan", str(plan), "--json")
+    with subprocess.Popen(emulated, stdout=subprocess.DEVNULL) as process:
+        try:
+            for _ in range(TRIES):
+                done = subprocess.run(doctor, capture_output=True, text=True, check=False)
+                verdicts = {line["verdict"] for line in json.loads(done.stdout)}
+                assert done.returncode == (1 if "fail" in verdicts else 3 if "warn" in verdicts else 0)
+                if done.returncode == 0:
+                    break
+            assert done.returncode == 0, done.stdout
+            host, _, port = ours.rpartition(":")
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+                taken.bind((host, int(port)))
+                done = subprocess.run(doctor, capture_output=True, text=True, check=False)
+            failed = {line["what"]: line for line in json.loads(done.stdout) if line["verdict"] == "fail"}
+            assert done.returncode == 1 and "already in use" in failed["link"]["found"]
+        finally:
+            process.send_signal(signal.SIGTERM)
 
 
 def test_the_doctor_says_what_is_wrong_with_the_file(tmp_path: Path) -> None:

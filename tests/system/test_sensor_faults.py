@@ -36,6 +36,22 @@ def test_the_estimate_does_not_believe_what_its_evidence_denies(name: str, gap_s
     assert len(told) == len(set(told))
 
 
+@pytest.mark.parametrize(
+    ("name", "gap_s", "seed"),
+    [
+        ("gyro -0.3 rad/s", 3.0, 66),
+        ("gyro -0.3 rad/s", 3.0, 70),
+        ("gyro +3 rad/s", 0.0, 81),
+        ("wrong tilt 0.3 rad", 0.0, 82),
+    ],
+)
+def test_inertial_sensors_that_step_are_no_jump_of_stamps(name: str, gap_s: float, seed: int) -> None:
+    result = fly_fault(flight(name, gap_s, seed))
+    assert not [text for text in result.texts if "stamps" in text]
+    assert any("wrong" in text for text in result.texts)
+    assert result.inside >= 0.9
+
+
 def test_a_sound_flight_with_a_gap_raises_no_doubt() -> None:
     """Wrong mass and drag, thrust missing: that is the vehicle's error, not the sensors'."""
     mismatch = {"mass": 1.2, "drag": 0.8, "linear_drag": 0.8}

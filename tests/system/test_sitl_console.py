@@ -14,7 +14,7 @@ from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.run.children import autopilot_command
 from autopilot.run.console import Console
 from autopilot.run.sitl_console import unknown_obstacles
-from sitl.scenario import load_scenario
+from autopilot.sitl.scenario import load_scenario
 
 TANK = (ROOT / "sitl/scenarios/paper-tank.toml").read_text()
 PLAN = WORKSPACE + pillar(*PILLARS[0]) + waypoint(-1.6, 0.3, 0.45)

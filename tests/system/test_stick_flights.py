@@ -16,7 +16,7 @@ from system_harness import ROOT, OpenSession
 from autopilot.core.messages import Outputs
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink.dialect import mav
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 SCENARIOS = ROOT / "sitl" / "scenarios"
 HOLD, MANUAL, ALTITUDE, POSITION, STABILIZED, ORBIT = (

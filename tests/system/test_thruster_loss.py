@@ -9,8 +9,8 @@ from system_harness import ROOT, OpenSession, fly_to_the_end
 from autopilot.core.messages import Failsafe, Outputs, ProgressState
 from autopilot.log.check import Row, Verdict, acceptance_table
 from autopilot.log.reader import open_log
-from mission.paper import paper_plan
-from mission.plan_files import write_plan
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
 
 SCENARIO = ROOT / "sitl" / "scenarios" / "thruster-loss.toml"
 FAULT_S = 12.0

@@ -20,6 +20,8 @@ from autopilot.core.errors import DriverError
 from autopilot.core.guard import Guard
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.samples import CameraFrame
+from autopilot.drivers.links import open_link
+from autopilot.drivers.protocols import Received
 from autopilot.log.reader import open_log
 from autopilot.run.children import free_port
 from autopilot.run.clocks import LockstepClock
@@ -28,8 +30,6 @@ from autopilot.run.recorder import NullRecorder
 from autopilot.run.runtime import Runtime
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from autopilot.run.transport import Transport
-from drivers.links import open_link
-from drivers.protocols import Received
 
 LOCAL = "127.0.0.1"
 PATIENCE_S = 60.0
@@ -43,8 +43,9 @@ def opened_fixture(tmp_path: Path) -> Iterator[Open]:
     """Sessions on real links."""
     made: list[SitlSession] = []
 
-    def make(*connections: str, speed: float = 0.0, log: Path | None = None) -> SitlSession:
-        given = {"scenario": "open-water", "speed": speed, "sensors": "pose", "connect": connections}
+    def make(*connections: str, speed: float = 0.0, log: Path | None = None, sensors: str = "pose") -> SitlSession:
+        scenario = "open-water" if sensors == "pose" else "paper-tank"
+        given = {"scenario": scenario, "speed": speed, "sensors": sensors, "connect": connections}
         settings = gather(sitl_defaults(0), given, {})
         settings.put("state_dir", str(tmp_path / "state"), "test")
         settings.put("log", None if log is None else str(log), "test")
@@ -412,3 +413,66 @@ def test_a_heartbeat_is_due_by_real_time() -> None:
     now_s[0] = 2.3
     assert transport.beat_due
     assert not Transport([], now_s=lambda: now_s[0]).beat_due
+
+
+def heartbeat(link: int, component: int, *, client: int = 0, old: bool = False) -> MavlinkFrame:
+    """HEARTBEAT of one of our components."""
+    head = (0xFE, 9, 0, 1, component, 0) if old else (0xFD, 9, 0, 0, 0, 1, component, 0, 0, 0)
+    return MavlinkFrame(link=link, client=client, data=bytes(head) + bytes(11))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_every_component_s_heartbeat_is_due_on_every_link_by_real_time(seed: int) -> None:
+    """Whatever else goes out, and wherever: no link waits longer for any component than for the autopilot."""
+    draw = random.Random(seed)
+    now_s, last_s = 0.0, {(link, component): 0.0 for link in (0, 1) for component in (1, 100)}
+    transport = Transport([Broken(), Broken()], now_s=lambda: now_s)
+    transport.send([heartbeat(link, component) for link, component in last_s])
+    for _ in range(400):
+        now_s += draw.uniform(0.0, 0.05)
+        if transport.beat_due:
+            transport.beat([heartbeat(link, component) for link, component in last_s])
+            last_s = dict.fromkeys(last_s, now_s)
+        key, client = draw.choice(list(last_s)), draw.choice((0, 5))
+        if draw.random() < 0.5:
+            transport.send([heartbeat(*key, client=client, old=draw.random() < 0.3)])
+            if client == 0:
+                last_s[key] = now_s
+        assert all(now_s - then_s <= 1.16 for then_s in last_s.values())
+
+
+def test_a_link_that_gets_no_heartbeats_makes_none_due() -> None:
+    now_s = [0.0]
+    transport = Transport([Broken(), Broken()], now_s=lambda: now_s[0])
+    now_s[0] = 1.15
+    assert transport.beat_due
+    transport.beat([heartbeat(0, 1)])
+    for _ in range(30):
+        now_s[0] += 0.1
+        transport.send([heartbeat(0, 1)])
+        assert not transport.beat_due
+
+
+def test_the_camera_s_heartbeat_does_not_wait_for_the_vehicle_s_clock(opened: Open) -> None:
+    """A run that is slower than real time: each turn of waiting takes a second of it, and no vehicle time."""
+    session = opened(f"udpin:{LOCAL}:{free_port()}", sensors="camera")
+    now_s = [0.0]
+    sent: list[tuple[float, int]] = []
+
+    class Listening(Broken):
+        """Writes down whose heartbeats come when."""
+
+        def send(self, data: bytes, client: int = 0, beside: frozenset[int] = frozenset()) -> None:
+            if data[:1] == b"\xfd" and data[7:10] == b"\0\0\0":
+                sent.append((now_s[0], data[6]))
+
+    transport = Transport([Listening()], now_s=lambda: now_s[0])
+    session.runtime._transport.close()
+    session.runtime._transport = transport
+    session.runtime.tick(0)
+    for _ in range(20):
+        now_s[0] += 0.2
+        session.runtime.attend()
+    for component in (1, 100):
+        times = [then_s for then_s, who in sent if who == component]
+        assert times and max(b - a for a, b in zip(times, [*times[1:], now_s[0]], strict=True)) <= 1.31

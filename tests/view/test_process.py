@@ -198,6 +198,52 @@ def test_what_is_asked_for_is_done(sitl: Run) -> None:
     assert (folder / "run_2.mcap").exists()
 
 
+def test_a_service_that_was_killed_and_started_again_takes_what_its_stream_says(tmp_path: Path) -> None:
+    """The first thing on the stream of a page that stays open is the token that the new process takes."""
+    tokens: list[str] = []
+    port = 0
+    for turn in range(2):
+        with run(tmp_path, "paper-tank", "--sensors", "pose", view=port) as made:
+            stream, port = Stream(made.port), made.port
+            name, hello = next(stream.events())
+            assert name == "hello" and set(hello) == {"token", "version"}
+            tokens.append(hello["token"])
+            stream.until("frame")
+            statuses = [post(port, {"do": "pause"}, token=token)[0] for token in tokens]
+            assert statuses == [403] * turn + [200]
+            stream.close()
+            made.process.kill()
+            made.process.wait()
+    assert len(set(tokens)) == 2
+
+
+def test_every_frame_carries_ages_in_the_vehicles_time(tmp_path: Path) -> None:
+    """Tracking falls silent, the AHRS repeats itself; time that is paused ages nothing."""
+    text = SCENARIO + "".join(
+        f'[[fault]]\nkind = "{kind}"\nat_s = {at_s}\nduration_s = 600.0\n'
+        for kind, at_s in (("camera_blackout", 2.0), ("ahrs_freeze", 3.0))
+    )
+    (tmp_path / "pool.toml").write_text(text)
+    with run(tmp_path, str(tmp_path / "pool.toml"), "--log", str(tmp_path / "run.mcap")) as made:
+        stream = Stream(made.port)
+        limits = stream.until("scene")["ages"]
+
+        def silent(data: Any, name: str, kind: str) -> bool:
+            return any(each["name"] == name and each["age_s"] > each["limit_s"] for each in data[kind])
+
+        frame = stream.until("frame", lambda data: silent(data, "markers", "sensors"))
+        assert not silent(frame, "ahrs", "devices") and frame["estimate"]["age_s"] <= limits["estimate_s"]
+        frame = stream.until("frame", lambda data: silent(data, "ahrs", "devices"))
+        assert frame["estimate"]["age_s"] > limits["estimate_s"], "an estimate is no newer than its attitude"
+        assert not silent(frame, "battery", "devices") and frame["battery"]["age_s"] < limits["battery_s"]
+        assert post(made.port, {"do": "pause"})[0] == 200
+        held = stream.until("frame", lambda data: data["paused"] and data["stale_s"] > 1.0)
+        later = stream.until("frame", lambda data: data["stale_s"] > held["stale_s"] + 1.0)
+        assert later["devices"] == held["devices"] and later["sensors"] == held["sensors"]
+        assert later["sent_s"] > held["sent_s"] + 1.0
+        stream.close()
+
+
 def test_pictures_come_with_what_was_found(tmp_path: Path) -> None:
     with run(tmp_path, "paper-tank") as made:
         stream = Stream(made.port, "/events?pictures=1")

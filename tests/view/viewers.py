@@ -22,12 +22,14 @@ MOST_EVENTS = 1000
 class Run:
     """``autopilot sitl --view 0``, or ``run``, and what it has printed."""
 
-    def __init__(self, folder: Path, *arguments: str, command: str = "sitl") -> None:
+    def __init__(self, folder: Path, *arguments: str, command: str = "sitl", view: int = 0) -> None:
         self.out = folder / "out.txt"
         environment = {**os.environ, "AUTOPILOT_LOG_DIR": str(folder), "AUTOPILOT_STATE_DIR": str(folder)}
         with self.out.open("w", encoding="utf-8") as out:
             self.process = subprocess.Popen(
-                autopilot_command(command, "--view", "0", "--connect", f"udpin:127.0.0.1:{free_port()}", *arguments),
+                autopilot_command(
+                    command, "--view", str(view), "--connect", f"udpin:127.0.0.1:{free_port()}", *arguments
+                ),
                 stdout=out,
                 stderr=subprocess.STDOUT,
                 env=environment,
@@ -55,9 +57,9 @@ class Run:
 
 
 @contextlib.contextmanager
-def run(folder: Path, *arguments: str, command: str = "sitl") -> Iterator[Run]:
-    """A run that is ended afterwards."""
-    made = Run(folder, *arguments, command=command)
+def run(folder: Path, *arguments: str, command: str = "sitl", view: int = 0) -> Iterator[Run]:
+    """A run that is ended afterwards. ``view``: the page's port, 0 = any."""
+    made = Run(folder, *arguments, command=command, view=view)
     try:
         yield made
     finally:

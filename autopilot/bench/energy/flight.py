@@ -28,12 +28,12 @@ from autopilot.core.geometry import Circle, Fence
 from autopilot.core.messages import Goal, NavHealth, NavState
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle
-from sitl import scenario_tables as sc
-from sitl.contact import Cylinder
-from sitl.currents import CurrentField, current_field
-from sitl.plant import Plant, Truth
-from sitl.thrusters import wrench_of
-from sitl.world import World
+from autopilot.sitl import scenario_tables as sc
+from autopilot.sitl.contact import Cylinder
+from autopilot.sitl.currents import CurrentField, current_field
+from autopilot.sitl.plant import Plant, Truth
+from autopilot.sitl.thrusters import wrench_of
+from autopilot.sitl.world import World
 
 STEP_US = 50_000
 LIMIT_S = 400.0

@@ -16,7 +16,7 @@ from autopilot.core.frames import FloatArray, wrap_pi
 from autopilot.core.messages import Outputs
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from sitl.scenario import scenario_path
+from autopilot.sitl.scenario import scenario_path
 
 LEG_LIMIT_S = 300.0
 

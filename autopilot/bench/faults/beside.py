@@ -15,7 +15,7 @@ from autopilot.control.way.planner import Planner
 from autopilot.core.geodesy import geodetic_from_ned
 from autopilot.core.messages import Outputs, Severity
 from autopilot.core.plan import PlanKind
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 P99_MS, MAX_MS = 10.0, 50.0
 """What a tick may cost of CPU time."""

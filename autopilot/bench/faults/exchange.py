@@ -183,7 +183,7 @@ def transfers(count: int, items: int, seed: int) -> int:
     """How many uploads over a bad link are taken as they were sent: the service's server and plans, its own client."""
     from autopilot.command.commander import Commander
     from autopilot.core.plan import PlanItem
-    from mission.store import Plans
+    from autopilot.mission.store import Plans
 
     params, vehicle = ParamSet(), load_vehicle("lbv150")
     plans = Plans(params, vehicle.radius_m, Origin(lat_deg=37.9755, lon_deg=23.7790, alt_m=0.0))

@@ -15,7 +15,7 @@ from autopilot.core.errors import DriverError
 from autopilot.core.messages import Failsafe, Outputs
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import AhrsSample, PoseSample, Sample
-from mission.paper import paper_plan
+from autopilot.mission.paper import paper_plan
 
 FALLBACK_S = 2.0
 """FS_FAULT_TIME of these flights."""

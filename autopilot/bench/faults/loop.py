@@ -17,14 +17,14 @@ from autopilot.bench.faults.finding import Finding, Measured
 from autopilot.client.session import Session
 from autopilot.core.plan import PlanKind
 from autopilot.core.samples import CameraFrame, MarkerSighting
+from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.log import writer
 from autopilot.mavlink.vehicle_commands import FORCE_ARM
+from autopilot.mission.paper import paper_plan
 from autopilot.run import sitl_session
 from autopilot.run.children import LOCAL, Child, autopilot_command, free_port, python_command
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from estimator.vision import Hint, MarkerDetector
-from mission.paper import paper_plan
 
 DETECTION_S = 0.15
 SLOW_S = 1.0

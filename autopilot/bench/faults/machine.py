@@ -17,9 +17,9 @@ from autopilot.client.exchange import Timers
 from autopilot.client.session import Session
 from autopilot.core.errors import AutopilotError
 from autopilot.core.plan import PlanKind
+from autopilot.mission.paper import paper_plan
 from autopilot.run.children import ROOT, Child, autopilot_command
 from autopilot.run.provenance import revision_of
-from mission.paper import paper_plan
 
 PART = "machine"
 NOBODY = "udpout:127.0.0.1:9"

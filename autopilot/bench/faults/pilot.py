@@ -14,9 +14,7 @@ from autopilot.client.plan_client import PlanUpload
 from autopilot.core.clock import TICK_US
 from autopilot.core.messages import Inputs, Outputs
 from autopilot.core.plan import PlanItem, PlanKind
-from autopilot.run.config import gather, sitl_defaults
-from autopilot.run.sitl_session import SitlSession, open_sitl
-from mission.local_plan import (
+from autopilot.mission.local_plan import (
     CircleTable,
     FenceTable,
     LocalPlan,
@@ -25,7 +23,9 @@ from mission.local_plan import (
     WaypointTable,
     plan_of_local,
 )
-from mission.plan_model import PlanFile
+from autopilot.mission.plan_model import PlanFile
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import SitlSession, open_sitl
 
 ARM, START, REPOSITION = 400, 300, 192
 """MAV_CMD_COMPONENT_ARM_DISARM, MAV_CMD_MISSION_START, MAV_CMD_DO_REPOSITION (common.xml)."""

@@ -18,9 +18,9 @@ from autopilot.core.plan import MissionResult, PlanItem, PlanKind
 from autopilot.mavlink.api import FlightMode
 from autopilot.mavlink.profiles import CUSTOM_MODE_FLAG, profile_by_name
 from autopilot.mavlink.vehicle_commands import FORCE_ARM
+from autopilot.mission.paper import paper_plan
+from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import LOCAL, autopilot_command
-from mission.paper import paper_plan
-from mission.plan_files import write_plan
 
 ARM, START, SET_MODE, CONTINUE, ITEM = 400, 300, 176, 193, 224
 """MAV_CMD_COMPONENT_ARM_DISARM, MISSION_START, DO_SET_MODE, DO_PAUSE_CONTINUE, DO_SET_MISSION_CURRENT (common.xml)."""

@@ -30,10 +30,10 @@ from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink.dialect import mav
 from autopilot.mavlink.vehicle_commands import FORCE_ARM, FORCE_DISARM
+from autopilot.mission.fence import fence_clearance_m
+from autopilot.mission.paper import paper_plan
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
-from mission.fence import fence_clearance_m
-from mission.paper import paper_plan
 
 LONGEST_GAP_US = 1_200_000
 """Between two heartbeats."""

@@ -18,7 +18,7 @@ from autopilot.core.errors import PlanError
 from autopilot.core.messages import Fallback, Outputs, Severity
 from autopilot.run.config import Settings, gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
-from sitl.plant import Truth
+from autopilot.sitl.plant import Truth
 
 ARMING_S = 12.0
 """A service that has not armed by then does not want to."""

@@ -29,9 +29,9 @@ from autopilot.campaign.rooms.shapes import (
 from autopilot.campaign.rooms.vehicles import VEHICLES, speed_held_m_s, vehicle_of, vehicle_tables
 from autopilot.campaign.rooms.waters import draw_current
 from autopilot.core.vehicle import Vehicle
-from sitl.currents import current_field
-from sitl.scenario_tables import Current, Origin
-from sitl.toml_text import toml_text
+from autopilot.sitl.currents import current_field
+from autopilot.sitl.scenario_tables import Current, Origin
+from autopilot.sitl.toml_text import toml_text
 
 KINDS = ("tank", "pool", "harbour", "open")
 _KIND_WEIGHTS = (0.35, 0.3, 0.2, 0.15)

@@ -16,7 +16,7 @@ from autopilot.campaign.store import append_line, drop_cut_line, settle_identity
 from autopilot.core.errors import ConfigError, LogError
 from autopilot.log.lock import lock_exclusive
 from autopilot.run.provenance import revision
-from sitl.spread import run_seed
+from autopilot.sitl.spread import run_seed
 
 FORMAT = 1
 IDENTITY, LINES = "rooms.json", "flights.jsonl"

@@ -15,7 +15,7 @@ from autopilot.campaign.rooms.room import Room
 from autopilot.campaign.rooms.shapes import Block, Disc, Solid, clearance_m, polygon_clearance_m, solid_clearance_m
 from autopilot.core.frames import wrap_pi
 from autopilot.log.smoothness import measure
-from sitl.plant import Truth
+from autopilot.sitl.plant import Truth
 
 if TYPE_CHECKING:
     from autopilot.campaign.rooms.flight import RoomWatch

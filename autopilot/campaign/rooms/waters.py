@@ -7,8 +7,8 @@ import numpy as np
 
 from autopilot.campaign.rooms.chart import Flow
 from autopilot.core.frames import FloatArray
-from sitl.currents import CurrentField, Uniform, current_field
-from sitl.scenario_tables import Current
+from autopilot.sitl.currents import CurrentField, Uniform, current_field
+from autopilot.sitl.scenario_tables import Current
 
 STEEPEST_1_S = 0.6
 """Water changes by so much over a metre at most; the jet of the paper's tank by 0.52."""

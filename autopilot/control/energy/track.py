@@ -55,7 +55,8 @@ class Track:
         self._rows = np.hstack([trajectory.x, self._impulse])
         self._t_s = np.ascontiguousarray(trajectory.t_s, dtype=float)
         self._library, self._away_m = compiled.library(), np.zeros(1)
-        self._table = (*self._rows.shape, self._t_s.ctypes.data, self._rows.ctypes.data)
+        rows = compiled.fitting("states and impulse", self._rows, len(self._t_s), NX + self._impulse.shape[1])
+        self._table = (*self._rows.shape, compiled.fitting("t_s", self._t_s, len(self._rows)), rows)
 
     @property
     def length_s(self) -> float:
@@ -84,7 +85,14 @@ class Track:
         begin_s, end_s = max(0.0, around_s - WINDOW_S), around_s + WINDOW_S
         if self._library is not None and self._rows.shape[1] <= MOST_COLUMNS:
             here, step_s = np.array(x0, dtype=float), (end_s - begin_s) / (SEARCH_POINTS - 1)
-            told = compiled.address(here), begin_s, step_s, SEARCH_POINTS, YAW_LEVER_M, compiled.address(self._away_m)
+            told = (
+                compiled.fitting("x0", here, NX),
+                begin_s,
+                step_s,
+                SEARCH_POINTS,
+                YAW_LEVER_M,
+                compiled.address(self._away_m),
+            )
             found_s: float = self._library.nearest_at(*self._table, *told)
             return found_s, float(self._away_m[0])
         window = np.linspace(begin_s, end_s, SEARCH_POINTS)

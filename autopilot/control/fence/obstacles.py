@@ -21,7 +21,7 @@ from autopilot.control.fence.features import (
     as_complex,
     unit_rays,
 )
-from autopilot.control.fence.quick import QuickFence
+from autopilot.control.fence.quick import STRUCTS, QuickFence
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 from autopilot.core.geometry import Circle, Fence
@@ -40,7 +40,7 @@ class Features(Boundaries):
 
     def __init__(self, fence: Fence) -> None:
         super().__init__(fence)
-        library = compiled.library() if self.count > 0 and not self.many else None
+        library = compiled.library(*STRUCTS) if self.count > 0 and not self.many else None
         self._quick = None if library is None else QuickFence(library, self.edges, self.rounds)
 
     def nearest(

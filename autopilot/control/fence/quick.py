@@ -12,12 +12,13 @@ import numpy as np
 
 from autopilot.control.fence.chords import RECOVERY_M_S
 from autopilot.control.fence.features import FAR_M, TINY_M, Edges, Rounds
+from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
 
 _POINTERS = ("a", "ab", "along", "normal", "polygon", "center", "radius", "side")
 
 
-class _Boundaries(ctypes.Structure):
+class _Boundaries(compiled.Mirror):
     """The struct of surroundings.c."""
 
     _fields_ = (
@@ -28,6 +29,9 @@ class _Boundaries(ctypes.Structure):
         ("far", ctypes.c_double),
         ("recovery_m_s", ctypes.c_double),
     )
+
+
+STRUCTS = (_Boundaries,)
 
 
 class QuickFence:
@@ -49,7 +53,7 @@ class QuickFence:
             **addresses,
         )
         self._reference, self._call = ctypes.byref(self._struct), library.half_planes
-        self._seen: tuple[tuple[FloatArray | None, ...], tuple[int | None, ...]] = (None,) * 5, ()
+        self._seen: tuple[tuple[FloatArray | int | None, ...], tuple[int | None, ...]] = (None,) * 6, ()
 
     def margin_m(
         self,
@@ -61,24 +65,26 @@ class QuickFence:
         offsets: FloatArray | None = None,
     ) -> float | None:
         """As :meth:`autopilot.control.fence.obstacles.Features.half_planes`; without ``normals`` its margin alone. None
-        where this is not a common case: nothing is told then of what the arrays hold."""
+        where this is not a common case: nothing is told then of what the arrays hold. ValueError: an array does not
+        fit to the points."""
         m = len(points_ned_m) - 1
         keep_m = np.full(m, radius_m) if isinstance(radius_m, float) else radius_m
         seen, known = self._seen
-        if all(a is b for a, b in zip(seen, (points_ned_m, t_s, keep_m, normals, offsets), strict=True)):
+        if all(a is b for a, b in zip(seen, (points_ned_m, t_s, keep_m, normals, offsets, slots), strict=True)):
             return self._margin_m(m, known, slots)
         tight = points_ned_m.strides[1] == t_s.itemsize and t_s.flags.c_contiguous and keep_m.flags.c_contiguous
-        if not tight or not points_ned_m.dtype == t_s.dtype == keep_m.dtype == np.float64:
+        if m < 1 or not tight or not points_ned_m.dtype == t_s.dtype == keep_m.dtype == np.float64:
             return None
         stride = points_ned_m.strides[0] // points_ned_m.itemsize
         out: tuple[int | None, int | None] = None, None
         if normals is not None and offsets is not None:
             if not (normals.flags.c_contiguous and offsets.flags.c_contiguous):
                 return None
-            out = normals.ctypes.data, offsets.ctypes.data
+            out = compiled.fitting("normals", normals, m, slots, 2), compiled.fitting("offsets", offsets, m, slots)
         # The optimiser's arrays are the same at every step; to ask for an address takes as long as the call.
-        known = (points_ned_m.ctypes.data, stride, t_s.ctypes.data, keep_m.ctypes.data, *out)
-        self._seen = (points_ned_m, t_s, keep_m, normals, offsets), known
+        times = compiled.fitting("t_s", t_s, m + 1), compiled.fitting("radius_m", keep_m, m)
+        known = (points_ned_m.ctypes.data, stride, *times, *out)
+        self._seen = (points_ned_m, t_s, keep_m, normals, offsets, slots), known
         return self._margin_m(m, known, slots)
 
     def _margin_m(self, m: int, known: tuple[int | None, ...], slots: int) -> float | None:

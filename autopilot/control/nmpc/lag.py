@@ -20,7 +20,7 @@ from autopilot.control.nmpc.model_code import BUOYANCY, COEFFICIENTS, coefficien
 from autopilot.control.nmpc.ocp import bind, trimmed_dynamics
 from autopilot.core import compiled
 from autopilot.core.frames import FloatArray, wrap_pi
-from autopilot.core.model4 import NX, YAW, Model4
+from autopilot.core.model4 import AXES, NX, YAW, Model4
 from autopilot.core.response import Response
 
 Sent: TypeAlias = tuple[float, float, FloatArray]
@@ -39,7 +39,7 @@ LEARN_S = 3.0
 """Predictions learn within this time how far they have been off."""
 
 
-class _Ahead(ctypes.Structure):
+class _Ahead(compiled.Mirror):
     """The struct of follow.c."""
 
     _fields_ = (
@@ -159,7 +159,7 @@ class ThrusterLag:
 
     def _bound(self, model: Model4, dt_s: float) -> tuple[object, Callable[[], None]]:
         """(owner, call): the call takes ``_x`` over ``dt_s`` to ``_out`` with ``_u`` and ``_c``."""
-        library = compiled.library()
+        library = compiled.library(_Ahead)
         if library is not None:
             return _compiled_ahead(library, model, dt_s, (self._x, self._u, self._c, self._coefficients), self._out)
         interval = trimmed_dynamics(model, dt_s, STEPS)
@@ -177,8 +177,9 @@ def _compiled_ahead(
     out: FloatArray,
 ) -> tuple[object, Callable[[], None]]:
     """The same by the compiled library (``data/native/follow.c``)."""
-    arrays = (np.array(model.allocation), *given, out)
-    names = ("allocation", "x", "thrust", "current", "coefficients", "after")
-    addresses = {name: array.ctypes.data for name, array in zip(names, arrays, strict=True)}
+    arrays, thrusters = (np.array(model.allocation), *given, out), (model.thrusters,)
+    shapes = {"allocation": (AXES, *thrusters), "x": (NX,), "thrust": thrusters, "current": (3,)}
+    shapes |= {"coefficients": (COEFFICIENTS,), "after": (NX,)}
+    addresses = {name: compiled.fitting(name, array, *shapes[name]) for name, array in zip(shapes, arrays, strict=True)}
     told = _Ahead(thrusters=model.thrusters, steps=STEPS, dt_s=dt_s, **addresses)
     return (arrays, told), partial(library.state_ahead, ctypes.byref(told))

@@ -1,11 +1,6 @@
-"""The model's derivative in C (``autopilot/data/native/model.c``), written by CasADi from :mod:`autopilot.core.model4`.
-
-The file is kept with the sources, so that an installation needs a C compiler and no CasADi; a test holds it against
-the model. ``python -m autopilot.control.nmpc.model_code`` writes it again.
-"""
+"""The model's derivative in C, written by CasADi from :mod:`autopilot.core.model4` when the package is built."""
 
 import re
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -19,7 +14,6 @@ COEFFICIENTS = 3 * AXES + 1
 BUOYANCY = 3 * AXES
 """Where it stands among them."""
 
-TITLE = "/* Generated from autopilot/core/model4.py by `python -m autopilot.control.nmpc.model_code`: do not edit. */\n"
 HEAD = """\
 #include <math.h>
 
@@ -65,9 +59,4 @@ def model_code() -> str:
     if found is None:
         raise RuntimeError("CasADi writes its code in another way: look for the function in it")
     body = re.sub(r"\bcasadi_sq\b", "square", found[0].replace("casadi_f0", "model_slope"))
-    return TITLE + HEAD + body.replace("casadi_real", "double").replace("casadi_int", "long long")
-
-
-if __name__ == "__main__":
-    target = Path(__file__).resolve().parents[2] / "data" / "native" / "model.c"
-    target.write_text(model_code(), encoding="utf-8")
+    return HEAD + body.replace("casadi_real", "double").replace("casadi_int", "long long")

@@ -28,7 +28,7 @@ ARRAYS = (
 )
 
 
-class _Task(ctypes.Structure):
+class _Task(compiled.Mirror):
     """The struct of task.h."""
 
     _fields_ = (
@@ -49,9 +49,7 @@ class NativeStep:
     def __init__(self, model: Model4, grid: TimeGrid, planes: int, backend: ocp.QpBackend) -> None:
         if planes != PLANES:
             raise RuntimeError(f"made for {PLANES} half-planes, not {planes}")
-        library = compiled.load()
-        if library.task_bytes() != ctypes.sizeof(_Task):
-            raise RuntimeError(f"the compiled library is of another version; {compiled.AGAIN}")
+        library = compiled.load(_Task)
         size = library.workspace_bytes(grid.n, model.thrusters)
         if size == 0:
             raise RuntimeError(f"not made for {model.thrusters} thrusters")

@@ -45,7 +45,7 @@ class Ancillary:
     def gain(self, surge_m_s: float) -> FloatArray:
         """K (n, 8) at a planned surge."""
         place = min(max((surge_m_s - self._first) / self._step, 0.0), len(self.gains) - 1.0)
-        low = min(int(place), len(self.gains) - 2)
+        low = min(int(place), len(self.gains) - 2) if place > 0.0 else 0
         k: FloatArray = self.gains[low] + (place - low) * (self.gains[low + 1] - self.gains[low])
         return k
 

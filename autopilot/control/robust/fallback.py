@@ -63,6 +63,37 @@ class FallbackWatch:
         return news
 
 
+NOT_FINITE = "Estimate not finite: thrusters neutral, recover it"
+
+
+class FiniteWatch:
+    """Counts steps and ticks without thrust because the estimate, or what the model makes of it, is no number."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        """Since the last one that was told to be over."""
+        self._sound = 0
+        self._news: list[tuple[Severity, str]] = []
+
+    def watch(self, sound: bool) -> None:
+        """One step or tick."""
+        if not sound:
+            self._sound = 0
+            self.count += 1
+            if self.count == 1:
+                self._news.append((Severity.ERROR, NOT_FINITE))
+        elif self.count:
+            self._sound += 1
+            if self._sound >= OVER_STEPS:
+                self._news.append((Severity.INFO, f"Estimate finite again after {self.count} ticks without thrust"))
+                self.count = 0
+
+    def take_news(self) -> list[tuple[Severity, str]]:
+        """What has not been told yet."""
+        news, self._news = self._news, []
+        return news
+
+
 def station_keeping_thrust(
     sharing: Sharing,
     x: FloatArray,

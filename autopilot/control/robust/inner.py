@@ -31,7 +31,7 @@ class InnerLoop:
         self._begin_us = 0
         self.active = False
         """There is a plan to follow."""
-        library = compiled.library()
+        library = compiled.library(_Inner)
         self._quick = None if library is None else _Quick(library, ancillary, grid, self._x, self._u, self._current)
 
     def start(self, t_us: int, x: FloatArray, thrust_n: FloatArray, current_ned_m_s: FloatArray) -> None:
@@ -61,10 +61,7 @@ class InnerLoop:
         return result
 
 
-_ARRAYS = ("t_s", "gains", "plan", "plan_thrust", "x", "current", "planned_current", "limit_n", "thrust")
-
-
-class _Inner(ctypes.Structure):
+class _Inner(compiled.Mirror):
     """The struct of follow.c."""
 
     _fields_ = (
@@ -73,7 +70,8 @@ class _Inner(ctypes.Structure):
         ("surges", ctypes.c_long),
         ("first_m_s", ctypes.c_double),
         ("step_m_s", ctypes.c_double),
-        *((name, ctypes.c_void_p) for name in _ARRAYS),
+        *((name, ctypes.c_void_p) for name in ("t_s", "gains", "plan", "plan_thrust", "x", "current")),
+        *((name, ctypes.c_void_p) for name in ("planned_current", "limit_n", "thrust")),
     )
 
 
@@ -93,15 +91,24 @@ class _Quick:
         self._state, self._current = np.zeros(NX), np.zeros(3)
         self._limit_n, self._thrust_n = np.zeros(thrusters), np.zeros(thrusters)
         self._gains, self._t_s = np.ascontiguousarray(ancillary.gains), np.ascontiguousarray(grid.t_s)
-        arrays = (self._t_s, self._gains, x, thrust_n, self._state, self._current, current_ned_m_s)
-        addresses = [array.ctypes.data for array in (*arrays, self._limit_n, self._thrust_n)]
+        self._arrays = {
+            "t_s": (self._t_s, (grid.n + 1,)),
+            "gains": (self._gains, (surges, thrusters, NX)),
+            "plan": (x, (grid.n + 1, NX)),
+            "plan_thrust": (thrust_n, (grid.n, thrusters)),
+            "x": (self._state, (NX,)),
+            "current": (self._current, (3,)),
+            "planned_current": (current_ned_m_s, (3,)),
+            "limit_n": (self._limit_n, (thrusters,)),
+            "thrust": (self._thrust_n, (thrusters,)),
+        }
         self._told = _Inner(
             n=grid.n,
             thrusters=thrusters,
             surges=surges,
             first_m_s=float(SURGES_M_S[0]),
             step_m_s=float(SURGES_M_S[1] - SURGES_M_S[0]),
-            **dict(zip(_ARRAYS, addresses, strict=True)),
+            **{name: compiled.fitting(name, array, *shape) for name, (array, shape) in self._arrays.items()},
         )
         self._reference, self._call = ctypes.byref(self._told), library.inner_thrust
 

@@ -73,7 +73,7 @@ class TubeTable:
         """(nodes, STATES_OUT + thrusters) for planned surge (nodes,) and variances (GROUPS,)."""
         mixed = self.variance @ variances
         place = np.minimum(np.maximum((surge_m_s - self.first_m_s) / self.step_m_s, 0.0), len(mixed) - 1.0)
-        low = np.minimum(place.astype(np.intp), len(mixed) - 2)
+        low = np.minimum(np.nan_to_num(place).astype(np.intp), len(mixed) - 2)
         share = (place - low)[:, None]
         below = mixed[low, self._nodes]
         result: FloatArray = below + share * (mixed[low + 1, self._nodes] - below)
@@ -168,7 +168,7 @@ class TubeMargins:
         self, nav: NavState, x: FloatArray, thrust_n: FloatArray, params: ParamSet, speed_share: float = 1.0
     ) -> BackOffs:
         """See :class:`autopilot.control.robust.tightening.Tightening`. ``speed_share``: of the planar speed's, as far
-        as the fixed margin leaves room for it."""
+        as the fixed margin leaves room for it. ValueError if the plan is not one of this grid."""
         self._look(nav, params)
         if self._quick is not None and x.flags.c_contiguous and x.dtype == np.float64:
             return self._quickly(x, params, speed_share)
@@ -229,7 +229,8 @@ class TubeMargins:
         given[:7] = (*self._mix, *added)
         given[26] = speed_share
         if x is not self._plan:
-            self._plan, self._plan_address = x, x.ctypes.data
+            self._plan_address = compiled.fitting("x", x, self._n + 1, NX)
+            self._plan = x
         table, told, states, thrust = self._addresses
         assert self._quick is not None
         self._quick(table, self._speeds, self._n, self._thrusters, told, self._plan_address, states, thrust)

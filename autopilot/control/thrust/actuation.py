@@ -5,6 +5,8 @@ do what they are told. The order within a tick: :meth:`Actuation.send` at its be
 the estimate is there, :meth:`Actuation.command` (or :meth:`Actuation.neutral`) at its end.
 """
 
+import math
+
 import numpy as np
 
 from autopilot.control.thrust.allocation import Allocation
@@ -113,15 +115,24 @@ class Actuation:
         return self._delay.send(t_us, self._pulse_n)
 
     def learn(
-        self, t_us: int, nav: NavState | None, acting_n: FloatArray, goal: Goal | None, *, armed: bool, reached: bool
+        self,
+        t_us: int,
+        nav: NavState | None,
+        acting_n: FloatArray,
+        goal: Goal | None,
+        *,
+        armed: bool,
+        reached: bool,
+        alone: bool = True,
     ) -> ThrusterHealthState | None:
         """Late commands and lost thrust, from the estimate of now and what :meth:`send` said.
 
-        ``reached``: the device takes the commands. The result is for the log, at times.
+        ``reached``: the device takes the commands. ``alone``: nobody else commands the thrusters, so that motion says
+        when commands act. The result is for the log, at times.
         """
         self._nav = nav
         capability_n = self.allocation.capability_n(self.supply_v)
-        self._delay.step(t_us, nav, armed=armed)
+        self._delay.step(t_us, nav, armed=armed and alone)
         # What never reached the thrusters says nothing about them.
         prompt = armed and self._delay.prompt and reached
         return self._losses.step(t_us, nav, acting_n, capability_n, goal, armed=prompt)
@@ -137,13 +148,16 @@ class Actuation:
         return up * (limit_n / most)
 
     def command(self, t_us: int, thrust_n: FloatArray, *, armed: bool) -> ThrusterCommand:
-        """Pulses for thrust (n,), with that which levels the vehicle; neutral ones while disarmed."""
+        """Pulses for thrust (n,), with that which levels the vehicle; neutral ones while disarmed. ValueError if it is
+        not finite: no thruster turns for a command of which one part is no number."""
         if not armed:
             self._pulse_n = self.nothing()
             return self._told(t_us, self._pulse_n, self.allocation.neutral_us)
         if self._nav is not None and self._levelling.given:
             tilt, turning = self._nav.rpy_rad, self._nav.rate_frd_rad_s
             thrust_n = self._levelling.thrust_n(thrust_n, self._can_n, tilt, turning)
+        if not all(map(math.isfinite, thrust_n.tolist())):
+            raise ValueError(f"thrust is not finite: {thrust_n.tolist()}")
         pulses_us = self.allocation.pulses_us(thrust_n, self.supply_v, self._losses.share)
         # What the pulses will give, deadband and saturation included: the estimator's model lives on it.
         self._pulse_n = self.allocation.thrusts_n(pulses_us, self.supply_v)

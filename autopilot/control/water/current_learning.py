@@ -103,9 +103,14 @@ class Fit:
     """Of the three."""
 
     def __post_init__(self) -> None:
-        arrays = self.places_ned_m, self.pull, self.mean_m_s
+        cells = len(self.places_ned_m)
+        told = (
+            compiled.fitting("places_ned_m", self.places_ned_m, cells, 2),
+            compiled.fitting("pull", self.pull, 2, cells),
+            compiled.fitting("mean_m_s", self.mean_m_s, 2),
+        )
         # Frozen: what is derived is set past the guard.
-        object.__setattr__(self, "addresses", tuple(compiled.address(array) for array in arrays))
+        object.__setattr__(self, "addresses", told)
 
     def flow(self, places: FloatArray) -> FloatArray:
         """(m, 2) at places (m, 2)."""
@@ -124,7 +129,7 @@ class Fit:
     def _quickly(self, library: Any, places: FloatArray) -> FloatArray:
         """The same by the compiled library (``data/native/water.c``)."""
         here, out = np.array(places, dtype=float, order="C"), np.empty((len(places), 2))
-        at, cells, told = compiled.address(here), len(self.places_ned_m), self.addresses
+        at, cells, told = compiled.fitting("places", here, len(here), 2), len(self.places_ned_m), self.addresses
         library.flow_at(len(here), at, 2, cells, *told[:2], self.length_m, told[2], compiled.address(out))
         return out
 
@@ -138,7 +143,7 @@ class LearnedCurrent:
         self._fenced = False
         self._last_us: int | None = None
         self._revision = Revision()
-        library = compiled.library()
+        library = compiled.library(_Forecast)
         self._quick = None if library is None else _Quick(library)
         self._forget()
 
@@ -251,7 +256,7 @@ class LearnedCurrent:
         self._fit = Fit(length_m=self._length_m, places_ned_m=places, pull=pull, mean_m_s=mean)
 
 
-class _Forecast(ctypes.Structure):
+class _Forecast(compiled.Mirror):
     """The struct of water.c."""
 
     _fields_ = (
@@ -292,7 +297,8 @@ class _Quick:
         self._here[:], self._estimate[:] = nav.pos_ned_m, nav.current_ned_m_s
         told.m, told.stride, told.cells = m, 3, len(fit.places_ned_m)
         told.length_m, told.trust, told.scale_m = fit.length_m, trust, scale_m
-        told.places, told.t_s, told.out = (compiled.address(array) for array in (places, times, made))
+        told.places, told.out = compiled.fitting("pos_ned_m", places, m, 3), compiled.address(made)
+        told.t_s = compiled.fitting("t_s", times, m)
         told.cell, told.pull, told.mean = fit.addresses
         self._call(self._reference)
         out[:] = made

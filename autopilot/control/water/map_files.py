@@ -61,7 +61,8 @@ def read_variables(path: Path) -> dict[str, Variable]:
 
 def _read_npz(path: Path) -> dict[str, Variable]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Of a damaged archive numpy closes nothing.
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise _damaged(path, error) from error
@@ -76,8 +77,8 @@ def _read_netcdf3(path: Path) -> dict[str, Variable]:
     from scipy.io import netcdf_file
 
     try:
-        # Without mmap nothing of the file is referred to once it is closed.
-        with netcdf_file(str(path), "r", mmap=False) as file:
+        # Without mmap nothing of the file is referred to once it is closed. Of a damaged one scipy closes nothing.
+        with path.open("rb") as raw, netcdf_file(raw, "r", mmap=False) as file:
             return {
                 name: _variable(path, name, np.array(v.data), tuple(v.dimensions), _attributes(v))
                 for name, v in file.variables.items()

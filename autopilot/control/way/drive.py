@@ -11,7 +11,7 @@ import numpy as np
 
 from autopilot.control.nmpc.grid import TimeGrid
 from autopilot.control.way.guidance import Reference, Situation, SteadyThrust, Weights
-from autopilot.control.way.quick import QuickMarch
+from autopilot.control.way.quick import STRUCTS, QuickMarch
 from autopilot.control.way.reference import (
     DECELERATION_M_S2,
     HEAVE_DECELERATION_M_S2,
@@ -72,7 +72,7 @@ class DriveGuidance:
         self._t_s = grid.t_s
         self._steady = SteadyThrust(sharing)
         self._weights = Weights(sharing.model.thrusters)
-        library = compiled.library()
+        library = compiled.library(*STRUCTS)
         self._quick = None if library is None else QuickMarch(library, sharing, grid.t_s)
         self.reset()
 

@@ -16,7 +16,7 @@ from autopilot.control.nmpc.ocp import TERMINAL_STAGES
 from autopilot.control.water.currents import CurrentForecast
 from autopilot.control.way.desks import Mishaps
 from autopilot.control.way.planner import Planner
-from autopilot.control.way.quick import QuickMarch
+from autopilot.control.way.quick import STRUCTS, QuickMarch
 from autopilot.control.way.reference import TURN_AHEAD_M, Route, Target, build_reference, turn_target
 from autopilot.core import compiled
 from autopilot.core.desk import Cancel, Desk, Ticket
@@ -225,7 +225,7 @@ class RouteGuidance:
         self._t_s = grid.t_s
         self._steady = SteadyThrust(sharing)
         self._weights = Weights(sharing.model.thrusters)
-        library = compiled.library()
+        library = compiled.library(*STRUCTS)
         self._quick = None if library is None else QuickMarch(library, sharing, grid.t_s)
         self._desk = desk
         self._ticket: Ticket[FloatArray | None] | None = None

@@ -11,8 +11,9 @@ import numpy as np
 from autopilot.control.nmpc.model_code import BUOYANCY, coefficients
 from autopilot.control.way import reference
 from autopilot.control.way.reference import Route, Target
+from autopilot.core import compiled
 from autopilot.core.frames import FloatArray
-from autopilot.core.model4 import NX
+from autopilot.core.model4 import AXES, NX
 from autopilot.core.sharing import Sharing
 
 _DOUBLES = ("s0_m", "depth_m", "yaw_rad", "cruise_m_s", "speed_limit_m_s", "heave_limit_m_s", "yaw_rate_limit_rad_s")
@@ -34,7 +35,7 @@ _DECELERATIONS = (
 )
 
 
-class _Steady(ctypes.Structure):
+class Steady(compiled.Mirror):
     """The struct of reference.c."""
 
     _fields_ = (
@@ -46,7 +47,7 @@ class _Steady(ctypes.Structure):
     )
 
 
-class _March(ctypes.Structure):
+class March(compiled.Mirror):
     """The struct of reference.c."""
 
     _fields_ = (
@@ -56,6 +57,9 @@ class _March(ctypes.Structure):
         ("deceleration", ctypes.c_double * 3),
         *((name, ctypes.c_void_p) for name in ("t_s", "x0", "current", "s", "corner", "tangent", "x", "thrust")),
     )
+
+
+STRUCTS = Steady, March
 
 
 class QuickMarch:
@@ -70,13 +74,13 @@ class QuickMarch:
         self._coefficients = np.array(coefficients(model))
         self._inverse: FloatArray | None = None
         self._route: Route | None = None
-        self._steady = _Steady(
+        self._steady = Steady(
             thrusters=thrusters,
             clipped=sharing.square,
             coefficients=self._coefficients.ctypes.data,
             limit_n=self._limit_n.ctypes.data,
         )
-        self._march = _March(
+        self._march = March(
             nodes=nodes,
             **_RULES,
             deceleration=_DECELERATIONS,
@@ -117,4 +121,5 @@ class QuickMarch:
         """Which thrusters make a force depends on those that are alive."""
         inverse = self._sharing.linear(limit_n)
         if inverse is not self._inverse:
-            self._inverse, self._steady.inverse = inverse, inverse.ctypes.data
+            self._steady.inverse = compiled.fitting("inverse", inverse, AXES, len(limit_n))
+            self._inverse = inverse

@@ -113,6 +113,16 @@ class Route:
         return result
 
 
+def at_least(value: float, least: float) -> float:
+    """The larger; NaN if either is, which max takes for the smaller."""
+    return value if value > least or value != value else least
+
+
+def at_most(value: float, most: float) -> float:
+    """The smaller; NaN if either is."""
+    return value if value < most or value != value else most
+
+
 def approach(moves: Sequence[tuple[float, float, float]], t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Travel and speed (k, m) at times ``t_s`` (m,) of k points that move at a speed and stop after a distance.
 
@@ -120,8 +130,8 @@ def approach(moves: Sequence[tuple[float, float, float]], t_s: FloatArray) -> tu
     """
     table = []
     for distance, speed, deceleration in moves:
-        start = min(speed, math.sqrt(2.0 * deceleration * distance))
-        brake_s = distance / start - 0.5 * start / deceleration if start > 0.0 else 0.0
+        start = at_most(speed, math.sqrt(2.0 * deceleration * distance))
+        brake_s = distance / start - 0.5 * start / deceleration if start != 0.0 else 0.0
         table.append((start, brake_s, deceleration, distance))
     start, brake_s, deceleration, distance = np.array(table).T[:, :, None]
     until_brake = brake_s - t_s
@@ -132,7 +142,8 @@ def approach(moves: Sequence[tuple[float, float, float]], t_s: FloatArray) -> tu
 def water_speed_share(against_m_s: float, water_limit_m_s: float) -> float:
     """Share of the limit on planar speed that is asked for with so much current against the way."""
     span = FAST_CURRENT_SHARE - SLOW_CURRENT_SHARE
-    fast = min(max((against_m_s / max(water_limit_m_s, 1e-6) - SLOW_CURRENT_SHARE) / span, 0.0), 1.0)
+    against = (against_m_s / at_least(water_limit_m_s, 1e-6) - SLOW_CURRENT_SHARE) / span
+    fast = at_most(at_least(against, 0.0), 1.0)
     return WATER_SPEED_SHARE + fast * (UPSTREAM_SPEED_SHARE - WATER_SPEED_SHARE)
 
 
@@ -140,8 +151,8 @@ def ground_speed(cruise_m_s: float, tangent: complex, current: complex, water_li
     """Speed along ``tangent`` that is asked for and that the limit on speed through the water allows."""
     along = (tangent.conjugate() * current).real
     room = along * along - abs(current) ** 2 + (water_speed_share(-along, water_limit_m_s) * water_limit_m_s) ** 2
-    reachable = along + math.sqrt(room) if room > 0.0 else 0.0
-    return max(SLOWEST_M_S, min(cruise_m_s, reachable))
+    reachable = 0.0 if room <= 0.0 else along + math.sqrt(room)
+    return at_least(at_most(cruise_m_s, reachable), SLOWEST_M_S)
 
 
 TURN_TIE_RAD = 0.2
@@ -186,12 +197,13 @@ def build_reference(t_s: FloatArray, x0: FloatArray, target: Target, current_ned
     as heave allows, heading turns by the way given. Velocities are those through the water that this motion needs in
     the current, so that a goal in a current is a steady state of the reference and is held without offset.
     """
-    route, rest = target.route, max(0.0, target.route.length_m - target.s0_m)
+    route, rest = target.route, at_least(target.route.length_m - target.s0_m, 0.0)
     current = complex(current_ned_m_s[0], current_ned_m_s[1])
-    tangent = route.tangent(target.s0_m + min(CORNER_AHEAD_M, 0.5 * rest))
+    tangent = route.tangent(target.s0_m + at_most(CORNER_AHEAD_M, 0.5 * rest))
     speed = ground_speed(target.cruise_m_s, tangent, current, target.speed_limit_m_s)
     dz, turn = float(target.depth_m - x0[Z]), float(target.yaw_rad - x0[YAW])
-    climb = min(HEAVE_SHARE * target.heave_limit_m_s, max(abs(dz) / max(rest / speed, MIN_DEPTH_TIME_S), SLOWEST_M_S))
+    needed = at_least(abs(dz) / at_least(rest / speed, MIN_DEPTH_TIME_S), SLOWEST_M_S)
+    climb = at_most(needed, HEAVE_SHARE * target.heave_limit_m_s)
     turn_rate = YAW_RATE_SHARE * target.yaw_rate_limit_rad_s
     moves = (
         (rest, speed, DECELERATION_M_S2),

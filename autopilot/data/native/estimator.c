@@ -7,11 +7,7 @@
 #include <math.h>
 #include <string.h>
 
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
+#include "common.h"
 
 enum { NX = 21, MOST_THRUSTERS = 8 };
 enum {
@@ -26,8 +22,7 @@ typedef struct {
     double moved[NX];
     double jacobian[NX][NX]; /* the identity but for what is written here */
 } Motion;
-
-EXPORT long motion_doubles(void) { return (long)(sizeof(Motion) / sizeof(double)); }
+LAYOUT(Motion, x, dt_s, yaw_rate, accel, fade_s, moved, jacobian)
 
 EXPORT void motion_step(Motion *t) {
     const double *x = t->x, dt = t->dt_s, half = 0.5 * dt * dt;
@@ -78,8 +73,8 @@ typedef struct {
     double acceleration[4]; /* over ground forward, right, down; of the yaw rate */
     double jacobian[3][NX]; /* zero but for what is written here */
 } Look;
-
-EXPORT long look_doubles(void) { return (long)(sizeof(Look) / sizeof(double)); }
+LAYOUT(Look, x, yaw_rate, thrust, mass, linear, quadratic, buoyancy_excess, follow, smoothing, allocation, acceleration,
+       jacobian)
 
 /* d(|a| a)/da, smoothed. */
 static double slope(double a, double smoothing) {

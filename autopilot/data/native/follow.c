@@ -4,16 +4,10 @@
  * mean and are used without this library; tests/control/test_compiled_follow.py holds them against each other.
  */
 #include <math.h>
-#include <stddef.h>
 #include <string.h>
 
+#include "common.h"
 #include "model.c"
-
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
 
 enum { NX = 8, AXES = 4, X = 0, Y, Z, YAW, U, V, W, R, MOST_THRUSTERS = 16 };
 
@@ -24,6 +18,7 @@ typedef struct {
     const double *x, *thrust, *current;                   /* (NX), (thrusters), (3) */
     double *after;                                        /* (NX) */
 } Ahead;
+LAYOUT(Ahead, thrusters, steps, dt_s, coefficients, allocation, x, thrust, current, after)
 
 /* State after dt_s with constant thrust. */
 EXPORT void state_ahead(const Ahead *a) {
@@ -55,10 +50,12 @@ typedef struct {
     const double *x, *current, *planned_current, *limit_n; /* (NX), (3), (3), (thrusters) */
     double *thrust;                            /* (thrusters) */
 } Inner;
+LAYOUT(Inner, n, thrusters, surges, first_m_s, step_m_s, t_s, gains, plan, plan_thrust, x, current, planned_current,
+       limit_n, thrust)
 
 /* Thrust after_s into the plan: of the plan, and the feedback of the error, velocities over ground. */
 EXPORT void inner_thrust(const Inner *a, double after_s) {
-    const double time = fmin(fmax(after_s, 0.0), a->t_s[a->n]);
+    const double time = clamp(after_s, 0.0, a->t_s[a->n]);
     long k = 0;
     while (time > a->t_s[k + 1]) k++;
     const double share = (time - a->t_s[k]) / (a->t_s[k + 1] - a->t_s[k]);
@@ -78,8 +75,8 @@ EXPORT void inner_thrust(const Inner *a, double after_s) {
     e[V] += cx * o - sx * n;
     e[W] += a->current[2] - a->planned_current[2];
     const double surge = k < 2 ? a->plan[U] : z[U], most = (double)(a->surges - 1);
-    const double place = fmin(fmax((surge - a->first_m_s) / a->step_m_s, 0.0), most);
-    const long low = (long)place < a->surges - 2 ? (long)place : a->surges - 2;
+    const double place = clamp((surge - a->first_m_s) / a->step_m_s, 0.0, most);
+    const long low = row_below(place, a->surges);
     const double *below = a->gains + low * a->thrusters * NX, *above = below + a->thrusters * NX;
     for (long v = 0; v < a->thrusters; v++) {
         double sum = a->plan_thrust[a->thrusters * k + v];
@@ -87,14 +84,18 @@ EXPORT void inner_thrust(const Inner *a, double after_s) {
             const double lower = below[NX * v + i], upper = above[NX * v + i];
             sum += (lower + (place - (double)low) * (upper - lower)) * e[i];
         }
-        a->thrust[v] = fmin(fmax(sum, -a->limit_n[v]), a->limit_n[v]);
+        a->thrust[v] = clamp(sum, -a->limit_n[v], a->limit_n[v]);
     }
 }
 
-/* Rows (count, width) at times t (count), linear in between, ends held: out (m, width) at times `at` (m). */
+/* Rows (count, width) at times t (count), linear in between, ends held: out (m, width) at times `at` (m); NaN at NaN. */
 EXPORT void rows_at(long count, long width, const double *t, const double *rows, long m, const double *at, double *out) {
     long j = 0;
     for (long k = 0; k < m; k++, out += width) {
+        if (isnan(at[k])) {
+            for (long i = 0; i < width; i++) out[i] = at[k];
+            continue;
+        }
         if (!(at[k] > t[0]) || at[k] >= t[count - 1]) {
             memcpy(out, rows + (at[k] >= t[count - 1] ? width * (count - 1) : 0), (size_t)width * sizeof *out);
             continue;
@@ -107,12 +108,13 @@ EXPORT void rows_at(long count, long width, const double *t, const double *rows,
 }
 
 /* Of `points` times from first_s on, step_s apart, the one at which the rows (as rows_at) are nearest to x (NX), its
- * heading counted by `lever_m`; its distance in the plane. */
+ * heading counted by `lever_m`; its distance in the plane. The first, infinitely far, where none has a finite distance. */
 EXPORT double nearest_at(long count, long width, const double *t, const double *rows, const double *x, double first_s,
                          double step_s, long points, double lever_m, double *away_m) {
     enum { MOST = 32 };
     double best = INFINITY, best_s = first_s, row[MOST], offset = 0.0;
     const double turn = 2.0 * 3.14159265358979323846;
+    *away_m = INFINITY;
     if (width > MOST) return NAN;
     for (long k = 0; k < points; k++) {
         const double at = first_s + step_s * (double)k;

@@ -3,13 +3,8 @@
  * One file serves all vehicles and all processors of an architecture: `VARIANTS` (in front of this file, see setup.py)
  * lists the compiled steps as VARIANT(thrusters, kind), kind `plain` or, on x86-64, `wide` (AVX2 and FMA).
  */
+#include "common.h"
 #include "task.h"
-
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
 
 #define VARIANT(thrusters, kind)                       \
     void control_step_##thrusters##_##kind(const Task *); \
@@ -27,8 +22,8 @@ static int kind_of_processor(void) {
 #endif
 }
 
-/* Size of the struct that a step is called with: callers with another one are refused. */
-EXPORT long task_bytes(void) { return (long)sizeof(Task); }
+LAYOUT(Task, n, thrusters, slack_l1, slack_l2, coefficients, allocation, step_s, steps, scale, x_guess, u_guess, x_ref, u_ref,
+       current, weight_x, weight_u, terminal, limits, thrust_limit, plane_n, plane_d, x, u, slack, figures, work)
 
 /* Of `work`; 0 for a number of thrusters that this is not made for. */
 EXPORT long workspace_bytes(long n, long thrusters) {

@@ -6,14 +6,10 @@
  */
 #include <math.h>
 
+#include "common.h"
+
 #if defined(__clang__) /* GCC does not contract in ISO C */
 #pragma STDC FP_CONTRACT OFF
-#endif
-
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
 #endif
 
 enum { STATES = 13, MOST_THRUSTERS = 8 };
@@ -27,6 +23,8 @@ typedef struct {
     double columns[MOST_THRUSTERS][6], tau[MOST_THRUSTERS], ahead_power[MOST_THRUSTERS], astern_power[MOST_THRUSTERS];
     double thrusters;
 } Coefficients;
+LAYOUT(Coefficients, mass, added, inertia, linear, quadratic, turn_linear, turn_quadratic, weight, buoyancy, displaced, center,
+       half_height, tethered, entry, tether_drag, tether_pull, slack, columns, tau, ahead_power, astern_power, thrusters)
 
 typedef struct {
     double state[STATES], change[STATES]; /* `change`: without thrust, see plant_look */
@@ -37,8 +35,8 @@ typedef struct {
     double held, gravity;
     double numbers[25 + MOST_THRUSTERS];
 } Hull;
-
-EXPORT long plant_bytes(long which) { return (long)(which ? sizeof(Hull) : sizeof(Coefficients)); }
+LAYOUT(Hull, state, change, motor, gain, goal, mean, power, external, current, place, varies, gradient, rate, held, gravity,
+       numbers)
 
 static inline double larger(double a, double b) { return b > a ? b : a; }
 
@@ -181,7 +179,7 @@ EXPORT void plant_measure(const Coefficients *c, Hull *h) {
     const double r31 = 2.0 * (ex * ez - ey * ew), r32 = 2.0 * (ey * ez + ex * ew), r33 = 1.0 - 2.0 * (ex * ex + ey * ey);
     for (int k = 0; k < STATES; k++) out[k] = s[k];
     out[13] = atan2(r32, r33);
-    out[14] = asin(fmax(-1.0, fmin(1.0, -r31)));
+    out[14] = asin(clamp(-r31, -1.0, 1.0));
     out[15] = atan2(r21, r11);
     for (int k = 0; k < 3; k++) out[16 + k] = h->current[k];
     out[19] = u - r11 * cn - r21 * ce - r31 * cd;

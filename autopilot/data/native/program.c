@@ -4,13 +4,8 @@
  * tests/control/test_compiled_program.py holds them against each other.
  */
 #include <math.h>
-#include <stddef.h>
 
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
+#include "common.h"
 
 enum { CLEARANCE, DEPTH, PLANAR, HEAVE, YAW_RATE, KINDS };
 
@@ -22,17 +17,20 @@ typedef struct {
     const double *thrust_ref, *thrust, *weight;          /* (n, thrusters), (n, thrusters), (thrusters) */
     double *limits, *left, *keep_m, *tube_m, *held, *held_weight; /* (n - 1, KINDS), (n, thrusters), (n - 1), (n + 1) */
 } Program;
+LAYOUT(Program, n, thrusters, radius_m, planar_m_s, heave_m_s, yaw_rate_rad_s, depth_min_m, depth_max_m, depth_m, slowest_m_s,
+       largest_thrust_share, change, back_off, thrust_back_off, limit_n, thrust_ref, thrust, weight, limits, left, keep_m,
+       tube_m, held, held_weight)
 
 EXPORT void program_bounds(const Program *a) {
     const long inner = a->n - 1;
     for (long k = 0; k < inner; k++) {
         const double *off = a->back_off + k;
         double *limit = a->limits + KINDS * k;
-        limit[0] = fmax(a->planar_m_s - off[PLANAR * inner], a->slowest_m_s);
-        limit[1] = fmax(a->heave_m_s - off[HEAVE * inner], 0.0);
-        limit[2] = fmax(a->yaw_rate_rad_s - off[YAW_RATE * inner], 0.0);
-        limit[3] = fmin(a->depth_m, a->depth_min_m + off[DEPTH * inner]);
-        limit[4] = fmax(a->depth_m, a->depth_max_m - off[DEPTH * inner]);
+        limit[0] = at_least(a->planar_m_s - off[PLANAR * inner], a->slowest_m_s);
+        limit[1] = at_least(a->heave_m_s - off[HEAVE * inner], 0.0);
+        limit[2] = at_least(a->yaw_rate_rad_s - off[YAW_RATE * inner], 0.0);
+        limit[3] = at_most(a->depth_m, a->depth_min_m + off[DEPTH * inner]);
+        limit[4] = at_least(a->depth_m, a->depth_max_m - off[DEPTH * inner]);
         a->keep_m[k] = a->radius_m + off[CLEARANCE * inner];
         a->tube_m[k + 1] = off[CLEARANCE * inner];
     }
@@ -43,19 +41,19 @@ EXPORT void program_bounds(const Program *a) {
         for (long v = 0; v < a->thrusters; v++) {
             const long i = a->thrusters * k + v;
             const double limit = a->limit_n[v];
-            const double left = limit - fmin(a->thrust_back_off[i], a->largest_thrust_share * limit);
-            const double wanted = fmin(fmax(a->thrust_ref[i], -left), left);
+            const double left = limit - at_most(a->thrust_back_off[i], a->largest_thrust_share * limit);
+            const double wanted = clamp(a->thrust_ref[i], -left, left);
             a->left[i] = left;
             a->held[i] = (a->weight[v] * wanted + a->change * a->thrust[i]) / a->held_weight[v];
         }
 }
 
-/* Smallest distance by which points (m, 2), `stride` doubles apart, meet their half-planes (m, slots). */
+/* Smallest distance by which points (m, 2), `stride` doubles apart, meet their half-planes (m, slots); NaN if there is one. */
 EXPORT double least_room(long m, long slots, const double *points, long stride, const double *normals, const double *offsets) {
     double least = INFINITY;
     for (long k = 0; k < m; k++)
         for (long i = k * slots; i < (k + 1) * slots; i++)
-            least = fmin(least, normals[2 * i] * points[stride * k] + normals[2 * i + 1] * points[stride * k + 1] - offsets[i]);
+            least = at_most(normals[2 * i] * points[stride * k] + normals[2 * i + 1] * points[stride * k + 1] - offsets[i], least);
     return least;
 }
 

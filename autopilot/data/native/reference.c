@@ -4,16 +4,10 @@
  * tests/control/test_compiled_reference.py holds them against each other. Forces come from the generated model.
  */
 #include <math.h>
-#include <stddef.h>
 #include <string.h>
 
+#include "common.h"
 #include "model.c"
-
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
 
 enum { NX = 8, AXES = 4, X = 0, Y, Z, YAW, U, V, W, R, MOVES = 3 };
 
@@ -26,6 +20,7 @@ typedef struct {
     long thrusters, clipped; /* clipped: thrust beyond its limit is cut; else it is counted and shared by others */
     const double *coefficients, *inverse, *limit_n; /* of the model; (AXES, thrusters) force to thrust; (thrusters) */
 } Steady;
+LAYOUT(Steady, thrusters, clipped, coefficients, inverse, limit_n)
 
 typedef struct {
     long nodes, legs;
@@ -36,11 +31,14 @@ typedef struct {
     const Place *corner, *tangent;        /* (legs + 1), (legs) */
     double *x, *thrust;                   /* (nodes, NX), (nodes - 1, thrusters) */
 } March;
+LAYOUT(March, nodes, legs, s0_m, depth_m, yaw_rad, cruise_m_s, speed_limit_m_s, heave_limit_m_s, yaw_rate_limit_rad_s,
+       corner_ahead_m, water_share, upstream_share, slow_current_share, fast_current_share, slowest_m_s, heave_share,
+       yaw_rate_share, least_depth_time_s, deceleration, t_s, x0, current, s, corner, tangent, x, thrust)
 
 /* Thrust (m, thrusters) that holds the velocities of states (m, NX). How many rows exceed limits without being cut. */
 EXPORT long steady_thrust(const Steady *a, long m, const double *x, double *thrust) {
     static const double nothing[AXES] = {0.0};
-    long beyond = 0;
+    long beyond = 0; /* NaN exceeds every limit */
     for (long k = 0; k < m; k++) {
         double state[NX] = {0.0}, slope[NX], *row = thrust + a->thrusters * k;
         memcpy(state + U, x + NX * k + U, AXES * sizeof(double));
@@ -52,7 +50,7 @@ EXPORT long steady_thrust(const Steady *a, long m, const double *x, double *thru
             double sum = 0.0;
             for (int i = 0; i < AXES; i++) sum -= a->coefficients[i] * slope[U + i] * a->inverse[a->thrusters * i + v];
             over |= !(fabs(sum) <= a->limit_n[v]);
-            row[v] = a->clipped ? fmin(fmax(sum, -a->limit_n[v]), a->limit_n[v]) : sum;
+            row[v] = a->clipped ? clamp(sum, -a->limit_n[v], a->limit_n[v]) : sum;
         }
         beyond += over && !a->clipped;
     }
@@ -64,11 +62,11 @@ static double ground_speed(const March *a, Place tangent) {
     const double north = a->current[0], east = a->current[1], limit = a->speed_limit_m_s;
     const double along = tangent.x * north + tangent.y * east;
     const double span = a->fast_current_share - a->slow_current_share;
-    const double fast = fmin(fmax((-along / fmax(limit, 1e-6) - a->slow_current_share) / span, 0.0), 1.0);
+    const double fast = clamp((-along / at_least(limit, 1e-6) - a->slow_current_share) / span, 0.0, 1.0);
     const double water = (a->water_share + fast * (a->upstream_share - a->water_share)) * limit;
     const double room = along * along - (north * north + east * east) + water * water;
-    const double reachable = along + (room > 0.0 ? sqrt(room) : 0.0);
-    return fmax(a->slowest_m_s, fmin(a->cruise_m_s, room > 0.0 ? reachable : 0.0));
+    const double reachable = room <= 0.0 ? 0.0 : along + sqrt(room);
+    return at_least(at_most(a->cruise_m_s, reachable), a->slowest_m_s);
 }
 
 /* Arc length of the nearest point of a route within a window round a hint, and the distance to it (see Route.project). */
@@ -76,11 +74,11 @@ EXPORT double nearest_on_route(long legs, const Place *corner, const Place *tang
                                double hint, double window, double *distance) {
     double best_s = 0.0, best = INFINITY;
     for (long i = 0; i < legs; i++) {
-        const double low = fmax(0.0, hint - window - s[i]), high = fmin(s[i + 1] - s[i], hint + window - s[i]);
+        const double low = at_least(hint - window - s[i], 0.0), high = at_most(hint + window - s[i], s[i + 1] - s[i]);
         if (i + 1 < legs && s[i + 1] < hint - window) continue;
         if (low > high) break;
         const double dx = x - corner[i].x, dy = y - corner[i].y;
-        const double along = fmin(fmax(dx * tangent[i].x + dy * tangent[i].y, low), high);
+        const double along = clamp(dx * tangent[i].x + dy * tangent[i].y, low, high);
         const double off = hypot(dx - along * tangent[i].x, dy - along * tangent[i].y);
         if (off < best) {
             best = off;
@@ -99,32 +97,32 @@ static long leg_at(const March *a, double s) {
 
 /* References (nodes, NX) and their thrust; returns as steady_thrust does. */
 EXPORT long march(const March *a, const Steady *steady) {
-    const double length = a->s[a->legs], rest = fmax(0.0, length - a->s0_m);
-    const Place ahead = a->tangent[leg_at(a, a->s0_m + fmin(a->corner_ahead_m, 0.5 * rest))];
+    const double length = a->s[a->legs], rest = at_least(length - a->s0_m, 0.0);
+    const Place ahead = a->tangent[leg_at(a, a->s0_m + at_most(a->corner_ahead_m, 0.5 * rest))];
     const double speed = ground_speed(a, ahead), dz = a->depth_m - a->x0[Z], turn = a->yaw_rad - a->x0[YAW];
-    const double climb = fmin(a->heave_share * a->heave_limit_m_s,
-                              fmax(fabs(dz) / fmax(rest / speed, a->least_depth_time_s), a->slowest_m_s));
+    const double climb = at_most(at_least(fabs(dz) / at_least(rest / speed, a->least_depth_time_s), a->slowest_m_s),
+                                 a->heave_share * a->heave_limit_m_s);
     const double distance[MOVES] = {rest, fabs(dz), fabs(turn)};
     const double wanted[MOVES] = {speed, climb, a->yaw_rate_share * a->yaw_rate_limit_rad_s};
     const double down = copysign(1.0, dz), round = copysign(1.0, turn);
     double start[MOVES], brake_s[MOVES];
     for (int i = 0; i < MOVES; i++) {
-        start[i] = fmin(wanted[i], sqrt(2.0 * a->deceleration[i] * distance[i]));
-        brake_s[i] = start[i] > 0.0 ? distance[i] / start[i] - 0.5 * start[i] / a->deceleration[i] : 0.0;
+        start[i] = at_most(wanted[i], sqrt(2.0 * a->deceleration[i] * distance[i]));
+        brake_s[i] = start[i] != 0.0 ? distance[i] / start[i] - 0.5 * start[i] / a->deceleration[i] : 0.0;
     }
     long leg = leg_at(a, a->s0_m);
     for (long k = 0; k < a->nodes; k++) {
         double travel[MOVES], rate[MOVES], *x = a->x + NX * k;
         for (int i = 0; i < MOVES; i++) {
             const double until = brake_s[i] - a->t_s[k];
-            rate[i] = fmin(fmax(until * a->deceleration[i] + start[i], 0.0), start[i]);
-            travel[i] = distance[i] - rate[i] * rate[i] / (2.0 * a->deceleration[i]) - fmax(until, 0.0) * start[i];
+            rate[i] = clamp(until * a->deceleration[i] + start[i], 0.0, start[i]);
+            travel[i] = distance[i] - rate[i] * rate[i] / (2.0 * a->deceleration[i]) - at_least(until, 0.0) * start[i];
         }
         const double s = a->s0_m + travel[0];
         while (leg < a->legs - 1 && s >= a->s[leg + 1]) leg++;
         while (leg > 0 && s < a->s[leg]) leg--;
         const Place from = a->corner[leg], tangent = a->tangent[leg];
-        const double on = fmin(fmax(s, 0.0), length) - a->s[leg], yaw = a->x0[YAW] + round * travel[2];
+        const double on = clamp(s, 0.0, length) - a->s[leg], yaw = a->x0[YAW] + round * travel[2];
         const double north = tangent.x * rate[0] - a->current[0], east = tangent.y * rate[0] - a->current[1];
         const double c = cos(yaw), sine = sin(yaw);
         x[X] = from.x + tangent.x * on;

@@ -14,6 +14,7 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "common.h"
 #include "task.h"
 
 enum { NX = 8, AXES = 4, NV = NX + NU, PLANES = 8, LIMITS = 5, FIRST_ACTIVE = 3 };
@@ -116,7 +117,7 @@ static void linearise(const Task *task, Stage *st, double *gap_max) {
         }
         for (int i = 0; i < NX; i++) {
             st->e[i] = next[i] - task->x_guess[NX * (k + 1) + i];
-            *gap_max = fmax(*gap_max, fabs(st->e[i]));
+            *gap_max = at_least(fabs(st->e[i]), *gap_max);
             for (int v = 0; v < NV; v++) st->mt[v][i] = st->m[i][v];
         }
     }
@@ -177,7 +178,7 @@ static void prepare(const Task *task, Stage *st) {
         memset(st->s, 0, sizeof st->s);
         memset(st->ds, 0, sizeof st->ds);
         for (int i = 0; i < NU; i++) {
-            const double wanted = fmax(-limit[i], fmin(limit[i], ref[i]));
+            const double wanted = clamp(ref[i], -limit[i], limit[i]);
             st->hu[i] = scale * task->weight_u[NU * k + i];
             st->gu[i] = st->hu[i] * (u[i] - wanted);
             st->h[UPPER + i] = limit[i] - u[i];
@@ -202,15 +203,15 @@ static void start(const Task *task, Stage *st, double wider) {
     const double mu = START_PRODUCT * wider, distance_n = START_DISTANCE_N * wider, slack = START_SLACK * wider;
     for (long k = 0; k < task->n; k++, st++) {
         for (int i = 0; i < 2 * NU; i++) {
-            st->t[i] = fmax(st->h[i], distance_n);
+            st->t[i] = at_least(st->h[i], distance_n);
             st->lam[i] = mu / st->t[i];
         }
         if (k == 0) continue;
         st->s[OF_PLACES] = st->s[OF_SPEEDS] = slack;
-        for (int i = PLANE; i <= DEPTH; i++) st->s[OF_PLACES] = fmax(st->s[OF_PLACES], -st->h[i]);
-        for (int i = SPEED; i <= TURN; i++) st->s[OF_SPEEDS] = fmax(st->s[OF_SPEEDS], -st->h[i]);
+        for (int i = PLANE; i <= DEPTH; i++) st->s[OF_PLACES] = at_least(st->s[OF_PLACES], -st->h[i]);
+        for (int i = SPEED; i <= TURN; i++) st->s[OF_SPEEDS] = at_least(st->s[OF_SPEEDS], -st->h[i]);
         for (int i = PLANE; i <= TURN; i++) {
-            st->t[i] = fmax(st->h[i] + st->s[i <= DEPTH ? OF_PLACES : OF_SPEEDS], slack);
+            st->t[i] = at_least(st->h[i] + st->s[i <= DEPTH ? OF_PLACES : OF_SPEEDS], slack);
             st->lam[i] = mu / st->t[i];
         }
         for (int j = 0; j < 2; j++) {
@@ -464,7 +465,7 @@ static double stationarity(const Task *task, const Stage *st, const double *term
         for (int i = 0; i < NX; i++) g[NU + i] = a->gx[i] + a->hx[i] * a->x[i];
         for (int i = 0; i < NX; i++)
             for (int v = 0; v < NV; v++) g[v] += a->m[i][v] * nu[i];
-        for (int i = 0; i < NU; i++) worst = fmax(worst, fabs(g[i]));
+        for (int i = 0; i < NU; i++) worst = at_least(fabs(g[i]), worst);
         if (k == 0) break;
         double places = a->l1 + a->l2 * a->s[OF_PLACES] - lam[SLACK + OF_PLACES] - lam[DEPTH];
         for (int i = 0; i < PLANES; i++) {
@@ -474,7 +475,7 @@ static double stationarity(const Task *task, const Stage *st, const double *term
         }
         const double speeds =
             a->l1 + a->l2 * a->s[OF_SPEEDS] - lam[SLACK + OF_SPEEDS] - lam[SPEED] - lam[HEAVE] - lam[TURN];
-        worst = fmax(worst, fmax(fabs(places), fabs(speeds)));
+        worst = at_least(at_least(fabs(places), fabs(speeds)), worst);
         g[NU + 2] += a->sign_z * lam[DEPTH];
         g[NU + 4] += a->cu * lam[SPEED];
         g[NU + 5] += a->cv * lam[SPEED];
@@ -506,7 +507,7 @@ static void dynamics_residual(const Task *task, Stage *st, const double *gap) {
 static double largest_gap(const Task *task, const Stage *st) {
     double worst = 0.0;
     for (long k = 0; k < task->n; k++)
-        for (int i = 0; i < NX; i++) worst = fmax(worst, fabs(st[k].e[i]));
+        for (int i = 0; i < NX; i++) worst = at_least(fabs(st[k].e[i]), worst);
     return worst;
 }
 
@@ -519,18 +520,18 @@ static void write_out(const Task *task, const Stage *st, double gap_max, int ite
         const Stage *a = st + k;
         for (int i = 0; i < NU; i++) {
             const double limit = task->thrust_limit[NU * k + i], u = task->u_guess[NU * k + i] + a->u[i];
-            overshoot = fmax(overshoot, fabs(u) - limit);
+            overshoot = at_least(fabs(u) - limit, overshoot);
             sum += a->u[i];
             cost += (0.5 * a->hu[i] * a->u[i] + a->gu[i]) * a->u[i];
             task->u[NU * k + i] = u > limit ? limit : (u < -limit ? -limit : u);
         }
-        for (int i = 0; i < NX; i++) violation = fmax(violation, fabs(a->e[i]));
+        for (int i = 0; i < NX; i++) violation = at_least(fabs(a->e[i]), violation);
         if (k == 0) continue;
         double g[NI];
         apply_rows(a, a->x, a->s, g);
         for (int i = PLANE; i <= TURN; i++) {
-            violation = fmax(violation, g[i] - a->h[i]);
-            use = fmax(use, a->lam[i] / a->l1);
+            violation = at_least(g[i] - a->h[i], violation);
+            use = at_least(a->lam[i] / a->l1, use);
         }
         for (int i = 0; i < NX; i++) {
             sum += a->x[i];
@@ -573,8 +574,8 @@ static int iterate(
         const double mu = residuals(task, st, &row, &product);
         terminal_gradient_at(task, st[n].x, gradient);
         if (!(mu < 1e300)) break;
-        double left = fmax(product / COMPLEMENTARITY, fmax(row, largest_gap(task, st)) / FEASIBILITY);
-        if (left < LOOSER) left = fmax(left, stationarity(task, st, gradient) / STATIONARITY);
+        double left = at_least(product / COMPLEMENTARITY, at_least(largest_gap(task, st), row) / FEASIBILITY);
+        if (left < LOOSER) left = at_least(stationarity(task, st, gradient) / STATIONARITY, left);
         if (left < 1.0 || iteration == most || !factorise(task, st)) {
             if (left < LOOSER) *unsolved = 0.0;
             break;

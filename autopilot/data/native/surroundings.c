@@ -5,13 +5,8 @@
  * many features. tests/control/test_compiled.py holds them against each other.
  */
 #include <math.h>
-#include <stddef.h>
 
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
+#include "common.h"
 
 typedef struct {
     double x, y;
@@ -26,6 +21,7 @@ typedef struct {
     const double *radius, *side;
     double tiny, far, recovery_m_s;
 } Boundaries;
+LAYOUT(Boundaries, edges, rounds, a, ab, along, normal, polygon, center, radius, side, tiny, far, recovery_m_s)
 
 enum { MOST_EDGES = 32, MOST_ROUNDS = 64, MOST_SLOTS = 16 };
 
@@ -41,8 +37,8 @@ typedef struct {
 /* Round thing `r` as the chord from p meets it. */
 static Met meet(const Boundaries *b, long r, Place p, Place step) {
     const Place ray = minus(p, b->center[r]);
-    const double length2 = fmax(dot(step, step), b->tiny * b->tiny);
-    Met met = {fmin(fmax(-dot(step, ray) / length2, 0.0), 1.0), 0.0, {1.0, 0.0}, 0};
+    const double length2 = at_least(dot(step, step), b->tiny * b->tiny);
+    Met met = {clamp(-dot(step, ray) / length2, 0.0, 1.0), 0.0, {1.0, 0.0}, 0};
     met.leaves = sqrt(dot(ray, ray)) < b->radius[r];
     if (b->side[r] < 0.0 || met.leaves) met.at = 1.0;
     const Place gap = {ray.x + met.at * step.x, ray.y + met.at * step.y};
@@ -92,7 +88,7 @@ EXPORT double half_planes(const Boundaries *b, long m, const double *points, lon
         for (long e = 0; e < b->edges; e++) {
             const Place ray = minus(p, b->a[e]), along = b->along[e];
             const double share = ray.x * along.x - ray.y * along.y; /* real part of the product */
-            const double on = fmin(fmax(share, 0.0), 1.0);
+            const double on = clamp(share, 0.0, 1.0);
             const Place gap = {ray.x - on * b->ab[e].x, ray.y - on * b->ab[e].y};
             rho[e] = sqrt(dot(gap, gap));
             line[e] = dot(ray, b->normal[e]);
@@ -101,21 +97,21 @@ EXPORT double half_planes(const Boundaries *b, long m, const double *points, lon
             before_front[e] = front;
             before_rho[e] = rho[e];
             const double distance = share >= 1.0 ? b->far : rho[e];
-            least = fmin(least, distance);
+            least = at_most(distance, least);
             if (i == 0) {
                 lack_e[e] = keep_m[0] - distance;
                 lacks |= lack_e[e] > 0.0;
             } else if (normals != NULL && share > 0.0 && distance < b->far) {
                 const Place normal = rho[e] < b->tiny ? b->normal[e] : (Place){gap.x / rho[e], gap.y / rho[e]};
                 double offset = dot(normal, minus(p, gap));
-                if (lacks) offset -= fmax(lack_e[e] - b->recovery_m_s * t_s[i], 0.0);
+                if (lacks) offset -= at_least(lack_e[e] - b->recovery_m_s * t_s[i], 0.0);
                 offer(&kept, (int)slots, distance, normal, offset + keep);
             }
         }
         for (long first = 0, end; first < b->edges; first = end) {
             double nearest = rho[first];
             for (end = first + 1; end < b->edges && b->polygon[end] == b->polygon[first]; end++)
-                nearest = fmin(nearest, rho[end]);
+                nearest = at_most(rho[end], nearest);
             for (long e = first; e < end; e++)
                 if (rho[e] <= nearest && line[e] < 0.0) return NAN; /* forbidden ground, maybe */
         }
@@ -125,12 +121,12 @@ EXPORT double half_planes(const Boundaries *b, long m, const double *points, lon
                 const double distance = (sqrt(dot(ray, ray)) - b->radius[r]) * b->side[r];
                 lack_r[r] = keep_m[0] - distance;
                 lacks |= lack_r[r] > 0.0;
-                least = fmin(least, distance);
+                least = at_most(distance, least);
                 continue;
             }
             if (i == 1) met[r] = meet(b, r, before, step);
             const Met own = met[r];
-            least = fmin(least, own.distance);
+            least = at_most(own.distance, least);
             Met next = own;
             int again = 0;
             if (i < m) {
@@ -142,11 +138,11 @@ EXPORT double half_planes(const Boundaries *b, long m, const double *points, lon
             for (int k = 0; k <= again; k++) {
                 const Met *each = k ? &next : &own;
                 double offset = dot(each->normal, b->center[r]) + b->radius[r] * b->side[r];
-                if (lacks) offset -= fmax(lack_r[r] - b->recovery_m_s * t_s[i], 0.0);
+                if (lacks) offset -= at_least(lack_r[r] - b->recovery_m_s * t_s[i], 0.0);
                 offer(&kept, (int)slots, each->distance, each->normal, offset + keep);
             }
         }
-        margin = fmin(margin, least - keep);
+        margin = at_most(least - keep, margin);
         before = p;
         if (i == 0 || normals == NULL) continue;
         for (int k = 0; k < slots; k++) {
@@ -174,8 +170,8 @@ EXPORT void tube_back_offs(const double *table, long speeds, long n, long thrust
     const long width = STATES_OUT + thrusters;
     for (long k = 0; k < n; k++) {
         const double place =
-            fmin(fmax((x[STATE * k + SURGE] - given[FIRST]) / given[STEP], 0.0), (double)(speeds - 1));
-        const long low = (long)place < speeds - 2 ? (long)place : speeds - 2;
+            clamp((x[STATE * k + SURGE] - given[FIRST]) / given[STEP], 0.0, (double)(speeds - 1));
+        const long low = row_below(place, speeds);
         const double share = place - (double)low;
         const double *a = table + ((low * (n + 1)) + k) * width * GROUPS, *b = a + (n + 1) * width * GROUPS;
         double row[STATES_OUT];
@@ -195,9 +191,9 @@ EXPORT void tube_back_offs(const double *table, long speeds, long n, long thrust
         const double variance[KINDS] = {largest(row), row[3], largest(row + 5), row[8], row[9]};
         for (int kind = 0; kind < KINDS; kind++) {
             const double wanted = given[SIGMAS + kind] * sqrt(variance[kind] + given[ADDED + kind]);
-            states[(n - 1) * kind + k - 1] = fmax(fmin(wanted, given[MOST + kind]), given[LEAST + kind]);
+            states[(n - 1) * kind + k - 1] = at_least(at_most(wanted, given[MOST + kind]), given[LEAST + kind]);
         }
         double *planar = states + (n - 1) * PLANAR + k - 1; /* evidence leaves a share of it, beyond the fixed margin */
-        *planar = fmax(given[SHARE] * *planar, fmin(*planar, given[SPEED]));
+        *planar = at_least(given[SHARE] * *planar, at_most(*planar, given[SPEED]));
     }
 }

@@ -2,11 +2,7 @@
  * what they mean and is used without this library; tests/control/test_compiled_follow.py holds them against each other. */
 #include <math.h>
 
-#if defined(_WIN32)
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
+#include "common.h"
 
 /* At one place, of cells (n, 2) that pull by (2, n). */
 static void flow_here(double x, double y, long n, const double *cells, const double *pull, double length_m, const double *mean,
@@ -38,6 +34,8 @@ typedef struct {
     const double *cell, *pull, *mean;             /* of the flow */
     double *out;                                  /* (m, 3) */
 } Forecast;
+LAYOUT(Forecast, m, stride, cells, length_m, trust, scale_m, full_within_m, lasting_s, fade_s, places, t_s, here, estimate, cell,
+       pull, mean, out)
 
 /* Currents at places and times: the flow as far as it is trusted, corrected by what the estimate says it lacks here. */
 EXPORT void fill_currents(const Forecast *a) {
@@ -46,8 +44,8 @@ EXPORT void fill_currents(const Forecast *a) {
     for (long k = 0; k < a->m; k++) {
         const double *place = a->places + a->stride * k;
         const double x = place[0] - a->here[0], y = place[1] - a->here[1], z = place[2] - a->here[2];
-        const double way = fmax(sqrt(x * x + y * y + z * z) - a->full_within_m, 0.0) / a->scale_m;
-        const double share = exp(-0.5 * way * way - fmax(a->t_s[k] - a->lasting_s, 0.0) / a->fade_s);
+        const double way = at_least(sqrt(x * x + y * y + z * z) - a->full_within_m, 0.0) / a->scale_m;
+        const double share = exp(-0.5 * way * way - at_least(a->t_s[k] - a->lasting_s, 0.0) / a->fade_s);
         double flow[2];
         flow_here(place[0], place[1], a->cells, a->cell, a->pull, a->length_m, a->mean, flow);
         for (int i = 0; i < 2; i++)

@@ -159,7 +159,10 @@ function margins(ctx, width, height, view, told, reach, colors) {
   text(ctx, `${metres} m`, x - 6, low, colors.ink, "right");
 }
 
-export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving }, colors) {
+// Colours of a vehicle that is not where it is drawn any more.
+export const faded = (colors) => ({ ...colors, body: colors.weak, nose: colors.weak, felt: colors.weak, tube: "rgba(128,128,128,.2)" });
+
+export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving, lost, flowOld }, colors) {
   const box = extent(scene, frame), view = planView(width, height, box), { at, scale } = view;
   const { told, reach } = flowScale(flow, box);
   const many = (points) => points.map(at);
@@ -168,7 +171,7 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
   if (scene.tank_m.length) fill(ctx, many(scene.tank_m), colors.water);
   for (const [n, e, u, v] of flow ? flow.arrows : []) {
     const [dn, de] = [0.5 * reach * u, 0.5 * reach * v];
-    arrow(ctx, at([n - dn, e - de]), at([n + dn, e + de]), colors.flow, 1.2);
+    arrow(ctx, at([n - dn, e - de]), at([n + dn, e + de]), flowOld ? colors.margin : colors.flow, 1.2);
   }
   // The vehicle's centre stays out of what is kept free, and with it the tube round the prediction.
   for (const shape of scene.fence) {
@@ -190,9 +193,9 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
   for (const shape of scene.fence) stroke(ctx, many(shape.corners_m), colors.fence, 1.5, true, [6, 4]);
   if (moving) circle(ctx, at(moving.place), moving.radius_m * scale, colors.solid, 2, false, [4, 3]);
   for (const track of frame ? frame.tracks : []) {
-    circle(ctx, at(track.pos_ned_m), track.radius_m * scale, colors.track, 1.5, false, [3, 3]);
-    const [n, e] = track.pos_ned_m, [u, v] = track.vel_ned_m_s;
-    arrow(ctx, at([n, e]), at([n + 2 * u, e + 2 * v]), colors.track, 1.5);
+    const [n, e] = track.pos_ned_m, [u, v] = track.vel_ned_m_s, color = track.age_s > scene.ages.track_s ? colors.weak : colors.track;
+    circle(ctx, at([n, e]), track.radius_m * scale, color, 1.5, false, [3, 3]);
+    arrow(ctx, at([n, e]), at([n + 2 * u, e + 2 * v]), color, 1.5);
   }
   for (const place of scene.places) {
     const here = at(place.pos_ned_m);
@@ -220,18 +223,19 @@ export function drawPlan(ctx, width, height, { scene, frame, flow, trail, moving
   if (frame.truth) stroke(ctx, many(hull(frame.truth.pos_ned_m, frame.truth.rpy_rad[2], 0.9 * scene.body_radius_m)), colors.truth, 1.2, true);
   if (frame.estimate) {
     const { pos_ned_m: place, rpy_rad: rpy, sigma_pos_m: sigma, current_ned_m_s: current } = frame.estimate;
-    circle(ctx, at(place), scene.body_radius_m * scale, colors.body, 1.2);
-    circle(ctx, at(place), 3 * Math.max(sigma[0], sigma[1]) * scale, colors.body, 1, false, [2, 2]);
+    const paint = lost ? faded(colors) : colors;
+    circle(ctx, at(place), scene.body_radius_m * scale, paint.body, 1.2);
+    circle(ctx, at(place), 3 * Math.max(sigma[0], sigma[1]) * scale, paint.body, 1, false, [2, 2]);
     const shape = many(hull(place, rpy[2], 0.9 * scene.body_radius_m));
-    fill(ctx, shape, colors.tube);
-    fill(ctx, [shape[0], shape[1], shape[4]], colors.nose);
-    stroke(ctx, shape, colors.body, 2, true);
-    arrow(ctx, at(place), at([place[0] + reach * current[0], place[1] + reach * current[1]]), colors.felt, 2.5);
+    fill(ctx, shape, paint.tube);
+    fill(ctx, [shape[0], shape[1], shape[4]], paint.nose);
+    stroke(ctx, shape, paint.body, 2, true);
+    arrow(ctx, at(place), at([place[0] + reach * current[0], place[1] + reach * current[1]]), paint.felt, 2.5);
   }
   return view;
 }
 
-export function drawSide(ctx, width, height, { scene, frame, trail }, colors) {
+export function drawSide(ctx, width, height, { scene, frame, trail, lost }, colors) {
   const box = extent(scene, frame), turned = planView(2, 1, box).turned;
   const [a0, a1, axis] = turned ? [box.n0, box.n1, 0] : [box.e0, box.e1, 1];
   const depths = [...scene.places.map((p) => p.pos_ned_m[2]), frame && frame.estimate ? frame.estimate.pos_ned_m[2] : 0];
@@ -282,24 +286,33 @@ export function drawSide(ctx, width, height, { scene, frame, trail }, colors) {
   const turn = (x, z) => flat(place[axis] + x * Math.cos(lean) - z * Math.sin(lean), place[2] + x * Math.sin(lean) + z * Math.cos(lean));
   const body = [turn(-half, -h), turn(half, -h), turn(half + 0.3 * half * Math.max(forward, 0), 0), turn(half, h), turn(-half, h), turn(-half + 0.3 * half * Math.min(forward, 0), 0)];
   const bow = forward > 0 ? [body[1], body[2], body[3]] : [body[0], body[5], body[4]];
-  fill(ctx, bow, colors.nose);
-  stroke(ctx, body, colors.body, 2, true);
+  const paint = lost ? faded(colors) : colors;
+  fill(ctx, bow, paint.nose);
+  stroke(ctx, body, paint.body, 2, true);
   if (frame.truth) circle(ctx, at(frame.truth.pos_ned_m), 2.5, colors.truth, 1, true);
 }
 
-export function drawPicture(ctx, width, height, picture, image, colors) {
+// `old`: how old it is in words, "" while it is of now. What was found in an old picture is not there any more.
+export function drawPicture(ctx, width, height, picture, image, old, colors) {
   ctx.fillStyle = colors.back;
   ctx.fillRect(0, 0, width, height);
   if (!picture) { text(ctx, "no picture", width / 2, height / 2, colors.weak, "center"); return; }
+  const found = old ? [colors.weak, colors.weak] : ["#27d07d", "#ff4d4d"];
   const scale = Math.min(width / picture.width_px, height / picture.height_px);
   const x = (width - scale * picture.width_px) / 2, y = (height - scale * picture.height_px) / 2;
+  ctx.globalAlpha = old ? 0.4 : 1;
   if (image) ctx.drawImage(image, x, y, scale * picture.width_px, scale * picture.height_px);
+  ctx.globalAlpha = 1;
   const at = ([px, py]) => [x + scale * px, y + scale * py];
   for (const [id, corners] of picture.markers) {
-    stroke(ctx, corners.map(at), "#27d07d", 1.5, true);
-    text(ctx, String(id), at(corners[0])[0] + 2, at(corners[0])[1] - 6, "#27d07d");
+    stroke(ctx, corners.map(at), found[0], 1.5, true);
+    text(ctx, String(id), at(corners[0])[0] + 2, at(corners[0])[1] - 6, found[0]);
   }
-  if (picture.laser_px) circle(ctx, at(picture.laser_px), 6, "#ff4d4d", 2);
+  if (picture.laser_px) circle(ctx, at(picture.laser_px), 6, found[1], 2);
+  if (!old) return;
+  ctx.fillStyle = colors.back;
+  ctx.fillRect(width / 2 - 90, height / 2 - 12, 180, 24);
+  text(ctx, `no picture for ${old}`, width / 2, height / 2, colors.ink, "center");
 }
 
 // The flow that is added, 1 m/s at the rim, outside of which there is room for the word.

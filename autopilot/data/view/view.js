@@ -1,18 +1,23 @@
 // The page: takes the stream, draws when there is something new, sends what is asked for.
+import { ASLEEP_S, Link, REOPEN_S, ageText, pictureAge } from "./ages.js";
 import { DARK, LEGEND, LIGHT, drawFlow, drawPicture, drawPlan, drawSide, flowAt } from "./draw.js";
 
 const $ = (id) => document.getElementById(id);
-const token = document.querySelector("meta[name=view-token]").content;
+const meta = (name) => document.querySelector(`meta[name=view-${name}]`).content;
+const version = meta("version");
 const dark = matchMedia("(prefers-color-scheme: dark)");
-const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, moving: null };
+const seen = { scene: null, frame: null, flow: null, picture: null, image: null, trail: [], view: null, moving: null, pictureOld: false, other: false, wall_s: 0 };
 const TRAIL = 1500;
-const OLD_S = 2; // what is older is no news: a sensor is silent, the controller at rest
-let source = null, heard = 0, asked = false, messages = 0, drag = null;
+const link = new Link();
+let token = meta("token"), source = null, opened = 0, heard = 0, trouble = "", asked = false, messages = 0, drag = null;
 
 const colors = () => (dark.matches ? DARK : LIGHT);
 const unsigned = (words) => words.replace(/^-(0(\.0*)?)$/, "$1"); // no minus before nothing
 const fixed = (value, digits = 2) => (value === null || value === undefined ? "–" : unsigned(value.toFixed(digits)));
-const current = (frame) => (frame.control && frame.control.age_s <= OLD_S ? frame.control : null);
+const seconds = () => performance.now() / 1e3;
+const ages = () => seen.scene.ages;
+const current = (frame) => (frame.control && frame.control.age_s <= ages().control_s ? frame.control : null);
+const lost = (frame) => !frame.estimate || frame.estimate.health === "INVALID" || frame.estimate.age_s > ages().estimate_s;
 const plain = (name) => name.toLowerCase().replaceAll("_", " ");
 const degrees = (radians) => unsigned(((radians * 180) / Math.PI).toFixed(1)) + "°";
 
@@ -39,14 +44,54 @@ function draw() {
   asked = false;
   const palette = colors();
   if (seen.scene) {
-    const shown = { ...seen, frame: seen.frame && { ...seen.frame, control: current(seen.frame) } };
+    const { frame, flow } = seen, now = seconds();
+    const shown = { ...seen, frame: frame && { ...frame, control: current(frame) }, lost: frame && lost(frame) };
+    shown.flowOld = flow && frame && pictureAge(flow, frame, now).old(ages().flow_s);
     seen.view = drawPlan(...context($("plan")), shown, palette);
     drawSide(...context($("side")), shown, palette);
     if (seen.scene.steerable.current) {
       drawFlow(...context($("flow")), drag && drag.flow ? drag.flow : seen.frame && seen.frame.extra_current_ned_m_s, seen.view && seen.view.turned, palette);
     }
   }
-  if ($("camerabox").open) drawPicture(...context($("camera")), seen.picture, seen.image, palette);
+  if ($("camerabox").open) drawPicture(...context($("camera")), seen.picture, seen.image, pictureOld(seconds()), palette);
+}
+
+// How old the picture is that is shown, in words; "" while it is of now.
+function pictureOld(now) {
+  const { picture, frame } = seen;
+  if (!picture || !frame || link.age(now) === null) return "";
+  const { age, old } = pictureAge(picture, frame, now), behind = link.age(now);
+  return seen.other || behind > ages().link_s || old(ages().picture_s) ? ageText(age + behind) : "";
+}
+
+// An age beside what it belongs to, which is grey when it is old.
+function mark(id, words, old, ...parts) {
+  $(id).textContent = words;
+  $(id).className = old ? "age old" : "age";
+  for (const part of parts) $(part).classList.toggle("stale", Boolean(old));
+}
+
+// Everything that is shown, as old as it is now.
+function showAges() {
+  const { scene, frame, picture } = seen, now = seconds(), behind = link.age(now);
+  if (!scene || !frame || behind === null) return;
+  const limits = scene.ages, dead = seen.other || behind > limits.link_s, nav = frame.estimate;
+  const told = (age, old) => (old ? `${ageText(age)} old` : ageText(age)), frames = told(behind, dead);
+  const place = !nav ? "no estimate" : nav.health === "INVALID" && !dead ? "estimate invalid" : told(nav.age_s + behind, dead || lost(frame));
+  const noPlace = dead || lost(frame), old = pictureOld(now);
+  mark("frameage", frames, dead, "now", "alarms", "plan", "side", "legend", "flow", "state");
+  for (const id of ["planage", "sideage", "stateage"]) mark(id, place, noPlace);
+  mark("barsage", place, noPlace, "bars");
+  for (const id of ["thrusters", "sensors", "messages"]) mark(`${id}age`, frames, dead, id);
+  mark("cameraage", picture ? told(pictureAge(picture, frame, now).age + behind, old) : "", old, "camera");
+  const silence = link.since(now);
+  $("link").textContent = !dead ? trouble
+    : source && source.readyState !== 1 ? `no connection to the vehicle's process; all this is ${ageText(behind)} old`
+    : silence > limits.link_s ? `no news from the vehicle's process for ${ageText(silence)}`
+    : link.loop > limits.link_s ? `the loop has been silent for ${ageText(link.loop)}`
+    : `the connection is slow: all this is ${ageText(behind)} old`;
+  if (old || seen.pictureOld) soon();
+  seen.pictureOld = Boolean(old);
 }
 
 function soon() {
@@ -73,16 +118,20 @@ function bar(name, value, limit, words, two) {
   return row;
 }
 
+// A value that has an age of its own: beyond its limit it is grey, and says how old it is.
+const aged = (name, words, age, limit) => (age > limit ? [name, `${words} (${ageText(age)} old)`, "stale"] : [name, words]);
+
 function showState(frame) {
   const { estimate: nav, truth, control, progress, battery, loop, goal } = frame, rows = [];
+  const kind = nav && lost(frame) ? "stale" : "";
   if (nav) {
     rows.push(["Estimate", nav.health + (nav.doubts.length ? ` (doubt: ${nav.doubts.join(", ")})` : "")]);
-    rows.push(["North, east, depth", nav.pos_ned_m.map((v) => fixed(v)).join(", ") + " m"]);
-    rows.push(["Roll, pitch, yaw", nav.rpy_rad.map(degrees).join(", ")]);
+    rows.push(["North, east, depth", nav.pos_ned_m.map((v) => fixed(v)).join(", ") + " m", kind]);
+    rows.push(["Roll, pitch, yaw", nav.rpy_rad.map(degrees).join(", "), kind]);
     const [north, east, down] = nav.sigma_pos_m.map((v) => (1e3 * v).toFixed(1));
-    rows.push(["Sigma", `${north}, ${east}, ${down} mm, ${degrees(nav.sigma_yaw_rad)}`]);
-    rows.push(["Current felt", `${nav.current_ned_m_s.slice(0, 2).map((v) => fixed(v)).join(", ")} m/s`]);
-  } else rows.push(["Estimate", "none yet"]);
+    rows.push(["Sigma", `${north}, ${east}, ${down} mm, ${degrees(nav.sigma_yaw_rad)}`, kind]);
+    rows.push(["Current felt", `${nav.current_ned_m_s.slice(0, 2).map((v) => fixed(v)).join(", ")} m/s`, kind]);
+  } else rows.push(["Estimate", "none"]);
   if (truth && nav) {
     const off = Math.hypot(...truth.pos_ned_m.map((v, i) => v - nav.pos_ned_m[i]));
     rows.push(["Off the truth", `${(1e3 * off).toFixed(1)} mm`]);
@@ -90,15 +139,15 @@ function showState(frame) {
   if (truth) rows.push(["Contacts", `${truth.contacts}`], ["Power", `${fixed(truth.power_w, 0)} W`]);
   if (progress) rows.push(["Mission", `${progress.state}, item ${progress.item}, lap ${progress.lap + 1}`]);
   if (goal) rows.push(["Goal", `${goal.pos_ned_m.map((v) => fixed(v)).join(", ")} m, ${fixed(goal.speed_m_s)} m/s`]);
-  if (control && control.age_s > OLD_S) rows.push(["Controller", `at rest for ${fixed(control.age_s, 0)} s`]);
+  if (control && !current(frame)) rows.push(["Controller", `at rest for ${fixed(control.age_s, 0)} s`]);
   else if (control) {
     rows.push(["Controller", `${control.status}${control.fallback === "NONE" ? "" : ", fallback " + control.fallback}`]);
     rows.push(["Margin ahead", `${fixed(control.margin_m, 3)} m beyond body and tube of ${fixed(control.tube_now_m, 3)} m`]);
-    if (control.eta_s !== null) rows.push(["To the goal", `${fixed(control.eta_s, 1)} s, ${fixed(control.energy_j, 0)} J`]);
+    if (control.eta_s !== null) rows.push(["To the goal", `${fixed(control.eta_s, 1)} s, ${fixed(control.energy_j, 0)} J, as planned ${ageText(control.plan_age_s)} ago`]);
   }
-  if (battery) rows.push(["Battery", `${fixed(battery.voltage_v, 1)} V, ${fixed(battery.current_a, 1)} A, ${(100 * battery.remaining).toFixed(0)} %`]);
-  if (loop) rows.push(["Loop", `${fixed(loop.longest_tick_ms, 1)} ms longest tick, ${(100 * loop.cpu_share).toFixed(0)} % of a core, ${loop.overruns} overruns`]);
-  $("state").replaceChildren(...rows.flatMap(([name, words]) => [element("dt", name), element("dd", words)]));
+  if (battery) rows.push(aged("Battery", `${fixed(battery.voltage_v, 1)} V, ${fixed(battery.current_a, 1)} A, ${(100 * battery.remaining).toFixed(0)} %`, battery.age_s, ages().battery_s));
+  if (loop) rows.push(aged("Loop", `${fixed(loop.longest_tick_ms, 1)} ms longest tick, ${(100 * loop.cpu_share).toFixed(0)} % of a core, ${loop.overruns} overruns`, loop.age_s, ages().loop_s));
+  $("state").replaceChildren(...rows.flatMap(([name, words, kind]) => [element("dt", name), element("dd", words, kind)]));
 }
 
 function showBars(scene, frame) {
@@ -129,12 +178,15 @@ function showBars(scene, frame) {
 function showSensors(frame) {
   const head = element("tr");
   head.append(...["sensor", "state", "ratio", "age"].map((words) => element("th", words)));
-  $("sensors").replaceChildren(head, ...frame.sensors.map((sensor) => {
+  const line = (name, words, kind, ratio, age) => {
     const row = element("tr");
-    const state = sensor.age_s > OLD_S ? "SILENT" : sensor.state;
-    const kind = state === "ACTIVE" ? "good" : state === "REJECTING" ? "bad" : "warn";
-    row.append(element("td", sensor.name), element("td", plain(state), kind), element("td", fixed(sensor.test_ratio)), element("td", `${fixed(sensor.age_s, 1)} s`));
+    row.append(element("td", name), element("td", words, kind), element("td", ratio), element("td", ageText(age), words === "silent" ? "warn" : ""));
     return row;
+  };
+  const devices = frame.devices.map(({ name, age_s: age, limit_s: limit }) => line(`${name} device`, age > limit ? "silent" : "delivers", age > limit ? "warn" : "good", "", age));
+  $("sensors").replaceChildren(head, ...devices, ...frame.sensors.map((sensor) => {
+    const state = sensor.age_s > sensor.limit_s ? "SILENT" : sensor.state;
+    return line(sensor.name, plain(state), state === "ACTIVE" ? "good" : state === "REJECTING" ? "bad" : "warn", fixed(sensor.test_ratio), sensor.age_s);
   }));
 }
 
@@ -162,7 +214,6 @@ function showFrame(frame) {
   $("control").textContent = lost ? `control: ${plain(steered.fallback)}` : "";
   $("control").className = "badge warn";
   $("clock").textContent = `${frame.t_s.toFixed(1)} s${frame.paused ? ", paused" : ""}`;
-  $("link").textContent = frame.stale_s > 2 && !frame.paused ? `the loop has been silent for ${frame.stale_s.toFixed(0)} s` : "";
   $("alarms").textContent = frame.failsafes.length ? `Failsafe: ${frame.failsafes.map(plain).join(", ")}` : "";
   showState(frame);
   showBars(scene, frame);
@@ -172,6 +223,7 @@ function showFrame(frame) {
   const speed = $("speed");
   if (document.activeElement !== speed && frame.speed > 0) speed.value = String(frame.speed);
   const flow = frame.extra_current_ned_m_s;
+  showAges();
   $("flowtext").textContent = flow ? `added flow: ${fixed(flow[0])} m/s north, ${fixed(flow[1])} m/s east` : "";
 }
 
@@ -193,31 +245,76 @@ function showScene(scene) {
 
 // The stream
 
-function listen() {
+function listen(anew = false) {
   const wanted = $("camerabox").open ? "/events?pictures=1" : "/events";
-  if (source && source.url.endsWith(wanted)) return;
+  if (!anew && source && source.url.endsWith(wanted)) return;
   if (source) source.close();
-  source = new EventSource(wanted);
-  const on = (name, work) => source.addEventListener(name, (event) => { heard = Date.now(); work(JSON.parse(event.data)); soon(); });
-  on("scene", (scene) => { seen.scene = scene; seen.trail = scene.trail_ned_m; messages = 0; $("messages").replaceChildren(); showScene(scene); });
+  opened = heard = seconds();
+  link.opened();
+  const stream = (source = new EventSource(wanted));
+  const on = (name, work) => stream.addEventListener(name, (event) => {
+    if (stream !== source) return;
+    // After a sleep of page or machine what comes first is what lay in buffers: a new stream begins with the present.
+    const slept = wall() - seen.wall_s > ASLEEP_S && heard > opened;
+    seen.wall_s = wall();
+    if (slept) { listen(true); showAges(); return; }
+    heard = seconds();
+    work(JSON.parse(event.data));
+    soon();
+  });
+  stream.addEventListener("open", () => { if (stream === source) link.opened(); });
+  on("hello", hello);
+  on("scene", (scene) => {
+    if (seen.other) { forget(); seen.frame = null; }
+    seen.scene = scene; seen.trail = scene.trail_ned_m; messages = 0; $("messages").replaceChildren();
+    showScene(scene);
+  });
   on("frame", (frame) => {
     if (!seen.scene) return;
-    if (seen.frame && frame.t_s < seen.frame.t_s) seen.trail = [];
+    if (seen.frame && frame.t_s < seen.frame.t_s) forget();
     seen.frame = frame;
+    trouble = "";
+    seen.other = false;
+    link.take(frame, seconds());
     const nav = frame.estimate, last = seen.trail[seen.trail.length - 1];
     if (nav && (!last || Math.hypot(last[0] - nav.pos_ned_m[0], last[1] - nav.pos_ned_m[1], last[2] - nav.pos_ned_m[2]) > 0.01)) {
       seen.trail = [...seen.trail.slice(1 - TRAIL), nav.pos_ned_m];
     }
     showFrame(frame);
   });
-  on("flow", (flow) => { seen.flow = flow; });
-  on("trouble", (trouble) => { $("link").textContent = trouble.text; });
+  on("flow", (flow) => { seen.flow = { ...flow, arrived: seconds() }; });
+  on("trouble", (told) => { trouble = told.text; $("link").textContent = trouble; });
   on("picture", (picture) => {
-    const image = new Image();
-    image.onload = () => { seen.picture = picture; seen.image = image; soon(); };
+    const image = new Image(), arrived = seconds();
+    image.onload = () => { if (stream === source) { seen.picture = { ...picture, arrived }; seen.image = image; soon(); } };
     image.src = `data:image/jpeg;base64,${picture.jpeg}`;
   });
-  source.onerror = () => { $("link").textContent = "no connection to the vehicle's process"; };
+  stream.onerror = showAges;
+}
+
+const wall = () => Date.now() / 1e3; // goes on while the machine sleeps
+
+// Of another run: nothing of the one before is shown beside it.
+function forget() {
+  Object.assign(seen, { trail: [], picture: null, image: null, flow: null, moving: null });
+  drag = null;
+}
+
+// Which process this is. A new one has another token, and perhaps another page.
+function hello({ token: now, version: theirs }) {
+  if (version && theirs !== version) { location.reload(); return; }
+  if (now === token) return;
+  token = now;
+  seen.other = true; // until its first frame all that stands here is of the process before
+  $("said").textContent = "";
+  showAges();
+}
+
+// A stream that has ended, or says nothing any more, is asked for anew. Ages go on by themselves.
+function tick() {
+  const now = seconds(), gone = source.readyState === 2;
+  if (now - Math.max(heard, opened) > (gone ? 1 : REOPEN_S)) listen(true);
+  showAges();
 }
 
 async function ask(table) {
@@ -227,6 +324,7 @@ async function ask(table) {
     const words = await answer.json();
     said.textContent = words.done || words.error;
     said.className = answer.ok ? "" : "bad";
+    if (answer.status === 403) listen(true); // of another process: its stream says what it takes
   } catch {
     said.textContent = "the process does not answer";
     said.className = "bad";
@@ -238,7 +336,7 @@ async function ask(table) {
 $("pause").addEventListener("click", () => ask({ do: seen.frame && seen.frame.paused ? "go" : "pause" }));
 $("speed").addEventListener("change", (event) => { ask({ do: "speed", value: Number(event.target.value) }); event.target.blur(); });
 $("reset").addEventListener("click", () => ask({ do: "reset" }));
-$("call").addEventListener("click", () => ask({ do: "fault", fault: seen.scene.steerable.faults[Number($("fault").value)].fault }));
+$("call").addEventListener("click", () => seen.scene && ask({ do: "fault", fault: seen.scene.steerable.faults[Number($("fault").value)].fault }));
 $("still").addEventListener("click", () => ask({ do: "current", north_m_s: 0, east_m_s: 0 }));
 $("camerabox").addEventListener("toggle", listen);
 
@@ -289,7 +387,8 @@ $("flow").addEventListener("pointerup", () => {
 for (const name of ["plan", "flow"]) $(name).addEventListener("pointercancel", () => { drag = seen.moving = null; soon(); });
 window.addEventListener("resize", soon);
 dark.addEventListener("change", () => { legend(); soon(); });
-setInterval(() => { if (heard && Date.now() - heard > 4000) $("link").textContent = "no news from the vehicle's process"; }, 1000);
+setInterval(tick, 250);
+document.addEventListener("visibilitychange", showAges);
 
 function legend() {
   $("legend").replaceChildren(...LEGEND.map(([words, name, kind]) => {

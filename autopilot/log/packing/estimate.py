@@ -53,7 +53,7 @@ _OF_THE_REST = (
     "devices.sensors",
     "devices.camera",
     "devices.thrusters",
-    "",
+    "devices.watchdog",
     "power.malformed",
 )
 """Names of counts, in the order of the fields of NavCounters; "" for places that are kept free."""

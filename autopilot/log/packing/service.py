@@ -13,6 +13,8 @@ _parameter_change = layout("autopilot_msgs/ParameterChange").packer.pack
 _mavlink_frame = layout("autopilot_msgs/MavlinkFrame").packer.pack
 
 _AUTHORITIES = tuple(Authority)
+ARMED = (False, True, None)
+"""In the log by their place."""
 _TEXT_BYTES, _PROBLEM_BYTES, _REFUSALS_BYTES = 64, 128, 512
 """Widths of the texts in Below."""
 
@@ -50,6 +52,8 @@ def below(stamp_ns: int, value: Below) -> bytes:
         _text(value.text, _TEXT_BYTES),
         _text(value.problem, _PROBLEM_BYTES),
         _text("".join(f"{line}\n" for line in value.refusals), _REFUSALS_BYTES),
+        ARMED.index(value.armed),
+        int(value.rival),
     )
 
 

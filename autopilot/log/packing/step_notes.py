@@ -66,6 +66,8 @@ class BelowNote(msgspec.Struct, frozen=True, omit_defaults=True):
     problem: str = ""
     refusals: tuple[str, ...] = ()
     pulses_us: tuple[int, ...] = ()
+    armed: bool | None = None
+    rival: bool = False
 
 
 class StepNotes(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
@@ -228,6 +230,8 @@ def _below_note(t_us: int, below: Below) -> BelowNote:
         problem=below.problem,
         refusals=below.refusals,
         pulses_us=below.pulses_us,
+        armed=below.armed,
+        rival=below.rival,
     )
 
 
@@ -240,4 +244,6 @@ def _below(t_us: int, note: BelowNote) -> Below:
         problem=note.problem,
         refusals=note.refusals,
         pulses_us=note.pulses_us,
+        armed=note.armed,
+        rival=note.rival,
     )

@@ -1,0 +1,58 @@
+"""The battery monitor's readings: which are believed, and what is said of the others."""
+
+from autopilot.core.messages import Event, Severity
+from autopilot.core.samples import PowerSample, plausible
+from autopilot.core.vehicle import BatteryLimits
+
+SAY_EVERY_US = 60_000_000
+"""A monitor that goes on saying what no battery says is told again after so long."""
+
+STALE_US = 3_000_000
+"""A reading that has been followed by others, none of them believed, is not shown as that of now after so long."""
+
+
+class BatteryWatch:
+    """The newest reading that this battery can have."""
+
+    def __init__(self, limits: BatteryLimits) -> None:
+        self._limits = limits
+        self._good_us = 0
+        self._refused_us: int | None = None
+        """When the newest reading came, if it was refused."""
+        self._said_us: int | None = None
+        self._events: list[Event] = []
+        self.power: PowerSample | None = None
+        self.refused = 0
+        """Readings that no battery has, or that this one cannot have."""
+
+    @property
+    def shown(self) -> PowerSample | None:
+        """What clients are shown as that of now."""
+        refused_us = self._refused_us
+        return None if refused_us is not None and refused_us - self._good_us >= STALE_US else self.power
+
+    def note(self, t_us: int, sample: PowerSample) -> bool:
+        """Take a reading; whether it is believed."""
+        limits = self._limits
+        if not plausible(sample):
+            self._refuse(t_us, "Battery monitor makes no sense: check it")
+        elif not limits.can_be(sample.voltage_v):
+            span = f"{limits.min_v:.3g} to {limits.max_v:.3g} V"
+            text = f"Battery says {sample.voltage_v:.1f} V, plausible {span}: check monitor, vehicle file"
+            self._refuse(t_us, text)
+        else:
+            self.power, self._good_us, self._refused_us = sample, t_us, None
+            return True
+        return False
+
+    def _refuse(self, t_us: int, text: str) -> None:
+        self.refused += 1
+        self._refused_us = t_us
+        if self._said_us is None or t_us - self._said_us >= SAY_EVERY_US:
+            self._said_us = t_us
+            self._events.append(Event(t_us=t_us, severity=Severity.WARNING, text=text))
+
+    def take_events(self) -> list[Event]:
+        """Lines for the operator since the last call."""
+        events, self._events = self._events, []
+        return events

@@ -1,0 +1,66 @@
+"""Disarming the flight controller below: asked for until its heartbeat shows it, and not said to be done before.
+
+A vehicle without one below is disarmed when its thrusters are neutral: there is nothing to wait for.
+"""
+
+from autopilot.command.announcements import Announcements
+from autopilot.core.messages import Below, Severity
+from autopilot.mavlink.api import Answer, CommandResult
+
+CONFIRM_TICKS = 300
+"""3 s, twelve requests: then it is said that it has not worked. It is asked for until it has."""
+
+NOT_CONFIRMED = "Flight controller does not confirm disarming: use its own switch"
+CONFIRMED = "Flight controller is disarmed now"
+ARMED_ANEW = "Disarming ended: armed anew"
+
+DONE = Answer(result=CommandResult.ACCEPTED)
+WAITING = Answer(result=CommandResult.IN_PROGRESS)
+
+
+class Disarming:
+    """From a disarming of ours to the heartbeat below that shows it. Times are counted in ticks."""
+
+    def __init__(self, operator: Announcements) -> None:
+        self._operator = operator
+        self._ticks: int | None = None
+        """Since it was asked for, None = nothing is waited for."""
+        self._alone: bool | None = None
+        """Whether there is no flight controller below; None = no tick has told yet."""
+        self.answer = DONE
+        """To who asked for it last."""
+
+    @property
+    def waits(self) -> bool:
+        """Whether the flight controller is to be asked on this tick."""
+        return self._ticks is not None
+
+    def begin(self) -> None:
+        """Ask for it, and give it all its time."""
+        if self._alone:
+            self.answer = DONE
+        else:
+            self._ticks, self.answer = 0, WAITING
+
+    def give_up(self) -> None:
+        """It is to be armed."""
+        if self.answer is WAITING:
+            self.answer = Answer(result=CommandResult.FAILED, reason=ARMED_ANEW)
+        self._ticks = None
+
+    def step(self, below: Below | None) -> None:
+        """Once per tick. What is known on the tick of the request is of before it."""
+        if below is not None or self._alone is None:
+            self._alone = below is None
+        ticks, self._ticks = self._ticks, None
+        if ticks is None:
+            return
+        if self._alone or (below is not None and ticks > 0 and below.armed is False):
+            if ticks > CONFIRM_TICKS:
+                self._operator.say(Severity.NOTICE, CONFIRMED)
+            self.answer = DONE
+            return
+        self._ticks = ticks + 1
+        if ticks == CONFIRM_TICKS:
+            self.answer = Answer(result=CommandResult.FAILED, reason=NOT_CONFIRMED)
+            self._operator.say(Severity.CRITICAL, NOT_CONFIRMED)

@@ -1,0 +1,39 @@
+"""Python processes that this package starts: they import what their parent does, and nothing from the current folder.
+
+Without ``-P`` Python looks in the current folder first: a ``logging.py`` or a package ``autopilot`` of the user's
+would be imported in place of the right one. ``tests/test_child_processes.py`` lists every place that starts one.
+"""
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+"""The folder that holds the package: a checkout, or site-packages."""
+
+SAFE_PATH = "PYTHONSAFEPATH"
+"""The variable that stands for ``-P`` where the command line is not ours."""
+
+
+def python_command(code: str) -> list[str]:
+    """Command that runs ``code`` with our packages and nothing from the current folder."""
+    root = str(ROOT)
+    door = f"import os, sys; sys.path[:0] = [] if {root!r} in map(os.path.realpath, sys.path) else [{root!r}]\n"
+    return [sys.executable, "-P", "-c", door + code]
+
+
+@contextlib.contextmanager
+def safe_path() -> Iterator[None]:
+    """Processes that libraries start meanwhile (multiprocessing's servers and workers, a Dask cluster's) do not import
+    from the current folder either. What the parent itself imports from (``sys.path``) they are given by the library."""
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[SAFE_PATH]
+        else:
+            os.environ[SAFE_PATH] = before

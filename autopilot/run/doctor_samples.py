@@ -1,0 +1,150 @@
+"""What is measured of a vehicle in some seconds: whether it comes often enough, and whether it can be true."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from autopilot.core.samples import (
+    AhrsSample,
+    CameraFrame,
+    DepthSample,
+    ImuSample,
+    LeakSample,
+    PowerSample,
+    VelocitySample,
+)
+from autopilot.core.vehicle import Vehicle
+from autopilot.drivers.devices import CAMERA, FLIGHT_CONTROLLER
+from autopilot.run.findings import Finding, Verdict
+from autopilot.run.remedies import slow_remedy
+from autopilot.run.vehicle_config import VehicleConfig
+
+ENOUGH, TOO_MUCH = 0.7, 1.5
+"""Share of the vehicle file's rate below which a sensor is too slow, and above which it is another."""
+GRAVITY_M_S2, STILL_ACCEL_M_S2, STILL_RATE_RAD_S = 9.81, 1.5, 0.2
+"""A vehicle that lies or floats shakes less."""
+SHALLOWEST_M, BELOW_FLOOR_M, DEEPEST_M = -0.5, 0.5, 300.0
+"""Depths that can be true: weather changes the zero by 0.3 m; a floor, where one is known, has an error; no vehicle
+here goes deeper."""
+HIGHEST_CHARGE, DEAD_SHARE = 1.1, 0.7
+"""Shares of the battery's full and empty voltage beyond which no battery of that kind is."""
+
+ENOUGH_EQUAL = 5
+"""So many equal readings in a row are no measurement: the last digits of every sensor here are noise."""
+REPEATS = "it repeats itself: restart it, check its cable"
+
+LEAST_HZ = 0.5
+"""Of what a flight controller measures, readings that are new. The slowest (battery) speaks twice a second."""
+_OF_CONTROLLER = {"depth": "SCALED_PRESSURE2", "battery": "BATTERY_STATUS"}
+"""What a flight controller measures beside the attitude, and its message."""
+
+Problem = tuple[Verdict, str]
+"""How bad it is, and what to do."""
+Look = Callable[[Sequence[Any]], tuple[str, Problem | None]]
+"""What is found in samples, and what is wrong with it."""
+
+
+def judge_samples(config: VehicleConfig, samples: dict[type, list[Any]], seconds: float) -> list[Finding]:
+    """A line for each kind of measurement. ``samples`` of ``seconds``, by type."""
+    vehicle, devices = config.vehicle, config.devices
+    wanted: list[tuple[str, str, tuple[type, ...], float | None, Look]] = [
+        ("attitude", "ahrs", (AhrsSample, ImuSample), vehicle.ahrs.rate_hz, _attitude),
+        (
+            "depth",
+            "depth",
+            (DepthSample,),
+            vehicle.depth_sensor.rate_hz if "depth" in devices else None,
+            _depth(config),
+        ),
+        ("velocity", "dvl", (VelocitySample,), vehicle.dvl.rate_hz if "dvl" in devices else None, _nothing),
+        ("pictures", CAMERA, (CameraFrame,), vehicle.eye.rate_hz if config.has_camera else None, _nothing),
+        ("battery", "battery", (PowerSample,), None, _power(vehicle)),
+        ("leak", "leak", (LeakSample,), None, _leak),
+    ]
+    findings = []
+    for name, kind, types, rate_hz, look in wanted:
+        found = [sample for each in types for sample in samples.get(each, ())]
+        rate = len(found) / seconds
+        controlled = rate_hz is None and name in _OF_CONTROLLER and FLIGHT_CONTROLLER in devices
+        if controlled and rate < LEAST_HZ:
+            remedy = f"no new {_OF_CONTROLLER[name]} comes: check the sensor at the flight controller"
+            findings.append(Finding(verdict=Verdict.WARN, what=name, found=f"{rate:.1f} Hz", remedy=remedy))
+            continue
+        if not found and rate_hz is None:
+            continue
+        told, problem = look(found) if found else ("", None)
+        if rate_hz is not None and (found or problem is None):
+            problem = (
+                _rate_problem(rate, rate_hz, slow_remedy(devices.get(kind, devices.get(FLIGHT_CONTROLLER)))) or problem
+            )
+        verdict, remedy = problem or (Verdict.OK, "")
+        findings.append(Finding(verdict=verdict, what=name, found=f"{rate:.1f} Hz{told}", remedy=remedy))
+    return findings
+
+
+def _rate_problem(rate: float, rate_hz: float, remedy: str) -> Problem | None:
+    if rate < ENOUGH * rate_hz:
+        return Verdict.FAIL, f"{rate_hz:g} Hz expected by the vehicle file: {remedy}"
+    if rate > TOO_MUCH * rate_hz:
+        return Verdict.WARN, f"{rate_hz:g} Hz expected by the vehicle file: correct it, or the device's rate"
+    return None
+
+
+def _nothing(_: Sequence[Any]) -> tuple[str, Problem | None]:
+    return "", None
+
+
+def _attitude(found: Sequence[Any]) -> tuple[str, Problem | None]:
+    accel = np.array([sample.accel_frd_m_s2 for sample in found])
+    rate = np.array([sample.rate_frd_rad_s for sample in found])
+    size, turns = float(np.linalg.norm(accel.mean(axis=0))), float(np.abs(rate.mean(axis=0)).max())
+    text = f", noise {accel.std(axis=0).max():.3f} m/s2 and {rate.std(axis=0).max():.4f} rad/s, weight {size:.2f} m/s2"
+    if abs(size - GRAVITY_M_S2) > STILL_ACCEL_M_S2:
+        return text, (Verdict.FAIL, f"{GRAVITY_M_S2:g} m/s2 expected at rest: check range, mounting and units")
+    if len(found) >= ENOUGH_EQUAL and not accel.std(axis=0).any() and not rate.std(axis=0).any():
+        return text, (Verdict.FAIL, REPEATS)
+    if turns > STILL_RATE_RAD_S:
+        return f"{text}, turns at {turns:.2f} rad/s", (Verdict.WARN, "hold it still; if it is, calibrate the gyro")
+    return text, None
+
+
+def _depth(config: VehicleConfig) -> Look:
+    floor_m = config.file.place.floor_depth_m
+    deepest_m = DEEPEST_M if floor_m is None else floor_m + BELOW_FLOOR_M
+
+    def look(found: Sequence[Any]) -> tuple[str, Problem | None]:
+        depths = np.array([sample.depth_m for sample in found])
+        mean = float(depths.mean())
+        text = f", {mean:.3f} m, noise {1e3 * depths.std():.1f} mm"
+        if not SHALLOWEST_M <= mean <= deepest_m:
+            remedy = f"{SHALLOWEST_M:g} to {deepest_m:g} m can be true: check the sensor, set its zero at the surface"
+            return text, (Verdict.FAIL, f"{remedy} (surface_pa, BARO2_GND_PRESS)")
+        if len(depths) >= ENOUGH_EQUAL and depths.max() == depths.min():
+            return text, (Verdict.WARN, REPEATS)
+        return text, None
+
+    return look
+
+
+def _power(vehicle: Vehicle) -> Look:
+    battery = vehicle.battery
+
+    def look(found: Sequence[Any]) -> tuple[str, Problem | None]:
+        last = found[-1]
+        text = f", {last.voltage_v:.1f} V, {last.current_a:.1f} A, {100.0 * last.remaining:.0f} % left"
+        low_v, high_v = DEAD_SHARE * battery.empty_v, HIGHEST_CHARGE * battery.open_circuit_v
+        if not low_v <= last.voltage_v <= high_v:
+            remedy = f"{low_v:.1f} to {high_v:.1f} V can be true: check the monitor's scale, and [battery]"
+            return text, (Verdict.FAIL, f"{remedy} of the vehicle file")
+        if last.voltage_v < battery.empty_v:
+            return text, (Verdict.WARN, f"empty is {battery.empty_v:g} V: charge it")
+        return text, None
+
+    return look
+
+
+def _leak(found: Sequence[Any]) -> tuple[str, Problem | None]:
+    if found[-1].wet:
+        return ", water in the hull", (Verdict.FAIL, "open and dry it, look at the seals")
+    return ", dry", None

@@ -1,0 +1,191 @@
+"""Who has a place on a port that several clients share, when there are fewer places than clients.
+
+The policy only: no socket, no clock (``t_us`` is handed in), and what a client has said is asked of whoever reads it.
+The rule stands in docs/threats.md ("Who is served").
+"""
+
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, TypeVar
+
+from autopilot.core.clients import Standing
+
+KEEP_US = 5_000_000
+"""A client that has said something valid within this time is not displaced by another."""
+TURN_US = 2_000_000
+"""So long a client has the kept place at least, and so often who waits for it asks (heartbeats come every second)."""
+MAX_WAITING = 64
+"""Of those who wait for the kept place so many are remembered, the latest."""
+
+K = TypeVar("K", bound=Hashable)
+
+
+class Why(Enum):
+    """What a client lost its place for."""
+
+    UNPROVEN = "sent nothing valid"
+    SILENT = "silent"
+    KEPT = "kept for the operator in control"
+
+
+@dataclass(frozen=True, slots=True)
+class Displaced(Generic[K]):
+    """Somebody who has to go."""
+
+    key: K
+    why: Why
+    silent_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class Entry(Generic[K]):
+    """The answer to somebody who asks for a place."""
+
+    admitted: bool
+    displaced: Displaced[K] | None = None
+
+
+@dataclass(slots=True)
+class _Place:
+    entered_us: int
+    turn: int
+    heard_us: int
+    expected: bool
+
+
+class Admission(Generic[K]):
+    """``places`` of a port and one more, which is kept: it is given away when all others belong to clients that are
+    heard, and goes round among those who wait for it, so that the operator in control always comes in. ``standing``
+    says what a client has said so far. Who is there for less than ``grace_us`` is given the time to say something."""
+
+    def __init__(self, places: int, standing: Callable[[K], Standing], grace_us: int = 0) -> None:
+        self._most = places + 1
+        self._standing = standing
+        self._grace_us = grace_us
+        self._places: dict[K, _Place] = {}
+        """In the order in which they came."""
+        self._turn = 0
+        self._waiting: dict[K, tuple[int, int]] = {}
+        """Who was turned away: when first and when last, the longest silent first."""
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def begin(self) -> None:
+        """Another reading of the port: who has come in the one before had the time to be understood."""
+        self._turn += 1
+
+    def heard(self, key: K, t_us: int) -> None:
+        """Bytes came of somebody who has a place."""
+        self._places[key].heard_us = t_us
+
+    def leave(self, key: K) -> None:
+        """A place is given back."""
+        self._places.pop(key, None)
+
+    def has_room(self, t_us: int) -> bool:
+        """Whether the next one who asks is admitted."""
+        return len(self._places) < self._most - 1 or self._decide(t_us).admitted
+
+    def enter(self, key: K, t_us: int, *, always: bool = False) -> Entry[K]:
+        """Somebody new asks for a place; ``always``: he is expected, and is let in whoever else is there."""
+        entry: Entry[K] = Entry(True) if always or len(self._places) < self._most - 1 else self._decide(t_us)
+        if entry.displaced is not None and entry.displaced.why is Why.KEPT and not self._is_next(key, t_us):
+            entry = Entry(False)
+        if entry.displaced is not None:
+            self.leave(entry.displaced.key)
+        first_us, _ = self._waiting.pop(key, (t_us, t_us))
+        if not entry.admitted:
+            self._waiting[key] = first_us, t_us
+            if len(self._waiting) > MAX_WAITING:
+                del self._waiting[next(iter(self._waiting))]
+        if entry.admitted:
+            self._places[key] = _Place(t_us, self._turn, t_us, always)
+        return entry
+
+    def idle(self, t_us: int, unproven_us: int, proven_us: int) -> list[K]:
+        """Who has been silent for longer than these times, by whether he has ever said something valid."""
+        gone = []
+        for key, place in self._places.items():
+            silent_us = t_us - place.heard_us
+            if silent_us > unproven_us and (silent_us > proven_us or self._standing(key).valid_us is None):
+                gone.append(key)
+        return gone
+
+    def _is_next(self, key: K, t_us: int) -> bool:
+        """Whether nobody who still asks has waited longer."""
+        mine_us = self._waiting.get(key, (t_us, t_us))[0]
+        return all(first_us >= mine_us for first_us, last_us in self._waiting.values() if t_us - last_us <= TURN_US)
+
+    def _decide(self, t_us: int) -> Entry[K]:
+        """When all places but the kept one are taken."""
+        known = [(key, place, self._standing(key)) for key, place in self._places.items()]
+        free = [each for each in known if not (each[1].expected or each[2].in_control)]
+        victim = _first(self._unproven(free, t_us)) or _first(self._silent(free, t_us))
+        if victim is None and len(self._places) < self._most:
+            return Entry(True)
+        if victim is None:
+            victim = _first(self._latest(free, t_us))
+        return Entry(victim is not None, victim)
+
+    def _unproven(self, known: Iterable[tuple[K, _Place, Standing]], t_us: int) -> Iterable[tuple[int, Displaced[K]]]:
+        """Who has said nothing valid, the one that came first before the others."""
+        for key, place, standing in known:
+            age_us = t_us - place.entered_us
+            if standing.valid_us is None and place.turn < self._turn and age_us >= self._grace_us:
+                yield place.entered_us, Displaced(key, Why.UNPROVEN, t_us - place.heard_us)
+
+    def _silent(self, known: Iterable[tuple[K, _Place, Standing]], t_us: int) -> Iterable[tuple[int, Displaced[K]]]:
+        """Who has said nothing valid lately, the longest silent before the others."""
+        for key, _, standing in known:
+            if standing.valid_us is not None and t_us - standing.valid_us >= KEEP_US:
+                yield standing.valid_us, Displaced(key, Why.SILENT, t_us - standing.valid_us)
+
+    def _latest(self, known: Iterable[tuple[K, _Place, Standing]], t_us: int) -> Iterable[tuple[int, Displaced[K]]]:
+        """Who came last, once he has had his time."""
+        for key, place, standing in list(known)[-1:]:
+            if standing.valid_us is not None and t_us - place.entered_us >= TURN_US:
+                yield 0, Displaced(key, Why.KEPT, t_us - standing.valid_us)
+
+
+def _first(candidates: Iterable[tuple[int, Displaced[K]]]) -> Displaced[K] | None:
+    """The one with the least number, the earliest of equals."""
+    least = min(candidates, key=lambda each: each[0], default=None)
+    return None if least is None else least[1]
+
+
+class DoorNews:
+    """What operators should know of a port: who lost his place, and who found none. One line each time that it is asked
+    for; how often that is, is the caller's business."""
+
+    def __init__(self) -> None:
+        self._line = ""
+        self._warning = False
+        self._more = 0
+
+    def note(self, text: str, *, warning: bool = True) -> None:
+        """Something happened; only the first is named."""
+        if self._line:
+            self._more += 1
+        else:
+            self._line = text
+        self._warning |= warning
+
+    def take(self) -> tuple[bool, str] | None:
+        """Whether it is a warning, and the line; None when nothing happened."""
+        if not self._line:
+            return None
+        taken = self._warning, f"{self._line} ({self._more} more)" if self._more else self._line
+        self._line, self._warning, self._more = "", False, 0
+        return taken
+
+
+def displaced_text(sender: str, gone: Displaced[K]) -> str:
+    """The line about who lost his place."""
+    seconds = gone.silent_us // 1_000_000
+    why = f"silent for {seconds} s" if gone.why is Why.SILENT else gone.why.value
+    return f"{sender} lost its place: {why}"

@@ -1,0 +1,51 @@
+"""What ArduSub itself has against arming: its own pre-arm checks, in its words.
+
+It tells whether they pass in SYS_STATUS (MAV_SYS_STATUS_PREARM_CHECK), and why not in texts, which it is asked for: by
+itself it repeats them every half minute. A version that has no such bit is believed by its texts alone.
+"""
+
+from typing import Any
+
+PREARM_BIT = 0x1000_0000
+"""MAV_SYS_STATUS_PREARM_CHECK."""
+SYS_STATUS_ID, RUN_CHECKS = 1, 401
+"""MAV_CMD_RUN_PREARM_CHECKS."""
+PREFIX = "prearm:"
+ASK_AGAIN_US = 30_000_000
+STANDS_US = 40_000_000
+"""A text that is not repeated for so long is over."""
+
+
+class PrearmWatch:
+    """Follows SYS_STATUS and texts."""
+
+    def __init__(self) -> None:
+        self._passes: bool | None = None
+        """None: it does not say."""
+        self._text = ""
+        self._text_us = 0
+        self._asked_us: int | None = None
+
+    def take(self, t_us: int, message: Any) -> None:
+        """Note a message."""
+        kind = message.get_type()
+        if kind == "SYS_STATUS":
+            told = message.onboard_control_sensors_present & message.onboard_control_sensors_enabled & PREARM_BIT
+            self._passes = bool(message.onboard_control_sensors_health & PREARM_BIT) if told else None
+        elif kind == "STATUSTEXT" and message.text.lower().startswith(PREFIX):
+            self._text, self._text_us = message.text[len(PREFIX) :].strip(), t_us
+
+    def due(self, t_us: int) -> bool:
+        """Whether it is to be asked now."""
+        if self._asked_us is not None and t_us - self._asked_us < ASK_AGAIN_US:
+            return False
+        self._asked_us = t_us
+        return True
+
+    def refusals(self, t_us: int) -> tuple[str, ...]:
+        """Why it would not arm; () when it would."""
+        fresh = bool(self._text) and t_us - self._text_us < STANDS_US
+        if self._passes or not (fresh or self._passes is False):
+            return ()
+        why = self._text if fresh else "see its ground station"
+        return (f"flight controller's own checks fail, {why}: fix that there",)

@@ -1,0 +1,145 @@
+"""What comes out at ArduSub's servo rail, compared with what was meant: is somebody else commanding the thrusters?
+
+ArduSub takes the last of two senders. One beside us shows as outputs that are ours and not ours by turns (it speaks 20
+to 50 times a second, we 50 times), or as outputs that are never ours while it is the faster one. Reports are counted,
+not timed: they come 50 times a second, so that the window is 0.3 s of the vehicle's time whatever the link does.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from itertools import pairwise
+
+from autopilot.drivers.ardusub_mixing import NEUTRAL_US, PLANE_MOTORS
+
+SERVO_WITHIN_US = 450_000
+"""What comes out belongs to one of the commands of so long before the last: 20 ms to act, the way back, a late loop."""
+PAUSE_US = 300_000
+"""After so long without a command of ours its failsafe may have made the outputs neutral."""
+SERVO_TOLERANCE_US = 4
+SLOW_TOLERANCE_US = 20
+"""Of upright motors behind ArduSub's low-pass of heave, which is not followed to the microsecond: 12 us measured."""
+
+WINDOW = 15
+"""Reports that are looked at together: 0.3 s."""
+WINDOW_US = 1_500_000
+"""Of the vehicle's time: reports that come more slowly than 10 Hz are not looked at together."""
+TURNS = 2
+"""So often within the window outputs of others follow upon ours."""
+STANDING = 12
+"""So many reports in a row of others' outputs that are not neutral: its own failsafe makes them neutral."""
+OVER_AFTER_US = 1_000_000
+"""So long after the last output of others it is over."""
+WRONG_US = 300_000
+"""Neutral outputs instead of ours for so long: our commands do not arrive, or are refused."""
+CLOCK_US = 1 << 32
+"""SERVO_OUTPUT_RAW.time_usec wraps."""
+
+
+class OutputWatch:
+    """Commands in, reports of the servo rail in; who commands out."""
+
+    def __init__(self) -> None:
+        self._meant: deque[tuple[int, tuple[int, ...]]] = deque()
+        self._wrong: deque[tuple[int, bool]] = deque(maxlen=WINDOW)
+        """Of the last reports: time of the vehicle, and whether they show another command than ours."""
+        self._clock_us: int | None = None
+        self._t_us = 0
+        self._last_wrong_us = 0
+        self._since_us: int | None = None
+        """Since when every report has been wrong."""
+        self.rival = False
+        """Somebody else commands the thrusters."""
+        self.problem = ""
+        """What stands at an output instead of what is meant, "" while all is well."""
+        self.mismatch_count = 0
+        """Reports that show something else than what was meant."""
+
+    def sent(self, t_us: int, servos_us: tuple[int, ...]) -> None:
+        """What the outputs are meant to become."""
+        if not self._meant or t_us - self._meant[-1][0] > PAUSE_US:
+            self._meant.append((t_us, (NEUTRAL_US,) * len(servos_us)))
+        self._meant.append((t_us, servos_us))
+
+    def forget(self) -> None:
+        """Nothing is meant any more."""
+        self._meant.clear()
+        self.skip()
+
+    def begin(self) -> None:
+        """Nothing is known of who commands."""
+        self.skip()
+        self.rival = False
+
+    def skip(self) -> None:
+        """Reports that say nothing now, as behind a silence: another sender that was there is believed to be."""
+        self._wrong.clear()
+        self._since_us, self.problem = None, ""
+
+    def look(self, t_us: int, stamp_us: int, found: tuple[int, ...], *, slow_heave: bool) -> None:
+        """A report of the servo rail; ``stamp_us`` is SERVO_OUTPUT_RAW.time_usec."""
+        meant = self._meant
+        if not meant:
+            self.skip()
+            return
+        while meant[-1][0] - meant[0][0] > SERVO_WITHIN_US:
+            meant.popleft()
+        now_us = self._vehicle_us(stamp_us)
+        still = (NEUTRAL_US,) * len(found)
+        commands = [servos for _, servos in meant]
+        if t_us - meant[-1][0] > PAUSE_US:
+            commands.append(still)
+        wrong = not (_is_slowly_meant if slow_heave else _is_meant)(found, commands)
+        self._wrong.append((now_us, wrong))
+        while now_us - self._wrong[0][0] > WINDOW_US:
+            self._wrong.popleft()
+        if wrong:
+            self.mismatch_count += 1
+            self._last_wrong_us = now_us
+            self._since_us = now_us if self._since_us is None else self._since_us
+        else:
+            self._since_us = None
+        self._judge(now_us, neutral=found == still)
+        self.problem = self._standing(now_us, found)
+
+    def _vehicle_us(self, stamp_us: int) -> int:
+        """Its clock without the wrap; one that goes back (a reboot) stands."""
+        passed_us = 0 if self._clock_us is None else (stamp_us - self._clock_us) % CLOCK_US
+        self._clock_us = stamp_us
+        self._t_us += passed_us if passed_us < CLOCK_US // 2 else 0
+        return self._t_us
+
+    def _judge(self, now_us: int, *, neutral: bool) -> None:
+        wrongs = [wrong for _, wrong in self._wrong]
+        turns = sum(later and not earlier for earlier, later in pairwise(wrongs))
+        standing = not neutral and len(wrongs) >= STANDING and all(wrongs[-STANDING:])
+        if turns >= TURNS or standing:
+            self.rival = True
+        elif now_us - self._last_wrong_us > OVER_AFTER_US:
+            self.rival = False
+
+    def _standing(self, now_us: int, found: tuple[int, ...]) -> str:
+        if self.rival or self._since_us is None:
+            return ""
+        if now_us - self._since_us <= WRONG_US:
+            return self.problem
+        meant = self._meant[-1][1]
+        worst = max(range(len(meant)), key=lambda motor: abs(found[motor] - meant[motor]))
+        return f"motor {worst + 1} gets {found[worst]} us instead of {meant[worst]}: check its settings"
+
+
+def _is_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]]) -> bool:
+    """Whether it is one of the last commands."""
+    return any(_alike(found, meant) for meant in reversed(commands))
+
+
+def _is_slowly_meant(found: tuple[int, ...], commands: Sequence[tuple[int, ...]]) -> bool:
+    """The same with slow heave: upright motors lie between those of longer."""
+    between = all(
+        min(meant) - SLOW_TOLERANCE_US <= pulse <= max(meant) + SLOW_TOLERANCE_US
+        for pulse, meant in zip(found[PLANE_MOTORS:], list(zip(*commands, strict=True))[PLANE_MOTORS:], strict=True)
+    )
+    return between and any(_alike(found[:PLANE_MOTORS], meant[:PLANE_MOTORS]) for meant in reversed(commands))
+
+
+def _alike(found: Sequence[int], meant: Sequence[int]) -> bool:
+    return all(abs(one - other) <= SERVO_TOLERANCE_US for one, other in zip(found, meant, strict=True))

@@ -1,0 +1,184 @@
+"""How long a flight controller with ArduSub goes on with the last thrust when nobody speaks any more: measured.
+
+With the propellers off: armed by its own checks in MANUAL, a small thrust ahead, then complete silence (no channels, no
+heartbeat), as if the companion had lost its power. What its servo rail shows is the answer. Time is handed in.
+"""
+
+from enum import Enum
+from typing import Any
+
+from autopilot.drivers.ardusub_authority import ARMED_FLAG, MANUAL, SPOOL_US
+from autopilot.drivers.ardusub_mixing import NEUTRAL
+from autopilot.drivers.ardusub_wire import Wire
+
+FORWARD, PUSH_US = 4, 80
+"""Channel of the thrust ahead, and how far off neutral it is held [us]: a fifth of its range."""
+SHOWN_US, STILL_US = 20, 4
+"""Off neutral by so much a motor turns; by less it stands."""
+SERVO_ID, SERVO_HZ, ENOUGH = 36, 50.0, 0.7
+"""What is asked of its outputs, and the share of it that is enough."""
+SEND_EVERY_US, ASK_EVERY_US, BEAT_EVERY_US = 20_000, 1_000_000, 1_000_000
+CONTACT_US, ARM_US, PUSH_FOR_US = 10_000_000, 8_000_000, 1_000_000
+"""So long each step may take at most; thrust is held for the last."""
+SILENT_US = 10_000_000
+"""Silence that is long enough."""
+END_US = 3_000_000
+"""So long it may take to disarm."""
+NEUTRAL_SENDS = 3
+
+
+class Step(Enum):
+    """What is being done."""
+
+    CONTACT = "contact"
+    ARM = "arm"
+    PUSH = "push"
+    SILENCE = "silence"
+    END = "end"
+    DONE = "done"
+
+
+class SilenceTest:
+    """One measurement over an open wire. :attr:`neutral_s` and :attr:`problem` tell its end."""
+
+    def __init__(self, wire: Wire, motors: int) -> None:
+        self._wire = wire
+        self._motors = motors
+        self._step = Step.CONTACT
+        self._since_us: int | None = None
+        self._beat_us = self._asked_us = self._sent_us = -(1 << 62)
+        self._mode: int | None = None
+        self._armed = False
+        self._servos_us: tuple[int, ...] = ()
+        self._reports = 0
+        """Of the servo rail, since they were asked for last."""
+        self._refusal = ""
+        self._rest = 0
+        self.neutral_s: float | None = None
+        """From the last command to neutral outputs; None = not within :data:`SILENT_US`, or :attr:`problem`."""
+        self.problem = ""
+        """Why nothing was measured."""
+
+    @property
+    def done(self) -> bool:
+        """Whether it is over: neutral, and disarmed if it can be."""
+        return self._step is Step.DONE
+
+    def tick(self, t_us: int) -> None:
+        """Go on."""
+        if self._since_us is None:
+            self._since_us = t_us
+        self._servos_us = ()
+        for message in self._wire.receive(t_us):
+            self._hear(message)
+        passed_us = t_us - self._since_us
+        match self._step:
+            case Step.CONTACT:
+                self._contact(t_us, passed_us)
+            case Step.ARM:
+                self._arm(t_us, passed_us)
+            case Step.PUSH:
+                self._push(t_us, passed_us)
+            case Step.SILENCE:
+                self._silence(t_us, passed_us)
+            case Step.END:
+                self._end(t_us, passed_us)
+            case Step.DONE:
+                return
+
+    def abort(self) -> None:
+        """Whatever it is doing: neutral, and disarmed if it was armed by this."""
+        if self._step in (Step.ARM, Step.PUSH, Step.SILENCE, Step.END):
+            for _ in range(NEUTRAL_SENDS):
+                self._wire.override(NEUTRAL)
+            self._wire.arm(armed=False)
+
+    def _hear(self, message: Any) -> None:
+        match message.get_type():
+            case "HEARTBEAT":
+                self._mode, self._armed = int(message.custom_mode), bool(message.base_mode & ARMED_FLAG)
+            case "SERVO_OUTPUT_RAW":
+                self._reports += 1
+                self._servos_us = tuple(getattr(message, f"servo{n}_raw") for n in range(1, self._motors + 1))
+            case "STATUSTEXT" if message.severity <= 4:
+                self._refusal = message.text.strip()
+            case _:
+                return
+
+    def _go(self, t_us: int, step: Step) -> None:
+        self._step, self._since_us = step, t_us
+        self._asked_us = t_us - ASK_EVERY_US
+
+    def _give_up(self, t_us: int, problem: str) -> None:
+        self.problem, self._rest = problem, NEUTRAL_SENDS
+        self._go(t_us, Step.END)
+
+    def _due(self, t_us: int) -> bool:
+        if t_us - self._asked_us < ASK_EVERY_US:
+            return False
+        self._asked_us = t_us
+        return True
+
+    def _beat(self, t_us: int) -> None:
+        if t_us - self._beat_us >= BEAT_EVERY_US:
+            self._beat_us = t_us
+            self._wire.heartbeat()
+
+    def _contact(self, t_us: int, passed_us: int) -> None:
+        self._beat(t_us)
+        if self._due(t_us):
+            self._reports = 0
+            self._wire.interval(SERVO_ID, SERVO_HZ)
+        if self._mode is not None and self._armed:
+            self.problem = "it is armed already: disarm it"  # by somebody else, who keeps it
+            self._step = Step.DONE
+        elif self._mode is not None and self._mode != MANUAL:
+            self._give_up(t_us, "it is not in MANUAL: switch it")
+        elif self._mode is not None and self._reports >= ENOUGH * SERVO_HZ:
+            self._go(t_us, Step.ARM)
+        elif passed_us > CONTACT_US:
+            silent = self._mode is None
+            self._give_up(
+                t_us, f"it {'is silent' if silent else 'reports its outputs too slowly'}: check cable and link"
+            )
+
+    def _arm(self, t_us: int, passed_us: int) -> None:
+        self._beat(t_us)
+        if self._armed:
+            self._go(t_us, Step.PUSH)
+        elif passed_us > ARM_US:
+            self._give_up(t_us, f"it does not arm: {self._refusal or 'no answer'}")
+        elif self._due(t_us):
+            self._wire.arm(armed=True)
+
+    def _push(self, t_us: int, passed_us: int) -> None:
+        self._beat(t_us)
+        turning = bool(self._servos_us) and max(abs(us - 1500) for us in self._servos_us) > SHOWN_US
+        if turning and passed_us > SPOOL_US + PUSH_FOR_US:
+            self._go(t_us, Step.SILENCE)
+            return
+        if passed_us > 2 * (SPOOL_US + PUSH_FOR_US):
+            self._give_up(t_us, "no thrust comes out: check its mode, its arming and gcs_system")
+        elif t_us - self._sent_us >= SEND_EVERY_US:
+            self._sent_us = t_us
+            channels = list(NEUTRAL)
+            channels[FORWARD] += PUSH_US
+            self._wire.override(tuple(channels))
+
+    def _silence(self, t_us: int, passed_us: int) -> None:
+        still = bool(self._servos_us) and max(abs(us - 1500) for us in self._servos_us) <= STILL_US
+        if still:
+            self.neutral_s = 1e-6 * (t_us - self._sent_us)
+        if still or passed_us > SILENT_US:
+            self._rest = NEUTRAL_SENDS
+            self._go(t_us, Step.END)
+
+    def _end(self, t_us: int, passed_us: int) -> None:
+        """Neutral, and disarmed."""
+        if self._rest and t_us - self._sent_us >= SEND_EVERY_US:
+            self._sent_us, self._rest = t_us, self._rest - 1
+            self._wire.override(NEUTRAL)
+        if self._armed and self._due(t_us):
+            self._wire.arm(armed=False)
+        if not self._rest and (not self._armed or passed_us > END_US):
+            self._step = Step.DONE

@@ -1,0 +1,173 @@
+"""Whether fixes move as dead reckoning does.
+
+While no fix is used the filter runs on inertial sensors and the vehicle model alone. The residuals of fixes then drift
+by what the motion of the fixes and dead reckoning differ in, whatever both are off: relative motion is known well even
+when the position is not.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.estimator.measurement import CHI2_999
+from autopilot.estimator.states import GYRO_BIAS, VEL
+
+SPAN_US = 4_000_000
+"""At most so long a run of fixes is held against dead reckoning."""
+MOST = 128
+ALIKE = 4.0
+"""Errors of fixes are alike over some pictures: so many count as one."""
+FLOOR = np.array([0.002, 0.002, 0.002, 0.001])
+"""[m, rad] added to the standard deviation of fixes: the part that belongs to a place on the floor."""
+SYSTEMATIC = np.array([0.02, 0.02, 0.02, 0.005])
+"""[m/s, rad/s] by which dead reckoning is off beyond the filter's own word: tether, drag, scale of the gyro,"""
+SYSTEMATIC_PER_S = 0.02
+"""and more for each second without a fix [m/s per s]: jets change the velocity by 0.1 m/s within 5 s."""
+UNAIDED = 0.2
+"""[m/s, rad/s] more while the accelerometer (the gyro) is not believed."""
+SURE = 12.0
+"""Difference of the logarithms of two likelihoods that is acted on: 4.9 sigma."""
+LEAST = 3
+"""Fixes that make a motion."""
+GOOD_FIT = 3.0
+"""Squared misses of a run that fits may be so many times what noise makes of it."""
+
+
+class Seen(NamedTuple):
+    """A fix against dead reckoning."""
+
+    t_us: int
+    z: FloatArray
+    """(4,) north, east, down [m], heading [rad]."""
+    y: FloatArray
+    """(4,) what it is off the prediction."""
+    variance: FloatArray
+    """(4,) of the fix."""
+    drift: FloatArray
+    """(4,) variance of the velocity and the rate that it was predicted with [m^2/s^2, rad^2/s^2]."""
+    inside: bool
+    """Whether it passes its gate."""
+
+
+class FixMotion:
+    """A run of fixes none of which was used."""
+
+    def __init__(self) -> None:
+        self._run: deque[Seen] = deque(maxlen=MOST)
+
+    def __len__(self) -> int:
+        return len(self._run)
+
+    def clear(self) -> None:
+        """Dead reckoning begins anew."""
+        self._run.clear()
+
+    def add(self, seen: Seen) -> None:
+        """One more, in the order of their times; one that comes late is left out."""
+        if self._run and seen.t_us <= self._run[-1].t_us:
+            return
+        self._run.append(seen)
+        while self._run[0].t_us < seen.t_us - SPAN_US:
+            self._run.popleft()
+
+    def last(self, *, count: int = LEAST, span_us: int = 0) -> "Run | None":
+        """The newest fixes: as many as make at least ``count`` and ``span_us``; None if there are not so many."""
+        run: list[Seen] = []
+        for seen in reversed(self._run):
+            run.append(seen)
+            if len(run) >= count and run[0].t_us - seen.t_us >= span_us:
+                return Run(run[::-1])
+        return None
+
+
+class Run:
+    """Some fixes in a row."""
+
+    def __init__(self, run: Sequence[Seen]) -> None:
+        self.count = len(run)
+        self.inside = all(seen.inside for seen in run)
+        t_s = 1e-6 * np.array([seen.t_us - run[0].t_us for seen in run])
+        self.span_s = float(t_s[-1])
+        self._since = (t_s - t_s.mean())[:, None]
+        self._z, y = _unwrapped([seen.z for seen in run]), _unwrapped([seen.y for seen in run])
+        self.turned_rad = float(y[:, 3].mean())
+        """By which fixes have another heading than dead reckoning has: its way is turned by that."""
+        self._y = self._z - _turned(self._z - y, self.turned_rad)
+        self._variance = ALIKE * (np.mean([seen.variance for seen in run], axis=0) + FLOOR**2)
+        self._drift = np.array(run[-1].drift)
+        squares = float((self._since**2).sum())
+        self._slope = (self._since * self._y).sum(axis=0) / squares
+        self._slope_variance = self._variance / squares
+
+    @property
+    def apart(self) -> float:
+        """Squared distance of the motion of the fixes from dead reckoning over its gate, > 1 = they contradict."""
+        return float((self._slope**2 / (self._slope_variance + self._drift)).sum() / CHI2_999[4])
+
+    @property
+    def denies_gyro(self) -> bool:
+        """Whether its fixes go with the vehicle and only turn otherwise than the gyro says."""
+        way = slice(0, 3)
+        squares = self._slope[way] ** 2 / (self._slope_variance[way] + self._drift[way])
+        return self.apart > 1.0 and float(squares.sum()) <= CHI2_999[3] and self.moves > SURE and self.fits
+
+    def velocity(self, reckoned_ned_m_s: FloatArray) -> FloatArray:
+        """(3,) NED of the fixes, where that of dead reckoning is (3,)."""
+        result: FloatArray = _turned(reckoned_ned_m_s[None], self.turned_rad)[0] + self._slope[:3]
+        return result
+
+    @property
+    def follows(self) -> bool:
+        """Whether its fixes move as dead reckoning does."""
+        return self.apart <= 1.0 and self.fits
+
+    @property
+    def fits(self) -> bool:
+        """Whether, but for a steady difference, they move together from fix to fix."""
+        rest = self._y - self._y.mean(axis=0) - self._slope * self._since
+        return float((rest**2 / self._variance).sum()) <= GOOD_FIT * 4.0 * max(self.count / ALIKE, 2.0)
+
+    @property
+    def moves(self) -> float:
+        """Logarithm of the likelihood that fixes move with the vehicle over that of standing still."""
+        still = ((self._z - self._z.mean(axis=0)) ** 2 / self._variance).sum()
+        # A difference in velocity is likely as far as dead reckoning may be off by it.
+        slope = self._slope * self._drift / (self._drift + self._slope_variance)
+        rest = self._y - self._y.mean(axis=0) - slope * self._since
+        return 0.5 * float(still - (rest**2 / self._variance).sum() - (slope**2 / self._drift).sum())
+
+
+def drift_variance(variance: FloatArray, gap_s: float, *, accel: bool, gyro: bool) -> FloatArray:
+    """(4,) of velocity and yaw rate that are predicted, ``gap_s`` after the last fix.
+
+    ``variance`` (21,) of the filter's states; ``accel``, ``gyro``: whether that sensor is believed."""
+    more_m_s = SYSTEMATIC_PER_S * gap_s + (0.0 if accel else UNAIDED)
+    result: FloatArray = np.append(variance[VEL] + more_m_s * more_m_s, variance[GYRO_BIAS]) + SYSTEMATIC**2
+    if not gyro:
+        result[3] += UNAIDED * UNAIDED
+    return result
+
+
+def plausible(y: FloatArray, variance: FloatArray, drift: FloatArray, gap_s: float) -> bool:
+    """Whether dead reckoning may have gone astray by ``y`` (4,) within a gap, ``variance`` (4,) by its own word and
+    ``drift`` (4,) as in :class:`Seen`."""
+    return float((y**2 / (variance + drift * gap_s * gap_s)).sum()) <= CHI2_999[4]
+
+
+def _turned(way: FloatArray, by_rad: float) -> FloatArray:
+    """Places or velocities NED in rows, turned about the vertical through the origin."""
+    c, s = math.cos(by_rad), math.sin(by_rad)
+    result = way.copy()
+    result[:, 0], result[:, 1] = c * way[:, 0] - s * way[:, 1], s * way[:, 0] + c * way[:, 1]
+    return result
+
+
+def _unwrapped(rows: Sequence[FloatArray]) -> FloatArray:
+    """(n, 4) with the heading counting turns."""
+    result = np.array(rows)
+    result[:, 3] = np.unwrap(result[:, 3], period=2.0 * math.pi)
+    return result

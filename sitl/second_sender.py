@@ -1,0 +1,51 @@
+"""Somebody else commands the simulated thrusters beside the service, and a flight controller reports its outputs."""
+
+from collections.abc import Sequence
+
+from autopilot.core.messages import Authority, Below
+from autopilot.drivers.ardusub_senders import OutputWatch
+from autopilot.sitl.fault_tables import SecondSender
+from autopilot.sitl.scenario import Fault
+
+STANDS_US = 20_000
+"""What another has sent stands until the service's next command is read (50 Hz)."""
+REPORT_US = 20_000
+
+
+class SharedThrusters:
+    """The last of two senders wins."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        self._faults = [fault for fault in faults if isinstance(fault, SecondSender)]
+        self._watch = OutputWatch()
+        self._found: tuple[int, ...] = ()
+        self._reported_us = 0
+
+    @property
+    def reported(self) -> bool:
+        """Whether outputs are reported: in scenarios that need it."""
+        return bool(self._faults)
+
+    def pulses_us(self, t_us: int, ours: tuple[int, ...]) -> tuple[int, ...]:
+        """What is at the outputs now."""
+        self._found = ours
+        for fault in self._faults:
+            if fault.holds(t_us) and round(t_us - 1e6 * fault.at_s) % round(1e6 / fault.rate_hz) < STANDS_US:
+                self._found = tuple(pulse + round(fault.push_us) * (-1) ** place for place, pulse in enumerate(ours))
+        return self._found
+
+    def sent(self, t_us: int, pulses_us: tuple[int, ...]) -> None:
+        """What the service has commanded."""
+        if self._faults:
+            self._watch.sent(t_us, pulses_us)
+
+    def below(self, t_us: int, *, armed: bool) -> Below | None:
+        """As a flight controller reports it; None in a vehicle without one."""
+        if not self._faults:
+            return None
+        if t_us - self._reported_us >= REPORT_US and self._found:
+            self._reported_us = t_us
+            self._watch.look(t_us, t_us & 0xFFFFFFFF, self._found, slow_heave=False)
+        rival = armed and self._watch.rival
+        pulses_us = self._found if rival else ()
+        return Below(t_us=t_us, authority=Authority.OURS, acts=True, pulses_us=pulses_us, armed=armed, rival=rival)

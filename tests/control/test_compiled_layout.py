@@ -1,0 +1,164 @@
+"""What is laid out twice, in C and in Python, and arrays whose address the library is given."""
+
+import ctypes
+import importlib
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from control_loop import MODEL, nav_state
+
+import autopilot
+from autopilot.control.bounds import Gaps, PlanRoom, ProgramBounds
+from autopilot.control.fence.obstacles import Features
+from autopilot.control.nmpc.grid import uniform_grid
+from autopilot.control.robust.margins import Margins
+from autopilot.control.robust.tightening import BackOffs
+from autopilot.control.water.current_learning import Fit
+from autopilot.core import compiled
+from autopilot.core.compiled import Mirror
+from autopilot.core.frames import FloatArray
+from autopilot.core.geometry import Circle, Fence
+from autopilot.core.params import ParamSet
+
+needs_library = pytest.mark.skipif(compiled.missing() is not None, reason="not compiled")
+PACKAGE = Path(autopilot.__file__).parent
+GRID = uniform_grid(5)
+
+
+def _mirrors() -> dict[str, type[Mirror]]:
+    """Of all modules, by the name of the struct."""
+    found = {}
+    for path in _sources():
+        for name in re.findall(r"^class (\w+)\((?:\w+\.)?Mirror\):", path.read_text(encoding="utf-8"), re.MULTILINE):
+            module = ".".join(("autopilot", *path.relative_to(PACKAGE).with_suffix("").parts))
+            found[name.lstrip("_")] = cast(type[Mirror], getattr(importlib.import_module(module), name))
+    return found
+
+
+def _sources() -> list[Path]:
+    """The package's modules, those behind its symbolic links as well."""
+    folders = [PACKAGE, *(path for path in PACKAGE.iterdir() if path.is_symlink())]
+    return sorted({path for folder in folders for path in folder.rglob("*.py")})
+
+
+def test_every_struct_is_checked_field_by_field() -> None:
+    """A struct beside the mirrors would be used unchecked."""
+    for path in _sources():
+        if path.name != "compiled.py":
+            assert "(ctypes.Structure)" not in path.read_text(encoding="utf-8"), f"{path}: make it a Mirror"
+    code = "".join(path.read_text(encoding="utf-8") for path in compiled.SOURCES.glob("*.[ch]"))
+    laid_out = set(re.findall(r"^LAYOUT\((\w+),", code, re.MULTILINE))
+    assert set(_mirrors()) == laid_out
+    assert len(laid_out) >= 12
+
+
+@needs_library
+@pytest.mark.parametrize("name", sorted(_mirrors()))
+def test_a_mirror_is_what_the_library_has(name: str) -> None:
+    mirror = _mirrors()[name]
+    assert compiled.library(mirror) is not None
+    size, fields = compiled.layout_of(compiled.load(), name)
+    assert size == ctypes.sizeof(mirror)
+    assert [field[0] for field in fields] == [field[0] for field in mirror._fields_]
+    ends = [offset + length for _, offset, length in fields]
+    # No field of C is missing in between: what follows begins where its own alignment lets it.
+    assert all(0 <= begin - end < 8 for begin, end in zip([f[1] for f in fields[1:]], ends, strict=False))
+    assert 0 <= size - ends[-1] < 8
+
+
+@needs_library
+@pytest.mark.parametrize("name", sorted(_mirrors()))
+def test_a_mirror_that_differs_is_refused(name: str) -> None:
+    """Other order, another length, a field less: of the same size in the first case."""
+    own = list(_mirrors()[name]._fields_)
+    first, second = next((i, i + 1) for i in range(len(own) - 1) if own[i][1] is own[i + 1][1])
+    swapped = own.copy()
+    swapped[first], swapped[second] = own[second], own[first]
+    longer = [(own[0][0], ctypes.c_byte * (ctypes.sizeof(own[0][1]) + 8)), *own[1:]]
+    for fields in (swapped, longer, own[:-1], [*own, ("more", ctypes.c_long)]):
+        other = type(f"_{name}", (Mirror,), {"_fields_": fields})
+        assert compiled.library(other) is None
+        with pytest.raises(RuntimeError, match=f"another version: {name}"):
+            compiled.load(other)
+    with pytest.raises(RuntimeError, match="it has no struct Unknown"):
+        compiled.load(type("Unknown", (Mirror,), {"_fields_": own}))
+
+
+def _filled(bounds: ProgramBounds, weight_u: FloatArray) -> FloatArray:
+    """The weights that come of a wish with these."""
+    n, thrusters = bounds.thrust_n.shape
+    zero = np.zeros(n - 1)
+    names = ("clearance_m", "depth_m", "planar_speed_m_s", "heave_m_s", "yaw_rate_rad_s")
+    off = BackOffs(**dict.fromkeys(names, zero), thrust_n=np.zeros((n, thrusters)))
+    now = SimpleNamespace(
+        x0=np.zeros(8),
+        params=ParamSet(),
+        fence=Fence(inclusions=(), exclusions=(), depth_max_m=2.0),
+        thrust_limit_n=np.full(thrusters, 9.0),
+    )
+    wished = SimpleNamespace(thrust_n=np.zeros((n, thrusters)), weight_u=weight_u)
+    bounds.fill(off, cast(Any, now), cast(Any, wished), np.zeros((n, thrusters)), 0.25)
+    return bounds.held_weight
+
+
+def test_weights_may_change_their_shape_and_back() -> None:
+    """The library keeps writing to the array whose address it has: that must be the one that is read."""
+    bounds = ProgramBounds(GRID, 4, 0.2)
+    one, each = np.full(4, 0.5), np.full((GRID.n, 4), 2.0)
+    for weight_u in (one, each, 3.0 * one, 2.0 * each, one):
+        held = _filled(bounds, weight_u)
+        assert held.shape == weight_u.shape
+        assert np.allclose(held, weight_u + 0.25)
+
+
+@needs_library
+def test_half_planes_are_not_written_beyond_their_arrays() -> None:
+    features = Features(Fence(inclusions=(Circle(center_ned_m=np.zeros(2), radius_m=3.0),), exclusions=()))
+    assert features._quick is not None
+    path, t_s, keep = np.zeros((6, 2)), np.linspace(0.0, 1.0, 6), np.full(5, 0.2)
+    normals, offsets = np.zeros((5, 3, 2)), np.zeros((5, 3))
+    margin = features._quick.margin_m
+    assert margin(path, t_s, keep, 3, normals, offsets) == pytest.approx(2.8)
+    wrong: list[tuple[str, tuple[Any, ...]]] = [
+        ("normals", (path, t_s, keep, 3, normals[:4], offsets)),
+        ("normals", (path, t_s, keep, 4, normals, offsets)),
+        ("offsets", (path, t_s, keep, 3, normals, offsets[:4])),
+        ("offsets", (path, t_s, keep, 3, normals, offsets.astype(np.float32))),
+        ("t_s", (path, t_s[:5], keep)),
+        ("radius_m", (path, t_s, keep[:4])),
+    ]
+    for name, given in wrong:
+        with pytest.raises(ValueError, match=rf"^{name} is .*; give contiguous float64 \("):
+            margin(*given)
+
+
+@needs_library
+def test_other_arrays_that_are_too_short_are_refused() -> None:
+    tube, params = Margins(MODEL, GRID).tube, ParamSet()
+    nav, thrust = nav_state(0, np.zeros(8)), np.zeros((GRID.n, MODEL.thrusters))
+    tube.back_offs(nav, np.zeros((GRID.n + 1, 8)), thrust, params)
+    for shape in ((GRID.n, 8), (GRID.n + 1, 7), (1, 8)):
+        with pytest.raises(ValueError, match=r"^x is float64 .*; give contiguous float64 \(6, 8\)"):
+            tube.back_offs(nav, np.zeros(shape), thrust, params)
+    with pytest.raises(ValueError, match="do not fit to plane_d_m"):
+        PlanRoom(np.zeros((4, 2)), np.zeros((5, 3, 2)), np.zeros((5, 3)))
+    gaps = Gaps()
+    with pytest.raises(ValueError, match=r"^b is"):
+        gaps.largest(np.zeros((9, 8)), np.zeros((8, 8)), 0, 2)
+    with pytest.raises(ValueError, match="columns 6 to 9 of 8"):
+        gaps.largest(np.zeros((9, 8)), None, 6, 3)
+    with pytest.raises(ValueError, match=r"^pull is"):
+        Fit(length_m=1.0, places_ned_m=np.zeros((3, 2)), pull=np.zeros((2, 2)), mean_m_s=np.zeros(2))
+
+
+def test_many_rounds_and_no_edges_are_looked_at_where_they_are() -> None:
+    rng = np.random.default_rng(1)
+    rounds = tuple(Circle(center_ned_m=rng.uniform(-50.0, 50.0, 2), radius_m=0.3) for _ in range(120))
+    features, points = Features(Fence(inclusions=(), exclusions=rounds)), rng.uniform(-50.0, 50.0, (40, 2))
+    assert features.many
+    expected = np.minimum(features.clearance_m(points), 3.0)
+    assert np.allclose(features.clearance_up_to_m(points, 3.0), expected)

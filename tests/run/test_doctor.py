@@ -1,0 +1,400 @@
+"""The doctor on the emulated BlueROV2, in lockstep: every obstacle to arming is generated, found and named."""
+
+import dataclasses
+import importlib
+import json
+import os
+import pty
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from autopilot.cli.doctor import doctor as command
+from autopilot.cli.output import print_table
+from autopilot.command import failsafes
+from autopilot.command.failsafe_table import ROWS
+from autopilot.core.messages import Failsafe, Outputs
+from autopilot.core.vehicle import load_vehicle
+from autopilot.drivers.ardusub_settings import RULES
+from autopilot.drivers.links import open_link
+from autopilot.mission.plan_files import write_plan
+from autopilot.run.children import free_port
+from autopilot.run.config import gather, vehicle_defaults
+from autopilot.run.demo import paper_plan
+from autopilot.run.doctor import examine
+from autopilot.run.findings import Finding, Verdict
+from autopilot.run.neutral_time import measure
+from autopilot.run.vehicle_config import VehicleConfig, load_config
+from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
+from autopilot.sitl.scenario import load_scenario, with_vehicle
+
+DIALECT: Any = importlib.import_module("pymavlink.dialects.v20.development")
+
+
+class Bench:
+    """A BlueROV2 with ArduSub in the paper's tank, a tracking system, and a configuration file."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.below_port, self.port = free_port(), free_port()
+        self.options: dict[str, object] = {"frame": "vectored", "connect": f"udpin:127.0.0.1:{self.below_port}"}
+        self.parameters: dict[str, float] = {}
+        self.planned = True
+        scenario = with_vehicle(load_scenario("paper-tank"), "bluerov2", "--vehicle")
+        self.place = {"origin_lat_deg": scenario.origin.lat_deg, "origin_lon_deg": scenario.origin.lon_deg}
+        self.world = ArduSubVehicle(scenario, load_vehicle("bluerov2"), "vectored", seed=1)
+        self.below = self.world.controller
+        self.tracked = True
+        self.shift_m = 0.0
+        """So far to the north of where it is it is reported."""
+        self.drops: frozenset[str] = frozenset()
+        """Messages of the flight controller that do not arrive."""
+        self.changes: Callable[[Any], None] = lambda message: None
+        """What becomes of the others on the way."""
+        self.others: Callable[[int], list[bytes]] = lambda t_us: []
+        """What somebody else sends on our link."""
+        self.beside: Callable[[int], list[bytes]] = lambda t_us: []
+        """And on that to the flight controller."""
+        self._wire = open_link(f"udpout:127.0.0.1:{self.below_port}")
+        self._client = open_link(f"udpout:127.0.0.1:{self.port}")
+        self._reader = self.below.codec(1, 1)
+        self.overrides: list[tuple[int, ...]] = []
+
+    @property
+    def config(self) -> VehicleConfig:
+        """The file, read."""
+        lines = ['vehicle = "bluerov2"', "[service]", 'state_dir = "state"', 'log_dir = "logs"', "[place]"]
+        lines += [f"{name} = {value}" for name, value in self.place.items()]
+        lines += ["[parameters]", *(f"{name} = {value}" for name, value in self.parameters.items())]
+        lines += ["[devices.flight_controller]", 'driver = "ardusub"']
+        lines += [f"{name} = {json.dumps(value)}" for name, value in self.options.items()]
+        path = self.folder / "rov.toml"
+        path.write_text("\n".join(lines))
+        return load_config(str(path))
+
+    def plan(self) -> Path:
+        """The paper's mission and fence."""
+        path = self.folder / "paper.plan"
+        write_plan(path, paper_plan(1))
+        return path
+
+    def look(self, seconds: float = 2.0) -> list[Finding]:
+        """What the doctor finds."""
+        config = self.config
+        given: dict[str, object] = {"connect": (f"udpin:127.0.0.1:{self.port}",)}
+        if self.planned:
+            given["plan"] = str(self.plan())
+        settings = gather(vehicle_defaults(0), given, {}, file=config.file.service.given(self.folder))
+        return examine(config, settings, seconds, speed=0.0, on_tick=self._tick)
+
+    def measured(self) -> Finding:
+        """How long thrust goes on in silence."""
+        return measure(self.config, speed=0.0, on_step=self.world_goes_on)
+
+    def _tick(self, outputs: Outputs) -> None:
+        assert not outputs.mode.armed
+        t_us = outputs.t_us
+        self.world_goes_on(t_us)
+        pose = self._pose(t_us)
+        for data in ([pose] if pose is not None and self.tracked else []) + self.others(t_us):
+            self._client.send(data)
+        self._client.recv(t_us)
+
+    def _pose(self, t_us: int) -> bytes | None:
+        """What the tracking system sends."""
+        pose = self.world.pose(t_us)
+        if pose is None or not self.shift_m:
+            return pose
+        message = self._reader.decode(bytearray(pose))
+        message.x += self.shift_m
+        return bytes(message.pack(self.below.codec(200, 197)))
+
+    def world_goes_on(self, t_us: int) -> None:
+        """Water, vehicle and flight controller."""
+        for received in self._wire.recv(t_us):
+            self.below.hear(t_us, received.data)
+        for data in (*self.world.advance(t_us), *self.beside(t_us)):
+            message = self._reader.decode(bytearray(data))
+            if message.get_type() in self.drops:
+                continue
+            self.changes(message)
+            self._wire.send(bytes(message.pack(self.below.codec(message.get_srcSystem(), message.get_srcComponent()))))
+
+    def close(self) -> None:
+        """Let go."""
+        self._wire.close()
+        self._client.close()
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Any:
+    made = Bench(tmp_path)
+    yield made
+    made.close()
+
+
+def of(findings: list[Finding], what: str) -> list[Finding]:
+    return [finding for finding in findings if finding.what == what]
+
+
+def failed(findings: list[Finding]) -> list[str]:
+    return [f"{one.what}: {one.found}: {one.remedy}" for one in findings if one.verdict is Verdict.FAIL]
+
+
+def sets(name: str, value: float) -> Callable[[Bench], None]:
+    """A parameter of ours."""
+    return lambda bench: bench.parameters.update({name: value})
+
+
+def below_sets(name: str, value: float) -> Callable[[Bench], None]:
+    """A parameter of the flight controller."""
+    return lambda bench: bench.below.parameters.update({name: value})
+
+
+def attribute(name: str, value: object, *, below: bool = False) -> Callable[[Bench], None]:
+    return lambda bench: setattr(bench.below if below else bench, name, value)
+
+
+def option(name: str, value: object) -> Callable[[Bench], None]:
+    return lambda bench: bench.options.update({name: value})
+
+
+def changing(kind: str, **fields: object) -> Callable[[Bench], None]:
+    """Fields of a message of the flight controller that are others."""
+
+    def change(message: Any) -> None:
+        if message.get_type() == kind:
+            for name, value in fields.items():
+                setattr(message, name, value)
+
+    return lambda bench: setattr(bench, "changes", change)
+
+
+def test_all_good_would_arm(bench: Bench) -> None:
+    findings = bench.look()
+    assert {finding.verdict for finding in findings} == {Verdict.OK}, findings
+    assert of(findings, "arming")[0].found == "would be accepted"
+    assert of(findings, "position")[0].found.startswith("good, from external")
+    assert of(findings, "fence")[0].found != "0 items" and of(findings, "plan")[0].found != "0 items"
+
+
+OBSTACLES: dict[str, tuple[Callable[[Bench], object], str]] = {
+    "no position source": (attribute("tracked", False), "no position"),
+    "flight controller mute": (attribute("mute", True, below=True), "flight controller is silent"),
+    "no attitude": (attribute("drops", frozenset({"ATTITUDE", "RAW_IMU"})), "AHRS is silent"),
+    "pilot has it": (attribute("mode", 2, below=True), "pilot has it in ALT_HOLD: switch it to MANUAL"),
+    "leak": (attribute("wet", True, below=True), "water in the hull"),
+    "battery low": (sets("FS_BATT_LOW", 1.0), "battery at"),
+    "thrusters lost": (lambda bench: bench.parameters.update(THR5_HEALTH=0.0, THR6_HEALTH=0.0), "THRn_HEALTH"),
+    "its own checks": (
+        attribute("objection", "Leak detector fails", below=True),
+        "checks fail, Leak detector fails: fix",
+    ),
+    "depth band empty": (
+        lambda bench: (sets("DEPTH_MIN", 3.0)(bench), attribute("planned", False)(bench)),
+        "depth band",
+    ),
+    "outside the fence": (attribute("shift_m", 40.0), "outside the fence"),
+    "another frame": (below_sets("FRAME_CONFIG", 2.0), "FRAME_CONFIG = 2: set 1"),
+    "obeys another": (below_sets("MAV_GCS_SYSID", 254.0), "it obeys system 254: set MAV_GCS_SYSID 255"),
+    "wrong system id": (option("system", 7), "system 1 is heard, 7 expected: set `system` = 1"),
+}
+"""What makes arming impossible, and words of what is said of it."""
+
+
+@pytest.mark.parametrize("name", OBSTACLES)
+def test_every_obstacle_to_arming_is_found_and_named(bench: Bench, name: str) -> None:
+    make, words = OBSTACLES[name]
+    make(bench)
+    findings = bench.look(2.0)
+    reasons = of(findings, "arming")
+    assert all(reason.verdict is Verdict.FAIL and reason.remedy for reason in reasons), findings
+    assert any(words in f"{reason.found}: {reason.remedy}" for reason in reasons), reasons
+    assert all(finding.remedy for finding in findings if finding.verdict is not Verdict.OK), findings
+
+
+def test_every_parameter_of_the_flight_controller_that_forbids_arming_is_named(bench: Bench) -> None:
+    wrong = {rule.name: next(value for value in (-777.0, 777.0) if not rule.fits(value)) for rule in RULES}
+    bench.below.parameters.update(wrong)
+    told = "\n".join(f"{reason.found}: {reason.remedy}" for reason in of(bench.look(1.0), "arming"))
+    for rule in RULES:
+        assert f"{rule.name} = {wrong[rule.name]:g}: set {rule.wanted}" in told
+
+
+@pytest.mark.parametrize("row", [row for row in ROWS if row.arming], ids=lambda row: row.rule.name)
+def test_every_failsafe_that_forbids_arming_is_in_the_doctors_mouth(
+    bench: Bench, row: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The condition is forced, the text is the table's: the doctor has no list of its own."""
+    words = "made up by this test: undo it"
+    forced = dataclasses.replace(row, level=lambda c, s: 1.0, enter=0.5, below=False, zero_is_off=False, arming=words)
+    monkeypatch.setattr(failsafes, "ROWS", tuple(forced if one is row else one for one in ROWS))
+    assert [f"{one.found}: {one.remedy}" for one in of(bench.look(1.0), "arming")] == [words]
+
+
+def test_a_check_that_nobody_has_thought_of_here_is_asked_for(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    new = dataclasses.replace(
+        ROWS[0], rule=Failsafe(max(Failsafe)), level=lambda c, s: 9.0, enter=1.0, arming="sea serpent: wait"
+    )
+    monkeypatch.setattr(failsafes, "ROWS", (*ROWS, new))
+    assert "sea serpent" in [one.found for one in of(bench.look(1.0), "arming")]
+
+
+IMPLAUSIBLE: dict[str, tuple[Callable[[Bench], None], str, str]] = {
+    "no pressure": (changing("SCALED_PRESSURE2", press_abs=0.0), "depth", "-10.35"),
+    "deep below the floor": (changing("SCALED_PRESSURE2", press_abs=50_000.0), "depth", "can be true"),
+    "66 V": (changing("BATTERY_STATUS", voltages=[33_000, 33_000, *([65535] * 8)]), "battery", "66.0 V"),
+    "3 V": (changing("BATTERY_STATUS", voltages=[3_000, *([65535] * 9)]), "battery", "3.0 V"),
+    "no gravity": (changing("RAW_IMU", xacc=0, yacc=0, zacc=0), "attitude", "9.81"),
+    "slow": (attribute("drops", frozenset({"RAW_IMU", "ATTITUDE"})), "attitude", "0.0 Hz"),
+}
+
+
+@pytest.mark.parametrize("name", IMPLAUSIBLE)
+def test_what_cannot_be_true_is_named(bench: Bench, name: str) -> None:
+    make, what, words = IMPLAUSIBLE[name]
+    make(bench)
+    bad = [one for one in of(bench.look(3.0), what) if one.verdict is Verdict.FAIL]
+    assert bad and words in f"{bad[0].found} {bad[0].remedy}" and bad[0].remedy
+
+
+@pytest.mark.parametrize(
+    ("make", "words", "what"),
+    [
+        (attribute("drops", frozenset({"SCALED_PRESSURE2"})), "SCALED_PRESSURE2", "depth"),
+        (changing("SCALED_PRESSURE2", press_abs=1050.0), "repeats itself", "depth"),
+        (attribute("drops", frozenset({"BATTERY_STATUS"})), "BATTERY_STATUS", "battery"),
+    ],
+)
+def test_what_the_flight_controller_does_not_measure_is_a_warning(
+    bench: Bench, make: Callable[[Bench], object], words: str, what: str
+) -> None:
+    make(bench)
+    found = of(bench.look(3.0), what)[0]
+    assert found.verdict is Verdict.WARN and words in found.remedy
+
+
+def test_what_is_not_on_board_is_a_warning(bench: Bench) -> None:
+    bench.planned, bench.place = False, {}
+    findings = bench.look(1.0)
+    for what in ("origin", "fence", "plan"):
+        found = of(findings, what)[0]
+        assert found.verdict is Verdict.WARN and found.remedy, what
+
+
+@pytest.mark.parametrize(
+    ("connect", "words", "never"),
+    [
+        ("udpin:127.0.0.1:{port}", "UDP port {port}", "baud"),
+        ("udpout:127.0.0.1:{port}", "127.0.0.1:{port} (UDP) does not answer", "baud"),
+        ("tcpin:127.0.0.1:{port}", "TCP port {port}", "baud"),
+        ("serial:{line}:57600", "57600 baud", "firewall"),
+    ],
+)
+def test_a_silent_device_is_looked_for_where_it_is_connected(
+    bench: Bench, connect: str, words: str, never: str
+) -> None:
+    leader, follower = pty.openpty()
+    port = free_port()
+    bench.options["connect"] = connect.format(port=port, line=os.ttyname(follower))
+    try:
+        findings = bench.look(4.0)
+    finally:
+        os.close(leader)
+        os.close(follower)
+    device, slow = of(findings, "Flight controller")[0], of(findings, "attitude")[0]
+    assert device.found == "silent" and words.format(port=port) in device.remedy
+    assert never not in device.remedy + slow.remedy and slow.verdict is Verdict.FAIL
+
+
+def test_a_wrong_system_id_is_told_with_the_one_that_is_heard(bench: Bench) -> None:
+    bench.options["system"] = 7
+    device = of(bench.look(4.0), "Flight controller")[0]
+    assert device.verdict is Verdict.FAIL and "system 1 is heard" in device.found
+    assert "`system`" in device.remedy and not {"power", "firewall"} & set(device.remedy.split())
+
+
+def test_who_speaks_is_named_and_nobody_can_arm_it(bench: Bench) -> None:
+    """Two ground stations, both steer, one orders; another vehicle of our id; a rival at the flight controller."""
+    first, second, twin = (bench.below.codec(system, 190) for system in (255, 254, 1))
+    twin.srcComponent = 1
+    order = DIALECT.MAVLink_command_long_message(1, 1, 400, 0, 1, 21196, 0, 0, 0, 0, 0)
+
+    def others(t_us: int) -> list[bytes]:
+        if t_us % 500_000:
+            return []
+        beat = DIALECT.MAVLink_heartbeat_message
+        sent = [(first, beat(6, 8, 0, 0, 4, 3)), (second, beat(6, 8, 0, 0, 4, 3)), (twin, beat(12, 12, 0, 0, 4, 3))]
+        stick = DIALECT.MAVLink_manual_control_message
+        sent += [(first, stick(1, 500, 0, 500, 0, 0)), (second, stick(1, 500, 0, 500, 0, 0)), (first, order)]
+        return [bytes(message.pack(codec)) for codec, message in sent]
+
+    def beside(t_us: int) -> list[bytes]:
+        rival = bench.below.codec(255, 191)
+        return [] if t_us % 500_000 else [bytes(rival.heartbeat_encode(6, 8, 0, 0, 4).pack(rival))]
+
+    bench.others, bench.beside = others, beside
+    findings = bench.look()
+    told = {f"{one.verdict.value} {one.found}" for one in of(findings, "who speaks")}
+    assert sum(line.startswith("ok ground station: system 25") for line in told) == 2, told
+    assert any(line.startswith("fail another vehicle is system 1 at") for line in told)
+    assert sum("steers (MANUAL_CONTROL)" in line and line.startswith("warn") for line in told) == 2
+    assert any("255/191 speaks to it, too" in one.found for one in of(findings, "Flight controller"))
+    assert not bench.below.armed and of(findings, "arming")[0].found == "would be accepted"
+
+
+def test_nothing_that_is_kept_is_touched_and_damage_is_found(bench: Bench) -> None:
+    state = bench.folder / "state" / "bluerov2-0"
+    state.mkdir(parents=True)
+    (state / "plans.json").write_text("{ damaged")
+    bench.planned = False
+    bench.look(1.0)
+    assert [path.name for path in state.iterdir()] == ["plans.json"]
+    assert (state / "plans.json").read_text() == "{ damaged"
+    assert list((bench.folder / "logs").iterdir()) == []
+
+
+@pytest.mark.parametrize(("timeout_s", "verdict"), [(0.4, Verdict.OK), (0.5, Verdict.OK), (3.0, Verdict.FAIL)])
+def test_silence_to_neutral_is_measured(bench: Bench, timeout_s: float, verdict: Verdict) -> None:
+    bench.below.parameters["FS_PILOT_TIMEOUT"] = timeout_s
+    found = bench.measured()
+    assert found.verdict is verdict, found
+    assert float(found.found.split()[0]) == pytest.approx(timeout_s, abs=0.05)
+    assert not bench.below.armed and set(bench.below.servos_us) == {1500}
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda bench: bench.below.parameters.update(FS_PILOT_INPUT=0.0, FS_GCS_ENABLE=0.0), "more than 10 s"),
+        (below_sets("MAV_GCS_SYSID", 254.0), "no thrust comes out"),
+        (attribute("mode", 0, below=True), "not in MANUAL"),
+        (attribute("mute", True, below=True), "silent"),
+        (attribute("armed", True, below=True), "armed already"),
+    ],
+)
+def test_what_keeps_silence_from_being_measured_is_named(
+    bench: Bench, make: Callable[[Bench], None], words: str
+) -> None:
+    make(bench)
+    bench.below._shown_armed = armed_before = bench.below.armed
+    found = bench.measured()
+    assert found.verdict is Verdict.FAIL and words in found.found and found.remedy
+    assert bench.below.armed is armed_before
+
+
+def test_what_to_do_is_shown_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    """Names of tables of the file in square brackets are no markup."""
+    print_table("Doctor", ("what", "to do"), [("origin", "set it in [place]"), ("system", "[devices]")])
+    shown = capsys.readouterr().out
+    assert "[place]" in shown and "[devices]" in shown
+
+
+def test_thrusters_turn_only_after_asking(bench: Bench) -> None:
+    assert bench.config.path.exists()
+    given = ["--config", str(bench.config.path), "--measure-neutral"]
+    done = CliRunner().invoke(command, given, input="n\n")
+    assert done.exit_code == 1 and "propellers off" in done.output and "Doctor" not in done.output

@@ -1,0 +1,185 @@
+"""A crowd that is silent, sends junk, does not read or has gone, on real sockets: who wants something is served."""
+
+import contextlib
+import random
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import development as mav
+
+from autopilot.bench.faults.wire import Station
+from autopilot.core.clock import TICK_US
+from autopilot.run.children import LOCAL, free_port
+from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.sitl_session import open_sitl
+
+CROWD = 26
+"""Clients that want nothing: more than there are places on either port."""
+SECOND = 100
+"""Ticks."""
+SERVED = 30 * SECOND
+"""So long a newcomer waits at most behind such a crowd (each of them has 1.5 s, or 5 s if it has said something)."""
+
+
+class Vehicle:
+    """The service in simulated time on a UDP and a TCP port."""
+
+    def __init__(self, folder: Path) -> None:
+        self.ports = {"udp": free_port(), "tcp": free_port(socket.SOCK_STREAM)}
+        links = (f"udpin:{LOCAL}:{self.ports['udp']}", f"tcpin:{LOCAL}:{self.ports['tcp']}")
+        settings = gather(
+            sitl_defaults(0), {"scenario": "open-water", "speed": 0.0, "sensors": "pose", "connect": links}, {}
+        )
+        settings.put("state_dir", str(folder), "test")
+        settings.put("log", None, "test")
+        self.session = open_sitl(settings, {}, log=False)
+        self.tick_count = 0
+
+    def tick(self) -> None:
+        """10 ms."""
+        self.tick_count += 1
+        self.session.runtime.tick(self.tick_count * TICK_US)
+
+    def connect(self, kind: str) -> socket.socket:
+        """A client's socket, which waits for nothing."""
+        if kind == "udp":
+            end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            end.connect((LOCAL, self.ports[kind]))
+        else:
+            end = socket.create_connection((LOCAL, self.ports[kind]))
+        end.setblocking(False)
+        return end
+
+
+@pytest.fixture(name="vehicle")
+def vehicle_fixture(tmp_path: Path) -> Iterator[Vehicle]:
+    """Closed at the end."""
+    made = Vehicle(tmp_path)
+    yield made
+    made.session.runtime.close()
+    made.session.recorder.close()
+
+
+class Bore:
+    """One of the crowd."""
+
+    def __init__(self, vehicle: Vehicle, kind: str, sort: str, draw: random.Random) -> None:
+        self.socket, self._sort, self._draw = vehicle.connect(kind), sort, draw
+        if sort == "silent" and kind == "udp":
+            self._say(b"\n")  # a UDP client that has sent nothing is none
+        if sort == "gone":
+            self._say(bytes(_heartbeat().pack(mav.MAVLink(None, srcSystem=draw.randint(2, 250), srcComponent=1))))
+
+    def act(self) -> None:
+        """A tick of it."""
+        if self._sort == "junk" and self._draw.random() < 0.1:
+            self._say(self._draw.choice((b"\xfd", b"\xfe\x09")) * self._draw.randint(1, 40))
+
+    def _say(self, data: bytes) -> None:
+        with contextlib.suppress(OSError):
+            self.socket.send(data)
+
+
+def _heartbeat() -> Any:
+    return mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+
+
+def _hear(station: Station) -> list[Any]:
+    found: list[Any] = []
+    while more := station.receive(0.0):
+        found += more
+    return found
+
+
+def _until_served(vehicle: Vehicle, station: Station, meanwhile: Callable[[], None]) -> int:
+    """Ticks until a station that says HEARTBEAT and PING every second has an answer."""
+    for ticks in range(SERVED):
+        if ticks % SECOND == 0:
+            station.beat()
+            station.send(mav.MAVLink_ping_message(0, 1, 0, 0))
+        meanwhile()
+        vehicle.tick()
+        if any(message.get_type() == "PING" for message in _hear(station)):
+            return ticks
+    raise AssertionError(f"not served in {SERVED / SECOND:g} s")
+
+
+@pytest.mark.parametrize("kind", ["udp", "tcp"])
+@pytest.mark.parametrize("sorts", [("silent",), ("gone",), ("silent", "junk", "gone")])
+def test_a_crowd_locks_nobody_out(vehicle: Vehicle, kind: str, sorts: tuple[str, ...]) -> None:
+    """A station in control stays, newcomers come in behind the crowd and before it, and it is said."""
+    draw = random.Random(f"{kind} {sorts}")
+    operator = Station(vehicle.connect(kind), sysid=255)
+    crowd: list[Bore] = []
+
+    def all_act() -> None:
+        for bore in crowd:
+            bore.act()
+        if vehicle.tick_count % SECOND == 0:
+            operator.beat()
+            early.beat()
+
+    early = Station(vehicle.connect(kind), sysid=254)
+    _until_served(vehicle, operator, all_act)
+    operator.send(mav.MAVLink_command_long_message(1, 1, 32100, 0, 1, 0, 0, 0, 0, 0, 0))
+    for _ in range(CROWD):
+        crowd.append(Bore(vehicle, kind, draw.choice(sorts), draw))
+        for _ in range(draw.randint(0, 3)):
+            all_act()
+            vehicle.tick()
+    late = Station(vehicle.connect(kind), sysid=253)
+    _until_served(vehicle, late, all_act)
+    _until_served(vehicle, early, all_act)
+    answers = 0
+    for n in range(5 * SECOND):
+        all_act()
+        if n % 10 == 0:
+            operator.send(mav.MAVLink_ping_message(0, n, 0, 0))
+        vehicle.tick()
+        answers += sum(message.get_type() == "PING" for message in _hear(operator))
+    assert answers >= 49, "who is in control has been served all the time"
+    said = [text for text in operator.texts if "place" in text or "turned away" in text]
+    assert 1 <= len(said) <= vehicle.tick_count / (5 * SECOND) + 1, said
+    for bore in crowd:
+        bore.socket.close()
+    for station in (operator, early, late):
+        station.close()
+
+
+@pytest.mark.parametrize("kind", ["udp", "tcp"])
+def test_the_operator_comes_back_to_a_port_full_of_stations(vehicle: Vehicle, kind: str) -> None:
+    """All places belong to stations that are heard; who is in control has lost its socket and comes with another."""
+    others = [Station(vehicle.connect(kind), sysid=100 + n) for n in range(17 if kind == "udp" else 9)]
+
+    def all_beat() -> None:
+        if vehicle.tick_count % SECOND == 0:
+            for station in others:
+                station.beat()
+        for station in others:
+            _hear(station)
+
+    for _ in range(3 * SECOND):
+        all_beat()
+        vehicle.tick()
+    operator = Station(vehicle.connect(kind), sysid=255)
+    _until_served(vehicle, operator, all_beat)
+    operator.send(mav.MAVLink_command_long_message(1, 1, 32100, 0, 1, 0, 0, 0, 0, 0, 0))
+    newcomer = Station(vehicle.connect(kind), sysid=90)  # takes no place of those who are heard, and not the operator's
+    answers = 0
+    for n in range(6 * SECOND):
+        all_beat()
+        if n % SECOND == 0:
+            operator.beat()
+            newcomer.beat()
+            operator.send(mav.MAVLink_ping_message(0, n, 0, 0))
+        vehicle.tick()
+        answers += sum(message.get_type() == "PING" for message in _hear(operator))
+    assert answers >= 5
+    operator.close()
+    again = Station(vehicle.connect(kind), sysid=255)
+    _until_served(vehicle, again, all_beat)
+    for station in (*others, newcomer, again):
+        station.close()
