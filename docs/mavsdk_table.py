@@ -467,7 +467,7 @@ PROBES: dict[str, Callable[[Bench], Any]] = {
 @contextlib.contextmanager
 def bench_on_a_vehicle() -> Iterator[Bench]:
     """The service in SITL, and MAVSDK beside it."""
-    from autopilot.bench.faults.wire import live_service
+    from autopilot.bench.live_service import live_service
 
     mavsdk.log_subscribe(lambda *args: True)
     # In the middle of the tank, where everything that is tried has room; disarmed, it drifts against a wall in the end.

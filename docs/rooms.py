@@ -19,7 +19,7 @@ TOPS = ("autopilot", "drivers", "estimator", "mission", "sitl")
 SPLIT = ("autopilot", "autopilot.control")
 """Packages whose folders are rooms of their own."""
 
-UNDRAWN = ("autopilot", "autopilot.core", "autopilot.cli", "autopilot.bench", "autopilot.campaign")
+UNDRAWN = tuple("autopilot" + part for part in ("", ".core", ".cli", ".bench", ".analysis", ".campaign"))
 
 
 def modules() -> dict[str, Path]:

@@ -50,7 +50,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 
 LIBRARIES = ("core", "control", "command", "mavlink", "log", "run", "drivers", "estimator", "mission", "sitl")
 
-COMPOSITION = ("cli", "bench", "campaign", NAMES)
+COMPOSITION = ("cli", "bench", "analysis", "campaign", NAMES)
 """May import everything below them, and each other where the order here is kept."""
 
 
@@ -85,6 +85,15 @@ def test_every_module_lives_in_a_room_that_stands_here() -> None:
 @pytest.mark.parametrize("room", ALLOWED)
 def test_room_imports_only_what_it_may(room: str) -> None:
     assert _arrows()[room] <= set(ALLOWED[room])
+
+
+def test_what_is_installed_imports_no_study() -> None:
+    """Benchmarks are imported by their commands only, and nothing but the studies' own files knows tests/."""
+    for path in (file for room in (NAMES, "drivers", "estimator", "mission", "sitl") for file in _files(room)):
+        names = _imports(path)
+        assert not {name for name in names if name.split(".")[0] == "tests"}, path
+        if path.parent.name != "bench" and not path.stem.startswith("bench"):
+            assert not {name for name in names if name.startswith("autopilot.bench")}, path
 
 
 def test_no_circle_of_rooms() -> None:

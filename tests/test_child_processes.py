@@ -20,17 +20,17 @@ HELPER = "autopilot/core/own_python.py"
 OURS = ("python_command", "autopilot_command")
 
 PLACES: dict[tuple[str, str], str] = {
-    ("autopilot/bench/attitude.py", "bench_attitude"): "pool",
-    ("autopilot/bench/estimator.py", "bench_estimator"): "pool",
-    ("autopilot/bench/faults/loop.py", "_disk_full"): "ours",
-    ("autopilot/bench/faults/loop.py", "_keeping"): "ours",
-    ("autopilot/bench/faults/machine.py", "_foreign_repository"): "git",
-    ("autopilot/bench/faults/machine.py", "_held"): "ours",
-    ("autopilot/bench/faults/machine.py", "_run"): "ours",
-    ("autopilot/bench/faults/machine.py", "_start"): "ours",
-    ("autopilot/bench/faults/plans.py", "said_by"): "ours",
-    ("autopilot/bench/faults/wire.py", "live_service"): "ours",
-    ("autopilot/bench/kills.py", "_vehicle"): "ours",
+    ("tests/bench/attitude.py", "bench_attitude"): "pool",
+    ("tests/bench/estimator.py", "bench_estimator"): "pool",
+    ("tests/bench/faults/loop.py", "_disk_full"): "ours",
+    ("tests/bench/faults/loop.py", "_keeping"): "ours",
+    ("tests/bench/faults/machine.py", "_foreign_repository"): "git",
+    ("tests/bench/faults/machine.py", "_held"): "ours",
+    ("tests/bench/faults/machine.py", "_run"): "ours",
+    ("tests/bench/faults/machine.py", "_start"): "ours",
+    ("tests/bench/faults/plans.py", "said_by"): "ours",
+    ("autopilot/bench/live_service.py", "live_service"): "ours",
+    ("tests/bench/kills.py", "_vehicle"): "ours",
     ("autopilot/bench/loop.py", "bench_loop"): "ours",
     ("autopilot/bench/nmpc.py", "_process"): "ours",
     ("autopilot/campaign/engines.py", "_batch"): "pool",
@@ -88,7 +88,8 @@ def _calls(path: Path) -> list[tuple[str, str]]:
 def _files() -> list[Path]:
     links = {link for link in (ROOT / "autopilot").iterdir() if link.is_symlink()}
     files = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
-    return [path for path in files if links.isdisjoint(path.parents)]
+    studies = [path for path in sorted((ROOT / "tests" / "bench").rglob("*.py")) if not path.stem.startswith("test_")]
+    return [path for path in files if links.isdisjoint(path.parents)] + studies
 
 
 def _function(path: Path, name: str) -> str:

@@ -142,6 +142,17 @@ def test_an_installation_adds_one_package(installed: Installed) -> None:
     assert {name for name in added if not name.endswith(".dist-info")} == {"autopilot"}
 
 
+@needs_setuptools
+def test_an_installation_has_benchmarks_and_says_where_the_studies_are(installed: Installed, tmp_path: Path) -> None:
+    shown = installed.run(installed.programs / "autopilot", "bench", "--help", cwd=tmp_path)
+    listed = shown.stdout.partition("Commands:\n")[2].partition("\n\n")[0]
+    commands = [line.split()[0] for line in listed.splitlines() if line[2:3].strip()]
+    assert commands == ["estimator", "loop", "nmpc", "sitl"]
+    done = installed.run(installed.programs / "autopilot", "bench", "soak", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "soak is a study: run it in a source checkout of this project" in done.stderr
+
+
 OURS = ("drivers", "estimator", "mission", "sitl")
 FLIGHT = """
 import mission  # the user's

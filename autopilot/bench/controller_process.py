@@ -10,7 +10,7 @@ def measure() -> dict[str, float]:
     import numpy as np
     import psutil
 
-    from autopilot.bench.nmpc_flight import WAYPOINTS, fly
+    from autopilot.analysis.nmpc_flight import WAYPOINTS, fly
     from autopilot.control.controller import MotionController
     from autopilot.core.vehicle import load_vehicle
 

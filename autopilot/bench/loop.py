@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.bench.faults.wire import Station
+from autopilot.bench.live_service import Station
 from autopilot.bench.predict_clock import PredictClock
 from autopilot.core.errors import AutopilotError
 from autopilot.core.marks import LoopPart

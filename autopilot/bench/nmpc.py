@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autopilot.bench.ipopt import IpoptNmpc
-from autopilot.bench.nmpc_flight import TANK, WAYPOINTS, LoopFlight, basin, fly
+from autopilot.analysis.ipopt import IpoptNmpc
+from autopilot.analysis.nmpc_flight import TANK, WAYPOINTS, LoopFlight, basin, fly
 from autopilot.bench.nmpc_parts import QP, parts_of
 from autopilot.control.controller import MotionController
 from autopilot.control.fence.obstacles import Features
@@ -28,7 +28,7 @@ from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.run.children import python_command
 
-__all__ = ["TANK", "NmpcBenchRow", "bench_nmpc", "standard_grids"]
+__all__ = ["NmpcBenchRow", "bench_nmpc", "standard_grids"]
 
 ASKED_MS = {("geometric", 20): (1.0, 0.5), ("uniform", 20): (0.55, 0.33), ("uniform", 40): (1.2, 0.74)}
 ASKED_MS |= {("uniform", 80): (2.3, 1.34)}

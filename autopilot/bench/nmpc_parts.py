@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from autopilot.bench.nmpc_flight import LoopFlight, fly
+from autopilot.analysis.nmpc_flight import LoopFlight, fly
 from autopilot.control.controller import MotionController
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.nmpc.solver import Nmpc

@@ -3,8 +3,7 @@
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,7 +62,8 @@ def bench_sitl(duration_s: float = 30.0, sensors: Sequence[str] = ("pose", "came
 
 def _run(sensors: str, duration_s: float) -> SitlBenchRow:
     clock = PredictClock()
-    with _session(sensors, duration_s) as session:
+    with tempfile.TemporaryDirectory() as folder:
+        session = paper_flight(Path(folder), Path(folder) / "run.mcap", sensors=sensors, duration_s=duration_s)
         steps = _timed_steps(session)
         ticks = _timed_ticks(session, clock)
         cpu_s, begin_s, loop_s = time.process_time(), time.perf_counter(), time.thread_time()
@@ -92,18 +92,16 @@ def _run(sensors: str, duration_s: float) -> SitlBenchRow:
     )
 
 
-@contextmanager
-def _session(sensors: str, duration_s: float) -> Iterator[SitlSession]:
-    """The paper's mission with a scripted operator, no sockets, its log in a temporary folder."""
-    with tempfile.TemporaryDirectory() as folder:
-        plan = Path(folder) / "paper.plan"
-        write_plan(plan, paper_plan())
-        given = {"speed": 0.0, "sensors": sensors, "duration": duration_s, "plan": str(plan), "start": True}
-        settings = gather(sitl_defaults(0), given, {})
-        settings.put("connect", (), "bench")
-        settings.put("state_dir", folder, "bench")
-        settings.put("log", str(Path(folder) / "run.mcap"), "bench")
-        yield open_sitl(settings, {})
+def paper_flight(folder: Path, log: Path, *, sensors: str, duration_s: float, seed: int = 1) -> SitlSession:
+    """The paper's mission with a scripted operator and no sockets."""
+    plan = folder / "paper.plan"
+    write_plan(plan, paper_plan())
+    given = {"speed": 0.0, "sensors": sensors, "duration": duration_s, "plan": str(plan), "start": True, "seed": seed}
+    settings = gather(sitl_defaults(0), given, {})
+    settings.put("connect", (), "bench")
+    settings.put("state_dir", str(folder), "bench")
+    settings.put("log", str(log), "bench")
+    return open_sitl(settings, {})
 
 
 def _timed_ticks(session: SitlSession, clock: PredictClock) -> list[float]:

@@ -1,26 +1,38 @@
-"""``autopilot bench``: the benchmarks, each beside what it is measured against. One command per benchmark."""
+"""``autopilot bench``: is this machine good enough for this vehicle? Each figure is beside what it is measured against.
+
+The project's own studies are no part of an installation: a source checkout has them in tests/bench, and there they are
+commands here as well.
+"""
+
+import importlib
+import sys
+from pathlib import Path
 
 import click
 
-from autopilot.cli import bench_judged, bench_replay, bench_rows
+from autopilot.cli import bench_rows
 from autopilot.cli.bench_rows import Work
-from autopilot.cli.bench_tables import TITLES, names
+from autopilot.cli.bench_tables import SITL_HEADS, TITLES, names
 from autopilot.cli.output import emit_json
 
-ALL: dict[str, Work] = {
-    "nmpc": bench_rows.nmpc_rows,
-    "sitl": bench_rows.sitl_rows,
-    "estimator": bench_rows.estimator_rows,
-    "pockets": bench_rows.pockets_rows,
-    "energy": bench_rows.energy_rows,
-    "energy-latency": bench_rows.latency_rows,
-    "loop": bench_rows.loop_rows,
-}
-"""What runs when none is named."""
-LONG = ("estimator", "pockets", "energy", "energy-latency")
-"""Short when all are run."""
+ROOT = Path(__file__).resolve().parents[2]
+STUDIES = "tests.bench.studies"
 
-__all__ = ["TITLES", "bench"]
+KNOWN_STUDIES = (
+    *("alarms", "detection", "energy", "energy-latency", "faults", "fuzz", "kills", "modes", "picture-faults"),
+    *("pockets", "reference", "replay", "sensor-faults", "soak", "thruster-health", "vehicles"),
+)
+"""What a source checkout has besides."""
+
+ALL: dict[str, tuple[str, Work]] = {
+    "nmpc": (TITLES["nmpc"], bench_rows.nmpc_rows),
+    "sitl": (TITLES["sitl"], bench_rows.sitl_rows),
+    "estimator": (TITLES["estimator"], bench_rows.estimator_rows),
+    "loop": (TITLES["loop"], bench_rows.loop_rows),
+}
+"""What runs when none is named, and the title of its table; in a source checkout some studies, too."""
+LONG: list[str] = []
+"""Short when all are run."""
 
 
 class _Benchmarks(click.Group):
@@ -34,6 +46,8 @@ class _Benchmarks(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """See :class:`click.Group`."""
+        if args and args[0] in KNOWN_STUDIES and args[0] not in self.commands:
+            raise click.UsageError(f"{args[0]} is a study: run it in a source checkout of this project", ctx)
         name, command, rest = super().resolve_command(ctx, args)
         taken = set() if command is None else _options(command)
         for word in rest:
@@ -61,10 +75,24 @@ def _options(command: click.Command, *, valued: bool = False) -> set[str]:
     return {spelling for each in options if not (valued and each.is_flag) for spelling in each.opts}
 
 
+def _add_studies() -> None:
+    """Add the commands of a source checkout, if this is one."""
+    if not (ROOT / "tests" / "bench" / "studies.py").is_file():
+        return
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
+    studies = importlib.import_module(STUDIES)
+    for command in studies.COMMANDS:
+        bench.add_command(command)
+    ALL.update(studies.AMONG_ALL)
+    LONG.extend(studies.AMONG_ALL)
+
+
 @click.group(
     cls=_Benchmarks,
     invoke_without_command=True,
-    epilog="Times depend on the machine and on what else it does: each table says how slow the machine is just now.",
+    epilog="Times depend on the machine and on what else it does: each table says how slow the machine is just now."
+    " A source checkout has studies of the controller, the estimator and of faults besides.",
 )
 @click.option("--short", is_flag=True, help="Fewer samples, for a quick look.")
 @click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
@@ -72,24 +100,19 @@ def _options(command: click.Command, *, valued: bool = False) -> set[str]:
 def bench(ctx: click.Context, short: bool, as_json: bool) -> None:
     """Run a benchmark, or the seven of `make bench` one after the other when none is named.
 
-    `autopilot bench NAME --help` says what it measures and how long it takes. Without a name: nmpc, sitl, loop, and
-    the short ones of estimator, pockets, energy and energy-latency.
+    `autopilot bench NAME --help` says what it measures and how long it takes. Without a name: nmpc, sitl, estimator and
+    loop; in a source checkout the short ones of pockets, energy and energy-latency, too.
     """
     if ctx.invoked_subcommand is not None:
         return
     results = {}
-    for name, work in ALL.items():
-        results[name] = bench_rows.measured(name, work, short=short or name in LONG, as_json=as_json)
+    for name, (title, work) in ALL.items():
+        heads = SITL_HEADS if name == "sitl" else None
+        results[name] = bench_rows.measured(title, work, short=short or name in LONG, as_json=as_json, heads=heads)
     if as_json:
         emit_json(results)
 
 
-for _command in (
-    *(bench_rows.nmpc, bench_rows.sitl, bench_rows.estimator, bench_rows.pockets, bench_rows.energy),
-    *(bench_rows.energy_latency, bench_rows.loop, bench_rows.modes),
-    *(bench_judged.faults, bench_judged.fuzz, bench_judged.sensor_faults, bench_judged.detection),
-    *(bench_judged.vehicles, bench_judged.kills, bench_judged.soak, bench_judged.alarms),
-    *(bench_judged.picture_faults, bench_judged.thruster_health),
-    *(bench_replay.replay, bench_replay.reference),
-):
+for _command in (bench_rows.nmpc, bench_rows.sitl, bench_rows.estimator, bench_rows.loop):
     bench.add_command(_command)
+_add_studies()

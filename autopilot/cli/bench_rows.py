@@ -1,50 +1,49 @@
 """Benchmarks that are a table of figures, with how slow the machine was during them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from functools import partial
-from pathlib import Path
 
 import click
 
-from autopilot.cli.bench_tables import Rows, judge, print_rows, seed_range, tell
+from autopilot.cli.bench_tables import JSON, SHORT, SITL_HEADS, TITLES, Rows, print_rows
 from autopilot.cli.output import emit_json
 
 Work = Callable[[bool], Rows]
 """Takes whether it is to be short."""
 
-_SHORT = click.option("--short", is_flag=True, help="Fewer samples, for a quick look.")
-_JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 
-
-def measured(name: str, work: Work, *, short: bool, as_json: bool, title: str | None = None) -> dict[str, object]:
+def measured(
+    title: str, work: Work, *, short: bool, as_json: bool, heads: Mapping[str, str] | None = None
+) -> dict[str, object]:
     """Run one and print its table, unless JSON is asked for; its rows and how slow the machine was."""
     slow = _slowness()
     rows = work(short)
     slow = 0.5 * (slow + _slowness())
     if not as_json:
-        print_rows(title or name, rows)
+        print_rows(title, rows, heads)
         click.echo(f"the machine was {slow:.1f} times slower during this than when the asked figures were set")
     return {"machine_slowness": slow, "rows": rows}
 
 
-def _only(name: str, work: Work, *, short: bool, as_json: bool, title: str | None = None) -> None:
+def run_one(
+    name: str, title: str, work: Work, *, short: bool, as_json: bool, heads: Mapping[str, str] | None = None
+) -> None:
     """As a command of its own."""
-    found = measured(name, work, short=short, as_json=as_json, title=title)
+    found = measured(title, work, short=short, as_json=as_json, heads=heads)
     if as_json:
         emit_json({name: found})
 
 
 @click.command()
-@_SHORT
-@_JSON
+@SHORT
+@JSON
 def nmpc(short: bool, as_json: bool) -> None:
     """CPU time of one control step, beside IPOPT and fatrop.
 
     Several grids, the same problems in the same run; with 2, 10 and 50 obstacles; failures from 200 random starts;
     start-up and memory (minutes; less with --short).
     """
-    _only("nmpc", nmpc_rows, short=short, as_json=as_json)
+    run_one("nmpc", TITLES["nmpc"], nmpc_rows, short=short, as_json=as_json)
 
 
 def nmpc_rows(short: bool) -> Rows:
@@ -56,14 +55,14 @@ def nmpc_rows(short: bool) -> Rows:
 
 
 @click.command()
-@_SHORT
-@_JSON
+@SHORT
+@JSON
 def sitl(short: bool, as_json: bool) -> None:
     """Speed against real time, CPU time per tick, memory.
 
     With a rendered camera and with pose samples.
     """
-    _only("sitl", sitl_rows, short=short, as_json=as_json)
+    run_one("sitl", TITLES["sitl"], sitl_rows, short=short, as_json=as_json, heads=SITL_HEADS)
 
 
 def sitl_rows(short: bool) -> Rows:
@@ -74,211 +73,32 @@ def sitl_rows(short: bool) -> Rows:
 
 
 @click.command()
-@_SHORT
-@click.option("--images", is_flag=True, help="Accuracy of poses from whole pictures instead of flights.")
-@click.option("--attitude", is_flag=True, help="Attitude from raw sensors instead of flights.")
-@click.option(
-    "--seeds",
-    metavar="A..B",
-    callback=seed_range,
-    help="Fly these seeds (default 1..20, with pictures 1..3); --attitude: motions with them (101..110).",
-)
-@click.option("--only", multiple=True, metavar="GROUP", help="Only these rows (steady, haze, laid ...); repeatable.")
-@click.option(
-    "--data",
-    type=click.Path(file_okay=False, exists=True, path_type=Path),
-    help="--attitude: folder of recorded trials (default: those of a checkout's tests).",
-)
-@click.option("--figures", type=click.Path(file_okay=False), help="--images: write figures into this folder.")
-@_JSON
-def estimator(
-    short: bool,
-    images: bool,
-    attitude: bool,
-    seeds: range | None,
-    only: tuple[str, ...],
-    data: Path | None,
-    figures: str | None,
-    as_json: bool,
-) -> None:
-    """Accuracy and honesty of the estimator, gaps, outliers, delays.
+@SHORT
+@JSON
+def estimator(short: bool, as_json: bool) -> None:
+    """Error of the estimate in flights of the paper's tour.
 
-    In flights of the whole vehicle, beside what the project asks for, over floors whose sheets somebody has laid, with
-    a camera calibrated wrongly, and its cost, with the least, median and largest of the seeds; 20 seeds take half an
-    hour, 3 (--short, or among all benchmarks) five minutes, --seeds 201..220 an hour: all with pictures, too. --only
-    GROUP shows some of it: steady, pictures, haze, currents, gaps, outliers, late, compass, laid, calibration, cost.
-
-    With --images instead: poses from rendered pictures against height and turbidity (five minutes, half with --short).
-
-    With --attitude instead: attitude from gyros, accelerometers and magnetometer, in recorded trials and made-up
-    motions, beside a filter of fixed gain; the parameters of both chosen without the row that they are tried on (ten
-    minutes; with --short not chosen, half a minute; exit code 1 if a bar is not kept).
+    With positions from the pose sensor, several seeds (a minute; one seed with --short).
     """
-    for given, option, wanted in (
-        (attitude, "--attitude", not images),
-        (seeds is not None, "--seeds", not images),
-        (bool(only), "--only", not images and not attitude),
-        (data is not None, "--data", attitude),
-        (figures is not None, "--figures", images),
-    ):
-        if given and not wanted:
-            raise click.UsageError(f"{option} belongs to {_WITH[option]}")
-    if attitude:
-        _attitude(short, data, seeds, as_json=as_json)
-    elif images:
-        _only("estimator", partial(_images, figures=figures), short=short, as_json=as_json, title="images")
-    else:
-        _only("estimator", partial(estimator_rows, seeds=seeds, groups=only), short=short, as_json=as_json)
+    run_one("estimator", TITLES["estimator"], estimator_rows, short=short, as_json=as_json)
 
 
-_WITH = {
-    "--attitude": "the benchmark estimator without --images",
-    "--seeds": "the benchmark estimator without --images",
-    "--only": "the benchmark estimator without --images and --attitude",
-    "--data": "the benchmark estimator with --attitude",
-    "--figures": "the benchmarks energy and estimator --images",
-}
-"""Where an option of the benchmark has a meaning."""
-
-
-def estimator_rows(short: bool, seeds: range | None = None, groups: tuple[str, ...] = ()) -> Rows:
+def estimator_rows(short: bool) -> Rows:
     """See :func:`estimator`."""
-    from autopilot.bench.estimator import (
-        CAMERA_SEEDS,
-        COST,
-        SEEDS,
-        SHORT_CAMERA_SEEDS,
-        SHORT_SEEDS,
-        bench_estimator,
-        group_names,
-    )
-    from autopilot.bench.estimator_cost import COST_S, SHORT_COST_S, bench_cost
+    from autopilot.bench.estimator import SEEDS, bench_estimator
 
-    for name in groups:
-        if name not in group_names():
-            raise click.UsageError(f"--only {name}: there is {', '.join(group_names())}")
-    poses, pictures = (SHORT_SEEDS, SHORT_CAMERA_SEEDS) if short else (SEEDS, CAMERA_SEEDS)
-    rows = bench_estimator(seeds or poses, seeds or pictures, groups=groups or None)
-    if not groups or COST in groups:
-        rows += bench_cost(SHORT_COST_S if short else COST_S)
-    return [asdict(row) for row in rows]
-
-
-def _images(short: bool, figures: str | None) -> Rows:
-    from autopilot.bench.estimator_images import bench_images
-
-    rows = list(bench_images(short))
-    if figures is not None:
-        from autopilot.bench.estimator_plots import draw_images
-
-        tell(str(draw_images(rows, figures)))
-    return [asdict(row) for row in rows]
-
-
-def _attitude(short: bool, data: Path | None, seeds: range | None, *, as_json: bool) -> None:
-    """Print the table and the median; exit code 1 if a bar is not kept."""
-    from autopilot.bench.attitude import INCLINATION_BAR_DEG, bench_attitude, median_inclination
-    from autopilot.bench.attitude_recordings import FOLDER, load_trials
-
-    folder = FOLDER if data is None else data
-    if not load_trials(folder):
-        tell(f"no recorded trials in {folder}: made-up motions only; give --data FOLDER")
-    rows = bench_attitude(short, folder, seeds)
-    median = median_inclination(rows)
-    table = [asdict(row) for row in rows]
-
-    def show() -> None:
-        print_rows("attitude", table)
-        click.echo(f"median inclination {median:.2f} deg, asked <= {INCLINATION_BAR_DEG:g}")
-
-    kept = not (median > INCLINATION_BAR_DEG or any(row.missed for row in rows))
-    judge(kept, {"rows": table, "median_inclination": median}, show, as_json=as_json)
+    return [asdict(row) for row in bench_estimator(SEEDS[:1] if short else SEEDS)]
 
 
 @click.command()
-@_SHORT
-@_JSON
-def pockets(short: bool, as_json: bool) -> None:
-    """Goals behind pockets, cylinders on the line, staggered gaps.
-
-    Reached from 60 starts each (five minutes; 6 starts with --short, or among all benchmarks).
-    """
-    _only("pockets", pockets_rows, short=short, as_json=as_json)
-
-
-def pockets_rows(short: bool) -> Rows:
-    """See :func:`pockets`."""
-    from autopilot.bench.pockets import SHORT_STARTS, STARTS, bench_pockets
-
-    return [asdict(row) for row in bench_pockets(SHORT_STARTS if short else STARTS)]
-
-
-@click.command()
-@_SHORT
-@click.option("--recompute", is_flag=True, help="Compute the optima anew first (minutes).")
-@click.option("--case", "cases", multiple=True, help="Only this case: b1, 'b3 up', b4 ...; may be given again.")
-@click.option("--figures", type=click.Path(file_okay=False), help="Write figures into this folder.")
-@_JSON
-def energy(short: bool, recompute: bool, cases: tuple[str, ...], figures: str | None, as_json: bool) -> None:
-    """Energy of closed loops beside the offline optimum and rivals.
-
-    With known flow, and with an estimated flow and a wrong model; a quarter of an hour, one minute with --short or
-    among all benchmarks.
-    """
-    from autopilot.bench.energy.cases import CASES
-
-    for case in cases:
-        if case not in CASES:
-            raise click.BadParameter(f"{case!r} is no case; valid: {', '.join(CASES)}", param_hint="--case")
-    if recompute:
-        from autopilot.bench.energy.record import recompute as compute
-        from autopilot.bench.energy.record import save_records
-
-        save_records(compute(tell))
-    _only("energy", partial(energy_rows, cases=cases, figures=figures), short=short, as_json=as_json)
-
-
-def energy_rows(short: bool, cases: tuple[str, ...] = (), figures: str | None = None) -> Rows:
-    """See :func:`energy`."""
-    from autopilot.bench.energy.bench import bench_energy
-
-    result = bench_energy(short, tell, cases)
-    if figures is not None:
-        from autopilot.bench.energy.figures import draw
-
-        for path in draw(result.flights, figures):
-            tell(str(path))
-    return [asdict(row) for row in result.rows]
-
-
-@click.command("energy-latency")
-@_SHORT
-@_JSON
-def energy_latency(short: bool, as_json: bool) -> None:
-    """CPU time of energy plans per kind of request.
-
-    In the tank, a basin and open water, beside when their answers are due in lockstep (a minute or two; half with
-    --short).
-    """
-    _only("energy-latency", latency_rows, short=short, as_json=as_json)
-
-
-def latency_rows(short: bool) -> Rows:
-    """See :func:`energy_latency`."""
-    from autopilot.bench.energy.latency import RUNS, SHORT_RUNS, bench_latency
-
-    return [asdict(row) for row in bench_latency(SHORT_RUNS if short else RUNS, slowness=_slowness())]
-
-
-@click.command()
-@_SHORT
-@_JSON
+@SHORT
+@JSON
 def loop(short: bool, as_json: bool) -> None:
     """CPU time of the loop's ticks in real time, with uploads in flight.
 
     With a camera: heartbeats and upload times while 500 items and a fence of 50 octagons are uploaded (half a minute).
     """
-    _only("loop", loop_rows, short=short, as_json=as_json)
+    run_one("loop", TITLES["loop"], loop_rows, short=short, as_json=as_json)
 
 
 def loop_rows(_short: bool) -> Rows:
@@ -286,25 +106,6 @@ def loop_rows(_short: bool) -> Rows:
     from autopilot.bench.loop import bench_loop
 
     return [{**asdict(row), "kept": row.kept} for row in bench_loop()]
-
-
-@click.command()
-@_SHORT
-@_JSON
-def modes(short: bool, as_json: bool) -> None:
-    """Both costs of the controller (MPC_COST 0 and 1).
-
-    In the paper's tank and in other waters: energy, time, clearance, smoothness, CPU time (five minutes, two with
-    --short).
-    """
-    _only("modes", modes_rows, short=short, as_json=as_json)
-
-
-def modes_rows(short: bool) -> Rows:
-    """See :func:`modes`."""
-    from autopilot.bench.modes import bench_modes
-
-    return [asdict(row) for row in bench_modes(short, tell)]
 
 
 def _slowness() -> float:

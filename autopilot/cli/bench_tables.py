@@ -1,77 +1,24 @@
 """How benchmarks print: titles, short heads, figures."""
 
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Mapping, Sequence
 
 import click
 
-from autopilot.cli.output import emit_json, print_table
+from autopilot.cli.output import print_table
 
 Rows = list[dict[str, object]]
-_Part = TypeVar("_Part")
-_Result = TypeVar("_Result")
+SHORT = click.option("--short", is_flag=True, help="Fewer samples, for a quick look.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 
 TITLES = {
     "loop": "The loop in real time with a camera, 500 items and 50 octagons uploaded in flight; asked = at most",
-    "fuzz": "Hostile messages and samples into the service on the simulated vehicle, in lockstep",
-    "faults": "What comes from outside, and what the service makes of it; before = at revision 0501193",
-    "sensor-faults": "Worst of the seeds from the beginning of the fault on; kept: inside 3 sigma in 95 % of the ticks,"
-    " called good for at most 1 s when far off, no contact, nothing blamed on thrusters",
-    "picture-faults": "Pictures that are not of here and now; kept: no contact, outside 3 sigma called good for at most"
-    " 0.5 s; back = from the fault's end to the first fix used; blamed = a sound thruster or inertial sensor",
-    "thruster-health": "Sound and lossy thrusters; false = flights with a word about a sound one, false_below with 95 %"
-    " confidence; times from the loss on, inf = not within 35 s",
-    "replay": "Flights and their replays: fields that differ, and the first of them",
-    "reference": "Figures of the reference flights that have moved since they were kept",
-    "kills": "A service killed at random moments: changes accepted, killed in the middle of one, lost, and its logs",
-    "alarms": "Sound vehicles, disarmed, holding and flying: what was said that was not true",
-    "soak": "Laps without end: memory after the warm-up, its growth per hour, descriptors",
-    "vehicles": "Vehicles made at random, 20 s in open water each: flown or refused with the axis that lacks thrust",
-    "detection": "Markers shown and found with a prediction, by OpenCV's defaults, by these and not by us, false ids;"
-    " the same without a prediction; median CPU time [ms] of ours, of OpenCV's, of ours at the reference speed",
     "nmpc": "One control step, CPU time; normal_ms = the median at the reference speed, bar and goal are for that",
     "sitl": "The paper's mission with its log; speed = simulated over wall time, asked = what the project asks for",
-    "estimator": "Estimate against truth in the paper's tank, rms unless said otherwise; measured = over all"
-    " seeds; low, median, high = of the single ones",
-    "images": "Poses from rendered pictures, rms of the fixes; asked: 0.45 to 1.2 m: 2 mm and 0.05 deg up to 1 1/m,"
-    " 5 mm at 2; none lost up to turbidity x height 2; laser 10 mm at 0.8 m; normal_ms <= 8 up to 0.8 m; missed = not"
-    " kept",
-    "attitude": "Attitude from raw sensors, deg rms; asked: at most 10 % above the filter with fixed gains;"
-    " missed = not kept; chosen = tilt s, heading s, noise deg/s | gains of tilt, heading, bias",
-    "energy-latency": "Energy plans: CPU seconds per kind of request, and when answers are due in lockstep",
-    "energy": "Energy per lap beside the optimum with the same freedom (laps, corridor, vehicle flown), or a rival's;"
-    " flow known: MPC_MARGIN 0.02, MPC_SPEED_MARGIN 0.01, MPC_W_* 0",
-    "modes": "Both costs in the service on the simulated vehicle, the water unknown; nearest = beyond what is to be"
-    " kept; cpu_ms = of the whole process per control step",
-    "pockets": "Local minima: goals reached in closed loop; nearest_m = clearance beyond the body radius",
+    "estimator": "Estimate against truth in the paper's tank, one lap per seed; asked as in `autopilot log check`",
 }
 
 
-HEADS = {
-    "turbidity_1_m": "1/m",
-    "height_m": "h m",
-    "markers": "n",
-    "xy_mm": "xy mm",
-    "z_mm": "z mm",
-    "yaw_deg": "yaw",
-    "lost_pct": "lost %",
-    "empty_pct": "none %",
-    "false_ids": "bad ids",
-    "false_fixes": "bad fix",
-    "laser_mm": "las. mm",
-    "laser_pct": "las. %",
-    "laser_bad_pct": "las. bad",
-    "found_pct": "start %",
-    "inclination": "incl.",
-    "fixed_inclination": "fixed incl.",
-    "fixed_heading": "head.",
-    "fixed_total": "total",
-    "vqf_inclination": "VQF incl.",
-    "vqf_heading": "head.",
-    "vqf_total": "total",
-    "cpu_ms": "cpu ms",
-    "search_ms": "start ms",
-    "normal_ms": "norm. ms",
+SITL_HEADS = {
     "simulated_s": "sim. s",
     "cpu_s_per_s": "cpu s/s",
     "beside_s_per_s": "beside",
@@ -84,80 +31,23 @@ HEADS = {
     "step_p99_ms": "p99",
     "step_max_ms": "max",
 }
-"""Heads of columns that are long."""
+"""Heads of the columns of ``sitl``, whose names are long."""
 
 
-def print_rows(title: str, rows: Rows) -> None:
-    """The table of a benchmark; ``parts`` of a row come below it."""
+def print_rows(title: str, rows: Rows, long: Mapping[str, str] | None = None) -> None:
+    """The table of a benchmark, ``long`` has heads for columns of long names; ``parts`` of a row come below it."""
     columns = [column for column in rows[0] if column != "parts"]
-    heads = [HEADS.get(column, column) if title in ("images", "attitude", "sitl") else column for column in columns]
-    print_table(TITLES[title], heads, [[_figure(row[column]) for column in columns] for row in rows])
+    heads = [(long or {}).get(column, column) for column in columns]
+    print_table(title, heads, [[_figure(row[column]) for column in columns] for row in rows])
     for row in rows:
         if "parts" in row:
             click.echo(f"{row[columns[0]]}, mean tick by part [ms]: {row['parts']}")
-
-
-def judge(kept: bool, rows: object, show: Callable[[], None], *, as_json: bool) -> None:
-    """The end of a benchmark that promises something: its ``rows`` as JSON, or what ``show`` prints; exit code 1 unless
-    the promise was ``kept``."""
-    if as_json:
-        emit_json(rows)
-    else:
-        show()
-    if not kept:
-        raise SystemExit(1)
-
-
-def judge_rows(kept: bool, title: str, rows: Rows, *, as_json: bool) -> None:
-    """As :func:`judge`, of a benchmark whose table has all that there is to show."""
-    judge(kept, rows, lambda: print_rows(title, rows), as_json=as_json)
-
-
-def tell(line: str) -> None:
-    """How far a long benchmark is: on stderr, so that its table can be kept."""
-    click.echo(line, err=True)
-
-
-def told_one_by_one(
-    parts: Sequence[_Part], work: Callable[[_Part], _Result], outcome: Callable[[_Result], str]
-) -> list[_Result]:
-    """What ``work`` makes of the parts of a long benchmark, each told on stderr as soon as it is done.
-
-    A terminal shows a bar below these lines, with the part that is worked on.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    results = []
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("", total=len(parts))
-        for number, part in enumerate(parts, 1):
-            progress.update(bar, description=str(part), completed=number - 1)
-            results.append(work(part))
-            line = f"{number} of {len(parts)}  {part}: {outcome(results[-1])}"
-            if console.is_terminal:
-                progress.console.print(line, highlight=False, markup=False)
-            else:
-                tell(line)
-    return results
 
 
 def _figure(value: object) -> str:
     if value is None:
         return ""
     return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
-def seed_range(_: click.Context, __: click.Parameter, text: str | None) -> range | None:
-    """``A..B``, both included."""
-    if text is None:
-        return None
-    first, dots, last = text.partition("..")
-    if not (dots and first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
-        raise click.UsageError(f"--seeds {text}: give the first and the last seed, as in 201..220")
-    return range(int(first), int(last) + 1)
 
 
 def names(found: Sequence[str]) -> str:

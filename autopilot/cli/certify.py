@@ -43,8 +43,8 @@ def certify(
     munk: heading while cruising, with and without the feedback between steps of the optimiser.
     cost: what all this takes of a control step.
     """
-    from autopilot.bench.munk import bench_munk
-    from autopilot.bench.robust import certificate_table, cost_table, lipschitz_table, tube_table
+    from autopilot.analysis.munk import bench_munk
+    from autopilot.analysis.robust import certificate_table, cost_table, lipschitz_table, tube_table
     from autopilot.core.params import ParamSet
     from autopilot.core.vehicle import load_vehicle
     from autopilot.mission.reach import widest_m

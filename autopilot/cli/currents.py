@@ -48,7 +48,7 @@ def b6(file: str, error: float | None, seed: int) -> None:
     """Write the current of benchmark B6 as a map, or a forecast of it."""
     import numpy as np
 
-    from autopilot.bench.flow_maps import b6_map, forecast_of, write_flow_map
+    from autopilot.analysis.flow_maps import b6_map, forecast_of, write_flow_map
 
     flow = b6_map()
     if error is not None:
@@ -66,7 +66,7 @@ def compare(log: str, as_json: bool) -> None:
     """Mean error [m/s] of the forecasts without a map along the way that a simulated flight's LOG then took."""
     from dataclasses import asdict
 
-    from autopilot.bench.current_forecasts import compare_forecasts
+    from autopilot.analysis.current_forecasts import compare_forecasts
 
     rows = [asdict(row) for row in compare_forecasts(Path(log))]
     if as_json:

@@ -13,7 +13,7 @@ from autopilot.cli.part_name import part_name
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from autopilot.bench.flight_figures import Moved
+    from autopilot.analysis.flight_figures import Moved
     from autopilot.log.reader import Log
     from autopilot.run.sitl_replay import ReplayResult
 
@@ -78,8 +78,8 @@ def replay(
 
 def _take_apart(opened: "Log", step_s: float, figure: Path | None, *, as_json: bool) -> None:
     """One control step: what limits it, how far it is from the converged plan, what lies on the other sides."""
-    from autopilot.bench.step_figure import write_step_figure
-    from autopilot.bench.step_replay import look_at_step, worst
+    from autopilot.analysis.step_figure import write_step_figure
+    from autopilot.analysis.step_replay import look_at_step, worst
 
     view = look_at_step(opened, step_s)
     path = figure or opened.path.with_name(f"{opened.path.stem}_step_{view.t_s:.2f}.png")
@@ -149,7 +149,7 @@ def _take_apart(opened: "Log", step_s: float, figure: Path | None, *, as_json: b
 
 def _what_if(opened: "Log", texts: tuple[str, ...], out: Path | None, *, in_open_loop: bool, as_json: bool) -> None:
     """The same run with other parameters."""
-    from autopilot.bench.what_if import closed_loop, open_loop, read_changes
+    from autopilot.analysis.what_if import closed_loop, open_loop, read_changes
 
     changes = read_changes(opened, texts)
     if in_open_loop:

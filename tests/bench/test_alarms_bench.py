@@ -2,8 +2,8 @@
 
 import pytest
 
-from autopilot.bench.alarms import FLIGHTS, fly_quietly
 from autopilot.sitl.scenario import load_scenario
+from tests.bench.alarms import FLIGHTS, fly_quietly
 
 
 def test_an_idle_vehicle_says_nothing_for_as_long_as_it_lies_there() -> None:

@@ -3,10 +3,11 @@
 import pytest
 from click.testing import CliRunner
 
-from autopilot.bench.any_vehicle import Outcome, fly, vehicle_tables
-from autopilot.cli.bench import TITLES, bench
+from autopilot.cli.bench import bench
 from autopilot.core.errors import ConfigError
 from autopilot.core.vehicle import Vehicle, checked, convert
+from tests.bench.any_vehicle import Outcome, fly, vehicle_tables
+from tests.bench.tables import TITLES
 
 
 def refused(seed: int) -> bool:

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from autopilot.bench import attitude as bench
-from autopilot.bench.attitude import AttitudeRow, bench_attitude, best_without, errors_of, median_inclination
-from autopilot.bench.attitude_fixed import FixedGainFilter, FixedGains
-from autopilot.bench.attitude_motions import FAMILIES, record
-from autopilot.bench.attitude_recordings import load_trials
 from autopilot.cli.bench import bench as bench_command
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.estimator.attitude import AttitudeFilter
 from autopilot.estimator.rotation import IDENTITY, product, rotation_by, rows, turn_between
+from tests.bench import attitude as bench
+from tests.bench.attitude import AttitudeRow, bench_attitude, best_without, errors_of, median_inclination
+from tests.bench.attitude_fixed import FixedGainFilter, FixedGains
+from tests.bench.attitude_motions import FAMILIES, record
+from tests.bench.attitude_recordings import load_trials
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -5,10 +5,12 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from autopilot.bench.replays import planned_flights
+from autopilot.bench.estimator import bench_estimator
 from autopilot.cli import bench_rows
 from autopilot.cli.bench import ALL, LONG, bench
-from autopilot.cli.bench_tables import TITLES, Rows, told_one_by_one
+from autopilot.cli.bench_tables import TITLES, Rows
+from tests.bench import tables
+from tests.bench.replays import planned_flights
 
 OLD_LINES: dict[str, tuple[str, dict[str, Any]]] = {
     "nmpc --short": ("nmpc", {"short": True}),
@@ -50,7 +52,7 @@ def test_options_of_others_are_told_to_whom_they_belong() -> None:
 
 
 def test_every_benchmark_has_a_title_and_says_what_it_takes() -> None:
-    assert set(bench.commands) <= set(TITLES) and set(ALL) <= set(bench.commands)
+    assert set(bench.commands) <= {*TITLES, *tables.TITLES} and set(ALL) <= set(bench.commands)
     for name, command in bench.commands.items():
         assert isinstance(command.help, str) and len(command.help) > 40, name
         assert {"short", "as_json"} <= {each.name for each in command.params}, name
@@ -68,7 +70,7 @@ def test_all_are_run_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(bench_rows, "_slowness", lambda: 1.0)
     for name in list(ALL):
-        monkeypatch.setitem(ALL, name, work(name))
+        monkeypatch.setitem(ALL, name, (name, work(name)))
     done = CliRunner().invoke(bench, [])
     assert done.exit_code == 0, done.output
     assert ran == [(name, name in LONG) for name in ALL]
@@ -82,7 +84,7 @@ def test_each_part_of_a_long_benchmark_is_told_before_the_next_begins(capsys: py
         told.append(capsys.readouterr().err)
         return len(part)
 
-    assert told_one_by_one(("one", "three"), work, lambda length: f"{length} letters") == [3, 5]
+    assert tables.told_one_by_one(("one", "three"), work, lambda length: f"{length} letters") == [3, 5]
     assert told == ["", "1 of 2  one: 3 letters\n"]
     assert capsys.readouterr() == ("", "2 of 2  three: 5 letters\n")
 
@@ -91,3 +93,9 @@ def test_whole_flights_end_with_their_mission_where_there_is_one() -> None:
     flights = planned_flights(whole=True)
     assert {flight.scenario for flight in flights if not flight.whole} == {"narrow-gap", "vortex"}
     assert [str(flight) for flight in planned_flights(only=["b5"])] == ["b5, pose", "paper-tank, pose, in real time"]
+
+
+def test_the_short_estimator_row_is_what_log_check_says() -> None:
+    rows = bench_estimator((3,))
+    assert {"estimate position rms", "estimate yaw rms", "NEES of the position"} <= {row.figure for row in rows}
+    assert all(row.verdict == "pass" for row in rows)

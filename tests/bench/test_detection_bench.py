@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from autopilot.bench.detection import bench_detection, totals
-from autopilot.bench.photographs import PHOTOGRAPHS, read_photographs, shown, taken_again
+from tests.bench.detection import bench_detection, totals
+from tests.bench.photographs import PHOTOGRAPHS, read_photographs, shown, taken_again
 
 
 def test_nothing_is_imagined_and_little_missed() -> None:

@@ -6,11 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autopilot.bench.energy.bench import against_optimum
-from autopilot.bench.energy.cases import CASES, REGION_M, Case, EnergyGoal, uniform
-from autopilot.bench.energy.flight import EnergyFlight, fly, los_pilot, plant_field
-from autopilot.bench.energy.los_pid import LosGains
-from autopilot.bench.energy.optimum import (
+from autopilot.control.energy.power import PowerModel, energy_per_metre, speed_table
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import NavState
+from autopilot.core.vehicle import load_vehicle
+from autopilot.sitl.scenario import load_scenario, plan_path
+from tests.bench.energy.bench import against_optimum
+from tests.bench.energy.cases import CASES, REGION_M, Case, EnergyGoal, uniform
+from tests.bench.energy.flight import EnergyFlight, fly, los_pilot, plant_field
+from tests.bench.energy.los_pid import LosGains
+from tests.bench.energy.optimum import (
     Guess,
     LeastEnergy,
     solve_laps,
@@ -20,12 +25,7 @@ from autopilot.bench.energy.optimum import (
     tank_legs,
     worst_gap_m,
 )
-from autopilot.bench.energy.record import CORRIDOR, CORRIDOR_LAPS, LAPS, SINGLE, case_of, comparator, load_records
-from autopilot.control.energy.power import PowerModel, energy_per_metre, speed_table
-from autopilot.core.frames import FloatArray
-from autopilot.core.messages import NavState
-from autopilot.core.vehicle import load_vehicle
-from autopilot.sitl.scenario import load_scenario, plan_path
+from tests.bench.energy.record import CORRIDOR, CORRIDOR_LAPS, LAPS, SINGLE, case_of, comparator, load_records
 
 VEHICLE = load_vehicle("lbv150")
 MODEL, POWER = VEHICLE.to_model(), PowerModel.of(VEHICLE)

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from autopilot.bench.energy.figures import GROUPS, LOOKS, PANELS, draw, group_of
-from autopilot.bench.energy.flight import EnergyFlight
-from autopilot.bench.energy.record import CORRIDOR_LAPS, load_records
+from tests.bench.energy.figures import GROUPS, LOOKS, PANELS, draw, group_of
+from tests.bench.energy.flight import EnergyFlight
+from tests.bench.energy.record import CORRIDOR_LAPS, load_records
 
 PILOTS = {
     "energy, flow known, corridor fenced off": "least energy, flow known",

@@ -11,10 +11,15 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.bench import estimator as bench
-from autopilot.bench import estimator_cost as cost
-from autopilot.bench.estimator import PLAN, STEADY_S, flight_specs, judged
-from autopilot.bench.estimator_figures import (
+from autopilot.cli.bench import bench as bench_command
+from autopilot.core.markers import grid_floor
+from autopilot.core.messages import NavState, Outputs
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.toml_text import toml_text
+from tests.bench import estimator as bench
+from tests.bench import estimator_cost as cost
+from tests.bench.estimator import PLAN, STEADY_S, flight_specs, judged
+from tests.bench.estimator_figures import (
     Limit,
     Watched,
     current_rms,
@@ -33,8 +38,8 @@ from autopilot.bench.estimator_figures import (
     verdict,
     whiteness,
 )
-from autopilot.bench.estimator_flights import SAME, SHIFTED, FlightSpec, fly, overlaid
-from autopilot.bench.laid_maps import (
+from tests.bench.estimator_flights import SAME, SHIFTED, FlightSpec, fly, overlaid
+from tests.bench.laid_maps import (
     Camera,
     OverFloor,
     laid_floor,
@@ -44,12 +49,7 @@ from autopilot.bench.laid_maps import (
     spoilt_floor,
     told_plan,
 )
-from autopilot.bench.laid_rows import LaidRun, laid_rows
-from autopilot.cli.bench import bench as bench_command
-from autopilot.core.markers import grid_floor
-from autopilot.core.messages import NavState, Outputs
-from autopilot.sitl.scenario import load_scenario
-from autopilot.sitl.toml_text import toml_text
+from tests.bench.laid_rows import LaidRun, laid_rows
 
 SIGMA = np.array([0.002, 0.003, 0.001, 0.0005, 0.01, 0.02, 0.01])
 SPAN_S = (0.0, 1e9)
@@ -172,8 +172,8 @@ def test_tables_are_merged_and_other_kinds_replaced() -> None:
 @pytest.mark.parametrize("name", PLAN)
 def test_every_flight_has_a_scenario_that_loads(name: str, tmp_path: Any) -> None:
     path = tmp_path / "varied.toml"
-    from autopilot.bench.estimator_flights import BASE
     from autopilot.sitl.scenario import scenario_path
+    from tests.bench.estimator_flights import BASE
 
     changes, duration_s, sensors, watchers = PLAN[name]
     path.write_text(toml_text(overlaid(tomllib.loads(scenario_path(BASE).read_text()), changes)))

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from autopilot.bench import estimator_images
-from autopilot.bench.estimator_images import ImageBench, ImageRow, missed
 from autopilot.cli.bench import bench as bench_command
+from tests.bench import estimator_images
+from tests.bench.estimator_images import ImageBench, ImageRow, missed
 
 GOOD = ImageRow(
     turbidity_1_m=1.0,

@@ -1,6 +1,6 @@
 """The bench's transfers over a bad link, a few of them."""
 
-from autopilot.bench.faults.exchange import transfers
+from tests.bench.faults.exchange import transfers
 
 
 def test_uploads_over_a_bad_link_are_taken_as_sent() -> None:

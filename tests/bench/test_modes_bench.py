@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from autopilot.bench.modes import WATERS, Water, row_of, task_of
 from autopilot.campaign.flight import fly
 from autopilot.campaign.results import Margin, RunResult
 from autopilot.log.smoothness import Smoothness
+from tests.bench.modes import WATERS, Water, row_of, task_of
 
 
 @pytest.mark.parametrize("water", WATERS, ids=lambda water: water.name)

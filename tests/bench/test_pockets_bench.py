@@ -2,8 +2,8 @@
 
 import pytest
 
-from autopilot.bench.pockets import WORLDS, bench_pockets, starts
 from autopilot.control.fence.obstacles import clearance_m
+from tests.bench.pockets import WORLDS, bench_pockets, starts
 
 
 def test_all_goals_are_reached_from_the_hardest_starts() -> None:

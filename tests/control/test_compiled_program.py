@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from autopilot.analysis.nmpc_flight import fly
 from autopilot.bench.nmpc import START
-from autopilot.bench.nmpc_flight import fly
 from autopilot.control.bounds import Gaps, PlanRoom, ProgramBounds
 from autopilot.control.controller import MotionController
 from autopilot.control.nmpc.grid import uniform_grid

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from control_loop import MODEL, TANK
 
-from autopilot.bench.ipopt import IpoptNmpc
+from autopilot.analysis.ipopt import IpoptNmpc
 from autopilot.control.fence.obstacles import Features
 from autopilot.control.nmpc import native, ocp
 from autopilot.control.nmpc.grid import geometric_grid, uniform_grid

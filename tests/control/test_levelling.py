@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.bench.energy.flight import nav_state
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.thrust.levelling import MOST, Levelling
 from autopilot.core.frames import FloatArray
@@ -20,6 +19,7 @@ from autopilot.core.thrusters import wrench_matrix
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.plant import Plant, Truth
 from autopilot.sitl.world import World
+from tests.bench.energy.flight import nav_state
 
 HEAVY = load_vehicle("bluerov2-heavy")
 TICK_US = 10_000

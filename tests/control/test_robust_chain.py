@@ -180,8 +180,8 @@ def test_nothing_to_follow_means_no_inner_loop() -> None:
 
 @pytest.mark.parametrize("inner", [True, False])
 def test_the_inner_loop_holds_yaw_under_a_slow_optimiser(inner: bool) -> None:
-    """Munk: at 0.5 m/s with a step every 0.2 s and a push on the yaw; see autopilot.bench.munk for the table."""
-    from autopilot.bench.munk import munk_case
+    """Munk: at 0.5 m/s with a step every 0.2 s and a push on the yaw; see autopilot.analysis.munk for the table."""
+    from autopilot.analysis.munk import munk_case
 
     row = munk_case(inner=inner, seconds=8.0)
     assert row.speed_m_s > 0.42

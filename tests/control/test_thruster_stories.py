@@ -2,8 +2,8 @@
 
 import pytest
 
-from autopilot.bench.thruster_health import NAMES, planned, upper_bound
-from autopilot.bench.thruster_loops import Loss, fly
+from tests.bench.thruster_health import NAMES, planned, upper_bound
+from tests.bench.thruster_loops import Loss, fly
 
 
 @pytest.mark.parametrize("seed", [1, 3, 8])

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vehicles import bluerov2, drawn
 
-from autopilot.bench.energy.flight import nav_state
 from autopilot.control.thrust.actuation import Actuation
 from autopilot.control.thrust.twins import alike, lossy_share, tilt_of, weak_thrusters
 from autopilot.core.frames import FloatArray
@@ -19,6 +18,7 @@ from autopilot.core.sharing import Sharing
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.sitl.plant import Plant
 from autopilot.sitl.world import World
+from tests.bench.energy.flight import nav_state
 
 SHIPPED = {name: load_vehicle(name) for name in ("lbv150", "bluerov2", "bluerov2-heavy")}
 TICK_US, LOST_S = 20_000, 8.0

@@ -10,10 +10,6 @@ from hypothesis import strategies as st
 from makers import Make
 from truth import Faults, World, fly, uniform_current
 
-from autopilot.bench.attitude import AttitudeErrors, errors_of
-from autopilot.bench.attitude_fixed import FixedGainFilter, FixedGains
-from autopilot.bench.attitude_motions import FAMILIES, record
-from autopilot.bench.attitude_recordings import load_trials
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.messages import NavCounters
 from autopilot.core.samples import AhrsSample, ImuSample, Sample
@@ -22,6 +18,10 @@ from autopilot.estimator.gyro_bias import MAX_RAD_S
 from autopilot.estimator.protocol import Estimator
 from autopilot.log.packing.estimate import nav_counters
 from autopilot.log.schemas import layout
+from tests.bench.attitude import AttitudeErrors, errors_of
+from tests.bench.attitude_fixed import FixedGainFilter, FixedGains
+from tests.bench.attitude_motions import FAMILIES, record
+from tests.bench.attitude_recordings import load_trials
 
 DIP = math.tan(math.radians(60.0))
 

@@ -8,7 +8,6 @@ import pytest
 from test_markers_pose import CAMERA
 from test_vision import poses, truth_at
 
-from autopilot.bench.photographs import PHOTOGRAPHS, Photograph, read_photographs
 from autopilot.core.camera import R_FRD_FROM_CAM, CameraModel
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import CameraFrame, MarkerSighting
@@ -17,6 +16,7 @@ from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.sitl.camera import SimCamera
 from autopilot.sitl.floor import Floor
 from autopilot.sitl.scenario import CameraLook
+from tests.bench.photographs import PHOTOGRAPHS, Photograph, read_photographs
 
 BOARD = ("img_00", "choriginal", "img_02", "img_03")
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from autopilot.bench.photographs import PHOTOGRAPHS, Photograph, read_photographs, shown
 from autopilot.core.frames import FloatArray
 from autopilot.core.samples import CameraFrame, MarkerSighting
 from autopilot.estimator.vision import Hint, MarkerDetector
+from tests.bench.photographs import PHOTOGRAPHS, Photograph, read_photographs, shown
 
 PHOTOS = {photo.name: photo for photo in read_photographs(PHOTOGRAPHS)}
 LEVEL = Hint(pos_ned_m=np.zeros(3), rpy_rad=np.zeros(3))

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavlink_harness import World, mav
 
-from autopilot.bench.fuzz.messages import ALL_COMMANDS, COMMANDS
 from autopilot.core.messages import RunEnd
 from autopilot.core.params import PARAMETERS
 from autopilot.mavlink.api import Answer, CommandResult, FlightMode
 from autopilot.mavlink.dialect import extra
+from tests.bench.fuzz.messages import ALL_COMMANDS, COMMANDS
 
 numbers = st.sampled_from((0.0, 1.0, 2.0, -1.0, 3.0, 129.0, 512.0, math.nan, math.inf, 1e9))
 RESULTS = set(range(11)) - {5, 6}

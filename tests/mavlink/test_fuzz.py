@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavlink_harness import World, download, mav, same_items, upload, waypoint
 
-from autopilot.bench.fuzz.messages import field_codes
 from autopilot.core.messages import MavlinkFrame
 from autopilot.core.plan import PlanKind
+from tests.bench.fuzz.messages import field_codes
 
 HANDLED_NAMES = """
     HEARTBEAT COMMAND_LONG COMMAND_INT SET_MODE SET_GPS_GLOBAL_ORIGIN PARAM_REQUEST_LIST PARAM_REQUEST_READ PARAM_SET

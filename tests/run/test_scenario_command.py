@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.bench.flow_maps import b6_map
+from autopilot.analysis.flow_maps import b6_map
 from autopilot.cli.scenario import scenario as command
 from autopilot.core.geodesy import Origin
 from autopilot.core.geometry import Circle

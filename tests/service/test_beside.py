@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autopilot.bench.faults.pilot import PilotedFlight, piloted
 from autopilot.control.energy.search import EnergyPlanner
 from autopilot.control.robust import regions
 from autopilot.control.way.planner import Planner
@@ -14,6 +13,7 @@ from autopilot.core.geodesy import geodetic_from_ned
 from autopilot.core.messages import Outputs, Severity
 from autopilot.core.plan import PlanKind
 from autopilot.mission.paper import paper_plan
+from tests.bench.faults.pilot import PilotedFlight, piloted
 
 WARNING = "No energy plan: flying the plain route"
 

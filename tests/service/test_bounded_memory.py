@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from held import tables
 
-from autopilot.bench.fuzz.fuzzer import Fuzzer
-from autopilot.bench.fuzz.messages import Sender, Traffic
 from autopilot.core.lane import DaemonLane
 from autopilot.core.messages import MavlinkFrame
 from autopilot.run.allocator import LARGE_BYTES
+from tests.bench.fuzz.fuzzer import Fuzzer
+from tests.bench.fuzz.messages import Sender, Traffic
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from autopilot.bench.flow_maps import b6_map, forecast_of, write_flow_map
+from autopilot.analysis.flow_maps import b6_map, forecast_of, write_flow_map
 from autopilot.cli.main import cli
 from autopilot.command.commander import Commander
 from autopilot.command.conditions import Conditions

@@ -12,8 +12,12 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mav
 from service_world import ServiceWorld
 
-from autopilot.bench.fuzz.fuzzer import Fuzzer, Mood
-from autopilot.bench.fuzz.messages import (
+from autopilot.core.params import PARAMETERS
+from autopilot.core.samples import PowerSample
+from autopilot.core.stills import CameraReport
+from autopilot.mavlink.camera import REQUESTS
+from tests.bench.fuzz.fuzzer import Fuzzer, Mood
+from tests.bench.fuzz.messages import (
     ALL_COMMANDS,
     CAMERA_COMMANDS,
     COMMANDS,
@@ -22,13 +26,9 @@ from autopilot.bench.fuzz.messages import (
     KNOWN_COMMANDS,
     ODD_FLOATS,
 )
-from autopilot.bench.fuzz.run import run_fuzz
-from autopilot.bench.fuzz.samples import ODD
-from autopilot.bench.fuzz.witness import BrokenRuleError
-from autopilot.core.params import PARAMETERS
-from autopilot.core.samples import PowerSample
-from autopilot.core.stills import CameraReport
-from autopilot.mavlink.camera import REQUESTS
+from tests.bench.fuzz.run import run_fuzz
+from tests.bench.fuzz.samples import ODD
+from tests.bench.fuzz.witness import BrokenRuleError
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 

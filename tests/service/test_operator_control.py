@@ -7,9 +7,9 @@ from piloted_world import HOLD, OFFBOARD, PilotedWorld
 from pymavlink.dialects.v20 import development as mav
 from service_world import ServiceWorld
 
-from autopilot.bench.fuzz.messages import COMMANDS, HANDLED, Sender, Traffic
 from autopilot.core.plan import PlanKind
 from autopilot.mavlink.operators import OPEN
+from tests.bench.fuzz.messages import COMMANDS, HANDLED, Sender, Traffic
 
 OWNER, STRANGER = 255, 66
 TAKE = 32100

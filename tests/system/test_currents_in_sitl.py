@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from autopilot.bench.current_forecasts import compare_forecasts
+from autopilot.analysis.current_forecasts import compare_forecasts
 from autopilot.core.errors import ConfigError, LogError, PlanError
 from autopilot.log.reader import open_log
 from autopilot.run.config import gather, sitl_defaults

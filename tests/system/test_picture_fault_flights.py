@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from autopilot.bench.picture_faults import DEADLINE_S
-from autopilot.bench.sensor_faults import FaultFlight, FaultResult, fly_fault
+from tests.bench.picture_faults import DEADLINE_S
+from tests.bench.sensor_faults import FaultFlight, FaultResult, fly_fault
 
 CAMERA_WRONG, HOLDS = "Camera wrong", "Failsafe HOLD: camera not believed"
 AT_S, LASTS_S, END_S = 8.4, 3.0, 14.0

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from autopilot.bench.reference_flights import Release, changes, keep, read_release
-from autopilot.bench.step_replay import other_sides
-from autopilot.bench.what_if import closed_loop, open_loop, read_changes
+from autopilot.analysis.step_replay import other_sides
+from autopilot.analysis.what_if import closed_loop, open_loop, read_changes
 from autopilot.cli.main import cli
 from autopilot.control.way.planner import Planner
 from autopilot.core.errors import ConfigError, LogError
@@ -18,6 +17,7 @@ from autopilot.core.geometry import Circle, Fence, Polygon
 from autopilot.log.reader import open_log
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import open_sitl
+from tests.bench.reference_flights import Release, changes, keep, read_release
 
 
 @pytest.fixture(scope="module")

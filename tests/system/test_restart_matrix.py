@@ -23,7 +23,7 @@ from pymavlink.dialects.v20 import development as mav
 from test_restart import rally
 from wire_client import Harbour, WireClient
 
-from autopilot.bench.faults.wire import Station
+from autopilot.bench.live_service import Station
 from autopilot.core.errors import LogError
 from autopilot.core.plan import PlanKind
 from autopilot.log.reader import open_log

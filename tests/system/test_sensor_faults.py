@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from autopilot.bench.fault_campaign import FAULTS
-from autopilot.bench.sensor_faults import FaultFlight, fly_fault
+from tests.bench.fault_campaign import FAULTS
+from tests.bench.sensor_faults import FaultFlight, fly_fault
 
 AT_S, DURATION_S = 10.0, 16.0
 

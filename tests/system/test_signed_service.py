@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.bench.faults.wire import Station
+from autopilot.bench.live_service import Station
 from autopilot.log.reader import open_log
 from autopilot.run.children import LOCAL, Child, autopilot_command, free_port
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.bench.faults.wire import Station, waypoint
+from autopilot.bench.live_service import Station, waypoint
 from autopilot.core.clock import TICK_US
 from autopilot.core.desk import Cancel
 from autopilot.core.errors import DriverError

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import development as mav
 
-from autopilot.bench.faults.wire import Station
+from autopilot.bench.live_service import Station
 from autopilot.core.clock import TICK_US
 from autopilot.run.children import LOCAL, free_port
 from autopilot.run.config import gather, sitl_defaults

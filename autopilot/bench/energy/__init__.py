@@ -1,1 +1,0 @@
-"""The energy benchmark: cases with their offline optimum, the controller in closed loop, and its rivals."""

@@ -1,0 +1,117 @@
+"""Rows of the estimator's benchmark with a camera that was calibrated wrongly: focal length off, stamps late.
+
+One recorded flight of the paper's tour again, with pictures made by geometry (:mod:`tests.bench.laid_maps`) of a
+floor that is as the map has it. The vehicle file that the estimator gets is wrong, or the pictures' stamps are.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import msgspec
+import numpy as np
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.samples import PoseSample, Sample
+from tests.bench.estimator_figures import EstimatorBenchRow, Limit, mean, nees_band, row, whole
+from tests.bench.laid_maps import Camera, OverFloor, Recording, over, record
+
+XY_BAR_MM, Z_BAR_MM, YAW_BAR_DEG = 4.0, 3.0, 0.3
+FIGURE_OFF = 0.15
+"""A figure that is told may be wrong by this share of it, or by this [%, ms]:"""
+FIGURE_OFF_LEAST = 3.0
+COLUMNS = (("horizontal", slice(0, 2)), ("vertical", slice(2, 3)), ("yaw", slice(3, 4)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """What is wrong."""
+
+    name: str
+    focal: float = 0.0
+    """Share by which the vehicle file's focal length is too long."""
+    late_s: float = 0.0
+    """By which stamps are late; the pictures come so much later as well."""
+
+    @property
+    def asked(self) -> tuple[str, float] | None:
+        """Beginning of what has to be told, and its figure."""
+        if self.focal:
+            return "Focal length ", 100.0 * abs(self.focal)
+        return ("Picture stamps ", 1e3 * abs(self.late_s)) if self.late_s else None
+
+    def names(self, text: str) -> bool:
+        """Whether a remark tells it."""
+        if self.asked is None or not text.startswith(self.asked[0]):
+            return False
+        told, true = float(text.split()[2]), self.asked[1]
+        return abs(told - true) <= max(FIGURE_OFF * true, FIGURE_OFF_LEAST if self.late_s else 0.0)
+
+
+CASES = (
+    Case(name="as it is"),
+    *(Case(name=f"focal length {share:+.0%}", focal=share) for share in (0.03, -0.02, 0.05)),
+    *(Case(name=f"stamps {ms} ms late", late_s=1e-3 * ms) for ms in (10, 30, 60, 100)),
+)
+
+
+def bench_calibration(seeds: Sequence[int], pool: Executor) -> list[EstimatorBenchRow]:
+    """One recorded flight, and for each seed pictures of their own noise."""
+    recording = pool.submit(record, seeds[0]).result()
+    return calibration_rows(list(pool.map(partial(fly_cases, recording), seeds)))
+
+
+def fly_cases(recording: Recording, seed: int, cases: Sequence[Case] = CASES) -> tuple[OverFloor, ...]:
+    """All cases with one seed."""
+    return tuple(fly_case(recording, case, seed) for case in cases)
+
+
+def fly_case(recording: Recording, case: Case, seed: int) -> OverFloor:
+    """One case with one seed."""
+    camera, late_us = Camera(recording), round(1e6 * case.late_s)
+    camera.poses = {t_us + late_us: pose for t_us, pose in camera.poses.items()}
+    told, vehicle = recording.vehicle.eye, recording.vehicle
+    fx, fy = ((1.0 + case.focal) * f for f in told.focal_px)
+    vehicle = msgspec.structs.replace(vehicle, camera=msgspec.structs.replace(told, focal_px=(fx, fy)))
+    wrong = replace(recording, vehicle=vehicle, ticks=_later(recording.ticks, late_us))
+    return over(wrong, camera, recording.plan, recording.plan, seed)
+
+
+def calibration_rows(runs: Sequence[Sequence[OverFloor]], cases: Sequence[Case] = CASES) -> list[EstimatorBenchRow]:
+    """The table of ``runs``: per seed one for each case."""
+    rows, count = [], len(runs)
+    for case, flown in zip(cases, zip(*runs, strict=True), strict=True):
+        yaw_deg = [np.degrees(float(np.sqrt((run.error[:, 3] ** 2).mean()))) for run in flown]
+        z_mm = [1e3 * float(np.sqrt((run.error[:, 2] ** 2).mean())) for run in flown]
+        told = [text for run in flown for text in run.remarks]
+        true = sum(map(case.names, told))
+        name = f"{case.name}: "
+        rows += [
+            row(f"{name}position, horizontal", [run.xy_mm() for run in flown], "mm", bar=Limit(high=XY_BAR_MM)),
+            row(f"{name}position, vertical", z_mm, "mm", bar=Limit(high=Z_BAR_MM)),
+            row(f"{name}yaw", yaw_deg, "deg", bar=Limit(high=YAW_BAR_DEG)),
+        ]
+        for what, columns in COLUMNS:  # surer than it may be is wrong, less sure than it could be is not
+            values = [run.nees(columns) for run in flown]
+            high = nees_band(columns.stop - columns.start, count).high
+            rows.append(row(f"{name}NEES, {what}", values, "", bar=Limit(high=high), pool=mean))
+        rows.append(whole(f"{name}resets", sum(run.resets for run in flown), "", count, Limit(high=0.0)))
+        if case.asked is not None:
+            rows.append(whole(f"{name}named with its figure, of {count}", true, "", count, Limit(low=count)))
+        rows.append(whole(f"{name}named wrongly", len(told) - true, "", count, Limit(high=0.0)))
+    return rows
+
+
+def _later(
+    ticks: Sequence[tuple[int, tuple[Sample, ...], FloatArray]], late_us: int
+) -> list[tuple[int, tuple[Sample, ...], FloatArray]]:
+    """Ticks whose poses come, and are stamped, so much later."""
+    result, held = [], list[tuple[int, Sample]]()
+    for t_us, samples, thrust_n in ticks:
+        held += [(t_us + late_us, replace(s, t_us=s.t_us + late_us)) for s in samples if isinstance(s, PoseSample)]
+        others = [s for s in samples if not isinstance(s, PoseSample)]
+        now = [sample for due_us, sample in held if due_us <= t_us]
+        held = [(due_us, sample) for due_us, sample in held if due_us > t_us]
+        result.append((t_us, (*others, *now), thrust_n))
+    return result
