@@ -14,27 +14,12 @@ from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.guard import Fault
 from autopilot.core.messages import Event, Inputs, LoopStats, MavlinkFrame, NavState, Outputs, Severity
-from autopilot.core.samples import (
-    AhrsSample,
-    CameraFrame,
-    DepthSample,
-    ExternalPoseSample,
-    HullSample,
-    ImuSample,
-    LaserSample,
-    LeakSample,
-    MarkerSighting,
-    ObstacleTrack,
-    PilotSample,
-    PoseSample,
-    PowerSample,
-    Sample,
-    VelocitySample,
-)
+from autopilot.core.samples import CameraFrame, MarkerSighting, PowerSample, Sample
 from autopilot.log import visuals
 from autopilot.log.description import ATTACHMENT, RunDescription, to_json
 from autopilot.log.mavlink_frames import Removed, StreamCutter
 from autopilot.log.packing import decisions, estimate, payload, programs, sensors, service, step_notes, vehicle
+from autopilot.log.packing.records import Pack
 from autopilot.log.scene import TRUE_CURRENT, body_markers, current_marker, moving_markers, scene_markers
 from autopilot.log.topics import AID_PREFIX
 from autopilot.log.writer import Payload
@@ -59,6 +44,8 @@ MAX_PROGRAMS = 32
 """Programs of the optimiser that were not solved that a log keeps, the first ones."""
 MAX_FAULTS = 32
 """Internal faults that a log keeps with all they had; of the others it has the line."""
+VIEWERS: dict[type, tuple[str, Pack]] = {**sensors.VIEWERS, PowerSample: ("/in/power", visuals.battery_state)}
+"""Class of a sample -> the topic that viewers know, and how it is packed for them."""
 _BODY = 12
 """Bytes of a message in front of its content: encapsulation and stamp."""
 
@@ -256,39 +243,13 @@ class Packer:
 
     def _sample(self, sample: Sample) -> None:
         t_us, stamp_ns = sample.t_us, self._ns(sample.t_us)
-        match sample:
-            case AhrsSample():
-                self._write("/in/ahrs_raw", t_us, sensors.ahrs_raw(stamp_ns, sample))
-                self._write("/in/ahrs", t_us, sensors.imu(stamp_ns, sample))
-            case ImuSample():
-                self._write("/in/imu", t_us, sensors.imu_raw(stamp_ns, sample))
-            case MarkerSighting():
-                self._write("/in/markers", t_us, sensors.marker_sighting(stamp_ns, sample))
-                if t_us in self._pictures:
-                    made = partial(visuals.image_annotations, stamp_ns, sample)
-                    self._sink.write("/viz/detections", t_us, made)
-            case PoseSample():
-                self._write("/in/pose", t_us, sensors.pose_fix(stamp_ns, sample))
-            case LaserSample():
-                self._write("/in/laser_raw", t_us, sensors.laser_raw(stamp_ns, sample))
-                self._write("/in/laser", t_us, sensors.laser_range(stamp_ns, sample))
-            case DepthSample():
-                self._write("/in/depth", t_us, sensors.depth_raw(stamp_ns, sample))
-            case VelocitySample():
-                self._write("/in/velocity", t_us, sensors.velocity_raw(stamp_ns, sample))
-            case ExternalPoseSample():
-                self._write("/in/external", t_us, sensors.external_pose(stamp_ns, sample))
-            case ObstacleTrack():
-                self._write("/in/tracks", t_us, sensors.obstacle_track(stamp_ns, sample))
-            case LeakSample():
-                self._write("/in/leak", t_us, sensors.leak_raw(stamp_ns, sample))
-            case HullSample():
-                self._write("/in/hull", t_us, sensors.hull_raw(stamp_ns, sample))
-            case PilotSample():
-                self._write("/in/pilot", t_us, sensors.pilot_raw(stamp_ns, sample))
-            case PowerSample():
-                self._write("/in/power_raw", t_us, sensors.power_raw(stamp_ns, sample))
-                self._write("/in/power", t_us, visuals.battery_state(stamp_ns, sample))
+        topic, pack = sensors.SAMPLES[type(sample)]
+        self._write(topic, t_us, pack(stamp_ns, sample))
+        if type(sample) in VIEWERS:
+            topic, pack = VIEWERS[type(sample)]
+            self._write(topic, t_us, pack(stamp_ns, sample))
+        if isinstance(sample, MarkerSighting) and t_us in self._pictures:
+            self._sink.write("/viz/detections", t_us, partial(visuals.image_annotations, stamp_ns, sample))
 
     def _mavlink(self, topic: str, t_us: int, frame: MavlinkFrame) -> Removed:
         """The packets that a datagram completes; what was left out of it."""

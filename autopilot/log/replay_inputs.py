@@ -10,20 +10,10 @@ import numpy as np
 from autopilot.core.errors import LogError
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import MAX_THRUSTERS, Authority, Below, Drive
-from autopilot.core.samples import (
-    AhrsSample,
-    DepthSample,
-    ExternalFrame,
-    ExternalPoseSample,
-    ImuSample,
-    LaserSample,
-    MarkerSighting,
-    PoseSample,
-    Sample,
-    VelocityLock,
-    VelocitySample,
-)
+from autopilot.core.samples import MarkerSighting, Sample
+from autopilot.log.packing.records import reader_of
 from autopilot.log.reader import Log
+from autopilot.log.sample_table import SAMPLE_ROWS
 
 TICK = "/in/tick"
 THRUST = "/nav/thrust"
@@ -39,26 +29,6 @@ class EstimatorTick:
     """(MAX_THRUSTERS,), zero beyond those of the vehicle."""
 
 
-def ahrs_sample(row: Any) -> AhrsSample:
-    """From a row of ``/in/ahrs_raw``."""
-    return AhrsSample(
-        t_us=int(row["t_us"]),
-        rpy_rad=row["rpy_rad"].copy(),
-        rate_frd_rad_s=row["rate_frd_rad_s"].copy(),
-        accel_frd_m_s2=row["accel_frd_m_s2"].copy(),
-    )
-
-
-def imu_sample(row: Any) -> ImuSample:
-    """From a row of ``/in/imu``."""
-    return ImuSample(
-        t_us=int(row["t_us"]),
-        rate_frd_rad_s=row["rate_frd_rad_s"].copy(),
-        accel_frd_m_s2=row["accel_frd_m_s2"].copy(),
-        mag_frd=row["mag_frd"].copy() if row["mag_known"] else None,
-    )
-
-
 def marker_sighting(row: Any) -> MarkerSighting:
     """From a row of ``/in/markers``."""
     count = int(row["count"])
@@ -72,49 +42,6 @@ def marker_sighting(row: Any) -> MarkerSighting:
         laser_px=row["laser_px"].copy() if row["laser_found"] else None,
         sigma_px=sigma if sigma.all() else None,
         decode_us=int(row["decode_us"]),
-    )
-
-
-def pose_sample(row: Any) -> PoseSample:
-    """From a row of ``/in/pose``."""
-    return PoseSample(
-        t_us=int(row["t_us"]),
-        pos_ned_m=row["pos_ned_m"].copy(),
-        yaw_rad=float(row["yaw_rad"]),
-        sigma_pos_m=row["sigma_pos_m"].copy(),
-        sigma_yaw_rad=float(row["sigma_yaw_rad"]),
-    )
-
-
-def laser_sample(row: Any) -> LaserSample:
-    """From a row of ``/in/laser_raw``."""
-    return LaserSample(t_us=int(row["t_us"]), range_m=float(row["range_m"]), sigma_m=float(row["sigma_m"]))
-
-
-def depth_sample(row: Any) -> DepthSample:
-    """From a row of ``/in/depth``."""
-    return DepthSample(t_us=int(row["t_us"]), depth_m=float(row["depth_m"]), sigma_m=float(row["sigma_m"]))
-
-
-def velocity_sample(row: Any) -> VelocitySample:
-    """From a row of ``/in/velocity``."""
-    return VelocitySample(
-        t_us=int(row["t_us"]),
-        vel_frd_m_s=row["vel_frd_m_s"].copy(),
-        sigma_m_s=row["sigma_m_s"].copy(),
-        lock=VelocityLock(int(row["lock"])),
-    )
-
-
-def external_sample(row: Any) -> ExternalPoseSample:
-    """From a row of ``/in/external`` or ``/nav/external``."""
-    return ExternalPoseSample(
-        t_us=int(row["t_us"]),
-        pos_m=row["pos_m"].copy(),
-        yaw_rad=float(row["yaw_rad"]),
-        covariance=row["covariance"].reshape(4, 4).copy() if row["covariance_known"] else None,
-        frame=ExternalFrame(int(row["frame"])),
-        reset_counter=int(row["reset_counter"]),
     )
 
 
@@ -152,21 +79,18 @@ def drive(row: Any) -> Drive | None:
     )
 
 
-READERS: dict[str, Callable[[Any], Sample]] = {
-    "/in/ahrs_raw": ahrs_sample,
-    "/in/imu": imu_sample,
-    "/in/markers": marker_sighting,
-    "/in/pose": pose_sample,
-    "/in/laser_raw": laser_sample,
-    "/in/depth": depth_sample,
-    "/in/velocity": velocity_sample,
-    "/in/external": external_sample,
-    "/nav/external": external_sample,
-}
-"""Topic -> how a row of it becomes a sample."""
-
-OTHERS = ("/in/tracks", "/in/power_raw", "/in/leak", "/in/hull", "/in/pilot")
+SAMPLES: dict[str, Callable[[Any], Sample]] = {
+    row.topic: reader_of(row.of, known=row.known, shapes=row.shapes)
+    for row in SAMPLE_ROWS
+    if row.of is not MarkerSighting
+} | {"/in/markers": marker_sighting}
+"""Topic -> how a row of it becomes a sample; every kind of sample is in exactly one of them."""
+OTHERS = tuple(row.topic for row in SAMPLE_ROWS if not row.estimator)
 """Samples that estimators have no use for: only counted."""
+READERS = {topic: read for topic, read in SAMPLES.items() if topic not in OTHERS} | {
+    "/nav/external": SAMPLES["/in/external"]
+}
+"""What estimators have a use for."""
 
 
 def estimator_ticks(log: Log) -> Iterator[EstimatorTick]:

@@ -2,83 +2,21 @@
 
 import base64
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from typing import Any
-
-import numpy as np
 
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs
-from autopilot.core.samples import (
-    HullSample,
-    LeakSample,
-    ObstacleTrack,
-    PilotSample,
-    PowerSample,
-    Sample,
-)
+from autopilot.core.samples import Sample
 from autopilot.log.packing.service import ALL_LINKS
 from autopilot.log.packing.step_notes import EMPTY, Standing, StepNotes, inputs_with, unpack
 from autopilot.log.reader import Log, Table
-from autopilot.log.replay_inputs import READERS, TICK
+from autopilot.log.replay_inputs import SAMPLES, TICK
 
 NOTES = "/in/step"
 BYTES = "/in/mavlink"
 FIRST_TICK_US = 10_000
 """A log whose first tick is later began while the service was running already."""
-
-
-def track_sample(row: Any) -> ObstacleTrack:
-    """From a row of ``/in/tracks``."""
-    return ObstacleTrack(
-        t_us=int(row["t_us"]),
-        track_id=int(row["track_id"]),
-        pos_ned_m=row["pos_ned_m"].copy(),
-        vel_ned_m_s=row["vel_ned_m_s"].copy(),
-        radius_m=float(row["radius_m"]),
-    )
-
-
-def power_sample(row: Any) -> PowerSample:
-    """From a row of ``/in/power_raw``."""
-    return PowerSample(
-        t_us=int(row["t_us"]),
-        voltage_v=float(row["voltage_v"]),
-        current_a=float(row["current_a"]),
-        energy_used_j=float(row["energy_used_j"]),
-        remaining=float(row["remaining"]),
-    )
-
-
-def leak_sample(row: Any) -> LeakSample:
-    """From a row of ``/in/leak``."""
-    return LeakSample(t_us=int(row["t_us"]), wet=bool(row["wet"]))
-
-
-def hull_sample(row: Any) -> HullSample:
-    """From a row of ``/in/hull``."""
-    pressure_pa, temperature_c = float(row["pressure_pa"]), float(row["temperature_c"])
-    return HullSample(
-        t_us=int(row["t_us"]),
-        pressure_pa=None if np.isnan(pressure_pa) else pressure_pa,
-        temperature_c=None if np.isnan(temperature_c) else temperature_c,
-    )
-
-
-def pilot_sample(row: Any) -> PilotSample:
-    """From a row of ``/in/pilot``."""
-    return PilotSample(t_us=int(row["t_us"]))
-
-
-SAMPLES: dict[str, Callable[[Any], Sample]] = {
-    **{topic: reader for topic, reader in READERS.items() if topic.startswith("/in/")},
-    "/in/tracks": track_sample,
-    "/in/power_raw": power_sample,
-    "/in/leak": leak_sample,
-    "/in/hull": hull_sample,
-    "/in/pilot": pilot_sample,
-}
-"""Topic -> how a row of it becomes a sample; every kind of sample is in exactly one of them."""
 
 
 class ServiceInputs:

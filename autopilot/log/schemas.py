@@ -8,6 +8,7 @@ from functools import cache
 
 from autopilot.core.errors import LogError
 from autopilot.log.cdr import PRIMITIVES, Field, Layout, fixed_layout, parse_definition, short_name
+from autopilot.log.sample_table import SAMPLE_ROWS
 
 ENCODING = "ros2msg"
 MESSAGE_ENCODING = "cdr"
@@ -19,6 +20,7 @@ _SEPARATOR = "=" * 80
 
 _DEFINITIONS: dict[str, str] = {
     # Own types, package autopilot_msgs. SI, NED world, FRD body.
+    **{f"autopilot_msgs/{row.type}": f"std_msgs/Header header{row.fields}" for row in SAMPLE_ROWS},
     "autopilot_msgs/VehicleState": """
 std_msgs/Header header
 float64[3] pos_ned_m  # place
@@ -207,29 +209,6 @@ uint16 frames  # MAVLink datagrams of this tick
 uint32 overruns  # ticks that began late, so far
 float64 cpu_load  # 0..1, 0 = not measured
 """,
-    "autopilot_msgs/AhrsRaw": """
-std_msgs/Header header
-float64[3] rpy_rad  # roll, pitch, yaw
-float64[3] rate_frd_rad_s  # turn rates p, q, r
-float64[3] accel_frd_m_s2  # specific force
-""",
-    "autopilot_msgs/ImuRaw": """
-std_msgs/Header header
-float64[3] rate_frd_rad_s  # turn rates p, q, r
-float64[3] accel_frd_m_s2  # specific force
-uint8 mag_known  # 0 = no magnetometer
-float64[3] mag_frd  # any unit
-""",
-    "autopilot_msgs/MarkerSighting": """
-std_msgs/Header header
-uint16 count  # markers found
-uint16[64] ids  # numbers of the markers, the first `count`
-uint8 laser_found  # 1 = the dot was found
-float32[512] corners_px  # 64 markers, 4 corners, x and y
-float64[2] laser_px  # where the dot is, pixel centres at whole numbers
-uint32 decode_us  # time that detection took
-float32[64] sigma_px  # of each marker's corners, 0 = not known
-""",
     "autopilot_msgs/PayloadOutputs": """
 std_msgs/Header header
 uint16[16] pulse_us  # of [[payload]] in the order of the vehicle file, unused = 0
@@ -251,65 +230,6 @@ uint16 width_px  # of the picture
 uint16 height_px  # of the picture
 uint32 size  # bytes
 float64 delay_s  # from the exposure until it was stored
-""",
-    "autopilot_msgs/PoseFix": """
-std_msgs/Header header
-float64[3] pos_ned_m  # place
-float64 yaw_rad  # heading from north
-float64[3] sigma_pos_m  # standard deviations
-float64 sigma_yaw_rad  # standard deviation
-""",
-    "autopilot_msgs/LaserRaw": """
-std_msgs/Header header
-float64 range_m  # along the beam
-float64 sigma_m  # standard deviation
-""",
-    "autopilot_msgs/DepthRaw": """
-std_msgs/Header header
-float64 depth_m  # below the surface
-float64 sigma_m  # standard deviation
-""",
-    "autopilot_msgs/VelocityRaw": """
-std_msgs/Header header
-float64[3] vel_frd_m_s  # velocity, over ground or water by `lock`
-float64[3] sigma_m_s  # standard deviations
-uint8 lock  # 0 water, 1 bottom
-""",
-    "autopilot_msgs/ExternalPose": """
-std_msgs/Header header
-float64[3] pos_m  # in the frame of `frame`
-float64 yaw_rad  # heading from north
-uint8 covariance_known  # 0 = the sender gave none
-float64[16] covariance  # of position and yaw, by rows
-uint8 frame  # 0 NED, 1 FRD
-uint32 reset_counter  # of the sender: a change means that its frame has jumped
-""",
-    "autopilot_msgs/ObstacleTrack": """
-std_msgs/Header header
-float64[2] pos_ned_m  # place
-float64[2] vel_ned_m_s  # velocity of the obstacle
-float64 radius_m  # of the obstacle
-uint32 track_id  # number of the obstacle at its sender
-""",
-    "autopilot_msgs/PowerRaw": """
-std_msgs/Header header
-float64 voltage_v  # of the battery
-float64 current_a  # drawn from the battery
-float64 energy_used_j  # since the battery was full
-float64 remaining  # 0..1 of the battery's charge
-""",
-    "autopilot_msgs/LeakRaw": """
-std_msgs/Header header
-uint8 wet  # 1 = water at the probe
-""",
-    "autopilot_msgs/HullRaw": """
-std_msgs/Header header
-float64 pressure_pa  # absolute, inside the hull; NaN not measured
-float64 temperature_c  # the same
-""",
-    "autopilot_msgs/PilotRaw": """
-std_msgs/Header header
-uint8 heard  # 1
 """,
     "autopilot_msgs/Below": """
 std_msgs/Header header

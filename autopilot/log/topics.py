@@ -1,6 +1,7 @@
 """What a log holds: every topic with its type."""
 
 from autopilot.core.errors import LogError
+from autopilot.log.sample_table import SAMPLE_ROWS
 
 AID_PREFIX = "/nav/aid/"
 
@@ -33,24 +34,12 @@ TOPICS: dict[str, str] = {
     "/sys/parameters": "autopilot_msgs/ParameterChange",
     "/in/tick": "autopilot_msgs/InputTick",
     "/in/step": "std_msgs/String",
+    **{row.topic: f"autopilot_msgs/{row.type}" for row in SAMPLE_ROWS},
     "/in/ahrs": "sensor_msgs/Imu",
-    "/in/ahrs_raw": "autopilot_msgs/AhrsRaw",
-    "/in/imu": "autopilot_msgs/ImuRaw",
     "/in/camera": "sensor_msgs/CompressedImage",
     "/in/camera_info": "sensor_msgs/CameraInfo",
-    "/in/markers": "autopilot_msgs/MarkerSighting",
-    "/in/pose": "autopilot_msgs/PoseFix",
     "/in/laser": "sensor_msgs/Range",
-    "/in/laser_raw": "autopilot_msgs/LaserRaw",
-    "/in/depth": "autopilot_msgs/DepthRaw",
-    "/in/velocity": "autopilot_msgs/VelocityRaw",
-    "/in/external": "autopilot_msgs/ExternalPose",
-    "/in/tracks": "autopilot_msgs/ObstacleTrack",
     "/in/power": "sensor_msgs/BatteryState",
-    "/in/power_raw": "autopilot_msgs/PowerRaw",
-    "/in/leak": "autopilot_msgs/LeakRaw",
-    "/in/hull": "autopilot_msgs/HullRaw",
-    "/in/pilot": "autopilot_msgs/PilotRaw",
     "/in/below": "autopilot_msgs/Below",
     "/in/mavlink": "autopilot_msgs/MavlinkFrame",
     "/payload/image": "sensor_msgs/CompressedImage",

@@ -2,7 +2,9 @@
 
 import math
 import struct
-from typing import Any
+from enum import Enum
+from types import NoneType
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -38,20 +40,15 @@ from autopilot.core.messages import (
 )
 from autopilot.core.samples import (
     AhrsSample,
-    DepthSample,
-    ExternalFrame,
-    ExternalPoseSample,
     LaserSample,
     MarkerSighting,
-    ObstacleTrack,
-    PoseSample,
     PowerSample,
-    VelocityLock,
-    VelocitySample,
 )
 from autopilot.log import topics, visuals
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer, decode, fixed_layout, parse_definition
 from autopilot.log.packing import decisions, estimate, sensors, service, vehicle
+from autopilot.log.replay_inputs import SAMPLES
+from autopilot.log.sample_table import SAMPLE_ROWS, SampleRow
 from autopilot.log.schemas import definition, layout, ros_name, type_names, types_of
 
 STORE = get_typestore(Stores.LATEST)
@@ -246,58 +243,63 @@ def test_control_and_system(
 
 @given(stamps, st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3), vec(3), finite, finite)
 @settings(max_examples=25, deadline=None)
-def test_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> None:
+def test_what_viewers_get_of_samples(stamp: int, rpy: list[float], v: Any, x: float, y: float) -> None:
     ahrs = AhrsSample(t_us=0, rpy_rad=np.array(rpy), rate_frd_rad_s=v, accel_frd_m_s2=-v)
-    raw = read_back("autopilot_msgs/AhrsRaw", sensors.ahrs_raw(stamp, ahrs))
-    np.testing.assert_array_equal(raw.rpy_rad, rpy)
-    np.testing.assert_array_equal(raw.rate_frd_rad_s, v)
-    np.testing.assert_array_equal(raw.accel_frd_m_s2, -v)
     imu = read_back("sensor_msgs/Imu", sensors.imu(stamp, ahrs))
     q = imu.orientation
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     assert yaw == pytest.approx(rpy[2], abs=1e-9)
     assert (imu.linear_acceleration.x, imu.linear_acceleration.z) == (-v[0], -v[2])
-    fix = PoseSample(t_us=0, pos_ned_m=v, yaw_rad=x, sigma_pos_m=-v, sigma_yaw_rad=y)
-    read = read_back("autopilot_msgs/PoseFix", sensors.pose_fix(stamp, fix))
-    np.testing.assert_array_equal(read.pos_ned_m, v)
-    np.testing.assert_array_equal(read.sigma_pos_m, -v)
-    assert (read.yaw_rad, read.sigma_yaw_rad) == (x, y)
     laser = LaserSample(t_us=0, range_m=x, sigma_m=y)
-    read = read_back("autopilot_msgs/LaserRaw", sensors.laser_raw(stamp, laser))
-    assert (read.range_m, read.sigma_m) == (x, y)
     assert read_back("sensor_msgs/Range", sensors.laser_range(stamp, laser)).range == np.float32(x)
-    depth = DepthSample(t_us=0, depth_m=x, sigma_m=y)
-    read = read_back("autopilot_msgs/DepthRaw", sensors.depth_raw(stamp, depth))
-    assert (read.depth_m, read.sigma_m) == (x, y)
-    velocity = VelocitySample(t_us=0, vel_frd_m_s=v, sigma_m_s=-v, lock=VelocityLock.WATER)
-    read = read_back("autopilot_msgs/VelocityRaw", sensors.velocity_raw(stamp, velocity))
-    np.testing.assert_array_equal(read.vel_frd_m_s, v)
-    np.testing.assert_array_equal(read.sigma_m_s, -v)
-    assert read.lock == 0
-    for covariance in (None, np.outer([1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 3.0, 4.0])):
-        external = ExternalPoseSample(
-            t_us=0, pos_m=v, yaw_rad=x, covariance=covariance, frame=ExternalFrame.FRD, reset_counter=3
-        )
-        read = read_back("autopilot_msgs/ExternalPose", sensors.external_pose(stamp, external))
-        np.testing.assert_array_equal(read.pos_m, v)
-        np.testing.assert_array_equal(read.covariance, 0.0 if covariance is None else covariance.ravel())
-        assert (read.yaw_rad, read.covariance_known, read.frame, read.reset_counter) == (
-            x,
-            covariance is not None,
-            1,
-            3,
-        )
-    track = ObstacleTrack(t_us=0, track_id=7, pos_ned_m=v[:2], vel_ned_m_s=-v[:2], radius_m=x)
-    read = read_back("autopilot_msgs/ObstacleTrack", sensors.obstacle_track(stamp, track))
-    np.testing.assert_array_equal(read.pos_ned_m, v[:2])
-    np.testing.assert_array_equal(read.vel_ned_m_s, -v[:2])
-    assert (read.radius_m, read.track_id) == (x, 7)
     power = PowerSample(t_us=0, voltage_v=x, current_a=y, energy_used_j=x, remaining=0.5)
-    read = read_back("autopilot_msgs/PowerRaw", sensors.power_raw(stamp, power))
-    assert (read.voltage_v, read.current_a, read.energy_used_j, read.remaining) == (x, y, x, 0.5)
     battery = STORE.deserialize_cdr(visuals.battery_state(stamp, power), "sensor_msgs/msg/BatteryState")
     assert (battery.voltage, battery.current, battery.percentage) == (np.float32(x), np.float32(-y), 0.5)
     assert battery.present and math.isnan(battery.temperature)
+
+
+@pytest.mark.parametrize("row", [row for row in SAMPLE_ROWS if row.of is not MarkerSighting], ids=lambda row: row.type)
+@given(stamp=stamps, data=st.data())
+@settings(max_examples=25, deadline=None)
+def test_a_sample_of_any_kind_comes_back(row: SampleRow, stamp: int, data: st.DataObject) -> None:
+    """As another decoder understands the message, and as a replay reads it."""
+    sample = data.draw(samples_of(row))
+    topic, pack = sensors.SAMPLES[row.of]
+    message = pack(stamp, sample)
+    read = read_back(f"autopilot_msgs/{row.type}", message)
+    for name in read.__dataclass_fields__.keys() & row.of.__dataclass_fields__.keys():
+        meant = getattr(sample, name)
+        missing = np.zeros(16) if name in row.known.values() else np.nan
+        np.testing.assert_array_equal(
+            np.ravel(getattr(read, name)),
+            np.ravel(np.resize(missing, np.size(getattr(read, name))) if meant is None else meant),
+        )
+    raw = np.frombuffer(message, layout(f"autopilot_msgs/{row.type}").dtype, offset=0)[0]
+    again = SAMPLES[topic]({"t_us": sample.t_us, **{name: raw[name] for name in raw.dtype.names}})
+    for name in row.of.__dataclass_fields__:
+        np.testing.assert_equal(getattr(again, name), getattr(sample, name))
+
+
+@st.composite
+def samples_of(draw: st.DrawFn, row: SampleRow) -> Any:
+    """Any sample of one kind."""
+    fields = layout(f"autopilot_msgs/{row.type}").dtype.fields or {}
+    values: dict[str, Any] = {"t_us": draw(st.integers(0, 2**62))}
+    for name, hint in get_type_hints(row.of).items():
+        options = get_args(hint) if NoneType in get_args(hint) else (hint,)
+        kind = draw(st.sampled_from(options))
+        if name == "t_us":
+            continue
+        if kind is NoneType:
+            values[name] = None
+        elif kind in (int, float, bool):
+            values[name] = draw({int: st.integers(0, 2**32 - 1), float: finite, bool: st.booleans()}[kind])
+        elif isinstance(kind, type) and issubclass(kind, Enum):
+            values[name] = draw(st.sampled_from(kind))
+        else:
+            size = int(np.prod(fields[name][0].shape))
+            values[name] = draw(vec(size)).reshape(row.shapes.get(name, (size,)))
+    return row.of(**values)
 
 
 @given(stamps, vec(3), finite, finite, u32, st.booleans())

@@ -3,16 +3,22 @@
 from autopilot.core.frames import FloatArray
 from autopilot.core.messages import AID_SENSORS, AidStatus, MarkerFit, NavCounters, NavDoubt, NavState, ShadowStatus
 from autopilot.log.cdr import ENCAPSULATION
-from autopilot.log.packing.parts import FRD, NED, NS, UINT16, UINT32, clip, eight
+from autopilot.log.packing.parts import FRD, NS, UINT32, clip, eight
+from autopilot.log.packing.records import packer_of
 from autopilot.log.schemas import layout
 
-_nav_covariance = layout("autopilot_msgs/NavCovariance").packer.pack
+nav_covariance = packer_of(NavState, "NavCovariance", "ned")
+nav_status = packer_of(
+    NavState,
+    "NavStatus",
+    "ned",
+    put={"doubts": lambda nav: sum(1 << bit for bit, doubt in enumerate(NavDoubt) if doubt in nav.doubts)},
+)
+shadow_status = packer_of(ShadowStatus, "ShadowStatus", "ned")
+aid_status = packer_of(AidStatus, "AidStatus", "ned")
+marker_fit = packer_of(MarkerFit, "MarkerFit", "frd")
 _acting_thrust = layout("autopilot_msgs/ActingThrust").packer.pack
-_nav_status = layout("autopilot_msgs/NavStatus").packer.pack
 _nav_counters = layout("autopilot_msgs/NavCounters").packer.pack
-_shadow_status = layout("autopilot_msgs/ShadowStatus").packer.pack
-_aid_status = layout("autopilot_msgs/AidStatus").packer.pack
-_marker_fit = layout("autopilot_msgs/MarkerFit").packer.pack
 
 _OF_THE_FILTER = (
     "resets",
@@ -75,21 +81,9 @@ LAST_NAMES = ("faults", "other", FIELD_DISTURBANCES)
 _PLACED = frozenset((*COUNTER_NAMES, FIELD_DISTURBANCES))
 
 
-def nav_covariance(stamp_ns: int, nav: NavState) -> bytes:
-    """NavCovariance."""
-    return _nav_covariance(ENCAPSULATION, *divmod(stamp_ns, NS), *NED, *nav.variance.tolist())
-
-
 def acting_thrust(stamp_ns: int, thrust_n: FloatArray) -> bytes:
     """ActingThrust."""
     return _acting_thrust(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *eight(thrust_n))
-
-
-def nav_status(stamp_ns: int, nav: NavState) -> bytes:
-    """NavStatus."""
-    doubts = sum(1 << bit for bit, doubt in enumerate(NavDoubt) if doubt in nav.doubts)
-    resets = clip(nav.reset_count, UINT32)
-    return _nav_status(ENCAPSULATION, *divmod(stamp_ns, NS), *NED, int(nav.health), resets, doubts)
 
 
 def nav_counters(stamp_ns: int, value: NavCounters) -> bytes:
@@ -100,38 +94,3 @@ def nav_counters(stamp_ns: int, value: NavCounters) -> bytes:
     counts.append(sum(value.counts.values()) - placed - counts[-1])
     counts.append(value.counts.get(FIELD_DISTURBANCES, 0))
     return _nav_counters(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *(clip(count, UINT32) for count in counts))
-
-
-def shadow_status(stamp_ns: int, status: ShadowStatus) -> bytes:
-    """ShadowStatus."""
-    return _shadow_status(
-        ENCAPSULATION,
-        *divmod(stamp_ns, NS),
-        *NED,
-        *status.pos_difference_ned_m.tolist(),
-        status.yaw_difference_rad,
-        *status.vel_difference_frd_m_s.tolist(),
-        status.ratio,
-        int(status.disagrees),
-    )
-
-
-def aid_status(stamp_ns: int, aid: AidStatus) -> bytes:
-    """AidStatus."""
-    return _aid_status(
-        ENCAPSULATION,
-        *divmod(stamp_ns, NS),
-        *NED,
-        *aid.innovation.tolist(),
-        *aid.innovation_var.tolist(),
-        aid.test_ratio,
-        int(aid.fused),
-        int(aid.state),
-        aid.age_s,
-    )
-
-
-def marker_fit(stamp_ns: int, fit: MarkerFit) -> bytes:
-    """MarkerFit."""
-    counts = clip(fit.known, UINT16), clip(fit.used, UINT16)
-    return _marker_fit(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *counts, fit.rms_px, fit.worst_px)

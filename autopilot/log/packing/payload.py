@@ -6,9 +6,13 @@ from autopilot.core.payload import MAX_PAYLOAD, PayloadState
 from autopilot.core.stills import StillRecord
 from autopilot.log.cdr import ENCAPSULATION
 from autopilot.log.packing.parts import FRD, NED, NS, UINT16, UINT32, clip
+from autopilot.log.packing.records import packer_of, padded
 from autopilot.log.schemas import layout
 
-_outputs = layout("autopilot_msgs/PayloadOutputs").packer.pack
+outputs = packer_of(
+    PayloadState, "PayloadOutputs", "frd", put={"pulse_us": lambda state: padded(state.pulses_us, MAX_PAYLOAD)}
+)
+"""The pulses that are commanded."""
 _truth = layout("autopilot_msgs/PayloadTruth").packer.pack
 _still = layout("autopilot_msgs/Still").packer.pack
 
@@ -35,12 +39,6 @@ def still(stamp_ns: int, record: StillRecord) -> bytes:
         clip(taken.size, UINT32),
         (record.t_us - taken.exposure_us) * 1e-6,
     )
-
-
-def outputs(stamp_ns: int, state: PayloadState) -> bytes:
-    """PayloadOutputs: the pulses that are commanded."""
-    pulses = (*state.pulses_us, *(0,) * MAX_PAYLOAD)[:MAX_PAYLOAD]
-    return _outputs(ENCAPSULATION, *divmod(stamp_ns, NS), *FRD, *pulses)
 
 
 def truth(stamp_ns: int, shares: Sequence[float]) -> bytes:

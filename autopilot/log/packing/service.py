@@ -2,12 +2,22 @@
 
 from autopilot.core.messages import MAX_THRUSTERS, Authority, Below, Inputs, LoopStats, ProcessStats
 from autopilot.log.cdr import ENCAPSULATION
-from autopilot.log.packing.parts import FRD, NS, UINT16, UINT32, clip
+from autopilot.log.packing.parts import FRD, NS, UINT16, clip
+from autopilot.log.packing.records import packer_of
 from autopilot.log.schemas import layout
 
-_loop_stats = layout("autopilot_msgs/LoopStats").packer.pack
-_process_stats = layout("autopilot_msgs/ProcessStats").packer.pack
-_input_tick = layout("autopilot_msgs/InputTick").packer.pack
+loop_stats = packer_of(LoopStats, "LoopStats", "frd")
+process_stats = packer_of(ProcessStats, "ProcessStats", "frd", put={"rss": lambda stats: stats.rss_bytes})
+input_tick = packer_of(
+    Inputs,
+    "InputTick",
+    "frd",
+    put={
+        "samples": lambda inputs: clip(len(inputs.samples), UINT16),
+        "frames": lambda inputs: clip(len(inputs.mavlink_rx), UINT16),
+    },
+)
+"""Opens the group of messages that one call of ``step`` took in."""
 _below = layout("autopilot_msgs/Below").packer.pack
 _parameter_change = layout("autopilot_msgs/ParameterChange").packer.pack
 _mavlink_frame = layout("autopilot_msgs/MavlinkFrame").packer.pack
@@ -22,19 +32,6 @@ MAVLINK_MAX_BYTES = 280
 """Largest MAVLink 2 packet with signature (mavlink.io, Packet Serialization)."""
 ALL_LINKS = 255
 """``MavlinkFrame.link`` for a frame that goes to all links."""
-
-
-def input_tick(stamp_ns: int, inputs: Inputs) -> bytes:
-    """InputTick: opens the group of messages that one call of ``step`` took in."""
-    return _input_tick(
-        ENCAPSULATION,
-        *divmod(stamp_ns, NS),
-        *FRD,
-        clip(len(inputs.samples), UINT16),
-        clip(len(inputs.mavlink_rx), UINT16),
-        clip(inputs.overruns, UINT32),
-        inputs.cpu_load,
-    )
 
 
 def below(stamp_ns: int, value: Below) -> bytes:
@@ -60,37 +57,6 @@ def below(stamp_ns: int, value: Below) -> bytes:
 def _text(text: str, width: int) -> bytes:
     """UTF-8 of at most so many bytes, no character cut in two."""
     return text.encode(errors="replace")[:width].decode(errors="ignore").encode()
-
-
-def loop_stats(stamp_ns: int, stats: LoopStats) -> bytes:
-    """LoopStats."""
-    return _loop_stats(
-        ENCAPSULATION,
-        *divmod(stamp_ns, NS),
-        *FRD,
-        stats.tick_s,
-        stats.cpu_s,
-        clip(stats.overruns, UINT32),
-        clip(stats.dropped_log, UINT32),
-        clip(stats.dropped_frames, UINT32),
-        int(stats.late_part),
-        *stats.part_s,
-        *stats.part_cpu_s,
-    )
-
-
-def process_stats(stamp_ns: int, stats: ProcessStats) -> bytes:
-    """ProcessStats."""
-    return _process_stats(
-        ENCAPSULATION,
-        *divmod(stamp_ns, NS),
-        *FRD,
-        stats.rss_bytes,
-        clip(stats.log_queue, UINT32),
-        stats.log_queue_bytes,
-        clip(stats.threads, UINT16),
-        stats.collect_s,
-    )
 
 
 def parameter_change(stamp_ns: int, name: str, value: float) -> bytes:

@@ -6,9 +6,11 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.messages import NavState
 from autopilot.log.cdr import ENCAPSULATION
 from autopilot.log.packing.parts import FRD, NED, NS, UINT32, clip, eight
+from autopilot.log.packing.records import packer_of
 from autopilot.log.schemas import layout
 
-_vehicle_state = layout("autopilot_msgs/VehicleState").packer.pack
+vehicle_state = packer_of(NavState, "VehicleState", "ned")
+"""Of the truth or of the estimate."""
 _thruster_state = layout("autopilot_msgs/ThrusterState").packer.pack
 _contact_state = layout("autopilot_msgs/ContactState").packer.pack
 
@@ -37,21 +39,6 @@ class TruthLike(Protocol):
     def power_w(self) -> float:
         """Electrical power drawn from the battery: thrusters and everything else."""
         ...
-
-
-def vehicle_state(stamp_ns: int, state: TruthLike | NavState) -> bytes:
-    """VehicleState of the truth or of the estimate."""
-    return _vehicle_state(
-        ENCAPSULATION,
-        *divmod(stamp_ns, NS),
-        *NED,
-        *state.pos_ned_m.tolist(),
-        *state.rpy_rad.tolist(),
-        *state.vel_frd_m_s.tolist(),
-        *state.vel_water_frd_m_s.tolist(),
-        *state.rate_frd_rad_s.tolist(),
-        *state.current_ned_m_s.tolist(),
-    )
 
 
 def thruster_state(stamp_ns: int, truth: TruthLike) -> bytes:

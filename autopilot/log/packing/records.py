@@ -1,0 +1,116 @@
+"""Messages of dataclasses: how to pack one and how to read it back, made from its schema and its annotations.
+
+A field of the message holds the attribute of the same name. Counts are cut to what an unsigned field holds, arrays of
+one value per thruster and tuples are filled up with zeros, a number that is None is NaN; whether an array is None
+stands in a field of its own. What does not follow these rules is given as a function.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from enum import Enum
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin, get_type_hints
+
+from autopilot.core.frames import FloatArray
+from autopilot.core.messages import MAX_THRUSTERS
+from autopilot.log.cdr import ENCAPSULATION, Field
+from autopilot.log.packing.parts import NS, clip
+from autopilot.log.schemas import layout, types_of
+
+Pack = Callable[[int, Any], bytes]
+"""From the stamp [ns] and the object."""
+Put = Mapping[str, Callable[[Any], Any]]
+"""Field -> its value (its values, of an array) of an object."""
+
+LARGEST = {"uint8": 0xFF, "uint16": 0xFFFF, "uint32": 0xFFFFFFFF}
+
+
+def packer_of(
+    of: type, name: str, frame: str, *, known: Mapping[str, str] | None = None, put: Put | None = None
+) -> Pack:
+    """Packs an ``of`` as ``autopilot_msgs/<name>`` in the frame ``frame``.
+
+    ``known``: field that says whether an attribute is known -> the attribute.
+    """
+    full = f"autopilot_msgs/{name}"
+    given, hints, known = put or {}, get_type_hints(of), known or {}
+    scope: dict[str, Any] = {
+        "pack": layout(full).packer.pack,
+        "padded": padded,
+        "clip": clip,
+        "nan": math.nan,
+        **{f"put_{field}": function for field, function in given.items()},
+    }
+    parts = [repr(ENCAPSULATION), f"*divmod(stamp_ns, {NS})", str(len(frame) + 1), repr(frame.encode() + b"\0")]
+    for field in types_of(full)[full][1:]:
+        if field.name in given:
+            parts.append(f"{'*' if field.count else ''}put_{field.name}(value)")
+        elif field.name in known:
+            parts.append(f"int(value.{known[field.name]} is not None)")
+        else:
+            parts.append(_packed(field, hints.get(field.name) or _returned(of, field.name)))
+    made: Pack = eval(f"lambda stamp_ns, value: pack({', '.join(parts)})", scope)
+    return made
+
+
+def reader_of(
+    of: type, *, known: Mapping[str, str] | None = None, shapes: Mapping[str, tuple[int, ...]] | None = None
+) -> Callable[[Any], Any]:
+    """Makes an ``of`` of a row of its topic; ``shapes`` are those of arrays that are not flat."""
+    flags = {attribute: flag for flag, attribute in (known or {}).items()}
+    scope: dict[str, Any] = {"of": of, "absent": absent}
+    parts = []
+    for name, hint in get_type_hints(of).items():
+        kind = _kind(hint)
+        scope[f"kind_{name}"] = kind
+        if kind in (int, float, bool):
+            read = f"{kind.__name__}(row['{name}'])"
+            read = f"absent({read})" if _optional(hint) else read
+        elif isinstance(kind, type) and issubclass(kind, Enum):
+            read = f"kind_{name}(int(row['{name}']))"
+        else:
+            shape = (shapes or {}).get(name)
+            read = f"row['{name}']{'' if shape is None else f'.reshape{shape}'}.copy()"
+            read = f"{read} if row['{flags[name]}'] else None" if name in flags else read
+        parts.append(f"{name}={read}")
+    made: Callable[[Any], Any] = eval(f"lambda row: of({', '.join(parts)})", scope)
+    return made
+
+
+def padded(values: FloatArray | Sequence[float], count: int) -> Sequence[float]:
+    """So many values: zeros behind them, or the first ones."""
+    flat: Sequence[float] = values if isinstance(values, tuple) else values.tolist()  # type: ignore[union-attr]
+    return flat if len(flat) == count else [*flat, *[0] * count][:count]
+
+
+def absent(value: float) -> float | None:
+    """None for NaN."""
+    return None if math.isnan(value) else value
+
+
+def _packed(field: Field, hint: Any) -> str:
+    value, kind = f"value.{field.name}", _kind(hint)
+    if field.count is not None:
+        if _optional(hint):
+            return f"*({(0.0,) * field.count} if {value} is None else {value}.ravel().tolist())"
+        several = field.count == MAX_THRUSTERS or get_origin(hint) is tuple
+        return f"*padded({value}, {field.count})" if several else f"*{value}.tolist()"
+    if kind is int:
+        return f"clip({value}, {LARGEST[field.type]})" if field.type in LARGEST else value
+    if kind is float:
+        return f"(nan if {value} is None else {value})" if _optional(hint) else value
+    return f"int({value})"
+
+
+def _returned(of: type, name: str) -> Any:
+    """The type of a property."""
+    return get_type_hints(getattr(of, name).fget)["return"]
+
+
+def _optional(hint: Any) -> bool:
+    return get_origin(hint) is UnionType and NoneType in get_args(hint)
+
+
+def _kind(hint: Any) -> Any:
+    """The type of a value that is there."""
+    return next(arg for arg in get_args(hint) if arg is not NoneType) if _optional(hint) else hint
