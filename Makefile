@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 $(VENV)/installed: pyproject.toml setup.py $(wildcard autopilot/data/native/*.[ch]) autopilot/core/model4.py autopilot/control/nmpc/model_code.py autopilot/control/energy/interval.py
 	@echo "setting up $(VENV) (about a minute)"
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) --editable .
+	$(PIP) --editable '.[analysis]'
 	@touch $@
 
 $(VENV)/tools: $(VENV)/installed

@@ -1,6 +1,7 @@
 """An installation without a checkout: the wheel holds every file that the packages read."""
 
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -13,6 +14,9 @@ from pathlib import Path
 import pytest
 from hostile_folder import imported_from, make_hostile
 from pwm_vehicle import PwmVehicle, gone, keepers_of, until
+
+from autopilot.cli.output import EXIT_LOSS
+from autopilot.core.extras import ANALYSIS
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -123,10 +127,9 @@ class Installed:
         )
         return done.stdout
 
-    def run(self, *command: str | Path, cwd: Path) -> "subprocess.CompletedProcess[str]":
-        return subprocess.run(
-            command, cwd=cwd, env=self.environment, capture_output=True, text=True, check=False, timeout=1200
-        )
+    def run(self, *command: str | Path, cwd: Path, **environment: str) -> "subprocess.CompletedProcess[str]":
+        env = {**self.environment, **environment}
+        return subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, check=False, timeout=1200)
 
 
 @pytest.fixture(scope="module")
@@ -151,6 +154,41 @@ def test_an_installation_has_benchmarks_and_says_where_the_studies_are(installed
     done = installed.run(installed.programs / "autopilot", "bench", "soak", cwd=tmp_path)
     assert done.returncode == 2
     assert "soak is a study: run it in a source checkout of this project" in done.stderr
+
+
+WITHOUT_ANALYSIS = """
+import sys
+sys.modules.update(dict.fromkeys({names}))
+"""
+
+
+@needs_setuptools
+def test_the_service_runs_without_what_only_analysis_needs(installed: Installed, tmp_path: Path) -> None:
+    """And whoever asks for analysis is told in one sentence what to install, before any work."""
+    names = [re.split("[<>=]", asked)[0] for asked in PROJECT["project"]["optional-dependencies"]["analysis"]]
+    assert set(ANALYSIS) < set(names)
+    (tmp_path / "sitecustomize.py").write_text(WITHOUT_ANALYSIS.format(names=names), encoding="utf-8")
+
+    def run(*arguments: str) -> "subprocess.CompletedProcess[str]":
+        return installed.run(installed.programs / "autopilot", *arguments, cwd=tmp_path, PYTHONPATH=str(tmp_path))
+
+    sitl = ("sitl", "--sensors", "pose", "--speed", "0", "--connect", "udpout:127.0.0.1:9", "--log", "run.mcap")
+    for works in ((*sitl, "--duration", "0.05"), ("log", "check", "run.mcap"), ("log", "export", "run.mcap")):
+        done = run(*works)
+        assert done.returncode in (0, EXIT_LOSS) and "error" not in done.stderr, (works, done.stderr)
+    for needs in (
+        ("log", "report", "run.mcap"),
+        ("log", "plot", "run.mcap"),
+        ("log", "replay", "run.mcap", "--step", "0.01"),
+        ("campaign", "paper-tank", "--runs", "1", "--out", "campaign"),
+        ("campaign", "rooms", "--runs", "1", "--only", "0", "--out", "rooms"),
+        ("calibrate", "camera", ".", "--plot", "plot.png"),
+        ("demo", "--out", "demo"),
+    ):
+        done = run(*needs)
+        assert done.returncode == 1, (needs, done.stderr)
+        assert re.fullmatch(r"error: this needs \w+, .* pip install 'underwater-autopilot\[analysis\]'.*\n", done.stderr)
+    assert not {path.name for path in tmp_path.iterdir()} & {"campaign", "rooms", "demo", "plot.png"}
 
 
 OURS = ("drivers", "estimator", "mission", "sitl")

@@ -113,8 +113,11 @@ def camera(
     """Intrinsics from SOURCE: a folder of images of a board, a camera (/dev/video0) or a film. Exit 3 with remarks."""
     from autopilot.calibrate.intrinsics import NAMES, calibrate, camera_values, coverage, remarks
     from autopilot.calibrate.views import collect_views, image_files, live_images, read_images
+    from autopilot.core.extras import need_analysis
     from autopilot.core.vehicle import load_vehicle
 
+    if plot is not None:
+        need_analysis()
     expected = load_vehicle(vehicle).eye
     made = _board(board, **spec)
     live = source.startswith("/dev/") or Path(source).is_file()

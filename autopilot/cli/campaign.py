@@ -139,8 +139,11 @@ def fly(
     from autopilot.campaign.engines import make_engine
     from autopilot.campaign.store import Shard
     from autopilot.campaign.summary import summarise
+    from autopilot.core.extras import need_analysis
     from autopilot.run.config import parse_overrides
 
+    if figures:
+        need_analysis()
     defined = define(
         scenario,
         seed=seed,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.output import emit_json, print_table
+from autopilot.core.extras import need_analysis
 
 if TYPE_CHECKING:
     from autopilot.campaign.rooms.results import RoomResult
@@ -40,6 +41,8 @@ def rooms(
     Finished flights are kept in OUT, one line each; the same command goes on where it was stopped. With --only a room
     is flown again and leaves its files, log and picture in OUT. Exit code 1 if anything is held against a flight.
     """
+    if only:
+        need_analysis()
     wanted = list(MODE_NAMES.values()) if modes == "both" else [MODE_NAMES[modes]]
     if only:
         results = [_alone(out, seed, room, mode, quiet=as_json) for room in only for mode in wanted]

@@ -30,6 +30,9 @@ def demo(out: Path, laps: int, speed: float, seed: int | None, as_json: bool) ->
     Writes OUT/run.mcap, OUT/report.html and the paper's figures (the still-water flight in OUT/still). Exit code 1 if a
     bound is broken.
     """
+    from autopilot.core.extras import need_analysis
+
+    need_analysis()
     from autopilot.run.demo import FLIGHTS, fly
 
     # Whoever ends the demo ends its service too.

@@ -9,6 +9,7 @@ import click
 
 from autopilot import __version__
 from autopilot.core.errors import AutopilotError
+from autopilot.core.extras import ANALYSIS, without
 
 _COMMANDS: dict[str, tuple[str, str]] = {
     "bench": ("autopilot.cli.bench:bench", "Benchmarks, side by side with their baselines."),
@@ -91,6 +92,12 @@ def run(command: Callable[[], object]) -> int:
         return EXIT_INTERRUPTED
     except AutopilotError as error:
         click.echo(f"error: {error}", err=True)
+        return EXIT_FAILED
+    except ModuleNotFoundError as error:
+        library = str(error.name).partition(".")[0]
+        if library not in ANALYSIS:
+            raise
+        click.echo(f"error: {without(library)}", err=True)
         return EXIT_FAILED
     except BrokenPipeError:
         # Whoever read our output has had enough (`| head`). Python would complain at exit when it flushes the rest.
