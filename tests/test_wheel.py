@@ -187,7 +187,8 @@ def test_the_service_runs_without_what_only_analysis_needs(installed: Installed,
     ):
         done = run(*needs)
         assert done.returncode == 1, (needs, done.stderr)
-        assert re.fullmatch(r"error: this needs \w+, .* pip install 'underwater-autopilot\[analysis\]'.*\n", done.stderr)
+        said = r"error: this needs \w+, .* pip install 'underwater-autopilot\[analysis\]'.*\n"
+        assert re.fullmatch(said, done.stderr), (needs, done.stderr)
     assert not {path.name for path in tmp_path.iterdir()} & {"campaign", "rooms", "demo", "plot.png"}
 
 

@@ -1,4 +1,4 @@
-"""The extra ``analysis``: libraries that a vehicle's installation goes without, and what to say where one is missing."""
+"""The extra ``analysis``: libraries that a vehicle's installation goes without, and what to say without one."""
 
 from importlib.util import find_spec
 
