@@ -2,33 +2,39 @@
 
 import math
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from enum import Enum
+from types import NoneType
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray
-from autopilot.core.samples import (
-    AhrsSample,
-    DepthSample,
-    ExternalFrame,
-    ExternalPoseSample,
-    HullSample,
-    ImuSample,
-    LaserSample,
-    LeakSample,
-    MarkerSighting,
-    ObstacleTrack,
-    PilotSample,
-    PoseSample,
-    PowerSample,
-    Sample,
-    VelocityLock,
-    VelocitySample,
-)
+from autopilot.core.samples import MarkerSighting, Sample
+from autopilot.log.sample_table import SAMPLE_ROWS, SampleRow
+from autopilot.log.schemas import layout
 
 ODD = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e-308, 1e308, -1e308, 1e38, -2e68, 1e9, -1e9, 1e4, 10.0, -10.0)
 ODD_TIMES_US = (0, -1, -(1 << 62), 1 << 62, 1_000, -1_000, 10_000, -10_000, -1_000_000, 1_000_000, -10_000_000)
+
+SCALES = {
+    **dict.fromkeys(("rpy_rad", "rate_frd_rad_s", "vel_ned_m_s"), 0.2),
+    **dict.fromkeys(("sigma_pos_m", "sigma_yaw_rad"), 0.05),
+    **dict.fromkeys(("sigma_m", "covariance"), 0.01),
+    "accel_frd_m_s2": 10.0,
+    "yaw_rad": 3.0,
+    "vel_frd_m_s": 0.3,
+    "sigma_m_s": 0.02,
+    "radius_m": 0.3,
+    "voltage_v": 24.0,
+    "current_a": 5.0,
+    "energy_used_j": 1e4,
+    "remaining": 0.5,
+    "pressure_pa": 1e5,
+    "temperature_c": 20.0,
+}
+"""What a sound sensor gives, by the name of the attribute; 1 where none is given."""
 
 
 class Noise:
@@ -37,74 +43,13 @@ class Noise:
     def __init__(self, seed: int) -> None:
         self._rng = random.Random(seed)
         self._before: list[Sample] = []
-        self._makers: tuple[Callable[[int], Sample], ...] = (
-            lambda t_us: AhrsSample(
-                t_us=t_us,
-                rpy_rad=self._array(3, 0.2),
-                rate_frd_rad_s=self._array(3, 0.2),
-                accel_frd_m_s2=self._array(3, 10.0),
-            ),
-            lambda t_us: ImuSample(
-                t_us=t_us,
-                rate_frd_rad_s=self._array(3, 0.2),
-                accel_frd_m_s2=self._array(3, 10.0),
-                mag_frd=self._rng.choice((None, self._array(3, 1.0))),
-            ),
-            self._sighting,
-            lambda t_us: PoseSample(
-                t_us=t_us,
-                pos_ned_m=self._array(3, 1.0),
-                yaw_rad=self._number(3.0),
-                sigma_pos_m=self._array(3, 0.05),
-                sigma_yaw_rad=self._number(0.05),
-            ),
-            lambda t_us: LaserSample(t_us=t_us, range_m=self._number(1.0), sigma_m=self._number(0.01)),
-            lambda t_us: DepthSample(t_us=t_us, depth_m=self._number(1.0), sigma_m=self._number(0.01)),
-            lambda t_us: VelocitySample(
-                t_us=t_us,
-                vel_frd_m_s=self._array(3, 0.3),
-                sigma_m_s=self._array(3, 0.02),
-                lock=self._rng.choice(list(VelocityLock)),
-            ),
-            lambda t_us: ExternalPoseSample(
-                t_us=t_us,
-                pos_m=self._array(3, 1.0),
-                yaw_rad=self._number(3.0),
-                covariance=self._rng.choice(
-                    (None, self._array(16, 0.01).reshape(4, 4), np.eye(4) * self._number(0.01))
-                ),
-                frame=self._rng.choice(list(ExternalFrame)),
-                reset_counter=self._rng.randrange(3),
-            ),
-            lambda t_us: PowerSample(
-                t_us=t_us,
-                voltage_v=self._number(24.0),
-                current_a=self._number(5.0),
-                energy_used_j=self._number(1e4),
-                remaining=self._number(0.5),
-            ),
-            lambda t_us: LeakSample(t_us=t_us, wet=self._rng.random() < 0.02),
-            lambda t_us: HullSample(
-                t_us=t_us,
-                pressure_pa=self._rng.choice((None, 1e5 + self._number(1e3))),
-                temperature_c=self._rng.choice((None, 20.0 + self._number(5.0))),
-            ),
-            lambda t_us: PilotSample(t_us=t_us),
-            lambda t_us: ObstacleTrack(
-                t_us=t_us,
-                track_id=self._rng.randrange(-3, 60),
-                pos_ned_m=self._array(2, 2.0),
-                vel_ned_m_s=self._array(2, 0.2),
-                radius_m=self._number(0.3),
-            ),
-        )
 
     def samples(self, t_us: int, sound: Sequence[Sample]) -> tuple[Sample, ...]:
         """What comes on a tick beside or in place of what sound sensors say."""
         rng = self._rng
         given: list[Sample] = [sample for sample in sound if rng.random() > 0.05]
         count = rng.choice((0, 0, 1, 1, 2, 4))
-        given.extend(rng.choice(self._makers)(self._time(t_us)) for _ in range(count))
+        given.extend(self._any(rng.choice(SAMPLE_ROWS), self._time(t_us)) for _ in range(count))
         if given and rng.random() < 0.2:
             given.append(replace(rng.choice(given), t_us=self._time(t_us)))
         if self._before and rng.random() < 0.2:
@@ -113,6 +58,35 @@ class Noise:
         if rng.random() < 0.3:
             rng.shuffle(given)
         return tuple(given)
+
+    def _any(self, row: SampleRow, t_us: int) -> Sample:
+        """A sample of that kind."""
+        if row.of is MarkerSighting:
+            return self._sighting(t_us)
+        fields: Mapping[str, Any] = layout(f"autopilot_msgs/{row.type}").dtype.fields or {}
+        values: dict[str, Any] = {"t_us": t_us}
+        for name, hint in get_type_hints(row.of).items():
+            if name not in values:
+                values[name] = self._value(name, hint, row, fields)
+        sample: Sample = row.of(**values)
+        return sample
+
+    def _value(self, name: str, hint: Any, row: SampleRow, fields: Mapping[str, Any]) -> Any:
+        rng, scale = self._rng, SCALES.get(name, 1.0)
+        kinds = [kind for kind in get_args(hint) if kind is not NoneType] if NoneType in get_args(hint) else [hint]
+        if kinds != [hint] and rng.random() < 0.5:
+            return None
+        (kind,) = kinds
+        if kind is bool:
+            return rng.random() < 0.02
+        if kind is int:
+            return rng.randrange(-3, 60)
+        if kind is float:
+            return self._number(scale)
+        if isinstance(kind, type) and issubclass(kind, Enum):
+            return rng.choice(list(kind))
+        array = self._array(int(np.prod(fields[name][0].shape)), scale)
+        return array.reshape(row.shapes[name]) if name in row.shapes else array
 
     def _time(self, t_us: int) -> int:
         rng = self._rng
