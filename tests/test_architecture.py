@@ -37,13 +37,14 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "control.energy": ("core", "control.nmpc", "control.fence", "control.water", "control.way"),
     "control": ("core", *CONTROL),
     "command": ("core", "control", *CONTROL, "mavlink", "mission", "estimator"),
-    "replay": ("core", "estimator", "log"),
-    "calibrate": ("core", "log", "replay"),
-    "identify": ("core", "control.thrust", "log", "replay"),
+    "record": ("core", "estimator", "log"),
+    "replay": ("core", "control.water", "command", "estimator", "log", "mavlink", "record", "run", "sitl"),
+    "calibrate": ("core", "log", "record"),
+    "identify": ("core", "control.thrust", "log", "record"),
     "markermaps": ("core", "estimator", "log"),
     "run": (
         *(NAMES, "core", "client", "mavlink", "log", "drivers", "estimator", "mission", "sitl", "control", *CONTROL),
-        *("command", "replay", "view"),
+        *("command", "record", "view"),
     ),
 }
 """Room (without ``autopilot.``) -> rooms that it may import from; ``command`` has the estimator's protocol only."""

@@ -14,7 +14,7 @@ from autopilot.core.marker_files import load_marker_map
 from autopilot.core.markers import MarkerMap
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.reader import Log, Table, open_log
-from autopilot.replay.setup import read_markers, read_vehicle
+from autopilot.record.estimator import read_markers, read_vehicle
 
 NEAREST_M = 0.4
 """A marker is taken for one no farther than this from where the logged estimate puts it: ids repeat after a metre."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from autopilot.analysis.flight_figures import Moved
     from autopilot.log.reader import Log
-    from autopilot.run.sitl_replay import ReplayResult
+    from autopilot.replay.service import ReplayResult
 
 EXIT_DIFFERENT = 1
 SHOWN = 20
@@ -70,7 +70,7 @@ def replay(
     elif only or estimator or changes:
         _estimator_alone(opened, estimator, changes, out, as_json=as_json)
     else:
-        from autopilot.run.sitl_replay import replay_service
+        from autopilot.replay.service import replay_service
 
         _tell_versions(opened)
         _tell(opened, replay_service(opened, out=out), as_json=as_json)
@@ -229,8 +229,8 @@ def _estimator_alone(
     opened: "Log", estimator: str | None, changes: tuple[str, ...], out: Path | None, *, as_json: bool
 ) -> None:
     """The estimator's replay: bit for bit, or how far another one is from the log and both from the truth."""
+    from autopilot.record.estimator import read_setup
     from autopilot.replay import estimation as replaying
-    from autopilot.replay.setup import read_setup
 
     setup = replaying.replay_setup(opened, estimator, changes)
     states = replaying.replay(opened, setup)

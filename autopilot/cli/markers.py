@@ -62,8 +62,8 @@ def refine(log: str, told: str | None, out: str, as_json: bool) -> None:
 
     from autopilot.core.marker_files import load_marker_map, marker_file_text
     from autopilot.log.reader import open_log
+    from autopilot.record.estimator import read_markers, read_setup
     from autopilot.replay.estimation import refined_by
-    from autopilot.replay.setup import read_markers, read_setup
 
     flight = open_log(Path(log))
     rough = read_markers(flight.attachments) if told is None else load_marker_map(Path(told))

@@ -12,7 +12,7 @@ from autopilot.core.frames import FloatArray
 from autopilot.core.response import Response
 from autopilot.core.vehicle import Vehicle
 from autopilot.log.reader import Log, Table, open_log
-from autopilot.replay.setup import read_vehicle
+from autopilot.record.estimator import read_vehicle
 
 STEP_S = 0.05
 """Interval of the prediction: thrust is averaged over it."""

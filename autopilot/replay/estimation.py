@@ -1,6 +1,6 @@
 """A logged run through the estimator once more: is it the same bit for bit, or what would another setting have given?
 
-The estimator gets exactly what it got then (:mod:`autopilot.log.replay_inputs`): the same samples at the same ticks in
+The estimator gets exactly what it got then (:mod:`autopilot.replay.inputs`): the same samples at the same ticks in
 the same order, the thrust that it was told, and vehicle file, marker map and options from the log's attachments. With
 nothing changed the result must be the same in every bit of every field.
 """
@@ -22,9 +22,9 @@ from autopilot.estimator.create import create_estimator
 from autopilot.estimator.options import EstimatorOptions
 from autopilot.log.packing import estimate, vehicle
 from autopilot.log.reader import Log, Table
-from autopilot.log.replay_inputs import estimator_ticks
 from autopilot.log.writer import LogWriter
-from autopilot.replay.setup import EstimatorSetup, read_markers, read_setup, read_vehicle
+from autopilot.record.estimator import EstimatorSetup, read_markers, read_setup, read_vehicle
+from autopilot.replay.inputs import estimator_ticks
 
 _Bits: TypeAlias = dict[str, NDArray[Any]]
 

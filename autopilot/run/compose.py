@@ -1,6 +1,6 @@
 """The composition root: puts the service and, for SITL, its simulated world together."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -14,7 +14,8 @@ from autopilot.command.service import Autopilot
 from autopilot.control.energy.request import TrajectoryPlanner
 from autopilot.control.protocol import ControllerContext, create_controller
 from autopilot.control.thrust.actuation import Actuation
-from autopilot.control.water.currents import CurrentForecast
+from autopilot.control.water.current_learning import Basin, LearnedCurrent
+from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent, NoCurrent
 from autopilot.control.way.desks import Desks
 from autopilot.core.desk import Desk
 from autopilot.core.geodesy import Origin
@@ -28,7 +29,7 @@ from autopilot.log.shelf import LogShelf
 from autopilot.mavlink.api import SigningStore
 from autopilot.mavlink.server import MavlinkServer
 from autopilot.mission.store import Plans, WaterCheck
-from autopilot.replay.setup import options_of
+from autopilot.record.estimator import options_of
 from autopilot.run.config import system_id, vehicle_uid
 from autopilot.run.provenance import revision
 from autopilot.run.witnessed import WitnessedSaving, WitnessedShelf, WitnessedStore
@@ -78,6 +79,29 @@ class ServiceSetup:
     """Revision of the code, as clients are told."""
     witness: Witness = field(default_factory=Noted)
     """Notes the answers that do not follow from the inputs, for the log; a replay's gives them."""
+
+
+def forecast_of(kind: str, basin: Basin | str, known: Callable[[], CurrentForecast]) -> CurrentForecast:
+    """What a controller is told of the water. ``known`` makes it for a ``kind`` of "map"."""
+    match kind:
+        case "map":
+            return known()
+        case "none":
+            return NoCurrent()
+        case "uniform":
+            return EstimatedCurrent()
+        case _:
+            return LearnedCurrent(Basin(basin))
+
+
+def end_slow_work(parts: Parts, *desks: Desk) -> None:
+    """Nobody wants routes, plans and checks any more: what has not begun does not begin. ``desks``: more to close."""
+    try:
+        parts.plans.close()
+        parts.controller.reset()
+    finally:
+        for desk in (*parts.desks, *desks):
+            desk.close()
 
 
 def build_service(

@@ -8,8 +8,7 @@ from pathlib import Path
 import msgspec
 
 from autopilot.command.parts import Parts
-from autopilot.control.water.current_learning import Basin, LearnedCurrent
-from autopilot.control.water.currents import CurrentForecast, EstimatedCurrent, NoCurrent
+from autopilot.control.water.currents import NoCurrent
 from autopilot.core.desk import Desk
 from autopilot.core.lane import DaemonLane
 from autopilot.core.marker_files import load_marker_map
@@ -21,7 +20,7 @@ from autopilot.core.params import ParamSet
 from autopilot.drivers.protocols import Link
 from autopilot.run.assembly import Told, onlooker, service_setup
 from autopilot.run.boot_links import BootLinks, open_boot_links
-from autopilot.run.compose import ServiceSetup, build_service
+from autopilot.run.compose import ServiceSetup, build_service, forecast_of
 from autopilot.run.config import Settings, chosen_part
 from autopilot.run.describe import describe_service
 from autopilot.run.hardware import HardwareVehicle
@@ -156,22 +155,11 @@ def _told(config: VehicleConfig, params: ParamSet, markers: MarkerMap | None) ->
         origin=params_origin(params),
         markers=markers,
         floor_depth_m=config.file.place.floor_depth_m,
-        currents=_currents(config),
+        currents=forecast_of(config.file.place.currents, config.file.place.basin, NoCurrent),
         pictures=config.has_camera,
         controller="nmpc",
         estimator="ekf",
     )
-
-
-def _currents(config: VehicleConfig) -> CurrentForecast:
-    """What the controller is told of the water."""
-    match config.file.place.currents:
-        case "none":
-            return NoCurrent()
-        case "uniform":
-            return EstimatedCurrent()
-        case _:
-            return LearnedCurrent(Basin(config.file.place.basin))
 
 
 def _recorder(

@@ -27,6 +27,7 @@ from autopilot.mission.loading import load_plan
 from autopilot.mission.plan_files import PlanFile, read_plan
 from autopilot.run.allocator import give_back_large_blocks
 from autopilot.run.clocks import make_clock
+from autopilot.run.compose import end_slow_work
 from autopilot.run.kept_plans import KeptPlans
 from autopilot.run.outside import Onlooker, Peer, VehicleIo
 from autopilot.run.recorder import NullRecorder, RunRecorder
@@ -127,7 +128,7 @@ class Session:
 
     def _at_the_end(self, end: contextlib.ExitStack) -> None:
         """What has to be done, the last first; whatever one of them raises, the others are done."""
-        end.callback(self._end_slow_work)
+        end.callback(end_slow_work, self.parts, self.kept.disk)
         if self.kept.plans is not None:
             end.callback(self.kept.plans.finish)
         end.callback(self.kept.params.finish)
@@ -140,15 +141,6 @@ class Session:
         """One line for who asks the service manager."""
         commander = self.parts.commander
         return f"{self.vehicle.name}: {'armed' if commander.armed else 'disarmed'}, {commander.mode.name}"
-
-    def _end_slow_work(self) -> None:
-        """Nobody wants routes, plans and checks any more: what has not begun does not begin."""
-        try:
-            self.parts.plans.close()
-            self.parts.controller.reset()
-        finally:
-            for desk in (*self.parts.desks, self.kept.disk):
-                desk.close()
 
 
 def loop_round(

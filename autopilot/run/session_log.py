@@ -17,7 +17,7 @@ from autopilot.log.quota import make_room
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
 from autopilot.log.writer import LogHead, Payload
-from autopilot.replay.setup import estimator_attachments
+from autopilot.record.estimator import estimator_attachments
 from autopilot.run.config import Settings
 from autopilot.run.describe import plan_items, plans_json
 from autopilot.run.provenance import revision

@@ -5,15 +5,12 @@ from pathlib import Path
 from typing import Literal, cast
 
 from autopilot.command.map_check import open_map
-from autopilot.control.water.current_learning import Basin, LearnedCurrent
 from autopilot.control.water.current_map import CurrentMap
 from autopilot.control.water.currents import (
     OPEN_WATER_SCALE_M,
     TANK_SCALE_M,
     CurrentForecast,
-    EstimatedCurrent,
     MappedCurrent,
-    NoCurrent,
     PointwiseField,
 )
 from autopilot.core.errors import ConfigError
@@ -24,6 +21,7 @@ from autopilot.core.origin_params import params_origin
 from autopilot.core.params import ParamSet
 from autopilot.core.vehicle import Vehicle, load_vehicle
 from autopilot.log.description import PartOrigin
+from autopilot.run.compose import forecast_of
 from autopilot.run.config import Settings, chosen_part
 from autopilot.run.sitl_parts import part_origins
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
@@ -134,14 +132,9 @@ def formula(scenario: Scenario) -> CurrentForecast:
 
 def forecast(settings: Settings, world: World) -> CurrentForecast:
     """What the controller is told of the current. Without a map file a map is the scenario's own formula."""
-    match knowledge(settings, world.scenario):
-        case "map" if world.water is not None:
-            return MappedCurrent(world.water)
-        case "map":
-            return formula(world.scenario)
-        case "none":
-            return NoCurrent()
-        case "uniform":
-            return EstimatedCurrent()
-        case _:
-            return LearnedCurrent(Basin(settings["basin"] or world.scenario.controller.basin))
+    scenario, water = world.scenario, world.water
+    return forecast_of(
+        knowledge(settings, scenario),
+        settings["basin"] or scenario.controller.basin,
+        lambda: formula(scenario) if water is None else MappedCurrent(water),
+    )

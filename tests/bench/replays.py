@@ -12,9 +12,9 @@ from pathlib import Path
 
 from autopilot.core.errors import AutopilotError
 from autopilot.log.reader import open_log
+from autopilot.replay.service import replay_service
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_console import RunWatch
-from autopilot.run.sitl_replay import replay_service
 from autopilot.run.sitl_session import open_sitl
 from autopilot.sitl.scenario import load_scenario, scenario_names, scenario_path
 

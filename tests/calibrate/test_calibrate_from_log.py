@@ -20,7 +20,7 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.log.packing import sensors
 from autopilot.log.packing.vehicle import vehicle_state
 from autopilot.log.writer import LogWriter
-from autopilot.replay.setup import estimator_attachments
+from autopilot.record.estimator import estimator_attachments
 
 EPOCH_NS = 1_767_225_600_000_000_000
 DURATION_S = 14.0

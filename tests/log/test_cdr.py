@@ -47,9 +47,9 @@ from autopilot.core.samples import (
 from autopilot.log import topics, visuals
 from autopilot.log.cdr import ENCAPSULATION, CdrBuffer, decode, fixed_layout, parse_definition
 from autopilot.log.packing import decisions, estimate, sensors, service, vehicle
-from autopilot.log.replay_inputs import SAMPLES
 from autopilot.log.sample_table import SAMPLE_ROWS, SampleRow
 from autopilot.log.schemas import definition, layout, ros_name, type_names, types_of
+from autopilot.replay.inputs import SAMPLES
 
 STORE = get_typestore(Stores.LATEST)
 for _name in type_names():

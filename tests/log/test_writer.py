@@ -20,7 +20,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Authority, Below, Drive, Event, Inputs, LoopStats, MavlinkFrame
 from autopilot.core.samples import CameraFrame
-from autopilot.log import replay_inputs
 from autopilot.log.compare import compare_logs
 from autopilot.log.description import from_json
 from autopilot.log.packing import service, vehicle
@@ -28,6 +27,7 @@ from autopilot.log.reader import open_log
 from autopilot.log.session import RunLog, log_path, open_run_log
 from autopilot.log.topics import TOPICS
 from autopilot.log.writer import LogWriter
+from autopilot.replay import inputs as replay_inputs
 
 
 @pytest.fixture(scope="module")

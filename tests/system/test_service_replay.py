@@ -13,12 +13,12 @@ from system_harness import PAPER_PLAN, OpenSession
 from autopilot.cli.main import cli
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs
-from autopilot.log import replay_service
 from autopilot.log.reader import Log, open_log
 from autopilot.mavlink.dialect import mav
+from autopilot.replay import service_inputs as replay_service
+from autopilot.replay.service import replay_service as replayed
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.signing_files import SigningFiles
-from autopilot.run.sitl_replay import replay_service as replayed
 from autopilot.run.sitl_session import open_sitl
 
 

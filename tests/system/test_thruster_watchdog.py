@@ -107,7 +107,7 @@ class Flight:
         self.session.kept.params.finish()
         if self.session.kept.plans is not None:
             self.session.kept.plans.finish()
-        self.session._end_slow_work()
+        end_slow_work(self.session.parts, self.session.kept.disk)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from autopilot.core.samples import Sample
 from autopilot.log.packing.service import ALL_LINKS
 from autopilot.log.packing.step_notes import EMPTY, Standing, StepNotes, inputs_with, unpack
 from autopilot.log.reader import Log, Table
-from autopilot.log.replay_inputs import SAMPLES, TICK
+from autopilot.replay.inputs import SAMPLES, TICK
 
 NOTES = "/in/step"
 BYTES = "/in/mavlink"

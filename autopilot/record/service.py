@@ -1,7 +1,7 @@
 """What a log must hold of a service's making so that another one like it can be made (attachment ``service.json``).
 
-Vehicle, marker map and estimator have attachments of their own (:mod:`autopilot.replay.setup`), and so have the plans
-and the place in the mission that the service began with (``start_plans.json``) and a map of the current
+Vehicle, marker map and estimator have attachments of their own (:mod:`autopilot.record.estimator`), and so have the
+plans and the place in the mission that the service began with (``start_plans.json``) and a map of the current
 (``currents_map``). Of a signing key it says only that there was one.
 """
 

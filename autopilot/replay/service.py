@@ -1,8 +1,8 @@
 """A logged run through the whole service once more: the same inputs into ``step``, and is everything the same?
 
-What goes in is the log's (:mod:`autopilot.log.replay_service`): samples, pictures as detected, bytes of the links, and
-the answers of disks and of work beside the loop. What comes out is written like a flight's, to a log of its own, and
-compared message by message.
+What goes in is the log's (:mod:`autopilot.replay.service_inputs`): samples, pictures as detected, bytes of the links,
+and the answers of disks and of work beside the loop. What comes out is written like a flight's, to a log of its own,
+and compared message by message.
 """
 
 import tempfile
@@ -12,25 +12,22 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from autopilot.command.parts import Parts
 from autopilot.command.service import Autopilot
-from autopilot.control.water.currents import CurrentForecast
 from autopilot.core.errors import LogError
 from autopilot.core.messages import Inputs, MavlinkFrame, Outputs
 from autopilot.core.witness import Recalled
 from autopilot.log.compare import WALL_CLOCK_FIELDS, WALL_CLOCK_TOPICS, Difference, compare_logs
 from autopilot.log.description import RunDescription
 from autopilot.log.reader import Log, open_log
-from autopilot.log.replay_service import ServiceInputs
 from autopilot.log.session import RunLog
 from autopilot.log.writer import LogWriter
-from autopilot.run.service_record import service_again
-from autopilot.run.sitl_world import formula
+from autopilot.replay.again import service_again
+from autopilot.replay.service_inputs import ServiceInputs
+from autopilot.run.compose import end_slow_work
 from autopilot.run.witnessed import SHELF_ASKED
-from autopilot.sitl.scenario import Scenario
 
 NOT_OURS = ("/sim/", "/viz/", "/in/camera")
 """How topics begin that are the world's, or for viewers alone."""
@@ -81,9 +78,9 @@ class Rerun:
             folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="replay-")))
             self.inputs = ServiceInputs(self.log)
             self.service, self.parts = service_again(
-                self.log, witness=self._witness, formula=_formula, folder=folder, changes=self.changes
+                self.log, witness=self._witness, folder=folder, changes=self.changes
             )
-            undo.callback(self._close)
+            undo.callback(end_slow_work, self.parts)
             self._end = undo.pop_all()
         return self
 
@@ -107,14 +104,6 @@ class Rerun:
         if sent:
             outputs = replace(outputs, mavlink_tx=(*sent, *outputs.mavlink_tx))
         return replace(outputs, faults=outputs.faults + inputs.faults) if inputs.faults else outputs
-
-    def _close(self) -> None:
-        try:
-            self.parts.plans.close()
-            self.parts.controller.reset()
-        finally:
-            for desk in self.parts.desks:
-                desk.close()
 
 
 def replay_service(
@@ -187,14 +176,3 @@ def _without_tags(table: Any) -> None:
     for row in signed:
         length = int(table["length"][row])
         data[row, max(length - _TAG, 0) : length] = 0
-
-
-def _formula(log: Log) -> CurrentForecast:
-    """The current that a scenario's controller was told without a file: the scenario's own."""
-    data = log.attachments.get("scenario.json")
-    if data is None:
-        raise LogError(f"{log.path}: has no attachment scenario.json, whose current the controller was told")
-    try:
-        return formula(msgspec.json.decode(data, type=Scenario))
-    except msgspec.MsgspecError as error:
-        raise LogError(f"{log.path}: attachment scenario.json: {error}; the log is of another version") from error

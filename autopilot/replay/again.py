@@ -1,0 +1,173 @@
+"""The service that is made once more from the record in its log."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from autopilot.command.map_check import MapCheck, open_map
+from autopilot.command.parts import Parts
+from autopilot.command.service import Autopilot
+from autopilot.control.water.current_map import CurrentMap
+from autopilot.control.water.currents import CurrentForecast, MappedCurrent
+from autopilot.core.desk import Desk
+from autopilot.core.errors import ConfigError, LogError
+from autopilot.core.geodesy import Origin
+from autopilot.core.params import ParamSet, Saved
+from autopilot.core.plan import PlanKind
+from autopilot.core.witness import Recalled
+from autopilot.log.reader import Log
+from autopilot.log.shelf import LogShelf
+from autopilot.mavlink.api import SigningState
+from autopilot.record.estimator import read_markers, read_setup, read_vehicle
+from autopilot.record.service import (
+    CURRENTS_FILE,
+    SERVICE_FILE,
+    START_PLANS_FILE,
+    ServiceRecord,
+    read_record,
+)
+from autopilot.run.compose import ServiceSetup, build_service, forecast_of
+from autopilot.run.kept_plans import PLANS_KEPT
+from autopilot.run.plans_format import decode, plan_item
+from autopilot.run.sitl_world import formula
+from autopilot.sitl.scenario import Scenario
+
+PLACEHOLDER_KEY = b"\xa5" * 32
+"""Stands for a key that is in no log."""
+
+
+def service_again(
+    log: Log,
+    *,
+    witness: Recalled,
+    folder: Path,
+    changes: Iterable[tuple[str, float]] = (),
+) -> tuple[Autopilot, Parts]:
+    """The service of a log as it was before its first tick, with some parameters changed.
+
+    ``witness`` gives the answers of then, ``folder`` is for files of this call. LogError if the log does not say
+    enough; ConfigError for a parameter that there is not.
+    """
+    record = read_record(log)
+    params = ParamSet()
+    for name, value in (*record.parameters.items(), *changes):
+        try:
+            params.set(name, value)
+        except ConfigError as error:
+            raise LogError(f"{log.path}: {error}; replay it with the version that has written it") from error
+    lat, lon, alt = record.origin
+    origin = Origin(lat_deg=lat, lon_deg=lon, alt_m=alt)
+    water = _water(log, record, origin, folder)
+    signing = record.signing
+    store = None if signing is None else _Store(PLACEHOLDER_KEY if signing.key else None, signing.stamp)
+    shelf = LogShelf(folder / "none", Desk()) if record.shelf else None
+    setup = ServiceSetup(
+        vehicle=read_vehicle(log),
+        params=params,
+        origin=origin,
+        markers=read_markers(log.attachments),
+        floor_depth_m=record.floor_depth_m,
+        estimator=record.estimator,
+        estimator_asked_by=f"{log.path}: {SERVICE_FILE}",
+        controller=record.controller,
+        controller_asked_by=f"{log.path}: {SERVICE_FILE}",
+        profile=record.profile,
+        instance=record.instance,
+        currents=forecast_of(
+            record.currents.kind,
+            record.currents.basin,
+            lambda: _formula(log) if water is None else MappedCurrent(water),
+        ),
+        water=None if water is None else MapCheck(water, origin),
+        links=record.links,
+        rates={int(link): rate for link, rate in record.rates.items()},
+        patience=record.patience,
+        saving=_Saving() if record.saving else None,
+        signing=store,
+        shelf=shelf,
+        pictures=record.pictures,
+        waits_for_plans=record.waits_for_plans,
+        git=record.git,
+        witness=witness,
+    )
+    read_setup(log)  # named now if it is damaged
+    service, parts = build_service(setup)
+    _take_plans(log, parts, witness)
+    return service, parts
+
+
+def _water(log: Log, record: ServiceRecord, origin: Origin, folder: Path) -> CurrentMap | None:
+    if not record.currents.map_suffix:
+        return None
+    data = log.attachments.get(CURRENTS_FILE)
+    if data is None:
+        raise LogError(f"{log.path}: has no attachment {CURRENTS_FILE}; the log is damaged")
+    path = folder / f"{CURRENTS_FILE}{record.currents.map_suffix}"
+    path.write_bytes(data)
+    return open_map(path, origin, record.currents.map_start_utc)
+
+
+def _formula(log: Log) -> CurrentForecast:
+    """The current that a scenario's controller was told without a file: the scenario's own."""
+    data = log.attachments.get("scenario.json")
+    if data is None:
+        raise LogError(f"{log.path}: has no attachment scenario.json, whose current the controller was told")
+    try:
+        return formula(msgspec.json.decode(data, type=Scenario))
+    except msgspec.MsgspecError as error:
+        raise LogError(f"{log.path}: attachment scenario.json: {error}; the log is of another version") from error
+
+
+def _take_plans(log: Log, parts: Parts, witness: Recalled) -> None:
+    """Plans, origin, home and place in the mission as they were before the first tick."""
+    data = log.attachments.get(START_PLANS_FILE)
+    if data is None:
+        raise LogError(f"{log.path}: has no attachment {START_PLANS_FILE}; the log is damaged")
+    try:
+        content = decode(data)
+    except ValueError as error:
+        raise LogError(f"{log.path}: attachment {START_PLANS_FILE} {error}") from error
+    plans = parts.plans
+    place = content.origin
+    if (place.lat_deg, place.lon_deg, place.alt_m) != (plans.origin.lat_deg, plans.origin.lon_deg, plans.origin.alt_m):
+        plans.set_origin(Origin(lat_deg=place.lat_deg, lon_deg=place.lon_deg, alt_m=place.alt_m))
+    for kind, items in (
+        (PlanKind.FENCE, content.fence),
+        (PlanKind.MISSION, content.mission),
+        (PlanKind.RALLY, content.rally),
+    ):
+        if items:
+            plans.replace(kind, tuple(plan_item(item) for item in items))
+    if any(content.home_ned_m):
+        parts.commander.restore_home(np.array(content.home_ned_m))
+    if content.position is not None and content.mission:
+        parts.commander.stand_at(content.position)
+    plans.keeper = lambda: witness.ask(PLANS_KEPT, True, lambda: True)
+
+
+class _Saving:
+    """Nothing is written; what became of it then, the witness knows."""
+
+    def save(self, tick: int, name: str) -> int | None:
+        """Never asked: the witness answers."""
+        raise AssertionError("a replay asks its log")
+
+    def saved(self, tick: int) -> Saved | None:
+        """Never asked: the witness answers."""
+        raise AssertionError("a replay asks its log")
+
+
+class _Store:
+    """The same for the signing key."""
+
+    def __init__(self, key: bytes | None, stamp: int) -> None:
+        self.state = SigningState(key, stamp)
+
+    def keep(self, tick: int, state: SigningState) -> None:
+        """Nothing is written."""
+
+    def poll(self, tick: int) -> Saved | None:
+        """Never asked: the witness answers."""
+        raise AssertionError("a replay asks its log")
