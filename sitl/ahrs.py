@@ -7,14 +7,12 @@ heading that is off by a constant and by an amount that depends on the place.
 
 import math
 import struct
-from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
 
 from autopilot.core.frames import FloatArray, quat_from_rpy, r_ned_from_frd
 from autopilot.core.vehicle import Ahrs
-from autopilot.drivers.base import AlwaysOpen
 from autopilot.drivers.ig500_protocol import (
     ACKNOWLEDGE,
     CONTINUOUS_OUTPUT,
@@ -28,6 +26,7 @@ from autopilot.drivers.ig500_protocol import (
     OutputCodec,
     encode_frame,
 )
+from autopilot.sitl.delayed import DelayedSensor
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import AhrsFreeze, AhrsSensor, Fault
 from autopilot.sitl.sensor_faults import ImuFaults
@@ -60,27 +59,22 @@ class SlowError:
         return self.value
 
 
-class Ig500Emulator(AlwaysOpen):
+class Ig500Emulator(DelayedSensor[bytes]):
     """The device and its cable: a :class:`autopilot.drivers.protocols.BytePort` for the driver."""
 
     def __init__(self, settings: AhrsSensor, ahrs: Ahrs, faults: list[Fault], seed: int) -> None:
+        latency_s = ahrs.latency_s if settings.latency_s is None else settings.latency_s
+        super().__init__(settings.rate_hz or ahrs.rate_hz, latency_s, settings.latency_jitter_s)
         self._settings = settings
         self._rng = np.random.default_rng((seed, 10))
-        self._rate_hz = settings.rate_hz or ahrs.rate_hz
-        self._latency_s = ahrs.latency_s if settings.latency_s is None else settings.latency_s
         self._freezes = [fault for fault in faults if isinstance(fault, AhrsFreeze)]
         self._faults = ImuFaults(faults)
         self._parser = FrameParser()
         self._codec = OutputCodec(POWER_UP_MASK)
         self._sending = False
         self._divider = 1
-        self._count = 0
-        self.next_us = 0
-        """When the device takes its next sample."""
         self.clock_ahead_us = 0
         """What its clock shows beyond the time [us]; a change of it is a jump of the device's clock."""
-        self._queue: deque[tuple[int, bytes]] = deque()
-        self._last_arrival_us = 0
         self._held: dict[Field, tuple[float, ...]] | None = None
         first = self._rng.standard_normal(12).tolist()
         dt_s = 1.0 / self._rate_hz
@@ -108,8 +102,7 @@ class Ig500Emulator(AlwaysOpen):
         ):
             values = {**values, **(self._held or {})}
         self._held = values
-        self._count += 1
-        self.next_us = round(self._count * 1e6 / self._rate_hz)
+        self._taken()
         if not self._sending or self._count % self._divider:
             return
         values[Field.TIME_SINCE_RESET] = ((truth.t_us + self.clock_ahead_us) // 1000 % CLOCK_SPAN_MS,)
@@ -118,11 +111,8 @@ class Ig500Emulator(AlwaysOpen):
             broken = bytearray(data)
             broken[int(chance[1] * len(data))] ^= 0x5A
             data = bytes(broken)
-        delay_s = self._latency_s + self._settings.latency_jitter_s * noise[15]
-        arrival_us = max(self._last_arrival_us, truth.t_us + max(0, round(delay_s * 1e6)))
         if chance[2] >= self._settings.drop_probability:
-            self._queue.append((arrival_us, data))
-            self._last_arrival_us = arrival_us
+            self._send(truth.t_us, noise[15], data)
 
     def _drawn(self) -> tuple[list[float], list[float]]:
         """The next sample's random numbers: standard normal ones, and chances in [0, 1)."""
@@ -170,10 +160,7 @@ class Ig500Emulator(AlwaysOpen):
 
     def read(self, t_us: int) -> list[tuple[int, bytes]]:
         """What has arrived up to ``t_us``."""
-        arrived = []
-        while self._queue and self._queue[0][0] <= t_us:
-            arrived.append(self._queue.popleft())
-        return arrived
+        return self._arrived(t_us)
 
     def write(self, data: bytes) -> None:
         """Commands of the driver: questions are answered, orders that are understood acknowledged with error code 0."""
@@ -185,8 +172,8 @@ class Ig500Emulator(AlwaysOpen):
                 self._sending, self._divider = mode == 1, max(1, divider)
             elif frame.command == GET_OUTPUT_MASK:
                 answer = encode_frame(RETURN_OUTPUT_MASK, struct.pack(">I", self._codec.mask))
-                self._queue.append((self._last_arrival_us, answer))
+                self._queue.append((self._last_due_us, answer))
                 continue
             else:
                 continue
-            self._queue.append((self._last_arrival_us, encode_frame(ACKNOWLEDGE, struct.pack(">H", 0))))
+            self._queue.append((self._last_due_us, encode_frame(ACKNOWLEDGE, struct.pack(">H", 0))))

@@ -1,71 +1,80 @@
-"""What the simulated sensors with a rate, a latency and gaps have in common."""
+"""What simulated sensors have in common: a rate, a latency, samples that are lost and gaps."""
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Generic, TypeVar
 
 import numpy as np
 
+from autopilot.drivers.base import AlwaysOpen
 from autopilot.sitl.outages import OutageClock
-from autopilot.sitl.scenario import Fault, Outages
+from autopilot.sitl.scenario import DepthSensor, DvlSensor, Fault, PoseSensor
 
 T = TypeVar("T")
 
 
-def arrived(queue: deque[tuple[int, T]], t_us: int) -> list[T]:
-    """What is due up to ``t_us`` of a queue of due times and samples; it is taken out."""
-    due = []
-    while queue and queue[0][0] <= t_us:
-        due.append(queue.popleft()[1])
-    return due
+class DelayedSensor(AlwaysOpen, Generic[T]):
+    """When samples are taken, and the queue of those that are under way."""
 
-
-class DelayedSamples(Generic[T]):
-    """When samples are taken, which are lost, and the queue of those that are under way."""
-
-    def __init__(
-        self,
-        *,
-        rate_hz: float,
-        latency_s: float,
-        jitter_s: float,
-        drop_probability: float,
-        outages: Outages,
-        faults: Iterable[Fault],
-        sensor: str,
-        rng: np.random.Generator,
-    ) -> None:
-        """``jitter_s``: standard deviation of the latency. ``sensor``: what faults call it."""
+    def __init__(self, rate_hz: float, latency_s: float, jitter_s: float = 0.0) -> None:
+        """``jitter_s``: standard deviation of the latency."""
         self._rate_hz = rate_hz
         self._latency_s = latency_s
         self._jitter_s = jitter_s
-        self._drop_probability = drop_probability
-        self._outages = OutageClock(outages, faults, rng, sensor=sensor)
         self._count = 0
         self._last_due_us = 0
         self._queue: deque[tuple[int, T]] = deque()
         self.next_us = 0
         """When the next sample is taken."""
 
-    def advance(self) -> None:
+    def poll(self, t_us: int) -> list[T]:
+        """What has arrived up to ``t_us``."""
+        return [sample for _, sample in self._arrived(t_us)]
+
+    def _arrived(self, t_us: int) -> list[tuple[int, T]]:
+        """The same with the times of arrival; it is taken out of the queue."""
+        due = []
+        while self._queue and self._queue[0][0] <= t_us:
+            due.append(self._queue.popleft())
+        return due
+
+    def _taken(self) -> None:
         """A sample has been taken: set the time of the next."""
         self._count += 1
         self.next_us = round(self._count * 1e6 / self._rate_hz)
+
+    def _send(self, t_us: int, normal: float, *samples: T) -> None:
+        """They arrive after the latency, never before an earlier one; ``normal`` is a standard normal number."""
+        delay_s = self._latency_s + self._jitter_s * normal
+        self._last_due_us = max(self._last_due_us, t_us + max(0, round(delay_s * 1e6)))
+        self._queue.extend((self._last_due_us, sample) for sample in samples)
+
+
+class LossySensor(DelayedSensor[T]):
+    """One whose samples are also lost, one by one or in gaps."""
+
+    def __init__(
+        self,
+        table: PoseSensor | DepthSensor | DvlSensor,
+        usual: tuple[float, float],
+        faults: Iterable[Fault],
+        seed: tuple[int, int],
+        *,
+        sensor: str,
+    ) -> None:
+        """``usual``: rate [Hz] and latency [s] where the scenario's table has none. ``seed``: of the run and of the
+        sensor; the next one is that of its gaps. ``sensor``: what faults call it."""
+        rate_hz, latency_s = usual
+        latency_s = latency_s if table.latency_s is None else table.latency_s
+        super().__init__(table.rate_hz or rate_hz, latency_s, table.latency_jitter_s)
+        self._rng = np.random.default_rng(seed)
+        self._drop_probability = table.drop_probability
+        self._outages = OutageClock(table.outages, faults, np.random.default_rng((seed[0], seed[1] + 1)), sensor=sensor)
 
     def add(self, fault: Fault) -> bool:
         """A fault that begins while the simulation runs; whether it is one of this sensor."""
         return self._outages.add(fault)
 
-    def lost(self, t_us: int, chance: float) -> bool:
+    def _lost(self, t_us: int, chance: float) -> bool:
         """Whether the sample of that time never arrives; ``chance`` is even in [0, 1)."""
         return self._outages.silent(t_us) or chance < self._drop_probability
-
-    def send(self, t_us: int, normal: float, sample: T) -> None:
-        """The sample arrives after the latency, never before an earlier one."""
-        delay_s = self._latency_s + self._jitter_s * normal
-        self._last_due_us = max(self._last_due_us, t_us + max(0, round(delay_s * 1e6)))
-        self._queue.append((self._last_due_us, sample))
-
-    def poll(self, t_us: int) -> Sequence[T]:
-        """What has arrived up to ``t_us``."""
-        return arrived(self._queue, t_us)

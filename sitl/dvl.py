@@ -1,20 +1,19 @@
 """A simulated Doppler velocity log: velocity of the place where it sits, over ground or through the water."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.samples import VelocityLock, VelocitySample
 from autopilot.core.vehicle import DvlMount
-from autopilot.drivers.base import AlwaysOpen
-from autopilot.sitl.delayed import DelayedSamples
+from autopilot.sitl.delayed import LossySensor
 from autopilot.sitl.fault_tables import SensorFrozen
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import DvlSensor, Fault
 
 
-class SimDvl(AlwaysOpen):
+class SimDvl(LossySensor[VelocitySample]):
     """Takes samples of the truth and delivers them after their latency."""
 
     def __init__(
@@ -22,39 +21,20 @@ class SimDvl(AlwaysOpen):
     ) -> None:
         """``floor_depth_m`` None: the floor is always in reach."""
         faults = list(faults)
+        super().__init__(sensor, (mount.rate_hz, mount.latency_s), faults, (seed, 50), sensor="dvl")
         self._frozen = [f for f in faults if isinstance(f, SensorFrozen) and f.sensor == "dvl"]
         self._last_m_s = np.zeros(3)
         self._sensor = sensor
         self._mount_frd_m = np.array(mount.position_frd_m)
         self._floor_depth_m = floor_depth_m
-        self._rng = np.random.default_rng((seed, 50))
-        self._line: DelayedSamples[VelocitySample] = DelayedSamples(
-            rate_hz=sensor.rate_hz or mount.rate_hz,
-            latency_s=mount.latency_s if sensor.latency_s is None else sensor.latency_s,
-            jitter_s=sensor.latency_jitter_s,
-            drop_probability=sensor.drop_probability,
-            outages=sensor.outages,
-            faults=faults,
-            sensor="dvl",
-            rng=np.random.default_rng((seed, 51)),
-        )
         self._bias_m_s = sensor.bias_m_s * self._rng.standard_normal(3)
         self._scale = 1.0 + sensor.scale_error * float(self._rng.standard_normal())
 
-    @property
-    def next_us(self) -> int:
-        """When the next sample is taken."""
-        return self._line.next_us
-
-    def add(self, fault: Fault) -> bool:
-        """A fault that begins while the simulation runs; whether it is one of this sensor."""
-        return self._line.add(fault)
-
     def observe(self, truth: Truth) -> None:
         """Take the sample that is due at ``truth.t_us``."""
-        self._line.advance()
+        self._taken()
         noise, chance = self._rng.standard_normal(4), self._rng.random(5)
-        if self._line.lost(truth.t_us, float(chance[0])):
+        if self._lost(truth.t_us, float(chance[0])):
             return
         bottom = self._sensor.lock == "bottom"
         if bottom and not self._in_reach(truth):
@@ -73,11 +53,7 @@ class SimDvl(AlwaysOpen):
             sigma_m_s=np.full(3, self._sensor.sigma_m_s),
             lock=VelocityLock.BOTTOM if bottom else VelocityLock.WATER,
         )
-        self._line.send(truth.t_us, float(noise[3]), sample)
-
-    def poll(self, t_us: int) -> Sequence[VelocitySample]:
-        """What has arrived up to ``t_us``."""
-        return self._line.poll(t_us)
+        self._send(truth.t_us, float(noise[3]), sample)
 
     def _in_reach(self, truth: Truth) -> bool:
         if self._floor_depth_m is None:

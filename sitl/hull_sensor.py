@@ -2,12 +2,15 @@
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from autopilot.core.samples import HullSample, LeakSample
 from autopilot.drivers.base import AlwaysOpen
 from autopilot.sitl.fault_tables import HullClimate, Leak
+from autopilot.sitl.outages import OutageClock
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario_tables import Fault, SensorSilence
-from autopilot.sitl.sensor_tables import HullSensor
+from autopilot.sitl.scenario_tables import Fault
+from autopilot.sitl.sensor_tables import HullSensor, Outages
 
 PERIOD_US = 500_000
 
@@ -20,11 +23,7 @@ class SimHullSensor(AlwaysOpen):
         faults = list(faults)
         self._leaks = [fault for fault in faults if isinstance(fault, Leak)]
         self._climate = [fault for fault in faults if isinstance(fault, HullClimate)]
-        self._gaps = [
-            (fault.at_s * 1e6, (fault.at_s + fault.duration_s) * 1e6)
-            for fault in faults
-            if isinstance(fault, SensorSilence) and fault.sensor == "hull"
-        ]
+        self._gaps = OutageClock(Outages(), faults, np.random.default_rng(0), sensor="hull")
         self._samples: list[LeakSample | HullSample] = []
         self.next_us = 0
         """When it looks next."""
@@ -35,17 +34,15 @@ class SimHullSensor(AlwaysOpen):
             self._leaks.append(fault)
         elif isinstance(fault, HullClimate):
             self._climate.append(fault)
-        elif isinstance(fault, SensorSilence) and fault.sensor == "hull":
-            self._gaps.append((fault.at_s * 1e6, (fault.at_s + fault.duration_s) * 1e6))
         else:
-            return False
+            return self._gaps.add(fault)
         return True
 
     def observe(self, truth: Truth) -> None:
         """Look."""
         t_us = truth.t_us
         self.next_us += PERIOD_US
-        if any(begin <= t_us < end for begin, end in self._gaps):
+        if self._gaps.silent(t_us):
             return
         pressure_pa, temperature_c = self._sensor.pressure_pa, self._sensor.temperature_c
         for fault in self._climate:

@@ -5,24 +5,23 @@ and velocity, and arrives after the latency.
 """
 
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
 
 from autopilot.core.samples import ObstacleTrack
-from autopilot.drivers.base import AlwaysOpen
-from autopilot.sitl.delayed import arrived
+from autopilot.sitl.delayed import DelayedSensor
 from autopilot.sitl.moving import Motion, MovingPath
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, ObstacleSensor
 from autopilot.sitl.world import moving_path
 
 
-class SimObstacleSensor(AlwaysOpen):
+class SimObstacleSensor(DelayedSensor[ObstacleTrack]):
     """Looks at the truth at its own rate."""
 
     def __init__(self, sensor: ObstacleSensor, obstacles: Sequence[Obstacle], seed: int) -> None:
+        super().__init__(sensor.rate_hz, sensor.latency_s)
         self._sensor = sensor
         self._rng = np.random.default_rng((seed, 30))
         self._seen: list[tuple[int, MovingPath | Motion, float]] = []
@@ -31,10 +30,6 @@ class SimObstacleSensor(AlwaysOpen):
                 self._seen.append((number, moving_path(obstacle), obstacle.radius_m))
             elif isinstance(obstacle, CylinderObstacle) and obstacle.surprise:
                 self._seen.append((number, Motion(obstacle.center_m, (0.0, 0.0)), obstacle.radius_m))
-        self._count = 0
-        self.next_us = 0
-        """When it looks next."""
-        self._queue: deque[tuple[int, ObstacleTrack]] = deque()
 
     @property
     def blind(self) -> bool:
@@ -48,14 +43,12 @@ class SimObstacleSensor(AlwaysOpen):
 
     def begin(self, t_us: int) -> None:
         """Look from then on: so far there was nothing to be seen."""
-        self._count = math.ceil(1e-6 * t_us * self._sensor.rate_hz)
-        self.next_us = round(self._count * 1e6 / self._sensor.rate_hz)
+        self._count = math.ceil(1e-6 * t_us * self._rate_hz) - 1
+        self._taken()
 
     def observe(self, truth: Truth) -> None:
         """Look round at ``truth.t_us``."""
-        self._count += 1
-        self.next_us = round(self._count * 1e6 / self._sensor.rate_hz)
-        due_us = truth.t_us + round(self._sensor.latency_s * 1e6)
+        self._taken()
         for number, path, radius_m in self._seen:
             motion = path.at(truth.t_us * 1e-6) if isinstance(path, MovingPath) else path
             noise = self._rng.standard_normal(4)
@@ -71,8 +64,4 @@ class SimObstacleSensor(AlwaysOpen):
                 vel_ned_m_s=velocity,
                 radius_m=radius_m,
             )
-            self._queue.append((due_us, report))
-
-    def poll(self, t_us: int) -> list[ObstacleTrack]:
-        """What has arrived by ``t_us``."""
-        return arrived(self._queue, t_us)
+            self._send(truth.t_us, 0.0, report)

@@ -4,7 +4,6 @@ It measures what the camera and its marker processing would: the vehicle's posit
 with the height above the floor, wrong fixes, gaps and the camera's latency; and the range along the laser beam.
 """
 
-from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
@@ -12,9 +11,7 @@ import numpy as np
 from autopilot.core.frames import FloatArray, r_ned_from_frd, wrap_pi
 from autopilot.core.samples import LaserSample, PoseSample
 from autopilot.core.vehicle import Laser, Vehicle
-from autopilot.drivers.base import AlwaysOpen
-from autopilot.sitl.delayed import arrived
-from autopilot.sitl.outages import OutageClock
+from autopilot.sitl.delayed import LossySensor
 from autopilot.sitl.picture_faults import PictureFaults
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario import Fault, LaserSensor, PoseSensor
@@ -27,11 +24,11 @@ LEAST_SCALE = 0.3
 LASER_LEAST_RANGE_M, LASER_MOST_RANGE_M = 0.15, 2.0
 """Where the dot is in the picture, and bright enough."""
 
-POSE_RATE_HZ, POSE_LATENCY_S = 30.0, 0.06
-"""Of a vehicle without a camera, where the scenario does not say: those of the shipped cameras."""
+USUAL = (30.0, 0.06)
+"""Rate [Hz] and latency [s] of a vehicle without a camera, where the scenario does not say: the shipped cameras'."""
 
 
-class SimPoseSensor(AlwaysOpen):
+class SimPoseSensor(LossySensor[PoseSample | LaserSample]):
     """Takes samples of the truth and delivers them after their latency."""
 
     def __init__(
@@ -44,55 +41,36 @@ class SimPoseSensor(AlwaysOpen):
         seed: int,
     ) -> None:
         """``floor_depth_m`` None: open water, the position comes from outside and there is no laser range."""
+        faults, camera = list(faults), vehicle.camera
+        usual = USUAL if camera is None else (camera.rate_hz, camera.latency_s)
+        super().__init__(pose, usual, faults, (seed, 20), sensor="camera")
         self._pose = pose
         self._laser = laser
         self._floor_depth_m = floor_depth_m
-        camera = vehicle.camera
         self._camera_frd_m = np.array((0.0, 0.0, 0.0) if camera is None else camera.position_frd_m)
         self._ranges = laser.enabled and vehicle.laser is not None
         beam = vehicle.laser or Laser(position_frd_m=(0.0, 0.0, 0.0))
         self._laser_frd_m, beam_frd = np.array(beam.position_frd_m), np.array(beam.direction_frd)
         self._beam_frd = beam_frd / np.linalg.norm(beam_frd)
-        self._rate_hz = pose.rate_hz or (POSE_RATE_HZ if camera is None else camera.rate_hz)
-        latency_s = POSE_LATENCY_S if camera is None else camera.latency_s
-        self._latency_s = latency_s if pose.latency_s is None else pose.latency_s
         self._sigma_pos_m = np.array([pose.sigma_xy_m, pose.sigma_xy_m, pose.sigma_z_m])
-        faults = list(faults)
         self._faults = OpticalFaults(faults)
         self._pictures = PictureFaults(faults)
-        self._rng = np.random.default_rng((seed, 20))
-        self._outages = OutageClock(pose.outages, faults, np.random.default_rng((seed, 21)))
-        self._count = 0
-        self.next_us = 0
-        """When the next sample is taken."""
-        self._last_due_us = 0
-        self._queue: deque[tuple[int, PoseSample | LaserSample]] = deque()
 
     def add(self, fault: Fault) -> bool:
         """A fault that begins while the simulation runs; whether it is one of this sensor."""
-        return self._pictures.add(fault) or self._outages.add(fault)
+        return self._pictures.add(fault) or super().add(fault)
 
     def observe(self, truth: Truth) -> None:
         """Take the sample that is due at ``truth.t_us``."""
-        self._count += 1
-        self.next_us = round(self._count * 1e6 / self._rate_hz)
+        self._taken()
         noise = self._rng.standard_normal(6).tolist()
         chance = self._rng.random(6).tolist()
         shown = self._pictures.pose_shown(truth, self._count)
-        if self._outages.silent(truth.t_us) or chance[0] < self._pose.drop_probability or shown is None:
+        if self._lost(truth.t_us, chance[0]) or shown is None:
             return
-        delay_s = self._latency_s + self._pose.latency_jitter_s * noise[5]
-        due_us = max(self._last_due_us, truth.t_us + max(0, round(delay_s * 1e6)))
-        self._last_due_us = due_us
         r = r_ned_from_frd(shown.rpy_rad)
-        self._queue.append((due_us, self._measured(shown, r, noise, chance)))
         laser = self._range(shown, r, noise[4], chance)
-        if laser is not None:
-            self._queue.append((due_us, laser))
-
-    def poll(self, t_us: int) -> list[PoseSample | LaserSample]:
-        """What is due up to ``t_us``."""
-        return arrived(self._queue, t_us)
+        self._send(truth.t_us, noise[5], self._measured(shown, r, noise, chance), *([] if laser is None else [laser]))
 
     def _measured(self, truth: Truth, r: FloatArray, noise: list[float], chance: list[float]) -> PoseSample:
         scale = self._scale(truth, r)
