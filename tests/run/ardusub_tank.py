@@ -11,7 +11,6 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.drivers.links import open_link
 from autopilot.mission.plan_files import write_plan
 from autopilot.run.children import free_port
-from autopilot.run.compose import end_slow_work
 from autopilot.run.config import Settings, gather, vehicle_defaults
 from autopilot.run.demo import paper_plan
 from autopilot.run.hardware_session import open_vehicle
@@ -114,11 +113,6 @@ class Tank:
         return any(text in line for _, line in self.texts)
 
     def close(self) -> None:
-        self.session.runtime.close()
-        self.session.recorder.close()
-        self.session.kept.params.finish()
-        if self.session.kept.plans is not None:
-            self.session.kept.plans.finish()
-        end_slow_work(self.session.parts, self.session.kept.disk)
+        self.session.close()
         self._wire.close()
         self._client.close()

@@ -102,12 +102,7 @@ class Flight:
         return commander.arm(force=False).reason
 
     def close(self) -> None:
-        self.session.runtime.close()
-        self.session.recorder.close()
-        self.session.kept.params.finish()
-        if self.session.kept.plans is not None:
-            self.session.kept.plans.finish()
-        end_slow_work(self.session.parts, self.session.kept.disk)
+        self.session.close()
 
 
 @pytest.fixture
