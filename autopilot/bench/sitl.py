@@ -14,7 +14,7 @@ from autopilot.bench.predict_clock import PredictClock
 from autopilot.core.messages import Inputs, Outputs
 from autopilot.mission.paper import paper_plan
 from autopilot.mission.plan_files import write_plan
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
 REACH = {"camera": 4.0, "pose": 20.0}
@@ -96,12 +96,8 @@ def paper_flight(folder: Path, log: Path, *, sensors: str, duration_s: float, se
     """The paper's mission with a scripted operator and no sockets."""
     plan = folder / "paper.plan"
     write_plan(plan, paper_plan())
-    given = {"speed": 0.0, "sensors": sensors, "duration": duration_s, "plan": str(plan), "start": True, "seed": seed}
-    settings = gather(sitl_defaults(0), given, {})
-    settings.put("connect", (), "bench")
-    settings.put("state_dir", str(folder), "bench")
-    settings.put("log", str(log), "bench")
-    return open_sitl(settings, {})
+    given = {"sensors": sensors, "duration": duration_s, "plan": str(plan), "start": True, "seed": seed}
+    return open_sitl(flight_settings(folder, {**given, "log": str(log)}), {})
 
 
 def _timed_ticks(session: SitlSession, clock: PredictClock) -> list[float]:

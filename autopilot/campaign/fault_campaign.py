@@ -4,17 +4,15 @@ A folder holds one line of JSON per finished flight (``faults.jsonl``); the same
 flight k of a row draws depends on row, scenario and k alone.
 """
 
-import json
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from autopilot.campaign.fault_cases import CASES, FaultCase
-from autopilot.campaign.fault_flights import PLANS, FaultResult, fly_fault_case, line_of
+from autopilot.campaign.fault_flights import PLANS, FaultResult, fly_fault_case
+from autopilot.campaign.store import ResultStore, read_lines
 from autopilot.core.errors import ConfigError
-from autopilot.log.lock import lock_exclusive
 
 FILE = "faults.jsonl"
 BETWEEN_S = {"paper-tank": (9.0, 40.0), "harbour": (9.0, 90.0)}
@@ -59,35 +57,23 @@ def _task(case: FaultCase, scenario: str, run: int) -> FaultTask:
 
 def fly_campaign(folder: Path, wanted: Sequence[FaultTask]) -> Iterator[FaultResult]:
     """Fly what is not in the folder yet. Results are in the file before they are given. ConfigError: it is in use."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / FILE
-    done = {(row.rule, row.scenario, row.seed) for row in results(folder)}
-    with path.open("ab") as file:
-        if not lock_exclusive(file):
-            raise ConfigError(f"{path} is being written by another process; wait for it or use another folder")
-        if path.stat().st_size:
-            file.write(b"\n")  # behind a line that may have been cut off
+    store: ResultStore[FaultResult] = ResultStore(
+        folder / FILE, lambda flight: f"{flight.rule} of {flight.scenario}", option="--out"
+    )
+    try:
+        done = results(folder)
         for task in wanted:
-            if task.key in done:
-                continue
-            result = fly_fault_case(task.case, task.scenario, task.seed, task.at_s)
-            file.write(line_of(result).encode() + b"\n")
-            file.flush()
-            yield result
+            if task.key not in done:
+                result = fly_fault_case(task.case, task.scenario, task.seed, task.at_s)
+                store.append(result)
+                yield result
+    finally:
+        store.close()
 
 
-def results(folder: Path) -> list[FaultResult]:
-    """All finished flights of a folder; a line that was cut off does not count."""
-    path, found = folder / FILE, []
-    if not path.exists():
-        return []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        try:
-            values: dict[str, Any] = json.loads(line)
-            found.append(FaultResult(**{**values, "texts": tuple(values["texts"])}))
-        except (ValueError, TypeError, KeyError):
-            continue
-    return found
+def results(folder: Path) -> dict[tuple[str, str, int], FaultResult]:
+    """All finished flights of a folder by the keys of their tasks. LogError names a line that is damaged."""
+    return read_lines([folder / FILE], FaultResult, lambda result: (result.rule, result.scenario, result.seed))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

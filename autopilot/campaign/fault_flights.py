@@ -4,12 +4,11 @@ Reaction is counted from the moment at which the fault begins. The closest appro
 centre to the nearest boundary of the fence, from then on.
 """
 
-import json
 import math
 import tempfile
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from autopilot.command.failsafe_table import Effect
 from autopilot.core.messages import Outputs
 from autopilot.mavlink.api import FlightMode
 from autopilot.mission.room import Room
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 from autopilot.sitl.scenario import scenario_path
 from autopilot.sitl.toml_text import toml_text
@@ -108,11 +107,9 @@ def fly_fault_case(case: FaultCase, scenario: str, seed: int, at_s: float) -> Fa
         path.write_text(toml_text(_tables(case, scenario, at_s)), encoding="utf-8")
         plan = scenario_path(scenario).parent / PLANS[scenario]
         end_s = at_s + case.within_s + case.settle_s
-        given = {"scenario": str(path), "speed": 0.0, "sensors": "pose", "duration": end_s, "plan": str(plan)}
+        given = {"scenario": str(path), "sensors": "pose", "duration": end_s, "plan": str(plan)}
         parts = {"controller": case.controller, "estimator": case.estimator}
-        settings = gather(sitl_defaults(0), {**given, **parts, "seed": seed, "start": True}, {})
-        settings.put("connect", (), "campaign")
-        settings.put("state_dir", folder, "campaign")
+        settings = flight_settings(folder, {**given, **parts, "seed": seed, "start": True})
         watches: list[_Watch] = []
         Breaking.from_s = at_s
         params = {"MPC_COST": 0.0, **case.params}
@@ -174,8 +171,3 @@ def _ends_well(effect: Effect, session: SitlSession, watch: _Watch) -> bool:
         "hand back": watch.handed_back and not commander.armed and idle,
         "disarm": not commander.armed and idle,
     }[effect]
-
-
-def line_of(result: FaultResult) -> str:
-    """As a line of the campaign's file."""
-    return json.dumps(asdict(result))

@@ -8,8 +8,7 @@ from pathlib import Path
 from autopilot.campaign.judge import judge
 from autopilot.campaign.results import RunResult, Task
 from autopilot.campaign.watch import Watch
-from autopilot.core.messages import Outputs
-from autopilot.run.config import Settings, gather, sitl_defaults
+from autopilot.run.config import Settings, flight_settings
 from autopilot.run.sitl_describe import describe_run
 from autopilot.run.sitl_session import open_sitl
 
@@ -20,17 +19,8 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | Non
     AutopilotError if it cannot be flown."""
     cpu_s = time.process_time()
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
-        watches: list[Watch] = []
-
-        def each_tick(outputs: Outputs) -> None:
-            watches[0].tick(outputs)
-
-        settings = _settings(task, Path(folder))
-        if log is not None:
-            settings.put("log", str(log), "campaign")
-        session = open_sitl(settings, task.params, log=log is not None, on_tick=each_tick)
         watch = Watch(lambda: session.device.truth)
-        watches.append(watch)
+        session = open_sitl(_settings(task, Path(folder), log), task.params, log=log is not None, on_tick=watch.tick)
         stopped = False
 
         def enough() -> bool:
@@ -45,21 +35,17 @@ def fly(task: Task, stop: Callable[[], bool] = lambda: False, *, log: Path | Non
         return judge(task, session.scenario, run, watch, session.device.truth, time.process_time() - cpu_s)
 
 
-def _settings(task: Task, folder: Path) -> Settings:
-    """Settings of the run: nothing from the environment, nothing left behind outside ``folder``."""
+def _settings(task: Task, folder: Path, log: Path | None) -> Settings:
     scenario = folder / "scenario.toml"
     scenario.write_text(task.scenario_toml, encoding="utf-8")
     (folder / task.plan_name).write_bytes(task.plan)
     given = {
         "scenario": str(scenario),
-        "speed": 0.0,
         "seed": task.seed,
         "start": True,
         "estimator": task.estimator,
         "sensors": task.sensors,
         "duration": task.duration_s,
+        "log": None if log is None else str(log),
     }
-    settings = gather(sitl_defaults(0), given, {})
-    settings.put("connect", (), "campaign")
-    settings.put("state_dir", str(folder), "campaign")
-    return settings
+    return flight_settings(folder, given)

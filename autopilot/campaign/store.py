@@ -3,14 +3,16 @@
 ``campaign.json`` holds the identity, ``scenarios/run-0007.toml`` what run 7 flew (with the plan beside it), and
 ``runs.jsonl`` (``runs-2of4.jsonl`` for a shard) one :class:`RunResult` per line, each written at once and synced. A
 line that a crash cut off is dropped. Folders of shards are put together by copying their ``runs-*.jsonl`` into one.
+Rooms and the fault campaign keep their flights in the same way (:class:`ResultStore`).
 """
 
 import errno
 import os
+from collections.abc import Callable, Hashable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Generic, TypeVar
 
 import msgspec
 
@@ -21,6 +23,9 @@ from autopilot.log.lock import lock_exclusive
 
 IDENTITY = "campaign.json"
 GO_ON = "finished runs are kept; make room, and the same command goes on"
+
+Result = TypeVar("Result")
+Key = TypeVar("Key", bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,30 +53,57 @@ class Shard:
         return "runs.jsonl" if self.count == 1 else f"runs-{self.index}of{self.count}.jsonl"
 
 
-class Store:
-    """A folder that is open for one shard; nobody else writes that shard meanwhile."""
+class ResultStore(Generic[Result]):
+    """A file of results, one line of JSON each, that is open for one process; nobody else writes it meanwhile."""
 
-    def __init__(self, folder: Path, campaign: Campaign, shard: Shard) -> None:
-        """ConfigError: another campaign lives there, or another process flies this shard. LogError: damaged."""
-        self._folder = folder
-        self._scenarios = folder / "scenarios"
-        path = folder / shard.file_name
+    def __init__(
+        self,
+        path: Path,
+        what: Callable[[Result], str],
+        *,
+        option: str,
+        prepare: Callable[[Path], None] = lambda _: None,
+    ) -> None:
+        """``what`` is a result's name. ``prepare`` writes what else the folder holds. ``option``: what to change where
+        another process writes.
+
+        ConfigError: another campaign lives there, or another process flies it. LogError: damaged."""
+        self._what = what
         try:
-            self._scenarios.mkdir(parents=True, exist_ok=True)
-            settle_identity(folder / IDENTITY, campaign.identity)
-            plan = self._scenarios / campaign.identity.plan_name
-            plan.write_text(campaign.identity.plan, encoding="utf-8")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            prepare(path.parent)
             self._file: IO[bytes] = path.open("ab")
         except OSError as error:
-            raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from error
+            raise ConfigError(f"{path.parent}: cannot be written ({error.strerror}); choose another --out") from error
         if not lock_exclusive(self._file):
             self._file.close()
-            raise ConfigError(f"{path}: another process flies these runs now; wait for it or take another --shard")
-        drop_cut_line(path)
+            raise ConfigError(f"{path}: another process flies these runs now; wait for it or take another {option}")
+        _drop_cut_line(path)
 
     def close(self) -> None:
-        """Give the shard free."""
+        """Give the file free."""
         self._file.close()
+
+    def append(self, result: Result) -> None:
+        """Keep a finished run: one write, then on disk. LogError if the disk does not take it."""
+        _append_line(self._file, msgspec.json.encode(result) + b"\n", self._what(result))
+
+
+class Store(ResultStore[RunResult]):
+    """A folder that is open for one shard."""
+
+    def __init__(self, folder: Path, campaign: Campaign, shard: Shard) -> None:
+        """See :class:`ResultStore`."""
+        self._folder, self._identity = folder, campaign.identity
+        super().__init__(
+            folder / shard.file_name, lambda run: f"run {run.run}", option="--shard", prepare=self._prepare
+        )
+
+    def _prepare(self, folder: Path) -> None:
+        scenarios = folder / "scenarios"
+        scenarios.mkdir(exist_ok=True)
+        settle_identity(folder / IDENTITY, self._identity)
+        (scenarios / self._identity.plan_name).write_text(self._identity.plan, encoding="utf-8")
 
     def results(self) -> dict[int, RunResult]:
         """Finished runs of all shards in the folder, by number."""
@@ -85,12 +117,8 @@ class Store:
         except OSError as error:
             raise LogError(f"{path}: cannot be written ({error.strerror}); {GO_ON}") from error
 
-    def append(self, result: RunResult) -> None:
-        """Keep a finished run: one write, then on disk. LogError if the disk does not take it."""
-        append_line(self._file, msgspec.json.encode(result) + b"\n", f"run {result.run}")
 
-
-def append_line(file: IO[bytes], line: bytes, what: str) -> None:
+def _append_line(file: IO[bytes], line: bytes, what: str) -> None:
     """The whole line at the end of the file and on disk, or nothing of it. LogError names ``what`` is not kept."""
     number = file.fileno()
     end = os.fstat(number).st_size
@@ -122,16 +150,24 @@ def read_identity(folder: Path) -> Identity:
 
 def read_results(folder: Path) -> dict[int, RunResult]:
     """Finished runs of all shards in a folder, in order. LogError names a line that is damaged."""
-    found: dict[int, RunResult] = {}
-    for path in sorted(folder.glob("runs*.jsonl")):
-        whole, _, _ = path.read_bytes().rpartition(b"\n")
+    found = read_lines(sorted(folder.glob("runs*.jsonl")), RunResult, lambda result: result.run)
+    return dict(sorted(found.items()))
+
+
+def read_lines(paths: Iterable[Path], kind: type[Result], key: Callable[[Result], Key]) -> dict[Key, Result]:
+    """The results in files of lines, as far as there are: the first of each key. LogError names a damaged line."""
+    found: dict[Key, Result] = {}
+    for path in paths:
+        whole, _, _ = path.read_bytes().rpartition(b"\n") if path.exists() else (b"", b"", b"")
         for number, line in enumerate(whole.splitlines(), 1):
+            if not line:
+                continue
             try:
-                result = msgspec.json.decode(line, type=RunResult)
+                result = msgspec.json.decode(line, type=kind)
             except msgspec.MsgspecError as error:
                 raise LogError(f"{path}:{number}: damaged ({error}); delete that line to fly its run again") from error
-            found.setdefault(result.run, result)
-    return dict(sorted(found.items()))
+            found.setdefault(key(result), result)
+    return found
 
 
 def settle_identity(path: Path, mine: msgspec.Struct) -> None:
@@ -152,7 +188,7 @@ def settle_identity(path: Path, mine: msgspec.Struct) -> None:
         )
 
 
-def drop_cut_line(path: Path) -> None:
+def _drop_cut_line(path: Path) -> None:
     """A write that a crash cut off is no run."""
     data = path.read_bytes()
     whole = data.rfind(b"\n") + 1

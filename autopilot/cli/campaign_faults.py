@@ -43,9 +43,8 @@ def faults(
                 f"{result.end}, closest {result.closest_m:g} m{'' if result.kept else ', NOT KEPT'}",
                 err=True,
             )
-    keys = {task.key for task in wanted}
-    found = [result for result in results(out) if (result.rule, result.scenario, result.seed) in keys]
-    lines = table(found)
+    kept = results(out)
+    lines = table([kept[task.key] for task in wanted if task.key in kept])
     if as_json:
         emit_json([asdict(line) for line in lines])
     elif markdown:

@@ -61,15 +61,16 @@ def _all(
     """Fly what is missing; all finished flights that were asked for."""
     from autopilot.campaign.engines import make_engine
     from autopilot.campaign.rooms.flight import RoomTask
-    from autopilot.campaign.rooms.store import RoomStore, room_seed
+    from autopilot.campaign.rooms.store import RoomStore, read_flights
     from autopilot.cli.campaign import stoppable
+    from autopilot.sitl.spread import run_seed
 
     store = RoomStore(out, seed)
     try:
-        finished = store.results()
+        finished = read_flights(out)
         asked = [(room, mode) for room in range(runs) for mode in modes]
         tasks = [
-            RoomTask(room=room, mode=mode, seed=room_seed(seed, room))
+            RoomTask(room=room, mode=mode, seed=run_seed(seed, room))
             for room, mode in asked
             if (room, mode) not in finished
         ]
@@ -83,7 +84,7 @@ def _all(
         if stop:
             click.echo(f"{done} of {len(asked)} flights are kept in {out}; the same command goes on", err=True)
             raise click.Abort
-        results = store.results()
+        results = read_flights(out)
         return [results[key] for key in asked if key in results]
     finally:
         store.close()
@@ -95,10 +96,10 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> RoomRe
 
     from autopilot.campaign.rooms.flight import fly_room
     from autopilot.campaign.rooms.picture import draw
-    from autopilot.campaign.rooms.room import make_room
-    from autopilot.campaign.rooms.store import room_seed, write_files
+    from autopilot.campaign.rooms.room import make_room, write_files
+    from autopilot.sitl.spread import run_seed
 
-    made = make_room(room_seed(seed, room))
+    made = make_room(run_seed(seed, room))
     name = next(name for name, number in MODE_NAMES.items() if number == mode)
     folder = out / f"room-{room:04d}-{name}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -106,7 +107,7 @@ def _alone(out: Path, seed: int, room: int, mode: int, *, quiet: bool) -> RoomRe
     log.unlink(missing_ok=True)
     flown = fly_room(made, mode, log=str(log))
     assert flown is not None  # nobody stops it
-    write_files(folder, made.seed, mode=mode, duration_s=flown.prospect.bound_s(mode))
+    write_files(made, folder, mode=mode, duration_s=flown.prospect.bound_s(mode))
     draw(made, flown, folder / "flight.png")
     result = msgspec.structs.replace(flown.result, room=room)
     if not quiet:

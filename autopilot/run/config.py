@@ -208,6 +208,14 @@ def gather(
     return settings
 
 
+def flight_settings(folder: Path | str, given: dict[str, Any]) -> Settings:
+    """Settings of a simulated flight by itself, as fast as the machine allows unless ``given`` says otherwise: nothing
+    from the environment, no connections, and what it keeps is kept in ``folder``."""
+    settings = gather(sitl_defaults(0), {"speed": 0.0, "state_dir": str(folder), **given}, {})
+    settings.put("connect", (), "flight by itself")
+    return settings
+
+
 def chosen_part(settings: Settings, kind: str, in_scenario: str) -> tuple[str, str]:
     """Name of the controller, estimator or plant, and the option, variable or key that says so, for errors."""
     setting = settings.table[kind]

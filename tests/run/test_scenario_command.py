@@ -133,13 +133,11 @@ def own(folder: Path, text: str = TANK, mission: str = MISSION) -> Path:
 
 def test_the_geometry_is_typed_once_and_flown(tmp_path: Path) -> None:
     """What the vehicle has for a fence after it was loaded is what the scenario's tables say."""
-    from autopilot.run.config import gather, sitl_defaults
+    from autopilot.run.config import flight_settings
     from autopilot.run.sitl_session import open_sitl
 
     given = {"scenario": str(own(tmp_path)), "speed": 0.0, "start": True, "duration": 0.5}
-    chosen = gather(sitl_defaults(0), given, {})
-    chosen.put("connect", (), "test")
-    chosen.put("state_dir", str(tmp_path), "test")
+    chosen = flight_settings(tmp_path, given)
     session = open_sitl(chosen, {}, log=False)
     session.run(lambda: False)
     fence = session.parts.commander.fence

@@ -22,7 +22,7 @@ from autopilot.estimator.vision import Hint
 from autopilot.estimator.vision_lane import VisionWorker
 from autopilot.log.packer import MAX_PROGRAMS
 from autopilot.log.reader import open_log
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
 OpenSession = Callable[..., SitlSession]
@@ -85,11 +85,9 @@ def flight(tmp_path: Path) -> Iterator[Callable[..., Flight]]:
     opened: list[SitlSession] = []
 
     def make(log: Path | None = None, under_way: bool = True) -> Flight:
-        settings = gather(
-            sitl_defaults(0), {"scenario": "paper-tank", "speed": 0.0, "sensors": "pose", "start": under_way}, {}
+        settings = flight_settings(
+            tmp_path / "state", {"scenario": "paper-tank", "sensors": "pose", "start": under_way}
         )
-        settings.put("connect", (), "test")
-        settings.put("state_dir", str(tmp_path / "state"), "test")
         settings.put("log", None if log is None else str(log), "test")
         client = Client()
         session = open_sitl(settings, {"FS_FAULT_TIME": 2.0, "MPC_COST": 0.0}, log=log is not None, peers=(client,))

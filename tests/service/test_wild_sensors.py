@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from autopilot.core.samples import AhrsSample, PoseSample, Sample
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import open_sitl
 
 FAULT_US, GAP_US, END_S = 8_000_000, 4_000_000, 14.0
@@ -38,9 +38,7 @@ class Lying:
 @pytest.mark.parametrize("offset_m_s2", [10.0])
 def test_a_gross_offset_in_a_gap_ends_nothing(tmp_path: Path, offset_m_s2: float) -> None:
     given = {"scenario": "paper-tank", "speed": 0.0, "sensors": "pose", "start": True}
-    settings = gather(sitl_defaults(0), given, {})
-    settings.put("connect", (), "test")
-    settings.put("state_dir", str(tmp_path), "test")
+    settings = flight_settings(tmp_path, given)
     session = open_sitl(settings, {}, log=False)
     session.runtime._device = Lying(session.device, offset_m_s2)  # type: ignore[assignment]
     beats, armed = [], []

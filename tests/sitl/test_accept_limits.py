@@ -4,17 +4,14 @@ from pathlib import Path
 
 from autopilot.log.check import acceptance_table
 from autopilot.log.reader import open_log
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import open_sitl
 
 
 def test_a_run_is_judged_by_its_own_limits(tmp_path: Path) -> None:
     """Legs at 5 m, where the paper's tank has a limit of 1.2 m."""
-    given = {"scenario": "b2", "speed": 0.0, "duration": 2.0, "start": True, "log": str(tmp_path / "run.mcap")}
-    settings = gather(sitl_defaults(0), given, {})
-    settings.put("connect", (), "test")
-    settings.put("state_dir", str(tmp_path / "state"), "test")
-    open_sitl(settings, {"SPD_PLANAR_MAX": 0.4}).run()
+    given = {"scenario": "b2", "duration": 2.0, "start": True, "log": str(tmp_path / "run.mcap")}
+    open_sitl(flight_settings(tmp_path / "state", given), {"SPD_PLANAR_MAX": 0.4}).run()
     log = open_log(tmp_path / "run.mcap")
     run = log.description
     assert run is not None

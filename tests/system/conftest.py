@@ -10,7 +10,7 @@ from system_harness import OpenSession, RunningService
 
 from autopilot.core.messages import Outputs
 from autopilot.run.children import Child, autopilot_command, free_port
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import SitlSession, open_sitl
 
 
@@ -28,9 +28,7 @@ def sessions(folder: Path) -> Iterator[OpenSession]:
         on_tick: Callable[[Outputs], None] = lambda _: None,
         **given: Any,
     ) -> SitlSession:
-        settings = gather(sitl_defaults(0), {"scenario": scenario, "speed": 0.0, **given}, {})
-        settings.put("connect", (), "test")
-        settings.put("state_dir", str(folder / "state"), "test")
+        settings = flight_settings(folder / "state", {"scenario": scenario, **given})
         settings.put("log", None if log is None else str(log), "test")
         made = open_sitl(settings, params or {}, log=log is not None, peers=peers, on_tick=on_tick)
         opened.append(made)

@@ -82,11 +82,11 @@ def test_a_campaign_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: py
     next(first)
     first.close()
     with (tmp_path / fault_campaign.FILE).open("a") as file:
-        file.write('{"rule": "LEAK", "scena')
+        file.write('\n{"rule": "LEAK", "scena')
     assert len(results(tmp_path)) == 2
     assert len(list(fly_campaign(tmp_path, wanted))) == 2
     assert sorted(flown) == sorted(task.key for task in wanted)
-    rows = table(results(tmp_path))
+    rows = table(list(results(tmp_path).values()))
     assert [(row.rule, row.flights, row.kept, row.reaction_s) for row in rows] == [
         ("GCS", 2, 2, 0.5),
         ("LEAK", 2, 2, 0.5),

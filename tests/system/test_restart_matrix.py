@@ -30,7 +30,7 @@ from autopilot.log.reader import open_log
 from autopilot.mavlink.api import FlightMode
 from autopilot.mission.paper import paper_plan
 from autopilot.run.children import LOCAL, Child, autopilot_command, free_port
-from autopilot.run.config import gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.signing_files import EPOCH_S, SigningFiles
 from autopilot.run.sitl_session import open_sitl
 
@@ -51,9 +51,7 @@ class Vehicle(Harbour):
     """A run with a client that signs as pymavlink does."""
 
     def __init__(self, folder: Path, now_s: float) -> None:
-        settings = gather(sitl_defaults(0), {"speed": 0.0, "sensors": "pose", "keep_plans": True}, {})
-        settings.put("connect", (), "test")
-        settings.put("state_dir", str(folder), "test")
+        settings = flight_settings(folder, {"sensors": "pose", "keep_plans": True})
         self.client = WireClient()
         codec = self.client._mav
         codec.signing.secret_key, codec.signing.sign_outgoing, codec.robust_parsing = KEY, True, True

@@ -16,7 +16,7 @@ from autopilot.campaign.rooms.chart import Chart
 from autopilot.campaign.rooms.flight import Flown, RoomTask, fly_room
 from autopilot.campaign.rooms.prospect import prospect
 from autopilot.campaign.rooms.results import Outcome, RoomResult
-from autopilot.campaign.rooms.room import KINDS, Room, files_of, make_room
+from autopilot.campaign.rooms.room import KINDS, Room, files_of, make_room, write_files
 from autopilot.campaign.rooms.shapes import Block, Disc, Layout, Point, box, clearance_m
 from autopilot.campaign.rooms.store import read_flights
 from autopilot.campaign.rooms.verdict import judge_flight, judge_refusal
@@ -47,8 +47,7 @@ def rooms_command(*arguments: str) -> tuple[int, str]:
 
 
 def written(room: Room, folder: Path, mode: int = 0) -> Path:
-    for name, data in files_of(room, mode=mode, duration_s=60.0).items():
-        (folder / name).write_bytes(data)
+    write_files(room, folder, mode=mode, duration_s=60.0)
     return folder
 
 

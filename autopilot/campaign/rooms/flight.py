@@ -11,12 +11,12 @@ import msgspec
 
 from autopilot.campaign.rooms.prospect import Prospect, prospect
 from autopilot.campaign.rooms.results import RoomResult
-from autopilot.campaign.rooms.room import SCENARIO_FILE, Room, files_of, make_room
+from autopilot.campaign.rooms.room import SCENARIO_FILE, Room, make_room, write_files
 from autopilot.campaign.rooms.verdict import is_hopeless, judge_flight, judge_refusal
 from autopilot.campaign.watch import Watch
 from autopilot.core.errors import PlanError
 from autopilot.core.messages import Fallback, Outputs, Severity
-from autopilot.run.config import Settings, gather, sitl_defaults
+from autopilot.run.config import flight_settings
 from autopilot.run.sitl_session import open_sitl
 from autopilot.sitl.plant import Truth
 
@@ -75,13 +75,11 @@ class RoomTask:
     room: int
     mode: int
     seed: int
-    log: str | None = None
-    """Where its log goes."""
 
     def fly(self, stop: Callable[[], bool] = lambda: False) -> RoomResult | None:
         """The result, None if ``stop`` said so before the end."""
-        flown = fly_room(make_room(self.seed), self.mode, stop, log=self.log)
-        return None if flown is None else _numbered(flown.result, self)
+        flown = fly_room(make_room(self.seed), self.mode, stop)
+        return None if flown is None else msgspec.structs.replace(flown.result, room=self.room)
 
     def failed(self, error: str) -> RoomResult:
         """The result of a flight that raised."""
@@ -108,19 +106,14 @@ def fly_room(
     chances = prospect(room)
     duration_s = chances.bound_s(mode)
     with tempfile.TemporaryDirectory(prefix="room-") as folder:
-        place = Path(folder)
-        for name, data in files_of(room, mode=mode, duration_s=duration_s).items():
-            (place / name).write_bytes(data)
-        watches: list[RoomWatch] = []
+        write_files(room, Path(folder), mode=mode, duration_s=duration_s)
+        given = {"scenario": str(Path(folder) / SCENARIO_FILE), "seed": room.seed, "start": True, "log": log}
+        watch = RoomWatch(lambda: session.device.truth)
         try:
-            session = open_sitl(
-                _settings(place, room.seed, log), {}, log=log is not None, on_tick=lambda out: watches[0].tick(out)
-            )
+            session = open_sitl(flight_settings(folder, given), {}, log=log is not None, on_tick=watch.tick)
         except PlanError as error:
             result = judge_refusal(room, chances, str(error))
             return Flown(_timed(result, room, mode, begun_s), None, chances)
-        watch = RoomWatch(lambda: session.device.truth)
-        watches.append(watch)
         stopped = False
 
         def enough() -> bool:
@@ -143,16 +136,3 @@ def fly_room(
 def _timed(result: RoomResult, room: Room, mode: int, begun_s: float) -> RoomResult:
     cpu_s = round(time.process_time() - begun_s, 2)
     return msgspec.structs.replace(result, cpu_s=cpu_s, mode=mode, seed=room.seed, title=room.title)
-
-
-def _numbered(result: RoomResult, task: RoomTask) -> RoomResult:
-    return msgspec.structs.replace(result, room=task.room)
-
-
-def _settings(folder: Path, seed: int, log: str | None) -> Settings:
-    """Settings of the flight: nothing from the environment, nothing left behind but the log."""
-    given = {"scenario": str(folder / SCENARIO_FILE), "speed": 0.0, "seed": seed, "start": True, "log": log}
-    settings = gather(sitl_defaults(0), given, {})
-    settings.put("connect", (), "campaign")
-    settings.put("state_dir", str(folder), "campaign")
-    return settings

@@ -6,6 +6,7 @@ strong. What becomes of it is the service's business, whether that is right :mod
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -463,3 +464,9 @@ def files_of(room: Room, *, mode: int, duration_s: float) -> dict[str, bytes]:
 
 
 SCENARIO_FILE, PLAN_FILE, VEHICLE_FILE = "scenario.toml", "plan.toml", "vehicle.toml"
+
+
+def write_files(room: Room, folder: Path, *, mode: int, duration_s: float) -> None:
+    """Scenario, plan and vehicle of a room into a folder that there is, to be flown by ``autopilot sitl``."""
+    for name, data in files_of(room, mode=mode, duration_s=duration_s).items():
+        (folder / name).write_bytes(data)
