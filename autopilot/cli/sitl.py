@@ -125,8 +125,8 @@ def _run(
     console = None if quiet else Console()
     show = (lambda _: None) if console is None else console.print
     watch = RunWatch(session, show)
-    name = session.scenario.scenario.name
-    show(f"{name}: seed {session.seed}, speed {session.speed:g}, MAVLink on {', '.join(settings['connect'])}")
+    world, connections = session.world, ", ".join(settings["connect"])
+    show(f"{world.scenario.scenario.name}: seed {world.seed}, speed {world.speed:g}, MAVLink on {connections}")
     to_the_end, steering = settings["until"] == "complete", session.steering
     try:
         wall_s = session.run(

@@ -1,7 +1,5 @@
 """The record of how a service was made, for its log (:mod:`autopilot.replay.again` makes it once more)."""
 
-from pathlib import Path
-
 import msgspec
 
 from autopilot.command.parts import Parts
@@ -16,15 +14,11 @@ from autopilot.record.service import (
 )
 from autopilot.run.compose import ServiceSetup
 from autopilot.run.plans_format import Snapshot, encode
+from autopilot.run.world import WaterTold
 
 
-def service_attachments(
-    setup: ServiceSetup, parts: Parts, *, currents: str, basin: str, map_file: Path | None, map_start: str | None
-) -> dict[str, bytes]:
-    """All that is needed to make that service again, as it is before its first tick.
-
-    ``currents``, ``basin``: what it is told of the water; ``map_file``: of the current, None without one.
-    """
+def service_attachments(setup: ServiceSetup, parts: Parts, water: WaterTold) -> dict[str, bytes]:
+    """All that is needed to make that service again, as it is before its first tick."""
     signing = None if setup.signing is None else setup.signing.state
     record = ServiceRecord(
         profile=setup.profile,
@@ -34,10 +28,10 @@ def service_attachments(
         origin=(setup.origin.lat_deg, setup.origin.lon_deg, setup.origin.alt_m),
         floor_depth_m=setup.floor_depth_m,
         currents=CurrentsRecord(
-            kind=currents,
-            basin=basin,
-            map_suffix="" if map_file is None else map_file.suffix,
-            map_start_utc=map_start,
+            kind=water.kind,
+            basin=water.basin,
+            map_suffix="" if water.map_file is None else water.map_file.suffix,
+            map_start_utc=water.map_start,
         ),
         links=setup.links,
         rates={str(link): rate for link, rate in setup.rates.items()},
@@ -61,5 +55,5 @@ def service_attachments(
     return {
         SERVICE_FILE: msgspec.json.encode(record),
         START_PLANS_FILE: encode(start),
-        **({} if map_file is None else {CURRENTS_FILE: map_file.read_bytes()}),
+        **({} if water.map_file is None else {CURRENTS_FILE: water.map_file.read_bytes()}),
     }

@@ -7,15 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TypedDict, TypeVar
 
 from autopilot.command.parts import Parts
 from autopilot.command.service import Autopilot
 from autopilot.core.camera import CameraModel
-from autopilot.core.clock import Clock
 from autopilot.core.desk import Desk
 from autopilot.core.errors import PlanError
-from autopilot.core.markers import MarkerMap
-from autopilot.core.messages import Below, Inputs, Outputs, Severity
+from autopilot.core.messages import Outputs, Severity
 from autopilot.core.param_file import PersistentParams
 from autopilot.core.vehicle import Vehicle
 from autopilot.drivers.links import open_link, parse_connection
@@ -24,54 +23,30 @@ from autopilot.estimator.frame_filter import FrameFilter
 from autopilot.estimator.vision import MarkerDetector
 from autopilot.estimator.vision_lane import VisionWorker
 from autopilot.mission.loading import load_plan
-from autopilot.mission.plan_files import PlanFile, read_plan
+from autopilot.mission.plan_files import read_plan
 from autopilot.run.allocator import give_back_large_blocks
-from autopilot.run.clocks import make_clock
-from autopilot.run.compose import end_slow_work
+from autopilot.run.clocks import LockstepClock, PacedClock, make_clock
+from autopilot.run.compose import ServiceSetup, build_service, end_slow_work
+from autopilot.run.config import chosen_part
+from autopilot.run.downloads import log_shelf
 from autopilot.run.kept_plans import KeptPlans
-from autopilot.run.outside import Onlooker, Peer, VehicleIo
+from autopilot.run.outside import Onlooker, Onlookers, VehicleIo
 from autopilot.run.recorder import NullRecorder, RunRecorder
 from autopilot.run.runtime import Runtime
 from autopilot.run.service_manager import ServiceManager
+from autopilot.run.session_log import open_recorder
 from autopilot.run.signing_files import SigningFiles
 from autopilot.run.state_check import StateCheck
 from autopilot.run.stills import StillStore
+from autopilot.run.world import Told, World
+from autopilot.view.foxglove import FoxgloveServer
+from autopilot.view.hub import Hub
 
 FASTEST = 20.0
 """How much faster than real time a run without pace may be: clients get that much more of the service's time."""
 
 THREAD_SWITCH_S = 0.0005
 """Python's default of 5 ms would let a busy thread delay a tick by half its length."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Outside:
-    """What a service is connected to. ``speed``: 1 on hardware, 0 = as fast as possible."""
-
-    device: VehicleIo
-    vision: VisionWorker | None
-    links: Sequence[Link]
-    peers: Sequence[Peer]
-    recorder: RunRecorder | NullRecorder
-    speed: float
-    below: Callable[[int], Below | None] = lambda _: None
-    """Who has the vehicle at a time, where there is a flight controller below."""
-    notices: Callable[[], Sequence[tuple[Severity, str]]] = lambda: ()
-    """What operators should know of the devices."""
-    refusals: Callable[[int], tuple[str, ...]] = lambda _: ()
-    """What they have against arming."""
-    skips: bool = False
-    """The world does not wait for a loop that is late."""
-    clock: Clock | None = None
-    """The loop's, None = one of that speed."""
-    onlooker: Onlooker | None = None
-    """Whoever looks on."""
-    hold: Callable[[int], bool] = lambda _: False
-    """Whether time stands still (a simulation only)."""
-    stills: StillStore | None = None
-    """Where stills are stored; None without a camera."""
-    mishaps: Callable[[Inputs], Inputs] = lambda inputs: inputs
-    """What befalls the machine (a simulation only)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -93,6 +68,7 @@ class Kept:
 class Session:
     """A run that is ready to go."""
 
+    world: World
     vehicle: Vehicle
     service: Autopilot
     parts: Parts
@@ -143,18 +119,56 @@ class Session:
         return f"{self.vehicle.name}: {'armed' if commander.armed else 'disarmed'}, {commander.mode.name}"
 
 
-def loop_round(
-    service: Autopilot,
-    parts: Parts,
-    outside: Outside,
-    kept: Kept,
-    warnings: Sequence[str],
-    on_tick: Callable[[Outputs], None],
-) -> Runtime:
-    """The loop round a service, ready to run. ``warnings`` are told to operators on the first tick."""
-    sys.setswitchinterval(THREAD_SWITCH_S)
-    give_back_large_blocks()
-    plans, recorder = kept.plans, outside.recorder
+SomeSession = TypeVar("SomeSession", bound=Session)
+
+
+class SessionOptions(TypedDict, total=False):
+    """What a session may be given beside its world."""
+
+    log: bool
+    links: Sequence[Link] | None
+    """The connections of the settings if they are already open (:mod:`autopilot.run.boot_links`)."""
+    on_tick: Callable[[Outputs], None]
+    view: Hub | None
+    """Who looks at the run and may steer it."""
+    foxglove: FoxgloveServer | None
+    """Who is sent what is logged."""
+    now_s: float | None
+    """Unix time at which signatures begin, None = the machine's."""
+    beside: Onlooker | None
+    """Who looks on instead of ``view`` and ``foxglove``."""
+
+
+def open_session(
+    kind: type[SomeSession],
+    world: World,
+    *,
+    instance: int,
+    log: bool = True,
+    links: Sequence[Link] | None = None,
+    on_tick: Callable[[Outputs], None] = lambda _: None,
+    view: Hub | None = None,
+    foxglove: FoxgloveServer | None = None,
+    now_s: float | None = None,
+    beside: Onlooker | None = None,
+) -> SomeSession:
+    """Everything of a run; the options are :class:`SessionOptions`.
+
+    ConfigError, PlanError, DriverError, LogError name what is wrong; nothing runs then.
+    """
+    settings, told, disk = world.settings, world.told, world.disk
+    signing = SigningFiles(world.folder, disk, now_s=now_s)
+    setup = _service_setup(world, instance, signing)
+    service, parts = build_service(setup)
+    plans = None
+    if world.keeps_plans:
+        plans = KeptPlans(world.folder / "plans.json", parts.plans, parts.commander, disk, parts.witness)
+    warnings = (*world.warnings, *signing.warnings, *_take_plans(parts, world, plans))
+    world.open_device(parts)
+    with _opened(world.device, settings["connect"], links) as open_links:
+        recorder = open_recorder(world, setup, parts) if log else NullRecorder()
+    clock = make_clock(world.speed)
+    kept = Kept(folder=world.folder, params=world.persistent, plans=plans, disk=disk, signing=signing)
     state = _state_check(parts, kept)
     news: list[tuple[Severity, str]] = [(Severity.WARNING, text) for text in warnings]
 
@@ -165,33 +179,91 @@ def loop_round(
 
     def notices() -> Sequence[tuple[Severity, str]]:
         kept_news = () if plans is None else plans.take_notices()
-        told = (*news, *state.take_notices(), *recorder.take_notices(), *kept_news, *outside.notices())
+        said = (*news, *state.take_notices(), *recorder.take_notices(), *kept_news, *world.notices())
         news.clear()
-        return told
+        return said
 
+    sys.setswitchinterval(THREAD_SWITCH_S)
+    give_back_large_blocks()
     runtime = Runtime(
         service,
-        outside.device,
-        outside.vision,
-        outside.links,
+        world.device,
+        _marker_vision(told, paced=world.speed > 0.0),
+        open_links,
         recorder,
-        outside.clock or make_clock(outside.speed),
-        peers=outside.peers,
+        clock,
+        peers=world.peers,
         on_tick=each_tick,
-        paced=outside.speed > 0.0,
+        paced=world.speed > 0.0,
         notices=notices,
-        below=outside.below,
-        refusals=lambda t_us: outside.refusals(t_us) + state.refusals(t_us),
-        skips=outside.skips,
-        onlooker=outside.onlooker,
-        hold=outside.hold,
-        stills=outside.stills,
+        below=world.below,
+        refusals=lambda t_us: world.refusals(t_us) + state.refusals(t_us),
+        skips=world.skips,
+        onlooker=beside or _onlooker(world, parts, clock, view, foxglove),
+        hold=world.hold,
+        stills=StillStore(recorder, disk, Path(settings["log_dir"])) if told.pictures else None,
         answers=parts.witness.take,
-        mishaps=outside.mishaps,
+        mishaps=world.mishaps,
     )
-    for desk in (*parts.desks, kept.disk):
+    for desk in (*parts.desks, disk):
         desk.idle = runtime.attend
-    return runtime
+    return kind(
+        world=world,
+        vehicle=told.vehicle,
+        service=service,
+        parts=parts,
+        device=world.device,
+        runtime=runtime,
+        recorder=recorder,
+        kept=kept,
+        warnings=warnings,
+        duration_s=world.duration_s,
+    )
+
+
+def _service_setup(world: World, instance: int, signing: SigningFiles) -> ServiceSetup:
+    """What the service for that vehicle and place is made of."""
+    settings, told, speed = world.settings, world.told, world.speed
+    controller, controller_by = chosen_part(settings, "controller", told.controller)
+    estimator, estimator_by = chosen_part(settings, "estimator", told.estimator)
+    return ServiceSetup(
+        vehicle=told.vehicle,
+        params=world.params,
+        origin=told.origin,
+        markers=told.markers,
+        floor_depth_m=told.floor_depth_m,
+        estimator=estimator,
+        estimator_asked_by=estimator_by,
+        controller=controller,
+        controller_asked_by=controller_by,
+        profile=settings["profile"],
+        instance=instance,
+        currents=told.currents,
+        water=told.water,
+        links=len(settings["connect"]) + len(world.peers),
+        patience=FASTEST if speed == 0.0 else max(1.0, speed),
+        waits_for_plans=speed == 0.0,
+        pictures=told.pictures,
+        saving=world.persistent,
+        signing=signing,
+        shelf=log_shelf(settings, patient=speed == 0.0),
+        rates=link_rates(settings["connect"]),
+    )
+
+
+def _onlooker(
+    world: World, parts: Parts, clock: PacedClock | LockstepClock, view: Hub | None, foxglove: FoxgloveServer | None
+) -> Onlooker | None:
+    """The loop's ends of the live view and of other viewers, None without any."""
+    told, watched = world.told, world.watched(parts)
+    found: list[Onlooker] = []
+    if view is not None:
+        found.append(
+            view.attach(watched, told.vehicle, world.controls(clock), simulated=world.simulated, pictures=told.pictures)
+        )
+    if foxglove is not None:
+        found.append(foxglove.attach(watched.describe, watched.revision, world.truth))
+    return Onlookers(*found) if found else None
 
 
 def _state_check(parts: Parts, kept: Kept) -> StateCheck:
@@ -212,24 +284,17 @@ def link_rates(connections: Sequence[str]) -> dict[int, float]:
     return {number: LINE_SHARE * line.number / 10.0 for number, line in found if line.kind == "serial"}
 
 
-def take_plans(
-    parts: Parts,
-    plan: Path | None,
-    kept: KeptPlans | None,
-    *,
-    flown_at_once: bool,
-    finish: Callable[[PlanFile], tuple[PlanFile, tuple[str, ...]]] = lambda plan: (plan, ()),
-) -> tuple[str, ...]:
+def _take_plans(parts: Parts, world: World, kept: KeptPlans | None) -> tuple[str, ...]:
     """The plan to have on board: of a file, else what was kept. The result is what an operator should know.
 
-    ``finish``: what becomes of the file's plan before it is taken, and a word about that. PlanError if the file is no
-    plan, or cannot be flown though it is to be ``flown_at_once``.
+    PlanError if the file is no plan, or cannot be flown though it is to be flown at once.
     """
+    plan = world.plan
     if plan is None:
         return () if kept is None else kept.load()
-    finished, warnings = finish(read_plan(plan))
+    finished, warnings = world.finish_plan(read_plan(plan))
     problem = load_plan(parts.plans, finished, str(plan))
-    if problem and flown_at_once:
+    if problem and world.flown_at_once:
         raise PlanError(f"{plan}: cannot be flown: {problem}; mend the plan, or start without --start")
     if problem:
         print(f"warning: {plan}: {problem}; the vehicle will not arm before that is mended", file=sys.stderr)
@@ -239,7 +304,7 @@ def take_plans(
 
 
 @contextlib.contextmanager
-def opened(device: VehicleIo, connections: Sequence[str], links: Sequence[Link] | None) -> Iterator[Sequence[Link]]:
+def _opened(device: VehicleIo, connections: Sequence[str], links: Sequence[Link] | None) -> Iterator[Sequence[Link]]:
     """The ``connections`` as links, or those ``links`` that are open already; an error in here closes them and the
     device."""
     found: list[Link] = [] if links is None else list(links)
@@ -254,11 +319,11 @@ def opened(device: VehicleIo, connections: Sequence[str], links: Sequence[Link] 
         raise
 
 
-def marker_vision(vehicle: Vehicle, markers: MarkerMap | None, *, paced: bool) -> VisionWorker | None:
+def _marker_vision(told: Told, *, paced: bool) -> VisionWorker | None:
     """Detection beside the loop, None when there are no pictures."""
-    if markers is None:
+    if told.markers is None:
         return None
-    camera = vehicle.eye
-    detector = MarkerDetector(CameraModel.of(camera, vehicle.laser), markers)
+    camera = told.vehicle.eye
+    detector = MarkerDetector(CameraModel.of(camera, told.vehicle.laser), told.markers)
     frame_filter = FrameFilter(camera.width_px, camera.height_px)
     return VisionWorker(detector, delay_s=0.5 * camera.latency_s, frame_filter=frame_filter, paced=paced)

@@ -1,7 +1,7 @@
 """The log of a session: one file where ``--log`` says, else one per arming in the log folder."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,54 +11,45 @@ from autopilot import __version__
 from autopilot.command.parts import Parts
 from autopilot.core.errors import LogError
 from autopilot.core.marker_files import marker_file_text
-from autopilot.core.markers import MarkerMap
 from autopilot.log.description import RunDescription
 from autopilot.log.quota import make_room
 from autopilot.log.recover import recover_unfinished
 from autopilot.log.session import RunLog, free_path, log_path, open_run_log, open_run_log_beside
 from autopilot.log.writer import LogHead, Payload
 from autopilot.record.estimator import estimator_attachments
-from autopilot.run.config import Settings
+from autopilot.run.compose import ServiceSetup
 from autopilot.run.describe import plan_items, plans_json
 from autopilot.run.provenance import revision
-from autopilot.run.recorder import RunRecorder, TruthSource
+from autopilot.run.recorder import RunRecorder
+from autopilot.run.service_record import service_attachments
+from autopilot.run.world import World
 
 
 class LogContents:
     """What the logs of a session begin with. What does not change is made once, at the start and not in a tick."""
 
-    def __init__(
-        self,
-        settings: Settings,
-        parts: Parts,
-        describe: Callable[[], RunDescription],
-        *,
-        estimator: str,
-        markers: MarkerMap | None,
-        floor_depth_m: float | None,
-        metadata: Mapping[str, str],
-        attachments: Mapping[str, bytes],
-    ) -> None:
-        """``describe`` makes the description of now; ``estimator`` is its name, ``markers`` and ``floor_depth_m``
-        what it was told. ``metadata`` and ``attachments`` are the world's: the service's own come from here."""
-        self._parts = parts
-        self._describe = describe
+    def __init__(self, world: World, setup: ServiceSetup, parts: Parts) -> None:
+        self._world, self._parts = world, parts
+        told = world.told
         self._metadata = {
             "version": __version__,
             "revision": revision(),
             "vehicle": parts.vehicle.name,
-            **metadata,
+            **world.metadata(),
         }
         self._attachments = {
-            "config.json": msgspec.json.encode(settings.values(), enc_hook=str),
+            "config.json": msgspec.json.encode(world.settings.values(), enc_hook=str),
             "vehicle.json": msgspec.json.encode(parts.vehicle),
-            **estimator_attachments(estimator, parts.params, markers, floor_depth_m),
-            **attachments,
+            **estimator_attachments(setup.estimator, parts.params, told.markers, told.floor_depth_m),
+            **world.attachments(),
+            **service_attachments(setup, parts, world.water),
         }
+        if told.markers is not None and world.markers_from_file:
+            self._attachments["markers.toml"] = marker_file_text(told.markers).encode()
 
     def description(self) -> RunDescription:
         """The run as things stand now."""
-        return self._describe()
+        return self._world.describe(self._parts)
 
     def plans(self) -> dict[str, Payload]:
         """The plans in force now, to be encoded by whoever writes them."""
@@ -87,25 +78,14 @@ class LogContents:
         return made
 
 
-def marker_attachment(markers: MarkerMap) -> dict[str, bytes]:
-    """A marker map that came from a file."""
-    return {"markers.toml": marker_file_text(markers).encode()}
-
-
-def open_recorder(
-    settings: Settings,
-    parts: Parts,
-    contents: LogContents,
-    *,
-    epoch_ns: int,
-    lockstep: bool,
-    truth: TruthSource | None = None,
-) -> RunRecorder:
-    """The recorder of a session whose time zero is ``epoch_ns``. LogError if there is no place for its logs.
+def open_recorder(world: World, setup: ServiceSetup, parts: Parts) -> RunRecorder:
+    """The recorder of a session. LogError if there is no place for its logs.
 
     In lockstep a log is made and finished in the tick, which is the same on every machine; at a speed beside the loop,
-    but for a file that is there from the start. ``truth``: a simulated vehicle's, None on hardware.
+    but for a file that is there from the start.
     """
+    settings, epoch_ns, lockstep = world.settings, world.epoch_ns(), world.speed == 0.0
+    contents = LogContents(world, setup, parts)
     fixed = None if settings["log"] is None else Path(settings["log"])
     folder = Path(settings["log_dir"])
     if fixed is None:
@@ -147,7 +127,7 @@ def open_recorder(
         open_log,
         lambda: (contents.description(), contents.plans()),
         plan_revision=lambda: parts.plans.revision,
-        truth=truth,
+        truth=world.truth_source,
         per_arming=fixed is None,
         waits=lockstep,
     )

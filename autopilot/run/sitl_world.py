@@ -1,10 +1,14 @@
 """What a scenario and the settings make of the world, and what the vehicle is told of it."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal, cast
 
-from autopilot.command.map_check import open_map
+import msgspec
+
+from autopilot.command.map_check import MapCheck, open_map
+from autopilot.command.parts import Parts
 from autopilot.control.water.current_map import CurrentMap
 from autopilot.control.water.currents import (
     OPEN_WATER_SCALE_M,
@@ -13,73 +17,237 @@ from autopilot.control.water.currents import (
     MappedCurrent,
     PointwiseField,
 )
+from autopilot.core.desk import Desk
 from autopilot.core.errors import ConfigError
 from autopilot.core.geodesy import Origin
+from autopilot.core.lane import DaemonLane
 from autopilot.core.marker_files import load_marker_map
 from autopilot.core.markers import MarkerMap
+from autopilot.core.messages import Below, Inputs, Severity, ThrusterCommand
 from autopilot.core.origin_params import params_origin
-from autopilot.core.params import ParamSet
+from autopilot.core.payload import PayloadState
+from autopilot.core.samples import CameraFrame, Sample
 from autopilot.core.vehicle import Vehicle, load_vehicle
-from autopilot.log.description import PartOrigin
+from autopilot.log.description import RunDescription
+from autopilot.mission.plan_files import PlanFile
+from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.compose import forecast_of
-from autopilot.run.config import Settings, chosen_part
+from autopilot.run.config import Settings, chosen_part, system_id
+from autopilot.run.outside import Peer
+from autopilot.run.sitl_describe import describe_run
+from autopilot.run.sitl_fence import scenario_plan
+from autopilot.run.sitl_params import sitl_params, state_folder
 from autopilot.run.sitl_parts import part_origins
+from autopilot.run.sitl_view import Steering, WatchedSitl
+from autopilot.run.world import Told, WaterTold, World
 from autopilot.sitl.backend import SimulatedVehicle, simulated_vehicle
 from autopilot.sitl.currents import current_field
-from autopilot.sitl.floor import told_markers
+from autopilot.sitl.floor import told_floor_m, told_markers
 from autopilot.sitl.hil import Wire, wires
-from autopilot.sitl.scenario import GridCurrent, Scenario
+from autopilot.sitl.machine_faults import MachineFaults
+from autopilot.sitl.operator import ScriptedOperator
+from autopilot.sitl.plant import Truth
+from autopilot.sitl.scenario import GridCurrent, Scenario, load_scenario, plan_path, with_vehicle
+
+SITL_EPOCH_NS = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
+"""Log time of simulated time zero: fixed, so that two runs of a scenario and seed give the same log."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class World:
-    """What a scenario and the settings make of the world."""
+class SimulatedDevice:
+    """The simulated vehicle as the runtime's device."""
 
-    scenario: Scenario
-    vehicle: Vehicle
-    simulated: SimulatedVehicle
-    seed: int
-    speed: float
-    origin: Origin
-    """Of the local frame at the start."""
-    water: CurrentMap | None
-    """The map that the controller is told, None without a file."""
-    markers: MarkerMap | None
-    """The marker map that the vehicle is told, None when there are no pictures."""
-    parts: dict[str, PartOrigin]
-    """Where controller, estimator and plant come from."""
+    def __init__(self, vehicle: SimulatedVehicle, thrusters: int) -> None:
+        self._vehicle = vehicle
+        self._thrusters = thrusters
+        self._armed = False
+        vehicle.open()
+
+    @property
+    def truth(self) -> Truth:
+        """The plant's truth, for the log only."""
+        return self._vehicle.truth
+
+    @property
+    def payload_shares(self) -> tuple[float, ...]:
+        """Where what it carries is, for the log only."""
+        return self._vehicle.payload.shares
+
+    def actuate(self, t_us: int, state: PayloadState) -> None:
+        """Move what it carries."""
+        self._vehicle.payload.set(state.pulses_us)
+
+    def advance(self, t_us: int) -> None:
+        """Let the plant go on."""
+        self._vehicle.advance(t_us)
+
+    def poll(self, t_us: int) -> Sequence[Sample]:
+        """Samples that have arrived."""
+        return self._vehicle.poll(t_us)
+
+    def frames(self, t_us: int) -> Sequence[CameraFrame]:
+        """Images that have arrived."""
+        return self._vehicle.frames(t_us)
+
+    def write(self, t_us: int, command: ThrusterCommand) -> None:
+        """Drive the thrusters."""
+        self._armed = command.armed
+        self._vehicle.write(command.pwm_us[: self._thrusters])
+
+    def below(self, t_us: int) -> Below | None:
+        """What the flight controller below says, in a scenario that has one."""
+        return self._vehicle.below(t_us, armed=self._armed)
+
+    def close(self) -> None:
+        """Thrusters to neutral."""
+        self._vehicle.close()
 
 
-def make_world(settings: Settings, scenario: Scenario, params: ParamSet) -> World:
-    """Scenario, vehicle and the simulated vehicle, and what the controller may know of the water."""
-    vehicle = load_vehicle(scenario.vehicle.model)
-    seed = scenario.scenario.seed if settings["seed"] is None else settings["seed"]
+class SimulatedWorld(World):
+    """A scenario, and the settings that change it."""
+
+    device: SimulatedDevice
+    simulated = True
+
+    def __init__(
+        self, settings: Settings, overrides: dict[str, float], instance: int, peers: Sequence[Peer] = ()
+    ) -> None:
+        scenario = load_scenario(settings["scenario"])
+        if settings["vehicle"] is not None:
+            scenario = with_vehicle(scenario, settings["vehicle"], "--vehicle")
+        self.settings, self.scenario, self.speed = settings, scenario, float(settings["speed"])
+        self.folder = state_folder(settings, instance)
+        self.disk = Desk(DaemonLane("disk"), patient=self.speed == 0.0)
+        self.params, self.persistent, self.warnings = sitl_params(settings, scenario, overrides, instance, self.disk)
+        self.seed: int = scenario.scenario.seed if settings["seed"] is None else settings["seed"]
+        vehicle = load_vehicle(scenario.vehicle.model)
+        self._vehicle = _simulated(settings, scenario, vehicle, self.seed, self.speed)
+        self._parts = part_origins(settings, scenario)
+        origin = params_origin(self.params)
+        self._map = _map(settings, scenario, origin)
+        markers = _told_markers(settings, scenario, self._vehicle.markers)
+        kind, basin = knowledge(settings, scenario), settings["basin"] or scenario.controller.basin
+        self.told = Told(
+            vehicle=vehicle,
+            origin=origin,
+            markers=markers,
+            floor_depth_m=told_floor_m(scenario),
+            # Without a map file a map is the scenario's own formula.
+            currents=forecast_of(
+                kind, basin, lambda: formula(scenario) if self._map is None else MappedCurrent(self._map)
+            ),
+            water=None if self._map is None else MapCheck(self._map, origin),
+            pictures=self._vehicle.pictured,
+            controller=scenario.plugins.controller,
+            estimator=scenario.plugins.estimator,
+        )
+        self.water = WaterTold(
+            kind=kind,
+            basin=basin,
+            map_file=None if self._map is None else map_path(settings, scenario),
+            map_start=settings["currents_start"],
+        )
+        layout = scenario.markers
+        # Without a file the scenario says all.
+        self.markers_from_file = (settings["markers"], layout.file, layout.laid) != (None, None, None)
+        self.operator = (
+            ScriptedOperator(system_id(self.params, instance), scenario.fault) if settings["start"] else None
+        )
+        self.peers = tuple(peers) if self.operator is None else (*peers, self.operator)
+        self.plan, self.flown_at_once = _plan(settings, scenario), self.operator is not None
+        self.keeps_plans = bool(settings["keep_plans"])  # a simulation begins anew unless it is told not to
+        given_s = settings["duration"]
+        self.duration_s = scenario.scenario.duration_s if given_s is None else given_s
+        self._machine = MachineFaults(scenario.fault)
+        self.steering: Steering | None = None
+
+    def open_device(self, parts: Parts) -> None:
+        """The plant begins."""
+        self.device = self.truth_source = SimulatedDevice(self._vehicle, len(self.told.vehicle.thrusters))
+
+    def epoch_ns(self) -> int:
+        """The same for all runs."""
+        return SITL_EPOCH_NS
+
+    def finish_plan(self, plan: PlanFile) -> tuple[PlanFile, tuple[str, ...]]:
+        """With the fence that the scenario draws."""
+        return scenario_plan(plan, self.scenario)
+
+    def describe(self, parts: Parts) -> RunDescription:
+        """What the service knows, and the scenario."""
+        return describe_run(self.scenario, parts, seed=self.seed, speed=self.speed, origins=self._parts)
+
+    def metadata(self) -> dict[str, str]:
+        """Scenario, parts and current."""
+        return {
+            "scenario": self.scenario.scenario.name,
+            "seed": str(self.seed),
+            "speed": f"{self.speed:g}",
+            **{kind: part.name for kind, part in self._parts.items()},
+            "currents": self.water.kind,
+            "basin": self.water.basin,
+            "currents_map": "" if self._map is None else self._map.name,
+            "currents_map_sha256": "" if self._map is None else self._map.nodes.digest,
+        }
+
+    def attachments(self) -> dict[str, bytes]:
+        """The scenario."""
+        return {"scenario.json": msgspec.json.encode(self.scenario)}
+
+    def watched(self, parts: Parts) -> WatchedSitl:
+        """With the truth."""
+        return WatchedSitl(parts, lambda: self.describe(parts), self._vehicle)
+
+    def controls(self, clock: PacedClock | LockstepClock) -> Steering:
+        """Everything that can be done to a simulation."""
+        self.steering = Steering(self.scenario, self._vehicle, clock)
+        return self.steering
+
+    def truth(self) -> Truth:
+        """Where the vehicle really is."""
+        return self._vehicle.truth
+
+    def below(self, t_us: int) -> Below | None:
+        """A flight controller's word, in a scenario that has one."""
+        return self.device.below(t_us)
+
+    def notices(self) -> Sequence[tuple[Severity, str]]:
+        """What was done to it by hand."""
+        return () if self.steering is None else self.steering.take_notices()
+
+    def mishaps(self, inputs: Inputs) -> Inputs:
+        """The machine's faults of the scenario."""
+        return self._machine.put_into(inputs)
+
+    def hold(self, t_us: int) -> bool:
+        """Whether somebody has paused it."""
+        return self.steering is not None and self.steering.hold(t_us)
+
+
+def _simulated(settings: Settings, scenario: Scenario, vehicle: Vehicle, seed: int, speed: float) -> SimulatedVehicle:
     sensors = scenario.sensors.position if settings["sensors"] is None else settings["sensors"]
-    position = cast(Literal["camera", "pose"], sensors)
-    speed = float(settings["speed"])
     plant, plant_by = chosen_part(settings, "plant", scenario.plugins.plant)
-    simulated = simulated_vehicle(
+    return simulated_vehicle(
         scenario,
         vehicle,
         seed=seed,
-        position=position,
+        position=cast(Literal["camera", "pose"], sensors),
         paced=speed > 0.0,
         hil=_wires(settings),
         plant=plant,
         plant_asked_by=plant_by,
     )
-    origin = params_origin(params)
-    return World(
-        scenario=scenario,
-        vehicle=vehicle,
-        simulated=simulated,
-        seed=seed,
-        speed=speed,
-        origin=origin,
-        water=_map(settings, scenario, origin),
-        markers=_told_markers(settings, scenario, simulated.markers),
-        parts=part_origins(settings, scenario),
-    )
+
+
+def _plan(settings: Settings, scenario: Scenario) -> Path | None:
+    """The plan to have on board: --plan, or the scenario's when an operator in-process is to start it."""
+    if settings["plan"] is not None:
+        return Path(settings["plan"])
+    if not settings["start"]:
+        return None
+    plan = plan_path(settings["scenario"], scenario)
+    if plan is None:
+        raise ConfigError(f"--start: scenario {scenario.scenario.name!r} has no plan; give one with --plan FILE")
+    return plan
 
 
 def _wires(settings: Settings) -> frozenset[Wire]:
@@ -128,13 +296,3 @@ def formula(scenario: Scenario) -> CurrentForecast:
     """A scenario's current as a map."""
     scale_m = OPEN_WATER_SCALE_M if scenario.tank is None else TANK_SCALE_M
     return MappedCurrent(PointwiseField(current_field(scenario.current).velocity, scale_m))
-
-
-def forecast(settings: Settings, world: World) -> CurrentForecast:
-    """What the controller is told of the current. Without a map file a map is the scenario's own formula."""
-    scenario, water = world.scenario, world.water
-    return forecast_of(
-        knowledge(settings, scenario),
-        settings["basin"] or scenario.controller.basin,
-        lambda: formula(scenario) if water is None else MappedCurrent(water),
-    )

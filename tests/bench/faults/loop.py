@@ -20,7 +20,7 @@ from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.log import writer
 from autopilot.mavlink.vehicle_commands import FORCE_ARM
 from autopilot.mission.paper import paper_plan
-from autopilot.run import sitl_session
+from autopilot.run import session as sessions
 from autopilot.run.children import LOCAL, Child, autopilot_command, free_port, python_command
 from autopilot.run.config import gather, sitl_defaults
 from autopilot.run.sitl_session import SitlSession, open_sitl
@@ -81,7 +81,7 @@ def _instead(owner: Any, name: str, other: Any) -> Iterator[None]:
 
 
 def _slow_detector() -> Measured:
-    with tempfile.TemporaryDirectory() as folder, _instead(sitl_session, "MarkerDetector", _SlowDetector):
+    with tempfile.TemporaryDirectory() as folder, _instead(sessions, "MarkerDetector", _SlowDetector):
         session = _session(Path(folder), sensors="camera")
         wall_s = session.run()
     # What a busy machine takes is not the detector's fault: a loop that waits for it takes five times as long.

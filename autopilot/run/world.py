@@ -1,0 +1,145 @@
+"""What a service is put into: a real vehicle, emulated devices or a simulation, with the place round it.
+
+A session (:mod:`autopilot.run.session`) is opened, run, recorded and closed alike in all of them; what differs is here.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from autopilot.command.parts import Parts
+from autopilot.control.water.currents import CurrentForecast
+from autopilot.core.desk import Desk
+from autopilot.core.geodesy import Origin
+from autopilot.core.markers import MarkerMap
+from autopilot.core.messages import Below, Inputs, Severity
+from autopilot.core.param_file import PersistentParams
+from autopilot.core.params import ParamSet
+from autopilot.core.vehicle import Vehicle
+from autopilot.log.description import RunDescription
+from autopilot.log.packing.vehicle import TruthLike
+from autopilot.mission.plan_files import PlanFile
+from autopilot.mission.store import WaterCheck
+from autopilot.run.clocks import LockstepClock, PacedClock
+from autopilot.run.config import Settings
+from autopilot.run.outside import Peer, VehicleIo
+from autopilot.run.recorder import TruthSource
+from autopilot.run.watched import WatchedService
+from autopilot.view.controls import Controls
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Told:
+    """What a service is told of its vehicle and of the place, and nothing of the truth. The fields are those of
+    :class:`autopilot.run.compose.ServiceSetup`; ``controller`` and ``estimator`` are those that fly unless the
+    settings name others."""
+
+    vehicle: Vehicle
+    origin: Origin
+    markers: MarkerMap | None
+    floor_depth_m: float | None
+    currents: CurrentForecast
+    water: WaterCheck | None = None
+    pictures: bool
+    controller: str = "nmpc"
+    estimator: str = "ekf"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WaterTold:
+    """From what :attr:`Told.currents` was made, for the log."""
+
+    kind: str
+    basin: str
+    map_file: Path | None = None
+    map_start: str | None = None
+
+
+class World(ABC):
+    """One world; used by one session."""
+
+    settings: Settings
+    told: Told
+    water: WaterTold
+    speed: float
+    """1 on hardware, 0 = as fast as possible."""
+    folder: Path
+    """What an instance keeps between runs."""
+    disk: Desk
+    """The lane on which that is written."""
+    params: ParamSet
+    persistent: PersistentParams
+    warnings: tuple[str, ...]
+    """What is wrong with parameters that were kept."""
+    device: VehicleIo
+    """From :meth:`open_device` on."""
+    plan: Path | None = None
+    """To have on board from the start."""
+    flown_at_once: bool = False
+    keeps_plans: bool = True
+    peers: Sequence[Peer] = ()
+    simulated: bool = False
+    truth_source: TruthSource | None = None
+    """The plant's, for the log."""
+    skips: bool = False
+    """It does not wait for a loop that is late."""
+    duration_s: float | None
+    markers_from_file: bool = True
+    """:attr:`Told.markers` stand in a file of their own."""
+
+    @abstractmethod
+    def epoch_ns(self) -> int:
+        """Log time of the vehicle's time zero, asked when the devices are open."""
+
+    @abstractmethod
+    def open_device(self, parts: Parts) -> None:
+        """The vehicle's devices, for that service."""
+
+    @abstractmethod
+    def describe(self, parts: Parts) -> RunDescription:
+        """The run as things stand now."""
+
+    @abstractmethod
+    def metadata(self) -> Mapping[str, str]:
+        """What its logs say of it in a word."""
+
+    @abstractmethod
+    def attachments(self) -> Mapping[str, bytes]:
+        """The files that its logs hold of it."""
+
+    @abstractmethod
+    def below(self, t_us: int) -> Below | None:
+        """Who has the vehicle at a time, where there is a flight controller below."""
+
+    def finish_plan(self, plan: PlanFile) -> tuple[PlanFile, tuple[str, ...]]:
+        """What becomes of a plan from a file before it is taken, and a word about that."""
+        return plan, ()
+
+    def watched(self, parts: Parts) -> WatchedService:
+        """What viewers see of it."""
+        return WatchedService(parts, lambda: self.describe(parts))
+
+    @abstractmethod
+    def controls(self, clock: PacedClock | LockstepClock) -> Controls:
+        """What the page of a live view may do to it."""
+
+    def truth(self) -> TruthLike | None:
+        """Where the vehicle really is, where that is known."""
+        return None
+
+    def notices(self) -> Sequence[tuple[Severity, str]]:
+        """What operators should know of it."""
+        return ()
+
+    def refusals(self, t_us: int) -> tuple[str, ...]:
+        """What it has against arming."""
+        return ()
+
+    def hold(self, t_us: int) -> bool:
+        """Whether time stands still."""
+        return False
+
+    def mishaps(self, inputs: Inputs) -> Inputs:
+        """What befalls the machine."""
+        return inputs
