@@ -6,9 +6,11 @@ at every depth; vertical velocity is zero except in the uniform field and on a g
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
+
+import msgspec
 
 from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.sitl import scenario_tables as sc
@@ -295,31 +297,26 @@ class Gyre(_Steady):
         return (even, -odd, odd, -even)
 
 
+_FIELDS: dict[type[sc.Current], Callable[..., CurrentField]] = {
+    sc.NoCurrent: Uniform,
+    sc.UniformCurrent: Uniform,
+    sc.VortexCurrent: Vortex,
+    sc.ShearCurrent: Shear,
+    sc.BickleyCurrent: Bickley,
+    sc.GyreCurrent: Gyre,
+}
+"""Fields that have the keys of their tables."""
+
+
 def current_field(table: sc.Current) -> CurrentField:
     """The field that a scenario's ``[current]`` describes."""
-    match table:
-        case sc.NoCurrent():
-            return Uniform()
-        case sc.UniformCurrent():
-            return Uniform(velocity_m_s=table.velocity_m_s, tide_m_s=table.tide_m_s, tide_period_s=table.tide_period_s)
-        case sc.JetCurrent():
-            jet = TankJet(
-                speed_m_s=table.speed_m_s,
-                center_m=table.center_m,
-                length_m=table.length_m,
-                width_m=table.width_m,
-            )
-            angle = table.direction_rad
-            if angle == 0.0:
-                return jet
-            return Turned(field=jet, center_m=table.center_m, cosine=math.cos(angle), sine=math.sin(angle))
-        case sc.VortexCurrent():
-            return Vortex(circulation_m2_s=table.circulation_m2_s, core_m=table.core_m, center_m=table.center_m)
-        case sc.ShearCurrent():
-            return Shear(shear_1_s=table.shear_1_s, speed_m_s=table.speed_m_s, center_y_m=table.center_y_m)
-        case sc.BickleyCurrent():
-            return Bickley(speed_m_s=table.speed_m_s, width_m=table.width_m, center_y_m=table.center_y_m)
-        case sc.GyreCurrent():
-            return Gyre(speed_m_s=table.speed_m_s, cell_m=table.cell_m)
-        case sc.GridCurrent():
-            return GridField(read_grid(table.file))
+    keys = msgspec.structs.asdict(table)
+    if isinstance(table, sc.GridCurrent):
+        return GridField(read_grid(table.file))
+    if isinstance(table, sc.JetCurrent):
+        angle = keys.pop("direction_rad")
+        jet = TankJet(**keys)
+        if angle == 0.0:
+            return jet
+        return Turned(field=jet, center_m=table.center_m, cosine=math.cos(angle), sine=math.sin(angle))
+    return _FIELDS[type(table)](**keys)

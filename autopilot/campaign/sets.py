@@ -1,6 +1,6 @@
 """Several campaigns flown as one: their runs in turn, run 0 of every set first, so that all of them grow alike."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from autopilot.campaign.store import Shard, Store
 
 SETS = ("r1", "r2", "r3", "r4")
 """The robustness sets that are judged by all bounds."""
+WHOLE = Shard()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,20 +32,25 @@ class SetTask:
 
 
 def fly_sets(
-    defined: dict[str, Campaign], engine: Engine, out: Path, runs: int, stop: Callable[[], bool]
+    sets: Mapping[str, tuple[Campaign, Path]],
+    engine: Engine,
+    runs: int,
+    stop: Callable[[], bool],
+    shard: Shard = WHOLE,
 ) -> Iterator[tuple[str, RunResult]]:
-    """Fly what is missing, each set into a folder of its name; results as they come, kept before they are given.
+    """Fly what is missing, each set into its folder; results as they come, kept before they are given.
 
     ConfigError, LogError: a folder holds another campaign, is flown by somebody else or cannot be written."""
     stores: dict[str, Store] = {}
     try:
-        for name, campaign in defined.items():
-            stores[name] = Store(out / name, campaign, Shard())
+        for name, (campaign, folder) in sets.items():
+            stores[name] = Store(folder, campaign, shard)
         finished = {name: store.results() for name, store in stores.items()}
         tasks = [
-            SetTask(name=name, task=defined[name].task(run))
+            SetTask(name=name, task=campaign.task(run))
             for run in range(runs)
-            for name in defined
+            if shard.holds(run)
+            for name, (campaign, _) in sets.items()
             if run not in finished[name]
         ]
         for each in tasks:

@@ -173,28 +173,21 @@ def fly(
 
 
 def _fly(
-    defined: Any, engine: Engine, out: Path, runs: int, shard: Shard, *, quiet: bool
+    defined: Campaign, engine: Engine, out: Path, runs: int, shard: Shard, *, quiet: bool
 ) -> tuple[dict[int, RunResult], bool]:
     """Fly what is missing; all finished runs of the folder, and whether somebody stopped it."""
-    from autopilot.campaign.store import Store
+    from autopilot.campaign.sets import fly_sets
+    from autopilot.campaign.store import read_results
 
-    store = Store(out, defined, shard)
-    try:
-        finished = store.results()
-        mine = [run for run in range(runs) if shard.holds(run)]
-        tasks = [defined.task(run) for run in mine if run not in finished]
-        for task in tasks:
-            store.begin(task)
-        done = len(mine) - len(tasks)
-        with stoppable() as stop, _progress(defined.scenario.scenario.name, quiet=quiet) as show:
-            show(None, done, len(mine))
-            for result in engine.run(tasks, lambda: bool(stop)):
-                store.append(result)
-                done += 1
-                show(result, done, len(mine))
-        return {run: result for run, result in store.results().items() if run < runs}, bool(stop)
-    finally:
-        store.close()
+    name, finished = defined.scenario.scenario.name, read_results(out)
+    mine = [run for run in range(runs) if shard.holds(run)]
+    done = sum(run in finished for run in mine)
+    with stoppable() as stop, _progress(name, quiet=quiet) as show:
+        show(None, done, len(mine))
+        for _, result in fly_sets({name: (defined, out)}, engine, runs, lambda: bool(stop), shard):
+            done += 1
+            show(result, done, len(mine))
+    return {run: result for run, result in read_results(out).items() if run < runs}, bool(stop)
 
 
 @contextmanager
@@ -319,6 +312,12 @@ def what_broke(result: RunResult) -> str:
     return "; ".join(parts)
 
 
+def verdict(result: RunResult) -> str:
+    """A run and what came of it, in one line."""
+    broke = what_broke(result)
+    return f"run {result.run}, seed {result.seed}: {f'FAILED: {broke}' if result.failed else broke or 'good'}"
+
+
 @contextmanager
 def _progress(name: str, *, quiet: bool) -> Iterator[_Show]:
     """A bar on a terminal, a line per run elsewhere."""
@@ -335,16 +334,11 @@ def _progress(name: str, *, quiet: bool) -> Iterator[_Show]:
     console = Console(stderr=True)
     failures = 0
 
-    def verdict(result: RunResult) -> str:
-        return f"FAILED: {what_broke(result)}" if result.failed else (what_broke(result) or "good")
-
     if quiet or not console.is_terminal:
 
         def line(result: RunResult | None, done: int, total: int) -> None:
             if result is not None and not quiet:
-                click.echo(
-                    f"{name}: {done} of {total}: run {result.run}, seed {result.seed}: {verdict(result)}", err=True
-                )
+                click.echo(f"{name}: {done} of {total}: {verdict(result)}", err=True)
 
         yield line
         return
@@ -356,7 +350,7 @@ def _progress(name: str, *, quiet: bool) -> Iterator[_Show]:
             nonlocal failures
             failures += result is not None and result.failed
             if result is not None and result.failed:
-                progress.console.print(f"run {result.run}, seed {result.seed}: {verdict(result)}", highlight=False)
+                progress.console.print(verdict(result), highlight=False)
             progress.update(bar, completed=done, total=total, description=f"{name}: {failures} failed")
 
         yield show

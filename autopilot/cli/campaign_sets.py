@@ -54,7 +54,7 @@ def sets(
     from autopilot.campaign.sets import SETS, fly_sets
     from autopilot.campaign.store import IDENTITY, read_results
     from autopilot.campaign.summary import summarise
-    from autopilot.cli.campaign import keep, stoppable, what_broke
+    from autopilot.cli.campaign import keep, stoppable, verdict, what_broke
     from autopilot.core.errors import ConfigError
     from autopilot.run.config import parse_overrides
 
@@ -70,10 +70,10 @@ def sets(
         with stoppable() as stop:
             finished = [read_results(out / label) for label in campaigns if (out / label).is_dir()]
             done = sum(run < runs for results in finished for run in results)
-            for label, result in fly_sets(campaigns, make_engine(engine, jobs), out, runs, lambda: bool(stop)):
+            places = {label: (defined, out / label) for label, defined in campaigns.items()}
+            for label, result in fly_sets(places, make_engine(engine, jobs), runs, lambda: bool(stop)):
                 done += 1
-                verdict = f"FAILED: {what_broke(result)}" if result.failed else what_broke(result) or "good"
-                click.echo(f"{done} of {asked}: {label} run {result.run}, seed {result.seed}: {verdict}", err=True)
+                click.echo(f"{done} of {asked}: {label} {verdict(result)}", err=True)
             stopped = bool(stop)
     folders = [out / label for label in chosen if (out / label / IDENTITY).is_file()]
     if not folders:
@@ -90,8 +90,8 @@ def sets(
             passed &= summarise(flown, runs).passed
         stopped |= bool(stop)
     if as_json:
-        places = {label: {str(run): str(path) for run, path in found.items()} for label, found in logged.items()}
-        emit_json({"passed": passed, "rows": [asdict(row) for row in rows], "logs": places})
+        logs_of = {label: {str(run): str(path) for run, path in found.items()} for label, found in logged.items()}
+        emit_json({"passed": passed, "rows": [asdict(row) for row in rows], "logs": logs_of})
     elif markdown:
         click.echo(tables.markdown(rows, ()), nl=False)
     else:

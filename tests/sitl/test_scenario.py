@@ -95,7 +95,7 @@ def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("depth_m = 1.5", "depth_cm = 150", r"`depth_cm` - at `\$\.tank`"),
+        ("depth_m = 1.5", "depth_cm = 150", r"`depth_cm` - at `\$\.tank`.*did you mean depth_m\?.*polygon_m, depth_m"),
         ("depth_m = 1.5", "", r"missing required field `depth_m` - at `\$\.tank`; add depth_m"),
         ("depth_m = 1.5", 'depth_m = "deep"', r"Expected `float`, got `str` - at `\$\.tank\.depth_m`; it is 'deep'"),
         ("depth_m = 1.5", 'depth_m = "1.5"', r"`\$\.tank\.depth_m`"),
@@ -103,8 +103,17 @@ def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
         ("depth_m = 1.5", "depth_m = inf", r"`\$\.tank\.depth_m` = inf is not a finite number"),
         ("depth_m = 1.5", "depth_m = -1.5", r"> 0\.0 - at `\$\.tank\.depth_m`"),
         ("radius_m = 0.2", "radius_m = -0.2", r"> 0\.0 - at `\$\.obstacle\[0\]\.radius_m`; it is -0\.2: correct"),
-        ("radius_m = 0.2", "radius_m = 0.2\ncolor = 1", r"`color` - at `\$\.obstacle\[0\]`"),
-        ('kind = "cylinder"', 'kind = "cube"', r"'cube' - at `\$\.obstacle\[0\]\.kind`"),
+        (
+            "radius_m = 0.2",
+            "radius_m = 0.2\ncolor = 1",
+            r"`color` - at `\$\.obstacle\[0\]`.*kind, center_m, radius_m, s",
+        ),
+        ('kind = "cylinder"', "", "use one of cylinder, sphere, prism, moving"),
+        (
+            'kind = "cylinder"',
+            'kind = "cylindre"',
+            r"'cylindre' - at `\$\.obstacle\[0\]\.kind`.*mean cylinder\? use one of c",
+        ),
         ('kind = "cylinder"', 'kind = "moving"', r"unknown field `center_m` - at `\$\.obstacle\[0\]`"),
         (
             'kind = "cylinder"\ncenter_m = [1.0, 0.0]',
@@ -112,77 +121,61 @@ def test_a_good_file_is_taken_with_defaults(tmp_path: Path) -> None:
             r"`path_m` repeats the corner \[1, 0\.5\] - at `\$\.obstacle\[0\]`",
         ),
         ('kind = "jet"', 'kind = "grid"', r"`speed_m_s` - at `\$\.current`"),
-        (
-            "[vehicle]",
-            '[controller]\nmap = "a.npz"\n[vehicle]',
-            r"`map` needs `currents` = \"map\"",
-        ),
+        ('kind = "jet"', 'kind = "jett"', r"did you mean jet\? use one of none, uniform, jet, vortex"),
+        ('kind = "thruster_loss"', 'kind = "explosion"', "use one of thruster_loss, camera_blackout, "),
         ("start_m = [-1.0, 0.0, 0.5]", "start_m = [-1.0, 0.0]", r"`\$\.vehicle\.start_m`"),
         ("mass = 1.2", "mass = -1.2", r">= 0\.0 - at `\$\.vehicle\.mismatch"),
         ("mass = 1.2", "mass = 0.0", r"`\$\.vehicle\.mismatch`: mass = 0\.0 is not a usable factor"),
         ("mass = 1.2", "weight = 1.2", r"`\$\.vehicle\.mismatch`: 'weight' is not a mismatch factor; use one of mass"),
-        (
-            'thruster = "port"',
-            'thruster = "bow"',
-            r"`\$\.fault\[0\]\.thruster` = 'bow' does not exist; use one of p",
-        ),
+        ('thruster = "port"', 'thruster = "bow"', r"`\$\.fault\[0\]\.thruster` = 'bow' does not exist; use one of p"),
         ("loss = 0.5", "loss = 1.5", r"`\$\.fault\[0\]\.loss`"),
         ("rate_hz = 50.0", "rate_hz = 0.0", r"`\$\.sensors\.ahrs\.rate_hz`"),
-        ("[sensors.ahrs]", "[sensors.sonar]", r"`sonar` - at `\$\.sensors`"),
+        (
+            "[sensors.ahrs]",
+            "[sensors.sonar]",
+            r"`sonar` - at `\$\.sensors`.*use one of position, ahrs, camera, pose, laser",
+        ),
         ("[2.5, 1.5], [-2.5, 1.5]]", "[-2.5, 1.5], [2.5, 1.5]]", r"cross - at `\$\.tank`"),
         ("[2.5, 1.5], [-2.5, 1.5]]", "[2.5, 1.5], [2.5, 1.5]]", r"repeats the corner \[2\.5, 1\.5\] - at `\$\.tank`"),
-        ("[scenario]", "[scenarios]", r"scenario"),
+        ("[scenario]", "[scenarios]", "scenario"),
+        ("[tank]", "[tank", "is not valid TOML"),
         (
             "[vehicle]",
             '[vehicle]\nmodel = "lbv999"',
-            r"vehicle 'lbv999' is not known; use one of bluerov2, bluerov2-heavy, lbv150",
+            "vehicle 'lbv999' is not known; use one of bluerov2, bluerov2-heavy, l",
         ),
-        ("[tank]", "[tank", r"is not valid TOML"),
+        # Tables that the good file does not have:
+        ("[vehicle]", '[controller]\nmap = "a.npz"\n[vehicle]', '`map` needs `currents` = "map"'),
+        (
+            "[vehicle]",
+            '[controller]\ncurrents = "guess"\n[vehicle]',
+            r"`\$\.controller\.currents`.*use one of estimate, map, n",
+        ),
+        (
+            "[vehicle]",
+            '[spread."tank.depth_m"]\nlo = 1.0\n[vehicle]',
+            r"did you mean low\? use one of low, high, choice",
+        ),
+        ("[vehicle]", "[waters]\n[vehicle]", "use one of scenario, origin, tank, "),
+        ("[vehicle]", "[markers]\nsize_m = 0.1\n[vehicle]", r"`size_m` = 0\.1 must be smaller than `pitch_m`"),
+        ("[vehicle]", "[accept]\ndepth_max_m = -1.0\n[vehicle]", "must be greater than `depth_min_m`"),
+        ("[vehicle]", "[origin]\nlat_deg = 91.0\n[vehicle]", r"`\$\.origin\.lat_deg`"),
+        ("[vehicle]", "[params]\nNO_SUCH = 1\n[vehicle]", r"`\$\.params\.NO_SUCH`.*does not exist"),
+        ("[vehicle]", "[params]\nMPC_COST = 7\n[vehicle]", r"`\$\.params\.MPC_COST`.*out of range"),
+        (
+            "[vehicle]",
+            "[sensors.camera.outages]\nmax_s = 0.01\n[vehicle]",
+            r"below `min_s` = 0\.1 - at `\$\.sensors\.camera\.outages`",
+        ),
     ],
 )
-def test_a_wrong_file_is_refused_with_the_name_of_the_key(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_a_wrong_file_is_refused_with_the_name_of_the_key_and_the_valid_ones(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     assert old in GOOD
     with pytest.raises(ConfigError, match=message) as error:
         load(tmp_path, GOOD.replace(old, new))
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "names"),
-    [
-        ("depth_m = 1.5", "depth_cm = 150", "did you mean depth_m? use one of polygon_m, depth_m"),
-        ('kind = "cylinder"', 'kind = "cylindre"', "did you mean cylinder? use one of cylinder, sphere, prism, moving"),
-        ('kind = "cylinder"', "", "use one of cylinder, sphere, prism, moving"),
-        ("radius_m = 0.2", "radius_m = 0.2\ncolor = 1", "use one of kind, center_m, radius_m, surprise"),
-        ('kind = "jet"', 'kind = "jett"', "did you mean jet? use one of none, uniform, jet, vortex"),
-        ('kind = "thruster_loss"', 'kind = "explosion"', "use one of thruster_loss, camera_blackout, "),
-        ("[sensors.ahrs]", "[sensors.sonar]", "use one of position, ahrs, camera, pose, laser"),
-        ("[vehicle]", '[controller]\ncurrents = "guess"\n[vehicle]', "use one of estimate, map, none, uniform"),
-        ("[vehicle]", '[spread."tank.depth_m"]\nlo = 1.0\n[vehicle]', "did you mean low? use one of low, high, choice"),
-        ("[vehicle]", "[waters]\n[vehicle]", "use one of scenario, origin, tank, "),
-    ],
-)
-def test_unknown_keys_and_kinds_name_the_valid_ones(tmp_path: Path, old: str, new: str, names: str) -> None:
-    assert old in GOOD
-    with pytest.raises(ConfigError) as error:
-        load(tmp_path, GOOD.replace(old, new))
-    assert names in str(error.value)
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ("[markers]\nsize_m = 0.1", r"`size_m` = 0\.1 must be smaller than `pitch_m`"),
-        ("[accept]\ndepth_max_m = -1.0", r"must be greater than `depth_min_m`"),
-        ("[sensors.camera.outages]\nmax_s = 0.01", r"below `min_s` = 0\.1 - at `\$\.sensors\.camera\.outages`"),
-        ('[controller]\ncurrents = "guess"', r"`\$\.controller\.currents`"),
-        ("[origin]\nlat_deg = 91.0", r"`\$\.origin\.lat_deg`"),
-    ],
-)
-def test_values_that_do_not_fit_each_other_are_refused(tmp_path: Path, table: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        load(tmp_path, f"{GOOD}\n{table}\n")
 
 
 def test_a_camera_without_a_floor_is_refused(tmp_path: Path) -> None:
@@ -236,20 +229,3 @@ def test_mismatch_of_the_buoyancy_is_a_factor_on_the_whole_force() -> None:
         mismatched(VEHICLE, {"surge_mass": 0.6})
     with pytest.raises(ConfigError, match="'colour' is not a mismatch factor"):
         mismatched(VEHICLE, {"colour": 1.0})
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("NO_SUCH = 1", r"`\$\.params\.NO_SUCH`.*does not exist"),
-        ("MPC_COST = 7", r"`\$\.params\.MPC_COST`.*out of range"),
-    ],
-)
-def test_parameters_of_a_scenario_are_checked(tmp_path: Path, line: str, message: str) -> None:
-    path = tmp_path / "s.toml"
-    path.write_text(
-        f'[scenario]\nname = "s"\ndescription = "d"\n[vehicle]\nstart_m = [0, 0, 1]\n'
-        f'[sensors]\nposition = "pose"\n[params]\n{line}\n'
-    )
-    with pytest.raises(ConfigError, match=message):
-        load_scenario(str(path))
