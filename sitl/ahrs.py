@@ -28,8 +28,9 @@ from autopilot.drivers.ig500_protocol import (
 )
 from autopilot.sitl.delayed import DelayedSensor
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import AhrsFreeze, AhrsSensor, Fault
+from autopilot.sitl.scenario_tables import AhrsFreeze, Fault
 from autopilot.sitl.sensor_faults import ImuFaults
+from autopilot.sitl.sensor_tables import AhrsSensor
 
 POWER_UP_MASK = Field.EULER | Field.GYRO | Field.ACCEL
 """What the device would send before it is told otherwise."""

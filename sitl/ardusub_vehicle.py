@@ -13,7 +13,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.sitl.ardusub import ArduSubEmulator
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.protocol import PlantContext, create_plant
-from autopilot.sitl.scenario import Scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 POSE_PERIOD_US = 33_333
 POSE_SIGMA_M, YAW_SIGMA_RAD = 0.005, 0.008

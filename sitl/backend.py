@@ -29,8 +29,7 @@ from autopilot.sitl.payload import SimPayload
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.pose_sensor import SimPoseSensor
 from autopilot.sitl.protocol import PlantContext, PlantLike, SteerablePlant, create_plant
-from autopilot.sitl.scenario import Fault, Scenario
-from autopilot.sitl.scenario_tables import ThrusterLoss
+from autopilot.sitl.scenario_tables import Fault, Scenario, ThrusterLoss
 from autopilot.sitl.second_sender import SharedThrusters
 from autopilot.sitl.waves import wave_train
 

@@ -21,7 +21,7 @@ from autopilot.core.frames import FloatArray, r_ned_from_frd
 from autopilot.sitl.fault_tables import Lens, Mounting
 from autopilot.sitl.floor import Floor, Image
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import CameraLook, LaserSensor
+from autopilot.sitl.sensor_tables import CameraLook, LaserSensor
 
 STEP_PX = 8
 """Distance of the rays that are really cut with the floor."""

@@ -16,8 +16,9 @@ from autopilot.sitl.floor import Image
 from autopilot.sitl.outages import OutageClock
 from autopilot.sitl.picture_faults import Exposure, PictureFaults, reflected
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import CameraPicture, CameraSensor, Fault
+from autopilot.sitl.scenario_tables import CameraPicture, Fault
 from autopilot.sitl.sensor_faults import OpticalFaults
+from autopilot.sitl.sensor_tables import CameraSensor
 
 FOG_LEVEL, FOG_BLUR_PX, SPOILT_NOISE = 130.0, 25.0, 2.0
 """Grey level and blur of a lens that has fogged up, and noise of spoilt pictures [grey levels]."""

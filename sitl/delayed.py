@@ -8,7 +8,8 @@ import numpy as np
 
 from autopilot.drivers.base import AlwaysOpen
 from autopilot.sitl.outages import OutageClock
-from autopilot.sitl.scenario import DepthSensor, DvlSensor, Fault, PoseSensor
+from autopilot.sitl.scenario_tables import Fault
+from autopilot.sitl.sensor_tables import DepthSensor, DvlSensor, PoseSensor
 
 T = TypeVar("T")
 

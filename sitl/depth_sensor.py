@@ -11,7 +11,8 @@ from autopilot.core.vehicle import DepthMount
 from autopilot.sitl.delayed import LossySensor
 from autopilot.sitl.fault_tables import SensorFrozen
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import DepthSensor, Fault
+from autopilot.sitl.scenario_tables import Fault
+from autopilot.sitl.sensor_tables import DepthSensor
 from autopilot.sitl.waves import WaveTrain
 
 

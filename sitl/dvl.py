@@ -10,7 +10,8 @@ from autopilot.core.vehicle import DvlMount
 from autopilot.sitl.delayed import LossySensor
 from autopilot.sitl.fault_tables import SensorFrozen
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import DvlSensor, Fault
+from autopilot.sitl.scenario_tables import Fault
+from autopilot.sitl.sensor_tables import DvlSensor
 
 
 class SimDvl(LossySensor[VelocitySample]):

@@ -19,7 +19,7 @@ from autopilot.core.map_errors import Laid, MapErrors, map_errors
 from autopilot.core.marker_files import load_marker_map, placed_markers
 from autopilot.core.markers import ID_SPAN, MarkerMap, grid_floor
 from autopilot.core.toml_table import Vec2
-from autopilot.sitl.scenario import LaidByHand, Scenario
+from autopilot.sitl.scenario_tables import LaidByHand, Scenario
 
 Image: TypeAlias = NDArray[np.uint8]
 

@@ -13,7 +13,8 @@ from autopilot.core.samples import ObstacleTrack
 from autopilot.sitl.delayed import DelayedSensor
 from autopilot.sitl.moving import Motion, MovingPath
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, ObstacleSensor
+from autopilot.sitl.scenario_tables import CylinderObstacle, MovingObstacle, Obstacle
+from autopilot.sitl.sensor_tables import ObstacleSensor
 from autopilot.sitl.world import moving_path
 
 

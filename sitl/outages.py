@@ -4,7 +4,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from autopilot.sitl.scenario import CameraBlackout, Fault, Outages, SensorSilence
+from autopilot.sitl.scenario_tables import CameraBlackout, Fault, SensorSilence
+from autopilot.sitl.sensor_tables import Outages
 
 
 class OutageClock:

@@ -29,7 +29,7 @@ from autopilot.sitl.fault_tables import (
 )
 from autopilot.sitl.floor import Image
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import Fault
+from autopilot.sitl.scenario_tables import Fault
 
 FLIPS = {"columns": 1, "rows": 0, "both": -1}
 """OpenCV's codes."""

@@ -14,8 +14,9 @@ from autopilot.core.vehicle import Laser, Vehicle
 from autopilot.sitl.delayed import LossySensor
 from autopilot.sitl.picture_faults import PictureFaults
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import Fault, LaserSensor, PoseSensor
+from autopilot.sitl.scenario_tables import Fault
 from autopilot.sitl.sensor_faults import OpticalFaults
+from autopilot.sitl.sensor_tables import LaserSensor, PoseSensor
 
 REFERENCE_HEIGHT_M = 1.0
 """Height of the camera above the floor at which the scenario's standard deviations hold."""

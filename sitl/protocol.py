@@ -11,8 +11,7 @@ from autopilot.core.vehicle import Vehicle
 from autopilot.sitl.contact import Cylinder, Prism, Sphere
 from autopilot.sitl.fault_tables import Mishap
 from autopilot.sitl.plant import Plant, Truth, build_plant
-from autopilot.sitl.scenario import Scenario
-from autopilot.sitl.scenario_tables import ThrusterLoss
+from autopilot.sitl.scenario_tables import Scenario, ThrusterLoss
 
 PLANTS = {"rigid-body": "autopilot.sitl.protocol:rigid_body"}
 """Shipped plants: name -> what makes one."""

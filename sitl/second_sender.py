@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from autopilot.core.messages import Authority, Below
 from autopilot.drivers.ardusub_senders import OutputWatch
 from autopilot.sitl.fault_tables import SecondSender
-from autopilot.sitl.scenario import Fault
+from autopilot.sitl.scenario_tables import Fault
 
 STANDS_US = 20_000
 """What another has sent stands until the service's next command is read (50 Hz)."""

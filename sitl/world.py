@@ -8,7 +8,7 @@ from autopilot.core.toml_table import Vec2, Vec3
 from autopilot.sitl.contact import Cylinder, MovingCylinder, Prism, Solid, Sphere
 from autopilot.sitl.currents import CurrentField, Uniform, current_field
 from autopilot.sitl.moving import MovingPath
-from autopilot.sitl.scenario import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
+from autopilot.sitl.scenario_tables import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
 from autopilot.sitl.waves import WithWaves, breaking_height_m, wave_train
 
 

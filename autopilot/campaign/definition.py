@@ -12,7 +12,8 @@ from autopilot.core.errors import ConfigError
 from autopilot.core.params import ParamSet
 from autopilot.mission.plan_files import read_plan
 from autopilot.run.provenance import revision
-from autopilot.sitl.scenario import Scenario, load_scenario, load_tables, plan_path, with_vehicle
+from autopilot.sitl.scenario import load_scenario, load_tables, plan_path, with_vehicle
+from autopilot.sitl.scenario_tables import Scenario
 from autopilot.sitl.spread import Tables, drawn_tables, drawn_values, run_seed
 from autopilot.sitl.toml_text import toml_text
 

@@ -22,7 +22,7 @@ from autopilot.log.analysis import (
 from autopilot.log.description import RunDescription
 from autopilot.log.smoothness import measure
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import Scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 THRUST_TOLERANCE_N = 1e-6
 """Rounding: a command at its limit is not beyond it."""

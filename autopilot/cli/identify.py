@@ -90,7 +90,7 @@ def _truth(log: Path, vehicle: "Vehicle") -> dict[str, float]:
     from autopilot.identify.report import REFERENCE_SPEEDS
     from autopilot.log.reader import open_log
     from autopilot.sitl.mismatch import mismatched
-    from autopilot.sitl.scenario import Scenario
+    from autopilot.sitl.scenario_tables import Scenario
 
     data = open_log(log).attachments.get("scenario.json")
     if data is None:

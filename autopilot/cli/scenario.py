@@ -10,7 +10,7 @@ import click
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
-    from autopilot.sitl.scenario import Scenario
+    from autopilot.sitl.scenario_tables import Scenario
 
 
 @click.group()

@@ -32,7 +32,7 @@ from autopilot.run.compose import ServiceSetup, build_service, forecast_of
 from autopilot.run.kept_plans import PLANS_KEPT
 from autopilot.run.plans_format import decode, plan_item
 from autopilot.run.sitl_world import formula
-from autopilot.sitl.scenario import Scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 PLACEHOLDER_KEY = b"\xa5" * 32
 """Stands for a key that is in no log."""

@@ -19,7 +19,8 @@ from autopilot.run.sitl_console import unknown_obstacles
 from autopilot.run.sitl_fence import scenario_plan
 from autopilot.sitl.contact import Surroundings
 from autopilot.sitl.plant import build_plant
-from autopilot.sitl.scenario import Scenario, plan_path
+from autopilot.sitl.scenario import plan_path
+from autopilot.sitl.scenario_tables import Scenario
 from autopilot.sitl.waves import breaking_height_m
 from autopilot.sitl.world import build_world
 

@@ -16,7 +16,7 @@ from autopilot.core.shapes import clearance_m
 from autopilot.core.toml_table import Vec2
 from autopilot.run.console import EventLines, Print
 from autopilot.run.sitl_session import SitlSession
-from autopilot.sitl.scenario import CylinderObstacle, MovingObstacle, Obstacle, PrismObstacle, Scenario
+from autopilot.sitl.scenario_tables import CylinderObstacle, MovingObstacle, Obstacle, PrismObstacle, Scenario
 
 KNOWN_M = 0.02
 """A fence comes over the wire on a grid of 11 mm: an obstacle may stand out of its shape by so much."""

@@ -7,8 +7,7 @@ from typing import Any
 from autopilot.command.parts import Parts
 from autopilot.log.description import AcceptBounds, Obstacle, PartOrigin, RunDescription
 from autopilot.run.describe import describe_service
-from autopilot.sitl.scenario import Scenario
-from autopilot.sitl.scenario_tables import MovingObstacle, PrismObstacle, SphereObstacle
+from autopilot.sitl.scenario_tables import MovingObstacle, PrismObstacle, Scenario, SphereObstacle
 from autopilot.sitl.scenario_tables import Obstacle as SolidTable
 
 

@@ -12,7 +12,7 @@ from autopilot.core.plan import PlanItem
 from autopilot.mission.fence import FenceShape, read_fence
 from autopilot.mission.local_plan import CircleTable, FenceTable, LocalPlan, OriginTable, PolygonTable, plan_of_local
 from autopilot.mission.plan_model import PlanFile
-from autopilot.sitl.scenario import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
+from autopilot.sitl.scenario_tables import CylinderObstacle, MovingObstacle, PrismObstacle, Scenario
 
 SAME_M = 0.03
 """Corners and radii of two fences that differ by less are the same: plans lie on a grid of 11 mm."""

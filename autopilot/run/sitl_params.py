@@ -8,7 +8,8 @@ from autopilot.core.param_file import PersistentParams, kept_params
 from autopilot.core.params import ParamSet
 from autopilot.run.boot_links import BootLinks, open_boot_links
 from autopilot.run.config import Settings
-from autopilot.sitl.scenario import Scenario, load_scenario
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 
 def open_sitl_links(settings: Settings, overrides: dict[str, float], *, instance: int) -> BootLinks:

@@ -7,7 +7,7 @@ from autopilot.estimator.create import find_estimator
 from autopilot.log.description import PartOrigin
 from autopilot.run.config import Settings, chosen_part
 from autopilot.sitl.protocol import find_plant
-from autopilot.sitl.scenario import Scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 
 def part_origins(settings: Settings, scenario: Scenario) -> dict[str, PartOrigin]:

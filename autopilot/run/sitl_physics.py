@@ -15,7 +15,8 @@ from autopilot.drivers.links import open_link
 from autopilot.sitl.ardupilot_json import JsonPhysics
 from autopilot.sitl.ardusub_vehicle import ArduSubVehicle
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import Scenario, load_scenario, with_vehicle
+from autopilot.sitl.scenario import load_scenario, with_vehicle
+from autopilot.sitl.scenario_tables import Scenario
 
 LOOK_S = 0.2
 """How often a server that hears nothing looks whether it is to stop."""

@@ -10,7 +10,7 @@ from autopilot.run.session import Session, SessionOptions, open_session
 from autopilot.run.sitl_view import Steering
 from autopilot.run.sitl_world import SimulatedDevice, SimulatedWorld
 from autopilot.sitl.operator import ScriptedOperator
-from autopilot.sitl.scenario import Scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

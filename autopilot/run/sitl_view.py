@@ -20,7 +20,7 @@ from autopilot.run.clocks import LockstepClock, PacedClock
 from autopilot.run.watched import WatchedService
 from autopilot.sitl.backend import SimulatedVehicle
 from autopilot.sitl.contact import Prism, Sphere
-from autopilot.sitl.scenario import Fault, Scenario
+from autopilot.sitl.scenario_tables import Fault, Scenario
 from autopilot.view.controls import (
     Ask,
     CallFault,

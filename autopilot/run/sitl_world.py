@@ -47,7 +47,8 @@ from autopilot.sitl.hil import Wire, wires
 from autopilot.sitl.machine_faults import MachineFaults
 from autopilot.sitl.operator import ScriptedOperator
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import GridCurrent, Scenario, load_scenario, plan_path, with_vehicle
+from autopilot.sitl.scenario import load_scenario, plan_path, with_vehicle
+from autopilot.sitl.scenario_tables import GridCurrent, Scenario
 
 SITL_EPOCH_NS = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000_000
 """Log time of simulated time zero: fixed, so that two runs of a scenario and seed give the same log."""

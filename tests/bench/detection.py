@@ -28,7 +28,8 @@ from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.sitl.camera import SimCamera
 from autopilot.sitl.floor import build_floor
 from autopilot.sitl.plant import build_plant
-from autopilot.sitl.scenario import CameraLook, load_scenario
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.sensor_tables import CameraLook
 from tests.bench.estimator_images import (
     GUESS_SIGMA_M,
     GUESS_SIGMA_RAD,

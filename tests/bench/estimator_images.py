@@ -24,7 +24,8 @@ from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.sitl.camera import SimCamera
 from autopilot.sitl.floor import Floor, build_floor
 from autopilot.sitl.plant import Truth, build_plant
-from autopilot.sitl.scenario import CameraLook, load_scenario
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.sensor_tables import CameraLook
 from tests.bench.estimator_figures import Limit, rms
 
 SCENARIO, VEHICLE = "paper-tank", "lbv150"

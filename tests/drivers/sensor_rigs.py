@@ -42,7 +42,7 @@ from autopilot.sitl.ahrs import Ig500Emulator
 from autopilot.sitl.i2c_bus import EmulatedI2c, I2cChip
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.pty_line import PtyLine
-from autopilot.sitl.scenario import AhrsSensor
+from autopilot.sitl.sensor_tables import AhrsSensor
 
 TICK_US = 10_000
 VEHICLE = load_vehicle("lbv150")

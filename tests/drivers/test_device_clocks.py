@@ -25,7 +25,7 @@ from autopilot.drivers.ellipse import Ellipse, EllipseOptions
 from autopilot.drivers.ig500 import Ig500
 from autopilot.drivers.waterlinked_a50 import WaterLinkedA50, WaterLinkedA50Options
 from autopilot.sitl.ahrs import Ig500Emulator
-from autopilot.sitl.scenario import AhrsSensor
+from autopilot.sitl.sensor_tables import AhrsSensor
 
 COST_US = 500_000
 """What a jump may cost."""

@@ -25,7 +25,7 @@ from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.estimator.vision_lane import VisionWorker
 from autopilot.sitl.camera import SimCamera
 from autopilot.sitl.floor import Floor
-from autopilot.sitl.scenario import CameraLook
+from autopilot.sitl.sensor_tables import CameraLook
 
 POS, RPY = np.array([0.5, -0.2, 0.6]), np.array([0.01, -0.01, 0.4])
 HINT = Hint(pos_ned_m=POS + 0.004, rpy_rad=RPY)

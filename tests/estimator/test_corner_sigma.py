@@ -15,7 +15,7 @@ from autopilot.estimator.pnp import solve_pose
 from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.sitl.camera import SimCamera
 from autopilot.sitl.floor import Floor
-from autopilot.sitl.scenario import CameraLook
+from autopilot.sitl.sensor_tables import CameraLook
 from tests.bench.photographs import PHOTOGRAPHS, Photograph, read_photographs
 
 BOARD = ("img_00", "choriginal", "img_02", "img_03")

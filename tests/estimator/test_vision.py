@@ -20,7 +20,8 @@ from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.sitl.camera import SimCamera
 from autopilot.sitl.floor import Floor
 from autopilot.sitl.plant import Truth, build_plant
-from autopilot.sitl.scenario import CameraLook, load_scenario
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.sensor_tables import CameraLook
 
 
 def truth_at(pos: FloatArray, rpy: FloatArray) -> Truth:

@@ -191,7 +191,8 @@ def test_from_images_by_the_command(tmp_path: Path) -> None:
     from autopilot.sitl.camera import SimCamera
     from autopilot.sitl.floor import build_floor
     from autopilot.sitl.plant import build_plant
-    from autopilot.sitl.scenario import CameraLook, load_scenario
+    from autopilot.sitl.scenario import load_scenario
+    from autopilot.sitl.sensor_tables import CameraLook
 
     scenario = load_scenario("paper-tank")
     floor = build_floor(scenario)

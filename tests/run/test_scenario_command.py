@@ -22,7 +22,8 @@ from autopilot.mission.fence import read_fence
 from autopilot.mission.plan_files import read_plan
 from autopilot.run.sitl_fence import drawn_fence, scenario_plan
 from autopilot.sitl.grid_current import read_grid
-from autopilot.sitl.scenario import Scenario, load_scenario, plan_path, scenario_names, scenario_path
+from autopilot.sitl.scenario import load_scenario, plan_path, scenario_names, scenario_path
+from autopilot.sitl.scenario_tables import Scenario
 
 
 def call(*arguments: object) -> Result:

@@ -12,7 +12,8 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.sitl.camera import SimCamera
 from autopilot.sitl.floor import Floor, build_floor
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import CameraLook, load_scenario
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.sensor_tables import CameraLook
 
 VEHICLE = load_vehicle("lbv150")
 SCENARIO = load_scenario("paper-tank")

@@ -12,7 +12,8 @@ from autopilot.drivers.ig500 import Ig500
 from autopilot.drivers.ig500_protocol import ACKNOWLEDGE, CONTINUOUS_OUTPUT, FrameParser, encode_continuous_mode
 from autopilot.sitl.ahrs import Ig500Emulator
 from autopilot.sitl.plant import Truth
-from autopilot.sitl.scenario import AhrsFreeze, AhrsSensor, Fault
+from autopilot.sitl.scenario_tables import AhrsFreeze, Fault
+from autopilot.sitl.sensor_tables import AhrsSensor
 
 PERFECT = AhrsSensor(
     latency_jitter_s=0.0,

@@ -16,17 +16,9 @@ from autopilot.sitl.ahrs import Ig500Emulator
 from autopilot.sitl.backend import PowerMonitor, SimulatedVehicle, simulated_vehicle
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.pose_sensor import SimPoseSensor
-from autopilot.sitl.scenario import (
-    AhrsSensor,
-    CameraBlackout,
-    CameraSensor,
-    LaserSensor,
-    PoseSensor,
-    Scenario,
-    Sensors,
-    ThrusterLoss,
-    load_scenario,
-)
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.scenario_tables import CameraBlackout, Scenario, ThrusterLoss
+from autopilot.sitl.sensor_tables import AhrsSensor, CameraSensor, LaserSensor, PoseSensor, Sensors
 
 PUSH = (1600, 1600, 1500, 1500)
 

@@ -19,7 +19,7 @@ from autopilot.sitl.currents import (
     Vortex,
     current_field,
 )
-from autopilot.sitl.scenario import Scenario
+from autopilot.sitl.scenario_tables import Scenario
 
 FIELDS: dict[str, CurrentField] = {
     "uniform": Uniform(velocity_m_s=(0.1, -0.2, 0.05), tide_m_s=(0.3, 0.0, 0.1), tide_period_s=60.0),

@@ -12,7 +12,9 @@ from autopilot.core.samples import VelocityLock
 from autopilot.core.vehicle import DepthMount, DvlMount
 from autopilot.sitl.depth_sensor import SimDepthSensor
 from autopilot.sitl.dvl import SimDvl
-from autopilot.sitl.scenario import DepthSensor, DvlSensor, Outages, SensorSilence, load_scenario, scenario_path
+from autopilot.sitl.scenario import load_scenario, scenario_path
+from autopilot.sitl.scenario_tables import SensorSilence
+from autopilot.sitl.sensor_tables import DepthSensor, DvlSensor, Outages
 
 LEVER = (0.3, -0.2, 0.1)
 EXACT_DEPTH = DepthSensor(sigma_m=0.0, bias_m=0.0, drift_m_rts=0.0)

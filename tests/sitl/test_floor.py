@@ -7,7 +7,8 @@ import pytest
 from sensor_helpers import SCENARIO, floor
 
 from autopilot.sitl.floor import MAX_PX, build_floor, build_markers
-from autopilot.sitl.scenario import Markers, Tank, load_scenario
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.scenario_tables import Markers, Tank
 
 MARKER_CELLS = 6
 """A 4x4 marker with its border of one cell."""

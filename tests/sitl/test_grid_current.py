@@ -14,7 +14,8 @@ from autopilot.core.vehicle import load_vehicle
 from autopilot.sitl.currents import current_field
 from autopilot.sitl.grid_current import Grid, GridField, read_grid
 from autopilot.sitl.plant import build_plant
-from autopilot.sitl.scenario import GridCurrent, Scenario, load_scenario
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.scenario_tables import GridCurrent, Scenario
 
 RNG = np.random.default_rng(3)
 AXES = ((0.0, 10.0, 25.0), (0.0, 2.0), (-2.0, -0.5, 1.0, 2.5), (-1.0, 0.0, 2.0))

@@ -18,7 +18,9 @@ from autopilot.estimator.markers_pose import MarkerSolver
 from autopilot.estimator.vision import Hint, MarkerDetector
 from autopilot.sitl.camera import SimCamera, true_camera
 from autopilot.sitl.floor import Floor, build_floor
-from autopilot.sitl.scenario import CameraLook, LaserSensor, Markers, Scenario, load_scenario
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.scenario_tables import Markers, Scenario
+from autopilot.sitl.sensor_tables import CameraLook, LaserSensor
 
 BOARDS = f"""
 [defaults]

@@ -23,7 +23,8 @@ from autopilot.sitl.fault_tables import (
 )
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.pose_sensor import SimPoseSensor
-from autopilot.sitl.scenario import CameraSensor, LaserSensor, PoseSensor, load_scenario, scenario_path
+from autopilot.sitl.scenario import load_scenario, scenario_path
+from autopilot.sitl.sensor_tables import CameraSensor, LaserSensor, PoseSensor
 
 AT_US, SPEED_M_S = 500_000, 0.3
 EXACT = PoseSensor(drop_probability=0.0, sigma_xy_m=0.0, sigma_z_m=0.0, sigma_yaw_rad=0.0)

@@ -10,7 +10,8 @@ from sensor_helpers import FLOOR_M, VEHICLE, height, truth_at
 from autopilot.core.samples import LaserSample, PoseSample
 from autopilot.sitl.outages import OutageClock
 from autopilot.sitl.pose_sensor import SimPoseSensor
-from autopilot.sitl.scenario import CameraBlackout, LaserSensor, Outages, PoseSensor
+from autopilot.sitl.scenario_tables import CameraBlackout
+from autopilot.sitl.sensor_tables import LaserSensor, Outages, PoseSensor
 
 POSE = PoseSensor(drop_probability=0.0)
 LATENCY_US = round(VEHICLE.camera.latency_s * 1e6)

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from autopilot.core.errors import ConfigError
-from autopilot.sitl.scenario import Spread, load_scenario, load_tables, scenario_path
+from autopilot.sitl.scenario import load_scenario, load_tables, scenario_path
+from autopilot.sitl.scenario_tables import Spread
 from autopilot.sitl.spread import RUN_SEEDS, drawn_tables, drawn_values, run_seed
 from autopilot.sitl.toml_text import toml_text
 

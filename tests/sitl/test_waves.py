@@ -12,7 +12,8 @@ from plant_helpers import VEHICLE
 from autopilot.core.errors import ConfigError
 from autopilot.sitl.backend import simulated_vehicle
 from autopilot.sitl.plant import Plant, build_plant
-from autopilot.sitl.scenario import Waves, load_scenario
+from autopilot.sitl.scenario import load_scenario
+from autopilot.sitl.scenario_tables import Waves
 from autopilot.sitl.waves import GRAVITY_M_S2, WithWaves, wave_number, wave_train
 from autopilot.sitl.world import World, water_field
 
