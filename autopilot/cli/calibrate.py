@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.finite import Finite
+from autopilot.cli.options import JSON_NOT_TABLES, LOG_FILE
 from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
 
 if TYPE_CHECKING:
@@ -17,11 +18,9 @@ if TYPE_CHECKING:
 
 LEAST_SIGMA_S = 0.0005
 """Of the stamps: drivers jitter."""
-_JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 _OUT = click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), help="Vehicle file to write (default: print the keys)."
 )
-_LOG = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
 _VEHICLE = click.option("--vehicle", help="Vehicle (shipped name or file) instead of the log's own.")
 _MAP = click.option("--map", "map_file", type=click.Path(path_type=Path), help="Marker map instead of the log's own.")
 
@@ -93,7 +92,7 @@ def board(sheet: Path, board: str, **spec: Any) -> None:
 @click.option("--save", type=click.Path(path_type=Path, file_okay=False), help="Live: folder to keep the views in.")
 @click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), help="Picture of the residuals (PNG).")
 @_OUT
-@_JSON
+@JSON_NOT_TABLES
 @click.pass_context
 def camera(
     ctx: click.Context,
@@ -174,11 +173,11 @@ def _view_rows(result: Any, spread: Any) -> list[tuple[str, str, str, str]]:
 
 
 @calibrate.command()
-@_LOG
+@LOG_FILE
 @_VEHICLE
 @_MAP
 @_OUT
-@_JSON
+@JSON_NOT_TABLES
 def latency(log_file: Path, vehicle: str | None, map_file: Path | None, out: Path | None, as_json: bool) -> None:
     """How late pictures are stamped, from how camera and gyros saw the vehicle turn."""
     from autopilot.calibrate.flight import read_flight
@@ -207,11 +206,11 @@ def latency(log_file: Path, vehicle: str | None, map_file: Path | None, out: Pat
 
 
 @calibrate.command()
-@_LOG
+@LOG_FILE
 @_VEHICLE
 @_MAP
 @_OUT
-@_JSON
+@JSON_NOT_TABLES
 def extrinsics(log_file: Path, vehicle: str | None, map_file: Path | None, out: Path | None, as_json: bool) -> None:
     """Rotation of the camera against the AHRS, and its lever arm where the flight shows it."""
     from autopilot.calibrate.extrinsics import check_attitude, extrinsic_values, fit_lever_arm, mounting_rpy_rad
@@ -271,7 +270,7 @@ def extrinsics(log_file: Path, vehicle: str | None, map_file: Path | None, out: 
 @_VEHICLE
 @_MAP
 @_OUT
-@_JSON
+@JSON_NOT_TABLES
 def laser(
     source: Path,
     vehicle: str | None,
@@ -347,7 +346,7 @@ def laser(
 @click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle whose drive it is.")
 @click.option("--thruster", help="Which one, if the table holds several.")
 @_OUT
-@_JSON
+@JSON_NOT_TABLES
 def thrusters(table: Path, vehicle: str, thruster: str | None, out: Path | None, as_json: bool) -> None:
     """The thrust curve of the drive from a load cell's TABLE (CSV: pulse_us, thrust_n, supply_v)."""
     from autopilot.calibrate.thrust_curve import curves_text, fit_brushed, fit_curves, read_table

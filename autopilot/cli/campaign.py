@@ -14,7 +14,7 @@ import click
 
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.output import emit_json, print_table
-from autopilot.cli.part_name import part_name
+from autopilot.cli.service_options import part_name
 from autopilot.run.config import SENSORS
 
 if TYPE_CHECKING:

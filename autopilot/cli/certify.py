@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from autopilot.cli.options import JSON
 from autopilot.cli.output import emit_json, print_table
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ CURRENTS = ("0,0", "0.15,0", "0,0.15", "-0.25,0", "0,-0.3")
 @click.option("--param", "overrides", multiple=True, metavar="NAME=VALUE", help="With another parameter value.")
 @click.option("--current", "currents", multiple=True, metavar="NORTH,EAST", help="Current [m/s]; several may be given.")
 @click.option("--short", is_flag=True, help="2,000 samples instead of 20,000, short flights.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def certify(
     plan: Path | None,
     vehicle: str,

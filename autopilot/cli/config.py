@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.options import JSON
 from autopilot.cli.output import emit_json, print_table
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ def config() -> None:
 @click.argument("scenario", required=False)
 @click.option("--config", "file", metavar="FILE", help="What `autopilot run --config FILE` would use instead.")
 @click.option("--instance", default=0, show_default=True, help="Instance number (sysid 1 + N).")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def show(scenario: str | None, file: str | None, instance: int, as_json: bool) -> None:
     """Settings, scenario and vehicle of `autopilot sitl [SCENARIO]`, or of `autopilot run --config FILE`."""
     if scenario is not None and file is not None:

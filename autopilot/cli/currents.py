@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from autopilot.cli.finite import Finite, FiniteRange
+from autopilot.cli.options import JSON
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 
@@ -19,7 +20,7 @@ def currents() -> None:
 @click.option(
     "--origin", nargs=2, type=Finite(), metavar="LAT LON", help="Local origin (default: ORIGIN_LAT, ORIGIN_LON)."
 )
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def check(file: str, plan: str | None, origin: tuple[float, float] | None, as_json: bool) -> None:
     """What the map FILE holds, and whether it fits a plan: exit 1 if not, 3 with a warning."""
     from autopilot.command.map_check import describe_map, open_map, plan_findings
@@ -61,7 +62,7 @@ def b6(file: str, error: float | None, seed: int) -> None:
 
 @currents.command()
 @click.argument("log", type=click.Path(exists=True, dir_okay=False))
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def compare(log: str, as_json: bool) -> None:
     """Mean error [m/s] of the forecasts without a map along the way that a simulated flight's LOG then took."""
     from dataclasses import asdict

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from autopilot.cli.finite import FiniteRange
+from autopilot.cli.options import JSON, SEED
 from autopilot.cli.output import emit_json
 
 if TYPE_CHECKING:
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out/demo"), show_default=True)
 @click.option("--laps", type=click.IntRange(1, 50), default=3, show_default=True, help="Laps A-B-A.")
 @click.option("--speed", type=FiniteRange(min=0.0), default=0.0, help="0 = as fast as possible (default).")
-@click.option("--seed", type=click.IntRange(min=0), help="Seed of all randomness (default: the scenario's).")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@SEED
+@JSON
 def demo(out: Path, laps: int, speed: float, seed: int | None, as_json: bool) -> None:
     """Fly the paper's mission in the simulated tank, with the jet and in still water, and judge it.
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import click
 
 from autopilot.cli.finite import FiniteRange
+from autopilot.cli.options import CONFIG, INSTANCE, JSON
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
@@ -14,15 +15,15 @@ WARNING = "The thrusters are armed and turn for two seconds. Take all propellers
 
 
 @click.command()
-@click.option("--config", required=True, metavar="FILE", help="Vehicle configuration: a TOML file, or a shipped name.")
+@CONFIG
 @click.option("--plan", type=click.Path(exists=True, dir_okay=False), help="Plan to fly instead of the one on board.")
 @click.option("--connect", multiple=True, help="MAVLink connection; repeatable, replaces the file's.")
 @click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter for this look; repeatable.")
-@click.option("--instance", type=click.IntRange(0, 99), default=0, show_default=True, help="Instance number.")
+@INSTANCE
 @click.option("--seconds", type=FiniteRange(1.0, 600.0), default=5.0, show_default=True, help="So long it looks.")
 @click.option("--measure-neutral", is_flag=True, help="Turn the thrusters and measure how long they go on in silence.")
 @click.option("--yes", is_flag=True, help="With --measure-neutral: the propellers are off, do not ask.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def doctor(
     config: str,
     plan: str | None,

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.options import JSON
 from autopilot.cli.output import emit_json, print_table
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 @click.option("--markdown", is_flag=True, help="As a Markdown table.")
 @click.option("--write", type=click.Path(path_type=Path, dir_okay=False, exists=True), help="Bring a page up to date.")
 def failsafes(as_json: bool, markdown: bool, write: Path | None) -> None:

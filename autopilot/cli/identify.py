@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.options import JSON
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write a vehicle file with the new values."
 )
 @click.option("--compare", is_flag=True, help="Beside what the simulator flew; for logs of the simulator only.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def identify(logs: tuple[Path, ...], vehicle: str | None, out: Path | None, compare: bool, as_json: bool) -> None:
     """Masses (added mass included), drags and buoyancy of the 4-DoF model from the motion in LOGS.
 

@@ -10,6 +10,7 @@ import click
 from autopilot.cli.log_replay import replay
 from autopilot.cli.log_tlog import tlog
 from autopilot.cli.log_tools import diff, export, find, recover
+from autopilot.cli.options import JSON_NOT_TABLES, LOG_FILE
 from autopilot.cli.output import EXIT_LOSS, emit_json, make_console, print_table
 
 if TYPE_CHECKING:
@@ -18,9 +19,6 @@ if TYPE_CHECKING:
     from autopilot.log.reader import Log
 
 EXIT_FAILED = 1
-
-_LOG = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
-_JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 
 
 @click.group()
@@ -33,8 +31,8 @@ for _command in (tlog, export, diff, recover, find, replay):
 
 
 @log.command()
-@_LOG
-@_JSON
+@LOG_FILE
+@JSON_NOT_TABLES
 @click.pass_context
 def info(ctx: click.Context, log_file: Path, as_json: bool) -> None:
     """What LOG holds: topics, run, attachments, damage. Exit 3 if something is lost."""
@@ -51,8 +49,8 @@ def info(ctx: click.Context, log_file: Path, as_json: bool) -> None:
 
 
 @log.command()
-@_LOG
-@_JSON
+@LOG_FILE
+@JSON_NOT_TABLES
 @click.pass_context
 def check(ctx: click.Context, log_file: Path, as_json: bool) -> None:
     """Judge LOG by the bounds of its run. Exit 1 if one is broken, 3 if there are warnings."""
@@ -70,7 +68,7 @@ def check(ctx: click.Context, log_file: Path, as_json: bool) -> None:
 
 
 @log.command()
-@_LOG
+@LOG_FILE
 @click.option("--out", type=click.Path(path_type=Path), help="File to write (default: LOG with the ending .html).")
 def report(log_file: Path, out: Path | None) -> None:
     """Write LOG as one HTML file with interactive plots, which needs no network."""
@@ -84,7 +82,7 @@ def report(log_file: Path, out: Path | None) -> None:
 
 
 @log.command()
-@_LOG
+@LOG_FILE
 @click.option("--out", type=click.Path(path_type=Path), help="Folder to write into (default: LOG without its ending).")
 def plot(log_file: Path, out: Path | None) -> None:
     """Draw LOG as PNG and PDF figures: the paper's five, errors of the estimate, solve time, energy, current."""
@@ -99,8 +97,8 @@ def plot(log_file: Path, out: Path | None) -> None:
 
 
 @log.command()
-@_LOG
-@_JSON
+@LOG_FILE
+@JSON_NOT_TABLES
 def programs(log_file: Path, as_json: bool) -> None:
     """Solve what the optimiser failed to solve in LOG once more, by every solver.
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import click
 
 from autopilot.cli.finite import Finite
+from autopilot.cli.options import JSON_NOT_TABLES, LOG_FILE
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
-from autopilot.cli.part_name import part_name
+from autopilot.cli.service_options import part_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +24,7 @@ SHOWN = 20
 
 
 @click.command()
-@click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
+@LOG_FILE
 @click.option("--step", "step_s", type=Finite(), metavar="T", help="Take apart the control step at T seconds.")
 @click.option("--figure", type=click.Path(path_type=Path), help="--step: PNG to draw (default: LOG_step_T.png).")
 @click.option(
@@ -38,7 +39,7 @@ SHOWN = 20
 @click.option("--only", type=click.Choice(("estimator",)), help="Replay the estimator alone.")
 @click.option("--estimator", callback=part_name, help="The estimator alone: another one than the run's.")
 @click.option("--out", type=click.Path(path_type=Path), help="Keep what was replayed: .mcap (estimator: or .csv).")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+@JSON_NOT_TABLES
 def replay(
     log_file: Path,
     step_s: float | None,

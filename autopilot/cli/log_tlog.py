@@ -5,12 +5,13 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.options import JSON
 from autopilot.cli.output import emit_json, print_table
 
 
 @click.command()
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def tlog(file: Path, as_json: bool) -> None:
     """Attitude in a .tlog of any MAVLink vehicle: rate, gaps and their causes, and what the AHRS intake makes of it.
 

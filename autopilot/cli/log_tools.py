@@ -6,12 +6,12 @@ from typing import Literal
 
 import click
 
+from autopilot.cli.options import JSON_NOT_TABLES
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 from autopilot.core.errors import LogError
 
 EXIT_DIFFERENT = 1
 _LOG = click.Path(path_type=Path)
-_JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
 
 
 @click.command()
@@ -51,7 +51,7 @@ def export(
 @click.argument("second", metavar="B", type=_LOG)
 @click.option("--ignore", multiple=True, metavar="TOPIC|FIELD", help="Leave a topic, field or topic.field out.")
 @click.option("--all", "everything", is_flag=True, help="Compare also what the machine has measured of itself.")
-@_JSON
+@JSON_NOT_TABLES
 def diff(first: Path, second: Path, ignore: tuple[str, ...], everything: bool, as_json: bool) -> None:
     """Where the messages of A and B differ, and their parameters. Exit 1 if they do, 3 if part could not be read."""
     from autopilot.log.compare import WALL_CLOCK_FIELDS, WALL_CLOCK_TOPICS, compare_logs
@@ -88,7 +88,7 @@ def diff(first: Path, second: Path, ignore: tuple[str, ...], everything: bool, a
 
 @click.command()
 @click.argument("place", metavar="LOG|FOLDER", type=_LOG)
-@_JSON
+@JSON_NOT_TABLES
 def recover(place: Path, as_json: bool) -> None:
     """Repair a log that was never finished, or all such below a folder; it takes the old one's place.
 
@@ -116,7 +116,7 @@ def recover(place: Path, as_json: bool) -> None:
 @click.command()
 @click.argument("folder", required=False, type=_LOG)
 @click.option("--where", multiple=True, metavar="KEY=VALUE", help="Only runs of which that holds; repeatable.")
-@_JSON
+@JSON_NOT_TABLES
 def find(folder: Path | None, where: tuple[str, ...], as_json: bool) -> None:
     """List the logs below FOLDER (default: the log folder): run, time, length, damage.
 

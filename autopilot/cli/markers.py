@@ -8,6 +8,7 @@ import click
 
 from autopilot.cli.markers_board import board
 from autopilot.cli.markers_survey import survey
+from autopilot.cli.options import JSON
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def markers() -> None:
 @markers.command()
 @click.argument("file", type=click.Path(exists=True, dir_okay=False))
 @click.option("--vehicle", default="lbv150", show_default=True, help="Whose camera looks at it: name or file.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def check(file: str, vehicle: str, as_json: bool) -> None:
     """What the map FILE holds, and how much of it the camera sees. Exit 1 if it is wrong, 3 with warnings."""
     from autopilot.core.camera import CameraModel

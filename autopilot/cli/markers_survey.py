@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from autopilot.cli.finite import Finite, FiniteRange
+from autopilot.cli.options import JSON
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
     "--views", type=click.IntRange(min=2), default=300, show_default=True, help="Images of a log or film that are used."
 )
 @click.option("--out", type=click.Path(dir_okay=False), help="Write the map here.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def survey(sources: tuple[str, ...], as_json: bool, **options: Any) -> None:
     """Where the markers really are, by bundle adjustment of a LOG (.mcap), of images or of films. Exit 3 with warnings.
 

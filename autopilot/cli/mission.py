@@ -11,6 +11,7 @@ import click
 
 from autopilot.cli.finite import FiniteRange
 from autopilot.cli.mission_new import new
+from autopilot.cli.options import JSON
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 from autopilot.core.errors import AutopilotError
 
@@ -39,7 +40,6 @@ _patience = click.option(
     metavar="S",
     help="Wait so long for the vehicle's heartbeat.",
 )
-_json = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
 
 
 @click.group()
@@ -52,7 +52,7 @@ def mission() -> None:
 @click.option("--clear", is_flag=True, help="Remove the vehicle's old plans first (when they conflict with the fence).")
 @_connect
 @_patience
-@_json
+@JSON
 def upload(file: Path, clear: bool, connection: str, patience: float, as_json: bool) -> None:
     """Send FILE's fence, rally points and mission to the vehicle.
 
@@ -78,7 +78,7 @@ def upload(file: Path, clear: bool, connection: str, patience: float, as_json: b
 @click.argument("file", type=click.Path(path_type=Path))
 @_connect
 @_patience
-@_json
+@JSON
 def download(file: Path, connection: str, patience: float, as_json: bool) -> None:
     """Read the vehicle's plans and write them to FILE (.plan)."""
     from autopilot.core.plan import PlanKind
@@ -114,7 +114,7 @@ def download(file: Path, connection: str, patience: float, as_json: bool) -> Non
 )
 @_connect
 @_patience
-@_json
+@JSON
 def start(
     file: Path | None, clear: bool, wait: bool, timeout: float, connection: str, patience: float, as_json: bool
 ) -> None:
@@ -150,7 +150,7 @@ def start(
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle file or shipped vehicle, for its radius.")
 @click.option("--param", "overrides", multiple=True, metavar="NAME=VALUE", help="Judge with another parameter value.")
-@_json
+@JSON
 def check(file: Path, vehicle: str, overrides: tuple[str, ...], as_json: bool) -> None:
     """Show everything that is wrong with FILE, without a vehicle.
 

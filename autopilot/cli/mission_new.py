@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from autopilot.cli.finite import Finite
+from autopilot.cli.options import JSON
 from autopilot.cli.output import EXIT_LOSS, emit_json
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ class Numbers(_NumbersType):
 @click.option("--vehicle", default="lbv150", show_default=True, help="Vehicle that the plan is checked for.")
 @click.option("--out", "out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="FILE.plan")
 @click.option("--force", is_flag=True, help="Replace FILE.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def new(
     tank: tuple[float, ...] | None,
     obstacles: tuple[tuple[float, ...], ...],

@@ -3,12 +3,13 @@
 import click
 
 from autopilot.cli.finite import Finite
+from autopilot.cli.options import CONFIG
 from autopilot.cli.service_run import StopSignals
 from autopilot.core.errors import ConfigError
 
 
 @click.command()
-@click.option("--config", required=True, metavar="FILE", help="Vehicle configuration: a TOML file, or a shipped name.")
+@CONFIG
 @click.option("--thruster", multiple=True, help="Name in the vehicle file; repeatable (default: all in turn).")
 @click.option("--level", type=Finite(), default=15.0, show_default=True, help="Percent of the span, -30 to 30.")
 @click.option("--seconds", type=Finite(), default=1.0, show_default=True, help="Each, at most 5.")

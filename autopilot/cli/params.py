@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from autopilot.cli.options import JSON
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 
@@ -13,7 +14,7 @@ def params() -> None:
 
 
 @params.command(name="list")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def list_(as_json: bool) -> None:
     """All parameters with default, range, unit and meaning."""
     from autopilot.core.params import PARAMETERS
@@ -44,7 +45,7 @@ def list_(as_json: bool) -> None:
 
 @params.command()
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def check(file: Path, as_json: bool) -> None:
     """Check a parameter file and show what differs from the defaults. Exit 3 if it has names that do not exist."""
     from autopilot.core.errors import ConfigError

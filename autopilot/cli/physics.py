@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from autopilot.cli.finite import FiniteRange
+from autopilot.cli.options import JSON
 from autopilot.cli.output import emit_json
 from autopilot.cli.service_run import StopSignals
 
@@ -18,7 +19,7 @@ from autopilot.cli.service_run import StopSignals
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--duration", type=FiniteRange(min=0.0, min_open=True), help="End after so many simulated seconds.")
 @click.option("--truth", type=click.Path(dir_okay=False, path_type=Path), help="File for true poses, a JSON line each.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def physics(
     scenario: str,
     vehicle: str,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.options import JSON, SCENARIO_VEHICLE
 from autopilot.cli.output import EXIT_LOSS, emit_json, print_table
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ def scenario() -> None:
 
 
 @scenario.command("list")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def list_shipped(as_json: bool) -> None:
     """The scenarios that are shipped."""
     from autopilot.sitl.scenario import load_scenario, scenario_names
@@ -63,8 +64,8 @@ def _where(known: Scenario) -> str:
 
 @scenario.command()
 @click.argument("file")
-@click.option("--vehicle", help="Another vehicle than the scenario's: a shipped name or a vehicle file.")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@SCENARIO_VEHICLE
+@JSON
 def check(file: str, vehicle: str | None, as_json: bool) -> None:
     """Whether the scenario of FILE (or a shipped name) can be flown: world, start, current, plan and fence.
 

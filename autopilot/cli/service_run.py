@@ -1,14 +1,24 @@
 """What ``autopilot sitl`` and ``autopilot run`` share: signals that end a run, and what is said at its end."""
 
+import contextlib
 import gc
 import signal
+import time
+from collections.abc import Callable, Iterator
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
+from autopilot.run.process_start import process_start_s
+
 if TYPE_CHECKING:
-    from autopilot.run.session import Session
+    from autopilot.run.boot_links import BootLinks
+    from autopilot.run.session import Session, SessionOptions
+    from autopilot.view.foxglove import FoxgloveServer
+    from autopilot.view.hub import Hub
+
+S = TypeVar("S", bound="Session")
 
 
 class StopSignals:
@@ -31,6 +41,46 @@ class StopSignals:
     def _stop(self, number: int, _frame: FrameType | None) -> None:
         self._came.append(number)
         signal.signal(number, signal.SIG_DFL)
+
+
+class Flights:
+    """Runs of one process, one after the other: signals, viewers and console are theirs in common."""
+
+    def __init__(
+        self, stop: StopSignals, view: "Hub | None", foxglove: "FoxgloveServer | None", *, quiet: bool
+    ) -> None:
+        self.stop = stop
+        self.view, self._foxglove, self._quiet = view, foxglove, quiet
+        self._began_s = process_start_s()
+
+    @contextlib.contextmanager
+    def ready(
+        self, links: "Callable[[], BootLinks]", make: "Callable[[SessionOptions], S]"
+    ) -> "Iterator[tuple[S, Callable[[str], None]]]":
+        """A session, ready to run, and what prints lines of it. ``links`` opens what is heard before all is loaded;
+        ``make`` opens the session with those options."""
+        with links() as boot:
+            from autopilot.run.console import Console
+
+            console = None if self._quiet else Console()
+            show: Callable[[str], None] = (lambda _: None) if console is None else console.print
+            options: SessionOptions = {
+                "links": boot.links,
+                "now_s": self._began_s,
+                "view": self.view,
+                "foxglove": self._foxglove,
+            }
+            session = make(options)
+            settle_memory()
+        try:
+            session.runtime.take_over(boot.take_unanswered())
+            for warning in session.warnings:
+                click.echo(f"warning: {warning}", err=True)
+            yield session, show
+        finally:
+            self._began_s = time.time()
+            if console is not None:
+                console.close()
 
 
 def settle_memory() -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from autopilot.cli.options import JSON
 from autopilot.cli.output import emit_json, print_table
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def vehicle() -> None:
 
 @vehicle.command()
 @click.argument("file")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def check(file: str, as_json: bool) -> None:
     """What the vehicle of FILE (or a shipped name) can do; exit 1, with the reason, if it cannot be flown."""
     from autopilot.core.vehicle import load_vehicle
@@ -84,7 +85,7 @@ def check(file: str, as_json: bool) -> None:
 
 
 @vehicle.command("list")
-@click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+@JSON
 def list_shipped(as_json: bool) -> None:
     """The vehicles that are shipped."""
     from autopilot.core.vehicle import load_vehicle, vehicle_names

@@ -1,4 +1,4 @@
-"""Option ``--view [PORT]`` of ``autopilot sitl`` and ``autopilot run``, and the view that it asks for."""
+"""Options of ``autopilot sitl`` and ``autopilot run``, and the viewers that they ask for."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -6,11 +6,32 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autopilot.run.config import ANY_VIEW_PORT, MAX_PORT
+from autopilot.cli.finite import FiniteRange
+from autopilot.run.config import ANY_VIEW_PORT, MAX_PORT, SHIPPED_PARTS, is_part
 
 if TYPE_CHECKING:
     from autopilot.view.foxglove import FoxgloveServer
     from autopilot.view.hub import Hub
+
+
+def part_name(_: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """Callback of an option that names a controller, an estimator or a plant: a shipped one, a package's, or
+    package:Class. The name, if there may be such a part."""
+    kind = str(param.name)
+    if value is not None and not is_part(kind, value):
+        names = ", ".join(map(repr, SHIPPED_PARTS[kind]))
+        raise click.BadParameter(f"{value!r} is not one of {names}; for your own write package:Class")
+    return value
+
+
+PLAN = click.option("--plan", type=click.Path(exists=True, dir_okay=False), help="Preload mission, fence and rally.")
+DURATION = click.option("--duration", type=FiniteRange(min=0.0, min_open=True), help="End after so many seconds.")
+LOG = click.option(
+    "--log", type=click.Path(dir_okay=False), help="Log file (default: one per arming in the log folder)."
+)
+LOG_CAMERA_HZ = click.option(
+    "--log-camera-hz", type=FiniteRange(0.0, 100.0), help="Pictures in the log per second (default 2)."
+)
 
 
 def _port(_: click.Context, __: click.Parameter, value: str | None) -> int | None:

@@ -1,0 +1,19 @@
+"""Options that several commands have, each defined once."""
+
+from pathlib import Path
+
+import click
+
+JSON = click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")
+JSON_NOT_TABLES = click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+LOG_FILE = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
+SCENARIO_VEHICLE = click.option(
+    "--vehicle", help="Another vehicle than the scenario's: a shipped name or a vehicle file."
+)
+CONFIG = click.option(
+    "--config", required=True, metavar="FILE", help="Vehicle configuration: a TOML file, or a shipped name."
+)
+INSTANCE = click.option("--instance", type=click.IntRange(0, 99), default=0, show_default=True, help="Instance number.")
+SEED = click.option("--seed", type=click.IntRange(min=0), help="Seed of all randomness (default: the scenario's).")
+PARAM = click.option("--param", multiple=True, metavar="NAME=VALUE", help="Set a parameter for this run; repeatable.")
+QUIET = click.option("--quiet", is_flag=True, help="Print only errors.")
