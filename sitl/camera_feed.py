@@ -9,11 +9,10 @@ import numpy as np
 
 from autopilot.core.samples import CameraFrame
 from autopilot.core.vehicle import Camera
-from autopilot.drivers.base import Closing
 from autopilot.sitl.camera import SimCamera
+from autopilot.sitl.delayed import LossySensor
 from autopilot.sitl.fault_tables import Lens, Mounting
 from autopilot.sitl.floor import Image
-from autopilot.sitl.outages import OutageClock
 from autopilot.sitl.picture_faults import Exposure, PictureFaults, reflected
 from autopilot.sitl.plant import Truth
 from autopilot.sitl.scenario_tables import CameraPicture, Fault
@@ -26,7 +25,7 @@ TRANSPORT_SHARE = 0.5
 """Part of the camera's latency that passes before the picture arrives; the rest is for finding the markers in it."""
 
 
-class CameraFeed(Closing):
+class CameraFeed(LossySensor[CameraFrame]):
     """A :class:`autopilot.drivers.protocols.Sensor` of pictures.
 
     Rendering starts at the exposure on one thread of its own and is waited for when the picture is due, so that the
@@ -40,29 +39,18 @@ class CameraFeed(Closing):
     def __init__(
         self, renderer: SimCamera, settings: CameraSensor, camera: Camera, faults: Iterable[Fault], seed: int
     ) -> None:
-        self._renderers: dict[tuple[Lens | Mounting, ...], SimCamera] = {(): renderer}
         faults = list(faults)
+        super().__init__(settings, (camera.rate_hz, camera.latency_s), faults, (seed, 30), sensor="camera")
+        self._latency_s *= TRANSPORT_SHARE
+        self._renderers: dict[tuple[Lens | Mounting, ...], SimCamera] = {(): renderer}
         self._faults = OpticalFaults(faults)
-        self._settings = settings
-        self._rate_hz = settings.rate_hz or camera.rate_hz
-        latency_s = camera.latency_s if settings.latency_s is None else settings.latency_s
-        self._transport_s = TRANSPORT_SHARE * latency_s
         self._stamp_error_us = round(settings.stamp_error_s * 1e6)
-        self._rng = np.random.default_rng((seed, 30))
-        self._outages = OutageClock(settings.outages, faults, np.random.default_rng((seed, 31)))
         self._spoilt = [fault for fault in faults if isinstance(fault, CameraPicture)]
         self._pictures = PictureFaults(faults)
         self._before: Image | None = None
-        self._count = 0
-        self._last_due_us = 0
-        self._queue: deque[tuple[int, int, int, Future[Image]]] = deque()
+        self._rendered: deque[tuple[int, int, int, Future[Image]]] = deque()
         """When a picture is due, when it was taken, its number, and the picture."""
         self._worker: ThreadPoolExecutor | None = None
-
-    @property
-    def next_us(self) -> int:
-        """Time of the next exposure: whole microseconds, 33333 apart at 30 Hz and never drifting from it."""
-        return int(self._count * 1e6 / self._rate_hz)
 
     def open(self) -> None:
         """Start the rendering thread."""
@@ -74,32 +62,34 @@ class CameraFeed(Closing):
         if self._worker is not None:
             self._worker.shutdown(cancel_futures=True)
             self._worker = None
-            self._queue.clear()
+            self._rendered.clear()
 
     def add(self, fault: Fault) -> bool:
         """A fault that begins while the simulation runs; whether it is one of this sensor."""
         if isinstance(fault, CameraPicture):
             self._spoilt.append(fault)
             return True
-        return self._pictures.add(fault) or self._outages.add(fault)
+        return self._pictures.add(fault) or super().add(fault)
+
+    def _taken(self) -> None:
+        """The next exposure is on whole microseconds, 33333 apart at 30 Hz and never drifting from it."""
+        self._count += 1
+        self.next_us = int(self._count * 1e6 / self._rate_hz)
 
     def observe(self, truth: Truth) -> None:
         """Expose the picture that is due at ``truth.t_us``."""
         index = self._count
-        self._count += 1
+        self._taken()
         jitter, chance = float(self._rng.standard_normal()), float(self._rng.random())
         exposure = self._pictures.shown(truth, index)
-        lost = self._outages.silent(truth.t_us) or chance < self._settings.drop_probability
-        if lost or self._worker is None:
+        if self._lost(truth.t_us, chance) or self._worker is None:
             return
-        delay_s = self._transport_s + self._settings.latency_jitter_s * jitter
-        due_us = max(self._last_due_us, truth.t_us + max(0, round(delay_s * 1e6)))
-        self._last_due_us = due_us
-        if self.paced and len(self._queue) > 1 and self._queue[-1][3].cancel():
-            self._queue.pop()  # the machine does not follow: the newer picture takes its place
-        self._queue.append((due_us, truth.t_us, index, self._rendered(self._worker, exposure, truth.t_us)))
+        due_us = self._due_us(truth.t_us, jitter)
+        if self.paced and len(self._rendered) > 1 and self._rendered[-1][3].cancel():
+            self._rendered.pop()  # the machine does not follow: the newer picture takes its place
+        self._rendered.append((due_us, truth.t_us, index, self._picture_of(self._worker, exposure, truth.t_us)))
 
-    def _rendered(self, worker: ThreadPoolExecutor, exposure: Exposure, t_us: int) -> Future[Image]:
+    def _picture_of(self, worker: ThreadPoolExecutor, exposure: Exposure, t_us: int) -> Future[Image]:
         """The picture of an exposure, taken at ``t_us``."""
         seen, renderer = self._faults.seen(exposure.truth), self._renderer(t_us)
         reflection = self._pictures.reflection(t_us)
@@ -117,8 +107,8 @@ class CameraFeed(Closing):
     def poll(self, t_us: int) -> list[CameraFrame]:
         """The pictures that have arrived up to ``t_us``."""
         frames = []
-        while self._queue and self._queue[0][0] <= t_us and (self._queue[0][3].done() or not self.paced):
-            _, exposure_us, index, picture = self._queue.popleft()
+        while self._rendered and self._rendered[0][0] <= t_us and (self._rendered[0][3].done() or not self.paced):
+            _, exposure_us, index, picture = self._rendered.popleft()
             sent = self._pictures.sent(picture.result(), exposure_us, index)
             image = self._before = self._sent(sent, 1e-6 * exposure_us)
             frames.append(CameraFrame(t_us=exposure_us + self._stamp_error_us, image_bgr=image))

@@ -9,7 +9,7 @@ import numpy as np
 from autopilot.drivers.base import AlwaysOpen
 from autopilot.sitl.outages import OutageClock
 from autopilot.sitl.scenario_tables import Fault
-from autopilot.sitl.sensor_tables import DepthSensor, DvlSensor, PoseSensor
+from autopilot.sitl.sensor_tables import CameraSensor, DepthSensor, DvlSensor, PoseSensor
 
 T = TypeVar("T")
 
@@ -45,10 +45,16 @@ class DelayedSensor(AlwaysOpen, Generic[T]):
         self.next_us = round(self._count * 1e6 / self._rate_hz)
 
     def _send(self, t_us: int, normal: float, *samples: T) -> None:
-        """They arrive after the latency, never before an earlier one; ``normal`` is a standard normal number."""
+        """Put samples of that time into the queue."""
+        due_us = self._due_us(t_us, normal)
+        self._queue.extend((due_us, sample) for sample in samples)
+
+    def _due_us(self, t_us: int, normal: float) -> int:
+        """When a sample of that time arrives: after the latency, never before an earlier one; ``normal`` is a standard
+        normal number."""
         delay_s = self._latency_s + self._jitter_s * normal
         self._last_due_us = max(self._last_due_us, t_us + max(0, round(delay_s * 1e6)))
-        self._queue.extend((self._last_due_us, sample) for sample in samples)
+        return self._last_due_us
 
 
 class LossySensor(DelayedSensor[T]):
@@ -56,7 +62,7 @@ class LossySensor(DelayedSensor[T]):
 
     def __init__(
         self,
-        table: PoseSensor | DepthSensor | DvlSensor,
+        table: CameraSensor | PoseSensor | DepthSensor | DvlSensor,
         usual: tuple[float, float],
         faults: Iterable[Fault],
         seed: tuple[int, int],

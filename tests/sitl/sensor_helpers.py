@@ -56,6 +56,16 @@ def truth_at(
     return Truth(**{**values, **changes})
 
 
+def sampled(sensor: Any, seconds: float, **truth: Any) -> list[tuple[int, Any]]:
+    """Every sample that a sensor takes of a truth, with the time of its arrival; polled at 100 Hz."""
+    arrived = []
+    for t_us in range(0, round(seconds * 1e6), 10_000):
+        while sensor.next_us <= t_us:
+            sensor.observe(truth_at(t_us=sensor.next_us, **truth))
+        arrived += [(t_us, sample) for sample in sensor.poll(t_us)]
+    return arrived
+
+
 def height(camera_height_m: float) -> float:
     """Depth of the vehicle whose camera is that high above the floor."""
     return FLOOR_M - camera_height_m - VEHICLE.camera.position_frd_m[2]

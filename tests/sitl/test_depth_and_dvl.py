@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from sensor_helpers import FLOOR_M, truth_at
+from sensor_helpers import FLOOR_M, sampled
 
 from autopilot.core.frames import r_ned_from_frd
 from autopilot.core.samples import VelocityLock
@@ -21,16 +21,6 @@ EXACT_DEPTH = DepthSensor(sigma_m=0.0, bias_m=0.0, drift_m_rts=0.0)
 EXACT_DVL = DvlSensor(sigma_m_s=0.0, bias_m_s=0.0, scale_error=0.0, drop_probability=0.0)
 
 
-def run(sensor: Any, seconds: float = 10.0, **truth: Any) -> list[tuple[int, Any]]:
-    """Every sample with the time of its arrival, polled at 100 Hz."""
-    arrived = []
-    for t_us in range(0, round(seconds * 1e6), 10_000):
-        while sensor.next_us <= t_us:
-            sensor.observe(truth_at(t_us=sensor.next_us, **truth))
-        arrived += [(t_us, sample) for sample in sensor.poll(t_us)]
-    return arrived
-
-
 def depth(settings: DepthSensor = EXACT_DEPTH, faults: Any = (), seed: int = 1) -> SimDepthSensor:
     return SimDepthSensor(settings, DepthMount(position_frd_m=LEVER), faults, seed)
 
@@ -41,7 +31,7 @@ def dvl(settings: DvlSensor = EXACT_DVL, floor_m: float | None = FLOOR_M, faults
 
 def test_depth_is_that_of_the_sensor_and_arrives_late() -> None:
     rpy = (0.2, -0.1, 1.0)
-    samples = run(depth(), rpy_rad=rpy)
+    samples = sampled(depth(), 10.0, rpy_rad=rpy)
     below = float((r_ned_from_frd(np.array(rpy)) @ np.array(LEVER))[2])
     assert len(samples) == pytest.approx(100, abs=2)
     for t_us, sample in samples:
@@ -50,53 +40,53 @@ def test_depth_is_that_of_the_sensor_and_arrives_late() -> None:
 
 
 def test_depth_errors_are_as_declared() -> None:
-    noisy = [s.depth_m for _, s in run(depth(msgspec.structs.replace(EXACT_DEPTH, sigma_m=0.01)), 60.0)]
+    noisy = [s.depth_m for _, s in sampled(depth(msgspec.structs.replace(EXACT_DEPTH, sigma_m=0.01)), 60.0)]
     assert np.std(noisy) == pytest.approx(0.01, rel=0.15)
     offset = msgspec.structs.replace(EXACT_DEPTH, bias_m=0.05)
-    first = [run(depth(offset, seed=seed), 0.3)[0][1].depth_m for seed in range(30)]
+    first = [sampled(depth(offset, seed=seed), 0.3)[0][1].depth_m for seed in range(30)]
     assert np.std(first) == pytest.approx(0.05, rel=0.4)
 
 
 def test_velocity_is_that_of_the_sensor() -> None:
     moving = {"vel_frd_m_s": np.array([0.3, 0.1, 0.0]), "rate_frd_rad_s": np.array([0.0, 0.0, 0.5])}
-    _, sample = run(dvl(), 1.0, **moving)[0]
+    _, sample = sampled(dvl(), 1.0, **moving)[0]
     np.testing.assert_allclose(sample.vel_frd_m_s, [0.3 + 0.1, 0.1 + 0.15, 0.0])
     assert sample.lock is VelocityLock.BOTTOM
     through = msgspec.structs.replace(EXACT_DVL, lock="water")
-    _, sample = run(dvl(through), 1.0, vel_water_frd_m_s=np.array([0.2, 0.0, 0.0]))[0]
+    _, sample = sampled(dvl(through), 1.0, vel_water_frd_m_s=np.array([0.2, 0.0, 0.0]))[0]
     np.testing.assert_allclose(sample.vel_frd_m_s, [0.2, 0.0, 0.0])
     assert sample.lock is VelocityLock.WATER
 
 
 def test_velocity_errors_are_as_declared() -> None:
     settings = msgspec.structs.replace(EXACT_DVL, sigma_m_s=0.02)
-    noise = np.array([s.vel_frd_m_s for _, s in run(dvl(settings), 60.0)])
+    noise = np.array([s.vel_frd_m_s for _, s in sampled(dvl(settings), 60.0)])
     np.testing.assert_allclose(noise.std(axis=0), 0.02, rtol=0.15)
     scaled = msgspec.structs.replace(EXACT_DVL, scale_error=0.1)
     fast = {"vel_frd_m_s": np.array([1.0, 0.0, 0.0])}
-    scales = [run(dvl(scaled, seed=seed), 0.5, **fast)[0][1].vel_frd_m_s[0] for seed in range(30)]
+    scales = [sampled(dvl(scaled, seed=seed), 0.5, **fast)[0][1].vel_frd_m_s[0] for seed in range(30)]
     assert np.std(scales) == pytest.approx(0.1, rel=0.4)
 
 
 def test_no_bottom_lock_too_close_or_too_far() -> None:
     settings = msgspec.structs.replace(EXACT_DVL, least_altitude_m=0.5, most_altitude_m=0.9)
-    assert run(dvl(settings), 1.0, pos_ned_m=(0.0, 0.0, 0.7))
-    assert not run(dvl(settings), 1.0, pos_ned_m=(0.0, 0.0, 1.0))
-    assert not run(dvl(settings), 1.0, pos_ned_m=(0.0, 0.0, 0.2))
-    assert run(dvl(settings, None), 1.0, pos_ned_m=(0.0, 0.0, 0.2))
+    assert sampled(dvl(settings), 1.0, pos_ned_m=(0.0, 0.0, 0.7))
+    assert not sampled(dvl(settings), 1.0, pos_ned_m=(0.0, 0.0, 1.0))
+    assert not sampled(dvl(settings), 1.0, pos_ned_m=(0.0, 0.0, 0.2))
+    assert sampled(dvl(settings, None), 1.0, pos_ned_m=(0.0, 0.0, 0.2))
     water = msgspec.structs.replace(settings, lock="water")
-    assert run(dvl(water), 1.0, pos_ned_m=(0.0, 0.0, 1.0))
+    assert sampled(dvl(water), 1.0, pos_ned_m=(0.0, 0.0, 1.0))
 
 
 def test_gaps_by_faults_and_by_chance() -> None:
     faults = [SensorSilence(at_s=2.0, duration_s=3.0, sensor="dvl")]
-    silent = [s.t_us for _, s in run(dvl(faults=faults))]
+    silent = [s.t_us for _, s in sampled(dvl(faults=faults), 10.0)]
     assert not any(2_000_000 <= t < 5_000_000 for t in silent)
-    assert len(run(depth(faults=faults))) == pytest.approx(100, abs=2)
+    assert len(sampled(depth(faults=faults), 10.0)) == pytest.approx(100, abs=2)
     gaps = msgspec.structs.replace(EXACT_DEPTH, outages=Outages(per_minute=20.0, min_s=1.0, max_s=2.0))
-    assert len(run(depth(gaps), 60.0)) < 500
+    assert len(sampled(depth(gaps), 60.0)) < 500
     lossy = msgspec.structs.replace(EXACT_DEPTH, drop_probability=0.5)
-    assert 200 < len(run(depth(lossy), 60.0)) < 400
+    assert 200 < len(sampled(depth(lossy), 60.0)) < 400
 
 
 def test_they_come_with_their_tables(tmp_path: Any) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from sensor_helpers import FLOOR_M, VEHICLE, height, truth_at
+from sensor_helpers import FLOOR_M, VEHICLE, height, sampled, truth_at
 
 from autopilot.core.samples import LaserSample, PoseSample
 from autopilot.sitl.outages import OutageClock
@@ -29,17 +29,10 @@ def run(
 ) -> tuple[list[PoseSample], list[LaserSample], list[int]]:
     """Pose samples, laser samples and the delay [us] of every one, polled at 100 Hz."""
     sensor = SimPoseSensor(pose, laser or LaserSensor(), VEHICLE, floor_m, faults, seed)
-    poses, lasers, delays = [], [], []
-    for t_us in range(0, round(duration_s * 1e6), 10_000):
-        while sensor.next_us <= t_us:
-            sensor.observe(truth_at(t_us=sensor.next_us, **truth))
-        for sample in sensor.poll(t_us):
-            delays.append(t_us - sample.t_us)
-            if isinstance(sample, PoseSample):
-                poses.append(sample)
-            else:
-                lasers.append(sample)
-    return poses, lasers, delays
+    found = sampled(sensor, duration_s, **truth)
+    poses = [sample for _, sample in found if isinstance(sample, PoseSample)]
+    lasers = [sample for _, sample in found if isinstance(sample, LaserSample)]
+    return poses, lasers, [t_us - sample.t_us for t_us, sample in found]
 
 
 @pytest.mark.parametrize("camera_height_m", [0.5, 1.0])

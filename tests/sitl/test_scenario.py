@@ -193,16 +193,6 @@ def test_a_start_outside_the_tank_or_in_an_obstacle_is_refused(tmp_path: Path) -
             build_plant(load_scenario(str(path)), VEHICLE)
 
 
-def test_a_thruster_fault_happens_at_its_time(tmp_path: Path) -> None:
-    path = tmp_path / "test.toml"
-    path.write_text(GOOD.replace("at_s = 10.0", "at_s = 1.0"), encoding="utf-8")
-    plant = build_plant(load_scenario(str(path)), VEHICLE)
-    plant.advance(1_000_000, (1600, 1600, 1500, 1500))
-    assert plant.truth.thrust_n[0] == plant.truth.thrust_n[1]
-    plant.advance(1_100_000, (1600, 1600, 1500, 1500))
-    assert plant.truth.thrust_n[0] == pytest.approx(0.5 * plant.truth.thrust_n[1])
-
-
 def test_unknown_names_and_missing_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"scenario 'atlantis' is not known; use one of b1, .*harbour"):
         load_scenario("atlantis")
